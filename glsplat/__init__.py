@@ -1,0 +1,1 @@
+"""glsplat: animatable 3D Gaussian avatars on plain OpenGL, both eyes in one pass."""

@@ -1,0 +1,43 @@
+"""Avatar: splats with a skeleton and a skin. Anything that yields these three is an avatar."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import lru_cache
+from importlib import resources
+from typing import Any
+
+from glsplat.errors import FormatError
+from glsplat.skinning.skeleton import Skeleton
+from glsplat.skinning.skin import Skin
+from glsplat.splats import Splats
+
+__all__ = ["Avatar", "default_avatar"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Avatar:
+    """Canonical Gaussians (zero pose), the rig that moves them, and where they come from."""
+
+    splats: Splats
+    skeleton: Skeleton
+    skin: Skin
+    meta: Mapping[str, Any] = field(default_factory=dict)  # asset.extras.glsplat: version, source, licence, ...
+
+    def __post_init__(self) -> None:
+        if len(self.skin) != len(self.splats):
+            raise FormatError(f"an avatar needs one skin row a splat, not {len(self.skin)} for {len(self.splats)}")
+        if len(self.skin) and int(self.skin.joints.max()) >= len(self.skeleton):
+            raise FormatError(f"the skin names joint {self.skin.joints.max()} of {len(self.skeleton)}")
+
+
+@lru_cache(maxsize=1)
+def default_avatar() -> Avatar:
+    """The embedded person (about 40,000 splats, 55 SMPL-X joints; licence beside the file)."""
+    from glsplat.formats.gltf import load_gltf  # here, because formats builds on this module
+
+    with resources.as_file(resources.files("glsplat.data") / "default_avatar.glb") as path:
+        scene = load_gltf(path)
+    assert isinstance(scene, Avatar)
+    return scene

@@ -1,0 +1,51 @@
+"""RenderConfig: what the picture must be. Everything that decides pixels, and nothing else, in one frozen value."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from glsplat.errors import GlsplatError
+
+__all__ = ["RenderConfig"]
+
+Target = Literal["auto", "8", "16f", "32f"]
+Output = Literal["float32", "uint8"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RenderConfig:
+    """Knobs of a renderer; the defaults are the pixel contract (docs/conventions.md) at its best price."""
+
+    target: Target = "auto"  # float target; auto = 32f on software rasterizers, 16f on GPUs (measured)
+    output: Output = "uint8"  # uint8: resolved to 8 bit; float32: the target as it is, unclipped
+    sorter: Literal["auto", "cpu", "gpu"] = "auto"  # gpu needs OpenGL 4.3
+    layers: Literal["auto", "vertex", "geometry"] = "auto"  # who writes gl_Layer; auto probes by rendering
+    order: Literal["shared", "per_view"] = "shared"  # one depth order for both eyes, or one an eye
+    sort_bits: Literal[16, 32] = 32  # bits of the depth key
+    rotation: Literal["polar", "raw"] = "polar"  # R_i under skinning: nearest rotation, or the blended matrix
+    influences: Literal[0, 1, 2, 4, 8] = 0  # joints a splat; 0 = as many as the avatar has
+    sh_degree: int = 3  # evaluate at most this degree
+    antialias: bool = False  # opacity compensation for the dilation (Mip-Splatting's 2D filter)
+    eps2d: float = 0.3  # px^2 added to the diagonal of the projected covariance
+    max_sigma: float = 3.33  # standard deviations at which a quad ends at the latest
+
+    def __post_init__(self) -> None:
+        allowed: dict[str, tuple[object, ...]] = {
+            "target": ("auto", "8", "16f", "32f"),
+            "output": ("float32", "uint8"),
+            "sorter": ("auto", "cpu", "gpu"),
+            "layers": ("auto", "vertex", "geometry"),
+            "order": ("shared", "per_view"),
+            "sort_bits": (16, 32),
+            "rotation": ("polar", "raw"),
+            "influences": (0, 1, 2, 4, 8),
+            "sh_degree": (0, 1, 2, 3),
+        }
+        for name, values in allowed.items():
+            if getattr(self, name) not in values:
+                raise GlsplatError(f"{name} needs one of {', '.join(map(str, values))}, not {getattr(self, name)}")
+        if not 0 <= self.eps2d <= 100:
+            raise GlsplatError(f"eps2d needs 0 to 100 px^2, not {self.eps2d:g}")
+        if not 0 < self.max_sigma <= 3.33:
+            raise GlsplatError(f"max_sigma needs a value above 0 and at most 3.33, not {self.max_sigma:g}")

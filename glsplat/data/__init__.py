@@ -1,0 +1,1 @@
+"""Embedded data: the default avatar and its licence, motions and a recording."""

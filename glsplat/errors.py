@@ -1,0 +1,42 @@
+"""Every error glsplat raises on purpose.
+
+::
+
+    GlsplatError
+    ├── FormatError      a file is not what it should be (names the file, what was expected, what came)
+    ├── ContextError     no OpenGL context, or one that cannot do the work
+    ├── ShaderError      a shader does not compile (names file and line of the chunk)
+    ├── PoseError        a pose or motion does not fit the skeleton
+    └── ProtocolError    a message breaks the wire protocol
+
+Commands print the message of a GlsplatError as one line and exit with 1; anything else is a bug.
+"""
+
+
+class GlsplatError(Exception):
+    """Base of all errors raised on purpose. The message is one line: expected, came, what to do."""
+
+
+class FormatError(GlsplatError):
+    """A file or an array does not hold what its format promises."""
+
+
+class ContextError(GlsplatError):
+    """No OpenGL context could be made, or it lacks something the renderer needs."""
+
+
+class ShaderError(GlsplatError):
+    """A shader failed to compile or link; the message points at the chunk, not the flattened text."""
+
+
+class PoseError(GlsplatError):
+    """A pose, motion or tracking sample does not fit the skeleton or is not finite."""
+
+
+class ProtocolError(GlsplatError):
+    """A message breaks the wire protocol. ``code`` is the machine-readable reason sent to the peer."""
+
+    def __init__(self, message: str, code: str = "bad_request", frame_id: int | None = None) -> None:
+        super().__init__(message)
+        self.code = code
+        self.frame_id = frame_id

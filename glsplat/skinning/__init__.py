@@ -1,0 +1,1 @@
+"""Skeleton, pose, skin (numpy) and the bone texture (GPU)."""

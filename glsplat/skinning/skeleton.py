@@ -1,0 +1,151 @@
+"""Skeleton: joints, parents and rest frames of any rig; forward kinematics in numpy."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from glsplat.errors import PoseError
+
+__all__ = ["Skeleton", "rotation_matrices"]
+
+
+@dataclass(frozen=True, eq=False)
+class Skeleton:
+    """J joints. ``rest`` is the global frame of each joint in the bind (zero) pose.
+
+    An SMPL-X rig has rest frames parallel to the world; other rigs may have any. Several roots are legal, a cycle,
+    a parent out of range or a frame that cannot be inverted is a PoseError.
+    """
+
+    names: tuple[str, ...]
+    parents: NDArray[np.int32]  # [J] index of the parent, -1 for a root
+    rest: NDArray[np.float64]  # [J, 4, 4] world from joint at the zero pose
+    inverse_bind: NDArray[np.float64] = field(default_factory=lambda: np.empty((0, 4, 4)))  # [J, 4, 4]; none: inv(rest)
+    _local: NDArray[np.float64] = field(init=False, repr=False)  # [J, 4, 4] rest frame in the parent's
+    _levels: list[tuple[NDArray[np.intp], NDArray[np.int32]]] = field(
+        init=False, repr=False
+    )  # joints by depth, parents
+
+    def __post_init__(self) -> None:
+        parents = np.asarray(self.parents, np.int32).reshape(-1)
+        rest = np.asarray(self.rest, np.float64)
+        count = len(self.names)
+        if count < 1 or parents.shape != (count,) or rest.shape != (count, 4, 4):
+            raise PoseError(
+                f"a skeleton of {count} joints needs parents ({count},) and rest ({count}, 4, 4), "
+                f"not {parents.shape} and {rest.shape}"
+            )
+        if len(set(self.names)) != count:
+            raise PoseError("joint names need to be distinct")
+        if not np.isfinite(rest).all():
+            raise PoseError("rest frames need finite numbers, found NaN or infinity")
+        inverse = self.inverse_bind
+        try:
+            inverse = np.asarray(inverse, np.float64) if len(inverse) else np.linalg.inv(rest)
+            inverse_rest = np.linalg.inv(rest)
+        except np.linalg.LinAlgError:
+            raise PoseError("a rest frame has no inverse (a zero scale?)") from None
+        if inverse.shape != (count, 4, 4) or not np.isfinite(inverse).all():
+            raise PoseError(f"inverse_bind needs finite numbers of shape ({count}, 4, 4), not {inverse.shape}")
+        levels = _levels(parents)
+        local = rest.copy()
+        child = parents >= 0
+        local[child] = inverse_rest[parents[child]] @ rest[child]
+        for name, value in (("parents", parents), ("rest", rest), ("inverse_bind", inverse)):
+            object.__setattr__(self, name, value)
+        object.__setattr__(self, "_local", local)
+        object.__setattr__(self, "_levels", [(ids, parents[ids]) for ids in levels])
+
+    @classmethod
+    def from_joints(cls, names: tuple[str, ...], parents: ArrayLike, joints: ArrayLike) -> Skeleton:
+        """A rig whose rest frames are parallel to the world (SMPL-X): ``joints`` [J, 3] in metres."""
+        positions = np.asarray(joints, np.float64)
+        if positions.ndim != 2 or positions.shape[1] != 3:
+            raise PoseError(f"joints need shape (J, 3), not {positions.shape}")
+        rest = np.tile(np.eye(4), (len(positions), 1, 1))
+        rest[:, :3, 3] = positions
+        return cls(tuple(names), np.asarray(parents, np.int32), rest)
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    @property
+    def joints(self) -> NDArray[np.float64]:
+        """[J, 3] rest positions in metres."""
+        return self.rest[:, :3, 3]
+
+    def forward(
+        self,
+        rotations: ArrayLike,  # [J, 3] axis-angle (radians), or [J, 3, 3] matrices, in each joint's rest frame
+        trans: ArrayLike = (0.0, 0.0, 0.0),  # [3] metres, moves the roots
+        translations: ArrayLike | None = None,  # [J, 3] metres in the parent's frame, added to the rest offset
+    ) -> NDArray[np.float64]:
+        """Global joint frames [J, 4, 4] of a pose: G_j = G_parent L_j R_j, level by level."""
+        rot = np.asarray(rotations, np.float64)
+        if rot.shape == (len(self), 3):
+            rot = rotation_matrices(rot)
+        if rot.shape != (len(self), 3, 3):
+            raise PoseError(f"this skeleton needs {len(self)} joint rotations, not shape {np.shape(rotations)}")
+        local = self._local.copy()
+        local[:, :3, :3] = local[:, :3, :3] @ rot
+        if translations is not None:
+            local[:, :3, 3] += np.asarray(translations, np.float64)
+        out = local
+        for level, (ids, parents) in enumerate(self._levels):
+            if level == 0:
+                out[ids, :3, 3] += np.asarray(trans, np.float64)
+            else:
+                out[ids] = out[parents] @ local[ids]
+        return out
+
+    def bone_matrices(
+        self, rotations: ArrayLike, trans: ArrayLike = (0.0, 0.0, 0.0), translations: ArrayLike | None = None
+    ) -> NDArray[np.float64]:
+        """Skinning matrices [J, 3, 4]: posed joint frame times inverse bind (glTF 2.0, section 3.7.3.3)."""
+        return (self.forward(rotations, trans, translations) @ self.inverse_bind)[:, :3, :]
+
+
+def rotation_matrices(axis_angle: ArrayLike) -> NDArray[np.float64]:
+    """[..., 3] axis-angle in radians to [..., 3, 3]: Rodrigues, exact at zero and finite everywhere."""
+    v = np.asarray(axis_angle, np.float64)
+    angle2 = np.einsum("...i,...i->...", v, v)
+    angle = np.sqrt(angle2)
+    # sin(a)/a and (1 - cos a)/a^2 through sinc: no division by zero and no cancellation at small angles
+    a = np.sinc(angle / np.pi)
+    b = 0.5 * np.sinc(angle / (2 * np.pi)) ** 2
+    out = np.empty((*v.shape[:-1], 3, 3))
+    x, y, z = v[..., 0], v[..., 1], v[..., 2]
+    bx, by, bz = b * x, b * y, b * z
+    ax, ay, az = a * x, a * y, a * z
+    cos = 1 - b * angle2
+    out[..., 0, 0] = cos + bx * x
+    out[..., 1, 1] = cos + by * y
+    out[..., 2, 2] = cos + bz * z
+    out[..., 0, 1] = bx * y - az
+    out[..., 1, 0] = bx * y + az
+    out[..., 0, 2] = bx * z + ay
+    out[..., 2, 0] = bx * z - ay
+    out[..., 1, 2] = by * z - ax
+    out[..., 2, 1] = by * z + ax
+    return out
+
+
+def _levels(parents: NDArray[np.int32]) -> list[NDArray[np.intp]]:
+    """Joint indices by depth, roots first; refuses cycles and parents out of range."""
+    count = len(parents)
+    if (parents >= count).any() or (parents < -1).any():
+        raise PoseError(f"parents need to lie in -1..{count - 1}, found {parents.min()}..{parents.max()}")
+    depth = np.where(parents < 0, 0, -1)
+    if not (depth == 0).any():
+        raise PoseError("a skeleton needs a root (a parent of -1), found none")
+    levels = [np.flatnonzero(depth == 0)]
+    while len(levels[-1]):
+        children = np.flatnonzero(np.isin(parents, levels[-1]) & (depth < 0))
+        depth[children] = len(levels)
+        levels.append(children)
+    if (depth < 0).any():
+        raise PoseError(f"the skeleton has a cycle through joint {int(np.flatnonzero(depth < 0)[0])}")
+    return levels[:-1]
