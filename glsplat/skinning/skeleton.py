@@ -42,12 +42,11 @@ class Skeleton:
             raise PoseError("joint names need to be distinct")
         if not np.isfinite(rest).all():
             raise PoseError("rest frames need finite numbers, found NaN or infinity")
-        inverse = self.inverse_bind
         try:
-            inverse = np.asarray(inverse, np.float64) if len(inverse) else np.linalg.inv(rest)
-            inverse_rest = np.linalg.inv(rest)
+            inverse_rest: NDArray[np.float64] = np.linalg.inv(rest).astype(np.float64)
         except np.linalg.LinAlgError:
             raise PoseError("a rest frame has no inverse (a zero scale?)") from None
+        inverse = np.asarray(self.inverse_bind, np.float64) if len(self.inverse_bind) else inverse_rest
         if inverse.shape != (count, 4, 4) or not np.isfinite(inverse).all():
             raise PoseError(f"inverse_bind needs finite numbers of shape ({count}, 4, 4), not {inverse.shape}")
         levels = _levels(parents)
