@@ -1,0 +1,269 @@
+"""The exact float64 twin of every shader: test oracle and documentation. Slow on purpose, nothing is approximated.
+
+Rules: docs/conventions.md, "pixel contract". Each function names the GLSL chunk it mirrors.
+Sources: EWA Splatting (Zwicker et al. 2002), 3D Gaussian Splatting (Kerbl et al. 2023), gsplat (projection and
+principal-point aware clamp), the paper's section on the GA backend (skinning).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glsplat.camera import Camera, sorting_camera
+from glsplat.config import RenderConfig
+from glsplat.skinning.skin import Skin
+from glsplat.splats import Splats
+
+__all__ = [
+    "Posed",
+    "Projected",
+    "blended_rotations",
+    "depth_order",
+    "evaluate_sh",
+    "project",
+    "quaternion_matrices",
+    "render",
+    "rest",
+    "skin",
+]
+
+F64 = NDArray[np.float64]
+
+ALPHA_MAX = 0.99
+ALPHA_MIN = 1 / 255
+AA_FLOOR = 2.5e-5  # smallest det / det_dilated under antialias (gsplat: 0.005 squared)
+POWER = 32  # of the 4x4 rotation matrix average, see blended_rotations
+SELECT = 1e-3  # weight of the dominant column beside it
+
+
+@dataclass(frozen=True)
+class Posed:
+    """Splats after skinning: where they are, how they are shaped, how they turned."""
+
+    means: F64  # [N, 3]
+    shapes: F64  # [N, 3, 3] M with Sigma = M M^T
+    rotations: F64  # [N, 3, 3] R_i: turns canonical directions into posed ones
+
+
+@dataclass(frozen=True)
+class Projected:
+    """Splats of one view in pixels."""
+
+    means2d: F64  # [N, 2]
+    covars2d: F64  # [N, 3] a, b, c of [[a, b], [b, c]], dilated
+    depths: F64  # [N] camera z
+    alphas: F64  # [N] opacity after antialias compensation
+    extents: F64  # [N] standard deviations at which the quad ends, 0 where culled
+    colours: F64  # [N, 3]
+
+    @property
+    def visible(self) -> NDArray[np.bool_]:
+        """[N] True where the splat is drawn in this view."""
+        return self.extents > 0
+
+
+def quaternion_matrices(quats: NDArray[np.floating]) -> F64:
+    """[N, 4] unit wxyz to [N, 3, 3] (covariance.glsl)."""
+    w, x, y, z = np.moveaxis(np.asarray(quats, np.float64), -1, 0)
+    rows = (
+        (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
+        (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
+        (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
+    )
+    return np.stack([np.stack(row, -1) for row in rows], -2)
+
+
+def rest(splats: Splats) -> Posed:
+    """Static splats: M = R(q) diag(s), equation for Sigma_i of the paper (covariance.glsl)."""
+    rotations = quaternion_matrices(splats.quats)
+    shapes = rotations * np.asarray(splats.scales, np.float64)[:, None, :]
+    return Posed(splats.means.astype(np.float64), shapes, np.broadcast_to(np.eye(3), rotations.shape))
+
+
+def blended_rotations(blended: F64, strongest: F64, shift: float = 1.0) -> F64:
+    """R_i [N, 3, 3]: the nearest rotation to a blended 3x3 [N, 3, 3], continuous through a collapse (skin.glsl).
+
+    The nearest rotation's quaternion is the top eigenvector of the symmetric 4x4 matrix Q(A) + shift I (Davenport's
+    q-method; for a blend of rotations this is Markley's average of their quaternions). Instead of the eigenvector we
+    take P v with P = (Q + I)^32, normalised, and v the quaternion of the ``strongest`` bone's matrix [N, 3, 3]: equal
+    to 1e-7 while the two largest eigenvalues differ (two equal weights up to 150 degrees apart), and where they meet (a
+    collapse, where the nearest rotation jumps) it swings through the strongest bone's rotation instead. A thousandth
+    of P's dominant column keeps the answer defined where P v vanishes. ``shift`` is 1 for blends of rotations and 3
+    where a bone scales or reflects, so that Q + shift I has no negative eigenvalue.
+    """
+    size = np.sqrt((blended**2).sum(axis=(1, 2)) / 3)
+    scaled = blended / np.maximum(size, 1)[:, None, None]
+    values, vectors = np.linalg.eigh(_davenport(scaled) + shift * np.eye(4))
+    relative = np.maximum(values / np.maximum(values[:, -1:], 1e-300), 0)
+    power = np.einsum("nik,nk,njk->nij", vectors, relative**POWER, vectors)
+    start = _dominant_column(_davenport(strongest) + np.eye(4))
+    toward = np.einsum("nij,nj->ni", power, start)
+    column = _dominant_column(power)
+    sign = np.where(np.einsum("ni,ni->n", toward, column) < 0, -1.0, 1.0)
+    quats = toward + (SELECT * sign)[:, None] * column
+    return quaternion_matrices(quats / np.linalg.norm(quats, axis=1, keepdims=True))
+
+
+def skin(splats: Splats, binding: Skin, bones: F64, mode: str = "polar") -> Posed:
+    """Linear blend skinning (paper, p_i' and Sigma_i'): ``bones`` [J, 3, 4], ``mode`` polar or raw (skin.glsl)."""
+    weights = binding.weights.astype(np.float64)
+    blended = np.einsum("nk,nkij->nij", weights, bones[binding.joints])
+    means = np.einsum("nij,nj->ni", blended[:, :, :3], splats.means.astype(np.float64)) + blended[:, :, 3]
+    linear = blended[:, :, :3]
+    if mode == "polar":
+        shift = 1.0 if rigid(bones) else 3.0
+        linear = blended_rotations(linear, bones[binding.joints[:, 0], :, :3], shift)
+    return Posed(means, linear @ rest(splats).shapes, linear)
+
+
+def rigid(bones: F64) -> bool:
+    """Whether every bone's 3x3 is a rotation within 1e-4."""
+    gram = np.einsum("jki,jkl->jil", bones[:, :, :3], bones[:, :, :3])
+    return bool(np.abs(gram - np.eye(3)).max() < 1e-4 and (np.linalg.det(bones[:, :, :3]) > 0).all())
+
+
+def evaluate_sh(sh: F64, directions: F64, degree: int) -> F64:
+    """Colour [N, 3] of coefficients [N, K, 3] in unit directions [N, 3], 3DGS basis and signs (sh.glsl)."""
+    x, y, z = directions.T
+    basis = [np.full_like(x, 0.28209479177387814)]
+    if degree > 0:
+        basis += [-0.4886025119029199 * y, 0.4886025119029199 * z, -0.4886025119029199 * x]
+    if degree > 1:
+        basis += [
+            1.0925484305920792 * x * y,
+            -1.0925484305920792 * y * z,
+            0.31539156525252005 * (2 * z * z - x * x - y * y),
+            -1.0925484305920792 * x * z,
+            0.5462742152960396 * (x * x - y * y),
+        ]
+    if degree > 2:
+        basis += [
+            -0.5900435899266435 * y * (3 * x * x - y * y),
+            2.890611442640554 * x * y * z,
+            -0.4570457994644658 * y * (4 * z * z - x * x - y * y),
+            0.3731763325901154 * z * (2 * z * z - 3 * x * x - 3 * y * y),
+            -0.4570457994644658 * x * (4 * z * z - x * x - y * y),
+            1.445305721320277 * z * (x * x - y * y),
+            -0.5900435899266435 * x * (x * x - 3 * y * y),
+        ]
+    return np.maximum(np.einsum("kn,nkc->nc", np.stack(basis), sh[:, : len(basis)]) + 0.5, 0)
+
+
+def project(posed: Posed, splats: Splats, camera: Camera, config: RenderConfig | None = None) -> Projected:
+    """One view of the splats: EWA projection, culling and colour (project.glsl, extent.glsl, sh.glsl)."""
+    config = config or RenderConfig()
+    with np.errstate(all="ignore"):
+        R, t = camera.viewmat[:3, :3], camera.viewmat[:3, 3]
+        x, y, z = (posed.means @ R.T + t).T
+        fx, fy, cx, cy = camera.K[0, 0], camera.K[1, 1], camera.K[0, 2], camera.K[1, 2]
+        width, height = camera.width, camera.height
+        margin_x, margin_y = 0.3 * 0.5 * width / fx, 0.3 * 0.5 * height / fy
+        tx = np.clip(x / z, -cx / fx - margin_x, (width - cx) / fx + margin_x)
+        ty = np.clip(y / z, -cy / fy - margin_y, (height - cy) / fy + margin_y)
+        zero = np.zeros_like(z)
+        J = np.stack([np.stack([fx / z, zero, -fx * tx / z], -1), np.stack([zero, fy / z, -fy * ty / z], -1)], -2)
+        T = J @ R @ posed.shapes  # [N, 2, 3]; Sigma2D = T T^T
+        a, b, c = (T[:, 0] ** 2).sum(-1), (T[:, 0] * T[:, 1]).sum(-1), (T[:, 1] ** 2).sum(-1)
+        # Lagrange: det(T T^T) = |T_0 x T_1|^2, a sum of squares where a c - b^2 would cancel
+        det = (np.cross(T[:, 0], T[:, 1]) ** 2).sum(-1)
+        dilated = det + config.eps2d * (a + c) + config.eps2d**2
+        a, c = a + config.eps2d, c + config.eps2d
+
+        alphas = np.minimum(splats.opacities.astype(np.float64), 1.0)
+        if config.antialias:
+            alphas = alphas * np.sqrt(np.maximum(det / dilated, AA_FLOOR))
+        extents = np.minimum(config.max_sigma, np.sqrt(2 * np.log(alphas / ALPHA_MIN)))
+        means2d = np.stack([fx * x / z + cx, fy * y / z + cy], -1)
+        reach_x, reach_y = extents * np.sqrt(a), extents * np.sqrt(c)
+        drawn = splats.finite() & (np.abs(splats.quats).max(-1, initial=0) > 0)
+        drawn &= (z > camera.near) & (z < camera.far) & (alphas >= ALPHA_MIN)
+        drawn &= (dilated > 0) & np.isfinite(dilated) & np.isfinite(means2d).all(-1)
+        drawn &= (means2d[:, 0] + reach_x > 0) & (means2d[:, 0] - reach_x < width)
+        drawn &= (means2d[:, 1] + reach_y > 0) & (means2d[:, 1] - reach_y < height)
+
+        view_direction = posed.means - camera.position
+        view_direction /= np.linalg.norm(view_direction, axis=1, keepdims=True)
+        direction = np.einsum("nji,nj->ni", posed.rotations, view_direction)
+        direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+        degree = min(splats.sh_degree, camera.sh_degree, config.sh_degree)
+        colours = evaluate_sh(splats.sh.astype(np.float64), np.nan_to_num(direction), degree)
+    return Projected(means2d, np.stack([a, b, c], -1), z, alphas, np.where(drawn, extents, 0.0), colours)
+
+
+def depth_order(means: F64, viewmat: F64) -> NDArray[np.intp]:
+    """[N] indices far to near by camera z as float32; of equal depths the lower index is the nearer (sort.py)."""
+    with np.errstate(all="ignore"):
+        depths = (means @ viewmat[2, :3] + viewmat[2, 3]).astype(np.float32)
+    return np.argsort(np.nan_to_num(depths, nan=np.inf), kind="stable")[::-1]
+
+
+def composite(view: Projected, order: NDArray[np.intp], camera: Camera) -> F64:
+    """[H, W, 4]: premultiplied over, far to near, on the camera's background (splat.frag.glsl)."""
+    image = np.zeros((camera.height, camera.width, 4))
+    image[..., :3] = camera.background
+    for i in order[view.visible[order]]:
+        a, b, c = view.covars2d[i]
+        det = a * c - b * b
+        (mx, my), k = view.means2d[i], view.extents[i]
+        rx, ry = k * np.sqrt(a) + 1, k * np.sqrt(c) + 1
+        x0, x1 = int(np.clip(np.floor(mx - rx), 0, camera.width)), int(np.clip(np.ceil(mx + rx), 0, camera.width))
+        y0, y1 = int(np.clip(np.floor(my - ry), 0, camera.height)), int(np.clip(np.ceil(my + ry), 0, camera.height))
+        if x0 >= x1 or y0 >= y1:
+            continue
+        dx = np.arange(x0, x1) + 0.5 - mx
+        dy = (np.arange(y0, y1) + 0.5 - my)[:, None]
+        distance2 = np.maximum((c * dx * dx - 2 * b * dx * dy + a * dy * dy) / det, 0)
+        alpha = np.minimum(ALPHA_MAX, view.alphas[i] * np.exp(-0.5 * distance2))
+        alpha[(alpha < ALPHA_MIN) | (distance2 > k * k * (1 + 1e-9))] = 0
+        patch = image[y0:y1, x0:x1]
+        patch *= 1 - alpha[..., None]
+        patch[..., :3] += alpha[..., None] * view.colours[i]
+        patch[..., 3] += alpha
+    return image
+
+
+def render(
+    splats: Splats,
+    cameras: Sequence[Camera],
+    binding: Skin | None = None,
+    bones: F64 | None = None,  # [J, 3, 4]
+    config: RenderConfig | None = None,
+    sort_viewmat: F64 | None = None,  # [4, 4] default: the cameras' common centre
+) -> F64:
+    """The whole frame: [V, H, W, 4] RGB over the background (unclipped) and accumulated alpha, rows top down."""
+    config = config or RenderConfig()
+    posed = rest(splats) if binding is None or bones is None else skin(splats, binding, bones, config.rotation)
+    shared = sorting_camera(cameras) if sort_viewmat is None else sort_viewmat
+    images = []
+    for camera in cameras:
+        viewmat = camera.viewmat if config.order == "per_view" else shared
+        order = depth_order(posed.means, viewmat)
+        images.append(composite(project(posed, splats, camera, config), order, camera))
+    return np.stack(images)
+
+
+def _davenport(m: F64) -> F64:
+    """Q [N, 4, 4] of m [N, 3, 3]: q^T Q q = trace(R(q)^T m) for unit q = wxyz (skin.glsl)."""
+    m00, m01, m02 = m[:, 0, 0], m[:, 0, 1], m[:, 0, 2]
+    m10, m11, m12 = m[:, 1, 0], m[:, 1, 1], m[:, 1, 2]
+    m20, m21, m22 = m[:, 2, 0], m[:, 2, 1], m[:, 2, 2]
+    wx, wy, wz = m21 - m12, m02 - m20, m10 - m01
+    xy, xz, yz = m01 + m10, m02 + m20, m12 + m21
+    rows = (
+        (m00 + m11 + m22, wx, wy, wz),
+        (wx, m00 - m11 - m22, xy, xz),
+        (wy, xy, m11 - m00 - m22, yz),
+        (wz, xz, yz, m22 - m00 - m11),
+    )
+    return np.stack([np.stack(row, -1) for row in rows], -2)
+
+
+def _dominant_column(matrix: F64) -> F64:
+    """[N, 4] the column with the largest diagonal entry, at unit length (rank one: the eigenvector)."""
+    index = np.argmax(np.diagonal(matrix, axis1=1, axis2=2), axis=1)
+    column = matrix[np.arange(len(matrix)), :, index]
+    return column / np.maximum(np.linalg.norm(column, axis=1, keepdims=True), 1e-300)
