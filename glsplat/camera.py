@@ -115,8 +115,7 @@ def head_matrix(position: ArrayLike, quat_xyzw: ArrayLike) -> NDArray[np.float64
     if not (np.isfinite(quat).all() and norm > 1e-9):
         raise FormatError(f"a head pose needs a finite quaternion of non-zero length, not {quat.tolist()}")
     matrix = np.eye(4)
-    # pyrr's matrices are transposed (row vectors), hence .T
-    matrix[:3, :3] = pyrr.matrix33.create_from_quaternion(quat / norm).T
+    matrix[:3, :3] = pyrr.matrix33.create_from_quaternion(quat / norm)  # column vectors, unlike its 4x4 ones
     matrix[:3, 3] = np.asarray(position, np.float64)
     return matrix
 

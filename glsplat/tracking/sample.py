@@ -1,0 +1,169 @@
+"""Sample: what a headset knows at one moment, and its JSON form (docs/tracking.md).
+
+Frames are those of OpenXR and WebXR: world right-handed, y up, metres; a pose is a position and a quaternion xyzw.
+
+* ``head``: between the eyes; x right, y up, -z where the eyes look.
+* ``left``/``right``: the wrist joint of hand tracking (XR_HAND_JOINT_WRIST_EXT, WebXR "wrist"): at the centre of the
+  wrist, -z from it to the middle finger's knuckle, y out of the back of the hand, x to the right of a palm held down.
+* a controller's grip pose (OpenXR 1.1, section 6.3.2, "grip") becomes a wrist pose on reading: ``wrist_from_grip``.
+* ``left_joints``/``right_joints``: the 25 joints of WebXR Hand Input, section 4.2, in that order (the wrist, then thumb
+  to little finger, each from the palm outwards), [x, y, z] or [x, y, z, qx, qy, qz, qw] each; OpenXR's 26 (palm first)
+  lose the palm.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from glsplat.errors import PoseError
+
+__all__ = ["HAND_JOINTS", "Sample", "Transform", "wrist_from_grip"]
+
+Transform = tuple[float, float, float, float, float, float, float]
+"""x, y, z in metres, then the quaternion x, y, z, w."""
+
+HAND_JOINTS: tuple[str, ...] = (
+    "wrist",
+    *("thumb-metacarpal", "thumb-phalanx-proximal", "thumb-phalanx-distal", "thumb-tip"),
+    *(
+        f"{finger}-finger-{part}"
+        for finger in ("index", "middle", "ring", "pinky")
+        for part in ("metacarpal", "phalanx-proximal", "phalanx-intermediate", "phalanx-distal", "tip")
+    ),
+)
+"""WebXR's order of a hand's 25 joints."""
+
+GRIP_TO_WRIST = 0.09
+"""Metres from the palm's centre (the grip's origin) back to the wrist along the metacarpals (mean adult hand)."""
+
+_BASIS = {"left": (-0.5, 0.5, 0.5, 0.5), "right": (-0.5, -0.5, -0.5, 0.5)}
+"""Quaternions xyzw whose columns are the wrist's axes in the grip's."""
+
+_KEYS = ("head", "left", "right", "left_grip", "right_grip")
+
+
+@dataclass(frozen=True, slots=True)
+class Sample:
+    """Tracking at time ``t`` (seconds, any origin). None = not tracked. Numbers may be bad: the tracker judges them."""
+
+    t: float
+    head: Transform | None = None
+    left: Transform | None = None
+    right: Transform | None = None
+    left_joints: tuple[tuple[float, ...], ...] | None = None  # 25 of 3 or 7 numbers
+    right_joints: tuple[tuple[float, ...], ...] | None = None
+    left_curl: float | None = None  # 0 open hand .. 1 fist (a controller's squeeze), used when the joints are unknown
+    right_curl: float | None = None
+
+    @classmethod
+    def from_json(cls, data: Any, t: float | None = None) -> Sample:
+        """The wire form of docs/conventions.md, section 5: {"head": [7], "left": [7] | null, ...}; ``t`` overrides "t".
+
+        Unknown keys are ignored. Wrong counts or types are a PoseError; NaN is left for the tracker to handle.
+        """
+        if not isinstance(data, Mapping):
+            raise PoseError(f'a tracking sample is an object {{"head": [7 numbers], ...}}, not {type(data).__name__}')
+        if not any(key in data for key in _KEYS):
+            raise PoseError(f'a tracking sample needs "head" or a hand; found {", ".join(map(str, data)) or "nothing"}')
+        poses: dict[str, Transform | None] = {key: _transform(data.get(key), key) for key in _KEYS}
+        for side in ("left", "right"):
+            grip = poses[f"{side}_grip"]
+            if poses[side] is None and grip is not None:
+                poses[side] = wrist_from_grip(grip, side)
+        joints = {key: _joints(data.get(key), key) for key in ("left_joints", "right_joints")}
+        curl = {key: _number(data.get(key), key) for key in ("left_curl", "right_curl")}
+        time = _number(data.get("t", 0.0) if t is None else t, "t")
+        return cls(
+            0.0 if time is None else time,
+            poses["head"],
+            poses["left"],
+            poses["right"],
+            joints["left_joints"],
+            joints["right_joints"],
+            curl["left_curl"],
+            curl["right_curl"],
+        )
+
+    def to_json(self) -> dict[str, Any]:
+        """The wire form plus "t"; absent joints and curls are left out, absent poses are null."""
+        out: dict[str, Any] = {"t": self.t}
+        for key in ("head", "left", "right"):
+            value = getattr(self, key)
+            out[key] = None if value is None else list(value)
+        for key in ("left_joints", "right_joints"):
+            value = getattr(self, key)
+            if value is not None:
+                out[key] = [list(joint) for joint in value]
+        for key in ("left_curl", "right_curl"):
+            value = getattr(self, key)
+            if value is not None:
+                out[key] = value
+        return out
+
+
+def wrist_from_grip(grip: Transform, side: str) -> Transform:
+    """The wrist pose of a hand that holds a controller with this grip pose.
+
+    The specification's grip: -z from the little finger to the thumb through the closed fingers, x along the palm's
+    normal (out of the left palm, into the right one), so y points from the fingers to the wrist. The wrist frame has
+    -z along the fingers and y out of the back of the hand; both follow from an ideal straight grip.
+    """
+    px, py, pz, x, y, z, w = grip
+    # wrist axes in grip axes: z_w = y_g (to the forearm); left: y_w = -x_g, x_w = -z_g; right: y_w = x_g, x_w = z_g
+    bx, by, bz, bw = _BASIS[side]
+    quat = (
+        w * bx + x * bw + y * bz - z * by,
+        w * by - x * bz + y * bw + z * bx,
+        w * bz + x * by - y * bx + z * bw,
+        w * bw - x * bx - y * by - z * bz,
+    )
+    norm2 = x * x + y * y + z * z + w * w
+    s = GRIP_TO_WRIST / norm2 if norm2 > 0 else 0.0
+    return (
+        px + s * 2 * (x * y - w * z),
+        py + s * (w * w - x * x + y * y - z * z),
+        pz + s * 2 * (y * z + w * x),
+        *quat,
+    )
+
+
+def _number(value: Any, key: str) -> float | None:
+    if value is None:
+        return None
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        raise PoseError(f'"{key}" of a tracking sample is a number, not {type(value).__name__}')
+    try:
+        return float(value)
+    except OverflowError:
+        raise PoseError(f'"{key}" of a tracking sample is too large a number') from None
+
+
+def _numbers(value: Any, key: str, counts: tuple[int, ...]) -> tuple[float, ...]:
+    listed = isinstance(value, Sequence) and not isinstance(value, (str, bytes))
+    if not listed or len(value) not in counts:
+        raise PoseError(f'"{key}" of a tracking sample needs {" or ".join(map(str, counts))} numbers')
+    try:
+        return tuple([float(v) for v in value])
+    except (TypeError, ValueError, OverflowError):
+        raise PoseError(f'"{key}" of a tracking sample needs numbers') from None
+
+
+def _transform(value: Any, key: str) -> Transform | None:
+    return None if value is None else _numbers(value, key, (7,))  # type: ignore[return-value]
+
+
+def _joints(value: Any, key: str) -> tuple[tuple[float, ...], ...] | None:
+    if value is None:
+        return None
+    if not isinstance(value, Sequence) or isinstance(value, (str, bytes)):
+        raise PoseError(f'"{key}" of a tracking sample is a list of joints, not {type(value).__name__}')
+    if value and isinstance(value[0], (int, float)):  # a flat list
+        size = {75: 3, 175: 7, 78: 3, 182: 7}.get(len(value))
+        if size is None:
+            raise PoseError(f'"{key}" of a tracking sample needs 25 joints of 3 or 7 numbers, not {len(value)} numbers')
+        value = [value[i : i + size] for i in range(0, len(value), size)]
+    if len(value) not in (25, 26):
+        raise PoseError(f'"{key}" of a tracking sample needs 25 joints, not {len(value)}')
+    return tuple([_numbers(joint, key, (3, 7)) for joint in value[len(value) - 25 :]])
