@@ -37,7 +37,7 @@ ALPHA_MAX = 0.99
 ALPHA_MIN = 1 / 255
 AA_FLOOR = 2.5e-5  # smallest det / det_dilated under antialias (gsplat: 0.005 squared)
 POWER = 32  # of the 4x4 rotation matrix average, see blended_rotations
-SELECT = 1e-3  # weight of the dominant column beside it
+SELECT = 1e-4  # weight of the dominant column beside it
 
 
 @dataclass(frozen=True)
@@ -91,7 +91,7 @@ def blended_rotations(blended: F64, strongest: F64, shift: float = 1.0) -> F64:
     q-method; for a blend of rotations this is Markley's average of their quaternions). Instead of the eigenvector we
     take P v with P = (Q + I)^32, normalised, and v the quaternion of the ``strongest`` bone's matrix [N, 3, 3]: equal
     to 1e-7 while the two largest eigenvalues differ (two equal weights up to 150 degrees apart), and where they meet (a
-    collapse, where the nearest rotation jumps) it swings through the strongest bone's rotation instead. A thousandth
+    collapse, where the nearest rotation jumps) it swings through the strongest bone's rotation instead. A ten-thousandth
     of P's dominant column keeps the answer defined where P v vanishes. ``shift`` is 1 for blends of rotations and 3
     where a bone scales or reflects, so that Q + shift I has no negative eigenvalue.
     """
@@ -113,11 +113,10 @@ def skin(splats: Splats, binding: Skin, bones: F64, mode: str = "polar") -> Pose
     weights = binding.weights.astype(np.float64)
     blended = np.einsum("nk,nkij->nij", weights, bones[binding.joints])
     means = np.einsum("nij,nj->ni", blended[:, :, :3], splats.means.astype(np.float64)) + blended[:, :, 3]
-    linear = blended[:, :, :3]
-    if mode == "polar":
-        shift = 1.0 if rigid(bones) else 3.0
-        linear = blended_rotations(linear, bones[binding.joints[:, 0], :, :3], shift)
-    return Posed(means, linear @ rest(splats).shapes, linear)
+    shift = 1.0 if rigid(bones) else 3.0
+    rotations = blended_rotations(blended[:, :, :3], bones[binding.joints[:, 0], :, :3], shift)
+    linear = rotations if mode == "polar" else blended[:, :, :3]
+    return Posed(means, linear @ rest(splats).shapes, rotations)
 
 
 def rigid(bones: F64) -> bool:

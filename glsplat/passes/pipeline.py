@@ -1,0 +1,115 @@
+"""Pipeline: the passes of one variant over one scene, in order: skin, key, sort, project, draw, resolve, read."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glsplat.camera import Camera
+from glsplat.config import RenderConfig
+from glsplat.context import Context
+from glsplat.passes.draw import DrawPass
+from glsplat.passes.frame import FrameBlock
+from glsplat.passes.geometry import KeyPass, SkinPass
+from glsplat.passes.project import ProjectPass
+from glsplat.passes.scene import SceneBuffers
+from glsplat.passes.sort import count_culled, sorted_indices
+from glsplat.passes.target import Resolve, Target
+from glsplat.shaders import Programs, Variant
+from glsplat.timing import StageTimer
+
+__all__ = ["Pipeline"]
+
+
+class Pipeline:
+    """Owns what depends on the variant: work buffers and vertex arrays. The scene and the programs are borrowed."""
+
+    def __init__(
+        self, context: Context, programs: Programs, variant: Variant, scene: SceneBuffers, config: RenderConfig
+    ) -> None:
+        ctx, count = context.ctx, scene.count
+        self._scene, self._config, self._variant = scene, config, variant
+        self._ctx = ctx
+        # a complete framebuffer has to be bound for transform feedback: without one moderngl writes nothing
+        self._scratch_texture = ctx.texture((1, 1), 4)
+        self._scratch = ctx.framebuffer([self._scratch_texture])
+        self._frame = FrameBlock(ctx, variant.views)
+        self._skin = SkinPass(ctx, programs, variant, scene) if variant.influences else None
+        content = self._skin.content() if self._skin else scene.rigid_content()
+        self._key = KeyPass(ctx, programs, variant, content, count)
+        self._project = ProjectPass(ctx, programs, variant, content + scene.sh_content(variant), count)
+        self._draw = DrawPass(ctx, programs, variant, self._project.records)
+        self._resolve = Resolve(ctx, programs, variant)
+        self._sorted_for: tuple[Any, ...] | None = None
+        self._posed_for = -1
+        self.culled: dict[str, int] = {}
+
+    @property
+    def drawn(self) -> int:
+        """Splats of the current order."""
+        return self._project.count
+
+    @property
+    def nbytes(self) -> int:
+        """GPU bytes of the work buffers."""
+        buffers = [self._key.keys, self._project.order, self._project.records]
+        return sum(b.size for b in buffers) + (self._skin.posed.size if self._skin else 0)
+
+    def geometry(
+        self, views: Sequence[Camera], sort_viewmat: NDArray[np.float64], version: int, timer: StageTimer
+    ) -> bool:
+        """Steps 1 to 3, up to the records in drawing order. True if the splats had to be sorted again."""
+        self._frame.write(views, sort_viewmat, self._scene.origin, self._config, self._scene.shift)
+        self._scratch.use()
+        timer.mark("frame")
+        if self._skin and self._posed_for != version:
+            self._skin.run()
+            self._posed_for = version
+            timer.mark("skin")
+        # an unmoved scene seen by unmoved cameras keeps its order
+        state = (version, sort_viewmat.tobytes(), tuple((c.viewmat.tobytes(), c.K.tobytes(), c.near) for c in views))
+        resort = state != self._sorted_for
+        if resort:
+            self._key.run()
+            timer.mark("key")
+            keys = self._key.read()
+            self.culled = count_culled(keys)
+            self._project.write_order(sorted_indices(keys, self._config.sort_bits))
+            self._sorted_for = state
+            timer.mark("sort")
+            self._project.run()
+            timer.mark("project")
+        return resort
+
+    def draw(self, target: Target, views: Sequence[Camera], timer: StageTimer) -> None:
+        """Step 4: backgrounds, then every record into its layer."""
+        self._resolve.clear(target, views)
+        self._draw.run(target, self._project.count)
+        timer.mark("draw")
+
+    def read(self, target: Target, byte_target: Target | None, out: NDArray[Any], timer: StageTimer) -> None:
+        """Steps 5 and 6: 8-bit conversion where asked for, and all layers to the host array ``out``."""
+        source = target
+        if byte_target is not None:
+            self._resolve.run(target, byte_target)
+            source = byte_target
+            timer.mark("resolve")
+        if source.numpy_dtype == out.dtype:
+            source.read(out)
+        else:  # half floats, or an 8-bit target asked for as floats
+            pixels = source.empty()
+            source.read(pixels)
+            scale = 1 / 255 if pixels.dtype == np.uint8 else 1
+            np.multiply(pixels, scale, out=out, casting="unsafe", dtype=np.float32)
+        timer.mark("read")
+
+    def release(self) -> None:
+        """Delete the work buffers and vertex arrays."""
+        for item in (self._skin, self._key, self._project, self._draw, self._resolve, self._frame):
+            if item is not None:
+                item.release()
+        self._scratch.release()
+        self._scratch_texture.release()

@@ -1,0 +1,61 @@
+"""ProjectPass: the sorted splats' footprints in all views, one record a splat."""
+
+from __future__ import annotations
+
+import moderngl
+import numpy as np
+from numpy.typing import NDArray
+
+from glsplat.passes.geometry import bind_frame
+from glsplat.passes.scene import Content
+from glsplat.shaders import Programs, Variant
+
+__all__ = ["ProjectPass", "record_layout"]
+
+
+def record_layout(variant: Variant) -> list[tuple[str, str, int]]:
+    """(captured varying, attribute of record_input.glsl, floats) in the order of project.vert.glsl's record."""
+    views = range(variant.views)
+
+    def spread(name: str, floats: int) -> list[tuple[str, str, int]]:
+        return [(f"{name}[{v}]", f"{name}{v}", floats) for v in views]
+
+    layout = [("rgb", "rgb0", 3)] if variant.sh_degree == 0 else spread("rgb", 3)
+    layout += [("alpha", "alpha0", 1)] if not variant.antialias else spread("alpha", 1)
+    return layout + spread("centre", 2) + spread("cholesky", 3)
+
+
+class ProjectPass:
+    """Runs through the index buffer ``order``, so the vertex fetch does the gather and the records come out sorted."""
+
+    def __init__(
+        self, ctx: moderngl.Context, programs: Programs, variant: Variant, content: Content, count: int
+    ) -> None:
+        varyings = []
+        for captured, _, _ in record_layout(variant):
+            base = captured.split("[")[0]
+            if base not in varyings:
+                varyings.append(base)
+        program = programs.feedback("project", variant, varyings)
+        bind_frame(program)
+        self.count = 0
+        self.order = ctx.buffer(reserve=max(16, count * 4), dynamic=True)
+        self.records = ctx.buffer(reserve=max(16, count * variant.record_floats * 4))
+        self._array = ctx.vertex_array(program, content, index_buffer=self.order)
+
+    def write_order(self, order: NDArray[np.uint32]) -> None:
+        """Set the splats to draw and their order (indices, far to near)."""
+        self.count = len(order)
+        if self.count:
+            self.order.write(np.ascontiguousarray(order))
+
+    def run(self) -> None:
+        """Project the splats of ``order``."""
+        if self.count:
+            self._array.transform(self.records, moderngl.POINTS, vertices=self.count)
+
+    def release(self) -> None:
+        """Delete the order, the records and the vertex array."""
+        self._array.release()
+        self.order.release()
+        self.records.release()

@@ -1,0 +1,34 @@
+"""The depth order, CPU side: keys to indices far to near. Contract shared with gpu_sort.py.
+
+A key is the camera z of the sorting eye as a sortable uint32 (all 32 bits), nearest smallest; of equal keys the lower
+index is the nearer, so it is drawn later. Codes above every depth say why a splat is not drawn. Same bytes on repeat.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["CULL_REASONS", "FIRST_CULLED", "count_culled", "sorted_indices"]
+
+FIRST_CULLED = 0xFFFFFF00
+CULL_REASONS = {1: "out of range", 2: "transparent", 3: "degenerate", 4: "outside"}
+"""Code of project.glsl -> name in the statistics."""
+
+
+def sorted_indices(keys: NDArray[np.uint32], bits: int = 32) -> NDArray[np.uint32]:
+    """Indices of the splats to draw, far to near; ``bits`` 16 keeps only the upper half of a key (a knob)."""
+    visible = np.flatnonzero(keys < FIRST_CULLED).astype(np.uint32)
+    if bits == 16:
+        # numpy sorts 16-bit integers by radix, stable
+        return visible[np.argsort((keys[visible] >> 16).astype(np.uint16), kind="stable")[::-1]]
+    # key and index in one integer: distinct values, so the fast unstable sort is stable
+    packed = (keys[visible].astype(np.uint64) << np.uint64(32)) | visible
+    packed.sort()
+    return packed.astype(np.uint32)[::-1]
+
+
+def count_culled(keys: NDArray[np.uint32]) -> dict[str, int]:
+    """How many splats were not drawn, by reason."""
+    codes = np.bincount(keys[keys >= FIRST_CULLED] - np.uint32(FIRST_CULLED), minlength=5)
+    return {name: int(codes[code]) for code, name in CULL_REASONS.items()}

@@ -1,0 +1,262 @@
+"""Renderer: a scene, a context and the passes of a frame.
+
+``render()`` is the frame, one commented step a line; what each step is for is in docs/frame.md.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glsplat.avatar import Avatar
+from glsplat.camera import Camera, sorting_camera
+from glsplat.config import RenderConfig
+from glsplat.context import Context, create_context
+from glsplat.errors import ContextError, GlsplatError, PoseError
+from glsplat.passes.pipeline import Pipeline
+from glsplat.passes.scene import SceneBuffers
+from glsplat.passes.target import FORMATS, Target
+from glsplat.shaders import Programs, Variant, variant_for
+from glsplat.skinning.pose import Pose
+from glsplat.splats import Splats
+from glsplat.timing import StageTimer
+
+__all__ = ["FrameStats", "Renderer"]
+
+PARALLEL = 1e-6  # views share an order if their optical axes agree within this (1 - cosine)
+
+
+@dataclass(frozen=True)
+class FrameStats:
+    """What one call of render() did."""
+
+    splats: int  # in the scene
+    drawn: int  # instances a view, summed over passes of one order
+    skipped: int  # not finite or without a rotation: never uploaded
+    culled: dict[str, int] = field(default_factory=dict)  # by reason
+    sorted: bool = True  # False where the previous order still held
+
+
+class Renderer:
+    """Renders one scene or avatar for any number of views; create, use and release it on one thread."""
+
+    def __init__(
+        self,
+        scene: Splats | Avatar,
+        *,
+        size: tuple[int, int] = (1024, 1024),  # width, height
+        views: int = 1,
+        config: RenderConfig | None = None,
+        context: Context | None = None,
+        timed: bool = False,  # wait for the GPU at every stage mark: exact stages, slower frames
+    ) -> None:
+        self.config = config or RenderConfig()
+        self._owns_context = context is None
+        self.context = context or create_context()
+        self._programs = Programs(self.context.ctx)
+        self.timer = StageTimer(self.context.ctx.finish if timed else None)
+        self._scene: SceneBuffers | None = None
+        self._pipelines: dict[Variant, Pipeline] = {}
+        self._targets: dict[tuple[int, str], Target] = {}
+        self.stats = FrameStats(0, 0, 0)
+        self.size = (0, 0)
+        try:
+            geometry = self.config.layers == "geometry"
+            if self.config.layers == "vertex" and not self.context.vertex_layers:
+                raise ContextError(f"{self.driver} cannot write gl_Layer in the vertex shader; use layers='geometry'")
+            if self.config.sorter == "gpu" and not self.context.compute:
+                raise ContextError(f"the GPU sorter needs OpenGL 4.3, this is {self.driver}; use sorter='cpu'")
+            self._geometry = geometry or not self.context.vertex_layers
+            self.resize(*size)
+            self.load(scene)
+            self._batch_target(min(views, 2))
+        except BaseException:
+            self.release()
+            raise
+
+    @property
+    def driver(self) -> str:
+        """Renderer and version strings of the driver."""
+        return self.context.driver
+
+    @property
+    def timings(self) -> dict[str, float]:
+        """Milliseconds a stage of the last frame: skin, key, sort, project, draw, resolve, read, total."""
+        return self.timer.ms
+
+    @property
+    def target_dtype(self) -> str:
+        """moderngl dtype of the float target: f4 on software rasterizers, f2 on GPUs, unless the config says."""
+        if self.config.target == "auto":
+            return FORMATS["32f" if self.context.software else "16f"]
+        return FORMATS[self.config.target]
+
+    @property
+    def programs_compiled(self) -> int:
+        """Programs compiled so far."""
+        return len(self._programs)
+
+    def nbytes(self) -> dict[str, int]:
+        """GPU bytes: splats, sh, work (keys, order, records, posed), targets."""
+        scene = self._scene
+        return {
+            "splats": scene.nbytes if scene else 0,
+            "sh": scene.sh_nbytes if scene else 0,
+            "work": max((p.nbytes for p in self._pipelines.values()), default=0),
+            "targets": sum(t.nbytes for t in self._targets.values()),
+        }
+
+    def load(self, scene: Splats | Avatar) -> None:
+        """Replace the scene; the old one's buffers are released."""
+        avatar = scene if isinstance(scene, Avatar) else None
+        splats = avatar.splats if avatar else scene
+        assert isinstance(splats, Splats)
+        self._drop_scene()
+        skin = avatar.skin if avatar else None
+        if skin is not None and self.config.influences:
+            skin = skin.reduced(self.config.influences)
+        self._avatar = avatar
+        self._degree = min(splats.sh_degree, self.config.sh_degree)
+        joints = len(avatar.skeleton) if avatar else 0
+        if joints > self.context.max_size:
+            raise ContextError(f"{joints} joints, but a texture of {self.driver} holds {self.context.max_size}")
+        self._scene = SceneBuffers(self.context.ctx, splats, skin, joints, self._degree)
+        self._splat_count = len(splats)
+        self._geometry_version = 0
+        self._last_bones: NDArray[np.float64] | None = None
+
+    def resize(self, width: int, height: int) -> None:
+        """Set the size of all views in pixels."""
+        limit = self.context.max_size
+        if not (0 < width <= limit and 0 < height <= limit):
+            raise ContextError(f"size needs 1 to {limit} pixels a side on {self.driver}, not {width}x{height}")
+        if (width, height) != self.size:
+            self._drop_targets()
+            self.size = (width, height)
+
+    def render(
+        self,
+        cameras: Sequence[Camera],
+        pose: Pose | None = None,  # zero pose if none; ignored by a scene without a skeleton
+        *,
+        sort_viewmat: NDArray[np.float64] | None = None,  # [4, 4] orders all views; default: see docs/frame.md
+    ) -> NDArray[Any]:
+        """The images [V, H, W, 4], row 0 at the top: RGB over the background and accumulated alpha.
+
+        float32 (unclipped) or uint8 by ``config.output``. The array is new with each call. Raises PoseError for a pose
+        that does not fit, GlsplatError for cameras of another size.
+        """
+        if not cameras:
+            raise GlsplatError("render needs at least one camera")
+        if any((c.width, c.height) != self.size for c in cameras):
+            raise GlsplatError(f"cameras need the renderer's size {self.size[0]}x{self.size[1]}; call resize() first")
+        out = np.empty((len(cameras), self.size[1], self.size[0], 4), self._output_type())
+        self.timer.start()
+        self._pose(pose)
+        drawn, culled, resorted = 0, dict[str, int](), False
+        for batch in self._batches(cameras, sort_viewmat):
+            views = [cameras[i] for i in batch]
+            order = sorting_camera(views) if sort_viewmat is None else sort_viewmat
+            pipeline = self._pipeline(views)
+            target, byte_target = self._batch_target(len(views))
+            resorted |= pipeline.geometry(views, order, self._geometry_version, self.timer)
+            pipeline.draw(target, views, self.timer)
+            image = out[batch[0] : batch[0] + len(views)]
+            pipeline.read(target, byte_target, image, self.timer)
+            drawn += pipeline.drawn
+            culled = pipeline.culled
+        self.timer.stop()
+        assert self._scene is not None
+        self.stats = FrameStats(self._splat_count, drawn, self._scene.skipped, culled, resorted)
+        return out
+
+    def release(self) -> None:
+        """Delete every GL object, and the context if it was made here. May be called twice."""
+        with ExitStack() as stack:
+            if self._owns_context:
+                stack.callback(self.context.release)
+            stack.callback(self._programs.release)
+            stack.callback(self._drop_targets)
+            stack.callback(self._drop_scene)
+        self._owns_context = False
+
+    def __enter__(self) -> Renderer:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.release()
+
+    # ------------------------------------------------------------------------------------------------- internals
+
+    def _output_type(self) -> type[np.generic]:
+        return np.uint8 if self.config.output == "uint8" else np.float32
+
+    def _pose(self, pose: Pose | None) -> None:
+        """Upload the bones if the pose changed, and note that the geometry did."""
+        if self._avatar is None:
+            return
+        skeleton = self._avatar.skeleton
+        pose = pose or Pose.zero(len(skeleton))
+        if len(pose.rotations) != len(skeleton):
+            raise PoseError(f"the pose has {len(pose.rotations)} joints, the avatar {len(skeleton)}")
+        bones = pose.bones(skeleton)
+        if self._last_bones is None or not np.array_equal(bones, self._last_bones):
+            assert self._scene is not None
+            self._scene.write_bones(bones)
+            self._last_bones = bones
+            self._geometry_version += 1
+        self.timer.mark("pose")
+
+    def _batches(self, cameras: Sequence[Camera], sort_viewmat: NDArray[np.float64] | None) -> list[list[int]]:
+        """Groups of consecutive views that share one order and one pass: pairs, where their axes are parallel."""
+        batches: list[list[int]] = []
+        for i, camera in enumerate(cameras):
+            partner = cameras[batches[-1][0]] if batches and len(batches[-1]) == 1 else None
+            together = partner is not None and partner.sh_degree == camera.sh_degree
+            if together and partner is not None and sort_viewmat is None:
+                together = self.config.order == "shared"
+                if len(cameras) > 2:  # a list of two is a pair by definition, however the eyes are turned
+                    together &= float(partner.viewmat[2, :3] @ camera.viewmat[2, :3]) > 1 - PARALLEL
+            if together:
+                batches[-1].append(i)
+            else:
+                batches.append([i])
+        return batches
+
+    def _pipeline(self, views: Sequence[Camera]) -> Pipeline:
+        assert self._scene is not None
+        degree = min(self._degree, views[0].sh_degree)
+        variant = variant_for(degree, self._scene.influences, len(views), self.config, self._geometry)
+        if variant not in self._pipelines:
+            self._pipelines[variant] = Pipeline(self.context, self._programs, variant, self._scene, self.config)
+        return self._pipelines[variant]
+
+    def _batch_target(self, views: int) -> tuple[Target, Target | None]:
+        def get(dtype: str) -> Target:
+            if (views, dtype) not in self._targets:
+                self._targets[views, dtype] = Target(self.context.ctx, *self.size, views, dtype)
+            return self._targets[views, dtype]
+
+        source = get(self.target_dtype)
+        return source, get("f1") if self.config.output == "uint8" and self.target_dtype != "f1" else None
+
+    def _drop_targets(self) -> None:
+        for target in self._targets.values():
+            target.release()
+        self._targets.clear()
+
+    def _drop_scene(self) -> None:
+        for pipeline in self._pipelines.values():
+            pipeline.release()
+        self._pipelines.clear()
+        if self._scene is not None:
+            self._scene.release()
+            self._scene = None

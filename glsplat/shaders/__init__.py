@@ -1,0 +1,168 @@
+"""GLSL chunks and programs: flattened, checked against the variant, compiled, and errors traced to their chunk.
+
+A chunk ``noun.glsl`` holds functions and no main(); a program ``name.stage.glsl`` includes chunks with
+``#include "noun.glsl"`` (each once). Every flag is defined to a number, so ``#if FLAG`` and never ``#ifdef``: a
+misspelt flag is an error here, where GLSL would take it for 0.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from functools import cache
+from importlib import resources
+
+import moderngl
+
+from glsplat.errors import ShaderError
+from glsplat.shaders.variant import Variant, variant_for
+
+__all__ = ["Programs", "Source", "Variant", "flatten", "variant_for"]
+
+_INCLUDE = re.compile(r'^\s*#include\s+"([^"]+)"\s*$')
+_CONDITION = re.compile(r"^\s*#(?:if|elif)\b(.*)$")
+_NAME = re.compile(r"\b[A-Za-z_]\w*\b")
+# Mesa "0:12(3): error", NVIDIA "0(12) : error", Intel and Apple "ERROR: 0:12:"
+_LOG_LINE = re.compile(r"^(?:(?:ERROR|WARNING): )?\d+[:(](\d+)\)?(?:\(\d+\))?\s*:?\s*(.*)$", re.MULTILINE)
+
+VERSION = "#version 330 core"
+COMPUTE_VERSION = "#version 430 core"
+LAYER_EXTENSIONS = (
+    "#extension GL_ARB_shader_viewport_layer_array : enable\n"
+    "#extension GL_AMD_vertex_shader_layer : enable\n"
+    "#extension GL_NV_viewport_array2 : enable"
+)
+
+
+class Source:
+    """Flattened text of one stage and, for each of its lines, the chunk and line it came from."""
+
+    def __init__(self, text: str, origin: list[tuple[str, int]]) -> None:
+        self.text = text
+        self.origin = origin
+
+    def annotate(self, log: str) -> str:
+        """A compiler log whose positions name chunk and line instead of the flattened text."""
+
+        def where(match: re.Match[str]) -> str:
+            line = int(match.group(1)) - 1
+            name, number = self.origin[line] if 0 <= line < len(self.origin) else ("?", 0)
+            return f"{name}:{number}: {match.group(2)}"
+
+        return _LOG_LINE.sub(where, log)
+
+
+@cache
+def _read(name: str) -> tuple[str, ...]:
+    file = resources.files("glsplat.shaders") / name
+    if not file.is_file():
+        raise ShaderError(f"no shader chunk {name}")
+    return tuple(file.read_text(encoding="utf-8").splitlines())
+
+
+def flatten(name: str, defines: Mapping[str, int], version: str = VERSION, overrides: Mapping[str, str] = {}) -> Source:
+    """Text of program stage ``name`` with its chunks, after ``version`` and one #define a flag.
+
+    ``overrides`` replaces the text of chunks (tests). Raises ShaderError for an unknown chunk or an undefined flag.
+    """
+    lines: list[str] = []
+    origin: list[tuple[str, int]] = []
+    head = [version]
+    if defines.get("VIEWS", 1) > 1 and name.endswith(".vert.glsl"):
+        head += LAYER_EXTENSIONS.splitlines()
+    for line in head + [f"#define {key} {value}" for key, value in defines.items()]:
+        lines.append(line)
+        origin.append(("<defines>", len(lines)))
+    seen: set[str] = set()
+
+    def add(chunk: str, trail: tuple[str, ...]) -> None:
+        if chunk in trail:
+            raise ShaderError(f"{chunk} includes itself through {' > '.join(trail)}")
+        if chunk in seen:
+            return
+        seen.add(chunk)
+        text = overrides[chunk].splitlines() if chunk in overrides else _read(chunk)
+        for number, line in enumerate(text, 1):
+            include = _INCLUDE.match(line)
+            if include:
+                add(include.group(1), (*trail, chunk))
+                continue
+            condition = _CONDITION.match(line)
+            if condition:
+                for flag in _NAME.findall(condition.group(1).split("//")[0]):
+                    if flag not in defines:
+                        raise ShaderError(f"{chunk}:{number}: flag {flag} is not a field of Variant")
+            lines.append(line)
+            origin.append((chunk, number))
+
+    add(name, ())
+    return Source("\n".join(lines) + "\n", origin)
+
+
+class Programs:
+    """Compiled programs of one context, by name and variant; owns them."""
+
+    def __init__(self, ctx: moderngl.Context) -> None:
+        self._ctx = ctx
+        self._cache: dict[tuple[object, ...], moderngl.Program | moderngl.ComputeShader] = {}
+
+    def __len__(self) -> int:
+        return len(self._cache)
+
+    def feedback(self, name: str, variant: Variant, varyings: Sequence[str]) -> moderngl.Program:
+        """Program ``name``.vert.glsl that captures ``varyings`` and draws nothing."""
+        return self._get((name, variant, tuple(varyings)), {"vertex_shader": f"{name}.vert.glsl"}, varyings)
+
+    def draw(self, vertex: str, fragment: str, variant: Variant) -> moderngl.Program:
+        """Program of two stages; with ``variant.geometry`` ``vertex``.geom.glsl routes the layers."""
+        stages = {"vertex_shader": f"{vertex}.vert.glsl", "fragment_shader": f"{fragment}.frag.glsl"}
+        if variant.geometry:
+            stages["geometry_shader"] = f"{vertex}.geom.glsl"
+        return self._get((vertex, fragment, variant), stages)
+
+    def _get(
+        self, key: tuple[object, ...], stages: Mapping[str, str], varyings: Sequence[str] = ()
+    ) -> moderngl.Program:
+        if key not in self._cache:
+            variant = next(part for part in key if isinstance(part, Variant))
+            sources = {stage: flatten(file, variant.defines()) for stage, file in stages.items()}
+            self._cache[key] = link(self._ctx, str(key[0]), sources, varyings)
+        program = self._cache[key]
+        assert isinstance(program, moderngl.Program)
+        return program
+
+    def compute(self, name: str, defines: Mapping[str, int]) -> moderngl.ComputeShader:
+        """Compute shader ``name.comp.glsl``; needs OpenGL 4.3."""
+        key = (name, tuple(sorted(defines.items())))
+        if key not in self._cache:
+            source = flatten(f"{name}.comp.glsl", defines, COMPUTE_VERSION)
+            try:
+                self._cache[key] = self._ctx.compute_shader(source.text)
+            except moderngl.Error as error:
+                raise ShaderError(_message(f"{name}.comp.glsl", {"compute_shader": source}, str(error))) from None
+        program = self._cache[key]
+        assert isinstance(program, moderngl.ComputeShader)
+        return program
+
+    def release(self) -> None:
+        """Delete all programs."""
+        for program in self._cache.values():
+            program.release()
+        self._cache.clear()
+
+
+def link(
+    ctx: moderngl.Context, name: str, stages: Mapping[str, Source], varyings: Sequence[str] = ()
+) -> moderngl.Program:
+    """Compile and link; a ShaderError names the chunk and its line."""
+    try:
+        return ctx.program(varyings=tuple(varyings), **{stage: source.text for stage, source in stages.items()})
+    except moderngl.Error as error:
+        raise ShaderError(_message(name, stages, str(error))) from None
+
+
+def _message(name: str, stages: Mapping[str, Source], log: str) -> str:
+    # moderngl titles the log with the stage that failed; a link error belongs to none
+    failed = next((stage for stage in stages if stage in log.lower().replace(" ", "_")), next(iter(stages)))
+    body = "\n".join(line for line in log.splitlines() if line.strip() and not set(line.strip()) <= {"="})
+    return f"{name} does not compile:\n{stages[failed].annotate(body)}"

@@ -1,0 +1,10 @@
+// Gaussian falloff, premultiplied; blending is ONE, ONE_MINUS_SRC_ALPHA. Twin: reference.composite.
+flat in vec4 splat_colour;
+in vec2 splat_offset;
+out vec4 fragment;
+
+void main() {
+    float alpha = min(0.99, splat_colour.a * exp(-0.5 * dot(splat_offset, splat_offset)));
+    if (alpha < 1.0 / 255.0) discard;
+    fragment = vec4(splat_colour.rgb * alpha, alpha);
+}

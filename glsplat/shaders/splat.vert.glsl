@@ -1,0 +1,39 @@
+// Draw pass: a corner of the quad of instance (record, view). gl_Layer routes it to the view's layer of the target.
+#include "frame.glsl"
+#include "extent.glsl"
+#include "record_input.glsl"
+
+#if GEOMETRY
+flat out vec4 vertex_colour;
+out vec2 vertex_offset;
+flat out int vertex_layer;
+#else
+flat out vec4 splat_colour;  // rgb, alpha
+out vec2 splat_offset;       // standard deviations from the centre
+#endif
+
+void main() {
+#if VIEWS > 1
+    int view = gl_InstanceID % VIEWS;
+#else
+    int view = 0;
+#endif
+    Record record = record_of(view);
+    vec2 corner = vec2(gl_VertexID & 1, gl_VertexID >> 1) * 2.0 - 1.0;
+    vec2 offset = corner * extent_of(record.colour.a);
+    vec3 l = record.cholesky;
+    vec2 pixel = record.centre + vec2(l.x * offset.x, l.y * offset.x + l.z * offset.y);
+    // row 0 of the image is row 0 of the texture, so nothing is flipped later
+    gl_Position = vec4(pixel * frame.size.zw - 1.0, 0.0, 1.0);
+#if GEOMETRY
+    vertex_colour = record.colour;
+    vertex_offset = offset;
+    vertex_layer = view;
+#else
+    splat_colour = record.colour;
+    splat_offset = offset;
+#if VIEWS > 1
+    gl_Layer = view;
+#endif
+#endif
+}
