@@ -91,11 +91,13 @@ class Splats:
 def normalised(quats: NDArray[np.float32]) -> NDArray[np.float32]:
     """Unit quaternions [N, 4]; zero and non-finite ones are returned as they are.
 
-    Dividing by the largest component first keeps tiny and huge quaternions from under- or overflowing.
+    Dividing by the largest component first keeps tiny and huge quaternions from under- or overflowing. What is unit
+    to float32 rounding stays as it is, so that reading a written file changes no bit.
     """
     with np.errstate(all="ignore"):
         peak = np.abs(quats).max(axis=-1, keepdims=True)
-        usable = np.isfinite(peak) & (peak > 0)
+        rounded = np.abs(np.einsum("...i,...i->...", quats, quats)[..., None] - 1) <= 5e-7
+        usable = np.isfinite(peak) & (peak > 0) & ~rounded
         scaled = quats / np.where(usable, peak, 1)
         unit = scaled / np.where(usable, np.linalg.norm(scaled, axis=-1, keepdims=True), 1)
     return np.where(usable, unit, quats).astype(np.float32)

@@ -1,0 +1,202 @@
+"""glTF 2.0 with KHR_gaussian_splatting: static scenes, and avatars (splats with a skin, docs/conventions.md).
+
+Read: the ratified attribute names (KHR_gaussian_splatting:ROTATION, :SCALE, :OPACITY, :SH_DEGREE_l_COEF_n) and the
+older drafts' (_ROTATION, _SCALE, colour and opacity in COLOR_0). Written: the ratified ones as float32, so that a
+round trip is exact. The specification gives skinned splats no meaning; ours is plain glTF skinning of the Gaussians,
+which a viewer that knows only the extension shows in the zero pose.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glsplat.avatar import Avatar
+from glsplat.errors import FormatError
+from glsplat.formats.files import checked, naming, open_regular, replace_file
+from glsplat.formats.glb import Asset, Buffer, Container, Mesh, Node, Output, Primitive, Scene, parse, to_glb, to_json
+from glsplat.formats.nodes import Instance, graph_of, instances
+from glsplat.formats.rig import read_skeleton, read_skin, write_rig
+from glsplat.formats.transform import transformed
+from glsplat.splats import SH_C0, Splats
+
+__all__ = ["EXTENSION", "load_gltf", "save_gltf"]
+
+EXTENSION = "KHR_gaussian_splatting"
+_VERSION = 1  # of asset.extras.glsplat
+_WEIGHTS = "skin_weights"  # in it: what Skin.lost and Skin.repaired were
+# POSITION may be stored as integers by KHR_mesh_quantization; other extensions that change the data are refused
+_KNOWN = {EXTENSION, "KHR_mesh_quantization"}
+_INSTANCES = 64  # times the splats stored, that nodes may show them: a small file must not become a huge scene
+_SH_NAMES = [(degree, n) for degree in range(4) for n in range(2 * degree + 1)]
+
+
+def load_gltf(path: str | Path, *, strict: bool = False) -> Splats | Avatar:
+    """Read a .glb or .gltf: an Avatar where the splats have a skin, else all splats of the scene in world space.
+
+    Node transforms are applied, including the rotation of spherical harmonics (transform.py); a skinned primitive
+    ignores its node's transform, as glTF says. ``Avatar.skeleton.rest`` holds the joints' global node transforms,
+    ``inverse_bind`` the skin's matrices. Scales of the review draft of 2025, which were logarithms under today's
+    names, are recognised by being mostly negative. Non-finite values are kept, or with ``strict`` refused.
+
+    Raises FormatError: no glTF, no splats in it, an attribute missing, truncated or of another kind, a colour space
+    other than display sRGB, compressed splats, or an external buffer outside the file's own folder.
+    """
+    with naming(path):
+        with open_regular(path) as (file, _):
+            container = parse(file.read(), Path(path).parent)
+        scene = _scene(container)
+        checked(scene.splats if isinstance(scene, Avatar) else scene, path, strict)
+        return scene
+
+
+def save_gltf(scene: Splats | Avatar, path: str | Path) -> None:
+    """Write a .glb, or where ``path`` ends in .gltf one JSON file with its buffer embedded.
+
+    Attributes are stored as float32 exactly as they are, joints as the smallest unsigned integer that fits.
+    Raises FormatError when ``path`` cannot be written or an avatar's metadata is not JSON.
+    """
+    out = Output()
+    splats = scene.splats if isinstance(scene, Avatar) else scene
+    attributes = {"POSITION": out.add(splats.means, "VEC3", bounds=True)}
+    attributes[f"{EXTENSION}:ROTATION"] = out.add(np.roll(splats.quats, -1, axis=1), "VEC4")  # xyzw
+    attributes[f"{EXTENSION}:SCALE"] = out.add(splats.scales, "VEC3")
+    attributes[f"{EXTENSION}:OPACITY"] = out.add(splats.opacities[:, None], "SCALAR")
+    for k, (degree, n) in enumerate(_SH_NAMES[: splats.sh.shape[1]]):
+        attributes[f"{EXTENSION}:SH_DEGREE_{degree}_COEF_{n}"] = out.add(splats.sh[:, k], "VEC3")
+    gltf = out.gltf
+    gltf.meshes = [
+        Mesh(
+            primitives=[
+                Primitive(
+                    attributes=attributes,
+                    mode=0,
+                    extensions={EXTENSION: {"kernel": "ellipse", "colorSpace": "srgb_rec709_display"}},
+                )
+            ]
+        )
+    ]
+    gltf.nodes = [Node(name="splats", mesh=0)]
+    gltf.scenes = [Scene(nodes=[0])]
+    note: dict[str, Any] = {"version": _VERSION}
+    if isinstance(scene, Avatar):
+        write_rig(out, scene, attributes)
+        note |= dict(scene.meta)
+        if scene.skin.lost or scene.skin.repaired:
+            note[_WEIGHTS] = {"lost": scene.skin.lost, "repaired": scene.skin.repaired}
+    gltf.asset = Asset(version="2.0", generator="glsplat", extras={"glsplat": note})
+    gltf.extensions_used = [EXTENSION]
+    blob = b"".join(out.parts)
+    gltf.buffers = [Buffer(byte_length=len(blob))]
+    with naming(path):
+        replace_file(path, to_json(gltf, blob) if Path(path).suffix.lower() == ".gltf" else to_glb(gltf, blob))
+
+
+def _scene(container: Container) -> Splats | Avatar:
+    gltf = container.gltf
+    unknown = [name for name in gltf.extensions_required if name not in _KNOWN]
+    if unknown:
+        raise FormatError(f"needs the extension {unknown[0][:60]!r}, which is not supported; export without it")
+    graph = graph_of(gltf)
+    found = list(instances(gltf, graph.world, EXTENSION))
+    if not found:
+        raise FormatError(f"a glTF file, but none of its meshes has splats (a POINTS primitive with {EXTENSION})")
+    skinned = [i for i in found if i.node.skin is not None and "JOINTS_0" in i.primitive.attributes]
+    if skinned:
+        if len(found) > 1:
+            raise FormatError(f"an avatar has one splat primitive with a skin, found {len(found)} splat primitives")
+        splats = _splats(container, skinned[0].primitive, skinned[0].name)
+        skeleton = read_skeleton(container, skinned[0], graph)
+        note = _note(container)
+        stored = note.pop(_WEIGHTS, None)
+        stored = stored if isinstance(stored, dict) else {}
+        return Avatar(splats, skeleton, read_skin(container, skinned[0], len(skeleton), len(splats), stored), note)
+    return _merged(container, found)
+
+
+def _merged(container: Container, found: list[Instance]) -> Splats:
+    read: dict[int, Splats] = {}
+    parts: list[Splats] = []
+    for instance in found:
+        key = id(instance.primitive)
+        if key not in read:
+            read[key] = _splats(container, instance.primitive, instance.name)
+        parts.append(read[key])
+    if sum(map(len, parts)) > _INSTANCES * sum(map(len, read.values())):
+        raise FormatError(f"the nodes show the same splats more than {_INSTANCES} times; bake fewer copies")
+    parts = [transformed(part, instance.matrix) for part, instance in zip(parts, found, strict=True)]
+    if len(parts) == 1:
+        return parts[0]
+    coefficients = max(p.sh.shape[1] for p in parts)
+    sh = [np.pad(p.sh, ((0, 0), (0, coefficients - p.sh.shape[1]), (0, 0))) for p in parts]
+    return Splats(
+        np.concatenate([p.means for p in parts]),
+        np.concatenate([p.quats for p in parts]),
+        np.concatenate([p.scales for p in parts]),
+        np.concatenate([p.opacities for p in parts]),
+        np.concatenate(sh),
+    )
+
+
+def _splats(container: Container, primitive: Primitive, name: str) -> Splats:
+    if primitive.mode != 0:
+        raise FormatError(f"{name}: splats need a POINTS primitive (mode 0), not mode {primitive.mode}")
+    _check_extension(primitive.extensions[EXTENSION], name)
+    attributes = {key.replace(f"{EXTENSION}:", "_", 1): index for key, index in primitive.attributes.items()}
+
+    def read(key: str, *types: str) -> NDArray[np.float32] | None:
+        return container.numbers(attributes[key], f"{name} {key}", types) if key in attributes else None
+
+    means, quats, scales = read("POSITION", "VEC3"), read("_ROTATION", "VEC4"), read("_SCALE", "VEC3")
+    opacities, dc = read("_OPACITY", "SCALAR"), read("_SH_DEGREE_0_COEF_0", "VEC3")
+    color = read("COLOR_0", "VEC3", "VEC4") if opacities is None or dc is None else None
+    if opacities is None and color is not None and color.shape[1] == 4:
+        opacities = color[:, 3:]
+    if dc is None and color is not None:
+        dc = ((color[:, :3] - 0.5) / SH_C0).astype(np.float32)
+    needed = {"POSITION": means, "ROTATION": quats, "SCALE": scales, "OPACITY": opacities, "SH_DEGREE_0_COEF_0": dc}
+    if means is None or quats is None or scales is None or opacities is None or dc is None:
+        missing = ", ".join(key for key, value in needed.items() if value is None)
+        raise FormatError(f"{name}: splats need the attributes {missing}")
+    sh = [dc]
+    keys = [f"_SH_DEGREE_{degree}_COEF_{n}" for degree, n in _SH_NAMES[1:]]
+    last = max((k for k, key in enumerate(keys) if key in attributes), default=-1)
+    for key in keys[: ((3, 8, 15)[_SH_NAMES[last + 1][0] - 1] if last >= 0 else 0)]:  # all up to the highest degree
+        coefficient = read(key, "VEC3")
+        if coefficient is None:
+            raise FormatError(f"{name}: incomplete spherical harmonics, {key[1:]} is missing")
+        sh.append(coefficient)
+    counts = {len(a) for a in (means, quats, scales, opacities, *sh)}
+    if len(counts) > 1:
+        raise FormatError(f"{name}: the attributes need one count, found {', '.join(map(str, sorted(counts)))}")
+    if not _written_by_us(container) and _logarithmic(scales):
+        with np.errstate(over="ignore"):
+            scales = np.exp(scales)
+    return Splats.create(means, np.roll(quats, 1, axis=1), scales, opacities, np.stack(sh, axis=1))
+
+
+def _logarithmic(scales: NDArray[np.float32]) -> bool:
+    return len(scales) > 0 and int((scales < 0).sum()) * 2 > scales.size
+
+
+def _check_extension(value: Any, name: str) -> None:
+    extension = value if isinstance(value, dict) else {}
+    nested = extension.get("extensions")
+    if isinstance(nested, dict) and any("compression" in key for key in nested):
+        raise FormatError(f"{name}: the splats are compressed ({next(iter(nested))[:60]}); export them uncompressed")
+    space = extension.get("colorSpace", "srgb_rec709_display")  # drafts made it optional and named it BT.709
+    if space != "srgb_rec709_display" and not str(space).startswith("BT.709"):
+        raise FormatError(f"{name}: needs colorSpace srgb_rec709_display, not {str(space)[:40]!r}; convert the colours")
+
+
+def _note(container: Container) -> dict[str, Any]:
+    extras = container.gltf.asset.extras
+    note = extras.get("glsplat") if isinstance(extras, dict) else None
+    return dict(note) if isinstance(note, dict) else {}
+
+
+def _written_by_us(container: Container) -> bool:
+    return "version" in _note(container)

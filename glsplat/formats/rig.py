@@ -1,0 +1,133 @@
+"""The rig of an avatar in glTF: a skin's joint nodes and inverse bind matrices, JOINTS_n and WEIGHTS_n."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glsplat.avatar import Avatar
+from glsplat.errors import FormatError, PoseError
+from glsplat.formats.glb import Container, Gltf, Node, Output, item
+from glsplat.formats.glb import Skin as SkinObject
+from glsplat.formats.nodes import Graph, Instance
+from glsplat.skinning.skeleton import Skeleton
+from glsplat.skinning.skin import INFLUENCES, Skin
+
+__all__ = ["read_skeleton", "read_skin", "write_rig"]
+
+
+def write_rig(out: Output, avatar: Avatar, attributes: dict[str, int]) -> None:
+    """Add joint nodes, the skin of node 0, and the influences to the primitive's ``attributes``."""
+    skeleton, skin = avatar.skeleton, avatar.skin
+    columns = -(-skin.influences // 4) * 4
+    pad = ((0, 0), (0, columns - skin.influences))
+    joints = np.pad(skin.joints.astype(np.uint8 if len(skeleton) <= 256 else np.uint16), pad)
+    weights = np.pad(skin.weights, pad)
+    joints[weights == 0] = 0  # the specification's value for an unused influence
+    for i in range(columns // 4):
+        part = slice(4 * i, 4 * i + 4)
+        attributes[f"JOINTS_{i}"] = out.add(np.ascontiguousarray(joints[:, part]), "VEC4")
+        attributes[f"WEIGHTS_{i}"] = out.add(np.ascontiguousarray(weights[:, part]), "VEC4")
+    inverse = skeleton.inverse_bind.transpose(0, 2, 1).reshape(-1, 16).astype(np.float32)
+    gltf = out.gltf
+    first = len(gltf.nodes)
+    with np.errstate(all="ignore"):
+        child = skeleton.parents >= 0
+        local = skeleton.rest.copy()
+        local[child] = np.linalg.solve(skeleton.rest[skeleton.parents[child]], skeleton.rest[child])
+    for name, matrix in zip(skeleton.names, local, strict=True):
+        node = Node(name=name)
+        if np.array_equal(matrix[:3, :3], np.eye(3)) and np.array_equal(matrix[3], (0, 0, 0, 1)):
+            node.translation = matrix[:3, 3].tolist()
+        else:
+            node.matrix = matrix.T.reshape(-1).tolist()
+        gltf.nodes.append(node)
+    for j, parent in enumerate(skeleton.parents):
+        siblings = gltf.nodes[first + parent].children if parent >= 0 else gltf.scenes[0].nodes
+        siblings.append(first + j)
+    gltf.skins = [
+        SkinObject(
+            joints=list(range(first, first + len(skeleton))),
+            inverse_bind_matrices=out.add(inverse, "MAT4", vertex=False),
+        )
+    ]
+    gltf.nodes[0].skin = 0
+
+
+def read_skeleton(container: Container, instance: Instance, graph: Graph) -> Skeleton:
+    """The joints of the node's skin: rest frames are the global node transforms, identity where no inverse bind
+    matrices are given (glTF 2.0, 3.7.3). Raises FormatError when they are no usable rig."""
+    gltf = container.gltf
+    skin = item(gltf.skins, instance.node.skin or 0, "skin")
+    nodes = skin.joints
+    for node in nodes:
+        item(gltf.nodes, node, "joint node")
+    if len(nodes) > 1 << 16:
+        raise FormatError(f"a skin needs at most 65536 joints, found {len(nodes)}")
+    if not nodes or len(set(nodes)) != len(nodes):
+        raise FormatError(f"a skin needs distinct joint nodes, found {len(set(nodes))} distinct among {len(nodes)}")
+    inverse = np.tile(np.eye(4), (len(nodes), 1, 1))
+    if skin.inverse_bind_matrices is not None:
+        matrices = container.numbers(skin.inverse_bind_matrices, "inverseBindMatrices", ("MAT4",))
+        if len(matrices) < len(nodes):
+            raise FormatError(f"a skin of {len(nodes)} joints has only {len(matrices)} inverse bind matrices")
+        inverse = matrices[: len(nodes)].reshape(-1, 4, 4).transpose(0, 2, 1).astype(np.float64)
+    try:
+        with np.errstate(all="ignore"):
+            return Skeleton(_names(gltf, nodes), _joint_parents(nodes, graph), graph.world[nodes], inverse)
+    except PoseError as error:
+        raise FormatError(f"the skin is not a usable rig: {error}") from None
+
+
+def _names(gltf: Gltf, nodes: list[int]) -> tuple[str, ...]:
+    """Names of the joint nodes; glTF allows them to be absent or equal, a skeleton does not."""
+    names: dict[str, None] = {}
+    for j, node in enumerate(nodes):
+        name = gltf.nodes[node].name or f"joint_{j}"
+        names[name if name not in names else f"{name}_{j}"] = None
+    return tuple(names)
+
+
+def _joint_parents(nodes: list[int], graph: Graph) -> NDArray[np.int32]:
+    """Index of the nearest ancestor that is a joint, -1 without one."""
+    joint = {node: j for j, node in enumerate(nodes)}
+    nearest = {-1: -1}  # node -> itself or its nearest ancestor that is a joint
+    for node in graph.order:
+        nearest[node] = joint.get(node, nearest[int(graph.parents[node])])
+    return np.array([nearest[int(graph.parents[node])] for node in nodes], np.int32)
+
+
+def read_skin(container: Container, instance: Instance, joints: int, count: int, stored: dict[str, Any]) -> Skin:
+    """Influences of ``count`` splats on ``joints`` joints, with the smallest K that holds them all.
+
+    ``stored`` may hold what an earlier reduction lost and repaired. Raises FormatError when counts or types do not
+    fit, or a splat is bound to a joint the skin lacks.
+    """
+    attributes = instance.primitive.attributes
+    sets = 2 if "JOINTS_1" in attributes and "WEIGHTS_1" in attributes else 1
+    if "WEIGHTS_0" not in attributes:
+        raise FormatError(f"{instance.name}: JOINTS_0 needs WEIGHTS_0 beside it")
+    ids, weights = [], []
+    for i in range(sets):
+        ids.append(container.read(attributes[f"JOINTS_{i}"], f"JOINTS_{i}", ("VEC4",)))
+        weights.append(container.numbers(attributes[f"WEIGHTS_{i}"], f"WEIGHTS_{i}", ("VEC4",)))
+    if {len(a) for a in (*ids, *weights)} != {count} or any(a.dtype.kind != "u" for a in ids):
+        raise FormatError(f"{instance.name}: JOINTS and WEIGHTS need {count} elements of unsigned integers and numbers")
+    ids_all, w = np.hstack(ids).astype(np.int64), np.hstack(weights)
+    used = int((w != 0).sum(axis=1).max(initial=1))
+    influences = next(k for k in INFLUENCES if k >= used)
+    sorted_rows = bool((w[:, :-1] >= w[:, 1:]).all()) and bool((w >= 0).all())
+    if sorted_rows and np.abs(w.sum(axis=1, dtype=np.float64) - 1).max(initial=0) <= 8 * 2**-24:
+        # already as Skin.create would make it: renormalising again would only move the last bits
+        ids_all = np.where(w > 0, ids_all, ids_all[:, :1])
+        if ids_all.max(initial=0) < joints:
+            lost, repaired = stored.get("lost"), stored.get("repaired")
+            return Skin(
+                np.ascontiguousarray(ids_all[:, :influences], np.uint16),
+                np.ascontiguousarray(w[:, :influences]),
+                float(lost) if isinstance(lost, (int, float)) else 0.0,
+                repaired if isinstance(repaired, int) else 0,
+            )
+    return Skin.create(ids_all, w, joints, influences)

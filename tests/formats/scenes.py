@@ -1,0 +1,81 @@
+"""Small scenes and files for the format tests."""
+
+from __future__ import annotations
+
+import json
+import struct
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from glsplat.avatar import Avatar
+from glsplat.skinning.skeleton import Skeleton
+from glsplat.skinning.skin import Skin
+from glsplat.splats import Splats
+
+FIELDS = ("means", "quats", "scales", "opacities", "sh")
+
+
+def random_splats(count: int = 50, degree: int = 0, seed: int = 1) -> Splats:
+    rng = np.random.default_rng(seed)
+    return Splats.create(
+        rng.normal(size=(count, 3)),
+        rng.normal(size=(count, 4)),
+        np.exp(rng.normal(-4, 1, (count, 3))),
+        rng.uniform(0.01, 0.99, count),
+        rng.normal(0, 0.4, (count, (degree + 1) ** 2, 3)),
+    )
+
+
+def awkward_splats() -> Splats:
+    """Everything a file may hold that a renderer has to survive."""
+    base = random_splats(10, 1)
+    means, quats, scales = base.means.copy(), base.quats.copy(), base.scales.copy()
+    opacities, sh = base.opacities.copy(), base.sh.copy()
+    means[0, 1], means[1] = np.nan, np.inf
+    quats[2], quats[3] = 0, np.nan
+    scales[4], scales[5, 0], scales[6] = 0, -0.5, np.inf
+    opacities[7:10] = (0, 1, np.nan)
+    sh[0, 1, 2] = np.nan
+    return Splats(means, quats, scales, opacities, sh)
+
+
+def random_avatar(count: int = 40, joints: int = 5, influences: int = 4, degree: int = 0) -> Avatar:
+    """Joint frames turned and off-centre, two roots, every joint used."""
+    rng = np.random.default_rng(3)
+    rest = np.tile(np.eye(4), (joints, 1, 1))
+    for j in range(joints):
+        q, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+        rest[j, :3, :3] = q * np.linalg.det(q)
+        rest[j, :3, 3] = rng.normal(size=3)
+    parents = np.array([-1, 0, 1, 1, -1][:joints])
+    skeleton = Skeleton(tuple(f"bone {j}" for j in range(joints)), parents, rest)
+    skin = Skin.create(rng.integers(0, joints, (count, 8)), rng.random((count, 8)), joints, influences)
+    meta = {"source": "a test", "licence": "CC0", "consent": None, "body_model": {"name": "five bones"}, "empty": []}
+    return Avatar(random_splats(count, degree), skeleton, skin, meta)
+
+
+def assert_equal(a: Splats, b: Splats) -> None:
+    """Bit-equal, NaN included."""
+    for name in FIELDS:
+        np.testing.assert_array_equal(getattr(a, name), getattr(b, name), err_msg=name)
+
+
+def glb_parts(data: bytes) -> tuple[dict[str, Any], bytes]:
+    size = struct.unpack_from("<I", data, 12)[0]
+    return json.loads(data[20 : 20 + size]), data[28 + size :]
+
+
+def write_glb(path: Path, document: dict[str, Any], blob: bytes) -> None:
+    text = json.dumps(document).encode()
+    text += b" " * (-len(text) % 4)
+    head = struct.pack("<4sIIII", b"glTF", 2, 28 + len(text) + len(blob), len(text), 0x4E4F534A)
+    path.write_bytes(head + text + struct.pack("<II", len(blob), 0x004E4942) + blob)
+
+
+def edit_glb(path: Path, change: Callable[[dict[str, Any]], None]) -> None:
+    document, blob = glb_parts(path.read_bytes())
+    change(document)
+    write_glb(path, document, blob)
