@@ -1,0 +1,1 @@
+"""Streaming: messages, sans-I/O session, JPEG, server and client (docs/protocol.md). Imports no OpenGL."""

@@ -1,0 +1,112 @@
+"""Who may talk to the server: bind address, TLS, token, browser origin. Decisions only, no sockets.
+
+Browsers let any page open a WebSocket to any host, localhost included, so a page's Origin has to be on a list
+(cross-site WebSocket hijacking, CWE-1385); other clients send no Origin and are let through to the token.
+"""
+
+from __future__ import annotations
+
+import hmac
+import ipaddress
+import ssl
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from urllib.parse import urlsplit
+
+from glsplat.errors import GlsplatError
+
+__all__ = ["SUBPROTOCOL", "Access", "is_loopback", "read_token", "server_tls"]
+
+SUBPROTOCOL = "glsplat.v1"
+TOKEN_PREFIX = "token."  # browsers cannot set headers on a WebSocket: they offer "glsplat.v1" and "token.SECRET"
+_LOOPBACK_NAMES = ("localhost", "127.0.0.1", "::1")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Access:
+    """The rules of one server. ``refusal`` applies them to a request's headers."""
+
+    host: str = "127.0.0.1"
+    token: str | None = field(default=None, repr=False)
+    tls: bool = False
+    insecure: bool = False  # another address than loopback without TLS and token, on the user's own word
+    origins: tuple[str, ...] = ()  # further pages that may connect, e.g. "https://lab.example:8000"
+
+    def __post_init__(self) -> None:
+        if not is_loopback(self.host) and not self.insecure and not (self.tls and self.token):
+            raise GlsplatError(
+                f"{self.host} can be reached from other machines: give --tls-cert, --tls-key and --token-file, "
+                "or accept the risk with --insecure"
+            )
+
+    def refusal(self, headers: Mapping[str, str]) -> tuple[int, str] | None:
+        """None to let a request in, else the HTTP status and one line of text."""
+        if not self._origin_allowed(headers.get("Origin"), headers.get("Host", "")):
+            return 403, "this page may not use the server: start it with --origin to allow it"
+        if self.token is not None and not self._token_given(headers):
+            return 401, "a token is needed: Authorization: Bearer TOKEN, or the subprotocols glsplat.v1, token.TOKEN"
+        return None
+
+    def _origin_allowed(self, origin: str | None, host: str) -> bool:
+        if origin is None or origin in self.origins:
+            return True
+        try:
+            page = urlsplit(origin)
+            if is_loopback(self.host):  # a name that resolves to loopback (DNS rebinding) is not our own host
+                return page.hostname in _LOOPBACK_NAMES and _port(page) == _port(urlsplit(f"{page.scheme}://{host}"))
+            return page.netloc.lower() == host.lower() and page.scheme == ("https" if self.tls else "http")
+        except ValueError:
+            return False
+
+    def _token_given(self, headers: Mapping[str, str]) -> bool:
+        assert self.token is not None
+        kind, _, value = headers.get("Authorization", "").partition(" ")
+        offered = [value.strip()] if kind.lower() == "bearer" else []
+        protocols = headers.get("Sec-WebSocket-Protocol", "").split(",")
+        offered += [p.strip()[len(TOKEN_PREFIX) :] for p in protocols if p.strip().startswith(TOKEN_PREFIX)]
+        # every comparison takes the same time, whatever it finds
+        return any([hmac.compare_digest(value.encode(), self.token.encode()) for value in offered[:4]])
+
+
+def is_loopback(host: str) -> bool:
+    """True for addresses that only this machine can reach."""
+    if host == "localhost":
+        return True
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return False
+
+
+def read_token(path: str | Path) -> str:
+    """The token in a file: one line of 16 or more letters, digits or -._~. Raises GlsplatError naming the file."""
+    try:
+        token = Path(path).read_text(encoding="utf-8").strip()
+    except OSError as error:
+        raise GlsplatError(f"{path}: cannot read the token ({error.strerror})") from None
+    except UnicodeError:
+        raise GlsplatError(f"{path}: a token file is one line of text, found bytes that are not UTF-8") from None
+    if len(token) < 16 or not all(c.isascii() and (c.isalnum() or c in "-._~") for c in token):
+        raise GlsplatError(f"{path}: a token needs 16 or more letters, digits or -._~ in one line, found {len(token)}")
+    return token
+
+
+def server_tls(cert: str | Path, key: str | Path) -> ssl.SSLContext:
+    """A TLS context for the server. Raises GlsplatError naming the file that is missing or does not fit."""
+    for path in (cert, key):
+        if not Path(path).is_file():
+            raise GlsplatError(f"{path}: expected a PEM file for TLS, found none")
+    context = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
+    context.minimum_version = ssl.TLSVersion.TLSv1_2
+    try:
+        context.load_cert_chain(cert, key)
+    except (ssl.SSLError, OSError) as error:
+        reason = getattr(error, "reason", None) or error.strerror or "not PEM"
+        raise GlsplatError(f"{cert}, {key}: expected a certificate and its key in PEM, but {reason}") from None
+    return context
+
+
+def _port(parts: object) -> int:
+    port = getattr(parts, "port", None)
+    return port if port is not None else (443 if getattr(parts, "scheme", "") == "https" else 80)

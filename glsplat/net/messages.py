@@ -1,0 +1,318 @@
+"""Requests: JSON text to a checked, frozen RenderRequest (docs/protocol.md). No I/O, no state.
+
+Three forms arrive on the same socket and are told apart by their keys: the native one (``eyes``), and two that older
+clients send (``cameras`` with ``smplx``, and one ``camera`` with ``smplx``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from glsplat.camera import PAPER_FOV, PAPER_IPD, Camera, head_matrix, stereo_cameras
+from glsplat.errors import FormatError, PoseError, ProtocolError
+from glsplat.skinning.pose import Pose
+from glsplat.skinning.skeleton import Skeleton
+from glsplat.skinning.smplx import POSE_KEYS
+
+__all__ = ["MAX_BYTES", "VERSION", "Ack", "Decoder", "RenderRequest", "WireOptions", "error_text", "eye_fields"]
+
+VERSION = 1
+MAX_BYTES = 64 * 1024
+"""Largest text message; a request with full hands is 2 to 4 kB."""
+
+Form = Literal["native", "bundle-legacy", "single-legacy"]
+_MAX_ID = 2**32 - 1
+_ORTHONORMAL = 1e-3  # largest entry of R R^T - I; float32 clients stay below 1e-6
+_MIRROR = np.diag([-1.0, 1.0, 1.0, 1.0])
+_SMPLX_LEGACY = ("root_pose", "body_pose", "jaw_pose", "leye_pose", "reye_pose", "lhand_pose", "rhand_pose")
+
+Numbers = list[float | list[float]]  # flat or nested once; the depth is bounded by the type
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WireOptions:
+    """What a session accepts and what it fills in where a request is silent."""
+
+    size: tuple[int, int] = (1024, 1024)  # pixels an eye
+    max_side: int = 2048  # pixels
+    quality: int = 80  # JPEG
+    ipd: float = PAPER_IPD  # metres; for head poses without eyes
+    fov: float = PAPER_FOV  # vertical degrees; likewise
+    mirror: bool = False  # show the world reflected in x, as a mirror in front of the user does
+    max_distance: float = 1e4  # metres from the origin for eyes and tracked points
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class RenderRequest:
+    """One picture (of one or two eyes) that a client asks for. ``frame_id`` is None where an old client sent none."""
+
+    frame_id: int | None
+    cameras: tuple[Camera, ...]  # one or two, left first
+    pose: Pose | None = None  # None and no tracking: the rest pose
+    tracking: Mapping[str, Any] | None = None  # head, left, right, left_joints, right_joints as sent
+    t: float | None = None  # client milliseconds, echoed
+    ack: int | None = None  # newest frame_id the client has received
+    quality: int = 80
+    crop: bool = False
+    form: Form = "native"
+    eyes: tuple[int, ...] = (0, 1)  # eye numbers of the cameras: 0 left, 1 right
+
+
+@dataclass(frozen=True, slots=True)
+class Ack:
+    """A message that only acknowledges: {"v": 1, "ack": 7}."""
+
+    frame_id: int
+
+
+class _Eye(msgspec.Struct):
+    viewmat: list[float]
+    K: list[float]
+
+
+class _Tracking(msgspec.Struct):
+    """The fields of glsplat.tracking.sample; null means not tracked."""
+
+    head: list[float] | None = None
+    left: list[float] | None = None
+    right: list[float] | None = None
+    left_grip: list[float] | None = None
+    right_grip: list[float] | None = None
+    left_joints: Numbers | None = None
+    right_joints: Numbers | None = None
+    left_curl: float | None = None
+    right_curl: float | None = None
+
+
+class _Pose(msgspec.Struct):
+    """Either layout of glsplat.skinning.pose; other keys are ignored."""
+
+    root_pose: Numbers | None = None
+    trans: Numbers | None = None
+    body_pose: Numbers | None = None
+    jaw_pose: Numbers | None = None
+    leye_pose: Numbers | None = None
+    reye_pose: Numbers | None = None
+    lhand_pose: Numbers | None = None
+    rhand_pose: Numbers | None = None
+    joints: dict[str, list[float]] | None = None
+    translations: dict[str, list[float]] | None = None
+
+
+class _LegacyCamera(msgspec.Struct):
+    pos_x: float
+    pos_y: float
+    pos_z: float
+    rot_x: float
+    rot_y: float
+    rot_z: float
+    rot_w: float
+    eye: Literal["left", "right"] = "left"
+
+
+class _Message(msgspec.Struct):
+    v: int | None = None
+    frame_id: int | None = None
+    ack: int | None = None
+    t: float | None = None
+    eyes: list[_Eye] | None = None
+    size: list[int] | None = None
+    quality: int | None = None
+    crop: bool = False
+    pose: _Pose | None = None
+    tracking: _Tracking | None = None
+    cameras: list[_LegacyCamera] | None = None
+    camera: _LegacyCamera | None = None
+    smplx: _Pose | None = None
+
+
+_decoder = msgspec.json.Decoder(_Message)
+_encoder = msgspec.json.Encoder()
+
+
+class Decoder:
+    """Turns text into requests for one session. ``skeleton`` None means the 55 joints of SMPL-X."""
+
+    def __init__(self, options: WireOptions | None = None, skeleton: Skeleton | None = None) -> None:
+        self.options = options or WireOptions()
+        self.skeleton = skeleton
+
+    def decode(self, data: str | bytes) -> RenderRequest | Ack:
+        """One message. Raises ProtocolError (code, and frame_id where it could be read) for anything malformed."""
+        size = len(data) if isinstance(data, bytes) else len(data.encode("utf-8", "replace"))
+        if size > MAX_BYTES:
+            raise ProtocolError(f"a message needs at most {MAX_BYTES} bytes, not {size}", "too_big")
+        try:
+            message = _decoder.decode(data)
+        except msgspec.ValidationError as error:
+            raise ProtocolError(_line(str(error)), "bad_field") from None
+        except (msgspec.DecodeError, UnicodeError) as error:
+            raise ProtocolError(_line(str(error)), "bad_json") from None
+        except RecursionError:
+            raise ProtocolError("the message is nested too deeply", "bad_json") from None
+        try:
+            return self._request(message)
+        except (FormatError, PoseError) as error:
+            code = "bad_pose" if isinstance(error, PoseError) else "bad_camera"
+            raise ProtocolError(_line(str(error)), code, _safe_id(message.frame_id)) from None
+        except ProtocolError as error:
+            raise ProtocolError(_line(str(error)), error.code, _safe_id(message.frame_id)) from None
+
+    def _request(self, m: _Message) -> RenderRequest | Ack:
+        for name, value in (("frame_id", m.frame_id), ("ack", m.ack)):
+            if value is not None and not 0 <= value <= _MAX_ID:
+                raise ProtocolError(f"{name} needs a whole number from 0 to {_MAX_ID}")
+        if m.cameras is not None or m.camera is not None:
+            return self._legacy(m)
+        if m.v != VERSION:
+            found = "none" if m.v is None else f"{m.v}"[:20]
+            raise ProtocolError(f'this server speaks version {VERSION}: send "v": {VERSION}, not {found}', "version")
+        if m.frame_id is None:
+            if m.ack is None or m.eyes is not None:
+                raise ProtocolError("a request needs frame_id")
+            return Ack(m.ack)
+        return self._native(m)
+
+    def _native(self, m: _Message) -> RenderRequest:
+        o = self.options
+        if m.pose is not None and m.tracking is not None:
+            raise ProtocolError("a request has either pose or tracking, not both")
+        size = self._size(m.size)
+        quality = o.quality if m.quality is None else m.quality
+        if not 1 <= quality <= 100:
+            raise ProtocolError("quality needs a whole number from 1 to 100")
+        if m.tracking is not None:
+            self._check_tracking(m.tracking)
+        if m.eyes is not None:
+            if not 1 <= len(m.eyes) <= 2:
+                raise ProtocolError(f"eyes needs one or two entries, not {len(m.eyes)}")
+            cameras = tuple(self._eye(eye, size) for eye in m.eyes)
+        elif m.tracking is not None and m.tracking.head is not None:
+            head = m.tracking.head
+            cameras = stereo_cameras(head_matrix(head[:3], head[3:]), o.ipd, o.fov, size=size)
+        else:
+            raise ProtocolError('a request needs "eyes": one or two of {"viewmat", "K"}')
+        return RenderRequest(
+            frame_id=m.frame_id,
+            cameras=self._mirrored(cameras),
+            pose=None if m.pose is None else self._pose(_given(m.pose)),
+            tracking=None if m.tracking is None else _given(m.tracking),
+            t=m.t,
+            ack=m.ack,
+            quality=quality,
+            crop=m.crop,
+            eyes=tuple(range(len(cameras))),
+        )
+
+    def _legacy(self, m: _Message) -> RenderRequest:
+        """Head poses in Unity's frame, both eyes alike; IPD, field of view and size are the server's."""
+        o = self.options
+        heads = [m.camera] if m.camera is not None else m.cameras or []
+        heads = sorted(heads, key=lambda head: head.eye)
+        if not 1 <= len(heads) <= 2 or len({head.eye for head in heads}) != len(heads):
+            raise ProtocolError("cameras needs one or two entries of different eyes")
+        cameras = []
+        for head in heads:
+            pair = stereo_cameras(_head_from_unity(head), o.ipd, o.fov, size=o.size)
+            cameras.append(self._near(pair[head.eye == "right"]))
+        given = {} if m.smplx is None else _given(m.smplx)
+        pose = {key: value for key, value in given.items() if key in POSE_KEYS}  # trans is ignored, as in their server
+        return RenderRequest(
+            frame_id=m.frame_id,
+            cameras=self._mirrored(tuple(cameras)),
+            pose=Pose.from_smplx(pose) if pose else None,
+            quality=o.quality,
+            form="single-legacy" if m.camera is not None else "bundle-legacy",
+            eyes=tuple(int(head.eye == "right") for head in heads),
+        )
+
+    def _size(self, size: list[int] | None) -> tuple[int, int]:
+        if size is None:
+            return self.options.size
+        limit = self.options.max_side
+        if len(size) != 2 or not all(1 <= side <= limit for side in size):
+            raise ProtocolError(f"size needs [width, height], each from 1 to {limit}", "bad_size")
+        return size[0], size[1]
+
+    def _eye(self, eye: _Eye, size: tuple[int, int]) -> Camera:
+        if len(eye.viewmat) != 16 or len(eye.K) != 4:
+            raise ProtocolError(f"an eye needs 16 numbers in viewmat and 4 in K, not {len(eye.viewmat)}, {len(eye.K)}")
+        viewmat = np.array(eye.viewmat).reshape(4, 4)
+        fx, fy, cx, cy = eye.K
+        if not (max(abs(v) for v in eye.K) < 1e6 and min(fx, fy) > 1e-3):
+            raise ProtocolError("K needs [fx, fy, cx, cy] in pixels below 1e6, fx and fy above 0.001", "bad_camera")
+        rotation = viewmat[:3, :3]
+        with np.errstate(all="ignore"):  # 1e300 is finite, its square is not
+            off = np.abs(rotation @ rotation.T - np.eye(3)).max()
+        if not off <= _ORTHONORMAL:
+            raise ProtocolError("viewmat needs an orthonormal rotation (world to camera, row by row)", "bad_camera")
+        if np.linalg.det(rotation) < 0:
+            raise ProtocolError("viewmat is a reflection; for a mirror picture connect to /ws?mirror=1", "bad_camera")
+        return self._near(Camera(viewmat, np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]]), *size))
+
+    def _near(self, camera: Camera) -> Camera:
+        limit = self.options.max_distance
+        if not np.abs(camera.position).max() <= limit:
+            raise ProtocolError(f"an eye needs to be within {limit:g} m of the origin", "bad_camera")
+        return camera
+
+    def _mirrored(self, cameras: tuple[Camera, ...]) -> tuple[Camera, ...]:
+        if not self.options.mirror:
+            return cameras
+        return tuple(
+            Camera(c.viewmat @ _MIRROR, c.K, c.width, c.height, c.background, c.near, c.far, c.sh_degree, c.name)
+            for c in cameras
+        )
+
+    def _pose(self, pose: Mapping[str, Any]) -> Pose:
+        return Pose.from_smplx(pose) if self.skeleton is None else Pose.from_json(pose, self.skeleton)
+
+    def _check_tracking(self, tracking: _Tracking) -> None:
+        for name in ("head", "left", "right", "left_grip", "right_grip"):
+            value = getattr(tracking, name)
+            if value is None:
+                continue
+            if len(value) != 7:
+                raise ProtocolError(f"tracking.{name} needs [x, y, z, qx, qy, qz, qw], not {len(value)} numbers")
+            if max(abs(v) for v in value[:3]) > self.options.max_distance:
+                raise ProtocolError(f"tracking.{name} needs metres below {self.options.max_distance:g}")
+            head_matrix(value[:3], value[3:])  # refuses a quaternion of zero length
+
+
+def eye_fields(camera: Camera) -> dict[str, list[float]]:
+    """{"viewmat": 16 numbers, "K": [fx, fy, cx, cy]} of a camera, as requests and replies carry it."""
+    k = camera.K
+    return {
+        "viewmat": camera.viewmat.ravel().tolist(),
+        "K": [float(k[0, 0]), float(k[1, 1]), float(k[0, 2]), float(k[1, 2])],
+    }
+
+
+def error_text(code: str, message: str, frame_id: int | None = None) -> str:
+    """The text message that tells a client what was wrong."""
+    return _encoder.encode({"error": {"code": code, "message": _line(message), "frame_id": frame_id}}).decode()
+
+
+def _head_from_unity(head: _LegacyCamera) -> NDArray[np.float64]:
+    """T_W_H [4, 4] from Unity's left-handed frame: position S_x p, rotation S_x R S_z (docs/conventions.md)."""
+    unity = head_matrix((head.pos_x, head.pos_y, head.pos_z), (head.rot_x, head.rot_y, head.rot_z, head.rot_w))
+    return _MIRROR @ unity @ np.diag([1.0, 1.0, -1.0, 1.0])
+
+
+def _given(fields: _Pose | _Tracking) -> dict[str, Any]:
+    return {key: value for key, value in msgspec.structs.asdict(fields).items() if value is not None}
+
+
+def _safe_id(frame_id: int | None) -> int | None:
+    return frame_id if frame_id is not None and 0 <= frame_id <= _MAX_ID else None
+
+
+def _line(message: str) -> str:
+    """One printable line of bounded length: parts of it may come from the peer."""
+    return "".join(c if c.isprintable() else " " for c in message[:300])

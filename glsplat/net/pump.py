@@ -1,0 +1,203 @@
+"""The frame pump: takes requests of all clients in turn, draws them on one thread, encodes while the next is drawn.
+
+The event loop only passes things on. One thread owns the renderer (an OpenGL context belongs to a thread); a few more
+encode. Each client gets its pictures in order, at most its window of them under way.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import time
+from collections import deque
+from collections.abc import Awaitable, Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field, replace
+
+from glsplat.errors import GlsplatError, PoseError
+from glsplat.net.backend import Backend, PoseSolver, Rendered
+from glsplat.net.encode import Encoded, Encoder
+from glsplat.net.messages import RenderRequest, eye_fields
+from glsplat.net.reply import pack_reply, pack_single
+from glsplat.net.session import Session
+from glsplat.net.stages import StageTimes
+
+__all__ = ["Channel", "FramePump"]
+
+log = logging.getLogger("glsplat.net")
+
+_SICK = 3  # pictures in a row that failed before /healthz says so
+
+
+@dataclass(eq=False, slots=True)
+class Frame:
+    """One picture on its way from the renderer to the socket."""
+
+    request: RenderRequest
+    arrived: float  # clock seconds
+    times: dict[str, float]  # ms
+    encoded: Awaitable[Encoded] | None = None  # None: it could not be drawn
+    error: tuple[str, str] = ("", "")  # code and message in that case
+
+
+@dataclass(eq=False, slots=True)
+class Channel:
+    """One client as the pump sees it."""
+
+    number: int
+    session: Session
+    solver: PoseSolver | None = None
+    frames: asyncio.Queue[Frame] = field(default_factory=asyncio.Queue)  # bounded by the session's window
+
+
+class FramePump:
+    """Owns the render thread, the encoders and the turn of the clients."""
+
+    def __init__(self, backend: Backend, clock: Callable[[], float] = time.perf_counter) -> None:
+        self.driver = ""
+        self.stages = StageTimes()
+        self.failures = 0  # in a row
+        self.busy = False
+        self._backend = backend
+        self._clock = clock
+        self._turn: deque[Channel] = deque()
+        self._wake = asyncio.Event()
+        self._render_thread = ThreadPoolExecutor(1, thread_name_prefix="render")
+        self._encode_threads = ThreadPoolExecutor(2, thread_name_prefix="frame")
+        self._encoder = Encoder()
+        self._task: asyncio.Task[None] | None = None
+
+    @property
+    def healthy(self) -> bool:
+        """False once several pictures in a row failed, or the pump has ended."""
+        return self.failures < _SICK and self._task is not None and not self._task.done()
+
+    async def start(self) -> None:
+        """Open the backend on the render thread. Raises what it raises, after ending the threads."""
+        loop = asyncio.get_running_loop()
+        try:
+            self.driver = await loop.run_in_executor(self._render_thread, self._backend.open)
+        except BaseException:
+            self._end_threads()
+            raise
+        self._task = asyncio.create_task(self._run(), name="frame pump")
+
+    async def stop(self) -> None:
+        """Finish the picture in hand, close the backend, end the threads."""
+        if self._task is None:
+            return
+        self._task.cancel()
+        await asyncio.gather(self._task, return_exceptions=True)
+        self._task = None
+        try:
+            await asyncio.get_running_loop().run_in_executor(self._render_thread, self._backend.close)
+        finally:
+            self._end_threads()
+
+    def add(self, channel: Channel) -> None:
+        """Let a client take part."""
+        self._turn.append(channel)
+
+    def remove(self, channel: Channel) -> None:
+        """Forget a client; a picture of it that is being drawn is thrown away."""
+        if channel in self._turn:
+            self._turn.remove(channel)
+
+    def wake(self) -> None:
+        """A request came, or a window has room again."""
+        self._wake.set()
+
+    async def pack(self, channel: Channel, frame: Frame) -> list[bytes] | str:
+        """The messages of a frame: binary ones to send, or the text of an error. Marks them as being sent."""
+        request, session = frame.request, channel.session
+        if frame.encoded is None:
+            return session.failed(request, *frame.error)
+        try:
+            encoded = await frame.encoded
+        except Exception:
+            log.exception("frame %s of client %d could not be encoded", request.frame_id, channel.number)
+            return session.failed(request, "encode", "the picture could not be encoded")
+        frame.times["encode"] = encoded.ms
+        frame.times["total"] = (self._clock() - frame.arrived) * 1e3
+        self.stages.add(frame.times)
+        session.sending(request)
+        if request.form == "single-legacy":
+            return [pack_single(request.eyes[0], encoded.pictures[0])]
+        assert request.frame_id is not None
+        first = request.cameras[0]
+        info = {
+            "t": request.t,
+            "times": {name: round(ms, 3) for name, ms in frame.times.items()},
+            "size": (first.width, first.height),
+            "eyes": [eye_fields(camera) for camera in request.cameras],
+            "crop": encoded.boxes,
+            "dropped": session.counts.dropped,
+            "driver": self.driver,
+        }
+        return [pack_reply(request.frame_id, request.eyes, encoded.pictures, info)]
+
+    async def _run(self) -> None:
+        while True:
+            channel = self._next()
+            if channel is None:
+                self._wake.clear()
+                await self._wake.wait()
+                continue
+            self.busy = True
+            await self._draw_one(channel)
+            self.busy = False
+
+    def _next(self) -> Channel | None:
+        """The next client, in turn, whose request can be drawn."""
+        for _ in range(len(self._turn)):
+            channel = self._turn[0]
+            self._turn.rotate(-1)
+            if channel.session.ready():
+                return channel
+        return None
+
+    async def _draw_one(self, channel: Channel) -> None:
+        loop = asyncio.get_running_loop()
+        taken = channel.session.next_request(self._clock())
+        assert taken is not None
+        request, waited = taken
+        frame = Frame(request, self._clock() - waited, {"wait": waited * 1e3})
+        try:
+            rendered = await loop.run_in_executor(self._render_thread, self._draw, channel, frame)
+            self.failures = 0
+            frame.encoded = loop.run_in_executor(
+                self._encode_threads, self._encoder.encode, rendered.images, request.quality, request.crop
+            )
+        except PoseError as error:
+            frame.error = ("bad_pose", str(error))
+        except Exception as error:
+            self.failures += 1
+            log.error(
+                "frame %s of client %d could not be drawn: %s",
+                *(request.frame_id, channel.number, error),
+                exc_info=not isinstance(error, GlsplatError),
+            )
+            frame.error = ("render", "the picture could not be drawn")  # no details: they may name files
+        if channel in self._turn:
+            channel.frames.put_nowait(frame)
+
+    def _draw(self, channel: Channel, frame: Frame) -> Rendered:
+        """On the render thread: tracking to pose where asked for, then the picture."""
+        request, start = frame.request, self._clock()
+        frame.times["wait"] = (start - frame.arrived) * 1e3
+        if request.tracking is not None:
+            if channel.solver is None:
+                raise PoseError("this server has no tracking solver: send pose instead of tracking")
+            t = request.t if request.t is not None else start * 1e3
+            request = replace(request, pose=channel.solver(request.tracking, t))
+            frame.times["ik"] = (self._clock() - start) * 1e3
+            start = self._clock()
+        rendered = self._backend.render(request)
+        frame.times["render"] = (self._clock() - start) * 1e3
+        frame.times |= {name: ms for name, ms in rendered.timings.items() if name not in ("render", "total")}
+        return rendered
+
+    def _end_threads(self) -> None:
+        self._render_thread.shutdown(wait=False)
+        self._encode_threads.shutdown(wait=False)
+        self._encoder.close()

@@ -1,0 +1,100 @@
+"""Replies: the binary message that carries a stereo pair (docs/protocol.md), written and read.
+
+Little endian: "VR", u16 version, u32 frame_id, u8 count; for each eye u8 eye, u32 length, JPEG; then u32 length and
+a JSON object. Readers that know only the first part may stop after the pictures.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import msgspec
+import numpy as np
+import simplejpeg
+from numpy.typing import NDArray
+
+from glsplat.errors import ProtocolError
+from glsplat.net.messages import VERSION
+
+__all__ = ["Reply", "decode_picture", "pack_reply", "pack_single", "parse_reply"]
+
+_HEAD = struct.Struct("<2sHIB")
+_EYE = struct.Struct("<BI")
+_LENGTH = struct.Struct("<I")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Reply:
+    """One parsed reply: JPEG bytes by eye number (0 left, 1 right) and the JSON part."""
+
+    frame_id: int
+    pictures: dict[int, bytes]
+    info: dict[str, Any] = field(default_factory=dict)
+    nbytes: int = 0  # of the whole message
+
+    def images(self) -> list[NDArray[np.uint8]]:
+        """The decoded pictures [H, W, 3], left first; a cropped picture is put back in its place on black."""
+        boxes = dict(zip(sorted(self.pictures), self.info.get("crop") or (), strict=False))
+        size = self.info.get("size")
+        return [decode_picture(self.pictures[eye], boxes.get(eye), size) for eye in sorted(self.pictures)]
+
+
+def pack_reply(frame_id: int, eyes: Sequence[int], pictures: Sequence[bytes], info: Mapping[str, Any]) -> bytes:
+    """The binary message of one frame, atomic for all its eyes."""
+    parts = [_HEAD.pack(b"VR", VERSION, frame_id, len(eyes))]
+    for eye, picture in zip(eyes, pictures, strict=True):
+        parts += [_EYE.pack(eye, len(picture)), picture]
+    text = msgspec.json.encode(info)
+    return b"".join([*parts, _LENGTH.pack(len(text)), text])
+
+
+def pack_single(eye: int, picture: bytes) -> bytes:
+    """The older form: u8 eye and the JPEG, one message an eye."""
+    return bytes((eye,)) + picture
+
+
+def parse_reply(data: bytes) -> Reply:
+    """Read a reply. Raises ProtocolError when it is cut short or of another version."""
+    try:
+        magic, version, frame_id, count = _HEAD.unpack_from(data)
+        if magic != b"VR" or version != VERSION:
+            raise ProtocolError(f"expected a reply VR version {VERSION}, not {magic!r} {version}", "bad_reply")
+        offset, pictures = _HEAD.size, {}
+        for _ in range(count):
+            eye, length = _EYE.unpack_from(data, offset)
+            offset += _EYE.size
+            pictures[eye] = _take(data, offset, length)
+            offset += length
+        (length,) = _LENGTH.unpack_from(data, offset)
+        info = msgspec.json.decode(_take(data, offset + _LENGTH.size, length))
+        if not isinstance(info, dict):
+            raise ProtocolError("expected a JSON object behind the pictures", "bad_reply")
+    except (struct.error, msgspec.MsgspecError, RecursionError):
+        raise ProtocolError(f"expected a whole reply, found {len(data)} bytes that end early", "bad_reply") from None
+    return Reply(frame_id, pictures, info, len(data))
+
+
+def decode_picture(
+    jpeg: bytes, box: Sequence[int] | None = None, size: Sequence[int] | None = None
+) -> NDArray[np.uint8]:
+    """[H, W, 3] of one JPEG; with ``box`` (x, y, w, h) and ``size`` (W, H) it is placed on a black picture."""
+    try:
+        image: NDArray[np.uint8] = simplejpeg.decode_jpeg(jpeg, "RGB")
+    except ValueError as error:
+        raise ProtocolError(f"a picture is not a JPEG ({error})", "bad_reply") from None
+    if box is None or size is None:
+        return image
+    x, y, w, h = box
+    out = np.zeros((size[1], size[0], 3), np.uint8)
+    out[y : y + h, x : x + w] = image[:h, :w]
+    return out
+
+
+def _take(data: bytes, offset: int, length: int) -> bytes:
+    part = data[offset : offset + length]
+    if len(part) != length:
+        raise struct.error
+    return part

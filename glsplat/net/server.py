@@ -1,0 +1,331 @@
+"""The server: aiohttp on one port for the WebSocket (/ws), the status page, /healthz, /stats and /metrics.
+
+Glue only: what a message means is session.py's, who may connect is access.py's, who is drawn next is pump.py's.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import errno
+import logging
+import signal
+import socket
+import time
+from collections.abc import Awaitable, Callable
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from aiohttp import WSMsgType, web
+
+from glsplat.errors import GlsplatError, ProtocolError
+from glsplat.net.access import SUBPROTOCOL, Access, server_tls
+from glsplat.net.backend import Backend, PoseSolver
+from glsplat.net.messages import MAX_BYTES, Decoder, WireOptions
+from glsplat.net.pump import Channel, FramePump
+from glsplat.net.session import GOING_AWAY, Close, Counts, Session, SessionConfig, Warn
+from glsplat.net.status import metrics_text, page_html
+from glsplat.skinning.skeleton import Skeleton
+
+__all__ = ["Server", "ServerConfig"]
+
+log = logging.getLogger("glsplat.net")
+clock = time.perf_counter  # the pump's clock too
+
+_MAX_WINDOW = 8
+_HEADERS = {
+    "Content-Security-Policy": "default-src 'none'; style-src 'unsafe-inline'",
+    "X-Content-Type-Options": "nosniff",
+    "Cache-Control": "no-store",
+    "Server": "glsplat",
+}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ServerConfig:
+    """Everything a server is told before it starts."""
+
+    access: Access = field(default_factory=Access)
+    port: int = 8000  # 0: any free one
+    tls: tuple[Path, Path] | None = None  # certificate and key, PEM
+    wire: WireOptions = field(default_factory=WireOptions)
+    session: SessionConfig = field(default_factory=SessionConfig)
+    max_clients: int = 8
+    heartbeat: float = 15.0  # seconds between pings; half of it without a pong ends the connection
+    write_timeout: float = 2.0  # seconds a client may leave a reply unread
+    drain_timeout: float = 3.0  # seconds that pictures under way get at the end
+    scene: str = "avatar"  # for the status page
+
+
+class Server:
+    """Streams what ``backend`` draws. ``solver`` makes the tracking-to-pose state of each new client."""
+
+    def __init__(
+        self,
+        backend: Backend,
+        config: ServerConfig | None = None,
+        *,
+        solver: Callable[[], PoseSolver] | None = None,
+        skeleton: Skeleton | None = None,
+    ) -> None:
+        self.config = config or ServerConfig()
+        self.pump = FramePump(backend)
+        self.port = self.config.port
+        self._make_solver = solver
+        self._skeleton = skeleton
+        self._channels: dict[int, Channel] = {}
+        self._sockets: dict[int, web.WebSocketResponse] = {}
+        self._totals = Counts()
+        self._numbers = 0
+        self._refused = 0
+        self._draining = False
+        self._started = clock()
+        self._runner: web.AppRunner | None = None
+
+    @property
+    def url(self) -> str:
+        """The WebSocket's address."""
+        host = self.config.access.host
+        return f"{'wss' if self.config.tls else 'ws'}://{f'[{host}]' if ':' in host else host}:{self.port}/ws"
+
+    async def start(self) -> None:
+        """Bind, open the backend, then accept clients. Raises GlsplatError (port in use, files, no OpenGL)."""
+        tls = server_tls(*self.config.tls) if self.config.tls else None
+        listener = self._bind()
+        try:
+            await self.pump.start()
+        except BaseException:
+            listener.close()
+            raise
+        app = web.Application(middlewares=[self._guard], client_max_size=MAX_BYTES)
+        app.add_routes(
+            [
+                web.get("/ws", self._websocket),
+                web.get("/", self._page),
+                web.get("/healthz", self._healthz),
+                web.get("/stats", self._stats),
+                web.get("/metrics", self._metrics),
+            ]
+        )
+        app.on_response_prepare.append(_set_headers)
+        # keepalive_timeout also ends connections that never send a whole request
+        self._runner = web.AppRunner(
+            app,
+            access_log=None,
+            keepalive_timeout=self.config.session.handshake,
+            shutdown_timeout=self.config.drain_timeout,
+        )
+        await self._runner.setup()
+        await web.SockSite(self._runner, listener, ssl_context=tls).start()
+        self._started = clock()
+
+    async def stop(self) -> None:
+        """Take no more requests, send the pictures under way, close the clients (1001), end the threads."""
+        self._draining = True
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(self.config.drain_timeout):
+                while any(channel.session.status()["under_way"] for channel in self._channels.values()):
+                    await asyncio.sleep(0.01)
+        sockets = [ws.close(code=GOING_AWAY, message=b"the server stops") for ws in self._sockets.values()]
+        await asyncio.gather(*sockets, return_exceptions=True)
+        if self._runner is not None:
+            await self._runner.cleanup()
+        await self.pump.stop()
+
+    async def run(self, started: Callable[[], None] | None = None) -> None:
+        """Serve until SIGINT or SIGTERM, then stop in order. ``started`` is called once clients can connect."""
+        done = asyncio.Event()
+        loop = asyncio.get_running_loop()
+        for number in (signal.SIGINT, signal.SIGTERM):
+            with contextlib.suppress(NotImplementedError, ValueError):  # not on Windows, not off the main thread
+                loop.add_signal_handler(number, done.set)
+        await self.start()
+        try:
+            if started is not None:
+                started()
+            await done.wait()
+        finally:
+            await self.stop()
+
+    def stats(self) -> dict[str, Any]:
+        """The numbers of /stats."""
+        clients, totals = [], asdict(self._totals)
+        for number, channel in self._channels.items():
+            status = channel.session.status()
+            form, size = channel.session.last_form, channel.session.last_size
+            clients.append({"id": number, "form": form, "size": f"{size[0]}x{size[1]}", **status})
+            for name in totals:
+                totals[name] += status[name]
+        return {
+            "scene": self.config.scene,
+            "driver": self.pump.driver,
+            "healthy": self.pump.healthy,
+            "uptime": round(clock() - self._started, 1),
+            "fps": round(self.pump.stages.fps(), 2),
+            "max_clients": self.config.max_clients,
+            "refused": self._refused,
+            "totals": totals,
+            "stages": self.pump.stages.summary(),
+            "clients": clients,
+        }
+
+    def _bind(self) -> socket.socket:
+        host, port = self.config.access.host, self.config.port
+        family = socket.AF_INET6 if ":" in host else socket.AF_INET
+        listener = socket.socket(family, socket.SOCK_STREAM)
+        try:
+            listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            listener.bind((host, port))
+            listener.listen(64)
+        except (OSError, OverflowError) as error:
+            listener.close()
+            if getattr(error, "errno", None) == errno.EADDRINUSE:
+                raise GlsplatError(f"port {port} is in use; choose another with --port") from None
+            reason = getattr(error, "strerror", None) or str(error)
+            raise GlsplatError(f"cannot listen on {host} port {port} ({reason}); choose --host and --port") from None
+        self.port = listener.getsockname()[1]
+        return listener
+
+    @web.middleware
+    async def _guard(
+        self, request: web.Request, handler: Callable[[web.Request], Awaitable[web.StreamResponse]]
+    ) -> web.StreamResponse:
+        if request.path != "/healthz":  # which says nothing about the scene or the clients
+            refusal = self.config.access.refusal(request.headers)
+            if refusal is not None:
+                self._refused += 1
+                return web.Response(status=refusal[0], text=refusal[1] + "\n")
+        return await handler(request)
+
+    async def _healthz(self, request: web.Request) -> web.Response:
+        healthy = self.pump.healthy and not self._draining
+        return web.Response(status=200 if healthy else 503, text="ok\n" if healthy else "not ready\n")
+
+    async def _stats(self, request: web.Request) -> web.Response:
+        return web.json_response(self.stats())
+
+    async def _metrics(self, request: web.Request) -> web.Response:
+        return web.Response(text=metrics_text(self.stats()), content_type="text/plain", charset="utf-8")
+
+    async def _page(self, request: web.Request) -> web.Response:
+        return web.Response(text=page_html(self.stats()), content_type="text/html")
+
+    async def _websocket(self, request: web.Request) -> web.StreamResponse:
+        if self._draining or len(self._channels) >= self.config.max_clients:
+            self._refused += 1
+            text = f"the server is full ({self.config.max_clients} clients); try again later\n"
+            return web.Response(status=503, text=text, headers={"Retry-After": "5"})
+        try:
+            channel = self._open_channel(request)
+        except ProtocolError as error:
+            return web.Response(status=400, text=f"{error}\n")
+        writer: asyncio.Task[None] | None = None
+        try:
+            ws = web.WebSocketResponse(
+                compress=False,  # JPEG does not shrink, and deflating it costs 4 to 6 ms a reply
+                max_msg_size=MAX_BYTES,
+                heartbeat=self.config.heartbeat,
+                timeout=self.config.write_timeout,
+                protocols=(SUBPROTOCOL,),
+            )
+            await ws.prepare(request)
+            self._sockets[channel.number] = ws
+            self.pump.add(channel)
+            writer = asyncio.create_task(self._write(channel, ws, request))
+            await self._read(channel, ws)
+            return ws
+        except (ConnectionError, TimeoutError):  # it neither reads nor listens
+            _cut_off(request)
+            return ws
+        finally:
+            self._close_channel(channel)
+            if writer is not None:
+                writer.cancel()
+                await asyncio.gather(writer, return_exceptions=True)
+
+    def _open_channel(self, request: web.Request) -> Channel:
+        """A new client with the options of its address: /ws?mirror=1&window=3."""
+        mirror, window = request.query.get("mirror"), request.query.get("window")
+        wire, limits = self.config.wire, self.config.session
+        if mirror is not None:
+            if mirror not in ("0", "1"):
+                raise ProtocolError("mirror needs 0 or 1")
+            wire = replace(wire, mirror=mirror == "1")
+        if window is not None:
+            if window not in map(str, range(1, _MAX_WINDOW + 1)):
+                raise ProtocolError(f"window needs 1 to {_MAX_WINDOW}")
+            limits = replace(limits, window=int(window))
+        self._numbers += 1
+        session = Session(Decoder(wire, self._skeleton), limits, clock())
+        channel = Channel(self._numbers, session, self._make_solver() if self._make_solver else None)
+        self._channels[channel.number] = channel
+        return channel
+
+    def _close_channel(self, channel: Channel) -> None:
+        self.pump.remove(channel)
+        self._sockets.pop(channel.number, None)
+        del self._channels[channel.number]
+        for name, value in asdict(channel.session.counts).items():
+            setattr(self._totals, name, getattr(self._totals, name) + value)
+
+    async def _read(self, channel: Channel, ws: web.WebSocketResponse) -> None:
+        """Messages of one client until it leaves, is too long silent, or breaks the rules too often."""
+        session = channel.session
+        while True:
+            try:
+                message = await ws.receive(timeout=max(0.01, session.expires() - clock()))
+            except TimeoutError:
+                outcome: Warn | Close | None = session.expired(clock())
+            else:
+                if message.type == WSMsgType.TEXT:
+                    if self._draining:
+                        continue
+                    outcome = session.receive(message.data, clock())
+                elif message.type == WSMsgType.BINARY:
+                    error = ProtocolError("a request is a text message (JSON), not a binary one", "binary")
+                    outcome = session.malformed(error, clock())
+                else:  # closed, or a broken frame that aiohttp has answered (1002, 1007, 1009)
+                    return
+            if isinstance(outcome, Warn):
+                await self._send(ws, outcome.text)
+            elif isinstance(outcome, Close):
+                await self._send(ws, outcome.text)
+                await ws.close(code=outcome.code, message=outcome.reason.encode())
+                return
+            else:
+                self.pump.wake()
+
+    async def _write(self, channel: Channel, ws: web.WebSocketResponse, request: web.Request) -> None:
+        """Pictures of one client, in order. A client that does not read them in time is cut off."""
+        session = channel.session
+        while True:
+            frame = await channel.frames.get()
+            packed = await self.pump.pack(channel, frame)
+            try:
+                for data in [packed] if isinstance(packed, str) else packed:
+                    await self._send(ws, data)
+            except TimeoutError:
+                log.warning("client %d does not read its pictures; cut off", channel.number)
+                _cut_off(request)
+                return
+            except ConnectionError:
+                return
+            if not isinstance(packed, str):
+                session.sent(frame.request, sum(map(len, packed)))
+            self.pump.wake()
+
+    async def _send(self, ws: web.WebSocketResponse, data: str | bytes) -> None:
+        if ws.closed:
+            return
+        async with asyncio.timeout(self.config.write_timeout):
+            await (ws.send_str(data) if isinstance(data, str) else ws.send_bytes(data))
+
+
+async def _set_headers(request: web.Request, response: web.StreamResponse) -> None:
+    response.headers.update(_HEADERS)
+
+
+def _cut_off(request: web.Request) -> None:
+    if request.transport is not None:
+        request.transport.abort()

@@ -1,0 +1,229 @@
+"""One client's conversation, without sockets and clocks: times come in as arguments, answers go out as values.
+
+Latest wins: at most one request waits (the older ones are dropped and counted), at most ``window`` pictures are under
+way or unacknowledged, and nothing is queued without bound.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+from glsplat.errors import ProtocolError
+from glsplat.net.messages import Ack, Decoder, RenderRequest, error_text
+
+__all__ = ["Close", "Counts", "Session", "SessionConfig", "Warn"]
+
+POLICY_VIOLATION = 1008  # RFC 6455, section 7.4.1
+GOING_AWAY = 1001
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SessionConfig:
+    """Limits of one client."""
+
+    window: int = 2  # pictures under way or unacknowledged; 2 measured best on a LAN, 3 from 15 ms of round trip
+    rate: float = 240.0  # messages a second; above twice any display's rate
+    burst: int = 120  # messages at once on top of that
+    flood: int = 2000  # messages above the rate before the connection ends
+    errors: int = 8  # malformed messages at once before the connection ends ...
+    forgive: float = 0.5  # ... and how many a second are forgiven
+    handshake: float = 10.0  # seconds from the connection to the first valid request
+    idle: float = 60.0  # seconds without any message
+
+
+@dataclass(frozen=True, slots=True)
+class Warn:
+    """Send this error text and go on."""
+
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class Close:
+    """Send this error text, then close the connection with this code."""
+
+    text: str
+    code: int
+    reason: str
+
+
+@dataclass(slots=True)
+class Counts:
+    """What happened to a client's messages."""
+
+    received: int = 0  # messages
+    accepted: int = 0  # requests that entered the mailbox
+    dropped: int = 0  # requests replaced by a newer one before they were drawn
+    stale: int = 0  # requests whose frame_id did not grow
+    malformed: int = 0
+    limited: int = 0  # messages above the rate, not read
+    failed: int = 0  # pictures that could not be drawn
+    sent: int = 0  # replies
+    bytes_sent: int = 0
+
+
+@dataclass(slots=True)
+class _Bucket:
+    """A token bucket: ``capacity`` at once, refilled by ``rate`` a second."""
+
+    capacity: float
+    rate: float
+    level: float
+    time: float
+
+    def take(self, now: float) -> bool:
+        self.level = min(self.capacity, self.level + max(0.0, now - self.time) * self.rate)
+        self.time = now
+        if self.level < 1:
+            return False
+        self.level -= 1
+        return True
+
+
+class Session:
+    """The state of one connection. ``now`` is any clock in seconds that does not run backwards.
+
+    The owner feeds messages to ``receive``, takes the next request from ``next_request`` when the renderer is free, and
+    reports ``sending`` and ``sent``, or ``failed``, for each request it took.
+    """
+
+    def __init__(self, decoder: Decoder, config: SessionConfig | None = None, now: float = 0.0) -> None:
+        self.config = config or SessionConfig()
+        self.counts = Counts()
+        self.last_form = ""  # of the newest request, for /stats
+        self.last_size = (0, 0)
+        self._decoder = decoder
+        self._opened = self._heard = self._noticed = now
+        self._pending: dict[int, tuple[RenderRequest, float]] = {}  # by eye for the oldest form, else one
+        self._under_way: set[int] = set()
+        self._unacked: deque[int] = deque()
+        self._newest = -1  # frame_id accepted
+        self._newest_sent = -1
+        self._rate = _Bucket(self.config.rate + self.config.burst, self.config.rate, self.config.burst, now)
+        self._flood = _Bucket(self.config.flood, self.config.rate, self.config.flood, now)
+        self._errors = _Bucket(self.config.errors, self.config.forgive, self.config.errors, now)
+
+    def receive(self, data: str | bytes, now: float) -> Warn | Close | None:
+        """Take one text message. None: nothing to say (accepted, acknowledged or dropped as too old)."""
+        self._heard = now
+        self.counts.received += 1
+        if not self._rate.take(now):
+            return self._limited(now)
+        try:
+            message = self._decoder.decode(data)
+            if isinstance(message, Ack):
+                self._acknowledge(message.frame_id)
+            else:
+                self._accept(message, now)
+        except ProtocolError as error:
+            return self.malformed(error, now)
+        return None
+
+    def malformed(self, error: ProtocolError, now: float) -> Warn | Close:
+        """Count a message that could not be used; repeated ones end the connection."""
+        self._heard = now
+        self.counts.malformed += 1
+        text = error_text(error.code, str(error), error.frame_id)
+        if self._errors.take(now):
+            return Warn(text)
+        return Close(text, POLICY_VIOLATION, "too many malformed messages")
+
+    def ready(self) -> bool:
+        """True while a request waits and the window has room for its picture."""
+        return bool(self._pending) and len(self._under_way.union(self._unacked)) < self.config.window
+
+    def next_request(self, now: float) -> tuple[RenderRequest, float] | None:
+        """The newest request and the seconds it waited, or None. It stays under way until ``sent`` or ``failed``."""
+        if not self.ready():
+            return None
+        request, arrived = self._pending.pop(next(iter(self._pending)))
+        assert request.frame_id is not None
+        self._under_way.add(request.frame_id)
+        return request, now - arrived
+
+    def sending(self, request: RenderRequest) -> None:
+        """The picture of ``request`` is about to be written; from here on the client may acknowledge it."""
+        assert request.frame_id is not None
+        self._newest_sent = max(self._newest_sent, request.frame_id)
+        if request.ack is not None:  # a client that never acknowledges is held back by its socket alone
+            self._unacked.append(request.frame_id)
+
+    def sent(self, request: RenderRequest, nbytes: int) -> None:
+        """The socket has taken the picture of ``request``."""
+        assert request.frame_id is not None
+        self._under_way.discard(request.frame_id)
+        self.counts.sent += 1
+        self.counts.bytes_sent += nbytes
+
+    def failed(self, request: RenderRequest, code: str, message: str) -> str:
+        """The picture of ``request`` cannot be drawn; returns the error text to send."""
+        assert request.frame_id is not None
+        self._under_way.discard(request.frame_id)
+        self.counts.failed += 1
+        return error_text(code, message, request.frame_id)
+
+    def expires(self) -> float:
+        """The time at which the connection is given up if nothing arrives before."""
+        if self._newest < 0:
+            return self._opened + self.config.handshake
+        return self._heard + self.config.idle
+
+    def expired(self, now: float) -> Close | None:
+        """A Close once the client was silent for too long, or never sent a valid request."""
+        if now < self.expires():
+            return None
+        reason = "no valid request in time" if self._newest < 0 else "idle"
+        return Close(error_text("timeout", reason), POLICY_VIOLATION, reason)
+
+    def status(self) -> dict[str, Any]:
+        """Counts and window, for /stats."""
+        return asdict(self.counts) | {
+            "window": self.config.window,
+            "unacknowledged": len(self._unacked),
+            "under_way": len(self._under_way),
+            "waiting": len(self._pending),
+        }
+
+    def _accept(self, request: RenderRequest, now: float) -> None:
+        if request.ack is not None:
+            self._acknowledge(request.ack)
+        elif self._unacked:
+            self._unacked.clear()  # it acknowledged before and stopped: its next request shows that it lives
+        # the oldest form has one eye a message and no use for a number, and others may leave it out
+        unnumbered = request.frame_id is None or request.form == "single-legacy"
+        frame_id = self._newest + 1 if unnumbered else request.frame_id
+        assert frame_id is not None
+        if frame_id <= self._newest:
+            self.counts.stale += 1
+            return
+        request = replace(request, frame_id=frame_id)
+        self._newest = frame_id
+        self.last_form = request.form
+        self.last_size = (request.cameras[0].width, request.cameras[0].height)
+        self.counts.accepted += 1
+        # a right eye of the oldest form must not push out the left one
+        slot = request.eyes[0] if request.form == "single-legacy" else -1
+        replaced = [key for key in self._pending if slot == -1 or key in (slot, -1)]
+        for key in replaced:
+            del self._pending[key]
+        self.counts.dropped += len(replaced)
+        self._pending[slot] = (request, now)
+
+    def _acknowledge(self, frame_id: int) -> None:
+        """Free the window up to ``frame_id``. Clients that received nothing yet send 0, which is always legal."""
+        if frame_id > max(self._newest_sent, 0):
+            raise ProtocolError(f"ack names {frame_id}, which was never sent", "bad_ack")
+        while self._unacked and self._unacked[0] <= frame_id:
+            self._unacked.popleft()
+
+    def _limited(self, now: float) -> Warn | Close | None:
+        self.counts.limited += 1
+        if not self._flood.take(now):
+            text = error_text("rate", "the connection ends: too many messages")
+            return Close(text, POLICY_VIOLATION, "too many messages")
+        if now - self._noticed < 1.0:
+            return None
+        self._noticed = now
+        return Warn(error_text("rate", f"at most {self.config.rate:g} messages a second are read"))

@@ -1,0 +1,285 @@
+"""The server over real sockets on loopback: ordinary service."""
+
+from __future__ import annotations
+
+import asyncio
+
+import aiohttp
+import numpy as np
+import pytest
+
+from glsplat.errors import ContextError, GlsplatError, ProtocolError
+from glsplat.net.access import Access
+from glsplat.net.client import Client
+from glsplat.net.messages import WireOptions
+from glsplat.net.server import Server, ServerConfig
+from glsplat.skinning.pose import Pose
+
+
+def test_a_client_gets_the_pair_it_asked_for(serve, fake_backend, cameras):
+    backend = fake_backend()
+
+    async def main():
+        async with serve(backend) as server, Client(server.url) as client:
+            return await client.render(cameras, pose=Pose.zero(), quality=95)
+
+    reply = asyncio.run(main())
+    left, right = reply.images()
+    assert left.shape == right.shape == (64, 64, 3)
+    assert abs(int(left[32, 32, 0]) - 51) <= 3  # frame 1
+    assert not np.array_equal(left, right)
+    assert reply.info["driver"] == "numpy <fake>" and reply.info["dropped"] == 0
+    np.testing.assert_allclose(np.reshape(reply.info["eyes"][0]["viewmat"], (4, 4)), cameras[0].viewmat)
+    assert {"wait", "render", "draw", "encode", "total"} <= set(reply.info["times"])
+    assert reply.info["times"]["total"] >= reply.info["times"]["render"]
+    assert backend.closed and len(backend.threads) == 1  # opened, used and closed on one thread
+
+
+def test_cropped_pictures_come_back_in_place(serve, cameras):
+    async def main():
+        async with serve() as server, Client(server.url) as client:
+            whole = await client.render(cameras, pose=Pose.zero(), quality=95)
+            return whole, await client.render(cameras, pose=Pose.zero(), quality=95, crop=True)
+
+    whole, cropped = asyncio.run(main())
+    assert cropped.nbytes < whole.nbytes and len(cropped.info["crop"]) == 2
+    for a, b in zip(whole.images(), cropped.images(), strict=True):
+        assert a.shape == b.shape
+        assert np.abs(a.astype(int) - b).max() <= 12  # one grey level apart by frame_id, and JPEG ringing
+
+
+def test_one_eye(serve, cameras):
+    async def main():
+        async with serve() as server, Client(server.url) as client:
+            return await client.render(cameras[:1])
+
+    assert list(asyncio.run(main()).pictures) == [0]
+
+
+def test_pipelined_requests_keep_only_the_newest(serve, fake_backend, cameras):
+    backend = fake_backend(delay=0.02)
+
+    async def main():
+        async with serve(backend) as server, Client(server.url, window=2) as client:
+            for _ in range(30):
+                await client.send(cameras)
+            ids = [(await client.receive()).reply.frame_id]
+            while ids[-1] < 30:
+                ids.append((await client.receive()).reply.frame_id)
+            return ids, server.stats()
+
+    ids, stats = asyncio.run(main())
+    assert ids == sorted(set(ids)) and ids[-1] == 30
+    assert stats["totals"]["dropped"] == 30 - len(ids) > 20
+    assert len(backend.drawn) == len(ids)
+
+
+def test_encoding_overlaps_the_next_drawing(serve, fake_backend, cameras, monkeypatch):
+    running = {"encode": False}
+    seen = []
+
+    class Watching(fake_backend):
+        def render(self, request):
+            out = super().render(request)
+            seen.append(running["encode"])
+            return out
+
+    async def main():
+        async with serve(Watching(delay=0.03)) as server:
+            encode = server.pump._encoder.encode
+
+            def slow(*args):
+                running["encode"] = True
+                result = encode(*args)
+                threading_sleep(0.05)
+                running["encode"] = False
+                return result
+
+            monkeypatch.setattr(server.pump._encoder, "encode", slow)
+            async with Client(server.url) as client:
+                await client.send(cameras)
+                await asyncio.sleep(0.01)
+                await client.send(cameras)
+                for _ in range(2):
+                    await client.receive()
+
+    from time import sleep as threading_sleep
+
+    asyncio.run(main())
+    assert seen[1]
+
+
+def test_clients_take_turns(serve, fake_backend, cameras):
+    backend = fake_backend(delay=0.005)
+
+    async def one(url, seconds):
+        got = 0
+        async with Client(url) as client:
+            end = asyncio.get_running_loop().time() + seconds
+            await client.send(cameras)
+            while asyncio.get_running_loop().time() < end:
+                await client.send(cameras)
+                await client.receive()
+                got += 1
+        return got
+
+    async def main():
+        async with serve(backend) as server:
+            return await asyncio.gather(*(one(server.url, 1.0) for _ in range(4)))
+
+    counts = asyncio.run(main())
+    assert min(counts) >= 5 and max(counts) <= 1.5 * min(counts) + 2
+
+
+def test_status_pages(serve, cameras):
+    async def main():
+        async with serve() as server, Client(server.url) as client, aiohttp.ClientSession() as http:
+            await client.render(cameras, pose=Pose.zero())
+            out = {}
+            for path in ("/", "/healthz", "/stats", "/metrics", "/none"):
+                async with http.get(f"http://127.0.0.1:{server.port}{path}") as response:
+                    out[path] = response.status, await response.text(), response.headers
+                    assert response.headers["Server"] == "glsplat"
+            return out
+
+    out = asyncio.run(main())
+    assert [out[path][0] for path in out] == [200, 200, 200, 200, 404]
+    assert "numpy &lt;fake&gt;" in out["/"][1] and "http://" not in out["/"][1]
+    assert '"sent": 1' in out["/stats"][1]
+    assert "glsplat_sent_total 1\n" in out["/metrics"][1]
+    assert 'glsplat_stage_milliseconds{stage="render",quantile="0.95"}' in out["/metrics"][1]
+    assert "default-src 'none'" in out["/"][2]["Content-Security-Policy"]
+
+
+def test_the_last_pictures_are_sent_before_the_server_stops(fake_backend, cameras):
+    async def main():
+        server = Server(fake_backend(delay=0.2), ServerConfig(port=0))
+        await server.start()
+        async with Client(server.url) as client:
+            await client.send(cameras)
+            await asyncio.sleep(0.05)
+            stopping = asyncio.create_task(server.stop())
+            arrived = await client.receive()
+            with pytest.raises(ProtocolError, match="1001"):
+                await client.receive()
+            await stopping
+            return arrived.reply.frame_id
+
+    assert asyncio.run(main()) == 1
+
+
+def test_mirror_is_an_option_of_the_session(serve, fake_backend, cameras):
+    backend = fake_backend()
+
+    async def main():
+        async with serve(backend) as server, Client(server.url, mirror=True) as client:
+            return await client.render(cameras)
+
+    reply = asyncio.run(main())
+    expected = cameras[0].viewmat @ np.diag([-1, 1, 1, 1])
+    np.testing.assert_allclose(backend.drawn[0].cameras[0].viewmat, expected)
+    np.testing.assert_allclose(np.reshape(reply.info["eyes"][0]["viewmat"], (4, 4)), expected)
+
+
+def test_tracking_goes_through_the_sessions_own_solver(serve, fake_backend):
+    backend = fake_backend()
+    made = []
+
+    class Solver:
+        def __init__(self):
+            self.calls = []
+            made.append(self)
+
+        def __call__(self, tracking, t):
+            self.calls.append((tracking, t))
+            return Pose.zero()
+
+    tracking = {"head": [0, 1.6, 0, 0, 0, 0, 1], "left": None, "right": [0.3, 1, 0, 0, 0, 0, 1]}
+
+    async def main():
+        async with serve(backend, solver=Solver) as server:
+            async with Client(server.url) as one, Client(server.url) as two:
+                await one.render(tracking=tracking)
+                await two.render(tracking=tracking)
+                return await one.render(tracking=tracking)
+
+    reply = asyncio.run(main())
+    assert [len(solver.calls) for solver in made] == [2, 1]
+    assert made[0].calls[0][0] == {k: v for k, v in tracking.items() if v is not None}
+    assert made[0].calls[1][1] > made[0].calls[0][1]
+    assert backend.drawn[0].pose is not None and "ik" in reply.info["times"]
+    np.testing.assert_allclose(backend.drawn[0].cameras[0].position, [-0.0275, 1.6, 0], atol=1e-12)
+
+
+def test_without_a_solver_tracking_is_a_clear_error(serve):
+    async def main():
+        async with serve() as server, Client(server.url) as client:
+            with pytest.raises(ProtocolError, match="this server has no tracking solver"):
+                await client.render(tracking={"head": [0, 1.6, 0, 0, 0, 0, 1]})
+            return server.pump.healthy
+
+    assert asyncio.run(main())
+
+
+def test_errors_before_the_start_are_one_line(fake_backend):
+    class Broken(fake_backend):
+        def open(self):
+            raise ContextError("no EGL here")
+
+    async def taken():
+        first = Server(fake_backend(), ServerConfig(port=0))
+        await first.start()
+        try:
+            with pytest.raises(GlsplatError, match=f"^port {first.port} is in use; choose another with --port$"):
+                await Server(fake_backend(), ServerConfig(port=first.port)).start()
+        finally:
+            await first.stop()
+
+    asyncio.run(taken())
+    with pytest.raises(ContextError, match="no EGL here"):
+        asyncio.run(Server(Broken(), ServerConfig(port=0)).start())
+    with pytest.raises(GlsplatError, match=r"cannot listen on 192\.0\.2\.1 port 0"):
+        config = ServerConfig(access=Access(host="192.0.2.1", insecure=True), port=0)
+        asyncio.run(Server(fake_backend(), config).start())
+
+
+def test_a_full_server_says_so(serve, cameras):
+    async def main():
+        async with serve(config=ServerConfig(port=0, max_clients=1)) as server:
+            async with Client(server.url) as first:
+                with pytest.raises(ProtocolError, match="full"):
+                    await Client(server.url).connect()
+                await first.render(cameras)
+            await asyncio.sleep(0.05)
+            async with Client(server.url) as second:
+                return (await second.render(cameras)).frame_id
+
+    assert asyncio.run(main()) == 1
+
+
+def test_options_of_the_address_are_checked(serve):
+    async def main():
+        async with serve() as server:
+            for query in ("window=0", "window=9", "window=x", "mirror=yes"):
+                with pytest.raises(ProtocolError, match="400"):
+                    await Client(f"{server.url}?{query}").connect()
+            return server.stats()["clients"]
+
+    assert asyncio.run(main()) == []
+
+
+def test_size_and_quality_defaults_come_from_the_server(serve, fake_backend, cameras):
+    backend = fake_backend()
+    config = ServerConfig(port=0, wire=WireOptions(size=(48, 32), quality=33))
+
+    async def main():
+        async with serve(backend, config) as server, Client(server.url) as client:
+            await client.render(tracking=None, cameras=cameras)
+            await client.send_text(
+                '{"v":1,"frame_id":9,"eyes":[{"viewmat":[1,0,0,0,0,1,0,0,0,0,1,2,0,0,0,1],"K":[50,50,24,16]}]}'
+            )
+            await asyncio.sleep(0.2)
+
+    asyncio.run(main())
+    request = backend.drawn[-1]
+    assert (request.cameras[0].width, request.cameras[0].height, request.quality) == (48, 32, 33)
