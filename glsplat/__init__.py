@@ -1,1 +1,66 @@
-"""glsplat: animatable 3D Gaussian avatars on plain OpenGL, both eyes in one pass."""
+"""glsplat: animatable 3D Gaussian avatars on plain OpenGL, both eyes in one pass.
+
+::
+
+    avatar = glsplat.load("me.glb")                      # or glsplat.default_avatar()
+    with glsplat.Renderer(avatar, size=(1024, 1024), views=2) as renderer:
+        eyes = glsplat.stereo_cameras(head_pose, ipd=0.063, size=(1024, 1024))
+        image = renderer.render(eyes, pose)              # (2, 1024, 1024, 4)
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from glsplat.avatar import Avatar, default_avatar
+    from glsplat.camera import Camera, stereo_cameras
+    from glsplat.config import RenderConfig
+    from glsplat.context import create_context
+    from glsplat.errors import GlsplatError
+    from glsplat.formats import load, save
+    from glsplat.renderer import Renderer
+    from glsplat.skinning.pose import Pose
+    from glsplat.splats import Splats
+
+__version__ = "0.1.0"
+
+__all__ = [
+    "Avatar",
+    "Camera",
+    "GlsplatError",
+    "Pose",
+    "RenderConfig",
+    "Renderer",
+    "Splats",
+    "create_context",
+    "default_avatar",
+    "load",
+    "save",
+    "stereo_cameras",
+]
+
+_HOME = {
+    "Avatar": "avatar",
+    "Camera": "camera",
+    "GlsplatError": "errors",
+    "Pose": "skinning.pose",
+    "RenderConfig": "config",
+    "Renderer": "renderer",
+    "Splats": "splats",
+    "create_context": "context",
+    "default_avatar": "avatar",
+    "load": "formats",
+    "save": "formats",
+    "stereo_cameras": "camera",
+}
+
+
+def __getattr__(name: str) -> object:
+    # on demand: the tracking and the wire protocol are usable without loading OpenGL
+    if name in _HOME:
+        value = getattr(import_module(f"glsplat.{_HOME[name]}"), name)
+        globals()[name] = value
+        return value
+    raise AttributeError(f"module 'glsplat' has no attribute {name!r}")

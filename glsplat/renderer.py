@@ -65,6 +65,7 @@ class Renderer:
         self._pipelines: dict[Variant, Pipeline] = {}
         self._targets: dict[tuple[int, str], Target] = {}
         self.stats = FrameStats(0, 0, 0)
+        self.variant = Variant()  # of the last pass
         self.size = (0, 0)
         try:
             geometry = self.config.layers == "geometry"
@@ -164,6 +165,7 @@ class Renderer:
             views = [cameras[i] for i in batch]
             order = sorting_camera(views) if sort_viewmat is None else sort_viewmat
             pipeline = self._pipeline(views)
+            self.variant = pipeline.variant
             target, byte_target = self._batch_target(len(views))
             resorted |= pipeline.geometry(views, order, self._geometry_version, self.timer)
             pipeline.draw(target, views, self.timer)

@@ -31,7 +31,7 @@ class Pipeline:
         self, context: Context, programs: Programs, variant: Variant, scene: SceneBuffers, config: RenderConfig
     ) -> None:
         ctx, count = context.ctx, scene.count
-        self._scene, self._config, self._variant = scene, config, variant
+        self._scene, self._config, self.variant = scene, config, variant
         self._ctx = ctx
         # a complete framebuffer has to be bound for transform feedback: without one moderngl writes nothing
         self._scratch_texture = ctx.texture((1, 1), 4)

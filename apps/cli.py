@@ -1,0 +1,68 @@
+"""``glsplat COMMAND ...``: finds the command, prints expected errors as one line.
+
+Exit codes: 0 ok, 1 failed, 2 bad usage.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections.abc import Sequence
+from importlib import import_module
+
+import glsplat
+from glsplat.errors import GlsplatError
+
+# imported when called: a command should not wait for the imports of the others
+COMMANDS = {
+    "render": "a picture, a clip or a turntable of a scene or a posed avatar",
+    "preview": "a window that shows the avatar moving",
+    "serve": "the headless render server",
+    "replay": "a client that streams a motion through a server and reports latency",
+    "demo": "server and client together: frames per second, stage times, a contact sheet and a clip",
+    "bench": "stage times, bytes and the price of each feature on this driver",
+    "avatar": "make, import and export avatars",
+    "tracking": "head and hands to a full-body pose: derive, solve, score, show",
+    "inspect": "what is in a scene or avatar file",
+    "convert": "between PLY, .splat and glTF",
+}
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one command; the entry point of the installed ``glsplat``."""
+    arguments = list(sys.argv[1:] if argv is None else argv)
+    parser = argparse.ArgumentParser(
+        prog="glsplat",
+        description="Animatable 3D Gaussian avatars for VR on plain OpenGL. "
+        "Without a scene, commands use the default avatar.",
+        epilog="commands:\n" + "\n".join(f"  {name:10} {text}" for name, text in COMMANDS.items()),
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("--version", action="version", version=f"glsplat {glsplat.__version__}")
+    parser.add_argument("command", choices=list(COMMANDS), metavar="COMMAND", help="one of the commands below")
+    chosen = parser.parse_args(arguments[:1] or ["--help"])
+
+    module = import_module(f".{chosen.command}", __package__)
+    command = argparse.ArgumentParser(
+        prog=f"glsplat {chosen.command}",
+        description=module.HELP,
+        epilog=f"example:\n  {module.EXAMPLE}",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    module.add_arguments(command)
+    args = command.parse_args(arguments[1:])
+    try:
+        return int(module.run(args) or 0)
+    except GlsplatError as error:
+        print(f"glsplat {chosen.command}: {error}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        return 130
+    except BrokenPipeError:  # `glsplat inspect ... | head`
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

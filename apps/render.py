@@ -1,0 +1,191 @@
+"""``glsplat render``: one picture, a clip of a motion, or a turntable."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from itertools import chain
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from tqdm import tqdm
+
+from glsplat.avatar import Avatar
+from glsplat.camera import PAPER_FOV, PAPER_IPD, Camera, load_cameras
+from glsplat.config import RenderConfig
+from glsplat.context import create_context
+from glsplat.errors import FormatError, GlsplatError
+from glsplat.renderer import Renderer
+from glsplat.skinning.motion import Motion, load_motion
+from glsplat.skinning.pose import Pose, load_pose
+from glsplat.splats import Splats
+
+from .output import Clip, save_npy, save_png, side_by_side
+from .scene import add_scene, load_scene, point, size, view_of, viewing_point
+
+HELP = "Render a scene or a posed avatar: .npy holds exact floats, .png a picture, .mp4 a motion or a turntable."
+EXAMPLE = "glsplat render --motion wave-and-turn --frame 40 --stereo -o wave.png"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The command line."""
+    add_scene(parser)
+    parser.add_argument("-o", "--output", required=True, help=".png, .npy, .mp4, or a folder/ for a PNG sequence")
+    parser.add_argument("--cameras", metavar="FILE", help="camera file: one object, or a list for several views")
+    parser.add_argument("--size", type=size, default=(1024, 1024), help="WxH in pixels (default 1024x1024)")
+    parser.add_argument("--fov", type=float, default=PAPER_FOV, help="vertical field of view in degrees (default 65)")
+    parser.add_argument("--eye", type=point, metavar="X,Y,Z", help="where the camera stands (default: all in view)")
+    parser.add_argument("--target", type=point, metavar="X,Y,Z", help="what it looks at (default: the scene's middle)")
+    parser.add_argument("--stereo", action="store_true", help="both eyes in one pass, side by side in pictures")
+    parser.add_argument("--ipd", type=float, default=PAPER_IPD, help="metres between the eyes (default 0.055)")
+    parser.add_argument("--background", type=point, metavar="R,G,B", default=(0.0, 0.0, 0.0), help="0 to 1 each")
+    parser.add_argument("--pose", metavar="FILE", help="pose file (JSON)")
+    parser.add_argument("--motion", metavar="FILE", help="motion file or the name of an embedded one")
+    parser.add_argument("--frame", type=int, metavar="N", help="frame of the motion (default: all, as a clip)")
+    parser.add_argument("--turntable", type=int, metavar="N", help="N views around the scene, as a clip or sequence")
+    parser.add_argument("--fps", type=float, default=30.0, help="frames a second of a clip (default 30)")
+    parser.add_argument(
+        "--float-target", choices=("auto", "8", "16f", "32f"), default="auto", help="accumulation format"
+    )
+    parser.add_argument("--sh-degree", type=int, choices=range(4), default=3, help="evaluate at most this degree")
+    parser.add_argument("--antialias", action="store_true", help="opacity compensation for small splats")
+    parser.add_argument("--rotation", choices=("polar", "raw"), default="polar", help="blended rotation of a skin")
+    parser.add_argument("--layers", choices=("auto", "vertex", "geometry"), default="auto", help="who writes gl_Layer")
+    parser.add_argument("--sorter", choices=("auto", "cpu", "gpu"), default="auto", help="where splats are sorted")
+    parser.add_argument("--device", help="EGL device: index or part of its name (also GLSPLAT_DEVICE)")
+    parser.add_argument("--json", action="store_true", help="print driver, variant, counts and stage times")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Render what the arguments say."""
+    output = Path(args.output)
+    sequence = args.turntable is not None or (args.motion is not None and args.frame is None)
+    _check_output(args.output, sequence)
+    scene = load_scene(args)
+    count, shots = _shots(args, scene)
+    first = next(shots)
+    config = RenderConfig(
+        target=args.float_target,
+        output="float32" if output.suffix == ".npy" else "uint8",
+        layers=args.layers,
+        sorter=args.sorter,
+        rotation=args.rotation,
+        sh_degree=args.sh_degree,
+        antialias=args.antialias,
+    )
+    context = create_context(args.device)
+    try:
+        camera = first.cameras[0]
+        with Renderer(
+            scene, size=(camera.width, camera.height), views=len(first.cameras), config=config, context=context
+        ) as renderer:
+            images = renderer.render(first.cameras, first.pose)
+            if sequence:
+                _save_sequence(args, renderer, side_by_side(images), shots, count)
+            elif output.suffix == ".npy":
+                save_npy(output, images if first.several else images[0])
+            else:
+                save_png(output, side_by_side(images))
+            if args.json:
+                print(json.dumps(_report(renderer)))
+    finally:
+        context.release()
+    return 0
+
+
+@dataclass(frozen=True)
+class _Shot:
+    cameras: list[Camera]
+    pose: Pose | None
+    several: bool  # a list of views was asked for: .npy is [V, H, W, 4]
+
+
+def _check_output(name: str, sequence: bool) -> None:
+    """Refuse what could not be written before the work starts."""
+    path = Path(name)
+    allowed = (".mp4", "") if sequence else (".png", ".npy")
+    if path.suffix.lower() not in allowed or (path.suffix == "" and not name.endswith("/") and not path.is_dir()):
+        expected = "end in .mp4, or in / for a PNG sequence" if sequence else "end in .png or .npy"
+        hint = "" if sequence else "; for a clip leave out --frame or give --turntable"
+        raise GlsplatError(f"-o {name}: the output needs to {expected}{hint}")
+    folder = path.parent
+    if not folder.is_dir():
+        raise FormatError(f"{name}: there is no folder {folder}; create it first")
+
+
+def _shots(args: argparse.Namespace, scene: Splats | Avatar) -> tuple[int, Iterator[_Shot]]:
+    """How many pictures, and each one's cameras and pose."""
+    if args.pose and args.motion:
+        raise GlsplatError("give --pose or --motion, not both")
+    if (args.pose or args.motion) and not isinstance(scene, Avatar):
+        raise GlsplatError("this scene has no skeleton; --pose and --motion need an avatar (.glb with a skin)")
+    pose: Pose | None = None
+    motion: Motion | None = None
+    if isinstance(scene, Avatar) and args.pose:
+        pose = load_pose(args.pose, scene.skeleton)
+    if isinstance(scene, Avatar) and args.motion:
+        motion = load_motion(args.motion, scene.skeleton)
+        if args.frame is not None:
+            if not 0 <= args.frame < len(motion):
+                raise GlsplatError(f"--frame needs 0 to {len(motion) - 1} for {args.motion}, not {args.frame}")
+            pose = motion.pose(args.frame)
+    if args.turntable is not None:
+        if args.turntable < 1:
+            raise GlsplatError(f"--turntable needs at least 1 view, not {args.turntable}")
+        if args.cameras:
+            raise GlsplatError("give --cameras or --turntable, not both")
+        views = (_Shot(_view(args, scene, 2 * np.pi * i / args.turntable), pose, False) for i in range(args.turntable))
+        return args.turntable, views
+    cameras = load_cameras(args.cameras) if args.cameras else _view(args, scene)
+    several = len(cameras) > 1 or (bool(args.cameras) and Path(args.cameras).read_text().lstrip().startswith("["))
+    if motion is not None and args.frame is None:
+        # on the motion's clock, so that a clip plays at the speed it was recorded
+        count = max(1, round(len(motion) / motion.fps * args.fps))
+        return count, (_Shot(cameras, motion.at(i / args.fps), several) for i in range(count))
+    return 1, iter([_Shot(cameras, pose, several)])
+
+
+def _view(args: argparse.Namespace, scene: Splats | Avatar, angle: float = 0.0) -> list[Camera]:
+    eye, target = viewing_point(scene, args.fov)
+    eye = eye if args.eye is None else np.array(args.eye)
+    target = target if args.target is None else np.array(args.target)
+    x, y, z = eye - target
+    turned = np.array([x * np.cos(angle) + z * np.sin(angle), y, z * np.cos(angle) - x * np.sin(angle)])
+    return view_of(target + turned, target, args.size, args.fov, args.ipd if args.stereo else None, args.background)
+
+
+def _save_sequence(
+    args: argparse.Namespace, renderer: Renderer, first: NDArray[Any], shots: Iterator[_Shot], count: int
+) -> None:
+    pictures = (side_by_side(renderer.render(shot.cameras, shot.pose)) for shot in shots)
+    frames = tqdm(chain([first], pictures), total=count, unit="frame", disable=args.json or not sys.stderr.isatty())
+    path = Path(args.output)
+    if path.suffix.lower() == ".mp4":
+        with Clip(path, args.fps) as clip:
+            for picture in frames:
+                clip.add(picture)
+        return
+    path.mkdir(exist_ok=True)
+    for number, picture in enumerate(frames):
+        save_png(path / f"{number:05d}.png", picture)
+
+
+def _report(renderer: Renderer) -> dict[str, object]:
+    stats = renderer.stats
+    return {
+        "driver": renderer.driver,
+        "backend": renderer.context.backend,
+        "variant": asdict(renderer.variant),
+        "float_target": renderer.target_dtype,
+        "splats": stats.splats,
+        "drawn": stats.drawn,
+        "skipped": stats.skipped,
+        "culled": stats.culled,
+        "gpu_bytes": renderer.nbytes(),
+        "timings_ms": {stage: round(ms, 3) for stage, ms in renderer.timings.items()},
+    }

@@ -1,0 +1,90 @@
+"""What several commands share on their command lines: the scene, the view and the picture's size."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glsplat.avatar import Avatar, default_avatar
+from glsplat.camera import Camera, look_at, pinhole, stereo_cameras
+from glsplat.errors import FormatError
+from glsplat.formats import load
+from glsplat.splats import Splats
+
+__all__ = ["add_scene", "load_scene", "point", "size", "splats_of", "view_of", "viewing_point"]
+
+OPENGL_FROM_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
+
+
+def add_scene(parser: argparse.ArgumentParser) -> None:
+    """The positional SCENE and --strict."""
+    parser.add_argument("scene", nargs="?", metavar="SCENE", help="PLY, .splat or glTF; default: the embedded avatar")
+    parser.add_argument("--strict", action="store_true", help="refuse files with NaN or infinity instead of skipping")
+
+
+def load_scene(args: argparse.Namespace) -> Splats | Avatar:
+    """The scene the arguments name, or the default avatar."""
+    if args.scene is None:
+        return default_avatar()
+    if not Path(args.scene).exists():
+        raise FormatError(f"{args.scene}: no such file; give a PLY, .splat or glTF, or nothing for the default avatar")
+    return load(args.scene, strict=getattr(args, "strict", False))
+
+
+def splats_of(scene: Splats | Avatar) -> Splats:
+    """The splats of either kind of scene."""
+    return scene.splats if isinstance(scene, Avatar) else scene
+
+
+def size(text: str) -> tuple[int, int]:
+    """argparse type: WxH, or one number for a square."""
+    try:
+        parts = [int(part) for part in text.lower().split("x")]
+        width, height = parts * 2 if len(parts) == 1 else parts
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"a size is WxH, for example 1024x1024, not {text!r}") from None
+    if width < 1 or height < 1:
+        raise argparse.ArgumentTypeError(f"a size is at least 1x1, not {text!r}")
+    return width, height
+
+
+def point(text: str) -> tuple[float, float, float]:
+    """argparse type: x,y,z in metres."""
+    try:
+        x, y, z = (float(part) for part in text.split(","))
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"a point is x,y,z, for example 0,1,3, not {text!r}") from None
+    if not np.isfinite((x, y, z)).all():
+        raise argparse.ArgumentTypeError(f"a point is three finite numbers, not {text!r}")
+    return x, y, z
+
+
+def viewing_point(scene: Splats | Avatar, fov: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """(eye, target) that shows 98 % of the splats from the front (+z)."""
+    splats = splats_of(scene)
+    usable = splats.finite()
+    if not usable.any():
+        return np.array([0.0, 0.0, 1.0]), np.zeros(3)
+    low, high = np.percentile(splats.means[usable].astype(np.float64), (1, 99), axis=0)
+    centre, half = (low + high) / 2, max(float((high - low).max()) / 2, 1e-3)
+    distance = half * 1.25 / np.tan(np.radians(fov) / 2) + float(high[2] - low[2]) / 2
+    return centre + np.array([0, 0, distance]), centre
+
+
+def view_of(
+    eye: NDArray[np.float64],  # [3]
+    target: NDArray[np.float64],  # [3]
+    pixels: tuple[int, int],
+    fov: float,
+    ipd: float | None = None,  # a stereo pair with this distance between the eyes
+    background: tuple[float, float, float] = (0.0, 0.0, 0.0),
+) -> list[Camera]:
+    """One camera, or the two eyes of a head, looking from ``eye`` to ``target``."""
+    viewmat = look_at(eye, target)
+    if ipd is None:
+        return [Camera(viewmat, pinhole(*pixels, fov), *pixels, background=background)]
+    head = np.linalg.inv(OPENGL_FROM_OPENCV @ viewmat)
+    return list(stereo_cameras(head, ipd, fov, size=pixels, background=background))
