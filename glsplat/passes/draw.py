@@ -30,14 +30,17 @@ class DrawPass:
             )
             offset += floats * 4
 
-    def run(self, target: Target, count: int) -> None:
-        """Blend ``count`` records, first to last, into the target."""
+    def run(self, target: Target, count: int, indirect: moderngl.Buffer | None = None) -> None:
+        """Blend ``count`` records, first to last, into the target; ``indirect`` has the number if only the GPU knows."""
         target.framebuffer.use()
         if not count:
             return
         self._ctx.enable_only(moderngl.BLEND)
         self._ctx.blend_func = moderngl.ONE, moderngl.ONE_MINUS_SRC_ALPHA
-        self._array.render(moderngl.TRIANGLE_STRIP, vertices=4, instances=count * self._views)
+        if indirect is None:
+            self._array.render(moderngl.TRIANGLE_STRIP, vertices=4, instances=count * self._views)
+        else:
+            self._array.render_indirect(indirect, moderngl.TRIANGLE_STRIP, count=1)
         self._ctx.enable_only(moderngl.NOTHING)
 
     def release(self) -> None:

@@ -14,6 +14,7 @@ from glsplat.context import Context
 from glsplat.passes.draw import DrawPass
 from glsplat.passes.frame import FrameBlock
 from glsplat.passes.geometry import KeyPass, SkinPass
+from glsplat.passes.gpu_sort import GpuSorter
 from glsplat.passes.project import ProjectPass
 from glsplat.passes.scene import SceneBuffers
 from glsplat.passes.sort import count_culled, sorted_indices
@@ -41,9 +42,14 @@ class Pipeline:
         content = self._skin.content() if self._skin else scene.rigid_content()
         self._key = KeyPass(ctx, programs, variant, content, count)
         self._project = ProjectPass(ctx, programs, variant, content + scene.sh_content(variant), count)
+        self._sorter: GpuSorter | None = None
+        if config.sorter == "gpu" or (config.sorter == "auto" and context.compute and not context.software):
+            work = (self._key.keys, self._project.order, self._project.records)
+            self._sorter = GpuSorter(ctx, programs, *work, count, variant.views, config.sort_bits)
         self._draw = DrawPass(ctx, programs, variant, self._project.records)
         self._resolve = Resolve(ctx, programs, variant)
         self._sorted_for: tuple[Any, ...] | None = None
+        self._counted_for: tuple[Any, ...] | None = None
         self._posed_for = -1
         self.culled: dict[str, int] = {}
 
@@ -75,9 +81,13 @@ class Pipeline:
         if resort:
             self._key.run()
             timer.mark("key")
-            keys = self._key.read()
-            self.culled = count_culled(keys)
-            self._project.write_order(sorted_indices(keys, self._config.sort_bits))
+            if self._sorter:
+                self._sorter.run()
+                self._project.count = self._scene.count  # culled ones sort last; the indirect draw leaves them out
+            else:
+                keys = self._key.read()
+                self.culled = count_culled(keys)
+                self._project.write_order(sorted_indices(keys, self._config.sort_bits))
             self._sorted_for = state
             timer.mark("sort")
             self._project.run()
@@ -87,7 +97,7 @@ class Pipeline:
     def draw(self, target: Target, views: Sequence[Camera], timer: StageTimer) -> None:
         """Step 4: backgrounds, then every record into its layer."""
         self._resolve.clear(target, views)
-        self._draw.run(target, self._project.count)
+        self._draw.run(target, self._project.count, self._sorter.indirect if self._sorter else None)
         timer.mark("draw")
 
     def read(self, target: Target, byte_target: Target | None, out: NDArray[Any], timer: StageTimer) -> None:
@@ -104,11 +114,14 @@ class Pipeline:
             source.read(pixels)
             scale = 1 / 255 if pixels.dtype == np.uint8 else 1
             np.multiply(pixels, scale, out=out, casting="unsafe", dtype=np.float32)
+        if self._sorter and self._counted_for != self._sorted_for:
+            self._project.count, self.culled = self._sorter.counts()  # after the read, so that nothing waits twice
+            self._counted_for = self._sorted_for
         timer.mark("read")
 
     def release(self) -> None:
         """Delete the work buffers and vertex arrays."""
-        for item in (self._skin, self._key, self._project, self._draw, self._resolve, self._frame):
+        for item in (self._skin, self._key, self._project, self._sorter, self._draw, self._resolve, self._frame):
             if item is not None:
                 item.release()
         self._scratch.release()

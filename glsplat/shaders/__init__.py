@@ -156,7 +156,12 @@ def link(
 ) -> moderngl.Program:
     """Compile and link; a ShaderError names the chunk and its line."""
     try:
-        return ctx.program(varyings=tuple(varyings), **{stage: source.text for stage, source in stages.items()})
+        return ctx.program(
+            vertex_shader=stages["vertex_shader"].text,
+            fragment_shader=stages["fragment_shader"].text if "fragment_shader" in stages else None,
+            geometry_shader=stages["geometry_shader"].text if "geometry_shader" in stages else None,
+            varyings=tuple(varyings),
+        )
     except moderngl.Error as error:
         raise ShaderError(_message(name, stages, str(error))) from None
 
