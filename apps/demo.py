@@ -1,0 +1,139 @@
+"""``glsplat demo``: server and client together on this machine, measured, with pictures to look at."""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import json
+import multiprocessing
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from multiprocessing.connection import Connection
+from pathlib import Path
+
+import numpy as np
+from tqdm import tqdm
+
+from glsplat.errors import FormatError, GlsplatError
+from glsplat.formats.files import replace_file
+from glsplat.net.client import Client
+
+from .replay import load_drive, save_clip, save_sheet
+from .scene import size
+from .stage_table import frame_text, table_markdown, table_text
+from .streaming import Drive, Result, observer, stream
+
+HELP = (
+    "Start a server, stream a motion through it at two sizes, and show rates, stage times, a contact sheet and a clip."
+)
+EXAMPLE = "glsplat demo -o out/demo"
+
+_START = 60.0  # seconds a server may take to get ready on a slow machine
+_STOP = 10.0
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The command line."""
+    parser.add_argument("-o", "--output", type=Path, default=Path("out/demo"), help="folder (default out/demo)")
+    parser.add_argument("--avatar", metavar="FILE", help="avatar to show (default: the embedded one)")
+    parser.add_argument("--motion", metavar="FILE", help="motion file or name (default: an embedded one)")
+    parser.add_argument("--seconds", type=float, default=8.0, help="streaming time at each size (default 8)")
+    parser.add_argument("--fps", type=float, default=72.0, help="requests a second (default 72)")
+    parser.add_argument("--sizes", type=size, nargs="+", default=[(512, 512), (1024, 1024)], help="pixels an eye")
+    parser.add_argument("--table", type=Path, metavar="FILE", help="write the stage table as markdown")
+    parser.add_argument("--json", action="store_true", help="print the numbers as JSON")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Serve, stream, report, save, stop."""
+    if not 0.1 <= args.seconds <= 600 or not 1 <= args.fps <= 240:
+        raise GlsplatError("--seconds needs 0.1 to 600 and --fps 1 to 240")
+    try:
+        args.output.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise FormatError(f"{args.output}: cannot make the folder ({error.strerror})") from None
+    drive, _ = load_drive(args.motion, args.avatar)
+    with _server(args.avatar) as url:
+        results = asyncio.run(_measure(args, url, drive))
+    sheet, clip = args.output / "contact_sheet.png", args.output / "clip.mp4"
+    kept = results[-1][1].kept
+    if not kept:
+        raise GlsplatError("no picture came; run `glsplat serve --verbose` and `glsplat replay` to see why")
+    save_sheet(sheet, kept)
+    save_clip(clip, kept)
+    if args.table:
+        replace_file(args.table, [table_markdown(results).encode()])
+    if args.json:
+        files = [str(sheet), str(clip)]
+        print(json.dumps({"runs": {name: result.summary() for name, result in results}, "files": files}))
+        return 0
+    for name, result in results:
+        print(f"2x {name}, drawn by {result.driver}")
+        print(table_text(result))
+        print(frame_text(result), end="\n\n")
+    print(sheet, clip, *([args.table] if args.table else []), sep="\n")
+    return 0
+
+
+async def _measure(args: argparse.Namespace, url: str, drive: Drive) -> list[tuple[str, Result]]:
+    results = []
+    frames = max(1, round(args.seconds * args.fps))
+    bars = not args.json and sys.stderr.isatty()
+    for pixels in args.sizes:
+        name = f"{pixels[0]}x{pixels[1]}"
+        async with Client(url, timeout=30.0) as client:
+            await client.render(observer(0.0, np.zeros(3), pixels))  # a new size makes new targets: not measured
+            with tqdm(total=frames, desc=name, unit="frame", disable=not bars, leave=False) as bar:
+                result = await stream(
+                    client,
+                    drive,
+                    frames=frames,
+                    fps=args.fps,
+                    size=pixels,
+                    keep=pixels == args.sizes[-1],
+                    progress=bar.update,
+                )
+        results.append((name, result))
+    return results
+
+
+@contextmanager
+def _server(avatar: str | None) -> Iterator[str]:
+    """A server in a process of its own on a free port of loopback; yields its URL and stops it in order."""
+    processes = multiprocessing.get_context("spawn")
+    ours, theirs = processes.Pipe()
+    process = processes.Process(target=_serve, args=(theirs, avatar), name="glsplat serve", daemon=True)
+    process.start()
+    theirs.close()
+    try:
+        if not ours.poll(_START):
+            raise GlsplatError(f"the server was not ready within {_START:g} s")
+        try:
+            ready, text = ours.recv()
+        except EOFError:
+            raise GlsplatError("the server ended before it was ready") from None
+        if not ready:
+            raise GlsplatError(text)
+        yield text
+    finally:
+        process.terminate()  # SIGTERM: it sends what is under way and ends with 0
+        process.join(_STOP)
+        if process.is_alive():
+            process.kill()
+            process.join()
+
+
+def _serve(connection: Connection, avatar: str | None) -> None:
+    """The child: tells its URL, or one line of what went wrong."""
+    from glsplat.net.server import ServerConfig
+
+    from .scene import load_scene
+    from .serve import make_server
+
+    try:
+        scene = load_scene(argparse.Namespace(scene=avatar))
+        server = make_server(scene, ServerConfig(port=0, scene=avatar or "default avatar"))
+        asyncio.run(server.run(lambda: connection.send((True, server.url))))
+    except GlsplatError as error:
+        connection.send((False, str(error)))

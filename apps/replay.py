@@ -1,0 +1,204 @@
+"""``glsplat replay``: a client that streams a motion through a server and reports where the time goes."""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import json
+import sys
+from bisect import bisect_right
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+from tqdm import tqdm
+
+from glsplat.errors import FormatError, GlsplatError, PoseError
+from glsplat.net.access import read_token
+from glsplat.net.client import Client
+from glsplat.net.reply import Reply
+from glsplat.skinning.pose import Pose
+
+from .output import Clip, label, save_png, side_by_side, stack
+from .scene import size
+from .stage_table import frame_text, table_text
+from .streaming import Drive, Result, stream
+
+HELP = "Stream a motion or a recording of head and hands through a server; report latency by stage and save pictures."
+EXAMPLE = "glsplat replay wave-and-turn --url ws://127.0.0.1:8000/ws --save sheet.png"
+
+_MOMENTS = 6  # pairs on a contact sheet
+_TILE = 1024  # pixels across a pair on a contact sheet
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The command line."""
+    parser.add_argument(
+        "motion", nargs="?", metavar="MOTION|RECORDING", help="motion file or name, or .jsonl of tracking samples"
+    )
+    parser.add_argument("--url", default="ws://127.0.0.1:8000/ws", help="server (default ws://127.0.0.1:8000/ws)")
+    parser.add_argument("--avatar", metavar="FILE", help="avatar the server shows, for the motion's skeleton")
+    parser.add_argument("--fps", type=float, default=72.0, help="requests and display refreshes a second (default 72)")
+    parser.add_argument("--frames", type=int, help="requests in all (default: the motion once, at most 20 s)")
+    parser.add_argument("--window", type=int, default=2, help="pictures under way (default 2; 3 from 15 ms round trip)")
+    parser.add_argument("--size", type=size, default=(1024, 1024), help="pixels an eye (default 1024x1024)")
+    parser.add_argument("--quality", type=int, help="JPEG quality (default: the server's)")
+    parser.add_argument("--crop", action="store_true", help="have only the covered part of each picture sent")
+    parser.add_argument("--mirror", action="store_true", help="ask for the mirror image")
+    parser.add_argument("--token-file", type=Path, metavar="FILE", help="token for a server that wants one")
+    parser.add_argument("--tls-ca", type=Path, metavar="PEM", help="certificate to trust on wss://")
+    parser.add_argument("--save", metavar="DIR|.mp4|.png", help="pairs as PNG in a folder/, a clip, or a contact sheet")
+    parser.add_argument("--json", action="store_true", help="print the numbers as JSON")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Stream, report, save. 1 when no picture came."""
+    if not 1 <= args.fps <= 240:
+        raise GlsplatError(f"--fps needs 1 to 240, not {args.fps:g}")
+    if args.frames is not None and args.frames < 1:
+        raise GlsplatError(f"--frames needs at least 1, not {args.frames}")
+    if args.save:
+        check_target(args.save)
+    token = read_token(args.token_file) if args.token_file else None
+    client = Client(args.url, token, window=args.window, mirror=args.mirror, cafile=args.tls_ca)
+    drive, seconds = load_drive(args.motion, args.avatar)
+    frames = args.frames or max(1, round(min(seconds, 20.0) * args.fps))
+    result = asyncio.run(_stream(args, client, drive, frames))
+    if args.save and result.kept:
+        save_pictures(args.save, result)
+    if args.json:
+        print(json.dumps(result.summary()))
+    else:
+        print(f"{args.url}, {args.size[0]}x{args.size[1]} an eye, drawn by {result.driver or 'nobody'}")
+        print(table_text(result))
+        print(frame_text(result))
+        if args.save and result.kept:
+            print(args.save)
+    if not result.shown:
+        raise GlsplatError(f"no picture came{f': {result.last_error}' if result.last_error else ''}")
+    return 0
+
+
+async def _stream(args: argparse.Namespace, client: Client, drive: Drive, frames: int) -> Result:
+    async with client:
+        with tqdm(total=frames, unit="frame", disable=args.json or not sys.stderr.isatty(), leave=False) as bar:
+            return await stream(
+                client,
+                drive,
+                frames=frames,
+                fps=args.fps,
+                size=args.size,
+                quality=args.quality,
+                crop=args.crop,
+                keep=bool(args.save),
+                progress=bar.update,
+            )
+
+
+@dataclass(frozen=True)
+class Recording:
+    """Tracking samples in order of time; the sample of a moment is the newest that was known then."""
+
+    times: list[float]  # seconds from the first sample
+    samples: list[dict[str, Any]]
+
+    def at(self, seconds: float) -> Pose | Mapping[str, Any]:
+        """The tracking object at ``seconds``; the recording repeats."""
+        moment = seconds % (self.times[-1] or 1.0)
+        return self.samples[max(0, bisect_right(self.times, moment) - 1)]
+
+
+def load_drive(name: str | None, avatar: str | None = None) -> tuple[Drive, float]:
+    """What moves the avatar, and for how many seconds. Raises GlsplatError naming the file."""
+    if name is not None and name.endswith(".jsonl"):
+        recording = _load_recording(Path(name))
+        return recording, recording.times[-1] or 1.0
+    from glsplat.skinning.motion import EMBEDDED, load_motion
+
+    from glsplat.avatar import Avatar, default_avatar
+    from glsplat.formats import load
+
+    scene = load(avatar) if avatar else default_avatar()
+    if not isinstance(scene, Avatar):
+        raise GlsplatError(f"{avatar}: this scene has no skeleton to move; give an avatar (.glb with a skin)")
+    motion = load_motion(name or EMBEDDED[0], scene.skeleton)
+    return motion, len(motion) / motion.fps
+
+
+def _load_recording(path: Path) -> Recording:
+    from glsplat.tracking.sample import Sample
+
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+    except OSError as error:
+        raise FormatError(f"{path}: cannot read the recording ({error.strerror})") from None
+    except UnicodeError:
+        raise FormatError(f"{path}: a recording is text, a JSON object a line") from None
+    times, samples = [], []
+    for number, line in enumerate(lines, 1):
+        if not line.strip():
+            continue
+        try:
+            sample = Sample.from_json(msgspec.json.decode(line))
+        except (msgspec.MsgspecError, RecursionError, PoseError) as error:
+            raise FormatError(f"{path}, line {number}: {error}") from None
+        fields = sample.to_json()
+        times.append(float(fields.pop("t")))
+        samples.append(fields)
+    if not samples:
+        raise FormatError(f"{path}: expected tracking samples, a JSON object a line, found none")
+    return Recording([max(0.0, t - times[0]) for t in times], samples)
+
+
+def check_target(target: str) -> None:
+    """Refuse what could not be saved before the work starts."""
+    path = Path(target)
+    folder = path.suffix.lower() not in (".mp4", ".png")
+    if folder and path.suffix and not path.is_dir() and not target.endswith("/"):
+        raise GlsplatError(f"--save {target}: expected a folder/, a clip .mp4 or a contact sheet .png")
+    if not path.parent.is_dir():
+        raise FormatError(f"{target}: there is no folder {path.parent}; create it first")
+
+
+def save_pictures(target: str, result: Result) -> None:
+    """The kept pairs as a folder of PNG, a clip at the speed they came, or a contact sheet of several moments."""
+    path = Path(target)
+    if path.suffix.lower() == ".mp4":
+        save_clip(path, result.kept)
+    elif path.suffix.lower() == ".png":
+        save_sheet(path, result.kept)
+    else:
+        path.mkdir(exist_ok=True)
+        for _, reply in result.kept:
+            save_png(path / f"{reply.frame_id:06d}.png", _pair(reply))
+
+
+def save_clip(path: Path, kept: list[tuple[float, Reply]]) -> None:
+    """Left and right side by side, MP4, at the mean rate of the pictures."""
+    seconds = kept[-1][0] - kept[0][0]
+    fps = (len(kept) - 1) / seconds if seconds > 0 else 10.0
+    with Clip(path, max(1.0, round(fps, 2))) as clip:
+        for _, reply in kept:
+            clip.add(_pair(reply))
+
+
+def save_sheet(path: Path, kept: list[tuple[float, Reply]], columns: int = 2) -> None:
+    """Several moments, each left and right side by side with frame number and time."""
+    step = max(1, len(kept) / _MOMENTS)
+    chosen = [kept[int(i * step)] for i in range(min(_MOMENTS, len(kept)))]
+    tiles = []
+    for seconds, reply in chosen:
+        pair = _pair(reply)
+        scale = min(1.0, _TILE / pair.shape[1])
+        pair = cv2.resize(pair, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+        tiles.append(label(pair, f"frame {reply.frame_id}, {seconds:.2f} s: left | right"))
+    save_png(path, stack([tiles[i : i + columns] for i in range(0, len(tiles), columns)]))
+
+
+def _pair(reply: Reply) -> NDArray[np.uint8]:
+    return side_by_side(np.stack(reply.images()))

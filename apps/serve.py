@@ -1,0 +1,152 @@
+"""``glsplat serve``: the headless render server."""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import json
+import logging
+import sys
+from pathlib import Path
+
+from glsplat.avatar import Avatar
+from glsplat.camera import PAPER_FOV, PAPER_IPD, look_at, pinhole
+from glsplat.camera import Camera as View
+from glsplat.config import RenderConfig
+from glsplat.errors import GlsplatError
+from glsplat.net.access import Access, is_loopback, read_token
+from glsplat.net.backend import Rendered
+from glsplat.net.messages import RenderRequest, WireOptions
+from glsplat.net.server import Server, ServerConfig
+from glsplat.net.session import SessionConfig
+from glsplat.splats import Splats
+
+from .scene import add_scene, load_scene, size
+
+HELP = "Serve pictures of an avatar to headsets and other clients over a WebSocket (docs/protocol.md)."
+EXAMPLE = "glsplat serve me.glb --port 8000"
+
+
+class RendererBackend:
+    """The renderer as the server sees it. One target size is kept; clients that agree on one are fastest."""
+
+    def __init__(self, scene: Splats | Avatar, pixels: tuple[int, int], device: str | None = None) -> None:
+        self._scene, self._pixels, self._device = scene, pixels, device
+
+    def open(self) -> str:
+        """Make the context, load the scene, and draw once so that no client waits for the shaders."""
+        from glsplat.context import create_context  # here: the module can be imported without a driver
+        from glsplat.renderer import Renderer
+
+        self._context = create_context(self._device)
+        try:
+            self._renderer = Renderer(
+                self._scene, size=self._pixels, views=2, config=RenderConfig(), context=self._context
+            )
+            view = View(look_at((0, 1.2, 2.0), (0, 1, 0)), pinhole(*self._pixels), *self._pixels)
+            self._renderer.render([view, view])
+        except BaseException:
+            self._context.release()
+            raise
+        return self._renderer.driver
+
+    def render(self, request: RenderRequest) -> Rendered:
+        """Draw all eyes of a request in one call."""
+        first = request.cameras[0]
+        self._renderer.resize(first.width, first.height)
+        images = self._renderer.render(request.cameras, request.pose)
+        return Rendered(images, dict(self._renderer.timings), self._renderer.driver)
+
+    def close(self) -> None:
+        """Release the renderer and its context."""
+        self._renderer.release()
+        self._context.release()
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The command line."""
+    add_scene(parser)
+    parser.add_argument("--host", default="127.0.0.1", help="address to listen on (default 127.0.0.1, this machine)")
+    parser.add_argument("--port", type=int, default=8000, help="port (default 8000; 0: any free one)")
+    parser.add_argument("--size", type=size, default=(1024, 1024), help="pixels an eye where requests name none")
+    parser.add_argument("--max-size", type=int, default=2048, help="largest side a request may ask for (default 2048)")
+    parser.add_argument("--quality", type=int, default=80, help="JPEG quality where requests name none (default 80)")
+    parser.add_argument("--max-clients", type=int, default=8, help="clients at once (default 8)")
+    parser.add_argument("--window", type=int, default=2, help="pictures under way a client (default 2)")
+    parser.add_argument("--ipd", type=float, default=PAPER_IPD, help="metres between the eyes, for requests with heads")
+    parser.add_argument("--fov", type=float, default=PAPER_FOV, help="vertical degrees, for requests with heads")
+    parser.add_argument(
+        "--mirror", action="store_true", help="show the mirror image (clients may choose by /ws?mirror=)"
+    )
+    parser.add_argument("--tls-cert", type=Path, metavar="PEM", help="certificate; makes it wss:// and https://")
+    parser.add_argument("--tls-key", type=Path, metavar="PEM", help="its key")
+    parser.add_argument("--token-file", type=Path, metavar="FILE", help="clients need the token in this file")
+    parser.add_argument("--origin", action="append", default=[], help="web page that may connect; may be repeated")
+    parser.add_argument("--insecure", action="store_true", help="listen beyond this machine without TLS and token")
+    parser.add_argument("--device", help="EGL device: index or part of its name (also GLSPLAT_DEVICE)")
+    parser.add_argument("--json", action="store_true", help="print address and driver as a JSON line once ready")
+    parser.add_argument("--verbose", action="store_true", help="log tracebacks of failed pictures")
+
+
+def server_config(args: argparse.Namespace) -> ServerConfig:
+    """The checked configuration. Raises GlsplatError naming the option that does not fit."""
+    limits = {
+        "--port": (args.port, 0, 65535),
+        "--max-size": (args.max_size, 1, 8192),
+        "--quality": (args.quality, 1, 100),
+    }
+    limits |= {"--max-clients": (args.max_clients, 1, 256), "--window": (args.window, 1, 8)}
+    for name, (value, low, high) in limits.items():
+        if not low <= value <= high:
+            raise GlsplatError(f"{name} needs {low} to {high}, not {value}")
+    if not 0 <= args.ipd <= 0.2 or not 1 <= args.fov <= 170:
+        raise GlsplatError("--ipd needs 0 to 0.2 m and --fov 1 to 170 degrees")
+    if max(args.size) > args.max_size:
+        raise GlsplatError(f"--size needs at most {args.max_size} a side; raise --max-size to allow more")
+    if (args.tls_cert is None) != (args.tls_key is None):
+        raise GlsplatError("TLS needs both --tls-cert and --tls-key")
+    tls = None if args.tls_cert is None else (args.tls_cert, args.tls_key)
+    token = None if args.token_file is None else read_token(args.token_file)
+    access = Access(
+        host=args.host, token=token, tls=tls is not None, insecure=args.insecure, origins=tuple(args.origin)
+    )
+    wire = WireOptions(
+        size=args.size, max_side=args.max_size, quality=args.quality, ipd=args.ipd, fov=args.fov, mirror=args.mirror
+    )
+    return ServerConfig(
+        access=access,
+        port=args.port,
+        tls=tls,
+        wire=wire,
+        session=SessionConfig(window=args.window),
+        max_clients=args.max_clients,
+        scene=Path(args.scene).name if args.scene else "default avatar",
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Serve until SIGINT or SIGTERM; 0 after an orderly stop."""
+    config = server_config(args)
+    logging.basicConfig(level=logging.INFO if args.verbose else logging.WARNING, format="glsplat serve: %(message)s")
+    if args.insecure and not is_loopback(args.host):
+        print("glsplat serve: anybody who reaches this port can use it (--insecure)", file=sys.stderr)
+    scene = load_scene(args)
+    server = make_server(scene, config, args.device)
+
+    def started() -> None:
+        if args.json:
+            print(json.dumps({"url": server.url, "port": server.port, "driver": server.pump.driver}), flush=True)
+        else:
+            page = server.url.replace("ws", "http", 1).removesuffix("ws")
+            print(f"{config.scene} at {server.url} (status: {page}), drawn by {server.pump.driver}", flush=True)
+
+    asyncio.run(server.run(started))
+    return 0
+
+
+def make_server(scene: Splats | Avatar, config: ServerConfig, device: str | None = None) -> Server:
+    """A server that draws ``scene`` with OpenGL."""
+    # threads hand over every 0.5 ms instead of 5: the loop answers in time while the render thread holds the GIL
+    sys.setswitchinterval(0.0005)
+    skeleton = scene.skeleton if isinstance(scene, Avatar) else None
+    return Server(RendererBackend(scene, config.wire.size, device), config, skeleton=skeleton)

@@ -1,0 +1,243 @@
+"""Streaming a motion through a server and timing every stage: what ``replay`` and ``demo`` share."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glsplat.camera import Camera, look_at, stereo_cameras
+from glsplat.errors import ProtocolError
+from glsplat.net.client import Arrived, Client
+from glsplat.net.reply import Reply
+from glsplat.net.stages import median_p95
+from glsplat.skinning.pose import Pose
+
+__all__ = ["STAGES", "Drive", "Result", "observer", "stream"]
+
+_OPENGL_FROM_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
+_LAST = 3.0  # seconds to wait for the last pictures
+
+STAGES: tuple[tuple[str, str, str], ...] = (
+    ("ik", "tracking and IK", "server"),
+    ("communication", "communication", "both"),
+    ("wait", "waiting for its turn", "both"),
+    ("render", "stereo rendering", "server"),
+    ("encode", "encoding (JPEG)", "server"),
+    ("decode", "decoding", "client"),
+    ("end_to_end", "end to end", ""),
+)
+"""Key, name and place of the rows of the latency table; the first six add up to the last."""
+
+
+class Drive(Protocol):
+    """What moves the avatar: a pose or a tracking sample for any moment."""
+
+    def at(self, seconds: float) -> Pose | Mapping[str, Any]:
+        """A Pose, or a tracking object of docs/protocol.md."""
+        ...
+
+
+@dataclass
+class Result:
+    """What happened to the frames of one run. Times in ms."""
+
+    sent: int = 0
+    received: int = 0
+    shown: int = 0
+    late: int = 0  # received, but replaced by a newer picture before it could be shown
+    errors: int = 0
+    seconds: float = 0.0  # from the first request to the last picture
+    last_error: str = ""
+    driver: str = ""
+    times: dict[str, list[float]] = field(default_factory=dict)  # by stage
+    ages: list[float] = field(default_factory=list)  # of the picture on show, at each display refresh
+    nbytes: list[int] = field(default_factory=list)  # of each reply
+    kept: list[tuple[float, Reply]] = field(default_factory=list)  # seconds and picture, in order
+
+    @property
+    def dropped(self) -> int:
+        """Requests that were never drawn because a newer one came."""
+        return self.sent - self.received - self.errors
+
+    @property
+    def fps(self) -> float:
+        """Different pictures shown a second."""
+        return self.shown / self.seconds if self.seconds > 0 else 0.0
+
+    def add(self, arrived: Arrived, decode_ms: float, done: float) -> None:
+        """Account for one decoded reply."""
+        server = arrived.reply.info.get("times", {})
+        row = {
+            "ik": server.get("ik", 0.0),
+            "communication": arrived.communication_ms,
+            "render": server.get("render", 0.0),
+            "encode": server.get("encode", 0.0),
+            "decode": decode_ms,
+            "end_to_end": (done - arrived.requested) * 1e3,
+        }
+        # whatever is left: the mailbox, hand-overs between threads, a busy client
+        row["wait"] = max(0.0, 2 * row["end_to_end"] - sum(row.values()))
+        row |= {f"render/{k}": v for k, v in server.items() if k not in (*row, "total", "wait")}
+        for name, ms in row.items():
+            self.times.setdefault(name, []).append(ms)
+
+    def summary(self) -> dict[str, Any]:
+        """The numbers, for --json."""
+        stages = {name: median_p95(values) for name, values in self.times.items()}
+        age = median_p95(self.ages)
+        return {
+            "driver": self.driver,
+            "fps": round(self.fps, 2),
+            "seconds": round(self.seconds, 2),
+            "sent": self.sent,
+            "received": self.received,
+            "shown": self.shown,
+            "dropped": self.dropped,
+            "late": self.late,
+            "errors": self.errors,
+            "bytes_per_frame": round(float(np.mean(self.nbytes))) if self.nbytes else 0,
+            "age_ms": {"median": round(age[0], 2), "p95": round(age[1], 2)},
+            "stages_ms": {name: {"median": round(m, 3), "p95": round(p, 3)} for name, (m, p) in stages.items()},
+        }
+
+
+def observer(seconds: float, root: NDArray[np.float64], size: tuple[int, int]) -> tuple[Camera, Camera]:
+    """The eyes of somebody who stands about 2 m in front of the avatar and sways: the view of the mirror study.
+
+    Head pose to eyes by the paper's equations 1 to 3. ``root`` [3] is the avatar's translation, followed on the floor.
+    """
+    floor = np.array([root[0], 0.0, root[2]])
+    sway = 0.3 * np.sin(0.7 * seconds), 1.35 + 0.05 * np.sin(0.45 * seconds), 2.0 + 0.2 * np.cos(0.3 * seconds)
+    head = np.linalg.inv(_OPENGL_FROM_OPENCV @ look_at(floor + np.array(sway), floor + np.array([0.0, 0.92, 0.0])))
+    return stereo_cameras(head, size=size)
+
+
+async def stream(
+    client: Client,
+    drive: Drive,
+    *,
+    frames: int,
+    fps: float = 72.0,
+    size: tuple[int, int] = (1024, 1024),
+    quality: int | None = None,
+    crop: bool = False,
+    keep: bool = False,
+    progress: Callable[[int], None] = lambda count: None,
+) -> Result:
+    """Send a request at every refresh of a display of ``fps`` Hz and show the newest decoded picture at each.
+
+    Nothing waits for a picture: the server draws the newest request when it is free. ``keep`` keeps the shown replies.
+    """
+    run = _Stream(client, keep)
+    receiver = asyncio.create_task(run.receive())
+    decoder = asyncio.create_task(run.decode())
+    start = time.perf_counter()
+    try:
+        for index in range(frames):
+            await asyncio.sleep(max(0.0, start + index / fps - time.perf_counter()))
+            run.refresh(time.perf_counter() - start)
+            seconds = index / fps
+            driven = drive.at(seconds)
+            pose = driven if isinstance(driven, Pose) else None
+            tracking = None if pose is not None else driven
+            root = np.zeros(3) if pose is None else pose.trans
+            eyes = observer(seconds, root, size)
+            await client.send(eyes, pose=pose, tracking=tracking, quality=quality, crop=crop)  # type: ignore[arg-type]
+            run.result.sent += 1
+            progress(1)
+            if receiver.done():
+                break
+        end = time.perf_counter() + _LAST
+        while not run.finished and not receiver.done() and time.perf_counter() < end:
+            await asyncio.sleep(1 / fps)
+            run.refresh(time.perf_counter() - start)
+        run.result.seconds = run.last_shown - start if run.result.shown else time.perf_counter() - start
+    finally:
+        for task in (receiver, decoder):
+            task.cancel()
+        outcomes = await asyncio.gather(receiver, decoder, return_exceptions=True)
+        run.threads.shutdown()
+    for outcome in outcomes:
+        if isinstance(outcome, Exception):
+            raise outcome
+    return run.result
+
+
+class _Stream:
+    """The receiving half: newest undecoded reply, newest decoded picture."""
+
+    def __init__(self, client: Client, keep: bool) -> None:
+        self.result = Result()
+        self.last_shown = 0.0
+        self.threads = ThreadPoolExecutor(2, thread_name_prefix="decode")
+        self._client = client
+        self._keep = keep
+        self._arrived: Arrived | None = None
+        self._decoding = False
+        self._wake = asyncio.Event()
+        self._decoded: Arrived | None = None
+        self._on_show: Arrived | None = None
+        self._newest = 0
+
+    @property
+    def finished(self) -> bool:
+        """True once the newest request has been answered and shown."""
+        pending = self._decoding or self._arrived is not None or self._decoded is not None
+        return self._newest >= self.result.sent and not pending
+
+    async def receive(self) -> None:
+        """Take replies as they come; a reply that replaces an undecoded one makes that late."""
+        while True:
+            try:
+                arrived = await self._client.receive()
+            except ProtocolError as error:
+                if error.code in ("closed", "timeout", "bad_reply"):
+                    raise
+                self.result.errors += 1
+                self.result.last_error = str(error)
+                self._newest = max(self._newest, error.frame_id or 0)
+                continue
+            self.result.received += 1
+            self.result.nbytes.append(arrived.reply.nbytes)
+            self.result.driver = arrived.reply.info.get("driver", "")
+            self._newest = max(self._newest, arrived.reply.frame_id)
+            self.result.late += self._arrived is not None
+            self._arrived = arrived
+            self._wake.set()
+
+    async def decode(self) -> None:
+        """Decode the newest reply, both eyes at once."""
+        loop = asyncio.get_running_loop()
+        while True:
+            await self._wake.wait()
+            self._wake.clear()
+            arrived, self._arrived = self._arrived, None
+            if arrived is None:
+                continue
+            self._decoding = True
+            start = time.perf_counter()
+            await asyncio.gather(*(loop.run_in_executor(self.threads, job) for job in arrived.reply.decoders()))
+            done = time.perf_counter()
+            self._decoding = False
+            self.result.add(arrived, (done - start) * 1e3, done)
+            self.result.late += self._decoded is not None
+            self._decoded = arrived
+
+    def refresh(self, seconds: float) -> None:
+        """One refresh of the display: show the newest decoded picture, note the age of what is on show."""
+        now = time.perf_counter()
+        if self._decoded is not None:
+            self._on_show, self._decoded = self._decoded, None
+            self.result.shown += 1
+            self.last_shown = now
+            if self._keep:
+                self.result.kept.append((seconds, self._on_show.reply))
+        if self._on_show is not None:
+            self.result.ages.append((now - self._on_show.requested) * 1e3)
