@@ -17,7 +17,7 @@ __all__ = ["load_splat", "looks_like_splat", "save_splat"]
 
 _RECORD = np.dtype([("mean", "<f4", 3), ("scale", "<f4", 3), ("rgba", "u1", 4), ("rot", "u1", 4)])
 _CHUNK = 1 << 16  # splats written at a time
-_PLAUSIBLE = 0.99  # of the splats; a capture may hold a few broken ones
+_PLAUSIBLE = 0.9  # of the splats; a capture may hold a few broken ones
 
 
 def load_splat(path: str | Path, *, strict: bool = False) -> Splats:
@@ -39,8 +39,9 @@ def load_splat(path: str | Path, *, strict: bool = False) -> Splats:
 
 
 def looks_like_splat(data: bytes) -> bool:
-    """Whether bytes without any magic can be a .splat: nearly all positions finite, nearly all scales positive."""
-    if not data or len(data) % _RECORD.itemsize:
+    """Whether bytes without any magic can be a .splat: most positions finite, most scales positive, and no text."""
+    # digits and blanks are small positive floats, but a quaternion has bytes of 128 and more
+    if not data or len(data) % _RECORD.itemsize or data[:4096].isascii():
         return False
     rows = np.frombuffer(data, _RECORD)
     mean, scale = rows["mean"], rows["scale"]

@@ -1,0 +1,167 @@
+"""``glsplat inspect``: what a file holds, and what in it is unusual."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import textwrap
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glsplat.avatar import Avatar
+from glsplat.formats import recognise
+from glsplat.splats import Splats
+
+from .scene import add_scene, load_scene, splats_of
+
+__all__ = ["EXAMPLE", "HELP", "add_arguments", "describe", "run"]
+
+HELP = "Say what is in a scene or avatar file: counts, ranges, the rig, and anything unusual."
+EXAMPLE = "glsplat inspect me.glb --json"
+
+_NEEDLE = 1e3  # longest over shortest axis
+_OUTLIER = 10  # times the distance from the median position within which 95 % of the splats lie
+_PERCENTILES = (0, 1, 50, 99, 100)
+_UNUSUAL = {
+    "not_finite": "NaN or infinity in some attribute; never drawn",
+    "zero_quaternions": "quaternion of length zero",
+    "negative_scales": "negative scale; drawn as its magnitude",
+    "zero_scales": "scale of zero; flat or a point",
+    "needles": f"longest axis more than {_NEEDLE:g} times the shortest",
+    "opacities_outside": "opacity below 0 or above 1",
+    "invisible": "opacity below 1/255; never drawn",
+    "outliers": f"farther out than {_OUTLIER} times 95 % of the others",
+}
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The command line."""
+    add_scene(parser)
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Print the description; a file that cannot be read raises FormatError."""
+    report = describe(load_scene(args), args.scene)
+    print(json.dumps(report, indent=1) if args.json else _text(report))
+    return 0
+
+
+def describe(scene: Splats | Avatar, path: str | Path | None) -> dict[str, Any]:
+    """Everything ``inspect`` knows, as JSON values. ``path`` is the file, None for the embedded avatar."""
+    splats = splats_of(scene)
+    report: dict[str, Any] = {
+        "file": None if path is None else str(path),
+        "format": "glb" if path is None else recognise(path),
+        "kind": "avatar" if isinstance(scene, Avatar) else "splats",
+        "splats": len(splats),
+        "sh_degree": splats.sh_degree,
+        "file_bytes": None if path is None else Path(path).stat().st_size,
+        "memory_bytes": splats.nbytes,
+        "bounds": _bounds(splats.means),
+        "scale": _percentiles(np.abs(splats.scales).max(axis=1)),
+        "opacity": _percentiles(splats.opacities),
+        "unusual": {name: count for name, count in _unusual(splats).items() if count},
+    }
+    if isinstance(scene, Avatar):
+        report["avatar"] = _rig(scene)
+        report["memory_bytes"] += scene.skin.joints.nbytes + scene.skin.weights.nbytes
+    return report
+
+
+def _rig(avatar: Avatar) -> dict[str, Any]:
+    skeleton, skin = avatar.skeleton, avatar.skin
+    strongest = np.bincount(skin.joints[:, 0], minlength=len(skeleton))
+    with np.errstate(all="ignore"):
+        offset = np.nan_to_num(skeleton.rest @ skeleton.inverse_bind - np.eye(4))
+    return {
+        "joints": len(skeleton),
+        "roots": [name for name, parent in zip(skeleton.names, skeleton.parents, strict=True) if parent < 0],
+        "influences": skin.influences,
+        "weight_lost": skin.lost,
+        "weights_repaired": skin.repaired,
+        "rest_offset": float(np.abs(offset).max()),  # 0: the zero pose shows the splats as they are stored
+        "splats_per_joint": {name: int(n) for name, n in zip(skeleton.names, strongest, strict=True) if n},
+        "meta": dict(avatar.meta),
+    }
+
+
+def _bounds(means: NDArray[np.float32]) -> dict[str, list[float]] | None:
+    usable = means[np.isfinite(means).all(axis=1)]
+    return {"min": usable.min(axis=0).tolist(), "max": usable.max(axis=0).tolist()} if len(usable) else None
+
+
+def _percentiles(values: NDArray[np.float32]) -> dict[str, float] | None:
+    usable = values[np.isfinite(values)].astype(np.float64)
+    if not len(usable):
+        return None
+    return {f"p{p}": float(value) for p, value in zip(_PERCENTILES, np.percentile(usable, _PERCENTILES), strict=True)}
+
+
+def _unusual(splats: Splats) -> dict[str, int]:
+    """Splats that are out of the ordinary, by kind; one splat may count in several."""
+    size = np.abs(splats.scales)
+    longest, shortest = size.max(axis=1), size.min(axis=1)
+    with np.errstate(invalid="ignore", over="ignore"):
+        found = {
+            "not_finite": ~splats.finite(),
+            "zero_quaternions": ~splats.quats.any(axis=1),
+            "negative_scales": (splats.scales < 0).any(axis=1),
+            "zero_scales": shortest == 0,
+            "needles": (shortest > 0) & np.isfinite(longest) & (longest > _NEEDLE * shortest),
+            "opacities_outside": (splats.opacities < 0) | (splats.opacities > 1),
+            "invisible": splats.opacities < 1 / 255,
+            "outliers": _outliers(splats.means),
+        }
+    return {name: int(mask.sum()) for name, mask in found.items()}
+
+
+def _outliers(means: NDArray[np.float32]) -> NDArray[np.bool_]:
+    finite: NDArray[np.bool_] = np.all(np.isfinite(means), axis=1)
+    if not finite.any():
+        return finite
+    usable = means[finite].astype(np.float64)
+    distance = np.linalg.norm(usable - np.median(usable, axis=0), axis=1)
+    out = np.zeros_like(finite)
+    out[finite] = distance > max(_OUTLIER * float(np.percentile(distance, 95)), 1e-6)
+    return out
+
+
+def _text(report: dict[str, Any]) -> str:
+    name = report["file"] or "the default avatar"
+    lines = [
+        f"{name}: {report['kind']}, {report['format']}, {report['splats']:,} splats, SH degree {report['sh_degree']}"
+    ]
+    size = "" if report["file_bytes"] is None else f"{report['file_bytes'] / 1e6:.2f} MB on disk, "
+    rows = [("size", f"{size}{report['memory_bytes'] / 1e6:.2f} MB in memory")]
+    if bounds := report["bounds"]:
+        axes = (
+            f"{axis} {low:.4g} to {high:.4g}"
+            for axis, low, high in zip("xyz", bounds["min"], bounds["max"], strict=True)
+        )
+        rows.append(("bounds", ", ".join(axes) + " m"))
+    for key, unit in (("scale", " m (longest axis)"), ("opacity", "")):
+        if values := report[key]:
+            rows.append((key, ", ".join(f"{p} {value:.4g}" for p, value in values.items()) + unit))
+    if rig := report.get("avatar"):
+        rows.append(
+            ("rig", f"{rig['joints']} joints, roots {', '.join(rig['roots'])}; {rig['influences']} influences a splat")
+        )
+        rows.append(
+            ("weights", f"{rig['weight_lost']:.3g} lost by truncation, {rig['weights_repaired']} splats repaired")
+        )
+        if rig["rest_offset"] > 1e-4:
+            rows.append(("rest", f"inverse bind matrices are {rig['rest_offset']:.3g} off the rest pose"))
+        parts = ", ".join(f"{joint} {count}" for joint, count in rig["splats_per_joint"].items())
+        rows.append(("parts", parts or "none"))
+        rows += [(key, value if isinstance(value, str) else json.dumps(value)) for key, value in rig["meta"].items()]
+    unusual = [f"{count:,} {name}: {_UNUSUAL[name]}" for name, count in report["unusual"].items()]
+    rows += [("unusual", text) for text in unusual] or [("unusual", "nothing")]
+    for key, text in rows:
+        # control characters of a stranger's file stay out of the terminal
+        clean = "".join(c if c.isprintable() else "?" for c in f"  {key:12} {text}")
+        lines += textwrap.wrap(clean, 110, subsequent_indent=" " * 15)
+    return "\n".join(lines)

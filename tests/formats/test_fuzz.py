@@ -1,0 +1,180 @@
+"""Mutated files: they load, or raise FormatError; nothing else, quickly, without a large allocation."""
+
+from __future__ import annotations
+
+import copy
+import json
+import tracemalloc
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from glsplat.avatar import Avatar
+from glsplat.errors import FormatError
+from glsplat.formats import load, load_gltf, load_ply, load_splat, save
+from glsplat.splats import Splats
+from tests.conftest import SHARED_DATA
+from tests.formats.scenes import awkward_splats, glb_parts, random_avatar, random_splats, write_glb
+from tests.formats.test_ply import columns, ply
+
+EXAMPLES = 120
+LIMIT = 8_000_000  # bytes a load of a file of a few kB may allocate
+REAL = ("splats/splatapult_sh3_16.ply", "splats/unit_cube_ascii.ply", "formats/splat-transform/minimal.splat")
+fuzz = settings(
+    max_examples=EXAMPLES,
+    deadline=3000,
+    database=None,
+    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
+)
+
+
+@lru_cache(maxsize=1)
+def seeds() -> list[bytes]:
+    import tempfile
+
+    out = [ply(columns(random_splats(5, degree)), order) for degree in (0, 1) for order in ("<", ">", "")]
+    with tempfile.TemporaryDirectory() as folder:
+        for name, scene in {
+            "a.glb": random_avatar(8, degree=1),
+            "b.glb": awkward_splats(),
+            "c.gltf": random_avatar(8, influences=8),
+            "d.splat": random_splats(8),
+            "e.ply": awkward_splats(),
+        }.items():
+            save(scene, Path(folder) / name)
+            out.append((Path(folder) / name).read_bytes())
+    out += [(SHARED_DATA / name).read_bytes() for name in REAL if (SHARED_DATA / name).is_file()]
+    return out
+
+
+def only_format_errors(path: Path, reader: Any) -> None:
+    tracemalloc.start()
+    try:
+        scene = reader(path)
+    except FormatError as error:
+        assert "\n" not in str(error) and str(error).startswith(str(path)) and len(str(error)) < 600
+    else:
+        assert isinstance(scene, (Splats, Avatar))
+    finally:
+        peak = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+    assert peak < LIMIT
+
+
+numbers = st.sampled_from([0, 1, -1, 2**31, 2**32 - 1, 2**53, 2**63, 10**30, 0.5, 1e308, -1e-320])
+json_values = st.recursive(
+    st.none() | st.booleans() | numbers | st.text(max_size=8) | st.integers(-3, 70_000),
+    lambda inner: st.lists(inner, max_size=17) | st.dictionaries(st.text(max_size=8), inner, max_size=3),
+    max_leaves=20,
+)
+
+
+@fuzz
+@given(data=st.data())
+def test_mutated_bytes(tmp_path: Path, data: st.DataObject) -> None:
+    content = bytearray(data.draw(st.sampled_from(seeds()), "seed"))
+    for _ in range(data.draw(st.integers(1, 6))):
+        kind = data.draw(st.sampled_from(["set", "set", "cut", "insert", "delete", "copy"]))
+        at = data.draw(st.integers(0, min(len(content), 3000)))
+        some = data.draw(st.binary(min_size=1, max_size=8))
+        length = data.draw(st.integers(1, 64))
+        if kind == "set":
+            content[at : at + len(some)] = some
+        elif kind == "cut":
+            del content[at:]
+        elif kind == "insert":
+            content[at:at] = some
+        elif kind == "delete":
+            del content[at : at + length]
+        else:
+            content[at:at] = content[at : at + length] * 3
+    path = tmp_path / "fuzz"
+    path.write_bytes(content)
+    for reader in (load, load_ply, load_splat, load_gltf):
+        only_format_errors(path, reader)
+
+
+@fuzz
+@given(data=st.data())
+def test_mutated_ply_header(tmp_path: Path, data: st.DataObject) -> None:
+    content = data.draw(st.sampled_from([s for s in seeds() if s.startswith(b"ply")]))
+    head, body = content.split(b"end_header\n", 1)
+    lines = head.decode("latin-1").splitlines()
+    words = ["0", "-1", "999999999999999999", "1e9", "vertex", "element", "property", "list", "double", "char", "uint",
+             "format ascii 1.0", "format binary_big_endian 1.0", "f_rest_0", "x", "", "\x85", "end_header"]  # fmt: skip
+    for _ in range(data.draw(st.integers(1, 4))):
+        i = data.draw(st.integers(1, len(lines) - 1))
+        kind = data.draw(st.sampled_from(["drop", "double", "word", "word", "swap"]))
+        if kind == "drop" and len(lines) > 2:
+            del lines[i]
+        elif kind == "double":
+            lines.insert(i, lines[i])
+        elif kind == "swap":
+            lines[i], lines[-1] = lines[-1], lines[i]
+        else:
+            parts = lines[i].split(" ")
+            parts[data.draw(st.integers(0, len(parts) - 1))] = data.draw(st.sampled_from(words))
+            lines[i] = " ".join(parts)
+    path = tmp_path / "fuzz.ply"
+    path.write_bytes("\n".join([*lines, "end_header\n"]).encode("latin-1") + body)
+    only_format_errors(path, load)
+
+
+def places(value: Any, path: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
+    out = [path] if path else []
+    if isinstance(value, dict):
+        for key in value:
+            out += places(value[key], (*path, key))
+    elif isinstance(value, list):
+        for i in range(len(value)):
+            out += places(value[i], (*path, i))
+    return out
+
+
+@fuzz
+@given(data=st.data())
+def test_mutated_gltf_json(tmp_path: Path, data: st.DataObject) -> None:
+    document, blob = glb_parts(next(s for s in seeds() if s.startswith(b"glTF")))
+    document = copy.deepcopy(document)
+    for _ in range(data.draw(st.integers(1, 3))):
+        *steps, last = data.draw(st.sampled_from(places(document)))
+        target = document
+        for step in steps:
+            target = target[step]
+        if isinstance(target, dict) and data.draw(st.booleans()):
+            del target[last]
+        else:
+            target[last] = data.draw(json_values)
+    path = tmp_path / "fuzz.glb"
+    write_glb(path, document, blob)
+    only_format_errors(path, load)
+    path.write_text(json.dumps(document))
+    only_format_errors(path, load_gltf)
+
+
+@fuzz
+@given(data=st.data())
+def test_random_rig_values(tmp_path: Path, data: st.DataObject) -> None:
+    """Any float in the buffers: skins are repaired or refused, splats kept."""
+    document, blob = glb_parts(next(s for s in seeds() if s.startswith(b"glTF")))
+    values = np.frombuffer(bytearray(blob), "<f4").copy()
+    for _ in range(data.draw(st.integers(1, 8))):
+        at = data.draw(st.integers(0, len(values) - 1))
+        values[at] = data.draw(st.floats(width=32))
+    path = tmp_path / "fuzz.glb"
+    write_glb(path, document, values.tobytes())
+    only_format_errors(path, load)
+
+
+@pytest.mark.parametrize("size", [1, 31, 32, 64, 1000, 3200])
+def test_random_files(tmp_path: Path, rng: np.random.Generator, size: int) -> None:
+    for start in (b"", b"ply\n", b"glTF", b"{"):
+        for _ in range(5):
+            path = tmp_path / "fuzz"
+            path.write_bytes((start + rng.bytes(size))[:size])
+            only_format_errors(path, load)
