@@ -52,7 +52,7 @@ class Asset(_Object):
 class Buffer(_Object):
     """buffers[]: without a URI it is the binary chunk of the GLB."""
 
-    byte_length: Index = 0
+    byte_length: Index
     uri: str | None = None
 
 

@@ -44,9 +44,13 @@ def write_rig(out: Output, avatar: Avatar, attributes: dict[str, int]) -> None:
         else:
             node.matrix = matrix.T.reshape(-1).tolist()
         gltf.nodes.append(node)
+    roots = gltf.scenes[0].nodes
+    if (skeleton.parents < 0).sum() > 1:  # the joints of a skin need a common root (glTF 2.0, 3.7.3.1)
+        roots.append(len(gltf.nodes))
+        gltf.nodes.append(Node(name="rig"))
+        roots = gltf.nodes[-1].children
     for j, parent in enumerate(skeleton.parents):
-        siblings = gltf.nodes[first + parent].children if parent >= 0 else gltf.scenes[0].nodes
-        siblings.append(first + j)
+        (roots if parent < 0 else gltf.nodes[first + parent].children).append(first + j)
     gltf.skins = [
         SkinObject(
             joints=list(range(first, first + len(skeleton))),

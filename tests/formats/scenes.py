@@ -52,7 +52,8 @@ def random_avatar(count: int = 40, joints: int = 5, influences: int = 4, degree:
         rest[j, :3, 3] = rng.normal(size=3)
     parents = np.array([-1, 0, 1, 1, -1][:joints])
     skeleton = Skeleton(tuple(f"bone {j}" for j in range(joints)), parents, rest)
-    skin = Skin.create(rng.integers(0, joints, (count, 8)), rng.random((count, 8)), joints, influences)
+    ids = np.argsort(rng.random((count, max(joints, 8))), axis=1)[:, :8]  # distinct, as glTF demands
+    skin = Skin.create(ids % joints, rng.random((count, 8)) * (ids < joints), joints, influences)
     meta = {"source": "a test", "licence": "CC0", "consent": None, "body_model": {"name": "five bones"}, "empty": []}
     return Avatar(random_splats(count, degree), skeleton, skin, meta)
 

@@ -106,6 +106,8 @@ def test_file_of_an_avatar_is_what_the_conventions_say(tmp_path: Path) -> None:
     assert document["asset"]["extras"]["glsplat"]["licence"] == "CC0"
     position = document["accessors"][primitive["attributes"]["POSITION"]]
     np.testing.assert_array_equal(position["min"], avatar.splats.means.min(axis=0))
+    roots = document["scenes"][0]["nodes"][1:]
+    assert [document["nodes"][i]["name"] for i in roots] == ["rig"]  # the joints' common root
     assert all(view["byteOffset"] % 4 == 0 for view in document["bufferViews"] if "byteOffset" in view)
 
 
@@ -403,7 +405,7 @@ BREAKS = {
     "accessor beyond": (put("meshes", 0, "primitives", 0, "attributes", "POSITION", value=99), "accessor of .* 99"),
     "buffer beyond": (put("bufferViews", 0, "buffer", value=1), "buffer 1"),
     "buffer too long": (put("buffers", 0, "byteLength", value=10**12), "truncated: buffer 0"),
-    "cycle": (put("nodes", 3, "children", value=[1]), "nodes form a cycle"),
+    "cycle": (put("nodes", 3, "children", value=[6]), "nodes form a cycle"),
     "own child": (put("nodes", 0, "children", value=[0]), "tree"),
     "two parents": (put("nodes", 5, "children", value=[2]), "more than one parent"),
     "child beyond": (put("nodes", 0, "children", value=[99]), "node 99"),
@@ -521,7 +523,7 @@ def test_nodes_between_joints_and_missing_inverse_bind(tmp_path: Path) -> None:
     save_gltf(random_avatar(), tmp_path / "a.glb")
 
     def change(document: dict[str, Any]) -> None:
-        document["nodes"][1]["children"] = [6]
+        document["nodes"][1]["children"] = [len(document["nodes"])]
         document["nodes"].append({"children": [2], "translation": [0, 5, 0]})
         del document["skins"][0]["inverseBindMatrices"]
 
