@@ -32,6 +32,7 @@ class Context:
     vertex_layers: bool  # the vertex shader can write gl_Layer (probed)
     compute: bool  # OpenGL 4.3
     software: bool  # a software rasterizer
+    scratch: moderngl.Framebuffer  # 1x1; what is bound while nothing is drawn
 
     @property
     def driver(self) -> str:
@@ -46,6 +47,9 @@ class Context:
 
     def release(self) -> None:
         """Destroy the context unless it was given."""
+        for texture in self.scratch.color_attachments:
+            texture.release()
+        self.scratch.release()
         if self.backend != "given":
             self.ctx.release()
 
@@ -136,7 +140,9 @@ def _egl(device: int | str | None) -> moderngl.Context:
     # glcontext lets this variable override the argument it is given
     os.environ.pop("GLCONTEXT_DEVICE_INDEX", None)
     try:
-        return moderngl.create_context(standalone=True, backend="egl", device_index=index, require=REQUIRED)
+        # moderngl's stub types the loader's settings as dicts
+        settings: dict[str, Any] = {"backend": "egl", "device_index": index}
+        return moderngl.create_context(standalone=True, require=REQUIRED, **settings)
     except Exception as error:  # glcontext raises bare Exception
         raise ContextError(f"EGL device {index} ({names[index]}) gives no OpenGL 3.3: {error}; {INSTALL}") from None
 
@@ -186,7 +192,8 @@ class _OSMesa:
 
 
 def _osmesa() -> moderngl.Context:
-    return moderngl.create_context(context=_OSMesa(), require=REQUIRED)
+    settings: dict[str, Any] = {"context": _OSMesa()}
+    return moderngl.create_context(require=REQUIRED, **settings)
 
 
 def _probed(ctx: moderngl.Context, backend: str) -> Context:
@@ -194,10 +201,12 @@ def _probed(ctx: moderngl.Context, backend: str) -> Context:
         raise ContextError(f"OpenGL 3.3 is needed, this context has {ctx.version_code / 100:.1f}; {INSTALL}")
     renderer = ctx.info["GL_RENDERER"].lower()
     software = any(name in renderer for name in ("llvmpipe", "softpipe", "swrast", "swiftshader"))
-    return Context(ctx, backend, _vertex_layers(ctx), ctx.version_code >= 430, software)
+    scratch = ctx.framebuffer([ctx.texture((1, 1), 4)])
+    layers = _vertex_layers(ctx, scratch)
+    return Context(ctx, backend, layers, ctx.version_code >= 430, software, scratch)
 
 
-def _vertex_layers(ctx: moderngl.Context) -> bool:
+def _vertex_layers(ctx: moderngl.Context, scratch: moderngl.Framebuffer) -> bool:
     """Draw one pixel into each of two layers, routed by the vertex shader, and look."""
     variant = Variant(views=2)
     vertex = flatten("screen.vert.glsl", variant.defines())
@@ -221,5 +230,6 @@ def _vertex_layers(ctx: moderngl.Context) -> bool:
     except (moderngl.Error, ShaderError):  # a driver that rejects the shader answers the question as well
         return False
     finally:
+        scratch.use()
         framebuffer.release()
         texture.release()

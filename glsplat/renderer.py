@@ -251,6 +251,7 @@ class Renderer:
         return source, get("f1") if self.config.output == "uint8" and self.target_dtype != "f1" else None
 
     def _drop_targets(self) -> None:
+        self.context.scratch.use()  # moderngl restores the framebuffer that was bound, and fails if it is gone
         for target in self._targets.values():
             target.release()
         self._targets.clear()

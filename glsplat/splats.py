@@ -77,6 +77,7 @@ class Splats:
     def take(self, index: ArrayLike) -> Splats:
         """The splats at ``index`` (an integer or boolean array), in that order."""
         i = np.asarray(index)
+        i = i if i.dtype == bool else i.astype(np.intp)  # an empty list has no integer type
         return Splats(self.means[i], self.quats[i], self.scales[i], self.opacities[i], self.sh[i])
 
     def finite(self) -> NDArray[np.bool_]:

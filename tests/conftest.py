@@ -2,10 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+
+from glsplat.avatar import Avatar
+from glsplat.config import RenderConfig
+from glsplat.context import Context, create_context
+from glsplat.renderer import Renderer
+from glsplat.splats import Splats
 
 SHARED_DATA = Path(__file__).resolve().parents[1].parent / "shared" / "data"
 
@@ -21,3 +29,34 @@ def shared_data() -> Path:
 @pytest.fixture
 def rng() -> np.random.Generator:
     return np.random.default_rng(20260)
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--update-goldens", action="store_true", help="write the golden images instead of comparing")
+
+
+@pytest.fixture(scope="session")
+def context() -> Iterator[Context]:
+    """One context for all GL tests of the session: making one costs more than most tests."""
+    context = create_context()
+    yield context
+    context.release()
+
+
+@pytest.fixture
+def renderer_of(context: Context) -> Iterator[Callable[..., Renderer]]:
+    """Makes renderers on the shared context and releases them after the test."""
+    made: list[Renderer] = []
+
+    def make(scene: Splats | Avatar, size: tuple[int, int] = (64, 64), views: int = 1, **config: Any) -> Renderer:
+        config.setdefault("output", "float32")
+        config.setdefault("target", "32f")
+        renderer = Renderer(scene, size=size, views=views, config=RenderConfig(**config), context=context)
+        made.append(renderer)
+        return renderer
+
+    with context.ctx:
+        yield make
+        for renderer in made:
+            renderer.release()
+        assert context.ctx.error == "GL_NO_ERROR"

@@ -31,7 +31,7 @@ class DrawPass:
             offset += floats * 4
 
     def run(self, target: Target, count: int, indirect: moderngl.Buffer | None = None) -> None:
-        """Blend ``count`` records, first to last, into the target; ``indirect`` has the number if only the GPU knows."""
+        """Blend ``count`` records, first to last; ``indirect`` holds the number where only the GPU knows it."""
         target.framebuffer.use()
         if not count:
             return

@@ -33,10 +33,7 @@ class Pipeline:
     ) -> None:
         ctx, count = context.ctx, scene.count
         self._scene, self._config, self.variant = scene, config, variant
-        self._ctx = ctx
-        # a complete framebuffer has to be bound for transform feedback: without one moderngl writes nothing
-        self._scratch_texture = ctx.texture((1, 1), 4)
-        self._scratch = ctx.framebuffer([self._scratch_texture])
+        self._scratch = context.scratch
         self._frame = FrameBlock(ctx, variant.views)
         self._skin = SkinPass(ctx, programs, variant, scene) if variant.influences else None
         content = self._skin.content() if self._skin else scene.rigid_content()
@@ -69,7 +66,7 @@ class Pipeline:
     ) -> bool:
         """Steps 1 to 3, up to the records in drawing order. True if the splats had to be sorted again."""
         self._frame.write(views, sort_viewmat, self._scene.origin, self._config, self._scene.shift)
-        self._scratch.use()
+        self._scratch.use()  # without a complete framebuffer transform feedback silently writes nothing
         timer.mark("frame")
         if self._skin and self._posed_for != version:
             self._skin.run()
@@ -124,5 +121,3 @@ class Pipeline:
         for item in (self._skin, self._key, self._project, self._sorter, self._draw, self._resolve, self._frame):
             if item is not None:
                 item.release()
-        self._scratch.release()
-        self._scratch_texture.release()

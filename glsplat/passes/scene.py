@@ -109,7 +109,7 @@ class SceneBuffers:
 def _packed_sh(sh: NDArray[np.float32], degree: int) -> NDArray[np.float32]:
     """[N, SH_FLOATS[degree]] coefficients up to ``degree``, rgb after rgb, padded to whole vec4s."""
     used = (degree + 1) ** 2
-    flat = sh[:, :used].reshape(len(sh), -1)
+    flat = sh[:, :used].reshape(len(sh), used * 3)
     missing = SH_FLOATS[degree] - flat.shape[1]
     return np.pad(flat, ((0, 0), (0, missing))) if missing else flat
 
