@@ -1,0 +1,91 @@
+"""A small software rasterizer in numpy: which triangle a pixel shows, and the textured picture of a mesh.
+
+It serves where no OpenGL context may be needed: hidden-surface tests and target pictures for making avatars.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from glsplat.camera import Camera
+from glsplat.skinning.people import RiggedMesh
+
+__all__ = ["mesh_picture", "visible_faces"]
+
+
+def visible_faces(
+    mesh: RiggedMesh, vertices: NDArray[np.float64], camera: Camera
+) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """What each pixel centre sees: face index [H, W] (-1: nothing) and barycentric coordinates [H, W, 3].
+
+    Both sides of a triangle count; texels with alpha below one half are holes; triangles that reach behind the near
+    plane are left out. Barycentric coordinates are perspective-correct.
+    """
+    faces = mesh.faces
+    view = vertices @ camera.viewmat[:3, :3].T + camera.viewmat[:3, 3]
+    depth = view[:, 2]
+    safe = np.where(depth > camera.near, depth, 1.0)
+    x = view[:, 0] / safe * camera.K[0, 0] + camera.K[0, 2]
+    y = view[:, 1] / safe * camera.K[1, 1] + camera.K[1, 2]
+    fx, fy, fz = x[faces], y[faces], depth[faces]
+
+    # every pixel centre in every triangle's bounding box, as one flat list
+    low_x = np.clip(np.ceil(fx.min(axis=1) - 0.5), 0, camera.width).astype(np.int64)
+    low_y = np.clip(np.ceil(fy.min(axis=1) - 0.5), 0, camera.height).astype(np.int64)
+    wide = np.clip(np.floor(fx.max(axis=1) - 0.5), -1, camera.width - 1).astype(np.int64) - low_x + 1
+    high = np.clip(np.floor(fy.max(axis=1) - 0.5), -1, camera.height - 1).astype(np.int64) - low_y + 1
+    count = np.where((fz > camera.near).all(axis=1), np.maximum(wide, 0) * np.maximum(high, 0), 0)
+    face = np.repeat(np.arange(len(faces)), count)
+    inside = np.arange(len(face)) - np.repeat(np.cumsum(count) - count, count)
+    column, row = low_x[face] + inside % wide[face], low_y[face] + inside // wide[face]
+
+    # barycentric coordinates on the screen, then divided by depth
+    ax, ay, bx, by, cx, cy = fx[:, 0], fy[:, 0], fx[:, 1], fy[:, 1], fx[:, 2], fy[:, 2]
+    area = (bx - ax) * (cy - ay) - (cx - ax) * (by - ay)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        inverse = np.where(np.abs(area) > 1e-12, 1 / area, 0.0)
+    px, py = column + 0.5, row + 0.5
+    wb = ((px - ax[face]) * (cy - ay)[face] - (cx - ax)[face] * (py - ay[face])) * inverse[face]
+    wc = ((bx - ax)[face] * (py - ay[face]) - (px - ax[face]) * (by - ay)[face]) * inverse[face]
+    hit = (wb >= 0) & (wc >= 0) & (wb + wc <= 1) & (inverse[face] != 0)
+    face, column, row, wb, wc = face[hit], column[hit], row[hit], wb[hit], wc[hit]
+    bary = np.stack([1 - wb - wc, wb, wc], axis=1) / fz[face]
+    nearness = bary.sum(axis=1)
+    bary /= nearness[:, None]
+
+    keep = np.ones(len(face), bool)
+    first = 0
+    for part in mesh.parts:
+        if part.cutout:
+            mine = np.flatnonzero((face >= first) & (face < first + len(part.faces)))
+            uv = np.einsum("nk,nkc->nc", bary[mine], part.uv[face[mine] - first])
+            keep[mine] = part.sample(uv)[:, 3] >= 0.5
+        first += len(part.faces)
+    face, column, row, bary, nearness = face[keep], column[keep], row[keep], bary[keep], nearness[keep]
+
+    order = np.argsort(nearness, kind="stable")  # the nearest is written last
+    pixel = (row * camera.width + column)[order]
+    ids = np.full(camera.width * camera.height, -1, np.int64)
+    ids[pixel] = face[order]
+    weights = np.zeros((camera.width * camera.height, 3))
+    weights[pixel] = bary[order]
+    return ids.reshape(camera.height, camera.width), weights.reshape(camera.height, camera.width, 3)
+
+
+def mesh_picture(
+    mesh: RiggedMesh, vertices: NDArray[np.float64], camera: Camera, supersample: int = 3
+) -> NDArray[np.float64]:
+    """The unlit textured mesh, premultiplied RGBA [H, W, 4] in [0, 1], box-filtered from ``supersample``^2 samples."""
+    large = camera.resized(camera.width * supersample, camera.height * supersample)
+    ids, bary = visible_faces(mesh, vertices, large)
+    picture = np.zeros((*ids.shape, 4))
+    first = 0
+    for part in mesh.parts:
+        mine = (ids >= first) & (ids < first + len(part.faces))
+        uv = np.einsum("nk,nkc->nc", bary[mine], part.uv[ids[mine] - first])
+        picture[mine, :3] = part.sample(uv)[:, :3]
+        picture[mine, 3] = 1.0
+        first += len(part.faces)
+    return cv2.resize(picture, (camera.width, camera.height), interpolation=cv2.INTER_AREA)

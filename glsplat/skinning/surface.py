@@ -1,0 +1,313 @@
+"""From a rigged, textured mesh to a Gaussian avatar: flat discs that tile the visible surface.
+
+The surface is cut into as many cells as there are splats, by Lloyd's algorithm on a dense sample of it (a centroidal
+Voronoi tessellation, in which distance also counts colour and direction, so that cells end at the edges of the
+texture and of the cloth, as superpixels do). A splat takes the mean, the covariance, the mean colour and the mean
+skinning weights of its cell: spacing, anisotropy and area filtering come from one rule.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+from scipy.sparse import csr_array
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
+
+from glsplat.avatar import Avatar
+from glsplat.camera import Camera, look_at, pinhole
+from glsplat.errors import FormatError
+from glsplat.skinning.people import RiggedMesh
+from glsplat.skinning.pose import Pose
+from glsplat.skinning.raster import visible_faces
+from glsplat.skinning.skin import Skin
+from glsplat.splats import Splats
+
+__all__ = ["SamplerConfig", "make_avatar", "seen_faces"]
+
+Progress = Callable[[str, float], None]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SamplerConfig:
+    """How a surface is cut into splats. The defaults are tuned on clothed people at 40,000 splats."""
+
+    candidates: int = 14  # surface samples a splat
+    rounds: int = 16  # of Lloyd's algorithm
+    hand_share: float = 0.095  # of all splats, a hand
+    head_share: float = 0.19  # of all splats
+    face_boost: float = 2.0  # density of the face against the rest of the head
+    color_weight: float = 0.7  # cells of unit size a colour difference of one is worth
+    normal_weight: float = 0.6  # cells of unit size a right angle is worth, over sqrt(2)
+    sigma: float = 1.85  # standard deviations of the splat over those of its cell
+    inset: float = 0.0  # metres inwards
+    thickness: float = 0.0004  # metres along the normal, at least
+    opacity: float = 0.97
+
+
+def make_avatar(
+    mesh: RiggedMesh,
+    splats: int = 40_000,
+    seed: int = 0,
+    config: SamplerConfig | None = None,
+    progress: Progress | None = None,
+) -> Avatar:
+    """A Gaussian avatar of ``mesh`` in its zero pose: discs on the visible surface, SH degree 0, four influences.
+
+    On the SMPL-X rig, hands and head get a fixed share of the splats. Surface no camera can see in any of a few
+    poses (skin under cloth, the inside of the mouth, cut-out texels) gets none. Deterministic in ``seed``.
+    Raises FormatError for a mesh with nothing to see or fewer than 100 splats.
+    """
+    if splats < 100:
+        raise FormatError(f"an avatar needs at least 100 splats, not {splats}")
+    config = config or SamplerConfig()
+    report = progress or (lambda stage, done: None)
+    rng = np.random.default_rng(seed)
+    report("finding the visible surface", 0.0)
+    visible = seen_faces(mesh)
+    zone = np.where(visible, _face_zones(mesh), -1)
+    chosen: list[_Cells] = []
+    for index, (label, count) in enumerate(_allot(splats, zone, config)):
+        report("placing splats", index / 4)
+        cloud = _sample_surface(mesh, zone == label, count * config.candidates, rng, config)
+        chosen.append(_tessellate(cloud, count, config, rng))
+    report("placing splats", 1.0)
+    means, quats, scales = (np.concatenate([getattr(c, key) for c in chosen]) for key in ("means", "quats", "scales"))
+    rgb = np.concatenate([c.rgb for c in chosen])
+    weights = np.concatenate([c.weights for c in chosen])
+    joint_count = len(mesh.skeleton)
+    skin = Skin.create(np.broadcast_to(np.arange(joint_count), weights.shape), weights, joint_count)
+    gaussians = Splats.create(means, quats, scales, np.full(len(means), config.opacity), rgb=rgb)
+    return Avatar(gaussians, mesh.skeleton, skin, dict(mesh.meta))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Cloud:
+    """M points of the visible surface, drawn with probability proportional to area times density squared."""
+
+    points: NDArray[np.float64]  # [M, 3]
+    normals: NDArray[np.float64]  # [M, 3]
+    rgb: NDArray[np.float64]  # [M, 3]
+    density: NDArray[np.float64]  # [M] wanted splats by area, relative
+    layer: NDArray[np.float64]  # [M] part number
+    weights: csr_array  # [M, J]
+    area: float  # m^2 of the surface it covers
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Cells:
+    means: NDArray[np.float64]
+    quats: NDArray[np.float64]
+    scales: NDArray[np.float64]
+    rgb: NDArray[np.float64]
+    weights: NDArray[np.float64]  # [N, J]
+
+
+def seen_faces(mesh: RiggedMesh, size: int = 512) -> NDArray[np.bool_]:
+    """[F] True for triangles that some view of some pose shows, and for their neighbours."""
+    seen = np.zeros(len(mesh.faces), bool)
+    for pose in _probe_poses(mesh.skeleton.names):
+        vertices = mesh.posed(pose)
+        shown = vertices[np.unique(mesh.faces)]
+        spheres = [(shown, 14)]
+        head = mesh.weights[:, 0] * np.array([name == "head" for name in mesh.skeleton.names])[mesh.joints[:, 0]] > 0.5
+        if head.any():
+            spheres.append((vertices[head], 10))
+        for points, views in spheres:
+            centre = (points.max(axis=0) + points.min(axis=0)) / 2
+            radius = float(np.linalg.norm(points - centre, axis=1).max())
+            for direction in _sphere(views):
+                viewmat = look_at(centre + direction * 4 * radius, centre)
+                camera = Camera(viewmat, pinhole(size, size, 29.0), size, size, near=1e-3)
+                ids, _ = visible_faces(mesh, vertices, camera)
+                seen[ids[ids >= 0]] = True
+    touched = np.zeros(len(mesh.vertices), bool)
+    touched[mesh.faces[seen]] = True
+    return seen | touched[mesh.faces].any(axis=1)
+
+
+def _probe_poses(names: tuple[str, ...]) -> list[Pose]:
+    """The zero pose and, on rigs that have the joints, two that open what it hides (cuffs, armpits, knees)."""
+    index = {name: i for i, name in enumerate(names)}
+    poses = [Pose.zero(len(names))]
+    if all(name in index for name in ("left_shoulder", "right_shoulder", "left_hip", "left_knee", "left_wrist")):
+        for bend in (0.5, -0.5):
+            pose = Pose.zero(len(names))
+            for side, sign in (("left", 1.0), ("right", -1.0)):
+                pose.rotations[index[f"{side}_shoulder"]] = (0, 0, -sign * 2 * bend)
+                pose.rotations[index[f"{side}_wrist"]] = (0, 0, -sign * bend)
+                pose.rotations[index[f"{side}_hip"]] = (-sign * bend, 0, sign * 0.3)
+                pose.rotations[index[f"{side}_knee"]] = (0.6, 0, 0)
+                pose.rotations[index[f"{side}_ankle"]] = (bend, 0, 0)
+            poses.append(pose)
+    return poses
+
+
+def _sphere(count: int) -> NDArray[np.float64]:
+    """[count, 3] directions spread evenly over the sphere (Fibonacci lattice)."""
+    i = np.arange(count) + 0.5
+    y, turn = 1 - 2 * i / count, np.pi * (1 + 5**0.5) * i
+    r = np.sqrt(1 - y * y)
+    return np.stack([r * np.cos(turn), y, r * np.sin(turn)], axis=1)
+
+
+def _sample_surface(
+    mesh: RiggedMesh, chosen: NDArray[np.bool_], count: int, rng: np.random.Generator, config: SamplerConfig
+) -> _Cloud:
+    faces = mesh.faces[chosen]
+    surface = trimesh.Trimesh(mesh.vertices, faces, process=False, validate=False)
+    density = _vertex_density(mesh, config)[faces].mean(axis=1)
+    share = surface.area_faces * density**2
+    if not share.sum() > 0:
+        raise FormatError("the mesh has no visible surface to put splats on")
+    points, which = trimesh.sample.sample_surface(
+        surface, count, face_weight=share, seed=int(rng.integers(2**31)), sample_color=False
+    )
+    points, which = np.asarray(points), np.asarray(which)
+    bary = trimesh.triangles.points_to_barycentric(surface.triangles[which], points)
+    corners = faces[which]
+
+    part_of = mesh.face_parts[chosen][which]
+    rgba = np.ones((len(points), 4))
+    first = np.cumsum([0] + [len(part.faces) for part in mesh.parts])
+    original = np.flatnonzero(chosen)[which]
+    for i, part in enumerate(mesh.parts):
+        mine = np.flatnonzero(part_of == i)
+        uv = np.einsum("nk,nkc->nc", bary[mine], part.uv[original[mine] - first[i]])
+        rgba[mine] = part.sample(uv)
+    solid = rgba[:, 3] >= 0.5
+    if not solid.any():
+        raise FormatError("every texel of the visible surface is transparent; a splat needs alpha of at least one half")
+    points, which, bary, corners, rgba, part_of = (a[solid] for a in (points, which, bary, corners, rgba, part_of))
+
+    m, k = len(points), mesh.joints.shape[1]
+    values = (bary[:, :, None] * mesh.weights[corners]).reshape(m, -1)
+    weights = csr_array(
+        (values.ravel(), mesh.joints[corners].reshape(-1), np.arange(m + 1) * 3 * k), shape=(m, len(mesh.skeleton))
+    )
+    return _Cloud(
+        points,
+        surface.face_normals[which],
+        rgba[:, :3],
+        density[which],
+        part_of.astype(np.float64),
+        weights,
+        float(surface.area * solid.mean()),
+    )
+
+
+def _vertex_density(mesh: RiggedMesh, config: SamplerConfig) -> NDArray[np.float64]:
+    """[V] relative density: the front of the head counts more."""
+    names = mesh.skeleton.names
+    density = np.ones(len(mesh.vertices))
+    if "head" in names:
+        head = mesh.skeleton.joints[names.index("head")]
+        owns = np.array([name in _HEAD for name in names])
+        amount = (mesh.weights * owns[mesh.joints]).sum(axis=1) / np.maximum(mesh.weights.sum(axis=1), 1e-9)
+        front = np.clip((mesh.vertices[:, 2] - head[2]) / 0.06, 0, 1)
+        density *= 1 + (config.face_boost - 1) * amount * front
+    return density
+
+
+_HAND = ("wrist", "index", "middle", "pinky", "ring", "thumb")
+_HEAD = ("head", "jaw", "left_eye_smplhf", "right_eye_smplhf")
+
+
+def _face_zones(mesh: RiggedMesh) -> NDArray[np.intp]:
+    """[F] zone of each triangle by its strongest joint: 0 the rest, 1 left hand, 2 right hand, 3 head."""
+    zone_of = np.zeros(len(mesh.skeleton), np.intp)
+    for i, name in enumerate(mesh.skeleton.names):
+        for zone, side in ((1, "left"), (2, "right")):
+            if name.startswith(tuple(f"{side}_{part}" for part in _HAND)):
+                zone_of[i] = zone
+        if name in _HEAD:
+            zone_of[i] = 3
+    strongest = np.take_along_axis(mesh.joints, mesh.weights.argmax(axis=1)[:, None], axis=1)[:, 0]
+    return np.median(zone_of[strongest][mesh.faces], axis=1).astype(np.intp)
+
+
+def _allot(total: int, zone: NDArray[np.intp], config: SamplerConfig) -> list[tuple[int, int]]:
+    """Zones that have visible triangles, each with its number of splats; the rest of the body takes what is left."""
+    shares = {1: config.hand_share, 2: config.hand_share, 3: config.head_share}
+    counts = {label: round(total * share) for label, share in shares.items() if (zone == label).any()}
+    if (zone == 0).any():
+        counts[0] = total - sum(counts.values())
+    else:  # a bust or a hand alone
+        scale = total / max(sum(counts.values()), 1)
+        counts = {label: round(n * scale) for label, n in counts.items()}
+    return sorted(counts.items())
+
+
+def _tessellate(cloud: _Cloud, count: int, config: SamplerConfig, rng: np.random.Generator) -> _Cells:
+    """``count`` cells of the cloud and the Gaussian of each."""
+    size = np.sqrt(cloud.area / count * cloud.density.mean() / cloud.density)
+    features = np.concatenate(
+        [
+            cloud.points,
+            cloud.normals * (config.normal_weight * size[:, None]),
+            cloud.rgb * (config.color_weight * size[:, None]),
+            cloud.layer[:, None] * (2 * size[:, None]),
+        ],
+        axis=1,
+    )
+    count = min(count, len(features))
+    sites = features[np.sort(rng.choice(len(features), count, replace=False))]
+    for _ in range(config.rounds):
+        label = _nearest(sites, features)
+        sites = _cell_means(label, features, np.ones(len(features)), sites)
+    return _gaussians(cloud, _nearest(sites, features), count, config)
+
+
+def _nearest(sites: NDArray[np.float64], features: NDArray[np.float64]) -> NDArray[np.intp]:
+    return np.asarray(cKDTree(sites).query(features, workers=-1)[1])
+
+
+def _cell_means(
+    label: NDArray[np.intp], values: NDArray[np.float64], weight: NDArray[np.float64], empty: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    total = np.bincount(label, weight, minlength=len(empty))
+    sums = np.stack([np.bincount(label, weight * column, minlength=len(empty)) for column in values.T], axis=1)
+    return np.where(total[:, None] > 0, sums / np.where(total > 0, total, 1)[:, None], empty)
+
+
+def _gaussians(cloud: _Cloud, label: NDArray[np.intp], count: int, config: SamplerConfig) -> _Cells:
+    used = np.bincount(label, minlength=count) > 0
+    label, count = (np.cumsum(used) - 1)[label], int(used.sum())
+    points, normals = cloud.points, cloud.normals
+    area = 1 / cloud.density**2  # undoes the sampling density, up to a factor
+    zero = np.zeros((count, 3))
+    means = _cell_means(label, points, area, zero)
+    mean_normal = _cell_means(label, normals, area, zero)
+    offset = points - means[label]
+    outer = (offset[:, :, None] * offset[:, None, :]).reshape(-1, 9)
+    cov = _cell_means(label, outer, area, np.zeros((count, 9))).reshape(-1, 3, 3)
+
+    # frame: mean normal, then the principal axes of the cell in the tangent plane
+    strength = np.linalg.norm(mean_normal, axis=1, keepdims=True)
+    flat = np.linalg.eigh(cov)[1][:, :, 0]
+    normal = np.where(strength > 0.2, mean_normal / np.maximum(strength, 1e-9), flat)
+    helper = np.eye(3)[np.abs(normal).argmin(axis=1)]
+    u = np.cross(normal, helper)
+    u /= np.linalg.norm(u, axis=1, keepdims=True)
+    basis = np.stack([u, np.cross(normal, u)], axis=2)  # [N, 3, 2]
+    planar = np.einsum("nia,nij,njb->nab", basis, cov, basis)
+    variance, axes = np.linalg.eigh(planar)
+    typical = np.median(variance.sum(axis=1) / 2)
+    variance = np.maximum(variance, 0.15 * variance.sum(axis=1, keepdims=True) / 2 + 0.02 * typical)
+    tangent = np.einsum("nia,nab->nib", basis, axes)
+    across = np.einsum("ni,nij,nj->n", normal, cov, normal)
+    frame = np.concatenate([tangent, np.cross(tangent[:, :, 0], tangent[:, :, 1])[:, :, None]], axis=2)
+    scales = np.empty((count, 3))
+    scales[:, :2] = config.sigma * np.sqrt(variance)
+    scales[:, 2] = np.clip(np.sqrt(np.maximum(across, 0)), config.thickness, 0.3 * scales[:, :2].min(axis=1))
+
+    rows = csr_array((area, (label, np.arange(len(label)))), shape=(count, len(label)))
+    weights = (rows @ cloud.weights).toarray()
+    rgb = _cell_means(label, cloud.rgb, area, zero)
+    quats = Rotation.from_matrix(frame).as_quat()[:, [3, 0, 1, 2]]
+    means = means - config.inset * normal
+    return _Cells(means, quats, scales, rgb, weights)
