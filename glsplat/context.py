@@ -72,6 +72,7 @@ def create_context(
         raise ContextError(f"backend needs egl or osmesa, not {backend}")
     if backend == "osmesa":
         return _probed(_osmesa(), "osmesa")
+    device = device if device is not None else os.environ.get("GLSPLAT_DEVICE") or None
     try:
         return _probed(_egl(device), "egl")
     except ContextError:
@@ -122,8 +123,7 @@ def egl_devices() -> list[str]:
     return names
 
 
-def _egl(device: int | str | None) -> moderngl.Context:
-    wanted = device if device is not None else os.environ.get("GLSPLAT_DEVICE") or None
+def _egl(wanted: int | str | None) -> moderngl.Context:
     names = egl_devices()
     if not names:
         raise ContextError(f"found 0 EGL devices; {INSTALL}")

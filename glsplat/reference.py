@@ -37,7 +37,7 @@ ALPHA_MAX = 0.99
 ALPHA_MIN = 1 / 255
 AA_FLOOR = 2.5e-5  # smallest det / det_dilated under antialias (gsplat: 0.005 squared)
 POWER = 32  # of the 4x4 rotation matrix average, see blended_rotations
-SELECT = 1e-4  # weight of the dominant column beside it
+SELECT = 1e-3  # weight of the dominant column beside it
 
 
 @dataclass(frozen=True)
@@ -89,11 +89,12 @@ def blended_rotations(blended: F64, strongest: F64, shift: float = 1.0) -> F64:
 
     The nearest rotation's quaternion is the top eigenvector of the symmetric 4x4 matrix Q(A) + shift I (Davenport's
     q-method; for a blend of rotations this is Markley's average of their quaternions). Instead of the eigenvector we
-    take P v with P = (Q + I)^32, normalised, and v the quaternion of the ``strongest`` bone's matrix [N, 3, 3]: equal
-    to 1e-7 while the two largest eigenvalues differ (two equal weights up to 150 degrees apart), and where they meet (a
-    collapse, where the nearest rotation jumps) it swings through the strongest bone's rotation instead. A ten-thousandth
-    of P's dominant column keeps the answer defined where P v vanishes. ``shift`` is 1 for blends of rotations and 3
-    where a bone scales or reflects, so that Q + shift I has no negative eigenvalue.
+    take P v with P = (Q + I)^32, normalised, and v the quaternion of the ``strongest`` bone's matrix [N, 3, 3]. That is
+    equal to 1e-7 while the two largest eigenvalues differ (two equal weights up to 150 degrees apart). Where they meet
+    (a collapse, where the nearest rotation jumps) it swings through the strongest bone's rotation instead, at most 32
+    times as fast as the joint turns. A thousandth of P's dominant column keeps the answer defined where P v
+    vanishes. ``shift`` is 1 for blends of rotations and 3 where a bone scales or reflects, so that Q + shift I has no
+    negative eigenvalue.
     """
     size = np.sqrt((blended**2).sum(axis=(1, 2)) / 3)
     scaled = blended / np.maximum(size, 1)[:, None, None]

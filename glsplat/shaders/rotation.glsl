@@ -32,7 +32,7 @@ vec4 blended_quaternion(mat3 blended, mat3 strongest, float shift) {  // wxyz, w
     power *= 1.0 / max(power[0][0] + power[1][1] + power[2][2] + power[3][3], 1e-30);
     vec4 toward = power * dominant_column(davenport(strongest) + mat4(1.0));
     vec4 column = dominant_column(power);
-    vec4 q = toward + (dot(toward, column) < 0.0 ? -1e-4 : 1e-4) * column;
+    vec4 q = toward + (dot(toward, column) < 0.0 ? -1e-3 : 1e-3) * column;
     q *= inversesqrt(max(dot(q, q), 1e-30));
     return q.x < 0.0 ? -q : q;
 }

@@ -1,0 +1,59 @@
+"""Run one GLSL function over numpy arrays through transform feedback (every driver, no compute needed)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import moderngl
+import numpy as np
+from numpy.typing import NDArray
+
+from glsplat.context import Context
+from glsplat.shaders import Variant, flatten, link
+
+
+def run_chunk(
+    context: Context,
+    text: str,  # a vertex shader with #include lines, inputs named like ``inputs`` and outputs like ``outputs``
+    inputs: Mapping[str, NDArray[np.generic]],  # [N] or [N, k]
+    outputs: Mapping[str, int],  # name -> floats
+    variant: Variant | None = None,
+    frame: NDArray[np.void] | None = None,
+) -> dict[str, NDArray[np.float32]]:
+    """[N, floats] of each output."""
+    ctx = context.ctx
+    source = flatten(
+        "chunk_under_test.vert.glsl",
+        (variant or Variant()).defines(),
+        overrides={"chunk_under_test.vert.glsl": text},
+    )
+    program = link(ctx, "chunk under test", {"vertex_shader": source}, tuple(outputs))
+    buffers = []
+    content = []
+    count = len(next(iter(inputs.values())))
+    for name, array in inputs.items():
+        data = np.ascontiguousarray(array)
+        width = 1 if data.ndim == 1 else data.shape[1]
+        kind = {"f": "f4", "u": "u4"}[data.dtype.kind]
+        buffers.append(ctx.buffer(data.astype(kind)))
+        content.append((buffers[-1], f"{width}{kind}", name))
+    total = sum(outputs.values())
+    result = ctx.buffer(reserve=count * total * 4)
+    if frame is not None:
+        block = ctx.buffer(frame.tobytes())
+        buffers.append(block)
+        member = program["Frame"]
+        assert isinstance(member, moderngl.UniformBlock)
+        member.binding = 0
+        block.bind_to_uniform_block(0)
+    context.scratch.use()
+    array_object = ctx.vertex_array(program, content)
+    array_object.transform(result, moderngl.POINTS, vertices=count)
+    flat = np.frombuffer(result.read(), np.float32).reshape(count, total)
+    for item in (array_object, program, result, *buffers):
+        item.release()
+    out, start = {}, 0
+    for name, floats in outputs.items():
+        out[name] = flat[:, start : start + floats]
+        start += floats
+    return out
