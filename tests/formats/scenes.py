@@ -15,6 +15,7 @@ from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.skin import Skin
 from glsplat.splats import Splats
 
+SHARED_DATA = Path(__file__).resolve().parents[2].parent / "shared" / "data"  # may be absent
 FIELDS = ("means", "quats", "scales", "opacities", "sh")
 
 

@@ -18,8 +18,7 @@ from glsplat.avatar import Avatar
 from glsplat.errors import FormatError
 from glsplat.formats import load, load_gltf, load_ply, load_splat, save
 from glsplat.splats import Splats
-from tests.conftest import SHARED_DATA
-from tests.formats.scenes import awkward_splats, glb_parts, random_avatar, random_splats, write_glb
+from tests.formats.scenes import SHARED_DATA, awkward_splats, glb_parts, random_avatar, random_splats, write_glb
 from tests.formats.test_ply import columns, ply
 
 EXAMPLES = 120

@@ -401,6 +401,7 @@ BREAKS = {
     "no view": (put("accessors", 0, "bufferView", value=None), "no bufferView"),
     "view beyond": (put("accessors", 0, "bufferView", value=99), "bufferView of .* 99"),
     "offset beyond": (put("bufferViews", 0, "byteOffset", value=10**9), "truncated"),
+    "accessor longer than its view": (put("bufferViews", 0, "byteLength", value=470), "its bufferView has 470"),
     "stride": (put("bufferViews", 0, "byteStride", value=4), "byteStride of 4"),
     "accessor beyond": (put("meshes", 0, "primitives", 0, "attributes", "POSITION", value=99), "accessor of .* 99"),
     "buffer beyond": (put("bufferViews", 0, "buffer", value=1), "buffer 1"),

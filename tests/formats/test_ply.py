@@ -255,6 +255,14 @@ def test_refuses_a_huge_count_at_once(tmp_path: Path) -> None:
         assert time.perf_counter() - start < 0.5
 
 
+def test_huge_ascii_count_after_a_full_chunk_allocates_nothing(tmp_path: Path) -> None:
+    (tmp_path / "a.ply").write_bytes(header(10**9, form="ascii") + (b"0 " * 14 + b"\n") * 33_000)
+    with pytest.raises(
+        FormatError, match="truncated: the header declares 1000000000 splats, the file has 957000 bytes"
+    ):
+        load_ply(tmp_path / "a.ply")
+
+
 @pytest.mark.shared
 def test_real_files(shared_data: Path) -> None:
     counts = {
