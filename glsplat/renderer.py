@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from types import TracebackType
 from typing import Any
 
@@ -37,7 +37,7 @@ class FrameStats:
     """What one call of render() did."""
 
     splats: int  # in the scene
-    drawn: int  # instances a view, summed over passes of one order
+    drawn: int  # of them, summed over the passes of the call
     skipped: int  # not finite or without a rotation: never uploaded
     culled: dict[str, int] = field(default_factory=dict)  # by reason
     sorted: bool = True  # False where the previous order still held
@@ -153,30 +153,28 @@ class Renderer:
         float32 (unclipped) or uint8 by ``config.output``. The array is new with each call. Raises PoseError for a pose
         that does not fit, GlsplatError for cameras of another size.
         """
-        if not cameras:
-            raise GlsplatError("render needs at least one camera")
-        if any((c.width, c.height) != self.size for c in cameras):
-            raise GlsplatError(f"cameras need the renderer's size {self.size[0]}x{self.size[1]}; call resize() first")
+        self._begin(cameras, pose)
         out = np.empty((len(cameras), self.size[1], self.size[0], 4), self._output_type())
-        self.timer.start()
-        self._pose(pose)
-        drawn, culled, resorted = 0, dict[str, int](), False
         for batch in self._batches(cameras, sort_viewmat):
             views = [cameras[i] for i in batch]
-            order = sorting_camera(views) if sort_viewmat is None else sort_viewmat
-            pipeline = self._pipeline(views)
-            self.variant = pipeline.variant
-            target, byte_target = self._batch_target(len(views))
-            resorted |= pipeline.geometry(views, order, self._geometry_version, self.timer)
-            pipeline.draw(target, views, self.timer)
-            image = out[batch[0] : batch[0] + len(views)]
-            pipeline.read(target, byte_target, image, self.timer)
-            drawn += pipeline.drawn
-            culled = pipeline.culled
+            pipeline, target, byte_target = self._draw(views, sort_viewmat)
+            pipeline.read(target, byte_target, out[batch[0] : batch[0] + len(views)], self.timer)
+            self._count(pipeline)
         self.timer.stop()
-        assert self._scene is not None
-        self.stats = FrameStats(self._splat_count, drawn, self._scene.skipped, culled, resorted)
         return out
+
+    def draw(self, cameras: Sequence[Camera], pose: Pose | None = None) -> Target:
+        """Draw one view or a pair and leave it on the GPU: the float target, layer 0 the left eye, row 0 at the top.
+
+        For windows: nothing is read back. The target belongs to the renderer and is overwritten by the next call.
+        """
+        self._begin(cameras, pose)
+        if len(cameras) > 2:
+            raise GlsplatError(f"draw() takes one view or a pair, not {len(cameras)}; render() takes any number")
+        pipeline, target, _ = self._draw(cameras, None)
+        self._count(pipeline)
+        self.timer.stop()
+        return target
 
     def release(self) -> None:
         """Delete every GL object, and the context if it was made here. May be called twice."""
@@ -197,6 +195,32 @@ class Renderer:
         self.release()
 
     # ------------------------------------------------------------------------------------------------- internals
+
+    def _begin(self, cameras: Sequence[Camera], pose: Pose | None) -> None:
+        if not cameras:
+            raise GlsplatError("render needs at least one camera")
+        if any((c.width, c.height) != self.size for c in cameras):
+            raise GlsplatError(f"cameras need the renderer's size {self.size[0]}x{self.size[1]}; call resize() first")
+        assert self._scene is not None
+        self.stats = FrameStats(self._splat_count, 0, self._scene.skipped, {}, False)
+        self.timer.start()
+        self._pose(pose)
+
+    def _draw(
+        self, views: Sequence[Camera], sort_viewmat: NDArray[np.float64] | None
+    ) -> tuple[Pipeline, Target, Target | None]:
+        """Steps 1 to 4 for one pass."""
+        pipeline = self._pipeline(views)
+        target, byte_target = self._batch_target(len(views))
+        order = sorting_camera(views) if sort_viewmat is None else sort_viewmat
+        resorted = pipeline.geometry(views, order, self._geometry_version, self.timer)
+        pipeline.draw(target, views, self.timer)
+        self.variant = pipeline.variant
+        self.stats = replace(self.stats, sorted=self.stats.sorted or resorted)
+        return pipeline, target, byte_target
+
+    def _count(self, pipeline: Pipeline) -> None:
+        self.stats = replace(self.stats, drawn=self.stats.drawn + pipeline.drawn, culled=dict(pipeline.culled))
 
     def _output_type(self) -> type[np.generic]:
         return np.uint8 if self.config.output == "uint8" else np.float32
