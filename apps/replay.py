@@ -7,7 +7,6 @@ import asyncio
 import json
 import sys
 from bisect import bisect_right
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,20 +17,25 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
+from glsplat.avatar import Avatar, default_avatar
 from glsplat.errors import FormatError, GlsplatError, PoseError
+from glsplat.formats import load
 from glsplat.net.access import read_token
 from glsplat.net.client import Client
 from glsplat.net.reply import Reply
-from glsplat.skinning.pose import Pose
+from glsplat.skinning.motion import Motion, embedded_motions, load_motion
+from glsplat.skinning.smplx import JOINT_NAMES
+from glsplat.tracking.sample import Sample
 
 from .output import Clip, label, save_png, side_by_side, stack
 from .scene import size
 from .stage_table import frame_text, table_text
-from .streaming import Drive, Result, stream
+from .streaming import Drive, Driven, Result, stream
 
 HELP = "Stream a motion or a recording of head and hands through a server; report latency by stage and save pictures."
 EXAMPLE = "glsplat replay wave-and-turn --url ws://127.0.0.1:8000/ws --save sheet.png"
 
+_SHOWN_FIRST = ("wave-and-turn", "wave", "walk")
 _MOMENTS = 6  # pairs on a contact sheet
 _TILE = 1024  # pixels across a pair on a contact sheet
 
@@ -107,10 +111,25 @@ class Recording:
     times: list[float]  # seconds from the first sample
     samples: list[dict[str, Any]]
 
-    def at(self, seconds: float) -> Pose | Mapping[str, Any]:
+    def at(self, seconds: float) -> Driven:
         """The tracking object at ``seconds``; the recording repeats."""
         moment = seconds % (self.times[-1] or 1.0)
-        return self.samples[max(0, bisect_right(self.times, moment) - 1)]
+        return Driven(tracking=self.samples[max(0, bisect_right(self.times, moment) - 1)])
+
+
+@dataclass(frozen=True)
+class Played:
+    """A motion, played over and over. Rigs other than SMPL-X are sent by joint name."""
+
+    motion: Motion
+
+    def at(self, seconds: float) -> Driven:
+        """The pose at ``seconds``."""
+        pose = self.motion.at(seconds)
+        if self.motion.names == JOINT_NAMES:
+            return Driven(pose, root=pose.trans)
+        joints = dict(zip(self.motion.names, pose.rotations.tolist(), strict=True))
+        return Driven({"joints": joints, "trans": pose.trans.tolist()}, root=pose.trans)
 
 
 def load_drive(name: str | None, avatar: str | None = None) -> tuple[Drive, float]:
@@ -118,21 +137,23 @@ def load_drive(name: str | None, avatar: str | None = None) -> tuple[Drive, floa
     if name is not None and name.endswith(".jsonl"):
         recording = _load_recording(Path(name))
         return recording, recording.times[-1] or 1.0
-    from glsplat.skinning.motion import EMBEDDED, load_motion
-
-    from glsplat.avatar import Avatar, default_avatar
-    from glsplat.formats import load
 
     scene = load(avatar) if avatar else default_avatar()
     if not isinstance(scene, Avatar):
         raise GlsplatError(f"{avatar}: this scene has no skeleton to move; give an avatar (.glb with a skin)")
-    motion = load_motion(name or EMBEDDED[0], scene.skeleton)
-    return motion, len(motion) / motion.fps
+    motion = load_motion(name or default_motion(), scene.skeleton)
+    return Played(motion), motion.duration
+
+
+def default_motion() -> str:
+    """The embedded motion that shows most of the body; whichever there is otherwise."""
+    names = embedded_motions()
+    if not names:
+        raise GlsplatError("this installation has no embedded motions; give a motion file")
+    return next((name for name in _SHOWN_FIRST if name in names), names[0])
 
 
 def _load_recording(path: Path) -> Recording:
-    from glsplat.tracking.sample import Sample
-
     try:
         lines = path.read_text(encoding="utf-8").splitlines()
     except OSError as error:

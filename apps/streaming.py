@@ -19,7 +19,7 @@ from glsplat.net.reply import Reply
 from glsplat.net.stages import median_p95
 from glsplat.skinning.pose import Pose
 
-__all__ = ["STAGES", "Drive", "Result", "observer", "stream"]
+__all__ = ["STAGES", "Drive", "Driven", "Result", "observer", "stream"]
 
 _OPENGL_FROM_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
 _LAST = 3.0  # seconds to wait for the last pictures
@@ -36,11 +36,20 @@ STAGES: tuple[tuple[str, str, str], ...] = (
 """Key, name and place of the rows of the latency table; the first six add up to the last."""
 
 
-class Drive(Protocol):
-    """What moves the avatar: a pose or a tracking sample for any moment."""
+@dataclass(frozen=True, slots=True)
+class Driven:
+    """What moves the avatar at one moment: a pose, or a tracking object of docs/protocol.md."""
 
-    def at(self, seconds: float) -> Pose | Mapping[str, Any]:
-        """A Pose, or a tracking object of docs/protocol.md."""
+    pose: Pose | Mapping[str, Any] | None = None
+    tracking: Mapping[str, Any] | None = None
+    root: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))  # [3] where the avatar stands, metres
+
+
+class Drive(Protocol):
+    """What moves the avatar over time."""
+
+    def at(self, seconds: float) -> Driven:
+        """The pose or tracking of any moment from 0 on."""
         ...
 
 
@@ -145,11 +154,13 @@ async def stream(
             run.refresh(time.perf_counter() - start)
             seconds = index / fps
             driven = drive.at(seconds)
-            pose = driven if isinstance(driven, Pose) else None
-            tracking = None if pose is not None else driven
-            root = np.zeros(3) if pose is None else pose.trans
-            eyes = observer(seconds, root, size)
-            await client.send(eyes, pose=pose, tracking=tracking, quality=quality, crop=crop)  # type: ignore[arg-type]
+            await client.send(
+                observer(seconds, driven.root, size),
+                pose=driven.pose,
+                tracking=driven.tracking,
+                quality=quality,
+                crop=crop,
+            )
             run.result.sent += 1
             progress(1)
             if receiver.done():

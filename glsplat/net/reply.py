@@ -7,8 +7,9 @@ a JSON object. Readers that know only the first part may stop after the pictures
 from __future__ import annotations
 
 import struct
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import msgspec
@@ -35,11 +36,15 @@ class Reply:
     info: dict[str, Any] = field(default_factory=dict)
     nbytes: int = 0  # of the whole message
 
-    def images(self) -> list[NDArray[np.uint8]]:
-        """The decoded pictures [H, W, 3], left first; a cropped picture is put back in its place on black."""
+    def decoders(self) -> list[Callable[[], NDArray[np.uint8]]]:
+        """One call an eye, left first, that decodes its picture; they may run in threads side by side."""
         boxes = dict(zip(sorted(self.pictures), self.info.get("crop") or (), strict=False))
         size = self.info.get("size")
-        return [decode_picture(self.pictures[eye], boxes.get(eye), size) for eye in sorted(self.pictures)]
+        return [partial(decode_picture, self.pictures[eye], boxes.get(eye), size) for eye in sorted(self.pictures)]
+
+    def images(self) -> list[NDArray[np.uint8]]:
+        """The decoded pictures [H, W, 3], left first; a cropped picture is put back in its place on black."""
+        return [decode() for decode in self.decoders()]
 
 
 def pack_reply(frame_id: int, eyes: Sequence[int], pictures: Sequence[bytes], info: Mapping[str, Any]) -> bytes:

@@ -1,0 +1,360 @@
+"""Hostile and broken clients over real sockets on loopback. The server lives, the others are served."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import socket
+import struct
+import time
+
+import aiohttp
+import pytest
+
+from glsplat.errors import FormatError, ProtocolError
+from glsplat.net.client import Client, request_message
+from glsplat.net.server import ServerConfig
+from glsplat.net.session import SessionConfig
+
+EYE = {"viewmat": [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 2, 0, 0, 0, 1], "K": [50, 50, 32, 32]}
+
+
+def native(frame_id, **more):
+    return json.dumps({"v": 1, "frame_id": frame_id, "ack": 0, "eyes": [EYE, EYE], "size": [64, 64], **more})
+
+
+async def still_serves(server, cameras):
+    async with Client(server.url) as client:
+        return (await client.render(cameras)).frame_id == 1
+
+
+async def raw(server):
+    """A WebSocket by hand: (reader, writer) after the upgrade."""
+    reader, writer = await asyncio.open_connection("127.0.0.1", server.port)
+    writer.write(
+        b"GET /ws HTTP/1.1\r\nHost: 127.0.0.1\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
+        b"Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n\r\n"
+    )
+    head = await reader.readuntil(b"\r\n\r\n")
+    assert b" 101 " in head and b"deflate" not in head.lower()
+    return reader, writer
+
+
+def frame(opcode, payload, fin=True):
+    """A masked client frame (RFC 6455, section 5.2) with an all-zero mask."""
+    first = (0x80 if fin else 0) | opcode
+    if len(payload) < 126:
+        head = struct.pack("!BB", first, 0x80 | len(payload))
+    elif len(payload) < 65536:
+        head = struct.pack("!BBH", first, 0x80 | 126, len(payload))
+    else:
+        head = struct.pack("!BBQ", first, 0x80 | 127, len(payload))
+    return head + b"\0\0\0\0" + payload
+
+
+MALFORMED = [
+    "{",
+    '{"v": 1, "frame_id": "seven"}',
+    '{"v":1,"frame_id":1,"t":NaN}',
+    '{"v":1,"frame_id":1,"t":1e999}',
+    '{"x":' + "[" * 30000 + "]" * 30000 + "}",
+    native(1, pose={"root_pose": [1, 2]}),
+    native(1, size=[100000, 100000]),
+]
+
+
+@pytest.mark.parametrize("text", MALFORMED)
+def test_a_malformed_message_costs_that_message_only(serve, text):
+    async def main():
+        async with serve() as server, aiohttp.ClientSession() as http, http.ws_connect(server.url) as ws:
+            await ws.send_str(text)
+            answer = json.loads((await ws.receive(timeout=2)).data)["error"]
+            await ws.send_str(native(2))
+            return answer, (await ws.receive(timeout=2)).data[:2]
+
+    error, magic = asyncio.run(main())
+    assert magic == b"VR"
+    assert set(error) == {"code", "message", "frame_id"} and error["message"].isprintable()
+    assert "Traceback" not in error["message"] and "/" not in error["message"].replace("/ws", "")
+
+
+def test_binary_where_text_belongs(serve, cameras):
+    async def main():
+        async with serve() as server, aiohttp.ClientSession() as http, http.ws_connect(server.url) as ws:
+            await ws.send_bytes(b"\x00" * 100)
+            error = json.loads((await ws.receive(timeout=2)).data)["error"]
+            await ws.send_str(native(1))
+            return error["code"], (await ws.receive(timeout=2)).type
+
+    assert asyncio.run(main()) == ("binary", aiohttp.WSMsgType.BINARY)
+
+
+def test_repeated_malformed_messages_end_the_connection(serve, cameras):
+    async def main():
+        async with serve() as server, aiohttp.ClientSession() as http, http.ws_connect(server.url) as ws:
+            for _ in range(20):
+                await ws.send_str("{")
+            texts = 0
+            while (message := await ws.receive(timeout=2)).type == aiohttp.WSMsgType.TEXT:
+                texts += 1
+            return texts, message.data, await still_serves(server, cameras)
+
+    texts, code, alive = asyncio.run(main())
+    assert (texts, code, alive) == (9, 1008, True)
+
+
+@pytest.mark.parametrize("size", [64 * 1024 + 1, 4 * 1024 * 1024])
+def test_an_oversized_message_ends_the_connection(serve, cameras, size):
+    async def main():
+        async with serve() as server:
+            async with aiohttp.ClientSession() as http, http.ws_connect(server.url) as ws:
+                try:
+                    await ws.send_str(" " * size)
+                    message = await ws.receive(timeout=2)
+                    code = message.data if message.type == aiohttp.WSMsgType.CLOSE else None
+                except ConnectionError:
+                    code = None
+            return code, await still_serves(server, cameras)
+
+    code, alive = asyncio.run(main())
+    assert code in (1009, None) and alive
+
+
+def test_broken_websocket_frames(serve, cameras):
+    bad = [
+        frame(0x3, b"reserved opcode"),
+        frame(0x1, b"\xff\xfe"),  # not UTF-8
+        frame(0x9, b"x" * 200),  # a ping longer than 125
+        b"\xff" * 64,
+        struct.pack("!BBQ", 0x81, 0xFF, 2**62) + b"\0\0\0\0",  # announces 4 EiB
+        b"".join(frame(0x1 if i == 0 else 0x0, b"[" * 30000, fin=False) for i in range(4)),  # endless fragments
+        struct.pack("!BB", 0x81, 3) + b"abc",  # not masked
+    ]
+
+    async def main():
+        async with serve() as server:
+            for data in bad:
+                reader, writer = await raw(server)
+                writer.write(data)
+                writer.write_eof()
+                try:
+                    await asyncio.wait_for(reader.read(), 5)
+                except ConnectionError:
+                    pass
+                writer.close()
+            return server.stats()["clients"], await still_serves(server, cameras)
+
+    clients, alive = asyncio.run(main())
+    assert alive and clients == []
+
+
+def test_repeated_and_falling_ids_are_never_drawn(serve, fake_backend):
+    backend = fake_backend()
+
+    async def main():
+        async with serve(backend) as server, aiohttp.ClientSession() as http, http.ws_connect(server.url) as ws:
+            for frame_id in (5, 5, 4, 1, 0, 6):
+                await ws.send_str(native(frame_id))
+                await asyncio.sleep(0.03)
+            return server.stats()["totals"]
+
+    totals = asyncio.run(main())
+    ids = [request.frame_id for request in backend.drawn]
+    assert ids == sorted(set(ids)) and set(ids) <= {5, 6} and totals["stale"] == 4
+
+
+def test_a_burst_of_requests_draws_only_a_few(serve, fake_backend):
+    backend = fake_backend(delay=0.01)
+
+    async def main():
+        async with serve(backend) as server, aiohttp.ClientSession() as http, http.ws_connect(server.url) as ws:
+            for i in range(1, 501):
+                await ws.send_str(native(i))
+            await asyncio.sleep(0.3)
+            return server.stats()["totals"], server.stats()["clients"][0]
+
+    totals, client = asyncio.run(main())
+    assert len(backend.drawn) <= 2 + 1  # the window, as nothing is acknowledged
+    assert totals["received"] == 500 and totals["limited"] > 300
+    assert client["waiting"] <= 1
+
+
+def test_a_client_that_stops_reading_is_cut_off(serve, fake_backend, cameras):
+    """Its pictures do not pile up in the server, and others do not wait for it."""
+    backend = fake_backend(noise=True)
+    config = ServerConfig(port=0, write_timeout=0.5, session=SessionConfig(rate=1e4, burst=1e4))
+
+    async def main():
+        async with serve(backend, config) as server:
+            stuck = socket.create_connection(("127.0.0.1", server.port))
+            stuck.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+            stuck.setblocking(False)
+            loop = asyncio.get_running_loop()
+            await loop.sock_sendall(
+                stuck,
+                b"GET /ws?window=8 HTTP/1.1\r\nHost: x\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
+                b"Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n\r\n",
+            )
+            async with Client(server.url) as other:
+                slowest = 0.0
+                for i in range(1, 200):
+                    text = json.dumps({"v": 1, "frame_id": i, "eyes": [EYE], "size": [1024, 1024], "quality": 100})
+                    try:
+                        await loop.sock_sendall(stuck, frame(0x1, text.encode()))
+                    except ConnectionError:
+                        break
+                    start = time.perf_counter()
+                    await other.render(cameras)
+                    slowest = max(slowest, time.perf_counter() - start)
+                    if len(server.stats()["clients"]) == 1:
+                        break
+                    await asyncio.sleep(0.02)
+                clients = len(server.stats()["clients"])
+            stuck.close()
+            return clients, slowest
+
+    clients, slowest = asyncio.run(main())
+    assert clients == 1  # the other one
+    assert slowest < 0.45  # below the write time-out: it never waited for the stuck one
+
+
+def test_a_client_killed_while_its_picture_is_drawn(serve, fake_backend, cameras):
+    backend = fake_backend(delay=0.1)
+
+    async def main():
+        async with serve(backend) as server:
+            for abort in (False, True):
+                _, writer = await raw(server)
+                writer.write(frame(0x1, native(1).encode()))
+                await asyncio.sleep(0.03)
+                if abort:
+                    writer.transport.abort()  # RST
+                writer.close()
+            alive = await still_serves(server, cameras)
+            await asyncio.sleep(0.05)
+            return alive, server.stats()
+
+    alive, stats = asyncio.run(main())
+    assert alive and stats["clients"] == [] and stats["healthy"]
+
+
+def test_an_error_while_drawing_reaches_only_its_client(serve, fake_backend, cameras, caplog):
+    def fail(request):
+        if request.cameras[0].width == 32:
+            return FormatError("/secret/path/avatar.glb: broken")
+        return RuntimeError("GL_OUT_OF_MEMORY in /secret/path") if request.cameras[0].width == 16 else None
+
+    async def main():
+        async with serve(fake_backend(fail=fail)) as server:
+            async with Client(server.url) as good, aiohttp.ClientSession() as http:
+                async with http.ws_connect(server.url) as bad:
+                    answers = []
+                    for i, width in enumerate((32, 16, 64), 1):
+                        await bad.send_str(native(i, size=[width, 64]))
+                        await good.render(cameras)
+                        answers.append(await bad.receive(timeout=2))
+                    return answers, server.pump.healthy
+
+    (one, two, three), healthy = asyncio.run(main())
+    for answer, frame_id in ((one, 1), (two, 2)):
+        assert json.loads(answer.data)["error"] == {
+            "code": "render",
+            "message": "the picture could not be drawn",
+            "frame_id": frame_id,
+        }
+    assert three.type == aiohttp.WSMsgType.BINARY and healthy
+    assert "GL_OUT_OF_MEMORY" in caplog.text  # in the server's log, not on the wire
+
+
+def test_a_renderer_that_always_fails_is_not_healthy(serve, fake_backend, cameras):
+    async def main():
+        async with serve(fake_backend(fail=lambda request: RuntimeError("lost"))) as server:
+            async with Client(server.url) as client, aiohttp.ClientSession() as http:
+                for _ in range(3):
+                    with pytest.raises(ProtocolError, match="could not be drawn"):
+                        await client.render(cameras)
+                async with http.get(f"http://127.0.0.1:{server.port}/healthz") as response:
+                    return response.status
+
+    assert asyncio.run(main()) == 503
+
+
+def test_eight_clients_one_of_them_misbehaving(serve, fake_backend, cameras):
+    backend = fake_backend(delay=0.002)
+
+    async def well(url):
+        got = 0
+        async with Client(url) as client:
+            for _ in range(12):
+                await client.render(cameras)
+                got += 1
+        return got
+
+    async def ill(server):
+        _, writer = await raw(server)
+        for i in range(60):
+            data = [frame(0x1, b"{"), frame(0x2, b"\0" * 1000), frame(0x1, native(5).encode()), b"\xff\xff"][i % 4]
+            writer.write(data)
+            await asyncio.sleep(0.002)
+        writer.close()
+
+    async def main():
+        async with serve(backend) as server:
+            *counts, _ = await asyncio.gather(
+                *(well(server.url) for _ in range(7)), ill(server), return_exceptions=True
+            )
+            return counts
+
+    assert asyncio.run(main()) == [12] * 7
+
+
+def test_slow_handshakes_and_silence_are_ended(serve, fake_backend):
+    config = ServerConfig(port=0, session=SessionConfig(handshake=0.3, idle=0.4))
+
+    async def until_closed(reader, limit):
+        start = time.perf_counter()
+        await asyncio.wait_for(reader.read(), limit)
+        return time.perf_counter() - start
+
+    async def main():
+        async with serve(fake_backend(), config) as server:
+            silent, silent_writer = await asyncio.open_connection("127.0.0.1", server.port)
+            slow, slow_writer = await asyncio.open_connection("127.0.0.1", server.port)
+            slow_writer.write(b"GET /ws HTTP/1.1\r\nHost: x\r\nX-A: ")  # never ends its headers
+            mute, mute_writer = await raw(server)
+            idle, idle_writer = await raw(server)
+            idle_writer.write(frame(0x1, native(1).encode()))
+            times = await asyncio.gather(*(until_closed(r, 4) for r in (silent, slow, mute, idle)))
+            for writer in (silent_writer, slow_writer, mute_writer, idle_writer):
+                writer.close()
+            return times
+
+    assert max(asyncio.run(main())) < 4
+
+
+def test_many_connections_leave_nothing_behind(serve, cameras):
+    async def main():
+        async with serve() as server:
+            for i in range(60):
+                _, writer = await raw(server)
+                if i % 3 == 0:
+                    writer.write(frame(0x1, native(1).encode()))
+                if i % 2:
+                    writer.transport.abort()
+                writer.close()
+                while len(server.stats()["clients"]) >= 7:
+                    await asyncio.sleep(0.005)
+            await asyncio.sleep(0.2)
+            return server.stats()["clients"], await still_serves(server, cameras), len(asyncio.all_tasks())
+
+    clients, alive, tasks = asyncio.run(main())
+    assert clients == [] and alive and tasks < 10
+
+
+def test_the_client_reports_a_server_that_goes_away(cameras):
+    async def main():
+        with pytest.raises(ProtocolError, match=r"no server at ws://127\.0\.0\.1:9/ws: start one with `glsplat serve`"):
+            await Client("ws://127.0.0.1:9/ws", timeout=2).connect()
+
+    asyncio.run(main())
+    assert request_message(1)["v"] == 1

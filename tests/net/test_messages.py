@@ -1,0 +1,313 @@
+"""Decoding requests: the three forms, what is refused, and that nothing else than ProtocolError ever comes out."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from glsplat.camera import head_matrix, stereo_cameras
+from glsplat.errors import ProtocolError
+from glsplat.net.messages import MAX_BYTES, Ack, Decoder, RenderRequest, WireOptions, error_text, eye_fields
+from glsplat.skinning.skeleton import Skeleton
+
+EYE = {"viewmat": [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 2, 0, 0, 0, 1], "K": [50, 60, 31, 33]}
+GOOD = {
+    "v": 1,
+    "frame_id": 7,
+    "ack": 6,
+    "t": 1234.5,
+    "eyes": [EYE, EYE],
+    "size": [64, 48],
+    "pose": {"root_pose": [0, 1, 0]},
+}
+
+
+def decode(message, options=None, skeleton=None):
+    text = message if isinstance(message, (str, bytes)) else json.dumps(message)
+    return Decoder(options, skeleton).decode(text)
+
+
+def refused(message, code=None):
+    with pytest.raises(ProtocolError) as caught:
+        decode(message)
+    assert code is None or caught.value.code == code
+    assert len(str(caught.value)) <= 300 and "\n" not in str(caught.value)
+    return caught.value
+
+
+def test_a_native_request():
+    body = np.linspace(-1, 1, 63).reshape(21, 3).tolist()
+    request = decode(GOOD | {"quality": 90, "crop": True, "pose": {"body_pose": body, "root_pose": [0.1, 0, 0]}})
+    assert (request.frame_id, request.ack, request.t, request.quality, request.crop) == (7, 6, 1234.5, 90, True)
+    assert request.form == "native" and request.eyes == (0, 1)
+    camera = request.cameras[1]
+    assert (camera.width, camera.height) == (64, 48)
+    np.testing.assert_array_equal(camera.K, [[50, 0, 31], [0, 60, 33], [0, 0, 1]])
+    np.testing.assert_array_equal(camera.viewmat[2], [0, 0, 1, 2])
+    np.testing.assert_allclose(request.pose.rotations[1:22], body)
+    np.testing.assert_allclose(request.pose.rotations[0], [0.1, 0, 0])
+
+
+def test_poses_may_be_flat_or_nested_or_absent():
+    flat = list(range(63))
+    nested = np.reshape(flat, (21, 3)).tolist()
+    a, b = (decode(GOOD | {"pose": {"body_pose": value}}).pose for value in (flat, nested))
+    np.testing.assert_array_equal(a.rotations, b.rotations)
+    assert decode({k: v for k, v in GOOD.items() if k != "pose"}).pose is None
+
+
+def test_unknown_fields_are_left_for_the_future():
+    assert decode(GOOD | {"view": "mirror", "pose": {"jaw_pose": [0, 0, 0], "betas": [[1, [2]]]}}).frame_id == 7
+
+
+def test_defaults_are_the_servers():
+    message = {"v": 1, "frame_id": 0, "eyes": [EYE]}
+    request = decode(message, WireOptions(size=(320, 200), quality=55))
+    assert (request.cameras[0].width, request.cameras[0].height, request.quality) == (320, 200, 55)
+    assert request.eyes == (0,) and request.ack is None
+
+
+def test_fields_of_a_camera_survive_the_wire_exactly(rng):
+    quat = rng.normal(size=4)
+    left, right = stereo_cameras(head_matrix(rng.normal(size=3), quat), K=[[700.3, 0, 511], [0, 690, 480.5], [0, 0, 1]])
+    message = {"v": 1, "frame_id": 1, "size": [1024, 1024], "eyes": [eye_fields(left), eye_fields(right)]}
+    for sent, got in zip((left, right), decode(message).cameras, strict=True):
+        np.testing.assert_array_equal(sent.viewmat, got.viewmat)
+        np.testing.assert_array_equal(sent.K, got.K)
+
+
+def test_an_acknowledgement_alone():
+    assert decode({"v": 1, "ack": 9}) == Ack(9)
+
+
+def test_poses_by_joint_name_for_other_rigs():
+    skeleton = Skeleton.from_joints(("a", "b"), [-1, 0], np.zeros((2, 3)))
+    request = decode(GOOD | {"pose": {"joints": {"b": [0, 0, 1]}}}, skeleton=skeleton)
+    np.testing.assert_array_equal(request.pose.rotations, [[0, 0, 0], [0, 0, 1]])
+
+
+def test_tracking_in_place_of_a_pose():
+    tracking = {"head": [0, 1.6, 0.2, 0, 0, 0, 1], "left": None, "right": [0.3, 1, 0.2, 0, 0, 0, 2]}
+    request = decode({"v": 1, "frame_id": 1, "tracking": tracking, "size": [64, 64]}, WireOptions(ipd=0.064))
+    assert request.tracking == {"head": tracking["head"], "right": tracking["right"]}
+    np.testing.assert_allclose(request.cameras[1].position, [0.032, 1.6, 0.2], atol=1e-12)
+    assert decode({"v": 1, "frame_id": 1, "tracking": tracking, "eyes": [EYE]}).eyes == (0,)
+
+
+@pytest.mark.parametrize(
+    ("change", "code"),
+    [
+        ({"v": 2}, "version"),
+        ({"v": None}, "version"),
+        ({"v": "1"}, "bad_field"),
+        ({"frame_id": None}, "bad_request"),
+        ({"frame_id": -1}, "bad_request"),
+        ({"frame_id": 2**32}, "bad_request"),
+        ({"frame_id": 10**40}, "bad_request"),
+        ({"frame_id": 1.5}, "bad_field"),
+        ({"frame_id": True}, "bad_field"),
+        ({"ack": -1}, "bad_request"),
+        ({"eyes": []}, "bad_request"),
+        ({"eyes": [EYE] * 3}, "bad_request"),
+        ({"eyes": None}, "bad_request"),
+        ({"eyes": {}}, "bad_field"),
+        ({"eyes": [{"viewmat": EYE["viewmat"]}]}, "bad_field"),
+        ({"eyes": [EYE | {"viewmat": EYE["viewmat"][:15]}]}, "bad_request"),
+        ({"eyes": [EYE | {"K": [50, 50, 32]}]}, "bad_request"),
+        ({"eyes": [EYE | {"K": [0, 50, 32, 32]}]}, "bad_camera"),
+        ({"eyes": [EYE | {"K": [-50, 50, 32, 32]}]}, "bad_camera"),
+        ({"eyes": [EYE | {"K": [1e300, 50, 32, 32]}]}, "bad_camera"),
+        ({"eyes": [EYE | {"viewmat": [0] * 16}]}, "bad_camera"),
+        ({"eyes": [EYE | {"viewmat": [1e300] * 16}]}, "bad_camera"),
+        ({"eyes": [EYE | {"viewmat": [1.01, *EYE["viewmat"][1:]]}]}, "bad_camera"),
+        ({"eyes": [EYE | {"viewmat": [-1, *EYE["viewmat"][1:]]}]}, "bad_camera"),
+        ({"eyes": [EYE | {"viewmat": [*EYE["viewmat"][:12], 0, 0, 2, 1]}]}, "bad_camera"),
+        ({"eyes": [EYE | {"viewmat": [*EYE["viewmat"][:3], 1e9, *EYE["viewmat"][4:]]}]}, "bad_camera"),
+        ({"size": [64]}, "bad_size"),
+        ({"size": [0, 64]}, "bad_size"),
+        ({"size": [4096, 64]}, "bad_size"),
+        ({"size": [64.5, 64]}, "bad_field"),
+        ({"quality": 0}, "bad_request"),
+        ({"quality": 101}, "bad_request"),
+        ({"crop": "yes"}, "bad_field"),
+        ({"t": "now"}, "bad_field"),
+        ({"pose": []}, "bad_field"),
+        ({"pose": {}}, "bad_pose"),
+        ({"pose": {"poze": [0, 0, 0]}}, "bad_pose"),
+        ({"pose": {"body_pose": [0] * 60}}, "bad_pose"),
+        ({"pose": {"body_pose": [[0, 0], [1]]}}, "bad_pose"),
+        ({"pose": {"root_pose": [0, 0, 0], "trans": [1e30, 0, 0]}}, "bad_pose"),
+        ({"pose": {"trans": [[[0, 0, 0]]]}}, "bad_field"),
+        ({"pose": {"joints": {"tail": [0, 0, 0]}}}, "bad_pose"),
+        ({"tracking": {"head": [0] * 7}}, "bad_request"),  # a pose is there already
+        ({"pose": None, "tracking": {"head": [0, 0, 0]}}, "bad_request"),
+        ({"pose": None, "tracking": {"head": [0] * 7}}, "bad_camera"),
+        ({"pose": None, "tracking": {"head": [0, 1e9, 0, 0, 0, 0, 1]}}, "bad_request"),
+        ({"pose": None, "eyes": None, "tracking": {"left": [0, 0, 0, 0, 0, 0, 1]}}, "bad_request"),
+    ],
+)
+def test_what_is_refused(change, code):
+    error = refused(GOOD | change, code)
+    if change.keys().isdisjoint({"frame_id"}) and code != "bad_field":
+        assert error.frame_id == 7
+
+
+@pytest.mark.parametrize(
+    ("text", "code"),
+    [
+        ("", "bad_json"),
+        ("null", "bad_field"),
+        ("[]", "bad_field"),
+        ("{", "bad_json"),
+        ("{}", "version"),
+        ('{"v":1}', "bad_request"),
+        ('{"v":1,"frame_id":1,"t":NaN}', "bad_json"),
+        ('{"v":1,"frame_id":1,"t":Infinity}', "bad_json"),
+        ('{"v":1,"frame_id":1,"t":1e999}', "bad_field"),
+        ('{"v":1,"frame_id":1,"eyes":' + "[" * 30000, "bad_field"),
+        ('{"x":' + "[" * 30000 + "]" * 30000 + "}", "bad_json"),
+        (b'{"v":1,"frame_id":1,"x":"\xff"}', "bad_request"),
+        ('{"v":1,"frame_id":1,"x":"\ud800"}', "bad_json"),
+        (" " * (MAX_BYTES + 1), "too_big"),
+        ('"' + "é" * (MAX_BYTES // 2) + '"', "too_big"),
+    ],
+)
+def test_text_that_is_no_request(text, code):
+    refused(text, code)
+
+
+def test_a_nearly_orthonormal_rotation_is_taken():
+    view = list(EYE["viewmat"])
+    view[0] = 1 + 4e-4
+    assert decode(GOOD | {"eyes": [EYE | {"viewmat": view}]}).eyes == (0,)
+
+
+def test_the_mirror_reflects_the_world():
+    plain = decode(GOOD).cameras[0]
+    mirrored = decode(GOOD, WireOptions(mirror=True)).cameras[0]
+    point = np.array([0.4, 1.0, -0.3, 1])
+    np.testing.assert_allclose(mirrored.viewmat @ point, plain.viewmat @ (point * (-1, 1, 1, 1)))
+    assert np.linalg.det(mirrored.viewmat[:3, :3]) == pytest.approx(-1)
+
+
+# ---------------------------------------------------------------------------------------------- the older clients
+
+
+def unity_camera(position, quat_xyzw, eye):
+    names = ("pos_x", "pos_y", "pos_z", "rot_x", "rot_y", "rot_z", "rot_w")
+    return dict(zip(names, map(float, (*position, *quat_xyzw)), strict=True)) | {"eye": eye}
+
+
+def test_a_unity_head_sees_what_it_saw_in_unity(rng):
+    """Points in front of a left-handed camera keep their place in the picture; only the eye's offset is added."""
+    options = WireOptions(ipd=0.06)
+    for _ in range(20):
+        turn, place = Rotation.random(random_state=int(rng.integers(1e6))), rng.normal(size=3)
+        cameras = [unity_camera(place, turn.as_quat(), eye) for eye in ("right", "left")]
+        request = decode({"frame_id": 1, "cameras": cameras, "smplx": {}}, options)
+        for camera, offset in zip(request.cameras, (-0.03, 0.03), strict=True):
+            point = rng.normal(size=3)
+            x, y, z = turn.inv().apply(point - place)  # Unity: right, up, forward of the head
+            ours = camera.viewmat @ (*(point * (-1, 1, 1)), 1)
+            np.testing.assert_allclose(ours[:3], [x - offset, -y, z], atol=1e-9)
+
+
+def test_old_forms():
+    head = unity_camera((0, 1.6, -2), (0, 0, 0, 1), "right")
+    smplx = {"root_pose": [0, 0.5, 0], "trans": [9, 9, 9], "body_pose": [0.0] * 63, "lhand_pose": [0.1] * 45}
+    options = WireOptions(size=(512, 256), quality=70)
+    request = decode({"camera": head, "smplx": smplx}, options)
+    assert request.form == "single-legacy" and request.eyes == (1,) and request.frame_id is None
+    assert (request.cameras[0].width, request.cameras[0].height, request.quality) == (512, 256, 70)
+    np.testing.assert_array_equal(request.pose.trans, 0)  # ignored, as their server does
+    np.testing.assert_allclose(request.pose.rotations[0], [0, 0.5, 0])
+    np.testing.assert_allclose(request.pose.rotations[25:40], 0.1)
+    fov = 2 * math.degrees(math.atan(128 / request.cameras[0].K[1, 1]))
+    assert fov == pytest.approx(65)
+    bundle = decode({"frame_id": 3, "cameras": [head, head | {"eye": "left"}], "smplx": smplx})
+    assert bundle.form == "bundle-legacy" and bundle.eyes == (0, 1) and bundle.frame_id == 3
+    assert bundle.cameras[0].name == "left"
+
+
+@pytest.mark.parametrize(
+    "message",
+    [
+        {"cameras": []},
+        {"cameras": [unity_camera((0, 0, 0), (0, 0, 0, 1), "left")] * 2},
+        {"cameras": [unity_camera((0, 0, 0), (0, 0, 0, 0), "left")]},
+        {"cameras": [unity_camera((0, 1e9, 0), (0, 0, 0, 1), "left")]},
+        {"cameras": [unity_camera((0, 0, 0), (0, 0, 0, 1), "middle")]},
+        {"camera": {"pos_x": 0}},
+        {"camera": unity_camera((0, 0, 0), (0, 0, 0, 1), "left"), "smplx": {"body_pose": [1, 2]}},
+        {"camera": unity_camera((0, 0, 0), (0, 0, 0, 1), "left"), "frame_id": -4},
+    ],
+)
+def test_old_forms_are_checked_too(message):
+    refused(message)
+
+
+# ------------------------------------------------------------------------------------------------------ any input
+
+json_values = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=8),
+    lambda inner: st.lists(inner, max_size=5) | st.dictionaries(st.text(max_size=6), inner, max_size=4),
+    max_leaves=12,
+)
+numbers = st.lists(st.floats(allow_nan=False) | st.integers(-3, 3), max_size=17)
+eye_like = st.fixed_dictionaries({"viewmat": numbers | st.just(EYE["viewmat"]), "K": numbers | st.just(EYE["K"])})
+fields = {
+    "v": st.just(1) | json_values,
+    "frame_id": st.integers(-2, 2**33) | json_values,
+    "ack": st.integers(-2, 2**33) | json_values,
+    "t": st.floats() | json_values,
+    "eyes": st.lists(eye_like, max_size=3) | json_values,
+    "size": st.lists(st.integers(-5, 5000), max_size=3) | json_values,
+    "quality": st.integers(-5, 200) | json_values,
+    "crop": st.booleans() | json_values,
+    "pose": st.dictionaries(st.sampled_from(["trans", "body_pose", "joints", "jaw_pose"]), numbers | json_values),
+    "tracking": st.dictionaries(st.sampled_from(["head", "left", "left_joints", "right_curl"]), numbers | json_values),
+    "cameras": st.lists(st.dictionaries(st.sampled_from(["pos_x", "rot_w", "eye"]), json_values), max_size=3),
+    "camera": json_values,
+    "smplx": json_values,
+}
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.fixed_dictionaries({}, optional=fields))
+def test_any_object_gives_a_checked_request_or_a_protocol_error(message):
+    _survives(json.dumps(message))
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.binary(max_size=300) | st.text(max_size=300))
+def test_any_bytes_give_a_protocol_error(data):
+    _survives(data)
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.data())
+def test_any_damage_to_a_good_request(data):
+    text = bytearray(json.dumps(GOOD).encode())
+    for _ in range(data.draw(st.integers(1, 4))):
+        text[data.draw(st.integers(0, len(text) - 1))] = data.draw(st.integers(0, 255))
+    _survives(bytes(text))
+
+
+def _survives(data):
+    try:
+        request = Decoder().decode(data)
+    except ProtocolError as error:
+        assert error.code and len(str(error)) <= 300 and str(error).isprintable()
+        json.loads(error_text(error.code, str(error), error.frame_id))
+        return
+    if isinstance(request, RenderRequest):
+        assert all(np.isfinite(c.viewmat).all() and np.isfinite(c.K).all() for c in request.cameras)
+        assert all(1 <= side <= 2048 for c in request.cameras for side in (c.width, c.height))
+        assert request.pose is None or np.isfinite(request.pose.rotations).all()
+        assert request.frame_id is None or 0 <= request.frame_id < 2**32
