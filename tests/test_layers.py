@@ -24,6 +24,7 @@ FLOORS = [
     ["shaders"],
     ["context"],
     ["passes"],
+    ["mesh"],
     ["renderer"],
     ["net"],
 ]

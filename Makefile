@@ -1,0 +1,45 @@
+# Every target does its own set-up: system libraries (by apt when root), a virtual environment, the package.
+VENV ?= .venv
+PYTHON ?= python3
+BIN := $(VENV)/bin
+
+.PHONY: demo test install style types unit goldens bench clean
+
+demo: $(VENV)/.run
+	$(BIN)/glsplat demo -o out/demo
+
+test: $(VENV)/.dev style types unit
+
+install: $(VENV)/.run
+
+style: $(VENV)/.dev
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+
+types: $(VENV)/.dev
+	$(BIN)/mypy
+
+unit: $(VENV)/.dev
+	$(BIN)/pytest
+
+# only after a change that is meant to change pictures: look at each one, give the reason in the commit message
+goldens: $(VENV)/.dev
+	$(BIN)/pytest tests/golden --update-goldens
+
+bench: $(VENV)/.run
+	$(BIN)/glsplat bench
+
+$(VENV)/.run: pyproject.toml .ci/system
+	.ci/system
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e .
+	touch $@
+
+$(VENV)/.dev: pyproject.toml .ci/system
+	.ci/system test
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[dev]'
+	touch $@ $(VENV)/.run
+
+clean:
+	rm -rf $(VENV) build dist out *.egg-info
