@@ -176,6 +176,18 @@ class Renderer:
         self.timer.stop()
         return target
 
+    def redraw(self, cameras: Sequence[Camera]) -> float:
+        """Step 4 alone on the records the last call left, for one view or a pair: milliseconds until the GPU is done.
+
+        The draw floor: what the picture costs once everything before it is known (``glsplat bench``).
+        """
+        pipeline, (target, _) = self._pipeline(cameras), self._batch_target(len(cameras))
+        self.context.ctx.finish()
+        timer = StageTimer(self.context.ctx.finish)
+        timer.start()
+        pipeline.draw(target, cameras, timer)
+        return timer.ms["draw"]
+
     def release(self) -> None:
         """Delete every GL object, and the context if it was made here. May be called twice."""
         with ExitStack() as stack:
