@@ -28,7 +28,7 @@ EXAMPLE = "glsplat serve me.glb --port 8000"
 
 
 class RendererBackend:
-    """The renderer as the server sees it. One target size is kept; clients that agree on one are fastest."""
+    """The renderer as the server sees it. Pictures of different sizes may follow each other."""
 
     def __init__(self, scene: Splats | Avatar, pixels: tuple[int, int], device: str | None = None) -> None:
         self._scene, self._pixels, self._device = scene, pixels, device

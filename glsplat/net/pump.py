@@ -27,6 +27,7 @@ __all__ = ["Channel", "FramePump"]
 log = logging.getLogger("glsplat.net")
 
 _SICK = 3  # pictures in a row that failed before /healthz says so
+_STUCK = 10.0  # seconds a picture may take before /healthz says so
 
 
 @dataclass(eq=False, slots=True)
@@ -57,9 +58,9 @@ class FramePump:
         self.driver = ""
         self.stages = StageTimes()
         self.failures = 0  # in a row
-        self.busy = False
         self._backend = backend
         self._clock = clock
+        self._drawing_since: float | None = None
         self._turn: deque[Channel] = deque()
         self._wake = asyncio.Event()
         self._render_thread = ThreadPoolExecutor(1, thread_name_prefix="render")
@@ -69,8 +70,9 @@ class FramePump:
 
     @property
     def healthy(self) -> bool:
-        """False once several pictures in a row failed, or the pump has ended."""
-        return self.failures < _SICK and self._task is not None and not self._task.done()
+        """False once several pictures in a row failed, one takes far too long, or the pump has ended."""
+        stuck = self._drawing_since is not None and self._clock() - self._drawing_since > _STUCK
+        return self.failures < _SICK and not stuck and self._task is not None and not self._task.done()
 
     async def start(self) -> None:
         """Open the backend on the render thread. Raises what it raises, after ending the threads."""
@@ -143,9 +145,9 @@ class FramePump:
                 self._wake.clear()
                 await self._wake.wait()
                 continue
-            self.busy = True
+            self._drawing_since = self._clock()
             await self._draw_one(channel)
-            self.busy = False
+            self._drawing_since = None
 
     def _next(self) -> Channel | None:
         """The next client, in turn, whose request can be drawn."""

@@ -9,6 +9,7 @@ import asyncio
 import contextlib
 import errno
 import logging
+import os
 import signal
 import socket
 import time
@@ -134,12 +135,21 @@ class Server:
         await self.pump.stop()
 
     async def run(self, started: Callable[[], None] | None = None) -> None:
-        """Serve until SIGINT or SIGTERM, then stop in order. ``started`` is called once clients can connect."""
+        """Serve until SIGINT or SIGTERM, then stop in order; a second signal ends the process at once.
+
+        ``started`` is called once clients can connect.
+        """
         done = asyncio.Event()
         loop = asyncio.get_running_loop()
+
+        def on_signal() -> None:
+            if done.is_set():
+                os._exit(1)  # the driver may hang in the render thread, which cannot be stopped
+            done.set()
+
         for number in (signal.SIGINT, signal.SIGTERM):
             with contextlib.suppress(NotImplementedError, ValueError):  # not on Windows, not off the main thread
-                loop.add_signal_handler(number, done.set)
+                loop.add_signal_handler(number, on_signal)
         await self.start()
         try:
             if started is not None:
