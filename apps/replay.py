@@ -66,6 +66,8 @@ def run(args: argparse.Namespace) -> int:
         raise GlsplatError(f"--fps needs 1 to 240, not {args.fps:g}")
     if args.frames is not None and args.frames < 1:
         raise GlsplatError(f"--frames needs at least 1, not {args.frames}")
+    if not 1 <= args.window <= 8:
+        raise GlsplatError(f"--window needs 1 to 8, not {args.window}")
     if args.save:
         check_target(args.save)
     token = read_token(args.token_file) if args.token_file else None

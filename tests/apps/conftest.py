@@ -1,0 +1,55 @@
+"""A server of numpy pictures that runs in a thread of its own, for commands that bring their own event loop."""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+from glsplat.net.backend import Rendered
+from glsplat.net.server import Server, ServerConfig
+
+
+class Stripes:
+    def __init__(self) -> None:
+        self.requests = []
+
+    def open(self) -> str:
+        return "numpy"
+
+    def render(self, request) -> Rendered:
+        self.requests.append(request)
+        camera = request.cameras[0]
+        out = np.zeros((len(request.cameras), camera.height, camera.width, 4), np.uint8)
+        out[:, :, 16:48] = (200, (request.frame_id * 9) % 256, 40, 255)
+        return Rendered(out, {"skin": 0.1, "draw": 0.2, "total": 0.3}, "numpy")
+
+    def close(self) -> None:
+        pass
+
+
+@pytest.fixture
+def stripes() -> Iterator[tuple[str, Stripes]]:
+    """(url, backend) of a running server."""
+    backend, ready, state = Stripes(), threading.Event(), {}
+
+    def work() -> None:
+        async def main() -> None:
+            server = Server(backend, ServerConfig(port=0))
+            await server.start()
+            state.update(url=server.url, loop=asyncio.get_running_loop(), end=asyncio.Event())
+            ready.set()
+            await state["end"].wait()
+            await server.stop()
+
+        asyncio.run(main())
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    assert ready.wait(10)
+    yield state["url"], backend
+    state["loop"].call_soon_threadsafe(state["end"].set)
+    thread.join(10)

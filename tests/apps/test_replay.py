@@ -1,0 +1,136 @@
+"""The replay client: what it reports, what it saves, and its errors."""
+
+from __future__ import annotations
+
+import argparse
+import json
+
+import cv2
+import numpy as np
+import pytest
+
+from apps import replay
+from apps.stage_table import table_markdown
+from apps.streaming import STAGES, Result, observer
+from glsplat.errors import GlsplatError
+
+
+def arguments(*words):
+    parser = argparse.ArgumentParser()
+    replay.add_arguments(parser)
+    return parser.parse_args([str(word) for word in words])
+
+
+def recording(path, count=10):
+    lines = [json.dumps({"t": i / 30, "head": [0, 1.6, 0, 0, 0, 0, 1], "left": None}) for i in range(count)]
+    path.write_text("\n".join([*lines, ""]))
+    return path
+
+
+def test_the_report_adds_up(stripes, capsys):
+    url, backend = stripes
+    args = arguments("walk", "--url", url, "--frames", 40, "--fps", 60, "--size", "64x64", "--json")
+    assert replay.run(args) == 0
+    out = json.loads(capsys.readouterr().out)
+    assert out["sent"] == 40 and out["received"] + out["dropped"] == 40 and out["errors"] == 0
+    assert out["shown"] + out["late"] == out["received"] > 20
+    assert out["driver"] == "numpy" and out["bytes_per_frame"] > 500
+    stages = {name: row["median"] for name, row in out["stages_ms"].items()}
+    assert set(stages) == {key for key, _, _ in STAGES} | {"render/skin", "render/draw"}
+    assert 0 < stages["render"] < stages["end_to_end"] < 100
+    assert out["age_ms"]["median"] >= stages["end_to_end"] - 1
+    poses = [request.pose for request in backend.requests]
+    assert not np.array_equal(poses[0].rotations, poses[-1].rotations)  # the motion moves
+    spots = [request.cameras[0].position for request in backend.requests]
+    assert 0 < np.linalg.norm(spots[-1] - spots[0]) < 1  # the observer sways
+
+
+def test_the_table_for_people(stripes, capsys):
+    assert replay.run(arguments("--url", stripes[0], "--frames", 5, "--size", 64)) == 0
+    text = capsys.readouterr().out
+    for _, name, _ in STAGES:
+        assert name in text
+    assert "5 asked" in text and "drawn by numpy" in text and "  skin" in text
+
+
+@pytest.mark.parametrize("name", ["sheet.png", "clip.mp4", "pairs/"])
+def test_pictures_are_saved(stripes, tmp_path, name):
+    target = f"{tmp_path}/{name}"
+    args = arguments("walk", "--url", stripes[0], "--frames", 12, "--fps", 30, "--size", 64, "--save", target)
+    assert replay.run(args) == 0
+    if name == "pairs/":
+        files = sorted((tmp_path / "pairs").glob("*.png"))
+        assert 4 <= len(files) <= 12
+        image = cv2.imread(str(files[0]))
+        assert image.shape == (64, 128, 3) and image[32, 32, 2] > 180 and image[32, 96, 2] > 180
+    elif name == "clip.mp4":
+        clip = cv2.VideoCapture(target)
+        assert clip.get(cv2.CAP_PROP_FRAME_WIDTH) == 128 and clip.get(cv2.CAP_PROP_FRAME_COUNT) >= 4
+        clip.release()
+    else:
+        assert cv2.imread(target).shape[1] == 2 * 128 + 4
+    assert {p.name for p in tmp_path.iterdir()} == {name.rstrip("/")}
+
+
+def test_a_recording_is_sent_as_tracking(stripes, tmp_path):
+    url, backend = stripes
+    path = recording(tmp_path / "head.jsonl")
+    with pytest.raises(GlsplatError, match="no picture came: this server has no tracking solver"):
+        replay.run(arguments(path, "--url", url, "--frames", 3, "--size", 64))
+    assert not backend.requests
+    drive, seconds = replay.load_drive(str(path))
+    assert seconds == pytest.approx(0.3)
+    assert drive.at(0.1).tracking["head"] == [0, 1.6, 0, 0, 0, 0, 1] and drive.at(99.0).pose is None
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--url", "ws://127.0.0.1:9/ws"], r"^no server at ws://127\.0\.0\.1:9/ws: start one with `glsplat serve`$"),
+        (["--url", "http://127.0.0.1:8000"], r"^http://127.0.0.1:8000: expected ws://HOST:PORT/ws"),
+        (["--url", "ws://"], "expected ws://HOST:PORT/ws"),
+        (["--url", "ws://host:port"], "expected ws://HOST:PORT/ws"),
+        (["nowhere.bvh"], "nowhere.bvh"),
+        (["nothing"], "no such motion; embedded are"),
+        (["nowhere.jsonl"], r"nowhere.jsonl: cannot read the recording"),
+        (["--avatar", "nowhere.glb"], "nowhere.glb"),
+        (["--save", "no/such/folder/sheet.png"], "there is no folder no/such/folder"),
+        (["--save", "clip.avi"], "expected a folder/, a clip .mp4 or a contact sheet .png"),
+        (["--token-file", "nowhere"], "nowhere: cannot read the token"),
+        (["--tls-ca", "nowhere.pem", "--url", "wss://127.0.0.1:9"], "nowhere.pem: expected a certificate"),
+        (["--fps", "0"], "--fps needs 1 to 240"),
+        (["--frames", "0"], "--frames needs at least 1"),
+        (["--window", "9"], "--window needs 1 to 8"),
+    ],
+)
+def test_errors_are_one_line(words, message, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(GlsplatError, match=message) as caught:
+        replay.run(arguments("--frames", 2, *words) if "--frames" not in words else arguments(*words))
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("text", ["", "{", '{"t": 0}', '{"head": [1]}', "[" * 5000])
+def test_broken_recordings_name_the_line(tmp_path, text):
+    path = tmp_path / "broken.jsonl"
+    path.write_text(text)
+    with pytest.raises(GlsplatError, match=r"broken\.jsonl"):
+        replay.load_drive(str(path))
+
+
+def test_the_observer_sees_the_whole_avatar():
+    for seconds in np.linspace(0, 60, 40):
+        for camera in observer(seconds, np.array([0.5, 0.1, -0.2]), (400, 300)):
+            for point in ((0.5, 0.0, -0.2), (0.5, 1.85, -0.2), (0.0, 1.2, -0.2), (1.0, 1.2, -0.2)):
+                x, y, z = camera.K @ (camera.viewmat @ (*point, 1))[:3]
+                assert z > 1 and 0 < x / z < 400 and 0 < y / z < 300
+
+
+def test_the_markdown_table_has_a_column_pair_a_run():
+    result = Result(sent=2, received=2, shown=2, seconds=0.5, driver="llvmpipe", nbytes=[1000, 3000], ages=[10.0, 12.0])
+    result.times = {"render": [20.0, 30.0], "render/draw": [15.0, 16.0], "end_to_end": [40.0, 41.0]}
+    text = table_markdown([("512x512", result), ("1024x1024", result)])
+    rows = [line for line in text.splitlines() if line.startswith("|")]
+    assert len({row.count("|") for row in rows}) == 1
+    assert "| stereo rendering | server | 25.00 | 29.50 | 25.00 | 29.50 |" in rows
+    assert "llvmpipe" in text and "simplejpeg" in text
