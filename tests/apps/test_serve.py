@@ -102,7 +102,7 @@ def test_a_server_process_draws_and_ends_with_zero(end):
     assert left.shape == (96, 96, 3) and left[48, 48].max() > 40 and left[:, 0].max() < 16
     assert not np.array_equal(left, right)
     assert list(single.pictures) == [0] and pair.info["driver"] == ready["driver"]
-    assert {"pose", "skin", "draw", "render", "encode", "total"} <= set(pair.info["times"])
+    assert {"pose", "draw", "render", "encode", "total"} <= set(pair.info["times"])
 
 
 @pytest.mark.gl
