@@ -42,16 +42,22 @@ class Encoder:
         The calling thread does the last eye itself: a pair takes one thread of the pool.
         """
         start = time.perf_counter()
-        boxes = [covered_box(image) for image in images] if crop else None
-        views = images if boxes is None else [_cut(image, box) for image, box in zip(images, boxes, strict=True)]
-        jobs = [self._pool.submit(encode_picture, view, quality, self._subsampling) for view in views[:-1]]
-        last = encode_picture(views[-1], quality, self._subsampling)
-        pictures = [job.result() for job in jobs] + [last]
-        return Encoded(pictures, boxes, (time.perf_counter() - start) * 1e3)
+        jobs = [self._pool.submit(self._one, image, quality, crop) for image in images[:-1]]
+        last = self._one(images[-1], quality, crop)
+        done = [job.result() for job in jobs] + [last]
+        pictures = [picture for picture, _ in done]
+        boxes = [box for _, box in done if box is not None]
+        return Encoded(pictures, boxes or None, (time.perf_counter() - start) * 1e3)
 
     def close(self) -> None:
         """Wait for running encodings and end the threads."""
         self._pool.shutdown()
+
+    def _one(self, image: NDArray[np.uint8], quality: int, crop: bool) -> tuple[bytes, Box | None]:
+        if not crop:
+            return encode_picture(image, quality, self._subsampling), None
+        x, y, w, h = box = covered_box(image)
+        return encode_picture(image[y : y + h, x : x + w], quality, self._subsampling), box
 
 
 def encode_picture(image: NDArray[np.uint8], quality: int = 80, subsampling: str = "420") -> bytes:
@@ -68,17 +74,13 @@ def covered_box(image: NDArray[np.uint8]) -> Box:
     An empty picture gives its first block, because a JPEG needs at least one pixel.
     """
     height, width = image.shape[:2]
-    alpha = image[..., 3]
-    rows = np.flatnonzero(alpha.any(axis=1))
+    # alpha is the highest byte of a little-endian pixel, so a row's largest pixel tells whether any alpha is above zero
+    pixels = np.ascontiguousarray(image).view("<u4")[..., 0]
+    rows = np.flatnonzero(pixels.max(axis=1) >> 24)
     if not len(rows):
         return 0, 0, min(_BLOCK, width), min(_BLOCK, height)
-    columns = np.flatnonzero(alpha[rows[0] : rows[-1] + 1].any(axis=0))
+    columns = np.flatnonzero(pixels[rows[0] : rows[-1] + 1].max(axis=0) >> 24)
     x, y = columns[0] // _BLOCK * _BLOCK, rows[0] // _BLOCK * _BLOCK
     right = min(-(-(columns[-1] + 1) // _BLOCK) * _BLOCK, width)
     bottom = min(-(-(rows[-1] + 1) // _BLOCK) * _BLOCK, height)
     return int(x), int(y), int(right - x), int(bottom - y)
-
-
-def _cut(image: NDArray[np.uint8], box: Box) -> NDArray[np.uint8]:
-    x, y, w, h = box
-    return image[y : y + h, x : x + w]
