@@ -1,0 +1,120 @@
+"""The project's own golden images: small scenes made in code, a PNG and a sidecar that says what rendered it.
+
+Same driver string: within 1/255. Another driver: at most 0.1 % of the pixels beyond 5/255. A missing or an unused
+golden fails. ``make goldens`` writes them anew; refused in CI, and only for pictures somebody has looked at.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from glsplat.avatar import Avatar, default_avatar
+from glsplat.camera import Camera, look_at, pinhole, stereo_cameras
+from glsplat.renderer import Renderer
+from glsplat.skinning.pose import Pose
+from glsplat.splats import Splats
+from tests.scenes import camera, cloud, eyes, limb, one_splat
+
+pytestmark = pytest.mark.gl
+
+FOLDER = Path(__file__).parent / "images"
+FAILED = Path(__file__).resolve().parents[1] / "out"
+
+
+def rows() -> Splats:
+    """Discs from sub-pixel to half the picture, opaque to faint."""
+    x, y = np.meshgrid(np.linspace(-1.2, 1.2, 6), np.linspace(-1, 1, 5))
+    means = np.stack([x.ravel(), y.ravel(), 0.01 * np.arange(30)], -1)
+    scales = np.geomspace(0.002, 0.3, 6)[np.arange(30) % 6, None] * (1, 0.5, 0.1)
+    quats = np.stack([np.cos(np.arange(30) / 5), 0 * np.arange(30), 0 * np.arange(30), np.sin(np.arange(30) / 5)], -1)
+    rgb = np.stack([np.linspace(0, 1, 30), np.linspace(1, 0.2, 30), np.full(30, 0.5)], -1)
+    return Splats.create(means, quats, scales, np.repeat([1.0, 0.9, 0.5, 0.1, 0.02], 6), rgb=rgb)
+
+
+def bent_limb(rotation_degree: int) -> tuple[Avatar, Pose]:
+    avatar = limb(count=1500, degree=rotation_degree)
+    return avatar, Pose(np.array([[0, 0, 0], [0, 0, 0.9], [0.4, 0, 0.9], [0, 0.8, 0.4]]), np.array([-0.6, -0.4, 0]))
+
+
+def person() -> tuple[list[Camera], Pose]:
+    rotations = np.zeros((55, 3))
+    rotations[16, 2], rotations[17, 2], rotations[18, 1] = -1.0, 1.1, -0.9
+    rotations[1, 0], rotations[4, 0] = -0.6, 0.7
+    head = np.eye(4)
+    head[:3, 3] = 0.15, 1.0, 2.1
+    return list(stereo_cameras(head, 0.3, size=(128, 128), background=(0.2, 0.2, 0.25))), Pose(rotations, np.zeros(3))
+
+
+def golden_cases() -> dict[str, Callable[[], tuple[Any, list[Camera], Pose | None, dict[str, Any]]]]:
+    wide = [
+        Camera(look_at((1.5, 0.5, 2), (0, 0, 0)), np.array([[60.0, 0, 20], [0, 45, 30], [0, 0, 1]]), 96, 64),
+    ]
+    return {
+        "still": lambda: (rows(), [camera(96)], None, {}),
+        "antialias": lambda: (rows(), [camera(96)], None, {"antialias": True}),
+        "sh3_pair": lambda: (cloud(800, 3), list(eyes(64)), None, {}),
+        "off_centre": lambda: (cloud(800), wide, None, {}),
+        "background_pair": lambda: (
+            cloud(60),
+            [replace(v, background=b) for v, b in zip(eyes(64), [(0.1, 0.4, 0.2), (0.8, 0.3, 0.1)], strict=True)],
+            None,
+            {},
+        ),
+        "bent": lambda: (*bent_limb(0)[:1], [camera(96)], bent_limb(0)[1], {}),
+        "bent_sh1_raw": lambda: (*bent_limb(1)[:1], [camera(96)], bent_limb(1)[1], {"rotation": "raw"}),
+        "half_target": lambda: (cloud(1500), [camera(64)], None, {"target": "16f"}),
+        "one_pixel_wide": lambda: (
+            one_splat(scales=[[0.5, 1e-4, 1e-4]], quats=[[0.9, 0, 0, 0.43]]),
+            [Camera(look_at((0, 0, 3), (0, 0, 0)), pinhole(64, 64), 64, 64)],
+            None,
+            {},
+        ),
+        "person": lambda: (default_avatar(), *person(), {}),
+    }
+
+
+CASES = golden_cases()
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_golden(renderer_of: Callable[..., Renderer], name: str, request: pytest.FixtureRequest) -> None:
+    scene, cameras, pose, config = CASES[name]()
+    size = cameras[0].width, cameras[0].height
+    renderer = renderer_of(scene, size, len(cameras), output="uint8", **config)
+    image = np.concatenate(list(renderer.render(cameras, pose)), axis=1)
+    picture, sidecar = FOLDER / f"{name}.png", FOLDER / f"{name}.json"
+    if request.config.getoption("--update-goldens"):
+        if os.environ.get("CI"):
+            pytest.fail("goldens are not made in CI; run make goldens on a machine where you can look at them")
+        FOLDER.mkdir(exist_ok=True)
+        cv2.imwrite(str(picture), cv2.cvtColor(image, cv2.COLOR_RGBA2BGRA))
+        facts = {"driver": renderer.driver, "variant": asdict(renderer.variant), "target": renderer.target_dtype}
+        sidecar.write_text(json.dumps({**facts, "config": config}, indent=1) + "\n", encoding="utf-8")
+        return
+    assert picture.exists() and sidecar.exists(), f"no golden {name}: make goldens, and look at it"
+    expected = cv2.cvtColor(cv2.imread(str(picture), cv2.IMREAD_UNCHANGED), cv2.COLOR_BGRA2RGBA)
+    facts = json.loads(sidecar.read_text(encoding="utf-8"))
+    assert facts["variant"] == asdict(renderer.variant), "the golden was made by another variant"
+    assert image.shape == expected.shape
+    error = np.abs(image.astype(int) - expected).max(axis=-1)
+    passed = error.max() <= 1 if facts["driver"] == renderer.driver else (error > 5).mean() <= 0.001
+    if not passed:
+        FAILED.mkdir(exist_ok=True)
+        difference = np.repeat(np.clip((error / 255) ** 0.25 * 255, 0, 255).astype(np.uint8)[..., None], 3, axis=-1)
+        three = np.concatenate([image[..., :3], expected[..., :3], difference], axis=0)
+        cv2.imwrite(str(FAILED / f"{name}.png"), cv2.cvtColor(three, cv2.COLOR_RGB2BGR))
+        pytest.fail(f"{name}: max {error.max()}, {(error > 1).mean():.3%} beyond 1/255; see tests/out/{name}.png")
+
+
+def test_no_golden_is_unused() -> None:
+    assert {p.stem for p in FOLDER.iterdir()} == set(CASES)
+    assert all((FOLDER / f"{name}{suffix}").exists() for name in CASES for suffix in (".png", ".json"))
