@@ -163,10 +163,10 @@ async def stream(
             )
             run.result.sent += 1
             progress(1)
-            if receiver.done():
+            if receiver.done() or decoder.done():
                 break
         end = time.perf_counter() + _LAST
-        while not run.finished and not receiver.done() and time.perf_counter() < end:
+        while not (run.finished or receiver.done() or decoder.done()) and time.perf_counter() < end:
             await asyncio.sleep(1 / fps)
             run.refresh(time.perf_counter() - start)
         run.result.seconds = run.last_shown - start if run.result.shown else time.perf_counter() - start

@@ -279,6 +279,22 @@ def test_a_renderer_that_always_fails_is_not_healthy(serve, fake_backend, camera
     assert asyncio.run(main()) == 503
 
 
+def test_a_renderer_that_hangs_is_not_healthy(serve, fake_backend, cameras, monkeypatch):
+    monkeypatch.setattr("glsplat.net.pump._STUCK", 0.1)
+
+    async def main():
+        async with serve(fake_backend(delay=0.4)) as server, Client(server.url) as client:
+            await client.send(cameras)
+            await asyncio.sleep(0.05)
+            before = server.pump.healthy
+            await asyncio.sleep(0.2)
+            during = server.pump.healthy
+            await client.receive()
+            return before, during, server.pump.healthy
+
+    assert asyncio.run(main()) == (True, False, True)
+
+
 def test_eight_clients_one_of_them_misbehaving(serve, fake_backend, cameras):
     backend = fake_backend(delay=0.002)
 
