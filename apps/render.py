@@ -63,6 +63,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Render what the arguments say."""
+    for one, other in (("pose", "motion"), ("cameras", "turntable")):
+        if getattr(args, one) is not None and getattr(args, other) is not None:
+            raise GlsplatError(f"give --{one} or --{other}, not both")
     output = Path(args.output)
     sequence = args.turntable is not None or (args.motion is not None and args.frame is None)
     _check_output(args.output, sequence)
@@ -120,8 +123,6 @@ def _check_output(name: str, sequence: bool) -> None:
 
 def _shots(args: argparse.Namespace, scene: Splats | Avatar) -> tuple[int, Iterator[_Shot]]:
     """How many pictures, and each one's cameras and pose."""
-    if args.pose and args.motion:
-        raise GlsplatError("give --pose or --motion, not both")
     if (args.pose or args.motion) and not isinstance(scene, Avatar):
         raise GlsplatError("this scene has no skeleton; --pose and --motion need an avatar (.glb with a skin)")
     pose: Pose | None = None
@@ -137,8 +138,6 @@ def _shots(args: argparse.Namespace, scene: Splats | Avatar) -> tuple[int, Itera
     if args.turntable is not None:
         if args.turntable < 1:
             raise GlsplatError(f"--turntable needs at least 1 view, not {args.turntable}")
-        if args.cameras:
-            raise GlsplatError("give --cameras or --turntable, not both")
         views = (_Shot(_view(args, scene, 2 * np.pi * i / args.turntable), pose, False) for i in range(args.turntable))
         return args.turntable, views
     cameras = load_cameras(args.cameras) if args.cameras else _view(args, scene)

@@ -1,0 +1,39 @@
+"""The wheel has everything: built, installed into an empty place, it renders from there."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+@pytest.mark.gl
+@pytest.mark.slow
+def test_the_wheel_renders_from_elsewhere(tmp_path: Path) -> None:
+    pip = [sys.executable, "-m", "pip", "--disable-pip-version-check", "--quiet"]
+    subprocess.run([*pip, "wheel", "--no-deps", "-w", str(tmp_path), str(ROOT)], check=True, capture_output=True)
+    (wheel,) = tmp_path.glob("*.whl")
+    names = zipfile.ZipFile(wheel).namelist()
+    assert not [n for n in names if n.startswith(("apps/", "tests/"))]
+    assert "glsplat/py.typed" in names and "glsplat/data/default_avatar.glb" in names
+    shaders = {p.name for p in (ROOT / "glsplat" / "shaders").glob("*.glsl")}
+    assert shaders == {Path(n).name for n in names if n.endswith(".glsl")}
+    packages = {p.parent.relative_to(ROOT).as_posix() for p in (ROOT / "glsplat").rglob("__init__.py")}
+    assert packages <= {str(Path(n).parent) for n in names}
+    site = tmp_path / "site"
+    subprocess.run([*pip, "install", "--no-deps", "--target", str(site), str(wheel)], check=True, capture_output=True)
+    script = (
+        "import sys, glsplat; sys.path.insert(0, sys.argv[1])\n"
+        "for name in [n for n in sys.modules if n.startswith('glsplat')]: del sys.modules[name]\n"
+        "import glsplat; assert glsplat.__file__.startswith(sys.argv[1]), glsplat.__file__\n"
+        "from glsplat_apps.cli import main; sys.exit(main(sys.argv[2:]))\n"
+    )
+    command = [sys.executable, "-c", script, str(site), "render", "--size", "64", "--stereo", "-o", "out.png"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "out.png").stat().st_size > 500
