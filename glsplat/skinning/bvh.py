@@ -222,10 +222,11 @@ def _asf(text: str) -> tuple[dict[str, _Bone], dict[str, str]]:
 
 def _topological(bones: dict[str, _Bone], parent_of: dict[str, str]) -> list[str]:
     order = ["root"]
-    bones["root"]
     while True:
         more = [child for child, parent in parent_of.items() if parent in order and child not in order]
         if not more:
+            if len(order) != len(bones):
+                raise KeyError("a bone without a place in the hierarchy")
             return order
         for child in more:
             bones[child]["tip"]

@@ -122,7 +122,7 @@ def retarget(clip: Clip, skeleton: Skeleton, *, forward: bool = False) -> tuple[
             local[:, i] = np.swapaxes(above, -1, -2) @ goal[:, i]
         else:
             goal[:, i] = above
-    scale = _leg(joints, index, 1.0) / _leg(rest, found, 1e-9)
+    scale = _leg(joints, index) / max(_leg(rest, found), 1e-9)
     root = clip.positions @ upright.T * scale
     if forward:
         turn = _facing(local[0, 0])
@@ -218,13 +218,13 @@ def _between(a: F64, b: F64) -> F64:
     return Rotation.from_rotvec(axis / sin * np.arctan2(sin, cos)).as_matrix()
 
 
-def _leg(points: F64, index: dict[str, int], least: float) -> float:
+def _leg(points: F64, index: dict[str, int]) -> float:
     total = 0.0
     for side in ("left", "right"):
         hip, knee = points[index[f"{side}_hip"]], points[index[f"{side}_knee"]]
         ankle = points[index[f"{side}_ankle"]] if f"{side}_ankle" in index else 2 * knee - hip
         total += float(np.linalg.norm(knee - hip) + np.linalg.norm(ankle - knee)) / 2
-    return max(total, least)
+    return total
 
 
 def _facing(root: F64) -> F64:

@@ -117,10 +117,12 @@ def read_person(path: str | Path) -> RiggedMesh:
     uv_i (T, 2) with v up, texture_i (bytes of a JPEG or PNG). Raises FormatError naming the file and the key.
     """
     try:
-        with open(path, "rb") as file, np.load(file, allow_pickle=False) as archive:
-            if not isinstance(archive, np.lib.npyio.NpzFile):
-                raise FormatError(f"{path}: a person is an .npz archive, found a single array")
-            data = {key: archive[key] for key in archive.files}
+        with open(path, "rb") as file:
+            if file.read(2) != b"PK":
+                raise FormatError(f"{path}: a person is an .npz archive, but this is none")
+            file.seek(0)
+            with np.load(file, allow_pickle=False) as archive:
+                data = {key: np.asarray(archive[key]) for key in archive.files}
     except OSError as error:
         raise FormatError(f"{path}: cannot read the person ({error.strerror or error})") from None
     except (ValueError, EOFError, zipfile.BadZipFile) as error:

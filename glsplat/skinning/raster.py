@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from glsplat.camera import Camera
 from glsplat.skinning.people import RiggedMesh
 
-__all__ = ["mesh_picture", "visible_faces"]
+__all__ = ["mesh_picture", "mesh_picture_and_depth", "visible_faces"]
 
 
 def visible_faces(
@@ -78,6 +78,13 @@ def mesh_picture(
     mesh: RiggedMesh, vertices: NDArray[np.float64], camera: Camera, supersample: int = 3
 ) -> NDArray[np.float64]:
     """The unlit textured mesh, premultiplied RGBA [H, W, 4] in [0, 1], box-filtered from ``supersample``^2 samples."""
+    return mesh_picture_and_depth(mesh, vertices, camera, supersample)[0]
+
+
+def mesh_picture_and_depth(
+    mesh: RiggedMesh, vertices: NDArray[np.float64], camera: Camera, supersample: int = 3
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """``mesh_picture``, and the farthest camera z [H, W] a pixel shows (infinite where it shows nothing)."""
     large = camera.resized(camera.width * supersample, camera.height * supersample)
     ids, bary = visible_faces(mesh, vertices, large)
     picture = np.zeros((*ids.shape, 4))
@@ -88,4 +95,10 @@ def mesh_picture(
         picture[mine, :3] = part.sample(uv)[:, :3]
         picture[mine, 3] = 1.0
         first += len(part.faces)
-    return cv2.resize(picture, (camera.width, camera.height), interpolation=cv2.INTER_AREA)
+    depth = np.full(ids.shape, np.inf)
+    hit = ids >= 0
+    corner = (vertices @ camera.viewmat[2, :3] + camera.viewmat[2, 3])[mesh.faces[ids[hit]]]
+    depth[hit] = (bary[hit] * corner).sum(axis=1)
+    blocks = depth.reshape(camera.height, supersample, camera.width, supersample)
+    small = cv2.resize(picture, (camera.width, camera.height), interpolation=cv2.INTER_AREA)
+    return small, blocks.max(axis=(1, 3))

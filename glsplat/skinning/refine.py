@@ -18,7 +18,7 @@ from glsplat.avatar import Avatar
 from glsplat.camera import Camera, look_at, pinhole
 from glsplat.skinning.people import RiggedMesh
 from glsplat.skinning.pose import Pose
-from glsplat.skinning.raster import mesh_picture
+from glsplat.skinning.raster import mesh_picture_and_depth
 from glsplat.skinning.splat_gradients import footprints
 from glsplat.splats import SH_C0, Splats
 
@@ -35,10 +35,13 @@ class RefineConfig:
     size: int = 448  # pixels, square
     mean_rate: float = 0.025  # in cell sizes a step
     scale_rate: float = 0.025  # natural logarithm a step
+    turn_rate: float = 0.012  # radians a step
     opacity_rate: float = 0.03  # logit a step
     color_rate: float = 0.01
     alpha_weight: float = 1.0  # of the coverage in the loss, against colour
+    layer: float = 0.015  # metres; what lies farther behind the surface must not help to close it
     max_shift: float = 1.0  # cell sizes from where the splat began
+    max_turn: float = 0.6  # radians
     max_growth: float = 0.9  # natural logarithm of the scale, either way
 
 
@@ -78,6 +81,7 @@ def refine(
     rest = Rotation.from_quat(splats.quats[:, [1, 2, 3, 0]].astype(np.float64)).as_matrix()
     shift = _Adam(np.zeros_like(start), config.mean_rate)
     growth = _Adam(np.zeros_like(start), config.scale_rate)
+    turn = _Adam(np.zeros_like(start), config.turn_rate)
     opacity = np.clip(splats.opacities.astype(np.float64), 0.02, 0.985)
     logit = _Adam(np.log(opacity / (1 - opacity)), config.opacity_rate)
     color = _Adam(np.clip(splats.sh[:, 0].astype(np.float64) * SH_C0 + 0.5, 0, 1), config.color_rate)
@@ -89,12 +93,13 @@ def refine(
         pose = _random_pose(avatar.skeleton.names, rng)
         vertices = mesh.posed(pose)
         camera = _random_camera(mesh, vertices, config.size, rng)
-        target = mesh_picture(mesh, vertices, camera, 2)
+        target, depth = mesh_picture_and_depth(mesh, vertices, camera, 2)
         bones = np.einsum("nk,nkij->nij", weights, pose.bones(avatar.skeleton)[joints])
         scales = np.exp(log_start + growth.value)
         alpha = 1 / (1 + np.exp(-logit.value))
         means = np.einsum("nij,nj->ni", bones[:, :, :3], start + shift.value * cell) + bones[:, :, 3]
-        prints = footprints(means, _nearest_rotations(bones[:, :, :3]) @ rest, scales, alpha, camera)
+        rotations = _nearest_rotations(bones[:, :, :3]) @ rest @ Rotation.from_rotvec(turn.value).as_matrix()
+        prints = footprints(means, rotations, scales, alpha, camera, depth + config.layer)
         by_picture = 2 * (prints.picture(color.value) - target)
         by_picture[..., 3] *= config.alpha_weight
         grad = prints.backward(by_picture, color.value, alpha, scales)
@@ -103,17 +108,19 @@ def refine(
         by_shift = np.einsum("nij,ni->nj", bones[:, :, :3], grad.means) * cell
         shift.step(by_shift, seen, decay)
         growth.step(grad.log_scales, seen, decay)
+        turn.step(grad.turns, seen, decay)
         logit.step(grad.opacities * alpha * (1 - alpha), seen, decay)
         color.step(grad.rgb, seen, decay)
         length = np.linalg.norm(shift.value, axis=1, keepdims=True)
         shift.value *= np.minimum(1, config.max_shift / np.maximum(length, 1e-9))
         np.clip(growth.value, -config.max_growth, config.max_growth, out=growth.value)
+        np.clip(turn.value, -config.max_turn, config.max_turn, out=turn.value)
         np.clip(logit.value, -3.0, 4.6, out=logit.value)
         np.clip(color.value, 0, 1, out=color.value)
 
     fitted = Splats.create(
         start + shift.value * cell,
-        splats.quats,
+        (Rotation.from_matrix(rest) * Rotation.from_rotvec(turn.value)).as_quat()[:, [3, 0, 1, 2]],
         np.exp(log_start + growth.value),
         1 / (1 + np.exp(-logit.value)),
         rgb=color.value,
@@ -148,18 +155,28 @@ def _random_pose(names: tuple[str, ...], rng: np.random.Generator) -> Pose:
     return pose
 
 
+_CLOSE_UPS = (
+    ("head", "jaw"),
+    ("left_wrist", "left_index", "left_thumb"),
+    ("right_wrist", "right_index", "right_thumb"),
+)
+
+
 def _random_camera(mesh: RiggedMesh, vertices: F64, size: int, rng: np.random.Generator) -> Camera:
-    """The whole figure (half of the time), or its head or a hand, from anywhere around, mostly level."""
+    """The whole figure, its head, a hand or a random spot, from anywhere around, mostly level."""
     names = mesh.skeleton.names
-    groups = [("",), ("",), ("",), ("head", "jaw"), ("left_wrist", "left_index", "left_thumb"), ("right_wrist",)]
-    group = groups[int(rng.integers(len(groups)))]
     points = vertices[np.unique(mesh.faces)]
-    if group != ("",):
-        wanted = np.array([name.startswith(group) for name in names])
-        mine = wanted[mesh.joints[:, 0]]
-        points = vertices[mine] if mine.any() else points
     centre = (points.max(axis=0) + points.min(axis=0)) / 2
     radius = float(np.linalg.norm(points - centre, axis=1).max())
+    kind = rng.choice(len(_CLOSE_UPS) + 2, p=[0.4, 0.24, 0.16, 0.1, 0.1])
+    if kind == 1:
+        centre, radius = points[rng.integers(len(points))], radius * rng.uniform(0.15, 0.4)
+    elif kind > 1:
+        wanted = np.array([name.startswith(_CLOSE_UPS[kind - 2]) for name in names])
+        mine = wanted[mesh.joints[:, 0]]
+        if mine.any():
+            centre = (vertices[mine].max(axis=0) + vertices[mine].min(axis=0)) / 2
+            radius = float(np.linalg.norm(vertices[mine] - centre, axis=1).max())
     turn, lift = rng.uniform(0, 2 * np.pi), np.arcsin(np.clip(rng.normal(0.1, 0.4), -0.95, 0.95))
     direction = np.array([np.cos(lift) * np.sin(turn), np.sin(lift), np.cos(lift) * np.cos(turn)])
     distance = radius * rng.uniform(2.2, 4.0)

@@ -28,6 +28,7 @@ class SplatGradients:
 
     means: F64  # [N, 3] by world position
     log_scales: F64  # [N, 3]
+    turns: F64  # [N, 3] by a small rotation about the splat's own axes
     opacities: F64  # [N]
     rgb: F64  # [N, 3]
     weight: F64  # [N] how much of the picture a splat makes, in pixels
@@ -83,17 +84,29 @@ class Footprints:
         conic = np.stack([a, b, b, c], axis=1).reshape(n, 2, 2)
         by_cov = 0.5 * conic @ outer @ conic
         by_scale2 = np.einsum("nik,nij,njk->nk", self.axes, by_cov, self.axes)
+        # covariance = A S^2 A^T with A the axes: turning axis i towards j changes it by their products
+        mixed = np.einsum("nki,nkl,nlj->nij", self.axes, by_cov, self.axes) * 2
+        lean = mixed * (scales**2)[:, None, :]  # derivative by axis column j moving along axis i
+        turns = np.stack(
+            [lean[:, 2, 1] - lean[:, 1, 2], lean[:, 0, 2] - lean[:, 2, 0], lean[:, 1, 0] - lean[:, 0, 1]], axis=1
+        )
         return SplatGradients(
             means=np.einsum("nij,ni->nj", self.to_pixels, by_centre),
             log_scales=2 * scales**2 * by_scale2,
+            turns=turns,
             opacities=by_opacity,
             rgb=np.stack(total, axis=1),
             weight=np.bincount(self.splat, weight, minlength=n).astype(np.float64),
         )
 
 
-def footprints(means: F64, rotations: F64, scales: F64, opacities: F64, camera: Camera) -> Footprints:
-    """Project splats (means [N, 3], rotations [N, 3, 3], scales [N, 3], opacities [N]) and list what they cover."""
+def footprints(
+    means: F64, rotations: F64, scales: F64, opacities: F64, camera: Camera, beyond: F64 | None = None
+) -> Footprints:
+    """Project splats (means [N, 3], rotations [N, 3, 3], scales [N, 3], opacities [N]) and list what they cover.
+
+    ``beyond`` [H, W] leaves out, pixel by pixel, splats whose camera z is larger.
+    """
     view, shift = camera.viewmat[:3, :3], camera.viewmat[:3, 3]
     width, height = camera.width, camera.height
     fx, fy, cx, cy = camera.K[0, 0], camera.K[1, 1], camera.K[0, 2], camera.K[1, 2]
@@ -129,6 +142,8 @@ def footprints(means: F64, rotations: F64, scales: F64, opacities: F64, camera: 
     p, q, r = conic.T
     alpha = opacities[splat] * np.exp(-0.5 * (p[splat] * dx * dx + 2 * q[splat] * dx * dy + r[splat] * dy * dy))
     keep = alpha >= ALPHA_MIN
+    if beyond is not None:
+        keep &= z[splat] <= beyond[row, column]
     splat, alpha, dx, dy = splat[keep], np.minimum(alpha[keep], ALPHA_MAX), dx[keep], dy[keep]
     pixel = (row * width + column)[keep]
     group = np.argsort(pixel, kind="stable")  # keeps near to far inside a pixel

@@ -9,8 +9,9 @@ skinning weights of its cell: spacing, anisotropy and area filtering come from o
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
@@ -19,15 +20,13 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from glsplat.avatar import Avatar
-from glsplat.camera import Camera, look_at, pinhole
 from glsplat.errors import FormatError
-from glsplat.skinning.people import RiggedMesh
-from glsplat.skinning.pose import Pose
-from glsplat.skinning.raster import visible_faces
+from glsplat.skinning.people import MeshPart, RiggedMesh
 from glsplat.skinning.skin import Skin
+from glsplat.skinning.visibility import HEAD, Seen, seen_surface
 from glsplat.splats import Splats
 
-__all__ = ["SamplerConfig", "make_avatar", "seen_faces"]
+__all__ = ["SamplerConfig", "make_avatar"]
 
 Progress = Callable[[str, float], None]
 
@@ -36,15 +35,19 @@ Progress = Callable[[str, float], None]
 class SamplerConfig:
     """How a surface is cut into splats. The defaults are tuned on clothed people at 40,000 splats."""
 
-    candidates: int = 14  # surface samples a splat
+    samples: int = 40  # surface points a splat
+    candidates: int = 14  # of them, those that place the cells
     rounds: int = 16  # of Lloyd's algorithm
     hand_share: float = 0.095  # of all splats, a hand
     head_share: float = 0.19  # of all splats
     face_boost: float = 2.0  # density of the face against the rest of the head
+    detail_boost: float = 2.5  # density where the texture is busy against where it is plain, less one
     color_weight: float = 0.7  # cells of unit size a colour difference of one is worth
     normal_weight: float = 0.6  # cells of unit size a right angle is worth, over sqrt(2)
     sigma: float = 1.85  # standard deviations of the splat over those of its cell
     inset: float = 0.0  # metres inwards
+    probe: int = 512  # pixels of the views that find the visible surface
+    reach: float = 0.004  # metres from a seen point within which surface counts as seen
     thickness: float = 0.0004  # metres along the normal, at least
     opacity: float = 0.97
 
@@ -68,13 +71,16 @@ def make_avatar(
     report = progress or (lambda stage, done: None)
     rng = np.random.default_rng(seed)
     report("finding the visible surface", 0.0)
-    visible = seen_faces(mesh)
-    zone = np.where(visible, _face_zones(mesh), -1)
+    seen = seen_surface(mesh, config.probe)
+    zone = np.where(seen.faces, _face_zones(mesh), -1)
     chosen: list[_Cells] = []
     for index, (label, count) in enumerate(_allot(splats, zone, config)):
         report("placing splats", index / 4)
-        cloud = _sample_surface(mesh, zone == label, count * config.candidates, rng, config)
-        chosen.append(_tessellate(cloud, count, config, rng))
+        cloud = _sample_surface(mesh, seen, zone == label, count * config.samples, rng, config)
+        if cloud is not None and count:
+            chosen.append(_tessellate(cloud, count, config, rng))
+    if not chosen:
+        raise FormatError("the mesh shows nothing to put splats on: no area, or only texels of alpha below one half")
     report("placing splats", 1.0)
     means, quats, scales = (np.concatenate([getattr(c, key) for c in chosen]) for key in ("means", "quats", "scales"))
     rgb = np.concatenate([c.rgb for c in chosen])
@@ -87,11 +93,12 @@ def make_avatar(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Cloud:
-    """M points of the visible surface, drawn with probability proportional to area times density squared."""
+    """M points of the visible surface."""
 
     points: NDArray[np.float64]  # [M, 3]
     normals: NDArray[np.float64]  # [M, 3]
     rgb: NDArray[np.float64]  # [M, 3]
+    share: NDArray[np.float64]  # [M] surface a point stands for, relative
     density: NDArray[np.float64]  # [M] wanted splats by area, relative
     layer: NDArray[np.float64]  # [M] part number
     weights: csr_array  # [M, J]
@@ -107,63 +114,20 @@ class _Cells:
     weights: NDArray[np.float64]  # [N, J]
 
 
-def seen_faces(mesh: RiggedMesh, size: int = 512) -> NDArray[np.bool_]:
-    """[F] True for triangles that some view of some pose shows, and for their neighbours."""
-    seen = np.zeros(len(mesh.faces), bool)
-    for pose in _probe_poses(mesh.skeleton.names):
-        vertices = mesh.posed(pose)
-        shown = vertices[np.unique(mesh.faces)]
-        spheres = [(shown, 14)]
-        head = mesh.weights[:, 0] * np.array([name == "head" for name in mesh.skeleton.names])[mesh.joints[:, 0]] > 0.5
-        if head.any():
-            spheres.append((vertices[head], 10))
-        for points, views in spheres:
-            centre = (points.max(axis=0) + points.min(axis=0)) / 2
-            radius = float(np.linalg.norm(points - centre, axis=1).max())
-            for direction in _sphere(views):
-                viewmat = look_at(centre + direction * 4 * radius, centre)
-                camera = Camera(viewmat, pinhole(size, size, 29.0), size, size, near=1e-3)
-                ids, _ = visible_faces(mesh, vertices, camera)
-                seen[ids[ids >= 0]] = True
-    touched = np.zeros(len(mesh.vertices), bool)
-    touched[mesh.faces[seen]] = True
-    return seen | touched[mesh.faces].any(axis=1)
-
-
-def _probe_poses(names: tuple[str, ...]) -> list[Pose]:
-    """The zero pose and, on rigs that have the joints, two that open what it hides (cuffs, armpits, knees)."""
-    index = {name: i for i, name in enumerate(names)}
-    poses = [Pose.zero(len(names))]
-    if all(name in index for name in ("left_shoulder", "right_shoulder", "left_hip", "left_knee", "left_wrist")):
-        for bend in (0.5, -0.5):
-            pose = Pose.zero(len(names))
-            for side, sign in (("left", 1.0), ("right", -1.0)):
-                pose.rotations[index[f"{side}_shoulder"]] = (0, 0, -sign * 2 * bend)
-                pose.rotations[index[f"{side}_wrist"]] = (0, 0, -sign * bend)
-                pose.rotations[index[f"{side}_hip"]] = (-sign * bend, 0, sign * 0.3)
-                pose.rotations[index[f"{side}_knee"]] = (0.6, 0, 0)
-                pose.rotations[index[f"{side}_ankle"]] = (bend, 0, 0)
-            poses.append(pose)
-    return poses
-
-
-def _sphere(count: int) -> NDArray[np.float64]:
-    """[count, 3] directions spread evenly over the sphere (Fibonacci lattice)."""
-    i = np.arange(count) + 0.5
-    y, turn = 1 - 2 * i / count, np.pi * (1 + 5**0.5) * i
-    r = np.sqrt(1 - y * y)
-    return np.stack([r * np.cos(turn), y, r * np.sin(turn)], axis=1)
-
-
 def _sample_surface(
-    mesh: RiggedMesh, chosen: NDArray[np.bool_], count: int, rng: np.random.Generator, config: SamplerConfig
-) -> _Cloud:
+    mesh: RiggedMesh,
+    seen: Seen,
+    chosen: NDArray[np.bool_],
+    count: int,
+    rng: np.random.Generator,
+    config: SamplerConfig,
+) -> _Cloud | None:
     faces = mesh.faces[chosen]
     surface = trimesh.Trimesh(mesh.vertices, faces, process=False, validate=False)
     density = _vertex_density(mesh, config)[faces].mean(axis=1)
-    share = surface.area_faces * density**2
+    share = surface.area_faces * density
     if not share.sum() > 0:
-        raise FormatError("the mesh has no visible surface to put splats on")
+        return None
     points, which = trimesh.sample.sample_surface(
         surface, count, face_weight=share, seed=int(rng.integers(2**31)), sample_color=False
     )
@@ -172,17 +136,22 @@ def _sample_surface(
     corners = faces[which]
 
     part_of = mesh.face_parts[chosen][which]
-    rgba = np.ones((len(points), 4))
+    rgba, detail = np.ones((len(points), 4)), np.zeros(len(points))
     first = np.cumsum([0] + [len(part.faces) for part in mesh.parts])
     original = np.flatnonzero(chosen)[which]
     for i, part in enumerate(mesh.parts):
         mine = np.flatnonzero(part_of == i)
         uv = np.einsum("nk,nkc->nc", bary[mine], part.uv[original[mine] - first[i]])
-        rgba[mine] = part.sample(uv)
+        rgba[mine], detail[mine] = part.sample(uv), _detail(part).sample(uv)[:, 0]
     solid = rgba[:, 3] >= 0.5
+    normals = surface.face_normals[which]
+    solid &= seen.shows(points, normals, part_of, config.reach)
     if not solid.any():
-        raise FormatError("every texel of the visible surface is transparent; a splat needs alpha of at least one half")
-    points, which, bary, corners, rgba, part_of = (a[solid] for a in (points, which, bary, corners, rgba, part_of))
+        return None
+    points, which, bary, corners, rgba, part_of, normals, detail = (
+        a[solid] for a in (points, which, bary, corners, rgba, part_of, normals, detail)
+    )
+    drawn = density[which]
 
     m, k = len(points), mesh.joints.shape[1]
     values = (bary[:, :, None] * mesh.weights[corners]).reshape(m, -1)
@@ -190,14 +159,27 @@ def _sample_surface(
         (values.ravel(), mesh.joints[corners].reshape(-1), np.arange(m + 1) * 3 * k), shape=(m, len(mesh.skeleton))
     )
     return _Cloud(
-        points,
-        surface.face_normals[which],
-        rgba[:, :3],
-        density[which],
-        part_of.astype(np.float64),
-        weights,
-        float(surface.area * solid.mean()),
+        points=points,
+        normals=normals,
+        rgb=rgba[:, :3],
+        share=1 / drawn,
+        density=drawn * (1 + config.detail_boost * np.clip(detail / _BUSY, 0, 1)),
+        layer=part_of.astype(np.float64),
+        weights=weights,
+        area=float(surface.area * solid.mean()),
     )
+
+
+_BUSY = 0.12  # local standard deviation of colour that counts as fully busy
+
+
+def _detail(part: MeshPart) -> MeshPart:
+    """The part with a texture that holds the local standard deviation of its colour (5 x 5 texels)."""
+    color = part.texture[..., :3].astype(np.float32) / 255
+    variance = cv2.blur(color**2, (5, 5)) - cv2.blur(color, (5, 5)) ** 2
+    spread = np.sqrt(np.maximum(variance, 0).sum(axis=2))
+    texture = np.repeat(np.rint(np.clip(spread, 0, 1) * 255).astype(np.uint8)[..., None], 4, axis=2)
+    return replace(part, texture=texture)
 
 
 def _vertex_density(mesh: RiggedMesh, config: SamplerConfig) -> NDArray[np.float64]:
@@ -206,7 +188,7 @@ def _vertex_density(mesh: RiggedMesh, config: SamplerConfig) -> NDArray[np.float
     density = np.ones(len(mesh.vertices))
     if "head" in names:
         head = mesh.skeleton.joints[names.index("head")]
-        owns = np.array([name in _HEAD for name in names])
+        owns = np.array([name in HEAD for name in names])
         amount = (mesh.weights * owns[mesh.joints]).sum(axis=1) / np.maximum(mesh.weights.sum(axis=1), 1e-9)
         front = np.clip((mesh.vertices[:, 2] - head[2]) / 0.06, 0, 1)
         density *= 1 + (config.face_boost - 1) * amount * front
@@ -214,7 +196,6 @@ def _vertex_density(mesh: RiggedMesh, config: SamplerConfig) -> NDArray[np.float
 
 
 _HAND = ("wrist", "index", "middle", "pinky", "ring", "thumb")
-_HEAD = ("head", "jaw", "left_eye_smplhf", "right_eye_smplhf")
 
 
 def _face_zones(mesh: RiggedMesh) -> NDArray[np.intp]:
@@ -224,7 +205,7 @@ def _face_zones(mesh: RiggedMesh) -> NDArray[np.intp]:
         for zone, side in ((1, "left"), (2, "right")):
             if name.startswith(tuple(f"{side}_{part}" for part in _HAND)):
                 zone_of[i] = zone
-        if name in _HEAD:
+        if name in HEAD:
             zone_of[i] = 3
     strongest = np.take_along_axis(mesh.joints, mesh.weights.argmax(axis=1)[:, None], axis=1)[:, 0]
     return np.median(zone_of[strongest][mesh.faces], axis=1).astype(np.intp)
@@ -244,7 +225,8 @@ def _allot(total: int, zone: NDArray[np.intp], config: SamplerConfig) -> list[tu
 
 def _tessellate(cloud: _Cloud, count: int, config: SamplerConfig, rng: np.random.Generator) -> _Cells:
     """``count`` cells of the cloud and the Gaussian of each."""
-    size = np.sqrt(cloud.area / count * cloud.density.mean() / cloud.density)
+    weight = cloud.share * cloud.density
+    size = np.sqrt(cloud.area / count * np.average(cloud.density, weights=cloud.share) / cloud.density)
     features = np.concatenate(
         [
             cloud.points,
@@ -254,12 +236,21 @@ def _tessellate(cloud: _Cloud, count: int, config: SamplerConfig, rng: np.random
         ],
         axis=1,
     )
-    count = min(count, len(features))
-    sites = features[np.sort(rng.choice(len(features), count, replace=False))]
+    # Lloyd's algorithm settles at the square root of the density it is fed (in the plane), so it is fed the square
+    thin = _pick(weight * cloud.density, min(count * config.candidates, len(features)), rng)
+    some = features[thin]
+    count = min(count, len(some))
+    sites = some[np.sort(rng.choice(len(some), count, replace=False))]
     for _ in range(config.rounds):
-        label = _nearest(sites, features)
-        sites = _cell_means(label, features, np.ones(len(features)), sites)
+        label = _nearest(sites, some)
+        sites = _cell_means(label, some, np.ones(len(some)), sites)
     return _gaussians(cloud, _nearest(sites, features), count, config)
+
+
+def _pick(weight: NDArray[np.float64], count: int, rng: np.random.Generator) -> NDArray[np.intp]:
+    """``count`` indices drawn without replacement, with probabilities by ``weight`` (exponential races)."""
+    keys = rng.exponential(size=len(weight)) / weight
+    return np.sort(np.argpartition(keys, count - 1)[:count])
 
 
 def _nearest(sites: NDArray[np.float64], features: NDArray[np.float64]) -> NDArray[np.intp]:
@@ -278,7 +269,7 @@ def _gaussians(cloud: _Cloud, label: NDArray[np.intp], count: int, config: Sampl
     used = np.bincount(label, minlength=count) > 0
     label, count = (np.cumsum(used) - 1)[label], int(used.sum())
     points, normals = cloud.points, cloud.normals
-    area = 1 / cloud.density**2  # undoes the sampling density, up to a factor
+    area = cloud.share
     zero = np.zeros((count, 3))
     means = _cell_means(label, points, area, zero)
     mean_normal = _cell_means(label, normals, area, zero)
