@@ -2,6 +2,22 @@
 
 from __future__ import annotations
 
+from glsplat.tracking.calibration import Calibration, calibrate
+from glsplat.tracking.recording import record, replay
 from glsplat.tracking.sample import Sample
+from glsplat.tracking.solver import AnalyticSolver, Solution, Solver, Targets
+from glsplat.tracking.tracker import Tracker, TrackerConfig
 
-__all__ = ["Sample"]
+__all__ = [
+    "AnalyticSolver",
+    "Calibration",
+    "Sample",
+    "Solution",
+    "Solver",
+    "Targets",
+    "Tracker",
+    "TrackerConfig",
+    "calibrate",
+    "record",
+    "replay",
+]

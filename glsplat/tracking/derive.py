@@ -1,0 +1,137 @@
+"""Head and hand tracking from a motion whose full body is known: the truth that solvers are scored against."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glsplat.errors import PoseError
+from glsplat.skinning.skeleton import Skeleton
+from glsplat.tracking.batch import forward_all, quats_from_matrices, resample
+from glsplat.tracking.body import HAND_FRAMES, HEAD, WRISTS, Body
+from glsplat.tracking.sample import Sample, Transform
+
+__all__ = ["Disturbance", "Truth", "derive", "disturb", "truth_from_motion"]
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Truth:
+    """A motion on the ground, at the rate of its samples."""
+
+    times: Array  # [T] seconds
+    rotations: Array  # [T, 55, 3] axis-angle
+    trans: Array  # [T, 3] metres
+    positions: Array  # [T, 55, 3] joints in the world
+    frames: Array  # [T, 55, 3, 3] joint axes in the world
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Disturbance:
+    """What real tracking does to a signal."""
+
+    noise_mm: float = 0.0  # standard deviation of positions, a coordinate; white
+    noise_deg: float = 0.0  # standard deviation of orientations, an axis
+    dropout: float = 0.0  # share of the time a hand is lost
+    dropout_s: float = 0.3  # mean length of a loss, seconds
+    latency_s: float = 0.0  # samples tell of this long ago
+    seed: int = 0
+
+
+def truth_from_motion(skeleton: Skeleton, rotations: Array, trans: Array, fps: float, rate: float) -> Truth:
+    """A motion of ``skeleton`` at ``rate`` Hz, in a world whose ground is y = 0 (where the zero pose stands)."""
+    if not (1 <= rate <= 1000 and fps > 0):
+        raise PoseError(f"a rate needs 1 to 1000 Hz, not {rate:g} (motion at {fps:g} fps)")
+    if len(trans) < 2:
+        raise PoseError("tracking is derived from a motion of at least two frames, not one pose")
+    rotations, trans = resample(np.asarray(rotations, np.float64), np.asarray(trans, np.float64), fps, rate)
+    trans = trans - np.array([0.0, Body.of(skeleton).ground, 0.0])
+    positions, frames = forward_all(skeleton, rotations, trans)
+    return Truth(np.arange(len(trans)) / rate, rotations, trans, positions, frames)
+
+
+def derive(skeleton: Skeleton, truth: Truth, fingers: bool = True) -> list[Sample]:
+    """What an ideal headset would see of the truth: eyes, wrists and (``fingers``) 25 joints a hand."""
+    body = Body.of(skeleton)
+    head_quats = _times(quats_from_matrices(truth.frames[:, HEAD]), (0.0, 0.0, 1.0, 0.0))
+    eyes = truth.positions[:, HEAD] + truth.frames[:, HEAD] @ np.array(body.eye)
+    head = _transforms(eyes, head_quats)
+    hands = {}
+    for side, wrist in zip(("left", "right"), WRISTS, strict=True):
+        quats = _times(quats_from_matrices(truth.frames[:, wrist]), HAND_FRAMES[side])
+        hands[side] = _transforms(truth.positions[:, wrist], quats)
+    joints: dict[str, list[tuple[tuple[float, ...], ...]] | list[None]] = {
+        side: _hand_joints(body, truth, side) if fingers else [None] * len(head) for side in ("left", "right")
+    }
+    return [
+        Sample(float(t), head[i], hands["left"][i], hands["right"][i], joints["left"][i], joints["right"][i])
+        for i, t in enumerate(truth.times)
+    ]
+
+
+def disturb(samples: list[Sample], how: Disturbance) -> list[Sample]:
+    """Latency, then losses of a hand, then noise; the same for the same seed."""
+    rng = np.random.default_rng(how.seed)
+    times = np.array([s.t for s in samples])
+    dt = float(np.median(np.diff(times))) if len(times) > 1 else 1 / 72
+    source = np.searchsorted(times, times - how.latency_s - 1e-9)
+    out = []
+    lost = {"left": False, "right": False}
+    leave = min(1.0, dt / max(how.dropout_s, 1e-3))
+    enter = min(1.0, leave * how.dropout / max(1 - how.dropout, 1e-6)) if how.dropout > 0 else 0.0
+    for index, sample in enumerate(samples):
+        seen = replace(samples[int(source[index])], t=sample.t)
+        for side in ("left", "right"):
+            lost[side] = rng.random() >= leave if lost[side] else rng.random() < enter
+            if lost[side]:
+                seen = replace(seen, **{side: None, f"{side}_joints": None})  # type: ignore[arg-type]
+        if how.noise_mm or how.noise_deg:
+            noisy = {
+                key: _noisy(pose, rng, how.noise_mm / 1000, np.radians(how.noise_deg))
+                for key in ("head", "left", "right")
+                if (pose := getattr(seen, key)) is not None
+            }
+            seen = replace(seen, **noisy)  # type: ignore[arg-type]
+        out.append(seen)
+    return out
+
+
+def _noisy(pose: Transform, rng: np.random.Generator, metres: float, radians: float) -> Transform:
+    position = np.array(pose[:3]) + rng.normal(0, metres, 3) if metres else np.array(pose[:3])
+    small = np.array([*rng.normal(0, radians / 2, 3), 1.0]) if radians else np.array([0, 0, 0, 1.0])
+    x, y, z, w = pose[3:]
+    quat = _times(np.array([[w, x, y, z]]), (small[3], small[0], small[1], small[2]))[0]
+    quat /= np.linalg.norm(quat)
+    return (*position.tolist(), *quat[[1, 2, 3, 0]].tolist())
+
+
+def _times(quats: Array, right: tuple[float, float, float, float]) -> Array:
+    """quats [T, 4] (wxyz) times one quaternion."""
+    w, x, y, z = right
+    columns = np.array([[w, -x, -y, -z], [x, w, z, -y], [y, -z, w, x], [z, y, -x, w]])
+    return quats @ columns.T
+
+
+def _transforms(positions: Array, quats: Array) -> list[Transform]:
+    rows = np.concatenate([positions, quats[:, [1, 2, 3, 0]]], 1).tolist()
+    return [tuple(row) for row in rows]
+
+
+def _hand_joints(body: Body, truth: Truth, side: str) -> list[tuple[tuple[float, ...], ...]]:
+    """WebXR's 25 joints: wrist, thumb (4), then four fingers of 5, from SMPL-X's 16 and rest-pose fingertips."""
+    wrist, first = (WRISTS[0], 25) if side == "left" else (WRISTS[1], 40)
+    palm = truth.positions[:, wrist]
+    columns: list[Array] = [palm]
+    for finger in ("thumb", "index", "middle", "ring", "pinky"):
+        base = first + 3 * ("index", "middle", "pinky", "ring", "thumb").index(finger)
+        bones = [truth.positions[:, base + i] for i in range(3)]
+        # the last phalanx is a little shorter than the one before it (Buryanov & Kotiuk 2010: about 0.75)
+        reach = 0.75 * (body.rest[base + 2] - body.rest[base + 1])
+        tip = bones[2] + truth.frames[:, base + 2] @ reach
+        metacarpal = [] if finger == "thumb" else [palm + 0.3 * (bones[0] - palm)]
+        columns += [*metacarpal, *bones, tip]
+    stacked = np.stack(columns, 1).tolist()  # [T, 25, 3]
+    return [tuple([tuple(joint) for joint in row]) for row in stacked]

@@ -1,0 +1,223 @@
+"""Solver: from clean targets to a full body. The protocol a learned model can fill, and the analytic default."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from math import exp, hypot
+from typing import Protocol
+
+from glsplat.tracking.arms import Arm, ArmPose
+from glsplat.tracking.body import (
+    ANKLES,
+    COLLARS,
+    ELBOWS,
+    HEAD,
+    HIPS,
+    KNEES,
+    NECK,
+    PELVIS,
+    SHOULDERS,
+    SPINE1,
+    SPINE2,
+    SPINE3,
+    WRISTS,
+    Body,
+)
+from glsplat.tracking.heading import Heading
+from glsplat.tracking.legs import Legs
+from glsplat.tracking.limits import clamp_joint
+from glsplat.tracking.quat import IDENTITY, Quat, Vec, clamp, inverse_mul, mul, rotate, to_quat, unit, yaw_quat
+from glsplat.tracking.spine import Spine, Torso
+
+__all__ = ["AnalyticSolver", "Solution", "Solver", "Targets"]
+
+
+@dataclass(slots=True)
+class Targets:
+    """Filtered, calibrated targets in the avatar's metres, the ground at y = 0. Rotations are those of the joints."""
+
+    eye: Vec  # between the eyes
+    head: Quat
+    left: Vec | None = None  # wrist joint
+    left_hand: Quat = IDENTITY
+    right: Vec | None = None
+    right_hand: Quat = IDENTITY
+
+
+@dataclass(slots=True)
+class Solution:
+    """Local rotations of the 22 body joints, the pelvis' place, and what could not be met."""
+
+    rotations: list[Quat]
+    pelvis: Vec
+    reach: tuple[float, float] = (0.0, 0.0)  # metres the left and right wrist miss their targets by
+    head_off: float = 0.0  # radians the head had to give up
+    planted: tuple[bool, bool] = (True, True)
+    airborne: bool = False
+    notes: list[str] = field(default_factory=list)
+
+
+class Solver(Protocol):
+    """What ``Tracker`` calls. Bring another one to plug in a learned model."""
+
+    def reset(self) -> None:
+        """A teleport or a new user: forget the past."""
+
+    def solve(self, targets: Targets, dt: float) -> Solution:
+        """The body of this moment, ``dt`` (0 < dt <= 0.1 s) after the last one. Must be deterministic."""
+
+
+class AnalyticSolver:
+    """Head to pelvis through the spine, hands through the arms, feet by balance and gait: closed forms, no training."""
+
+    def __init__(self, body: Body) -> None:
+        self.body = body
+        self.heading = Heading()
+        self.spine = Spine(body)
+        self.legs = Legs(body)
+        self.arms = (Arm(body, 0), Arm(body, 1))
+        self.rest_neck = body.joints[NECK]
+        self.pelvis_rest = body.joints[PELVIS]
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the past."""
+        self.heading.reset()
+        self.spine.reset()
+        self.legs.reset()
+        for arm in self.arms:
+            arm.reset()
+        self._before: Vec | None = None
+        self._seen = 0
+        self._origin: Vec = (0.0, 0.0, 0.0)  # where the body was lately
+        self._away = 0.0
+        self._placed = False
+        self._velocity: Vec = (0.0, 0.0, 0.0)  # of the base, lightly smoothed
+        self._travel: Vec = (0.0, 0.0, 0.0)  # horizontal, smoothed over a step
+        self._slow: Vec = (0.0, 0.0, 0.0)  # horizontal, smoothed over a stride: walking or only swaying
+        self._twist = 0.0
+        self._walking = 0.0
+
+    def solve(self, targets: Targets, dt: float) -> Solution:
+        """One moment. See the module's docstring for the order of things."""
+        legs, spine = self.legs, self.spine
+        speed = hypot(self._travel[0], self._travel[2])
+        yaw = self.heading.update(targets.head, targets.eye, targets.left, targets.right, self._travel, speed, dt)
+        neck = spine.neck_point(targets.eye, targets.head, yaw)
+        speed = hypot(self._travel[0], self._travel[2])
+        feet = legs.feet
+        facing = yaw_quat(-yaw)
+        behind = [rotate(facing, foot.ball)[2] for foot in feet]
+        legs.gait.update(
+            neck, yaw, targets.left, targets.right, self._velocity, speed, self._away, behind[0] < behind[1], dt
+        )
+        moving = clamp((speed - 0.25) / 0.5, 0.0, 1.0) * clamp((self._away - 0.12) / 0.15, 0.0, 1.0)
+        moving = max(moving, 1.0 if legs.gait.walking else 0.0)
+        self._walking += (moving - self._walking) * (1 - exp(-dt / 0.1)) if self._seen > 3 else moving
+        middle = legs.middle()
+        balance = (0.0, 0.0)
+        if middle is not None:
+            rest = rotate(
+                yaw_quat(yaw), (self.rest_neck[0] - self.pelvis_rest[0], 0.0, self.rest_neck[2] - self.pelvis_rest[2])
+            )
+            local = rotate(facing, (neck[0] - middle[0] - rest[0], 0.0, neck[2] - middle[1] - rest[2]))
+            balance = (local[2], local[0])
+        self._twist = 0.4 * self.heading.hands
+        torso = spine.update(
+            targets.eye, targets.head, yaw, self.heading.head_yaw, balance, self._walking, speed, self._twist, dt
+        )
+        base = self._base(torso)
+        self._motion(base, dt)
+        speed = hypot(self._travel[0], self._travel[2])
+        if legs.gait.walking and self._seen <= 3 and not self._placed:
+            self._placed = True
+            legs.start_walking(base, yaw, self._travel, speed)
+        limbs = legs.update(base, torso.pelvis_at, torso.pelvis, yaw, self._travel, self._slow, speed, dt)
+        arms = [
+            arm.solve(torso.spine3, torso.spine3_at, *self._hand(arm.index, targets, torso), dt) for arm in self.arms
+        ]
+        return self._assemble(torso, limbs, arms, yaw)
+
+    def _motion(self, base: Vec, dt: float) -> None:
+        if self._before is None:
+            self._before = self._origin = base
+            return
+        self._seen += 1
+        least = 1 / self._seen  # a start in mid-walk: the first velocities count at once
+        c = max(1 - exp(-dt / 0.25), least)
+        w, t = self._slow, self._travel
+        self._slow = (w[0] + (t[0] - w[0]) * c, 0.0, w[2] + (t[2] - w[2]) * c)
+        k = 1 / max(dt, 1e-4)
+        n, p = base, self._before
+        now = ((n[0] - p[0]) * k, (n[1] - p[1]) * k, (n[2] - p[2]) * k)
+        a, b = max(1 - exp(-dt / 0.04), least), max(1 - exp(-dt / 0.12), least)
+        v, t = self._velocity, self._travel
+        self._velocity = (v[0] + (now[0] - v[0]) * a, v[1] + (now[1] - v[1]) * a, v[2] + (now[2] - v[2]) * a)
+        v = self._velocity
+        self._travel = (t[0] + (v[0] - t[0]) * b, 0.0, t[2] + (v[2] - t[2]) * b)
+        self._before = base
+        o = self._origin
+        if self._seen == 1:  # a recording may begin in mid-walk
+            t = self._travel
+            o = (base[0] - 0.8 * t[0], 0.0, base[2] - 0.8 * t[2])
+        d = 1 - exp(-dt / 0.8)
+        self._origin = o = (o[0] + (base[0] - o[0]) * d, 0.0, o[2] + (base[2] - o[2]) * d)
+        self._away = hypot(base[0] - o[0], base[2] - o[2])
+        c = max(1 - exp(-dt / 0.25), least)
+        w, t = self._slow, self._travel
+        self._slow = (w[0] + (t[0] - w[0]) * c, 0.0, w[2] + (t[2] - w[2]) * c)
+
+    @staticmethod
+    def _base(torso: Torso) -> Vec:
+        """Where the body's mass is over the ground: mostly at the pelvis, the rest at chest and head."""
+        p, n = torso.pelvis_at, torso.neck_at
+        return (0.65 * p[0] + 0.35 * n[0], 0.0, 0.65 * p[2] + 0.35 * n[2])
+
+    def _hand(self, index: int, targets: Targets, torso: Torso) -> tuple[Vec, Quat]:
+        at, hand = (targets.left, targets.left_hand) if index == 0 else (targets.right, targets.right_hand)
+        if at is not None:
+            return at, hand
+        # a relaxed arm hangs beside the hip, the palm towards the thigh
+        arm = self.arms[index]
+        sign = arm.sign
+        root = arm.shoulder_at(torso.spine3, torso.spine3_at)
+        down = unit(rotate(torso.pelvis, (0.12 * sign, -1.0, 0.12)))
+        far = 0.96 * arm.reach
+        hang = mul(torso.pelvis, to_quat((0.0, 0.0, -1.45 * sign)))
+        return (root[0] + down[0] * far, root[1] + down[1] * far, root[2] + down[2] * far), hang
+
+    def _assemble(
+        self, torso: Torso, limbs: list[tuple[Quat, Quat, Quat]], arms: list[ArmPose], yaw: float
+    ) -> Solution:
+        out = [IDENTITY] * 22
+        out[PELVIS] = torso.pelvis
+        out[SPINE1] = inverse_mul(torso.pelvis, torso.spine1)
+        out[SPINE2] = inverse_mul(torso.spine1, torso.spine2)
+        out[SPINE3] = inverse_mul(torso.spine2, torso.spine3)
+        out[NECK] = inverse_mul(torso.spine3, torso.neck)
+        out[HEAD] = inverse_mul(torso.neck, torso.head)
+        for i in (0, 1):
+            thigh, knee, foot = limbs[i]
+            free = inverse_mul(torso.pelvis, thigh)
+            hip = clamp_joint(HIPS[i], free)
+            out[HIPS[i]] = hip
+            if hip is not free:
+                thigh = mul(torso.pelvis, hip)
+            out[KNEES[i]] = knee
+            out[ANKLES[i]] = clamp_joint(ANKLES[i], inverse_mul(mul(thigh, knee), foot))
+            arm = arms[i]
+            out[COLLARS[i]], out[SHOULDERS[i]], out[ELBOWS[i]], out[WRISTS[i]] = (
+                arm.collar,
+                arm.shoulder,
+                arm.elbow,
+                arm.wrist,
+            )
+        feet = self.legs.feet
+        return Solution(
+            out,
+            torso.pelvis_at,
+            (arms[0].miss, arms[1].miss),
+            torso.head_off,
+            (feet[0].planted, feet[1].planted),
+            self.legs.air > 0.01,
+        )

@@ -1,0 +1,353 @@
+"""Tracker: samples in, poses out. Judges the input, filters, predicts, solves; the output stays finite and smooth."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from math import isfinite, sqrt
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glsplat.errors import PoseError
+from glsplat.skinning.pose import Pose
+from glsplat.skinning.skeleton import Skeleton
+from glsplat.tracking.body import HAND_FRAMES, HEAD_FRAME, Body
+from glsplat.tracking.calibration import Calibration
+from glsplat.tracking.filters import OneEuro, PositionFilter, RotationFilter
+from glsplat.tracking.fingers import Fingers
+from glsplat.tracking.limits import clamp_joint
+from glsplat.tracking.quat import IDENTITY, Quat, Vec, conj, mul, nlerp, slerp, to_quat
+from glsplat.tracking.sample import Sample, Transform
+from glsplat.tracking.solver import AnalyticSolver, Solution, Solver, Targets
+
+__all__ = ["Tracker", "TrackerConfig"]
+
+HEAD_POSITION, HEAD_ROTATION = OneEuro(5.0, 40.0), OneEuro(5.0, 8.0)
+HAND_POSITION, HAND_ROTATION = OneEuro(4.0, 40.0), OneEuro(4.0, 6.0)
+"""At rest 32 ms of lag for the head and 40 ms for the hands; at 1 m/s 3.5 ms, never more than 4 mm behind."""
+
+SHORTEST = 1e-4  # seconds; samples closer than this are the same moment
+FAR = 1e4  # metres; a device farther away is not tracked
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TrackerConfig:
+    """Filters and tolerances. The lags these filters add are in docs/tracking.md."""
+
+    head_position: OneEuro = HEAD_POSITION
+    head_rotation: OneEuro = HEAD_ROTATION
+    hand_position: OneEuro = HAND_POSITION
+    hand_rotation: OneEuro = HAND_ROTATION
+    finger_smoothing: float = 0.02  # seconds
+    prediction: float = 0.0  # seconds to extrapolate head and hands to the time of display; at most 0.1
+    predicted_metres: float = 0.10  # bounds of what prediction adds
+    predicted_radians: float = 0.35
+    head_speed: float = 12.0  # m/s; what moves faster is followed at this speed
+    hand_speed: float = 20.0
+    turn_speed: float = 50.0  # rad/s
+    teleport: float = 0.7  # metres the head may jump in a sample (beyond 8 m/s); more is declared a teleport
+    gap: float = 0.5  # seconds without samples after which the body starts anew
+    joint_speed: float = 45.0  # rad/s of any joint of the output
+    root_speed: float = 14.0  # m/s of the output's pelvis
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.prediction <= 0.1:
+            raise PoseError(f"prediction needs 0 to 0.1 seconds, not {self.prediction:g}")
+
+    @classmethod
+    def raw(cls) -> TrackerConfig:
+        """No filters: for recordings without noise."""
+        off = OneEuro(0.0, 0.0)
+        return cls(head_position=off, head_rotation=off, hand_position=off, hand_rotation=off, finger_smoothing=0.0)
+
+
+@dataclass(slots=True)
+class _Device:
+    """Filters of one tracked pose."""
+
+    position: PositionFilter
+    rotation: RotationFilter
+    at: Vec | None = None
+    turn: Quat = IDENTITY
+    raw: Transform | None = None
+    frozen: int = field(default=0)
+
+    def reset(self) -> None:
+        self.position.reset()
+        self.rotation.reset()
+        self.at = None
+
+
+class Tracker:
+    """A user's tracking turned into the avatar's pose.
+
+    The pose is in the avatar's own metres, its ground at y = 0: world positions are divided by ``calibration.scale``
+    after the floor is subtracted. Draw the avatar at unit size and divide the cameras' positions likewise
+    (``to_avatar``). Not thread-safe; one Tracker a user. Deterministic: the same samples give the same poses.
+    """
+
+    def __init__(
+        self,
+        skeleton: Skeleton,
+        calibration: Calibration | None = None,
+        config: TrackerConfig | None = None,
+        solver: Solver | None = None,
+        head_only: bool = False,
+    ) -> None:
+        self.skeleton = skeleton
+        self.calibration = calibration or Calibration()
+        self.config = c = config or TrackerConfig()
+        self.body = Body.of(skeleton)
+        self.solver: Solver = solver or AnalyticSolver(self.body)
+        self.head_only = head_only
+        self._root = self.body.joints[0]
+        self._head = _Device(
+            PositionFilter(c.head_position, c.head_speed), RotationFilter(c.head_rotation, c.turn_speed)
+        )
+        self._hands = tuple(
+            [
+                _Device(PositionFilter(c.hand_position, c.hand_speed), RotationFilter(c.hand_rotation, c.turn_speed))
+                for _ in range(2)
+            ]
+        )
+        self._fingers = (Fingers(self.body, 0, c.finger_smoothing), Fingers(self.body, 1, c.finger_smoothing))
+        head = mul(conj(HEAD_FRAME), to_quat((-self.calibration.head_pitch, 0.0, 0.0)))
+        self._frames = (head, conj(HAND_FRAMES["left"]), conj(HAND_FRAMES["right"]))
+        self.reset()
+
+    def reset(self) -> None:
+        """A new user or a new place: forget everything."""
+        self.solver.reset()
+        self._head.reset()
+        for hand in self._hands:
+            hand.reset()
+        self._time: float | None = None
+        self._step = 1 / 72
+        self._last: Solution | None = None
+        self._pose: Pose | None = None
+        self.flags: tuple[str, ...] = ()
+        self.reach_error: tuple[float | None, float | None] = (None, None)
+
+    # -- in
+
+    def update(self, sample: Sample) -> Pose:
+        """The pose at ``sample.t`` (plus ``config.prediction``). Never raises for what a sample holds.
+
+        ``flags`` then tells what was out of the ordinary, ``reach_error`` the metres by which each wrist misses its
+        hand (None: not tracked).
+        """
+        flags: list[str] = []
+        dt = self._advance(sample.t, flags)
+        if dt is None and self._pose is not None:
+            self.flags = tuple(flags)
+            return self._pose
+        head = self._read(sample.head, 0)
+        hands: list[tuple[Vec, Quat] | None] = [None, None]
+        if not self.head_only:
+            hands = [self._read(sample.left, 1), self._read(sample.right, 2)]
+        fresh = self._pose is None
+        if head is None:
+            flags.append("head_lost")
+            if self._head.at is None:  # nothing is known yet: stand at the origin
+                eye = self.body.joints[15]
+                head = ((eye[0], self.body.eye_height, eye[2] + self.body.eye[2]), IDENTITY)
+        elif self._head.at is not None:
+            jump = _distance(head[0], self._head.at)
+            if jump > self.config.teleport + 8.0 * (dt or 0.0):
+                flags.append("teleport")
+                fresh = True
+        if dt is not None and dt > self.config.gap:
+            flags.append("gap")
+            fresh = True
+        if fresh:
+            self._head.reset()
+            for hand in self._hands:
+                hand.reset()
+            self.solver.reset()
+        step = min(dt or self._step, self.config.gap)
+        if head is not None:
+            self._frozen(sample, flags)
+        targets = self._filtered(head, hands, step, flags)
+        solution = self._solve(targets, step)
+        return self._finish(solution, sample, hands, 0.0 if fresh else step, flags)
+
+    def __call__(self, tracking: Mapping[str, Any], t: float) -> Pose:
+        """The "tracking" object of a request and the client's time in milliseconds (what a render server calls)."""
+        return self.update(Sample.from_json(tracking, t / 1000))
+
+    def to_avatar(self, matrix: NDArray[np.float64]) -> NDArray[np.float64]:
+        """A pose [4, 4] of the tracking space (head, camera) in the avatar's space."""
+        out = np.array(matrix, np.float64)
+        out[1, 3] -= self.calibration.floor
+        out[:3, 3] /= self.calibration.scale
+        return out
+
+    def joints(self, pose: Pose) -> NDArray[np.float64]:
+        """[55, 3] joints of a pose in the tracking space, metres."""
+        points = self.skeleton.forward(pose.rotations, pose.trans)[:, :3, 3] * self.calibration.scale
+        points[:, 1] += self.calibration.floor
+        return points
+
+    def _advance(self, t: float, flags: list[str]) -> float | None:
+        """Seconds since the last sample; None for one that must not move the body."""
+        if not isfinite(t):
+            flags.append("time_invalid")
+            return None
+        last, self._time = self._time, t
+        if last is None:
+            return self._step
+        dt = t - last
+        if dt < -1.0:  # the clock was set back
+            flags.append("clock")
+            return self._step
+        if dt < SHORTEST:
+            self._time = last
+            flags.append("time_repeated" if dt >= 0 else "time_backwards")
+            return None
+        if dt < 0.1:
+            self._step = dt
+        return dt
+
+    def _read(self, pose: Transform | None, device: int) -> tuple[Vec, Quat] | None:
+        """Place and joint rotation in the avatar's space; None for a pose that is absent or cannot be one."""
+        if pose is None or len(pose) != 7:
+            return None
+        x, y, z, qx, qy, qz, qw = pose
+        # NaN fails every comparison, infinity these
+        if not (-FAR < x < FAR and -FAR < y < FAR and -FAR < z < FAR):
+            return None
+        n = qx * qx + qy * qy + qz * qz + qw * qw
+        if not 1e-8 < n < 1e8:
+            return None
+        n = 1 / sqrt(n)
+        k = 1 / self.calibration.scale
+        turn = mul((qw * n, qx * n, qy * n, qz * n), self._frames[device])
+        return (x * k, (y - self.calibration.floor) * k, z * k), turn
+
+    def _frozen(self, sample: Sample, flags: list[str]) -> None:
+        device = self._head
+        device.frozen = device.frozen + 1 if sample.head == device.raw else 0
+        device.raw = sample.head
+        if device.frozen * self._step > 0.25:
+            flags.append("frozen")
+
+    # -- filter, solve
+
+    def _filtered(
+        self,
+        head: tuple[Vec, Quat] | None,
+        hands: list[tuple[Vec, Quat] | None],
+        dt: float,
+        flags: list[str],
+    ) -> Targets:
+        config, device = self.config, self._head
+        if head is not None:
+            device.at = device.position.update(head[0], dt)
+            device.turn = device.rotation.update(head[1], dt)
+        assert device.at is not None
+        ahead = config.prediction
+        eye, turn = device.at, device.turn
+        if ahead > 0 and head is not None:
+            eye = device.position.ahead(ahead, config.predicted_metres)
+            turn = device.rotation.ahead(ahead, config.predicted_radians)
+        targets = Targets(eye, turn)
+        for side, (device, hand) in enumerate(zip(self._hands, hands, strict=True)):
+            if hand is None:
+                if device.at is not None or not self.head_only:
+                    flags.append("right_lost" if side else "left_lost")
+                device.reset()
+                continue
+            device.at = at = device.position.update(hand[0], dt)
+            device.turn = turn = device.rotation.update(hand[1], dt)
+            if ahead > 0:
+                at = device.position.ahead(ahead, config.predicted_metres)
+                turn = device.rotation.ahead(ahead, config.predicted_radians)
+            if side:
+                targets.right, targets.right_hand = at, turn
+            else:
+                targets.left, targets.left_hand = at, turn
+        return targets
+
+    def _solve(self, targets: Targets, dt: float) -> Solution:
+        solution = self.solver.solve(targets, min(dt, 0.1))
+        for _ in range(int(dt / 0.1 - 1e-9)):  # a hole of some tenths of a second: let the body settle
+            solution = self.solver.solve(targets, 0.1)
+        return solution
+
+    # -- out
+
+    def _finish(
+        self,
+        solution: Solution,
+        sample: Sample,
+        hands: list[tuple[Vec, Quat] | None],
+        dt: float,
+        flags: list[str],
+    ) -> Pose:
+        last = self._last
+        if last is not None and dt > 0:
+            self._limit(solution, last, dt)
+        self._last = solution
+        quats = np.array(solution.rotations)
+        rotations = np.zeros((55, 3))
+        rotations[:22] = _rotation_vectors(quats)
+        seconds = dt or 1.0
+        for side, fingers in enumerate(self._fingers):
+            joints, curl = (sample.right_joints, sample.right_curl) if side else (sample.left_joints, sample.left_curl)
+            hand = hands[side]
+            first = 40 if side else 25
+            rotations[first : first + 15] = fingers.update(joints, None if hand is None else hand[1], curl, seconds)
+        root = self._root
+        x, y, z = solution.pelvis
+        pose = Pose(rotations, np.array((x - root[0], y - root[1], z - root[2])))
+        scale = self.calibration.scale
+        left, right = solution.reach
+        self.reach_error = (
+            None if hands[0] is None else left * scale,
+            None if hands[1] is None else right * scale,
+        )
+        for name, hand, miss in (("left", hands[0], left), ("right", hands[1], right)):
+            if hand is not None and miss > 0.01:
+                flags.append(f"{name}_out_of_reach")
+        if solution.head_off > 0.05:
+            flags.append("head_limit")
+        if solution.airborne:
+            flags.append("airborne")
+        else:
+            flags.extend([f"{n}_planted" for n, p in zip(("left", "right"), solution.planted, strict=True) if p])
+        flags.extend(solution.notes)
+        self.flags = tuple(flags)
+        self._pose = pose
+        return pose
+
+    def _limit(self, solution: Solution, last: Solution, dt: float) -> None:
+        """No joint turns and no pelvis moves faster than the configuration allows."""
+        most = self.config.joint_speed * dt
+        safe = np.cos(0.5 * min(most, 3.0))
+        rotations = solution.rotations
+        for joint, (old, new) in enumerate(zip(last.rotations, rotations, strict=True)):
+            dot = abs(old[0] * new[0] + old[1] * new[1] + old[2] * new[2] + old[3] * new[3])
+            if dot < safe:
+                angle = 2 * float(np.arccos(min(dot, 1.0)))
+                turned = slerp(old, new, most / angle) if angle > 0.1 else nlerp(old, new, most / angle)
+                rotations[joint] = clamp_joint(joint, turned)  # the way from limit to limit may leave them
+        far = _distance(solution.pelvis, last.pelvis)
+        reach = self.config.root_speed * dt
+        if far > reach:
+            k = reach / far
+            a, b = last.pelvis, solution.pelvis
+            solution.pelvis = (a[0] + (b[0] - a[0]) * k, a[1] + (b[1] - a[1]) * k, a[2] + (b[2] - a[2]) * k)
+
+
+def _rotation_vectors(quats: NDArray[np.float64]) -> NDArray[np.float64]:
+    q = np.where(quats[:, :1] < 0, -quats, quats)
+    v = q[:, 1:]
+    s = np.sqrt((v * v).sum(1, keepdims=True))
+    k = 2 * np.arctan2(s, q[:, :1]) / np.maximum(s, 1e-12)
+    return v * np.where(s > 1e-9, k, 2.0)
+
+
+def _distance(a: Vec, b: Vec) -> float:
+    return sqrt((a[0] - b[0]) ** 2 + (a[1] - b[1]) ** 2 + (a[2] - b[2]) ** 2)
