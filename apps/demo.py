@@ -38,6 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("-o", "--output", type=Path, default=Path("out/demo"), help="folder (default out/demo)")
     parser.add_argument("--avatar", metavar="FILE", help="avatar to show (default: the embedded one)")
     parser.add_argument("--motion", metavar="FILE", help="motion file or name (default: an embedded one)")
+    parser.add_argument("--tracking", action="store_true", help="send head and hands, have the server solve the pose")
     parser.add_argument("--seconds", type=float, default=8.0, help="streaming time at each size (default 8)")
     parser.add_argument("--fps", type=float, default=72.0, help="requests a second (default 72)")
     parser.add_argument("--sizes", type=size, nargs="+", default=[(512, 512), (1024, 1024)], help="pixels an eye")
@@ -53,7 +54,7 @@ def run(args: argparse.Namespace) -> int:
         args.output.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise FormatError(f"{args.output}: cannot make the folder ({error.strerror})") from None
-    drive, _ = load_drive(args.motion, args.avatar)
+    drive, _ = load_drive(args.motion, args.avatar, args.tracking)
     with _server(args.avatar) as url:
         results = asyncio.run(_measure(args, url, drive))
     sheet, clip = args.output / "contact_sheet.png", args.output / "clip.mp4"

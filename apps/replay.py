@@ -7,24 +7,26 @@ import asyncio
 import json
 import sys
 from bisect import bisect_right
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import cv2
-import msgspec
 import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
 from glsplat.avatar import Avatar, default_avatar
-from glsplat.errors import FormatError, GlsplatError, PoseError
+from glsplat.errors import FormatError, GlsplatError
 from glsplat.formats import load
 from glsplat.net.access import read_token
 from glsplat.net.client import Client
 from glsplat.net.reply import Reply
 from glsplat.skinning.motion import Motion, embedded_motions, load_motion
 from glsplat.skinning.smplx import JOINT_NAMES
+from glsplat.tracking.derive import derive, truth_from_motion
+from glsplat.tracking.recording import replay as read_samples
 from glsplat.tracking.sample import Sample
 
 from .output import Clip, label, save_png, side_by_side, stack
@@ -36,6 +38,7 @@ HELP = "Stream a motion or a recording of head and hands through a server; repor
 EXAMPLE = "glsplat replay wave-and-turn --url ws://127.0.0.1:8000/ws --save sheet.png"
 
 _SHOWN_FIRST = ("wave-and-turn", "wave", "walk")
+_TRACKING_RATE = 72.0  # samples a second that a headset delivers
 _MOMENTS = 6  # pairs on a contact sheet
 _TILE = 1024  # pixels across a pair on a contact sheet
 
@@ -47,6 +50,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--url", default="ws://127.0.0.1:8000/ws", help="server (default ws://127.0.0.1:8000/ws)")
     parser.add_argument("--avatar", metavar="FILE", help="avatar the server shows, for the motion's skeleton")
+    parser.add_argument("--tracking", action="store_true", help="send head and hands, have the server solve the pose")
     parser.add_argument("--fps", type=float, default=72.0, help="requests and display refreshes a second (default 72)")
     parser.add_argument("--frames", type=int, help="requests in all (default: the motion once, at most 20 s)")
     parser.add_argument("--window", type=int, default=2, help="pictures under way (default 2; 3 from 15 ms round trip)")
@@ -72,7 +76,7 @@ def run(args: argparse.Namespace) -> int:
         check_target(args.save)
     token = read_token(args.token_file) if args.token_file else None
     client = Client(args.url, token, window=args.window, mirror=args.mirror, cafile=args.tls_ca)
-    drive, seconds = load_drive(args.motion, args.avatar)
+    drive, seconds = load_drive(args.motion, args.avatar, args.tracking)
     frames = args.frames or max(1, round(min(seconds, 20.0) * args.fps))
     result = asyncio.run(_stream(args, client, drive, frames))
     if args.save and result.kept:
@@ -134,16 +138,22 @@ class Played:
         return Driven({"joints": joints, "trans": pose.trans.tolist()}, root=pose.trans)
 
 
-def load_drive(name: str | None, avatar: str | None = None) -> tuple[Drive, float]:
-    """What moves the avatar, and for how many seconds. Raises GlsplatError naming the file."""
+def load_drive(name: str | None, avatar: str | None = None, tracking: bool = False) -> tuple[Drive, float]:
+    """What moves the avatar, and for how many seconds; ``tracking`` sends a motion's head and hands, not its poses.
+
+    Raises GlsplatError naming the file.
+    """
     if name is not None and name.endswith(".jsonl"):
-        recording = _load_recording(Path(name))
+        recording = _recording(read_samples(name), name)
         return recording, recording.times[-1] or 1.0
 
     scene = load(avatar) if avatar else default_avatar()
     if not isinstance(scene, Avatar):
         raise GlsplatError(f"{avatar}: this scene has no skeleton to move; give an avatar (.glb with a skin)")
     motion = load_motion(name or default_motion(), scene.skeleton)
+    if tracking:
+        truth = truth_from_motion(scene.skeleton, motion.rotations, motion.trans, motion.fps, _TRACKING_RATE)
+        return _recording(derive(scene.skeleton, truth), motion.label), motion.duration
     return Played(motion), motion.duration
 
 
@@ -155,27 +165,21 @@ def default_motion() -> str:
     return next((name for name in _SHOWN_FIRST if name in names), names[0])
 
 
-def _load_recording(path: Path) -> Recording:
-    try:
-        lines = path.read_text(encoding="utf-8").splitlines()
-    except OSError as error:
-        raise FormatError(f"{path}: cannot read the recording ({error.strerror})") from None
-    except UnicodeError:
-        raise FormatError(f"{path}: a recording is text, a JSON object a line") from None
-    times, samples = [], []
-    for number, line in enumerate(lines, 1):
-        if not line.strip():
-            continue
-        try:
-            sample = Sample.from_json(msgspec.json.decode(line))
-        except (msgspec.MsgspecError, RecursionError, PoseError) as error:
-            raise FormatError(f"{path}, line {number}: {error}") from None
-        fields = sample.to_json()
+def _recording(samples: Iterable[Sample], name: str) -> Recording:
+    times, tracked = [], []
+    for sample in samples:
+        fields = {key: value for key, value in sample.to_json().items() if _finite(value)}  # NaN: not tracked
         times.append(float(fields.pop("t")))
-        samples.append(fields)
-    if not samples:
-        raise FormatError(f"{path}: expected tracking samples, a JSON object a line, found none")
-    return Recording([max(0.0, t - times[0]) for t in times], samples)
+        tracked.append(fields)
+    if not tracked:
+        raise FormatError(f"{name}: expected tracking samples, a JSON object a line, found none")
+    return Recording([max(0.0, t - times[0]) for t in times], tracked)
+
+
+def _finite(value: Any) -> bool:
+    if isinstance(value, list):
+        return all(map(_finite, value))
+    return value is None or bool(np.isfinite(value))
 
 
 def check_target(target: str) -> None:

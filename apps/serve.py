@@ -7,19 +7,26 @@ import asyncio
 import json
 import logging
 import sys
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 from glsplat.avatar import Avatar
-from glsplat.camera import PAPER_FOV, PAPER_IPD, look_at, pinhole
-from glsplat.camera import Camera as View
+from glsplat.camera import PAPER_FOV, PAPER_IPD, Camera, look_at, pinhole
 from glsplat.config import RenderConfig
 from glsplat.errors import GlsplatError
 from glsplat.net.access import Access, is_loopback, read_token
-from glsplat.net.backend import Rendered
+from glsplat.net.backend import Rendered, Solved
 from glsplat.net.messages import RenderRequest, WireOptions
 from glsplat.net.server import Server, ServerConfig
 from glsplat.net.session import SessionConfig
+from glsplat.skinning.skeleton import Skeleton
+from glsplat.skinning.smplx import JOINT_NAMES
 from glsplat.splats import Splats
+from glsplat.tracking.calibration import Calibration
+from glsplat.tracking.sample import Sample
+from glsplat.tracking.tracker import Tracker
 
 from .scene import add_scene, load_scene, size
 
@@ -43,7 +50,7 @@ class RendererBackend:
             self._renderer = Renderer(
                 self._scene, size=self._pixels, views=2, config=RenderConfig(), context=self._context
             )
-            view = View(look_at((0, 1.2, 2.0), (0, 1, 0)), pinhole(*self._pixels), *self._pixels)
+            view = Camera(look_at((0, 1.2, 2.0), (0, 1, 0)), pinhole(*self._pixels), *self._pixels)
             self._renderer.render([view, view])
         except BaseException:
             self._context.release()
@@ -63,6 +70,30 @@ class RendererBackend:
         self._context.release()
 
 
+class TrackingSolver:
+    """Tracking to pose for one user."""
+
+    def __init__(self, skeleton: Skeleton, calibration: Calibration) -> None:
+        self._tracker = Tracker(skeleton, calibration)
+        self._moved = calibration.scale != 1 or calibration.floor != 0
+
+    def solve(self, request: RenderRequest, now: float) -> Solved:
+        """Filter the samples of dropped requests too, solve the newest, bring the cameras to the avatar's scale."""
+        for t, tracking in request.earlier:
+            self._tracker.update(Sample.from_json(tracking, t / 1e3))
+        now = now if request.t is None else request.t
+        pose = self._tracker.update(Sample.from_json(request.tracking, now / 1e3))
+        cameras = tuple(map(self._camera, request.cameras)) if self._moved else request.cameras
+        return Solved(pose, cameras, self._tracker.flags)
+
+    def _camera(self, camera: Camera) -> Camera:
+        place = np.eye(4)
+        place[:3, 3] = camera.position
+        viewmat = camera.viewmat.copy()
+        viewmat[:3, 3] = -viewmat[:3, :3] @ self._tracker.to_avatar(place)[:3, 3]
+        return replace(camera, viewmat=viewmat)
+
+
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command line."""
     add_scene(parser)
@@ -78,6 +109,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--mirror", action="store_true", help="show the mirror image (clients may choose by /ws?mirror=)"
     )
+    parser.add_argument("--calibration", type=Path, metavar="FILE", help="of the users whose tracking is sent")
     parser.add_argument("--tls-cert", type=Path, metavar="PEM", help="certificate; makes it wss:// and https://")
     parser.add_argument("--tls-key", type=Path, metavar="PEM", help="its key")
     parser.add_argument("--token-file", type=Path, metavar="FILE", help="clients need the token in this file")
@@ -131,7 +163,8 @@ def run(args: argparse.Namespace) -> int:
     if args.insecure and not is_loopback(args.host):
         print("glsplat serve: anybody who reaches this port can use it (--insecure)", file=sys.stderr)
     scene = load_scene(args)
-    server = make_server(scene, config, args.device)
+    calibration = Calibration.load(args.calibration) if args.calibration else Calibration()
+    server = make_server(scene, config, args.device, calibration)
 
     def started() -> None:
         if args.json:
@@ -144,9 +177,21 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def make_server(scene: Splats | Avatar, config: ServerConfig, device: str | None = None) -> Server:
-    """A server that draws ``scene`` with OpenGL."""
+def make_server(
+    scene: Splats | Avatar,
+    config: ServerConfig,
+    device: str | None = None,
+    calibration: Calibration | None = None,
+) -> Server:
+    """A server that draws ``scene`` with OpenGL and solves tracking if its rig is SMPL-X's."""
     # threads hand over every 0.5 ms instead of 5: the loop answers in time while the render thread holds the GIL
     sys.setswitchinterval(0.0005)
     skeleton = scene.skeleton if isinstance(scene, Avatar) else None
-    return Server(RendererBackend(scene, config.wire.size, device), config, skeleton=skeleton)
+    base, solver = calibration or Calibration(), None
+    if skeleton is not None and skeleton.names == JOINT_NAMES:
+
+        def solver(height: float | None) -> TrackingSolver:
+            fitted = base if height is None else Calibration.of_height(skeleton, height, base.floor)
+            return TrackingSolver(skeleton, fitted)
+
+    return Server(RendererBackend(scene, config.wire.size, device), config, solver=solver, skeleton=skeleton)

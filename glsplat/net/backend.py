@@ -4,15 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from glsplat.camera import Camera
 from glsplat.net.messages import RenderRequest
 from glsplat.skinning.pose import Pose
 
-__all__ = ["Backend", "PoseSolver", "Rendered"]
+__all__ = ["Backend", "PoseSolver", "Rendered", "Solved"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,9 +41,19 @@ class Backend(Protocol):
         ...
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Solved:
+    """What a request with tracking comes to in the avatar's space."""
+
+    pose: Pose
+    cameras: tuple[Camera, ...]  # of the request, moved from the user's room to the avatar's space
+    notes: tuple[str, ...] = ()  # what was out of the ordinary ("left_lost", ...), told to the client
+
+
 class PoseSolver(Protocol):
     """Raw tracking to a pose, one instance a session because it filters over time (inverse kinematics)."""
 
-    def __call__(self, tracking: Mapping[str, Any], t: float) -> Pose:
-        """``tracking`` as it came in the request, ``t`` the client's time in ms. May raise PoseError."""
+    def solve(self, request: RenderRequest, now: float) -> Solved:
+        """Solve ``request.tracking`` at its ``t`` (ms), or at ``now`` (ms) where it has none, after its ``earlier``
+        samples. Called on the render thread. May raise PoseError."""
         ...

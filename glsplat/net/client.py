@@ -14,6 +14,7 @@ from urllib.parse import urlencode, urlsplit
 
 import aiohttp
 import msgspec
+import numpy as np
 
 from glsplat.camera import Camera
 from glsplat.errors import GlsplatError, ProtocolError
@@ -44,8 +45,9 @@ class Arrived:
 class Client:
     """``async with Client("ws://127.0.0.1:8000/ws") as client: reply = await client.render(cameras, pose=pose)``.
 
-    ``window`` asks the server for that many pictures under way; ``mirror`` for the mirror image. ``cafile`` is the
-    certificate to trust on wss. All methods raise ProtocolError when the server reports an error or goes away.
+    ``window`` asks the server for that many pictures under way; ``mirror`` for the mirror image; ``height``
+    (metres) fits the avatar to the user whose tracking is sent. ``cafile`` is the certificate to trust on wss.
+    All methods raise ProtocolError when the server reports an error or goes away.
     """
 
     def __init__(
@@ -55,11 +57,12 @@ class Client:
         *,
         window: int | None = None,
         mirror: bool = False,
+        height: float | None = None,
         cafile: str | Path | None = None,
         timeout: float = 10.0,
     ) -> None:
         self.url = _checked_url(url)
-        self._query = {"window": window, "mirror": int(mirror) or None}
+        self._query = {"window": window, "mirror": int(mirror) or None, "height": height}
         self._headers = {"Authorization": f"Bearer {token}"} if token else {}
         self._cafile = cafile
         self._timeout = timeout
@@ -140,7 +143,7 @@ class Client:
         )
         message["ack"] = self._received
         self._sent[self._frame_id] = now
-        await self.send_text(msgspec.json.encode(message).decode())
+        await self.send_text(_encoder.encode(message).decode())
         return self._frame_id
 
     async def send_text(self, text: str) -> None:
@@ -206,6 +209,15 @@ def request_message(
     return message
 
 
+def _plain(value: Any) -> Any:
+    if isinstance(value, (np.ndarray, np.generic)):
+        return value.tolist()
+    raise TypeError(f"a request holds numbers, lists and arrays, not {type(value).__name__}")
+
+
+_encoder = msgspec.json.Encoder(enc_hook=_plain)
+
+
 def _checked_url(url: str) -> str:
     try:
         parts = urlsplit(url)
@@ -226,7 +238,7 @@ def _client_tls(cafile: str | Path) -> ssl.SSLContext:
 
 def _refused(url: str, status: int) -> str:
     reasons = {
-        400: "it does not know an option of the address (mirror is 0 or 1, window 1 to 8)",
+        400: "it does not know an option of the address (mirror is 0 or 1, window 1 to 8, height 0.5 to 2.8)",
         401: "it wants a token; give it with --token-file",
         403: "it does not serve this origin",
         404: "there is no WebSocket at this path; it is /ws",

@@ -56,6 +56,7 @@ class RenderRequest:
     cameras: tuple[Camera, ...]  # one or two, left first
     pose: Pose | None = None  # None and no tracking: the rest pose
     tracking: Mapping[str, Any] | None = None  # head, left, right, left_joints, right_joints as sent
+    earlier: tuple[tuple[float, Mapping[str, Any]], ...] = ()  # (t, tracking) of dropped requests since the last drawn
     t: float | None = None  # client milliseconds, echoed
     ack: int | None = None  # newest frame_id the client has received
     quality: int = 80

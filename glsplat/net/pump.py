@@ -13,6 +13,7 @@ from collections import deque
 from collections.abc import Awaitable, Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 from glsplat.errors import GlsplatError, PoseError
 from glsplat.net.backend import Backend, PoseSolver, Rendered
@@ -39,6 +40,7 @@ class Frame:
     times: dict[str, float]  # ms
     encoded: Awaitable[Encoded] | None = None  # None: it could not be drawn
     error: tuple[str, str] = ("", "")  # code and message in that case
+    notes: tuple[str, ...] | None = None  # of the tracking solver
 
 
 @dataclass(eq=False, slots=True)
@@ -127,7 +129,7 @@ class FramePump:
             return [pack_single(request.eyes[0], encoded.pictures[0])]
         assert request.frame_id is not None
         first = request.cameras[0]
-        info = {
+        info: dict[str, Any] = {
             "t": request.t,
             "times": {name: round(ms, 3) for name, ms in frame.times.items()},
             "size": (first.width, first.height),
@@ -136,6 +138,8 @@ class FramePump:
             "dropped": session.counts.dropped,
             "driver": self.driver,
         }
+        if frame.notes is not None:
+            info["tracking"] = frame.notes
         return [pack_reply(request.frame_id, request.eyes, encoded.pictures, info)]
 
     async def _run(self) -> None:
@@ -190,11 +194,14 @@ class FramePump:
         if request.tracking is not None:
             if channel.solver is None:
                 raise PoseError("this server has no tracking solver: send pose instead of tracking")
-            t = request.t if request.t is not None else start * 1e3
-            request = replace(request, pose=channel.solver(request.tracking, t))
+            solved = channel.solver.solve(request, start * 1e3)
+            request = replace(request, pose=solved.pose, cameras=solved.cameras)
+            frame.notes = solved.notes
             frame.times["ik"] = (self._clock() - start) * 1e3
             start = self._clock()
         rendered = self._backend.render(request)
+        if len(rendered.images) != len(frame.request.eyes):
+            raise RuntimeError(f"{len(frame.request.eyes)} pictures were asked for, {len(rendered.images)} drawn")
         frame.times["render"] = (self._clock() - start) * 1e3
         frame.times |= {name: ms for name, ms in rendered.timings.items() if name not in ("render", "total")}
         return rendered

@@ -60,14 +60,17 @@ class ServerConfig:
 
 
 class Server:
-    """Streams what ``backend`` draws. ``solver`` makes the tracking-to-pose state of each new client."""
+    """Streams what ``backend`` draws.
+
+    ``solver`` makes the tracking-to-pose state of each new client, from its user's height in metres if it gave one.
+    """
 
     def __init__(
         self,
         backend: Backend,
         config: ServerConfig | None = None,
         *,
-        solver: Callable[[], PoseSolver] | None = None,
+        solver: Callable[[float | None], PoseSolver] | None = None,
         skeleton: Skeleton | None = None,
     ) -> None:
         self.config = config or ServerConfig()
@@ -255,8 +258,8 @@ class Server:
                 await asyncio.gather(writer, return_exceptions=True)
 
     def _open_channel(self, request: web.Request) -> Channel:
-        """A new client with the options of its address: /ws?mirror=1&window=3."""
-        mirror, window = request.query.get("mirror"), request.query.get("window")
+        """A new client with the options of its address: /ws?mirror=1&window=3&height=1.75."""
+        mirror, window, height = (request.query.get(name) for name in ("mirror", "window", "height"))
         wire, limits = self.config.wire, self.config.session
         if mirror is not None:
             if mirror not in ("0", "1"):
@@ -266,9 +269,11 @@ class Server:
             if window not in map(str, range(1, _MAX_WINDOW + 1)):
                 raise ProtocolError(f"window needs 1 to {_MAX_WINDOW}")
             limits = replace(limits, window=int(window))
+        metres = _metres(height)
+        solver = None if self._make_solver is None else self._make_solver(metres)
         self._numbers += 1
         session = Session(Decoder(wire, self._skeleton), limits, clock())
-        channel = Channel(self._numbers, session, self._make_solver() if self._make_solver else None)
+        channel = Channel(self._numbers, session, solver)
         self._channels[channel.number] = channel
         return channel
 
@@ -311,8 +316,8 @@ class Server:
         session = channel.session
         while True:
             frame = await channel.frames.get()
-            packed = await self.pump.pack(channel, frame)
             try:
+                packed = await self.pump.pack(channel, frame)
                 for data in [packed] if isinstance(packed, str) else packed:
                     await self._send(ws, data)
             except TimeoutError:
@@ -320,6 +325,10 @@ class Server:
                 _cut_off(request)
                 return
             except ConnectionError:
+                return
+            except Exception:  # a fault of ours: end the connection rather than leave it silent
+                log.exception("client %d cannot be answered", channel.number)
+                _cut_off(request)
                 return
             if not isinstance(packed, str):
                 session.sent(frame.request, sum(map(len, packed)))
@@ -330,6 +339,18 @@ class Server:
             return
         async with asyncio.timeout(self.config.write_timeout):
             await (ws.send_str(data) if isinstance(data, str) else ws.send_bytes(data))
+
+
+def _metres(height: str | None) -> float | None:
+    if height is None:
+        return None
+    try:
+        metres = float(height)
+    except ValueError:
+        metres = 0.0
+    if not 0.5 <= metres <= 2.8:
+        raise ProtocolError("height needs 0.5 to 2.8 metres")
+    return metres
 
 
 async def _set_headers(request: web.Request, response: web.StreamResponse) -> None:

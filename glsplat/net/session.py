@@ -7,6 +7,7 @@ way or unacknowledged, and nothing is queued without bound.
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -17,6 +18,7 @@ __all__ = ["Close", "Counts", "Session", "SessionConfig", "Warn"]
 
 POLICY_VIOLATION = 1008  # RFC 6455, section 7.4.1
 GOING_AWAY = 1001
+_TRAIL = 32  # samples of dropped requests that a tracking solver still gets to see
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -205,10 +207,11 @@ class Session:
         self.counts.accepted += 1
         # a right eye of the oldest form must not push out the left one
         slot = request.eyes[0] if request.form == "single-legacy" else -1
-        replaced = [key for key in self._pending if slot == -1 or key in (slot, -1)]
-        for key in replaced:
-            del self._pending[key]
+        keys = [key for key in self._pending if slot == -1 or key in (slot, -1)]
+        replaced = [self._pending.pop(key)[0] for key in keys]
         self.counts.dropped += len(replaced)
+        if request.tracking is not None:
+            request = replace(request, earlier=_trail(replaced))
         self._pending[slot] = (request, now)
 
     def _acknowledge(self, frame_id: int) -> None:
@@ -227,3 +230,13 @@ class Session:
             return None
         self._noticed = now
         return Warn(error_text("rate", f"at most {self.config.rate:g} messages a second are read"))
+
+
+def _trail(replaced: list[RenderRequest]) -> tuple[tuple[float, Mapping[str, Any]], ...]:
+    """The tracking of requests that will not be drawn: a filter wants all samples, whatever the frame rate."""
+    trail: list[tuple[float, Mapping[str, Any]]] = []
+    for request in replaced:
+        trail += request.earlier
+        if request.tracking is not None and request.t is not None:
+            trail.append((request.t, request.tracking))
+    return tuple(trail[-_TRAIL:])

@@ -128,3 +128,58 @@ def test_the_mirror_image_is_the_picture_of_the_mirrored_view():
     flipped = images[False][::-1, :, ::-1]
     assert np.abs(images[True] - flipped).mean() < 0.5
     assert np.abs(images[True] - images[False]).mean() > 2
+
+
+def tracked(frame_id, x, **more):
+    tracking = {"head": [x, 1.55, 0.1, 0, 0, 0, 1], "left": None, "right": [x + 0.3, 1.2, -0.3, 0, 0, 0, 1]}
+    return {"v": 1, "frame_id": frame_id, "t": frame_id * 14.0, "size": [64, 64], "tracking": tracking, **more}
+
+
+def test_tracking_becomes_a_pose_in_the_avatars_space():
+    from glsplat.avatar import default_avatar
+    from glsplat.net.messages import Decoder
+    from glsplat.tracking.calibration import Calibration
+    from glsplat.tracking.sample import Sample
+    from glsplat.tracking.tracker import Tracker
+
+    skeleton = default_avatar().skeleton
+    calibration = Calibration(scale=1.25, floor=0.1)
+    solver, alone = serve.TrackingSolver(skeleton, calibration), Tracker(skeleton, calibration)
+    decoder = Decoder()
+    requests = [decoder.decode(json.dumps(tracked(i, i * 0.005))) for i in range(20)]
+    for request in requests:
+        expected = alone.update(Sample.from_json(request.tracking, request.t / 1e3))
+    solver.solve(requests[0], 0.0)
+    earlier = tuple((request.t, request.tracking) for request in requests[1:19])
+    object.__setattr__(requests[19], "earlier", earlier)
+    solved = solver.solve(requests[19], 0.0)  # one drawn request after eighteen dropped ones: the same pose
+    np.testing.assert_array_equal(solved.pose.rotations, expected.rotations)
+    np.testing.assert_array_equal(solved.pose.trans, expected.trans)
+    assert "left_lost" in solved.notes
+    for mine, theirs in zip(solved.cameras, requests[19].cameras, strict=True):
+        np.testing.assert_allclose(mine.position, (theirs.position - (0, 0.1, 0)) / 1.25)
+        np.testing.assert_array_equal(mine.viewmat[:3, :3], theirs.viewmat[:3, :3])
+
+
+@pytest.mark.gl
+def test_a_recording_of_head_and_hands_moves_the_avatar():
+    from glsplat.avatar import default_avatar
+    from glsplat.net.server import ServerConfig
+
+    async def main():
+        server = serve.make_server(default_avatar(), ServerConfig(port=0))
+        await server.start()
+        try:
+            async with Client(server.url, height=1.8) as client:
+                eyes = stereo_cameras(head_matrix((0, 1.2, 2.5), (0, 0, 0, 1)), size=(64, 64))
+                first = await client.render(eyes, tracking=tracked(1, 0.0)["tracking"])
+                for x in np.linspace(0, 0.3, 12):
+                    reply = await client.render(eyes, tracking=tracked(1, x)["tracking"])
+                return first, reply
+        finally:
+            await server.stop()
+
+    first, last = asyncio.run(main())
+    assert last.info["times"]["ik"] > 0 and "left_lost" in last.info["tracking"]
+    columns = [np.flatnonzero(reply.images()[0].max(axis=(0, 2)) > 40).mean() for reply in (first, last)]
+    assert columns[1] > columns[0] + 2  # the head moved to +x, the picture to the right

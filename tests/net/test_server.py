@@ -10,6 +10,7 @@ import pytest
 
 from glsplat.errors import ContextError, GlsplatError, ProtocolError
 from glsplat.net.access import Access
+from glsplat.net.backend import Solved
 from glsplat.net.client import Client
 from glsplat.net.messages import WireOptions
 from glsplat.net.server import Server, ServerConfig
@@ -186,29 +187,32 @@ def test_tracking_goes_through_the_sessions_own_solver(serve, fake_backend):
     made = []
 
     class Solver:
-        def __init__(self):
-            self.calls = []
+        def __init__(self, height):
+            self.height, self.calls = height, []
             made.append(self)
 
-        def __call__(self, tracking, t):
-            self.calls.append((tracking, t))
-            return Pose.zero()
+        def solve(self, request, now):
+            self.calls.append(request)
+            return Solved(Pose.zero(), request.cameras[::-1], ("left_lost",))
 
     tracking = {"head": [0, 1.6, 0, 0, 0, 0, 1], "left": None, "right": [0.3, 1, 0, 0, 0, 0, 1]}
 
     async def main():
         async with serve(backend, solver=Solver) as server:
-            async with Client(server.url) as one, Client(server.url) as two:
+            async with Client(server.url) as one, Client(server.url, height=1.8) as two:
                 await one.render(tracking=tracking)
                 await two.render(tracking=tracking)
                 return await one.render(tracking=tracking)
 
     reply = asyncio.run(main())
     assert [len(solver.calls) for solver in made] == [2, 1]
-    assert made[0].calls[0][0] == {k: v for k, v in tracking.items() if v is not None}
-    assert made[0].calls[1][1] > made[0].calls[0][1]
-    assert backend.drawn[0].pose is not None and "ik" in reply.info["times"]
-    np.testing.assert_allclose(backend.drawn[0].cameras[0].position, [-0.0275, 1.6, 0], atol=1e-12)
+    assert [solver.height for solver in made] == [None, 1.8]
+    assert made[0].calls[0].tracking == {k: v for k, v in tracking.items() if v is not None}
+    assert made[0].calls[1].t > made[0].calls[0].t
+    assert reply.info["tracking"] == ["left_lost"] and "ik" in reply.info["times"]
+    assert backend.drawn[0].pose is not None
+    assert backend.drawn[0].cameras[0].viewmat[0, 3] < 0 < reply.info["eyes"][0]["viewmat"][3]  # told: the client's own
+    np.testing.assert_allclose(backend.drawn[0].cameras[1].position, [-0.0275, 1.6, 0], atol=1e-12)
 
 
 def test_without_a_solver_tracking_is_a_clear_error(serve):
@@ -260,7 +264,7 @@ def test_a_full_server_says_so(serve, cameras):
 def test_options_of_the_address_are_checked(serve):
     async def main():
         async with serve() as server:
-            for query in ("window=0", "window=9", "window=x", "mirror=yes"):
+            for query in ("window=0", "window=9", "window=x", "mirror=yes", "height=9", "height=nan", "height=x"):
                 with pytest.raises(ProtocolError, match="400"):
                     await Client(f"{server.url}?{query}").connect()
             return server.stats()["clients"]

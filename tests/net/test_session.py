@@ -243,3 +243,17 @@ def test_memory_is_bounded_whatever_comes():
         if i % 7 == 0 and s.ready():
             deliver(s, take(s))
     assert s.status()["waiting"] == 1 and s.status()["unacknowledged"] == 2
+
+
+def test_the_tracking_of_dropped_requests_still_reaches_the_solver():
+    s = session()
+    for i in range(1, 101):
+        head = [i / 100, 1.6, 0, 0, 0, 0, 1]
+        s.receive(json.dumps({"v": 1, "frame_id": i, "ack": 0, "t": i * 10.0, "tracking": {"head": head}}), i * 0.01)
+    request = take(s)
+    assert request.frame_id == 100 and request.tracking["head"][0] == 1.0
+    times = [t for t, _ in request.earlier]
+    assert times == [i * 10.0 for i in range(68, 100)]  # the newest 32, in order, without its own
+    assert request.earlier[0][1]["head"][0] == 0.68
+    s.receive(json.dumps({"v": 1, "frame_id": 101, "ack": 0, "t": 2000.0, "tracking": {"head": head}}), 2)
+    assert take(s).earlier == ()
