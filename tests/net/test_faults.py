@@ -182,7 +182,7 @@ def test_a_burst_of_requests_draws_only_a_few(serve, fake_backend):
 def test_a_client_that_stops_reading_is_cut_off(serve, fake_backend, cameras):
     """Its pictures do not pile up in the server, and others do not wait for it."""
     backend = fake_backend(noise=True)
-    config = ServerConfig(port=0, write_timeout=0.5, session=SessionConfig(rate=1e4, burst=1e4))
+    config = ServerConfig(port=0, write_timeout=1.5, session=SessionConfig(rate=1e4, burst=1e4))
 
     async def main():
         async with serve(backend, config) as server:
@@ -215,7 +215,7 @@ def test_a_client_that_stops_reading_is_cut_off(serve, fake_backend, cameras):
 
     clients, slowest = asyncio.run(main())
     assert clients == 1  # the other one
-    assert slowest < 0.45  # below the write time-out: it never waited for the stuck one
+    assert slowest < 1.4  # below the write time-out: it never waited for the stuck one
 
 
 def test_a_client_killed_while_its_picture_is_drawn(serve, fake_backend, cameras):
