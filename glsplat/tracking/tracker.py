@@ -57,10 +57,17 @@ class TrackerConfig:
             raise PoseError(f"prediction needs 0 to 0.1 seconds, not {self.prediction:g}")
 
     @classmethod
-    def raw(cls) -> TrackerConfig:
+    def raw(cls, prediction: float = 0.0) -> TrackerConfig:
         """No filters: for recordings without noise."""
         off = OneEuro(0.0, 0.0)
-        return cls(head_position=off, head_rotation=off, hand_position=off, hand_rotation=off, finger_smoothing=0.0)
+        return cls(
+            head_position=off,
+            head_rotation=off,
+            hand_position=off,
+            hand_rotation=off,
+            finger_smoothing=0.0,
+            prediction=prediction,
+        )
 
 
 @dataclass(slots=True)
