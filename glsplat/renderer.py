@@ -21,8 +21,9 @@ from glsplat.context import Context, create_context
 from glsplat.errors import ContextError, GlsplatError, PoseError
 from glsplat.passes.pipeline import Pipeline
 from glsplat.passes.scene import SceneBuffers
-from glsplat.passes.target import FORMATS, Target
+from glsplat.passes.target import FORMATS, ByteTarget, Target
 from glsplat.shaders import Programs, Variant, variant_for
+from glsplat.shaders.variant import MAX_VIEWS
 from glsplat.skinning.pose import Pose
 from glsplat.splats import Splats
 from glsplat.timing import StageTimer
@@ -41,6 +42,7 @@ class FrameStats:
     skipped: int  # not finite or without a rotation: never uploaded
     culled: dict[str, int] = field(default_factory=dict)  # by reason
     sorted: bool = True  # False where the previous order still held
+    covered: tuple[int, int, int, int] = (0, 0, 0, 0)  # x, y, width, height outside of which is only background
 
 
 class Renderer:
@@ -63,7 +65,8 @@ class Renderer:
         self.timer = StageTimer(self.context.ctx.finish if timed else None)
         self._scene: SceneBuffers | None = None
         self._pipelines: dict[Variant, Pipeline] = {}
-        self._targets: dict[tuple[int, str], Target] = {}
+        self._targets: dict[int, Target] = {}  # by views
+        self._byte_targets: dict[int, ByteTarget] = {}
         self.stats = FrameStats(0, 0, 0)
         self.variant = Variant()  # of the last pass
         self.size = (0, 0)
@@ -76,7 +79,7 @@ class Renderer:
             self._geometry = geometry or not self.context.vertex_layers
             self.resize(*size)
             self.load(scene)
-            self._batch_target(min(views, 2))
+            self._target(min(views, MAX_VIEWS))
         except BaseException:
             self.release()
             raise
@@ -110,7 +113,7 @@ class Renderer:
             "splats": scene.nbytes if scene else 0,
             "sh": scene.sh_nbytes if scene else 0,
             "work": max((p.nbytes for p in self._pipelines.values()), default=0),
-            "targets": sum(t.nbytes for t in self._targets.values()),
+            "targets": sum(t.nbytes for t in self._all_targets()),
         }
 
     def load(self, scene: Splats | Avatar) -> None:
@@ -120,8 +123,8 @@ class Renderer:
         assert isinstance(splats, Splats)
         self._drop_scene()
         skin = avatar.skin if avatar else None
-        if skin is not None and self.config.influences:
-            skin = skin.reduced(self.config.influences)
+        if avatar is not None and self.config.influences:
+            skin = avatar.skin.reduced(self.config.influences).anchored(avatar.skeleton.parents)
         self._avatar = avatar
         self._degree = min(splats.sh_degree, self.config.sh_degree)
         joints = len(avatar.skeleton) if avatar else 0
@@ -157,8 +160,9 @@ class Renderer:
         out = np.empty((len(cameras), self.size[1], self.size[0], 4), self._output_type())
         for batch in self._batches(cameras, sort_viewmat):
             views = [cameras[i] for i in batch]
-            pipeline, target, byte_target = self._draw(views, sort_viewmat)
-            pipeline.read(target, byte_target, out[batch[0] : batch[0] + len(views)], self.timer)
+            pipeline, target = self._draw(views, sort_viewmat, boxed=self.config.output == "uint8")
+            byte_target = self._byte_target(len(views)) if self.config.output == "uint8" else None
+            pipeline.read(target, byte_target, views, out[batch[0] : batch[0] + len(views)], self.timer)
             self._count(pipeline)
         self.timer.stop()
         return out
@@ -171,7 +175,7 @@ class Renderer:
         self._begin(cameras, pose)
         if len(cameras) > 2:
             raise GlsplatError(f"draw() takes one view or a pair, not {len(cameras)}; render() takes any number")
-        pipeline, target, _ = self._draw(cameras, None)
+        pipeline, target = self._draw(cameras, None, boxed=False)
         self._count(pipeline)
         self.timer.stop()
         return target
@@ -181,11 +185,11 @@ class Renderer:
 
         The draw floor: what the picture costs once everything before it is known (``glsplat bench``).
         """
-        pipeline, (target, _) = self._pipeline(cameras), self._batch_target(len(cameras))
+        pipeline, target = self._pipeline(cameras), self._target(len(cameras))
         self.context.ctx.finish()
         timer = StageTimer(self.context.ctx.finish)
         timer.start()
-        pipeline.draw(target, cameras, timer)
+        pipeline.draw(target, cameras, timer, boxed=self.config.output == "uint8")
         return timer.ms["draw"]
 
     def release(self) -> None:
@@ -219,20 +223,21 @@ class Renderer:
         self._pose(pose)
 
     def _draw(
-        self, views: Sequence[Camera], sort_viewmat: NDArray[np.float64] | None
-    ) -> tuple[Pipeline, Target, Target | None]:
+        self, views: Sequence[Camera], sort_viewmat: NDArray[np.float64] | None, boxed: bool
+    ) -> tuple[Pipeline, Target]:
         """Steps 1 to 4 for one pass."""
         pipeline = self._pipeline(views)
-        target, byte_target = self._batch_target(len(views))
+        target = self._target(len(views))
         order = sorting_camera(views) if sort_viewmat is None else sort_viewmat
         resorted = pipeline.geometry(views, order, self._geometry_version, self.timer)
-        pipeline.draw(target, views, self.timer)
+        pipeline.draw(target, views, self.timer, boxed)
         self.variant = pipeline.variant
         self.stats = replace(self.stats, sorted=self.stats.sorted or resorted)
-        return pipeline, target, byte_target
+        return pipeline, target
 
     def _count(self, pipeline: Pipeline) -> None:
-        self.stats = replace(self.stats, drawn=self.stats.drawn + pipeline.drawn, culled=dict(pipeline.culled))
+        drawn = self.stats.drawn + pipeline.drawn
+        self.stats = replace(self.stats, drawn=drawn, culled=dict(pipeline.culled), covered=pipeline.covered)
 
     def _output_type(self) -> type[np.generic]:
         return np.uint8 if self.config.output == "uint8" else np.float32
@@ -277,20 +282,25 @@ class Renderer:
             self._pipelines[variant] = Pipeline(self.context, self._programs, variant, self._scene, self.config)
         return self._pipelines[variant]
 
-    def _batch_target(self, views: int) -> tuple[Target, Target | None]:
-        def get(dtype: str) -> Target:
-            if (views, dtype) not in self._targets:
-                self._targets[views, dtype] = Target(self.context.ctx, *self.size, views, dtype)
-            return self._targets[views, dtype]
+    def _all_targets(self) -> list[Target | ByteTarget]:
+        return [*self._targets.values(), *self._byte_targets.values()]
 
-        source = get(self.target_dtype)
-        return source, get("f1") if self.config.output == "uint8" and self.target_dtype != "f1" else None
+    def _target(self, views: int) -> Target:
+        if views not in self._targets:
+            self._targets[views] = Target(self.context.ctx, *self.size, views, self.target_dtype)
+        return self._targets[views]
+
+    def _byte_target(self, views: int) -> ByteTarget:
+        if views not in self._byte_targets:
+            self._byte_targets[views] = ByteTarget(self.context.ctx, *self.size, views)
+        return self._byte_targets[views]
 
     def _drop_targets(self) -> None:
         self.context.scratch.use()  # moderngl restores the framebuffer that was bound, and fails if it is gone
-        for target in self._targets.values():
+        for target in self._all_targets():
             target.release()
         self._targets.clear()
+        self._byte_targets.clear()
 
     def _drop_scene(self) -> None:
         for pipeline in self._pipelines.values():

@@ -141,6 +141,25 @@ def test_eight_bit_output_is_the_rounded_float(renderer_of: Make) -> None:
     assert np.array_equal(byte, renderer_of(scene, views=2, output="uint8", layers="geometry").render(views))
 
 
+@pytest.mark.parametrize("place", [(-0.9, 0.8), (0.0, 0.0), (1.3, -1.2), (40.0, 0.0)])
+def test_only_the_covered_box_is_touched(renderer_of: Make, place: tuple[float, float]) -> None:
+    """Moving the splats over stale pixels of the frame before changes nothing."""
+    scene = cloud(40, spread=0.15)
+    views = [replace(v, background=(0.2, 0.4, 0.6)) for v in eyes()]
+    moved = replace(scene, means=scene.means + np.float32([*place, 0]))
+    renderer = renderer_of(cloud(300), views=2, output="uint8")
+    renderer.render(views)  # fills the target
+    renderer.load(moved)
+    image = renderer.render(views)
+    exact = np.clip(renderer_of(moved, views=2).render(views), 0, 1) * 255
+    assert np.abs(image - exact).max() <= 0.51
+    x, y, width, height = renderer.stats.covered
+    assert width < 64 and height < 64
+    outside = np.ones((64, 64), bool)
+    outside[y : y + height, x : x + width] = False
+    assert not exact[:, outside, 3].any()
+
+
 @pytest.mark.parametrize(("target", "floor"), [("16f", 50), ("8", 40)])
 def test_cheaper_targets(renderer_of: Make, target: str, floor: float) -> None:
     scene, views = cloud(), eyes()

@@ -46,27 +46,35 @@ class SkinPass:
 
 
 class KeyPass:
-    """A sortable depth a splat, or the reason why no view draws it."""
+    """A sortable depth a splat, or the reason why no view draws it, and the tiles it touches."""
 
     def __init__(
-        self, ctx: moderngl.Context, programs: Programs, variant: Variant, content: Content, count: int
+        self,
+        ctx: moderngl.Context,
+        programs: Programs,
+        variant: Variant,
+        content: Content,
+        count: int,
+        cover: moderngl.Buffer,  # [N] uint32, borrowed: the order's buffer, which is free until the sort
     ) -> None:
-        program = programs.feedback("key", variant, ("key",))
+        program = programs.feedback("key", variant, ("key", "cover"), separate=True)
         bind_frame(program)
         self._count = count
         self.keys = ctx.buffer(reserve=max(16, count * 4))
+        self._cover = cover
         self._array = ctx.vertex_array(program, content)
-        self._host = np.empty(count, np.uint32)
+        self._host = np.empty((2, count), np.uint32)
 
     def run(self) -> None:
-        """Write the keys."""
-        self._array.transform(self.keys, moderngl.POINTS, vertices=self._count)
+        """Write keys and tiles."""
+        self._array.transform([self.keys, self._cover], moderngl.POINTS, vertices=self._count)
 
-    def read(self) -> NDArray[np.uint32]:
-        """[N] the keys on the host; the array is reused by the next call."""
+    def read(self) -> tuple[NDArray[np.uint32], NDArray[np.uint8]]:
+        """[N] the keys and [N, 4] the tiles x0, y0, x1, y1 on the host; the arrays are reused by the next call."""
         if self._count:
-            self.keys.read_into(self._host, size=self._count * 4)
-        return self._host
+            self.keys.read_into(self._host[0], size=self._count * 4)
+            self._cover.read_into(self._host[1], size=self._count * 4)
+        return self._host[0], self._host[1].view(np.uint8).reshape(-1, 4)
 
     def release(self) -> None:
         """Delete the key buffer and the vertex array."""

@@ -17,8 +17,8 @@ from glsplat.passes.geometry import KeyPass, SkinPass
 from glsplat.passes.gpu_sort import GpuSorter
 from glsplat.passes.project import ProjectPass
 from glsplat.passes.scene import SceneBuffers
-from glsplat.passes.sort import count_culled, sorted_indices
-from glsplat.passes.target import Resolve, Target
+from glsplat.passes.sort import FIRST_CULLED, count_culled, covered_box, sorted_indices
+from glsplat.passes.target import Box, ByteTarget, Clear, Resolve, Target
 from glsplat.shaders import Programs, Variant
 from glsplat.timing import StageTimer
 
@@ -37,18 +37,20 @@ class Pipeline:
         self._frame = FrameBlock(ctx, variant.views)
         self._skin = SkinPass(ctx, programs, variant, scene) if variant.influences else None
         content = self._skin.content() if self._skin else scene.rigid_content()
-        self._key = KeyPass(ctx, programs, variant, content, count)
         self._project = ProjectPass(ctx, programs, variant, content + scene.sh_content(variant), count)
+        self._key = KeyPass(ctx, programs, variant, content, count, cover=self._project.order)
         self._sorter: GpuSorter | None = None
         if config.sorter == "gpu" or (config.sorter == "auto" and context.compute and not context.software):
             work = (self._key.keys, self._project.order, self._project.records)
             self._sorter = GpuSorter(ctx, programs, *work, count, variant.views, config.sort_bits)
         self._draw = DrawPass(ctx, programs, variant, self._project.records)
-        self._resolve = Resolve(ctx, programs, variant)
+        self._clear = Clear(ctx, programs, variant)
+        self._resolve = Resolve(ctx, programs)
         self._sorted_for: tuple[Any, ...] | None = None
         self._counted_for: tuple[Any, ...] | None = None
         self._posed_for = -1
         self.culled: dict[str, int] = {}
+        self.covered: Box = (0, 0, 0, 0)
 
     @property
     def drawn(self) -> int:
@@ -73,7 +75,7 @@ class Pipeline:
             self._posed_for = version
             timer.mark("skin")
         # an unmoved scene seen by unmoved cameras keeps its order
-        state = (version, sort_viewmat.tobytes(), tuple((c.viewmat.tobytes(), c.K.tobytes(), c.near) for c in views))
+        state = (version, sort_viewmat.tobytes(), tuple(map(_view_state, views)))
         resort = state != self._sorted_for
         if resort:
             self._key.run()
@@ -81,9 +83,11 @@ class Pipeline:
             if self._sorter:
                 self._sorter.run()
                 self._project.count = self._scene.count  # culled ones sort last; the indirect draw leaves them out
+                self.covered = (0, 0, views[0].width, views[0].height)
             else:
-                keys = self._key.read()
+                keys, tiles = self._key.read()
                 self.culled = count_culled(keys)
+                self.covered = covered_box(tiles[keys < FIRST_CULLED], views[0].width, views[0].height)
                 self._project.write_order(sorted_indices(keys, self._config.sort_bits))
             self._sorted_for = state
             timer.mark("sort")
@@ -91,26 +95,30 @@ class Pipeline:
             timer.mark("project")
         return resort
 
-    def draw(self, target: Target, views: Sequence[Camera], timer: StageTimer) -> None:
-        """Step 4: backgrounds, then every record into its layer."""
-        self._resolve.clear(target, views)
+    def draw(self, target: Target, views: Sequence[Camera], timer: StageTimer, boxed: bool) -> None:
+        """Step 4: backgrounds (``boxed``: where splats fall, nothing else will be read), then every record."""
+        self._clear.run(target, views, self.covered if boxed else (0, 0, views[0].width, views[0].height))
         self._draw.run(target, self._project.count, self._sorter.indirect if self._sorter else None)
         timer.mark("draw")
 
-    def read(self, target: Target, byte_target: Target | None, out: NDArray[Any], timer: StageTimer) -> None:
-        """Steps 5 and 6: 8-bit conversion where asked for, and all layers to the host array ``out``."""
-        source = target
-        if byte_target is not None:
-            self._resolve.run(target, byte_target)
-            source = byte_target
+    def read(
+        self,
+        target: Target,
+        byte_target: ByteTarget | None,
+        views: Sequence[Camera],
+        out: NDArray[Any],  # [V, H, W, 4] uint8 if there is a byte target, else float32
+        timer: StageTimer,
+    ) -> None:
+        """Steps 5 and 6: 8-bit conversion where asked for, and the picture to the host."""
+        if byte_target is None:
+            target.read(out)
+        else:
+            self._resolve.run(target, byte_target, self.covered)
             timer.mark("resolve")
-        if source.numpy_dtype == out.dtype:
-            source.read(out)
-        else:  # half floats, or an 8-bit target asked for as floats
-            pixels = source.empty()
-            source.read(pixels)
-            scale = 1 / 255 if pixels.dtype == np.uint8 else 1
-            np.multiply(pixels, scale, out=out, casting="unsafe", dtype=np.float32)
+            if self.covered[2:] != (views[0].width, views[0].height):
+                for image, view in zip(out, views, strict=True):
+                    image[...] = np.rint(np.clip((*view.background, 0), 0, 1) * np.float64(255)).astype(np.uint8)
+            byte_target.read(out, self.covered)
         if self._sorter and self._counted_for != self._sorted_for:
             self._project.count, self.culled = self._sorter.counts()  # after the read, so that nothing waits twice
             self._counted_for = self._sorted_for
@@ -118,6 +126,12 @@ class Pipeline:
 
     def release(self) -> None:
         """Delete the work buffers and vertex arrays."""
-        for item in (self._skin, self._key, self._project, self._sorter, self._draw, self._resolve, self._frame):
+        passes = (self._skin, self._key, self._project, self._sorter, self._draw, self._clear, self._resolve)
+        for item in (*passes, self._frame):
             if item is not None:
                 item.release()
+
+
+def _view_state(camera: Camera) -> tuple[object, ...]:
+    """All of a camera that decides records."""
+    return camera.viewmat.tobytes(), camera.K.tobytes(), camera.width, camera.height, camera.near, camera.far

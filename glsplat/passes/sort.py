@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["CULL_REASONS", "FIRST_CULLED", "count_culled", "sorted_indices"]
+__all__ = ["CULL_REASONS", "FIRST_CULLED", "count_culled", "covered_box", "sorted_indices"]
 
 FIRST_CULLED = 0xFFFFFF00
 CULL_REASONS = {1: "out of range", 2: "transparent", 3: "degenerate", 4: "outside"}
@@ -26,6 +26,19 @@ def sorted_indices(keys: NDArray[np.uint32], bits: int = 32) -> NDArray[np.uint3
     packed = (keys[visible].astype(np.uint64) << np.uint64(32)) | visible
     packed.sort()
     return packed.astype(np.uint32)[::-1]
+
+
+def covered_box(
+    tiles: NDArray[np.uint8],  # [N, 4] of the splats that are drawn
+    width: int,
+    height: int,
+) -> tuple[int, int, int, int]:
+    """Pixels (x, y, width, height) outside of which every view shows only its background."""
+    if not len(tiles):
+        return 0, 0, 0, 0
+    (x0, y0), (x1, y1) = tiles[:, :2].min(axis=0).astype(int), tiles[:, 2:].max(axis=0).astype(int) + 1
+    left, top = x0 * width // 256, y0 * height // 256
+    return left, top, -(-x1 * width // 256) - left, -(-y1 * height // 256) - top
 
 
 def count_culled(keys: NDArray[np.uint32]) -> dict[str, int]:

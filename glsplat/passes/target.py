@@ -1,4 +1,4 @@
-"""Target: a texture array with one layer a view and the framebuffer that renders to all of them."""
+"""Targets: the float texture array the splats blend into, one layer a view, and the 8-bit picture made of it."""
 
 from __future__ import annotations
 
@@ -13,10 +13,13 @@ from glsplat.camera import Camera
 from glsplat.passes.geometry import bind_frame
 from glsplat.shaders import Programs, Variant
 
-__all__ = ["FORMATS", "Resolve", "Target"]
+__all__ = ["FORMATS", "Box", "ByteTarget", "Clear", "Resolve", "Target"]
 
 FORMATS = {"8": "f1", "16f": "f2", "32f": "f4"}
 """RenderConfig.target -> moderngl dtype."""
+
+Box = tuple[int, int, int, int]
+"""Pixels: x, y, width, height, from the top left corner."""
 
 _NUMPY = {"f1": np.uint8, "f2": np.float16, "f4": np.float32}
 
@@ -25,25 +28,20 @@ class Target:
     """Colour for V views of one size: premultiplied RGB over the background, and accumulated alpha."""
 
     def __init__(self, ctx: moderngl.Context, width: int, height: int, views: int, dtype: str) -> None:
-        self._ctx = ctx
         self.shape = (views, height, width, 4)
-        self.dtype = dtype
+        self.numpy_dtype: np.dtype[Any] = np.dtype(_NUMPY[dtype])
         self.texture = ctx.texture_array((width, height, views), 4, dtype=dtype)
         self.texture.filter = (moderngl.NEAREST, moderngl.NEAREST)
         self.framebuffer = ctx.framebuffer([self.texture])
 
-    @property
-    def numpy_dtype(self) -> np.dtype[Any]:
-        """numpy type of one channel."""
-        return np.dtype(_NUMPY[self.dtype])
-
-    def empty(self) -> NDArray[Any]:
-        """A host array [V, H, W, 4] of the target's own number type, to read into."""
-        return np.empty(self.shape, self.numpy_dtype)
-
-    def read(self, out: NDArray[Any]) -> None:
-        """Copy all layers to ``out``, row 0 first (the top row of the image)."""
-        self.texture.read_into(out)
+    def read(self, out: NDArray[np.float32]) -> None:
+        """Copy all layers to ``out`` [V, H, W, 4] as floats, row 0 first (the top row of the image)."""
+        if self.numpy_dtype == out.dtype:
+            self.texture.read_into(out)
+            return
+        pixels = np.empty(self.shape, self.numpy_dtype)
+        self.texture.read_into(pixels)
+        np.multiply(pixels, 1 / 255 if self.numpy_dtype == np.uint8 else 1, out=out, dtype=np.float32, casting="unsafe")
 
     @property
     def nbytes(self) -> int:
@@ -56,35 +54,85 @@ class Target:
         self.texture.release()
 
 
-class Resolve:
-    """Backgrounds before the splats, 8-bit conversion after them."""
+class ByteTarget:
+    """8 bits a channel, the views one below the other: one plain texture, so that parts of it can be read."""
+
+    def __init__(self, ctx: moderngl.Context, width: int, height: int, views: int) -> None:
+        self.shape = (views, height, width, 4)
+        self.texture = ctx.texture((width, height * views), 4)
+        self.framebuffer = ctx.framebuffer([self.texture])
+
+    def read(self, out: NDArray[np.uint8], box: Box) -> None:
+        """Copy the pixels of ``box`` of every view into ``out`` [V, H, W, 4]; the rest of it stays as it is."""
+        views, rows, columns, _ = self.shape
+        x, y, width, height = box
+        if (width, height) == (columns, rows):
+            self.framebuffer.read_into(out, components=4)
+            return
+        part = np.empty((height, width, 4), np.uint8)
+        for view in range(views):
+            self.framebuffer.read_into(part, viewport=(x, view * rows + y, width, height), components=4)
+            out[view, y : y + height, x : x + width] = part
+
+    @property
+    def nbytes(self) -> int:
+        """GPU bytes of the texture."""
+        return int(np.prod(self.shape))
+
+    def release(self) -> None:
+        """Delete framebuffer and texture."""
+        self.framebuffer.release()
+        self.texture.release()
+
+
+class Clear:
+    """Backgrounds before the splats: one plain clear, or a pass where the views' backgrounds differ."""
 
     def __init__(self, ctx: moderngl.Context, programs: Programs, variant: Variant) -> None:
-        self._ctx = ctx
-        self._views = variant.views
-        self._resolve = ctx.vertex_array(programs.draw("screen", "resolve", variant), [])
-        background = programs.draw("screen", "background", variant)
-        bind_frame(background)
-        self._background = ctx.vertex_array(background, [])
+        self._ctx, self._programs, self._variant = ctx, programs, variant
+        self._array: moderngl.VertexArray | None = None
 
-    def clear(self, target: Target, cameras: Sequence[Camera]) -> None:
-        """Fill the target with each view's background and alpha 0."""
+    def run(self, target: Target, cameras: Sequence[Camera], box: Box) -> None:
+        """Fill ``box`` of all layers with each view's background and alpha 0."""
         colours = {camera.background for camera in cameras}
         if len(colours) == 1:
-            target.framebuffer.clear(*colours.pop(), 0.0)
+            target.framebuffer.clear(*colours.pop(), 0.0, viewport=box)
             return
+        if self._array is None:
+            program = self._programs.draw("screen", "background", self._variant)
+            bind_frame(program)
+            self._array = self._ctx.vertex_array(program, [])
         target.framebuffer.use()
         self._ctx.enable_only(moderngl.NOTHING)
-        self._background.render(moderngl.TRIANGLES, vertices=3, instances=self._views)
+        self._array.render(moderngl.TRIANGLES, vertices=3, instances=self._variant.views)
 
-    def run(self, source: Target, into: Target) -> None:
-        """Clamp and round the float ``source`` to the 8-bit ``into``."""
+    def release(self) -> None:
+        """Delete the vertex array."""
+        if self._array is not None:
+            self._array.release()
+
+
+class Resolve:
+    """Clamps and rounds the float target to 8 bit, inside the covered box only."""
+
+    def __init__(self, ctx: moderngl.Context, programs: Programs) -> None:
+        self._ctx = ctx
+        self._array = ctx.vertex_array(programs.draw("screen", "resolve", Variant()), [])
+
+    def run(self, source: Target, into: ByteTarget, box: Box) -> None:
+        """Convert the pixels of ``box`` of every view."""
+        x, y, width, height = box
+        if not (width and height):
+            return
         into.framebuffer.use()
         self._ctx.enable_only(moderngl.NOTHING)
         source.texture.use(0)
-        self._resolve.render(moderngl.TRIANGLES, vertices=3, instances=self._views)
+        views, rows, _, _ = into.shape
+        for view in range(views):
+            self._ctx.viewport = (x, view * rows + y, width, height)
+            self._array.render(moderngl.TRIANGLES, vertices=3)
+        self._ctx.viewport = (0, 0, into.shape[2], views * rows)
 
     def release(self) -> None:
-        """Delete the vertex arrays."""
-        self._resolve.release()
-        self._background.release()
+        """Delete the vertex array."""
+        self._array.release()

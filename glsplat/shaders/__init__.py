@@ -109,9 +109,12 @@ class Programs:
     def __len__(self) -> int:
         return len(self._cache)
 
-    def feedback(self, name: str, variant: Variant, varyings: Sequence[str]) -> moderngl.Program:
-        """Program ``name``.vert.glsl that captures ``varyings`` and draws nothing."""
-        return self._get((name, variant, tuple(varyings)), {"vertex_shader": f"{name}.vert.glsl"}, varyings)
+    def feedback(
+        self, name: str, variant: Variant, varyings: Sequence[str], separate: bool = False
+    ) -> moderngl.Program:
+        """Program ``name``.vert.glsl that captures ``varyings`` (into one buffer, or one each) and draws nothing."""
+        key = (name, variant, tuple(varyings), separate)
+        return self._get(key, {"vertex_shader": f"{name}.vert.glsl"}, varyings, separate)
 
     def draw(self, vertex: str, fragment: str, variant: Variant) -> moderngl.Program:
         """Program of two stages; with ``variant.geometry`` ``vertex``.geom.glsl routes the layers."""
@@ -121,12 +124,12 @@ class Programs:
         return self._get((vertex, fragment, variant), stages)
 
     def _get(
-        self, key: tuple[object, ...], stages: Mapping[str, str], varyings: Sequence[str] = ()
+        self, key: tuple[object, ...], stages: Mapping[str, str], varyings: Sequence[str] = (), separate: bool = False
     ) -> moderngl.Program:
         if key not in self._cache:
             variant = next(part for part in key if isinstance(part, Variant))
             sources = {stage: flatten(file, variant.defines()) for stage, file in stages.items()}
-            self._cache[key] = link(self._ctx, str(key[0]), sources, varyings)
+            self._cache[key] = link(self._ctx, str(key[0]), sources, varyings, separate)
         program = self._cache[key]
         assert isinstance(program, moderngl.Program)
         return program
@@ -152,7 +155,11 @@ class Programs:
 
 
 def link(
-    ctx: moderngl.Context, name: str, stages: Mapping[str, Source], varyings: Sequence[str] = ()
+    ctx: moderngl.Context,
+    name: str,
+    stages: Mapping[str, Source],
+    varyings: Sequence[str] = (),
+    separate: bool = False,
 ) -> moderngl.Program:
     """Compile and link; a ShaderError names the chunk and its line."""
     try:
@@ -161,6 +168,7 @@ def link(
             fragment_shader=stages["fragment_shader"].text if "fragment_shader" in stages else None,
             geometry_shader=stages["geometry_shader"].text if "geometry_shader" in stages else None,
             varyings=tuple(varyings),
+            varyings_capture_mode="separate" if separate else "interleaved",
         )
     except moderngl.Error as error:
         raise ShaderError(_message(name, stages, str(error))) from None

@@ -1,4 +1,4 @@
-// Key pass: depth as a sortable uint, nearest first, or why no view draws the splat.
+// Key pass: depth as a sortable uint, nearest first, or why no view draws the splat; and where it falls.
 #include "frame.glsl"
 #include "extent.glsl"
 #include "covariance.glsl"
@@ -6,12 +6,24 @@
 #include "project.glsl"
 
 flat out uint key;
+flat out uint cover;  // tiles of 1/256 of the image that the splat touches in any view: x0, y0, x1, y1, a byte each
 
 void main() {
     mat3 shape = input_shape();
-    Footprint foot;
-    uint reason = project(mean_opacity.xyz, shape, mean_opacity.w, 0, foot);
-    for (int v = 1; v < VIEWS; ++v) reason = min(reason, project(mean_opacity.xyz, shape, mean_opacity.w, v, foot));
+    uint reason = OUTSIDE;
+    vec2 low = vec2(255.0), high = vec2(0.0);
+    for (int v = 0; v < VIEWS; ++v) {
+        Footprint foot;
+        uint why = project(mean_opacity.xyz, shape, mean_opacity.w, v, foot);
+        reason = min(reason, why);
+        if (why == VISIBLE) {
+            vec2 reach = extent_of(foot.alpha) * vec2(foot.cholesky.x, length(foot.cholesky.yz)) + 0.5;
+            low = min(low, floor((foot.centre - reach) * frame.size.zw * 128.0));
+            high = max(high, floor((foot.centre + reach) * frame.size.zw * 128.0));
+        }
+    }
+    uvec4 tiles = uvec4(clamp(vec4(low, high), 0.0, 255.0));
+    cover = tiles.x | tiles.y << 8 | tiles.z << 16 | tiles.w << 24;
     // IEEE floats compare like integers once the sign is undone; codes lie above every finite key
     uint bits = floatBitsToUint(dot(frame.sort_row.xyz, mean_opacity.xyz) + frame.sort_row.w);
     bits = (bits & 0x80000000u) != 0u ? ~bits : bits | 0x80000000u;

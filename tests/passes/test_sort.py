@@ -7,7 +7,7 @@ import pytest
 
 from glsplat.context import Context
 from glsplat.passes.gpu_sort import GpuSorter
-from glsplat.passes.sort import FIRST_CULLED, count_culled, sorted_indices
+from glsplat.passes.sort import FIRST_CULLED, count_culled, covered_box, sorted_indices
 from glsplat.shaders import Programs
 
 
@@ -60,3 +60,10 @@ def test_gpu_sorter_gives_the_same_order(context: Context, rng: np.random.Genera
         assert np.array_equal(order, expected) and culled == count_culled(keys)
         for item in (sorter, programs, *buffers):
             item.release()
+
+
+def test_covered_box() -> None:
+    tiles = np.array([[10, 20, 30, 40], [5, 25, 12, 255]], np.uint8)
+    assert covered_box(tiles, 256, 256) == (5, 20, 26, 236)
+    assert covered_box(tiles, 1000, 100) == (19, 7, 103, 93)  # rounded outwards
+    assert covered_box(tiles[:0], 64, 64) == (0, 0, 0, 0)

@@ -98,11 +98,10 @@ def test_every_variant_compiles(gl: Context) -> None:
     for variant in every_variant():
         if variant.influences:
             programs.feedback("skin", variant, ("posed_mean", "posed_x", "posed_y", "posed_z"))
-        programs.feedback("key", variant, ("key",))
+        programs.feedback("key", variant, ("key", "cover"), separate=True)
         programs.feedback("project", variant, ("rgb", "alpha", "centre", "cholesky"))
         program = programs.draw("splat", "splat", variant)
         assert attributes_of(program) == {name for _, name, _ in record_layout(variant)}
-        programs.draw("screen", "resolve", variant)
         block = programs.draw("screen", "background", variant)["Frame"]
         assert isinstance(block, moderngl.UniformBlock) and block.size == frame_dtype(variant.views).itemsize
     programs.release()
