@@ -1,9 +1,10 @@
-"""``glsplat avatar``: make an avatar from a rigged person."""
+"""``glsplat avatar``: make, import and export avatars."""
 
 from __future__ import annotations
 
 import argparse
 import json
+import math
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -11,34 +12,50 @@ from typing import Any
 
 from tqdm import tqdm
 
-from glsplat.avatar import default_avatar
-from glsplat.errors import GlsplatError
-from glsplat.formats import save
+from glsplat.avatar import Avatar, default_avatar
+from glsplat.errors import FormatError, GlsplatError
+from glsplat.formats import load, save
 from glsplat.formats.files import replace_file
-from glsplat.skinning.people import read_person
+from glsplat.skinning.importers import bind_to_mesh, load_lhm_dump
+from glsplat.skinning.motion import load_motion
+from glsplat.skinning.people import RiggedMesh, read_person
+from glsplat.skinning.pose import Pose
+from glsplat.skinning.posed import posed_splats
 from glsplat.skinning.refine import RefineConfig, refine
+from glsplat.skinning.rigged_gltf import read_gltf_person
+from glsplat.skinning.smplx import JOINT_NAMES
 from glsplat.skinning.surface import make_avatar
 
 from .motion_library import library, to_json
 
-HELP = "make avatars from rigged people"
+HELP = "Make avatars from rigged people, import and export them, write the embedded motions."
 EXAMPLE = "glsplat avatar make person.npz -o me.glb --splats 40000"
-
-_CONSENT = "not stated"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The subcommands and their options."""
     commands = parser.add_subparsers(dest="action", required=True, metavar="ACTION")
-    make = commands.add_parser("make", help="a rigged, textured person (.npz) to a Gaussian avatar")
-    make.add_argument("person", type=Path, help="person archive (.npz): rigged mesh with textures")
-    make.add_argument("-o", "--out", type=Path, required=True, help="avatar to write (.glb)")
+    make = commands.add_parser("make", help="a rigged, textured person (.npz, .glb) to a Gaussian avatar")
+    make.add_argument("person", type=Path, help="rigged, textured mesh: person archive (.npz), .glb or .gltf")
     make.add_argument("--splats", type=int, default=40_000, help="number of Gaussians (default 40000)")
     make.add_argument("--seed", type=int, default=0, help="same seed, same bytes (default 0)")
     make.add_argument("--steps", type=int, default=RefineConfig().steps, help="fitting steps, about 1 s each; 0: none")
-    for key, what in _NOTES.items():
-        make.add_argument(f"--{key}", help=f"{what}, kept in the file")
-    make.add_argument("--json", action="store_true", help="print what was made as JSON")
+
+    taken = commands.add_parser("import", help="an LHM dump (.npz), or splats (PLY, .splat) bound to a rigged mesh")
+    taken.add_argument("dump", type=Path, help="lhm_dump.npz, or a splat file with --mesh")
+    taken.add_argument("--mesh", type=Path, help="rigged mesh in the same pose and place (.npz, .glb), for its weights")
+    taken.add_argument("--reach", type=float, default=5.0, help="cm a splat may lie off the mesh (default 5)")
+    for command in (make, taken):
+        command.add_argument("-o", "--out", type=Path, required=True, help="avatar to write (.glb)")
+        for key, what in _NOTES.items():
+            command.add_argument(f"--{key}", help=f"{what}, kept in the file")
+        command.add_argument("--json", action="store_true", help="print what was made as JSON")
+
+    export = commands.add_parser("export", help="the avatar in one pose as a static splat file")
+    export.add_argument("avatar", type=Path, help="avatar (.glb)")
+    export.add_argument("--pose", help="pose or motion file, or the name of an embedded motion (default: zero pose)")
+    export.add_argument("--at", type=float, default=0.0, help="seconds into a motion (default 0)")
+    export.add_argument("-o", "--out", type=Path, required=True, help="file to write (.ply, .splat, .glb)")
 
     motions = commands.add_parser("motions", help="write the motions that come with glsplat (JSON)")
     motions.add_argument("-o", "--out", type=Path, required=True, help="folder to write to")
@@ -53,17 +70,16 @@ _NOTES = {
 
 def run(args: argparse.Namespace) -> int:
     """Run the chosen action; 0 on success."""
-    return {"make": _make, "motions": _motions}[args.action](args)
+    return {"make": _make, "import": _import, "export": _export, "motions": _motions}[args.action](args)
 
 
 def _make(args: argparse.Namespace) -> int:
-    if args.out.suffix.lower() not in (".glb", ".gltf"):
-        raise GlsplatError(f"{args.out}: an avatar is written as .glb or .gltf; change the name")
+    _check_name(args.out)
     if args.steps < 0:
         raise GlsplatError(f"--steps needs 0 or more, not {args.steps}")
     began = time.perf_counter()
-    mesh = read_person(args.person)
-    with tqdm(total=100, unit="%", disable=None, leave=False, bar_format="{desc}: {bar} {n:.0f} %") as bar:
+    mesh = _person(args.person)
+    with tqdm(total=100, disable=None, leave=False, bar_format="{desc}: {bar} {n:.0f} %") as bar:
 
         def show(stage: str, done: float) -> None:
             bar.set_description(stage)
@@ -73,23 +89,76 @@ def _make(args: argparse.Namespace) -> int:
         avatar = make_avatar(mesh, args.splats, args.seed, progress=show)
         if args.steps:
             avatar = refine(avatar, mesh, args.seed, RefineConfig(steps=args.steps), show)
+    return _write(avatar, args, began)
+
+
+def _import(args: argparse.Namespace) -> int:
+    _check_name(args.out)
+    began = time.perf_counter()
+    if args.mesh is None:
+        return _write(load_lhm_dump(args.dump), args, began)
+    if not 0 < args.reach < 1000:
+        raise GlsplatError(f"--reach needs centimetres above 0, not {args.reach:g}")
+    scene = load(args.dump)
+    splats = scene.splats if isinstance(scene, Avatar) else scene
+    try:
+        avatar = bind_to_mesh(splats, _person(args.mesh), args.reach / 100)
+    except FormatError as error:
+        text = str(error)
+        raise FormatError(text if text.startswith(str(args.mesh)) else f"{args.dump}: {text}") from None
+    return _write(replace(avatar, meta={**avatar.meta, "source": args.dump.name}), args, began)
+
+
+def _person(path: Path) -> RiggedMesh:
+    """A rigged mesh by content."""
+    try:
+        with open(path, "rb") as file:
+            head = file.read(64)
+    except OSError as error:
+        raise FormatError(f"{path}: cannot read the person ({error.strerror})") from None
+    if head.startswith(b"glTF") or head.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"{"):
+        return read_gltf_person(path)
+    return read_person(path)
+
+
+def _check_name(out: Path) -> None:
+    if out.suffix.lower() not in (".glb", ".gltf"):
+        raise GlsplatError(f"{out}: an avatar is written as .glb or .gltf; change the name")
+
+
+def _write(avatar: Avatar, args: argparse.Namespace, began: float) -> int:
     meta: dict[str, Any] = dict(avatar.meta)
-    meta["body_model"] = "SMPL-X joints (55)" if len(avatar.skeleton) == 55 else f"{len(avatar.skeleton)} joints"
-    meta.setdefault("consent", _CONSENT)
+    smplx = avatar.skeleton.names == JOINT_NAMES
+    meta.setdefault("body_model", "SMPL-X joints (55)" if smplx else f"{len(avatar.skeleton)} joints")
+    meta.setdefault("consent", "not stated")
     meta.update({key: getattr(args, key) for key in _NOTES if getattr(args, key)})
-    avatar = replace(avatar, meta=meta)
-    save(avatar, args.out)
+    save(replace(avatar, meta=meta), args.out)
     facts = {
         "out": str(args.out),
         "splats": len(avatar.splats),
         "bytes": args.out.stat().st_size,
         "weight_lost": round(avatar.skin.lost, 6),
+        "weights_repaired": avatar.skin.repaired,
         "seconds": round(time.perf_counter() - began, 1),
     }
     if args.json:
         print(json.dumps(facts))
     else:
-        print(f"{args.out}: {facts['splats']} splats, {facts['bytes'] / 1e6:.2f} MB, {facts['seconds']} s")
+        print(f"{args.out}: {facts['splats']} splats, {args.out.stat().st_size / 1e6:.2f} MB, {facts['seconds']} s")
+    return 0
+
+
+def _export(args: argparse.Namespace) -> int:
+    scene = load(args.avatar)
+    if not isinstance(scene, Avatar):
+        raise FormatError(f"{args.avatar}: has no skeleton to pose; give an avatar (.glb with a skin)")
+    pose = Pose.zero(len(scene.skeleton))
+    if args.pose is not None:
+        if not math.isfinite(args.at):
+            raise GlsplatError(f"--at needs a number of seconds, not {args.at}")
+        pose = load_motion(args.pose, scene.skeleton).at(args.at)
+    save(posed_splats(scene, pose), args.out)
+    print(f"{args.out}: {len(scene.splats)} splats")
     return 0
 
 

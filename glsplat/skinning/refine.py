@@ -39,7 +39,7 @@ class RefineConfig:
     opacity_rate: float = 0.03  # logit a step
     color_rate: float = 0.01
     alpha_weight: float = 1.0  # of the coverage in the loss, against colour
-    layer: float = 0.015  # metres; what lies farther behind the surface must not help to close it
+    layer: float = 0.02  # metres; what lies farther behind the surface must not help to close it
     max_shift: float = 1.0  # cell sizes from where the splat began
     max_turn: float = 0.6  # radians
     max_growth: float = 0.9  # natural logarithm of the scale, either way
@@ -61,7 +61,7 @@ class _Adam:
         self.first[seen] += 0.1 * (g - self.first[seen])
         self.second[seen] += 0.01 * (g * g - self.second[seen])
         mean, power = self.first[seen] / (1 - 0.9**n), self.second[seen] / (1 - 0.99**n)
-        self.value[seen] -= self.rate * decay * mean / (np.sqrt(power) + 1e-12)
+        self.value[seen] -= self.rate * decay * mean / (np.sqrt(power) + 1e-20)
 
 
 def refine(
@@ -102,6 +102,8 @@ def refine(
         prints = footprints(means, rotations, scales, alpha, camera, depth + config.layer)
         by_picture = 2 * (prints.picture(color.value) - target)
         by_picture[..., 3] *= config.alpha_weight
+        # by surface area, not by pixels: else close-ups, which spend more pixels on a splat, would decide everything
+        by_picture *= (np.median(depth[np.isfinite(depth)]) / camera.K[0, 0]) ** 2 if np.isfinite(depth).any() else 0.0
         grad = prints.backward(by_picture, color.value, alpha, scales)
         seen = grad.weight > 0.05
         decay = 0.05 ** max(0.0, 1.6 * step / config.steps - 0.6)
@@ -168,7 +170,7 @@ def _random_camera(mesh: RiggedMesh, vertices: F64, size: int, rng: np.random.Ge
     points = vertices[np.unique(mesh.faces)]
     centre = (points.max(axis=0) + points.min(axis=0)) / 2
     radius = float(np.linalg.norm(points - centre, axis=1).max())
-    kind = rng.choice(len(_CLOSE_UPS) + 2, p=[0.4, 0.24, 0.16, 0.1, 0.1])
+    kind = rng.choice(len(_CLOSE_UPS) + 2, p=[0.45, 0.17, 0.18, 0.1, 0.1])
     if kind == 1:
         centre, radius = points[rng.integers(len(points))], radius * rng.uniform(0.15, 0.4)
     elif kind > 1:

@@ -1,0 +1,179 @@
+"""Avatars from elsewhere: a dump of LHM's Gaussians, and static splats bound to a rigged mesh."""
+
+from __future__ import annotations
+
+import base64
+import zipfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
+
+from glsplat.avatar import Avatar
+from glsplat.errors import FormatError, PoseError
+from glsplat.skinning.people import RiggedMesh
+from glsplat.skinning.skeleton import Skeleton
+from glsplat.skinning.skin import Skin
+from glsplat.skinning.smplx import JOINT_NAMES
+from glsplat.splats import Splats
+
+__all__ = ["bind_to_mesh", "load_lhm_dump"]
+
+F64 = NDArray[np.float64]
+
+_LHM_KEYS: dict[str, tuple[int | str, ...]] = {
+    "query_points": ("N", 3),
+    "offset_xyz": ("N", 3),
+    "opacity": ("N", 1),
+    "rotation_wxyz": ("N", 4),
+    "scaling": ("N", 3),
+    "rgb": ("N", 3),
+    "skinning_weight": ("N", 55),
+    "transform_mat_neutral_pose": (55, 4, 4),
+    "betas": (10,),
+    "shape_dirs": ("N", 3, 10),
+    "joints_zero": (55, 3),
+    "parents": (55,),
+    "is_constrain_body": ("N",),
+}
+
+
+def load_lhm_dump(path: str | Path, influences: int = 4) -> Avatar:
+    """An avatar from the .npz a user's own LHM checkout dumps: activated attributes in LHM's canonical pose.
+
+    Keys and shapes (N splats): query_points (N, 3), offset_xyz (N, 3), opacity (N, 1), rotation_wxyz (N, 4), scaling
+    (N, 3), rgb (N, 3) in [0, 1], skinning_weight (N, 55), transform_mat_neutral_pose (55, 4, 4) canonical to zero pose,
+    betas (10), shape_dirs (N, 3, 10), joints_zero (55, 3), parents (55), is_constrain_body (N).
+
+    Means go through linear blend skinning to the zero pose and receive the shape; rotations turn with the blend,
+    except for splats of ``is_constrain_body``, whose rotation LHM never turns. This renderer turns every splat, so
+    those are only marked: ``meta["no_rotate"]`` holds their bits (base64 of numpy.packbits). Feet are put on y = 0.
+    Raises FormatError naming the file and the key.
+    """
+    data = _arrays(path)
+    try:
+        count = _check(data)
+        query, transform = data["query_points"] + data["offset_xyz"], data["transform_mat_neutral_pose"]
+        weights = data["skinning_weight"]
+        total = weights.sum(axis=1, keepdims=True)
+        blended = np.einsum("nj,jab->nab", weights / np.where(total > 0, total, 1), transform)
+        zero = np.einsum("nab,nb->na", blended[:, :3, :3], query) + blended[:, :3, 3]
+        means = zero + np.einsum("nax,x->na", data["shape_dirs"], data["betas"])
+        kept = data["is_constrain_body"] > 0.5
+        quats = data["rotation_wxyz"]
+        turned = _turned(_nearest_rotations(blended[:, :3, :3]), quats)
+        quats = np.where(kept[:, None], quats, turned)
+        floor = float(np.percentile(means[:, 1], 0.1)) if count else 0.0
+        up = np.array([0, floor, 0])
+        splats = Splats.create(means - up, quats, data["scaling"], data["opacity"], rgb=data["rgb"])
+        skeleton = Skeleton.from_joints(JOINT_NAMES, data["parents"].astype(np.int32), data["joints_zero"] - up)
+        skin = Skin.create(np.broadcast_to(np.arange(55), weights.shape), weights, 55, influences)
+    except (FormatError, PoseError) as error:
+        raise FormatError(f"{path}: {error}") from None
+    meta: dict[str, Any] = {"source": f"LHM, {Path(path).name}", "body_model": "SMPL-X (55 joints)"}
+    meta["licence"] = "as the picture and LHM's weights (CC BY-NC 4.0) allow"
+    if kept.any():
+        meta["no_rotate"] = base64.b64encode(np.packbits(kept).tobytes()).decode()
+    return Avatar(splats, skeleton, skin, meta)
+
+
+def _arrays(path: str | Path) -> dict[str, F64]:
+    try:
+        with open(path, "rb") as file:
+            if file.read(2) != b"PK":
+                raise FormatError(f"{path}: an LHM dump is an .npz archive, but this is none")
+            file.seek(0)
+            with np.load(file, allow_pickle=False) as archive:
+                missing = [key for key in _LHM_KEYS if key not in archive]
+                if missing:
+                    raise FormatError(f"{path}: an LHM dump needs {missing[0]}; found {', '.join(archive.files[:6])}")
+                return {key: np.asarray(archive[key], np.float64) for key in _LHM_KEYS}
+    except OSError as error:
+        raise FormatError(f"{path}: cannot read the dump ({error.strerror or error})") from None
+    except (ValueError, TypeError, EOFError, zipfile.BadZipFile) as error:
+        raise FormatError(f"{path}: an LHM dump is an .npz of numbers, but {error}") from None
+
+
+def _check(data: Mapping[str, F64]) -> int:
+    count = len(data["query_points"])
+    for key, shape in _LHM_KEYS.items():
+        wanted = tuple(count if n == "N" else int(n) for n in shape)
+        if data[key].size != int(np.prod(wanted)) or len(data[key]) != wanted[0]:
+            raise FormatError(f"{key} needs shape {wanted}, not {data[key].shape}")
+        if not np.isfinite(data[key]).all():
+            raise FormatError(f"{key} needs finite numbers, found NaN or infinity")
+    if data["rgb"].min(initial=0) < -1e-3 or data["rgb"].max(initial=0) > 1 + 1e-3:
+        raise FormatError("rgb needs colours in [0, 1] (LHM's use_rgb), not spherical harmonics")
+    if data["opacity"].min(initial=0) < 0 or data["opacity"].max(initial=0) > 1 or data["scaling"].min(initial=0) < 0:
+        raise FormatError("opacity and scaling need activated values (0 to 1, and above 0), not logits and logarithms")
+    return count
+
+
+def bind_to_mesh(splats: Splats, mesh: RiggedMesh, reach: float = 0.05, influences: int = 4) -> Avatar:
+    """Static splats in the mesh's zero pose, bound with the weights of the nearest surface point.
+
+    ``reach`` in metres: a mesh whose surface is farther than that from more than one splat in a hundred is refused
+    (wrong pose, scale or person); a few outliers take the weights of where they are nearest. Raises FormatError.
+    """
+    surface = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False, validate=False)
+    usable = splats.finite()
+    points = np.where(usable[:, None], splats.means, 0).astype(np.float64)
+    at, distance, face = _nearest_on(surface, points)
+    far = usable & (distance > reach)
+    if far.sum() > 0.01 * max(int(usable.sum()), 1):
+        raise FormatError(
+            f"{int(far.sum())} of {len(splats)} splats lie more than {reach * 100:g} cm from the mesh "
+            f"(median {np.median(distance[usable]) * 100:.1f} cm); both need one pose, place and scale"
+        )
+    corners = mesh.faces[face]
+    bary = trimesh.triangles.points_to_barycentric(surface.triangles[face], at)
+    bary = np.clip(np.nan_to_num(bary, nan=1 / 3), 0, 1)
+    weights = (bary[:, :, None] * mesh.weights[corners]).reshape(len(points), -1)
+    joints = mesh.joints[corners].reshape(len(points), -1)
+    count = len(mesh.skeleton)
+    dense = np.zeros((len(points), count))
+    np.add.at(dense, (np.arange(len(points))[:, None], joints), weights)
+    skin = Skin.create(np.broadcast_to(np.arange(count), dense.shape), dense, count, influences)
+    return Avatar(splats, mesh.skeleton, skin, dict(mesh.meta))
+
+
+def _nearest_on(surface: trimesh.Trimesh, points: F64) -> tuple[F64, F64, NDArray[np.intp]]:
+    """Nearest surface point of each of ``points`` [N, 3], its distance [N] and triangle [N].
+
+    Triangles are looked for around the nearest of many samples, which spares a spatial index of triangles.
+    """
+    count = max(200_000, 4 * len(surface.faces))
+    samples, of = trimesh.sample.sample_surface(surface, count, seed=0)
+    tree = cKDTree(np.concatenate([samples, surface.triangles_center]))
+    owner = np.concatenate([of, np.arange(len(surface.faces))])
+    candidates = owner[tree.query(points, k=_CANDIDATES, workers=-1)[1]]  # [N, C]
+    best, face = np.full(len(points), np.inf), candidates[:, 0].copy()
+    at = np.zeros_like(points)
+    for column in candidates.T:
+        close = trimesh.triangles.closest_point(surface.triangles[column], points)
+        distance = np.linalg.norm(close - points, axis=1)
+        nearer = distance < best
+        best[nearer], face[nearer], at[nearer] = distance[nearer], column[nearer], close[nearer]
+    return at, best, face
+
+
+_CANDIDATES = 8
+
+
+def _nearest_rotations(blended: F64) -> F64:
+    u, _, vt = np.linalg.svd(blended)
+    u[:, :, 2] *= np.sign(np.linalg.det(u @ vt))[:, None]
+    return u @ vt
+
+
+def _turned(rotations: F64, quats: F64) -> F64:
+    """wxyz of rotation times quaternion; zero quaternions stay zero."""
+    usable = np.linalg.norm(quats, axis=1) > 0
+    safe = np.where(usable[:, None], quats, [1.0, 0, 0, 0])
+    out = Rotation.from_matrix(rotations) * Rotation.from_quat(safe[:, [1, 2, 3, 0]])
+    return np.where(usable[:, None], out.as_quat()[:, [3, 0, 1, 2]], 0.0)
