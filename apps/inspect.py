@@ -74,7 +74,8 @@ def describe(scene: Splats | Avatar, path: str | Path | None) -> dict[str, Any]:
 
 def _rig(avatar: Avatar) -> dict[str, Any]:
     skeleton, skin = avatar.skeleton, avatar.skin
-    strongest = np.bincount(skin.joints[:, 0], minlength=len(skeleton))
+    first = skin.weights.argmax(axis=1)[:, None]
+    strongest = np.bincount(np.take_along_axis(skin.joints, first, axis=1)[:, 0], minlength=len(skeleton))
     with np.errstate(all="ignore"):
         offset = np.nan_to_num(skeleton.rest @ skeleton.inverse_bind - np.eye(4))
     return {

@@ -30,6 +30,7 @@ class Avatar:
             raise FormatError(f"an avatar needs one skin row a splat, not {len(self.skin)} for {len(self.splats)}")
         if len(self.skin) and int(self.skin.joints.max()) >= len(self.skeleton):
             raise FormatError(f"the skin names joint {self.skin.joints.max()} of {len(self.skeleton)}")
+        object.__setattr__(self, "skin", self.skin.anchored(self.skeleton.parents))
 
 
 @lru_cache(maxsize=1)

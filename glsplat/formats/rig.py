@@ -122,9 +122,9 @@ def read_skin(container: Container, instance: Instance, joints: int, count: int,
     ids_all, w = np.hstack(ids).astype(np.int64), np.hstack(weights)
     used = int((w != 0).sum(axis=1).max(initial=1))
     influences = next(k for k in INFLUENCES if k >= used)
-    sorted_rows = bool((w[:, :-1] >= w[:, 1:]).all()) and bool((w >= 0).all())
+    sorted_rows = bool((w[:, 1:-1] >= w[:, 2:]).all()) and bool((w >= 0).all()) and bool((w[:, 0] > 0).all())
     if sorted_rows and np.abs(w.sum(axis=1, dtype=np.float64) - 1).max(initial=0) <= 8 * 2**-24:
-        # already as Skin.create would make it: renormalising again would only move the last bits
+        # already as Skin.create or Skin.anchored would make it: renormalising again would only move the last bits
         ids_all = np.where(w > 0, ids_all, ids_all[:, :1])
         if ids_all.max(initial=0) < joints:
             lost, repaired = stored.get("lost"), stored.get("repaired")

@@ -1,37 +1,48 @@
 // R_i: the nearest rotation to a blended 3x3, continuous through a collapse. Twin: reference.blended_rotations,
-// whose docstring has the reasoning; here the 32nd power is five squarings.
-mat4 davenport(mat3 m) {  // q^T Q q = trace(R(q)^T m) for unit q = wxyz; m[column][row]
-    float wx = m[1][2] - m[2][1], wy = m[2][0] - m[0][2], wz = m[0][1] - m[1][0];
-    float xy = m[1][0] + m[0][1], xz = m[2][0] + m[0][2], yz = m[2][1] + m[1][2];
-    return mat4(
-        m[0][0] + m[1][1] + m[2][2], wx, wy, wz,
-        wx, m[0][0] - m[1][1] - m[2][2], xy, xz,
-        wy, xy, m[1][1] - m[0][0] - m[2][2], yz,
-        wz, xz, yz, m[2][2] - m[0][0] - m[1][1]);
+// whose docstring has the reasoning; here the 32nd power is five squarings of a symmetric matrix, kept as its diagonal
+// and its upper triangle.
+struct Symmetric { vec4 diagonal; vec3 w; vec3 o; };  // w: (01, 02, 03), o: (12, 13, 23)
+
+Symmetric davenport(mat3 m) {  // q^T Q q = trace(R(q)^T m) for unit q = wxyz; m[column][row]
+    float x = m[0][0], y = m[1][1], z = m[2][2];
+    return Symmetric(
+        vec4(x + y + z, x - y - z, y - x - z, z - x - y),
+        vec3(m[1][2] - m[2][1], m[2][0] - m[0][2], m[0][1] - m[1][0]),
+        vec3(m[1][0] + m[0][1], m[2][0] + m[0][2], m[2][1] + m[1][2]));
 }
 
-vec4 dominant_column(mat4 m) {  // the column with the largest diagonal entry, at unit length
-    vec4 column = m[0];
-    float best = m[0][0];
-    for (int i = 1; i < 4; ++i) {
-        if (m[i][i] > best) {
-            best = m[i][i];
-            column = m[i];
-        }
-    }
+Symmetric squared(Symmetric s) {
+    vec4 d = s.diagonal;
+    vec3 w = s.w, o = s.o, ww = w * w, oo = o * o;
+    return Symmetric(
+        d * d + vec4(ww.x + ww.y + ww.z, ww.x + oo.x + oo.y, ww.y + oo.x + oo.z, ww.z + oo.y + oo.z),
+        w * (d.x + d.yzw) + vec3(w.y * o.x + w.z * o.y, w.x * o.x + w.z * o.z, w.x * o.y + w.y * o.z),
+        o * (d.yyz + d.zww) + vec3(w.x * w.y + o.y * o.z, w.x * w.z + o.x * o.z, w.y * w.z + o.x * o.y));
+}
+
+vec4 product(Symmetric s, vec4 v) {
+    return s.diagonal * v
+        + vec4(dot(s.w, v.yzw), s.w.x * v.x + s.o.x * v.z + s.o.y * v.w, s.w.y * v.x + s.o.x * v.y + s.o.z * v.w,
+            s.w.z * v.x + s.o.y * v.y + s.o.z * v.z);
+}
+
+vec4 dominant_column(Symmetric s) {  // the column with the largest diagonal entry, at unit length
+    vec4 d = s.diagonal;
+    vec4 column = d.x >= d.y ? vec4(d.x, s.w) : vec4(s.w.x, d.y, s.o.xy);
+    vec4 other = d.z >= d.w ? vec4(s.w.y, s.o.x, d.z, s.o.z) : vec4(s.w.z, s.o.yz, d.w);
+    column = max(d.x, d.y) >= max(d.z, d.w) ? column : other;
     return column * inversesqrt(max(dot(column, column), 1e-30));
 }
 
-vec4 blended_quaternion(mat3 blended, mat3 strongest, float shift) {  // wxyz, w >= 0
+vec4 blended_quaternion(mat3 blended, mat3 anchor, float shift) {  // wxyz, w >= 0
     float size = sqrt((dot(blended[0], blended[0]) + dot(blended[1], blended[1]) + dot(blended[2], blended[2])) / 3.0);
-    mat4 power = davenport(blended / max(size, 1.0)) + mat4(shift);
-    for (int i = 0; i < 5; ++i) {
-        power *= 1.0 / max(power[0][0] + power[1][1] + power[2][2] + power[3][3], 1e-30);
-        power = power * power;
-    }
-    power *= 1.0 / max(power[0][0] + power[1][1] + power[2][2] + power[3][3], 1e-30);
-    vec4 toward = power * dominant_column(davenport(strongest) + mat4(1.0));
+    Symmetric power = davenport(blended * (0.5 / max(size, 1.0)));
+    power.diagonal += 0.5 * shift;  // eigenvalues in 0..3 and the largest at least 0.5: its 32nd power needs no scaling
+    for (int i = 0; i < 5; ++i) power = squared(power);
     vec4 column = dominant_column(power);
+    Symmetric start = davenport(anchor);
+    start.diagonal += 1.0;
+    vec4 toward = product(power, dominant_column(start)) / dot(power.diagonal, vec4(1.0));
     vec4 q = toward + (dot(toward, column) < 0.0 ? -1e-3 : 1e-3) * column;
     q *= inversesqrt(max(dot(q, q), 1e-30));
     return q.x < 0.0 ? -q : q;

@@ -44,7 +44,7 @@ Affine blended_bones() {
     return sum;
 }
 
-Affine strongest_bone() {
+Affine anchor_bone() {  // slot 0: Skin.anchored
 #if INFLUENCES == 1
     return bone(joints0);
 #else

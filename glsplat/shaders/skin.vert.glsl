@@ -21,9 +21,9 @@ void main() {
     posed_mean = vec4(dot(b.x, mean), dot(b.y, mean), dot(b.z, mean), mean_opacity.w);
     mat3 linear = transpose(mat3(b.x.xyz, b.y.xyz, b.z.xyz));
 #if !RAW || KEEP_ROTATION
-    Affine s = strongest_bone();
-    mat3 strongest = transpose(mat3(s.x.xyz, s.y.xyz, s.z.xyz));
-    vec4 turned = blended_quaternion(linear, strongest, frame.knobs.z);
+    Affine a = anchor_bone();
+    mat3 anchor = transpose(mat3(a.x.xyz, a.y.xyz, a.z.xyz));
+    vec4 turned = blended_quaternion(linear, anchor, frame.knobs.z);
 #endif
 #if !RAW
     linear = quaternion_matrix(turned);
