@@ -23,6 +23,7 @@ from glsplat.skinning.pose import Pose
 from glsplat.skinning.posed import posed_splats
 from glsplat.skinning.refine import RefineConfig, refine
 from glsplat.skinning.rigged_gltf import read_gltf_person
+from glsplat.skinning.scans import read_body, read_obj_person
 from glsplat.skinning.smplx import JOINT_NAMES
 from glsplat.skinning.surface import make_avatar
 
@@ -36,7 +37,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The subcommands and their options."""
     commands = parser.add_subparsers(dest="action", required=True, metavar="ACTION")
     make = commands.add_parser("make", help="a rigged, textured person (.npz, .glb) to a Gaussian avatar")
-    make.add_argument("person", type=Path, help="rigged, textured mesh: person archive (.npz), .glb or .gltf")
+    make.add_argument(
+        "person", type=Path, help="rigged, textured mesh: person archive (.npz), .glb, .gltf, or .obj with --body"
+    )
+    make.add_argument("--body", type=Path, help="rigged body (.npz) that lends joints and weights to an .obj in T-pose")
     make.add_argument("--splats", type=int, default=40_000, help="number of Gaussians (default 40000)")
     make.add_argument("--seed", type=int, default=0, help="same seed, same bytes (default 0)")
     make.add_argument("--steps", type=int, default=RefineConfig().steps, help="fitting steps, about 1 s each; 0: none")
@@ -78,7 +82,7 @@ def _make(args: argparse.Namespace) -> int:
     if args.steps < 0:
         raise GlsplatError(f"--steps needs 0 or more, not {args.steps}")
     began = time.perf_counter()
-    mesh = _person(args.person)
+    mesh = _person(args.person) if args.body is None else read_obj_person(args.person, read_body(args.body))
     with tqdm(total=100, disable=None, leave=False, bar_format="{desc}: {bar} {n:.0f} %") as bar:
 
         def show(stage: str, done: float) -> None:
@@ -118,6 +122,8 @@ def _person(path: Path) -> RiggedMesh:
         raise FormatError(f"{path}: cannot read the person ({error.strerror})") from None
     if head.startswith(b"glTF") or head.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"{"):
         return read_gltf_person(path)
+    if path.suffix.lower() == ".obj":
+        raise FormatError(f"{path}: an .obj has no rig; name a rigged body with --body")
     return read_person(path)
 
 

@@ -22,7 +22,7 @@ from glsplat.skinning.skin import Skin
 from glsplat.skinning.smplx import JOINT_NAMES
 from glsplat.splats import Splats
 
-__all__ = ["bind_to_mesh", "load_lhm_dump"]
+__all__ = ["bind_to_mesh", "load_lhm_dump", "nearest_weights"]
 
 F64 = NDArray[np.float64]
 
@@ -120,26 +120,31 @@ def bind_to_mesh(splats: Splats, mesh: RiggedMesh, reach: float = 0.05, influenc
     ``reach`` in metres: a mesh whose surface is farther than that from more than one splat in a hundred is refused
     (wrong pose, scale or person); a few outliers take the weights of where they are nearest. Raises FormatError.
     """
-    surface = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False, validate=False)
     usable = splats.finite()
     points = np.where(usable[:, None], splats.means, 0).astype(np.float64)
-    at, distance, face = _nearest_on(surface, points)
+    joints, weights, distance = nearest_weights(mesh, points)
     far = usable & (distance > reach)
     if far.sum() > 0.01 * max(int(usable.sum()), 1):
         raise FormatError(
             f"{int(far.sum())} of {len(splats)} splats lie more than {reach * 100:g} cm from the mesh "
             f"(median {np.median(distance[usable]) * 100:.1f} cm); both need one pose, place and scale"
         )
+    skin = Skin.create(joints, weights, len(mesh.skeleton), influences)
+    return Avatar(splats, mesh.skeleton, skin, dict(mesh.meta))
+
+
+def nearest_weights(mesh: RiggedMesh, points: F64) -> tuple[NDArray[np.int64], F64, F64]:
+    """Joints and weights [N, J] of the surface points nearest to ``points`` [N, 3], and their distances [N]."""
+    surface = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False, validate=False)
+    at, distance, face = _nearest_on(surface, points)
     corners = mesh.faces[face]
     bary = trimesh.triangles.points_to_barycentric(surface.triangles[face], at)
     bary = np.clip(np.nan_to_num(bary, nan=1 / 3), 0, 1)
-    weights = (bary[:, :, None] * mesh.weights[corners]).reshape(len(points), -1)
-    joints = mesh.joints[corners].reshape(len(points), -1)
     count = len(mesh.skeleton)
-    dense = np.zeros((len(points), count))
-    np.add.at(dense, (np.arange(len(points))[:, None], joints), weights)
-    skin = Skin.create(np.broadcast_to(np.arange(count), dense.shape), dense, count, influences)
-    return Avatar(splats, mesh.skeleton, skin, dict(mesh.meta))
+    dense = np.zeros((len(points), count))  # the three corners may share joints
+    values = (bary[:, :, None] * mesh.weights[corners]).reshape(len(points), -1)
+    np.add.at(dense, (np.arange(len(points))[:, None], mesh.joints[corners].reshape(len(points), -1)), values)
+    return np.broadcast_to(np.arange(count), dense.shape), dense, distance
 
 
 def _nearest_on(surface: trimesh.Trimesh, points: F64) -> tuple[F64, F64, NDArray[np.intp]]:
