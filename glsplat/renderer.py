@@ -192,6 +192,20 @@ class Renderer:
         pipeline.draw(target, cameras, timer, boxed=self.config.output == "uint8")
         return timer.ms["draw"]
 
+    def posed(self) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
+        """What the skin pass made of the last pose: world means [N, 3] and shapes M [N, 3, 3], Sigma = M M^T.
+
+        Read back for measurements. N leaves out the splats in ``stats.skipped``. Raises GlsplatError for a scene that
+        is not skinned or not rendered yet.
+        """
+        skin = self._pipelines[self.variant].skin if self.variant in self._pipelines else None
+        if skin is None or self._scene is None:
+            raise GlsplatError(
+                "posed() needs an avatar that was rendered; this scene is not skinned or not rendered yet"
+            )
+        means, shapes = skin.read()
+        return means + self._scene.origin, shapes
+
     def release(self) -> None:
         """Delete every GL object, and the context if it was made here. May be called twice."""
         with ExitStack() as stack:

@@ -39,6 +39,12 @@ class SkinPass:
         self._scene.bones.use(BONE_UNIT)
         self._array.transform(self.posed, moderngl.POINTS, vertices=self._scene.count)
 
+    def read(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Means [N, 3] about the scene's origin and shapes [N, 3, 3] of the last run, on the host."""
+        floats, stride = (16, 4) if self._wide else (13, 3)
+        rows = np.frombuffer(self.posed.read(size=self._scene.count * floats * 4), np.float32).reshape(-1, floats)
+        return rows[:, :3], np.stack([rows[:, 4 + stride * i : 7 + stride * i] for i in range(3)], axis=-1)
+
     def release(self) -> None:
         """Delete the posed buffer and the vertex array."""
         self._array.release()

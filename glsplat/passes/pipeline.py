@@ -58,6 +58,11 @@ class Pipeline:
         return self._project.count
 
     @property
+    def skin(self) -> SkinPass | None:
+        """The skin pass, if the scene has one."""
+        return self._skin
+
+    @property
     def nbytes(self) -> int:
         """GPU bytes of the work buffers."""
         buffers = [self._key.keys, self._project.order, self._project.records]
