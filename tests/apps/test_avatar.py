@@ -44,17 +44,14 @@ def test_default_avatar_file():
         fingers = [i for i, name in enumerate(avatar.skeleton.names) if name.startswith(f"{side}_") and i >= 25]
         assert np.isin(strongest, [wrist, *fingers]).sum() >= 3500
     licence = (DATA / "LICENSE-default-avatar.md").read_text()
-    assert "CC0" in licence and "MakeHuman system assets, CC0 since 2020-09" in " ".join(licence.split()).replace(
-        "assets, CC0", "assets, CC0"
-    )
+    assert "CC0" in licence and "MakeHuman system assets, CC0 since 2020-09" in " ".join(licence.split())
 
 
 @pytest.mark.shared
-@pytest.mark.parametrize("bend", [0.0, 0.5])
-def test_default_avatar_looks_like_its_mesh(shared_data, bend):
+def test_default_avatar_looks_like_its_mesh(shared_data):
     """Full body at 512 pixels against the textured mesh: PSNR >= 30 dB over the body's box; hands >= 24 dB."""
     mesh, avatar = read_person(shared_data / "people" / "char_c_registry.npz"), default_avatar()
-    pose = Pose.zero()
+    pose, bend = Pose.zero(), 0.4
     index = {name: i for i, name in enumerate(mesh.skeleton.names)}
     for side, sign in (("left", 1), ("right", -1)):
         pose.rotations[index[f"{side}_shoulder"]] = (0, 0, -sign)
@@ -77,7 +74,7 @@ def test_default_avatar_looks_like_its_mesh(shared_data, bend):
             splats.opacities.astype(np.float64),
             camera,
         ).picture(rgb)
-        wanted = mesh_picture(mesh, vertices, camera)
+        wanted = mesh_picture(mesh, vertices, camera, 2)
         rows, columns = np.nonzero(wanted[..., 3] > 0)
         box = slice(rows.min(), rows.max() + 1), slice(columns.min(), columns.max() + 1)
         assert psnr((np.clip(picture, 0, 1) - wanted)[box][..., :3]) >= least

@@ -188,17 +188,17 @@ def test_gradients_are_finite_differences(rng):
 
 def test_fitting_comes_closer_to_the_mesh():
     mesh = rigged(ball())
-    start = made(mesh, 250)
-    fitted = refine(start, mesh, config=RefineConfig(steps=40, size=96))
-    again = refine(start, mesh, config=RefineConfig(steps=40, size=96))
+    start = made(mesh, 150)
+    fitted = refine(start, mesh, config=RefineConfig(steps=25, size=64))
+    again = refine(start, mesh, config=RefineConfig(steps=25, size=64))
     assert fitted.splats.means.tobytes() == again.splats.means.tobytes()
     errors = []
     for avatar in (start, fitted):
         total = 0.0
         for eye in ((0, 1, 1.5), (1.3, 1.5, -0.4), (-0.6, 0.4, 1.0)):
-            camera = Camera(look_at(eye, (0, 1, 0)), pinhole(96, 96, 30), 96, 96)
+            camera = Camera(look_at(eye, (0, 1, 0)), pinhole(80, 80, 30), 80, 80)
             difference = reference.render(avatar.splats, [camera])[0] - mesh_picture(mesh, mesh.vertices, camera)
             total += float((difference**2).mean())
         errors.append(total)
-    assert errors[1] < 0.6 * errors[0]
+    assert errors[1] < 0.7 * errors[0]
     assert fitted.skin is start.skin and len(fitted.splats) == len(start.splats)
