@@ -1,0 +1,100 @@
+"""Where the preview looks from: one state that orbits and flies, and the cameras of each layout."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from glsplat.camera import OPENCV_FROM_OPENGL, Camera, pinhole, stereo_cameras
+from glsplat.errors import FormatError
+from glsplat.passes.present import Layout, view_size
+
+__all__ = ["View", "cameras_of"]
+
+_STEEPEST = np.pi / 2
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """An eye that looks at ``target`` from ``distance`` metres; angles in radians, world y up.
+
+    yaw 0 stands on the target's +z side (in front of an avatar) and grows towards +x; pitch grows upwards.
+    """
+
+    target: NDArray[np.float64]  # [3]
+    distance: float
+    yaw: float = 0.0
+    pitch: float = 0.0
+
+    @classmethod
+    def between(cls, eye: ArrayLike, target: ArrayLike) -> View:
+        """Looking from ``eye`` to ``target``. FormatError if they are one point."""
+        target = np.array(target, np.float64)
+        x, y, z = np.asarray(eye, np.float64) - target
+        distance = float(np.sqrt(x * x + y * y + z * z))
+        if not distance > 0:
+            raise FormatError("eye and target are the same point; move one of them")
+        return cls(target, distance, float(np.arctan2(x, z)), float(np.arctan2(y, np.hypot(x, z))))
+
+    @property
+    def axes(self) -> NDArray[np.float64]:
+        """[3, 3] columns right, up, back (OpenGL axes): defined straight up and down as well."""
+        cy, sy, cp, sp = np.cos(self.yaw), np.sin(self.yaw), np.cos(self.pitch), np.sin(self.pitch)
+        return np.array([[cy, -sy * sp, sy * cp], [0, cp, sp], [-sy, -cy * sp, cy * cp]])
+
+    @property
+    def eye(self) -> NDArray[np.float64]:
+        """[3] position in metres."""
+        return self.target + self.distance * self.axes[:, 2]
+
+    @property
+    def head(self) -> NDArray[np.float64]:
+        """T_W_H [4, 4]: the head pose between the two eyes."""
+        matrix = np.eye(4)
+        matrix[:3, :3], matrix[:3, 3] = self.axes, self.eye
+        return matrix
+
+    def orbited(self, right: float, up: float) -> View:
+        """The eye moved round the target by angles in radians; it stops straight above and below."""
+        pitch = float(np.clip(self.pitch + up, -_STEEPEST, _STEEPEST))
+        return replace(self, yaw=(self.yaw + right) % (2 * np.pi), pitch=pitch)
+
+    def looked(self, right: float, up: float) -> View:
+        """The eye turned on the spot by angles in radians."""
+        turned = self.orbited(-right, -up)
+        return replace(turned, target=self.eye - self.distance * turned.axes[:, 2])
+
+    def moved(self, right: float, up: float, forward: float) -> View:
+        """Eye and target moved together, metres along the eye's own axes."""
+        return replace(self, target=self.target + self.axes @ np.array([right, up, -forward]))
+
+    def zoomed(self, factor: float, nearest: float = 1e-4, farthest: float = 1e7) -> View:
+        """The distance scaled within bounds in metres."""
+        return replace(self, distance=float(np.clip(self.distance * factor, nearest, farthest)))
+
+
+def cameras_of(
+    view: View,
+    layout: Layout,
+    window: tuple[int, int],  # pixels
+    fov: float,  # vertical, degrees
+    ipd: float,  # metres between the eyes
+    background: tuple[float, float, float],
+) -> list[Camera]:
+    """The cameras that fill a window.
+
+    Side by side shows what a headset gets: parallel axes. An anaglyph is looked at on a screen, so its frusta are
+    shifted until the target lies in the screen's plane (zero disparity) and not the point at infinity.
+    """
+    size = view_size(window, layout)
+    K = pinhole(*size, fov)
+    if layout == "mono":
+        viewmat = OPENCV_FROM_OPENGL @ np.linalg.inv(view.head)
+        return [Camera(viewmat, K, *size, background=background)]
+    ks = np.stack([K, K])
+    if layout == "anaglyph":
+        shift = ipd / 2 * K[0, 0] / view.distance
+        ks[:, 0, 2] += (-shift, shift)
+    return list(stereo_cameras(view.head, ipd, fov, ks, size, background))

@@ -1,0 +1,87 @@
+"""Present: the float layers of a frame to a window (or any 8-bit framebuffer), with text over them."""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+import moderngl
+import numpy as np
+from numpy.typing import NDArray
+
+from glsplat.passes.target import Target
+from glsplat.shaders import Variant, flatten, link
+
+__all__ = ["Layout", "Present", "view_size"]
+
+Layout = Literal["mono", "side-by-side", "anaglyph"]
+
+_TARGET_UNIT, _TEXT_UNIT = 0, 1
+
+
+def view_size(window: tuple[int, int], layout: Layout) -> tuple[int, int]:
+    """Pixels of one view in a window of ``window`` pixels; side by side an odd column stays black."""
+    width, height = window
+    return max(1, width // 2 if layout == "side-by-side" else width), max(1, height)
+
+
+class Present:
+    """Every pixel of the window is one texel of a layer: nothing is filtered, what is shown is what was rendered."""
+
+    def __init__(self, ctx: moderngl.Context) -> None:
+        self._ctx = ctx
+        self._arrays: dict[tuple[int, int], moderngl.VertexArray] = {}  # by (anaglyph, text)
+        self._text = ctx.texture((1, 1), 4)
+        self._box = (0, 0, 0, 0)
+
+    def write_text(self, image: NDArray[np.uint8] | None, left: int = 0, top: int = 0) -> None:
+        """What lies over the picture: premultiplied RGBA [h, w, 4] at a pixel of the window, or nothing."""
+        if image is None:
+            self._box = (0, 0, 0, 0)
+            return
+        height, width = image.shape[:2]
+        if self._text.size != (width, height):
+            self._text.release()
+            self._text = self._ctx.texture((width, height), 4)
+        self._text.write(np.ascontiguousarray(image))
+        self._box = (left, top, width, height)
+
+    def run(self, target: Target, framebuffer: moderngl.Framebuffer, size: tuple[int, int], layout: Layout) -> None:
+        """Fill ``size`` (width, height) pixels of ``framebuffer`` from ``target``; its views decide what layouts work.
+
+        Values are clamped and rounded by the fixed-point framebuffer, as in resolve.frag.glsl.
+        """
+        views, _, width, _ = target.shape
+        framebuffer.viewport = (0, 0, *size)
+        framebuffer.use()
+        self._ctx.enable_only(moderngl.NOTHING)
+        values: dict[str, Any] = {"target": _TARGET_UNIT, "window": size, "view_width": width}
+        target.texture.use(_TARGET_UNIT)
+        has_text = self._box[2] > 0
+        if has_text:
+            self._text.use(_TEXT_UNIT)
+            values |= {"text": _TEXT_UNIT, "text_box": self._box}
+        array = self._array(int(layout == "anaglyph" and views > 1), int(has_text))
+        for name, value in values.items():
+            uniform = array.program.get(name, None)
+            if isinstance(uniform, moderngl.Uniform):
+                uniform.value = value
+        array.render(moderngl.TRIANGLES, vertices=3)
+
+    def _array(self, anaglyph: int, text: int) -> moderngl.VertexArray:
+        """The program of what is on show, compiled when it is first needed."""
+        if (anaglyph, text) not in self._arrays:
+            flags = Variant().defines()
+            stages = {
+                "vertex_shader": flatten("screen.vert.glsl", flags),
+                "fragment_shader": flatten("present.frag.glsl", flags | {"ANAGLYPH": anaglyph, "TEXT": text}),
+            }
+            self._arrays[anaglyph, text] = self._ctx.vertex_array(link(self._ctx, "present", stages), [])
+        return self._arrays[anaglyph, text]
+
+    def release(self) -> None:
+        """Delete programs, vertex arrays and texture."""
+        for array in self._arrays.values():
+            array.program.release()
+            array.release()
+        self._arrays.clear()
+        self._text.release()
