@@ -33,10 +33,10 @@ class Gait:
         self.frequency = 0.8
         self.walking = False
         self.locked = 0.0  # 0..1 how well the cues agree with the phase
-        self._last: tuple[float, float, float] | None = None  # arm, height, sideways speed
-        self._mean = [0.0, 0.0, 0.0]
+        self._last: tuple[float, float, float] | None = None  # arm, height, sway
+        self._mean = [0.0, 0.0]  # arm, height
         self._rate = [0.0, 0.0, 0.0]
-        self._sway = 0.0
+        self._track: tuple[float, float] | None = None
 
     def duty(self, speed: float) -> float:
         """Share of a stride that the ball of a foot is on the ground: 0.56 walking, falling to 0.34 running."""
@@ -54,7 +54,7 @@ class Gait:
         yaw: float,
         left: Vec | None,
         right: Vec | None,
-        velocity: Vec,
+        course: Vec,  # m/s over the last stride
         speed: float,
         away: float,  # metres from where the body was lately: tells walking from swaying
         first_left: bool,  # start with the left foot's step when the cues say nothing
@@ -65,19 +65,27 @@ class Gait:
         arm = 0.0
         if left is not None and right is not None:
             arm = 0.5 * ((right[0] - left[0]) * s + (right[2] - left[2]) * c)
-        sideways = velocity[0] * c - velocity[2] * s
-        now = (arm, neck[1], sideways)
+        # sway is across the way the body goes, whichever way it faces
+        way = hypot(course[0], course[2])
+        if way > 0.1:
+            s, c = course[0] / way, course[2] / way
+        if self._track is None:
+            self._track = (neck[0], neck[2])
+        k = 1 - exp(-dt / 0.6)
+        x, z = self._track
+        self._track = x, z = (x + (neck[0] - x) * k, z + (neck[2] - z) * k)
+        now = (arm, neck[1], (neck[0] - x) * c - (neck[2] - z) * s)
         if self._last is None:
-            self._last, self._mean = now, [0.0, neck[1], sideways]
+            self._last, self._mean = now, [0.0, neck[1]]
         smooth = 1 - exp(-dt / 0.03)
-        for i, tau in enumerate((1.2, 0.6, 0.6)):
+        for i in (0, 1, 2):
             self._rate[i] += ((now[i] - self._last[i]) / max(dt, 1e-4) - self._rate[i]) * smooth
+        for i, tau in ((0, 1.2), (1, 0.6)):
             self._mean[i] += (now[i] - self._mean[i]) * (1 - exp(-dt / tau))
         self._last = now
-        self._sway = (self._sway + (sideways - self._mean[2]) * dt) * exp(-dt / 0.5)
 
         v = speed / self.pace
-        starting = not self.walking and v > START and away > 0.27 * self.size
+        starting = not self.walking and v > START and away > 0.36 * self.size
         if self.walking and (v < STOP or away < 0.12 * self.size):
             self.walking = False
         if starting:
@@ -94,11 +102,11 @@ class Gait:
         b, b_rate = neck[1] - self._mean[1], self._rate[1]
         low = 0.06 + 0.12 * clamp((v - 1.9) / 0.6, 0.0, 1.0)
         bob_phase, bob_size = atan2(b_rate / (2 * omega), -b) / (2 * TURN) + low, hypot(b, b_rate / (2 * omega))
-        w, w_rate = self._sway, sideways - self._mean[2]
+        w, w_rate = now[2], self._rate[2]
         sway_phase, sway_size = atan2(-w_rate / omega, w) / TURN + STANCE_MIDDLE, hypot(w, w_rate / omega)
         arm_weight = clamp(arm_size / (0.12 * self.size), 0.0, 1.0) if left is not None and right is not None else 0.0
         bob_weight = 0.5 * clamp(bob_size / (0.02 * self.size), 0.0, 1.0)
-        sway_weight = (0.6 - 0.5 * arm_weight) * clamp(sway_size / (0.02 * self.size), 0.0, 1.0)
+        sway_weight = (0.3 - 0.25 * arm_weight) * clamp(sway_size / (0.02 * self.size), 0.0, 1.0)
         if starting:
             self.phase = arm_phase if arm_weight > 0.4 else (self.duty(speed) if first_left else self.duty(speed) - 0.5)
             self.phase %= 1.0

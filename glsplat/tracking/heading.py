@@ -44,7 +44,7 @@ class Heading:
         rate = 0.6 + 4.0 * urge + 3.5 * walking
         target = error
         self._hands(eye, left, right, dt)
-        target += 0.35 * self.hands * (1 - 0.6 * walking)
+        target += 0.15 * self.hands * (1 - 0.6 * walking)
         if speed > 0.5 and walking > 0:
             # walking forward pulls towards the direction of travel; sideways and backward walking do not
             travel = wrap(atan2(velocity[0], velocity[2]) - self.yaw)

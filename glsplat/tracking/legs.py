@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import cos, exp, hypot, sin, sqrt
+from math import atan2, cos, exp, hypot, sin, sqrt
 
 from glsplat.tracking.body import ANKLES, FEET, HIPS, KNEES, PELVIS, Body
 from glsplat.tracking.gait import Gait
@@ -13,13 +13,14 @@ from glsplat.tracking.quat import Quat, Vec, clamp, mul, rotate, to_quat, unit, 
 __all__ = ["Foot", "Legs"]
 
 KNEE_FLEXION = 145.0  # degrees the knee may bend
+DORSIFLEXION = 0.66  # radians the ankle bends under load
 TIPTOE = 1.0  # radians the heel may lift about the ball
-HOLD = 0.07  # of a swing, at either end: the foot goes straight up or down, so that it never slides
+HOLD = 0.11  # of a swing, at either end: the foot goes straight up or down, so that it never slides
 STEP = 0.17  # metres a foot may be away from where balance wants it (of a 1.7 m person)
 STEP_TURN = 0.6  # radians likewise
 STEP_TIME = 0.36  # seconds of a step out of standing
 BALANCE = 0.05  # metres the mass stands before the ankles, compared with the rest pose (over the middle of the foot)
-TRACK = 0.75  # distance of the feet in the rest pose that a stance takes; 0.55 while walking
+TRACK = 1.0  # distance of the feet in the rest pose that a stance takes; 0.55 while walking
 
 
 @dataclass(slots=True)
@@ -39,6 +40,7 @@ class Foot:
     start_yaw: float = 0.0
     start_pitch: float = 0.0
     height: float = 0.05
+    strained: bool = False  # the leg does not reach where the foot is planted
 
 
 class Legs:
@@ -101,7 +103,7 @@ class Legs:
         if not self.started:
             self._plant(base, yaw, velocity, speed)
             self.rest = base
-        k = 1 - exp(-dt / 0.3)
+        k = 1 - exp(-dt / 0.4)
         self.rest = (self.rest[0] + (base[0] - self.rest[0]) * k, 0.0, self.rest[2] + (base[2] - self.rest[2]) * k)
         self._airborne(hips, base, yaw, dt)
         if self.air <= 0:
@@ -165,16 +167,15 @@ class Legs:
         s = clamp(progress, foot.progress, 1.0)
         foot.progress = s
         if s >= 1:
-            foot.ball, foot.yaw, foot.planted, foot.pitch = (target[0], self.sole, target[2]), yaw, True, 0.0
+            foot.ball, foot.planted, foot.pitch = (foot.ball[0], self.sole, foot.ball[2]), True, 0.0
             return
-        e = _smooth((s - 0.15) / 0.67)
+        e = _smooth((s - 0.19) / 0.58)
         start = foot.start
         rise = foot.height * _bump(s)
-        foot.ball = (
-            start[0] + (target[0] - start[0]) * e,
-            self.sole + rise + (start[1] - self.sole) * _smooth(1 - 2 * s),
-            start[2] + (target[2] - start[2]) * e,
-        )
+        x, z = start[0] + (target[0] - start[0]) * e, start[2] + (target[2] - start[2]) * e
+        if e >= 1:  # coming down: the place is chosen
+            x, z = foot.ball[0], foot.ball[2]
+        foot.ball = (x, self.sole + rise + (start[1] - self.sole) * _smooth(1 - 2 * s), z)
         foot.yaw = wrap(foot.start_yaw + wrap(yaw - foot.start_yaw) * e)
         foot.pitch = foot.start_pitch * _smooth(1 - s)
 
@@ -194,7 +195,9 @@ class Legs:
             swinging = phase > duty
             landing = self.place(foot.index, base, yaw, 0.55, (velocity[0] * ahead, 0.0, velocity[2] * ahead))
             landing = (landing[0] + back * sin(yaw), landing[1], landing[2] + back * cos(yaw))
-            if foot.planted and swinging and phase < duty + 0.6 * (1 - duty):
+            if foot.planted and foot.strained:
+                self._lift(foot, False, 0.5 * STEP_TIME, height)
+            elif foot.planted and swinging and phase < duty + 0.6 * (1 - duty):
                 self._lift(foot, True, swing, height)
                 k = swing * (HOLD - (phase - duty) / (1 - duty))  # until the foot leaves its place
                 foot.start_from = (
@@ -226,7 +229,7 @@ class Legs:
             z = base[2] + foot.start_from[2] * (1 - a) + (landing[2] - base[2]) * a - velocity[2] * b
         else:
             x, z = foot.ball[0], foot.ball[2]
-        rise = foot.height * (_smooth(s / 0.35) if s < 0.5 else _smooth((1 - s) / 0.4))
+        rise = foot.height * (_smooth(s / 0.3) if s < 0.5 else _smooth((1 - s) / 0.3))
         foot.ball = (x, self.sole + rise + (foot.start[1] - self.sole) * _smooth(1 - 2 * s), z)
         foot.yaw = wrap(foot.start_yaw + wrap(yaw - foot.start_yaw) * _smooth(u))
         foot.pitch = foot.start_pitch * _smooth(1 - s)
@@ -234,7 +237,7 @@ class Legs:
             foot.ball, foot.planted, foot.pitch = (x, self.sole, z), True, 0.0
 
     def _stand(self, base: Vec, yaw: float, slow: Vec, dt: float) -> None:
-        lead = (slow[0] * 0.5, 0.0, slow[2] * 0.5)
+        lead = (slow[0] * 0.4, 0.0, slow[2] * 0.4)
         base = self.rest
         worst, asks = 0.0, None
         for foot in self.feet:
@@ -251,6 +254,9 @@ class Legs:
             need = max(far, turn)
             if need > worst:
                 worst, asks = need, foot
+        for foot in self.feet:
+            if foot.planted and foot.strained:
+                self._lift(foot, False, 0.5 * STEP_TIME, 0.05 * self.size)
         if asks is not None and worst > 1 and all(foot.planted for foot in self.feet):
             duration = STEP_TIME * clamp(1.3 - 0.2 * worst, 0.6, 1.0)
             self._lift(asks, False, duration, 0.05 * self.size)
@@ -259,7 +265,7 @@ class Legs:
 
     def _solve(self, foot: Foot, hip: Vec, pelvis: Quat, yaw: float) -> tuple[Quat, Quat, Quat]:
         limb = self.limb[foot.index]
-        pitch = foot.pitch
+        pitch, foot.strained = foot.pitch, False
         ankle = self._ankle(foot, pitch)
         if _distance(hip, ankle) > limb.farthest and pitch < TIPTOE:
             # a leg too short for the flat foot lifts the heel, as little as it must
@@ -273,6 +279,7 @@ class Legs:
                     high = pitch
             pitch = high
             ankle = self._ankle(foot, pitch)
+            foot.strained = foot.planted and _distance(hip, ankle) > limb.farthest + 0.005
         elif _distance(hip, ankle) < limb.nearest:
             low, high = pitch, 1.4
             for _ in range(6):
@@ -289,7 +296,16 @@ class Legs:
         # the knee bends outwards a little (hip abduction of a relaxed crouch)
         out = 0.12 if foot.index == 0 else -0.12
         pole = unit((pole[0] + out * cos(facing), pole[1], pole[2] - out * sin(facing)))
-        thigh, knee, _ = two_bone(limb, hip, ankle, pole)
+        thigh, knee, shin = two_bone(limb, hip, ankle, pole)
+        for _ in range(3):
+            # a deep crouch lifts the heel where the ankle bends no further
+            lean = atan2(-(shin[0] * sin(foot.yaw) + shin[2] * cos(foot.yaw)), -shin[1])
+            excess = lean - pitch - DORSIFLEXION
+            if not 0.01 < excess < 1.5 or pitch > 1.2:
+                break
+            pitch += 0.7 * excess
+            ankle = self._ankle(foot, pitch)
+            thigh, knee, shin = two_bone(limb, hip, ankle, pole)
         return thigh, knee, mul(yaw_quat(foot.yaw), to_quat((pitch, 0.0, 0.0)))
 
     def _ankle(self, foot: Foot, pitch: float) -> Vec:

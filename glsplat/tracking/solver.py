@@ -109,7 +109,7 @@ class AnalyticSolver:
         facing = yaw_quat(-yaw)
         behind = [rotate(facing, foot.ball)[2] for foot in feet]
         legs.gait.update(
-            neck, yaw, targets.left, targets.right, self._velocity, speed, self._away, behind[0] < behind[1], dt
+            neck, yaw, targets.left, targets.right, self._slow, speed, self._away, behind[0] < behind[1], dt
         )
         moving = clamp((speed - 0.25) / 0.5, 0.0, 1.0) * clamp((self._away - 0.12) / 0.15, 0.0, 1.0)
         moving = max(moving, 1.0 if legs.gait.walking else 0.0)
@@ -122,7 +122,7 @@ class AnalyticSolver:
             )
             local = rotate(facing, (neck[0] - middle[0] - rest[0], 0.0, neck[2] - middle[1] - rest[2]))
             balance = (local[2], local[0])
-        self._twist = 0.4 * self.heading.hands
+        self._twist = 0.2 * self.heading.hands
         torso = spine.update(
             targets.eye, targets.head, yaw, self.heading.head_yaw, balance, self._walking, speed, self._twist, dt
         )
@@ -203,8 +203,12 @@ class AnalyticSolver:
             out[HIPS[i]] = hip
             if hip is not free:
                 thigh = mul(torso.pelvis, hip)
+                self.legs.feet[i].strained = True  # the hip's limit moves the foot: it has to step
             out[KNEES[i]] = knee
-            out[ANKLES[i]] = clamp_joint(ANKLES[i], inverse_mul(mul(thigh, knee), foot))
+            free = inverse_mul(mul(thigh, knee), foot)
+            out[ANKLES[i]] = ankle = clamp_joint(ANKLES[i], free)
+            if ankle is not free:
+                self.legs.feet[i].strained = True
             arm = arms[i]
             out[COLLARS[i]], out[SHOULDERS[i]], out[ELBOWS[i]], out[WRISTS[i]] = (
                 arm.collar,
@@ -218,6 +222,6 @@ class AnalyticSolver:
             torso.pelvis_at,
             (arms[0].miss, arms[1].miss),
             torso.head_off,
-            (feet[0].planted, feet[1].planted),
+            (feet[0].planted and not feet[0].strained, feet[1].planted and not feet[1].strained),
             self.legs.air > 0.01,
         )

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from glsplat.errors import PoseError
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.skeleton import Skeleton
-from glsplat.tracking.body import HAND_FRAMES, HEAD_FRAME, Body
+from glsplat.tracking.body import ANKLES, HAND_FRAMES, HEAD_FRAME, HIPS, KNEES, Body
 from glsplat.tracking.calibration import Calibration
 from glsplat.tracking.filters import OneEuro, PositionFilter, RotationFilter
 from glsplat.tracking.fingers import Fingers
@@ -29,6 +29,7 @@ HAND_POSITION, HAND_ROTATION = OneEuro(4.0, 40.0), OneEuro(4.0, 6.0)
 """At rest 32 ms of lag for the head and 40 ms for the hands; at 1 m/s 3.5 ms, never more than 4 mm behind."""
 
 SHORTEST = 1e-4  # seconds; samples closer than this are the same moment
+_LEG_JOINTS = frozenset((*HIPS, *KNEES, *ANKLES))
 FAR = 1e4  # metres; a device farther away is not tracked
 
 
@@ -333,19 +334,23 @@ class Tracker:
         """No joint turns and no pelvis moves faster than the configuration allows."""
         most = self.config.joint_speed * dt
         safe = np.cos(0.5 * min(most, 3.0))
-        rotations = solution.rotations
+        rotations, slipped = solution.rotations, False
         for joint, (old, new) in enumerate(zip(last.rotations, rotations, strict=True)):
             dot = abs(old[0] * new[0] + old[1] * new[1] + old[2] * new[2] + old[3] * new[3])
             if dot < safe:
                 angle = 2 * float(np.arccos(min(dot, 1.0)))
                 turned = slerp(old, new, most / angle) if angle > 0.1 else nlerp(old, new, most / angle)
+                slipped = slipped or joint in _LEG_JOINTS
                 rotations[joint] = clamp_joint(joint, turned)  # the way from limit to limit may leave them
         far = _distance(solution.pelvis, last.pelvis)
         reach = self.config.root_speed * dt
         if far > reach:
+            slipped = True
             k = reach / far
             a, b = last.pelvis, solution.pelvis
             solution.pelvis = (a[0] + (b[0] - a[0]) * k, a[1] + (b[1] - a[1]) * k, a[2] + (b[2] - a[2]) * k)
+        if slipped:
+            solution.planted = (False, False)
 
 
 def _rotation_vectors(quats: NDArray[np.float64]) -> NDArray[np.float64]:
