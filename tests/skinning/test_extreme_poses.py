@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ from glsplat.avatar import Avatar, default_avatar
 from glsplat.errors import FormatError, PoseError
 from glsplat.renderer import Renderer
 from glsplat.skinning.pose import Pose
-from glsplat.skinning.skeleton import Skeleton, rotation_matrices
+from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.skin import Skin
 from tests.scenes import camera
 from tests.skinning.avatars import VIEW, SkinError, any_rotations, blended_part, chain, part, rotations, turn
@@ -73,7 +74,8 @@ def test_candy_wrapper(renderer_of: Make) -> None:
         Skin.create(np.tile([0, 1], (256, 1)), np.full((256, 2), 0.5), 2, 2),
     )
     renderer = renderer_of(avatar, (64, 64))
-    assert SkinError.of(renderer_of(avatar, (1, 1)), avatar, turned(2, 1, (1, 0, 0), 180)).within()
+    error = SkinError.of(renderer_of(avatar, (1, 1)), avatar, turned(2, 1, (1, 0, 0), 180))
+    assert error.within(covariance=1e-2)  # an exact tie: rounding chooses the column, 0.2 degrees apart
     image = renderer.render([camera()], turned(2, 1, (1, 0, 0), 180))
     means, _ = renderer.posed()
     assert np.abs(means - (0.5, 0, 0)).max() < 1e-6 and renderer.stats.drawn == 256
@@ -89,12 +91,12 @@ def test_any_rotations_of_all_joints(renderer_of: Make, rng: np.random.Generator
 
 def test_no_splat_jumps_while_one_joint_turns(renderer_of: Make) -> None:
     """Through the collapse at 180 degrees at each body joint, on the splats that blend most."""
-    avatar = blended_part(default_avatar(), 2000)
+    avatar = blended_part(default_avatar(), 1000)
     renderer = renderer_of(avatar, (1, 1))
     fastest = 0.0
     for joint in range(25):
         before = None
-        for degrees in np.arange(165, 195, STEP):
+        for degrees in np.arange(170, 190, STEP):
             renderer.render([VIEW], turned(55, joint, ((1, 0, 0), (0.3, 0.8, -0.5))[joint % 2], degrees))
             now = rotations(avatar.splats, renderer.posed()[1])
             if before is not None:
@@ -113,7 +115,7 @@ def test_outvoted_strongest_joint_does_not_spin() -> None:
 
     def largest(skin: Skin) -> float:
         posed = [reference.skin(splats, skin, turned(3, 1, (1, 0, 0), d).bones(skeleton)).rotations for d in sweep]
-        return max(float(turn(b, a)[0]) for a, b in zip(posed, posed[1:], strict=False))
+        return max(float(turn(b, a)[0]) for a, b in pairwise(posed))
 
     strongest = Skin.create([[0, 1, 2]], [[0.45, 0.3, 0.25]], 3)
     assert largest(strongest) > 50  # why the anchor is not the strongest joint
@@ -130,11 +132,17 @@ def test_pose_that_is_not_a_number_is_refused() -> None:
 
 @pytest.mark.parametrize("trans", [(1e5, 0, -3e4), (-7e5, 9e5, 1.0)])
 def test_an_avatar_far_from_the_origin(renderer_of: Make, rng: np.random.Generator, trans: tuple[float, ...]) -> None:
-    """Exact to 1e-5 m: the root leaves the bones in float64 on the host and comes back with the camera."""
+    """Exact to 1e-5 m: the root leaves the bones in float64 on the host and comes back with the camera. Blending at
+    the place itself would not be: float32 weights sum to one within 1e-7, which is a centimetre at 1e5 m."""
     avatar = blended_part(default_avatar(), 400)
     renderer = renderer_of(avatar, (1, 1))
     for _ in range(5):
-        assert SkinError.of(renderer, avatar, Pose(rng.normal(0, 0.5, (55, 3)), np.array(trans))).within()
+        near = Pose(rng.normal(0, 0.5, (55, 3)), np.zeros(3))
+        expected = reference.skin(avatar.splats, avatar.skin, near.bones(avatar.skeleton))
+        renderer.render([VIEW], replace(near, trans=np.array(trans)))
+        means, shapes = renderer.posed()
+        assert np.abs(means - trans - expected.means).max() < 1e-5
+        assert turn(rotations(avatar.splats, shapes), expected.rotations).max() < 1e-3
 
 
 def test_stretched_bones(renderer_of: Make, rng: np.random.Generator) -> None:
