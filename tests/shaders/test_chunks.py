@@ -207,3 +207,47 @@ def test_blended_rotation_of_hopeless_matrices(gl: Context) -> None:
         quats = blended(gl, matrices, strongest, shift)
         assert np.isfinite(quats).all() and np.abs(np.linalg.norm(quats, axis=1) - 1).max() < 1e-5
         assert np.allclose(np.linalg.det(reference.quaternion_matrices(quats)), 1, atol=1e-5)
+
+
+def test_extent(gl: Context) -> None:
+    alphas = np.concatenate([[1 / 255, 0.004, 0.5, 0.99, 1.0], np.geomspace(1 / 254, 1, 500)])
+    text = """
+    #include "frame.glsl"
+    #include "extent.glsl"
+    in float a; out float e;
+    void main() { e = extent_of(a); gl_Position = vec4(0); }"""
+    camera = Camera(look_at((0, 0, 3), (0, 0, 0)), np.array([[64.0, 0, 32], [0, 64, 32], [0, 0, 1]]), 64, 64)
+    out = run_chunk(gl, text, {"a": alphas}, {"e": 1}, Variant(), frame_of(camera, RenderConfig(), gl))["e"][:, 0]
+    expected = np.minimum(3.33, np.sqrt(2 * np.log(np.maximum(alphas.astype(np.float32) * np.float64(255), 1))))
+    assert (
+        np.abs(out - expected)[2:].max() < 1e-4 and np.abs(out - expected).max() < 2e-3
+    )  # log near 1 is steep under a root
+    edge = alphas[1:] * np.exp(-(out[1:].astype(np.float64) ** 2) / 2)
+    assert np.abs(edge * 255 - 1).max() < 0.01  # the quad ends where alpha is 1/255
+
+
+def test_project_of_hopeless_splats(gl: Context) -> None:
+    """Every input gives a reason or a finite footprint: nothing explodes and nothing turns NaN."""
+    nan, inf = np.nan, np.inf
+    ok = ((0.0, 0, 0), (1.0, 0, 0, 0), (0.1, 0.1, 0.1), 0.5)
+    rows = [ok]
+    rows += [((v, 0, 0), *ok[1:]) for v in (nan, inf, -inf, 3e38, 1e30)]
+    rows += [((0, 0, v), *ok[1:]) for v in (nan, inf, 3.0, 2.99, 2.989999, 1e30, -1e30)]
+    rows += [(ok[0], q, *ok[2:]) for q in ((0, 0, 0, 0), (nan, 0, 0, 0), (inf, 0, 0, 0), (1e20, 0, 0, 0))]
+    rows += [(*ok[:2], (v, 0.1, 0.1), 0.5) for v in (0, -0.1, nan, inf, 1e19, 1e30, 1e-38)]
+    rows += [(*ok[:3], v) for v in (0, -1, 1 / 256, 1 / 255, 1, 2, nan, inf)]
+    means, quats, scales, opacities = (np.array([row[i] for row in rows], np.float32) for i in range(4))
+    camera = Camera(look_at((0, 0, 3), (0, 0, 0)), np.array([[64.0, 0, 32], [0, 64, 32], [0, 0, 1]]), 64, 64)
+    inputs = {"mean": means, "q": quats, "s": scales, "opacity": opacities}
+    outputs = {"centre": 2, "chol": 3, "alpha": 1, "reason": 1}
+    for antialias in (0, 1):
+        frame = frame_of(camera, RenderConfig(), gl)
+        out = run_chunk(gl, PROJECT, inputs, outputs, Variant(antialias=antialias), frame)
+        reason = out["reason"][:, 0]
+        drawn = reason == 0
+        assert drawn[0] and 5 < drawn.sum() < len(rows) - 10 and set(reason) <= {0, 1, 2, 3, 4}
+        for name in ("centre", "chol", "alpha"):
+            assert np.isfinite(out[name][drawn]).all(), name
+        assert (out["chol"][drawn][:, [0, 2]] > 0).all() and (out["alpha"][drawn] <= 1).all()
+        not_finite = ~(np.isfinite(means).all(1) & np.isfinite(quats).all(1) & np.isfinite(scales).all(1))
+        assert not drawn[not_finite].any()
