@@ -58,12 +58,13 @@ class Arm:
         self.shoulder_offset = _minus(body.joints[shoulder], body.joints[collar])
         self.elbow_offset = _minus(body.joints[elbow], body.joints[shoulder])
         self.wrist_offset = _minus(body.joints[wrist], body.joints[elbow])
-        self.forearm = self.wrist_offset
+        self.rest = _plus(self.collar_offset, self.shoulder_offset)  # of the shoulder, from the chest
         self.axis = body.direction(elbow, wrist)  # of the forearm at rest: the axis of pronation
         # the left forearm flexes about -y (towards +z), the right one about +y
         self.limb = Limb.of(body, (shoulder, elbow, wrist), (0.0, -self.sign, 0.0), ELBOW_FLEXION)
         self.reach = self.limb.upper + self.limb.lower
-        self.back = (-self.forearm[0], -self.forearm[1], -self.forearm[2])
+        f = self.wrist_offset
+        self.back = (-f[0], -f[1], -f[2])
         self.pole: Vec | None = None  # last elbow direction, in the chest's frame
         self.extra = 0.0  # radians the elbow is away from its natural direction because of the shoulder's limits
         self.twist = 0.0
@@ -72,11 +73,6 @@ class Arm:
         """Forget the past."""
         self.pole = None
         self.twist = self.extra = 0.0
-
-    def shoulder_at(self, chest: Quat, chest_at: Vec) -> Vec:
-        """World place of the shoulder joint with the collar at rest."""
-        x, y, z = rotate(chest, _plus(self.collar_offset, self.shoulder_offset))
-        return (chest_at[0] + x, chest_at[1] + y, chest_at[2] + z)
 
     def solve(self, chest: Quat, chest_at: Vec, hand_at: Vec, hand: Quat, dt: float) -> ArmPose:
         """``hand_at``, ``hand``: world place and rotation of the wrist joint; ``chest``: the spine3 joint's."""

@@ -57,16 +57,19 @@ class Legs:
         self.ankle = tuple([_minus(body.joints[ANKLES[i]], body.joints[FEET[i]]) for i in (0, 1)])  # from the ball
         forward = (0.0, 0.0, BALANCE * self.size)
         self.home = tuple([_minus(_minus(body.joints[FEET[i]], body.joints[PELVIS]), forward) for i in (0, 1)])
+        _, up, back = self.ankle[0]
+        self.tiptoe = up * cos(TIPTOE) - back * sin(TIPTOE) - up  # metres the ankle rises on tiptoe
         self.feet = (Foot(0), Foot(1))
         self.gait = Gait(self.length)
         self.started = False
         self.rest: Vec = (0.0, 0.0, 0.0)  # the base without its sway
         self.air = 0.0  # metres both feet are off the ground
+        self.slack = 0.0  # metres left until the tiptoes lose the ground
 
     def reset(self) -> None:
         """Forget the past; the next update plants both feet under the pelvis."""
         self.started = False
-        self.air = 0.0
+        self.air = self.slack = 0.0
         self.gait.reset()
 
     def middle(self) -> tuple[float, float] | None:
@@ -121,12 +124,12 @@ class Legs:
 
     def _reach(self, hips: list[Vec]) -> float:
         """Metres by which the higher-reaching foot could not touch the ground, standing straight on its toes."""
-        heel = 0.158 * self.size * sin(TIPTOE) + self.ankle[0][1] * cos(TIPTOE)
-        return min(hip[1] for hip in hips) - (self.length + heel + self.sole)
+        return min(hips[0][1], hips[1][1]) - (self.limb[0].farthest + self.ankle[0][1] + self.tiptoe + self.sole)
 
     def _airborne(self, hips: list[Vec], base: Vec, yaw: float, dt: float) -> None:
         """In a jump the feet hang under the hips; they land where they are."""
-        air = max(0.0, self._reach(hips))
+        reach = self._reach(hips)
+        self.slack, air = -reach, max(0.0, reach)
         if air <= 0 and self.air <= 0:
             return
         for foot in self.feet:
@@ -195,7 +198,7 @@ class Legs:
             swinging = phase > duty
             landing = self.place(foot.index, base, yaw, 0.55, (velocity[0] * ahead, 0.0, velocity[2] * ahead))
             landing = (landing[0] + back * sin(yaw), landing[1], landing[2] + back * cos(yaw))
-            if foot.planted and foot.strained:
+            if foot.planted and foot.strained and self._helps(foot, landing, yaw):
                 self._lift(foot, False, 0.5 * STEP_TIME, height)
             elif foot.planted and swinging and phase < duty + 0.6 * (1 - duty):
                 self._lift(foot, True, swing, height)
@@ -256,10 +259,17 @@ class Legs:
                 worst, asks = need, foot
         for foot in self.feet:
             if foot.planted and foot.strained:
-                self._lift(foot, False, 0.5 * STEP_TIME, 0.05 * self.size)
+                target = self.place(foot.index, base, yaw, TRACK, lead)
+                if self._helps(foot, target, yaw):
+                    self._lift(foot, False, 0.5 * STEP_TIME, 0.05 * self.size)
         if asks is not None and worst > 1 and all(foot.planted for foot in self.feet):
             duration = STEP_TIME * clamp(1.3 - 0.2 * worst, 0.6, 1.0)
             self._lift(asks, False, duration, 0.05 * self.size)
+
+    def _helps(self, foot: Foot, target: Vec, yaw: float) -> bool:
+        """Would a step bring a foot that strains its leg to another place?"""
+        far = hypot(target[0] - foot.ball[0], target[2] - foot.ball[2])
+        return far > 0.06 * self.size or abs(wrap(yaw - foot.yaw)) > 0.25
 
     # -- inverse kinematics
 

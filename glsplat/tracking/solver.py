@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import exp, hypot
 from typing import Protocol
 
@@ -26,8 +26,27 @@ from glsplat.tracking.body import (
 from glsplat.tracking.heading import Heading
 from glsplat.tracking.legs import Legs
 from glsplat.tracking.limits import clamp_joint
-from glsplat.tracking.quat import IDENTITY, Quat, Vec, clamp, inverse_mul, mul, rotate, to_quat, unit, yaw_quat
+from glsplat.tracking.quat import (
+    IDENTITY,
+    Quat,
+    Vec,
+    clamp,
+    conj,
+    inverse_mul,
+    mul,
+    nlerp,
+    pull,
+    rotate,
+    sub,
+    to_quat,
+    unit,
+    yaw_quat,
+)
 from glsplat.tracking.spine import Spine, Torso
+
+LONGEST_JUMP = 0.7  # seconds; a head out of reach for longer is not a jump (0.7 s in the air is a leap of 0.6 m)
+HOLD, SINK, REGAIN = 0.25, 0.35, 0.2  # seconds: a lost hand stays, sinks to the side, is taken up again
+LOWEST_EYE = 0.04  # of the eye height: a head on the floor
 
 __all__ = ["AnalyticSolver", "Solution", "Solver", "Targets"]
 
@@ -67,6 +86,17 @@ class Solver(Protocol):
         """The body of this moment, ``dt`` (0 < dt <= 0.1 s) after the last one. Must be deterministic."""
 
 
+@dataclass(slots=True)
+class _Memory:
+    """Where a hand was last, in the chest's frame."""
+
+    at: Vec = (0.0, 0.0, 0.0)
+    turn: Quat = IDENTITY
+    known: bool = False
+    lost: float = 0.0  # seconds
+    away: float = 0.0  # 1 lost .. 0 tracked
+
+
 class AnalyticSolver:
     """Head to pelvis through the spine, hands through the arms, feet by balance and gait: closed forms, no training."""
 
@@ -96,11 +126,15 @@ class AnalyticSolver:
         self._travel: Vec = (0.0, 0.0, 0.0)  # horizontal, smoothed over a step
         self._slow: Vec = (0.0, 0.0, 0.0)  # horizontal, smoothed over a stride: walking or only swaying
         self._twist = 0.0
+        self._memory = (_Memory(), _Memory())
+        self._flight = 0.0  # seconds in the air
+        self._sink = 0.0  # metres the body stays below a head that is out of reach
         self._walking = 0.0
 
     def solve(self, targets: Targets, dt: float) -> Solution:
         """One moment. See the module's docstring for the order of things."""
         legs, spine = self.legs, self.spine
+        targets = self._grounded(targets, dt)
         speed = hypot(self._travel[0], self._travel[2])
         yaw = self.heading.update(targets.head, targets.eye, targets.left, targets.right, self._travel, speed, dt)
         neck = spine.neck_point(targets.eye, targets.head, yaw)
@@ -134,9 +168,26 @@ class AnalyticSolver:
             legs.start_walking(base, yaw, self._travel, speed)
         limbs = legs.update(base, torso.pelvis_at, torso.pelvis, yaw, self._travel, self._slow, speed, dt)
         arms = [
-            arm.solve(torso.spine3, torso.spine3_at, *self._hand(arm.index, targets, torso), dt) for arm in self.arms
+            arm.solve(torso.spine3, torso.spine3_at, *self._hand(arm.index, targets, torso, dt), dt)
+            for arm in self.arms
         ]
         return self._assemble(torso, limbs, arms, yaw)
+
+    def _grounded(self, targets: Targets, dt: float) -> Targets:
+        """The head within the body's reach: above the floor, and not higher than the legs allow for longer than a jump.
+
+        A user taller than the avatar, or a head that looks straight down without bending, would else float for ever.
+        """
+        slack = self.legs.slack  # of the last moment: metres left until the tiptoes lose the ground
+        self._flight = self._flight + dt if slack < 0 else 0.0
+        if self._flight > LONGEST_JUMP or self._sink > 0:
+            # down to flat feet, and up again with the head
+            self._sink = max(0.0, self._sink - (slack - self.legs.tiptoe) * (1 - exp(-dt / 0.25)))
+        x, y, z = targets.eye
+        sunk = max(y - self._sink, LOWEST_EYE * self.body.eye_height)
+        if sunk == y:
+            return targets
+        return replace(targets, eye=(x, sunk, z))
 
     def _motion(self, base: Vec, dt: float) -> None:
         if self._before is None:
@@ -173,18 +224,45 @@ class AnalyticSolver:
         p, n = torso.pelvis_at, torso.neck_at
         return (0.65 * p[0] + 0.35 * n[0], 0.0, 0.65 * p[2] + 0.35 * n[2])
 
-    def _hand(self, index: int, targets: Targets, torso: Torso) -> tuple[Vec, Quat]:
+    def _hand(self, index: int, targets: Targets, torso: Torso, dt: float) -> tuple[Vec, Quat]:
+        """The hand to reach for. A lost hand is held for a moment, then sinks to the side; a found one is taken up."""
         at, hand = (targets.left, targets.left_hand) if index == 0 else (targets.right, targets.right_hand)
-        if at is not None:
+        memory = self._memory[index]
+        inverse = conj(torso.spine3)
+        if at is not None and memory.away <= 0:
+            memory.at, memory.turn = rotate(inverse, sub(at, torso.spine3_at)), mul(inverse, hand)
+            memory.lost, memory.known = 0.0, True
             return at, hand
-        # a relaxed arm hangs beside the hip, the palm towards the thigh
+        if at is not None:  # found again: over in a moment
+            memory.away = max(0.0, memory.away - dt / REGAIN)
+            memory.lost = 0.0
+        else:
+            memory.away = 1.0
+            memory.lost += dt
+        rest_at, rest_turn = self._relaxed(index, torso)
+        if not memory.known:  # never seen
+            memory.at, memory.turn, memory.known, memory.lost = rest_at, rest_turn, True, HOLD
+        if memory.lost > HOLD:
+            k = 1 - exp(-dt / SINK)
+            memory.at, memory.turn = pull(memory.at, rest_at, k), nlerp(memory.turn, rest_turn, k)
+        free = rotate(torso.spine3, memory.at)
+        place = (torso.spine3_at[0] + free[0], torso.spine3_at[1] + free[1], torso.spine3_at[2] + free[2])
+        turn = mul(torso.spine3, memory.turn)
+        if at is not None:
+            e = memory.away * memory.away * (3 - 2 * memory.away)
+            return pull(at, place, e), nlerp(hand, turn, e)
+        return place, turn
+
+    def _relaxed(self, index: int, torso: Torso) -> tuple[Vec, Quat]:
+        """A hanging hand, the palm towards the thigh, in the chest's frame: gravity and the pelvis decide where."""
         arm = self.arms[index]
         sign = arm.sign
-        root = arm.shoulder_at(torso.spine3, torso.spine3_at)
-        down = unit(rotate(torso.pelvis, (0.12 * sign, -1.0, 0.12)))
+        inverse = conj(torso.spine3)
+        down = unit(rotate(inverse, rotate(torso.pelvis, (0.12 * sign, -1.0, 0.12))))
         far = 0.96 * arm.reach
-        hang = mul(torso.pelvis, to_quat((0.0, 0.0, -1.45 * sign)))
-        return (root[0] + down[0] * far, root[1] + down[1] * far, root[2] + down[2] * far), hang
+        x, y, z = arm.rest
+        turn = mul(inverse, mul(torso.pelvis, to_quat((0.0, 0.0, -1.45 * sign))))
+        return (x + down[0] * far, y + down[1] * far, z + down[2] * far), turn
 
     def _assemble(
         self, torso: Torso, limbs: list[tuple[Quat, Quat, Quat]], arms: list[ArmPose], yaw: float
@@ -224,4 +302,5 @@ class AnalyticSolver:
             torso.head_off,
             (feet[0].planted and not feet[0].strained, feet[1].planted and not feet[1].strained),
             self.legs.air > 0.01,
+            ["head_out_of_reach"] if self._sink > 0.02 else [],
         )

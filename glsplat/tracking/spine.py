@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import acos, exp, hypot, sqrt
+from math import acos, exp, hypot, pi, sqrt
 
 from glsplat.tracking.body import HEAD, NECK, PELVIS, SPINE1, SPINE2, SPINE3, Body
 from glsplat.tracking.heading import head_pitch, head_roll
@@ -30,6 +30,7 @@ FLEXION, EXTENSION, SIDE, ROTATION = 1.0, 1.05, 0.75, 1.15
 WHOLE_SPINE = tuple([3 * v for v in BOXES[SPINE1]])  # pelvis to chest
 NECK_SHARE = 0.45  # of the turn from chest to head that the neck joint takes, the head joint takes the rest
 CHEST_TURN = 0.25  # of the head's turn that the chest follows
+PELVIS_TILT = 0.5  # radians at most between the pelvis and the line from it to the neck
 BEND_SMOOTHING = 0.07  # seconds
 SHIFT, SHARE = 0.5, 0.5  # seconds, share: how the pelvis follows a neck that leaves the feet
 LOWEST_PELVIS = 0.19  # of the eye height: a deep squat, or sitting on the heels
@@ -67,16 +68,20 @@ class Spine:
         self.rest_pelvis = body.joints[PELVIS]
         self.lean = (0.0, 0.0)
         self.shift = (0.0, 0.0)
+        self.turned: Vec = (0.0, 0.0, 0.0)  # rotation vector from chest to head, before the limits
         self.chest: Quat | None = None
+        self.neck: Quat | None = None
 
     def reset(self) -> None:
         """Forget the past."""
-        self.chest = None
+        self.chest = self.neck = None
+        self.lean = self.shift = (0.0, 0.0)
+        self.turned = (0.0, 0.0, 0.0)
 
     def neck_point(self, eye: Vec, head: Quat, yaw: float) -> Vec:
-        """Where the neck joint is, by the last chest's tilt."""
-        chest = yaw_quat(yaw) if self.chest is None else self.chest
-        neck = nlerp(chest, head, NECK_SHARE)
+        """Where the neck joint is, by the last tilt of the neck."""
+        # the last neck: half way to a head turned by 180 degrees would be anywhere
+        neck = yaw_quat(yaw) if self.neck is None else self.neck
         a, b = rotate(head, self.eye), rotate(neck, self.offset[HEAD])
         return (eye[0] - a[0] - b[0], eye[1] - a[1] - b[1], eye[2] - a[2] - b[2])
 
@@ -104,7 +109,7 @@ class Spine:
         surplus = max(surplus, 0.0) if pitch > 0 else min(surplus, 0.0)
         high = 1 - self.low
         chest_fore = fore * (1 - 0.6 * self.low) / high + clamp(surplus, -0.35, 0.8)
-        pelvis_fore = clamp((fore - high * chest_fore) / self.low, min(-0.3, fore), 2.4)
+        pelvis_fore = clamp((fore - high * chest_fore) / self.low, fore - PELVIS_TILT, fore + 0.5 * PELVIS_TILT)
         chest_side, pelvis_side = side * (1 - 0.4 * self.low) / high, 0.4 * side
         facing = yaw_quat(yaw)
         pelvis = mul(facing, to_quat((pelvis_fore, 0.0, -pelvis_side)))
@@ -116,10 +121,17 @@ class Spine:
         self.chest = chest
         spine1, spine2 = nlerp(pelvis, chest, 1 / 3), nlerp(pelvis, chest, 2 / 3)
         vx, vy, vz = rotation_vector(inverse_mul(chest, head))
+        lx, ly, lz = self.turned
+        if vx * lx + vy * ly + vz * lz < 0 and vx * vx + vy * vy + vz * vz > 4.0:
+            # about half a turn from the chest: the same way round as before, not to and fro
+            k = 1 - 2 * pi / sqrt(vx * vx + vy * vy + vz * vz)
+            vx, vy, vz = vx * k, vy * k, vz * k
+        self.turned = (vx, vy, vz)
         kx, ky, kz = clamp(vx, -EXTENSION, FLEXION), clamp(vy, -ROTATION, ROTATION), clamp(vz, -SIDE, SIDE)
         off = sqrt((vx - kx) ** 2 + (vy - ky) ** 2 + (vz - kz) ** 2)
         whole = (kx, ky, kz)
         neck = mul(chest, to_quat((kx * NECK_SHARE, ky * NECK_SHARE, kz * NECK_SHARE)))
+        self.neck = neck
         skull = head if off < 1e-9 else mul(chest, to_quat(whole))
         # from the eye down, so that the eye is exact
         x, y, z = eye
