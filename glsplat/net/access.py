@@ -6,6 +6,7 @@ Browsers let any page open a WebSocket to any host, localhost included, so a pag
 
 from __future__ import annotations
 
+import base64
 import hmac
 import ipaddress
 import ssl
@@ -63,6 +64,8 @@ class Access:
         assert self.token is not None
         kind, _, value = headers.get("Authorization", "").partition(" ")
         offered = [value.strip()] if kind.lower() == "bearer" else []
+        if kind.lower() == "basic":  # a browser that opens the status page asks for a name (any) and a password
+            offered.append(_basic_password(value))
         protocols = headers.get("Sec-WebSocket-Protocol", "").split(",")
         offered += [p.strip()[len(TOKEN_PREFIX) :] for p in protocols if p.strip().startswith(TOKEN_PREFIX)]
         # every comparison takes the same time, whatever it finds
@@ -105,6 +108,13 @@ def server_tls(cert: str | Path, key: str | Path) -> ssl.SSLContext:
         reason = getattr(error, "reason", None) or error.strerror or "not PEM"
         raise GlsplatError(f"{cert}, {key}: expected a certificate and its key in PEM, but {reason}") from None
     return context
+
+
+def _basic_password(value: str) -> str:
+    try:
+        return base64.b64decode(value.strip(), validate=True).decode().partition(":")[2]
+    except ValueError:  # not base64, not UTF-8
+        return ""
 
 
 def _port(parts: object) -> int:

@@ -23,6 +23,7 @@ class Rendered:
     images: NDArray[np.uint8]  # [V, H, W, 4] RGBA, rows top-down, one a camera of the request
     timings: Mapping[str, float] = field(default_factory=dict)  # ms by stage (skin, sort, ...)
     driver: str = ""
+    covered: tuple[int, int, int, int] | None = None  # x, y, width, height: all outside is background; None: unknown
 
 
 class Backend(Protocol):
@@ -33,11 +34,15 @@ class Backend(Protocol):
         ...
 
     def render(self, request: RenderRequest) -> Rendered:
-        """Draw ``request.cameras`` at ``request.pose`` (None: the rest pose)."""
+        """Draw ``request.cameras`` at ``request.pose`` (None: the rest pose).
+
+        Raises ContextError if the context is lost: the server then calls ``close`` and ``open`` again. Any other
+        error costs this picture only.
+        """
         ...
 
     def close(self) -> None:
-        """Release everything."""
+        """Release everything; called once more after an ``open`` that failed."""
         ...
 
 

@@ -36,14 +36,22 @@ class Encoder:
         self._pool = ThreadPoolExecutor(threads, thread_name_prefix="encode")
         self._subsampling = subsampling
 
-    def encode(self, images: NDArray[np.uint8], quality: int = 80, crop: bool = False) -> Encoded:
+    def encode(
+        self, images: NDArray[np.uint8], quality: int = 80, crop: bool = False, covered: Box | None = None
+    ) -> Encoded:
         """Encode ``images`` [V, H, W, 3|4]; blocks until all are done, so call it off the event loop.
 
-        The calling thread does the last eye itself: a pair takes one thread of the pool.
+        With ``crop`` only a box of each picture is encoded: ``covered``, widened to whole blocks, or, where that is
+        unknown, the box of its opaque pixels. The calling thread does the last eye itself: a pair takes one thread of
+        the pool.
         """
         start = time.perf_counter()
-        jobs = [self._pool.submit(self._one, image, quality, crop) for image in images[:-1]]
-        last = self._one(images[-1], quality, crop)
+        height, width = images.shape[1:3]
+        box = None
+        if crop and covered is not None and covered[2:] != (width, height):
+            box = on_blocks(covered, width, height)
+        jobs = [self._pool.submit(self._one, image, quality, crop, box) for image in images[:-1]]
+        last = self._one(images[-1], quality, crop, box)
         done = [job.result() for job in jobs] + [last]
         pictures = [picture for picture, _ in done]
         boxes = [box for _, box in done if box is not None]
@@ -53,10 +61,10 @@ class Encoder:
         """Wait for running encodings and end the threads."""
         self._pool.shutdown()
 
-    def _one(self, image: NDArray[np.uint8], quality: int, crop: bool) -> tuple[bytes, Box | None]:
+    def _one(self, image: NDArray[np.uint8], quality: int, crop: bool, known: Box | None) -> tuple[bytes, Box | None]:
         if not crop:
             return encode_picture(image, quality, self._subsampling), None
-        x, y, w, h = box = covered_box(image)
+        x, y, w, h = box = known or covered_box(image)
         return encode_picture(image[y : y + h, x : x + w], quality, self._subsampling), box
 
 
@@ -80,7 +88,14 @@ def covered_box(image: NDArray[np.uint8]) -> Box:
     if not len(rows):
         return 0, 0, min(_BLOCK, width), min(_BLOCK, height)
     columns = np.flatnonzero(pixels[rows[0] : rows[-1] + 1].max(axis=0) >> 24)
-    x, y = columns[0] // _BLOCK * _BLOCK, rows[0] // _BLOCK * _BLOCK
-    right = min(-(-(columns[-1] + 1) // _BLOCK) * _BLOCK, width)
-    bottom = min(-(-(rows[-1] + 1) // _BLOCK) * _BLOCK, height)
-    return int(x), int(y), int(right - x), int(bottom - y)
+    x, y = columns[0], rows[0]
+    return on_blocks((x, y, columns[-1] + 1 - x, rows[-1] + 1 - y), width, height)
+
+
+def on_blocks(box: Box, width: int, height: int) -> Box:
+    """``box`` widened to the grid of 16 pixels, inside the picture; an empty one gives a block."""
+    left, top, right, bottom = box[0], box[1], box[0] + box[2], box[1] + box[3]
+    x, y = min(left, width - 1) // _BLOCK * _BLOCK, min(top, height - 1) // _BLOCK * _BLOCK
+    right = min(max(-(-right // _BLOCK) * _BLOCK, x + _BLOCK), width)
+    bottom = min(max(-(-bottom // _BLOCK) * _BLOCK, y + _BLOCK), height)
+    return int(x), int(y), int(right - x), int(bottom - y)  # numpy's integers are no JSON

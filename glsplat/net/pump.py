@@ -13,9 +13,10 @@ from collections import deque
 from collections.abc import Awaitable, Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
-from glsplat.errors import GlsplatError, PoseError
+from glsplat.errors import ContextError, GlsplatError, PoseError
 from glsplat.net.backend import Backend, PoseSolver, Rendered
 from glsplat.net.encode import Encoded, Encoder
 from glsplat.net.messages import RenderRequest, eye_fields
@@ -29,6 +30,7 @@ log = logging.getLogger("glsplat.net")
 
 _SICK = 3  # pictures in a row that failed before /healthz says so
 _STUCK = 10.0  # seconds a picture may take before /healthz says so
+_REBUILDS = 3  # lost contexts in a row, without a picture between them, before the pump gives up
 
 
 @dataclass(eq=False, slots=True)
@@ -60,6 +62,8 @@ class FramePump:
         self.driver = ""
         self.stages = StageTimes()
         self.failures = 0  # in a row
+        self.rebuilds = 0  # contexts lost and made anew
+        self._lost = 0  # of them in a row
         self._backend = backend
         self._clock = clock
         self._drawing_since: float | None = None
@@ -86,6 +90,13 @@ class FramePump:
             raise
         self._task = asyncio.create_task(self._run(), name="frame pump")
 
+    async def ended(self) -> None:
+        """Wait until the pump gives up. Raises ContextError: the context is lost and cannot be made again."""
+        assert self._task is not None
+        await asyncio.wait([self._task])
+        if not self._task.cancelled():
+            self._task.result()
+
     async def stop(self) -> None:
         """Finish the picture in hand, close the backend, end the threads."""
         if self._task is None:
@@ -95,6 +106,8 @@ class FramePump:
         self._task = None
         try:
             await asyncio.get_running_loop().run_in_executor(self._render_thread, self._backend.close)
+        except Exception:  # the driver is gone, or its objects are: the process ends anyway
+            log.exception("the renderer could not be closed")
         finally:
             self._end_threads()
 
@@ -168,15 +181,16 @@ class FramePump:
         assert taken is not None
         request, waited = taken
         frame = Frame(request, self._clock() - waited, {"wait": waited * 1e3})
+        lost = False
         try:
             rendered = await loop.run_in_executor(self._render_thread, self._draw, channel, frame)
-            self.failures = 0
-            frame.encoded = loop.run_in_executor(
-                self._encode_threads, self._encoder.encode, rendered.images, request.quality, request.crop
-            )
+            self.failures = self._lost = 0
+            job = partial(self._encoder.encode, rendered.images, request.quality, request.crop, rendered.covered)
+            frame.encoded = loop.run_in_executor(self._encode_threads, job)
         except PoseError as error:
             frame.error = ("bad_pose", str(error))
         except Exception as error:
+            lost = isinstance(error, ContextError)
             self.failures += 1
             log.error(
                 "frame %s of client %d could not be drawn: %s",
@@ -186,6 +200,25 @@ class FramePump:
             frame.error = ("render", "the picture could not be drawn")  # no details: they may name files
         if channel in self._turn:
             channel.frames.put_nowait(frame)
+        if lost:
+            await self._rebuild()
+
+    async def _rebuild(self) -> None:
+        """A new context and everything in it; clients keep their connection. Raises ContextError if that is no use."""
+        self._lost += 1
+        if self._lost > _REBUILDS:
+            raise ContextError(f"the OpenGL context was lost {self._lost} times in a row; restart the driver")
+        log.warning("the OpenGL context is lost; making a new one")
+        self.driver = await asyncio.get_running_loop().run_in_executor(self._render_thread, self._reopen)
+        self.rebuilds += 1
+
+    def _reopen(self) -> str:
+        """On the render thread."""
+        try:
+            self._backend.close()
+        except Exception:
+            log.debug("what is left of the lost context cannot be released", exc_info=True)
+        return self._backend.open()
 
     def _draw(self, channel: Channel, frame: Frame) -> Rendered:
         """On the render thread: tracking to pose where asked for, then the picture."""

@@ -140,7 +140,8 @@ class Server:
     async def run(self, started: Callable[[], None] | None = None) -> None:
         """Serve until SIGINT or SIGTERM, then stop in order; a second signal ends the process at once.
 
-        ``started`` is called once clients can connect.
+        ``started`` is called once clients can connect. Raises ContextError, after stopping, when the OpenGL context
+        is lost and cannot be made again.
         """
         done = asyncio.Event()
         loop = asyncio.get_running_loop()
@@ -157,9 +158,12 @@ class Server:
         try:
             if started is not None:
                 started()
-            await done.wait()
+            ends = [asyncio.create_task(done.wait()), asyncio.create_task(self.pump.ended())]
+            await asyncio.wait(ends, return_when=asyncio.FIRST_COMPLETED)
         finally:
             await self.stop()
+        if not done.is_set():
+            ends[1].result()
 
     def stats(self) -> dict[str, Any]:
         """The numbers of /stats."""
@@ -177,7 +181,9 @@ class Server:
             "uptime": round(clock() - self._started, 1),
             "fps": round(self.pump.stages.fps(), 2),
             "max_clients": self.config.max_clients,
+            "token": self.config.access.token is not None,
             "refused": self._refused,
+            "rebuilds": self.pump.rebuilds,
             "totals": totals,
             "stages": self.pump.stages.summary(),
             "clients": clients,
@@ -208,7 +214,8 @@ class Server:
             refusal = self.config.access.refusal(request.headers)
             if refusal is not None:
                 self._refused += 1
-                return web.Response(status=refusal[0], text=refusal[1] + "\n")
+                asks = {"WWW-Authenticate": "Basic realm=glsplat"} if refusal[0] == 401 else None
+                return web.Response(status=refusal[0], text=refusal[1] + "\n", headers=asks)
         return await handler(request)
 
     async def _healthz(self, request: web.Request) -> web.Response:
@@ -222,7 +229,8 @@ class Server:
         return web.Response(text=metrics_text(self.stats()), content_type="text/plain", charset="utf-8")
 
     async def _page(self, request: web.Request) -> web.Response:
-        return web.Response(text=page_html(self.stats()), content_type="text/html")
+        url = f"{'wss' if self.config.tls else 'ws'}://{request.host}/ws"
+        return web.Response(text=page_html(self.stats(), url), content_type="text/html")
 
     async def _websocket(self, request: web.Request) -> web.StreamResponse:
         if self._draining or len(self._channels) >= self.config.max_clients:
@@ -235,13 +243,7 @@ class Server:
             return web.Response(status=400, text=f"{error}\n")
         writer: asyncio.Task[None] | None = None
         try:
-            ws = web.WebSocketResponse(
-                compress=False,  # JPEG does not shrink, and deflating it costs 4 to 6 ms a reply
-                max_msg_size=MAX_BYTES,
-                heartbeat=self.config.heartbeat,
-                timeout=self.config.write_timeout,
-                protocols=(SUBPROTOCOL,),
-            )
+            ws = self._make_socket()
             await ws.prepare(request)
             self._sockets[channel.number] = ws
             self.pump.add(channel)
@@ -256,6 +258,15 @@ class Server:
             if writer is not None:
                 writer.cancel()
                 await asyncio.gather(writer, return_exceptions=True)
+
+    def _make_socket(self) -> web.WebSocketResponse:
+        return web.WebSocketResponse(
+            compress=False,  # JPEG does not shrink, and deflating it costs 4 to 6 ms a reply
+            max_msg_size=MAX_BYTES,
+            heartbeat=self.config.heartbeat,
+            timeout=self.config.write_timeout,
+            protocols=(SUBPROTOCOL,),
+        )
 
     def _open_channel(self, request: web.Request) -> Channel:
         """A new client with the options of its address: /ws?mirror=1&window=3&height=1.75."""

@@ -28,6 +28,7 @@ def metrics_text(stats: Mapping[str, Any]) -> str:
         *_metric("up_seconds", "gauge", "seconds since the start", [("", stats["uptime"])]),
         *_metric("fps", "gauge", "pictures a second over the last five seconds", [("", stats["fps"])]),
         *_metric("refused_total", "counter", "connections refused", [("", stats["refused"])]),
+        *_metric("rebuilds_total", "counter", "OpenGL contexts lost and made anew", [("", stats["rebuilds"])]),
     ]
     for name, text in _COUNTERS.items():
         lines += _metric(f"{name}_total", "counter", text, [("", stats["totals"][name])])
@@ -40,8 +41,12 @@ def metrics_text(stats: Mapping[str, Any]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def page_html(stats: Mapping[str, Any]) -> str:
-    """A page without scripts and without other resources; it reloads itself."""
+def page_html(stats: Mapping[str, Any], url: str) -> str:
+    """A page without scripts and without other resources; it reloads itself. ``url``: the WebSocket's address."""
+    url = html.escape(url)
+    options = " --token-file FILE" if stats["token"] else ""
+    token = ', token="..."' if stats["token"] else ""
+    options += " --tls-ca PEM" if url.startswith("wss:") else ""
     stages = [(name, f"{t['median']:.2f}", f"{t['p95']:.2f}") for name, t in stats["stages"].items()]
     keys = ("id", "form", "size", "sent", "dropped", "stale", "malformed", "failed", "unacknowledged", "window")
     clients = [[client[key] for key in keys] for client in stats["clients"]]
@@ -54,7 +59,15 @@ td,th{{padding:.15rem .8rem;text-align:right;border-bottom:1px solid #ccc}}</sty
 <p>{html.escape(stats["scene"])} on {html.escape(stats["driver"])}; up {stats["uptime"]:.0f} s,
 {stats["totals"]["sent"]} pictures sent, {stats["fps"]:.1f} a second,
 {len(stats["clients"])} of {stats["max_clients"]} clients, {"healthy" if stats["healthy"] else "failing"}.</p>
-<p>WebSocket at <code>/ws</code>, numbers at <a href="/stats">/stats</a> and <a href="/metrics">/metrics</a>.</p>
+<h2>Connect</h2>
+<p>The WebSocket is <code>{url}</code>; what it speaks is in docs/protocol.md. To measure it, from a terminal:</p>
+<pre>glsplat replay --url {url}{options}</pre>
+<p>From Python:</p>
+<pre>async with glsplat.net.client.Client("{url}"{token}) as client:
+    reply = await client.render(cameras, pose=pose)    # cameras: one, or glsplat.stereo_cameras(...)
+    left, right = reply.images()</pre>
+<p>Numbers: <a href="/stats">/stats</a> (JSON), <a href="/metrics">/metrics</a> (Prometheus),
+<a href="/healthz">/healthz</a>.</p>
 <h2>Stages (ms)</h2>{_table(("stage", "median", "p95"), stages)}
 <h2>Clients</h2>{_table(keys, clients)}
 </body></html>
