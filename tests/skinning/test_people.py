@@ -12,7 +12,7 @@ from glsplat.camera import Camera, look_at, pinhole
 from glsplat.errors import FormatError
 from glsplat.skinning.people import MeshPart, RiggedMesh, decode_texture, read_person
 from glsplat.skinning.pose import Pose
-from glsplat.skinning.raster import mesh_picture, visible_faces
+from glsplat.skinning.raster import mesh_picture, mesh_picture_and_depth, visible_faces
 
 
 def png(pixels) -> np.ndarray:
@@ -83,6 +83,9 @@ def test_picture_matches_the_geometry(square):
     assert picture[12, 12] == pytest.approx([1, 0, 0, 1], abs=1e-6)
     assert picture[27, 12] == pytest.approx([0, 0, 1, 1], abs=1e-6)
     assert picture[5, 5].tolist() == [0, 0, 0, 0]
+    tilted = square.vertices + square.vertices[:, :1] * (0, 0, 0.5)  # nearer to the right
+    _, depth = mesh_picture_and_depth(square, tilted, camera, supersample=2)
+    assert np.isinf(depth[5, 5]) and 1.9 < depth[20, 12] < 2.0 and 1.55 < depth[20, 29] < 1.7
 
 
 def test_nearer_triangles_win_and_holes_let_through(square):

@@ -163,6 +163,20 @@ def test_footprints_make_the_contract_picture(avatar):
     assert ours == pytest.approx(reference.render(splats, [camera])[0], abs=1e-6)
 
 
+def test_what_lies_beyond_a_depth_is_left_out(avatar):
+    splats, camera = avatar.splats, Camera(look_at((0, 1, 2), (0, 1, 0)), pinhole(48, 48, 20), 48, 48)
+    values = [
+        splats.means.astype(np.float64),
+        reference.quaternion_matrices(splats.quats),
+        splats.scales.astype(np.float64),
+        splats.opacities.astype(np.float64),
+        camera,
+    ]
+    ours = footprints(*values, np.full((48, 48), 2.0)).picture(np.ones((len(splats), 3)))
+    front = footprints(*(v[splats.means[:, 2] >= 0] for v in values[:4]), camera)
+    assert ours == pytest.approx(front.picture(np.ones((front.count, 3))), abs=1e-9)
+
+
 def test_gradients_are_finite_differences(rng):
     values, rotations = scene(rng), Rotation.random(30, random_state=1).as_matrix()
     camera = Camera(look_at((0, 0, 6), (0, 0, 0)), pinhole(48, 40, 15), 48, 40)
