@@ -160,8 +160,8 @@ def _wave_and_turn(seconds: float = 8.0) -> Motion:
     up = _ease(time, 0.3, 1.0) * (1 - _ease(time, 3.0, 3.8))
     beat = np.sin(2 * np.pi * 1.9 * (time - 0.9)) * _ease(time, 0.8, 1.2) * (1 - _ease(time, 2.6, 3.1))
     blend = {
-        "right_collar": _about("z", 0.08 - 0.2 + 0 * beat),
-        "right_shoulder": _about("z", -0.05 - 0.04 * beat) * _about("x", -1.35 + 0 * beat),
+        "right_collar": _about("z", -0.14 + 0 * beat) * _about("x", -0.25 + 0 * beat),  # takes part of the twist
+        "right_shoulder": _about("y", 0.3) * _about("z", 0.02 - 0.04 * beat) * _about("x", -0.85 + 0 * beat),
         "right_elbow": _about("y", 1.75 + 0.38 * beat),
         "right_wrist": _about("y", 0.12 * beat),
     }
