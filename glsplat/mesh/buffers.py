@@ -1,0 +1,80 @@
+"""MeshBuffers: the vertices, triangles and textures of a rigged mesh on the GPU, staged once."""
+
+from __future__ import annotations
+
+import moderngl
+import numpy as np
+from numpy.typing import NDArray
+
+from glsplat.skinning.people import MeshPart, RiggedMesh
+from glsplat.skinning.skin import Skin
+
+__all__ = ["INFLUENCES", "MeshBuffers", "corners"]
+
+INFLUENCES = 4
+"""Joints a vertex, as for splats."""
+
+VERTEX = np.dtype([("vertex", "f4", 3), ("uv", "f4", 2), ("joints", "u2", 4), ("weights", "f4", 4)])
+
+
+class MeshBuffers:
+    """One vertex buffer for all parts; a part is a range of triangles and a texture."""
+
+    def __init__(self, ctx: moderngl.Context, mesh: RiggedMesh, skin: Skin, anisotropy: float) -> None:
+        vertices, triangles, self.ranges = [], [], []
+        base = first = 0
+        for part in mesh.parts:
+            index, uv, faces = corners(part)
+            block = np.empty(len(index), VERTEX)
+            block["vertex"], block["uv"] = mesh.vertices[index], (0.0, 1.0) + (1.0, -1.0) * uv  # row 0: v = 1
+            block["joints"], block["weights"] = skin.joints[index], skin.weights[index]
+            vertices.append(block)
+            triangles.append(faces + base)
+            self.ranges.append((first, faces.size))  # of the index buffer
+            base, first = base + len(block), first + faces.size
+        self.triangles = first // 3
+        self.vertices = ctx.buffer(np.concatenate(vertices))
+        self.faces = ctx.buffer(np.concatenate(triangles).astype(np.uint32))
+        self.textures = [_texture(ctx, part, anisotropy) for part in mesh.parts]
+        self.cutouts = [part.cutout for part in mesh.parts]
+        self.bones = ctx.texture((3, len(mesh.skeleton)), 4, dtype="f4")
+        self.bones.filter = (moderngl.NEAREST, moderngl.NEAREST)
+
+    @property
+    def content(self) -> tuple[object, ...]:
+        """The vertex buffer as attributes of mesh.vert.glsl and skin.glsl."""
+        return (self.vertices, "3f 2f 4u2 4f", "vertex", "uv", "joints0", "weights0")
+
+    @property
+    def nbytes(self) -> int:
+        """GPU bytes, mip maps included."""
+        texels = sum(t.width * t.height * 4 for t in self.textures)
+        return self.vertices.size + self.faces.size + self.bones.width * self.bones.height * 16 + texels * 4 // 3
+
+    def release(self) -> None:
+        """Delete buffers and textures."""
+        self.vertices.release()
+        self.faces.release()
+        for texture in (self.bones, *self.textures):
+            texture.release()
+
+
+def corners(part: MeshPart) -> tuple[NDArray[np.int32], NDArray[np.float32], NDArray[np.int64]]:
+    """Vertices split where the texture has a seam: index [M] in the mesh, uv [M, 2], triangles [F, 3] of those."""
+    uv = np.ascontiguousarray(part.uv.reshape(-1, 2), np.float32)
+    keys = np.concatenate([part.faces.reshape(-1, 1), uv.view(np.int32)], axis=1)
+    unique, inverse = np.unique(keys, axis=0, return_inverse=True)
+    return unique[:, 0], np.ascontiguousarray(unique[:, 1:]).view(np.float32), inverse.reshape(-1, 3)
+
+
+def _texture(ctx: moderngl.Context, part: MeshPart, anisotropy: float) -> moderngl.Texture:
+    pixels = part.texture
+    if part.cutout:
+        alpha = pixels[..., 3:].astype(np.float32) / 255
+        pixels = np.concatenate([np.rint(pixels[..., :3] * alpha).astype(np.uint8), pixels[..., 3:]], axis=2)
+    height, width = pixels.shape[:2]
+    texture = ctx.texture((width, height), 4, np.ascontiguousarray(pixels))
+    texture.build_mipmaps()  # averages the stored values: no gamma here either
+    texture.filter = (moderngl.LINEAR_MIPMAP_LINEAR, moderngl.LINEAR)
+    texture.anisotropy = anisotropy
+    return texture

@@ -1,0 +1,241 @@
+"""MeshRenderer: a rigged, textured mesh under the cameras and poses of the splat renderer.
+
+It is the picture that avatars made from the mesh are measured against, and a baseline of its own. Nothing is shared
+with the splat path but the frame block, the bone texture's layout and the skinning chunk.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
+from types import TracebackType
+from typing import Any, Literal
+
+import moderngl
+import numpy as np
+from numpy.typing import NDArray
+
+from glsplat.camera import Camera
+from glsplat.config import RenderConfig
+from glsplat.context import Context, create_context
+from glsplat.errors import ContextError, GlsplatError, PoseError
+from glsplat.mesh.buffers import INFLUENCES, MeshBuffers
+from glsplat.passes.frame import FrameBlock
+from glsplat.passes.geometry import bind_frame
+from glsplat.shaders import Programs, Variant
+from glsplat.skinning.people import RiggedMesh
+from glsplat.skinning.pose import Pose
+from glsplat.skinning.skin import Skin
+from glsplat.timing import StageTimer
+
+__all__ = ["MeshConfig", "MeshRenderer"]
+
+ALPHA_TO_COVERAGE = 0x809E  # GL_SAMPLE_ALPHA_TO_COVERAGE; moderngl has no name for either
+ALPHA_TO_ONE = 0x809F  # GL_SAMPLE_ALPHA_TO_ONE: the target keeps how much is covered, not how much alpha
+BONES, SKIN = 0, 1  # texture units
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MeshConfig:
+    """How finely a mesh is sampled. ``samples * supersample ** 2`` points a pixel decide coverage."""
+
+    samples: Literal[1, 4] = 4  # multisampling; 1 where the driver has none
+    supersample: int = 2  # texture samples a pixel and axis: drawn that much larger, then box-filtered
+    anisotropy: float = 16.0  # at most what the driver has
+    output: Literal["uint8", "float32"] = "uint8"
+
+    def __post_init__(self) -> None:
+        if self.samples not in (1, 4):
+            raise GlsplatError(f"samples needs 1 or 4, not {self.samples}")
+        if not 1 <= self.supersample <= 8:
+            raise GlsplatError(f"supersample needs 1 to 8, not {self.supersample}")
+        if self.output not in ("uint8", "float32"):
+            raise GlsplatError(f"output needs uint8 or float32, not {self.output}")
+
+
+class MeshRenderer:
+    """Renders one mesh for any number of views, one after the other; use and release it on one thread.
+
+    Views are not batched: a layered, multisampled target with a depth buffer is beyond what moderngl can attach.
+    """
+
+    def __init__(
+        self,
+        mesh: RiggedMesh,
+        *,
+        size: tuple[int, int] = (1024, 1024),  # width, height
+        config: MeshConfig | None = None,
+        context: Context | None = None,
+        timed: bool = False,  # wait for the GPU at every stage mark
+    ) -> None:
+        self.config = config or MeshConfig()
+        self.mesh, self.size = mesh, size
+        self._owns_context = context is None
+        self.context = context or create_context()
+        ctx = self.context.ctx
+        self.timer = StageTimer(ctx.finish if timed else None)
+        self._stack = ExitStack()
+        try:
+            factor = self.config.supersample
+            large = (size[0] * factor, size[1] * factor)
+            if not 0 < min(size) <= max(large) <= self.context.max_size:
+                limit = self.context.max_size // factor
+                raise ContextError(f"size needs 1 to {limit} pixels a side on {self.driver}, not {size[0]}x{size[1]}")
+            self._programs = self._own(Programs(ctx))
+            skin = Skin.create(mesh.joints, mesh.weights, len(mesh.skeleton), INFLUENCES)
+            self._reach = _reach(mesh, skin)
+            self._buffers = self._own(MeshBuffers(ctx, mesh, skin, min(self.config.anisotropy, ctx.max_anisotropy)))
+            self._frame = self._own(FrameBlock(ctx, 1))
+            self._draw_array, self._resolve_array = self._arrays(ctx, factor)
+            self._samples = self.config.samples if ctx.max_samples >= self.config.samples else 1
+            self._large = self._own(ctx.texture(large, 4, dtype="f1"))
+            depth = self._own(ctx.depth_renderbuffer(large, samples=self._samples if self._samples > 1 else 0))
+            if self._samples > 1:
+                colour = self._own(ctx.renderbuffer(large, 4, samples=self._samples, dtype="f1"))
+                self._drawn = self._own(ctx.framebuffer([colour], depth))
+                self._averaged = self._own(ctx.framebuffer([self._large]))
+            else:
+                self._drawn = self._averaged = self._own(ctx.framebuffer([self._large], depth))
+            self._result = self._own(ctx.texture(size, 4, dtype="f1" if self.config.output == "uint8" else "f4"))
+            self._final = self._own(ctx.framebuffer([self._result]))
+        except BaseException:
+            self.release()
+            raise
+
+    @property
+    def driver(self) -> str:
+        """Renderer and version strings of the driver."""
+        return self.context.driver
+
+    @property
+    def timings(self) -> dict[str, float]:
+        """Milliseconds a stage of the last frame: pose, draw, resolve, read, total."""
+        return self.timer.ms
+
+    @property
+    def triangles(self) -> int:
+        """Triangles drawn a view."""
+        return self._buffers.triangles
+
+    def nbytes(self) -> int:
+        """GPU bytes of vertices, triangles and textures."""
+        return self._buffers.nbytes
+
+    def render(self, cameras: Sequence[Camera], pose: Pose | None = None) -> NDArray[Any]:
+        """The images [V, H, W, 4], row 0 at the top: RGB over the background, and the share of the pixel covered.
+
+        ``config.output`` decides between uint8 and float32 in [0, 1]. Raises PoseError for a pose that does not fit,
+        GlsplatError for cameras of another size.
+        """
+        if not cameras:
+            raise GlsplatError("render needs at least one camera")
+        if any((c.width, c.height) != self.size for c in cameras):
+            raise GlsplatError(f"cameras need the renderer's size {self.size[0]}x{self.size[1]}")
+        skeleton = self.mesh.skeleton
+        pose = pose or Pose.zero(len(skeleton))
+        if len(pose.rotations) != len(skeleton):
+            raise PoseError(f"the pose has {len(pose.rotations)} joints, the mesh {len(skeleton)}")
+        self.timer.start()
+        bones = pose.bones(skeleton)
+        origin = bones[0, :, :3] @ skeleton.joints[0] + bones[0, :, 3]  # far from zero float32 has no bits left
+        bones[:, :, 3] -= origin
+        self._buffers.bones.write(bones.astype(np.float32))
+        self.timer.mark("pose")
+        out = np.empty((len(cameras), self.size[1], self.size[0], 4), self.config.output)
+        for camera, image in zip(cameras, out, strict=True):
+            self._draw(self._fitted(camera, bones, origin), origin)
+            self.timer.mark("draw")
+            self._resolve()
+            self.timer.mark("resolve")
+            self._result.read_into(image)
+            self.timer.mark("read")
+        self.timer.stop()
+        return out
+
+    def release(self) -> None:
+        """Delete every GL object, and the context if it was made here. May be called twice."""
+        self.context.scratch.use()  # moderngl restores the framebuffer that was bound, and fails if it is gone
+        self._stack.close()
+        if self._owns_context:
+            self.context.release()
+        self._owns_context = False
+
+    def __enter__(self) -> MeshRenderer:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.release()
+
+    # ------------------------------------------------------------------------------------------------- internals
+
+    def _own(self, item: Any) -> Any:
+        self._stack.callback(item.release)
+        return item
+
+    def _arrays(self, ctx: moderngl.Context, factor: int) -> tuple[moderngl.VertexArray, moderngl.VertexArray]:
+        program = self._programs.draw("mesh", "mesh", Variant(influences=INFLUENCES))
+        resolve = self._programs.draw("screen", "mesh_resolve", Variant())
+        bind_frame(program)
+        bind_frame(resolve)
+        program["bones"], program["skin_texture"] = BONES, SKIN
+        resolve["large"], resolve["factor"] = SKIN, factor
+        self._lowest = program["lowest"]
+        array = ctx.vertex_array(program, [self._buffers.content], index_buffer=self._buffers.faces)
+        return self._own(array), self._own(ctx.vertex_array(resolve, []))
+
+    def _fitted(self, camera: Camera, bones: NDArray[np.float64], origin: NDArray[np.float64]) -> Camera:
+        """The camera with near and far drawn in to the posed mesh, so that the depth buffer tells layers apart.
+
+        A vertex is a mean of what its joints make of it, so it lies among the balls around the posed joints.
+        """
+        joints = np.einsum("jik,jk->ji", bones[:, :, :3], self.mesh.skeleton.joints) + bones[:, :, 3] + origin
+        depth = joints @ camera.viewmat[2, :3] + camera.viewmat[2, 3]
+        reach = self._reach * np.linalg.norm(bones[:, :, :3], ord=2, axis=(1, 2))
+        used = self._reach >= 0
+        near = max(camera.near, float((depth - reach)[used].min()) * 0.99)
+        far = min(camera.far, float((depth + reach)[used].max()) * 1.01)
+        return replace(camera, near=near, far=max(far, near * 1.001))
+
+    def _draw(self, camera: Camera, origin: NDArray[np.float64]) -> None:
+        ctx, factor = self.context.ctx, self.config.supersample
+        large = camera.resized(camera.width * factor, camera.height * factor)
+        self._frame.write([large], large.viewmat, origin, _NO_SPLATS, 1.0)
+        self._drawn.use()
+        self._drawn.clear(0.0, 0.0, 0.0, 0.0, depth=1.0)
+        ctx.enable_only(moderngl.DEPTH_TEST)
+        self._buffers.bones.use(BONES)
+        sampled = self._samples > 1
+        if sampled:
+            ctx.enable_direct(ALPHA_TO_COVERAGE)
+            ctx.enable_direct(ALPHA_TO_ONE)
+        for (first, count), texture, cutout in zip(
+            self._buffers.ranges, self._buffers.textures, self._buffers.cutouts, strict=True
+        ):
+            texture.use(SKIN)
+            self._lowest.value = (0.5 / self._samples) * cutout
+            self._draw_array.render(moderngl.TRIANGLES, vertices=count, first=first)
+        if sampled:
+            ctx.disable_direct(ALPHA_TO_COVERAGE)
+            ctx.disable_direct(ALPHA_TO_ONE)
+            ctx.copy_framebuffer(self._averaged, self._drawn)
+
+    def _resolve(self) -> None:
+        self._final.use()
+        self.context.ctx.enable_only(moderngl.NOTHING)
+        self._large.use(SKIN)
+        self._resolve_array.render(moderngl.TRIANGLES, vertices=3, instances=1)
+
+
+_NO_SPLATS = RenderConfig()  # the frame block has room for what only splats need
+
+
+def _reach(mesh: RiggedMesh, skin: Skin) -> NDArray[np.float64]:
+    """[J] metres from each joint to the farthest vertex that rides it at rest, -1 if none does."""
+    reach = np.full(len(mesh.skeleton), -1.0)
+    for ids, weights in zip(skin.joints.T, skin.weights.T, strict=True):
+        distance = np.linalg.norm(mesh.vertices - mesh.skeleton.joints[ids], axis=1)
+        np.maximum.at(reach, ids, np.where(weights > 0, distance, -1.0))
+    return reach
