@@ -25,7 +25,8 @@ from .stage_table import frame_text, table_markdown, table_text
 from .streaming import Drive, Result, observer, stream
 
 HELP = (
-    "Start a server, stream a motion through it at two sizes, and show rates, stage times, a contact sheet and a clip."
+    "Start a server, stream recorded head and hands through it at two sizes (tracking to pose to both eyes to JPEG), "
+    "and show rates, stage times, a contact sheet and a clip."
 )
 EXAMPLE = "glsplat demo -o out/demo"
 
@@ -37,8 +38,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command line."""
     parser.add_argument("-o", "--output", type=Path, default=Path("out/demo"), help="folder (default out/demo)")
     parser.add_argument("--avatar", metavar="FILE", help="avatar to show (default: the embedded one)")
-    parser.add_argument("--motion", metavar="FILE", help="motion file or name (default: an embedded one)")
-    parser.add_argument("--tracking", action="store_true", help="send head and hands, have the server solve the pose")
+    parser.add_argument(
+        "--motion", metavar="FILE", help="motion to send as poses, or .jsonl (default: embedded recording)"
+    )
+    parser.add_argument("--tracking", action="store_true", help="of a motion, send head and hands only")
     parser.add_argument("--seconds", type=float, default=8.0, help="streaming time at each size (default 8)")
     parser.add_argument("--fps", type=float, default=72.0, help="requests a second (default 72)")
     parser.add_argument("--sizes", type=size, nargs="+", default=[(512, 512), (1024, 1024)], help="pixels an eye")

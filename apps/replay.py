@@ -9,12 +9,14 @@ import sys
 from bisect import bisect_right
 from collections.abc import Iterable
 from dataclasses import dataclass
+from importlib import resources
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter1d
 from tqdm import tqdm
 
 from glsplat.avatar import Avatar, default_avatar
@@ -26,19 +28,22 @@ from glsplat.net.reply import Reply
 from glsplat.skinning.motion import Motion, embedded_motions, load_motion
 from glsplat.skinning.smplx import JOINT_NAMES
 from glsplat.tracking.derive import derive, truth_from_motion
+from glsplat.tracking.recording import embedded_recording
 from glsplat.tracking.recording import replay as read_samples
 from glsplat.tracking.sample import Sample
 
+from .link import Link, link, over
 from .output import Clip, label, save_png, side_by_side, stack
 from .scene import size
-from .stage_table import frame_text, table_text
-from .streaming import Drive, Driven, Result, stream
+from .stage_table import comparison_markdown, frame_text, table_text
+from .streaming import POLICIES, Drive, Driven, Result, stream
 
-HELP = "Stream a motion or a recording of head and hands through a server; report latency by stage and save pictures."
-EXAMPLE = "glsplat replay wave-and-turn --url ws://127.0.0.1:8000/ws --save sheet.png"
+HELP = "Stream recorded head and hands, or a motion, through a server; report latency by stage and save pictures."
+EXAMPLE = "glsplat replay --url ws://127.0.0.1:8000/ws --save sheet.png"
 
 _SHOWN_FIRST = ("wave-and-turn", "wave", "walk")
 _TRACKING_RATE = 72.0  # samples a second that a headset delivers
+_STANDS = 2.0  # seconds over which the head's way is averaged to tell where the user stands
 _MOMENTS = 6  # pairs on a contact sheet
 _TILE = 1024  # pixels across a pair on a contact sheet
 
@@ -46,14 +51,24 @@ _TILE = 1024  # pixels across a pair on a contact sheet
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command line."""
     parser.add_argument(
-        "motion", nargs="?", metavar="MOTION|RECORDING", help="motion file or name, or .jsonl of tracking samples"
+        "motion",
+        nargs="?",
+        metavar="RECORDING|MOTION",
+        help="tracking samples (.jsonl), or a motion file or name, sent as poses; default: the embedded recording",
     )
     parser.add_argument("--url", default="ws://127.0.0.1:8000/ws", help="server (default ws://127.0.0.1:8000/ws)")
     parser.add_argument("--avatar", metavar="FILE", help="avatar the server shows, for the motion's skeleton")
-    parser.add_argument("--tracking", action="store_true", help="send head and hands, have the server solve the pose")
+    parser.add_argument(
+        "--tracking", action="store_true", help="of a motion, send head and hands only: the server solves"
+    )
     parser.add_argument("--fps", type=float, default=72.0, help="requests and display refreshes a second (default 72)")
-    parser.add_argument("--frames", type=int, help="requests in all (default: the motion once, at most 20 s)")
+    parser.add_argument("--frames", type=int, help="requests in all (default: all of it once, at most 20 s)")
     parser.add_argument("--window", type=int, default=2, help="pictures under way (default 2; 3 from 15 ms round trip)")
+    parser.add_argument("--policy", choices=POLICIES, default=POLICIES[0], help="when to ask (default mailbox)")
+    parser.add_argument("--compare", action="store_true", help="one run with each policy, and a table of them")
+    parser.add_argument(
+        "--link", type=link, action="append", metavar="RTT,MBIT", help="simulate a link of so many ms and Mbit/s"
+    )
     parser.add_argument("--size", type=size, default=(1024, 1024), help="pixels an eye (default 1024x1024)")
     parser.add_argument("--quality", type=int, help="JPEG quality (default: the server's)")
     parser.add_argument("--crop", action="store_true", help="have only the covered part of each picture sent")
@@ -72,42 +87,71 @@ def run(args: argparse.Namespace) -> int:
         raise GlsplatError(f"--frames needs at least 1, not {args.frames}")
     if not 1 <= args.window <= 8:
         raise GlsplatError(f"--window needs 1 to 8, not {args.window}")
+    several = args.compare or len(args.link or ()) > 1
+    if args.save and several:
+        raise GlsplatError("--save goes with a single run, not with --compare or several --link")
     if args.save:
         check_target(args.save)
     token = read_token(args.token_file) if args.token_file else None
-    client = Client(args.url, token, window=args.window, mirror=args.mirror, cafile=args.tls_ca)
     drive, seconds = load_drive(args.motion, args.avatar, args.tracking)
     frames = args.frames or max(1, round(min(seconds, 20.0) * args.fps))
-    result = asyncio.run(_stream(args, client, drive, frames))
+    policies = POLICIES if args.compare else (args.policy,)
+    runs = []
+    for simulated in args.link or (None,):
+        for policy in policies:
+            result = asyncio.run(_stream(args, token, simulated, policy, drive, frames))
+            runs.append((str(simulated or "as it is"), policy, result))
+    if several:
+        _report_several(args, runs)
+    else:
+        _report(args, runs[0][2])
+    failed = next((result for _, _, result in runs if not result.shown), None)
+    if failed is not None:
+        raise GlsplatError(f"no picture came{f': {failed.last_error}' if failed.last_error else ''}")
+    return 0
+
+
+def _report(args: argparse.Namespace, result: Result) -> None:
     if args.save and result.kept:
         save_pictures(args.save, result)
     if args.json:
         print(json.dumps(result.summary()))
-    else:
-        print(f"{args.url}, {args.size[0]}x{args.size[1]} an eye, drawn by {result.driver or 'nobody'}")
-        print(table_text(result))
-        print(frame_text(result))
-        if args.save and result.kept:
-            print(args.save)
-    if not result.shown:
-        raise GlsplatError(f"no picture came{f': {result.last_error}' if result.last_error else ''}")
-    return 0
+        return
+    print(f"{args.url}, {args.size[0]}x{args.size[1]} an eye, drawn by {result.driver or 'nobody'}")
+    print(table_text(result))
+    print(frame_text(result))
+    if args.save and result.kept:
+        print(args.save)
 
 
-async def _stream(args: argparse.Namespace, client: Client, drive: Drive, frames: int) -> Result:
-    async with client:
-        with tqdm(total=frames, unit="frame", disable=args.json or not sys.stderr.isatty(), leave=False) as bar:
-            return await stream(
-                client,
-                drive,
-                frames=frames,
-                fps=args.fps,
-                size=args.size,
-                quality=args.quality,
-                crop=args.crop,
-                keep=bool(args.save),
-                progress=bar.update,
-            )
+def _report_several(args: argparse.Namespace, runs: list[tuple[str, str, Result]]) -> None:
+    if args.json:
+        print(json.dumps([{"link": place, "policy": policy, **result.summary()} for place, policy, result in runs]))
+        return
+    print(f"{args.url}, {args.size[0]}x{args.size[1]} an eye, {args.fps:g} Hz, window {args.window}\n")
+    print(comparison_markdown(runs))
+
+
+async def _stream(
+    args: argparse.Namespace, token: str | None, simulated: Link | None, policy: str, drive: Drive, frames: int
+) -> Result:
+    bars = not args.json and sys.stderr.isatty()
+    async with over(simulated, args.url) as url:
+        async with Client(url, token, window=args.window, mirror=args.mirror, cafile=args.tls_ca) as client:
+            with tqdm(total=frames, desc=policy, unit="frame", disable=not bars, leave=False) as bar:
+                return await stream(
+                    client,
+                    drive,
+                    frames=frames,
+                    fps=args.fps,
+                    size=args.size,
+                    quality=args.quality,
+                    crop=args.crop,
+                    policy=policy,
+                    window=args.window,
+                    keep=bool(args.save),
+                    progress=bar.update,
+                )
 
 
 @dataclass(frozen=True)
@@ -116,11 +160,17 @@ class Recording:
 
     times: list[float]  # seconds from the first sample
     samples: list[dict[str, Any]]
+    roots: NDArray[np.float64]  # [N, 3] where the user stands, without the sway of the head
+
+    @property
+    def seconds(self) -> float:
+        """From the first sample to the last; 1 for a single one."""
+        return self.times[-1] or 1.0
 
     def at(self, seconds: float) -> Driven:
         """The tracking object at ``seconds``; the recording repeats."""
-        moment = seconds % (self.times[-1] or 1.0)
-        return Driven(tracking=self.samples[max(0, bisect_right(self.times, moment) - 1)])
+        index = max(0, bisect_right(self.times, seconds % self.seconds) - 1)
+        return Driven(tracking=self.samples[index], root=self.roots[index])
 
 
 @dataclass(frozen=True)
@@ -139,22 +189,31 @@ class Played:
 
 
 def load_drive(name: str | None, avatar: str | None = None, tracking: bool = False) -> tuple[Drive, float]:
-    """What moves the avatar, and for how many seconds; ``tracking`` sends a motion's head and hands, not its poses.
+    """What moves the avatar, and for how many seconds. Raises GlsplatError naming the file.
 
-    Raises GlsplatError naming the file.
+    ``tracking`` sends a motion's head and hands, not its poses. Without a name it is the embedded recording, or, for an
+    avatar of its own, the embedded motion; without SMPL-X's rig as poses.
     """
+    if name is None and avatar is None and has_recording():
+        recording = _recording(embedded_recording(), "the embedded recording")
+        return recording, recording.seconds
     if name is not None and name.endswith(".jsonl"):
         recording = _recording(read_samples(name), name)
-        return recording, recording.times[-1] or 1.0
+        return recording, recording.seconds
 
     scene = load(avatar) if avatar else default_avatar()
     if not isinstance(scene, Avatar):
         raise GlsplatError(f"{avatar}: this scene has no skeleton to move; give an avatar (.glb with a skin)")
     motion = load_motion(name or default_motion(), scene.skeleton)
-    if tracking:
+    if tracking or (name is None and scene.skeleton.names == JOINT_NAMES):
         truth = truth_from_motion(scene.skeleton, motion.rotations, motion.trans, motion.fps, _TRACKING_RATE)
         return _recording(derive(scene.skeleton, truth), motion.label), motion.duration
     return Played(motion), motion.duration
+
+
+def has_recording() -> bool:
+    """True where this installation has a recording of its own."""
+    return resources.files("glsplat.data").joinpath("recording.jsonl").is_file()
 
 
 def default_motion() -> str:
@@ -173,7 +232,9 @@ def _recording(samples: Iterable[Sample], name: str) -> Recording:
         tracked.append(fields)
     if not tracked:
         raise FormatError(f"{name}: expected tracking samples, a JSON object a line, found none")
-    return Recording([max(0.0, t - times[0]) for t in times], tracked)
+    heads = np.array([(fields.get("head") or (0.0, 0.0, 0.0))[:3] for fields in tracked]) * (1, 0, 1)
+    roots = uniform_filter1d(heads, round(_STANDS * _TRACKING_RATE), axis=0, mode="nearest")
+    return Recording([max(0.0, t - times[0]) for t in times], tracked, roots)
 
 
 def _finite(value: Any) -> bool:

@@ -1,4 +1,9 @@
-"""Streaming a motion through a server and timing every stage: what ``replay`` and ``demo`` share."""
+"""Streaming a motion through a server and timing every stage: what ``replay`` and ``demo`` share.
+
+Three policies of asking, to compare. ``mailbox``: a request at every refresh of the display, the server draws the
+newest. ``stop-and-wait``: the next request when the picture has come, as the paper's released client does. ``fifo``: as
+many requests under way as the window holds, each of them drawn.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +24,9 @@ from glsplat.net.reply import Reply
 from glsplat.net.stages import median_p95
 from glsplat.skinning.pose import Pose
 
-__all__ = ["STAGES", "Drive", "Driven", "Result", "observer", "stream"]
+__all__ = ["POLICIES", "STAGES", "Drive", "Driven", "Result", "observer", "stream"]
+
+POLICIES = ("mailbox", "stop-and-wait", "fifo")
 
 _OPENGL_FROM_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
 _LAST = 3.0  # seconds to wait for the last pictures
@@ -63,10 +70,13 @@ class Result:
     late: int = 0  # received, but replaced by a newer picture before it could be shown
     errors: int = 0
     seconds: float = 0.0  # from the first request to the last picture
+    interval: float = 0.0  # ms from request to request
     last_error: str = ""
     driver: str = ""
     times: dict[str, list[float]] = field(default_factory=dict)  # by stage
     ages: list[float] = field(default_factory=list)  # of the picture on show, at each display refresh
+    replies: list[float] = field(default_factory=list)  # from request to reply: how old the pose is then
+    waits: list[float] = field(default_factory=list)  # of them in the server's mailbox, until the renderer was free
     nbytes: list[int] = field(default_factory=list)  # of each reply
     kept: list[tuple[float, Reply]] = field(default_factory=list)  # seconds and picture, in order
 
@@ -79,6 +89,27 @@ class Result:
     def fps(self) -> float:
         """Different pictures shown a second."""
         return self.shown / self.seconds if self.seconds > 0 else 0.0
+
+    @property
+    def render_ms(self) -> float:
+        """Mean time to render a pair."""
+        return float(np.mean(self.times["render"])) if self.times else 0.0
+
+    @property
+    def share(self) -> float:
+        """Pictures shown, of those that the renderer could draw without a pause: fps / (1 / mean render time)."""
+        return self.fps * self.render_ms / 1e3
+
+    @property
+    def beyond_render(self) -> list[float]:
+        """From request to reply, less the render time."""
+        return [reply - ms for reply, ms in zip(self.replies, self.times.get("render", ()), strict=True)]
+
+    @property
+    def age_bound(self) -> float:
+        """The 95th percentile of ``replies`` if the newest pose is always the one drawn: a pose waits at most for the
+        next one. 95th percentiles of rendering and encoding, and a request interval."""
+        return self.interval + sum(median_p95(self.times.get(stage, ()))[1] for stage in ("render", "encode"))
 
     def add(self, arrived: Arrived, decode_ms: float, done: float) -> None:
         """Account for one decoded reply."""
@@ -96,11 +127,12 @@ class Result:
         row |= {f"render/{k}": v for k, v in server.items() if k not in (*row, "total", "wait")}
         for name, ms in row.items():
             self.times.setdefault(name, []).append(ms)
+        self.replies.append((arrived.at - arrived.requested) * 1e3)
+        self.waits.append(server.get("wait", 0.0))
 
     def summary(self) -> dict[str, Any]:
         """The numbers, for --json."""
         stages = {name: median_p95(values) for name, values in self.times.items()}
-        age = median_p95(self.ages)
         return {
             "driver": self.driver,
             "fps": round(self.fps, 2),
@@ -112,7 +144,13 @@ class Result:
             "late": self.late,
             "errors": self.errors,
             "bytes_per_frame": round(float(np.mean(self.nbytes))) if self.nbytes else 0,
-            "age_ms": {"median": round(age[0], 2), "p95": round(age[1], 2)},
+            "share_of_render_rate": round(self.share, 3),
+            "age_ms": _pair(self.ages),
+            "reply_ms": _pair(self.replies),
+            "beyond_render_ms": _pair(self.beyond_render),
+            "mailbox_ms": _pair(self.waits),
+            "age_bound_ms": round(self.age_bound, 3),
+            "render_mean_ms": round(self.render_ms, 3),
             "stages_ms": {name: {"median": round(m, 3), "p95": round(p, 3)} for name, (m, p) in stages.items()},
         }
 
@@ -137,48 +175,66 @@ async def stream(
     size: tuple[int, int] = (1024, 1024),
     quality: int | None = None,
     crop: bool = False,
+    policy: str = "mailbox",
+    window: int = 2,
     keep: bool = False,
     progress: Callable[[int], None] = lambda count: None,
 ) -> Result:
-    """Send a request at every refresh of a display of ``fps`` Hz and show the newest decoded picture at each.
+    """Stream for ``frames`` refreshes of a display of ``fps`` Hz; at each, show the newest decoded picture.
 
-    Nothing waits for a picture: the server draws the newest request when it is free. ``keep`` keeps the shown replies.
+    ``policy`` says when to ask, ``window`` how many requests may be unanswered under ``fifo``. ``keep`` keeps the shown
+    replies.
     """
     run = _Stream(client, keep)
-    receiver = asyncio.create_task(run.receive())
-    decoder = asyncio.create_task(run.decode())
+    run.result.interval = 1e3 / fps
+
+    async def ask(seconds: float) -> None:
+        driven = drive.at(seconds)
+        cameras = observer(seconds, driven.root, size)
+        run.result.sent += 1
+        await client.send(cameras, pose=driven.pose, tracking=driven.tracking, quality=quality, crop=crop)
+
+    async def ask_when_answered(most: int) -> None:
+        while True:
+            while run.result.sent - run.result.received - run.result.errors >= most:
+                run.answered.clear()
+                await run.answered.wait()
+            await ask(time.perf_counter() - start)
+
     start = time.perf_counter()
+    tasks = [asyncio.create_task(run.receive()), asyncio.create_task(run.decode())]
+    if policy != "mailbox":
+        tasks.append(asyncio.create_task(ask_when_answered(1 if policy == "stop-and-wait" else window)))
     try:
         for index in range(frames):
             await asyncio.sleep(max(0.0, start + index / fps - time.perf_counter()))
             run.refresh(time.perf_counter() - start)
-            seconds = index / fps
-            driven = drive.at(seconds)
-            await client.send(
-                observer(seconds, driven.root, size),
-                pose=driven.pose,
-                tracking=driven.tracking,
-                quality=quality,
-                crop=crop,
-            )
-            run.result.sent += 1
+            if policy == "mailbox":
+                await ask(index / fps)
             progress(1)
-            if receiver.done() or decoder.done():
+            if any(task.done() for task in tasks):
                 break
+        for task in tasks[2:]:
+            task.cancel()
         end = time.perf_counter() + _LAST
-        while not (run.finished or receiver.done() or decoder.done()) and time.perf_counter() < end:
+        while not (run.finished or any(task.done() for task in tasks[:2])) and time.perf_counter() < end:
             await asyncio.sleep(1 / fps)
             run.refresh(time.perf_counter() - start)
         run.result.seconds = run.last_shown - start if run.result.shown else time.perf_counter() - start
     finally:
-        for task in (receiver, decoder):
+        for task in tasks:
             task.cancel()
-        outcomes = await asyncio.gather(receiver, decoder, return_exceptions=True)
+        outcomes = await asyncio.gather(*tasks, return_exceptions=True)
         run.threads.shutdown()
     for outcome in outcomes:
         if isinstance(outcome, Exception):
             raise outcome
     return run.result
+
+
+def _pair(values: list[float]) -> dict[str, float]:
+    median, p95 = median_p95(values)
+    return {"median": round(median, 3), "p95": round(p95, 3)}
 
 
 class _Stream:
@@ -187,6 +243,7 @@ class _Stream:
     def __init__(self, client: Client, keep: bool) -> None:
         self.result = Result()
         self.last_shown = 0.0
+        self.answered = asyncio.Event()
         self.threads = ThreadPoolExecutor(2, thread_name_prefix="decode")
         self._client = client
         self._keep = keep
@@ -214,8 +271,10 @@ class _Stream:
                 self.result.errors += 1
                 self.result.last_error = str(error)
                 self._newest = max(self._newest, error.frame_id or 0)
+                self.answered.set()
                 continue
             self.result.received += 1
+            self.answered.set()
             self.result.nbytes.append(arrived.reply.nbytes)
             self.result.driver = arrived.reply.info.get("driver", "")
             self._newest = max(self._newest, arrived.reply.frame_id)

@@ -46,7 +46,7 @@ def test_the_report_adds_up(stripes, capsys):
 
 
 def test_the_table_for_people(stripes, capsys):
-    assert replay.run(arguments("--url", stripes[0], "--frames", 5, "--size", 64)) == 0
+    assert replay.run(arguments("walk", "--url", stripes[0], "--frames", 5, "--size", 64)) == 0
     text = capsys.readouterr().out
     for _, name, _ in STAGES:
         assert name in text

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import base64
 import subprocess
 
 import aiohttp
@@ -86,6 +87,18 @@ def test_origins_elsewhere_are_the_own_host():
     assert access.refusal(good | {"Origin": "https://other.example"})[0] == 403
 
 
+@pytest.mark.parametrize(
+    ("given", "allowed"),
+    [(f"me:{TOKEN}", True), (f":{TOKEN}", True), (TOKEN, False), (f"{TOKEN}:", False), ("me:" + TOKEN[:-1], False)],
+)
+def test_a_browser_gives_the_token_as_password(given, allowed):
+    """The status page is opened by people: the browser asks them for a name and a password."""
+    access, host = Access(token=TOKEN), {"Host": "127.0.0.1"}
+    encoded = base64.b64encode(given.encode()).decode()
+    assert (access.refusal(host | {"Authorization": f"Basic {encoded}"}) is None) == allowed
+    assert access.refusal(host | {"Authorization": f"Basic {given}!"})[0] == 401  # not base64
+
+
 def test_token_files(tmp_path):
     path = tmp_path / "token"
     with pytest.raises(GlsplatError, match="token: cannot read the token"):
@@ -117,6 +130,7 @@ def test_a_token_guards_everything_but_healthz(serve, cameras):
             for path in ("/", "/stats", "/metrics", "/healthz", "/ws"):
                 async with http.get(base + path) as response:
                     codes[path] = response.status
+                    assert ("WWW-Authenticate" in response.headers) == (response.status == 401)
             for token in (None, "wrong-token-wrong-token"):
                 with pytest.raises(ProtocolError, match=r"401.*--token-file"):
                     await Client(server.url, token).connect()

@@ -54,6 +54,21 @@ def test_any_view_of_an_array(view):
     assert psnr(simplejpeg.decode_jpeg(encode_picture(image, 95)), image[..., :3]) > 33
 
 
+def test_a_known_box_is_not_searched(encoder):
+    images = np.zeros((2, 100, 90, 4), np.uint8)
+    images[:, 40:50, 30:40] = 255
+    assert encoder.encode(images, crop=True).boxes == [(16, 32, 32, 32)] * 2
+    covered = tuple(np.array((33, 37, 3, 20)))  # numpy's integers, as the renderer gives them
+    out = encoder.encode(images, crop=True, covered=covered)
+    assert out.boxes == [(32, 32, 16, 32)] * 2 and all(type(n) is int for n in out.boxes[0])
+    assert simplejpeg.decode_jpeg(out.pictures[0]).shape == (32, 16, 3)
+    assert encoder.encode(images, crop=True, covered=(0, 0, 90, 100)).boxes == [(16, 32, 32, 32)] * 2  # says nothing
+    assert encoder.encode(images, crop=True, covered=(0, 0, 0, 0)).boxes == [(0, 0, 16, 16)] * 2
+    assert encoder.encode(images, crop=True, covered=(80, 90, 10, 10)).boxes == [(80, 80, 10, 20)] * 2
+    assert encoder.encode(images, crop=True, covered=(90, 100, 0, 0)).boxes == [(80, 96, 10, 4)] * 2
+    assert encoder.encode(images, covered=covered).boxes is None
+
+
 def test_the_covered_box():
     image = np.zeros((100, 90, 4), np.uint8)
     assert covered_box(image) == (0, 0, 16, 16)

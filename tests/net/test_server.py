@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import re
 
 import aiohttp
 import numpy as np
@@ -145,7 +146,11 @@ def test_status_pages(serve, cameras):
 
     out = asyncio.run(main())
     assert [out[path][0] for path in out] == [200, 200, 200, 200, 404]
-    assert "numpy &lt;fake&gt;" in out["/"][1] and "http://" not in out["/"][1]
+    page = out["/"][1]
+    assert "numpy &lt;fake&gt;" in page and "http://" not in page and "<script" not in page and "src=" not in page
+    assert re.search(r"glsplat replay --url ws://127\.0\.0\.1:\d+/ws\n?<", page)  # how to connect
+    assert re.search(r"<td>render</td><td>\d+\.\d\d</td>", page)  # live stage times
+    assert '"rebuilds": 0' in out["/stats"][1]
     assert '"sent": 1' in out["/stats"][1]
     assert "glsplat_sent_total 1\n" in out["/metrics"][1]
     assert 'glsplat_stage_milliseconds{stage="render",quantile="0.95"}' in out["/metrics"][1]
