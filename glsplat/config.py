@@ -21,6 +21,9 @@ class RenderConfig:
     output: Output = "uint8"  # uint8: resolved to 8 bit; float32: the target as it is, unclipped
     sorter: Literal["auto", "cpu", "gpu"] = "auto"  # gpu needs OpenGL 4.3
     layers: Literal["auto", "vertex", "geometry"] = "auto"  # who writes gl_Layer; auto probes by rendering
+    shape: Literal["auto", "quad", "triangle"] = (
+        "auto"  # of a splat; auto = triangle on software rasterizers (measured)
+    )
     order: Literal["shared", "per_view"] = "shared"  # one depth order for both eyes, or one an eye
     sort_bits: Literal[16, 32] = 32  # bits of the depth key
     rotation: Literal["polar", "raw"] = "polar"  # R_i under skinning: nearest rotation, or the blended matrix
@@ -36,6 +39,7 @@ class RenderConfig:
             "output": ("float32", "uint8"),
             "sorter": ("auto", "cpu", "gpu"),
             "layers": ("auto", "vertex", "geometry"),
+            "shape": ("auto", "quad", "triangle"),
             "order": ("shared", "per_view"),
             "sort_bits": (16, 32),
             "rotation": ("polar", "raw"),

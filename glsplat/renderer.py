@@ -77,6 +77,8 @@ class Renderer:
             if self.config.sorter == "gpu" and not self.context.compute:
                 raise ContextError(f"the GPU sorter needs OpenGL 4.3, this is {self.driver}; use sorter='cpu'")
             self._geometry = geometry or not self.context.vertex_layers
+            automatic = self.config.shape == "auto" and self.context.software
+            self._triangle = automatic or self.config.shape == "triangle"
             self.resize(*size)
             self.load(scene)
             self._target(min(views, MAX_VIEWS))
@@ -291,7 +293,7 @@ class Renderer:
     def _pipeline(self, views: Sequence[Camera]) -> Pipeline:
         assert self._scene is not None
         degree = min(self._degree, views[0].sh_degree)
-        variant = variant_for(degree, self._scene.influences, len(views), self.config, self._geometry)
+        variant = variant_for(degree, self._scene.influences, len(views), self.config, self._geometry, self._triangle)
         if variant not in self._pipelines:
             self._pipelines[variant] = Pipeline(self.context, self._programs, variant, self._scene, self.config)
         return self._pipelines[variant]

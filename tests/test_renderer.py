@@ -72,6 +72,19 @@ def test_geometry_shader_routes_the_same_picture(renderer_of: Make) -> None:
     )
 
 
+@pytest.mark.parametrize("shape", ["quad", "triangle"])
+@pytest.mark.parametrize("sigma", [3.33, 2.0])
+def test_shape_and_extent(renderer_of: Make, shape: str, sigma: float) -> None:
+    """Quad and triangle draw the same splats, which end where the reference's do."""
+    scene, views, config = cloud(), eyes(), RenderConfig(max_sigma=sigma)
+    expected = reference.render(scene, views, config=config)
+    for sorter in ("cpu", "gpu"):
+        image = renderer_of(scene, views=2, shape=shape, max_sigma=sigma, sorter=sorter).render(views)
+        assert_contract(image, expected)
+    if sigma < 3:
+        assert Difference.of(reference.render(scene, views), expected).psnr < 50  # the knob does something
+
+
 @pytest.mark.parametrize("bits", [16, 32])
 def test_both_sorters_draw_the_same_bytes(renderer_of: Make, context: Context, bits: int) -> None:
     if not context.compute:

@@ -18,6 +18,7 @@ class DrawPass:
     def __init__(self, ctx: moderngl.Context, programs: Programs, variant: Variant, records: moderngl.Buffer) -> None:
         self._ctx = ctx
         self._views = variant.views
+        self._corners = 3 if variant.triangle else 4
         program = programs.draw("splat", "splat", variant)
         bind_frame(program)
         self._array = ctx.vertex_array(program, [])
@@ -37,10 +38,11 @@ class DrawPass:
             return
         self._ctx.enable_only(moderngl.BLEND)
         self._ctx.blend_func = moderngl.ONE, moderngl.ONE_MINUS_SRC_ALPHA
+        mode = moderngl.TRIANGLES if self._corners == 3 else moderngl.TRIANGLE_STRIP
         if indirect is None:
-            self._array.render(moderngl.TRIANGLE_STRIP, vertices=4, instances=count * self._views)
+            self._array.render(mode, vertices=self._corners, instances=count * self._views)
         else:
-            self._array.render_indirect(indirect, moderngl.TRIANGLE_STRIP, count=1)
+            self._array.render_indirect(indirect, mode, count=1)
         self._ctx.enable_only(moderngl.NOTHING)
 
     def release(self) -> None:

@@ -28,24 +28,26 @@ class GpuSorter:
         count: int,
         views: int,
         bits: int = 32,  # 16 looks at the upper half of a key only
+        corners: int = 4,  # vertices of the indirect draw
     ) -> None:
         limit = ctx.info["GL_MAX_SHADER_STORAGE_BLOCK_SIZE"]
         if max(keys.size, scratch.size) > limit:
             raise ContextError(f"{count} splats exceed this driver's {limit} byte buffers; use sorter='cpu'")
         self._ctx, self._count, self._views = ctx, count, views
+        self._start = np.array([corners] + [0] * 11, np.uint32)
         self._shifts = range(32 - bits, 32, DIGIT)
         self._buffers = (keys, order, scratch)
         self._groups = max(1, -(-count // BLOCK))
         self._histogram = ctx.buffer(reserve=16 * self._groups * 4)
         self.indirect = ctx.buffer(reserve=48)  # indirect draw (4 uints), then counts by cull code (8 uints)
-        self._stages = {name: programs.compute(f"radix_{name}", {}) for name in ("init", "count", "scan", "scatter")}
+        self._stages = {name: programs.compute(f"radix_{name}") for name in ("init", "count", "scan", "scatter")}
 
     def run(self) -> None:
         """Keys to order."""
         if not self._count:
             return
         keys, order, scratch = self._buffers
-        self.indirect.write(np.array([4] + [0] * 11, np.uint32))
+        self.indirect.write(self._start)
         for binding, buffer in enumerate((keys, order, scratch, self._histogram, self.indirect)):
             buffer.bind_to_storage_buffer(binding)
         self._dispatch("init", -(-self._count // 64), views=self._views)

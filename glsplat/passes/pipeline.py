@@ -42,7 +42,8 @@ class Pipeline:
         self._sorter: GpuSorter | None = None
         if config.sorter == "gpu" or (config.sorter == "auto" and context.compute and not context.software):
             work = (self._key.keys, self._project.order, self._project.records)
-            self._sorter = GpuSorter(ctx, programs, *work, count, variant.views, config.sort_bits)
+            corners = 3 if variant.triangle else 4
+            self._sorter = GpuSorter(ctx, programs, *work, count, variant.views, config.sort_bits, corners)
         self._draw = DrawPass(ctx, programs, variant, self._project.records)
         self._clear = Clear(ctx, programs, variant)
         self._resolve = Resolve(ctx, programs)

@@ -67,12 +67,6 @@ def flatten(name: str, defines: Mapping[str, int], version: str = VERSION, overr
     """
     lines: list[str] = []
     origin: list[tuple[str, int]] = []
-    head = [version]
-    if defines.get("VIEWS", 1) > 1 and name.endswith(".vert.glsl"):
-        head += LAYER_EXTENSIONS.splitlines()
-    for line in head + [f"#define {key} {value}" for key, value in defines.items()]:
-        lines.append(line)
-        origin.append(("<defines>", len(lines)))
     seen: set[str] = set()
 
     def add(chunk: str, trail: tuple[str, ...]) -> None:
@@ -96,11 +90,17 @@ def flatten(name: str, defines: Mapping[str, int], version: str = VERSION, overr
             origin.append((chunk, number))
 
     add(name, ())
-    return Source("\n".join(lines) + "\n", origin)
+    # only the flags this text reads: programs that differ in others are the same text, and compiled once
+    used = set(_NAME.findall("\n".join(lines)))
+    head = [version]
+    if defines.get("VIEWS", 1) > 1 and name.endswith(".vert.glsl"):
+        head += LAYER_EXTENSIONS.splitlines()
+    head += [f"#define {key} {value}" for key, value in defines.items() if key in used]
+    return Source("\n".join(head + lines) + "\n", [("<defines>", i + 1) for i in range(len(head))] + origin)
 
 
 class Programs:
-    """Compiled programs of one context, by name and variant; owns them."""
+    """Compiled programs of one context, one for each distinct text; owns them."""
 
     def __init__(self, ctx: moderngl.Context) -> None:
         self._ctx = ctx
@@ -113,32 +113,36 @@ class Programs:
         self, name: str, variant: Variant, varyings: Sequence[str], separate: bool = False
     ) -> moderngl.Program:
         """Program ``name``.vert.glsl that captures ``varyings`` (into one buffer, or one each) and draws nothing."""
-        key = (name, variant, tuple(varyings), separate)
-        return self._get(key, {"vertex_shader": f"{name}.vert.glsl"}, varyings, separate)
+        return self._get(name, {"vertex_shader": f"{name}.vert.glsl"}, variant, varyings, separate)
 
     def draw(self, vertex: str, fragment: str, variant: Variant) -> moderngl.Program:
         """Program of two stages; with ``variant.geometry`` ``vertex``.geom.glsl routes the layers."""
         stages = {"vertex_shader": f"{vertex}.vert.glsl", "fragment_shader": f"{fragment}.frag.glsl"}
         if variant.geometry:
             stages["geometry_shader"] = f"{vertex}.geom.glsl"
-        return self._get((vertex, fragment, variant), stages)
+        return self._get(vertex, stages, variant)
 
     def _get(
-        self, key: tuple[object, ...], stages: Mapping[str, str], varyings: Sequence[str] = (), separate: bool = False
+        self,
+        name: str,
+        stages: Mapping[str, str],
+        variant: Variant,
+        varyings: Sequence[str] = (),
+        separate: bool = False,
     ) -> moderngl.Program:
+        sources = {stage: flatten(file, variant.defines()) for stage, file in stages.items()}
+        key = (*(source.text for source in sources.values()), *varyings, separate)
         if key not in self._cache:
-            variant = next(part for part in key if isinstance(part, Variant))
-            sources = {stage: flatten(file, variant.defines()) for stage, file in stages.items()}
-            self._cache[key] = link(self._ctx, str(key[0]), sources, varyings, separate)
+            self._cache[key] = link(self._ctx, name, sources, varyings, separate)
         program = self._cache[key]
         assert isinstance(program, moderngl.Program)
         return program
 
-    def compute(self, name: str, defines: Mapping[str, int]) -> moderngl.ComputeShader:
-        """Compute shader ``name.comp.glsl``; needs OpenGL 4.3."""
-        key = (name, tuple(sorted(defines.items())))
+    def compute(self, name: str) -> moderngl.ComputeShader:
+        """Compute shader ``name``.comp.glsl; needs OpenGL 4.3."""
+        source = flatten(f"{name}.comp.glsl", {}, COMPUTE_VERSION)
+        key = (source.text,)
         if key not in self._cache:
-            source = flatten(f"{name}.comp.glsl", defines, COMPUTE_VERSION)
             try:
                 self._cache[key] = self._ctx.compute_shader(source.text)
             except moderngl.Error as error:

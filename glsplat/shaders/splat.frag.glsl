@@ -1,11 +1,18 @@
 // Gaussian falloff, premultiplied; blending is ONE, ONE_MINUS_SRC_ALPHA. Twin: reference.composite.
+#if CUT
+#include "frame.glsl"
+#endif
 flat in vec4 splat_colour;
 in vec2 splat_offset;
 out vec4 fragment;
 
 void main() {
-    float alpha = min(0.99, splat_colour.a * exp(-0.5 * dot(splat_offset, splat_offset)));
+    float distance2 = dot(splat_offset, splat_offset);
+    float alpha = min(0.99, splat_colour.a * exp(-0.5 * distance2));
     // blending zero leaves the pixel as it is, bit for bit; a discard costs llvmpipe 4 % of the frame
     alpha = alpha < 1.0 / 255.0 ? 0.0 : alpha;
+#if CUT
+    alpha = distance2 > frame.knobs.y * frame.knobs.y ? 0.0 : alpha;
+#endif
     fragment = vec4(splat_colour.rgb * alpha, alpha);
 }

@@ -1,4 +1,4 @@
-// Draw pass: a corner of the quad of instance (record, view). gl_Layer routes it to the view's layer of the target.
+// Draw pass: a corner of the quad (or triangle) of instance (record, view). gl_Layer routes it to the view's layer of the target.
 #include "frame.glsl"
 #include "extent.glsl"
 #include "record_input.glsl"
@@ -19,7 +19,12 @@ void main() {
     int view = 0;
 #endif
     Record record = record_of(view);
+#if TRIANGLE
+    // around the unit circle: 1.3 times the quad's area, but half the primitives, which is what a CPU pays for
+    vec2 corner = gl_VertexID == 0 ? vec2(0.0, 2.0) : vec2(gl_VertexID == 1 ? -1.7320508 : 1.7320508, -1.0);
+#else
     vec2 corner = vec2(gl_VertexID & 1, gl_VertexID >> 1) * 2.0 - 1.0;
+#endif
     vec2 offset = corner * extent_of(record.colour.a);
     vec3 l = record.cholesky;
     vec2 pixel = record.centre + vec2(l.x * offset.x, l.y * offset.x + l.z * offset.y);

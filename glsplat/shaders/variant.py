@@ -29,6 +29,8 @@ class Variant:
     raw: int = 0  # skinning by the blended matrix as it is instead of its nearest rotation
     geometry: int = 0  # layers routed by a geometry shader where the vertex shader cannot
     keep_rotation: int = 0  # skin pass hands R_i on (SH under skinning)
+    triangle: int = 0  # a splat is one triangle around its ellipse instead of a quad
+    cut: int = 0  # splats end at max_sigma although alpha is still above 1/255 there
 
     def __post_init__(self) -> None:
         if self.sh_degree not in range(4):
@@ -65,6 +67,7 @@ def variant_for(
     views: int,
     config: RenderConfig,
     geometry: bool = False,
+    triangle: bool = False,
 ) -> Variant:
     """What a scene needs under a config, and nothing more."""
     degree = min(sh_degree, config.sh_degree)
@@ -77,13 +80,15 @@ def variant_for(
         raw=int(bool(joints) and config.rotation == "raw"),
         geometry=int(geometry and views > 1),
         keep_rotation=int(bool(joints) and degree > 0),
+        triangle=int(triangle),
+        cut=int(config.max_sigma < 3.33),
     )
 
 
 def every_variant() -> Iterator[Variant]:
     """All combinations that are allowed (for the test that compiles each)."""
-    for degree, joints, views, antialias, raw, geometry in product(
-        range(4), (0, 1, 2, 4, 8), range(1, MAX_VIEWS + 1), (0, 1), (0, 1), (0, 1)
+    for degree, joints, views, antialias, raw, geometry, triangle, cut in product(
+        range(4), (0, 1, 2, 4, 8), range(1, MAX_VIEWS + 1), (0, 1), (0, 1), (0, 1), (0, 1), (0, 1)
     ):
         if (raw and not joints) or (geometry and views == 1):
             continue
@@ -95,4 +100,6 @@ def every_variant() -> Iterator[Variant]:
             raw=raw,
             geometry=geometry,
             keep_rotation=int(bool(joints and degree)),
+            triangle=triangle,
+            cut=cut,
         )
