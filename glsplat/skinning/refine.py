@@ -102,8 +102,10 @@ def refine(
         prints = footprints(means, rotations, scales, alpha, camera, depth + config.layer)
         by_picture = 2 * (prints.picture(color.value) - target)
         by_picture[..., 3] *= config.alpha_weight
-        # by surface area, not by pixels: else close-ups, which spend more pixels on a splat, would decide everything
-        by_picture *= (np.median(depth[np.isfinite(depth)]) / camera.K[0, 0]) ** 2 if np.isfinite(depth).any() else 0.0
+        # a splat has more pixels in a close-up, and would listen to those only; by surface area, it would hear the
+        # distant views only and shrink to make up for the renderer's dilation there. In between, both look right.
+        shown = depth[np.isfinite(depth)]
+        by_picture *= np.median(shown) / camera.K[0, 0] if len(shown) else 0.0
         grad = prints.backward(by_picture, color.value, alpha, scales)
         seen = grad.weight > 0.05
         decay = 0.05 ** max(0.0, 1.6 * step / config.steps - 0.6)
