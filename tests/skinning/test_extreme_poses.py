@@ -208,6 +208,13 @@ def test_cycles_are_refused() -> None:
             Skeleton.from_joints(("a", "b", "c"), parents, np.zeros((3, 3)))
 
 
+def test_a_rest_frame_without_inverse_is_refused() -> None:
+    rest = np.tile(np.eye(4), (2, 1, 1))
+    rest[1, :3, :3] = 0
+    with pytest.raises(PoseError, match="no inverse"):
+        Skeleton(("a", "b"), np.array([-1, 0]), rest)
+
+
 def test_two_roots(renderer_of: Make, rng: np.random.Generator) -> None:
     """Legal: trans moves both, each turns about itself, splats between them blend."""
     base = chain(300, 6)
