@@ -262,7 +262,7 @@ class Server:
     def _make_socket(self) -> web.WebSocketResponse:
         return web.WebSocketResponse(
             compress=False,  # JPEG does not shrink, and deflating it costs 4 to 6 ms a reply
-            max_msg_size=MAX_BYTES,
+            max_msg_size=MAX_BYTES + 1,  # aiohttp refuses messages of the size it is given
             heartbeat=self.config.heartbeat,
             timeout=self.config.write_timeout,
             protocols=(SUBPROTOCOL,),

@@ -1,0 +1,92 @@
+"""The Autobahn test suite's cases (as kosoku runs them) against the server's own WebSocket, which echoes here.
+
+Echoing exists in this file only. Compression (cases 12 and 13) is left out: the server never negotiates it.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import sys
+
+import pytest
+from aiohttp import WSMsgType, web
+
+from glsplat.net.server import Server, ServerConfig
+
+pytest.importorskip("kosoku")
+
+# in a process of its own: it patches the standard library and puts old case files on the module path
+RUN = """
+import asyncio, json, os, sys
+from kosoku import FailureError, run_fuzzingclient
+
+async def main():
+    url, cases, without = json.loads(sys.argv[1])
+    try:
+        results = await run_fuzzingclient(url, cases or None, without, 4)
+        failed = []
+    except FailureError as error:
+        failed = [result.case_id for result in error.results]
+        results = []
+    print(json.dumps([len(results), failed]), flush=True)
+    os._exit(0)  # its own threads abort an interpreter that ends in order
+
+asyncio.run(main())
+"""
+
+KNOWN = ["7.9.5"]  # aiohttp answers a close frame of code 1006 in order (1000), where 1002 is wanted
+
+
+class EchoServer(Server):
+    limit: int | None = None
+
+    def _make_socket(self) -> web.WebSocketResponse:
+        socket = super()._make_socket()
+        if self.limit is not None:
+            socket._max_msg_size = self.limit
+        return socket
+
+    async def _read(self, channel, ws) -> None:
+        async for message in ws:
+            if message.type in (WSMsgType.TEXT, WSMsgType.BINARY):
+                await self._send(ws, message.data)
+
+
+def run(backend, cases, without=(), limit=None):
+    """(number of cases that passed, those that did not)."""
+
+    async def main():
+        server = EchoServer(backend, ServerConfig(port=0))
+        server.limit = limit
+        await server.start()
+        try:
+            words = json.dumps([server.url, cases, list(without)])
+            process = await asyncio.create_subprocess_exec(
+                sys.executable, "-c", RUN, words, stdout=asyncio.subprocess.PIPE
+            )
+            out, _ = await asyncio.wait_for(process.communicate(), 120)
+            assert process.returncode == 0
+            assert server.stats()["clients"] == []
+            return json.loads(out)
+        finally:
+            await server.stop()
+
+    return asyncio.run(main())
+
+
+def test_framing_fragments_utf8_and_closing(fake_backend):
+    """Cases 1 to 7 and 10, with the server's limit of 64 KiB a message."""
+    passed, failed = run(fake_backend(), [], ["9.*", "12.*", "13.*", *KNOWN])
+    assert failed == [] and passed == 246
+
+
+def test_what_aiohttp_gets_wrong_is_known(fake_backend):
+    assert run(fake_backend(), KNOWN) == [0, KNOWN]
+
+
+@pytest.mark.slow
+def test_large_and_many_messages(fake_backend):
+    """Cases 9: messages up to 16 MiB, with the limit raised, and thousands of small ones."""
+    passed, failed = run(fake_backend(), ["9.*"], limit=17 * 2**20)
+    assert failed == [] and passed == 54
