@@ -63,6 +63,8 @@ class Calibration:
         """Read what ``save`` wrote. Raises FormatError naming the file."""
         try:
             data: Any = json.loads(Path(path).read_text(encoding="utf-8"))
+            if not isinstance(data, dict):
+                raise ValueError(f"found {type(data).__name__}")
             known = {key: None if data[key] is None else float(data[key]) for key in asdict(cls()) if key in data}
             return cls(**known)  # type: ignore[arg-type]
         except OSError as error:

@@ -47,6 +47,7 @@ class Fingers:
         self.fist[4] = THUMB_FIST * np.array([1.0, sign, sign])
         self.fist = np.clip(self.fist, low, high)
         self.value = self.fist * RELAXED
+        self.target: Array | None = None
 
     def update(
         self,
@@ -54,10 +55,20 @@ class Fingers:
         hand: Quat | None,  # world rotation of the wrist joint that the joints belong to
         curl: float | None,
         dt: float,
+        fit: bool = True,
     ) -> Array:
-        """[15, 3] rotation vectors in SMPL-X's order. Bad joints (not finite, coincident) count as unknown."""
-        target = None if joints is None or hand is None else self._fit(joints, hand)
+        """[15, 3] rotation vectors in SMPL-X's order. Bad joints (not finite, coincident) count as unknown.
+
+        Without ``fit``, tracked fingers go on towards the last fit: at high rates every other sample will do.
+        """
+        if joints is None or hand is None:
+            target = None
+        elif fit or self.target is None:
+            target = self.target = self._fit(joints, hand)
+        else:
+            target = self.target
         if target is None:
+            self.target = None
             known = curl is not None and curl == curl
             target = self.fist * (min(max(curl, 0.0), 1.0) if known and curl is not None else RELAXED)
         most = RATE * dt

@@ -10,7 +10,7 @@ __all__ = ["Gait"]
 
 TURN = 2 * pi
 START, STOP = 0.40, 0.25  # m/s (of a 1.7 m person): walking begins and ends
-ARM_LAG = 0.05  # turns by which the opposite hand follows the foot's most forward moment
+ARM_LAG = 0.06  # turns by which the opposite hand follows the foot's most forward moment
 STANCE_MIDDLE = 0.31  # phase of mid-stance, at which the head is nearest to that foot's side
 
 

@@ -17,7 +17,10 @@ DORSIFLEXION = 0.66  # radians the ankle bends under load
 TIPTOE = 1.0  # radians the heel may lift about the ball
 HOLD = 0.11  # of a swing, at either end: the foot goes straight up or down, so that it never slides
 STEP = 0.17  # metres a foot may be away from where balance wants it (of a 1.7 m person)
-STEP_TURN = 0.6  # radians likewise
+STEP_TURN = 0.45  # radians likewise
+WIDEN = 2.0  # for each metre the pelvis is down
+SETTLE = 0.6  # seconds of standing still after which half of that is too much
+TURN_AHEAD = 0.3  # seconds a step looks ahead in a turn
 STEP_TIME = 0.36  # seconds of a step out of standing
 BALANCE = 0.05  # metres the mass stands before the ankles, compared with the rest pose (over the middle of the foot)
 TRACK = 1.0  # distance of the feet in the rest pose that a stance takes; 0.55 while walking
@@ -33,6 +36,7 @@ class Foot:
     pitch: float = 0.0  # radians, heel up
     planted: bool = True
     progress: float = 0.0  # of the swing, 0..1
+    from_phase: float = 0.0  # of the gait, where the swing began
     by_gait: bool = False  # the swing follows the gait's phase, not a clock
     duration: float = STEP_TIME
     start: Vec = (0.0, 0.0, 0.0)
@@ -54,6 +58,7 @@ class Legs:
         )
         self.length = self.limb[0].upper + self.limb[0].lower
         self.size = self.length / 0.83
+        self.height = body.joints[PELVIS][1] - body.ground
         self.ankle = tuple([_minus(body.joints[ANKLES[i]], body.joints[FEET[i]]) for i in (0, 1)])  # from the ball
         forward = (0.0, 0.0, BALANCE * self.size)
         self.home = tuple([_minus(_minus(body.joints[FEET[i]], body.joints[PELVIS]), forward) for i in (0, 1)])
@@ -64,12 +69,14 @@ class Legs:
         self.started = False
         self.rest: Vec = (0.0, 0.0, 0.0)  # the base without its sway
         self.air = 0.0  # metres both feet are off the ground
+        self.yaw = self.turning = 0.0  # rad, rad/s of the heading
+        self.calm = 0.0  # seconds of standing still
         self.slack = 0.0  # metres left until the tiptoes lose the ground
 
     def reset(self) -> None:
         """Forget the past; the next update plants both feet under the pelvis."""
         self.started = False
-        self.air = self.slack = 0.0
+        self.air = self.slack = self.calm = 0.0
         self.gait.reset()
 
     def middle(self) -> tuple[float, float] | None:
@@ -105,7 +112,10 @@ class Legs:
         hips = [_plus(pelvis_at, rotate(pelvis, offset)) for offset in self.hip]
         if not self.started:
             self._plant(base, yaw, velocity, speed)
-            self.rest = base
+            self.rest, self.yaw, self.turning = base, yaw, 0.0
+        k = 1 - exp(-dt / 0.1)
+        self.turning += (wrap(yaw - self.yaw) / max(dt, 1e-4) - self.turning) * k
+        self.yaw = yaw
         k = 1 - exp(-dt / 0.4)
         self.rest = (self.rest[0] + (base[0] - self.rest[0]) * k, 0.0, self.rest[2] + (base[2] - self.rest[2]) * k)
         self._airborne(hips, base, yaw, dt)
@@ -113,7 +123,7 @@ class Legs:
             if self.gait.walking:
                 self._walk(base, yaw, velocity, speed, dt)
             else:
-                self._stand(base, yaw, slow, dt)
+                self._stand(base, yaw, slow, pelvis_at[1], dt)
         return [self._solve(foot, hips[foot.index], pelvis, yaw) for foot in self.feet]
 
     def _plant(self, base: Vec, yaw: float, velocity: Vec, speed: float) -> None:
@@ -154,7 +164,7 @@ class Legs:
             foot.ball = self.place(foot.index, base, yaw, 0.55, (velocity[0] * ahead, 0.0, velocity[2] * ahead))
             foot.planted = phase <= duty
             if not foot.planted:
-                foot.by_gait, foot.progress = True, (phase - duty) / (1 - duty)
+                foot.by_gait, foot.from_phase, foot.progress = True, duty, (phase - duty) / (1 - duty)
                 foot.start, foot.start_yaw, foot.start_pitch, foot.height = foot.ball, yaw, 0.6, 0.08 * self.size
                 foot.start_from = _minus(foot.ball, base)
 
@@ -195,19 +205,17 @@ class Legs:
         late = 0.03 + 0.04 * running  # the ball lands after the heel, by this part of a stride
         for foot in self.feet:
             phase = (gait.phase - late + 0.5 * foot.index) % 1.0
-            swinging = phase > duty
             landing = self.place(foot.index, base, yaw, 0.55, (velocity[0] * ahead, 0.0, velocity[2] * ahead))
             landing = (landing[0] + back * sin(yaw), landing[1], landing[2] + back * cos(yaw))
-            if foot.planted and foot.strained and self._helps(foot, landing, yaw):
+            strained = foot.strained and self._helps(foot, landing, yaw)
+            if foot.planted and strained and phase < 0.5 * duty:
                 self._lift(foot, False, 0.5 * STEP_TIME, height)
-            elif foot.planted and swinging and phase < duty + 0.6 * (1 - duty):
+            elif foot.planted and (strained or phase > duty) and phase < duty + 0.6 * (1 - duty):
                 self._lift(foot, True, swing, height)
-                k = swing * (HOLD - (phase - duty) / (1 - duty))  # until the foot leaves its place
-                foot.start_from = (
-                    foot.ball[0] - base[0] - velocity[0] * k,
-                    0.0,
-                    foot.ball[2] - base[2] - velocity[2] * k,
-                )
+                foot.from_phase = min(phase, duty) if strained else duty
+                k = HOLD * swing - max(phase - duty, 0.0) / gait.frequency  # until the foot leaves its place
+                x, z = foot.ball[0] - base[0] - velocity[0] * k, foot.ball[2] - base[2] - velocity[2] * k
+                foot.start_from = (x, 0.0, z)
             if foot.planted:
                 # the heel leaves the ground late in stance
                 heel = clamp((phase / duty - 0.6) / 0.4, 0.0, 1.0)
@@ -215,7 +223,9 @@ class Legs:
             elif not foot.by_gait:
                 self._swing(foot, landing, yaw, foot.progress + dt / foot.duration)
             else:
-                self._carry(foot, landing, base, velocity, swing, yaw, (phase - duty) / (1 - duty) if swinging else 1.0)
+                began = foot.from_phase
+                progress = (phase - began) / (1 - began) if phase >= began else 1.0
+                self._carry(foot, landing, base, velocity, (1 - began) / gait.frequency, yaw, progress)
 
     def _carry(
         self, foot: Foot, landing: Vec, base: Vec, velocity: Vec, swing: float, yaw: float, progress: float
@@ -239,12 +249,14 @@ class Legs:
         if s >= 1:
             foot.ball, foot.planted, foot.pitch = (x, self.sole, z), True, 0.0
 
-    def _stand(self, base: Vec, yaw: float, slow: Vec, dt: float) -> None:
+    def _stand(self, base: Vec, yaw: float, slow: Vec, low: float, dt: float) -> None:
         lead = (slow[0] * 0.4, 0.0, slow[2] * 0.4)
-        base = self.rest
+        base, yaw = self.rest, wrap(yaw + clamp(TURN_AHEAD * self.turning, -0.6, 0.6))
+        # a lower pelvis goes with a wider stance
+        track = TRACK * (1 + clamp(WIDEN * (self.height - low) / self.size, 0.0, 1.0))
         worst, asks = 0.0, None
         for foot in self.feet:
-            target = self.place(foot.index, base, yaw, TRACK, lead)
+            target = self.place(foot.index, base, yaw, track, lead)
             if not foot.planted:
                 if foot.by_gait:
                     foot.by_gait, foot.duration, foot.start = False, STEP_TIME, foot.ball
@@ -259,10 +271,14 @@ class Legs:
                 worst, asks = need, foot
         for foot in self.feet:
             if foot.planted and foot.strained:
-                target = self.place(foot.index, base, yaw, TRACK, lead)
+                target = self.place(foot.index, base, yaw, track, lead)
                 if self._helps(foot, target, yaw):
                     self._lift(foot, False, 0.5 * STEP_TIME, 0.05 * self.size)
-        if asks is not None and worst > 1 and all(foot.planted for foot in self.feet):
+        # who stands still for a while puts a foot that stands badly right
+        calm = hypot(slow[0], slow[2]) < 0.08 and self.feet[0].planted and self.feet[1].planted
+        self.calm = self.calm + dt if calm else 0.0
+        enough = 1.0 if self.calm < SETTLE else 0.5
+        if asks is not None and worst > enough and all(foot.planted for foot in self.feet):
             duration = STEP_TIME * clamp(1.3 - 0.2 * worst, 0.6, 1.0)
             self._lift(asks, False, duration, 0.05 * self.size)
 

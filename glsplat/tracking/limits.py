@@ -91,12 +91,13 @@ TWIST = {**{j: 1 for j in HIPS}, **{j: 0 for j in (*ELBOWS, *WRISTS)}}
 # shoulder, left: how far the arm may swing from the T-pose, by the direction of the swing: 0 forward, 90 up, 180 back,
 # 270 down. Forward: horizontal adduction 135; up: abduction and flexion 180; back: horizontal extension 50; between
 # back and down: extension 60 of a hanging arm; down: adduction 20 across the body
-_SHOULDER = tuple([radians(v) for v in (135, 128, 100, 72, 52, 94, 112, 128, 135)])
+_SHOULDER = tuple([radians(v) for v in (135, 132, 114, 100, 82, 64, 52, 92, 100, 112, 124, 132, 135)])  # each 30
 _SHOULDER_TWIST = (radians(-105), radians(105))  # external, internal: 90 and 70, wider for the T-pose's reference
 
-FINGER_LOW = np.radians([[-20.0, -28.0, -100.0], [-12.0, -12.0, -110.0], [-12.0, -12.0, -95.0]])
-FINGER_HIGH = np.radians([[20.0, 28.0, 48.0], [12.0, 12.0, 12.0], [12.0, 12.0, 18.0]])
-"""[3, 3] left fingers, joints 1 to 3: flexion about -z, spreading about y; thumbs have ``THUMB_LIMIT``."""
+FINGER_LOW = np.radians([[-25.0, -30.0, -100.0], [-25.0, -25.0, -110.0], [-25.0, -25.0, -95.0]])
+FINGER_HIGH = np.radians([[25.0, 30.0, 48.0], [25.0, 25.0, 12.0], [25.0, 25.0, 18.0]])
+"""[3, 3] left fingers, joints 1 to 3: flexion about -z, spreading about y; 25 for bones that do not lie along x at
+rest. Thumbs have ``THUMB_LIMIT``."""
 
 THUMB_LIMIT = radians(75)  # either way, about any axis
 
@@ -160,8 +161,8 @@ def _shoulder(q: Quat, sign: float) -> Quat:
 
 def shoulder_reach(y: float, z: float) -> float:
     """Radians a left arm may swing in the direction of the rotation vector (0, y, z)."""
-    place = (atan2(z, -y) % (2 * pi)) / (pi / 4)
-    i = min(int(place), 7)
+    place = (atan2(z, -y) % (2 * pi)) / (pi / 6)
+    i = min(int(place), 11)
     return _SHOULDER[i] + (_SHOULDER[i + 1] - _SHOULDER[i]) * (place - i)
 
 

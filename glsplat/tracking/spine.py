@@ -31,7 +31,7 @@ WHOLE_SPINE = tuple([3 * v for v in BOXES[SPINE1]])  # pelvis to chest
 NECK_SHARE = 0.45  # of the turn from chest to head that the neck joint takes, the head joint takes the rest
 CHEST_TURN = 0.25  # of the head's turn that the chest follows
 PELVIS_TILT = 0.5  # radians at most between the pelvis and the line from it to the neck
-BEND_SMOOTHING = 0.07  # seconds
+BEND_SMOOTHING = 0.05  # seconds
 SHIFT, SHARE = 0.5, 0.5  # seconds, share: how the pelvis follows a neck that leaves the feet
 LOWEST_PELVIS = 0.19  # of the eye height: a deep squat, or sitting on the heels
 

@@ -30,6 +30,7 @@ HAND_POSITION, HAND_ROTATION = OneEuro(4.0, 40.0), OneEuro(4.0, 6.0)
 
 SHORTEST = 1e-4  # seconds; samples closer than this are the same moment
 _LEG_JOINTS = frozenset((*HIPS, *KNEES, *ANKLES))
+FINGERS_IN_TURN = 0.02  # seconds between samples below which the hands' fingers are fitted in turn
 FAR = 1e4  # metres; a device farther away is not tracked
 
 
@@ -133,6 +134,7 @@ class Tracker:
             hand.reset()
         self._time: float | None = None
         self._step = 1 / 72
+        self._count = 0
         self._last: Solution | None = None
         self._pose: Pose | None = None
         self.flags: tuple[str, ...] = ()
@@ -301,12 +303,15 @@ class Tracker:
         quats = np.array(solution.rotations)
         rotations = np.zeros((55, 3))
         rotations[:22] = _rotation_vectors(quats)
-        seconds = dt or 1.0
+        seconds, slow = dt or 1.0, not 0 < dt < FINGERS_IN_TURN
+        self._count += 1
         for side, fingers in enumerate(self._fingers):
             joints, curl = (sample.right_joints, sample.right_curl) if side else (sample.left_joints, sample.left_curl)
             hand = hands[side]
             first = 40 if side else 25
-            rotations[first : first + 15] = fingers.update(joints, None if hand is None else hand[1], curl, seconds)
+            rotations[first : first + 15] = fingers.update(
+                joints, None if hand is None else hand[1], curl, seconds, fit=slow or self._count % 2 == side
+            )
         root = self._root
         x, y, z = solution.pelvis
         pose = Pose(rotations, np.array((x - root[0], y - root[1], z - root[2])))

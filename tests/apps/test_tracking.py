@@ -1,0 +1,111 @@
+"""The tracking command: every task once, and its errors."""
+
+from __future__ import annotations
+
+import json
+
+import cv2
+import numpy as np
+import pytest
+
+from apps import cli
+
+
+def run(*words) -> int:
+    return cli.main(["tracking", *map(str, words)])
+
+
+@pytest.fixture
+def derived(tmp_path):
+    assert run("from-motion", "idle", "-o", tmp_path / "r.jsonl", "--truth", tmp_path / "t.jsonl", "--rate", 30) == 0
+    return tmp_path
+
+
+def test_derive_solve_score(derived, capsys):
+    assert run("solve", derived / "r.jsonl", "-o", derived / "p.jsonl") == 0
+    line = json.loads((derived / "p.jsonl").read_text().splitlines()[5])
+    assert set(line) >= {"t", "trans", "root_pose", "body_pose", "lhand_pose", "joints", "reach_error", "flags"}
+    assert np.shape(line["joints"]) == (55, 3) and len(line["reach_error"]) == 2 and "left_planted" in line["flags"]
+    capsys.readouterr()
+    assert run("score", derived / "p.jsonl", derived / "t.jsonl", "--json") == 0
+    scores = json.loads(capsys.readouterr().out)
+    assert scores["mpjpe"] < 3 and scores["hands"] < 0.5 and scores["mpjre"] < 8
+    assert run("score", derived / "p.jsonl", derived / "t.jsonl") == 0
+    assert "MPJPE" in capsys.readouterr().out
+
+
+def test_head_only_and_unfiltered(derived):
+    assert run("solve", derived / "r.jsonl", "-o", derived / "p.jsonl", "--head-only", "--no-filter") == 0
+    line = json.loads((derived / "p.jsonl").read_text().splitlines()[0])
+    assert line["reach_error"] is None
+
+
+def test_disturbed_recordings(tmp_path):
+    words = ("--noise-mm", 3, "--noise-deg", 1, "--dropout", 0.3, "--latency-ms", 50, "--seconds", 2, "--no-fingers")
+    assert run("from-motion", "wave-and-turn", "-o", tmp_path / "r.jsonl", *words) == 0
+    lines = [json.loads(line) for line in (tmp_path / "r.jsonl").read_text().splitlines()]
+    assert 130 < len(lines) < 150 and any(line["left"] is None for line in lines) and "left_joints" not in lines[0]
+
+
+def test_calibrate_and_solve_for_another_user(derived, capsys):
+    assert run("calibrate", "--height", 1.5, "-o", derived / "c.json") == 0
+    scale = json.loads((derived / "c.json").read_text())["scale"]
+    words = ("--calibration", derived / "c.json", "-o", derived / "p.jsonl")
+    assert run("solve", derived / "r.jsonl", *words) == 0
+    assert json.loads((derived / "p.jsonl").read_text().splitlines()[0])["scale"] == pytest.approx(scale)
+    assert run("calibrate", derived / "r.jsonl", "-o", derived / "d.json") == 0  # idle stands still enough
+    assert json.loads((derived / "d.json").read_text())["scale"] == pytest.approx(1, abs=0.02)
+
+
+def test_show_without_opengl(derived):
+    words = ("--truth", derived / "t.jsonl", "--stick", "--size", "160x120")
+    assert run("show", derived / "r.jsonl", "-o", derived / "sheet.png", *words) == 0
+    sheet = cv2.imread(str(derived / "sheet.png"))
+    assert sheet.shape == (2 * 124 - 4, 5 * 164 - 4, 3) and sheet.std() > 5
+    assert run("show", derived / "r.jsonl", "-o", f"{derived}/frames/", "--fps", 2, *words) == 0
+    assert len(list((derived / "frames").glob("*.png"))) > 5
+    assert run("show", derived / "r.jsonl", "-o", derived / "clip.mp4", "--fps", 10, *words) == 0
+    assert (derived / "clip.mp4").stat().st_size > 1000
+
+
+@pytest.mark.gl
+def test_show_draws_the_avatar(derived):
+    assert run("show", derived / "r.jsonl", "-o", derived / "sheet.png", "--size", "128x128") == 0
+    sheet = cv2.imread(str(derived / "sheet.png")).astype(int)
+    blue = (sheet[..., 0] > sheet[..., 2] + 40).mean()  # the jumper
+    assert blue > 0.02
+
+
+def test_bench_writes_its_table(tmp_path, capsys):
+    document = tmp_path / "d.md"
+    document.write_text("before\n<!-- scores: begin -->\nold\n<!-- scores: end -->\nafter\n")
+    assert run("bench", "idle", "--rates", "30", "--table", document, "--json") == 0
+    rows = json.loads(capsys.readouterr().out)
+    assert [row["solver"] for row in rows] == ["glued", "naive", "glsplat", "glsplat, head only"]
+    text = document.read_text()
+    assert text.startswith("before\n") and text.endswith("after\n") and "old" not in text and "| idle | 30 |" in text
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("from-motion", "no-such-motion", "-o", "x.jsonl"),
+        ("from-motion", "idle", "-o", "x.jsonl", "--rate", "0"),
+        ("from-motion", "idle", "-o", "x.jsonl", "--dropout", "2"),
+        ("from-motion", "idle", "-o", "no/such/folder/x.jsonl"),
+        ("solve", "missing.jsonl", "-o", "x.jsonl"),
+        ("solve", "-o", "x.jsonl", "--height", "9"),
+        ("solve", "-o", "x.jsonl", "--predict-ms", "900"),
+        ("calibrate", "-o", "x.json"),
+        ("score", "missing.jsonl", "missing.jsonl"),
+        ("show", "-o", "x.gif"),
+        ("bench", "idle", "--rates", "fast"),
+        ("solve", "-o", "x.jsonl", "--avatar", "missing.npz"),
+    ],
+)
+def test_mistakes_are_one_line(words, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert run(*words) == 1
+    error = capsys.readouterr().err
+    assert error.startswith("glsplat tracking: ") and error.count("\n") == 1
+    assert not list(tmp_path.iterdir())
