@@ -35,6 +35,7 @@ log = logging.getLogger("glsplat.net")
 clock = time.perf_counter  # the pump's clock too
 
 _MAX_WINDOW = 8
+_FAREWELL = 0.5  # seconds a client that broke the rules gets to answer the close, while what it sends is thrown away
 _HEADERS = {
     "Content-Security-Policy": "default-src 'none'; style-src 'unsafe-inline'",
     "X-Content-Type-Options": "nosniff",
@@ -317,7 +318,8 @@ class Server:
                 await self._send(ws, outcome.text)
             elif isinstance(outcome, Close):
                 await self._send(ws, outcome.text)
-                await ws.close(code=outcome.code, message=outcome.reason.encode())
+                async with asyncio.timeout(_FAREWELL):  # else it is cut off
+                    await ws.close(code=outcome.code, message=outcome.reason.encode())
                 return
             else:
                 self.pump.wake()

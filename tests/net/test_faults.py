@@ -15,42 +15,7 @@ from glsplat.errors import FormatError, ProtocolError
 from glsplat.net.client import Client, request_message
 from glsplat.net.server import ServerConfig
 from glsplat.net.session import SessionConfig
-
-EYE = {"viewmat": [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 2, 0, 0, 0, 1], "K": [50, 50, 32, 32]}
-
-
-def native(frame_id, **more):
-    return json.dumps({"v": 1, "frame_id": frame_id, "ack": 0, "eyes": [EYE, EYE], "size": [64, 64], **more})
-
-
-async def still_serves(server, cameras):
-    async with Client(server.url) as client:
-        return (await client.render(cameras)).frame_id == 1
-
-
-async def raw(server):
-    """A WebSocket by hand: (reader, writer) after the upgrade."""
-    reader, writer = await asyncio.open_connection("127.0.0.1", server.port)
-    writer.write(
-        b"GET /ws HTTP/1.1\r\nHost: 127.0.0.1\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
-        b"Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n\r\n"
-    )
-    head = await reader.readuntil(b"\r\n\r\n")
-    assert b" 101 " in head and b"deflate" not in head.lower()
-    return reader, writer
-
-
-def frame(opcode, payload, fin=True):
-    """A masked client frame (RFC 6455, section 5.2) with an all-zero mask."""
-    first = (0x80 if fin else 0) | opcode
-    if len(payload) < 126:
-        head = struct.pack("!BB", first, 0x80 | len(payload))
-    elif len(payload) < 65536:
-        head = struct.pack("!BBH", first, 0x80 | 126, len(payload))
-    else:
-        head = struct.pack("!BBQ", first, 0x80 | 127, len(payload))
-    return head + b"\0\0\0\0" + payload
-
+from tests.net.wire import EYE, frame, native, raw, still_serves
 
 MALFORMED = [
     "{",
@@ -218,26 +183,6 @@ def test_a_client_that_stops_reading_is_cut_off(serve, fake_backend, cameras):
     assert slowest < 1.4  # below the write time-out: it never waited for the stuck one
 
 
-def test_a_client_killed_while_its_picture_is_drawn(serve, fake_backend, cameras):
-    backend = fake_backend(delay=0.1)
-
-    async def main():
-        async with serve(backend) as server:
-            for abort in (False, True):
-                _, writer = await raw(server)
-                writer.write(frame(0x1, native(1).encode()))
-                await asyncio.sleep(0.03)
-                if abort:
-                    writer.transport.abort()  # RST
-                writer.close()
-            alive = await still_serves(server, cameras)
-            await asyncio.sleep(0.05)
-            return alive, server.stats()
-
-    alive, stats = asyncio.run(main())
-    assert alive and stats["clients"] == [] and stats["healthy"]
-
-
 def test_an_error_while_drawing_reaches_only_its_client(serve, fake_backend, cameras, caplog):
     def fail(request):
         if request.cameras[0].width == 32:
@@ -295,35 +240,6 @@ def test_a_renderer_that_hangs_is_not_healthy(serve, fake_backend, cameras, monk
     assert asyncio.run(main()) == (True, False, True)
 
 
-def test_eight_clients_one_of_them_misbehaving(serve, fake_backend, cameras):
-    backend = fake_backend(delay=0.002)
-
-    async def well(url):
-        got = 0
-        async with Client(url) as client:
-            for _ in range(12):
-                await client.render(cameras)
-                got += 1
-        return got
-
-    async def ill(server):
-        _, writer = await raw(server)
-        for i in range(60):
-            data = [frame(0x1, b"{"), frame(0x2, b"\0" * 1000), frame(0x1, native(5).encode()), b"\xff\xff"][i % 4]
-            writer.write(data)
-            await asyncio.sleep(0.002)
-        writer.close()
-
-    async def main():
-        async with serve(backend) as server:
-            *counts, _ = await asyncio.gather(
-                *(well(server.url) for _ in range(7)), ill(server), return_exceptions=True
-            )
-            return counts
-
-    assert asyncio.run(main()) == [12] * 7
-
-
 def test_slow_handshakes_and_silence_are_ended(serve, fake_backend):
     config = ServerConfig(port=0, session=SessionConfig(handshake=0.3, idle=0.4))
 
@@ -346,25 +262,6 @@ def test_slow_handshakes_and_silence_are_ended(serve, fake_backend):
             return times
 
     assert max(asyncio.run(main())) < 4
-
-
-def test_many_connections_leave_nothing_behind(serve, cameras):
-    async def main():
-        async with serve() as server:
-            for i in range(60):
-                _, writer = await raw(server)
-                if i % 3 == 0:
-                    writer.write(frame(0x1, native(1).encode()))
-                if i % 2:
-                    writer.transport.abort()
-                writer.close()
-                while len(server.stats()["clients"]) >= 7:
-                    await asyncio.sleep(0.005)
-            await asyncio.sleep(0.2)
-            return server.stats()["clients"], await still_serves(server, cameras), len(asyncio.all_tasks())
-
-    clients, alive, tasks = asyncio.run(main())
-    assert clients == [] and alive and tasks < 10
 
 
 def test_the_client_reports_a_server_that_goes_away(cameras):

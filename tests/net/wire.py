@@ -1,0 +1,45 @@
+"""Requests and WebSocket frames by hand, for clients that do what no library would."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import struct
+
+from glsplat.net.client import Client
+
+EYE = {"viewmat": [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 2, 0, 0, 0, 1], "K": [50, 50, 32, 32]}
+UPGRADE = (
+    b"GET /ws HTTP/1.1\r\nHost: 127.0.0.1\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
+    b"Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n\r\n"
+)
+
+
+def native(frame_id, **more):
+    return json.dumps({"v": 1, "frame_id": frame_id, "ack": 0, "eyes": [EYE, EYE], "size": [64, 64], **more})
+
+
+async def still_serves(server, cameras):
+    async with Client(server.url) as client:
+        return (await client.render(cameras)).frame_id == 1
+
+
+async def raw(server):
+    """A WebSocket by hand: (reader, writer) after the upgrade."""
+    reader, writer = await asyncio.open_connection("127.0.0.1", server.port)
+    writer.write(UPGRADE)
+    head = await reader.readuntil(b"\r\n\r\n")
+    assert b" 101 " in head and b"deflate" not in head.lower()
+    return reader, writer
+
+
+def frame(opcode, payload, fin=True):
+    """A masked client frame (RFC 6455, section 5.2) with an all-zero mask."""
+    first = (0x80 if fin else 0) | opcode
+    if len(payload) < 126:
+        head = struct.pack("!BB", first, 0x80 | len(payload))
+    elif len(payload) < 65536:
+        head = struct.pack("!BBH", first, 0x80 | 126, len(payload))
+    else:
+        head = struct.pack("!BBQ", first, 0x80 | 127, len(payload))
+    return head + b"\0\0\0\0" + payload
