@@ -157,7 +157,7 @@ class Arm:
         s = dot(g, line)
         prior = rotate(chest, (0.5 * self.sign, -1.0, -0.5))
         p = perpendicular(prior, line)
-        k = 0.08
+        k = 0.15
         want = (g[0] - s * line[0] + k * p[0], g[1] - s * line[1] + k * p[1], g[2] - s * line[2] + k * p[2])
         inverse = (chest[0], -chest[1], -chest[2], -chest[3])
         axis = rotate(inverse, line)

@@ -8,7 +8,7 @@ from glsplat.tracking.quat import Quat, Vec, clamp, rotate, swing_twist_y, wrap
 
 __all__ = ["Heading"]
 
-COMFORT = 0.35  # rad: the head turns this far without the body following soon
+COMFORT = 0.5  # rad: the head turns this far without the body following soon
 LARGEST = 1.2  # rad: the body is never left further behind (cervical + thoracic rotation, AAOS: 60 + 45 degrees)
 TURN_RATE = 9.0  # rad/s at most
 
@@ -41,7 +41,7 @@ class Heading:
         off = abs(error)
         # standing: slow inside the comfort zone, quick far outside; walking: the body goes where the head goes
         urge = clamp((off - COMFORT) / 0.8, 0.0, 1.0)
-        rate = 0.6 + 4.0 * urge + 3.5 * walking
+        rate = 0.35 + 4.0 * urge * urge + 3.5 * walking
         target = error
         self._hands(eye, left, right, dt)
         target += 0.15 * self.hands * (1 - 0.6 * walking)
