@@ -50,7 +50,7 @@ def link(text: str) -> Link:
 async def over(simulated: Link | None, url: str) -> AsyncIterator[str]:
     """An address that leads to ``url`` over the link, on this machine; ``url`` itself without one.
 
-    Raises GlsplatError for wss://, whose certificate names another address.
+    Raises GlsplatError for wss://, whose certificate names another address, and where there is no server.
     """
     if simulated is None:
         yield url
@@ -59,6 +59,11 @@ async def over(simulated: Link | None, url: str) -> AsyncIterator[str]:
     if parts.scheme != "ws" or parts.hostname is None:
         raise GlsplatError(f"--link goes with ws://HOST:PORT/ws, not {url}")
     relay = _Relay(simulated, parts.hostname, parts.port or 80)
+    try:
+        _, writer = await asyncio.open_connection(relay.host, relay.port)
+    except OSError:
+        raise GlsplatError(f"no server at {url}: start one with `glsplat serve`") from None
+    writer.close()
     server = await asyncio.start_server(relay.connected, "127.0.0.1", 0, limit=_CHUNK)
     port = server.sockets[0].getsockname()[1]
     try:
@@ -72,7 +77,8 @@ class _Relay:
     """The connections of one link."""
 
     def __init__(self, simulated: Link, host: str, port: int) -> None:
-        self._link, self._host, self._port = simulated, host, port
+        self.host, self.port = host, port
+        self._link = simulated
         self._tasks: set[asyncio.Task[None]] = set()
 
     def connected(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
@@ -83,7 +89,7 @@ class _Relay:
 
     async def _relay(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         try:
-            there = await asyncio.open_connection(self._host, self._port, limit=_CHUNK)
+            there = await asyncio.open_connection(self.host, self.port, limit=_CHUNK)
         except OSError:
             writer.transport.abort()
             return

@@ -192,15 +192,18 @@ async def stream(
         driven = drive.at(seconds)
         cameras = observer(seconds, driven.root, size)
         run.result.sent += 1
-        await client.send(cameras, pose=driven.pose, tracking=driven.tracking, quality=quality, crop=crop)
+        run.asked = await client.send(cameras, pose=driven.pose, tracking=driven.tracking, quality=quality, crop=crop)
 
     async def ask_when_answered(most: int) -> None:
-        while True:
-            while run.result.sent - run.result.received - run.result.errors >= most:
+        while not over.is_set():
+            if run.asked - run.newest < most:
+                await ask(time.perf_counter() - start)
+                await asyncio.sleep(1 / fps)  # tracking has nothing newer before
+            else:
                 run.answered.clear()
                 await run.answered.wait()
-            await ask(time.perf_counter() - start)
 
+    over = asyncio.Event()
     start = time.perf_counter()
     tasks = [asyncio.create_task(run.receive()), asyncio.create_task(run.decode())]
     if policy != "mailbox":
@@ -214,8 +217,9 @@ async def stream(
             progress(1)
             if any(task.done() for task in tasks):
                 break
-        for task in tasks[2:]:
-            task.cancel()
+        over.set()
+        run.answered.set()
+        await asyncio.gather(*tasks[2:])
         end = time.perf_counter() + _LAST
         while not (run.finished or any(task.done() for task in tasks[:2])) and time.perf_counter() < end:
             await asyncio.sleep(1 / fps)
@@ -252,13 +256,13 @@ class _Stream:
         self._wake = asyncio.Event()
         self._decoded: Arrived | None = None
         self._on_show: Arrived | None = None
-        self._newest = 0
+        self.asked = self.newest = client.newest  # frame_ids of the newest request, and of the newest answer
 
     @property
     def finished(self) -> bool:
         """True once the newest request has been answered and shown."""
         pending = self._decoding or self._arrived is not None or self._decoded is not None
-        return self._newest >= self.result.sent and not pending
+        return self.newest >= self.asked and not pending
 
     async def receive(self) -> None:
         """Take replies as they come; a reply that replaces an undecoded one makes that late."""
@@ -270,14 +274,14 @@ class _Stream:
                     raise
                 self.result.errors += 1
                 self.result.last_error = str(error)
-                self._newest = max(self._newest, error.frame_id or 0)
+                self.newest = max(self.newest, error.frame_id or 0)
                 self.answered.set()
                 continue
             self.result.received += 1
             self.answered.set()
             self.result.nbytes.append(arrived.reply.nbytes)
             self.result.driver = arrived.reply.info.get("driver", "")
-            self._newest = max(self._newest, arrived.reply.frame_id)
+            self.newest = max(self.newest, arrived.reply.frame_id)
             self.result.late += self._arrived is not None
             self._arrived = arrived
             self._wake.set()

@@ -72,6 +72,11 @@ class Client:
         self._frame_id = 0
         self._received = 0
 
+    @property
+    def newest(self) -> int:
+        """The frame_id of the newest request; 0 before the first."""
+        return self._frame_id
+
     async def __aenter__(self) -> Client:
         await self.connect()
         return self

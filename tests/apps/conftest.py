@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import threading
+import time
 from collections.abc import Iterator
 
 import numpy as np
@@ -14,6 +15,8 @@ from glsplat.net.server import Server, ServerConfig
 
 
 class Stripes:
+    delay = 0.0
+
     def __init__(self) -> None:
         self.requests = []
 
@@ -22,6 +25,7 @@ class Stripes:
 
     def render(self, request) -> Rendered:
         self.requests.append(request)
+        time.sleep(self.delay)
         camera = request.cameras[0]
         out = np.zeros((len(request.cameras), camera.height, camera.width, 4), np.uint8)
         out[:, :, 16:48] = (200, (request.frame_id * 9) % 256, 40, 255)

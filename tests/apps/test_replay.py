@@ -11,7 +11,7 @@ import pytest
 
 from apps import replay
 from apps.stage_table import table_markdown
-from apps.streaming import STAGES, Result, observer
+from apps.streaming import POLICIES, STAGES, Result, observer
 from glsplat.errors import GlsplatError
 
 
@@ -43,6 +43,37 @@ def test_the_report_adds_up(stripes, capsys):
     assert not np.array_equal(poses[0].rotations, poses[-1].rotations)  # the motion moves
     spots = [request.cameras[0].position for request in backend.requests]
     assert 0 < np.linalg.norm(spots[-1] - spots[0]) < 1  # the observer sways
+
+
+def test_policies_and_links_are_compared(stripes, capsys):
+    """Each policy over each link: what it is by definition shows in the numbers."""
+    url, backend = stripes
+    backend.delay = 0.02
+    words = ["walk", "--url", url, "--frames", 70, "--fps", 70, "--size", 64, "--compare", "--json"]
+    assert replay.run(arguments(*words, "--link", "0,1000", "--link", "30,50")) == 0
+    runs = json.loads(capsys.readouterr().out)
+    assert [(run["link"], run["policy"]) for run in runs] == [
+        (place, policy) for place in ("0 ms, 1000 Mbit/s", "30 ms, 50 Mbit/s") for policy in POLICIES
+    ]
+    for run in runs:
+        assert run["received"] + run["dropped"] + run["errors"] == run["sent"] and run["errors"] == 0
+        assert run["received"] >= 5 and run["reply_ms"]["median"] >= run["stages_ms"]["render"]["median"]
+        if run["policy"] == "mailbox":
+            assert run["sent"] == 70 and run["dropped"] > 0
+        else:
+            assert run["dropped"] == 0
+    near, far = runs[:3], runs[3:]
+    assert all(run["beyond_render_ms"]["median"] >= 29 for run in far)  # the round trip
+    assert far[1]["fps"] < 0.8 * near[1]["fps"]  # stop-and-wait pays for it in pictures
+    assert near[2]["age_ms"]["median"] > near[0]["age_ms"]["median"]  # a queue makes pictures old
+
+
+def test_the_comparison_for_people(stripes, capsys):
+    words = ["walk", "--url", stripes[0], "--frames", 20, "--size", 64, "--compare"]
+    assert replay.run(arguments(*words)) == 0
+    rows = [line for line in capsys.readouterr().out.splitlines() if line.startswith("|")]
+    assert len({row.count("|") for row in rows}) == 1 and len(rows) == 2 + 3
+    assert [row.split("|")[2].strip() for row in rows[2:]] == list(POLICIES)
 
 
 def test_the_table_for_people(stripes, capsys):
@@ -101,6 +132,9 @@ def test_a_recording_is_sent_as_tracking(stripes, tmp_path):
         (["--fps", "0"], "--fps needs 1 to 240"),
         (["--frames", "0"], "--frames needs at least 1"),
         (["--window", "9"], "--window needs 1 to 8"),
+        (["--compare", "--save", "sheet.png"], "--save goes with a single run"),
+        (["--link", "20,50", "--url", "wss://127.0.0.1:9/ws"], "--link goes with ws://"),
+        (["--link", "20,50", "--url", "ws://127.0.0.1:9/ws"], "no server at ws://127.0.0.1:9/ws"),
     ],
 )
 def test_errors_are_one_line(words, message, tmp_path, monkeypatch):

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import json
+import os
+import signal
 import socket
 import struct
 import time
@@ -11,9 +13,9 @@ import time
 import aiohttp
 import pytest
 
-from glsplat.errors import FormatError, ProtocolError
+from glsplat.errors import ContextError, FormatError, ProtocolError
 from glsplat.net.client import Client, request_message
-from glsplat.net.server import ServerConfig
+from glsplat.net.server import Server, ServerConfig
 from glsplat.net.session import SessionConfig
 from tests.net.wire import EYE, frame, native, raw, still_serves
 
@@ -271,3 +273,54 @@ def test_the_client_reports_a_server_that_goes_away(cameras):
 
     asyncio.run(main())
     assert request_message(1)["v"] == 1
+
+
+@pytest.mark.parametrize("kind", ["comes back", "no new one", "is lost again and again"])
+def test_a_lost_context(fake_backend, cameras, kind, caplog):
+    """It is made anew under the clients' feet; where that fails the server stops in order, with a message."""
+
+    class Losing(fake_backend):
+        opens = 0
+
+        def open(self):
+            self.opens += 1
+            if kind == "no new one" and self.opens > 1:
+                raise ContextError("no EGL device any more")
+            return f"{super().open()} {self.opens}"
+
+    def lost(request):
+        once = kind != "is lost again and again"
+        return ContextError("lost") if (request.frame_id == 2 if once else request.frame_id >= 2) else None
+
+    backend = Losing(fail=lost)
+    server = Server(backend, ServerConfig(port=0))
+    drivers, errors = [], []
+
+    async def watch():
+        async with Client(server.url) as client:
+            for _ in range(12):
+                try:
+                    drivers.append((await client.render(cameras)).info["driver"])
+                except ProtocolError as error:
+                    errors.append(str(error))
+                    if error.code == "closed":
+                        return
+        if kind == "comes back":
+            os.kill(os.getpid(), signal.SIGTERM)
+
+    async def main():
+        tasks = []
+        await server.run(lambda: tasks.append(asyncio.create_task(watch())))
+
+    if kind == "comes back":
+        asyncio.run(main())
+        assert drivers == ["numpy <fake> 1"] + ["numpy <fake> 2"] * 10 and errors == ["the picture could not be drawn"]
+    else:
+        start = time.perf_counter()
+        with pytest.raises(ContextError, match=r"no EGL device|lost 4 times in a row; restart the driver"):
+            asyncio.run(main())
+        assert time.perf_counter() - start < 3
+        assert drivers == ["numpy <fake> 1"] and errors[-1].endswith("closed the connection (1001)")
+        assert backend.opens == (2 if kind == "no new one" else 4)
+    assert backend.closed and len(backend.threads) == 1
+    assert "Traceback" not in caplog.text

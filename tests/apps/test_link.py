@@ -1,0 +1,114 @@
+"""The simulated link: it delays, throttles, holds back and passes on the ends of connections."""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import time
+
+import numpy as np
+import pytest
+
+from apps.link import Link, link, over
+from glsplat.errors import GlsplatError
+
+
+async def far(answer, simulated, use):
+    """``use(reader, writer)`` at the near end of a link to a server that runs ``answer`` for each connection."""
+    tasks = []
+
+    async def connected(reader, writer):
+        tasks.append(asyncio.current_task())
+        try:
+            await answer(reader, writer)
+        except ConnectionError:
+            pass
+        finally:
+            writer.close()
+
+    server = await asyncio.start_server(connected, "127.0.0.1", 0)
+    try:
+        async with over(simulated, f"ws://127.0.0.1:{server.sockets[0].getsockname()[1]}/ws") as url:
+            port = int(url.rsplit(":", 1)[1].split("/")[0])
+            reader, writer = await asyncio.open_connection("127.0.0.1", port)
+            try:
+                return await use(reader, writer)
+            finally:
+                writer.close()
+                await asyncio.gather(*tasks, return_exceptions=True)
+    finally:
+        server.close()
+
+
+async def echo(reader, writer):
+    while data := await reader.read(65536):
+        writer.write(data)
+        await writer.drain()
+
+
+def test_the_round_trip_takes_as_long_as_the_link_says():
+    async def use(reader, writer):
+        times = []
+        for _ in range(8):
+            start = time.perf_counter()
+            writer.write(b"ping")
+            assert await reader.readexactly(4) == b"ping"
+            times.append((time.perf_counter() - start) * 1e3)
+        return min(times)
+
+    assert 40 <= asyncio.run(far(echo, Link(40, 100), use)) < 60
+    assert asyncio.run(far(echo, Link(0, 1000), use)) < 10
+
+
+def test_a_megabyte_takes_its_time_and_arrives_whole():
+    data = np.random.default_rng(0).bytes(500_000)
+
+    async def send(reader, writer):
+        writer.write(data)
+        await writer.drain()
+
+    async def use(reader, writer):
+        start = time.perf_counter()
+        assert await reader.read(-1) == data  # to the end: that the server closed comes through
+        return time.perf_counter() - start
+
+    took = asyncio.run(far(send, Link(20, 20), use))
+    assert 0.2 <= took < 0.4  # 4 Mbit at 20 Mbit/s, and 10 ms one way
+
+
+def test_a_fast_sender_is_held_back():
+    """The link takes what it can deliver and a queue; more stays with the sender, as with TCP."""
+    state = {"written": 0}
+
+    async def send(reader, writer):
+        writer.transport.set_write_buffer_limits(high=16384)
+        while True:
+            writer.write(b"\0" * 16384)
+            await writer.drain()
+            state["written"] += 16384
+
+    async def use(reader, writer):
+        await asyncio.sleep(0.5)
+        return state["written"]
+
+    # 8 Mbit/s pass 0.5 MB in that time; the queue is 128 kB; loopback's own socket buffers hold a few megabytes
+    assert asyncio.run(far(send, Link(10, 8), use)) < 9e6
+
+
+@pytest.mark.parametrize("text", ["", "20", "20,", "a,b", "-1,10", "10,0", "nan,10", "1,2,3", "10,inf"])
+def test_links_are_checked(text):
+    with pytest.raises(argparse.ArgumentTypeError, match="a link is RTT,MBIT, for example 20,100"):
+        link(text)
+
+
+def test_a_link_in_words():
+    assert str(link("20,100")) == "20 ms, 100 Mbit/s"
+
+
+def test_tls_is_refused():
+    async def main():
+        async with over(Link(1, 1), "wss://127.0.0.1:1/ws"):
+            pass
+
+    with pytest.raises(GlsplatError, match="--link goes with ws://"):
+        asyncio.run(main())
