@@ -16,7 +16,8 @@ from glsplat.avatar import Avatar, default_avatar
 from glsplat.errors import FormatError, GlsplatError
 from glsplat.formats import load, save
 from glsplat.formats.files import replace_file
-from glsplat.skinning.importers import bind_to_mesh, load_lhm_dump
+from glsplat.skinning.importers import bind_to_mesh, load_lhm_dump, marked_no_rotate
+from glsplat.skinning.lam import is_lam_zip, load_lam_zip
 from glsplat.skinning.motion import load_motion
 from glsplat.skinning.people import RiggedMesh, read_person
 from glsplat.skinning.pose import Pose
@@ -27,6 +28,7 @@ from glsplat.skinning.scans import read_body, read_obj_person
 from glsplat.skinning.smplx import JOINT_NAMES
 from glsplat.skinning.surface import make_avatar
 
+from . import avatar_score
 from .motion_library import library, to_json
 
 HELP = "Make avatars from rigged people, import and export them, write the embedded motions."
@@ -45,8 +47,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     make.add_argument("--seed", type=int, default=0, help="same seed, same bytes (default 0)")
     make.add_argument("--steps", type=int, default=RefineConfig().steps, help="fitting steps, about 1 s each; 0: none")
 
-    taken = commands.add_parser("import", help="an LHM dump (.npz), or splats (PLY, .splat) bound to a rigged mesh")
-    taken.add_argument("dump", type=Path, help="lhm_dump.npz, or a splat file with --mesh")
+    taken = commands.add_parser("import", help="an LHM dump (.npz), a LAM zip, or splats bound to a rigged mesh")
+    taken.add_argument("dump", type=Path, help="lhm_dump.npz, a LAM .zip, or a splat file (PLY, .splat) with --mesh")
     taken.add_argument("--mesh", type=Path, help="rigged mesh in the same pose and place (.npz, .glb), for its weights")
     taken.add_argument("--reach", type=float, default=5.0, help="cm a splat may lie off the mesh (default 5)")
     for command in (make, taken):
@@ -61,6 +63,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     export.add_argument("--at", type=float, default=0.0, help="seconds into a motion (default 0)")
     export.add_argument("-o", "--out", type=Path, required=True, help="file to write (.ply, .splat, .glb)")
 
+    measured = commands.add_parser("score", help="compare an avatar with the textured mesh it was made from")
+    avatar_score.add_arguments(measured)
+
     motions = commands.add_parser("motions", help="write the motions that come with glsplat (JSON)")
     motions.add_argument("-o", "--out", type=Path, required=True, help="folder to write to")
 
@@ -74,7 +79,8 @@ _NOTES = {
 
 def run(args: argparse.Namespace) -> int:
     """Run the chosen action; 0 on success."""
-    return {"make": _make, "import": _import, "export": _export, "motions": _motions}[args.action](args)
+    actions = {"make": _make, "import": _import, "export": _export, "score": _score, "motions": _motions}
+    return actions[args.action](args)
 
 
 def _make(args: argparse.Namespace) -> int:
@@ -99,8 +105,18 @@ def _make(args: argparse.Namespace) -> int:
 def _import(args: argparse.Namespace) -> int:
     _check_name(args.out)
     began = time.perf_counter()
+    if args.dump.suffix.lower() == ".zip" or is_lam_zip(args.dump):
+        if args.mesh is not None:
+            raise GlsplatError(f"{args.dump}: a LAM zip brings its own mesh; leave out --mesh")
+        return _write(load_lam_zip(args.dump), args, began)
     if args.mesh is None:
-        return _write(load_lhm_dump(args.dump), args, began)
+        avatar = load_lhm_dump(args.dump)
+        held = marked_no_rotate(avatar)
+        if held and not args.json:
+            print(
+                f"note: {held} of {len(avatar.splats)} splats are marked no_rotate by LHM; here they turn with the body"
+            )
+        return _write(avatar, args, began)
     if not 0 < args.reach < 1000:
         raise GlsplatError(f"--reach needs centimetres above 0, not {args.reach:g}")
     scene = load(args.dump)
@@ -166,6 +182,13 @@ def _export(args: argparse.Namespace) -> int:
     save(posed_splats(scene, pose), args.out)
     print(f"{args.out}: {len(scene.splats)} splats")
     return 0
+
+
+def _score(args: argparse.Namespace) -> int:
+    scene = default_avatar() if args.avatar is None else load(args.avatar)
+    if not isinstance(scene, Avatar):
+        raise FormatError(f"{args.avatar}: has no skeleton to pose; give an avatar (.glb with a skin)")
+    return avatar_score.report(args, scene, _person(args.mesh))
 
 
 def _motions(args: argparse.Namespace) -> int:

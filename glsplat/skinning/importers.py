@@ -22,7 +22,7 @@ from glsplat.skinning.skin import Skin
 from glsplat.skinning.smplx import JOINT_NAMES
 from glsplat.splats import Splats
 
-__all__ = ["bind_to_mesh", "load_lhm_dump", "nearest_weights"]
+__all__ = ["bind_to_mesh", "load_lhm_dump", "marked_no_rotate", "nearest_weights"]
 
 F64 = NDArray[np.float64]
 
@@ -80,6 +80,12 @@ def load_lhm_dump(path: str | Path, influences: int = 4) -> Avatar:
     if kept.any():
         meta["no_rotate"] = base64.b64encode(np.packbits(kept).tobytes()).decode()
     return Avatar(splats, skeleton, skin, meta)
+
+
+def marked_no_rotate(avatar: Avatar) -> int:
+    """How many splats ``meta["no_rotate"]`` marks; 0 for an avatar without marks."""
+    marks = avatar.meta.get("no_rotate")
+    return 0 if marks is None else int(np.unpackbits(np.frombuffer(base64.b64decode(marks), np.uint8)).sum())
 
 
 def _arrays(path: str | Path) -> dict[str, F64]:

@@ -8,22 +8,11 @@ import glsplat_apps.cli as cli
 import numpy as np
 import pytest
 
-from glsplat import reference
-from glsplat.avatar import Avatar, default_avatar
-from glsplat.camera import Camera, look_at, pinhole
+from glsplat.avatar import Avatar
 from glsplat.formats import load
-from glsplat.skinning.people import read_person
-from glsplat.skinning.pose import Pose
-from glsplat.skinning.posed import posed_splats
-from glsplat.skinning.raster import mesh_picture
-from glsplat.skinning.splat_gradients import footprints
-from glsplat.splats import SH_C0
+from glsplat.skinning.surface import SamplerConfig
 
 DATA = Path(cli.__file__).parents[1] / "glsplat" / "data"
-
-
-def psnr(difference) -> float:
-    return float(-10 * np.log10(np.mean(difference**2)))
 
 
 def test_default_avatar_file():
@@ -45,39 +34,6 @@ def test_default_avatar_file():
         assert np.isin(strongest, [wrist, *fingers]).sum() >= 3500
     licence = (DATA / "LICENSE-default-avatar.md").read_text()
     assert "CC0" in licence and "MakeHuman system assets, CC0 since 2020-09" in " ".join(licence.split())
-
-
-@pytest.mark.shared
-def test_default_avatar_looks_like_its_mesh(shared_data):
-    """Full body at 512 pixels against the textured mesh: PSNR >= 30 dB over the body's box; hands >= 24 dB."""
-    mesh, avatar = read_person(shared_data / "people" / "char_c_registry.npz"), default_avatar()
-    pose, bend = Pose.zero(), 0.4
-    index = {name: i for i, name in enumerate(mesh.skeleton.names)}
-    for side, sign in (("left", 1), ("right", -1)):
-        pose.rotations[index[f"{side}_shoulder"]] = (0, 0, -sign)
-        pose.rotations[index[f"{side}_elbow"]] = (0, -sign * bend, 0)
-        pose.rotations[index[f"{side}_hip"]] = (-sign * bend, 0, 0.1 * sign)
-        pose.rotations[index[f"{side}_knee"]] = (bend, 0, 0)
-    vertices, splats = mesh.posed(pose), posed_splats(avatar, pose)
-    hand = vertices[np.isin(mesh.joints[:, 0], [20, *range(25, 40)])].mean(axis=0)
-    rgb = np.maximum(splats.sh[:, 0].astype(np.float64) * SH_C0 + 0.5, 0)
-    for eye, target, fov, least in (
-        ((0.4, 1, 3.0), (0, 0.93, 0), 37, 30),
-        ((1.2, 1.3, -2.7), (0, 0.93, 0), 37, 30),
-        (hand + (0.2, 0.15, 0.6), hand, 24, 24),
-    ):
-        camera = Camera(look_at(eye, target), pinhole(512, 512, fov), 512, 512)
-        picture = footprints(
-            splats.means.astype(np.float64),
-            reference.quaternion_matrices(splats.quats),
-            splats.scales.astype(np.float64),
-            splats.opacities.astype(np.float64),
-            camera,
-        ).picture(rgb)
-        wanted = mesh_picture(mesh, vertices, camera, 2)
-        rows, columns = np.nonzero(wanted[..., 3] > 0)
-        box = slice(rows.min(), rows.max() + 1), slice(columns.min(), columns.max() + 1)
-        assert psnr((np.clip(picture, 0, 1) - wanted)[box][..., :3]) >= least
 
 
 @pytest.fixture(scope="module")
@@ -108,7 +64,8 @@ def person(tmp_path_factory) -> Path:
     return path
 
 
-def test_make_import_export(person, tmp_path, capsys):
+def test_make_import_export(person, tmp_path, monkeypatch, capsys):
+    monkeypatch.setitem(SamplerConfig.__init__.__kwdefaults__, "probe", 96)  # a box is seen as well by fewer rays
     out = tmp_path / "a.glb"
     words = ["avatar", "make", str(person), "-o", str(out), "--splats", "200", "--steps", "2", "--json"]
     assert cli.main([*words, "--licence", "CC0-1.0"]) == 0
@@ -145,6 +102,16 @@ def test_motions(tmp_path, capsys):
         (["make", "{person}", "-o", "a.glb", "--splats", "3"], "at least 100"),
         (["import", "{person}", "-o", "a.glb"], "an LHM dump needs query_points"),
         (["import", "{person}", "--mesh", "{person}", "-o", "a.glb"], "box.npz"),
+        (["import", "absent.zip", "-o", "a.glb"], "absent.zip: cannot read"),
+        (["import", "absent.zip", "--mesh", "{person}", "-o", "a.glb"], "leave out --mesh"),
+        (["score", "--mesh", "absent.npz"], "absent.npz: cannot read"),
+        (["score", "{person}", "--mesh", "{person}"], "box.npz"),
+        (["score", "--mesh", "{person}", "--views", "1"], "score against the mesh it was made from"),
+        (["score", "--mesh", "{person}", "--poses", "9"], "--poses needs 1 to 8"),
+        (["score", "--mesh", "{person}", "--views", "0"], "--views"),
+        (["score", "--mesh", "{person}", "--size", "9"], "--size"),
+        (["score", "--mesh", "{person}", "--grey", "nan"], "--grey"),
+        (["score", "--mesh", "{person}", "--sheet", "a.gif"], "written as .png or .jpg"),
         (["export", "{person}", "-o", "a.ply"], "box.npz"),
         (["export", "{avatar}", "--pose", "nonsense", "-o", "a.ply"], "nonsense: no such file"),
         (["export", "{avatar}", "--pose", "idle", "--at", "nan", "-o", "a.ply"], "--at"),

@@ -1,0 +1,113 @@
+"""The poses avatars are scored in: named, fixed, and none of them within what the fit draws at random.
+
+Axis-angle in radians on the SMPL-X joints; LEFT is mirrored to the right unless a pose names the right side itself.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from glsplat.skinning.pose import Pose
+from glsplat.skinning.skeleton import Skeleton
+
+__all__ = ["SCORE_POSES", "score_pose"]
+
+Rotations = dict[str, tuple[float, float, float]]
+
+_FINGERS = ("index", "middle", "ring", "pinky")
+
+
+def _fist(side: str, amount: float) -> Rotations:
+    sign = 1.0 if side == "left" else -1.0
+    curl = {f"{side}_{finger}{i}": (0.0, 0.0, -sign * amount) for finger in _FINGERS for i in (1, 2, 3)}
+    return {
+        **curl,
+        f"{side}_thumb2": (0.0, -sign * 0.4 * amount, 0.0),
+        f"{side}_thumb3": (0.0, -sign * 0.4 * amount, 0.0),
+    }
+
+
+SCORE_POSES: dict[str, Rotations] = {
+    "T-pose": {},
+    "arms overhead": {
+        "left_collar": (0, 0, 0.25),
+        "left_shoulder": (0, 0, 1.1),
+        "left_elbow": (0, -0.3, 0),
+        "left_hip": (0, 0, 0.25),
+        "spine2": (-0.15, 0, 0),
+    },
+    "hands on hips": {
+        "left_shoulder": (0, 0.55, -0.85),
+        "left_elbow": (0, -1.9, 0),
+        "left_wrist": (0, 0, -0.5),
+        "left_hip": (0, 0, 0.15),
+    },
+    "seated": {
+        "left_hip": (-1.5, 0, 0.12),
+        "left_knee": (1.5, 0, 0),
+        "left_shoulder": (0, -0.5, -1.0),
+        "left_elbow": (0, -0.8, 0),
+        "neck": (0.2, 0, 0),
+    },
+    "stride": {
+        "left_hip": (-0.9, 0, 0),
+        "left_knee": (0.5, 0, 0),
+        "right_hip": (0.55, 0, 0),
+        "right_knee": (0.9, 0, 0),
+        "left_shoulder": (0, 0.7, -1.15),
+        "right_shoulder": (0, 0.9, 1.15),
+        "left_elbow": (0, -1.5, 0),
+        "right_elbow": (0, 1.5, 0),
+        "spine1": (0.1, 0.15, 0),
+    },
+    "reaching out": {
+        "left_shoulder": (0, -1.45, 0.1),
+        "right_shoulder": (0, 0.5, 0.9),
+        "left_elbow": (0, -0.1, 0),
+        "right_elbow": (0, 0.2, 0),
+        "left_index1": (0, 0.12, 0.1),
+        "left_pinky1": (0, -0.2, 0.1),
+        "left_hip": (-0.3, 0, 0.1),
+        "left_knee": (0.5, 0, 0),
+        "right_hip": (0.2, 0, -0.1),
+        "head": (0, 0.4, 0),
+        "jaw": (0.25, 0, 0),
+    },
+    "twist with fists": {
+        "pelvis": (0, 0.3, 0),
+        "spine1": (0, 0.25, 0),
+        "spine2": (0, 0.25, 0),
+        "spine3": (0, 0.2, 0),
+        "head": (0, 0.6, 0),
+        "left_shoulder": (0, -0.9, -0.6),
+        "left_elbow": (0, -1.8, 0),
+        "left_hip": (0, 0, 0.3),
+        **_fist("left", 1.3),
+        **_fist("right", 1.3),
+    },
+    "squat": {
+        "left_hip": (-1.9, 0, 0.35),
+        "left_knee": (2.1, 0, 0),
+        "left_ankle": (-0.3, 0, 0),
+        "spine1": (0.3, 0, 0),
+        "spine2": (0.2, 0, 0),
+        "left_shoulder": (0, -1.3, -0.2),
+        "left_elbow": (0, -0.5, 0),
+        "left_eye_smplhf": (0, 0.3, 0),
+    },
+}
+"""Joint rotations a pose; a left joint without its right twin stands for both."""
+
+
+def score_pose(name: str, skeleton: Skeleton) -> Pose:
+    """A pose of SCORE_POSES on any rig; joints the rig lacks are left out."""
+    pose = Pose.zero(len(skeleton))
+    index = {joint: i for i, joint in enumerate(skeleton.names)}
+    given = SCORE_POSES[name]
+    for joint, (x, y, z) in given.items():
+        twin = joint.replace("left", "right", 1)
+        if joint in index:
+            pose.rotations[index[joint]] = x, y, z
+        if twin not in given and twin in index:
+            pose.rotations[index[twin]] = np.array([x, -y, -z])  # reflected in the plane x = 0
+    return pose

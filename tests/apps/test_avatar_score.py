@@ -1,0 +1,115 @@
+"""``glsplat avatar score``: its figures on pictures whose difference is known, and the default avatar's."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import glsplat_apps.cli as cli
+import numpy as np
+import pytest
+from glsplat_apps.avatar_poses import SCORE_POSES, score_pose
+from glsplat_apps.avatar_score import DISTANCE, FILL, camera_around, compare, score
+
+from glsplat.avatar import default_avatar
+from glsplat.config import RenderConfig
+from glsplat.mesh import MeshConfig, MeshRenderer
+from glsplat.renderer import Renderer
+from glsplat.skinning.people import read_person
+from glsplat.skinning.skeleton import rotation_matrices
+
+WHOLE = (slice(None), slice(None))
+
+
+def test_figures_of_known_differences(rng):
+    wanted = rng.random((60, 50, 3), np.float32) * 0.5
+    body, hand = (slice(10, 50), slice(10, 40)), (slice(20, 30), slice(15, 25))
+    picture = wanted.copy()
+    picture[hand] += 0.1
+    dark, bright, ssim = compare(picture, wanted, body, [hand])
+    assert bright == pytest.approx(20, abs=1e-3)  # -20 log10 0.1
+    assert dark == pytest.approx(20 + 10 * np.log10(40 * 30 / 100), abs=1e-3)
+    assert 0.5 < ssim < 1
+    picture[:5] = 1  # beyond the boxes and the window of SSIM
+    assert compare(picture, wanted, body, [hand])[:2] == pytest.approx((dark, bright))
+    assert compare(wanted, wanted, body, [])[1:] == (None, pytest.approx(1))
+
+
+def test_ssim_is_that_of_the_paper(rng):
+    """Wang et al. 2004 written out: means, variances and covariance under a Gaussian of sigma 1.5, 11 x 11."""
+    wanted = rng.random((32, 40, 3), np.float32)
+    picture = np.clip(0.7 * wanted + 0.2 * rng.random((32, 40, 3), np.float32), 0, 1)
+    x, y = wanted.astype(np.float64), picture.astype(np.float64)
+    bell = np.exp(-0.5 * (np.arange(-5, 6) / 1.5) ** 2)
+
+    def blur(image):
+        return cv2.sepFilter2D(image, -1, bell / bell.sum(), bell / bell.sum(), borderType=cv2.BORDER_REFLECT_101)
+
+    mx, my = blur(x), blur(y)
+    vx, vy, vxy = blur(x * x) - mx * mx, blur(y * y) - my * my, blur(x * y) - mx * my
+    exact = (2 * mx * my + 1e-4) * (2 * vxy + 9e-4) / ((mx * mx + my * my + 1e-4) * (vx + vy + 9e-4))
+    inside = (slice(6, 26), slice(6, 34))
+    assert compare(picture, wanted, inside, [])[2] == pytest.approx(exact[inside].mean(), abs=1e-4)
+
+
+def test_the_figure_fills_the_picture(rng):
+    points = rng.normal(0, (0.3, 0.6, 0.2), (500, 3)) + (0, 1, 0)
+    for azimuth in (0, 77, 180):
+        camera = camera_around(points, azimuth, 200, 0.5)
+        seen = points @ camera.viewmat[:3, :3].T + camera.viewmat[:3, 3]
+        pixel = (seen @ camera.K.T)[:, :2] / seen[:, 2:]
+        assert np.abs(pixel - 100).max() == pytest.approx(FILL * 100)
+        assert camera.background == (0.5,) * 3
+        centre = (points.max(axis=0) + points.min(axis=0)) / 2
+        assert np.linalg.norm(camera.position - centre) == pytest.approx(DISTANCE)
+    assert camera_around(points, 0, 200).position[2] > 2 and camera_around(points, 90, 200).position[0] > 2
+
+
+def test_poses_are_symmetric_unless_they_say_otherwise():
+    skeleton = default_avatar().skeleton
+    known = set(skeleton.names)
+    mirror = np.diag([-1.0, 1, 1])
+    for name, rotations in SCORE_POSES.items():
+        assert set(rotations) <= known, name
+        pose = score_pose(name, skeleton)
+        assert np.abs(pose.rotations).max() < 2.5
+        for joint in rotations:
+            twin = joint.replace("left", "right")
+            if joint.startswith("left") and twin not in rotations:
+                left, right = (rotation_matrices(pose.rotations[[skeleton.names.index(j)]])[0] for j in (joint, twin))
+                assert mirror @ left @ mirror == pytest.approx(right, abs=1e-12)
+    assert len(SCORE_POSES) == 8 and not score_pose("T-pose", skeleton).rotations.any()
+
+
+@pytest.mark.gl
+@pytest.mark.shared
+def test_default_avatar_looks_like_its_mesh(shared_data: Path, context):
+    """The gates of the avatar: 30 dB over the body, 24 dB over the hands, SSIM 0.95; two poses here."""
+    mesh, avatar = read_person(shared_data / "people" / "char_c_registry.npz"), default_avatar()
+    with (
+        context.ctx,
+        MeshRenderer(mesh, size=(512, 512), config=MeshConfig(output="float32"), context=context) as truth,
+        Renderer(
+            avatar, size=(512, 512), config=RenderConfig(output="float32", antialias=True), context=context
+        ) as renderer,
+    ):
+        scores = list(score(renderer, truth, avatar, mesh, ["T-pose", "hands on hips"], 1))
+        for s in scores:
+            assert s.body >= 30 and s.hands >= 24 and s.ssim >= 0.95, (s.pose, s.body, s.hands, s.ssim)
+        moved = replace(avatar.splats, means=avatar.splats.means + np.float32(0.008))
+        renderer.load(replace(avatar, splats=moved))  # and they can fail
+        worse = next(score(renderer, truth, avatar, mesh, ["T-pose"], 1))
+        assert worse.body < 30 and worse.body < scores[0].body - 3
+
+
+@pytest.mark.gl
+@pytest.mark.shared
+def test_the_command(shared_data: Path, tmp_path, capsys):
+    words = ["avatar", "score", "--mesh", str(shared_data / "people" / "char_c_registry.npz"), "--size", "128"]
+    sheet = tmp_path / "s.png"
+    assert cli.main([*words, "--poses", "2", "--views", "2", "--sheet", str(sheet), "--json"]) == 0
+    facts = json.loads(capsys.readouterr().out)
+    assert facts["pictures"] == len(facts["each"]) == 4 and facts["splats"] == len(default_avatar().splats)
+    assert facts["body_psnr"]["min"] == pytest.approx(min(e["body_psnr"] for e in facts["each"]), abs=0.01)
+    assert {e["azimuth"] for e in facts["each"]} == {15, 195}
+    assert cv2.imread(str(sheet)).shape == (2 * 66 - 2, 6 * 66 - 2, 3)
