@@ -53,7 +53,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     module.add_arguments(command)
     args = command.parse_args(arguments[1:])
     try:
-        return int(module.run(args) or 0)
+        code = int(module.run(args) or 0)
+        sys.stdout.flush()  # here, where a full disk can still be reported
+        return code
     except GlsplatError as error:
         print(f"glsplat {chosen.command}: {error}", file=sys.stderr)
         return 1
@@ -61,6 +63,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 130
     except BrokenPipeError:  # `glsplat inspect ... | head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 1
+    except OSError as error:  # a full disk, a lost network drive: not ours, but no reason for a traceback either
+        print(f"glsplat {chosen.command}: {error.strerror or error}", file=sys.stderr)
         return 1
 
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 from glsplat.avatar import Avatar
-from glsplat.camera import PAPER_FOV, PAPER_IPD, Camera, load_cameras
+from glsplat.camera import PAPER_FOV, PAPER_IPD, Camera, read_cameras
 from glsplat.config import RenderConfig
 from glsplat.context import create_context
 from glsplat.errors import FormatError, GlsplatError
@@ -26,7 +26,7 @@ from glsplat.skinning.pose import Pose, load_pose
 from glsplat.splats import Splats
 
 from .output import Clip, save_npy, save_png, side_by_side
-from .scene import add_scene, load_scene, point, size, view_of, viewing_point
+from .scene import add_scene, degrees, load_scene, point, positive, size, view_of, viewing_point
 
 HELP = "Render a scene or a posed avatar: .npy holds exact floats, .png a picture, .mp4 a motion or a turntable."
 EXAMPLE = "glsplat render --motion wave-and-turn --frame 40 --stereo -o wave.png"
@@ -38,7 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("-o", "--output", required=True, help=".png, .npy, .mp4, or a folder/ for a PNG sequence")
     parser.add_argument("--cameras", metavar="FILE", help="camera file: one object, or a list for several views")
     parser.add_argument("--size", type=size, default=(1024, 1024), help="WxH in pixels (default 1024x1024)")
-    parser.add_argument("--fov", type=float, default=PAPER_FOV, help="vertical field of view in degrees (default 65)")
+    parser.add_argument("--fov", type=degrees, default=PAPER_FOV, help="vertical field of view in degrees (default 65)")
     parser.add_argument("--eye", type=point, metavar="X,Y,Z", help="where the camera stands (default: all in view)")
     parser.add_argument("--target", type=point, metavar="X,Y,Z", help="what it looks at (default: the scene's middle)")
     parser.add_argument("--stereo", action="store_true", help="both eyes in one pass, side by side in pictures")
@@ -48,7 +48,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--motion", metavar="FILE", help="motion file or the name of an embedded one")
     parser.add_argument("--frame", type=int, metavar="N", help="frame of the motion (default: all, as a clip)")
     parser.add_argument("--turntable", type=int, metavar="N", help="N views around the scene, as a clip or sequence")
-    parser.add_argument("--fps", type=float, default=30.0, help="frames a second of a clip (default 30)")
+    parser.add_argument("--fps", type=positive, default=30.0, help="frames a second of a clip (default 30)")
     parser.add_argument(
         "--float-target", choices=("auto", "8", "16f", "32f"), default="auto", help="accumulation format"
     )
@@ -63,10 +63,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Render what the arguments say."""
-    for one, other in (("pose", "motion"), ("cameras", "turntable")):
-        if getattr(args, one) is not None and getattr(args, other) is not None:
-            raise GlsplatError(f"give --{one} or --{other}, not both")
+    _check_combinations(args)
     output = Path(args.output)
+    exact = output.suffix.lower() == ".npy"
     sequence = args.turntable is not None or (args.motion is not None and args.frame is None)
     _check_output(args.output, sequence)
     scene = load_scene(args)
@@ -74,7 +73,7 @@ def run(args: argparse.Namespace) -> int:
     first = next(shots)
     config = RenderConfig(
         target=args.float_target,
-        output="float32" if output.suffix == ".npy" else "uint8",
+        output="float32" if exact else "uint8",
         layers=args.layers,
         sorter=args.sorter,
         rotation=args.rotation,
@@ -90,7 +89,7 @@ def run(args: argparse.Namespace) -> int:
             images = renderer.render(first.cameras, first.pose)
             if sequence:
                 _save_sequence(args, renderer, side_by_side(images), shots, count)
-            elif output.suffix == ".npy":
+            elif exact:
                 save_npy(output, images if first.several else images[0])
             else:
                 save_png(output, side_by_side(images))
@@ -106,6 +105,19 @@ class _Shot:
     cameras: list[Camera]
     pose: Pose | None
     several: bool  # a list of views was asked for: .npy is [V, H, W, 4]
+
+
+def _check_combinations(args: argparse.Namespace) -> None:
+    """Refuse options of which one would silently win."""
+    for one, other in (("pose", "motion"), ("cameras", "turntable"), ("cameras", "eye"), ("cameras", "target")):
+        if getattr(args, one) is not None and getattr(args, other) is not None:
+            raise GlsplatError(f"give --{one} or --{other}, not both")
+    if args.cameras is not None and args.stereo:
+        raise GlsplatError("give --cameras or --stereo, not both; a pair is a list of two cameras")
+    if args.frame is not None and args.motion is None:
+        raise GlsplatError("--frame needs --motion")
+    if args.turntable is not None and args.motion is not None and args.frame is None:
+        raise GlsplatError("--turntable with --motion needs --frame: the pose to turn around")
 
 
 def _check_output(name: str, sequence: bool) -> None:
@@ -140,8 +152,7 @@ def _shots(args: argparse.Namespace, scene: Splats | Avatar) -> tuple[int, Itera
             raise GlsplatError(f"--turntable needs at least 1 view, not {args.turntable}")
         views = (_Shot(_view(args, scene, 2 * np.pi * i / args.turntable), pose, False) for i in range(args.turntable))
         return args.turntable, views
-    cameras = load_cameras(args.cameras) if args.cameras else _view(args, scene)
-    several = len(cameras) > 1 or (bool(args.cameras) and Path(args.cameras).read_text().lstrip().startswith("["))
+    cameras, several = read_cameras(args.cameras) if args.cameras else (_view(args, scene), args.stereo)
     if motion is not None and args.frame is None:
         # on the motion's clock, so that a clip plays at the speed it was recorded
         count = max(1, round(len(motion) / motion.fps * args.fps))
@@ -169,7 +180,10 @@ def _save_sequence(
             for picture in frames:
                 clip.add(picture)
         return
-    path.mkdir(exist_ok=True)
+    try:
+        path.mkdir(exist_ok=True)
+    except OSError as error:
+        raise FormatError(f"{args.output}: the folder cannot be made ({error.strerror})") from None
     for number, picture in enumerate(frames):
         save_png(path / f"{number:05d}.png", picture)
 

@@ -14,7 +14,7 @@ from glsplat.errors import FormatError
 from glsplat.formats import load
 from glsplat.splats import Splats
 
-__all__ = ["add_scene", "load_scene", "point", "size", "splats_of", "view_of", "viewing_point"]
+__all__ = ["add_scene", "degrees", "load_scene", "point", "positive", "size", "splats_of", "view_of", "viewing_point"]
 
 OPENGL_FROM_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
 
@@ -49,6 +49,25 @@ def size(text: str) -> tuple[int, int]:
     if width < 1 or height < 1:
         raise argparse.ArgumentTypeError(f"a size is at least 1x1, not {text!r}")
     return width, height
+
+
+def positive(text: str) -> float:
+    """argparse type: a finite number above zero."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = np.nan
+    if not 0 < value < np.inf:
+        raise argparse.ArgumentTypeError(f"a finite number above 0 is needed, not {text!r}")
+    return value
+
+
+def degrees(text: str) -> float:
+    """argparse type: a field of view between 0 and 180 degrees."""
+    value = positive(text)
+    if value >= 180:
+        raise argparse.ArgumentTypeError(f"a field of view lies between 0 and 180 degrees, not {text!r}")
+    return value
 
 
 def point(text: str) -> tuple[float, float, float]:

@@ -18,10 +18,22 @@ from numpy.typing import ArrayLike, NDArray
 
 from glsplat.errors import FormatError
 
-__all__ = ["Camera", "head_matrix", "load_cameras", "look_at", "pinhole", "sorting_camera", "stereo_cameras"]
+__all__ = [
+    "Camera",
+    "head_matrix",
+    "load_cameras",
+    "look_at",
+    "passes_of",
+    "pinhole",
+    "read_cameras",
+    "sorting_camera",
+    "stereo_cameras",
+]
 
 OPENCV_FROM_OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
 """Turns the camera by 180 degrees about x: from (x right, y up, -z forward) to (x right, y down, z forward)."""
+
+_LARGEST = 1e12  # of pixels and metres; squares of it still fit into float32
 
 PAPER_IPD = 0.055
 PAPER_FOV = 65.0
@@ -48,10 +60,19 @@ class Camera:
             raise FormatError(f"a camera needs a 4x4 viewmat and a 3x3 K, not {view.shape} and {k.shape}")
         if not (np.isfinite(view).all() and np.isfinite(k).all()):
             raise FormatError("a camera needs finite numbers in viewmat and K, found NaN or infinity")
-        if abs(abs(np.linalg.det(view[:3, :3])) - 1) > 1e-3 or np.abs(view[3] - (0, 0, 0, 1)).max() > 1e-6:
+        gram = view[:3, :3] @ view[:3, :3].T
+        if np.abs(gram - np.eye(3)).max() > 1e-3 or np.abs(view[3] - (0, 0, 0, 1)).max() > 1e-6:
             raise FormatError("viewmat needs a rotation (or reflection) with the last row 0 0 0 1")
+        if np.abs(k - np.array([[k[0, 0], 0, k[0, 2]], [0, k[1, 1], k[1, 2]], [0, 0, 1]])).max() > 1e-9:
+            raise FormatError("K needs the form fx 0 cx, 0 fy cy, 0 0 1; a skew is not supported")
         if k[0, 0] <= 0 or k[1, 1] <= 0:
             raise FormatError(f"a camera needs fx, fy > 0, not {k[0, 0]:g} and {k[1, 1]:g}")
+        if max(np.abs(k).max(), np.abs(view).max()) > _LARGEST:
+            raise FormatError(f"a camera needs numbers below {_LARGEST:g} in viewmat and K")
+        if len(self.background) != 3 or not (np.abs(self.background) <= _LARGEST).all():
+            raise FormatError(f"a background is three finite numbers, not {self.background}")
+        if self.sh_degree not in (0, 1, 2, 3):
+            raise FormatError(f"sh_degree is 0 to 3, not {self.sh_degree}")
         if self.width < 1 or self.height < 1:
             raise FormatError(f"a camera needs a size of at least 1x1, not {self.width}x{self.height}")
         if not 0 < self.near < self.far:
@@ -158,13 +179,39 @@ def sorting_camera(cameras: Sequence[Camera]) -> NDArray[np.float64]:
     return viewmat
 
 
+def passes_of(cameras: Sequence[Camera], shared: bool = True) -> list[list[int]]:
+    """Which views are drawn in one pass, in one order: indices, one or two each.
+
+    A list of two is a pair unless its axes are more than 60 degrees apart; in longer lists neighbours pair up where
+    they look the same way. Not ``shared``: every view has an order of its own.
+    """
+    closest = 0.5 if len(cameras) == 2 else 1 - 1e-6
+    passes: list[list[int]] = []
+    for index, camera in enumerate(cameras):
+        partner = cameras[passes[-1][0]] if shared and passes and len(passes[-1]) == 1 else None
+        if (
+            partner is not None
+            and partner.sh_degree == camera.sh_degree
+            and float(partner.viewmat[2, :3] @ camera.viewmat[2, :3]) > closest
+        ):
+            passes[-1].append(index)
+        else:
+            passes.append([index])
+    return passes
+
+
 def load_cameras(path: str | Path) -> list[Camera]:
-    """Read a camera file: one object, or a list of objects of one size (several views in one pass).
+    """The cameras of a camera file; see read_cameras()."""
+    return read_cameras(path)[0]
+
+
+def read_cameras(path: str | Path) -> tuple[list[Camera], bool]:
+    """Read a camera file: one object, or a list of objects of one size (True: it was a list).
 
     Raises FormatError with the file, the view and the key that is missing or wrong.
     """
     try:
-        data = json.loads(Path(path).read_text(encoding="utf-8"))
+        data = json.loads(Path(path).read_text(encoding="utf-8-sig"))
     except OSError as error:
         raise FormatError(f"{path}: cannot read the camera file ({error.strerror})") from None
     except (ValueError, RecursionError) as error:
@@ -175,7 +222,7 @@ def load_cameras(path: str | Path) -> list[Camera]:
     cameras = [_from_json(view, f"{path}: camera {index}") for index, view in enumerate(views)]
     if len({(c.width, c.height) for c in cameras}) > 1:
         raise FormatError(f"{path}: all cameras of a file need the same width and height")
-    return cameras
+    return cameras, isinstance(data, list)
 
 
 def _from_json(view: Any, where: str) -> Camera:
@@ -185,28 +232,39 @@ def _from_json(view: Any, where: str) -> Camera:
     if missing:
         raise FormatError(f"{where}: missing {', '.join(missing)} (needed: width, height, fx, fy, w2c)")
     try:
-        width, height = int(view["width"]), int(view["height"])
-        if (width, height) != (view["width"], view["height"]):
-            raise ValueError("width and height are whole numbers")
-        fx, fy = float(view["fx"]), float(view["fy"])
-        cx, cy = float(view.get("cx", width / 2)), float(view.get("cy", height / 2))
-        background = tuple(float(v) for v in view.get("bg", (0, 0, 0)))
-        if len(background) != 3 or not np.isfinite(background).all():
-            raise ValueError("bg is three finite numbers")
-        degree = int(view.get("sh_degree", 3))
-        if not 0 <= degree <= 3:
-            raise ValueError(f"sh_degree is 0 to 3, not {degree}")
+        width, height = _whole(view["width"], "width"), _whole(view["height"], "height")
+        fx, fy = _number(view["fx"], "fx"), _number(view["fy"], "fy")
+        cx, cy = _number(view.get("cx", width / 2), "cx"), _number(view.get("cy", height / 2), "cy")
+        red, green, blue = (_number(v, "bg") for v in _list(view.get("bg", [0, 0, 0]), "bg", 3))
+        rows = [[_number(v, "w2c") for v in _list(row, "w2c", 4)] for row in _list(view["w2c"], "w2c", 4)]
         return Camera(
-            np.asarray(view["w2c"], np.float64),
+            np.array(rows, np.float64),
             np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]]),
             width,
             height,
-            background=background,
-            near=float(view.get("near", 0.01)),
-            far=float(view.get("far", 1e10)),
-            sh_degree=degree,
+            background=(red, green, blue),
+            near=_number(view.get("near", 0.01), "near"),
+            far=_number(view.get("far", 1e10), "far"),
+            sh_degree=_whole(view.get("sh_degree", 3), "sh_degree"),
         )
     except FormatError as error:
         raise FormatError(f"{where}: {error}") from None
-    except (TypeError, ValueError, OverflowError) as error:
-        raise FormatError(f"{where}: {error}") from None
+
+
+def _number(value: Any, key: str) -> float:
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or abs(value) > 1e300 or value != value:
+        raise FormatError(f"{key} needs a finite number, not {value!r:.40}")
+    return float(value)
+
+
+def _whole(value: Any, key: str) -> int:
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or value != int(_number(value, key)):
+        raise FormatError(f"{key} needs a whole number, not {value!r:.40}")
+    return int(value)
+
+
+def _list(value: Any, key: str, length: int) -> list[Any]:
+    if not isinstance(value, list) or len(value) != length:
+        wanted = "a 4x4 matrix (four lists of four numbers)" if key == "w2c" else f"{length} numbers"
+        raise FormatError(f"{key} needs {wanted}, not {value!r:.40}")
+    return value

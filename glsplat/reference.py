@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from glsplat.camera import Camera, sorting_camera
+from glsplat.camera import Camera, passes_of, sorting_camera
 from glsplat.config import RenderConfig
 from glsplat.skinning.skin import Skin
 from glsplat.splats import Splats
@@ -234,17 +234,16 @@ def render(
     binding: Skin | None = None,
     bones: F64 | None = None,  # [J, 3, 4]
     config: RenderConfig | None = None,
-    sort_viewmat: F64 | None = None,  # [4, 4] default: the cameras' common centre
+    sort_viewmat: F64 | None = None,  # [4, 4] default: the common centre of the views of a pass (camera.passes_of)
 ) -> F64:
     """The whole frame: [V, H, W, 4] RGB over the background (unclipped) and accumulated alpha, rows top down."""
     config = config or RenderConfig()
     posed = rest(splats) if binding is None or bones is None else skin(splats, binding, bones, config.rotation)
-    shared = sorting_camera(cameras) if sort_viewmat is None else sort_viewmat
     images = []
-    for camera in cameras:
-        viewmat = camera.viewmat if config.order == "per_view" else shared
-        order = depth_order(posed.means, viewmat)
-        images.append(composite(project(posed, splats, camera, config), order, camera))
+    for indices in passes_of(cameras, config.order == "shared"):
+        views = [cameras[i] for i in indices]
+        order = depth_order(posed.means, sorting_camera(views) if sort_viewmat is None else sort_viewmat)
+        images += [composite(project(posed, splats, view, config), order, view) for view in views]
     return np.stack(images)
 
 

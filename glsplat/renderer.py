@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.avatar import Avatar
-from glsplat.camera import Camera, sorting_camera
+from glsplat.camera import Camera, passes_of, sorting_camera
 from glsplat.config import RenderConfig
 from glsplat.context import Context, create_context
 from glsplat.errors import ContextError, GlsplatError, PoseError
@@ -29,8 +29,6 @@ from glsplat.splats import Splats
 from glsplat.timing import StageTimer
 
 __all__ = ["FrameStats", "Renderer"]
-
-PARALLEL = 1e-6  # views share an order if their optical axes agree within this (1 - cosine)
 
 
 @dataclass(frozen=True)
@@ -53,12 +51,15 @@ class Renderer:
         scene: Splats | Avatar,
         *,
         size: tuple[int, int] = (1024, 1024),  # width, height
-        views: int = 1,
+        views: int = 1,  # expected; targets are made for them now instead of with the first frame
         config: RenderConfig | None = None,
         context: Context | None = None,
         timed: bool = False,  # wait for the GPU at every stage mark: exact stages, slower frames
     ) -> None:
+        if views < 1:
+            raise GlsplatError(f"views needs at least 1, not {views}")
         self.config = config or RenderConfig()
+        self._released = False
         self._owns_context = context is None
         self.context = context or create_context()
         self._programs = Programs(self.context.ctx)
@@ -109,20 +110,25 @@ class Renderer:
         return len(self._programs)
 
     def nbytes(self) -> dict[str, int]:
-        """GPU bytes: splats, sh, work (keys, order, records, posed), targets."""
+        """GPU bytes: splats, sh, work (keys, order, records, posed; one set a variant in use), targets.
+
+        Not counted: the bone texture and the uniform blocks, which do not grow with the splats.
+        """
         scene = self._scene
         return {
             "splats": scene.nbytes if scene else 0,
             "sh": scene.sh_nbytes if scene else 0,
-            "work": max((p.nbytes for p in self._pipelines.values()), default=0),
+            "work": sum(p.nbytes for p in self._pipelines.values()),
             "targets": sum(t.nbytes for t in self._all_targets()),
         }
 
     def load(self, scene: Splats | Avatar) -> None:
         """Replace the scene; the old one's buffers are released."""
+        self._check()
         avatar = scene if isinstance(scene, Avatar) else None
         splats = avatar.splats if avatar else scene
-        assert isinstance(splats, Splats)
+        if not isinstance(splats, Splats):
+            raise GlsplatError(f"a scene is Splats or an Avatar, not {type(scene).__name__}")
         self._drop_scene()
         skin = avatar.skin if avatar else None
         if avatar is not None and self.config.influences:
@@ -158,13 +164,15 @@ class Renderer:
         float32 (unclipped) or uint8 by ``config.output``. The array is new with each call. Raises PoseError for a pose
         that does not fit, GlsplatError for cameras of another size.
         """
+        if sort_viewmat is not None and not (np.shape(sort_viewmat) == (4, 4) and np.isfinite(sort_viewmat).all()):
+            raise GlsplatError("sort_viewmat needs 4x4 finite numbers")
         self._begin(cameras, pose)
         out = np.empty((len(cameras), self.size[1], self.size[0], 4), self._output_type())
-        for batch in self._batches(cameras, sort_viewmat):
+        for batch in passes_of(cameras, self.config.order == "shared" or sort_viewmat is not None):
             views = [cameras[i] for i in batch]
             pipeline, target = self._draw(views, sort_viewmat, boxed=self.config.output == "uint8")
             byte_target = self._byte_target(len(views)) if self.config.output == "uint8" else None
-            pipeline.read(target, byte_target, views, out[batch[0] : batch[0] + len(views)], self.timer)
+            pipeline.read(target, byte_target, out[batch[0] : batch[0] + len(views)], self.timer)
             self._count(pipeline)
         self.timer.stop()
         return out
@@ -210,13 +218,15 @@ class Renderer:
 
     def release(self) -> None:
         """Delete every GL object, and the context if it was made here. May be called twice."""
+        if self._released:
+            return
         with ExitStack() as stack:
             if self._owns_context:
                 stack.callback(self.context.release)
             stack.callback(self._programs.release)
             stack.callback(self._drop_targets)
             stack.callback(self._drop_scene)
-        self._owns_context = False
+        self._owns_context, self._released = False, True
 
     def __enter__(self) -> Renderer:
         return self
@@ -228,7 +238,12 @@ class Renderer:
 
     # ------------------------------------------------------------------------------------------------- internals
 
+    def _check(self) -> None:
+        if self._released:
+            raise GlsplatError("this renderer was released; make a new one")
+
     def _begin(self, cameras: Sequence[Camera], pose: Pose | None) -> None:
+        self._check()
         if not cameras:
             raise GlsplatError("render needs at least one camera")
         if any((c.width, c.height) != self.size for c in cameras):
@@ -252,8 +267,10 @@ class Renderer:
         return pipeline, target
 
     def _count(self, pipeline: Pipeline) -> None:
-        drawn = self.stats.drawn + pipeline.drawn
-        self.stats = replace(self.stats, drawn=drawn, culled=dict(pipeline.culled), covered=pipeline.covered)
+        old = self.stats
+        culled = {reason: old.culled.get(reason, 0) + count for reason, count in pipeline.culled.items()}
+        covered = _union(old.covered, pipeline.covered)
+        self.stats = replace(old, drawn=old.drawn + pipeline.drawn, culled=culled, covered=covered)
 
     def _output_type(self) -> type[np.generic]:
         return np.uint8 if self.config.output == "uint8" else np.float32
@@ -273,22 +290,6 @@ class Renderer:
             self._last_bones = bones
             self._geometry_version += 1
         self.timer.mark("pose")
-
-    def _batches(self, cameras: Sequence[Camera], sort_viewmat: NDArray[np.float64] | None) -> list[list[int]]:
-        """Groups of consecutive views that share one order and one pass: pairs, where their axes are parallel."""
-        batches: list[list[int]] = []
-        for i, camera in enumerate(cameras):
-            partner = cameras[batches[-1][0]] if batches and len(batches[-1]) == 1 else None
-            together = partner is not None and partner.sh_degree == camera.sh_degree
-            if together and partner is not None and sort_viewmat is None:
-                together = self.config.order == "shared"
-                if len(cameras) > 2:  # a list of two is a pair by definition, however the eyes are turned
-                    together &= float(partner.viewmat[2, :3] @ camera.viewmat[2, :3]) > 1 - PARALLEL
-            if together:
-                batches[-1].append(i)
-            else:
-                batches.append([i])
-        return batches
 
     def _pipeline(self, views: Sequence[Camera]) -> Pipeline:
         assert self._scene is not None
@@ -325,3 +326,13 @@ class Renderer:
         if self._scene is not None:
             self._scene.release()
             self._scene = None
+
+
+def _union(a: tuple[int, int, int, int], b: tuple[int, int, int, int]) -> tuple[int, int, int, int]:
+    """The smallest box that holds both; an empty one adds nothing."""
+    if not (a[2] and a[3]):
+        return b
+    if not (b[2] and b[3]):
+        return a
+    x, y = min(a[0], b[0]), min(a[1], b[1])
+    return x, y, max(a[0] + a[2], b[0] + b[2]) - x, max(a[1] + a[3], b[1] + b[3]) - y

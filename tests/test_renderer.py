@@ -117,6 +117,49 @@ def test_repeat_gives_the_same_bytes(renderer_of: Make) -> None:
     assert len(set(images)) == 1
 
 
+@pytest.mark.parametrize("scene_degree", [1, 2, 3])
+@pytest.mark.parametrize("camera_degree", [0, 1, 2, 3])
+def test_a_camera_may_ask_for_a_lower_degree(renderer_of: Make, scene_degree: int, camera_degree: int) -> None:
+    scene, view = cloud(degree=scene_degree), camera(sh_degree=camera_degree)
+    assert_contract(renderer_of(scene).render([view]), reference.render(scene, [view]))
+
+
+@pytest.mark.parametrize("layers", ["vertex", "geometry"])
+@pytest.mark.parametrize("target", ["16f", "32f"])
+def test_pair_and_singles_at_an_odd_size_in_8_bit(renderer_of: Make, layers: str, target: str) -> None:
+    K = np.array([[83.7, 0, 51.3], [0, 77.1, 44.9], [0, 0, 1]])
+    views = [replace(v, K=K, width=113, height=79, background=(0.1, 0.9, 0.35)) for v in eyes()]
+    scene = cloud(200, 1, spread=0.2)
+    config = {"layers": layers, "target": target, "output": "uint8"}
+    pair = renderer_of(scene, (113, 79), 2, **config).render(views)
+    for eye, view in enumerate(views):
+        alone = renderer_of(scene, (113, 79), 1, **config).render([view], sort_viewmat=sorting_camera(views))
+        assert np.array_equal(alone[0], pair[eye])
+    assert len(np.unique(pair[0, 0], axis=0)) == 1 and np.array_equal(pair[0, 0, 0], pair[0, -1, -1])  # no seam
+
+
+def test_views_that_look_apart_get_an_order_each(renderer_of: Make) -> None:
+    scene = cloud(400, spread=0.8)
+    back = Camera(look_at((0, 0, -3), (0, 0, 0)), pinhole(64, 64), 64, 64)
+    image = renderer_of(scene, views=2).render([camera(), back])
+    assert_contract(image, np.concatenate([reference.render(scene, [v]) for v in (camera(), back)]))
+    assert_contract(image, reference.render(scene, [camera(), back]))
+
+
+def test_stats_of_several_passes(renderer_of: Make) -> None:
+    scene = cloud(40, spread=0.1)
+    left = Camera(look_at((-1.2, 0, 3), (-1.2, 0, 0)), pinhole(64, 64), 64, 64)
+    right = Camera(look_at((1.2, 0, 3), (1.2, 0, 0)), pinhole(64, 64), 64, 64)
+    renderer = renderer_of(scene, views=2, order="per_view", output="uint8")
+    image = renderer.render([left, right])
+    x, y, width, height = renderer.stats.covered
+    box = np.zeros((64, 64), bool)
+    box[y : y + height, x : x + width] = True
+    assert image[..., 3].any() and not image[:, ~box, 3].any()
+    assert renderer.stats.drawn + sum(renderer.stats.culled.values()) == 80
+    assert all(type(v) is int for v in renderer.stats.covered)
+
+
 def test_long_lists_of_views(renderer_of: Make) -> None:
     scene = cloud()
     views = [
@@ -314,6 +357,17 @@ def test_clear_errors(renderer_of: Make, context: Context) -> None:
         renderer.render([camera()], Pose.zero(2))
     with pytest.raises(ContextError, match="size needs 1 to"):
         renderer.resize(context.max_size + 1, 4)
+    with pytest.raises(GlsplatError, match="sort_viewmat needs 4x4 finite numbers"):
+        renderer.render([camera()], sort_viewmat=np.full((4, 4), np.nan))
+    with pytest.raises(GlsplatError, match="views needs at least 1"):
+        Renderer(limb(), views=0, context=context)
+    with pytest.raises(GlsplatError, match="a scene is Splats or an Avatar, not NoneType"):
+        Renderer(None, size=(8, 8), context=context)  # type: ignore[arg-type]
+    released = Renderer(limb(), size=(8, 8), context=context)
+    released.release()
+    for call in (lambda: released.render([camera(8)]), lambda: released.load(limb())):
+        with pytest.raises(GlsplatError, match="was released"):
+            call()
     with pytest.raises(GlsplatError, match="target needs one of"):
         RenderConfig(target="12f")  # type: ignore[arg-type]
 
@@ -325,6 +379,28 @@ def test_gpu_bytes_a_splat(renderer_of: Make) -> None:
         size = renderer.nbytes()
         coefficients = size["sh"] if degree else 0  # at degree 0 the colour counts as an attribute
         assert (size["splats"] + size["work"] + size["sh"] - coefficients) / 4096 <= 120
+
+
+def test_a_pass_that_cannot_be_made_leaves_nothing(context: Context, monkeypatch: pytest.MonkeyPatch) -> None:
+    from glsplat.passes import pipeline
+
+    def fail(*_: object) -> None:
+        raise ContextError("no more")
+
+    monkeypatch.setattr(pipeline, "DrawPass", fail)
+    with context.ctx:
+        context.ctx.gc_mode = "context_gc"
+        try:
+            with (
+                Renderer(limb(), size=(8, 8), context=context) as renderer,
+                pytest.raises(ContextError, match="no more"),
+            ):
+                renderer.render([camera(8)])
+            del renderer
+            gc.collect()
+            assert not [o for o in context.ctx.objects if not isinstance(o, moderngl.InvalidObject)]
+        finally:
+            context.ctx.gc_mode = None
 
 
 def test_nothing_is_left_behind(context: Context) -> None:

@@ -30,8 +30,8 @@ class GpuSorter:
         bits: int = 32,  # 16 looks at the upper half of a key only
         corners: int = 4,  # vertices of the indirect draw
     ) -> None:
-        limit = ctx.info["GL_MAX_SHADER_STORAGE_BLOCK_SIZE"]
-        if max(keys.size, scratch.size) > limit:
+        if not self.fits(ctx, scratch):
+            limit = ctx.info["GL_MAX_SHADER_STORAGE_BLOCK_SIZE"]
             raise ContextError(f"{count} splats exceed this driver's {limit} byte buffers; use sorter='cpu'")
         self._ctx, self._count, self._views = ctx, count, views
         self._start = np.array([corners] + [0] * 11, np.uint32)
@@ -42,6 +42,11 @@ class GpuSorter:
         self.indirect = ctx.buffer(reserve=48)  # indirect draw (4 uints), then counts by cull code (8 uints)
         self._stages = {name: programs.compute(f"radix_{name}") for name in ("init", "count", "scan", "scatter")}
 
+    @staticmethod
+    def fits(ctx: moderngl.Context, scratch: moderngl.Buffer) -> bool:
+        """Whether shaders can bind the largest buffer."""
+        return scratch.size <= int(ctx.info["GL_MAX_SHADER_STORAGE_BLOCK_SIZE"])
+
     def run(self) -> None:
         """Keys to order."""
         if not self._count:
@@ -50,7 +55,7 @@ class GpuSorter:
         self.indirect.write(self._start)
         for binding, buffer in enumerate((keys, order, scratch, self._histogram, self.indirect)):
             buffer.bind_to_storage_buffer(binding)
-        self._dispatch("init", -(-self._count // 64), views=self._views)
+        self._dispatch("init", -(-self._count // 512), views=self._views)  # 256 pairs of keys a group
         for index, shift in enumerate(self._shifts):
             settings = {"shift": shift, "odd": bool(index % 2)}
             self._dispatch("count", self._groups, **settings)

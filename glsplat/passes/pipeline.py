@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from contextlib import ExitStack
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +26,13 @@ from glsplat.timing import StageTimer
 __all__ = ["Pipeline"]
 
 
+class _Owner(Protocol):
+    def release(self) -> None: ...
+
+
+P = TypeVar("P", bound=_Owner)
+
+
 class Pipeline:
     """Owns what depends on the variant: work buffers and vertex arrays. The scene and the programs are borrowed."""
 
@@ -34,24 +42,32 @@ class Pipeline:
         ctx, count = context.ctx, scene.count
         self._scene, self._config, self.variant = scene, config, variant
         self._scratch = context.scratch
-        self._frame = FrameBlock(ctx, variant.views)
-        self._skin = SkinPass(ctx, programs, variant, scene) if variant.influences else None
-        content = self._skin.content() if self._skin else scene.rigid_content()
-        self._project = ProjectPass(ctx, programs, variant, content + scene.sh_content(variant), count)
-        self._key = KeyPass(ctx, programs, variant, content, count, cover=self._project.order)
-        self._sorter: GpuSorter | None = None
-        if config.sorter == "gpu" or (config.sorter == "auto" and context.compute and not context.software):
-            work = (self._key.keys, self._project.order, self._project.records)
-            corners = 3 if variant.triangle else 4
-            self._sorter = GpuSorter(ctx, programs, *work, count, variant.views, config.sort_bits, corners)
-        self._draw = DrawPass(ctx, programs, variant, self._project.records)
-        self._clear = Clear(ctx, programs, variant)
-        self._resolve = Resolve(ctx, programs)
         self._sorted_for: tuple[Any, ...] | None = None
         self._counted_for: tuple[Any, ...] | None = None
         self._posed_for = -1
         self.culled: dict[str, int] = {}
         self.covered: Box = (0, 0, 0, 0)
+        with ExitStack() as stack:  # releases what was made if a later pass cannot be
+
+            def own(item: P) -> P:
+                stack.callback(item.release)
+                return item
+
+            self._frame = own(FrameBlock(ctx, variant.views))
+            self._skin = own(SkinPass(ctx, programs, variant, scene)) if variant.influences else None
+            content = self._skin.content() if self._skin else scene.rigid_content()
+            self._project = own(ProjectPass(ctx, programs, variant, content + scene.sh_content(variant), count))
+            self._key = own(KeyPass(ctx, programs, variant, content, count, cover=self._project.order))
+            self._sorter: GpuSorter | None = None
+            automatic = config.sorter == "auto" and context.compute and not context.software
+            if config.sorter == "gpu" or (automatic and GpuSorter.fits(ctx, self._project.records)):
+                work = (self._key.keys, self._project.order, self._project.records)
+                corners = 3 if variant.triangle else 4
+                self._sorter = own(GpuSorter(ctx, programs, *work, count, variant.views, config.sort_bits, corners))
+            self._draw = own(DrawPass(ctx, programs, variant, self._project.records))
+            self._clear = own(Clear(ctx, programs, variant))
+            self._resolve = own(Resolve(ctx, programs))
+            self._owned = stack.pop_all()
 
     @property
     def drawn(self) -> int:
@@ -111,7 +127,6 @@ class Pipeline:
         self,
         target: Target,
         byte_target: ByteTarget | None,
-        views: Sequence[Camera],
         out: NDArray[Any],  # [V, H, W, 4] uint8 if there is a byte target, else float32
         timer: StageTimer,
     ) -> None:
@@ -121,10 +136,6 @@ class Pipeline:
         else:
             self._resolve.run(target, byte_target, self.covered)
             timer.mark("resolve")
-            if self.covered[2:] != (views[0].width, views[0].height):
-                for image, view in zip(out, views, strict=True):
-                    pixel = np.rint(np.clip((*view.background, 0.0), 0, 1) * 255).astype(np.uint8)
-                    image.view(np.uint32).fill(pixel.view(np.uint32)[0])  # whole pixels: 30 times as fast as channels
             byte_target.read(out, self.covered)
         if self._sorter and self._counted_for != self._sorted_for:
             self._project.count, self.culled = self._sorter.counts()  # after the read, so that nothing waits twice
@@ -133,10 +144,7 @@ class Pipeline:
 
     def release(self) -> None:
         """Delete the work buffers and vertex arrays."""
-        passes = (self._skin, self._key, self._project, self._sorter, self._draw, self._clear, self._resolve)
-        for item in (*passes, self._frame):
-            if item is not None:
-                item.release()
+        self._owned.close()
 
 
 def _view_state(camera: Camera) -> tuple[object, ...]:

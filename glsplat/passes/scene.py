@@ -93,11 +93,13 @@ class SceneBuffers:
         return [(self._joints, f"{k}u2", "joints0"), (self._weights, f"{k}f", "weights0")]
 
     def sh_content(self, variant: Variant) -> Content:
-        """Attributes of sh.glsl."""
+        """Attributes of sh.glsl; a variant of a lower degree than the scene's skips the rest of each row."""
+        rest = (SH_FLOATS[self.sh_degree] - SH_FLOATS[variant.sh_degree]) * 4
+        skip = f" {rest}x" if rest else ""
         if variant.sh_degree == 0:
-            return [(self._sh, "3f", "sh0")]
+            return [(self._sh, "3f" + skip, "sh0")]
         count = SH_FLOATS[variant.sh_degree] // 4
-        return [(self._sh, " ".join(["4f"] * count), *(f"sh{i}" for i in range(count)))]
+        return [(self._sh, " ".join(["4f"] * count) + skip, *(f"sh{i}" for i in range(count)))]
 
     def release(self) -> None:
         """Delete all buffers and the bone texture."""

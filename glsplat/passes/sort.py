@@ -33,12 +33,16 @@ def covered_box(
     width: int,
     height: int,
 ) -> tuple[int, int, int, int]:
-    """Pixels (x, y, width, height) outside of which every view shows only its background."""
+    """Pixels (x, y, width, height) outside of which every view shows only its background.
+
+    Never empty, and with a rim of background wherever it does not reach the picture's edge (ByteTarget.read).
+    """
     if not len(tiles):
-        return 0, 0, 0, 0
-    (x0, y0), (x1, y1) = tiles[:, :2].min(axis=0).astype(int), tiles[:, 2:].max(axis=0).astype(int) + 1
-    left, top = x0 * width // 256, y0 * height // 256
-    return left, top, -(-x1 * width // 256) - left, -(-y1 * height // 256) - top
+        return 0, 0, 1, 1
+    (x0, y0), (x1, y1) = tiles[:, :2].min(axis=0), tiles[:, 2:].max(axis=0)
+    left, top = max(int(x0) * width // 256 - 1, 0), max(int(y0) * height // 256 - 1, 0)
+    right, bottom = min(-(-(int(x1) + 1) * width // 256) + 1, width), min(-(-(int(y1) + 1) * height // 256) + 1, height)
+    return left, top, right - left, bottom - top
 
 
 def count_culled(keys: NDArray[np.uint32]) -> dict[str, int]:

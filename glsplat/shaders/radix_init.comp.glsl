@@ -1,5 +1,5 @@
 // Keys to "far first", indices from the back (of equal keys the lower index is the nearer, drawn later), and counts.
-layout(local_size_x = 64) in;
+layout(local_size_x = 256) in;
 #include "radix.glsl"
 
 layout(std430, binding = 4) buffer Draw {

@@ -2,7 +2,7 @@
 // The coefficients arrive as vec4 attributes sh0, sh1, ... holding floats in order [coefficient][rgb].
 #if SH_DEGREE == 0
 in vec3 sh0;
-vec3 evaluate_sh(vec3 d) { return max(0.28209479177387814 * sh0 + 0.5, 0.0); }
+vec3 evaluate_sh(vec3 d) { return clamp(0.28209479177387814 * sh0 + 0.5, 0.0, 1e30); }
 #else
 in vec4 sh0, sh1, sh2;
 #if SH_DEGREE > 1
@@ -34,6 +34,6 @@ vec3 evaluate_sh(vec3 d) {
     colour += 1.445305721320277 * z * (xx - yy) * vec3(sh10.zw, sh11.x);
     colour -= 0.5900435899266435 * x * (xx - 3.0 * yy) * sh11.yzw;
 #endif
-    return max(colour + 0.5, 0.0);
+    return clamp(colour + 0.5, 0.0, 1e30);  // no upper bound in the contract; this one keeps infinity out of blending
 }
 #endif

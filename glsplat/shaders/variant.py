@@ -39,8 +39,6 @@ class Variant:
             raise ShaderError(f"variant: influences is 0, 1, 2, 4 or 8, not {self.influences}")
         if self.views not in range(1, MAX_VIEWS + 1):
             raise ShaderError(f"variant: views is 1 to {MAX_VIEWS}, not {self.views}")
-        if self.geometry and self.views == 1:
-            raise ShaderError("variant: geometry routes layers, but views is 1")
         if (self.raw or self.keep_rotation) and not self.influences:
             raise ShaderError("variant: raw and keep_rotation are about skinning, but influences is 0")
         if self.keep_rotation != int(bool(self.influences and self.sh_degree)):
@@ -78,7 +76,7 @@ def variant_for(
         views=views,
         antialias=int(config.antialias),
         raw=int(bool(joints) and config.rotation == "raw"),
-        geometry=int(geometry and views > 1),
+        geometry=int(geometry),  # for one view too: it orders the vertices, and a pair has to equal its singles
         keep_rotation=int(bool(joints) and degree > 0),
         triangle=int(triangle),
         cut=int(config.max_sigma < 3.33),
@@ -90,7 +88,7 @@ def every_variant() -> Iterator[Variant]:
     for degree, joints, views, antialias, raw, geometry, triangle, cut in product(
         range(4), (0, 1, 2, 4, 8), range(1, MAX_VIEWS + 1), (0, 1), (0, 1), (0, 1), (0, 1), (0, 1)
     ):
-        if (raw and not joints) or (geometry and views == 1):
+        if raw and not joints:
             continue
         yield Variant(
             sh_degree=degree,

@@ -281,8 +281,8 @@ def _gaussians(cloud: _Cloud, label: NDArray[np.intp], count: int, config: Sampl
     strength = np.linalg.norm(mean_normal, axis=1, keepdims=True)
     flat = np.linalg.eigh(cov)[1][:, :, 0]
     normal = np.where(strength > 0.2, mean_normal / np.maximum(strength, 1e-9), flat)
-    helper = np.eye(3)[np.abs(normal).argmin(axis=1)]
-    u = np.cross(normal, helper)
+    least = np.eye(3)[np.abs(normal).argmin(axis=1)]
+    u = np.cross(normal, least)
     u /= np.linalg.norm(u, axis=1, keepdims=True)
     basis = np.stack([u, np.cross(normal, u)], axis=2)  # [N, 3, 2]
     planar = np.einsum("nia,nij,njb->nab", basis, cov, basis)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import os
+import subprocess
+import sys
 from pathlib import Path
 
 import cv2
@@ -18,6 +20,8 @@ from tests.compare import assert_contract
 from tests.scenes import camera, cloud, eyes, limb, one_splat
 
 pytestmark = pytest.mark.gl
+
+ROOT = Path(__file__).resolve().parents[2]
 
 
 @pytest.fixture
@@ -109,8 +113,12 @@ def test_wrong_inputs(scene: Path, avatar: Path, tmp_path: Path, capsys: pytest.
         ([avatar, "--pose", "a", "--motion", "b", "-o", png], "not both"),
         ([scene, "--device", "nothing", "-o", png], "no EGL device 'nothing'; there are 0: "),
         ([scene, "--size", "100000x4", "-o", png], "size needs 1 to "),
-        ([scene, "--fov", "200", "-o", png], "between 0 and 180"),
         ([scene, "--eye", "1,1,1", "--target", "1,1,1", "-o", png], "the same point"),
+        ([scene, "--frame", "1", "-o", png], "--frame needs --motion"),
+        ([scene, "--cameras", "c.json", "--stereo", "-o", png], "--cameras or --stereo"),
+        ([avatar, "--turntable", "2", "--motion", "m", "-o", tmp_path / "x.mp4"], "needs --frame"),
+        ([scene, "--turntable", "2", "-o", f"{tmp_path}/missing/frames/"], "there is no folder"),
+        ([scene, "--size", "1", "--turntable", "2", "-o", tmp_path / "x.mp4"], "at least 2x2"),
         ([scene, "--turntable", "0", "-o", tmp_path / "x.mp4"], "at least 1 view"),
         ([scene, "--cameras", tmp_path / "no.json", "-o", png], "cannot read the camera file"),
     ]
@@ -120,8 +128,18 @@ def test_wrong_inputs(scene: Path, avatar: Path, tmp_path: Path, capsys: pytest.
         ("{", "is JSON"),
         ("[]", "at least one camera"),
         ("{}", "missing width, height"),
-        ('{"width": 1.5, "height": 2, "fx": 1, "fy": 1, "w2c": []}', "whole numbers"),
-        (json.dumps({**camera(8).to_json(), "w2c": np.eye(3).tolist()}), "4x4 viewmat"),
+        ('{"width": 1.5, "height": 2, "fx": 1, "fy": 1, "w2c": []}', "width needs a whole number"),
+        (json.dumps({**camera(8).to_json(), "w2c": np.eye(3).tolist()}), "4x4 matrix"),
+        (
+            json.dumps({**camera(8).to_json(), "w2c": [[1, 0.5, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]}),
+            "rotation",
+        ),
+        (json.dumps({**camera(8).to_json(), "fx": "100"}), "fx needs a finite number, not '100'"),
+        (json.dumps({**camera(8).to_json(), "width": True}), "width needs a whole number"),
+        (json.dumps({**camera(8).to_json(), "bg": "123"}), "bg needs 3 numbers"),
+        (json.dumps({**camera(8).to_json(), "bg": [1e200, 0, 0]}), "three finite numbers"),
+        (json.dumps({**camera(8).to_json(), "sh_degree": 1.7}), "sh_degree needs a whole number"),
+        (json.dumps({**camera(8).to_json(), "fx": 1e300}), "below 1e+12"),
         (json.dumps({**camera(8).to_json(), "fx": -1}), "fx, fy > 0"),
         (json.dumps({**camera(8).to_json(), "near": 0}), "near"),
         (json.dumps([camera(8).to_json(), camera(9).to_json()]), "same width and height"),
@@ -154,7 +172,8 @@ def test_output_that_is_a_folder_leaves_nothing(
 
 
 def test_usage_errors_exit_with_2(scene: Path) -> None:
-    for arguments in (["render", str(scene)], ["nonsense"], ["render", "-o", "x.png", "--size", "axb"]):
+    wrong = (["--size", "axb"], ["--fov", "200"], ["--fov", "nan"], ["--fps", "0"], ["--eye", "1,2"], ["--size", "0x4"])
+    for arguments in (["render", str(scene)], ["nonsense"], *(["render", "-o", "x.png", *w] for w in wrong)):
         with pytest.raises(SystemExit) as stop:
             main(arguments)
         assert stop.value.code == 2
@@ -165,3 +184,28 @@ def test_empty_scene(tmp_path: Path) -> None:
     assert isinstance(empty, Splats)
     save(empty, tmp_path / "empty.ply")
     assert main(["render", str(tmp_path / "empty.ply"), "--size", "8", "-o", str(tmp_path / "a.png")]) == 0
+
+
+def test_suffix_in_capitals_and_one_camera_in_a_list(scene: Path, tmp_path: Path) -> None:
+    (tmp_path / "list.json").write_text(json.dumps([camera(16).to_json()]))
+    arguments = ["render", str(scene), "--cameras", str(tmp_path / "list.json"), "-o", str(tmp_path / "a.NPY")]
+    assert main(arguments) == 0
+    assert np.load(tmp_path / "a.NPY").shape == (1, 16, 16, 4)
+
+
+def test_a_clip_that_does_not_fit_on_the_disk_is_not_published(scene: Path, tmp_path: Path) -> None:
+    script = "import sys; from apps.cli import main; sys.exit(main(sys.argv[1:]))"
+    command = (
+        f"ulimit -f 8; exec {sys.executable} -c '{script}' render {scene} --size 256 --turntable 20 -o {tmp_path}/a.mp4"
+    )
+    done = subprocess.run(["bash", "-c", command], cwd=ROOT, capture_output=True, text=True)
+    assert done.returncode == 1 and "a.mp4" in done.stderr and "Traceback" not in done.stderr
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["cloud.ply"]
+
+
+def test_a_full_disk_behind_standard_output(scene: Path) -> None:
+    script = "import sys; from apps.cli import main; sys.exit(main(sys.argv[1:]))"
+    with open("/dev/full", "w") as full:
+        command = [sys.executable, "-c", script, "inspect", str(scene)]
+        done = subprocess.run(command, cwd=ROOT, stdout=full, stderr=subprocess.PIPE, text=True)
+    assert done.returncode == 1 and done.stderr.startswith("glsplat inspect: No space left")

@@ -86,7 +86,7 @@ def test_variants() -> None:
     assert variant_for(0, 0, 1, config) == Variant()
     assert variant_for(3, 4, 2, config) == Variant(sh_degree=3, influences=4, views=2, keep_rotation=1)
     assert variant_for(3, 8, 2, RenderConfig(sh_degree=1, influences=2)).influences == 2
-    for wrong in ({"geometry": 1}, {"raw": 1}, {"views": 3}, {"sh_degree": 4}, {"influences": 3}, {"keep_rotation": 1}):
+    for wrong in ({"raw": 1}, {"views": 3}, {"sh_degree": 4}, {"influences": 3}, {"keep_rotation": 1}):
         with pytest.raises(ShaderError, match="variant"):
             Variant(**wrong)
     assert all(sum(floats for *_, floats in record_layout(v)) == v.record_floats for v in every_variant())
