@@ -103,10 +103,10 @@ def server_tls(cert: str | Path, key: str | Path) -> ssl.SSLContext:
     context = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
     context.minimum_version = ssl.TLSVersion.TLSv1_2
     try:
-        context.load_cert_chain(cert, key)
-    except (ssl.SSLError, OSError) as error:
-        reason = getattr(error, "reason", None) or error.strerror or "not PEM"
-        raise GlsplatError(f"{cert}, {key}: expected a certificate and its key in PEM, but {reason}") from None
+        context.load_cert_chain(cert, key, password=lambda: "-")  # an encrypted key is refused, not asked about
+    except (ssl.SSLError, OSError):  # OpenSSL's own words name lines of its source
+        message = f"{cert}, {key}: expected a certificate and the key that belongs to it in PEM, without a passphrase"
+        raise GlsplatError(message) from None
     return context
 
 

@@ -6,7 +6,7 @@ clients send (``cameras`` with ``smplx``, and one ``camera`` with ``smplx``).
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -196,7 +196,7 @@ class Decoder:
             cameras = tuple(self._eye(eye, size) for eye in m.eyes)
         elif m.tracking is not None and m.tracking.head is not None:
             head = m.tracking.head
-            cameras = stereo_cameras(head_matrix(head[:3], head[3:]), o.ipd, o.fov, size=size)
+            cameras = stereo_cameras(_head(head[:3], head[3:]), o.ipd, o.fov, size=size)
         else:
             raise ProtocolError('a request needs "eyes": one or two of {"viewmat", "K"}')
         return RenderRequest(
@@ -283,7 +283,7 @@ class Decoder:
                 raise ProtocolError(f"tracking.{name} needs [x, y, z, qx, qy, qz, qw], not {len(value)} numbers")
             if max(abs(v) for v in value[:3]) > self.options.max_distance:
                 raise ProtocolError(f"tracking.{name} needs metres below {self.options.max_distance:g}")
-            head_matrix(value[:3], value[3:])  # refuses a quaternion of zero length
+            _head(value[:3], value[3:])  # refuses a quaternion of zero length
 
 
 def eye_fields(camera: Camera) -> dict[str, list[float]]:
@@ -300,9 +300,16 @@ def error_text(code: str, message: str, frame_id: int | None = None) -> str:
     return _encoder.encode({"error": {"code": code, "message": _line(message), "frame_id": frame_id}}).decode()
 
 
+def _head(position: Sequence[float], rotation: Sequence[float]) -> NDArray[np.float64]:
+    """T_W_H [4, 4]. Raises FormatError or ProtocolError for what is no quaternion."""
+    if max(map(abs, rotation)) > 1e3:  # 1e300 is finite, its square is not
+        raise ProtocolError("a quaternion needs numbers of about unit length", "bad_camera")
+    return head_matrix(position, rotation)
+
+
 def _head_from_unity(head: _LegacyCamera) -> NDArray[np.float64]:
     """T_W_H [4, 4] from Unity's left-handed frame: position S_x p, rotation S_x R S_z (docs/conventions.md)."""
-    unity = head_matrix((head.pos_x, head.pos_y, head.pos_z), (head.rot_x, head.rot_y, head.rot_z, head.rot_w))
+    unity = _head((head.pos_x, head.pos_y, head.pos_z), (head.rot_x, head.rot_y, head.rot_z, head.rot_w))
     return _MIRROR @ unity @ np.diag([1.0, 1.0, -1.0, 1.0])
 
 

@@ -19,17 +19,20 @@ import cv2
 import moderngl
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
 from apps import cli, serve
 from glsplat.avatar import default_avatar
 from glsplat.camera import head_matrix, stereo_cameras
-from glsplat.errors import GlsplatError, ProtocolError
+from glsplat.errors import GlsplatError, PoseError, ProtocolError
 from glsplat.net.client import Client
 from glsplat.net.encode import encode_picture
-from glsplat.net.messages import RenderRequest
+from glsplat.net.messages import Decoder, RenderRequest, eye_fields
 from glsplat.net.reply import decode_picture
 from glsplat.net.server import Server, ServerConfig
 from glsplat.skinning.pose import Pose
+from glsplat.tracking.calibration import Calibration
 
 ROOT = Path(__file__).parents[2]
 
@@ -360,6 +363,32 @@ def test_tracking_becomes_a_pose_in_the_avatars_space():
     for mine, theirs in zip(solved.cameras, requests[19].cameras, strict=True):
         np.testing.assert_allclose(mine.position, (theirs.position - (0, 0.1, 0)) / 1.25)
         np.testing.assert_array_equal(mine.viewmat[:3, :3], theirs.viewmat[:3, :3])
+
+
+numbers = st.floats(-1.5, 1.5) | st.floats(allow_nan=False, allow_infinity=False)
+poses = st.none() | st.lists(numbers, min_size=7, max_size=7)
+hands = st.none() | st.lists(numbers, min_size=75, max_size=75) | st.lists(numbers, max_size=4)
+tracked_fields = {
+    **dict.fromkeys(("head", "left", "right", "left_grip", "right_grip"), poses),
+    **dict.fromkeys(("left_joints", "right_joints"), hands),
+    **dict.fromkeys(("left_curl", "right_curl"), st.none() | numbers),
+}
+
+
+@settings(max_examples=60, deadline=None, suppress_health_check=list(HealthCheck))
+@given(st.lists(st.tuples(numbers, st.fixed_dictionaries({}, optional=tracked_fields)), min_size=1, max_size=4))
+def test_any_tracking_gives_a_finite_pose_or_a_protocol_error(messages):
+    """Whatever passes the decoder can be solved: what a client sends never fails in the render thread."""
+    solver, decoder = serve.TrackingSolver(default_avatar().skeleton, Calibration()), Decoder()
+    for frame_id, (t, tracking) in enumerate(messages, 1):
+        eyes = [eye_fields(eye) for eye in stereo_cameras(np.eye(4), size=(64, 64))]
+        text = json.dumps({"v": 1, "frame_id": frame_id, "t": t, "eyes": eyes, "tracking": tracking})
+        try:
+            solved = solver.solve(decoder.decode(text), 0.0)
+        except (ProtocolError, PoseError) as error:
+            assert "\n" not in str(error) and len(str(error)) < 400
+        else:
+            assert np.isfinite(solved.pose.rotations).all() and np.isfinite(solved.pose.trans).all()
 
 
 @pytest.mark.gl

@@ -116,7 +116,7 @@ def test_tls_files(tmp_path):
         server_tls(tmp_path / "cert.pem", tmp_path / "key.pem")
     for name in ("cert.pem", "key.pem"):
         (tmp_path / name).write_text("not a certificate")
-    with pytest.raises(GlsplatError, match="expected a certificate and its key in PEM"):
+    with pytest.raises(GlsplatError, match="expected a certificate and the key that belongs to it in PEM"):
         server_tls(tmp_path / "cert.pem", tmp_path / "key.pem")
 
 
@@ -165,6 +165,11 @@ def test_tls_and_the_clients_trust(serve, cameras, tmp_path):
         subprocess.run(command, check=True, capture_output=True)
     except (OSError, subprocess.CalledProcessError):
         pytest.skip("no openssl to make a certificate with")
+    locked = tmp_path / "locked.pem"
+    command = ["openssl", "pkcs8", "-topk8", "-in", str(key), "-out", str(locked), "-passout", "pass:secret"]
+    subprocess.run(command, check=True, capture_output=True)
+    with pytest.raises(GlsplatError, match="without a passphrase"):
+        server_tls(cert, locked)
     config = ServerConfig(port=0, tls=(cert, key), access=Access(tls=True, token=TOKEN))
 
     async def main():

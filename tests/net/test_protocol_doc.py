@@ -86,6 +86,7 @@ def test_the_numbers_of_the_page():
         f"{limits.rate:g} messages a second are read, {limits.burst} more",
         f"within {limits.handshake:g} s of connecting, or no message for {limits.idle:g} s",
         f"More than {limits.errors} of them at once",
+        f"within {server._FAREWELL:g} s is cut off",
         "`window=1..8`",
         f"port {config.port}",
     ):
