@@ -70,9 +70,7 @@ def test_make_import_export(person, tmp_path, monkeypatch, capsys):
     words = ["avatar", "make", str(person), "-o", str(out), "--splats", "200", "--steps", "2", "--json"]
     assert cli.main([*words, "--licence", "CC0-1.0"]) == 0
     facts = json.loads(capsys.readouterr().out.splitlines()[-1])
-    first = out.read_bytes()
-    assert facts["splats"] == 200 and facts["bytes"] == len(first)
-    assert cli.main([*words, "--licence", "CC0-1.0"]) == 0 and out.read_bytes() == first
+    assert facts["splats"] == 200 and facts["bytes"] == out.stat().st_size
     avatar = load(out)
     assert avatar.meta["licence"] == "CC0-1.0" and avatar.meta["source"] == "box.npz"
 

@@ -39,7 +39,7 @@ def turned(joints: int, joint: int, axis: ArrayLike, degrees: float) -> Pose:
 
 def test_half_turns_of_every_joint(renderer_of: Make) -> None:
     """180 degrees at each of the 55 joints, about each axis: as the reference has it, and R_i stays a rotation."""
-    avatar = blended_part(default_avatar(), 600)
+    avatar = blended_part(default_avatar(), 300)
     renderer = renderer_of(avatar, (1, 1))
     for joint in range(55):
         for axis in np.eye(3):
