@@ -3,7 +3,7 @@ VENV ?= .venv
 PYTHON ?= python3
 BIN := $(VENV)/bin
 
-.PHONY: demo test install style types unit goldens bench clean
+.PHONY: demo test install style types unit goldens bench report clean
 
 demo: $(VENV)/.run
 	$(BIN)/glsplat demo -o out/demo
@@ -40,6 +40,10 @@ $(VENV)/.dev: pyproject.toml .ci/system
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[dev]'
 	touch $@ $(VENV)/.run
+
+report: $(VENV)/.run
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[report]'
+	$(BIN)/glsplat report -o out/report
 
 clean:
 	rm -rf $(VENV) build dist out *.egg-info

@@ -6,6 +6,7 @@ Exit codes: 0 ok, 1 failed, 2 bad usage.
 from __future__ import annotations
 
 import argparse
+import contextlib
 import os
 import sys
 from collections.abc import Sequence
@@ -24,6 +25,7 @@ COMMANDS = {
     "bench": "stage times, bytes and the price of each feature on this driver",
     "avatar": "make, import and export avatars",
     "tracking": "head and hands to a full-body pose: derive, solve, score, show",
+    "report": "error against run time, batching, what is left out, stability: HTML, plots, JSON",
     "inspect": "what is in a scene or avatar file",
     "convert": "between PLY, .splat and glTF",
 }
@@ -61,12 +63,20 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 1
     except KeyboardInterrupt:
         return 130
-    except BrokenPipeError:  # `glsplat inspect ... | head`
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 1
     except OSError as error:  # a full disk, a lost network drive: not ours, but no reason for a traceback either
-        print(f"glsplat {chosen.command}: {error.strerror or error}", file=sys.stderr)
+        if not isinstance(error, BrokenPipeError):  # `glsplat inspect ... | head` is no error at all
+            print(f"glsplat {chosen.command}: {error.strerror or error}", file=sys.stderr)
+        _forget_output()
         return 1
+
+
+def _forget_output() -> None:
+    """Point a broken standard output at nothing, so that Python does not fail once more when it flushes at the end."""
+    try:
+        sys.stdout.flush()
+    except OSError:
+        with contextlib.suppress(OSError, ValueError):
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 if __name__ == "__main__":
