@@ -46,7 +46,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     make.add_argument("--splats", type=int, default=40_000, help="number of Gaussians (default 40000)")
     make.add_argument("--seed", type=int, default=0, help="same seed, same bytes (default 0)")
     make.add_argument("--steps", type=int, default=RefineConfig().steps, help="fitting steps, about 1 s each; 0: none")
-    make.add_argument("--antialias", action="store_true", help="fit to pictures drawn with opacity compensation")
 
     taken = commands.add_parser("import", help="an LHM dump (.npz), a LAM zip, or splats bound to a rigged mesh")
     taken.add_argument("dump", type=Path, help="lhm_dump.npz, a LAM .zip, or a splat file (PLY, .splat) with --mesh")
@@ -99,7 +98,7 @@ def _make(args: argparse.Namespace) -> int:
 
         avatar = make_avatar(mesh, args.splats, args.seed, progress=show)
         if args.steps:
-            avatar = refine(avatar, mesh, args.seed, RefineConfig(steps=args.steps, antialias=args.antialias), show)
+            avatar = refine(avatar, mesh, args.seed, RefineConfig(steps=args.steps), show)
     return _write(avatar, args, began)
 
 

@@ -43,7 +43,6 @@ class RefineConfig:
     max_shift: float = 1.0  # cell sizes from where the splat began
     max_turn: float = 0.6  # radians
     max_growth: float = 0.9  # natural logarithm of the scale, either way
-    antialias: bool = False  # fit to how RenderConfig(antialias=True) draws
 
 
 class _Adam:
@@ -100,7 +99,7 @@ def refine(
         alpha = 1 / (1 + np.exp(-logit.value))
         means = np.einsum("nij,nj->ni", bones[:, :, :3], start + shift.value * cell) + bones[:, :, 3]
         rotations = _nearest_rotations(bones[:, :, :3]) @ rest @ Rotation.from_rotvec(turn.value).as_matrix()
-        prints = footprints(means, rotations, scales, alpha, camera, depth + config.layer, config.antialias)
+        prints = footprints(means, rotations, scales, alpha, camera, depth + config.layer)
         by_picture = 2 * (prints.picture(color.value) - target)
         by_picture[..., 3] *= config.alpha_weight
         # a splat has more pixels in a close-up, and would listen to those only; by surface area, it would hear the

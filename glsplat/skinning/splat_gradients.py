@@ -19,7 +19,7 @@ __all__ = ["Footprints", "SplatGradients", "footprints"]
 
 F64 = NDArray[np.float64]
 
-EPS2D, ALPHA_MAX, ALPHA_MIN, MAX_SIGMA, AA_FLOOR = 0.3, 0.99, 1 / 255, 3.33, 2.5e-5
+EPS2D, ALPHA_MAX, ALPHA_MIN, MAX_SIGMA = 0.3, 0.99, 1 / 255, 3.33
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,7 +46,6 @@ class Footprints:
     conic: F64  # [N, 3] inverse of the dilated covariance: a, b, c of [[a, b], [b, c]]
     to_pixels: F64  # [N, 2, 3] Jacobian of the projection by world position
     axes: F64  # [N, 2, 3] principal axes of the splat (unit, without scales) on the screen
-    fading: F64 | None  # [N, 2, 2] derivative of the logarithm of the opacity compensation by the covariance
     count: int
     shape: tuple[int, int]
 
@@ -84,8 +83,6 @@ class Footprints:
         outer = np.stack([sums[2], sums[3], sums[3], sums[4]], axis=1).reshape(n, 2, 2)
         conic = np.stack([a, b, b, c], axis=1).reshape(n, 2, 2)
         by_cov = 0.5 * conic @ outer @ conic
-        if self.fading is not None:
-            by_cov += np.bincount(self.splat, by_exponent, minlength=n)[:, None, None] * self.fading
         by_scale2 = np.einsum("nik,nij,njk->nk", self.axes, by_cov, self.axes)
         # covariance = A S^2 A^T with A the axes: turning axis i towards j changes it by their products
         mixed = np.einsum("nki,nkl,nlj->nij", self.axes, by_cov, self.axes) * 2
@@ -104,18 +101,11 @@ class Footprints:
 
 
 def footprints(
-    means: F64,
-    rotations: F64,
-    scales: F64,
-    opacities: F64,
-    camera: Camera,
-    beyond: F64 | None = None,
-    antialias: bool = False,
+    means: F64, rotations: F64, scales: F64, opacities: F64, camera: Camera, beyond: F64 | None = None
 ) -> Footprints:
     """Project splats (means [N, 3], rotations [N, 3, 3], scales [N, 3], opacities [N]) and list what they cover.
 
-    ``beyond`` [H, W] leaves out, pixel by pixel, splats whose camera z is larger. ``antialias`` lowers opacities by
-    what the dilation adds to a footprint's area (Mip-Splatting's 2D filter), as the renderer does in that mode.
+    ``beyond`` [H, W] leaves out, pixel by pixel, splats whose camera z is larger.
     """
     view, shift = camera.viewmat[:3, :3], camera.viewmat[:3, 3]
     width, height = camera.width, camera.height
@@ -136,15 +126,6 @@ def footprints(
     a, b, c = cov[:, 0, 0] + EPS2D, cov[:, 0, 1], cov[:, 1, 1] + EPS2D
     det = a * c - b * b
     conic = np.stack([c, -b, a], axis=1) / det[:, None]
-    fading = None
-    if antialias:
-        bare = np.maximum(cov[:, 0, 0] * cov[:, 1, 1] - b * b, 0)
-        opacities = opacities * np.sqrt(np.maximum(bare / det, AA_FLOOR))
-        steady = bare > AA_FLOOR * det  # below, the floor holds it
-        adjugate = np.stack([cov[:, 1, 1], -b, -b, cov[:, 0, 0]], axis=1)
-        inverse = adjugate / np.where(steady, bare, 1.0)[:, None]
-        dilated = conic[:, [0, 1, 1, 2]]
-        fading = np.where(steady[:, None], 0.5 * (inverse - dilated), 0.0).reshape(-1, 2, 2)
     u, v = fx * x / z + cx, fy * y / z + cy
     extent = np.minimum(MAX_SIGMA, np.sqrt(2 * np.log(np.maximum(opacities / ALPHA_MIN, 1))))
     left, right = _span(u, extent * np.sqrt(a), width)
@@ -173,8 +154,7 @@ def footprints(
     starts = np.append(True, pixel[1:] != pixel[:-1])[: len(pixel)]
     base = np.maximum.accumulate(np.where(starts, np.arange(len(pixel)), 0))
     transmittance = np.exp(before - before[base])
-    shape = (height, width)
-    return Footprints(splat, pixel, alpha, transmittance, offset, conic, to_pixels, axes, fading, len(means), shape)
+    return Footprints(splat, pixel, alpha, transmittance, offset, conic, to_pixels, axes, len(means), (height, width))
 
 
 def _span(centre: F64, reach: F64, size: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
