@@ -107,7 +107,8 @@ def _server(avatar: str | None) -> Iterator[str]:
     """A server in a process of its own on a free port of loopback; yields its URL and stops it in order."""
     processes = multiprocessing.get_context("spawn")
     ours, theirs = processes.Pipe()
-    process = processes.Process(target=_serve, args=(theirs, avatar), name="glsplat serve", daemon=True)
+    # no daemon: those may not have a process of their own for drawing
+    process = processes.Process(target=_serve, args=(theirs, avatar), name="glsplat serve")
     process.start()
     theirs.close()
     try:

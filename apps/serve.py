@@ -8,17 +8,18 @@ import json
 import logging
 import sys
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from glsplat.avatar import Avatar
-from glsplat.camera import PAPER_FOV, PAPER_IPD, Camera, look_at, pinhole
-from glsplat.config import RenderConfig
-from glsplat.errors import ContextError, GlsplatError, PoseError
+from glsplat.camera import PAPER_FOV, PAPER_IPD, Camera
+from glsplat.errors import GlsplatError
 from glsplat.net.access import Access, is_loopback, read_token
-from glsplat.net.backend import Rendered, Solved
+from glsplat.net.backend import Solved
 from glsplat.net.messages import RenderRequest, WireOptions
+from glsplat.net.process import ProcessBackend
 from glsplat.net.server import Server, ServerConfig
 from glsplat.net.session import SessionConfig
 from glsplat.skinning.skeleton import Skeleton
@@ -28,74 +29,11 @@ from glsplat.tracking.calibration import Calibration
 from glsplat.tracking.sample import Sample
 from glsplat.tracking.tracker import Tracker
 
+from .drawing import RendererBackend
 from .scene import add_scene, load_scene, size
 
 HELP = "Serve pictures of an avatar to headsets and other clients over a WebSocket (docs/protocol.md)."
 EXAMPLE = "glsplat serve me.glb --port 8000"
-
-
-class RendererBackend:
-    """The renderer as the server sees it. Pictures of different sizes may follow each other."""
-
-    def __init__(self, scene: Splats | Avatar, pixels: tuple[int, int], device: str | None = None) -> None:
-        self._scene, self._pixels, self._device = scene, pixels, device
-
-    def open(self) -> str:
-        """Make the context, load the scene, and draw once so that no client waits for the shaders."""
-        from glsplat.context import create_context  # here: the module can be imported without a driver
-        from glsplat.renderer import Renderer
-
-        self._context = create_context(self._device)
-        self._mark = 0
-        try:
-            self._renderer = Renderer(
-                self._scene, size=self._pixels, views=2, config=RenderConfig(), context=self._context
-            )
-            view = Camera(look_at((0, 1.2, 2.0), (0, 1, 0)), pinhole(*self._pixels), *self._pixels)
-            self._renderer.render([view, view])
-        except BaseException:
-            self._context.release()
-            del self._context
-            raise
-        return self._renderer.driver
-
-    def render(self, request: RenderRequest) -> Rendered:
-        """Draw all eyes of a request in one call. Raises ContextError when the context is lost."""
-        renderer, first = self._renderer, request.cameras[0]
-        try:
-            renderer.resize(first.width, first.height)
-            images = renderer.render(request.cameras, request.pose)
-            if self._context.ctx.error != "GL_NO_ERROR":  # reading it clears it
-                raise GlsplatError(f"{renderer.driver} reports an OpenGL error: the picture is not to be trusted")
-        except PoseError:  # before anything was drawn
-            raise
-        except Exception:
-            self._check_alive()
-            renderer.load(self._scene)  # whatever was half done must not be taken for finished
-            renderer.resize(1, 1)
-            raise
-        self._check_alive()
-        return Rendered(images, dict(renderer.timings), renderer.driver, renderer.stats.covered)
-
-    def _check_alive(self) -> None:
-        """Write a number through the context and read it back.
-
-        A lost context ignores calls and need not report it: what is "read" then is whatever lay in memory, such as
-        somebody else's picture.
-        """
-        self._mark = (self._mark + 1) % 2**32
-        expected = self._mark.to_bytes(4, "little")
-        red, green, blue, alpha = (byte / 255 for byte in expected)
-        self._context.scratch.clear(red, green, blue, alpha)
-        if self._context.scratch.read(components=4) != expected:
-            raise ContextError(f"{self._renderer.driver} does nothing any more") from None
-
-    def close(self) -> None:
-        """Release the renderer and its context."""
-        if hasattr(self, "_context"):
-            self._renderer.release()
-            self._context.release()
-            del self._context
 
 
 class TrackingSolver:
@@ -210,8 +148,12 @@ def make_server(
     config: ServerConfig,
     device: str | None = None,
     calibration: Calibration | None = None,
+    own_process: bool = True,
 ) -> Server:
-    """A server that draws ``scene`` with OpenGL and solves tracking if its rig is SMPL-X's."""
+    """A server that draws ``scene`` with OpenGL and solves tracking if its rig is SMPL-X's.
+
+    ``own_process`` draws in a process of its own, else in a thread.
+    """
     # threads hand over every 0.5 ms instead of 5: the loop answers in time while the render thread holds the GIL
     sys.setswitchinterval(0.0005)
     skeleton = scene.skeleton if isinstance(scene, Avatar) else None
@@ -222,4 +164,6 @@ def make_server(
             fitted = base if height is None else Calibration.of_height(skeleton, height, base.floor)
             return TrackingSolver(skeleton, fitted)
 
-    return Server(RendererBackend(scene, config.wire.size, device), config, solver=solver, skeleton=skeleton)
+    draw = partial(RendererBackend, scene, config.wire.size, device)
+    backend = ProcessBackend(draw, config.wire.max_side) if own_process else draw()
+    return Server(backend, config, solver=solver, skeleton=skeleton)

@@ -1,8 +1,8 @@
 """Streaming a motion through a server and timing every stage: what ``replay`` and ``demo`` share.
 
 Three policies of asking, to compare. ``mailbox``: a request at every refresh of the display, the server draws the
-newest. ``stop-and-wait``: the next request when the picture has come, as the paper's released client does. ``fifo``: as
-many requests under way as the window holds, each of them drawn.
+newest. ``stop-and-wait``: the next request when both eyes are decoded, as the paper's released client does.
+``fifo``: as many requests under way as the window holds, each of them drawn.
 """
 
 from __future__ import annotations
@@ -196,7 +196,7 @@ async def stream(
 
     async def ask_when_answered(most: int) -> None:
         while not over.is_set():
-            if run.asked - run.newest < most:
+            if run.asked - (run.newest if most > 1 else run.decoded) < most:
                 await ask(time.perf_counter() - start)
                 await asyncio.sleep(1 / fps)  # tracking has nothing newer before
             else:
@@ -256,7 +256,8 @@ class _Stream:
         self._wake = asyncio.Event()
         self._decoded: Arrived | None = None
         self._on_show: Arrived | None = None
-        self.asked = self.newest = client.newest  # frame_ids of the newest request, and of the newest answer
+        # frame_ids of the newest request, answer, and decoded picture
+        self.asked = self.newest = self.decoded = client.newest
 
     @property
     def finished(self) -> bool:
@@ -274,7 +275,7 @@ class _Stream:
                     raise
                 self.result.errors += 1
                 self.result.last_error = str(error)
-                self.newest = max(self.newest, error.frame_id or 0)
+                self.newest = self.decoded = max(self.newest, error.frame_id or 0)
                 self.answered.set()
                 continue
             self.result.received += 1
@@ -300,6 +301,8 @@ class _Stream:
             await asyncio.gather(*(loop.run_in_executor(self.threads, job) for job in arrived.reply.decoders()))
             done = time.perf_counter()
             self._decoding = False
+            self.decoded = max(self.decoded, arrived.reply.frame_id)
+            self.answered.set()
             self.result.add(arrived, (done - start) * 1e3, done)
             self.result.late += self._decoded is not None
             self._decoded = arrived

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -18,12 +18,16 @@ __all__ = ["Backend", "PoseSolver", "Rendered", "Solved"]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rendered:
-    """One rendered request. The server reads ``images`` while the next frame is drawn: hand over, do not reuse."""
+    """One rendered request. The server reads ``images`` while the next frame is drawn, until it calls ``done``.
+
+    Outside ``covered`` the images are zero: transparent black.
+    """
 
     images: NDArray[np.uint8]  # [V, H, W, 4] RGBA, rows top-down, one a camera of the request
     timings: Mapping[str, float] = field(default_factory=dict)  # ms by stage (skin, sort, ...)
     driver: str = ""
     covered: tuple[int, int, int, int] | None = None  # x, y, width, height: all outside is background; None: unknown
+    done: Callable[[], None] | None = None
 
 
 class Backend(Protocol):

@@ -13,7 +13,6 @@ from collections import deque
 from collections.abc import Awaitable, Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
-from functools import partial
 from typing import Any
 
 from glsplat.errors import ContextError, GlsplatError, PoseError
@@ -185,8 +184,7 @@ class FramePump:
         try:
             rendered = await loop.run_in_executor(self._render_thread, self._draw, channel, frame)
             self.failures = self._lost = 0
-            job = partial(self._encoder.encode, rendered.images, request.quality, request.crop, rendered.covered)
-            frame.encoded = loop.run_in_executor(self._encode_threads, job)
+            frame.encoded = loop.run_in_executor(self._encode_threads, self._encode, rendered, request)
         except PoseError as error:
             frame.error = ("bad_pose", str(error))
         except Exception as error:
@@ -233,11 +231,19 @@ class FramePump:
             frame.times["ik"] = (self._clock() - start) * 1e3
             start = self._clock()
         rendered = self._backend.render(request)
+        frame.times["render"] = (self._clock() - start) * 1e3
         if len(rendered.images) != len(frame.request.eyes):
             raise RuntimeError(f"{len(frame.request.eyes)} pictures were asked for, {len(rendered.images)} drawn")
-        frame.times["render"] = (self._clock() - start) * 1e3
         frame.times |= {name: ms for name, ms in rendered.timings.items() if name not in ("render", "total")}
         return rendered
+
+    def _encode(self, rendered: Rendered, request: RenderRequest) -> Encoded:
+        """On an encoding thread."""
+        try:
+            return self._encoder.encode(rendered.images, request.quality, request.crop, rendered.covered)
+        finally:
+            if rendered.done is not None:
+                rendered.done()
 
     def _end_threads(self) -> None:
         self._render_thread.shutdown(wait=False)

@@ -1,0 +1,45 @@
+"""Backends for tests of ProcessBackend: they are imported again in another process."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+
+import numpy as np
+
+from glsplat.errors import ContextError, GlsplatError, PoseError
+from glsplat.net.backend import Rendered
+
+
+class Boxed:
+    """Draws a filled box whose place, size and colour come from the camera; does as the frame_id says."""
+
+    def __init__(self, fails_to_open: Exception | None = None) -> None:
+        self._fails = fails_to_open
+
+    def open(self) -> str:
+        if isinstance(self._fails, GlsplatError):
+            raise self._fails
+        if self._fails is not None:
+            os._exit(3)
+        return f"boxed {os.getpid()}"
+
+    def render(self, request) -> Rendered:
+        acts = {
+            90: lambda: os.kill(os.getpid(), signal.SIGSEGV),
+            70: lambda: time.sleep(60),
+            92: lambda: 1 / 0,
+        }
+        errors = {93: PoseError("no such joint"), 94: ContextError("lost"), 95: GlsplatError("out of memory")}
+        acts.get(request.frame_id, lambda: None)()
+        if request.frame_id in errors:
+            raise errors[request.frame_id]
+        camera = request.cameras[0]
+        out = np.zeros((len(request.cameras), camera.height, camera.width, 4), np.uint8)
+        x, y = int(camera.K[0, 2]), int(camera.K[1, 2])
+        box = (x, y, 8, 4)
+        out[:, y : y + 4, x : x + 8] = int(camera.K[0, 0])
+        return Rendered(out, {"draw": 1.5}, "boxed", None if request.frame_id == 50 else box)
+
+    def close(self) -> None: ...
