@@ -20,7 +20,7 @@ from glsplat.skinning.importers import bind_to_mesh, load_lhm_dump, marked_no_ro
 from glsplat.skinning.lam import is_lam_zip, load_lam_zip
 from glsplat.skinning.motion import load_motion
 from glsplat.skinning.people import RiggedMesh, read_person
-from glsplat.skinning.pose import Pose
+from glsplat.skinning.pose import Pose, load_pose
 from glsplat.skinning.posed import posed_splats
 from glsplat.skinning.refine import RefineConfig, refine
 from glsplat.skinning.rigged_gltf import read_gltf_person
@@ -178,10 +178,22 @@ def _export(args: argparse.Namespace) -> int:
     if args.pose is not None:
         if not math.isfinite(args.at):
             raise GlsplatError(f"--at needs a number of seconds, not {args.at}")
-        pose = load_motion(args.pose, scene.skeleton).at(args.at)
+        if _is_single_pose(args.pose):
+            pose = load_pose(args.pose, scene.skeleton)
+        else:
+            pose = load_motion(args.pose, scene.skeleton).at(args.at)
     save(posed_splats(scene, pose), args.out)
     print(f"{args.out}: {len(scene.splats)} splats")
     return 0
+
+
+def _is_single_pose(path: str) -> bool:
+    """True for a pose object, which may hold translations; motions, frames of a video and all else are motions."""
+    try:
+        data = json.loads(Path(path).read_text(encoding="utf-8")) if path.lower().endswith(".json") else None
+    except (OSError, ValueError, RecursionError):
+        return False  # the motion reader says what is wrong
+    return isinstance(data, dict) and not {"frames", "focal"} & data.keys()
 
 
 def _score(args: argparse.Namespace) -> int:

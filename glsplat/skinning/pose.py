@@ -19,6 +19,7 @@ __all__ = ["Pose", "load_pose"]
 
 _COUNT = len(JOINT_NAMES)
 _LIMIT = 1e6  # metres; a translation beyond this is a mistake of units
+_DEGREES = 4 * np.pi  # radians; an angle beyond two turns in a file was meant in degrees
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -96,9 +97,14 @@ class Pose:
 
 
 def load_pose(path: str | Path, skeleton: Skeleton) -> Pose:
-    """Read one pose file (JSON, either layout). Raises PoseError naming the file."""
+    """Read one pose file (JSON, either layout). Raises PoseError naming the file; also for angles in degrees."""
     try:
-        return Pose.from_json(json.loads(Path(path).read_text(encoding="utf-8")), skeleton)
+        pose = Pose.from_json(json.loads(Path(path).read_text(encoding="utf-8")), skeleton)
+        angles = np.linalg.norm(pose.rotations, axis=1)
+        if angles.max(initial=0) > _DEGREES:
+            name, angle = skeleton.names[int(angles.argmax())], angles.max()
+            raise PoseError(f"{name} turns by {angle:.0f} rad; angles are radians, not degrees")
+        return pose
     except OSError as error:
         raise PoseError(f"{path}: cannot read the pose ({error.strerror})") from None
     except (ValueError, RecursionError) as error:

@@ -79,6 +79,14 @@ def test_make_import_export(person, tmp_path, monkeypatch, capsys):
     assert cli.main(["avatar", "export", str(out), "--pose", str(tmp_path / "pose.json"), "-o", str(ply)]) == 0
     assert load(ply).means[:, 2].mean() == pytest.approx(0.5, abs=0.02)
 
+    (tmp_path / "long.json").write_text('{"translations": {"high": [0, 0.3, 0]}}')  # single poses may stretch
+    assert cli.main(["avatar", "export", str(out), "--pose", str(tmp_path / "long.json"), "-o", str(ply)]) == 0
+    assert load(ply).means[:, 1].max() == pytest.approx(avatar.splats.means[:, 1].max() + 0.3, abs=0.02)
+    (tmp_path / "degrees.json").write_text('{"joints": {"high": [0, 0, 90]}}')
+    assert cli.main(["avatar", "export", str(out), "--pose", str(tmp_path / "degrees.json"), "-o", str(ply)]) == 1
+    error = capsys.readouterr().err.strip()
+    assert "degrees.json: high turns by 90 rad; angles are radians" in error and "\n" not in error
+
     zero, bound = tmp_path / "zero.ply", tmp_path / "bound.glb"
     assert cli.main(["avatar", "export", str(out), "-o", str(zero)]) == 0
     assert cli.main(["avatar", "import", str(zero), "--mesh", str(person), "-o", str(bound)]) == 0
