@@ -1,0 +1,139 @@
+"""The report's pictures: PNG bytes of what ``glsplat report`` measured."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Sequence
+from typing import Any
+
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from .report_error import PSNR_CAP
+
+__all__ = ["batching_plot", "error_plot", "knob_plot", "left_out_plot"]
+
+_MEASURES = (
+    ("psnr", "PSNR (dB, higher is closer)", False),
+    ("maximum", "maximum error (of 1)", True),
+    ("flip", "mean FLIP (0 is equal)", True),
+)
+_MARKERS = "osD^v<>PX*hp"
+_FLOOR = 1e-7  # where a logarithmic axis begins
+
+
+def error_plot(scene: dict[str, Any]) -> bytes:
+    """PSNR, maximum error and FLIP against ms a frame, one colour a knob, the Pareto front in PSNR as a line."""
+    figure = Figure(figsize=(16, 5.2), layout="constrained")
+    rows = [row for row in scene["settings"] if row["truth"] == "shared"]
+    knobs = list(dict.fromkeys(row["knob"] for row in rows))
+    for axes, (key, label, logarithmic) in zip(figure.subplots(1, 3), _MEASURES, strict=True):
+        for index, knob in enumerate(knobs):
+            own = [row for row in rows if row["knob"] == knob]
+            axes.errorbar(
+                [row["ms"]["median"] for row in own],
+                [max(row[key], _FLOOR) if logarithmic else row[key] for row in own],
+                xerr=[[0.0] * len(own), [max(0.0, row["ms"]["p95"] - row["ms"]["median"]) for row in own]],
+                fmt=_MARKERS[index % len(_MARKERS)],
+                color=f"C{index % 10}",
+                elinewidth=0.4,
+                markersize=6,
+                label=knob,
+            )
+        front = sorted((r for r in rows if r["pareto"]), key=lambda r: (r["ms"]["median"], r["psnr"]))
+        values = [max(r[key], _FLOOR) if logarithmic else r[key] for r in front]
+        axes.plot([r["ms"]["median"] for r in front], values, color="0.3", linewidth=1, label="Pareto front (PSNR)")
+        axes.set(xlabel="ms a frame (median; line to the 95th percentile)", ylabel=label)
+        if logarithmic:
+            axes.set_yscale("log")
+        axes.grid(alpha=0.3)
+    figure.axes[-1].legend(fontsize=8, loc="upper left", bbox_to_anchor=(1.0, 1.0))
+    figure.suptitle(_title(scene))
+    return _png(figure)
+
+
+def knob_plot(scene: dict[str, Any]) -> bytes:
+    """A panel a knob: its settings, named, PSNR against ms, on common axes."""
+    knobs = [k for k in dict.fromkeys(row["knob"] for row in scene["settings"]) if k != "default"]
+    columns = 4
+    lines = -(-len(knobs) // columns)
+    figure = Figure(figsize=(16, 3.4 * lines), layout="constrained")
+    panels: list[Axes] = list(figure.subplots(lines, columns, squeeze=False, sharex=True, sharey=True).flat)
+    for axes, knob in zip(panels, knobs, strict=False):
+        own = sorted((r for r in scene["settings"] if r["knob"] == knob), key=lambda r: r["ms"]["median"])
+        axes.plot([r["ms"]["median"] for r in own], [r["psnr"] for r in own], color="0.8", zorder=1)
+        for row in own:
+            axes.scatter(row["ms"]["median"], row["psnr"], color="C3" if row["pareto"] else "C0", zorder=2)
+        named = ""
+        for row in sorted(own, key=lambda r: -r["psnr"]) if knob == "JPEG" else ():  # they lie on top of each other
+            named += f"{row['psnr']:5.1f} dB  {row['setting']}, {row['bytes'] / 1024:.0f} KiB\n"
+        axes.text(0.03, 0.97, named, transform=axes.transAxes, va="top", fontsize=8)
+        for row in own if knob != "JPEG" else ():
+            place = (row["ms"]["median"], row["psnr"])
+            axes.annotate(row["setting"], place, xytext=(5, 4), textcoords="offset points", fontsize=8)
+        axes.set_title(knob + (" (against an exact order an eye)" if knob == "order" else ""), fontsize=10)
+        axes.grid(alpha=0.3)
+    for axes in panels[len(knobs) :]:
+        axes.set_axis_off()
+    panels[0].set_ylim(top=min(PSNR_CAP + 10, max(r["psnr"] for r in scene["settings"]) + 12))
+    figure.supxlabel("ms a frame (median)")
+    figure.supylabel("PSNR (dB)")
+    figure.suptitle(_title(scene) + "; red: on the Pareto front")
+    return _png(figure)
+
+
+def batching_plot(rows: Sequence[dict[str, Any]]) -> bytes:
+    """Ours beside the paper's, and what each stage saves."""
+    figure = Figure(figsize=(14, 4.8), layout="constrained")
+    times, gains = figure.subplots(1, 2)
+    names = [f"{row['size']}²" for row in rows]
+    width = 0.2
+    bars = [
+        ("pair in one pass", "C0", {i: row["pair_ms"]["median"] for i, row in enumerate(rows)}),
+        ("two renders", "C1", {i: row["two_ms"]["median"] for i, row in enumerate(rows)}),
+        ("paper, batched", "C2", {i: row["paper"]["pair_ms"] for i, row in enumerate(rows) if "paper" in row}),
+        ("paper, not batched", "C3", {i: row["paper"]["two_ms"] for i, row in enumerate(rows) if "paper" in row}),
+    ]
+    for index, (label, colour, values) in enumerate(bars):
+        places = [i + (index - 1.5) * width for i in values]
+        if values:
+            drawn = times.bar(places, list(values.values()), width, label=label, color=colour)
+            times.bar_label(drawn, fmt="%.1f", fontsize=7)
+    times.set_xticks(range(len(rows)), names)
+    times.set(ylabel="ms for both eyes", title="The paper's figures are of its authors' GPU and avatar")
+    times.legend(fontsize=8)
+    stages = [s["stage"] for s in rows[0]["stages"]] if rows else []
+    for index, stage in enumerate(stages):
+        saved = [next((s["saved_ms"] for s in row["stages"] if s["stage"] == stage), 0.0) for row in rows]
+        places = [i + (index - len(stages) / 2 + 0.5) * 0.8 / len(stages) for i in range(len(rows))]
+        gains.bar(places, saved, 0.8 / len(stages), label=stage)
+    gains.set_xticks(range(len(rows)), names)
+    gains.axhline(0, color="0.3", linewidth=0.8)
+    gains.set(ylabel="ms saved by drawing both eyes at once", title="Where the gain lies (stages measured apart)")
+    gains.legend(fontsize=8)
+    return _png(figure)
+
+
+def left_out_plot(rows: Sequence[dict[str, Any]]) -> bytes:
+    """How much slower a frame is with each feature compiled in but unused."""
+    figure = Figure(figsize=(10, 0.45 * len(rows) + 1.6), layout="constrained")
+    axes = figure.subplots()
+    drawn = axes.barh([row["feature"] for row in rows], [row["cost"] for row in rows], color="C0")
+    axes.bar_label(drawn, fmt="%.2f x", fontsize=8)
+    axes.axvline(1, color="0.3", linewidth=0.8)
+    axes.invert_yaxis()
+    axes.set(xlabel="frame with the feature present but unused / frame without it")
+    return _png(figure)
+
+
+def _title(scene: dict[str, Any]) -> str:
+    width, height = scene["size"]
+    return f"{scene['scene']}: {scene['splats']:,} splats, {scene['views']} x {width}x{height}"
+
+
+def _png(figure: Figure) -> bytes:
+    FigureCanvasAgg(figure)
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=90)
+    return buffer.getvalue()

@@ -1,0 +1,180 @@
+"""``glsplat report`` writes what it measured, and a case that does not hold shows as failed."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import re
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from apps import report, report_stability
+from apps.report_batching import PAPER, batching
+from apps.report_knobs import Subject, settings_of
+from apps.report_left_out import features_of, left_out, unmoved
+from apps.report_stability import Case, Outcome, camera, frame_cases, judge, picture_case
+from apps.report_stability_skin import skin_cases
+from glsplat.context import Context
+from glsplat.errors import GlsplatError
+from glsplat.formats import save
+from tests.scenes import cloud, limb, one_splat
+
+pytest.importorskip("flip_evaluator")
+pytest.importorskip("matplotlib")
+pytestmark = pytest.mark.gl
+
+
+def arguments(*words: str) -> argparse.Namespace:
+    parser = argparse.ArgumentParser()
+    report.add_arguments(parser)
+    return parser.parse_args(words)
+
+
+# ------------------------------------------------------------------------------------------------------- stability
+
+
+def test_every_hard_case_holds(context: Context) -> None:
+    rows = judge([*frame_cases(), *skin_cases()], context)
+    assert [r for r in rows if r["verdict"] != "holds"] == []
+    assert len(rows) >= 60 and len({r["case"] for r in rows}) == len(rows)
+    assert all(r["input"] and r["behaviour"] for r in rows)
+
+
+def test_a_case_that_does_not_behave_as_stated_fails(context: Context) -> None:
+    """Wrong picture, wrong reason, drawn but should not be, accepted but should be refused, an exception."""
+    shifted = one_splat(means=[[0.1, 0, 0]])
+    visible, hidden = one_splat(), one_splat(opacities=[0.0])
+
+    def breaks(_: Context) -> Outcome:
+        raise RuntimeError("the driver is gone")
+
+    def case(check: Callable[[Context], Outcome]) -> Case:
+        return Case("g", "n", "i", "b", check)
+
+    rows = judge(
+        [
+            picture_case("shifted", "i", "b", shifted, [camera()], expected=visible),
+            case(report_stability._counted(hidden, "outside")),
+            case(report_stability._counted(visible, "transparent")),
+            case(report_stability.refused(GlsplatError, "never", lambda: None)),
+            case(breaks),
+            picture_case("right", "i", "b", visible, [camera()]),
+        ],
+        context,
+    )
+    assert [r["verdict"] for r in rows] == ["failed"] * 5 + ["holds"]
+    assert rows[0]["error"] > 0.06
+    assert rows[1]["seen"] == "transparent" and rows[2]["seen"] == "drawn" and rows[3]["seen"] == "accepted"
+    assert rows[4]["seen"] == "RuntimeError: the driver is gone"
+
+
+def test_a_wrong_projection_fails_the_table(context: Context, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The verdicts come from running: a renderer that dilates by another amount is noticed."""
+    right = report_stability.RenderConfig
+
+    def wrong(**config: Any) -> Any:
+        return right(**{**config, "eps2d": 0.4})
+
+    monkeypatch.setattr(report_stability, "RenderConfig", wrong)
+    failed = {r["case"] for r in judge(frame_cases(), context) if r["verdict"] == "failed"}
+    assert {"smaller than a pixel", "all scales zero", "far from the origin"} <= failed
+    assert "zero quaternion" not in failed and "repeats" not in failed
+
+
+# -------------------------------------------------------------------------------------------- batching and left out
+
+
+def test_batching_adds_up(context: Context) -> None:
+    subject = Subject("limb", limb(200), 32, moving=True)
+    row = batching(context, subject, 4)
+    assert row["pair_ms"]["median"] > 0 and row["gain"] > 0 and "paper" not in row
+    assert row["fps"] == pytest.approx(1000 / row["pair_ms"]["median"], rel=0.01)
+    assert {"pose", "skin", "key", "sort", "project", "draw", "resolve", "read"} <= {s["stage"] for s in row["stages"]}
+    for stage in row["stages"]:
+        assert stage["saved_ms"] == pytest.approx(stage["two_ms"] - stage["pair_ms"], abs=2e-3)
+    assert [round(without / with_bb, 2) for with_bb, without in PAPER.values()] == [1.72, 1.65, 1.52]
+
+
+def test_a_feature_left_out_changes_no_pixel(context: Context) -> None:
+    subject = Subject("cloud", cloud(150, degree=1), 32)
+    rows = left_out(context, subject, features_of(subject.scene, context), 3)
+    assert all(r["same_picture"] for r in rows), [(r["feature"], r["apart"]) for r in rows]
+    by_name = {r["feature"]: r for r in rows}
+    skin = by_name["skinning"]
+    assert set(skin["full"]["passes"]) - set(skin["lean"]["passes"]) == {"pose", "skin"}
+    assert skin["full"]["programs"] == skin["lean"]["programs"] + 1
+    assert by_name["SH degree 3"]["full"]["bytes"]["sh"] > 10 * by_name["SH degree 3"]["lean"]["bytes"]["sh"]
+    for name, flag in (("antialias", "antialias"), ("extent cut-off", "cut")):
+        assert (by_name[name]["lean"]["variant"][flag], by_name[name]["full"]["variant"][flag]) == (0, 1)
+
+
+def test_pictures_that_differ_are_not_called_one(context: Context) -> None:
+    subject = Subject("cloud", cloud(150), 32)
+    (feature, *_) = features_of(subject.scene, context)
+    wrong = replace(feature, full=(cloud(150, seed=1), feature.full[1]))
+    (row,) = left_out(context, subject, [wrong], 3)
+    assert not row["same_picture"] and row["apart"] > 0.1
+
+
+def test_an_unmoved_frame_runs_fewer_passes(context: Context) -> None:
+    row = unmoved(context, Subject("limb", limb(100), 32, moving=True), 3)
+    assert {"skin", "key", "sort", "project"} == set(row["moved_passes"]) - set(row["unmoved_passes"])
+
+
+# ------------------------------------------------------------------------------------------------------- the files
+
+
+def test_report_files(tmp_path: Path, context: Context, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A page that needs nothing else, JSON without NaN, and a failed case that cannot be missed."""
+    monkeypatch.setattr(report, "settings_of", lambda *given: settings_of(*given)[:4])  # a whole grid takes longer
+    monkeypatch.setattr(report, "features_of", lambda *given: features_of(*given)[:2])
+    monkeypatch.setattr(report, "skin_cases", list)
+    subjects = [Subject("limb <b>", limb(60), 24, moving=True)]
+    result = report.measured(context, subjects, 3, True, sizes=(32,))
+    assert {"driver", "machine", "cores", "date", "versions", "commit"} <= set(result)
+    result["stability"][0] |= {"verdict": "failed", "error": np.inf, "seen": "<script>"}
+    files = report.write(result, tmp_path)
+    assert all(path.stat().st_size > 500 for path in files) and len(list(tmp_path.iterdir())) == len(files)
+    loaded = json.loads((tmp_path / "report.json").read_text())
+    assert loaded["stability"][0]["error"] is None and loaded["scenes"][0]["settings"][0]["ms"]["median"] > 0
+    text = (tmp_path / "report.html").read_text()
+    assert text.count('<tr class="failed">') == 1 and "&lt;script&gt;" in text and "limb &lt;b&gt;" in text
+    assert not re.findall(r'(?:src|href)="(?!data:)', text) and "http" not in text
+    assert text.count("data:image/png;base64,") == 4
+    for name in files[:-2]:
+        assert name.read_bytes().startswith(b"\x89PNG")
+
+
+def test_scenes_and_their_cameras(tmp_path: Path) -> None:
+    save(cloud(50), tmp_path / "a.ply")
+    (plain,) = report.subjects_of(str(tmp_path / "a.ply"), 64)
+    assert plain.name == "a.ply" and [v.width for v in plain.views(3)] == [64, 64]
+    (tmp_path / "a.camera.json").write_text(json.dumps(camera(200).to_json()))
+    (given,) = report.subjects_of(str(tmp_path / "a.ply"), 64)
+    first, second = given.views(0)[0], given.views(1)[0]
+    assert (first.width, first.height) == (64, 64) and len(given.views(0)) == 1
+    assert 0 < np.abs(first.viewmat - second.viewmat).max() < 1e-5  # moves enough to be sorted, not to be seen
+    save(limb(50), tmp_path / "b.glb")
+    still, moving = report.subjects_of(str(tmp_path / "b.glb"), 64)
+    assert still.pose(4) is None and moving.pose(4) is not None
+
+
+def test_clear_errors(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for words, message in (
+        (["--frames", "2"], "--frames needs 3 to 10000, not 2"),
+        (["--size", "8"], "--size needs 16 to 1024"),
+        ([str(tmp_path / "no.ply"), "-o", str(tmp_path / "out")], "no such file"),
+    ):
+        with pytest.raises(GlsplatError, match=message):
+            report.run(arguments(*words))
+    (tmp_path / "file").write_text("")
+    with pytest.raises(GlsplatError, match="cannot make the folder"):
+        report.run(arguments("-o", str(tmp_path / "file" / "x")))
+    monkeypatch.setitem(__import__("sys").modules, "flip_evaluator", None)
+    with pytest.raises(GlsplatError, match=r"needs flip_evaluator; install it with: pip install 'glsplat\[report\]'"):
+        report.run(arguments("-o", str(tmp_path)))

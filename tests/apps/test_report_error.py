@@ -1,0 +1,154 @@
+"""The report's errors are those one computes by hand, and nothing but a known fault moves them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from apps.report_error import PSNR_CAP, Difference, Truth, pareto
+from apps.report_knobs import Setting, Subject, base_config, better_than_default, measure, settings_of
+from glsplat.camera import Camera, look_at, pinhole
+from glsplat.config import RenderConfig
+from glsplat.context import Context
+from glsplat.errors import GlsplatError
+from glsplat.splats import Splats
+from tests.scenes import cloud, limb, one_splat
+
+pytest.importorskip("flip_evaluator")
+
+SIZE, DISTANCE = 64, 3.0
+VIEW = Camera(look_at((0, 0, DISTANCE), (0, 0, 0)), pinhole(SIZE, SIZE), SIZE, SIZE)
+PIXEL = DISTANCE / VIEW.K[0, 0]
+"""Metres of a pixel at the origin."""
+
+EXACT = RenderConfig(target="32f")
+
+
+def measured(context: Context, drawn: Splats, right: Splats, config: RenderConfig = EXACT) -> dict[str, Any]:
+    """The report's row for ``drawn`` where ``right`` was meant, seen by one camera."""
+    subject = Subject("a fault", drawn, SIZE, cameras=(VIEW,))
+    settings = [Setting("default", "default", config), Setting("default", "once more", config, copy=1)]
+    (row, _) = measure(context, subject, settings, frames=1, truth=Truth(right))["settings"]
+    return row
+
+
+@pytest.mark.gl
+def test_without_a_fault_nothing_is_reported(context: Context) -> None:
+    row = measured(context, cloud(200), cloud(200))
+    assert row["psnr"] > 80 and row["maximum"] < 5e-3 and row["flip"] < 1e-3
+
+
+@pytest.mark.gl
+def test_a_splat_shifted_by_a_pixel(context: Context) -> None:
+    """The integral of the squared difference of two Gaussians one pixel apart, of opacity o and deviation s:
+    2 pi s^2 o^2 (1 - exp(-1 / (4 s^2))), times the squares of the colour."""
+    deviation, opacity, colour = 5.0, 0.8, np.array([1.0, 0.2, 0.1])
+    metres = np.sqrt(deviation**2 - 0.3) * PIXEL  # the projection adds 0.3 px^2
+    right = one_splat(scales=[[metres] * 3], opacities=[opacity], rgb=[colour])
+    shifted = one_splat(scales=[[metres] * 3], opacities=[opacity], rgb=[colour], means=[[PIXEL, 0, 0]])
+    squares = 2 * np.pi * deviation**2 * opacity**2 * (1 - np.exp(-1 / (4 * deviation**2)))
+    psnr = -10 * np.log10(squares * (colour**2).sum() / (3 * SIZE * SIZE))
+    # the steepest slope of a Gaussian is o exp(-1/2) / s
+    steepest = opacity * np.exp(-0.5) / deviation
+    row = measured(context, shifted, right)
+    assert row["psnr"] == pytest.approx(psnr, abs=0.05)
+    assert row["maximum"] == pytest.approx(steepest, rel=0.02)
+    assert row["flip"] > 10 * measured(context, right, right)["flip"]
+
+
+@pytest.mark.gl
+def test_two_splats_drawn_in_the_wrong_order(context: Context) -> None:
+    """a over b less b over a is a b (colour of a - colour of b); alpha is the same either way."""
+    a, b = 0.7, 0.4
+    red, blue = np.array([0.9, 0.1, 0.2]), np.array([0.2, 0.3, 0.8])
+
+    def pair(nearer: float) -> Splats:  # both fill the screen; which one is nearer is all that differs
+        return Splats.create(
+            [[0, 0, nearer], [0, 0, -nearer]],
+            [[1.0, 0, 0, 0]] * 2,
+            [[500.0] * 3] * 2,
+            [a, b],
+            rgb=[red, blue],
+        )
+
+    difference = a * b * (red - blue)
+    row = measured(context, pair(-0.1), pair(0.1))
+    assert row["maximum"] == pytest.approx(np.abs(difference).max(), rel=1e-3)
+    assert row["psnr"] == pytest.approx(-10 * np.log10((difference**2).mean()), abs=0.01)
+
+
+@pytest.mark.gl
+def test_8_bit_accumulation(context: Context) -> None:
+    """One layer over black rounds each channel to 1/255: the error of a flat colour is known to the last bit."""
+    opacity, colour = 0.5, np.array([0.413, 0.7, 0.206])
+    flat = one_splat(scales=[[5000.0] * 3], opacities=[opacity], rgb=[colour])
+    value = np.append(opacity * colour, opacity)
+    error = np.abs(np.rint(value * 255) / 255 - value)
+    assert error.max() > 1e-3
+    row = measured(context, flat, flat, RenderConfig(target="8"))
+    assert row["maximum"] == pytest.approx(error.max(), abs=2e-5)
+    assert row["psnr"] == pytest.approx(-10 * np.log10((error[:3] ** 2).mean()), abs=0.15)
+    assert measured(context, flat, flat)["maximum"] < 1e-5
+
+
+@pytest.mark.gl
+def test_the_grid_of_a_scene(context: Context) -> None:
+    """Only knobs the scene has; equal settings share one measurement; a cut-off costs what float64 says it does."""
+    base = base_config(context)
+    knobs = {s.knob for s in settings_of(Subject("static", cloud(10), 32), base)}
+    assert "influences" not in knobs and "SH degree" not in knobs and "order" in knobs
+    subject = Subject("limb", limb(150, degree=1), 32, moving=True)
+    settings = settings_of(subject, base)
+    assert {"influences", "rotation", "SH degree"} <= {s.knob for s in settings}
+    result = measure(context, subject, settings, frames=3, error_frames=(5, 7))
+    rows = {(r["knob"], r["setting"]): r for r in result["settings"]}
+    same = rows["sort bits", "32"], rows["default", "default"]
+    assert same[0]["ms"] == same[1]["ms"] and same[0]["psnr"] == same[1]["psnr"] and same[1]["default"]
+    assert rows["default", "default"]["psnr"] > 65 > rows["extent cut-off (sigma)", "2.0"]["psnr"]
+    assert rows["influences", "1"]["psnr"] < rows["influences", "2"]["psnr"] < rows["influences", "all (4)"]["psnr"]
+    assert rows["JPEG", "q95 444"]["psnr"] > rows["JPEG", "q50 420"]["psnr"]
+    assert rows["resolution", "0.5 x"]["psnr"] < rows["resolution", "0.75 x"]["psnr"]
+    assert rows["order", "per_view"]["truth"] == "per_view" and rows["order", "per_view"]["psnr"] > 65
+    assert all(r["ms"]["p95"] >= r["ms"]["median"] > 0 for r in rows.values())
+    assert any(r["pareto"] for r in rows.values())
+
+
+def test_difference_by_hand() -> None:
+    expected = np.zeros((1, 16, 16, 4))
+    image = expected.copy()
+    image[0, 3, 4] = 0.5, 0, 0, 0.25
+    d = Difference.of(image, expected)
+    assert d.psnr == pytest.approx(-10 * np.log10(0.25 / (3 * 256)), abs=1e-3)
+    assert d.maximum == 0.5 and d.mean == pytest.approx(0.75 / 1024) and d.beyond == 1 / 256
+    assert d.flip is not None and d.flip > 0 and not d.contract
+    assert Difference.of(expected, expected) == Difference(PSNR_CAP, 0.0, 0.0, 0.0, 0.0)
+    image[0, 0, 0, 0] = np.nan
+    assert Difference.of(image, expected, flip=False).maximum == 1e3
+    with pytest.raises(GlsplatError, match="one shape"):
+        Difference.of(image[:, :8], expected)
+    worst = Difference.worst([d, Difference(30.0, 0.0, 0.9, 0.0, None)])
+    assert worst.psnr == min(30.0, d.psnr) and worst.maximum == 0.9 and worst.flip == d.flip
+
+
+def test_pareto_by_hand() -> None:
+    points = [(3.0, 50.0), (1.0, 30.0), (2.0, 30.0), (2.5, 40.0), (3.0, 45.0), (4.0, 50.0)]
+    assert pareto(points) == [1, 3, 0]
+    assert pareto([]) == []
+
+
+def test_better_than_the_default_means_beyond_noise() -> None:
+    def row(name: str, ms: float, psnr: float, default: bool = False) -> dict[str, Any]:
+        return {
+            "knob": name,
+            "setting": "x",
+            "ms": {"median": ms},
+            "psnr": psnr,
+            "default": default,
+            "truth": "shared",
+        }
+
+    rows = [row("default", 10.0, 60.0, True), row("a", 9.0, 60.0), row("b", 9.8, 70.0), row("c", 5.0, 59.0)]
+    assert better_than_default(rows, noise=0.5) == ["a: x"]
+    assert better_than_default(rows, noise=0.1) == ["a: x", "b: x"]
