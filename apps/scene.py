@@ -14,7 +14,19 @@ from glsplat.errors import FormatError
 from glsplat.formats import load
 from glsplat.splats import Splats
 
-__all__ = ["add_scene", "degrees", "load_scene", "point", "positive", "size", "splats_of", "view_of", "viewing_point"]
+__all__ = [
+    "add_scene",
+    "degrees",
+    "load_scene",
+    "natural",
+    "not_negative",
+    "point",
+    "positive",
+    "size",
+    "splats_of",
+    "view_of",
+    "viewing_point",
+]
 
 OPENGL_FROM_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
 
@@ -60,6 +72,24 @@ def positive(text: str) -> float:
     if not 0 < value < np.inf:
         raise argparse.ArgumentTypeError(f"a finite number above 0 is needed, not {text!r}")
     return value
+
+
+def not_negative(text: str) -> float:
+    """argparse type: a finite number, zero or above."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = np.nan
+    if not 0 <= value < np.inf:
+        raise argparse.ArgumentTypeError(f"a finite number of at least 0 is needed, not {text!r}")
+    return value
+
+
+def natural(text: str) -> int:
+    """argparse type: a whole number, zero or above."""
+    if not text.isdecimal():
+        raise argparse.ArgumentTypeError(f"a whole number of at least 0 is needed, not {text!r}")
+    return int(text)
 
 
 def degrees(text: str) -> float:

@@ -6,6 +6,7 @@ import argparse
 import json
 import sys
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -25,6 +26,8 @@ from glsplat.tracking.sample import Sample
 from glsplat.tracking.score import Score, score
 from glsplat.tracking.tracker import Tracker, TrackerConfig
 
+from .scene import natural, not_negative, positive
+
 HELP = "Head and hand tracking to a full-body pose: derive it from motions, calibrate, solve, score, show, bench."
 EXAMPLE = "glsplat tracking from-motion walk -o rec.jsonl --truth truth.jsonl --rate 72"
 
@@ -41,13 +44,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     command.add_argument("-o", "--output", required=True, metavar="JSONL", help="the recording")
     command.add_argument("--truth", metavar="JSONL", help="also write the full-body poses it came from")
     command.add_argument("--rate", type=float, default=72.0, help="samples a second (default 72)")
-    command.add_argument("--seconds", type=float, help="use at most this much of the motion")
+    command.add_argument("--seconds", type=positive, help="use at most this much of the motion")
     command.add_argument("--no-fingers", action="store_true", help="leave out the 25 joints a hand")
-    command.add_argument("--noise-mm", type=float, default=0.0, help="noise of positions, standard deviation")
-    command.add_argument("--noise-deg", type=float, default=0.0, help="noise of orientations")
+    command.add_argument("--noise-mm", type=not_negative, default=0.0, help="noise of positions, standard deviation")
+    command.add_argument("--noise-deg", type=not_negative, default=0.0, help="noise of orientations")
     command.add_argument("--dropout", type=float, default=0.0, help="share of the time a hand is lost (0 to 0.9)")
-    command.add_argument("--latency-ms", type=float, default=0.0, help="samples tell of this long ago")
-    command.add_argument("--seed", type=int, default=0, help="of the noise and the losses")
+    command.add_argument("--latency-ms", type=not_negative, default=0.0, help="samples tell of this long ago")
+    command.add_argument("--seed", type=natural, default=0, help="of the noise and the losses")
     add_skeleton(command)
     command.set_defaults(work=from_motion)
 
@@ -140,6 +143,7 @@ def from_motion(args: argparse.Namespace) -> int:
     """A recording (and the truth) from a motion."""
     if not 0 <= args.dropout <= 0.9:
         raise GlsplatError(f"--dropout needs 0 to 0.9, not {args.dropout:g}")
+    _different(args.output, args.truth)
     skeleton = skeleton_of(args.avatar)
     motion = load_motion(args.motion, skeleton)
     count = len(motion) if args.seconds is None else min(len(motion), max(2, round(args.seconds * motion.fps)))
@@ -190,6 +194,7 @@ def solve(args: argparse.Namespace) -> int:
     """Poses of a recording."""
     skeleton = skeleton_of(args.avatar)
     tracker = tracker_of(args, skeleton)
+    _different(args.output, args.recording)
     samples = samples_of(args.recording)
     bar = tqdm(samples, unit="sample", disable=not sys.stderr.isatty(), leave=False)
     count = write_lines(args.output, (solved(tracker, sample) for sample in bar))
@@ -208,6 +213,12 @@ def solved(tracker: Tracker, sample: Sample) -> dict[str, Any]:
     return line
 
 
+def _different(output: str, other: str | None) -> None:
+    """Refuse to write over the file that is read, or both outputs into one."""
+    if other is not None and Path(output).resolve() == Path(other).resolve():
+        raise GlsplatError(f"{output}: the two files need different names")
+
+
 def run_score(args: argparse.Namespace) -> int:
     """Scores of one file against another."""
     poses, truth = read_poses(args.poses), read_poses(args.truth)
@@ -215,6 +226,9 @@ def run_score(args: argparse.Namespace) -> int:
         raise PoseError(
             f"{args.poses} has {len(poses.times)} poses and {args.truth} {len(truth.times)}; they need the same samples"
         )
+    apart = np.abs(np.asarray(poses.times) - np.asarray(truth.times)).max(initial=0.0)
+    if not truth.rate > 0 or apart > 0.5 / truth.rate:
+        raise PoseError(f"{args.poses} and {args.truth} need the same, rising time stamps; they are {apart:g} s apart")
     sole = Body.of(skeleton_of(args.avatar)).sole
     result = score(poses.joints, truth.joints, truth.rate, sole, poses.rotations, truth.rotations)
     if args.json:

@@ -44,6 +44,8 @@ def replace_file(path: str | Path, parts: Iterable[bytes | memoryview]) -> None:
     Raises FormatError when the folder or the file cannot be written.
     """
     target = Path(path)
+    if target.exists() and not target.is_file():  # renaming over a device or a folder would destroy it, or fail late
+        raise FormatError(f"{path}: cannot be written (it exists and is not a regular file)")
     partial = target.parent / f".{secrets.token_hex(6)}.partial"
     try:
         try:

@@ -35,6 +35,8 @@ def replay(path: str | Path) -> Iterator[Sample]:
     Raises FormatError naming file and line for what is not a sample.
     """
     for number, data in _objects(path):
+        if isinstance(data, dict) and data.get("t") is None:
+            raise FormatError(f"{path}, line {number}: a recorded sample needs its time, t in seconds")
         try:
             yield Sample.from_json(data)
         except PoseError as error:

@@ -176,7 +176,8 @@ class Spine:
         bow = 0.35 * max(pitch - 0.2, 0.0)
         # a lower head: hips and knees share the bend (a squat keeps the mass over the feet)
         crouch = 0.6 * acos(clamp(1 - max(drop - 0.03 * self.stature, 0.0) / length, -0.5, 1.0))
-        fore = max(stand_fore, bow, crouch) if stand_fore > -0.1 else stand_fore + crouch
+        back = clamp((-stand_fore - 0.05) / 0.1, 0.0, 1.0)  # gradually: walking backwards crosses this
+        fore = max(stand_fore, bow, crouch) * (1 - back) + (stand_fore + crouch) * back
         fore = fore * (1 - walking) + walking * max(0.03 + 0.03 * speed, min(bow, 0.5), crouch)
         # a tilted head mostly tilts with its torso
         side = stand_side * (1 - walking) + 0.5 * roll

@@ -172,6 +172,8 @@ class Tracker:
             flags.append("gap")
             fresh = True
         if fresh:
+            if head is None and self._head.at is not None:  # lost over a gap: stay where it was last seen
+                head = (self._head.at, self._head.turn)
             self._head.reset()
             for hand in self._hands:
                 hand.reset()
@@ -346,7 +348,12 @@ class Tracker:
                 angle = 2 * float(np.arccos(min(dot, 1.0)))
                 turned = slerp(old, new, most / angle) if angle > 0.1 else nlerp(old, new, most / angle)
                 slipped = slipped or joint in _LEG_JOINTS
-                rotations[joint] = clamp_joint(joint, turned)  # the way from limit to limit may leave them
+                inside, part = clamp_joint(joint, turned), 1.0  # the way from limit to limit may leave them
+                # and clamping may turn the joint further than it may turn: then take less of the step
+                while part > 0.03 and abs(sum(a * b for a, b in zip(old, inside, strict=True))) < safe - 1e-9:
+                    part *= 0.5
+                    inside = clamp_joint(joint, slerp(old, turned, part))
+                rotations[joint] = inside if part > 0.03 else old
         far = _distance(solution.pelvis, last.pelvis)
         reach = self.config.root_speed * dt
         if far > reach:
