@@ -57,7 +57,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="PLY, .splat or glTF besides the default avatar; NAME.camera.json beside NAME.ply is its view",
     )
     parser.add_argument("--quick", action="store_true", help="fewer frames, smaller pictures")
-    parser.add_argument("--frames", type=int, help="measured frames a setting (default 60; 30 with --quick)")
+    parser.add_argument("--frames", type=int, help="measured frames a setting (default 30; 15 with --quick)")
     parser.add_argument("--size", type=int, help="pixels a side of section 1 (default 256; 128 with --quick)")
     parser.add_argument("--device", help="EGL device: index or part of its name (also GLSPLAT_DEVICE)")
     parser.add_argument("-o", "--output", type=Path, default=Path("out/report"), help="folder (default out/report)")
@@ -65,7 +65,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Measure, write, and say what does not hold: 1 if a stability case failed."""
-    frames = (30 if args.quick else 60) if args.frames is None else args.frames
+    frames = (15 if args.quick else 30) if args.frames is None else args.frames
     size = (128 if args.quick else 256) if args.size is None else args.size
     if not 3 <= frames <= 10000:
         raise GlsplatError(f"--frames needs 3 to 10000, not {frames}")
@@ -118,7 +118,7 @@ def measured(
     middle = WARM_UP + frames // 2
     error_frames = [middle] if quick else [WARM_UP, middle, WARM_UP + frames - 1]
     total = sum(steps(grid, frames) for grid in grids) + len(cases)
-    total += (len(features) + 1) * (WARM_UP + frames) + _BATCHING_STEPS * len(sizes) * (WARM_UP + fewer)
+    total += (len(features) + 1) * (WARM_UP + fewer) + _BATCHING_STEPS * len(sizes) * (WARM_UP + fewer)
     with tqdm(total=total, unit="step", disable=not sys.stderr.isatty()) as bar:
         bar.set_description("stability")
         stability = judge(cases, context, bar.update)
@@ -128,8 +128,8 @@ def measured(
             scenes.append(measure(context, subject, grid, frames, error_frames, tick=bar.update))
         bar.set_description("what is left out")
         still = replace(main, moving=False, cameras=())
-        rows = left_out(context, still, features, frames, bar.update)
-        unmoved_row = unmoved(context, replace(main, cameras=()), frames, bar.update)
+        rows = left_out(context, still, features, fewer, bar.update)
+        unmoved_row = unmoved(context, replace(main, cameras=()), fewer, bar.update)
         batches = []
         for size in sizes:
             bar.set_description(f"batching {size}x{size}")
@@ -143,6 +143,7 @@ def measured(
         "backend": context.backend,
         "quick": quick,
         "frames": frames,
+        "frames_of_the_rest": fewer,  # batching and what is left out
         "warm_up": WARM_UP,
         "scenes": scenes,
         "batching": batches,

@@ -35,7 +35,7 @@ class Feature:
     lean: tuple[Splats | Avatar, RenderConfig]
     full: tuple[Splats | Avatar, RenderConfig]
     how: str  # the feature is present but unused
-    tolerance: float = 2e-3  # how far the two pictures may be apart for the comparison to be one
+    tolerance: float = 0.01  # how far apart the pictures may be: a pixel at alpha 1/255 may go either way
 
 
 def features_of(scene: Splats | Avatar, context: Context) -> list[Feature]:
