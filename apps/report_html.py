@@ -28,7 +28,8 @@ def page(result: Mapping[str, Any], pictures: Mapping[str, bytes]) -> str:
         f"Driver: {result['driver']} ({result['backend']})",
         f"Machine: {result['machine']}, {result['cores']} cores",
         f"Versions: {versions}; commit {result['commit'] or 'unknown'}; {result['date']} (UTC)",
-        f"{width} ({result['frames_of_the_rest']} in sections 2 and 3), settings interleaved frame by frame{'; a quick run' if result['quick'] else ''}",
+        f"{width} ({result['frames_of_the_rest']} in sections 2 and 3), settings interleaved frame by frame"
+        + ("; a quick run" if result["quick"] else ""),
         f"Stability: {len(result['stability']) - len(failed)} of {len(result['stability'])} cases hold",
     ]
     parts = ["<h1>Error against run time</h1><ul>", *(f"<li>{_text(fact)}</li>" for fact in facts), "</ul>"]
