@@ -240,7 +240,8 @@ def _timed(
     kept: int,  # the frame whose pictures are kept
     tick: Tick,
 ) -> tuple[dict[Key, list[float]], dict[tuple[int, str], tuple[list[float], list[int]]], dict[Key, NDArray[Any]]]:
-    """Whole frames of every setting, one frame of each after the other, starting with another one each time."""
+    """Whole frames of every setting, one frame of each after the other, in another order each time."""
+    shuffle = np.random.default_rng(0)  # whoever follows an expensive setting finds colder caches
     renderers = {
         key: Renderer(
             subject.scene, size=_size(subject, key[1]), config=replace(key[0], output="uint8"), context=context
@@ -254,9 +255,8 @@ def _timed(
     try:
         for frame in range(WARM_UP + frames):
             pose = subject.pose(frame)
-            first = frame % len(drawn)
             latest = {}
-            for key in (*drawn[first:], *drawn[:first]):
+            for key in (drawn[i] for i in shuffle.permutation(len(drawn))):
                 picture = renderers[key].render(_scaled(subject.views(frame), key[1]), pose)
                 latest[key] = picture
                 if frame == kept:
