@@ -107,9 +107,9 @@ class Result:
 
     @property
     def age_bound(self) -> float:
-        """The 95th percentile of ``replies`` if the newest pose is always the one drawn: a pose waits at most for the
-        next one. 95th percentiles of rendering and encoding, and a request interval."""
-        return self.interval + sum(median_p95(self.times.get(stage, ()))[1] for stage in ("render", "encode"))
+        """What the 95th percentile of ``replies`` is at most if the newest pose is always the one drawn: it waits for
+        the next one at the longest. 95th percentiles of solving, rendering and encoding, and a request interval."""
+        return self.interval + sum(median_p95(self.times.get(stage, ()))[1] for stage in ("ik", "render", "encode"))
 
     def add(self, arrived: Arrived, decode_ms: float, done: float) -> None:
         """Account for one decoded reply."""
