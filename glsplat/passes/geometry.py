@@ -75,12 +75,12 @@ class KeyPass:
         """Write keys and tiles."""
         self._array.transform([self.keys, self._cover], moderngl.POINTS, vertices=self._count)
 
-    def read(self) -> tuple[NDArray[np.uint32], NDArray[np.uint8]]:
-        """[N] the keys and [N, 4] the tiles x0, y0, x1, y1 on the host; the arrays are reused by the next call."""
+    def read(self) -> tuple[NDArray[np.uint32], NDArray[np.uint32]]:
+        """[N] the keys and [N] the packed tiles on the host; the arrays are reused by the next call."""
         if self._count:
             self.keys.read_into(self._host[0], size=self._count * 4)
             self._cover.read_into(self._host[1], size=self._count * 4)
-        return self._host[0], self._host[1].view(np.uint8).reshape(-1, 4)
+        return self._host[0], self._host[1]
 
     def release(self) -> None:
         """Delete the key buffer and the vertex array."""

@@ -29,7 +29,7 @@ def sorted_indices(keys: NDArray[np.uint32], bits: int = 32) -> NDArray[np.uint3
 
 
 def covered_box(
-    tiles: NDArray[np.uint8],  # [N, 4] of the splats that are drawn
+    tiles: NDArray[np.uint32],  # [N] of the splats that are drawn: x0, y0, x1, y1 of key.vert.glsl, a byte each
     width: int,
     height: int,
 ) -> tuple[int, int, int, int]:
@@ -39,7 +39,9 @@ def covered_box(
     """
     if not len(tiles):
         return 0, 0, 1, 1
-    (x0, y0), (x1, y1) = tiles[:, :2].min(axis=0), tiles[:, 2:].max(axis=0)
+    # four passes over packed integers: numpy's minimum along [N, 4] bytes takes ten times as long
+    x0, y0 = (tiles & 0xFF).min(), (tiles >> 8 & 0xFF).min()
+    x1, y1 = (tiles >> 16 & 0xFF).max(), (tiles >> 24).max()
     left, top = max(int(x0) * width // 256 - 1, 0), max(int(y0) * height // 256 - 1, 0)
     right, bottom = min(-(-(int(x1) + 1) * width // 256) + 1, width), min(-(-(int(y1) + 1) * height // 256) + 1, height)
     return left, top, right - left, bottom - top
@@ -47,5 +49,7 @@ def covered_box(
 
 def count_culled(keys: NDArray[np.uint32]) -> dict[str, int]:
     """How many splats were not drawn, by reason."""
+    if keys.max(initial=0) < FIRST_CULLED:
+        return dict.fromkeys(CULL_REASONS.values(), 0)
     codes = np.bincount(keys[keys >= FIRST_CULLED] - np.uint32(FIRST_CULLED), minlength=5)
     return {name: int(codes[code]) for code, name in CULL_REASONS.items()}
