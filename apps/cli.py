@@ -45,16 +45,16 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("command", choices=list(COMMANDS), metavar="COMMAND", help="one of the commands below")
     chosen = parser.parse_args(arguments[:1] or ["--help"])
 
-    module = import_module(f".{chosen.command}", __package__)
-    command = argparse.ArgumentParser(
-        prog=f"glsplat {chosen.command}",
-        description=module.HELP,
-        epilog=f"example:\n  {module.EXAMPLE}",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    module.add_arguments(command)
-    args = command.parse_args(arguments[1:])
     try:
+        module = import_module(f".{chosen.command}", __package__)
+        command = argparse.ArgumentParser(
+            prog=f"glsplat {chosen.command}",
+            description=module.HELP,
+            epilog=f"example:\n  {module.EXAMPLE}",
+            formatter_class=argparse.RawDescriptionHelpFormatter,
+        )
+        module.add_arguments(command)
+        args = command.parse_args(arguments[1:])
         code = int(module.run(args) or 0)
         sys.stdout.flush()  # here, where a full disk can still be reported
         return code
