@@ -26,6 +26,7 @@ class RenderConfig:
     )
     order: Literal["shared", "per_view"] = "shared"  # one depth order for both eyes, or one an eye
     sort_bits: Literal[16, 32] = 32  # bits of the depth key
+    sort_period: int = 1  # sort every n-th moved frame and keep the old order in between; at rest it is always exact
     rotation: Literal["polar", "raw"] = "polar"  # R_i under skinning: nearest rotation, or the blended matrix
     influences: Literal[0, 1, 2, 4, 8] = 0  # joints a splat; 0 = as many as the avatar has
     sh_degree: int = 3  # evaluate at most this degree
@@ -49,6 +50,8 @@ class RenderConfig:
         for name, values in allowed.items():
             if getattr(self, name) not in values:
                 raise GlsplatError(f"{name} needs one of {', '.join(map(str, values))}, not {getattr(self, name)}")
+        if not (isinstance(self.sort_period, int) and 1 <= self.sort_period <= 1000):
+            raise GlsplatError(f"sort_period needs 1 to 1000 frames, not {self.sort_period}")
         if not 0 <= self.eps2d <= 100:
             raise GlsplatError(f"eps2d needs 0 to 100 px^2, not {self.eps2d:g}")
         if not 0 < self.max_sigma <= 3.33:

@@ -42,9 +42,11 @@ class Pipeline:
         ctx, count = context.ctx, scene.count
         self._scene, self._config, self.variant = scene, config, variant
         self._scratch = context.scratch
-        self._sorted_for: tuple[Any, ...] | None = None
-        self._counted_for: tuple[Any, ...] | None = None
+        self._seen: tuple[Any, ...] | None = None  # what the records were made for
+        self._counted = True
         self._posed_for = -1
+        self._order: NDArray[np.uint32] = np.empty(0, np.uint32)
+        self._order_age = config.sort_period  # moved frames since the sort; at first more than may pass
         self.culled: dict[str, int] = {}
         self.covered: Box = (0, 0, 0, 0)
         with ExitStack() as stack:  # releases what was made if a later pass cannot be
@@ -88,7 +90,7 @@ class Pipeline:
     def geometry(
         self, views: Sequence[Camera], sort_viewmat: NDArray[np.float64], version: int, timer: StageTimer
     ) -> bool:
-        """Steps 1 to 3, up to the records in drawing order. True if the splats had to be sorted again."""
+        """Steps 1 to 3, up to the records in drawing order. True if the splats were sorted again."""
         self._frame.write(views, sort_viewmat, self._scene.origin, self._config, self._scene.shift)
         self._scratch.use()  # without a complete framebuffer transform feedback silently writes nothing
         timer.mark("frame")
@@ -96,25 +98,34 @@ class Pipeline:
             self._skin.run()
             self._posed_for = version
             timer.mark("skin")
-        # an unmoved scene seen by unmoved cameras keeps its order
+        # an unmoved scene seen by unmoved cameras keeps its order and its records
         state = (version, sort_viewmat.tobytes(), tuple(map(_view_state, views)))
-        resort = state != self._sorted_for
-        if resort:
-            self._key.run()
-            timer.mark("key")
-            if self._sorter:
+        moved = state != self._seen
+        if not moved and self._order_age == 0:
+            return False
+        self._seen = state
+        resort = not moved or self._order_age + 1 >= self._config.sort_period
+        self._order_age = 0 if resort else self._order_age + 1
+        if self._sorter:
+            if resort:
+                self._key.run()
+                timer.mark("key")
                 self._sorter.run()
                 self._project.count = self._scene.count  # culled ones sort last; the indirect draw leaves them out
-                self.covered = (0, 0, views[0].width, views[0].height)
-            else:
-                keys, tiles = self._key.read()
-                self.culled = count_culled(keys)
-                self.covered = covered_box(tiles[keys < FIRST_CULLED], views[0].width, views[0].height)
-                self._project.write_order(sorted_indices(keys, self._config.sort_bits))
-            self._sorted_for = state
-            timer.mark("sort")
-            self._project.run()
-            timer.mark("project")
+                self._counted = False
+            self.covered = (0, 0, views[0].width, views[0].height)
+        else:
+            self._key.run()  # with an old order too: it knows which box is covered
+            timer.mark("key")
+            keys, tiles = self._key.read()
+            self.culled = count_culled(keys)
+            self.covered = covered_box(tiles[keys < FIRST_CULLED], views[0].width, views[0].height)
+            if resort:
+                self._order = sorted_indices(keys, self._config.sort_bits)
+            self._project.write_order(self._order)
+        timer.mark("sort")
+        self._project.run()
+        timer.mark("project")
         return resort
 
     def draw(self, target: Target, views: Sequence[Camera], timer: StageTimer, boxed: bool) -> None:
@@ -137,9 +148,9 @@ class Pipeline:
             self._resolve.run(target, byte_target, self.covered)
             timer.mark("resolve")
             byte_target.read(out, self.covered)
-        if self._sorter and self._counted_for != self._sorted_for:
+        if self._sorter and not self._counted:
             self._project.count, self.culled = self._sorter.counts()  # after the read, so that nothing waits twice
-            self._counted_for = self._sorted_for
+            self._counted = True
         timer.mark("read")
 
     def release(self) -> None:
