@@ -133,20 +133,23 @@ def refine(
 
 
 def _random_pose(names: tuple[str, ...], rng: np.random.Generator) -> Pose:
-    """A mild random pose: arms anywhere between hanging and raised, joints bent a little the way they bend."""
+    """Arms anywhere between hanging and raised, one pose in three sits deep, joints bent the way they bend."""
     pose = Pose.zero(len(names))
     index = {name: i for i, name in enumerate(names)}
     if "left_shoulder" not in index or "right_shoulder" not in index:
         return pose
     pose.rotations[:] = rng.normal(0, 0.06, pose.rotations.shape)
     pose.rotations[index.get("pelvis", 0)] = 0
+    if "jaw" in index:
+        pose.rotations[index["jaw"]] += (max(0.0, rng.uniform(-0.3, 0.3)), 0.0, 0.0)
+    deep = rng.uniform(0.5, 1.0) if rng.uniform() < 1 / 3 else 0.0
     for side, sign in (("left", 1.0), ("right", -1.0)):
         changes = {
             "shoulder": (0.0, -sign * rng.uniform(-0.2, 0.8), -sign * rng.uniform(-0.4, 1.25)),
-            "elbow": (0.0, -sign * rng.uniform(0, 1.4), 0.0),
+            "elbow": (0.0, -sign * rng.uniform(0, 1.9), 0.0),
             "wrist": (rng.normal(0, 0.3), rng.normal(0, 0.15), rng.normal(0, 0.3)),
-            "hip": (rng.uniform(-0.8, 0.3), 0.0, sign * rng.uniform(0, 0.3)),
-            "knee": (rng.uniform(0, 0.9), 0.0, 0.0),
+            "hip": (rng.uniform(-0.8, 0.3) - 1.4 * deep, 0.0, sign * rng.uniform(0, 0.3)),
+            "knee": (rng.uniform(0, 0.9) + 1.5 * deep, 0.0, 0.0),
             "ankle": (rng.normal(0, 0.2), 0.0, 0.0),
         }
         curl = rng.uniform(0, 0.7)

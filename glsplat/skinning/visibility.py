@@ -101,7 +101,7 @@ def _within(theirs: NDArray[np.float64], ours: NDArray[np.float64], reach: float
 
 
 def _probe_poses(names: tuple[str, ...]) -> list[Pose]:
-    """The zero pose and, on rigs that have the joints, two that open what it hides (cuffs, armpits, knees)."""
+    """The zero pose and, on rigs that have the joints, two that open what it hides (cuffs, armpits, knees, mouth)."""
     index = {name: i for i, name in enumerate(names)}
     poses = [Pose.zero(len(names))]
     if all(name in index for name in ("left_shoulder", "right_shoulder", "left_hip", "left_knee", "left_wrist")):
@@ -113,6 +113,8 @@ def _probe_poses(names: tuple[str, ...]) -> list[Pose]:
                 pose.rotations[index[f"{side}_hip"]] = (-sign * bend, 0, sign * 0.3)
                 pose.rotations[index[f"{side}_knee"]] = (0.6, 0, 0)
                 pose.rotations[index[f"{side}_ankle"]] = (bend, 0, 0)
+            if "jaw" in index:
+                pose.rotations[index["jaw"]] = (0.3, 0, 0)
             poses.append(pose)
     return poses
 
