@@ -5,17 +5,22 @@ from __future__ import annotations
 import argparse
 import json
 import time
+from contextlib import ExitStack
 from pathlib import Path
 
 from glsplat.avatar import Avatar
 from glsplat.camera import PAPER_FOV, PAPER_IPD, pinhole
 from glsplat.errors import FormatError, GlsplatError
+from glsplat.net.access import read_token
 from glsplat.skinning.pose import load_pose
 from glsplat.splats import Splats
 
 from .output import save_png
+from .preview_cameras import Options
+from .preview_connect import Watched, read_tracked
+from .preview_feed import Feed
 from .preview_files import motion_names, read_motion
-from .preview_viewer import Options, Viewer
+from .preview_viewer import Viewer
 from .preview_window import Window
 from .scene import add_scene, load_scene, point, size
 
@@ -39,42 +44,62 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--eye", type=point, metavar="X,Y,Z", help="where the camera stands (default: all in view)")
     parser.add_argument("--target", type=point, metavar="X,Y,Z", help="what it looks at (default: the scene's middle)")
     parser.add_argument("--ipd", type=float, default=PAPER_IPD, help="metres between the eyes (default 0.055)")
-    parser.add_argument("--background", type=point, metavar="R,G,B", default=(0.0, 0.0, 0.0), help="0 to 1 each")
+    parser.add_argument("--background", type=point, metavar="R,G,B", help="0 to 1 each (default 0,0,0)")
     parser.add_argument("--numbers", action="store_true", help="begin with the overlay of times and counts (key O)")
     parser.add_argument("--vsync", action="store_true", help="one picture a refresh of the screen instead of all")
     parser.add_argument("--frames", type=int, metavar="N", help="show N pictures, 1/30 s apart in the motion, and end")
     parser.add_argument("--screenshot", metavar="FILE", help="save the last picture (.png) and end; alone: --frames 1")
     parser.add_argument("--json", action="store_true", help="at the end print driver, counts and stage times")
+    server = parser.add_argument_group("watch a running server", "SCENE is then what it shows, for skeleton and view")
+    server.add_argument("--connect", metavar="URL", help="show the pictures of `glsplat serve` at ws://HOST:PORT/ws")
+    server.add_argument(
+        "--recording",
+        nargs="?",
+        const="",
+        metavar="FILE",
+        help="send head and hands (.jsonl; default: the embedded recording) instead of poses: the server solves",
+    )
+    server.add_argument("--quality", type=int, help="JPEG quality, 1 to 100 (default: the server's)")
+    server.add_argument("--token-file", type=Path, metavar="FILE", help="token for a server that wants one")
+    server.add_argument("--tls-ca", type=Path, metavar="PEM", help="certificate to trust on wss://")
 
 
 def run(args: argparse.Namespace) -> int:
     """Show the window until it is closed."""
     frames = _frames(args)
     scene = load_scene(args)
-    label = "default avatar" if args.scene is None else Path(args.scene).name
-    with Window(args.size, f"glsplat: {label}", args.vsync) as window:
+    label = args.connect or ("default avatar" if args.scene is None else Path(args.scene).name)
+    with ExitStack() as stack:
+        feed = _feed(args)
+        if feed is not None:
+            feed.start()
+            stack.callback(feed.close)
+        window = stack.enter_context(Window(args.size, f"glsplat: {label}", args.vsync))
         options = Options(
             layout=args.layout,
             fov=args.fov,
             ipd=args.ipd,
-            background=args.background,
+            background=args.background or (0.0, 0.0, 0.0),
             eye=args.eye,
             target=args.target,
             numbers=args.numbers,
             text_scale=window.text_scale,
         )
-        viewer = Viewer(scene, window.context, window.size, options, label)
-        try:
-            _start(args, scene, viewer)
-            window.attach(viewer)
-            loop(window, viewer, frames)
-            report = viewer.report()  # before the screenshot draws once more
-            if args.screenshot:
-                save_png(args.screenshot, viewer.capture())
-            if args.json:
-                print(json.dumps(report))
-        finally:
-            viewer.release()
+        pictures = None
+        if feed is not None:
+            feed.wake = window.wake
+            stack.callback(feed.close)  # before the window, which it wakes, is gone
+            pictures = Watched(feed, window.context.ctx)
+        viewer = Viewer(scene, window.context, window.size, options, label, pictures)
+        stack.callback(viewer.release)
+        _start(args, scene, viewer)
+        window.attach(viewer)
+        loop(window, viewer, frames)
+        report = viewer.report()  # before the screenshot draws once more
+        if args.screenshot:
+            save_png(args.screenshot, viewer.capture())
+        if args.json:
+            print(json.dumps(report))
     return 0
 
 
@@ -84,7 +109,8 @@ def loop(window: Window, viewer: Viewer, frames: int | None = None) -> None:
     while frames is None or drawn < frames:
         visible = min(window.size) > 0
         busy = visible and (viewer.animating or viewer.dirty)
-        window.wait(0.0 if busy or frames is not None else viewer.timeout)
+        pace = viewer.pictures.pace if frames is None else 0.0
+        window.wait(pace if busy or frames is not None else viewer.timeout)
         if window.closing or viewer.closing:
             return
         now = time.perf_counter()
@@ -93,10 +119,10 @@ def loop(window: Window, viewer: Viewer, frames: int | None = None) -> None:
             viewer.advance(now - last if busy or not viewer.animating else 0.0)
         else:
             viewer.advance(1 / _FPS if drawn else 0.0)
-            viewer.dirty = True
+            viewer.settle()
+            viewer.expose()
         last = now
-        if viewer.dirty and min(window.size) > 0:
-            viewer.draw(window.framebuffer)
+        if viewer.dirty and viewer.refresh(window.framebuffer):
             window.swap()
             drawn += 1
 
@@ -104,6 +130,7 @@ def loop(window: Window, viewer: Viewer, frames: int | None = None) -> None:
 def _frames(args: argparse.Namespace) -> int | None:
     """How many pictures; refuses what could not be shown or saved before a window opens."""
     pinhole(1, 1, args.fov)
+    _check_connect(args)
     if args.frames is not None and args.frames < 1:
         raise GlsplatError(f"--frames needs at least 1, not {args.frames}")
     if args.screenshot is None:
@@ -116,16 +143,38 @@ def _frames(args: argparse.Namespace) -> int | None:
     return args.frames or 1
 
 
+def _check_connect(args: argparse.Namespace) -> None:
+    """Options of the server and options of drawing here do not mix."""
+    if args.connect is None:
+        for name in ("recording", "quality", "token_file", "tls_ca"):
+            if getattr(args, name) is not None:
+                raise GlsplatError(f"--{name.replace('_', '-')} goes with --connect; without a server, see --motion")
+    elif args.background is not None:
+        raise GlsplatError("--background does not go with --connect: a server's pictures are on black")
+    if args.quality is not None and not 1 <= args.quality <= 100:
+        raise GlsplatError(f"--quality needs 1 to 100, not {args.quality}")
+
+
+def _feed(args: argparse.Namespace) -> Feed | None:
+    """The server's pictures, if they are asked for; not connected yet."""
+    if args.connect is None:
+        return None
+    token = None if args.token_file is None else read_token(args.token_file)
+    return Feed(args.connect, token, cafile=args.tls_ca, quality=args.quality)
+
+
 def _start(args: argparse.Namespace, scene: Splats | Avatar, viewer: Viewer) -> None:
     """The pose or motion the arguments ask for, or the embedded one that fits."""
-    if args.pose and args.motion:
-        raise GlsplatError("give --pose or --motion, not both")
+    if sum(value is not None for value in (args.pose, args.motion, args.recording)) > 1:
+        raise GlsplatError("give one of --pose, --motion and --recording")
     if viewer.player is None:
-        if args.pose or args.motion:
+        if args.pose or args.motion or args.recording is not None:
             raise GlsplatError("this scene has no skeleton; --pose and --motion need an avatar (.glb with a skin)")
         return
     if args.pose:
         viewer.player.hold(load_pose(args.pose, viewer.player.skeleton))
+    elif args.recording is not None:
+        viewer.player.play(read_tracked(args.recording or None))
     elif args.motion:
         viewer.player.play(read_motion(args.motion, viewer.player.skeleton))
     elif motion_names(scene):

@@ -1,4 +1,4 @@
-"""Where the preview looks from: one state that orbits and flies, and the cameras of each layout."""
+"""Where the preview looks from: how it starts, one state that orbits and flies, and the cameras of each layout."""
 
 from __future__ import annotations
 
@@ -7,13 +7,27 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from glsplat.camera import OPENCV_FROM_OPENGL, Camera, pinhole, stereo_cameras
+from glsplat.camera import OPENCV_FROM_OPENGL, PAPER_FOV, PAPER_IPD, Camera, pinhole, stereo_cameras
 from glsplat.errors import FormatError
 from glsplat.passes.present import Layout, view_size
 
-__all__ = ["View", "cameras_of"]
+__all__ = ["Options", "View", "cameras_of"]
 
 _STEEPEST = np.pi / 2
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options:
+    """How the preview starts."""
+
+    layout: Layout = "mono"
+    fov: float = PAPER_FOV
+    ipd: float = PAPER_IPD
+    background: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    eye: tuple[float, float, float] | None = None
+    target: tuple[float, float, float] | None = None
+    numbers: bool = False  # the overlay is on
+    text_scale: float = 1.0
 
 
 @dataclass(frozen=True, eq=False)

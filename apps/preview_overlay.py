@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import groupby
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from glsplat.renderer import Renderer
-
 from .preview_keys import HELP_LINES
 from .preview_player import Player
 
-__all__ = ["Line", "Overlay", "number_lines", "text_image"]
+__all__ = ["Line", "Overlay", "number_lines", "text_image", "title_line"]
 
 Line = tuple[str, ...]
 """Cells of one line; the columns of consecutive lines with as many cells are aligned."""
@@ -29,12 +27,13 @@ _PERIOD = 0.25  # seconds between new numbers: a text that changes with every pi
 
 
 class Overlay:
-    """Numbers, keys and a passing message; ``lines()`` changes only when there is something new to read."""
+    """Numbers, keys, a passing message and a lasting notice; ``lines()`` changes only with something new to read."""
 
     def __init__(self, numbers: bool = False) -> None:
         self.numbers = numbers
         self.help = False
         self.left = 0.0  # seconds the message stays
+        self.notice = ""  # stays until it is taken away
         self._message = ""
         self._numbers: list[Line] = []
         self._due = 0.0
@@ -69,29 +68,26 @@ class Overlay:
             out += [("",), *HELP_LINES] if out else HELP_LINES
         if live and self.left > 0:
             out.append((self._message,))
+        if live and self.notice:
+            out.append((self.notice,))
         return tuple(out)
 
 
+def title_line(label: str, layout: str, size: tuple[int, int]) -> Line:
+    """What is shown, and the pixels of a view."""
+    return (f"{label}  {layout} {'' if layout == 'mono' else '2 x '}{size[0]}x{size[1]}",)
+
+
 def number_lines(
-    renderer: Renderer, label: str, layout: str, player: Player | None, present_ms: float, rate: float | None
+    facts: Sequence[Line], player: Player | None, stages: Mapping[str, float], rate: float | None
 ) -> list[Line]:
-    """Scene, driver, counts, motion, joint and stage times of the last frame; ``rate`` in pictures a second."""
-    stats, (width, height) = renderer.stats, renderer.size
-    reasons = [f"{count} {reason}" for reason, count in stats.culled.items() if count]
-    if stats.skipped:
-        reasons.append(f"{stats.skipped} unusable")
-    why = f" ({', '.join(reasons)})" if reasons else ""
-    lines: list[Line] = [
-        (f"{label}  {layout} {'' if layout == 'mono' else '2 x '}{width}x{height}",),
-        (renderer.driver,),
-        (f"{stats.splats} splats, {stats.drawn} drawn{why}",),
-    ]
+    """Facts about the picture, motion, joint and stage times (ms) of the last frame; ``rate`` in pictures a second."""
+    lines = list(facts)
     if player is not None and player.motion is not None:
         state = "playing" if player.playing else "paused"
         lines.append((f"{player.motion.label or 'motion'} frame {player.frame} of {len(player.motion)}, {state}",))
     if player is not None and player.joint is not None:
         lines.append((f"{player.joint_name} turned {player.turned:.0f} degrees",))
-    stages = {name: ms for name, ms in renderer.timings.items() if name != "total"} | {"present": present_ms}
     lines += [(name, f"{ms:.2f} ms") for name, ms in stages.items()]
     lines.append(("together", f"{sum(stages.values()):.2f} ms"))
     lines.append(("pictures", f"{rate:.1f} a second" if rate else "when something changes"))

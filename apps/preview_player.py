@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +14,14 @@ from glsplat.skinning.motion import Motion
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.skeleton import Skeleton
 
-__all__ = ["Player"]
+__all__ = ["Player", "Tracked"]
+
+
+@dataclass(frozen=True, eq=False)
+class Tracked(Motion):
+    """A recording on the player's clock, for a server that solves its samples: the poses here stay zero."""
+
+    samples: Sequence[Mapping[str, Any]] = ()  # tracking objects of docs/protocol.md, one a frame
 
 
 class Player:

@@ -6,7 +6,6 @@ import sys
 import time
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -15,23 +14,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.avatar import Avatar
-from glsplat.camera import PAPER_FOV, PAPER_IPD, Camera
-from glsplat.config import RenderConfig
+from glsplat.camera import Camera
 from glsplat.context import Context
 from glsplat.errors import GlsplatError
 from glsplat.passes.present import Layout, Present, view_size
-from glsplat.renderer import Renderer
 from glsplat.skinning.motion import Motion
 from glsplat.skinning.pose import Pose
 from glsplat.splats import Splats
-from glsplat.timing import StageTimer
 
 from .output import save_png
-from .preview_cameras import View, cameras_of
+from .preview_cameras import Options, View, cameras_of
 from .preview_files import Dropped, motion_names, read_dropped, read_motion
 from .preview_keys import ACTIONS, FLIGHT, TURNS
-from .preview_overlay import Line, Overlay, number_lines, text_image
-from .preview_player import Player
+from .preview_overlay import Line, Overlay, number_lines, text_image, title_line
+from .preview_pictures import Drawn, Pictures
+from .preview_player import Player, Tracked
 from .scene import viewing_point
 
 __all__ = ["Options", "Viewer"]
@@ -42,25 +39,17 @@ _ZOOM = 0.9  # of the distance a notch of the wheel
 _LONGEST = 0.1  # seconds of flight a frame: after a pause the eye must not jump
 
 
-@dataclass(frozen=True, kw_only=True)
-class Options:
-    """How the preview starts."""
-
-    layout: Layout = "mono"
-    fov: float = PAPER_FOV
-    ipd: float = PAPER_IPD
-    background: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    eye: tuple[float, float, float] | None = None
-    target: tuple[float, float, float] | None = None
-    numbers: bool = False  # the overlay is on
-    text_scale: float = 1.0
-
-
 class Viewer:
     """A scene, a view and a pose, changed by events; ``dirty`` when the picture is no longer what it should be."""
 
     def __init__(
-        self, scene: Splats | Avatar, context: Context, size: tuple[int, int], options: Options, label: str = ""
+        self,
+        scene: Splats | Avatar,  # for its skeleton and where to look from; drawn if there are no other pictures
+        context: Context,
+        size: tuple[int, int],
+        options: Options,
+        label: str = "",
+        pictures: Pictures | None = None,  # released with the viewer
     ) -> None:
         self.options = options
         self.layout: Layout = options.layout
@@ -80,13 +69,13 @@ class Viewer:
         self._frames: deque[float] = deque(maxlen=30)
         self._present_ms = 0.0
         self._motion_index = -1
-        config = RenderConfig(output="float32")  # nothing is read back: the window rounds to 8 bit
-        self.renderer = Renderer(scene, size=view_size(size, self.layout), config=config, context=context)
+        self._exposed = True  # the window's pixels are due, whether there is a new picture or not
+        self.pictures = pictures or Drawn(scene, context, view_size(size, self.layout))
         try:
             self._present = Present(context.ctx)
             self._show(scene, label)
         except BaseException:
-            self.renderer.release()
+            self.pictures.release()
             raise
 
     # ---------------------------------------------------------------------------------------------------- state
@@ -111,10 +100,13 @@ class Viewer:
         return None if self.player is None else self.player.pose()
 
     def advance(self, seconds: float) -> None:
-        """Let time pass: motion, flight, messages."""
+        """Let time pass: motion, flight, messages, and what came by itself."""
         if not self.animating:
             self._frames.clear()  # a pause is no slow picture
-        self.dirty |= self.overlay.advance(seconds)
+        notice, self.overlay.notice = self.overlay.notice, self.pictures.notice
+        if self.overlay.advance(seconds) or notice != self.overlay.notice:
+            self.dirty = self._exposed = True
+        self.dirty |= self.pictures.fresh
         if self.player is not None and self.player.moving:
             self.player.advance(seconds)
             self.dirty = True
@@ -134,10 +126,7 @@ class Viewer:
         if key in FLIGHT:
             self._held.add(key)
         elif key in TURNS and self.player is not None:
-            if self.player.joint is None:
-                self.player.select(1)
-            self.player.turn(TURNS[key], 1.0 if shift else _TURN)
-            self.overlay.say(f"{self.player.joint_name}: turned {self.player.turned:.0f} degrees")
+            self._turn(TURNS[key], 1.0 if shift else _TURN)
         elif key in ACTIONS and (not repeated or key in ".,[]"):
             action: Callable[[], None] = getattr(self, ACTIONS[key])
             action()
@@ -185,11 +174,11 @@ class Viewer:
     def resize(self, width: int, height: int) -> None:
         """The window has another number of pixels; 0 where it is iconified."""
         self.size = (width, height)
-        self.dirty = True
+        self.dirty = self._exposed = True
 
     def expose(self) -> None:
         """The window system lost the picture."""
-        self.dirty = True
+        self.dirty = self._exposed = True
 
     def drop(self, path: str) -> None:
         """A scene, a pose or a motion is opened; what fails is said in the window and leaves all as it was."""
@@ -203,12 +192,7 @@ class Viewer:
     def open(self, what: Dropped) -> None:
         """Show what was read from a file."""
         if isinstance(what.content, (Splats, Avatar)):
-            before = self._scene
-            try:
-                self.renderer.load(what.content)
-            except (GlsplatError, moderngl.Error):
-                self.renderer.load(before)
-                raise
+            self.pictures.load(what.content)
             self._show(what.content, what.label)
         elif self.player is None:
             raise GlsplatError(f"{what.label}: this scene has no skeleton to move; drop an avatar first")
@@ -298,23 +282,41 @@ class Viewer:
 
     # ------------------------------------------------------------------------------------------------- pictures
 
-    def draw(self, framebuffer: moderngl.Framebuffer, live: bool = True) -> None:
-        """Render and present into ``framebuffer``; ``dirty`` is False afterwards. Without a pixel nothing happens."""
+    def refresh(self, framebuffer: moderngl.Framebuffer) -> bool:
+        """Bring the window up to date; False if there is nothing new to show. ``dirty`` is False afterwards."""
         self.dirty = False
         if min(self.size) < 1:
+            return False
+        new = self.pictures.ask(self.cameras(), self.player)
+        if not (new or self._exposed):
+            return False
+        if not self.animating:
+            self.overlay.renew()  # nothing may come after this picture: the numbers are to be its own
+        self.draw(framebuffer, new=new)
+        return True
+
+    def settle(self) -> None:
+        """Wait for the picture of this moment. GlsplatError if it does not come."""
+        if min(self.size) > 0:
+            self.pictures.ask(self.cameras(), self.player)
+            self.pictures.settle()
+
+    def draw(self, framebuffer: moderngl.Framebuffer, live: bool = True, new: bool = True) -> None:
+        """Picture and text into ``framebuffer``; ``dirty`` is False afterwards. Without a pixel nothing happens."""
+        self.dirty = self._exposed = False
+        if min(self.size) < 1:
             return
-        finish = self._context.ctx.finish if self.overlay.numbers else None
-        self.renderer.timer = StageTimer(finish)
-        self.renderer.resize(*view_size(self.size, self.layout))
-        target = self.renderer.draw(self.cameras(), self.pose())
+        exact = self.overlay.numbers
+        target = self.pictures.draw(self.cameras(), self.player, exact)
         start = time.perf_counter()
         self._write_text(live)
         self._present.run(target, framebuffer, self.size, self.layout)
-        if finish is not None:
-            finish()
+        if exact:
+            self._context.ctx.finish()
         now = time.perf_counter()
         self._present_ms = (now - start) * 1e3
-        self._frames.append(now)
+        if new:
+            self._frames.append(now)
 
     def capture(self) -> NDArray[np.uint8]:
         """[H, W, 3] the window's pixels without messages; drawn anew, because a covered window has none."""
@@ -323,35 +325,24 @@ class Viewer:
         texture = self._context.ctx.texture(self.size, 4)
         framebuffer = self._context.ctx.framebuffer([texture])
         try:
-            self.draw(framebuffer, live=False)
+            self.draw(framebuffer, live=False, new=False)
             data = framebuffer.read(components=3, alignment=1)
         finally:
             self._context.scratch.use()
             framebuffer.release()
             texture.release()
-        self.dirty = True
+        self.dirty = self._exposed = True
         pixels = np.frombuffer(data, np.uint8).reshape(self.size[1], self.size[0], 3)
         return np.ascontiguousarray(pixels[::-1])
 
     def report(self) -> dict[str, Any]:
         """Driver, counts and stage times of the last frame."""
-        stats = self.renderer.stats
-        return {
-            "driver": self.renderer.driver,
-            "window": list(self.size),
-            "layout": self.layout,
-            "float_target": self.renderer.target_dtype,
-            "splats": stats.splats,
-            "drawn": stats.drawn,
-            "skipped": stats.skipped,
-            "culled": stats.culled,
-            "timings_ms": {stage: round(ms, 3) for stage, ms in self.renderer.timings.items()},
-        }
+        return {"window": list(self.size), "layout": self.layout, **self.pictures.report()}
 
     def release(self) -> None:
         """Delete all GL objects."""
         self._present.release()
-        self.renderer.release()
+        self.pictures.release()
 
     # ------------------------------------------------------------------------------------------------ internals
 
@@ -380,8 +371,17 @@ class Viewer:
         self.player.select(step)
         self.overlay.say(f"{self.player.joint_name}: turn it with the arrow keys")
 
+    def _turn(self, axis: tuple[float, float, float], degrees: float) -> None:
+        assert self.player is not None
+        if isinstance(self.player.motion, Tracked):
+            return self.overlay.say("the server solves this recording: no joint can be turned (M: next motion)")
+        if self.player.joint is None:
+            self.player.select(1)
+        self.player.turn(axis, degrees)
+        self.overlay.say(f"{self.player.joint_name}: turned {self.player.turned:.0f} degrees")
+
     def _changed(self) -> None:
-        self.dirty = True
+        self.dirty = self._exposed = True
         self.overlay.renew()
 
     def _write_text(self, live: bool) -> None:
@@ -394,4 +394,6 @@ class Viewer:
         rate = None
         if self.animating and len(self._frames) > 1:
             rate = (len(self._frames) - 1) / (self._frames[-1] - self._frames[0])
-        return number_lines(self.renderer, self._label, self.layout, self.player, self._present_ms, rate)
+        stages = self.pictures.stages() | {"present": self._present_ms}
+        title = title_line(self._label, self.layout, view_size(self.size, self.layout))
+        return number_lines([title, *self.pictures.facts()], self.player, stages, rate)

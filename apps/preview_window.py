@@ -102,6 +102,10 @@ class Window:
         else:
             self._glfw.poll_events()
 
+    def wake(self) -> None:
+        """End a wait(); the one call that other threads may make."""
+        self._glfw.post_empty_event()
+
     def swap(self) -> None:
         """Show what was drawn."""
         self._glfw.swap_buffers(self._window)

@@ -16,7 +16,8 @@ import glfw
 import numpy as np
 
 from apps.preview import loop
-from apps.preview_viewer import Options, Viewer
+from apps.preview_cameras import Options
+from apps.preview_viewer import Viewer
 from apps.preview_window import Window
 from glsplat.formats import load
 

@@ -1,4 +1,5 @@
 """The preview: a viewer on a framebuffer, then the real window under Xvfb."""
+# ruff: noqa: F811  (a fixture of another file has the name of its argument)
 
 from __future__ import annotations
 
@@ -11,14 +12,14 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
 import pytest
 
 from apps.output import side_by_side
-from apps.preview_viewer import Options, Viewer
+from apps.preview_cameras import Options
+from apps.preview_viewer import Viewer
 from glsplat.avatar import Avatar
 from glsplat.camera import Camera
 from glsplat.context import Context
@@ -27,16 +28,10 @@ from glsplat.renderer import Renderer
 from glsplat.skinning.pose import Pose
 from glsplat.splats import Splats
 from tests.scenes import cloud, limb
+from tests.xvfb import ROOT, display, psnr, python  # noqa: F401  (a fixture)
 
 pytestmark = pytest.mark.gl
-ROOT = Path(__file__).resolve().parents[1]
 VIEW = Options(eye=(0.4, 0.3, 3.0), target=(0.7, 0.0, 0.0), background=(0.1, 0.2, 0.3))
-
-
-def psnr(a: np.ndarray, b: np.ndarray) -> float:
-    assert a.shape == b.shape and a.dtype == b.dtype == np.uint8
-    error = ((a.astype(np.float64) - b) ** 2).mean()
-    return float("inf") if error == 0 else float(10 * np.log10(255**2 / error))
 
 
 @pytest.fixture
@@ -202,43 +197,6 @@ def _refuse(*_: object) -> None:
 
 
 # --------------------------------------------------------------------------------------------------- under Xvfb
-
-
-@pytest.fixture(scope="module")
-def display() -> Iterator[str]:
-    """A virtual screen on a display that is free."""
-    if shutil.which("Xvfb") is None:
-        pytest.skip("Xvfb is not installed (Debian/Ubuntu: apt-get install xvfb)")
-    read, write = os.pipe()
-    command = [
-        "Xvfb",
-        "-displayfd",
-        str(write),
-        "-screen",
-        "0",
-        "1280x1024x24",
-        "+extension",
-        "GLX",
-        "-nolisten",
-        "tcp",
-    ]
-    server = subprocess.Popen(command, pass_fds=[write], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    os.close(write)
-    with os.fdopen(read) as pipe:
-        number = pipe.readline().strip()
-    if not number:
-        server.wait(10)
-        pytest.skip("Xvfb does not start on this machine")
-    yield f":{number}"
-    server.terminate()
-    server.wait(10)
-
-
-def python(*arguments: str, display: str | None, cwd: Path = ROOT, **extra: Any) -> subprocess.CompletedProcess[str]:
-    environment = {k: v for k, v in os.environ.items() if k not in ("DISPLAY", "WAYLAND_DISPLAY", "XDG_SESSION_TYPE")}
-    environment |= {"PYTHONPATH": str(ROOT)} | ({"DISPLAY": display} if display else {})
-    command = [sys.executable, "-W", "error", *arguments]
-    return subprocess.run(command, env=environment, cwd=cwd, capture_output=True, text=True, timeout=60, **extra)
 
 
 def test_command_saves_what_render_renders(

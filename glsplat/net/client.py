@@ -77,6 +77,11 @@ class Client:
         """The frame_id of the newest request; 0 before the first."""
         return self._frame_id
 
+    @property
+    def waiting(self) -> bool:
+        """True while the newest request has no answer."""
+        return self._frame_id in self._sent
+
     async def __aenter__(self) -> Client:
         await self.connect()
         return self
@@ -158,6 +163,10 @@ class Client:
         except (ConnectionError, aiohttp.ClientError):
             raise ProtocolError(f"{self.url}: the server closed the connection", "closed") from None
 
+    async def acknowledge(self) -> None:
+        """Tell the server what has arrived, without asking for a picture; also keeps a quiet connection alive."""
+        await self.send_text(f'{{"v":{VERSION},"ack":{self._received}}}')
+
     async def receive(self) -> Arrived:
         """The next picture. Acknowledges it at once when newer requests are under way, so that they can be drawn."""
         while True:
@@ -167,7 +176,9 @@ class Client:
                 raise ProtocolError(f"{self.url}: no picture within {self._timeout:g} s", "timeout") from None
             at = time.perf_counter()
             if message.type == aiohttp.WSMsgType.TEXT:
-                raise _server_error(message.data)
+                error = _server_error(message.data)
+                self._sent.pop(error.frame_id or 0, None)
+                raise error
             if message.type != aiohttp.WSMsgType.BINARY:
                 raise ProtocolError(f"{self.url}: the server closed the connection{_why(self._socket)}", "closed")
             reply = parse_reply(message.data)
@@ -177,7 +188,7 @@ class Client:
             self._sent = {frame_id: t for frame_id, t in self._sent.items() if frame_id > reply.frame_id}
             self._received = reply.frame_id
             if self._sent:
-                await self.send_text(f'{{"v":{VERSION},"ack":{self._received}}}')
+                await self.acknowledge()
             return Arrived(reply, at, requested)
 
     @property
