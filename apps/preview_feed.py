@@ -175,6 +175,7 @@ class Feed:
 
     async def _send(self, client: Client, numbers: dict[int, int]) -> None:
         self._new.set()  # after a reconnection the last wish still stands
+        sent: tuple[int, float] | None = None
         while True:
             try:
                 async with asyncio.timeout(_QUIET):
@@ -183,9 +184,10 @@ class Feed:
                 await client.acknowledge()
                 continue
             self._new.clear()
-            if self._wish is None:
+            if self._wish is None or sent == (self._wish[0], self._scale):
                 continue
             number, wish = self._wish
+            sent = number, self._scale
             numbers[client.newest + 1] = number
             cameras = [_scaled(camera, self._scale) for camera in wish.cameras]
             await client.send(cameras, pose=wish.pose, tracking=wish.tracking, quality=self._quality, crop=True)

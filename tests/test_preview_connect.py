@@ -119,7 +119,7 @@ def test_the_newest_wish_is_answered_and_a_quiet_feed_asks_for_nothing() -> None
         for x in (0.5, 0.7, 0.9, 1.1):
             feed.ask(at(x))
         feed.settle()
-        assert shade(feed) == pytest.approx(110, abs=1) and woken
+        assert shade(feed) == pytest.approx(110, abs=1) and until(lambda: woken)
         assert len(backend.requests) <= 4 and feed.take() is None and feed.notice == ""
         count = len(backend.requests)
         time.sleep(0.1)
