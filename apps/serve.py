@@ -44,9 +44,7 @@ class TrackingSolver:
         self._moved = calibration.scale != 1 or calibration.floor != 0
 
     def solve(self, request: RenderRequest, now: float) -> Solved:
-        """Filter the samples of dropped requests too, solve the newest, bring the cameras to the avatar's scale."""
-        for t, tracking in request.earlier:
-            self._tracker.update(Sample.from_json(tracking, t / 1e3))
+        """Filter and solve the next sample, bring the cameras to the avatar's scale."""
         now = now if request.t is None else request.t
         pose = self._tracker.update(Sample.from_json(request.tracking, now / 1e3))
         cameras = tuple(map(self._camera, request.cameras)) if self._moved else request.cameras

@@ -63,6 +63,9 @@ class PoseSolver(Protocol):
     """Raw tracking to a pose, one instance a session because it filters over time (inverse kinematics)."""
 
     def solve(self, request: RenderRequest, now: float) -> Solved:
-        """Solve ``request.tracking`` at its ``t`` (ms), or at ``now`` (ms) where it has none, after its ``earlier``
-        samples. Called on the render thread. May raise PoseError."""
+        """Solve ``request.tracking`` at its ``t`` (ms), or at ``now`` (ms), when it arrived, where it has none.
+
+        Called for every request of the session in order, also for those that are never drawn; one call at a time, on
+        a thread that is neither the event loop's nor the renderer's. May raise PoseError.
+        """
         ...

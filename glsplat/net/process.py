@@ -80,7 +80,7 @@ class ProcessBackend:
         slot = self._free.get()
         try:
             try:
-                self._pipe.send((slot, replace(request, tracking=None, earlier=())))
+                self._pipe.send((slot, replace(request, tracking=None)))
             except OSError:
                 raise ContextError("the renderer's process has ended") from None
             rendered, shape = self._answer(_HANG)

@@ -11,7 +11,7 @@ import logging
 import time
 from collections import deque
 from collections.abc import Awaitable, Callable
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -21,6 +21,7 @@ from glsplat.net.encode import Encoded, Encoder
 from glsplat.net.messages import RenderRequest, eye_fields
 from glsplat.net.reply import pack_reply, pack_single
 from glsplat.net.session import Session
+from glsplat.net.solving import Solution, Solving
 from glsplat.net.stages import StageTimes
 
 __all__ = ["Channel", "FramePump"]
@@ -50,7 +51,7 @@ class Channel:
 
     number: int
     session: Session
-    solver: PoseSolver | None = None
+    solving: Solving | None = None  # None: this server solves no tracking
     frames: asyncio.Queue[Frame] = field(default_factory=asyncio.Queue)  # bounded by the session's window
 
 
@@ -69,6 +70,7 @@ class FramePump:
         self._turn: deque[Channel] = deque()
         self._wake = asyncio.Event()
         self._render_thread = ThreadPoolExecutor(1, thread_name_prefix="render")
+        self._solve_thread = ThreadPoolExecutor(1, thread_name_prefix="solve")
         self._encode_threads = ThreadPoolExecutor(2, thread_name_prefix="frame")
         self._encoder = Encoder()
         self._task: asyncio.Task[None] | None = None
@@ -110,6 +112,11 @@ class FramePump:
         finally:
             self._end_threads()
 
+    def open(self, number: int, session: Session, solver: PoseSolver | None = None) -> Channel:
+        """A client, with what solves its tracking; it takes part once it is added."""
+        solving = None if solver is None else Solving(solver, self._solve_thread, self._clock)
+        return Channel(number, session, solving)
+
     def add(self, channel: Channel) -> None:
         """Let a client take part."""
         self._turn.append(channel)
@@ -118,9 +125,18 @@ class FramePump:
         """Forget a client; a picture of it that is being drawn is thrown away."""
         if channel in self._turn:
             self._turn.remove(channel)
+        if channel.solving is not None:
+            channel.solving.clear()
+
+    def received(self, channel: Channel) -> None:
+        """A message of this client was taken: its tracking is solved while others are drawn."""
+        request = channel.session.accepted
+        if request is not None and request.tracking is not None and channel.solving is not None:
+            channel.solving.add(request)
+        self._wake.set()
 
     def wake(self) -> None:
-        """A request came, or a window has room again."""
+        """A window has room again."""
         self._wake.set()
 
     async def pack(self, channel: Channel, frame: Frame) -> list[bytes] | str:
@@ -181,10 +197,11 @@ class FramePump:
         request, waited = taken
         frame = Frame(request, self._clock() - waited, {"wait": waited * 1e3})
         lost = False
+        solution = channel.solving.take(request.frame_id) if channel.solving is not None else None
         try:
-            rendered = await loop.run_in_executor(self._render_thread, self._draw, channel, frame)
+            encoded = await loop.run_in_executor(self._render_thread, self._draw, frame, solution)
             self.failures = self._lost = 0
-            frame.encoded = loop.run_in_executor(self._encode_threads, self._encode, rendered, request)
+            frame.encoded = asyncio.wrap_future(encoded)
         except PoseError as error:
             frame.error = ("bad_pose", str(error))
         except Exception as error:
@@ -218,24 +235,24 @@ class FramePump:
             log.debug("what is left of the lost context cannot be released", exc_info=True)
         return self._backend.open()
 
-    def _draw(self, channel: Channel, frame: Frame) -> Rendered:
-        """On the render thread: tracking to pose where asked for, then the picture."""
-        request, start = frame.request, self._clock()
-        frame.times["wait"] = (start - frame.arrived) * 1e3
+    def _draw(self, frame: Frame, solution: Solution | None) -> Future[Encoded]:
+        """On the render thread: the pose where tracking was sent, the picture, and its encoding under way."""
+        request = frame.request
         if request.tracking is not None:
-            if channel.solver is None:
+            if solution is None:
                 raise PoseError("this server has no tracking solver: send pose instead of tracking")
-            solved = channel.solver.solve(request, start * 1e3)
+            solved, frame.times["ik"] = solution.result()
             request = replace(request, pose=solved.pose, cameras=solved.cameras)
             frame.notes = solved.notes
-            frame.times["ik"] = (self._clock() - start) * 1e3
-            start = self._clock()
+        start = self._clock()
+        frame.times["wait"] = (start - frame.arrived) * 1e3 - frame.times.get("ik", 0.0)  # solving is no waiting
         rendered = self._backend.render(request)
         frame.times["render"] = (self._clock() - start) * 1e3
         if len(rendered.images) != len(frame.request.eyes):
             raise RuntimeError(f"{len(frame.request.eyes)} pictures were asked for, {len(rendered.images)} drawn")
         frame.times |= {name: ms for name, ms in rendered.timings.items() if name not in ("render", "total")}
-        return rendered
+        # from here: the event loop need not hear of it first
+        return self._encode_threads.submit(self._encode, rendered, frame.request)
 
     def _encode(self, rendered: Rendered, request: RenderRequest) -> Encoded:
         """On an encoding thread."""
@@ -247,5 +264,6 @@ class FramePump:
 
     def _end_threads(self) -> None:
         self._render_thread.shutdown(wait=False)
+        self._solve_thread.shutdown(wait=False, cancel_futures=True)
         self._encode_threads.shutdown(wait=False)
         self._encoder.close()

@@ -285,7 +285,7 @@ class Server:
         solver = None if self._make_solver is None else self._make_solver(metres)
         self._numbers += 1
         session = Session(Decoder(wire, self._skeleton), limits, clock())
-        channel = Channel(self._numbers, session, solver)
+        channel = self.pump.open(self._numbers, session, solver)
         self._channels[channel.number] = channel
         return channel
 
@@ -322,7 +322,7 @@ class Server:
                     await ws.close(code=outcome.code, message=outcome.reason.encode())
                 return
             else:
-                self.pump.wake()
+                self.pump.received(channel)
 
     async def _write(self, channel: Channel, ws: web.WebSocketResponse, request: web.Request) -> None:
         """Pictures of one client, in order. A client that does not read them in time is cut off."""

@@ -7,7 +7,6 @@ way or unacknowledged, and nothing is queued without bound.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -18,7 +17,6 @@ __all__ = ["Close", "Counts", "Session", "SessionConfig", "Warn"]
 
 POLICY_VIOLATION = 1008  # RFC 6455, section 7.4.1
 GOING_AWAY = 1001
-_TRAIL = 32  # samples of dropped requests that a tracking solver still gets to see
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -94,6 +92,7 @@ class Session:
     def __init__(self, decoder: Decoder, config: SessionConfig | None = None, now: float = 0.0) -> None:
         self.config = config or SessionConfig()
         self.counts = Counts()
+        self.accepted: RenderRequest | None = None  # what the last message brought, if it asked for a picture
         self.last_form = ""  # of the newest request, for /stats
         self.last_size = (0, 0)
         self._decoder = decoder
@@ -110,6 +109,7 @@ class Session:
     def receive(self, data: str | bytes, now: float) -> Warn | Close | None:
         """Take one text message. None: nothing to say (accepted, acknowledged or dropped as too old)."""
         self._heard = now
+        self.accepted = None
         self.counts.received += 1
         if not self._rate.take(now):
             return self._limited(now)
@@ -208,11 +208,11 @@ class Session:
         # a right eye of the oldest form must not push out the left one
         slot = request.eyes[0] if request.form == "single-legacy" else -1
         keys = [key for key in self._pending if slot == -1 or key in (slot, -1)]
-        replaced = [self._pending.pop(key)[0] for key in keys]
-        self.counts.dropped += len(replaced)
-        if request.tracking is not None:
-            request = replace(request, earlier=_trail(replaced))
+        for key in keys:
+            del self._pending[key]
+        self.counts.dropped += len(keys)
         self._pending[slot] = (request, now)
+        self.accepted = request
 
     def _acknowledge(self, frame_id: int) -> None:
         """Free the window up to ``frame_id``. Clients that received nothing yet send 0, which is always legal."""
@@ -230,13 +230,3 @@ class Session:
             return None
         self._noticed = now
         return Warn(error_text("rate", f"at most {self.config.rate:g} messages a second are read"))
-
-
-def _trail(replaced: list[RenderRequest]) -> tuple[tuple[float, Mapping[str, Any]], ...]:
-    """The tracking of requests that will not be drawn: a filter wants all samples, whatever the frame rate."""
-    trail: list[tuple[float, Mapping[str, Any]]] = []
-    for request in replaced:
-        trail += request.earlier
-        if request.tracking is not None and request.t is not None:
-            trail.append((request.t, request.tracking))
-    return tuple(trail[-_TRAIL:])

@@ -250,10 +250,9 @@ def test_the_tracking_of_dropped_requests_still_reaches_the_solver():
     for i in range(1, 101):
         head = [i / 100, 1.6, 0, 0, 0, 0, 1]
         s.receive(json.dumps({"v": 1, "frame_id": i, "ack": 0, "t": i * 10.0, "tracking": {"head": head}}), i * 0.01)
-    request = take(s)
-    assert request.frame_id == 100 and request.tracking["head"][0] == 1.0
-    times = [t for t, _ in request.earlier]
-    assert times == [i * 10.0 for i in range(68, 100)]  # the newest 32, in order, without its own
-    assert request.earlier[0][1]["head"][0] == 0.68
-    s.receive(json.dumps({"v": 1, "frame_id": 101, "ack": 0, "t": 2000.0, "tracking": {"head": head}}), 2)
-    assert take(s).earlier == ()
+        assert s.accepted is not None and s.accepted.t == i * 10.0 and s.accepted.tracking["head"][0] == i / 100
+    assert take(s).frame_id == 100
+    s.receive(json.dumps({"v": 1, "ack": 0}), 2)
+    assert s.accepted is None
+    s.receive(json.dumps({"v": 1, "frame_id": 99, "ack": 0, "t": 2000.0, "tracking": {"head": head}}), 2)
+    assert s.accepted is None  # too old: neither drawn nor solved
