@@ -58,7 +58,7 @@ def run(args: argparse.Namespace) -> int:
     except OSError as error:
         raise FormatError(f"{args.output}: cannot make the folder ({error.strerror})") from None
     drive, _ = load_drive(args.motion, args.avatar, args.tracking)
-    with _server(args.avatar) as url:
+    with running_server(args.avatar) as url:
         results = asyncio.run(_measure(args, url, drive))
     sheet, clip = args.output / "contact_sheet.png", args.output / "clip.mp4"
     kept = results[-1][1].kept
@@ -103,7 +103,7 @@ async def _measure(args: argparse.Namespace, url: str, drive: Drive) -> list[tup
 
 
 @contextmanager
-def _server(avatar: str | None) -> Iterator[str]:
+def running_server(avatar: str | None) -> Iterator[str]:
     """A server in a process of its own on a free port of loopback; yields its URL and stops it in order."""
     processes = multiprocessing.get_context("spawn")
     ours, theirs = processes.Pipe()

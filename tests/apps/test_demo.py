@@ -39,7 +39,7 @@ def test_a_server_that_cannot_start_is_one_line(tmp_path):
     with pytest.raises(GlsplatError, match=r"nowhere\.glb"):
         demo.run(arguments("-o", tmp_path, "--avatar", "nowhere.glb"))
     with pytest.raises(GlsplatError, match=r"nowhere\.glb: no such file"):
-        with demo._server("nowhere.glb"):
+        with demo.running_server("nowhere.glb"):
             pass
     (tmp_path / "file").write_text("")
     with pytest.raises(GlsplatError, match="cannot make the folder"):
