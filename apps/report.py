@@ -7,6 +7,8 @@ import json
 import math
 import re
 import sys
+import time
+from collections.abc import Sequence
 from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
@@ -14,22 +16,24 @@ from typing import Any
 
 from tqdm import tqdm
 
-from glsplat.avatar import Avatar, default_avatar
-from glsplat.camera import load_cameras
 from glsplat.context import Context, create_context
 from glsplat.errors import FormatError, GlsplatError
 from glsplat.formats.files import replace_file
 
 from .bench import WARM_UP
 from .machine import machine
+from .report_agreement import agreement, agreement_cost
 from .report_batching import batching
 from .report_error import require_extra
+from .report_growth import Grid, grid_of, growth, growth_cost
 from .report_html import page
-from .report_knobs import Subject, base_config, measure, settings_of, steps
+from .report_knobs import Setting, base_config, error_frames, settings_of
 from .report_left_out import features_of, left_out, unmoved
+from .report_measure import frame_cost, measure, measure_cost
 from .report_stability import frame_cases, judge
 from .report_stability_skin import skin_cases
-from .scene import load_scene, splats_of
+from .report_subjects import PERSON_SPLATS, Subject, subjects_of
+from .scene import splats_of
 
 HELP = (
     "Render scenes over a grid of settings, compare with a float64 reference, time every setting in one process, and "
@@ -39,13 +43,10 @@ EXAMPLE = "glsplat report --quick -o out/report"
 
 BATCHING_SIZES = (512, 768, 1024)
 NOT_MEASURED = {
-    "re-sort period under motion": "the renderer sorts whenever something moved; an old sort_viewmat changes the order "
-    "but saves no sort, so a time beside that error would not be a price",
-    "splat count": "scenes come without levels of detail",
     "views = 1 with layer code": "a program for two views cannot draw one",
-    "latency": "glsplat demo and glsplat replay measure it",
 }
-_BATCHING_STEPS = 12  # a frame of a batching row is seven renders of larger pictures
+_CASE = 60.0  # milliseconds of a stability case
+_BAR = "{desc}: {percentage:3.0f}% |{bar}| {elapsed} passed, about {remaining} to go"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -54,10 +55,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "scenes",
         nargs="*",
         metavar="SCENE",
-        help="PLY, .splat or glTF besides the default avatar; NAME.camera.json beside NAME.ply is its view",
+        help="PLY, .splat or glTF besides the default avatar, or a rigged person (.npz), seen as an avatar of "
+        f"{PERSON_SPLATS} splats whose truth has all joints a splat; NAME.camera.json beside NAME.ply is its view",
     )
-    parser.add_argument("--quick", action="store_true", help="fewer frames, smaller pictures")
-    parser.add_argument("--frames", type=int, help="measured frames a setting (default 30; 15 with --quick)")
+    parser.add_argument(
+        "--cameras",
+        nargs="+",
+        default=[],
+        metavar="WHERE",
+        help="folders with NAME.camera.json for scenes that have none beside them, or NAME=FILE for one scene",
+    )
+    parser.add_argument("--quick", action="store_true", help="fewer frames, smaller pictures, fewer points of growth")
+    parser.add_argument("--frames", type=int, help="measured frames a setting (default 30; 10 with --quick)")
     parser.add_argument("--size", type=int, help="pixels a side of section 1 (default 256; 128 with --quick)")
     parser.add_argument("--device", help="EGL device: index or part of its name (also GLSPLAT_DEVICE)")
     parser.add_argument("-o", "--output", type=Path, default=Path("out/report"), help="folder (default out/report)")
@@ -65,7 +74,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Measure, write, and say what does not hold: 1 if a stability case failed."""
-    frames = (15 if args.quick else 30) if args.frames is None else args.frames
+    frames = (10 if args.quick else 30) if args.frames is None else args.frames
     size = (128 if args.quick else 256) if args.size is None else args.size
     if not 3 <= frames <= 10000:
         raise GlsplatError(f"--frames needs 3 to 10000, not {frames}")
@@ -76,14 +85,20 @@ def run(args: argparse.Namespace) -> int:
         args.output.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise FormatError(f"{args.output}: cannot make the folder ({error.strerror})") from None
-    subjects = [s for path in (None, *args.scenes) for s in subjects_of(path, size)]
+    paths = [None, *dict.fromkeys(args.scenes)]
+    subjects = [s for path in paths for s in subjects_of(path, size, args.cameras)]
     context = create_context(args.device)
     try:
-        result = measured(context, subjects, frames, args.quick, BATCHING_SIZES)
+        result = measured(context, subjects, frames, args.quick, BATCHING_SIZES, grid_of(args.quick), args.device)
     finally:
         context.release()
     files = write(result, args.output)
     failed = [row for row in result["stability"] if row["verdict"] != "holds"]
+    for row in result["agreement"]:
+        print(
+            f"{row['scene']}, 2 x {row['size']}x{row['size']}: report {row['report_ms']['median']:.2f} ms, "
+            f"bench {row['bench_ms']['median']:.2f} ms: {'agree' if row['agree'] else 'DIFFER'}"
+        )
     print(f"{len(result['stability']) - len(failed)} of {len(result['stability'])} stability cases hold")
     for row in failed:
         print(f"  failed: {row['group']}, {row['case']}: {row['seen']}")
@@ -91,50 +106,68 @@ def run(args: argparse.Namespace) -> int:
     return 1 if failed else 0
 
 
-def subjects_of(path: str | None, size: int) -> list[Subject]:
-    """The ways a scene is looked at: static, and an avatar in motion as well. None is the default avatar."""
-    scene = default_avatar() if path is None else load_scene(argparse.Namespace(scene=path))
-    name = "default avatar" if path is None else Path(path).name
-    cameras = Path(path).with_suffix(".camera.json") if path is not None else None
-    if cameras is not None and cameras.exists():
-        views = load_cameras(cameras)
-        scale = min(1.0, size / max(views[0].width, views[0].height))
-        views = [v.resized(max(1, round(v.width * scale)), max(1, round(v.height * scale))) for v in views]
-        return [Subject(name, scene, size, cameras=tuple(views))]
-    if isinstance(scene, Avatar):
-        return [Subject(f"{name}, static", scene.splats, size), Subject(f"{name}, in motion", scene, size, moving=True)]
-    return [Subject(name, scene, size)]
-
-
 def measured(
-    context: Context, subjects: list[Subject], frames: int, quick: bool, sizes: tuple[int, ...] = BATCHING_SIZES
+    context: Context,
+    subjects: list[Subject],
+    frames: int,
+    quick: bool,
+    sizes: tuple[int, ...] = BATCHING_SIZES,
+    grid: Grid | None = None,
+    device: str | None = None,
 ) -> dict[str, Any]:
     """All sections of the report as one JSON object; plots are not made yet."""
-    base, cases = base_config(context), [*frame_cases(), *skin_cases()]
-    grids = [settings_of(subject, base) for subject in subjects]
+    base, cases, grid = base_config(context), [*frame_cases(), *skin_cases()], grid or grid_of(quick)
+    settings = [settings_of(subject, base, quick) for subject in subjects]
+    compared = [error_frames(subject, frames, quick) for subject in subjects]
     main = next((s for s in subjects if s.moving), subjects[0])
+    still = replace(main, cameras=())
+    orbiting = [i for i, subject in enumerate(subjects) if not subject.cameras][:2]
+    twice = [subjects[i] for i in orbiting]
+    again = min(frames, 6) if quick else frames
     features = features_of(main.scene, context)
-    fewer = max(3, frames // 3) if quick else frames
-    middle = WARM_UP + frames // 2
-    error_frames = [middle] if quick else [WARM_UP, middle, WARM_UP + frames - 1]
-    total = sum(steps(grid, frames) for grid in grids) + len(cases)
-    total += (len(features) + 1) * (WARM_UP + fewer) + _BATCHING_STEPS * len(sizes) * (WARM_UP + fewer)
-    with tqdm(total=total, unit="step", disable=not sys.stderr.isatty()) as bar:
-        bar.set_description("stability")
-        stability = judge(cases, context, bar.update)
+    fewer = max(3, frames // 4) if quick else max(3, frames // 2)
+    splats = len(splats_of(main.scene))
+    feature_cost = 4 * frame_cost(splats, 2 * main.size**2)
+    pair_cost = {side: 5.5 * frame_cost(splats, 2 * side**2) for side in sizes}
+    total = _CASE * len(cases) + growth_cost(grid) + agreement_cost(twice, again)
+    total += sum(measure_cost(*one, frames, two) for one, two in zip(_pairs(subjects, settings), compared, strict=True))
+    total += (WARM_UP + fewer) * (feature_cost * (len(features) + 0.5) + sum(pair_cost.values()))
+    if context.software:
+        tqdm.write(f"about {max(1, round(total / 60e3))} minutes on two cores that do nothing else", file=sys.stderr)
+    seconds: dict[str, float] = {}
+    with tqdm(total=total, bar_format=_BAR, disable=not sys.stderr.isatty()) as bar:
+
+        def section(name: str, text: str = "") -> None:
+            bar.set_description(text or name)
+            seconds[name] = seconds.get(name, 0.0) - time.perf_counter()
+
+        def end(name: str) -> None:
+            seconds[name] = round(seconds[name] + time.perf_counter(), 1)
+
+        section("stability")
+        stability = judge(cases, context, lambda n: bar.update(_CASE * n))
+        end("stability")
         scenes = []
-        for subject, grid in zip(subjects, grids, strict=True):
-            bar.set_description(subject.name)
-            scenes.append(measure(context, subject, grid, frames, error_frames, tick=bar.update))
-        bar.set_description("what is left out")
-        still = replace(main, moving=False, cameras=())
-        rows = left_out(context, still, features, fewer, bar.update)
-        unmoved_row = unmoved(context, replace(main, cameras=()), fewer, bar.update)
+        for (subject, own), when in zip(_pairs(subjects, settings), compared, strict=True):
+            section("scenes", subject.name)
+            scenes.append(measure(context, subject, own, frames, when, tick=bar.update))
+            end("scenes")
+        section("agreement")
+        agreed = agreement(context, twice, [scenes[i] for i in orbiting], again, bar.update)
+        end("agreement")
+        section("left out")
+        rows = left_out(context, replace(still, moving=False), features, fewer, lambda n: bar.update(feature_cost * n))
+        unmoved_row = unmoved(context, still, fewer, lambda n: bar.update(feature_cost / 2 * n))
+        end("left out")
         batches = []
-        for size in sizes:
-            bar.set_description(f"batching {size}x{size}")
-            both = replace(main, size=size, cameras=())
-            batches.append(batching(context, both, fewer, lambda n: bar.update(_BATCHING_STEPS * n)))
+        for side in sizes:
+            section("batching", f"batching {side}x{side}")
+            both = replace(still, size=side)
+            batches.append(batching(context, both, fewer, lambda n, side=side: bar.update(pair_cost[side] * n)))  # type: ignore[misc]
+            end("batching")
+        section("growth")
+        grown = growth(context, grid, device, bar.update)
+        end("growth")
     facts = machine()
     facts["versions"] |= {name: version(name) for name in ("matplotlib", "flip-evaluator", "simplejpeg")}
     return {
@@ -145,23 +178,32 @@ def measured(
         "frames": frames,
         "frames_of_the_rest": fewer,  # batching and what is left out
         "warm_up": WARM_UP,
+        "seconds": seconds,
+        "expected_seconds": round(total / 1e3, 1),
         "scenes": scenes,
+        "agreement": agreed,
         "batching": batches,
         "batching_scene": main.name,
         "left_out": rows,
-        "left_out_splats": len(splats_of(main.scene)),
+        "left_out_splats": splats,
         "unmoved": unmoved_row,
         "stability": stability,
+        "growth": grown,
         "not_measured": NOT_MEASURED,
     }
 
 
+def _pairs(subjects: Sequence[Subject], settings: Sequence[list[Setting]]) -> list[tuple[Subject, list[Setting]]]:
+    return list(zip(subjects, settings, strict=True))
+
+
 def write(result: dict[str, Any], folder: Path) -> list[Path]:
     """Plots, report.json and report.html, each complete or as it was; returns their paths, the page last."""
-    from .report_plots import batching_plot, error_plot, knob_plot, left_out_plot
+    from .report_plots import batching_plot, error_plot, growth_plot, knob_plot, left_out_plot
 
     pictures: dict[str, bytes] = {"batching.png": batching_plot(result["batching"])}
     pictures["left_out.png"] = left_out_plot(result["left_out"])
+    pictures["growth.png"] = growth_plot(result["growth"])
     for index, scene in enumerate(result["scenes"]):
         stem = f"{index}-" + (re.sub(r"[^a-z0-9]+", "-", scene["scene"].lower()).strip("-") or "scene")
         scene["plots"] = [f"{stem}.png", f"{stem}-knobs.png"]

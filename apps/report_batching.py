@@ -12,7 +12,8 @@ from glsplat.context import Context
 from glsplat.renderer import Renderer
 
 from .bench import STAGES, WARM_UP, Series
-from .report_knobs import Subject, Tick
+from .report_measure import Tick
+from .report_subjects import Subject
 
 __all__ = ["PAPER", "batching"]
 

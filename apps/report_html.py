@@ -19,17 +19,24 @@ img { max-width: 100%; } code { background: #f2f2f2; padding: 0 3px; }
 """
 
 
+_DENSE = (
+    "Drawn with at most eight joints a splat; the truth has all joints that the corners of the nearest triangle of the "
+    "person's mesh have."
+)
+
+
 def page(result: Mapping[str, Any], pictures: Mapping[str, bytes]) -> str:
     """The whole document; ``pictures`` are PNG by file name, as they are written beside it."""
     failed = [row for row in result["stability"] if row["verdict"] != "holds"]
     versions = ", ".join(f"{name} {version}" for name, version in result["versions"].items())
-    width = f"{result['frames']} frames a setting after {result['warm_up']} of warm-up"
+    rest = f"{result['frames_of_the_rest']} in sections 2 and 3, {result['growth']['frames']} in 5"
+    width = f"{result['frames']} frames a setting after {result['warm_up']} of warm-up ({rest})"
     facts = [
         f"Driver: {result['driver']} ({result['backend']})",
         f"Machine: {result['machine']}, {result['cores']} cores",
         f"Versions: {versions}; commit {result['commit'] or 'unknown'}; {result['date']} (UTC)",
-        f"{width} ({result['frames_of_the_rest']} in sections 2 and 3), settings interleaved frame by frame"
-        + ("; a quick run" if result["quick"] else ""),
+        f"{width}, settings interleaved frame by frame" + ("; a quick run" if result["quick"] else ""),
+        _agreement(result["agreement"]),
         f"Stability: {len(result['stability']) - len(failed)} of {len(result['stability'])} cases hold",
     ]
     parts = ["<h1>Error against run time</h1><ul>", *(f"<li>{_text(fact)}</li>" for fact in facts), "</ul>"]
@@ -43,8 +50,9 @@ def page(result: Mapping[str, Any], pictures: Mapping[str, bytes]) -> str:
     parts += _batching(result["batching"], pictures)
     parts += _left_out(result, pictures)
     parts += _stability(result["stability"])
+    parts += _growth(result["growth"], pictures)
     rows = [[name, why] for name, why in result["not_measured"].items()]
-    parts += ["<h2>5. What this report does not measure</h2>", _table(["what", "why"], rows)]
+    parts += ["<h2>6. What this report does not measure</h2>", _table(["what", "why"], rows)]
     head = f'<html lang="en"><head><meta charset="utf-8"><title>glsplat report</title><style>{_STYLE}</style></head>'
     return f"<!doctype html>{head}<body>{''.join(parts)}</body></html>\n"
 
@@ -71,6 +79,7 @@ def _scene(scene: Mapping[str, Any], pictures: Mapping[str, bytes]) -> list[str]
     names = ["knob", "setting", "ms, median", "ms, p95", "PSNR (dB)", "maximum error", "FLIP", "Pareto"]
     return [
         f"<h3>{_text(heading)}</h3>",
+        *([f"<p>{_DENSE}</p>"] if scene["dense_truth"] else []),
         *(_image(pictures, name) for name in scene["plots"]),
         f"<p>The default measured twice differs by {scene['noise_ms']:.3f} ms. "
         f"As close or closer than the default and faster by more than that: {_text(better)}.</p>",
@@ -140,6 +149,54 @@ def _stability(cases: Sequence[Mapping[str, Any]]) -> list[str]:
     names = ["case", "input", "stated behaviour", "seen", "largest error", "verdict"]
     classes = ["" if case["verdict"] == "holds" else "failed" for case in cases]
     return ["<h2>4. Stability</h2><p>Every row was run for this report.</p>", _table(names, rows, classes)]
+
+
+def _growth(growth: Mapping[str, Any], pictures: Mapping[str, bytes]) -> list[str]:
+    rows, lines = [], []
+    for axis in ("splats", "pixels", "views"):
+        for row in growth[axis]:
+            what = [axis, row["splats"], f"{row['views']} x {row['size']}x{row['size']}"]
+            if "left_out" in row:
+                rows.append([*what, f"left out: {row['left_out']}", "", "", ""])
+                continue
+            process = row["process_bytes"]
+            grown = process / 1e6 if process is not None else ""
+            rows.append([*what, row["ms"]["median"], row["ms"]["p95"], row["gpu_bytes"] / 1e6, grown])
+    fits = growth["fits"]
+    stages = {f"{stage}, ns a splat": line for stage, line in fits["stages_ns_a_splat"].items()}
+    named = {
+        "whole frame, ns a splat": (fits["ns_a_splat"], "ms"),
+        **{name: (line, "ms") for name, line in stages.items()},
+        "whole frame, ns a pixel": (fits["ns_a_pixel"], "ms"),
+        "whole frame, ms a view": (fits["ms_a_view"], "ms"),
+        "buffers and textures, bytes a splat": (fits["gpu_bytes_a_splat"], "bytes"),
+        "buffers and textures, bytes a pixel": (fits["gpu_bytes_a_pixel"], "bytes"),
+        "process, bytes a splat": (fits["process_bytes_a_splat"], "bytes"),
+    }
+    for name, (line, unit) in named.items():
+        if line:
+            constant = f"{_number(line['constant'])} {unit}"
+            lines.append([name, line["slope"], constant, f"{100 * line['largest_relative_error']:.0f} %"])
+    return [
+        "<h2>5. Growth</h2>",
+        f"<p>{_text(growth['scene'])}, with fewer or more splats of the same area in all. Straight lines of least "
+        "relative error through the medians; the last column says how far the worst point lies off.</p>",
+        _image(pictures, "growth.png"),
+        _table(["slope", "value", "constant", "worst point"], lines),
+        _table(
+            ["along", "splats", "views", "ms, median", "ms, p95", "buffers and textures (MB)", "process grew by (MB)"],
+            rows,
+        ),
+    ]
+
+
+def _agreement(rows: Sequence[Mapping[str, Any]]) -> str:
+    said = [
+        f"{row['scene']} {row['report_ms']['median']:.2f} / {row['bench_ms']['median']:.2f} ms "
+        f"({'agree' if row['agree'] else 'DIFFER'} within {row['allowed_ms']:.2f} ms)"
+        for row in rows
+    ]
+    return "The default by this report / by glsplat bench, in one process: " + ("; ".join(said) or "not compared")
 
 
 def _bytes(sizes: Mapping[str, int], splats: int) -> str:

@@ -18,7 +18,8 @@ from glsplat.skinning.skin import Skin
 from glsplat.splats import Splats
 
 from .bench import STAGES, WARM_UP, Series
-from .report_knobs import Subject, Tick
+from .report_measure import Tick
+from .report_subjects import Subject
 from .scene import splats_of
 
 __all__ = ["Feature", "features_of", "left_out", "unmoved"]
@@ -64,7 +65,7 @@ def features_of(scene: Splats | Avatar, context: Context) -> list[Feature]:
         ),
         Feature(
             "antialias",
-            (plain, replace(config, eps2d=0.0)),
+            (plain, replace(config, eps2d=0.0, antialias=False)),
             (plain, replace(config, eps2d=0.0, antialias=True)),
             "without dilation the compensation is one",
         ),

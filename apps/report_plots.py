@@ -9,17 +9,19 @@ from typing import Any
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullFormatter
 
 from .report_error import PSNR_CAP
 
-__all__ = ["batching_plot", "error_plot", "knob_plot", "left_out_plot"]
+__all__ = ["batching_plot", "error_plot", "growth_plot", "knob_plot", "left_out_plot"]
 
 _MEASURES = (
     ("psnr", "PSNR (dB, higher is closer)", False),
     ("maximum", "maximum error (of 1)", True),
     ("flip", "mean FLIP (0 is equal)", True),
 )
-_MARKERS = "osD^v<>PX*hp"
+_MARKERS = "osD^v<>PX*hpd"
+_COLOURS = ("k", *(f"C{i}" for i in range(10)), "navy", "olive", "0.6")
 _FLOOR = 1e-7  # where a logarithmic axis begins
 
 
@@ -36,7 +38,7 @@ def error_plot(scene: dict[str, Any]) -> bytes:
                 [max(row[key], _FLOOR) if logarithmic else row[key] for row in own],
                 xerr=[[0.0] * len(own), [max(0.0, row["ms"]["p95"] - row["ms"]["median"]) for row in own]],
                 fmt=_MARKERS[index % len(_MARKERS)],
-                color=f"C{index % 10}",
+                color=_COLOURS[index % len(_COLOURS)],
                 elinewidth=0.4,
                 markersize=6,
                 label=knob,
@@ -69,13 +71,14 @@ def knob_plot(scene: dict[str, Any]) -> bytes:
         for row in sorted(own, key=lambda r: -r["psnr"]) if knob == "JPEG" else ():  # they lie on top of each other
             named += f"{row['psnr']:5.1f} dB  {row['setting']}, {row['bytes'] / 1024:.0f} KiB\n"
         axes.text(0.03, 0.97, named, transform=axes.transAxes, va="top", fontsize=8)
-        for row in own if knob != "JPEG" else ():
-            place = (row["ms"]["median"], row["psnr"])
-            axes.annotate(row["setting"], place, xytext=(5, 4), textcoords="offset points", fontsize=8)
+        for index, row in enumerate(own if knob != "JPEG" else ()):
+            place, beside = (row["ms"]["median"], row["psnr"]), (5, -11 if index % 2 else 4)
+            axes.annotate(row["setting"], place, xytext=beside, textcoords="offset points", fontsize=8)
         axes.set_title(knob + (" (against an exact order an eye)" if knob == "order" else ""), fontsize=10)
         axes.grid(alpha=0.3)
     for axes in panels[len(knobs) :]:
         axes.set_axis_off()
+    panels[0].margins(x=0.12, y=0.1)
     panels[0].set_ylim(top=min(PSNR_CAP + 10, max(r["psnr"] for r in scene["settings"]) + 12))
     figure.supxlabel("ms a frame (median)")
     figure.supylabel("PSNR (dB)")
@@ -125,6 +128,64 @@ def left_out_plot(rows: Sequence[dict[str, Any]]) -> bytes:
     axes.invert_yaxis()
     axes.set(xlabel="frame with the feature present but unused / frame without it")
     return _png(figure)
+
+
+def growth_plot(growth: dict[str, Any]) -> bytes:
+    """Time against splats (and stages), pixels and views, memory against splats, with the lines through them."""
+    figure = Figure(figsize=(15, 9), layout="constrained")
+    (splats, memory), (pixels, views) = figure.subplots(2, 2)
+    fits, side = growth["fits"], growth["size"]
+    rows = [row for row in growth["splats"] if "ms" in row]
+    counts = [row["splats"] for row in rows]
+    for stage in fits["stages_ns_a_splat"]:
+        values = [max(row["stages_ms"].get(stage, 0.0), 1e-3) for row in rows]
+        splats.plot(counts, values, linewidth=0.8, marker=".", label=stage)
+    _measured(splats, rows, "splats", fits["ns_a_splat"], 1e-6, "{:.0f} ns a splat + {:.1f} ms")
+    splats.set(xscale="log", yscale="log", xlabel="splats", ylabel="ms a frame", title=f"2 x {side}², in motion")
+    for key, label in (("gpu_bytes", "buffers and textures"), ("process_bytes", "what a process grows by")):
+        own = [row for row in rows if row[key]]
+        if own:
+            line = fits[f"{key}_a_splat"]
+            text = f": {line['slope']:.0f} bytes a splat + {line['constant'] / 1e6:.1f} MB" if line else ""
+            memory.plot([r["splats"] for r in own], [r[key] / 1e6 for r in own], marker="o", label=label + text)
+    memory.set(xscale="log", yscale="log", xlabel="splats", ylabel="MB", title=f"Memory, 2 x {side}²")
+    rows = [row for row in growth["pixels"] if "ms" in row]
+    _measured(pixels, rows, "pixels", fits["ns_a_pixel"], 1e-6, "{:.1f} ns a pixel + {:.0f} ms")
+    title = f"Pixels of a pair, {rows[0]['splats']:,} splats" if rows else ""
+    pixels.set(xscale="log", yscale="log", ylabel="ms a frame", title=title)
+    pixels.set_xticks([row["pixels"] for row in rows], [f"2 x {row['size']}²" for row in rows], minor=False)
+    pixels.set_xticks([], minor=True)
+    rows = [row for row in growth["views"] if "ms" in row]
+    _measured(views, rows, "views", fits["ms_a_view"], 1.0, "{:.1f} ms a view + {:.1f} ms")
+    views.set_xticks([row["views"] for row in rows])
+    views.set(ylim=(0, None), xlabel="views", ylabel="ms a frame", title=f"Views of {side}², two of a head in one pass")
+    for axis in (memory.yaxis, pixels.yaxis):
+        axis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+        axis.set_major_formatter("{x:g}")
+        axis.set_minor_formatter(NullFormatter())
+    for axes in (splats, memory, pixels, views):
+        axes.grid(alpha=0.3)
+        if axes.get_legend_handles_labels()[0]:
+            place = {"loc": "upper left", "bbox_to_anchor": (1.0, 1.0)} if axes is splats else {"loc": "upper left"}
+            axes.legend(fontsize=8, **place)
+    return _png(figure)
+
+
+def _measured(
+    axes: Axes, rows: Sequence[dict[str, Any]], key: str, line: dict[str, float] | None, factor: float, words: str
+) -> None:
+    """Medians with a line to the 95th percentile, and the straight line through them."""
+    x = [row[key] for row in rows]
+    medians = [row["ms"]["median"] for row in rows]
+    up = [max(0.0, row["ms"]["p95"] - row["ms"]["median"]) for row in rows]
+    axes.errorbar(
+        x, medians, yerr=[[0.0] * len(x), up], fmt="o", color="C3", label="whole frame (line to p95)", zorder=3
+    )
+    if line:
+        fine = [float(x[0] * (x[-1] / x[0]) ** (i / 200)) for i in range(201)]  # also for logarithmic axes
+        slope = line["slope"] * factor
+        label = words.format(line["slope"], line["constant"])
+        axes.plot(fine, [line["constant"] + slope * v for v in fine], color="0.4", linewidth=1, label=label)
 
 
 def _title(scene: dict[str, Any]) -> str:

@@ -15,13 +15,14 @@ import pytest
 
 from apps import report, report_stability
 from apps.report_batching import PAPER, batching
-from apps.report_knobs import Subject, settings_of
+from apps.report_growth import Grid
+from apps.report_knobs import settings_of
 from apps.report_left_out import features_of, left_out, unmoved
 from apps.report_stability import Case, Outcome, camera, frame_cases, judge, picture_case
 from apps.report_stability_skin import skin_cases
+from apps.report_subjects import Subject
 from glsplat.context import Context
 from glsplat.errors import GlsplatError
-from glsplat.formats import save
 from tests.scenes import cloud, limb, one_splat
 
 pytest.importorskip("flip_evaluator")
@@ -135,7 +136,8 @@ def test_report_files(tmp_path: Path, context: Context, monkeypatch: pytest.Monk
     monkeypatch.setattr(report, "features_of", lambda *given: features_of(*given)[:2])
     monkeypatch.setattr(report, "skin_cases", list)
     subjects = [Subject("limb <b>", limb(60), 24, moving=True)]
-    result = report.measured(context, subjects, 3, True, sizes=(32,))
+    grid = Grid((100, 400), (16, 32), (1, 2), size=32, frames=2, alone=False)
+    result = report.measured(context, subjects, 3, True, sizes=(32,), grid=grid)
     assert {"driver", "machine", "cores", "date", "versions", "commit"} <= set(result)
     result["stability"][0] |= {"verdict": "failed", "error": np.inf, "seen": "<script>"}
     files = report.write(result, tmp_path)
@@ -145,23 +147,9 @@ def test_report_files(tmp_path: Path, context: Context, monkeypatch: pytest.Monk
     text = (tmp_path / "report.html").read_text()
     assert text.count('<tr class="failed">') == 1 and "&lt;script&gt;" in text and "limb &lt;b&gt;" in text
     assert not re.findall(r'(?:src|href)="(?!data:)', text) and "http" not in text
-    assert text.count("data:image/png;base64,") == 4
+    assert text.count("data:image/png;base64,") == 5
     for name in files[:-2]:
         assert name.read_bytes().startswith(b"\x89PNG")
-
-
-def test_scenes_and_their_cameras(tmp_path: Path) -> None:
-    save(cloud(50), tmp_path / "a.ply")
-    (plain,) = report.subjects_of(str(tmp_path / "a.ply"), 64)
-    assert plain.name == "a.ply" and [v.width for v in plain.views(3)] == [64, 64]
-    (tmp_path / "a.camera.json").write_text(json.dumps(camera(200).to_json()))
-    (given,) = report.subjects_of(str(tmp_path / "a.ply"), 64)
-    first, second = given.views(0)[0], given.views(1)[0]
-    assert (first.width, first.height) == (64, 64) and len(given.views(0)) == 1
-    assert 0 < np.abs(first.viewmat - second.viewmat).max() < 1e-5  # moves enough to be sorted, not to be seen
-    save(limb(50), tmp_path / "b.glb")
-    still, moving = report.subjects_of(str(tmp_path / "b.glb"), 64)
-    assert still.pose(4) is None and moving.pose(4) is not None
 
 
 def test_clear_errors(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
 from apps.report_error import PSNR_CAP, Difference, Truth, pareto
-from apps.report_knobs import Setting, Subject, base_config, better_than_default, measure, settings_of
+from apps.report_knobs import Drawn, Setting, base_config, settings_of
+from apps.report_measure import better_than_default, measure
+from apps.report_subjects import Subject
 from glsplat.camera import Camera, look_at, pinhole
 from glsplat.config import RenderConfig
 from glsplat.context import Context
@@ -29,8 +32,9 @@ EXACT = RenderConfig(target="32f")
 def measured(context: Context, drawn: Splats, right: Splats, config: RenderConfig = EXACT) -> dict[str, Any]:
     """The report's row for ``drawn`` where ``right`` was meant, seen by one camera."""
     subject = Subject("a fault", drawn, SIZE, cameras=(VIEW,))
-    settings = [Setting("default", "default", config), Setting("default", "once more", config, copy=1)]
-    (row, _) = measure(context, subject, settings, frames=1, truth=Truth(right))["settings"]
+    drawn = Drawn(config)
+    settings = [Setting("default", "default", drawn), Setting("default", "once more", replace(drawn, copy=1))]
+    (row, _) = measure(context, subject, settings, frames=2, compared=[6], truth=Truth(right))["settings"]
     return row
 
 
@@ -102,7 +106,7 @@ def test_the_grid_of_a_scene(context: Context) -> None:
     subject = Subject("limb", limb(150, degree=1), 32, moving=True)
     settings = settings_of(subject, base)
     assert {"influences", "rotation", "SH degree"} <= {s.knob for s in settings}
-    result = measure(context, subject, settings, frames=3, error_frames=(5, 7))
+    result = measure(context, subject, settings, frames=3, compared=(5, 7))
     rows = {(r["knob"], r["setting"]): r for r in result["settings"]}
     same = rows["sort bits", "32"], rows["default", "default"]
     assert same[0]["ms"] == same[1]["ms"] and same[0]["psnr"] == same[1]["psnr"] and same[1]["default"]

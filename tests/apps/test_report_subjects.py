@@ -1,0 +1,166 @@
+"""Scenes of a report: their cameras, how they move, how they get fewer splats, and what is right for a person."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from apps.report_knobs import Drawn, Setting, base_config, error_frames, settings_of
+from apps.report_levels import cells, merged
+from apps.report_measure import measure
+from apps.report_subjects import Subject, cameras_for, dense_person, subjects_of
+from glsplat import reference
+from glsplat.avatar import Avatar
+from glsplat.config import RenderConfig
+from glsplat.context import Context
+from glsplat.errors import FormatError
+from glsplat.formats import load, save
+from glsplat.skinning.surface import SamplerConfig
+from glsplat.splats import Splats
+from tests.scenes import camera, cloud, limb
+
+pytest.importorskip("flip_evaluator")
+
+
+def test_scenes_and_their_cameras(tmp_path: Path) -> None:
+    save(cloud(50), tmp_path / "a.ply")
+    (plain,) = subjects_of(str(tmp_path / "a.ply"), 64)
+    assert plain.name == "a.ply" and [v.width for v in plain.views(3)] == [64, 64]
+    (tmp_path / "a.camera.json").write_text(json.dumps(camera(200).to_json()))
+    (given,) = subjects_of(str(tmp_path / "a.ply"), 64)
+    first, second, third = (given.views(frame)[0] for frame in range(3))
+    assert (first.width, first.height) == (64, 64) and len(given.views(0)) == 1
+    assert 0 < np.abs(first.viewmat - second.viewmat).max() < 1e-5  # moves enough to be sorted, not to be seen
+    assert (first.viewmat == third.viewmat).all() and (first.viewmat == camera(200).viewmat).all()
+    save(limb(50), tmp_path / "b.glb")
+    still, moving = subjects_of(str(tmp_path / "b.glb"), 64)
+    assert still.pose(4) is None and moving.pose(4) is not None
+
+
+def test_cameras_that_lie_elsewhere(tmp_path: Path) -> None:
+    folder = tmp_path / "cameras"
+    folder.mkdir()
+    scene, inside, other = tmp_path / "garden.ply", folder / "garden.camera.json", folder / "cam0.json"
+    inside.write_text("{}")
+    other.write_text("{}")
+    assert cameras_for(scene, []) is None
+    assert cameras_for(scene, [str(folder)]) == inside
+    assert cameras_for(scene, [str(folder), f"garden={other}", f"tree={inside}"]) == other
+    assert cameras_for(tmp_path / "tree.ply", [str(folder)]) is None
+    scene.with_suffix(".camera.json").write_text("{}")
+    assert cameras_for(scene, [str(folder)]) == scene.with_suffix(".camera.json")
+    with pytest.raises(FormatError, match="--cameras takes a folder"):
+        cameras_for(scene, ["nowhere"])
+    with pytest.raises(FormatError, match="no such camera file"):
+        cameras_for(scene, ["garden=nowhere.json"])
+
+
+@pytest.mark.gl
+def test_old_orders_are_compared_at_their_oldest(context: Context) -> None:
+    """A re-sort period is shown all frames before those that count, and its error grows with its age."""
+    subject = Subject("limb", limb(300, degree=1), 48, moving=True)
+    frames = error_frames(subject, 12)
+    assert (
+        frames == [7, 15] and error_frames(subject, 12, few=True) == [15] and error_frames(subject, 30) == [7, 23, 31]
+    )
+    given = Subject("given", cloud(10), 32, cameras=(camera(32),))
+    assert error_frames(given, 30) == [34] and error_frames(given, 3) == [6]
+    base = base_config(context)
+    settings = settings_of(subject, base)
+    assert {s.label for s in settings if s.knob == "re-sort period"} == {"1", "2", "4", "8"}
+    assert "re-sort period" not in {s.knob for s in settings_of(given, base)}
+    periods = [s for s in settings if s.knob in ("default", "re-sort period")]
+    rows = measure(context, subject, periods, 8, [7])["settings"]
+    psnr = {r["setting"]: r["psnr"] for r in rows if r["knob"] == "re-sort period"}
+    assert psnr["1"] > 65 and psnr["1"] > psnr["2"] > psnr["4"] > psnr["8"]
+
+
+@pytest.mark.shared
+@pytest.mark.gl
+def test_exact_ties_stay_exact_under_a_given_camera(context: Context, shared_data: Path) -> None:
+    """Far from the origin float32 leaves splats at equal depths: their order is that of the camera as it was given."""
+    (subject,) = subjects_of(str(shared_data / "stress" / "huge_coords.ply"), 128)
+    settings = settings_of(subject, RenderConfig(target="32f", shape="triangle"))[:2]
+    result = measure(context, subject, settings, 3, error_frames(subject, 3))
+    assert result["settings"][0]["psnr"] > 110
+
+
+@pytest.mark.shared
+@pytest.mark.gl
+def test_a_scene_with_the_camera_of_its_golden(context: Context, shared_data: Path) -> None:
+    goldens = shared_data / "goldens"
+    (subject,) = subjects_of(
+        str(shared_data / "splats" / "playbot_lod6.ply"), 96, [f"playbot_lod6={goldens}/playbot_lod3.camera.json"]
+    )
+    settings = settings_of(subject, base_config(context), few=True)
+    result = measure(context, subject, settings, 3, error_frames(subject, 3))
+    rows = {(r["knob"], r["setting"]): r for r in result["settings"]}
+    assert result["views"] == 1 and rows["default", "default"]["psnr"] > 65
+    assert rows["SH degree", "0"]["psnr"] < rows["SH degree", "1"]["psnr"] < rows["SH degree", "2"]["psnr"]
+    assert rows["splats", "468"]["psnr"] < rows["splats", "1,873"]["psnr"]
+
+
+@pytest.mark.shared
+@pytest.mark.gl
+def test_a_person_is_held_against_all_joints(context: Context, shared_data: Path) -> None:
+    subject = dense_person(shared_data / "people" / "char_c_registry.npz", 300, 64, SamplerConfig(probe=96, rounds=1))
+    assert isinstance(subject.right, Avatar) and isinstance(subject.scene, Avatar)
+    assert subject.right.skin.influences > 4 and subject.scene.skin.influences == 8
+    np.testing.assert_allclose(subject.right.skin.weights.sum(axis=1), 1, atol=1e-5)
+    base = base_config(context)
+    settings = [s for s in settings_of(subject, base) if s.knob in ("default", "influences")]
+    assert [s.label for s in settings[2:]] == ["1", "2", "4", "8"]
+    psnr = [r["psnr"] for r in measure(context, subject, settings, 3, [7])["settings"][2:]]
+    assert psnr[0] < psnr[1] < psnr[2] <= psnr[3] and psnr[3] > 65
+
+
+def test_levels_keep_mass_mean_and_covariance() -> None:
+    """Moments of the whole, weighted with opacity times area, are those of the many: by hand for two splats."""
+    two = Splats.create(
+        [[-1.0, 0, 0], [1, 0, 0]], [[1.0, 0, 0, 0]] * 2, [[0.1, 0.2, 0.3]] * 2, [0.2, 0.2], rgb=[[1, 0, 0], [0, 0, 1]]
+    )
+    one = merged(two, 1)
+    assert isinstance(one, Splats) and len(one) == 1
+    np.testing.assert_allclose(one.means, [[0, 0, 0]], atol=1e-6)
+    shape = reference.rest(one).shapes[0]
+    np.testing.assert_allclose(shape @ shape.T, np.diag([1.01, 0.04, 0.09]), atol=1e-5)
+    np.testing.assert_allclose(one.opacities, 2 * 0.2 * (0.2 * 0.3) / (np.sqrt(1.01) * 0.3), rtol=1e-4)
+    np.testing.assert_allclose(one.sh, two.sh.mean(axis=0, keepdims=True), atol=1e-6)
+    assert merged(two, 2) is two
+
+
+def test_levels_of_an_avatar_keep_its_rig() -> None:
+    avatar = limb(600)
+    few = merged(avatar, 150)
+    assert isinstance(few, Avatar) and len(few.splats) == 150 and few.skeleton is avatar.skeleton
+    np.testing.assert_allclose(few.skin.weights.sum(axis=1), 1, atol=1e-5)
+    assert few.splats.finite().all() and (few.splats.opacities <= 1).all()
+    bad = avatar.splats.means.copy()
+    bad[0] = np.nan
+    assert (
+        merged(Splats(bad, *(getattr(avatar.splats, k) for k in ("quats", "scales", "opacities", "sh"))), 9)
+        .finite()
+        .all()
+    )
+
+
+def test_cells_share_the_points_evenly(rng: np.random.Generator) -> None:
+    for count in (1, 7, 64, 100):
+        sizes = np.bincount(cells(rng.normal(size=(100, 3)), count), minlength=count)
+        assert len(sizes) == count and sizes.min() >= 1 and sizes.max() <= -(-100 // count) + 2
+    apart = cells(np.array([[0.0, 0], [0.1, 0], [5, 0], [5.1, 0]]), 2)
+    assert apart[0] == apart[1] != apart[2] == apart[3]
+
+
+@pytest.mark.gl
+def test_saved_scene_and_settings_are_one_measurement(tmp_path: Path, context: Context) -> None:
+    save(cloud(1200, degree=1), tmp_path / "a.ply")
+    scene = load(tmp_path / "a.ply")
+    assert isinstance(scene, Splats)
+    base = base_config(context)
+    many, few = (settings_of(Subject("a", scene, 32), base, short) for short in (False, True))
+    assert len({s.drawn for s in few}) < len({s.drawn for s in many}) < len(many)
+    assert Setting("splats", "1,200", Drawn(base)) in many and Setting("splats", "1,200", Drawn(base)) in few
