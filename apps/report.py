@@ -20,6 +20,7 @@ from glsplat.context import Context, create_context
 from glsplat.errors import FormatError, GlsplatError
 from glsplat.formats.files import replace_file
 
+from . import report_latency
 from .bench import WARM_UP
 from .machine import machine
 from .report_agreement import agreement, agreement_cost
@@ -46,6 +47,7 @@ NOT_MEASURED = {
     "views = 1 with layer code": "a program for two views cannot draw one",
 }
 _CASE = 60.0  # milliseconds of a stability case
+_REQUEST = 1000 / 72  # milliseconds between requests of the latency section
 _BAR = "{desc}: {percentage:3.0f}% |{bar}| {elapsed} passed, about {remaining} to go"
 
 
@@ -129,7 +131,9 @@ def measured(
     splats = len(splats_of(main.scene))
     feature_cost = 4 * frame_cost(splats, 2 * main.size**2)
     pair_cost = {side: 5.5 * frame_cost(splats, 2 * side**2) for side in sizes}
-    total = _CASE * len(cases) + growth_cost(grid) + agreement_cost(twice, again)
+    total = (
+        _REQUEST * report_latency.frames(quick) + _CASE * len(cases) + growth_cost(grid) + agreement_cost(twice, again)
+    )
     total += sum(measure_cost(*one, frames, two) for one, two in zip(_pairs(subjects, settings), compared, strict=True))
     total += (WARM_UP + fewer) * (feature_cost * (len(features) + 0.5) + sum(pair_cost.values()))
     if context.software:
@@ -165,6 +169,9 @@ def measured(
             both = replace(still, size=side)
             batches.append(batching(context, both, fewer, lambda n, side=side: bar.update(pair_cost[side] * n)))  # type: ignore[misc]
             end("batching")
+        section("latency")
+        latency = report_latency.measure(quick, lambda n: bar.update(_REQUEST * n))
+        end("latency")
         section("growth")
         grown = growth(context, grid, device, bar.update)
         end("growth")
@@ -188,6 +195,7 @@ def measured(
         "left_out_splats": splats,
         "unmoved": unmoved_row,
         "stability": stability,
+        "latency": latency,
         "growth": grown,
         "not_measured": NOT_MEASURED,
     }

@@ -18,11 +18,11 @@ from glsplat.avatar import Avatar, default_avatar
 from glsplat.camera import Camera
 from glsplat.context import Context, create_context
 from glsplat.renderer import Renderer
-from glsplat.skinning.motion import load_motion
 from glsplat.skinning.skin import Skin
 
 from .bench import FOV, STAGES, Series
 from .report_measure import Tick, frame_cost
+from .report_subjects import Subject
 from .scene import view_of, viewing_point
 
 __all__ = ["Grid", "fitted", "grid_of", "growth", "growth_cost", "resampled"]
@@ -144,10 +144,10 @@ def _point(context: Context, scene: Avatar, pixels: int, views: int, grid: Grid,
 
 def _show(scene: Avatar, pixels: int, views: int) -> Callable[[Renderer, int], dict[str, float]]:
     """Draws a frame and says what its stages took."""
-    motion, around = load_motion("wave-and-turn", scene.skeleton), _heads(scene, pixels, views)
+    subject, around = Subject("", scene, pixels, moving=True), _heads(scene, pixels, views)
 
     def show(renderer: Renderer, frame: int) -> dict[str, float]:
-        renderer.render(around(frame), motion.at(frame / 30))
+        renderer.render(around(frame), subject.pose(frame))
         return dict(renderer.timings)
 
     return show

@@ -7,6 +7,8 @@ import html
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from . import report_latency
+
 __all__ = ["page"]
 
 _STYLE = """
@@ -29,7 +31,7 @@ def page(result: Mapping[str, Any], pictures: Mapping[str, bytes]) -> str:
     """The whole document; ``pictures`` are PNG by file name, as they are written beside it."""
     failed = [row for row in result["stability"] if row["verdict"] != "holds"]
     versions = ", ".join(f"{name} {version}" for name, version in result["versions"].items())
-    rest = f"{result['frames_of_the_rest']} in sections 2 and 3, {result['growth']['frames']} in 5"
+    rest = f"{result['frames_of_the_rest']} in sections 2 and 3, {result['growth']['frames']} in 6"
     width = f"{result['frames']} frames a setting after {result['warm_up']} of warm-up ({rest})"
     facts = [
         f"Driver: {result['driver']} ({result['backend']})",
@@ -50,9 +52,10 @@ def page(result: Mapping[str, Any], pictures: Mapping[str, bytes]) -> str:
     parts += _batching(result["batching"], pictures)
     parts += _left_out(result, pictures)
     parts += _stability(result["stability"])
+    parts += _latency(result["latency"])
     parts += _growth(result["growth"], pictures)
     rows = [[name, why] for name, why in result["not_measured"].items()]
-    parts += ["<h2>6. What this report does not measure</h2>", _table(["what", "why"], rows)]
+    parts += ["<h2>7. What this report does not measure</h2>", _table(["what", "why"], rows)]
     head = f'<html lang="en"><head><meta charset="utf-8"><title>glsplat report</title><style>{_STYLE}</style></head>'
     return f"<!doctype html>{head}<body>{''.join(parts)}</body></html>\n"
 
@@ -151,6 +154,24 @@ def _stability(cases: Sequence[Mapping[str, Any]]) -> list[str]:
     return ["<h2>4. Stability</h2><p>Every row was run for this report.</p>", _table(names, rows, classes)]
 
 
+def _latency(result: Mapping[str, Any]) -> list[str]:
+    head, *rows = report_latency.rows(dict(result))
+    shown = [
+        f"2 x {run['size'][0]}x{run['size'][1]}: {run['pictures_a_second']:.1f} pictures a second, "
+        f"{run['bytes_per_frame'] / 1024:.0f} KiB each, {run['dropped']} of {run['sent']} replaced by newer requests"
+        for run in result["runs"]
+    ]
+    return [
+        "<h2>5. Latency</h2>",
+        f"<p>A server and a client on this machine; the embedded recording of head and hands at {result['fps']:.0f} "
+        "requests a second (ms; the paper's column is its table, on its authors' GPU, headset and network).</p>",
+        _table(head, rows),
+        "<ul>",
+        *(f"<li>{_text(line)}</li>" for line in shown),
+        "</ul>",
+    ]
+
+
 def _growth(growth: Mapping[str, Any], pictures: Mapping[str, bytes]) -> list[str]:
     rows, lines = [], []
     for axis in ("splats", "pixels", "views"):
@@ -178,7 +199,7 @@ def _growth(growth: Mapping[str, Any], pictures: Mapping[str, bytes]) -> list[st
             constant = f"{_number(line['constant'])} {unit}"
             lines.append([name, line["slope"], constant, f"{100 * line['largest_relative_error']:.0f} %"])
     return [
-        "<h2>5. Growth</h2>",
+        "<h2>6. Growth</h2>",
         f"<p>{_text(growth['scene'])}, with fewer or more splats of the same area in all. Straight lines of least "
         "relative error through the medians; the last column says how far the worst point lies off.</p>",
         _image(pictures, "growth.png"),

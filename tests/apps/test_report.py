@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from apps import report, report_stability
+from apps import report, report_growth, report_latency, report_stability, report_subjects
+from apps.cli import main
 from apps.report_batching import PAPER, batching
 from apps.report_growth import Grid
 from apps.report_knobs import settings_of
@@ -21,8 +22,10 @@ from apps.report_left_out import features_of, left_out, unmoved
 from apps.report_stability import Case, Outcome, camera, frame_cases, judge, picture_case
 from apps.report_stability_skin import skin_cases
 from apps.report_subjects import Subject
+from apps.streaming import STAGES
 from glsplat.context import Context
 from glsplat.errors import GlsplatError
+from glsplat.formats import save
 from tests.scenes import cloud, limb, one_splat
 
 pytest.importorskip("flip_evaluator")
@@ -130,14 +133,25 @@ def test_an_unmoved_frame_runs_fewer_passes(context: Context) -> None:
 # ------------------------------------------------------------------------------------------------------- the files
 
 
-def test_report_files(tmp_path: Path, context: Context, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A page that needs nothing else, JSON without NaN, and a failed case that cannot be missed."""
-    monkeypatch.setattr(report, "settings_of", lambda *given: settings_of(*given)[:4])  # a whole grid takes longer
+def short(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A whole grid, the streaming of latency and pictures of the paper's sizes take longer than a test may."""
+    stage = {"median": 1.0, "p95": 2.0}
+    run = {"size": [32, 32], "pictures_a_second": 9.0, "bytes_per_frame": 2048, "dropped": 1, "sent": 10}
+    streamed = {"fps": 72.0, "paper": report_latency.PAPER, "runs": [{**run, "stages": {s[0]: stage for s in STAGES}}]}
+    monkeypatch.setattr(report_latency, "measure", lambda *_: streamed)
+    monkeypatch.setattr(report, "settings_of", lambda *given: settings_of(*given)[:4])
     monkeypatch.setattr(report, "features_of", lambda *given: features_of(*given)[:2])
     monkeypatch.setattr(report, "skin_cases", list)
+    monkeypatch.setattr(report, "BATCHING_SIZES", (32,))
+    monkeypatch.setattr(report, "grid_of", lambda _: Grid((100, 400), (16, 32), (1, 2), size=32, frames=2, alone=False))
+    monkeypatch.setattr(report_growth, "default_avatar", lambda: limb(200))
+
+
+def test_report_files(tmp_path: Path, context: Context, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A page that needs nothing else, JSON without NaN, and a failed case that cannot be missed."""
+    short(monkeypatch)
     subjects = [Subject("limb <b>", limb(60), 24, moving=True)]
-    grid = Grid((100, 400), (16, 32), (1, 2), size=32, frames=2, alone=False)
-    result = report.measured(context, subjects, 3, True, sizes=(32,), grid=grid)
+    result = report.measured(context, subjects, 3, True, sizes=(32,))
     assert {"driver", "machine", "cores", "date", "versions", "commit"} <= set(result)
     result["stability"][0] |= {"verdict": "failed", "error": np.inf, "seen": "<script>"}
     files = report.write(result, tmp_path)
@@ -150,6 +164,35 @@ def test_report_files(tmp_path: Path, context: Context, monkeypatch: pytest.Monk
     assert text.count("data:image/png;base64,") == 5
     for name in files[:-2]:
         assert name.read_bytes().startswith(b"\x89PNG")
+
+
+def test_from_the_command_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """One command, a scene with a camera of another folder: everything that it should say is in the JSON."""
+    short(monkeypatch)
+    monkeypatch.setattr(report_subjects, "default_avatar", lambda: limb(120))
+    save(cloud(80), tmp_path / "a.ply")
+    view = tmp_path / "view.json"
+    view.write_text(json.dumps(camera(40).to_json()))
+    words = ["report", str(tmp_path / "a.ply"), "--cameras", f"a={view}", "--quick", "--frames", "3", "--size", "32"]
+    assert main([*words, "-o", str(tmp_path / "out")]) == 0
+    out = capsys.readouterr().out.splitlines()
+    assert out[-1] == str(tmp_path / "out" / "report.html") and any(line.endswith("cases hold") for line in out)
+    assert sum("report" in line and "bench" in line and "ms" in line for line in out) == 2
+    result = json.loads((tmp_path / "out" / "report.json").read_text())
+    assert [s["scene"] for s in result["scenes"]] == ["default avatar, static", "default avatar, in motion", "a.ply"]
+    assert [s["size"] for s in result["scenes"]] == [[32, 32]] * 3 and [s["views"] for s in result["scenes"]] == [
+        2,
+        2,
+        1,
+    ]
+    assert result["driver"] and result["machine"] and result["cores"] >= 1 and result["date"] >= "2026"
+    assert {"glsplat", "python", "numpy", "moderngl", "matplotlib", "flip-evaluator"} <= set(result["versions"])
+    assert len(result["agreement"]) == 2 and len(result["stability"]) > 20 and result["latency"]["runs"]
+    assert {row["splats"] for row in result["growth"]["splats"]} == {100, 400}
+    assert main(["report", str(tmp_path / "a.ply"), "--cameras", "nowhere", "-o", str(tmp_path / "out")]) == 1
+    assert "--cameras takes a folder" in capsys.readouterr().err
 
 
 def test_clear_errors(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
