@@ -30,6 +30,7 @@ from glsplat.tracking.quat import (
     IDENTITY,
     Quat,
     Vec,
+    add,
     clamp,
     conj,
     inverse_mul,
@@ -46,6 +47,7 @@ from glsplat.tracking.spine import Spine, Torso
 
 LONGEST_JUMP = 0.7  # seconds; a head out of reach for longer is not a jump (0.7 s in the air is a leap of 0.6 m)
 HOLD, SINK, REGAIN = 0.25, 0.35, 0.2  # seconds: a lost hand stays, sinks to the side, is taken up again
+RESTING = 1e-3  # metres a planted foot may still be above the floor
 LOWEST_EYE = 0.04  # of the eye height: a head on the floor
 
 __all__ = ["AnalyticSolver", "Solution", "Solver", "Targets"]
@@ -74,6 +76,7 @@ class Solution:
     planted: tuple[bool, bool] = (True, True)
     airborne: bool = False
     notes: list[str] = field(default_factory=list)
+    feet: tuple[Vec | None, Vec | None] = (None, None)  # places of the foot joints, where they are known exactly
 
 
 class Solver(Protocol):
@@ -165,13 +168,13 @@ class AnalyticSolver:
         speed = hypot(self._travel[0], self._travel[2])
         if legs.gait.walking and self._seen <= 3 and not self._placed:
             self._placed = True
-            legs.start_walking(base, yaw, self._travel, speed)
+            legs.start_walking(speed)
         limbs = legs.update(base, torso.pelvis_at, torso.pelvis, yaw, self._travel, self._slow, speed, dt)
         arms = [
             arm.solve(torso.spine3, torso.spine3_at, *self._hand(arm.index, targets, torso, dt), dt)
             for arm in self.arms
         ]
-        return self._assemble(torso, limbs, arms, yaw)
+        return self._assemble(torso, limbs, arms)
 
     def _grounded(self, targets: Targets, dt: float) -> Targets:
         """The head within the body's reach: above the floor, and not higher than the legs allow for longer than a jump.
@@ -264,29 +267,31 @@ class AnalyticSolver:
         turn = mul(inverse, mul(torso.pelvis, to_quat((0.0, 0.0, -1.45 * sign))))
         return (x + down[0] * far, y + down[1] * far, z + down[2] * far), turn
 
-    def _assemble(
-        self, torso: Torso, limbs: list[tuple[Quat, Quat, Quat]], arms: list[ArmPose], yaw: float
-    ) -> Solution:
+    def _assemble(self, torso: Torso, limbs: list[tuple[Quat, Quat, Quat]], arms: list[ArmPose]) -> Solution:
         out = [IDENTITY] * 22
         out[PELVIS] = torso.pelvis
-        out[SPINE1] = inverse_mul(torso.pelvis, torso.spine1)
-        out[SPINE2] = inverse_mul(torso.spine1, torso.spine2)
-        out[SPINE3] = inverse_mul(torso.spine2, torso.spine3)
+        out[SPINE1] = out[SPINE2] = out[SPINE3] = torso.third
         out[NECK] = inverse_mul(torso.spine3, torso.neck)
         out[HEAD] = inverse_mul(torso.neck, torso.head)
+        feet: list[Vec | None] = [None, None]
         for i in (0, 1):
             thigh, knee, foot = limbs[i]
             free = inverse_mul(torso.pelvis, thigh)
-            hip = clamp_joint(HIPS[i], free)
-            out[HIPS[i]] = hip
-            if hip is not free:
+            out[HIPS[i]] = hip = clamp_joint(HIPS[i], free)
+            bound = hip is not free
+            if bound:
                 thigh = mul(torso.pelvis, hip)
-                self.legs.feet[i].strained = True  # the hip's limit moves the foot: it has to step
+                leg = self.legs.legs[i]
+                knee = clamp_joint(
+                    KNEES[i], leg.settle(add(torso.pelvis_at, rotate(torso.pelvis, leg.hip)), thigh, knee)
+                )
             out[KNEES[i]] = knee
             free = inverse_mul(mul(thigh, knee), foot)
             out[ANKLES[i]] = ankle = clamp_joint(ANKLES[i], free)
-            if ankle is not free:
+            if bound or ankle is not free:  # a joint's limit moves the foot: it has to step
                 self.legs.feet[i].strained = True
+            elif not self.legs.feet[i].strained:
+                feet[i] = self.legs.legs[i].ball
             arm = arms[i]
             out[COLLARS[i]], out[SHOULDERS[i]], out[ELBOWS[i]], out[WRISTS[i]] = (
                 arm.collar,
@@ -294,13 +299,17 @@ class AnalyticSolver:
                 arm.elbow,
                 arm.wrist,
             )
-        feet = self.legs.feet
+        left, right = [
+            foot.planted and known is not None and abs(foot.y.at - self.body.sole) < RESTING
+            for foot, known in zip(self.legs.feet, feet, strict=True)
+        ]
         return Solution(
             out,
             torso.pelvis_at,
             (arms[0].miss, arms[1].miss),
             torso.head_off,
-            (feet[0].planted and not feet[0].strained, feet[1].planted and not feet[1].strained),
+            (left, right),
             self.legs.air > 0.01,
             ["head_out_of_reach"] if self._sink > 0.02 else [],
+            (feet[0], feet[1]),
         )

@@ -7,14 +7,13 @@ from math import acos, exp, hypot, pi, sqrt
 
 from glsplat.tracking.body import HEAD, NECK, PELVIS, SPINE1, SPINE2, SPINE3, Body
 from glsplat.tracking.heading import head_pitch, head_roll
-from glsplat.tracking.limits import BOXES, clamp_box
+from glsplat.tracking.limits import BOXES
 from glsplat.tracking.quat import (
     Quat,
     Vec,
     clamp,
     inverse_mul,
     mul,
-    nlerp,
     rotate,
     rotation_vector,
     to_quat,
@@ -27,12 +26,12 @@ __all__ = ["Spine", "Torso"]
 # neck and head together, radians: flexion, extension, side, rotation (AAOS 45/45/45/60 for the neck; the joint between
 # skull and atlas adds about 15 of nodding: Panjabi 1988)
 FLEXION, EXTENSION, SIDE, ROTATION = 1.0, 1.05, 0.75, 1.15
-WHOLE_SPINE = tuple([3 * v for v in BOXES[SPINE1]])  # pelvis to chest
 NECK_SHARE = 0.45  # of the turn from chest to head that the neck joint takes, the head joint takes the rest
 CHEST_TURN = 0.25  # of the head's turn that the chest follows
 PELVIS_TILT = 0.5  # radians at most between the pelvis and the line from it to the neck
 BEND_SMOOTHING = 0.05  # seconds
-SHIFT, SHARE = 0.5, 0.5  # seconds, share: how the pelvis follows a neck that leaves the feet
+SHIFT, SHARE = 0.4, 0.5  # seconds, share: how the pelvis follows a neck that leaves the feet
+BACK = 0.12  # radians a torso leans back before it shows, and all of it at twice that
 LOWEST_PELVIS = 0.19  # of the eye height: a deep squat, or sitting on the heels
 
 
@@ -41,8 +40,7 @@ class Torso:
     """World rotations and positions of pelvis, spine, neck and head joints."""
 
     pelvis: Quat
-    spine1: Quat
-    spine2: Quat
+    third: Quat  # local rotation of each of the three spine joints
     spine3: Quat
     neck: Quat
     head: Quat
@@ -114,12 +112,12 @@ class Spine:
         facing = yaw_quat(yaw)
         pelvis = mul(facing, to_quat((pelvis_fore, 0.0, -pelvis_side)))
         chest = mul(yaw_quat(yaw + turn), to_quat((chest_fore, 0.0, -chest_side)))
-        bend = inverse_mul(pelvis, chest)
-        free = clamp_box(bend, WHOLE_SPINE)
-        if free is not bend:
-            chest = mul(pelvis, free)
-        self.chest = chest
-        spine1, spine2 = nlerp(pelvis, chest, 1 / 3), nlerp(pelvis, chest, 2 / 3)
+        x, y, z = rotation_vector(inverse_mul(pelvis, chest))
+        low_x, low_y, low_z, high_x, high_y, high_z = BOXES[SPINE1]
+        third = to_quat((clamp(x / 3, low_x, high_x), clamp(y / 3, low_y, high_y), clamp(z / 3, low_z, high_z)))
+        spine1 = mul(pelvis, third)
+        spine2 = mul(spine1, third)
+        self.chest = chest = mul(spine2, third)
         vx, vy, vz = rotation_vector(inverse_mul(chest, head))
         lx, ly, lz = self.turned
         if vx * lx + vy * ly + vz * lz < 0 and vx * vx + vy * vy + vz * vz > 4.0:
@@ -149,7 +147,7 @@ class Spine:
             spine3_at[1] - a[1] - b[1] - c[1],
             spine3_at[2] - a[2] - b[2] - c[2],
         )
-        return Torso(pelvis, spine1, spine2, chest, neck, skull, pelvis_at, spine3_at, neck_at, off)
+        return Torso(pelvis, third, chest, neck, skull, pelvis_at, spine3_at, neck_at, off)
 
     def _lean(
         self,
@@ -169,14 +167,16 @@ class Spine:
         # the pelvis is near the body's mass, which only slow forces move: a quick shift of the neck is a bend
         k = 1.0 if self.chest is None else 1 - exp(-dt / SHIFT)
         self.shift = (
-            self.shift[0] + (SHARE * balance[0] - self.shift[0]) * k,
-            self.shift[1] + (SHARE * balance[1] - self.shift[1]) * k,
+            self.shift[0] + (balance[0] - self.shift[0]) * k,
+            self.shift[1] + (balance[1] - self.shift[1]) * k,
         )
-        stand_fore, stand_side = (balance[0] - self.shift[0]) / length, (balance[1] - self.shift[1]) / length
+        # nobody leans back for long: the whole of a lasting shift backwards is the pelvis'
+        stand_fore = (balance[0] - (SHARE if self.shift[0] > 0 else 1.0) * self.shift[0]) / length
+        stand_side = (balance[1] - SHARE * self.shift[1]) / length
         bow = 0.35 * max(pitch - 0.2, 0.0)
         # a lower head: hips and knees share the bend (a squat keeps the mass over the feet)
         crouch = 0.6 * acos(clamp(1 - max(drop - 0.03 * self.stature, 0.0) / length, -0.5, 1.0))
-        back = clamp((-stand_fore - 0.05) / 0.1, 0.0, 1.0)  # gradually: walking backwards crosses this
+        back = clamp((-stand_fore - BACK) / BACK, 0.0, 1.0)  # gradually: walking backwards crosses this
         fore = max(stand_fore, bow, crouch) * (1 - back) + (stand_fore + crouch) * back
         fore = fore * (1 - walking) + walking * max(0.03 + 0.03 * speed, min(bow, 0.5), crouch)
         # a tilted head mostly tilts with its torso

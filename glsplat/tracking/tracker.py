@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 from glsplat.errors import PoseError
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.skeleton import Skeleton
-from glsplat.tracking.body import ANKLES, HAND_FRAMES, HEAD_FRAME, HIPS, KNEES, Body
+from glsplat.tracking.body import HAND_FRAMES, HEAD_FRAME, Body
 from glsplat.tracking.calibration import Calibration
 from glsplat.tracking.filters import OneEuro, PositionFilter, RotationFilter
 from glsplat.tracking.fingers import Fingers
-from glsplat.tracking.limits import clamp_joint
-from glsplat.tracking.quat import IDENTITY, Quat, Vec, conj, mul, nlerp, slerp, to_quat
+from glsplat.tracking.guard import Guard
+from glsplat.tracking.quat import IDENTITY, Quat, Vec, conj, mul, to_quat
 from glsplat.tracking.sample import Sample, Transform
 from glsplat.tracking.solver import AnalyticSolver, Solution, Solver, Targets
 
@@ -29,7 +29,6 @@ HAND_POSITION, HAND_ROTATION = OneEuro(4.0, 40.0), OneEuro(4.0, 6.0)
 """At rest 32 ms of lag for the head and 40 ms for the hands; at 1 m/s 3.5 ms, never more than 4 mm behind."""
 
 SHORTEST = 1e-4  # seconds; samples closer than this are the same moment
-_LEG_JOINTS = frozenset((*HIPS, *KNEES, *ANKLES))
 FINGERS_IN_TURN = 0.02  # seconds between samples below which the hands' fingers are fitted in turn
 FAR = 1e4  # metres; a device farther away is not tracked
 
@@ -53,6 +52,7 @@ class TrackerConfig:
     gap: float = 0.5  # seconds without samples after which the body starts anew
     joint_speed: float = 45.0  # rad/s of any joint of the output
     root_speed: float = 14.0  # m/s of the output's pelvis
+    foot_speed: float = 10.0  # m/s of the output's feet, over the pelvis' own
 
     def __post_init__(self) -> None:
         if not 0 <= self.prediction <= 0.1:
@@ -112,6 +112,7 @@ class Tracker:
         self.solver: Solver = solver or AnalyticSolver(self.body)
         self.head_only = head_only
         self._root = self.body.joints[0]
+        self._guard = Guard(self.body, c.joint_speed, c.root_speed, c.foot_speed)
         self._head = _Device(
             PositionFilter(c.head_position, c.head_speed), RotationFilter(c.head_rotation, c.turn_speed)
         )
@@ -129,13 +130,13 @@ class Tracker:
     def reset(self) -> None:
         """A new user or a new place: forget everything."""
         self.solver.reset()
+        self._guard.reset()
         self._head.reset()
         for hand in self._hands:
             hand.reset()
         self._time: float | None = None
         self._step = 1 / 72
         self._count = 0
-        self._last: Solution | None = None
         self._pose: Pose | None = None
         self.flags: tuple[str, ...] = ()
         self.reach_error: tuple[float | None, float | None] = (None, None)
@@ -298,10 +299,9 @@ class Tracker:
         dt: float,
         flags: list[str],
     ) -> Pose:
-        last = self._last
-        if last is not None and dt > 0:
-            self._limit(solution, last, dt)
-        self._last = solution
+        if dt <= 0:
+            self._guard.reset()
+        self._guard.step(solution, dt)
         quats = np.array(solution.rotations)
         rotations = np.zeros((55, 3))
         rotations[:22] = _rotation_vectors(quats)
@@ -336,33 +336,6 @@ class Tracker:
         self.flags = tuple(flags)
         self._pose = pose
         return pose
-
-    def _limit(self, solution: Solution, last: Solution, dt: float) -> None:
-        """No joint turns and no pelvis moves faster than the configuration allows."""
-        most = self.config.joint_speed * dt
-        safe = np.cos(0.5 * min(most, 3.0))
-        rotations, slipped = solution.rotations, False
-        for joint, (old, new) in enumerate(zip(last.rotations, rotations, strict=True)):
-            dot = abs(old[0] * new[0] + old[1] * new[1] + old[2] * new[2] + old[3] * new[3])
-            if dot < safe:
-                angle = 2 * float(np.arccos(min(dot, 1.0)))
-                turned = slerp(old, new, most / angle) if angle > 0.1 else nlerp(old, new, most / angle)
-                slipped = slipped or joint in _LEG_JOINTS
-                inside, part = clamp_joint(joint, turned), 1.0  # the way from limit to limit may leave them
-                # and clamping may turn the joint further than it may turn: then take less of the step
-                while part > 0.03 and abs(sum(a * b for a, b in zip(old, inside, strict=True))) < safe - 1e-9:
-                    part *= 0.5
-                    inside = clamp_joint(joint, slerp(old, turned, part))
-                rotations[joint] = inside if part > 0.03 else old
-        far = _distance(solution.pelvis, last.pelvis)
-        reach = self.config.root_speed * dt
-        if far > reach:
-            slipped = True
-            k = reach / far
-            a, b = last.pelvis, solution.pelvis
-            solution.pelvis = (a[0] + (b[0] - a[0]) * k, a[1] + (b[1] - a[1]) * k, a[2] + (b[2] - a[2]) * k)
-        if slipped:
-            solution.planted = (False, False)
 
 
 def _rotation_vectors(quats: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -1,0 +1,125 @@
+"""The last line of defence: whatever the solver says, the body shown moves at bounded speeds and stays on the floor."""
+
+from __future__ import annotations
+
+from math import acos, cos, sqrt
+
+from glsplat.tracking.body import ANKLES, FEET, HIPS, KNEES, PELVIS, Body
+from glsplat.tracking.limits import clamp_joint
+from glsplat.tracking.quat import IDENTITY, Quat, Vec, add, mul, nlerp, pull, rotate, slerp
+from glsplat.tracking.solver import Solution
+
+__all__ = ["Guard"]
+
+LEGS = tuple(zip(HIPS, KNEES, ANKLES, FEET, strict=True))
+LEG_JOINTS = frozenset((*HIPS, *KNEES, *ANKLES))
+UNDER = 0.008  # metres a sole may be below the floor
+PARTS = (0.7, 0.5, 0.35, 0.25, 0.12, 0.06)  # of a step that are tried, where the whole is too much
+
+
+class Guard:
+    """Bounds the step from the pose shown last to the next one. Changes solutions in place."""
+
+    def __init__(self, body: Body, joint_speed: float, root_speed: float, foot_speed: float) -> None:
+        self.offsets, self.sole = body.offsets, body.sole
+        self.joint_speed, self.root_speed, self.foot_speed = joint_speed, root_speed, foot_speed  # rad/s, m/s, m/s
+        self.last: Solution | None = None
+        self.feet: list[Vec] = []
+
+    def reset(self) -> None:
+        """Forget the past: the next pose is taken as it is, on the floor."""
+        self.last = None
+
+    def step(self, solution: Solution, dt: float) -> None:
+        """No joint turns, no pelvis and no foot moves faster than allowed, no sole is below the floor."""
+        last = self.last
+        slipped = last is not None and self._rates(solution, last, dt)
+        if slipped:
+            solution.planted, solution.feet = (False, False), (None, None)
+        feet, low = self._feet(solution)
+        if low < -UNDER or (last is not None and self._fastest(feet, solution, last, dt) > 0):
+            solution.planted = (False, False)
+            solution.notes.append("limited")
+            feet = self._less(solution, last, dt) if last is not None else self._raised(solution, low)
+        self.last, self.feet = solution, feet
+
+    def _rates(self, solution: Solution, last: Solution, dt: float) -> bool:
+        """Joints and pelvis. True if this moved a foot."""
+        most = self.joint_speed * dt
+        safe = cos(0.5 * min(most, 3.0))
+        rotations, slipped = solution.rotations, False
+        for joint, (old, new) in enumerate(zip(last.rotations, rotations, strict=True)):
+            dot = abs(old[0] * new[0] + old[1] * new[1] + old[2] * new[2] + old[3] * new[3])
+            if dot < safe:
+                angle = 2 * acos(min(dot, 1.0))
+                turned = slerp(old, new, most / angle) if angle > 0.1 else nlerp(old, new, most / angle)
+                slipped = slipped or joint in LEG_JOINTS or joint == PELVIS
+                rotations[joint] = _inside(joint, old, turned, safe)
+        far = _distance(solution.pelvis, last.pelvis)
+        reach = self.root_speed * dt
+        if far > reach:
+            slipped = True
+            solution.pelvis = pull(last.pelvis, solution.pelvis, reach / far)
+        return slipped
+
+    def _less(self, solution: Solution, last: Solution, dt: float) -> list[Vec]:
+        """As much of the step as brings no foot below the floor and moves none too fast."""
+        whole = [*solution.rotations]
+        pelvis = solution.pelvis
+        safe = cos(0.5 * min(self.joint_speed * dt, 3.0))
+        solution.feet = (None, None)
+        for part in (1.0, *PARTS):
+            if part < 1:
+                for joint, old in enumerate(last.rotations):
+                    solution.rotations[joint] = _inside(joint, old, slerp(old, whole[joint], part), safe)
+                solution.pelvis = pull(last.pelvis, pelvis, part)
+            feet, low = self._feet(solution)
+            if low < -UNDER:
+                feet = self._raised(solution, low)
+            near = _distance(solution.pelvis, last.pelvis) <= self.root_speed * dt
+            if near and self._fastest(feet, solution, last, dt) <= 0:
+                return feet
+        solution.rotations[:] = last.rotations
+        solution.pelvis = last.pelvis
+        return self.feet
+
+    def _raised(self, solution: Solution, low: float) -> list[Vec]:
+        x, y, z = solution.pelvis
+        solution.pelvis = (x, y - low - 0.5 * UNDER, z)
+        return self._feet(solution)[0]
+
+    def _fastest(self, feet: list[Vec], solution: Solution, last: Solution, dt: float) -> float:
+        """Metres by which the faster foot goes too far."""
+        root = _distance(solution.pelvis, last.pelvis)
+        far = max(_distance(new, old) for new, old in zip(feet, self.feet, strict=True))
+        return far - root - self.foot_speed * dt
+
+    def _feet(self, solution: Solution) -> tuple[list[Vec], float]:
+        """The balls of the feet, and metres that the lowest point of the feet is above the floor (negative: below)."""
+        known, places, low = solution.feet, [], 1e9
+        for side, leg in enumerate(LEGS):
+            ball = known[side]
+            if ball is None:
+                at, turn = solution.pelvis, solution.rotations[PELVIS]
+                for joint in leg:
+                    at = add(at, rotate(turn, self.offsets[joint]))
+                    turn = mul(turn, solution.rotations[joint] if joint < FEET[0] else IDENTITY)
+                    low = min(low, at[1] - self.sole)
+                ball = at
+            low = min(low, ball[1] - self.sole)
+            places.append(ball)
+        return places, low
+
+
+def _inside(joint: int, old: Quat, turned: Quat, safe: float) -> Quat:
+    """A turn from ``old`` brought inside the joint's limits without turning further than allowed."""
+    inside, part = clamp_joint(joint, turned), 1.0  # the way from limit to limit may leave them
+    # and clamping may turn the joint further than it may turn: then take less of the step
+    while part > 0.03 and abs(sum(a * b for a, b in zip(old, inside, strict=True))) < safe - 1e-9:
+        part *= 0.5
+        inside = clamp_joint(joint, slerp(old, turned, part))
+    return inside if part > 0.03 else old
+
+
+def _distance(a: Vec, b: Vec) -> float:
+    return sqrt((a[0] - b[0]) ** 2 + (a[1] - b[1]) ** 2 + (a[2] - b[2]) ** 2)
