@@ -13,6 +13,8 @@ import numpy as np
 import simplejpeg
 from numpy.typing import NDArray
 
+from glsplat.net.partial import encode_covered
+
 __all__ = ["Box", "Encoded", "Encoder", "covered_box", "encode_picture"]
 
 Box = tuple[int, int, int, int]  # x, y, width, height in pixels
@@ -41,6 +43,7 @@ class Encoder:
     ) -> Encoded:
         """Encode ``images`` [V, H, W, 3|4]; blocks until all are done, so call it off the event loop.
 
+        Outside ``covered`` the images are zero; it is not put through the codec where that saves time.
         With ``crop`` only a box of each picture is encoded: ``covered``, widened to whole blocks, or, where that is
         unknown, the box of its opaque pixels. The calling thread does the last eye itself: a pair takes one thread of
         the pool.
@@ -48,7 +51,7 @@ class Encoder:
         start = time.perf_counter()
         height, width = images.shape[1:3]
         box = None
-        if crop and covered is not None and covered[2:] != (width, height):
+        if covered is not None and covered[2:] != (width, height):
             box = on_blocks(covered, width, height)
         jobs = [self._pool.submit(self._one, image, quality, crop, box) for image in images[:-1]]
         last = self._one(images[-1], quality, crop, box)
@@ -63,6 +66,10 @@ class Encoder:
 
     def _one(self, image: NDArray[np.uint8], quality: int, crop: bool, known: Box | None) -> tuple[bytes, Box | None]:
         if not crop:
+            if known is not None and self._subsampling == "420" and image.shape[2] == 4:
+                picture = encode_covered(image, known, quality)
+                if picture is not None:
+                    return picture, None
             return encode_picture(image, quality, self._subsampling), None
         x, y, w, h = box = known or covered_box(image)
         return encode_picture(image[y : y + h, x : x + w], quality, self._subsampling), box
