@@ -87,6 +87,8 @@ def run(args: argparse.Namespace) -> int:
         raise GlsplatError(f"--frames needs at least 1, not {args.frames}")
     if not 1 <= args.window <= 8:
         raise GlsplatError(f"--window needs 1 to 8, not {args.window}")
+    if args.quality is not None and not 1 <= args.quality <= 100:
+        raise GlsplatError(f"--quality needs 1 to 100, not {args.quality}")
     several = args.compare or len(args.link or ()) > 1
     if args.save and several:
         raise GlsplatError("--save goes with a single run, not with --compare or several --link")

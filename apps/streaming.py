@@ -203,7 +203,7 @@ async def stream(
                 run.answered.clear()
                 await run.answered.wait()
 
-    over = asyncio.Event()
+    over, closed = asyncio.Event(), None
     start = time.perf_counter()
     tasks = [asyncio.create_task(run.receive()), asyncio.create_task(run.decode())]
     if policy != "mailbox":
@@ -225,12 +225,18 @@ async def stream(
             await asyncio.sleep(1 / fps)
             run.refresh(time.perf_counter() - start)
         run.result.seconds = run.last_shown - start if run.result.shown else time.perf_counter() - start
+    except ProtocolError as error:
+        if error.code != "closed":
+            raise
+        closed = error
     finally:
         for task in tasks:
             task.cancel()
         outcomes = await asyncio.gather(*tasks, return_exceptions=True)
         run.threads.shutdown()
-    for outcome in outcomes:
+    for outcome in (closed, *outcomes):
+        if isinstance(outcome, ProtocolError) and outcome.code == "closed" and run.result.last_error:
+            raise ProtocolError(f"{outcome}; it said: {run.result.last_error}", "closed")
         if isinstance(outcome, Exception):
             raise outcome
     return run.result
