@@ -6,6 +6,8 @@ import argparse
 import json
 import math
 import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -16,6 +18,7 @@ from glsplat.avatar import Avatar, default_avatar
 from glsplat.errors import FormatError, GlsplatError
 from glsplat.formats import load, save
 from glsplat.formats.files import replace_file
+from glsplat.skinning.cones import ConeConfig, with_cones
 from glsplat.skinning.importers import bind_to_mesh, load_lhm_dump, marked_no_rotate
 from glsplat.skinning.lam import is_lam_zip, load_lam_zip
 from glsplat.skinning.motion import load_motion
@@ -31,7 +34,7 @@ from glsplat.skinning.surface import make_avatar
 from . import avatar_score
 from .motion_library import library, to_json
 
-HELP = "Make avatars from rigged people, import and export them, write the embedded motions."
+HELP = "Make avatars from rigged people, import, export and score them, find hidden splats, write the embedded motions."
 EXAMPLE = "glsplat avatar make person.npz -o me.glb --splats 40000"
 
 
@@ -46,6 +49,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     make.add_argument("--splats", type=int, default=40_000, help="number of Gaussians (default 40000)")
     make.add_argument("--seed", type=int, default=0, help="same seed, same bytes (default 0)")
     make.add_argument("--steps", type=int, default=RefineConfig().steps, help="fitting steps, about 1 s each; 0: none")
+    make.add_argument("--no-cones", action="store_true", help="make no visibility cones (--cull-hidden needs them)")
+
+    cones = commands.add_parser("cones", help="find out which splats are hidden from where, for --cull-hidden")
+    cones.add_argument("scene", type=Path, help="avatar or static splats")
+    cones.add_argument("-o", "--out", type=Path, required=True, help="file to write (.glb, .gltf)")
+    cones.add_argument(
+        "--psnr", type=float, default=ConeConfig().psnr, help="dB that test pictures keep (default %(default)g)"
+    )
+    cones.add_argument(
+        "--directions", type=int, default=ConeConfig().directions, help="views a pose (default %(default)d)"
+    )
 
     taken = commands.add_parser("import", help="an LHM dump (.npz), a LAM zip, or splats bound to a rigged mesh")
     taken.add_argument("dump", type=Path, help="lhm_dump.npz, a LAM .zip, or a splat file (PLY, .splat) with --mesh")
@@ -79,7 +93,14 @@ _NOTES = {
 
 def run(args: argparse.Namespace) -> int:
     """Run the chosen action; 0 on success."""
-    actions = {"make": _make, "import": _import, "export": _export, "score": _score, "motions": _motions}
+    actions = {
+        "make": _make,
+        "import": _import,
+        "export": _export,
+        "score": _score,
+        "motions": _motions,
+        "cones": _cones,
+    }
     return actions[args.action](args)
 
 
@@ -89,6 +110,32 @@ def _make(args: argparse.Namespace) -> int:
         raise GlsplatError(f"--steps needs 0 or more, not {args.steps}")
     began = time.perf_counter()
     mesh = _person(args.person) if args.body is None else read_obj_person(args.person, read_body(args.body))
+    with _progress() as show:
+        avatar = make_avatar(mesh, args.splats, args.seed, progress=show)
+        if args.steps:
+            avatar = refine(avatar, mesh, args.seed, RefineConfig(steps=args.steps), show)
+        if not args.no_cones:
+            avatar = with_cones(avatar, progress=show)
+    return _write(avatar, args, began)
+
+
+def _cones(args: argparse.Namespace) -> int:
+    _check_name(args.out)
+    if not 0 < args.psnr <= 100:
+        raise GlsplatError(f"--psnr needs decibels above 0 and at most 100, not {args.psnr:g}")
+    if not 8 <= args.directions <= 4096:
+        raise GlsplatError(f"--directions needs 8 to 4096, not {args.directions}")
+    began = time.perf_counter()
+    with _progress() as show:
+        made = with_cones(load(args.scene), ConeConfig(psnr=args.psnr, directions=args.directions), show)
+    save(made, args.out)
+    print(f"{args.out}: {args.out.stat().st_size / 1e6:.2f} MB, {time.perf_counter() - began:.1f} s")
+    return 0
+
+
+@contextmanager
+def _progress() -> Iterator[Callable[[str, float], None]]:
+    """A bar for (stage, share done); none where nobody watches."""
     with tqdm(total=100, disable=None, leave=False, bar_format="{desc}: {bar} {n:.0f} %") as bar:
 
         def show(stage: str, done: float) -> None:
@@ -96,10 +143,7 @@ def _make(args: argparse.Namespace) -> int:
             bar.n = 100 * done
             bar.refresh()
 
-        avatar = make_avatar(mesh, args.splats, args.seed, progress=show)
-        if args.steps:
-            avatar = refine(avatar, mesh, args.seed, RefineConfig(steps=args.steps), show)
-    return _write(avatar, args, began)
+        yield show
 
 
 def _import(args: argparse.Namespace) -> int:

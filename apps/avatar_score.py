@@ -56,7 +56,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--poses", type=int, default=len(SCORE_POSES), help=f"poses (default {len(SCORE_POSES)})")
     parser.add_argument("--views", type=int, default=4, help="views a pose, evenly around (default 4)")
     parser.add_argument("--size", type=int, default=512, help="pixels, square (default 512)")
-    parser.add_argument("--antialias", action="store_true", help="draw the avatar with opacity compensation")
+    parser.add_argument(
+        "--antialias",
+        action=argparse.BooleanOptionalAction,
+        help="draw the avatar with opacity compensation (default: what the file asks for)",
+    )
     parser.add_argument("--grey", type=float, default=0.0, help="background, 0 black (default) to 1 white")
     parser.add_argument("--sheet", type=Path, help="contact sheet to write (.png, .jpg): avatar, mesh, 4 x difference")
     parser.add_argument("--json", action="store_true", help="print the figures of every picture as JSON")
@@ -87,7 +91,7 @@ def report(args: argparse.Namespace, avatar: Avatar, mesh: RiggedMesh) -> int:
     facts = {
         "splats": len(avatar.splats),
         "driver": driver,
-        "antialias": args.antialias,
+        "antialias": avatar.splats.antialias if args.antialias is None else args.antialias,
         "size": args.size,
         "pictures": len(scores),
         "body_psnr": _summary(body),

@@ -53,7 +53,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--float-target", choices=("auto", "8", "16f", "32f"), default="auto", help="accumulation format"
     )
     parser.add_argument("--sh-degree", type=int, choices=range(4), default=3, help="evaluate at most this degree")
-    parser.add_argument("--antialias", action="store_true", help="opacity compensation for small splats")
+    parser.add_argument(
+        "--antialias",
+        action=argparse.BooleanOptionalAction,
+        help="opacity compensation for small splats (default: what the file asks for)",
+    )
+    parser.add_argument(
+        "--cull-hidden", action="store_true", help="leave out what the splats' visibility cones say is hidden"
+    )
     parser.add_argument("--rotation", choices=("polar", "raw"), default="polar", help="blended rotation of a skin")
     parser.add_argument("--layers", choices=("auto", "vertex", "geometry"), default="auto", help="who writes gl_Layer")
     parser.add_argument("--sorter", choices=("auto", "cpu", "gpu"), default="auto", help="where splats are sorted")
@@ -79,6 +86,7 @@ def run(args: argparse.Namespace) -> int:
         rotation=args.rotation,
         sh_degree=args.sh_degree,
         antialias=args.antialias,
+        cull_hidden=args.cull_hidden,
     )
     context = create_context(args.device)
     try:

@@ -30,7 +30,9 @@ class RenderConfig:
     rotation: Literal["polar", "raw"] = "polar"  # R_i under skinning: nearest rotation, or the blended matrix
     influences: Literal[0, 1, 2, 4, 8] = 0  # joints a splat; 0 = as many as the avatar has
     sh_degree: int = 3  # evaluate at most this degree
-    antialias: bool = False  # opacity compensation for the dilation (Mip-Splatting's 2D filter)
+    antialias: bool | None = None  # opacity compensation (Mip-Splatting's 2D filter); None: if the splats ask for it
+    cull_hidden: bool = False  # leave out splats that are seen from outside their visibility cone (skinning/cones.py)
+    cull_margin: float = 0.0  # added to the smallest cosine of every cone: above 0 leaves out more
     eps2d: float = 0.3  # px^2 added to the diagonal of the projected covariance
     max_sigma: float = 3.33  # standard deviations at which a quad ends at the latest
 
@@ -52,6 +54,8 @@ class RenderConfig:
                 raise GlsplatError(f"{name} needs one of {', '.join(map(str, values))}, not {getattr(self, name)}")
         if not (isinstance(self.sort_period, int) and 1 <= self.sort_period <= 1000):
             raise GlsplatError(f"sort_period needs 1 to 1000 frames, not {self.sort_period}")
+        if not -2 <= self.cull_margin <= 2:
+            raise GlsplatError(f"cull_margin needs -2 to 2, not {self.cull_margin:g}")
         if not 0 <= self.eps2d <= 100:
             raise GlsplatError(f"eps2d needs 0 to 100 px^2, not {self.eps2d:g}")
         if not 0 < self.max_sigma <= 3.33:

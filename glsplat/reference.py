@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +25,7 @@ __all__ = [
     "blended_rotations",
     "depth_order",
     "evaluate_sh",
+    "lifted",
     "project",
     "quaternion_matrices",
     "render",
@@ -32,6 +34,7 @@ __all__ = [
 ]
 
 F64 = NDArray[np.float64]
+T = TypeVar("T", np.float32, np.float64)
 
 ALPHA_MAX = 0.99
 ALPHA_MIN = 1 / 255
@@ -176,7 +179,7 @@ def project(posed: Posed, splats: Splats, camera: Camera, config: RenderConfig |
         a, c = a + config.eps2d, c + config.eps2d
 
         alphas = np.minimum(splats.opacities.astype(np.float64), 1.0)
-        if config.antialias:
+        if splats.antialias if config.antialias is None else config.antialias:
             alphas = alphas * np.sqrt(np.maximum(det / dilated, AA_FLOOR))
         extents = np.minimum(config.max_sigma, np.sqrt(2 * np.log(alphas / ALPHA_MIN)))
         means2d = np.stack([fx * x / z + cx, fy * y / z + cy], -1)
@@ -226,6 +229,16 @@ def composite(view: Projected, order: NDArray[np.intp], camera: Camera) -> F64:
         patch[..., :3] += alpha[..., None] * view.colours[i]
         patch[..., 3] += alpha
     return image
+
+
+def lifted(image: NDArray[T], background: tuple[float, float, float]) -> NDArray[T]:
+    """[H, W, 4] of a picture from which hidden splats were left out: what shone through is made up for (lift.glsl).
+
+    Behind alpha A there was about A^3 more of the same colour: A' = 1 - (1 - A) (1 - A^3).
+    """
+    alpha = image[..., 3:]
+    more = alpha * alpha * (1 - alpha)
+    return image + more * np.concatenate([image[..., :3] - np.asarray(background, image.dtype), alpha], axis=-1)
 
 
 def render(

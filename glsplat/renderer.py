@@ -129,6 +129,11 @@ class Renderer:
         splats = avatar.splats if avatar else scene
         if not isinstance(splats, Splats):
             raise GlsplatError(f"a scene is Splats or an Avatar, not {type(scene).__name__}")
+        if self.config.cull_hidden and splats.cones is None:
+            raise GlsplatError(
+                "cull_hidden needs splats with visibility cones, this scene has none; "
+                "make them (glsplat avatar cones, glsplat.skinning.cones.with_cones) or leave cull_hidden off"
+            )
         self._drop_scene()
         skin = avatar.skin if avatar else None
         if avatar is not None and self.config.influences:
@@ -138,7 +143,8 @@ class Renderer:
         joints = len(avatar.skeleton) if avatar else 0
         if joints > self.context.max_size:
             raise ContextError(f"{joints} joints, but a texture of {self.driver} holds {self.context.max_size}")
-        self._scene = SceneBuffers(self.context.ctx, splats, skin, joints, self._degree)
+        self._antialias = splats.antialias
+        self._scene = SceneBuffers(self.context.ctx, splats, skin, joints, self._degree, self.config.cull_hidden)
         self._splat_count = len(splats)
         self._geometry_version = 0
         self._last_bones: NDArray[np.float64] | None = None
@@ -172,7 +178,7 @@ class Renderer:
             views = [cameras[i] for i in batch]
             pipeline, target = self._draw(views, sort_viewmat, boxed=self.config.output == "uint8")
             byte_target = self._byte_target(len(views)) if self.config.output == "uint8" else None
-            pipeline.read(target, byte_target, out[batch[0] : batch[0] + len(views)], self.timer)
+            pipeline.read(target, byte_target, views, out[batch[0] : batch[0] + len(views)], self.timer)
             self._count(pipeline)
         self.timer.stop()
         return out
@@ -294,7 +300,15 @@ class Renderer:
     def _pipeline(self, views: Sequence[Camera]) -> Pipeline:
         assert self._scene is not None
         degree = min(self._degree, views[0].sh_degree)
-        variant = variant_for(degree, self._scene.influences, len(views), self.config, self._geometry, self._triangle)
+        variant = variant_for(
+            degree,
+            self._scene.influences,
+            len(views),
+            self.config,
+            self._geometry,
+            self._triangle,
+            self._antialias,
+        )
         if variant not in self._pipelines:
             self._pipelines[variant] = Pipeline(self.context, self._programs, variant, self._scene, self.config)
         return self._pipelines[variant]

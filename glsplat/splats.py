@@ -28,6 +28,8 @@ class Splats:
     scales: NDArray[np.float32]  # [N, 3] standard deviations in metres
     opacities: NDArray[np.float32]  # [N] in [0, 1]
     sh: NDArray[np.float32]  # [N, (degree + 1)^2, 3] raw coefficients; colour = SH . basis + 0.5
+    antialias: bool = False  # meant to be drawn with opacity compensation for the dilation (RenderConfig.antialias)
+    cones: NDArray[np.int8] | None = None  # [N, 4] visibility cone / 127: axis in the splat's own axes, smallest cosine
 
     def __post_init__(self) -> None:
         n = len(self.means)
@@ -37,6 +39,8 @@ class Splats:
         if self.sh.ndim != 3 or self.sh.shape[0] != n or self.sh.shape[1] not in (1, 4, 9, 16):
             raise FormatError(f"sh needs shape ({n}, 1|4|9|16, 3) for SH degree 0 to 3, not {self.sh.shape}")
         _require("sh", self.sh, (n, self.sh.shape[1], 3))
+        if self.cones is not None and (self.cones.shape != (n, 4) or self.cones.dtype != np.int8):
+            raise FormatError(f"cones needs int8 of shape ({n}, 4), not {self.cones.dtype} of {self.cones.shape}")
 
     @classmethod
     def create(
@@ -48,6 +52,8 @@ class Splats:
         sh: ArrayLike | None = None,  # [N, K, 3]
         *,
         rgb: ArrayLike | None = None,  # [N, 3] in [0, 1], instead of sh
+        antialias: bool = False,
+        cones: NDArray[np.int8] | None = None,  # [N, 4]
     ) -> Splats:
         """Convert, normalise the quaternions and check the shapes.
 
@@ -58,7 +64,13 @@ class Splats:
         if sh is None:
             sh = ((np.asarray(rgb, np.float64) - 0.5) / SH_C0)[:, None, :]
         return cls(
-            _f32(means), normalised(_f32(quats)), _f32(scales), _f32(np.asarray(opacities).reshape(-1)), _f32(sh)
+            _f32(means),
+            normalised(_f32(quats)),
+            _f32(scales),
+            _f32(np.asarray(opacities).reshape(-1)),
+            _f32(sh),
+            antialias,
+            cones,
         )
 
     def __len__(self) -> int:
@@ -71,14 +83,18 @@ class Splats:
 
     @property
     def nbytes(self) -> int:
-        """Host memory of the five arrays in bytes."""
-        return sum(a.nbytes for a in (self.means, self.quats, self.scales, self.opacities, self.sh))
+        """Host memory of the arrays in bytes."""
+        arrays = (self.means, self.quats, self.scales, self.opacities, self.sh, self.cones)
+        return sum(a.nbytes for a in arrays if a is not None)
 
     def take(self, index: ArrayLike) -> Splats:
         """The splats at ``index`` (an integer or boolean array), in that order."""
         i = np.asarray(index)
         i = i if i.dtype == bool else i.astype(np.intp)  # an empty list has no integer type
-        return Splats(self.means[i], self.quats[i], self.scales[i], self.opacities[i], self.sh[i])
+        cones = None if self.cones is None else self.cones[i]
+        return Splats(
+            self.means[i], self.quats[i], self.scales[i], self.opacities[i], self.sh[i], self.antialias, cones
+        )
 
     def finite(self) -> NDArray[np.bool_]:
         """[N] True where every attribute is finite."""

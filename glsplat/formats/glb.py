@@ -311,11 +311,12 @@ class Output:
         self._length = 0
 
     def add(self, array: NDArray[Any], kind: str, *, bounds: bool = False, vertex: bool = True) -> int:
-        """Index of a new accessor of type ``kind`` for ``array`` [N, width] of float32, uint8 or uint16."""
-        code = {"f": 5126, "B": 5121, "H": 5123}[array.dtype.char]
+        """Index of a new accessor of type ``kind`` for [N, width] float32, int8 (normalised) or uint8, uint16."""
+        code = {"f": 5126, "b": 5120, "B": 5121, "H": 5123}[array.dtype.char]
         data = array.astype(array.dtype.newbyteorder("<")).tobytes()
         view = BufferView(buffer=0, byte_offset=self._length, byte_length=len(data), target=34962 if vertex else None)
         accessor = Accessor(buffer_view=len(self.gltf.buffer_views), component_type=code, count=len(array), type=kind)
+        accessor.normalized = array.dtype.char == "b"
         finite = array[np.isfinite(array).all(axis=1)]
         if bounds and len(finite):  # required for POSITION; NaN and infinity are not JSON
             accessor.min, accessor.max = finite.min(axis=0).tolist(), finite.max(axis=0).tolist()

@@ -27,6 +27,10 @@ __all__ = ["EXTENSION", "load_gltf", "save_gltf"]
 
 EXTENSION = "KHR_gaussian_splatting"
 _VERSION = 1  # of asset.extras.glsplat
+_ANTIALIAS = "antialias"  # in it: Splats.antialias
+_CONE = (
+    "_VISIBILITY_CONE"  # Splats.cones; an attribute of an application's own starts with an underscore (glTF 2.0, 3.7.2)
+)
 _WEIGHTS = "skin_weights"  # in it: what Skin.lost and Skin.repaired were
 # POSITION may be stored as integers by KHR_mesh_quantization; other extensions that change the data are refused
 _KNOWN = {EXTENSION, "KHR_mesh_quantization"}
@@ -67,6 +71,8 @@ def save_gltf(scene: Splats | Avatar, path: str | Path) -> None:
     attributes[f"{EXTENSION}:OPACITY"] = out.add(splats.opacities[:, None], "SCALAR")
     for k, (degree, n) in enumerate(_SH_NAMES[: splats.sh.shape[1]]):
         attributes[f"{EXTENSION}:SH_DEGREE_{degree}_COEF_{n}"] = out.add(splats.sh[:, k], "VEC3")
+    if splats.cones is not None:
+        attributes[_CONE] = out.add(splats.cones, "VEC4")
     gltf = out.gltf
     gltf.meshes = [
         Mesh(
@@ -82,6 +88,8 @@ def save_gltf(scene: Splats | Avatar, path: str | Path) -> None:
     gltf.nodes = [Node(name="splats", mesh=0)]
     gltf.scenes = [Scene(nodes=[0])]
     note: dict[str, Any] = {"version": _VERSION}
+    if splats.antialias:
+        note[_ANTIALIAS] = True
     if isinstance(scene, Avatar):
         write_rig(out, scene, attributes)
         note |= dict(scene.meta)
@@ -111,6 +119,7 @@ def _scene(container: Container) -> Splats | Avatar:
         splats = _splats(container, skinned[0].primitive, skinned[0].name)
         skeleton = read_skeleton(container, skinned[0], graph)
         note = _note(container)
+        note.pop(_ANTIALIAS, None)
         stored = note.pop(_WEIGHTS, None)
         stored = stored if isinstance(stored, dict) else {}
         return Avatar(splats, skeleton, read_skin(container, skinned[0], len(skeleton), len(splats), stored), note)
@@ -130,6 +139,7 @@ def _merged(container: Container, found: list[Instance]) -> Splats:
     parts = [transformed(part, instance.matrix) for part, instance in zip(parts, found, strict=True)]
     if len(parts) == 1:
         return parts[0]
+    cones = [p.cones for p in parts if p.cones is not None]
     coefficients = max(p.sh.shape[1] for p in parts)
     sh = [np.pad(p.sh, ((0, 0), (0, coefficients - p.sh.shape[1]), (0, 0))) for p in parts]
     return Splats(
@@ -138,6 +148,8 @@ def _merged(container: Container, found: list[Instance]) -> Splats:
         np.concatenate([p.scales for p in parts]),
         np.concatenate([p.opacities for p in parts]),
         np.concatenate(sh),
+        all(p.antialias for p in parts),
+        np.concatenate(cones) if len(cones) == len(parts) else None,
     )
 
 
@@ -175,7 +187,22 @@ def _splats(container: Container, primitive: Primitive, name: str) -> Splats:
     if not _written_by_us(container) and _logarithmic(scales):
         with np.errstate(over="ignore"):
             scales = np.exp(scales)
-    return Splats.create(means, np.roll(quats, 1, axis=1), scales, opacities, np.stack(sh, axis=1))
+    return Splats.create(
+        means,
+        np.roll(quats, 1, axis=1),
+        scales,
+        opacities,
+        np.stack(sh, axis=1),
+        antialias=_note(container).get(_ANTIALIAS) is True,
+        cones=_cones(container, attributes[_CONE], len(means), name) if _CONE in attributes else None,
+    )
+
+
+def _cones(container: Container, index: int, count: int, name: str) -> NDArray[np.int8]:
+    raw = container.read(index, f"{name} {_CONE}", ("VEC4",))
+    if raw.dtype != np.int8 or len(raw) != count:
+        raise FormatError(f"{name}: {_CONE} needs {count} elements of signed bytes, not {len(raw)} of {raw.dtype}")
+    return np.ascontiguousarray(raw, np.int8)
 
 
 def _logarithmic(scales: NDArray[np.float32]) -> bool:

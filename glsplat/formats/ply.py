@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import islice
 from pathlib import Path
 from typing import BinaryIO
@@ -37,6 +37,7 @@ _SCALES = ("scale_0", "scale_1", "scale_2")
 _DC = ("f_dc_0", "f_dc_1", "f_dc_2")
 _REQUIRED = (*_MEANS, *_DC, "opacity", *_SCALES, *_QUATS)
 _LOGIT_LIMIT = 100.0  # sigmoid is 0 or 1 in float32 here
+_ANTIALIAS = "comment glsplat antialias"  # Splats.antialias; no convention of 3DGS has a place for it
 _LOG_ZERO = -120.0  # exp is 0 in float32 here
 
 
@@ -63,7 +64,9 @@ def load_ply(path: str | Path, *, strict: bool = False) -> Splats:
     properties), truncated, or longer than its header says.
     """
     with naming(path), open_regular(path) as (file, size):
-        order, elements, start = _header(file.read(_HEADER_LIMIT))
+        head = file.read(_HEADER_LIMIT)
+        order, elements, start = _header(head)
+        antialias = _ANTIALIAS.encode() in head[:start].splitlines()
         vertex = next((e for e in elements if e.name == "vertex"), None)
         if vertex is None:
             raise FormatError(f"a splat PLY needs an element vertex, found {_listed([e.name for e in elements])}")
@@ -79,18 +82,20 @@ def load_ply(path: str | Path, *, strict: bool = False) -> Splats:
             chunks = _binary(file, size - start, before, vertex, order, last)
         else:
             chunks = _ascii(file, size - start, before, vertex, last)
-        return checked(_activate(chunks, vertex.count, degree), path, strict)
+        return checked(replace(_activate(chunks, vertex.count, degree), antialias=antialias), path, strict)
 
 
 def save_ply(splats: Splats, path: str | Path) -> None:
     """Write a binary little-endian 3DGS PLY; raises FormatError when ``path`` cannot be written.
 
     Opacities outside [0, 1] are clamped, a negative scale is written as its magnitude (the covariance is the same);
-    0 and 1 become finite logits that read back as exactly 0 and 1, and a zero scale reads back as zero.
+    0 and 1 become finite logits that read back as exactly 0 and 1, and a zero scale reads back as zero. ``antialias``
+    becomes a comment in the header; visibility cones are left out.
     """
     rest = 3 * (splats.sh.shape[1] - 1)
     names = [*_MEANS, *_DC, *(f"f_rest_{i}" for i in range(rest)), "opacity", *_SCALES, *_QUATS]
     header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(splats)}"]
+    header[2:2] = [_ANTIALIAS] if splats.antialias else []
     header += [f"property float {name}" for name in names] + ["end_header", ""]
     replace_file(path, _packed("\n".join(header).encode(), splats))
 
@@ -241,8 +246,8 @@ def _gather(
 
 
 def _empty(count: int, coefficients: int) -> Splats:
-    shapes = ((count, 3), (count, 4), (count, 3), (count,), (count, coefficients, 3))
-    return Splats(*(np.empty(shape, np.float32) for shape in shapes))
+    means, scales, quats = (np.empty((count, width), np.float32) for width in (3, 3, 4))
+    return Splats(means, quats, scales, np.empty(count, np.float32), np.empty((count, coefficients, 3), np.float32))
 
 
 def _listed(names: list[str]) -> str:

@@ -32,13 +32,14 @@ def transformed(splats: Splats, matrix: F64) -> Splats:
         turn: F64 = left @ right
         if np.linalg.det(turn) > 0 and stretch[0] - stretch[2] < 1e-6 * stretch[0]:
             quats = _product(_quaternion(turn), splats.quats.astype(np.float64))
-            scales = splats.scales * stretch.mean()
+            scales, cones = splats.scales * stretch.mean(), splats.cones
         else:
             quats, scales = _reshaped(splats, linear)
+            cones = None  # said in the old axes
         sh = splats.sh
         if splats.sh_degree:
             sh = np.einsum("kl,nlc->nkc", _sh_rotation(turn, splats.sh_degree), sh.astype(np.float64))
-        return Splats.create(means, quats, scales, splats.opacities, sh)
+        return Splats.create(means, quats, scales, splats.opacities, sh, antialias=splats.antialias, cones=cones)
 
 
 def _reshaped(splats: Splats, linear: F64) -> tuple[F64, F64]:

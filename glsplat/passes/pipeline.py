@@ -20,6 +20,7 @@ from glsplat.passes.project import ProjectPass
 from glsplat.passes.scene import SceneBuffers
 from glsplat.passes.sort import FIRST_CULLED, count_culled, covered_box, sorted_indices
 from glsplat.passes.target import Box, ByteTarget, Clear, Resolve, Target
+from glsplat.reference import lifted
 from glsplat.shaders import Programs, Variant
 from glsplat.timing import StageTimer
 
@@ -59,7 +60,9 @@ class Pipeline:
             self._skin = own(SkinPass(ctx, programs, variant, scene)) if variant.influences else None
             content = self._skin.content() if self._skin else scene.rigid_content()
             self._project = own(ProjectPass(ctx, programs, variant, content + scene.sh_content(variant), count))
-            self._key = own(KeyPass(ctx, programs, variant, content, count, cover=self._project.order))
+            self._key = own(
+                KeyPass(ctx, programs, variant, content + scene.cone_content(), count, cover=self._project.order)
+            )
             self._sorter: GpuSorter | None = None
             automatic = config.sorter == "auto" and context.compute and not context.software
             if config.sorter == "gpu" or (automatic and GpuSorter.fits(ctx, self._project.records)):
@@ -68,7 +71,7 @@ class Pipeline:
                 self._sorter = own(GpuSorter(ctx, programs, *work, count, variant.views, config.sort_bits, corners))
             self._draw = own(DrawPass(ctx, programs, variant, self._project.records))
             self._clear = own(Clear(ctx, programs, variant))
-            self._resolve = own(Resolve(ctx, programs))
+            self._resolve = own(Resolve(ctx, programs, variant))
             self._owned = stack.pop_all()
 
     @property
@@ -138,14 +141,18 @@ class Pipeline:
         self,
         target: Target,
         byte_target: ByteTarget | None,
+        views: Sequence[Camera],
         out: NDArray[Any],  # [V, H, W, 4] uint8 if there is a byte target, else float32
         timer: StageTimer,
     ) -> None:
         """Steps 5 and 6: 8-bit conversion where asked for, and the picture to the host."""
         if byte_target is None:
             target.read(out)
+            if self.variant.cull_hidden:
+                for picture, view in zip(out, views, strict=True):
+                    picture[:] = lifted(picture, view.background)
         else:
-            self._resolve.run(target, byte_target, self.covered)
+            self._resolve.run(target, byte_target, views, self.covered)
             timer.mark("resolve")
             byte_target.read(out, self.covered)
         if self._sorter and not self._counted:

@@ -22,7 +22,9 @@ _NEAR = 16.0  # metres from the origin within which float32 is left alone
 class SceneBuffers:
     """Static attributes, SH and skin of one scene. Splats that no camera can ever draw are left out and counted."""
 
-    def __init__(self, ctx: moderngl.Context, splats: Splats, skin: Skin | None, joints: int, sh_degree: int) -> None:
+    def __init__(
+        self, ctx: moderngl.Context, splats: Splats, skin: Skin | None, joints: int, sh_degree: int, cones: bool
+    ) -> None:
         usable = splats.finite() & (np.abs(splats.quats).max(axis=1, initial=0) > 0)
         self.skipped = int(len(splats) - usable.sum())
         if self.skipped:
@@ -42,6 +44,7 @@ class SceneBuffers:
         static[:, 8:] = splats.scales
         self._static = _buffer(ctx, static)
         self._sh = _buffer(ctx, _packed_sh(splats.sh, sh_degree))
+        self._cones = _buffer(ctx, splats.cones) if cones and splats.cones is not None else None
         self._joints: moderngl.Buffer | None = None
         self._weights: moderngl.Buffer | None = None
         self.bones: moderngl.Texture | None = None
@@ -58,7 +61,7 @@ class SceneBuffers:
     @property
     def nbytes(self) -> int:
         """GPU bytes without the SH and the bone texture."""
-        buffers = (self._static, self._joints, self._weights)
+        buffers = (self._static, self._joints, self._weights, self._cones)
         return sum(b.size for b in buffers if b is not None)
 
     @property
@@ -82,6 +85,10 @@ class SceneBuffers:
         """Attributes of splat_input.glsl without skinning, and of the skin pass."""
         return [(self._static, "4f 4f 3f", "mean_opacity", "quat", "scale")]
 
+    def cone_content(self) -> Content:
+        """The attribute of key.vert.glsl that a variant without cull_hidden does not have."""
+        return [(self._cones, "4i1", "cone")] if self._cones is not None else []
+
     def skin_content(self) -> Content:
         """Attributes of skin.glsl."""
         k = self.influences
@@ -103,7 +110,7 @@ class SceneBuffers:
 
     def release(self) -> None:
         """Delete all buffers and the bone texture."""
-        for item in (self._static, self._sh, self._joints, self._weights, self.bones):
+        for item in (self._static, self._sh, self._cones, self._joints, self._weights, self.bones):
             if item is not None:
                 item.release()
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 __all__ = ["CULL_REASONS", "FIRST_CULLED", "count_culled", "covered_box", "sorted_indices"]
 
 FIRST_CULLED = 0xFFFFFF00
-CULL_REASONS = {1: "out of range", 2: "transparent", 3: "degenerate", 4: "outside"}
+CULL_REASONS = {1: "out of range", 2: "transparent", 3: "degenerate", 4: "outside", 5: "hidden"}
 """Code of project.glsl -> name in the statistics."""
 
 
@@ -51,5 +51,5 @@ def count_culled(keys: NDArray[np.uint32]) -> dict[str, int]:
     """How many splats were not drawn, by reason."""
     if keys.max(initial=0) < FIRST_CULLED:
         return dict.fromkeys(CULL_REASONS.values(), 0)
-    codes = np.bincount(keys[keys >= FIRST_CULLED] - np.uint32(FIRST_CULLED), minlength=5)
+    codes = np.bincount(keys[keys >= FIRST_CULLED] - np.uint32(FIRST_CULLED), minlength=6)
     return {name: int(codes[code]) for code, name in CULL_REASONS.items()}

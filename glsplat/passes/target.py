@@ -121,18 +121,23 @@ class Clear:
 class Resolve:
     """Clamps and rounds the float target to 8 bit, inside the covered box only."""
 
-    def __init__(self, ctx: moderngl.Context, programs: Programs) -> None:
+    def __init__(self, ctx: moderngl.Context, programs: Programs, variant: Variant) -> None:
         self._ctx = ctx
-        self._array = ctx.vertex_array(programs.draw("screen", "resolve", Variant()), [])
+        plain = Variant(cull_hidden=variant.cull_hidden)  # a view at a time: nothing else of a variant matters here
+        self._program = programs.draw("screen", "resolve", plain)
+        self._array = ctx.vertex_array(self._program, [])
 
-    def run(self, source: Target, into: ByteTarget, box: Box) -> None:
+    def run(self, source: Target, into: ByteTarget, cameras: Sequence[Camera], box: Box) -> None:
         """Convert the pixels of ``box`` of every view."""
         x, y, width, height = box
         into.framebuffer.use()
         self._ctx.enable_only(moderngl.NOTHING)
         source.texture.use(0)
         views, rows, _, _ = into.shape
+        background = self._program.get("background", None)
         for view in range(views):
+            if isinstance(background, moderngl.Uniform):
+                background.value = cameras[view].background
             self._ctx.viewport = (x, view * rows + y, width, height)
             self._array.render(moderngl.TRIANGLES, vertices=3)
         self._ctx.viewport = (0, 0, into.shape[2], views * rows)

@@ -4,12 +4,23 @@
 #include "covariance.glsl"
 #include "splat_input.glsl"
 #include "project.glsl"
+#if CULL_HIDDEN
+#include "cone.glsl"
+#endif
 
 flat out uint key;
 flat out uint cover;  // tiles of 1/256 of the image that the splat touches in any view: x0, y0, x1, y1, a byte each
 
 void main() {
     mat3 shape = input_shape();
+    gl_Position = vec4(0.0);
+#if CULL_HIDDEN
+    if (hidden(mean_opacity.xyz, shape)) {
+        key = 0xFFFFFF00u + HIDDEN;
+        cover = 0u;
+        return;
+    }
+#endif
     uint reason = OUTSIDE;
     vec2 low = vec2(255.0), high = vec2(0.0);
     for (int v = 0; v < VIEWS; ++v) {
@@ -28,5 +39,4 @@ void main() {
     uint bits = floatBitsToUint(dot(frame.sort_row.xyz, mean_opacity.xyz) + frame.sort_row.w);
     bits = (bits & 0x80000000u) != 0u ? ~bits : bits | 0x80000000u;
     key = reason == VISIBLE ? min(bits, 0xFFFFFEFFu) : 0xFFFFFF00u + reason;
-    gl_Position = vec4(0.0);
 }

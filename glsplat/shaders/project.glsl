@@ -11,6 +11,7 @@ const uint OUT_OF_RANGE = 1u;
 const uint TRANSPARENT = 2u;
 const uint DEGENERATE = 3u;
 const uint OUTSIDE = 4u;
+const uint HIDDEN = 5u;
 
 uint project(vec3 mean, mat3 shape, float opacity, int view, out Footprint foot) {
     View v = frame.views[view];

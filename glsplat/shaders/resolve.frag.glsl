@@ -1,5 +1,9 @@
 // Float target to 8 bit, colours as they are (no gamma): the fixed-point target rounds after this clamp.
 // The views lie one below the other: rows [v H, (v + 1) H) of the 8-bit target are layer v.
+#if CULL_HIDDEN
+#include "lift.glsl"
+uniform vec3 background;  // of the view that is being resolved
+#endif
 uniform sampler2DArray target;
 out vec4 fragment;
 
@@ -7,5 +11,9 @@ void main() {
     ivec2 pixel = ivec2(gl_FragCoord.xy);
     int height = textureSize(target, 0).y;
     int layer = pixel.y / height;
-    fragment = clamp(texelFetch(target, ivec3(pixel.x, pixel.y - layer * height, layer), 0), 0.0, 1.0);
+    vec4 colour = texelFetch(target, ivec3(pixel.x, pixel.y - layer * height, layer), 0);
+#if CULL_HIDDEN
+    colour = lifted(colour, background);
+#endif
+    fragment = clamp(colour, 0.0, 1.0);
 }

@@ -30,6 +30,7 @@ class Variant:
     geometry: int = 0  # layers routed by a geometry shader where the vertex shader cannot
     keep_rotation: int = 0  # skin pass hands R_i on (SH under skinning)
     triangle: int = 0  # a splat is one triangle around its ellipse instead of a quad
+    cull_hidden: int = 0  # the key pass looks at visibility cones
     cut: int = 0  # splats end at max_sigma although alpha is still above 1/255 there
 
     def __post_init__(self) -> None:
@@ -66,6 +67,7 @@ def variant_for(
     config: RenderConfig,
     geometry: bool = False,
     triangle: bool = False,
+    antialias: bool = False,  # of the scene
 ) -> Variant:
     """What a scene needs under a config, and nothing more."""
     degree = min(sh_degree, config.sh_degree)
@@ -74,19 +76,20 @@ def variant_for(
         sh_degree=degree,
         influences=joints,
         views=views,
-        antialias=int(config.antialias),
+        antialias=int(antialias if config.antialias is None else config.antialias),
         raw=int(bool(joints) and config.rotation == "raw"),
         geometry=int(geometry),  # for one view too: it orders the vertices, and a pair has to equal its singles
         keep_rotation=int(bool(joints) and degree > 0),
         triangle=int(triangle),
+        cull_hidden=int(config.cull_hidden),
         cut=int(config.max_sigma < 3.33),
     )
 
 
 def every_variant() -> Iterator[Variant]:
     """All combinations that are allowed (for the test that compiles each)."""
-    for degree, joints, views, antialias, raw, geometry, triangle, cut in product(
-        range(4), (0, 1, 2, 4, 8), range(1, MAX_VIEWS + 1), (0, 1), (0, 1), (0, 1), (0, 1), (0, 1)
+    for degree, joints, views, antialias, raw, geometry, triangle, cull, cut in product(
+        range(4), (0, 1, 2, 4, 8), range(1, MAX_VIEWS + 1), (0, 1), (0, 1), (0, 1), (0, 1), (0, 1), (0, 1)
     ):
         if raw and not joints:
             continue
@@ -99,5 +102,6 @@ def every_variant() -> Iterator[Variant]:
             geometry=geometry,
             keep_rotation=int(bool(joints and degree)),
             triangle=triangle,
+            cull_hidden=cull,
             cut=cut,
         )

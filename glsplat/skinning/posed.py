@@ -29,7 +29,9 @@ def posed_splats(avatar: Avatar, pose: Pose) -> Splats:
     sh = splats.sh.astype(np.float64)
     if splats.sh_degree:
         sh = _turned_sh(sh, posed.rotations, splats.sh_degree)
-    return Splats.create(posed.means, quats, splats.scales, splats.opacities, sh)
+    return Splats.create(
+        posed.means, quats, splats.scales, splats.opacities, sh, antialias=splats.antialias, cones=splats.cones
+    )
 
 
 def _turned_sh(sh: reference.F64, rotations: reference.F64, degree: int) -> reference.F64:

@@ -128,6 +128,7 @@ def refine(
         np.exp(log_start + growth.value),
         1 / (1 + np.exp(-logit.value)),
         rgb=color.value,
+        antialias=splats.antialias,
     )
     return replace(avatar, splats=fitted)
 

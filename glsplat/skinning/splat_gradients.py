@@ -8,7 +8,7 @@ constant under a moving mean.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -57,6 +57,13 @@ class Footprints:
         columns.append(np.bincount(self.pixel, weight, minlength=size))
         return np.stack(columns, axis=1).reshape(*self.shape, 4).astype(np.float64)
 
+    def without(self, hidden: NDArray[np.bool_]) -> Footprints:
+        """The same view as if the splats marked in ``hidden`` [N] were not there."""
+        kept = ~hidden[self.splat]
+        splat, pixel, alpha = self.splat[kept], self.pixel[kept], self.alpha[kept]
+        passed = _transmittance(pixel, alpha)
+        return replace(self, splat=splat, pixel=pixel, alpha=alpha, transmittance=passed, offset=self.offset[:, kept])
+
     def backward(self, by_picture: F64, rgb: F64, opacities: F64, scales: F64) -> SplatGradients:
         """Gradients by the splats from the gradient [H, W, 4] by the picture."""
         g = by_picture.reshape(-1, 4)[self.pixel]
@@ -101,11 +108,17 @@ class Footprints:
 
 
 def footprints(
-    means: F64, rotations: F64, scales: F64, opacities: F64, camera: Camera, beyond: F64 | None = None
+    means: F64,
+    rotations: F64,
+    scales: F64,
+    opacities: F64,
+    camera: Camera,
+    beyond: F64 | None = None,
+    eps2d: float = EPS2D,
 ) -> Footprints:
     """Project splats (means [N, 3], rotations [N, 3, 3], scales [N, 3], opacities [N]) and list what they cover.
 
-    ``beyond`` [H, W] leaves out, pixel by pixel, splats whose camera z is larger.
+    ``beyond`` [H, W] leaves out, pixel by pixel, splats whose camera z is larger. ``eps2d``: the dilation, px^2.
     """
     view, shift = camera.viewmat[:3, :3], camera.viewmat[:3, 3]
     width, height = camera.width, camera.height
@@ -123,7 +136,7 @@ def footprints(
     axes = to_pixels @ rotations
     shaped = axes * scales[:, None, :]
     cov = shaped @ shaped.transpose(0, 2, 1)
-    a, b, c = cov[:, 0, 0] + EPS2D, cov[:, 0, 1], cov[:, 1, 1] + EPS2D
+    a, b, c = cov[:, 0, 0] + eps2d, cov[:, 0, 1], cov[:, 1, 1] + eps2d
     det = a * c - b * b
     conic = np.stack([c, -b, a], axis=1) / det[:, None]
     u, v = fx * x / z + cx, fy * y / z + cy
@@ -149,12 +162,17 @@ def footprints(
     group = np.argsort(pixel, kind="stable")  # keeps near to far inside a pixel
     splat, alpha, pixel = splat[group], alpha[group], pixel[group]
     offset = np.stack([dx[group], dy[group]])
+    transmittance = _transmittance(pixel, alpha)
+    return Footprints(splat, pixel, alpha, transmittance, offset, conic, to_pixels, axes, len(means), (height, width))
+
+
+def _transmittance(pixel: NDArray[np.int64], alpha: F64) -> F64:
+    """[E] what passes the pairs in front, for pairs grouped by pixel, near to far."""
     log_pass = np.log1p(-alpha)
     before = np.cumsum(log_pass) - log_pass
     starts = np.append(True, pixel[1:] != pixel[:-1])[: len(pixel)]
     base = np.maximum.accumulate(np.where(starts, np.arange(len(pixel)), 0))
-    transmittance = np.exp(before - before[base])
-    return Footprints(splat, pixel, alpha, transmittance, offset, conic, to_pixels, axes, len(means), (height, width))
+    return np.asarray(np.exp(before - before[base]), np.float64)
 
 
 def _span(centre: F64, reach: F64, size: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

@@ -87,7 +87,7 @@ def make_avatar(
     weights = np.concatenate([c.weights for c in chosen])
     joint_count = len(mesh.skeleton)
     skin = Skin.create(np.broadcast_to(np.arange(joint_count), weights.shape), weights, joint_count)
-    gaussians = Splats.create(means, quats, scales, np.full(len(means), config.opacity), rgb=rgb)
+    gaussians = Splats.create(means, quats, scales, np.full(len(means), config.opacity), rgb=rgb, antialias=True)
     return Avatar(gaussians, mesh.skeleton, skin, dict(mesh.meta))
 
 

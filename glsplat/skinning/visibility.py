@@ -13,7 +13,7 @@ from glsplat.skinning.people import RiggedMesh
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.raster import visible_faces
 
-__all__ = ["HEAD", "Seen", "seen_surface"]
+__all__ = ["HEAD", "Seen", "probe_poses", "seen_surface", "sphere"]
 
 HEAD = ("head", "jaw", "left_eye_smplhf", "right_eye_smplhf")
 """Joints that move the head's surface."""
@@ -64,7 +64,7 @@ def seen_surface(mesh: RiggedMesh, size: int = 512) -> Seen:
     counts: list[NDArray[np.intp]] = []
     corners, part_of = mesh.vertices[mesh.faces], mesh.face_parts
     low = mesh.vertices.min(axis=0) - 1
-    for pose in _probe_poses(mesh.skeleton.names):
+    for pose in probe_poses(mesh.skeleton.names):
         vertices = mesh.posed(pose)
         shown = vertices[np.unique(mesh.faces)]
         spheres = [(shown, 20)]
@@ -74,7 +74,7 @@ def seen_surface(mesh: RiggedMesh, size: int = 512) -> Seen:
         for points, views in spheres:
             centre = (points.max(axis=0) + points.min(axis=0)) / 2
             radius = float(np.linalg.norm(points - centre, axis=1).max())
-            for direction in _sphere(views):
+            for direction in sphere(views):
                 viewmat = look_at(centre + direction * 4 * radius, centre)
                 camera = Camera(viewmat, pinhole(size, size, 29.0), size, size, near=1e-3)
                 ids, bary = visible_faces(mesh, vertices, camera)
@@ -100,7 +100,7 @@ def _within(theirs: NDArray[np.float64], ours: NDArray[np.float64], reach: float
     return np.isfinite(cKDTree(theirs).query(ours, distance_upper_bound=reach, workers=-1)[0])
 
 
-def _probe_poses(names: tuple[str, ...]) -> list[Pose]:
+def probe_poses(names: tuple[str, ...]) -> list[Pose]:
     """The zero pose and, on rigs that have the joints, two that open what it hides (cuffs, armpits, knees, mouth)."""
     index = {name: i for i, name in enumerate(names)}
     poses = [Pose.zero(len(names))]
@@ -119,7 +119,7 @@ def _probe_poses(names: tuple[str, ...]) -> list[Pose]:
     return poses
 
 
-def _sphere(count: int) -> NDArray[np.float64]:
+def sphere(count: int) -> NDArray[np.float64]:
     """[count, 3] directions spread evenly over the sphere (Fibonacci lattice)."""
     i = np.arange(count) + 0.5
     y, turn = 1 - 2 * i / count, np.pi * (1 + 5**0.5) * i

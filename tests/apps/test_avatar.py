@@ -67,7 +67,7 @@ def person(tmp_path_factory) -> Path:
 def test_make_import_export(person, tmp_path, monkeypatch, capsys):
     monkeypatch.setitem(SamplerConfig.__init__.__kwdefaults__, "probe", 96)  # a box is seen as well by fewer rays
     out = tmp_path / "a.glb"
-    words = ["avatar", "make", str(person), "-o", str(out), "--splats", "200", "--steps", "2", "--json"]
+    words = ["avatar", "make", str(person), "-o", str(out), "--splats", "200", "--steps", "2", "--json", "--no-cones"]
     assert cli.main([*words, "--licence", "CC0-1.0"]) == 0
     facts = json.loads(capsys.readouterr().out.splitlines()[-1])
     assert facts["splats"] == 200 and facts["bytes"] == out.stat().st_size
@@ -90,6 +90,12 @@ def test_make_import_export(person, tmp_path, monkeypatch, capsys):
     zero, bound = tmp_path / "zero.ply", tmp_path / "bound.glb"
     assert cli.main(["avatar", "export", str(out), "-o", str(zero)]) == 0
     assert cli.main(["avatar", "import", str(zero), "--mesh", str(person), "-o", str(bound)]) == 0
+    coned, words = tmp_path / "coned.glb", ["--directions", "8"]
+    assert avatar.splats.cones is None and avatar.splats.antialias
+    assert cli.main(["avatar", "cones", str(out), "-o", str(coned), *words]) == 0
+    again = load(coned)
+    assert again.splats.cones.shape == (200, 4) and np.array_equal(again.splats.means, avatar.splats.means)
+
     assert load(bound).skin.dense(2) == pytest.approx(avatar.skin.dense(2), abs=0.1)
 
 
@@ -106,6 +112,10 @@ def test_motions(tmp_path, capsys):
         (["make", "{person}", "-o", "a.ply"], "written as .glb"),
         (["make", "{person}", "-o", "a.glb", "--steps", "-1"], "--steps"),
         (["make", "{person}", "-o", "a.glb", "--splats", "3"], "at least 100"),
+        (["cones", "{avatar}", "-o", "a.ply"], "written as .glb"),
+        (["cones", "{avatar}", "-o", "a.glb", "--psnr", "0"], "--psnr"),
+        (["cones", "{avatar}", "-o", "a.glb", "--directions", "7"], "--directions"),
+        (["cones", "absent.glb", "-o", "a.glb"], "absent.glb"),
         (["import", "{person}", "-o", "a.glb"], "an LHM dump needs query_points"),
         (["import", "{person}", "--mesh", "{person}", "-o", "a.glb"], "box.npz"),
         (["import", "absent.zip", "-o", "a.glb"], "absent.zip: cannot read"),

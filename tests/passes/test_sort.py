@@ -33,7 +33,7 @@ def test_culled_are_dropped_and_counted() -> None:
     keys = keys_of(np.array([1.0, 2.0, 3.0]))
     keys[1] = FIRST_CULLED + 2
     assert sorted_indices(keys).tolist() == [2, 0]
-    assert count_culled(keys) == {"out of range": 0, "transparent": 1, "degenerate": 0, "outside": 0}
+    assert count_culled(keys) == {"out of range": 0, "transparent": 1, "degenerate": 0, "outside": 0, "hidden": 0}
     assert sorted_indices(np.array([], np.uint32)).tolist() == []
 
 
