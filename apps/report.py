@@ -27,6 +27,7 @@ from .report_agreement import agreement, agreement_cost
 from .report_batching import batching
 from .report_error import require_extra
 from .report_growth import Grid, grid_of, growth, growth_cost
+from .report_hidden import Search, hidden, hidden_cost, with_hidden
 from .report_html import page
 from .report_knobs import Setting, base_config, error_frames, settings_of
 from .report_left_out import features_of, left_out, unmoved
@@ -131,9 +132,9 @@ def measured(
     splats = len(splats_of(main.scene))
     feature_cost = 4 * frame_cost(splats, 2 * main.size**2)
     pair_cost = {side: 5.5 * frame_cost(splats, 2 * side**2) for side in sizes}
-    total = (
-        _REQUEST * report_latency.frames(quick) + _CASE * len(cases) + growth_cost(grid) + agreement_cost(twice, again)
-    )
+    culled, search = with_hidden(subjects), Search(frames=3, moments=1, around=3) if quick else Search(frames=frames)
+    total = _REQUEST * report_latency.frames(quick) + _CASE * len(cases) + growth_cost(grid)
+    total += agreement_cost(twice, again) + hidden_cost(culled, search)
     total += sum(measure_cost(*one, frames, two) for one, two in zip(_pairs(subjects, settings), compared, strict=True))
     total += (WARM_UP + fewer) * (feature_cost * (len(features) + 0.5) + sum(pair_cost.values()))
     if context.software:
@@ -159,6 +160,9 @@ def measured(
         section("agreement")
         agreed = agreement(context, twice, [scenes[i] for i in orbiting], again, bar.update)
         end("agreement")
+        section("hidden splats")
+        hidden_rows, hidden_pictures = hidden(context, culled, search, bar.update)
+        end("hidden splats")
         section("left out")
         rows = left_out(context, replace(still, moving=False), features, fewer, lambda n: bar.update(feature_cost * n))
         unmoved_row = unmoved(context, still, fewer, lambda n: bar.update(feature_cost / 2 * n))
@@ -197,6 +201,8 @@ def measured(
         "stability": stability,
         "latency": latency,
         "growth": grown,
+        "hidden": hidden_rows,
+        "hidden_pictures": hidden_pictures,  # taken out and written as PNG
         "not_measured": NOT_MEASURED,
     }
 
@@ -207,11 +213,15 @@ def _pairs(subjects: Sequence[Subject], settings: Sequence[list[Setting]]) -> li
 
 def write(result: dict[str, Any], folder: Path) -> list[Path]:
     """Plots, report.json and report.html, each complete or as it was; returns their paths, the page last."""
-    from .report_plots import batching_plot, error_plot, growth_plot, knob_plot, left_out_plot
+    from .report_plots import batching_plot, error_plot, growth_plot, hidden_plot, knob_plot, left_out_plot
 
     pictures: dict[str, bytes] = {"batching.png": batching_plot(result["batching"])}
     pictures["left_out.png"] = left_out_plot(result["left_out"])
     pictures["growth.png"] = growth_plot(result["growth"])
+    for index, row in enumerate(result["hidden"]):
+        row["plot"] = f"hidden-{index}.png"
+        pictures[row["plot"]] = hidden_plot(row, result["hidden_pictures"][row["scene"]])
+    result = {key: value for key, value in result.items() if key != "hidden_pictures"}
     for index, scene in enumerate(result["scenes"]):
         stem = f"{index}-" + (re.sub(r"[^a-z0-9]+", "-", scene["scene"].lower()).strip("-") or "scene")
         scene["plots"] = [f"{stem}.png", f"{stem}-knobs.png"]

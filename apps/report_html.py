@@ -54,8 +54,9 @@ def page(result: Mapping[str, Any], pictures: Mapping[str, bytes]) -> str:
     parts += _stability(result["stability"])
     parts += _latency(result["latency"])
     parts += _growth(result["growth"], pictures)
+    parts += _hidden(result["hidden"], pictures)
     rows = [[name, why] for name, why in result["not_measured"].items()]
-    parts += ["<h2>7. What this report does not measure</h2>", _table(["what", "why"], rows)]
+    parts += ["<h2>8. What this report does not measure</h2>", _table(["what", "why"], rows)]
     head = f'<html lang="en"><head><meta charset="utf-8"><title>glsplat report</title><style>{_STYLE}</style></head>'
     return f"<!doctype html>{head}<body>{''.join(parts)}</body></html>\n"
 
@@ -181,7 +182,7 @@ def _growth(growth: Mapping[str, Any], pictures: Mapping[str, bytes]) -> list[st
                 rows.append([*what, f"left out: {row['left_out']}", "", "", ""])
                 continue
             process = row["process_bytes"]
-            grown = process / 1e6 if process is not None else ""
+            grown = process / 1e6 if process is not None else "not measured"
             rows.append([*what, row["ms"]["median"], row["ms"]["p95"], row["gpu_bytes"] / 1e6, grown])
     fits = growth["fits"]
     stages = {f"{stage}, ns a splat": line for stage, line in fits["stages_ns_a_splat"].items()}
@@ -208,6 +209,34 @@ def _growth(growth: Mapping[str, Any], pictures: Mapping[str, bytes]) -> list[st
             ["along", "splats", "views", "ms, median", "ms, p95", "buffers and textures (MB)", "process grew by (MB)"],
             rows,
         ),
+    ]
+
+
+def _hidden(rows: Sequence[Mapping[str, Any]], pictures: Mapping[str, bytes]) -> list[str]:
+    out = ["<h2>7. Hidden splats</h2>"]
+    if not rows:
+        return [*out, "<p>No scene has visibility cones.</p>"]
+    table = []
+    for row in rows:
+        for price in row["price"]:
+            times = [price[key]["median"] for key in ("whole_ms", "floor_ms", "culled_ms")]
+            size = f"2 x {price['size']}x{price['size']}"
+            wanted = "" if price["wanted"] is None else f"{price['wanted']:g}"
+            table.append([row["scene"], size, *times, price["to_floor"], wanted, price["drawn"], price["psnr"]])
+    names = ["scene", "pictures", "whole frame (ms)", "its draw alone (ms)", "without hidden splats (ms)"]
+    names += ["of the draw alone", "wanted", "splats drawn", "PSNR (dB)"]
+    worst = []
+    for row in rows:
+        w = row["worst"]
+        worst.append([row["scene"], w["pictures"], w["psnr_median"], w["psnr_p5"], w["psnr"], w["where"]])
+    heads = ["scene", "pictures", "PSNR, median (dB)", "5th percentile", "worst", "where"]
+    return [
+        *out,
+        "<p>Splats seen from outside their visibility cone are left out. PSNR here is against the complete picture of "
+        "the same renderer; the error against run time of several margins is in section 1.</p>",
+        _table(names, table),
+        _table(heads, worst),
+        *(_image(pictures, row["plot"]) for row in rows),
     ]
 
 
@@ -239,6 +268,8 @@ def _table(names: Sequence[str], rows: Sequence[Sequence[Any]], classes: Sequenc
 def _number(value: float | None) -> str:
     if value is None:
         return "not finite"
+    if isinstance(value, int):
+        return f"{value:,}"
     small = value != 0 and abs(value) < 1e-3
     return f"{value:.1e}" if small else f"{value:.5g}"
 

@@ -33,6 +33,9 @@ LONGEST_PERIOD = 8
 LEVELS = (0.125, 0.25, 0.5, 1.0)
 """Shares of the splats that are kept."""
 
+CULL_MARGINS = (-0.1, 0.0, 0.1, 0.2)
+"""Added to the smallest cosine of visibility cones: more leaves out more."""
+
 FEWEST = 1000
 """Splats of a scene that is worth levels of detail."""
 
@@ -80,7 +83,7 @@ def settings_of(subject: Subject, base: RenderConfig, few: bool = False) -> list
     out = [Setting("default", "default", default), Setting("default", "once more", replace(default, copy=1))]
     for knob, field, values in CONFIG_KNOBS:
         if _matters(field, subject):
-            for value in _some(values, few):
+            for value in _some(values, few, getattr(base, field)):
                 out.append(Setting(knob, str(value), Drawn(replace(base, **{field: value}))))
     if isinstance(subject.scene, Avatar):
         joints = subject.scene.skin.influences
@@ -89,6 +92,11 @@ def settings_of(subject: Subject, base: RenderConfig, few: bool = False) -> list
                 out.append(Setting("influences", str(k), Drawn(replace(base, influences=k))))
         out.append(Setting("influences", str(joints) if subject.right else f"all ({joints})", default))
     splats = splats_of(subject.scene)
+    if splats.cones is not None:
+        out.append(Setting("hidden splats", "drawn", default))
+        for margin in _some(CULL_MARGINS, few):
+            culled = replace(base, cull_hidden=True, cull_margin=margin)
+            out.append(Setting("hidden splats", f"margin {margin:g}", Drawn(culled)))
     if splats.sh_degree:
         for degree in range(splats.sh_degree):
             out.append(Setting("SH degree", str(degree), Drawn(replace(base, sh_degree=degree))))
@@ -116,9 +124,9 @@ def error_frames(subject: Subject, frames: int, few: bool = False) -> list[int]:
     return [oldest[i] for i in sorted(chosen)]
 
 
-def _some(values: Sequence[Any], few: bool) -> Sequence[Any]:
-    """All, or every second one and the last."""
-    return values[1 - len(values) % 2 :: 2] if few and len(values) > 3 else values
+def _some(values: Sequence[Any], few: bool, default: Any = None) -> Sequence[Any]:
+    """All, or of more than three every second one and the default."""
+    return [v for i, v in enumerate(values) if i % 2 or v == default] if few and len(values) > 3 else values
 
 
 def _matters(field: str, subject: Subject) -> bool:

@@ -5,6 +5,8 @@ A scene made anew with fewer splats (``glsplat avatar make --splats``) is better
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
@@ -54,7 +56,8 @@ def merged(scene: Splats | Avatar, count: int) -> Splats | Avatar:
     deviations = np.sqrt(np.maximum(values, 1e-18))
     opacity = np.minimum(total / _area(deviations), 1.0)
     quats = Rotation.from_matrix(vectors).as_quat()[:, [3, 0, 1, 2]]
-    out = Splats.create(centre, quats, deviations, opacity, mean_of(few.sh.astype(np.float64)))
+    made = Splats.create(centre, quats, deviations, opacity, mean_of(few.sh.astype(np.float64)))
+    out = replace(made, antialias=few.antialias)
     if not isinstance(scene, Avatar):
         return out
     joints = len(scene.skeleton)

@@ -127,8 +127,9 @@ def _mark(rows: Sequence[dict[str, Any]], settings: Sequence[Setting]) -> None:
         row["default"] = setting.drawn == base.drawn and setting.jpeg is None
     for order in ("shared", "per_view"):
         group = [(row, s) for row, s in zip(rows, settings, strict=True) if row["truth"] == order]
-        front = pareto([(row["ms"]["median"], row["psnr"]) for row, _ in group])
-        unbeaten = {(group[i][1].drawn, group[i][1].jpeg) for i in front}
+        once = [(row, s) for row, s in group if not s.drawn.copy]  # the default does not compete with itself
+        front = pareto([(row["ms"]["median"], row["psnr"]) for row, _ in once])
+        unbeaten = {(once[i][1].drawn, once[i][1].jpeg) for i in front}
         for row, setting in group:
             row["pareto"] = (setting.drawn, setting.jpeg) in unbeaten
 

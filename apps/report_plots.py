@@ -6,14 +6,16 @@ import io
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter
+from numpy.typing import NDArray
 
 from .report_error import PSNR_CAP
 
-__all__ = ["batching_plot", "error_plot", "growth_plot", "knob_plot", "left_out_plot"]
+__all__ = ["batching_plot", "error_plot", "growth_plot", "hidden_plot", "knob_plot", "left_out_plot"]
 
 _MEASURES = (
     ("psnr", "PSNR (dB, higher is closer)", False),
@@ -71,14 +73,14 @@ def knob_plot(scene: dict[str, Any]) -> bytes:
         for row in sorted(own, key=lambda r: -r["psnr"]) if knob == "JPEG" else ():  # they lie on top of each other
             named += f"{row['psnr']:5.1f} dB  {row['setting']}, {row['bytes'] / 1024:.0f} KiB\n"
         axes.text(0.03, 0.97, named, transform=axes.transAxes, va="top", fontsize=8)
-        for index, row in enumerate(own if knob != "JPEG" else ()):
+        for index, row in enumerate(sorted(own, key=lambda r: -r["psnr"]) if knob != "JPEG" else ()):
             place, beside = (row["ms"]["median"], row["psnr"]), (5, -11 if index % 2 else 4)
             axes.annotate(row["setting"], place, xytext=beside, textcoords="offset points", fontsize=8)
         axes.set_title(knob + (" (against an exact order an eye)" if knob == "order" else ""), fontsize=10)
         axes.grid(alpha=0.3)
     for axes in panels[len(knobs) :]:
         axes.set_axis_off()
-    panels[0].margins(x=0.12, y=0.1)
+    panels[0].margins(x=0.2, y=0.1)
     panels[0].set_ylim(top=min(PSNR_CAP + 10, max(r["psnr"] for r in scene["settings"]) + 12))
     figure.supxlabel("ms a frame (median)")
     figure.supylabel("PSNR (dB)")
@@ -168,6 +170,20 @@ def growth_plot(growth: dict[str, Any]) -> bytes:
         if axes.get_legend_handles_labels()[0]:
             place = {"loc": "upper left", "bbox_to_anchor": (1.0, 1.0)} if axes is splats else {"loc": "upper left"}
             axes.legend(fontsize=8, **place)
+    return _png(figure)
+
+
+def hidden_plot(row: dict[str, Any], picture: NDArray[np.float32]) -> bytes:
+    """The worst picture without hidden splats, complete, and their difference."""
+    left, complete = np.split(picture[..., :3].clip(0, 1), 2, axis=1)
+    figure = Figure(figsize=(15, 5.4), layout="constrained")
+    images = (left, complete, (4 * np.abs(left - complete)).clip(0, 1))
+    titles = (f"hidden splats left out: {row['worst']['psnr']:.1f} dB", "complete", "difference x 4")
+    for axes, image, title in zip(figure.subplots(1, 3), images, titles, strict=True):
+        axes.imshow(image)
+        axes.set_title(title, fontsize=10)
+        axes.set_axis_off()
+    figure.suptitle(f"{row['scene']}, the worst of {row['worst']['pictures']} pictures: {row['worst']['where']}")
     return _png(figure)
 
 
