@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import atan2, pi, sqrt
+from math import atan2, exp, pi, sqrt
 
 from glsplat.tracking.body import COLLARS, ELBOWS, SHOULDERS, SPINE3, WRISTS, Body
+from glsplat.tracking.foot import Channel
 from glsplat.tracking.limb import Limb, perpendicular, two_bone
 from glsplat.tracking.limits import clamp_joint
 from glsplat.tracking.quat import (
@@ -17,6 +18,7 @@ from glsplat.tracking.quat import (
     dot,
     inverse_mul,
     mul,
+    pull,
     rotate,
     to_quat,
     unit,
@@ -29,6 +31,8 @@ ELBOW_FLEXION = 148.0  # degrees (CDC normal joint range of motion study: 144-15
 NEAR = 0.005  # metres the wrist may miss before the elbow looks for a better place
 SEARCH_RATE = 6.0  # rad/s of that search
 SWIVEL_RATE = 14.0  # rad/s an elbow may swing about the line from shoulder to wrist
+SWIVEL_TIME = 0.1  # seconds in which it gets there, smoothly (0.06 s behind)
+SOFT = 0.006  # of its length over which an arm becomes straight: the elbow would jump otherwise
 FOREARM_SHARE = 0.5  # of pronation that the elbow joint takes; SMPL-X has no forearm joint
 PRONATION = 1.4  # radians a side (AAOS: 80 degrees)
 COLLAR_REACH = 0.35  # radians at most the collar turns to help a far hand
@@ -66,12 +70,14 @@ class Arm:
         f = self.wrist_offset
         self.back = (-f[0], -f[1], -f[2])
         self.pole: Vec | None = None  # last elbow direction, in the chest's frame
+        self.swivel = Channel()  # radians from one sample to the next
         self.extra = 0.0  # radians the elbow is away from its natural direction because of the shoulder's limits
         self.twist = 0.0
 
     def reset(self) -> None:
         """Forget the past."""
         self.pole = None
+        self.swivel.put(0.0)
         self.twist = self.extra = 0.0
 
     def solve(self, chest: Quat, chest_at: Vec, hand_at: Vec, hand: Quat, dt: float) -> ArmPose:
@@ -95,7 +101,7 @@ class Arm:
         """Miss (m), shoulder, its world rotation, elbow flexion and the wrist's place for one elbow direction."""
         if extra:
             pole = rotate(about(line, extra), perpendicular(pole, line))
-        world, bend, _ = two_bone(self.limb, root, hand_at, pole)
+        world, bend, _ = two_bone(self.limb, root, self._softly(root, hand_at), pole)
         free = inverse_mul(clavicle, world)
         shoulder = clamp_joint(self.joints[0], free)
         if shoulder is not free:
@@ -104,6 +110,14 @@ class Arm:
         o = self.elbow_offset
         at = _plus(root, rotate(world, (o[0] + x, o[1] + y, o[2] + z)))
         return _distance(at, hand_at), shoulder, world, bend, at
+
+    def _softly(self, root: Vec, hand_at: Vec) -> Vec:
+        """The hand's place, or a little nearer where the arm is all but straight."""
+        soft = SOFT * self.reach
+        begin, far = self.limb.farthest - soft, _distance(root, hand_at)
+        if far <= begin:
+            return hand_at
+        return pull(root, hand_at, (begin + soft * (1 - exp(-(far - begin) / soft))) / far)
 
     def _search(
         self,
@@ -116,13 +130,14 @@ class Arm:
         dt: float,
     ) -> tuple[float, Quat, Quat, Quat, Vec]:
         """A shoulder at its limit: swing the elbow to where the hand can be reached, a little every sample."""
-        step = SEARCH_RATE * dt
-        if found[0] <= NEAR:  # back towards the natural elbow, while the hand stays within reach
+        miss, step = found[0], SEARCH_RATE * dt
+        if miss <= NEAR:  # back towards the natural elbow, as far as the hand stays within reach
             extra = self.extra * (1 - min(1.0, dt / 0.3))
             extra = 0.0 if abs(extra) < 1e-3 else extra
             other = self._place(clavicle, root, hand_at, line, pole, extra)
             if other[0] > NEAR:
-                return found
+                extra = self.extra + (extra - self.extra) * (NEAR - miss) / (other[0] - miss)
+                other = self._place(clavicle, root, hand_at, line, pole, extra)
             self.extra = extra
             return other
         best, best_extra = found, self.extra
@@ -132,6 +147,9 @@ class Arm:
             other = self._place(clavicle, root, hand_at, line, pole, extra)
             if other[0] < best[0] - 1e-5:
                 best, best_extra = other, extra
+        if best[0] < NEAR:  # no further than needed
+            best_extra = self.extra + (best_extra - self.extra) * (miss - NEAR) / (miss - best[0])
+            best = self._place(clavicle, root, hand_at, line, pole, best_extra)
         self.extra = best_extra
         return best
 
@@ -166,8 +184,9 @@ class Arm:
             old = perpendicular(self.pole, axis)
             angle = atan2(dot(cross(old, new), axis), dot(old, new))
             most = SWIVEL_RATE * dt
-            if abs(angle) > most:
-                new = rotate(about(axis, clamp(angle, -most, most)), old)
+            self.swivel.at = 0.0
+            self.swivel.approach(angle, SWIVEL_TIME, dt)
+            new = rotate(about(axis, clamp(self.swivel.at, -most, most)), old)
         self.pole = new
         return rotate(chest, new)
 

@@ -15,7 +15,7 @@ CHOSEN = 0.09  # seconds before the foot comes down in which its place is no lon
 STEADY = 0.08  # seconds in which a planted foot takes up a new pitch, and sinks onto the ground it was pulled off
 HURRY, LINGER = 1.6, 0.5  # how much faster or slower than the clock a swing's end may come nearer
 HANG = 0.2  # seconds in which feet in the air come under the hips
-FASTEST = 6.0  # m/s a swinging foot overtakes the body with; 1.875 times its mean on a minimum-jerk path
+FASTEST = 8.0  # m/s a swinging foot overtakes the body with; 1.875 times its mean on a minimum-jerk path
 BRIEFEST = 0.12  # seconds of a swing
 
 

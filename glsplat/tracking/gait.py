@@ -10,6 +10,7 @@ __all__ = ["Gait"]
 
 TURN = 2 * pi
 START, STOP = 0.40, 0.25  # m/s (of a 1.7 m person): walking begins and ends
+AWAY, BACK_HOME = 0.4, 0.2  # metres from where the body was lately (about 0.8 s ago): likewise
 ARM_LAG = 0.06  # turns by which the opposite hand follows the foot's most forward moment
 STANCE_MIDDLE = 0.31  # phase of mid-stance, at which the head is nearest to that foot's side
 
@@ -85,8 +86,8 @@ class Gait:
         self._last = now
 
         v = speed / self.pace
-        starting = not self.walking and v > START and away > 0.36 * self.size
-        if self.walking and (v < STOP or away < 0.12 * self.size):
+        starting = not self.walking and v > START and away > AWAY * self.size
+        if self.walking and (v < STOP or away < BACK_HOME * self.size):
             self.walking = False
         if starting:
             self.walking = True

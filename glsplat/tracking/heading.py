@@ -8,8 +8,10 @@ from glsplat.tracking.quat import Quat, Vec, clamp, rotate, swing_twist_y, wrap
 
 __all__ = ["Heading"]
 
-COMFORT = 0.5  # rad: the head turns this far without the body following soon
-LARGEST = 1.2  # rad: the body is never left further behind (cervical + thoracic rotation, AAOS: 60 + 45 degrees)
+COMFORT = 0.4  # rad: the head turns this far without the body following soon
+LARGEST = 1.1  # rad: the body is never left further behind (cervical + thoracic rotation, AAOS: 60 + 45 degrees)
+SLOW = 0.8  # of a turned head that the body follows in a second, inside the comfort zone
+SWAYED = 0.15  # of the yaw that both hands suggest which the body takes
 TURN_RATE = 9.0  # rad/s at most
 
 
@@ -41,10 +43,10 @@ class Heading:
         off = abs(error)
         # standing: slow inside the comfort zone, quick far outside; walking: the body goes where the head goes
         urge = clamp((off - COMFORT) / 0.8, 0.0, 1.0)
-        rate = 0.35 + 4.0 * urge * urge + 3.5 * walking
+        rate = SLOW + 4.0 * urge * urge + 3.5 * walking
         target = error
         self._hands(eye, left, right, dt)
-        target += 0.15 * self.hands * (1 - 0.6 * walking)
+        target += SWAYED * self.hands * (1 - 0.6 * walking)
         if speed > 0.5 and walking > 0:
             # walking forward pulls towards the direction of travel; sideways and backward walking do not
             travel = wrap(atan2(velocity[0], velocity[2]) - self.yaw)

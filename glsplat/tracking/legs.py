@@ -12,7 +12,7 @@ from glsplat.tracking.quat import Quat, Vec, add, clamp, rotate, scale, sub, wra
 
 __all__ = ["Legs"]
 
-STEP = 0.17  # metres a foot may be away from where balance wants it (of a 1.7 m person)
+STEP = 0.15  # metres a foot may be away from where balance wants it (of a 1.7 m person)
 STEP_TURN = 0.45  # radians likewise
 WIDEN = 2.0  # for each metre the pelvis is down
 SETTLE = 0.6  # seconds of standing still after which half of that is too much

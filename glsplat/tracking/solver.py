@@ -47,6 +47,7 @@ from glsplat.tracking.spine import Spine, Torso
 
 LONGEST_JUMP = 0.7  # seconds; a head out of reach for longer is not a jump (0.7 s in the air is a leap of 0.6 m)
 HOLD, SINK, REGAIN = 0.25, 0.35, 0.2  # seconds: a lost hand stays, sinks to the side, is taken up again
+TWIST = 0.2  # of the yaw that both hands suggest by which the chest turns further than the pelvis
 RESTING = 1e-3  # metres a planted foot may still be above the floor
 LOWEST_EYE = 0.04  # of the eye height: a head on the floor
 
@@ -159,7 +160,7 @@ class AnalyticSolver:
             )
             local = rotate(facing, (neck[0] - middle[0] - rest[0], 0.0, neck[2] - middle[1] - rest[2]))
             balance = (local[2], local[0])
-        self._twist = 0.2 * self.heading.hands
+        self._twist = TWIST * self.heading.hands
         torso = spine.update(
             targets.eye, targets.head, yaw, self.heading.head_yaw, balance, self._walking, speed, self._twist, dt
         )
