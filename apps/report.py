@@ -34,6 +34,7 @@ from .report_left_out import features_of, left_out, unmoved
 from .report_measure import frame_cost, measure, measure_cost
 from .report_stability import frame_cases, judge
 from .report_stability_skin import skin_cases
+from .report_stability_tracking import tracking_cases
 from .report_subjects import PERSON_SPLATS, Subject, subjects_of
 from .scene import splats_of
 
@@ -119,7 +120,7 @@ def measured(
     device: str | None = None,
 ) -> dict[str, Any]:
     """All sections of the report as one JSON object; plots are not made yet."""
-    base, cases, grid = base_config(context), [*frame_cases(), *skin_cases()], grid or grid_of(quick)
+    base, cases, grid = base_config(context), [*frame_cases(), *skin_cases(), *tracking_cases()], grid or grid_of(quick)
     settings = [settings_of(subject, base, quick) for subject in subjects]
     compared = [error_frames(subject, frames, quick) for subject in subjects]
     main = next((s for s in subjects if s.moving), subjects[0])

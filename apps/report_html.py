@@ -149,8 +149,10 @@ def _stability(cases: Sequence[Mapping[str, Any]]) -> list[str]:
     for case in cases:
         compared = case["error"] is not None or case["unit"]
         error = f"{_number(case['error'])} {case['unit']}" if compared else ""
-        rows.append([case["case"], case["input"], case["behaviour"], case["seen"], error, case["verdict"]])
-    names = ["case", "input", "stated behaviour", "seen", "largest error", "verdict"]
+        rows.append(
+            [case["group"], case["case"], case["input"], case["behaviour"], case["seen"], error, case["verdict"]]
+        )
+    names = ["of", "case", "input", "stated behaviour", "seen", "largest error, or what was measured", "verdict"]
     classes = ["" if case["verdict"] == "holds" else "failed" for case in cases]
     return ["<h2>4. Stability</h2><p>Every row was run for this report.</p>", _table(names, rows, classes)]
 

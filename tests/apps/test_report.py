@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from apps import report, report_growth, report_latency, report_stability, report_subjects
+from apps import report, report_growth, report_latency, report_stability, report_stability_tracking, report_subjects
 from apps.cli import main
 from apps.report_batching import PAPER, batching
 from apps.report_growth import Grid
@@ -21,11 +21,14 @@ from apps.report_knobs import settings_of
 from apps.report_left_out import features_of, left_out, unmoved
 from apps.report_stability import Case, Outcome, camera, frame_cases, judge, picture_case
 from apps.report_stability_skin import skin_cases
+from apps.report_stability_tracking import tracking_cases
 from apps.report_subjects import Subject
 from apps.streaming import STAGES
 from glsplat.context import Context
 from glsplat.errors import GlsplatError
 from glsplat.formats import save
+from glsplat.skinning.pose import Pose
+from glsplat.tracking import Sample
 from tests.scenes import cloud, limb, one_splat
 
 pytest.importorskip("flip_evaluator")
@@ -43,9 +46,9 @@ def arguments(*words: str) -> argparse.Namespace:
 
 
 def test_every_hard_case_holds(context: Context) -> None:
-    rows = judge([*frame_cases(), *skin_cases()], context)
+    rows = judge([*frame_cases(), *skin_cases(), *tracking_cases()], context)
     assert [r for r in rows if r["verdict"] != "holds"] == []
-    assert len(rows) >= 60 and len({r["case"] for r in rows}) == len(rows)
+    assert len(rows) >= 85 and len({r["case"] for r in rows}) == len(rows)
     assert all(r["input"] and r["behaviour"] for r in rows)
 
 
@@ -75,6 +78,23 @@ def test_a_case_that_does_not_behave_as_stated_fails(context: Context) -> None:
     assert rows[0]["error"] > 0.06
     assert rows[1]["seen"] == "transparent" and rows[2]["seen"] == "drawn" and rows[3]["seen"] == "accepted"
     assert rows[4]["seen"] == "RuntimeError: the driver is gone"
+
+
+def test_a_tracker_that_ignores_time_fails_the_table(context: Context, monkeypatch: pytest.MonkeyPatch) -> None:
+    """One that takes every sample for the next of a steady clock moves where it has to wait."""
+    right = report_stability_tracking.Tracker
+
+    class Steady(right):
+        count = 0
+
+        def update(self, sample: Sample) -> Pose:
+            self.count += 1
+            return super().update(replace(sample, t=self.count / 72))
+
+    monkeypatch.setattr(report_stability_tracking, "Tracker", Steady)
+    cases = [c for c in tracking_cases() if "time" in c.name or "stalls" in c.name or "jumps" in c.name]
+    failed = {r["case"] for r in judge(cases, context) if r["verdict"] == "failed"}
+    assert failed == {"time stamps repeat", "time runs backwards", "time not finite", "tracking stalls"}
 
 
 def test_a_wrong_projection_fails_the_table(context: Context, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -142,6 +162,7 @@ def short(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(report, "settings_of", lambda *given: settings_of(*given)[:4])
     monkeypatch.setattr(report, "features_of", lambda *given: features_of(*given)[:2])
     monkeypatch.setattr(report, "skin_cases", list)
+    monkeypatch.setattr(report, "tracking_cases", list)
     monkeypatch.setattr(report, "BATCHING_SIZES", (32,))
     monkeypatch.setattr(report, "grid_of", lambda _: Grid((100, 400), (16, 32), (1, 2), size=32, frames=2, alone=False))
     monkeypatch.setattr(report_growth, "default_avatar", lambda: limb(200))
