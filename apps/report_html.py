@@ -73,6 +73,7 @@ def _scene(scene: Mapping[str, Any], pictures: Mapping[str, bytes]) -> list[str]
                 row["setting"],
                 row["ms"]["median"],
                 row["ms"]["p95"],
+                row["ratio"],
                 row["psnr"],
                 row["maximum"],
                 row["flip"],
@@ -80,7 +81,17 @@ def _scene(scene: Mapping[str, Any], pictures: Mapping[str, bytes]) -> list[str]
             ]
         )
         classes.append("front" if row["pareto"] else "")
-    names = ["knob", "setting", "ms, median", "ms, p95", "PSNR (dB)", "maximum error", "FLIP", "Pareto"]
+    names = [
+        "knob",
+        "setting",
+        "ms, median",
+        "ms, p95",
+        "of the default",
+        "PSNR (dB)",
+        "maximum error",
+        "FLIP",
+        "Pareto",
+    ]
     return [
         f"<h3>{_text(heading)}</h3>",
         *([f"<p>{_DENSE}</p>"] if scene["dense_truth"] else []),

@@ -19,6 +19,7 @@ __all__ = ["CONFIG_KNOBS", "LONGEST_PERIOD", "Drawn", "Setting", "base_config", 
 CONFIG_KNOBS: tuple[tuple[str, str, tuple[Any, ...]], ...] = (
     ("target format", "target", ("8", "16f", "32f")),
     ("sort bits", "sort_bits", (16, 32)),
+    ("sorter", "sorter", ("cpu", "gpu")),
     ("re-sort period", "sort_period", (1, 2, 4, 8)),
     ("shape", "shape", ("quad", "triangle")),
     ("extent cut-off (sigma)", "max_sigma", (2.0, 2.5, 3.0, 3.33)),
@@ -71,18 +72,19 @@ class Setting:
 def base_config(context: Context) -> RenderConfig:
     """The defaults of this driver with nothing left to "auto", so that equal settings are measured once."""
     target, shape = ("32f", "triangle") if context.software else ("16f", "quad")
-    return RenderConfig(target=target, shape=shape)  # type: ignore[arg-type]
+    return RenderConfig(target=target, shape=shape, sorter="cpu" if context.software else "auto")  # type: ignore[arg-type]
 
 
-def settings_of(subject: Subject, base: RenderConfig, few: bool = False) -> list[Setting]:
+def settings_of(subject: Subject, base: RenderConfig, few: bool = False, compute: bool = False) -> list[Setting]:
     """The grid of a scene, the default first (and once more, for the noise of the clock).
 
-    ``few``: of a knob with more than three settings only every second one.
+    ``few``: of a knob with more than three settings only every second one and the default. ``compute``: the driver can
+    sort on the GPU.
     """
     default = Drawn(base)
     out = [Setting("default", "default", default), Setting("default", "once more", replace(default, copy=1))]
     for knob, field, values in CONFIG_KNOBS:
-        if _matters(field, subject):
+        if _matters(field, subject) and (compute or field != "sorter"):
             for value in _some(values, few, getattr(base, field)):
                 out.append(Setting(knob, str(value), Drawn(replace(base, **{field: value}))))
     if isinstance(subject.scene, Avatar):

@@ -90,7 +90,10 @@ def measure(
             row |= {"encode_ms": asdict(Series.of(encodes[s.jpeg][0])), "bytes": int(np.median(encodes[s.jpeg][1]))}
         else:
             error = errors[replace(s.drawn, copy=0), _order(s)]
-        row |= {"ms": asdict(Series.of(_cycles(series, s.drawn.config.sort_period))), **asdict(error)}
+        period = s.drawn.config.sort_period
+        sampled, default = _cycles(series, period), _cycles(times[settings[0].drawn], period)
+        ratio = float(np.median(np.divide(sampled, default)))  # frame by frame: what slows both down cancels
+        row |= {"ms": asdict(Series.of(sampled)), "ratio": round(ratio, 3), **asdict(error)}
         rows.append(row)
     _mark(rows, settings)
     noise = abs(float(np.median(times[settings[0].drawn])) - float(np.median(times[settings[1].drawn])))

@@ -158,7 +158,7 @@ def frame_cases() -> list[Case]:
 def _whole_frames() -> list[Case]:
     exact, few = "as float64 has it", cloud()
     pair = list(stereo_cameras(_head(3.0), 0.2, size=(SIZE, SIZE)))
-    ties = replace(cloud(100), means=np.zeros((100, 3), np.float32))
+    ties = replace(cloud(2000), means=np.zeros((2000, 3), np.float32))
     bad = few.means.copy()
     bad[::7] = np.nan
     dropped = few.take(np.isfinite(bad).all(axis=1))
@@ -170,7 +170,7 @@ def _whole_frames() -> list[Case]:
     return [
         picture_case("no splats", "an empty scene", "the background", few.take([]), pair),
         picture_case("1 x 1 pixel", "300 splats", exact, few, [single]),
-        picture_case("equal depths", "100 splats at one place", "the lower index is the nearer", ties, [camera()]),
+        picture_case("equal depths", "2,000 splats at one place", "the lower index is the nearer", ties, [camera()]),
         picture_case("bad among good", "every 7th position NaN", "the others as without them",
                      replace(few, means=bad), pair, expected=dropped),
         picture_case("far from the origin", f"a scene and its camera at {far} m", exact, cloud(centre=far), [away]),

@@ -116,6 +116,8 @@ def test_the_grid_of_a_scene(context: Context) -> None:
     assert rows["resolution", "0.5 x"]["psnr"] < rows["resolution", "0.75 x"]["psnr"]
     assert rows["order", "per_view"]["truth"] == "per_view" and rows["order", "per_view"]["psnr"] > 65
     assert all(r["ms"]["p95"] >= r["ms"]["median"] > 0 for r in rows.values())
+    assert rows["default", "default"]["ratio"] == 1 == rows["sort bits", "32"]["ratio"]
+    assert rows["JPEG", "q80 420"]["ratio"] > 1
     assert any(r["pareto"] for r in rows.values()) and not rows["default", "once more"]["pareto"]
 
 
