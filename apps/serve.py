@@ -63,7 +63,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_scene(parser)
     parser.add_argument("--host", default="127.0.0.1", help="address to listen on (default 127.0.0.1, this machine)")
     parser.add_argument("--port", type=int, default=8000, help="port (default 8000; 0: any free one)")
-    parser.add_argument("--size", type=size, default=(1024, 1024), help="pixels an eye where requests name none")
+    parser.add_argument("--size", type=size, help="pixels an eye where requests name none (default 1024x1024)")
     parser.add_argument("--max-size", type=int, default=2048, help="largest side a request may ask for (default 2048)")
     parser.add_argument("--quality", type=int, default=80, help="JPEG quality where requests name none (default 80)")
     parser.add_argument("--max-clients", type=int, default=8, help="clients at once (default 8)")
@@ -97,7 +97,8 @@ def server_config(args: argparse.Namespace) -> ServerConfig:
             raise GlsplatError(f"{name} needs {low} to {high}, not {value}")
     if not 0 <= args.ipd <= 0.2 or not 1 <= args.fov <= 170:
         raise GlsplatError("--ipd needs 0 to 0.2 m and --fov 1 to 170 degrees")
-    if max(args.size) > args.max_size:
+    pixels = args.size or (min(1024, args.max_size),) * 2
+    if max(pixels) > args.max_size:
         raise GlsplatError(f"--size needs at most {args.max_size} a side; raise --max-size to allow more")
     if (args.tls_cert is None) != (args.tls_key is None):
         raise GlsplatError("TLS needs both --tls-cert and --tls-key")
@@ -107,7 +108,7 @@ def server_config(args: argparse.Namespace) -> ServerConfig:
         host=args.host, token=token, tls=tls is not None, insecure=args.insecure, origins=tuple(args.origin)
     )
     wire = WireOptions(
-        size=args.size, max_side=args.max_size, quality=args.quality, ipd=args.ipd, fov=args.fov, mirror=args.mirror
+        size=pixels, max_side=args.max_size, quality=args.quality, ipd=args.ipd, fov=args.fov, mirror=args.mirror
     )
     return ServerConfig(
         access=access,

@@ -62,6 +62,8 @@ td,th{{padding:.15rem .8rem;text-align:right;border-bottom:1px solid #ccc}}</sty
 <h2>Connect</h2>
 <p>The WebSocket is <code>{url}</code>; what it speaks is in docs/protocol.md. To measure it, from a terminal:</p>
 <pre>glsplat replay --url {url}{options}</pre>
+<p>To look at what it draws:</p>
+<pre>glsplat preview --connect {url}{options}</pre>
 <p>From Python:</p>
 <pre>async with glsplat.net.client.Client("{url}"{token}) as client:
     reply = await client.render(cameras, pose=pose)    # cameras: one, or glsplat.stereo_cameras(...)

@@ -48,6 +48,7 @@ def test_defaults_are_loopback_and_the_papers_setting():
     assert (config.access.host, config.port, config.max_clients) == ("127.0.0.1", 8000, 8)
     assert (config.wire.size, config.wire.quality, config.wire.ipd, config.wire.fov) == ((1024, 1024), 80, 0.055, 65)
     assert not config.wire.mirror and config.tls is None and config.access.token is None
+    assert serve.server_config(arguments("--max-size", 256)).wire.size == (256, 256)
 
 
 @pytest.mark.parametrize(
