@@ -35,7 +35,7 @@ from .report_measure import frame_cost, measure, measure_cost
 from .report_stability import frame_cases, judge
 from .report_stability_skin import skin_cases
 from .report_stability_tracking import tracking_cases
-from .report_subjects import PERSON_SPLATS, Subject, subjects_of
+from .report_subjects import PERSON_SPLATS, Subject, check_cameras, subjects_of
 from .scene import splats_of
 
 HELP = (
@@ -85,6 +85,7 @@ def run(args: argparse.Namespace) -> int:
     if not 16 <= size <= 1024:
         raise GlsplatError(f"--size needs 16 to 1024 (the float64 reference is slow), not {size}")
     require_extra()
+    check_cameras(args.cameras, args.scenes)
     try:
         args.output.mkdir(parents=True, exist_ok=True)
     except OSError as error:

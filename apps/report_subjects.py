@@ -27,7 +27,7 @@ from .bench import FOV
 from .report_levels import merged
 from .scene import load_scene, splats_of, view_of, viewing_point
 
-__all__ = ["PERSON_SPLATS", "Subject", "cameras_for", "dense_person", "orbit", "subjects_of"]
+__all__ = ["PERSON_SPLATS", "Subject", "cameras_for", "check_cameras", "dense_person", "orbit", "subjects_of"]
 
 NUDGE = 1e-6
 """Radians a given camera is turned by in every second frame: nothing one can see, but every frame is sorted.
@@ -105,25 +105,24 @@ def subjects_of(path: str | None, size: int, cameras: Sequence[str] = ()) -> lis
 
 
 def cameras_for(scene: Path, given: Sequence[str]) -> Path | None:
-    """The camera file of a scene: ``NAME=FILE`` among ``given``, NAME.camera.json beside it or in a given folder.
+    """The camera file of a scene: ``NAME=FILE`` among ``given``, NAME.camera.json beside it or in a given folder."""
+    named = [text.partition("=")[2] for text in given if text.startswith(f"{scene.stem}=")]
+    folders = [Path(text) for text in given if "=" not in text]
+    inside = [folder / f"{scene.stem}.camera.json" for folder in folders]
+    places = [*map(Path, named), scene.with_suffix(".camera.json"), *inside]
+    return next((place for place in places if place.exists()), None)
 
-    Raises FormatError for what is neither a folder nor NAME=FILE, and for a file that is not there.
-    """
-    found = None
+
+def check_cameras(given: Sequence[str], scenes: Sequence[str]) -> None:
+    """Raises FormatError for what is neither a folder nor NAME=FILE, for a file that is not there or of no scene."""
     for text in given:
-        if Path(text).is_dir():
-            inside = Path(text) / f"{scene.stem}.camera.json"
-            found = found or (inside if inside.exists() else None)
-            continue
         name, equals, file = text.partition("=")
-        if not equals:
+        if not equals and not Path(text).is_dir():
             raise FormatError(f"{text}: --cameras takes a folder of NAME.camera.json files, or NAME=FILE for one scene")
-        if not Path(file).is_file():
+        if equals and not Path(file).is_file():
             raise FormatError(f"{file}: no such camera file (given for {name})")
-        if name == scene.stem:
-            return Path(file)
-    beside = scene.with_suffix(".camera.json")
-    return beside if beside.exists() else found
+        if equals and name not in {Path(scene).stem for scene in scenes}:
+            raise FormatError(f"{text}: no scene is called {name}; give its file's name without the ending")
 
 
 def dense_person(path: Path, count: int, size: int, config: SamplerConfig | None = None) -> Subject:

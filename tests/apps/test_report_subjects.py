@@ -11,7 +11,7 @@ import pytest
 from apps.report_knobs import Drawn, Setting, base_config, error_frames, settings_of
 from apps.report_levels import cells, merged
 from apps.report_measure import measure
-from apps.report_subjects import Subject, cameras_for, dense_person, subjects_of
+from apps.report_subjects import Subject, cameras_for, check_cameras, dense_person, subjects_of
 from glsplat import reference
 from glsplat.avatar import Avatar
 from glsplat.config import RenderConfig
@@ -52,10 +52,14 @@ def test_cameras_that_lie_elsewhere(tmp_path: Path) -> None:
     assert cameras_for(tmp_path / "tree.ply", [str(folder)]) is None
     scene.with_suffix(".camera.json").write_text("{}")
     assert cameras_for(scene, [str(folder)]) == scene.with_suffix(".camera.json")
-    with pytest.raises(FormatError, match="--cameras takes a folder"):
-        cameras_for(scene, ["nowhere"])
-    with pytest.raises(FormatError, match="no such camera file"):
-        cameras_for(scene, ["garden=nowhere.json"])
+    check_cameras([str(folder), f"garden={other}"], [str(scene)])
+    for words, message in (
+        ("nowhere", "--cameras takes a folder"),
+        ("garden=nowhere.json", "no such camera file"),
+        (f"gardn={other}", "no scene is called gardn"),
+    ):
+        with pytest.raises(FormatError, match=message):
+            check_cameras([words], [str(scene)])
 
 
 @pytest.mark.gl
