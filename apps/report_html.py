@@ -135,13 +135,14 @@ def _left_out(result: Mapping[str, Any], pictures: Mapping[str, bytes]) -> list[
                 full["ms"]["median"],
                 row["cost"],
                 f"{lean['programs']} / {full['programs']}",
+                f"{lean['buffers']} / {full['buffers']}",
                 " ".join(stage for stage in full["passes"] if stage not in lean["passes"]) or "-",
                 _bytes(lean["bytes"], result["left_out_splats"]),
                 _bytes(full["bytes"], result["left_out_splats"]),
                 f"{row['apart']:.1e}" + ("" if row["same_picture"] else " (NOT one picture)"),
             ]
         )
-    names = ["feature", "present but unused", "without (ms)", "with (ms)", "cost", "programs", "more passes"]
+    names = ["feature", "present but unused", "without (ms)", "with (ms)", "cost", "programs", "buffers", "more passes"]
     names += ["bytes a splat without", "with", "pictures apart"]
     still = result["unmoved"]
     rest = [["moved", still["moved_ms"]["median"], " ".join(still["moved_passes"])]]

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import gc
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
+import moderngl
 import numpy as np
 
 from glsplat.avatar import Avatar
@@ -77,6 +79,17 @@ def features_of(scene: Splats | Avatar, context: Context) -> list[Feature]:
             tolerance=0.02,
         ),
     ]
+    everywhere = np.tile(np.array([0, 0, 0, -127], np.int8), (len(plain), 1))
+    bare = replace(plain, cones=None)
+    out.append(
+        Feature(
+            "hidden splats",
+            (bare, config),
+            (replace(plain, cones=everywhere), replace(config, cull_hidden=True)),
+            "cones that hold every direction; what shines through is made up for all the same",
+            tolerance=0.15,  # of the lift at alpha 2/3 (lift.glsl)
+        )
+    )
     if context.vertex_layers:
         routed = replace(config, layers="geometry")
         out.append(Feature("geometry shader", (plain, config), (plain, routed), "this driver does not need it"))
@@ -97,9 +110,13 @@ def _compare(context: Context, subject: Subject, feature: Feature, frames: int, 
     staged: dict[str, Renderer] = {}
     totals: dict[str, list[float]] = {side: [] for side in sides}
     passes: dict[str, dict[str, list[float]]] = {side: {} for side in sides}
+    buffers: dict[str, int] = {}
     try:
         for side, (scene, config) in sides.items():
+            before = _buffers()
             quick[side] = Renderer(scene, size=size, views=2, config=config, context=context)
+            quick[side].render(subject.views(0), _stirred(scene, 0))
+            buffers[side] = _buffers() - before
             staged[side] = Renderer(
                 scene, size=size, views=2, config=replace(config, output="float32"), context=context, timed=True
             )
@@ -125,6 +142,7 @@ def _compare(context: Context, subject: Subject, feature: Feature, frames: int, 
                 "passes": [stage for stage in STAGES if stage in passes[side]],
                 "stages_ms": {s: round(float(np.median(v)), 3) for s, v in passes[side].items() if s != "total"},
                 "bytes": quick[side].nbytes(),
+                "buffers": buffers[side],
                 "variant": asdict(quick[side].variant),
             }
     finally:
@@ -160,6 +178,12 @@ def unmoved(context: Context, subject: Subject, frames: int, tick: Tick = lambda
         "moved_passes": stages["moved"],
         "unmoved_passes": stages["unmoved"],
     }
+
+
+def _buffers() -> int:
+    """GL buffers that exist."""
+    gc.collect()
+    return sum(isinstance(item, moderngl.Buffer) for item in gc.get_objects())
 
 
 def _bound(splats: Splats, skeleton: Skeleton, influences: int) -> Avatar:

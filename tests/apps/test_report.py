@@ -132,6 +132,9 @@ def test_a_feature_left_out_changes_no_pixel(context: Context) -> None:
     skin = by_name["skinning"]
     assert set(skin["full"]["passes"]) - set(skin["lean"]["passes"]) == {"pose", "skin"}
     assert skin["full"]["programs"] == skin["lean"]["programs"] + 1
+    assert skin["full"]["buffers"] == skin["lean"]["buffers"] + 3  # joints, weights, posed splats
+    culled = by_name["hidden splats"]
+    assert culled["full"]["buffers"] == culled["lean"]["buffers"] + 1 and culled["full"]["variant"]["cull_hidden"]
     assert by_name["SH degree 3"]["full"]["bytes"]["sh"] > 10 * by_name["SH degree 3"]["lean"]["bytes"]["sh"]
     for name, flag in (("antialias", "antialias"), ("extent cut-off", "cut")):
         assert (by_name[name]["lean"]["variant"][flag], by_name[name]["full"]["variant"][flag]) == (0, 1)
