@@ -130,6 +130,8 @@ def samples_of(name: str | None) -> list[Sample]:
 def tracker_of(args: argparse.Namespace, skeleton: Skeleton) -> Tracker:
     """The tracker that ``add_recording``'s options ask for."""
     calibration = Calibration()
+    if args.calibration and args.height is not None:
+        raise GlsplatError("--calibration and --height both tell the user's size; give one of them")
     if args.calibration:
         calibration = Calibration.load(args.calibration)
     elif args.height is not None:

@@ -65,14 +65,24 @@ class Calibration:
             data: Any = json.loads(Path(path).read_text(encoding="utf-8"))
             if not isinstance(data, dict):
                 raise ValueError(f"found {type(data).__name__}")
-            known = {key: None if data[key] is None else float(data[key]) for key in asdict(cls()) if key in data}
+            if "scale" not in data:
+                raise ValueError('found no "scale"')
+            known = {key: _number(data[key], key) for key in asdict(cls()) if key in data}
             return cls(**known)  # type: ignore[arg-type]
         except OSError as error:
             raise FormatError(f"{path}: cannot read the calibration ({error.strerror})") from None
-        except (ValueError, TypeError, RecursionError) as error:
+        except (ValueError, TypeError, OverflowError, RecursionError) as error:
             raise FormatError(f"{path}: a calibration is a JSON object of numbers, but {error}") from None
         except PoseError as error:
             raise FormatError(f"{path}: {error}") from None
+
+
+def _number(value: Any, key: str) -> float | None:
+    if value is None and key in ("eye_height", "arm_span"):
+        return None
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        raise ValueError(f"{key} is {type(value).__name__}")
+    return float(value)
 
 
 def calibrate(

@@ -10,8 +10,9 @@ from glsplat.tracking.quat import Vec, clamp, wrap
 __all__ = ["HOLD", "Channel", "Foot"]
 
 HOLD = 0.06  # of a swing, at either end: the foot goes straight up or down, so that it never slides
-RISEN, SINKS = 0.28, 0.72  # of a swing: the foot is at its highest in between
-CHOSEN = 0.09  # seconds before the foot comes down in which its place is no longer changed
+RISES, SINKS = 0.28, 0.28  # of a swing in which the foot goes up, and down
+SOON = 0.12  # seconds at most for either: it must not slide
+CHOSEN = 0.11  # seconds before the foot comes down in which its place is no longer changed
 STEADY = 0.08  # seconds in which a planted foot takes up a new pitch, and sinks onto the ground it was pulled off
 HURRY, LINGER = 1.6, 0.5  # how much faster or slower than the clock a swing's end may come nearer
 HANG = 0.2  # seconds in which feet in the air come under the hips
@@ -128,10 +129,11 @@ class Foot:
             self.z.approach(z, over + dt, dt)
             self.turn.approach(self.turn.at + wrap(yaw - self.turn.at), max(over, 0.04) + dt, dt)
         sole = self.landing[1]
-        if left > (1 - RISEN) * whole:
-            self.y.approach(sole + self.height, left - (1 - RISEN) * whole + dt, dt)
-        elif left > (1 - SINKS) * whole:
-            self.y.approach(sole + self.height, 0.2 * whole, dt)
+        rise = left - whole + min(RISES * whole, SOON)
+        if rise > 0:
+            self.y.approach(sole + self.height, rise + dt, dt)
+        elif left > min(SINKS * whole, SOON):
+            self.y.approach(sole + self.height, SOON, dt)
         else:
             self.y.approach(sole, left + dt, dt)
         self.tilt.approach(0.0, left + dt, dt)

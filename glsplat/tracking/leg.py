@@ -30,7 +30,7 @@ DORSIFLEXION = 0.66  # radians the ankle bends under load
 TIPTOE = 1.0  # radians the heel may lift about the ball
 EXTENSION = 0.5  # behind for each metre down: 27 degrees the hip extends
 STRAIGHT = 0.997  # of its length a leg stretches to
-SOFT = 0.012  # of its length over which a leg becomes straight: the knee would jump otherwise
+SOFT = 0.02  # of its length over which a leg becomes straight: the knee would jump otherwise
 
 
 class Leg:
@@ -94,6 +94,7 @@ class Leg:
             pitch += 0.7 * excess
             ankle = self.above(foot, pitch, aside_x, aside_z)
             thigh, knee, shin = two_bone(limb, hip, ankle, pole)
+            exact = exact and limb.nearest < _distance(hip, ankle) < limb.farthest + 1e-3
         self.ankle_height = ankle[1]
         x, y, z = foot.ball
         self.ball = (x + aside_x, y, z + aside_z) if exact else None

@@ -18,6 +18,7 @@ WIDEN = 2.0  # for each metre the pelvis is down
 SETTLE = 0.6  # seconds of standing still after which half of that is too much
 TURN_AHEAD = 0.3  # seconds a step looks ahead in a turn
 STEP_TIME = 0.36  # seconds of a step out of standing
+QUICK = 0.2  # likewise, of a step that a strained leg needs
 BALANCE = 0.05  # metres the mass stands before the ankles, compared with the rest pose (over the middle of the foot)
 FORESIGHT = 0.05  # seconds: a foot leaves the ground before its leg is stretched
 TRACK = 1.0  # distance of the feet in the rest pose that a stance takes
@@ -154,7 +155,7 @@ class Legs:
             if foot.planted:
                 strained = foot.strained and self._helps(foot, self._landing(foot, base, yaw, velocity, ahead, back))
                 if strained and phase < 0.5 * duty:
-                    foot.lift(0.5 * STEP_TIME, height, False)
+                    foot.lift(QUICK, height, False)
                 elif strained or duty < phase < duty + 0.6 * (1 - duty):
                     foot.lift(min(left, 1.3 * swing), height, True)
             if foot.planted:
@@ -189,7 +190,7 @@ class Legs:
                 continue
             foot.stand(self.sole + self.air, 0.0, dt)
             if foot.strained and self._helps(foot, target):
-                foot.lift(0.5 * STEP_TIME, 0.05 * self.size, False)
+                foot.lift(QUICK, 0.05 * self.size, False)
                 continue
             far = hypot(target[0] - foot.x.at, target[2] - foot.z.at) / (STEP * self.size)
             turn = abs(wrap(yaw - foot.yaw)) / STEP_TURN

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from numbers import Real
 from typing import Any
 
 from glsplat.errors import PoseError
@@ -132,7 +133,7 @@ def wrist_from_grip(grip: Transform, side: str) -> Transform:
 def _number(value: Any, key: str) -> float | None:
     if value is None:
         return None
-    if isinstance(value, bool) or not isinstance(value, (int, float)):
+    if not _real(value):
         raise PoseError(f'"{key}" of a tracking sample is a number, not {type(value).__name__}')
     try:
         return float(value)
@@ -144,10 +145,19 @@ def _numbers(value: Any, key: str, counts: tuple[int, ...]) -> tuple[float, ...]
     listed = isinstance(value, Sequence) and not isinstance(value, (str, bytes))
     if not listed or len(value) not in counts:
         raise PoseError(f'"{key}" of a tracking sample needs {" or ".join(map(str, counts))} numbers')
+    for v in value:
+        if not _real(v):
+            raise PoseError(f'"{key}" of a tracking sample needs numbers, found {type(v).__name__}')
     try:
         return tuple([float(v) for v in value])
-    except (TypeError, ValueError, OverflowError):
-        raise PoseError(f'"{key}" of a tracking sample needs numbers') from None
+    except OverflowError:
+        raise PoseError(f'"{key}" of a tracking sample holds too large a number') from None
+
+
+def _real(value: Any) -> bool:
+    """A number; neither a bool nor a string that spells one."""
+    kind = type(value)
+    return kind is float or kind is int or (isinstance(value, Real) and not isinstance(value, bool))
 
 
 def _transform(value: Any, key: str) -> Transform | None:

@@ -80,7 +80,7 @@ class _Device:
     rotation: RotationFilter
     at: Vec | None = None
     turn: Quat = IDENTITY
-    raw: Transform | None = None
+    raw: tuple[float, ...] | None = None
     frozen: int = field(default=0)
 
     def reset(self) -> None:
@@ -144,20 +144,25 @@ class Tracker:
     # -- in
 
     def update(self, sample: Sample) -> Pose:
-        """The pose at ``sample.t`` (plus ``config.prediction``). Never raises for what a sample holds.
+        """The pose at ``sample.t`` (plus ``config.prediction``), read-only. Never raises for what a sample holds.
 
         ``flags`` then tells what was out of the ordinary, ``reach_error`` the metres by which each wrist misses its
         hand (None: not tracked).
         """
+        if not isinstance(sample, Sample):
+            raise PoseError(
+                f"a tracker takes a Sample (Sample.from_json reads other forms), not {type(sample).__name__}"
+            )
         flags: list[str] = []
         dt = self._advance(sample.t, flags)
         if dt is None and self._pose is not None:
             self.flags = tuple(flags)
             return self._pose
-        head = self._read(sample.head, 0)
+        head = self._read(sample.head, 0, flags)
+        seen = None if head is None else sample.head
         hands: list[tuple[Vec, Quat] | None] = [None, None]
         if not self.head_only:
-            hands = [self._read(sample.left, 1), self._read(sample.right, 2)]
+            hands = [self._read(sample.left, 1, flags), self._read(sample.right, 2, flags)]
         fresh = self._pose is None
         if head is None:
             flags.append("head_lost")
@@ -180,8 +185,8 @@ class Tracker:
                 hand.reset()
             self.solver.reset()
         step = min(dt or self._step, self.config.gap)
-        if head is not None:
-            self._frozen(sample, flags)
+        if seen is not None:
+            self._frozen(seen, flags)
         targets = self._filtered(head, hands, step, flags)
         solution = self._solve(targets, step)
         return self._finish(solution, sample, hands, 0.0 if fresh else step, flags)
@@ -205,7 +210,11 @@ class Tracker:
 
     def _advance(self, t: float, flags: list[str]) -> float | None:
         """Seconds since the last sample; None for one that must not move the body."""
-        if not isfinite(t):
+        try:
+            known = isfinite(t)
+        except (TypeError, ValueError, OverflowError):  # not a number at all
+            known = False
+        if not known:
             flags.append("time_invalid")
             return None
         last, self._time = self._time, t
@@ -223,26 +232,31 @@ class Tracker:
             self._step = dt
         return dt
 
-    def _read(self, pose: Transform | None, device: int) -> tuple[Vec, Quat] | None:
+    def _read(self, pose: Transform | None, device: int, flags: list[str]) -> tuple[Vec, Quat] | None:
         """Place and joint rotation in the avatar's space; None for a pose that is absent or cannot be one."""
-        if pose is None or len(pose) != 7:
+        if pose is None:
             return None
-        x, y, z, qx, qy, qz, qw = pose
-        # NaN fails every comparison, infinity these
-        if not (-FAR < x < FAR and -FAR < y < FAR and -FAR < z < FAR):
+        try:
+            x, y, z, qx, qy, qz, qw = pose
+            # NaN fails every comparison, infinity these
+            if not (-FAR < x < FAR and -FAR < y < FAR and -FAR < z < FAR):
+                return None
+            n = qx * qx + qy * qy + qz * qz + qw * qw
+            if not 1e-8 < n < 1e8:
+                return None
+            n = 1 / sqrt(n)
+        except (TypeError, ValueError):  # not seven numbers
+            if "invalid" not in flags:
+                flags.append("invalid")
             return None
-        n = qx * qx + qy * qy + qz * qz + qw * qw
-        if not 1e-8 < n < 1e8:
-            return None
-        n = 1 / sqrt(n)
         k = 1 / self.calibration.scale
         turn = mul((qw * n, qx * n, qy * n, qz * n), self._frames[device])
         return (x * k, (y - self.calibration.floor) * k, z * k), turn
 
-    def _frozen(self, sample: Sample, flags: list[str]) -> None:
-        device = self._head
-        device.frozen = device.frozen + 1 if sample.head == device.raw else 0
-        device.raw = sample.head
+    def _frozen(self, head: Transform, flags: list[str]) -> None:
+        device, raw = self._head, tuple(head)
+        device.frozen = device.frozen + 1 if raw == device.raw else 0
+        device.raw = raw
         if device.frozen * self._step > 0.25:
             flags.append("frozen")
 
@@ -311,12 +325,19 @@ class Tracker:
             joints, curl = (sample.right_joints, sample.right_curl) if side else (sample.left_joints, sample.left_curl)
             hand = hands[side]
             first = 40 if side else 25
-            rotations[first : first + 15] = fingers.update(
-                joints, None if hand is None else hand[1], curl, seconds, fit=slow or self._count % 2 == side
-            )
+            turn = None if hand is None else hand[1]
+            fit = slow or self._count % 2 == side
+            try:
+                rotations[first : first + 15] = fingers.update(joints, turn, curl, seconds, fit)
+            except (TypeError, ValueError, IndexError):  # not 25 joints of numbers
+                if "invalid" not in flags:
+                    flags.append("invalid")
+                rotations[first : first + 15] = fingers.update(None, turn, None, seconds)
         root = self._root
         x, y, z = solution.pelvis
-        pose = Pose(rotations, np.array((x - root[0], y - root[1], z - root[2])))
+        trans = np.array((x - root[0], y - root[1], z - root[2]))
+        rotations.flags.writeable = trans.flags.writeable = False  # a repeated time gives the same pose again
+        pose = Pose(rotations, trans)
         scale = self.calibration.scale
         left, right = solution.reach
         self.reach_error = (

@@ -95,6 +95,7 @@ def test_bench_writes_its_table(tmp_path, capsys):
         ("from-motion", "idle", "-o", "no/such/folder/x.jsonl"),
         ("solve", "missing.jsonl", "-o", "x.jsonl"),
         ("solve", "-o", "x.jsonl", "--height", "9"),
+        ("solve", "-o", "x.jsonl", "--height", "1.7", "--calibration", "me.json"),
         ("solve", "-o", "x.jsonl", "--predict-ms", "900"),
         ("calibrate", "-o", "x.json"),
         ("score", "missing.jsonl", "missing.jsonl"),

@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
+import math
+from typing import Any
+
 import numpy as np
+import pytest
 
 from glsplat.avatar import default_avatar
+from glsplat.errors import FormatError, PoseError
 from glsplat.skinning.skeleton import rotation_matrices
+from glsplat.tracking.calibration import Calibration
 from glsplat.tracking.sample import Sample
 from glsplat.tracking.tracker import Tracker, TrackerConfig
 
@@ -37,3 +43,77 @@ def test_no_joint_turns_faster_than_configured() -> None:
             fastest = max(fastest, float((2 * np.arcsin(np.clip(chord, 0, 1)))[1:].max()) * 72)
         last = now
     assert 10 < fastest < 1.02 * config.joint_speed
+
+
+STANDING = (0.0, 1.6, 0.0, 0.0, 0.0, 0.0, 1.0)
+
+
+@pytest.mark.parametrize(
+    ("bad", "flag"),
+    [
+        ({"t": None}, "time_invalid"),
+        ({"t": "1"}, "time_invalid"),
+        ({"t": 10**400}, "time_invalid"),
+        ({"head": "abcdefg"}, "head_lost"),
+        ({"head": 5}, "head_lost"),
+        ({"head": (1, 2)}, "head_lost"),
+        ({"head": tuple("0101001")}, "head_lost"),
+        ({"left": [None] * 7}, "left_lost"),
+        ({"left": {}}, "left_lost"),
+        ({"left": np.zeros((7, 3))}, "left_lost"),
+        ({"left_joints": 5}, "invalid"),
+        ({"left_joints": "x" * 25}, "invalid"),
+        ({"left_joints": ((0.0,),) * 25}, "invalid"),
+        ({"right_curl": "fist"}, "invalid"),
+        ({"right_curl": [1]}, "invalid"),
+    ],
+    ids=str,
+)
+def test_a_sample_of_anything_gives_a_pose_and_a_flag(bad: dict[str, Any], flag: str) -> None:
+    tracker = Tracker(default_avatar().skeleton)
+    for t in (0.0, 0.01, 0.02):
+        pose = tracker.update(Sample(**{"t": t, "head": STANDING, "left": STANDING, "right": STANDING, **bad}))
+        assert np.isfinite(pose.rotations).all() and flag in tracker.flags
+    assert "invalid" in tracker.flags or "t" in bad
+
+
+def test_numpy_numbers_are_numbers() -> None:
+    one, two = (Tracker(default_avatar().skeleton) for _ in range(2))
+    for t in (0.0, 0.01):
+        plain = one.update(Sample(t, STANDING, STANDING))
+        array = two.update(Sample(np.float64(t), np.array(STANDING), np.array(STANDING)))  # type: ignore[arg-type]
+        np.testing.assert_array_equal(plain.rotations, array.rotations)
+
+
+def test_what_is_not_a_sample_is_refused_in_one_line() -> None:
+    with pytest.raises(PoseError, match="takes a Sample"):
+        Tracker(default_avatar().skeleton).update({"head": STANDING})  # type: ignore[arg-type]
+
+
+def test_the_pose_of_a_repeated_time_cannot_be_spoilt() -> None:
+    tracker = Tracker(default_avatar().skeleton)
+    first = tracker.update(Sample(0.0, STANDING))
+    with pytest.raises(ValueError, match="read-only"):
+        first.rotations[3] = 7.0
+    with pytest.raises(ValueError, match="read-only"):
+        first.trans += 1.0
+    again = tracker.update(Sample(0.0, STANDING))
+    np.testing.assert_array_equal(again.rotations, first.rotations)
+
+
+@pytest.mark.parametrize("value", ["1.5", True, None, [1], {}])
+@pytest.mark.parametrize("key", ["head", "left", "right_grip"])
+def test_strings_and_bools_in_a_recording_are_not_numbers(key: str, value: Any) -> None:
+    with pytest.raises(PoseError, match=f'"{key}" of a tracking sample needs numbers'):
+        Sample.from_json({"t": 0, "head": list(STANDING), key: [0, value, 0, 0, 0, 0, 1]})
+    assert math.isnan(Sample.from_json({"head": [math.nan, *STANDING[1:]]}).head[0])  # type: ignore[index]
+
+
+@pytest.mark.parametrize("text", ["{}", '{"floor": 0}', '{"scale": "1"}', '{"scale": true}', '{"scale": null}', "[1]"])
+def test_what_is_no_calibration_is_refused(text: str, tmp_path: Any) -> None:
+    path = tmp_path / "me.json"
+    path.write_text(text)
+    with pytest.raises(FormatError, match=r"me\.json"):
+        Calibration.load(path)
+    Calibration(scale=1.1, eye_height=1.6).save(path)
+    assert Calibration.load(path) == Calibration(scale=1.1, eye_height=1.6)
