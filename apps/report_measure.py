@@ -58,7 +58,7 @@ def measure(
     """One row a setting: ms a frame (8-bit output, read back; JPEG: encoded too) and the error of the float picture.
 
     The error of the order knob is against float64 in an exact order an eye; every other against the contract. A setting
-    that sorts every n-th frame has the mean over n frames as its sample.
+    that sorts every n-th frame has the mean over the medians of those n.
     """
     truth = truth or Truth(subject.right or subject.scene)
     drawn = list({s.drawn: None for s in settings})
@@ -91,9 +91,9 @@ def measure(
         else:
             error = errors[replace(s.drawn, copy=0), _order(s)]
         period = s.drawn.config.sort_period
-        sampled, default = _cycles(series, period), _cycles(times[settings[0].drawn], period)
-        ratio = float(np.median(np.divide(sampled, default)))  # frame by frame: what slows both down cancels
-        row |= {"ms": asdict(Series.of(sampled)), "ratio": round(ratio, 3), **asdict(error)}
+        shares = np.divide(series, times[settings[0].drawn])  # frame by frame: what slows both down cancels
+        ms = {**asdict(Series.of(series)), "median": round(_typical(series, period), 3)}
+        row |= {"ms": ms, "ratio": round(_typical(shares, period), 3), **asdict(error)}
         rows.append(row)
     _mark(rows, settings)
     noise = abs(float(np.median(times[settings[0].drawn])) - float(np.median(times[settings[1].drawn])))
@@ -212,12 +212,9 @@ def _error(
     return Difference.worst(several)
 
 
-def _cycles(series: Sequence[float], period: int) -> list[float]:
-    """Means over ``period`` samples; what is left over at the end is left out, if there is anything before it."""
-    whole = len(series) // period * period
-    if period == 1 or whole == 0:
-        return list(series)
-    return [float(mean) for mean in np.reshape(series[:whole], (-1, period)).mean(axis=1)]
+def _typical(values: Sequence[float] | NDArray[np.float64], period: int) -> float:
+    """The median; of what repeats itself every ``period`` samples the mean over the medians of its phases."""
+    return float(np.mean([np.median(values[i::period]) for i in range(min(period, len(values)))]))
 
 
 def _encode(picture: NDArray[Any], quality: int, chroma: str) -> tuple[float, int]:

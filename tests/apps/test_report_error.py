@@ -10,7 +10,7 @@ import pytest
 
 from apps.report_error import PSNR_CAP, Difference, Truth, pareto
 from apps.report_knobs import Drawn, Setting, base_config, settings_of
-from apps.report_measure import better_than_default, measure
+from apps.report_measure import _typical, better_than_default, measure
 from apps.report_subjects import Subject
 from glsplat.camera import Camera, look_at, pinhole
 from glsplat.config import RenderConfig
@@ -158,3 +158,11 @@ def test_better_than_the_default_means_beyond_noise() -> None:
     rows = [row("default", 10.0, 60.0, True), row("a", 9.0, 60.0), row("b", 9.8, 70.0), row("c", 5.0, 59.0)]
     assert better_than_default(rows, noise=0.5) == ["a: x"]
     assert better_than_default(rows, noise=0.1) == ["a: x", "b: x"]
+
+
+def test_what_repeats_itself_has_the_mean_over_its_phases() -> None:
+    series = [10.0, 2.0, 2.0, 4.0] * 3 + [10.0, 2.0]
+    assert _typical(series, 1) == 3.0 and _typical(series, 4) == 4.5
+    series[5] = 900.0  # one frame that something else held up
+    assert _typical(series, 4) == 4.5
+    assert _typical([3.0, 5.0], 8) == 4.0
