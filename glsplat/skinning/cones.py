@@ -73,10 +73,11 @@ def with_cones(
     axis /= np.maximum(np.linalg.norm(axis, axis=1, keepdims=True), 1e-30)
     cosine = np.einsum("vni,ni->vn", way, axis)
 
-    # other directions than those looked from, the poses in turn
+    # other directions than those looked from, the poses in turn; opacity compensation undoes the dilation
+    test_eps2d = 0.01 * config.test_eps2d if splats.antialias else config.test_eps2d
     spread = sphere(2 * config.directions + 1)[:: 2 * config.directions // config.tests]
     tests = [
-        (posed, camera.position, _footprints(posed, camera, config.test_eps2d))
+        (posed, camera.position, _footprints(posed, camera, test_eps2d))
         for i, direction in enumerate(spread)
         for posed, camera in _views(poses[i % len(poses) : i % len(poses) + 1], direction[None], config.size)
     ]
