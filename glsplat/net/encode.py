@@ -37,7 +37,6 @@ class Encoder:
     def __init__(self, threads: int = 2, subsampling: str = "420") -> None:
         self._pool = ThreadPoolExecutor(threads, thread_name_prefix="encode")
         self._subsampling = subsampling
-        self._pool.submit(encode_covered, np.zeros((64, 64, 4), np.uint8), (0, 0, 16, 16), 80)  # loads the codec
 
     def encode(
         self, images: NDArray[np.uint8], quality: int = 80, crop: bool = False, covered: Box | None = None

@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from functools import lru_cache
 from itertools import cycle
 
+import cv2  # not when first needed: its import changes sys.path for a moment, and a process spawned then inherits that
 import numpy as np
 from numpy.typing import NDArray
 
@@ -73,8 +74,6 @@ def _black(length: int, quality: int) -> tuple[bytes, bytes]:
 
 def _encode(image: NDArray[np.uint8], length: int, quality: int) -> tuple[bytes, bytes]:
     """Header up to the entropy-coded data, and these data."""
-    import cv2  # here: it takes 0.15 s, and a server that starts has something else to do meanwhile
-
     options = [cv2.IMWRITE_JPEG_QUALITY, quality, cv2.IMWRITE_JPEG_RST_INTERVAL, length]
     options += [cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_420]
     _, encoded = cv2.imencode(".jpg", cv2.cvtColor(image, cv2.COLOR_RGBA2BGR), options)
