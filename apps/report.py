@@ -70,7 +70,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="folders with NAME.camera.json for scenes that have none beside them, or NAME=FILE for one scene",
     )
     parser.add_argument("--quick", action="store_true", help="fewer frames, smaller pictures, fewer points of growth")
-    parser.add_argument("--frames", type=int, help="measured frames a setting (default 30; 10 with --quick)")
+    parser.add_argument("--frames", type=int, help="measured frames a setting (default 30; 8 with --quick)")
     parser.add_argument("--size", type=int, help="pixels a side of section 1 (default 256; 128 with --quick)")
     parser.add_argument("--device", help="EGL device: index or part of its name (also GLSPLAT_DEVICE)")
     parser.add_argument("-o", "--output", type=Path, default=Path("out/report"), help="folder (default out/report)")
@@ -78,7 +78,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Measure, write, and say what does not hold: 1 if a stability case failed."""
-    frames = (10 if args.quick else 30) if args.frames is None else args.frames
+    frames = (8 if args.quick else 30) if args.frames is None else args.frames
     size = (128 if args.quick else 256) if args.size is None else args.size
     if not 3 <= frames <= 10000:
         raise GlsplatError(f"--frames needs 3 to 10000, not {frames}")
@@ -140,7 +140,7 @@ def measured(
     total += sum(measure_cost(*one, frames, two) for one, two in zip(_pairs(subjects, settings), compared, strict=True))
     total += (WARM_UP + fewer) * (feature_cost * (len(features) + 0.5) + sum(pair_cost.values()))
     if context.software:
-        tqdm.write(f"about {max(1, round(total / 60e3))} minutes on two cores that do nothing else", file=sys.stderr)
+        tqdm.write(f"about {math.ceil(total / 60e3)} minutes on two cores that do nothing else", file=sys.stderr)
     seconds: dict[str, float] = {}
     with tqdm(total=total, bar_format=_BAR, disable=not sys.stderr.isatty()) as bar:
 
