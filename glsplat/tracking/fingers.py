@@ -85,10 +85,11 @@ class Fingers:
         m0, m1, m2 = 1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)
         m3, m4, m5 = 2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)
         m6, m7, m8 = 2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)
-        out = []
+        out: list[float] = []
         for start, bones in zip(_STARTS, self.bones, strict=True):
             near = joints[start]
-            turns: list[tuple[float, float, float, float]] = []  # of this finger's joints: v = a x b, and cos
+            px = py = pz = qx = qy = qz = 0.0  # the turns v = a x b of this finger's first joints, and their cos
+            pc = qc = 1.0
             for level in (0, 1, 2):
                 far = joints[start + level + 1]
                 dx, dy, dz = far[0] - near[0], far[1] - near[1], far[2] - near[2]
@@ -99,13 +100,20 @@ class Fingers:
                 k = 1 / sqrt(size)
                 dx, dy, dz = dx * k, dy * k, dz * k
                 bx, by, bz = m0 * dx + m1 * dy + m2 * dz, m3 * dx + m4 * dy + m5 * dz, m6 * dx + m7 * dy + m8 * dz
-                for vx, vy, vz, c in turns:  # into the frame of the joint before: R' b = c b - v x b + v (v.b)/(1 + c)
-                    k = (vx * bx + vy * by + vz * bz) / (1 + c)
+                if level:  # into the frame of the joint before: R' b = c b - v x b + v (v.b)/(1 + c)
+                    k = (px * bx + py * by + pz * bz) / (1 + pc)
                     bx, by, bz = (
-                        c * bx - vy * bz + vz * by + vx * k,
-                        c * by - vz * bx + vx * bz + vy * k,
-                        c * bz - vx * by + vy * bx + vz * k,
+                        pc * bx - py * bz + pz * by + px * k,
+                        pc * by - pz * bx + px * bz + py * k,
+                        pc * bz - px * by + py * bx + pz * k,
                     )
+                    if level == 2:
+                        k = (qx * bx + qy * by + qz * bz) / (1 + qc)
+                        bx, by, bz = (
+                            qc * bx - qy * bz + qz * by + qx * k,
+                            qc * by - qz * bx + qx * bz + qy * k,
+                            qc * bz - qx * by + qy * bx + qz * k,
+                        )
                 ax, ay, az = bones[level]
                 vx, vy, vz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
                 c = ax * bx + ay * by + az * bz
@@ -113,7 +121,10 @@ class Fingers:
                     return None
                 s = sqrt(vx * vx + vy * vy + vz * vz)
                 k = atan2(s, c) / s if s > 1e-9 else 1.0
-                out.append((vx * k, vy * k, vz * k))
-                turns.append((vx, vy, vz, c))
+                out += (vx * k, vy * k, vz * k)
+                if level == 0:
+                    px, py, pz, pc = vx, vy, vz, c
+                else:
+                    qx, qy, qz, qc = vx, vy, vz, c
         turn: Array = np.array(out).reshape(5, 3, 3)
         return np.minimum(np.maximum(turn, self.low), self.high)

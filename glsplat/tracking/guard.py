@@ -47,14 +47,15 @@ class Guard:
         """Joints and pelvis. True if this moved a foot."""
         most = self.joint_speed * dt
         safe = cos(0.5 * min(most, 3.0))
-        rotations, slipped = solution.rotations, False
-        for joint, (old, new) in enumerate(zip(last.rotations, rotations, strict=True)):
-            dot = abs(old[0] * new[0] + old[1] * new[1] + old[2] * new[2] + old[3] * new[3])
-            if dot < safe:
-                angle = 2 * acos(min(dot, 1.0))
+        rotations, slipped, joint = solution.rotations, False, 0
+        for (aw, ax, ay, az), (bw, bx, by, bz) in zip(last.rotations, rotations, strict=True):
+            dot = aw * bw + ax * bx + ay * by + az * bz
+            if -safe < dot < safe:
+                old, new, angle = last.rotations[joint], rotations[joint], 2 * acos(min(abs(dot), 1.0))
                 turned = slerp(old, new, most / angle) if angle > 0.1 else nlerp(old, new, most / angle)
                 slipped = slipped or joint in LEG_JOINTS or joint == PELVIS
                 rotations[joint] = _inside(joint, old, turned, safe)
+            joint += 1
         far = _distance(solution.pelvis, last.pelvis)
         reach = self.root_speed * dt
         if far > reach:

@@ -30,7 +30,7 @@ DORSIFLEXION = 0.66  # radians the ankle bends under load
 TIPTOE = 1.0  # radians the heel may lift about the ball
 EXTENSION = 0.5  # behind for each metre down: 27 degrees the hip extends
 STRAIGHT = 0.997  # of its length a leg stretches to
-SOFT = 0.02  # of its length over which a leg becomes straight: the knee would jump otherwise
+SOFT = 0.03  # of its length over which a leg becomes straight: the knee would jump otherwise
 
 
 class Leg:

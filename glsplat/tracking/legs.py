@@ -20,6 +20,7 @@ TURN_AHEAD = 0.3  # seconds a step looks ahead in a turn
 STEP_TIME = 0.36  # seconds of a step out of standing
 QUICK = 0.2  # likewise, of a step that a strained leg needs
 BALANCE = 0.05  # metres the mass stands before the ankles, compared with the rest pose (over the middle of the foot)
+STILL = 0.2  # m/s below which no leg is stretched unawares
 FORESIGHT = 0.05  # seconds: a foot leaves the ground before its leg is stretched
 TRACK = 1.0  # distance of the feet in the rest pose that a stance takes
 NARROW = 0.55  # likewise, while walking
@@ -98,9 +99,10 @@ class Legs:
         self.yaw = yaw
         k = 1 - exp(-dt / 0.4)
         self.rest = (self.rest[0] + (base[0] - self.rest[0]) * k, 0.0, self.rest[2] + (base[2] - self.rest[2]) * k)
-        for leg, foot, hip in zip(self.legs, self.feet, hips, strict=True):
-            if foot.planted and not foot.strained:
-                foot.strained = leg.strains(foot, add(hip, scale(velocity, FORESIGHT)), pelvis)
+        if speed > STILL:
+            for leg, foot, hip in zip(self.legs, self.feet, hips, strict=True):
+                if foot.planted and not foot.strained:
+                    foot.strained = leg.strains(foot, add(hip, scale(velocity, FORESIGHT)), pelvis)
         reach = min(hips[0][1], hips[1][1]) - self.farthest
         self.slack = -reach
         # half a parabola from before the tiptoes lose the ground: the feet leave it without a jolt

@@ -19,7 +19,6 @@ BODY = slice(0, 22)  # the 22 joints of SMPL that the literature scores
 LOWER = (1, 2, 4, 5, 7, 8, 10, 11)
 UPPER = (3, 6, 9, 12, 13, 14, 15, 16, 17, 18, 19, 20, 21)
 CONTACT = 0.02  # metres the ball of a foot may lie above its height on flat ground and count as planted
-SETTLING = 5  # samples at the start in which the feet may find their place
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,11 +98,7 @@ def _jitter(positions: Array, rate: float) -> float:
 
 
 def _skate(feet: Array, sole: float, rate: float) -> float:
-    """Mean horizontal speed (cm/s) of the balls of the feet over the steps whose both ends touch the ground.
-
-    The first samples do not count: no solver can know how the feet stand before it knows how the head moves.
-    """
-    feet = feet[SETTLING:] if len(feet) > 2 * SETTLING else feet
+    """Mean horizontal speed (cm/s) of the balls of the feet over the steps whose both ends touch the ground."""
     low = feet[..., 1] < sole + CONTACT
     speed = np.linalg.norm(np.diff(feet[..., [0, 2]], axis=0), axis=-1) * rate * 100
     planted = low[1:] & low[:-1]

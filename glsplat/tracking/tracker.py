@@ -18,7 +18,7 @@ from glsplat.tracking.calibration import Calibration
 from glsplat.tracking.filters import OneEuro, PositionFilter, RotationFilter
 from glsplat.tracking.fingers import Fingers
 from glsplat.tracking.guard import Guard
-from glsplat.tracking.quat import IDENTITY, Quat, Vec, conj, mul, to_quat
+from glsplat.tracking.quat import IDENTITY, Quat, Vec, conj, mul, rotation_vector, to_quat
 from glsplat.tracking.sample import Sample, Transform
 from glsplat.tracking.solver import AnalyticSolver, Solution, Solver, Targets
 
@@ -316,9 +316,8 @@ class Tracker:
         if dt <= 0:
             self._guard.reset()
         self._guard.step(solution, dt)
-        quats = np.array(solution.rotations)
         rotations = np.zeros((55, 3))
-        rotations[:22] = _rotation_vectors(quats)
+        rotations[:22] = [rotation_vector(turn) for turn in solution.rotations]
         seconds, slow = dt or 1.0, not 0 < dt < FINGERS_IN_TURN
         self._count += 1
         for side, fingers in enumerate(self._fingers):
@@ -357,14 +356,6 @@ class Tracker:
         self.flags = tuple(flags)
         self._pose = pose
         return pose
-
-
-def _rotation_vectors(quats: NDArray[np.float64]) -> NDArray[np.float64]:
-    q = np.where(quats[:, :1] < 0, -quats, quats)
-    v = q[:, 1:]
-    s = np.sqrt((v * v).sum(1, keepdims=True))
-    k = 2 * np.arctan2(s, q[:, :1]) / np.maximum(s, 1e-12)
-    return v * np.where(s > 1e-9, k, 2.0)
 
 
 def _distance(a: Vec, b: Vec) -> float:
