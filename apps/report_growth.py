@@ -8,6 +8,7 @@ import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import ExitStack
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -70,23 +71,9 @@ def growth(context: Context, grid: Grid, device: str | None = None, tick: Tick =
     is made and draws its first frames (a software driver keeps the former there; None where the system does not tell).
     """
     avatar = default_avatar()
-    base = len(avatar.splats)
     out: dict[str, Any] = {"size": grid.size, "frames": grid.frames, "scene": "default avatar, in motion"}
     for axis, points in _points(grid).items():
-        rows: list[dict[str, Any]] = []
-        for splats, pixels, views in points:
-            reason = _too_much(rows, splats, pixels, views, grid)
-            row: dict[str, Any] = {"splats": splats, "size": pixels, "views": views, "pixels": views * pixels**2}
-            if reason:
-                rows.append({**row, "left_out": reason})
-            else:
-                scene = avatar if splats == base else resampled(avatar, splats)
-                row |= _point(context, scene, pixels, views, grid, axis == "splats")
-                rows.append(
-                    row | {"process_bytes": _grown_apart(splats, pixels, views, device) if grid.alone else None}
-                )
-            tick(_spent((splats, pixels, views), grid, axis))
-        out[axis] = rows
+        out[axis] = _along(context, avatar, grid, axis, points, device, tick)
     out["fits"] = _fits(out)
     return out
 
@@ -128,18 +115,55 @@ def _points(grid: Grid) -> dict[str, list[tuple[int, int, int]]]:
     }
 
 
-def _point(context: Context, scene: Avatar, pixels: int, views: int, grid: Grid, staged: bool) -> dict[str, Any]:
+def _along(
+    context: Context,
+    avatar: Avatar,
+    grid: Grid,
+    axis: str,
+    points: Sequence[tuple[int, int, int]],
+    device: str | None,
+    tick: Tick,
+) -> list[dict[str, Any]]:
+    """A row a point: renderers of all of them first, smallest first, then frames in turn, so that noise hits all."""
+    rows: list[dict[str, Any]] = []
+    shown: list[tuple[dict[str, Any], Renderer, Callable[[Renderer, int], dict[str, float]]]] = []
+    with ExitStack() as stack:
+        for splats, pixels, views in points:
+            row: dict[str, Any] = {"splats": splats, "size": pixels, "views": views, "pixels": views * pixels**2}
+            rows.append(row)
+            tick(_spent((splats, pixels, views), grid, axis) / 2)
+            reason = _too_much(rows[:-1], splats, pixels, views, grid)
+            if reason:
+                row["left_out"] = reason
+                continue
+            scene = avatar if splats == len(avatar.splats) else resampled(avatar, splats)
+            show, size = _show(scene, pixels, views), (pixels, pixels)
+            row["process_bytes"] = _grown_apart(splats, pixels, views, device) if grid.alone else None
+            if axis == "splats":
+                row["stages_ms"] = _stages(context, scene, pixels, views, grid)
+            renderer = stack.enter_context(Renderer(scene, size=size, views=views, context=context))
+            warm = [show(renderer, frame)["total"] for frame in range(WARM_UP)]
+            row["ms"] = asdict(Series.of(warm[1:]))  # what the next, larger point is judged by; replaced below
+            row |= {"drawn": renderer.stats.drawn, "bytes": renderer.nbytes()}
+            row["gpu_bytes"] = sum(row["bytes"].values())
+            shown.append((row, renderer, show))
+        turn = sum(_spent(point, grid, axis) for point in points) / 2 / grid.frames
+        times: list[list[float]] = [[] for _ in shown]
+        for frame in range(WARM_UP, WARM_UP + grid.frames):
+            for (_, renderer, show), series in zip(shown, times, strict=True):
+                series.append(show(renderer, frame)["total"])
+            tick(turn)
+    for (row, _, _), series in zip(shown, times, strict=True):
+        row["ms"] = asdict(Series.of(series))
+    return rows
+
+
+def _stages(context: Context, scene: Avatar, pixels: int, views: int, grid: Grid) -> dict[str, float]:
+    """Milliseconds a stage, from a renderer that waits after each."""
     show = _show(scene, pixels, views)
-    with Renderer(scene, size=(pixels, pixels), views=views, context=context) as renderer:
-        timings = [show(renderer, frame) for frame in range(WARM_UP + grid.frames)][WARM_UP:]
-        memory, drawn = renderer.nbytes(), renderer.stats.drawn
-    series = Series.of([t["total"] for t in timings])
-    row: dict[str, Any] = {"ms": asdict(series), "drawn": drawn, "bytes": memory, "gpu_bytes": sum(memory.values())}
-    if staged:
-        with Renderer(scene, size=(pixels, pixels), views=views, context=context, timed=True) as renderer:
-            taken = [show(renderer, frame) for frame in range(1 + grid.staged)][1:]
-        row["stages_ms"] = {s: float(np.median([t[s] for t in taken])) for s in STAGES if s in taken[0]}
-    return row
+    with Renderer(scene, size=(pixels, pixels), views=views, context=context, timed=True) as renderer:
+        taken = [show(renderer, frame) for frame in range(1 + grid.staged)][1:]
+    return {s: float(np.median([t[s] for t in taken])) for s in STAGES if s in taken[0]}
 
 
 def _show(scene: Avatar, pixels: int, views: int) -> Callable[[Renderer, int], dict[str, float]]:
