@@ -29,7 +29,7 @@ HAND_POSITION, HAND_ROTATION = OneEuro(4.0, 40.0), OneEuro(4.0, 6.0)
 """At rest 32 ms of lag for the head and 40 ms for the hands; at 1 m/s 3.5 ms, never more than 4 mm behind."""
 
 SHORTEST = 1e-4  # seconds; samples closer than this are the same moment
-FINGERS_IN_TURN = 0.02  # seconds between samples below which the hands' fingers are fitted in turn
+FINGERS_IN_TURN = 0.04  # seconds between samples below which the hands' fingers are fitted in turn
 FAR = 1e4  # metres; a device farther away is not tracked
 
 
