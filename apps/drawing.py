@@ -51,7 +51,7 @@ class RendererBackend:
         except Exception:
             self._check_alive()
             renderer.load(self._scene)  # whatever was half done must not be taken for finished
-            renderer.resize(1, 1)
+            renderer.drop_targets()
             raise
         self._check_alive()
         return Rendered(images, dict(renderer.timings), renderer.driver, renderer.stats.covered)

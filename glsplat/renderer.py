@@ -21,7 +21,8 @@ from glsplat.context import Context, create_context
 from glsplat.errors import ContextError, GlsplatError, PoseError
 from glsplat.passes.pipeline import Pipeline
 from glsplat.passes.scene import SceneBuffers
-from glsplat.passes.target import FORMATS, ByteTarget, Target
+from glsplat.passes.target import FORMATS, Target
+from glsplat.passes.target_pool import TargetPool
 from glsplat.shaders import Programs, Variant, variant_for
 from glsplat.shaders.variant import MAX_VIEWS
 from glsplat.skinning.pose import Pose
@@ -66,8 +67,7 @@ class Renderer:
         self.timer = StageTimer(self.context.ctx.finish if timed else None)
         self._scene: SceneBuffers | None = None
         self._pipelines: dict[Variant, Pipeline] = {}
-        self._targets: dict[int, Target] = {}  # by views
-        self._byte_targets: dict[int, ByteTarget] = {}
+        self._targets = TargetPool(self.context, self.target_dtype)
         self.stats = FrameStats(0, 0, 0)
         self.variant = Variant()  # of the last pass
         self.size = (0, 0)
@@ -82,7 +82,7 @@ class Renderer:
             self._triangle = automatic or self.config.shape == "triangle"
             self.resize(*size)
             self.load(scene)
-            self._target(min(views, MAX_VIEWS))
+            self._targets.float_target(self.size, min(views, MAX_VIEWS))
         except BaseException:
             self.release()
             raise
@@ -119,7 +119,7 @@ class Renderer:
             "splats": scene.nbytes if scene else 0,
             "sh": scene.sh_nbytes if scene else 0,
             "work": sum(p.nbytes for p in self._pipelines.values()),
-            "targets": sum(t.nbytes for t in self._all_targets()),
+            "targets": self._targets.nbytes,
         }
 
     def load(self, scene: Splats | Avatar) -> None:
@@ -150,13 +150,15 @@ class Renderer:
         self._last_bones: NDArray[np.float64] | None = None
 
     def resize(self, width: int, height: int) -> None:
-        """Set the size of all views in pixels."""
+        """Set the size of all views in pixels. Targets of a few sizes used before are kept: see drop_targets()."""
         limit = self.context.max_size
         if not (0 < width <= limit and 0 < height <= limit):
             raise ContextError(f"size needs 1 to {limit} pixels a side on {self.driver}, not {width}x{height}")
-        if (width, height) != self.size:
-            self._drop_targets()
-            self.size = (width, height)
+        self.size = (width, height)
+
+    def drop_targets(self) -> None:
+        """Give back the memory of all targets; the next frame makes its own."""
+        self._targets.release()
 
     def render(
         self,
@@ -177,7 +179,7 @@ class Renderer:
         for batch in passes_of(cameras, self.config.order == "shared" or sort_viewmat is not None):
             views = [cameras[i] for i in batch]
             pipeline, target = self._draw(views, sort_viewmat, boxed=self.config.output == "uint8")
-            byte_target = self._byte_target(len(views)) if self.config.output == "uint8" else None
+            byte_target = self._targets.byte_target(self.size, len(views)) if self.config.output == "uint8" else None
             pipeline.read(target, byte_target, views, out[batch[0] : batch[0] + len(views)], self.timer)
             self._count(pipeline)
         self.timer.stop()
@@ -201,7 +203,7 @@ class Renderer:
 
         The draw floor: what the picture costs once everything before it is known (``glsplat bench``).
         """
-        pipeline, target = self._pipeline(cameras), self._target(len(cameras))
+        pipeline, target = self._pipeline(cameras), self._targets.float_target(self.size, len(cameras))
         self.context.ctx.finish()
         timer = StageTimer(self.context.ctx.finish)
         timer.start()
@@ -230,7 +232,7 @@ class Renderer:
             if self._owns_context:
                 stack.callback(self.context.release)
             stack.callback(self._programs.release)
-            stack.callback(self._drop_targets)
+            stack.callback(self._targets.release)
             stack.callback(self._drop_scene)
         self._owns_context, self._released = False, True
 
@@ -264,7 +266,7 @@ class Renderer:
     ) -> tuple[Pipeline, Target]:
         """Steps 1 to 4 for one pass."""
         pipeline = self._pipeline(views)
-        target = self._target(len(views))
+        target = self._targets.float_target(self.size, len(views))
         order = sorting_camera(views) if sort_viewmat is None else sort_viewmat
         resorted = pipeline.geometry(views, order, self._geometry_version, self.timer)
         pipeline.draw(target, views, self.timer, boxed)
@@ -312,26 +314,6 @@ class Renderer:
         if variant not in self._pipelines:
             self._pipelines[variant] = Pipeline(self.context, self._programs, variant, self._scene, self.config)
         return self._pipelines[variant]
-
-    def _all_targets(self) -> list[Target | ByteTarget]:
-        return [*self._targets.values(), *self._byte_targets.values()]
-
-    def _target(self, views: int) -> Target:
-        if views not in self._targets:
-            self._targets[views] = Target(self.context.ctx, *self.size, views, self.target_dtype)
-        return self._targets[views]
-
-    def _byte_target(self, views: int) -> ByteTarget:
-        if views not in self._byte_targets:
-            self._byte_targets[views] = ByteTarget(self.context.ctx, *self.size, views)
-        return self._byte_targets[views]
-
-    def _drop_targets(self) -> None:
-        self.context.scratch.use()  # moderngl restores the framebuffer that was bound, and fails if it is gone
-        for target in self._all_targets():
-            target.release()
-        self._targets.clear()
-        self._byte_targets.clear()
 
     def _drop_scene(self) -> None:
         for pipeline in self._pipelines.values():

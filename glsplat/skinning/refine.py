@@ -31,7 +31,7 @@ F64 = NDArray[np.float64]
 class RefineConfig:
     """How far and how fast splats may move."""
 
-    steps: int = 300
+    steps: int = 450
     size: int = 448  # pixels, square
     mean_rate: float = 0.025  # in cell sizes a step
     scale_rate: float = 0.025  # natural logarithm a step

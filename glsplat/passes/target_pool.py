@@ -1,0 +1,80 @@
+"""TargetPool: the targets of a renderer, by size. Clients that take turns with other sizes do not make them anew."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+
+from glsplat.context import Context
+from glsplat.passes.target import ByteTarget, Target
+
+__all__ = ["TargetPool"]
+
+SIZES = 4
+"""Sizes that are kept at most."""
+
+KEPT_BYTES = 256 * 2**20
+"""What targets of sizes other than the current one may take."""
+
+Size = tuple[int, int]  # width, height
+
+
+class TargetPool:
+    """Targets of the sizes used last, made when they are first asked for."""
+
+    def __init__(self, context: Context, dtype: str) -> None:
+        self._context, self._dtype = context, dtype
+        self._floats: OrderedDict[Size, dict[int, Target]] = OrderedDict()  # the size used last comes last; by views
+        self._bytes: dict[Size, dict[int, ByteTarget]] = {}
+
+    @property
+    def nbytes(self) -> int:
+        """GPU bytes of all targets that are kept."""
+        return sum(map(self._nbytes_of, self._floats))
+
+    def float_target(self, size: Size, views: int) -> Target:
+        """The float target of that size for so many views; drops sizes that have not been used for long."""
+        mine = self._use(size)
+        if views not in mine:
+            mine[views] = Target(self._context.ctx, *size, views, self._dtype)
+            self._trim()
+        return mine[views]
+
+    def byte_target(self, size: Size, views: int) -> ByteTarget:
+        """The same for the 8-bit picture made of it."""
+        self._use(size)
+        mine = self._bytes[size]
+        if views not in mine:
+            mine[views] = ByteTarget(self._context.ctx, *size, views)
+            self._trim()
+        return mine[views]
+
+    def release(self) -> None:
+        """Delete all targets; asking for one afterwards makes it anew."""
+        while self._floats:
+            self._drop()
+
+    def _use(self, size: Size) -> dict[int, Target]:
+        if size not in self._floats:
+            self._floats[size], self._bytes[size] = {}, {}
+        self._floats.move_to_end(size)
+        return self._floats[size]
+
+    def _trim(self) -> None:
+        while len(self._floats) > 1 and (
+            len(self._floats) > SIZES or self.nbytes - self._nbytes_of(next(reversed(self._floats))) > KEPT_BYTES
+        ):
+            self._drop()
+
+    def _drop(self) -> None:
+        """Delete the targets of the size that was used longest ago."""
+        self._context.scratch.use()  # moderngl restores the framebuffer that was bound, and fails if it is gone
+        size = next(iter(self._floats))
+        for target in self._targets_of(size):
+            target.release()
+        del self._floats[size], self._bytes[size]
+
+    def _nbytes_of(self, size: Size) -> int:
+        return sum(target.nbytes for target in self._targets_of(size))
+
+    def _targets_of(self, size: Size) -> list[Target | ByteTarget]:
+        return [*self._floats[size].values(), *self._bytes[size].values()]
