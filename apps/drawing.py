@@ -16,8 +16,15 @@ __all__ = ["RendererBackend"]
 class RendererBackend:
     """Draws one scene. Pictures of different sizes may follow each other."""
 
-    def __init__(self, scene: Splats | Avatar, pixels: tuple[int, int], device: str | None = None) -> None:
+    def __init__(
+        self,
+        scene: Splats | Avatar,
+        pixels: tuple[int, int],
+        device: str | None = None,
+        config: RenderConfig | None = None,
+    ) -> None:
         self._scene, self._pixels, self._device = scene, pixels, device
+        self._config = config or RenderConfig()
 
     def open(self) -> str:
         """Make the context, load the scene, and draw once so that no client waits for the shaders."""
@@ -28,7 +35,7 @@ class RendererBackend:
         self._mark = 0
         try:
             self._renderer = Renderer(
-                self._scene, size=self._pixels, views=2, config=RenderConfig(), context=self._context
+                self._scene, size=self._pixels, views=2, config=self._config, context=self._context
             )
             view = Camera(look_at((0, 1.2, 2.0), (0, 1, 0)), pinhole(*self._pixels), *self._pixels)
             self._renderer.render([view, view])
