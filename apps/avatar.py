@@ -48,7 +48,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     make.add_argument("--body", type=Path, help="rigged body (.npz) that lends joints and weights to an .obj in T-pose")
     make.add_argument("--splats", type=int, default=40_000, help="number of Gaussians (default 40000)")
     make.add_argument("--seed", type=int, default=0, help="same seed, same bytes (default 0)")
-    make.add_argument("--steps", type=int, default=RefineConfig().steps, help="fitting steps of 1 to 2 s (default %(default)d); 0: none")
+    make.add_argument(
+        "--steps",
+        type=int,
+        default=RefineConfig().steps,
+        help="fitting steps of 1 to 2 s (default %(default)d); 0: none",
+    )
     make.add_argument("--no-cones", action="store_true", help="make no visibility cones (--cull-hidden needs them)")
 
     cones = commands.add_parser("cones", help="find out which splats are hidden from where, for --cull-hidden")
