@@ -26,7 +26,7 @@ class RenderConfig:
     )
     order: Literal["shared", "per_view"] = "shared"  # one depth order for both eyes, or one an eye
     sort_bits: Literal[16, 32] = 32  # bits of the depth key
-    sort_period: int = 1  # sort every n-th moved frame and keep the old order in between; at rest it is always exact
+    sort_period: int = 1  # sort every n-th moved frame of one pass, keep the old order in between; at rest it is exact
     rotation: Literal["polar", "raw"] = "polar"  # R_i under skinning: nearest rotation, or the blended matrix
     influences: Literal[0, 1, 2, 4, 8] = 0  # joints a splat; 0 = as many as the avatar has
     sh_degree: int = 3  # evaluate at most this degree
@@ -48,6 +48,8 @@ class RenderConfig:
             "rotation": ("polar", "raw"),
             "influences": (0, 1, 2, 4, 8),
             "sh_degree": (0, 1, 2, 3),
+            "antialias": (None, False, True),
+            "cull_hidden": (False, True),
         }
         for name, values in allowed.items():
             if getattr(self, name) not in values:

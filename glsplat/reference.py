@@ -238,7 +238,7 @@ def lifted(image: NDArray[T], background: tuple[float, float, float]) -> NDArray
     """
     alpha = image[..., 3:]
     more = alpha * alpha * (1 - alpha)
-    return image + more * np.concatenate([image[..., :3] - np.asarray(background, image.dtype), alpha], axis=-1)
+    return image * (1 + more) - more * np.asarray((*background, 0), image.dtype)
 
 
 def render(

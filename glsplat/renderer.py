@@ -176,9 +176,11 @@ class Renderer:
             raise GlsplatError("sort_viewmat needs 4x4 finite numbers")
         self._begin(cameras, pose)
         out = np.empty((len(cameras), self.size[1], self.size[0], 4), self._output_type())
-        for batch in passes_of(cameras, self.config.order == "shared" or sort_viewmat is not None):
+        passes = passes_of(cameras, self.config.order == "shared" or sort_viewmat is not None)
+        for batch in passes:
             views = [cameras[i] for i in batch]
-            pipeline, target = self._draw(views, sort_viewmat, boxed=self.config.output == "uint8")
+            boxed = self.config.output == "uint8"
+            pipeline, target = self._draw(views, sort_viewmat, boxed, alone=len(passes) == 1)
             byte_target = self._targets.byte_target(self.size, len(views)) if self.config.output == "uint8" else None
             pipeline.read(target, byte_target, views, out[batch[0] : batch[0] + len(views)], self.timer)
             self._count(pipeline)
@@ -262,13 +264,13 @@ class Renderer:
         self._pose(pose)
 
     def _draw(
-        self, views: Sequence[Camera], sort_viewmat: NDArray[np.float64] | None, boxed: bool
+        self, views: Sequence[Camera], sort_viewmat: NDArray[np.float64] | None, boxed: bool, alone: bool = True
     ) -> tuple[Pipeline, Target]:
         """Steps 1 to 4 for one pass."""
         pipeline = self._pipeline(views)
         target = self._targets.float_target(self.size, len(views))
         order = sorting_camera(views) if sort_viewmat is None else sort_viewmat
-        resorted = pipeline.geometry(views, order, self._geometry_version, self.timer)
+        resorted = pipeline.geometry(views, order, self._geometry_version, self.timer, alone)
         pipeline.draw(target, views, self.timer, boxed)
         self.variant = pipeline.variant
         self.stats = replace(self.stats, sorted=self.stats.sorted or resorted)

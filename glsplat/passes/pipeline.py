@@ -91,7 +91,12 @@ class Pipeline:
         return sum(b.size for b in buffers) + (self._skin.posed.size if self._skin else 0)
 
     def geometry(
-        self, views: Sequence[Camera], sort_viewmat: NDArray[np.float64], version: int, timer: StageTimer
+        self,
+        views: Sequence[Camera],
+        sort_viewmat: NDArray[np.float64],
+        version: int,
+        timer: StageTimer,
+        alone: bool = True,  # no other pass of this frame has left its order here
     ) -> bool:
         """Steps 1 to 3, up to the records in drawing order. True if the splats were sorted again."""
         self._frame.write(views, sort_viewmat, self._scene.origin, self._config, self._scene.shift)
@@ -107,7 +112,7 @@ class Pipeline:
         if not moved and self._order_age == 0:
             return False
         self._seen = state
-        resort = not moved or self._order_age + 1 >= self._config.sort_period
+        resort = not (moved and alone) or self._order_age + 1 >= self._config.sort_period
         self._order_age = 0 if resort else self._order_age + 1
         if self._sorter:
             if resort:
@@ -124,8 +129,10 @@ class Pipeline:
             self.culled = count_culled(keys)
             self.covered = covered_box(tiles[keys < FIRST_CULLED], views[0].width, views[0].height)
             if resort:
-                self._order = sorted_indices(keys, self._config.sort_bits)
-            self._project.write_order(self._order)
+                self._order = order = sorted_indices(keys, self._config.sort_bits)
+            else:  # an old order without what is culled by now: the covered box does not hold that
+                order = self._order[keys[self._order] < FIRST_CULLED]
+            self._project.write_order(order)
         timer.mark("sort")
         self._project.run()
         timer.mark("project")

@@ -3,5 +3,5 @@
 vec4 lifted(vec4 pixel, vec3 background) {
     float clear = 1.0 - pixel.a;
     float more = pixel.a * pixel.a * clear;  // A^3 (1 - A) / A
-    return pixel + more * vec4(pixel.rgb - background, pixel.a);
+    return pixel * (1.0 + more) - vec4(more * background, 0.0);  // this way infinity stays infinity
 }

@@ -30,6 +30,7 @@ F64 = NDArray[np.float64]
 _FAR = 8.0  # radii of the scene from which it is looked at
 _DECADES = 6  # between the smallest threshold and the largest weight
 _STEPS = 9  # halvings of the interval of thresholds
+_FLAT = 1e-15  # metres: what is thinner has no direction in float32 (cone.glsl has its square)
 Scene = TypeVar("Scene", bound=Splats | Avatar)
 
 
@@ -100,12 +101,15 @@ def with_cones(
 
 
 def hidden(posed: Splats, eyes: Sequence[NDArray[np.float64]], margin: float = 0.0) -> NDArray[np.bool_]:
-    """[N] True for splats whose cone holds none of the positions ``eyes`` [3] (cone.glsl)."""
+    """[N] True for splats whose cone holds none of the positions ``eyes`` [3] (cone.glsl).
+
+    A splat without extent in some direction is never hidden: the renderer cannot tell its axes.
+    """
     if posed.cones is None:
         raise GlsplatError("these splats have no visibility cones; make them with with_cones")
     axis = np.maximum(posed.cones / 127.0, -1)
     length = np.linalg.norm(axis[:, :3], axis=1)
-    out = np.ones(len(posed), bool)
+    out = np.asarray(np.abs(posed.scales).min(axis=1) > _FLAT)
     for eye in eyes:
         with np.errstate(invalid="ignore"):
             along = np.einsum("ni,ni->n", _ways(posed, eye), axis[:, :3])
