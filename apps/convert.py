@@ -49,6 +49,10 @@ def losses(scene: Splats | Avatar, suffix: str) -> Iterator[str]:
     splats = splats_of(scene)
     if suffix == ".splat" and splats.sh_degree:
         yield f"spherical harmonics of degree {splats.sh_degree} are dropped, the file holds degree 0"
+    if suffix == ".splat" and splats.antialias:
+        yield "that the splats want opacity compensation is dropped; draw them with --antialias"
+    if splats.cones is not None:
+        yield "the visibility cones are dropped"
     with np.errstate(invalid="ignore"):
         outside = int(((splats.opacities < 0) | (splats.opacities > 1)).sum())
         negative = int((splats.scales < 0).any(axis=1).sum())

@@ -61,6 +61,8 @@ def describe(scene: Splats | Avatar, path: str | Path | None) -> dict[str, Any]:
         "sh_degree": splats.sh_degree,
         "file_bytes": None if path is None else Path(path).stat().st_size,
         "memory_bytes": splats.nbytes,
+        "antialias": splats.antialias,
+        "cones": splats.cones is not None,
         "bounds": _bounds(splats.means),
         "scale": _percentiles(np.abs(splats.scales).max(axis=1)),
         "opacity": _percentiles(splats.opacities),
@@ -138,6 +140,9 @@ def _text(report: dict[str, Any]) -> str:
     ]
     size = "" if report["file_bytes"] is None else f"{report['file_bytes'] / 1e6:.2f} MB on disk, "
     rows = [("size", f"{size}{report['memory_bytes'] / 1e6:.2f} MB in memory")]
+    rows.append(("antialias", "opacity compensation wanted" if report["antialias"] else "not asked for"))
+    cones = "every splat has one" if report["cones"] else "none; --cull-hidden needs them (glsplat avatar cones)"
+    rows.append(("cones", cones))
     if bounds := report["bounds"]:
         axes = (
             f"{axis} {low:.4g} to {high:.4g}"

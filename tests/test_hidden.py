@@ -93,6 +93,35 @@ def test_lift_keeps_background_and_opaque_pixels() -> None:
     )
 
 
+def test_lift_keeps_infinite_colours() -> None:
+    pixel = np.array([[[np.inf, 0.5, 0.5, 1.0]]], np.float32)  # a colour beyond 65504 on a target of half floats
+    assert np.array_equal(reference.lifted(pixel, (0.1, 0.2, 0.3)), pixel)
+
+
+@pytest.mark.gl
+@pytest.mark.parametrize("thickness", [0.0, 1e-38, 1e-25, 1e-20, 1e-16])
+def test_splats_without_thickness_are_never_hidden(renderer_of: Make, thickness: float) -> None:
+    scene = coned(cloud(500))
+    scales = scene.scales.copy()
+    scales[::2, 1] = thickness
+    scene = replace(scene, scales=scales)
+    gone = hidden(scene, [camera(64).position])
+    assert not gone[::2].any() and gone[1::2].any()
+    renderer = renderer_of(scene, cull_hidden=True)
+    renderer.render([camera(64)])
+    assert renderer.stats.culled["hidden"] == gone.sum()
+
+
+@pytest.mark.gl
+def test_the_lowest_byte_is_minus_one_as_gltf_says(renderer_of: Make) -> None:
+    one = Splats.create([[0.0, 0, 0]], [[1.0, 0, 0, 0]], [[0.1, 0.1, 0.01]], [0.9], rgb=[[1.0, 1, 1]])
+    one = replace(one, cones=np.array([[0, 0, -127, -128]], np.int8))  # all but what the margin takes off
+    assert hidden(one, [camera(64).position], 0.005)[0]
+    renderer = renderer_of(one, cull_hidden=True, cull_margin=0.005)
+    renderer.render([camera(64)])
+    assert renderer.stats.culled["hidden"] == 1
+
+
 @pytest.mark.gl
 def test_half_a_ball_is_hidden_and_the_picture_stays(renderer_of: Make) -> None:
     splats = with_cones(ball(), QUICK)
@@ -148,6 +177,10 @@ def test_files_keep_cones_and_antialias(tmp_path: Path) -> None:
         read = load(tmp_path / f"a{suffix}")
         splats = read.splats if isinstance(read, Avatar) else read
         assert splats.antialias and np.array_equal(splats.cones, avatar.splats.cones)
+    for wants, meta in ((True, {"antialias": "no"}), (False, {"antialias": True})):  # the splats decide
+        save(replace(avatar, splats=replace(avatar.splats, antialias=wants), meta=meta), tmp_path / "m.glb")
+        read = load(tmp_path / "m.glb")
+        assert isinstance(read, Avatar) and read.splats.antialias == wants
     save(avatar.splats, tmp_path / "a.ply")
     ply = load(tmp_path / "a.ply")
     assert isinstance(ply, Splats) and ply.antialias and ply.cones is None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -34,6 +35,24 @@ def test_inspect_counts_ranges_and_sizes(tmp_path: Path, capsys: pytest.CaptureF
     np.testing.assert_allclose(report["scale"]["p50"], np.median(splats.scales.max(axis=1)), rtol=1e-5)
     np.testing.assert_allclose(report["opacity"]["p100"], splats.opacities.max(), rtol=1e-5)
     assert report["unusual"] == {}
+    assert report["antialias"] is False and report["cones"] is False
+
+
+def with_extras(splats: Splats) -> Splats:
+    return replace(splats, antialias=True, cones=np.full((len(splats), 4), 9, np.int8))
+
+
+def test_inspect_says_whether_there_are_cones_and_antialias(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    save(with_extras(random_splats()), tmp_path / "a.glb")
+    report = described(capsys, tmp_path / "a.glb")
+    assert report["antialias"] is True and report["cones"] is True
+    assert cli.main(["inspect", str(tmp_path / "a.glb")]) == 0
+    text = capsys.readouterr().out
+    assert "opacity compensation wanted" in text and "every splat has one" in text
+    save(random_splats(), tmp_path / "b.glb")
+    assert cli.main(["inspect", str(tmp_path / "b.glb")]) == 0
+    text = capsys.readouterr().out
+    assert "not asked for" in text and "--cull-hidden needs them" in text
 
 
 def test_inspect_finds_what_is_unusual(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -166,6 +185,15 @@ def test_losses_are_said(tmp_path: Path, capsys: pytest.CaptureFixture[str], suf
     converted = load(tmp_path / f"b{suffix}")
     assert isinstance(converted, Splats)
     np.testing.assert_array_equal(converted.means, avatar.splats.means)
+
+
+@pytest.mark.parametrize("suffix", [".ply", ".splat", ".glb"])
+def test_dropped_cones_and_antialias_are_said(tmp_path: Path, capsys: pytest.CaptureFixture[str], suffix: str) -> None:
+    save(with_extras(random_splats()), tmp_path / "a.glb")
+    assert cli.main(["convert", str(tmp_path / "a.glb"), str(tmp_path / f"b{suffix}")]) == 0
+    said = capsys.readouterr().err
+    assert ("visibility cones are dropped" in said) == (suffix != ".glb")
+    assert ("opacity compensation is dropped" in said) == (suffix == ".splat")
 
 
 def test_values_a_format_cannot_hold_are_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

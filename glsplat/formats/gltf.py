@@ -88,13 +88,14 @@ def save_gltf(scene: Splats | Avatar, path: str | Path) -> None:
     gltf.nodes = [Node(name="splats", mesh=0)]
     gltf.scenes = [Scene(nodes=[0])]
     note: dict[str, Any] = {"version": _VERSION}
-    if splats.antialias:
-        note[_ANTIALIAS] = True
     if isinstance(scene, Avatar):
         write_rig(out, scene, attributes)
         note |= dict(scene.meta)
         if scene.skin.lost or scene.skin.repaired:
             note[_WEIGHTS] = {"lost": scene.skin.lost, "repaired": scene.skin.repaired}
+    note.pop(_ANTIALIAS, None)  # the splats decide, whatever an avatar's metadata says
+    if splats.antialias:
+        note[_ANTIALIAS] = True
     gltf.asset = Asset(version="2.0", generator="glsplat", extras={"glsplat": note})
     gltf.extensions_used = [EXTENSION]
     blob = b"".join(out.parts)

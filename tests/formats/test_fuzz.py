@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import json
 import tracemalloc
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -32,6 +33,11 @@ fuzz = settings(
 )
 
 
+def _with_cones(avatar: Avatar) -> Avatar:
+    cones = np.arange(-16, 16).astype(np.int8).reshape(8, 4)
+    return replace(avatar, splats=replace(avatar.splats, antialias=True, cones=cones))
+
+
 @lru_cache(maxsize=1)
 def seeds() -> list[bytes]:
     import tempfile
@@ -39,7 +45,7 @@ def seeds() -> list[bytes]:
     out = [ply(columns(random_splats(5, degree)), order) for degree in (0, 1) for order in ("<", ">", "")]
     with tempfile.TemporaryDirectory() as folder:
         for name, scene in {
-            "a.glb": random_avatar(8, degree=1),
+            "a.glb": _with_cones(random_avatar(8, degree=1)),
             "b.glb": awkward_splats(),
             "c.gltf": random_avatar(8, influences=8),
             "d.splat": random_splats(8),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -128,6 +129,14 @@ def test_another_library_reads_the_same(tmp_path: Path) -> None:
     inverse = column(other.skins[0].inverseBindMatrices, "<f4").reshape(-1, 4, 4)  # column-major
     np.testing.assert_allclose(inverse.transpose(0, 2, 1), avatar.skeleton.inverse_bind, rtol=1e-6, atol=1e-6)
     assert [other.nodes[j].name for j in other.skins[0].joints] == list(avatar.skeleton.names)
+    cones = np.random.default_rng(1).integers(-128, 128, (40, 4)).astype(np.int8)
+    save_gltf(replace(avatar, splats=replace(avatar.splats, cones=cones)), tmp_path / "a.glb")
+    other = pygltflib.GLTF2.load(str(tmp_path / "a.glb"))
+    index = other.meshes[0].primitives[0].attributes._VISIBILITY_CONE
+    np.testing.assert_array_equal(column(index, "i1").reshape(-1, 4), cones)
+    accessor = other.accessors[index]
+    assert (accessor.componentType, accessor.type, accessor.normalized) == (pygltflib.BYTE, "VEC4", True)
+    assert all((view.byteOffset or 0) % 4 == 0 for view in other.bufferViews)
 
 
 def test_skinning_of_a_loaded_avatar_moves_the_splats_alike(tmp_path: Path) -> None:
