@@ -44,6 +44,13 @@ def context() -> Iterator[Context]:
 
 
 @pytest.fixture
+def current(context: Context) -> Iterator[None]:
+    """Makes the shared context the thread's current one: another test may have ended with none or its own."""
+    with context.ctx:
+        yield
+
+
+@pytest.fixture
 def renderer_of(context: Context) -> Iterator[Callable[..., Renderer]]:
     """Makes renderers on the shared context and releases them after the test."""
     made: list[Renderer] = []

@@ -62,6 +62,7 @@ def test_cameras_that_lie_elsewhere(tmp_path: Path) -> None:
             check_cameras([words], [str(scene)])
 
 
+@pytest.mark.usefixtures("current")
 @pytest.mark.gl
 def test_old_orders_are_compared_at_their_oldest(context: Context) -> None:
     """A re-sort period is shown all frames before those that count, and its error grows with its age."""
@@ -82,6 +83,7 @@ def test_old_orders_are_compared_at_their_oldest(context: Context) -> None:
     assert psnr["1"] > 65 and psnr["1"] > psnr["2"] > psnr["4"] > psnr["8"]
 
 
+@pytest.mark.usefixtures("current")
 @pytest.mark.shared
 @pytest.mark.gl
 def test_exact_ties_stay_exact_under_a_given_camera(context: Context, shared_data: Path) -> None:
@@ -92,6 +94,7 @@ def test_exact_ties_stay_exact_under_a_given_camera(context: Context, shared_dat
     assert result["settings"][0]["psnr"] > 110
 
 
+@pytest.mark.usefixtures("current")
 @pytest.mark.shared
 @pytest.mark.gl
 def test_a_scene_with_the_camera_of_its_golden(context: Context, shared_data: Path) -> None:
@@ -107,6 +110,7 @@ def test_a_scene_with_the_camera_of_its_golden(context: Context, shared_data: Pa
     assert rows["splats", "468"]["psnr"] < rows["splats", "1,873"]["psnr"]
 
 
+@pytest.mark.usefixtures("current")
 @pytest.mark.shared
 @pytest.mark.gl
 def test_a_person_is_held_against_all_joints(context: Context, shared_data: Path) -> None:
@@ -159,6 +163,7 @@ def test_cells_share_the_points_evenly(rng: np.random.Generator) -> None:
     assert apart[0] == apart[1] != apart[2] == apart[3]
 
 
+@pytest.mark.usefixtures("current")
 @pytest.mark.gl
 def test_saved_scene_and_settings_are_one_measurement(tmp_path: Path, context: Context) -> None:
     save(cloud(1200, degree=1), tmp_path / "a.ply")
