@@ -55,6 +55,7 @@ class TargetPool:
 
     def _use(self, size: Size) -> dict[int, Target]:
         if size not in self._floats:
+            self._context.scratch.use()  # making a target restores the framebuffer that was bound, if it is still there
             self._floats[size], self._bytes[size] = {}, {}
         self._floats.move_to_end(size)
         return self._floats[size]
@@ -67,7 +68,7 @@ class TargetPool:
 
     def _drop(self) -> None:
         """Delete the targets of the size that was used longest ago."""
-        self._context.scratch.use()  # moderngl restores the framebuffer that was bound, and fails if it is gone
+        self._context.scratch.use()  # nor may the framebuffer that is bound be one of those that go
         size = next(iter(self._floats))
         for target in self._targets_of(size):
             target.release()
