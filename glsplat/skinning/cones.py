@@ -61,15 +61,15 @@ def with_cones(
     if not usable.any():
         raise GlsplatError("visibility cones need at least one finite splat")
     poses = [posed.take(usable) for posed in _poses(scene)]
-    made: list[NDArray[np.float32]] = []  # [N] a view: how much of it the splat makes, m^2 at its distance
-    ways: list[NDArray[np.float32]] = []  # [N, 3] a view: from the splat to the eye, in the splat's own axes
-    for posed, camera in _views(poses, sphere(config.directions), config.size):
-        report("looking for hidden splats", len(made) / (len(poses) * config.directions))
+    views = len(poses) * config.directions
+    weight = np.empty((views, len(poses[0])), np.float32)  # how much of a view a splat makes, m^2 at its distance
+    way = np.empty((views, len(poses[0]), 3), np.float32)  # from the splat to the eye, in the splat's own axes
+    for view, (posed, camera) in enumerate(_views(poses, sphere(config.directions), config.size)):
+        report("looking for hidden splats", view / views)
         depth = posed.means @ camera.viewmat[2, :3] + camera.viewmat[2, 3]
         area = (depth / camera.K[0, 0]) ** 2  # of a pixel
-        made.append((_weights(_footprints(posed, camera, config.eps2d)) * area).astype(np.float32))
-        ways.append(_ways(posed, camera.position).astype(np.float32))
-    weight, way = np.array(made), np.array(ways)
+        weight[view] = _weights(_footprints(posed, camera, config.eps2d)) * area
+        way[view] = _ways(posed, camera.position)
     axis = np.einsum("vn,vni->ni", weight, way).astype(np.float64)
     axis /= np.maximum(np.linalg.norm(axis, axis=1, keepdims=True), 1e-30)
     cosine = np.einsum("vni,ni->vn", way, axis)
