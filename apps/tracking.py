@@ -181,6 +181,7 @@ def truth_lines(truth: Truth) -> Iterator[dict[str, Any]]:
 def run_calibrate(args: argparse.Namespace) -> int:
     """A calibration file from a recording, or from a height."""
     skeleton = skeleton_of(args.avatar)
+    _different(args.output, args.recording)
     if args.recording:
         calibration = calibrate(list(replay(args.recording)), skeleton, args.floor, args.height)
     elif args.height is not None:

@@ -15,7 +15,7 @@ from tqdm import tqdm
 
 from glsplat.avatar import Avatar, default_avatar
 from glsplat.camera import Camera, look_at, pinhole
-from glsplat.errors import FormatError
+from glsplat.errors import FormatError, GlsplatError
 from glsplat.formats import load
 from glsplat.skinning.pose import Pose
 from glsplat.tracking.recording import PoseTrack, read_poses
@@ -23,7 +23,7 @@ from glsplat.tracking.sample import Sample
 from glsplat.tracking.tracker import Tracker
 
 from .output import Clip, label, save_png, stack
-from .scene import size
+from .scene import positive, size
 
 __all__ = ["add_show"]
 
@@ -45,7 +45,7 @@ def add_show(commands: Any) -> None:
     )
     command.add_argument("--truth", metavar="JSONL", help="draw these poses too (from-motion --truth)")
     command.add_argument("--size", type=size, default=(512, 512), help="pixels of a view (default 512x512)")
-    command.add_argument("--fps", type=float, default=24.0, help="pictures a second of the recording (default 24)")
+    command.add_argument("--fps", type=positive, default=24.0, help="pictures a second of the recording (default 24)")
     command.add_argument("--side", type=float, default=60.0, help="degrees from the front the camera stands")
     command.add_argument("--stick", action="store_true", help="joints only, no avatar (needs no OpenGL)")
     command.set_defaults(work=show)
@@ -61,6 +61,8 @@ def show(args: argparse.Namespace) -> int:
         raise FormatError(f"{args.output}: expected a folder/, a clip .mp4 or a contact sheet .png")
     tracker = tracker_of(args, skeleton_of(args.avatar))
     samples = samples_of(args.recording)
+    if max(args.size) > 4096 or args.fps > 1000:
+        raise GlsplatError("--size needs at most 4096 a side and --fps at most 1000")
     truth = read_poses(args.truth) if args.truth else None
     frames = _chosen(samples, args.fps, TILES if kind == ".png" else None)
     painter = Painter(args, tracker, truth)

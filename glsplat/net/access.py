@@ -69,7 +69,8 @@ class Access:
         protocols = headers.get("Sec-WebSocket-Protocol", "").split(",")
         offered += [p.strip()[len(TOKEN_PREFIX) :] for p in protocols if p.strip().startswith(TOKEN_PREFIX)]
         # every comparison takes the same time, whatever it finds
-        return any([hmac.compare_digest(value.encode(), self.token.encode()) for value in offered[:4]])
+        # (bytes that are not UTF-8 arrive as surrogates, which encode() would refuse)
+        return any([hmac.compare_digest(v.encode(errors="replace"), self.token.encode()) for v in offered[:4]])
 
 
 def is_loopback(host: str) -> bool:

@@ -242,7 +242,7 @@ def _checked_url(url: str) -> str:
         valid = False
     if not valid:
         raise GlsplatError(f"{url}: expected ws://HOST:PORT/ws or wss://HOST:PORT/ws")
-    return url + "/ws" if parts.path == "" else url.rstrip("/") + "/ws" if parts.path == "/" else url
+    return parts._replace(path="/ws").geturl() if parts.path in ("", "/") else url
 
 
 def _client_tls(cafile: str | Path) -> ssl.SSLContext:

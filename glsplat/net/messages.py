@@ -21,14 +21,24 @@ from glsplat.skinning.pose import Pose
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.smplx import POSE_KEYS
 
-__all__ = ["MAX_BYTES", "VERSION", "Ack", "Decoder", "RenderRequest", "WireOptions", "error_text", "eye_fields"]
+__all__ = [
+    "MAX_BYTES",
+    "MAX_ID",
+    "VERSION",
+    "Ack",
+    "Decoder",
+    "RenderRequest",
+    "WireOptions",
+    "error_text",
+    "eye_fields",
+]
 
 VERSION = 1
 MAX_BYTES = 64 * 1024
 """Largest text message; a request with full hands is 2 to 4 kB."""
 
 Form = Literal["native", "bundle-legacy", "single-legacy"]
-_MAX_ID = 2**32 - 1
+MAX_ID = 2**32 - 1
 _ORTHONORMAL = 1e-3  # largest entry of R R^T - I; float32 clients stay below 1e-6
 _MIRROR = np.diag([-1.0, 1.0, 1.0, 1.0])
 _SMPLX_LEGACY = ("root_pose", "body_pose", "jaw_pose", "leye_pose", "reye_pose", "lhand_pose", "rhand_pose")
@@ -167,8 +177,8 @@ class Decoder:
 
     def _request(self, m: _Message) -> RenderRequest | Ack:
         for name, value in (("frame_id", m.frame_id), ("ack", m.ack)):
-            if value is not None and not 0 <= value <= _MAX_ID:
-                raise ProtocolError(f"{name} needs a whole number from 0 to {_MAX_ID}")
+            if value is not None and not 0 <= value <= MAX_ID:
+                raise ProtocolError(f"{name} needs a whole number from 0 to {MAX_ID}")
         if m.cameras is not None or m.camera is not None:
             return self._legacy(m)
         if m.v != VERSION:
@@ -319,7 +329,7 @@ def _given(fields: _Pose | _Tracking) -> dict[str, Any]:
 
 
 def _safe_id(frame_id: int | None) -> int | None:
-    return frame_id if frame_id is not None and 0 <= frame_id <= _MAX_ID else None
+    return frame_id if frame_id is not None and 0 <= frame_id <= MAX_ID else None
 
 
 def _line(message: str) -> str:

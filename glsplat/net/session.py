@@ -11,7 +11,7 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 from glsplat.errors import ProtocolError
-from glsplat.net.messages import Ack, Decoder, RenderRequest, error_text
+from glsplat.net.messages import MAX_ID, Ack, Decoder, RenderRequest, error_text
 
 __all__ = ["Close", "Counts", "Session", "SessionConfig", "Warn"]
 
@@ -200,6 +200,8 @@ class Session:
         if frame_id <= self._newest:
             self.counts.stale += 1
             return
+        if frame_id > MAX_ID:  # counted here, behind a number that could not be higher
+            raise ProtocolError(f"there is no frame_id after {MAX_ID}; connect again", "bad_request")
         request = replace(request, frame_id=frame_id)
         self._newest = frame_id
         self.last_form = request.form

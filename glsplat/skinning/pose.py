@@ -18,7 +18,7 @@ from glsplat.skinning.smplx import JOINT_NAMES, POSE_KEYS
 __all__ = ["Pose", "load_pose"]
 
 _COUNT = len(JOINT_NAMES)
-_LIMIT = 1e6  # metres; a translation beyond this is a mistake of units
+_LIMIT = 1e6  # metres, radians; more is a mistake of units
 _DEGREES = 4 * np.pi  # radians; an angle beyond two turns in a file was meant in degrees
 
 
@@ -36,8 +36,12 @@ class Pose:
         values = [self.rotations, self.trans] + ([] if self.translations is None else [self.translations])
         if not all(np.isfinite(v).all() for v in values):
             raise PoseError("a pose needs finite numbers, found NaN or infinity")
-        if np.abs(self.trans).max() > _LIMIT:
-            raise PoseError(f"trans needs metres below {_LIMIT:g}, not {np.abs(self.trans).max():g}")
+        # 1e300 is finite, its square is not
+        for name, value in (("trans", self.trans), ("a rotation", self.rotations), ("translations", self.translations)):
+            most = 0.0 if value is None else np.abs(value).max(initial=0.0)
+            if most > _LIMIT:
+                unit = "radians" if name == "a rotation" else "metres"
+                raise PoseError(f"{name} needs {unit} below {_LIMIT:g}, not {most:g}")
 
     @classmethod
     def zero(cls, joints: int = _COUNT) -> Pose:

@@ -103,8 +103,8 @@ class Spine:
         fore, side = self.lean
         turn = CHEST_TURN * clamp(wrap(head_yaw - yaw), -1.4, 1.4) + twist
         # a head that looks down or up further than the neck bends takes the chest along
-        surplus = pitch - FLEXION * 0.8 - fore if pitch > 0 else pitch + EXTENSION * 0.8 - fore
-        surplus = max(surplus, 0.0) if pitch > 0 else min(surplus, 0.0)
+        # (both bounds always: one chosen by the pitch's sign would let a level head in a squat shake the chest)
+        surplus = max(pitch - FLEXION * 0.8 - fore, 0.0) + min(pitch + EXTENSION * 0.8 - fore, 0.0)
         high = 1 - self.low
         chest_fore = fore * (1 - 0.6 * self.low) / high + clamp(surplus, -0.35, 0.8)
         pelvis_fore = clamp((fore - high * chest_fore) / self.low, fore - PELVIS_TILT, fore + 0.5 * PELVIS_TILT)

@@ -100,6 +100,8 @@ def test_bench_writes_its_table(tmp_path, capsys):
         ("calibrate", "-o", "x.json"),
         ("score", "missing.jsonl", "missing.jsonl"),
         ("show", "-o", "x.gif"),
+        ("show", "-o", "x.png", "--size", "100000"),
+        ("show", "-o", "x.mp4", "--fps", "1e9"),
         ("bench", "idle", "--rates", "fast"),
         ("solve", "-o", "x.jsonl", "--avatar", "missing.npz"),
     ],
@@ -110,3 +112,15 @@ def test_mistakes_are_one_line(words, tmp_path, monkeypatch, capsys):
     error = capsys.readouterr().err
     assert error.startswith("glsplat tracking: ") and error.count("\n") == 1
     assert not list(tmp_path.iterdir())
+
+
+def test_a_rate_of_no_pictures_is_bad_usage(derived, capsys):
+    with pytest.raises(SystemExit, match="2"):
+        run("show", derived / "r.jsonl", "-o", derived / "clip.mp4", "--stick", "--fps", 0)
+    assert "above 0" in capsys.readouterr().err
+
+
+def test_a_calibration_does_not_replace_its_recording(derived, capsys):
+    before = (derived / "r.jsonl").read_bytes()
+    assert run("calibrate", derived / "r.jsonl", "-o", derived / "r.jsonl") == 1
+    assert "different names" in capsys.readouterr().err and (derived / "r.jsonl").read_bytes() == before

@@ -46,6 +46,8 @@ def test_another_address_needs_tls_and_a_token():
         ({"Authorization": f"Bearer {TOKEN}x"}, 401),
         ({"Authorization": "Bearer "}, 401),
         ({"Authorization": "Bearer \u00e9"}, 401),
+        ({"Authorization": "Bearer \udcff"}, 401),  # bytes that are not UTF-8, as aiohttp reads them
+        ({"Sec-WebSocket-Protocol": "glsplat.v1, token.\udcff\udcfe"}, 401),
         ({"Sec-WebSocket-Protocol": f"glsplat.v1, token.{TOKEN}"}, None),
         ({"Sec-WebSocket-Protocol": f"token.{TOKEN[:-1]}"}, 401),
         ({"Sec-WebSocket-Protocol": TOKEN}, 401),

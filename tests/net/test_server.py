@@ -266,6 +266,20 @@ def test_a_full_server_says_so(serve, cameras):
     assert asyncio.run(main()) == 1
 
 
+@pytest.mark.parametrize(
+    ("given", "address"),
+    [
+        ("ws://lab:8000", "ws://lab:8000/ws"),
+        ("wss://lab:8000/", "wss://lab:8000/ws"),
+        ("ws://lab:8000?mirror=1", "ws://lab:8000/ws?mirror=1"),
+        ("ws://lab:8000/?mirror=1", "ws://lab:8000/ws?mirror=1"),
+        ("ws://lab:8000/proxy/ws?window=3", "ws://lab:8000/proxy/ws?window=3"),
+    ],
+)
+def test_the_path_of_an_address_may_be_left_out(given, address):
+    assert Client(given).url == address
+
+
 def test_options_of_the_address_are_checked(serve):
     async def main():
         async with serve() as server:

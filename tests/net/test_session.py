@@ -236,6 +236,14 @@ def test_a_client_without_numbers_gets_them():
     assert ids == [0, 1, 2]
 
 
+def test_there_is_no_number_after_the_highest():
+    s = session()
+    assert s.receive(native(2**32 - 1), 0) is None
+    deliver(s, take(s))
+    told = s.receive(json.dumps({"cameras": [camera("left")], "smplx": {}}), 0)  # would be counted on from there
+    assert isinstance(told, Warn) and "connect again" in told.text and take(s) is None
+
+
 def test_memory_is_bounded_whatever_comes():
     s = session(rate=1e9, burst=1e9)
     for i in range(1, 5000):

@@ -128,6 +128,10 @@ def test_pose_that_is_not_a_number_is_refused() -> None:
             Pose(np.full((55, 3), value), np.zeros(3))
     with pytest.raises(PoseError, match="trans needs metres"):
         Pose(np.zeros((55, 3)), np.array([1e7, 0, 0]))
+    with pytest.raises(PoseError, match="radians"):  # finite, but its square is not
+        Pose(np.full((55, 3), 1e160), np.zeros(3))
+    with pytest.raises(PoseError, match="translations"):
+        Pose(np.zeros((55, 3)), np.zeros(3), np.full((55, 3), 1e300))
 
 
 @pytest.mark.parametrize("trans", [(1e5, 0, -3e4), (-7e5, 9e5, 1.0)])

@@ -146,3 +146,17 @@ def test_feet_of_any_solver_stay_on_the_floor(stage: Stage, skeleton: Skeleton, 
 
     result = track([stage.sample(i / 72, head=(0.0, 1.7 - 0.01 * i, 0.0)) for i in range(100)], solver=Sinking())
     assert result.joints[:, list(FEET), 1].min() > stage.body.sole - 0.01
+
+
+@pytest.mark.parametrize("height", [0.6, 0.75, 0.9, 1.05])
+def test_a_level_head_low_over_the_floor_that_trembles_does_not_shake_the_body(
+    stage: Stage, track: Track, rng: np.random.Generator, height: float
+) -> None:
+    """Half a millimetre and a twentieth of a degree, about a pitch of 0."""
+    y = stage.body.eye_height
+    samples = []
+    for i in range(288):
+        down = min(1.0, i / 72)
+        head = np.array([0.0, y + (height - y) * down, 0.1]) + rng.normal(0, 5e-4, 3)
+        samples.append(stage.sample(i / 72, head=tuple(head), turn=head_turn(*rng.normal(0, 1e-3, 3)), left=None))
+    assert moved(track(samples))[144:].max() < 2.0
