@@ -301,7 +301,9 @@ class Server:
         session = channel.session
         while True:
             try:
-                message = await ws.receive(timeout=max(0.01, session.expires() - clock()))
+                # not receive(timeout=...): that begins anew with each ping or pong, and leaves out writing the pongs
+                async with asyncio.timeout(max(0.01, session.expires() - clock())):
+                    message = await ws.receive()
             except TimeoutError:
                 outcome: Warn | Close | None = session.expired(clock())
             else:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import json
 import os
 import signal
@@ -324,3 +325,40 @@ def test_a_lost_context(fake_backend, cameras, kind, caplog):
         assert backend.opens == (2 if kind == "no new one" else 4)
     assert backend.closed and len(backend.threads) == 1
     assert "Traceback" not in caplog.text
+
+
+@pytest.mark.parametrize("reads", [True, False])
+def test_pings_do_not_keep_a_connection_without_requests(serve, fake_backend, reads):
+    """A client that only pings, reading the pongs or not; in the latter case the server gets stuck on writing them."""
+    config = ServerConfig(port=0, write_timeout=0.3, session=SessionConfig(handshake=0.5))
+    pings = frame(0x9, b"x" * 125) * (1 if reads else 500)
+
+    async def main():
+        async with serve(fake_backend(), config) as server:
+            reader, writer = await raw(server)
+            start = time.perf_counter()
+            while server.stats()["clients"] and time.perf_counter() - start < 4:
+                writer.write(pings)
+                if reads:
+                    await reader.read(65536)
+                else:
+                    with contextlib.suppress(TimeoutError, ConnectionError):
+                        await asyncio.wait_for(writer.drain(), 0.02)
+                await asyncio.sleep(0.01)
+            writer.transport.abort()
+            return time.perf_counter() - start
+
+    assert asyncio.run(main()) < 2
+
+
+def test_answering_pings_is_not_a_message(serve, fake_backend):
+    config = ServerConfig(port=0, heartbeat=0.2, session=SessionConfig(handshake=0.5, idle=0.5))
+
+    async def main():
+        async with serve(fake_backend(), config) as server, aiohttp.ClientSession() as http:
+            async with http.ws_connect(server.url) as ws:
+                await ws.send_str(native(1))
+                return [(await ws.receive(timeout=3)).type for _ in range(3)], ws.close_code
+
+    kinds, code = asyncio.run(main())
+    assert kinds == [aiohttp.WSMsgType.BINARY, aiohttp.WSMsgType.TEXT, aiohttp.WSMsgType.CLOSE] and code == 1008
