@@ -19,7 +19,7 @@ stop an able user. A joint of SMPL-X that shares an anatomical motion with other
 
 from __future__ import annotations
 
-from math import atan2, cos, degrees, hypot, pi, radians
+from math import atan2, cos, degrees, hypot, pi, radians, sin
 
 import numpy as np
 from numpy.typing import NDArray
@@ -94,6 +94,13 @@ TWIST = {**{j: 1 for j in HIPS}, **{j: 0 for j in (*ELBOWS, *WRISTS)}}
 _SHOULDER = tuple([radians(v) for v in (135, 132, 114, 100, 82, 64, 52, 92, 100, 112, 124, 132, 135)])  # each 30
 _SHOULDER_TWIST = (radians(-105), radians(105))  # external, internal: 90 and 70, wider for the T-pose's reference
 
+MARGIN = radians(2)  # outside a hip's box up to which its coordinates are clamped one by one
+_FLEXED = radians(-67)  # the middle of what a solver may ask of a hip: from 40 behind to 180 and more in front
+_MIDDLE = to_quat((_FLEXED, 0.0, 0.0))
+_FROM_MIDDLE = conj(_MIDDLE)
+_MIDDLE_COS, _MIDDLE_SIN = cos(_FLEXED), sin(_FLEXED)
+_WIDEST_TWIST = radians(110)  # about the thigh, from the middle; the box has none wider
+
 FINGER_LOW = np.radians([[-25.0, -30.0, -100.0], [-25.0, -25.0, -110.0], [-25.0, -25.0, -95.0]])
 FINGER_HIGH = np.radians([[25.0, 30.0, 48.0], [25.0, 25.0, 12.0], [25.0, 25.0, 18.0]])
 """[3, 3] left fingers, joints 1 to 3: flexion about -z, spreading about y; 25 for bones that do not lie along x at
@@ -121,6 +128,8 @@ def clamp_joint(joint: int, q: Quat) -> Quat:
         return q
     box = BOXES[joint]
     axis = TWIST.get(joint)
+    if axis == 1:
+        q = _nearby(q, box)
     if axis is None:
         return clamp_box(q, box)
     swing, twist = _swing_twist(q, axis)
@@ -133,6 +142,41 @@ def clamp_joint(joint: int, q: Quat) -> Quat:
     if angle == twist and abs(k[0] - sx) + abs(k[1] - sy) + abs(k[2] - sz) < 1e-9:
         return q
     return mul(to_quat(k), to_quat((angle, 0.0, 0.0) if axis == 0 else (0.0, angle, 0.0)))
+
+
+def _nearby(q: Quat, box: Box) -> Quat:
+    """A thigh far outside its range brought to where its swing from the rest pose is MARGIN outside, at most.
+
+    Swing and twist from the rest pose say little of a thigh that points up: there, a degree more or less would put the
+    knee on one side or the other. So it goes the way to the range's middle, whose opposite is behind the back, where no
+    thigh gets.
+    """
+    swing, twist = _swing_twist(mul(_FROM_MIDDLE, q), 1)
+    vx, _, vz = rotation_vector(swing)
+    size = hypot(vx, vz)
+    if abs(twist) <= _WIDEST_TWIST and (size < 1e-9 or _outside(vx / size, vz / size, size, box) <= MARGIN):
+        return q
+    ax, az = (vx / size, vz / size) if size > 1e-9 else (1.0, 0.0)
+    if _outside(ax, az, size, box) > MARGIN:
+        low, high = 0.0, size
+        for _ in range(16):
+            half = 0.5 * (low + high)
+            low, high = (low, half) if _outside(ax, az, half, box) > MARGIN else (half, high)
+        size = low
+    near = mul(_MIDDLE, to_quat((ax * size, 0.0, az * size)))
+    return mul(near, to_quat((0.0, clamp(twist, -_WIDEST_TWIST, _WIDEST_TWIST), 0.0)))
+
+
+def _outside(ax: float, az: float, size: float, box: Box) -> float:
+    """Radians by which a thigh swung by ``size`` from the middle is outside the box of swings from the rest pose."""
+    s = sin(size)
+    x, y, z = az * s, -cos(size), -ax * s  # where the thigh points: (ax, 0, az) x (0, -1, 0) is (az, 0, -ax)
+    c, s = _MIDDLE_COS, _MIDDLE_SIN
+    y, z = y * c - z * s, y * s + z * c
+    across = hypot(x, z)
+    k = atan2(across, -y) / across if across > 1e-9 else 0.0
+    sx, sz = -z * k, x * k
+    return max(box[0] - sx, sx - box[3], box[2] - sz, sz - box[5])
 
 
 def _swing_twist(q: Quat, axis: int) -> tuple[Quat, float]:

@@ -83,3 +83,18 @@ def test_a_twisted_bone_keeps_its_direction() -> None:
     q = mul(to_quat((-80 * D, 0, 0)), to_quat((0, 90 * D, 0)))  # thigh forward, rotated too far about itself
     inside = clamp_joint(HIPS[0], q)
     np.testing.assert_allclose(rotate(inside, (0, -1, 0)), rotate(q, (0, -1, 0)), atol=1e-9)
+
+
+@pytest.mark.parametrize("side", [0, 1])
+def test_a_thigh_that_points_up_is_brought_to_the_front_whichever_way_it_passes(side: int) -> None:
+    """Around 180 degrees of flexion, where swing and twist from the rest pose are undefined."""
+    before = None
+    for step in range(73):
+        x, z = 6 * math.cos(step * 5 * D), 6 * math.sin(step * 5 * D)
+        asked = mul(to_quat((0.0, 0.0, z * D)), to_quat(((x - 178) * D, 0.0, 0.0)))
+        inside = clamp_joint(HIPS[side], asked)
+        assert rotate(inside, (0.0, -1.0, 0.0))[2] > 0.3  # the knee in front
+        if before is not None:
+            turned = 2 * math.acos(min(1.0, abs(sum(a * b for a, b in zip(before, inside, strict=True)))))
+            assert turned < 6 * D
+        before = inside
