@@ -28,6 +28,7 @@ __all__ = ["ConeConfig", "hidden", "with_cones"]
 
 F64 = NDArray[np.float64]
 _FAR = 8.0  # radii of the scene from which it is looked at
+_EVERYWHERE = np.array([0, 0, 0, -127], np.int8)  # a cone without an axis: visible from everywhere
 _DECADES = 6  # between the smallest threshold and the largest weight
 _STEPS = 9  # halvings of the interval of thresholds
 _FLAT = 1e-15  # metres: what is thinner has no direction in float32 (cone.glsl has its square)
@@ -82,19 +83,19 @@ def with_cones(
         for i, direction in enumerate(spread)
         for posed, camera in _views(poses[i % len(poses) : i % len(poses) + 1], direction[None], config.size)
     ]
-    best = np.tile(np.array([0, 0, 0, -127], np.int8), (len(axis), 1))  # without a length: seen from everywhere
+    best = np.tile(_EVERYWHERE, (len(axis), 1))
     high = float(np.log10(max(weight.max(), 1e-30)))  # decimal logarithm of the threshold in m^2
     low = high - _DECADES
     for step in range(_STEPS):
         report("choosing the threshold", step / _STEPS)
         middle = (low + high) / 2
         smallest = np.where(weight > 10**middle, cosine, 1.0).min(axis=0)
-        cones = _packed(axis, smallest)
-        if all(_psnr(replace(posed, cones=cones), eye, prints) >= config.psnr for posed, eye, prints in tests):
-            best, low = cones, middle
+        narrow = _packed(axis, smallest)
+        if all(_psnr(replace(posed, cones=narrow), eye, prints) >= config.psnr for posed, eye, prints in tests):
+            best, low = narrow, middle
         else:
             high = middle
-    cones = np.tile(np.array([0, 0, 0, -127], np.int8), (len(splats), 1))
+    cones = np.tile(_EVERYWHERE, (len(splats), 1))
     cones[usable] = best
     done = replace(splats, cones=cones)
     return cast("Scene", replace(scene, splats=done) if isinstance(scene, Avatar) else done)
