@@ -8,12 +8,15 @@ from __future__ import annotations
 import argparse
 import contextlib
 import os
+import re
 import sys
 from collections.abc import Sequence
 from importlib import import_module
 
 import glsplat
 from glsplat.errors import GlsplatError
+
+_OPTION, _NEGATIVE = re.compile("--[a-z][a-z-]*"), re.compile(r"-\.?[0-9]")
 
 # imported when called: a command should not wait for the imports of the others
 COMMANDS = {
@@ -54,7 +57,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             formatter_class=argparse.RawDescriptionHelpFormatter,
         )
         module.add_arguments(command)
-        args = command.parse_args(arguments[1:])
+        args = command.parse_args(joined(arguments[1:]))
         code = int(module.run(args) or 0)
         sys.stdout.flush()  # here, where a full disk can still be reported
         return code
@@ -68,6 +71,22 @@ def main(argv: Sequence[str] | None = None) -> int:
             print(f"glsplat {chosen.command}: {error.strerror or error}", file=sys.stderr)
         _forget_output()
         return 1
+
+
+def joined(arguments: Sequence[str]) -> list[str]:
+    """``--eye -1.2,1,2`` as ``--eye=-1.2,1,2``: to argparse, what begins with a minus and is no number is an option.
+
+    No option of ours begins with a minus and a digit. What follows ``--`` stays as it is.
+    """
+    out: list[str] = []
+    for index, argument in enumerate(arguments):
+        if argument == "--":
+            return out + list(arguments[index:])
+        if out and _OPTION.fullmatch(out[-1]) and _NEGATIVE.match(argument):
+            out[-1] += f"={argument}"
+        else:
+            out.append(argument)
+    return out
 
 
 def _forget_output() -> None:

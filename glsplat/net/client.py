@@ -6,7 +6,6 @@ import asyncio
 import ssl
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -18,8 +17,9 @@ import numpy as np
 
 from glsplat.camera import Camera
 from glsplat.errors import GlsplatError, ProtocolError
-from glsplat.net.messages import VERSION, eye_fields
-from glsplat.net.reply import Reply, parse_reply
+from glsplat.net.connection import Arrived, Connection
+from glsplat.net.messages import MAX_BYTES, VERSION, eye_fields
+from glsplat.net.reply import Reply
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.smplx import JOINT_NAMES
 
@@ -28,26 +28,16 @@ __all__ = ["Arrived", "Client", "request_message"]
 _MAX_REPLY = 64 * 1024 * 1024
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Arrived:
-    """A reply and when it came, on the clock of ``time.perf_counter``."""
-
-    reply: Reply
-    at: float  # seconds
-    requested: float  # seconds; when its request was sent
-
-    @property
-    def communication_ms(self) -> float:
-        """Round trip less the server's own time: both directions on the wire and in the sockets."""
-        return max(0.0, (self.at - self.requested) * 1e3 - self.reply.info.get("times", {}).get("total", 0.0))
-
-
 class Client:
     """``async with Client("ws://127.0.0.1:8000/ws") as client: reply = await client.render(cameras, pose=pose)``.
 
     ``window`` asks the server for that many pictures under way; ``mirror`` for the mirror image; ``height``
     (metres) fits the avatar to the user whose tracking is sent. ``cafile`` is the certificate to trust on wss.
-    All methods raise ProtocolError when the server reports an error or goes away.
+    ``timeout`` is in seconds, of connecting and of each picture.
+
+    May be connected again after ``close``, or after the server went away: a new session, whose frame_ids begin at 1.
+    All methods raise ProtocolError when the server reports an error or goes away (``code`` "closed", "timeout", ...).
+    A Client belongs to the event loop it is connected in; its methods may be called by many tasks there.
     """
 
     def __init__(
@@ -66,21 +56,17 @@ class Client:
         self._headers = {"Authorization": f"Bearer {token}"} if token else {}
         self._cafile = cafile
         self._timeout = timeout
-        self._http: aiohttp.ClientSession | None = None
-        self._ws: aiohttp.ClientWebSocketResponse | None = None
-        self._sent: dict[int, float] = {}  # frame_id: seconds
-        self._frame_id = 0
-        self._received = 0
+        self._connection: Connection | None = None
 
     @property
     def newest(self) -> int:
         """The frame_id of the newest request; 0 before the first."""
-        return self._frame_id
+        return 0 if self._connection is None else self._connection.newest
 
     @property
     def waiting(self) -> bool:
         """True while the newest request has no answer."""
-        return self._frame_id in self._sent
+        return self._connection is not None and self._connection.waiting
 
     async def __aenter__(self) -> Client:
         await self.connect()
@@ -92,33 +78,40 @@ class Client:
         await self.close()
 
     async def connect(self) -> None:
-        """Open the connection."""
+        """Open the connection; harmless while there is one."""
+        if self._ours():
+            return
+        await self.close()
         tls = _client_tls(self._cafile) if self._cafile else True
         query = urlencode({key: value for key, value in self._query.items() if value is not None})
         url = self.url + (("&" if "?" in self.url else "?") + query if query else "")
-        self._http = aiohttp.ClientSession()
+        http = aiohttp.ClientSession()
         try:
             async with asyncio.timeout(self._timeout):
-                self._ws = await self._http.ws_connect(
-                    url, headers=self._headers, ssl=tls, max_msg_size=_MAX_REPLY, compress=0
-                )
+                ws = await http.ws_connect(url, headers=self._headers, ssl=tls, max_msg_size=_MAX_REPLY, compress=0)
         except aiohttp.ClientConnectorCertificateError:
-            await self.close()
+            await http.close()
             raise ProtocolError(f"{self.url}: its certificate is not trusted; give it with --tls-ca", "tls") from None
         except aiohttp.WSServerHandshakeError as error:
-            await self.close()
+            await http.close()
             raise ProtocolError(_refused(self.url, error.status), "refused") from None
         except (aiohttp.ClientError, OSError, TimeoutError):
-            await self.close()
+            await http.close()
             raise ProtocolError(f"no server at {self.url}: start one with `glsplat serve`", "unreachable") from None
+        except BaseException:
+            await http.close()
+            raise
+        connection = Connection(self.url, http, ws)
+        if self._ours():  # another task was quicker
+            await connection.close()
+        else:
+            self._connection = connection
 
     async def close(self) -> None:
-        """Close the connection; harmless when there is none."""
-        if self._ws is not None:
-            await self._ws.close()
-        if self._http is not None:
-            await self._http.close()
-        self._ws = self._http = None
+        """Close the connection; harmless when there is none. Who waits for a picture gets a ProtocolError."""
+        connection, self._connection = self._connection, None
+        if connection is not None and connection.loop is asyncio.get_running_loop():
+            await connection.close()
 
     async def render(
         self,
@@ -129,12 +122,16 @@ class Client:
         quality: int | None = None,
         crop: bool = False,
     ) -> Reply:
-        """Ask for one picture and wait for it."""
-        frame_id = await self.send(cameras, pose=pose, tracking=tracking, quality=quality, crop=crop)
-        while True:
-            arrived = await self.receive()
-            if arrived.reply.frame_id == frame_id:
-                return arrived.reply
+        """Ask for one picture and wait for it. Calls at the same time are served one after the other.
+
+        Raises ProtocolError with ``code`` "dropped" when a ``send`` of another task went out meanwhile and its picture
+        came first: the newest request wins, and the server never answers the one it replaced.
+        """
+        connection = self._open()
+        async with connection.turn:
+            connection.take_all()
+            request = self._request(connection, cameras, pose, tracking, quality, crop)
+            return (await connection.ask_and_wait(*request, self._timeout)).reply
 
     async def send(
         self,
@@ -145,57 +142,65 @@ class Client:
         quality: int | None = None,
         crop: bool = False,
     ) -> int:
-        """Send a request without waiting for its picture, which may never come (a newer one replaces it)."""
-        self._frame_id += 1
-        now = time.perf_counter()
-        message = request_message(
-            self._frame_id, cameras, pose=pose, tracking=tracking, quality=quality, crop=crop, t=now * 1e3
-        )
-        message["ack"] = self._received
-        self._sent[self._frame_id] = now
-        await self.send_text(_encoder.encode(message).decode())
-        return self._frame_id
+        """Send a request without waiting for its picture, which may never come (a newer one replaces it).
+
+        The picture comes by ``receive``. Returns the frame_id.
+        """
+        connection = self._open()
+        request = self._request(connection, cameras, pose, tracking, quality, crop)
+        await connection.ask(*request)
+        return request[0]
 
     async def send_text(self, text: str) -> None:
         """Send any text as it is."""
-        try:
-            await self._socket.send_str(text)
-        except (ConnectionError, aiohttp.ClientError):
-            raise ProtocolError(f"{self.url}: the server closed the connection", "closed") from None
+        await self._open().send_text(text)
 
     async def acknowledge(self) -> None:
         """Tell the server what has arrived, without asking for a picture; also keeps a quiet connection alive."""
-        await self.send_text(f'{{"v":{VERSION},"ack":{self._received}}}')
+        await self._open().acknowledge()
 
     async def receive(self) -> Arrived:
-        """The next picture. Acknowledges it at once when newer requests are under way, so that they can be drawn."""
-        while True:
-            try:
-                message = await self._socket.receive(timeout=self._timeout)
-            except TimeoutError:
-                raise ProtocolError(f"{self.url}: no picture within {self._timeout:g} s", "timeout") from None
-            at = time.perf_counter()
-            if message.type == aiohttp.WSMsgType.TEXT:
-                error = _server_error(message.data)
-                self._sent.pop(error.frame_id or 0, None)
-                raise error
-            if message.type != aiohttp.WSMsgType.BINARY:
-                raise ProtocolError(f"{self.url}: the server closed the connection{_why(self._socket)}", "closed")
-            reply = parse_reply(message.data)
-            if reply.frame_id not in self._sent:  # answered before, or never asked for
-                continue
-            requested = self._sent[reply.frame_id]
-            self._sent = {frame_id: t for frame_id, t in self._sent.items() if frame_id > reply.frame_id}
-            self._received = reply.frame_id
-            if self._sent:
-                await self.acknowledge()
-            return Arrived(reply, at, requested)
+        """The next picture of a ``send``. Acknowledges it at once when newer requests are under way.
 
-    @property
-    def _socket(self) -> aiohttp.ClientWebSocketResponse:
-        if self._ws is None:
-            raise ProtocolError(f"{self.url}: not connected", "closed")
-        return self._ws
+        The newest 8 that nobody has taken are kept. Raises the server's errors that no ``render`` waits for.
+        """
+        return await self._open().next(self._timeout)
+
+    def _request(
+        self,
+        connection: Connection,
+        cameras: Sequence[Camera] | None,
+        pose: Pose | Mapping[str, Any] | None,
+        tracking: Mapping[str, Any] | None,
+        quality: int | None,
+        crop: bool,
+    ) -> tuple[int, str, float]:
+        """The next request: its frame_id, its text, and when it was made, in seconds."""
+        now = time.perf_counter()
+        number = connection.newest + 1
+        message = request_message(
+            number, cameras, pose=pose, tracking=tracking, quality=quality, crop=crop, t=now * 1e3
+        )
+        message["ack"] = connection.taken
+        try:
+            data = _encoder.encode(message)
+        except (TypeError, ValueError, RecursionError) as error:  # what JSON cannot say
+            raise ProtocolError(f"a request cannot be sent: {str(error)[:160]}", "bad_field") from None
+        if len(data) > MAX_BYTES:
+            raise ProtocolError(f"a request needs at most {MAX_BYTES} bytes, not {len(data)}", "too_big")
+        return number, data.decode(), now
+
+    def _ours(self) -> bool:
+        """Whether there is an open connection in this event loop."""
+        connection = self._connection
+        return connection is not None and connection.alive and connection.loop is asyncio.get_running_loop()
+
+    def _open(self) -> Connection:
+        if self._connection is None:
+            raise ProtocolError(f"{self.url}: not connected; await connect() first", "closed")
+        if self._connection.loop is not asyncio.get_running_loop():
+            raise ProtocolError(f"{self.url}: connected in another event loop; await connect() in this one", "closed")
+        return self._connection
 
 
 def request_message(
@@ -212,9 +217,8 @@ def request_message(
     message: dict[str, Any] = {"v": VERSION, "frame_id": frame_id}
     if t is not None:
         message["t"] = t
-    if cameras:
-        message["eyes"] = [eye_fields(camera) for camera in cameras]
-        message["size"] = [cameras[0].width, cameras[0].height]
+    if cameras is not None:
+        message |= _eyes(cameras)
     if isinstance(pose, Pose):
         if len(pose.rotations) != len(JOINT_NAMES):
             raise ProtocolError('a pose of another rig than SMPL-X is sent as {"joints": {NAME: [x, y, z]}}')
@@ -223,6 +227,22 @@ def request_message(
         if value is not None:
             message[key] = value
     return message
+
+
+def _eyes(cameras: Sequence[Camera]) -> dict[str, Any]:
+    """The fields of the cameras; refuses what the wire has no place for, rather than leave it out."""
+    views = [cameras] if isinstance(cameras, Camera) else list(cameras)
+    if not 1 <= len(views) <= 2 or not all(isinstance(camera, Camera) for camera in views):
+        raise ProtocolError("a request has one or two cameras (glsplat.Camera), left first; leave them out for a head")
+    sizes = [(camera.width, camera.height) for camera in views]
+    if sizes[0] != sizes[-1]:
+        (w, h), (w2, h2) = sizes
+        raise ProtocolError(f"both eyes need one size, not {w}x{h} and {w2}x{h2}", "bad_size")
+    if any(tuple(camera.background) != (0, 0, 0) for camera in views):
+        raise ProtocolError("a server draws on black: leave background at (0, 0, 0)", "bad_camera")
+    if any((np.linalg.det(camera.viewmat[:3, :3])) < 0 for camera in views):
+        raise ProtocolError("a viewmat that reflects is not sent: make the Client with mirror=True", "bad_camera")
+    return {"eyes": [eye_fields(camera) for camera in views], "size": list(sizes[0])}
 
 
 def _plain(value: Any) -> Any:
@@ -261,15 +281,3 @@ def _refused(url: str, status: int) -> str:
         503: "it is full or stopping; try again later",
     }
     return f"{url}: the server refuses ({status}): {reasons.get(status, 'no glsplat server?')}"
-
-
-def _server_error(text: str) -> ProtocolError:
-    try:
-        error = msgspec.json.decode(text)["error"]
-        return ProtocolError(str(error["message"]), str(error["code"]), error.get("frame_id"))
-    except (msgspec.MsgspecError, KeyError, TypeError, AttributeError):
-        return ProtocolError("the server sent a text message that is not an error", "bad_reply")
-
-
-def _why(ws: aiohttp.ClientWebSocketResponse) -> str:
-    return "" if ws.close_code is None else f" ({ws.close_code})"

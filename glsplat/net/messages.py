@@ -1,7 +1,7 @@
 """Requests: JSON text to a checked, frozen RenderRequest (docs/protocol.md). No I/O, no state.
 
-Three forms arrive on the same socket and are told apart by their keys: the native one (``eyes``), and two that older
-clients send (``cameras`` with ``smplx``, and one ``camera`` with ``smplx``).
+Three forms arrive on the same socket: the native one, which names its version (``v``), and two that older clients send,
+which know none (``cameras`` with ``smplx``, and one ``camera`` with ``smplx``).
 """
 
 from __future__ import annotations
@@ -40,6 +40,8 @@ MAX_BYTES = 64 * 1024
 Form = Literal["native", "bundle-legacy", "single-legacy"]
 MAX_ID = 2**32 - 1
 _ORTHONORMAL = 1e-3  # largest entry of R R^T - I; float32 clients stay below 1e-6
+NEAR, FAR, SH_DEGREE = 0.01, 1e10, 3  # of an eye whose request is silent: Camera's own defaults
+NEAREST = 1e-6  # metres; nearer than any near plane makes sense
 _MIRROR = np.diag([-1.0, 1.0, 1.0, 1.0])
 _SMPLX_LEGACY = ("root_pose", "body_pose", "jaw_pose", "leye_pose", "reye_pose", "lhand_pose", "rhand_pose")
 
@@ -85,6 +87,9 @@ class Ack:
 class _Eye(msgspec.Struct):
     viewmat: list[float]
     K: list[float]
+    near: float = NEAR
+    far: float = FAR
+    sh_degree: int = SH_DEGREE
 
 
 class _Tracking(msgspec.Struct):
@@ -138,12 +143,19 @@ class _Message(msgspec.Struct):
     crop: bool = False
     pose: _Pose | None = None
     tracking: _Tracking | None = None
+
+
+class _LegacyMessage(msgspec.Struct):
+    """What older clients send; these keys mean nothing in a message that names its version."""
+
     cameras: list[_LegacyCamera] | None = None
     camera: _LegacyCamera | None = None
     smplx: _Pose | None = None
 
 
 _decoder = msgspec.json.Decoder(_Message)
+_legacy_decoder = msgspec.json.Decoder(_LegacyMessage)
+_PICTURE = ("eyes", "size", "quality", "crop", "pose", "tracking")  # fields that only a request for a picture has
 _encoder = msgspec.json.Encoder()
 
 
@@ -161,6 +173,7 @@ class Decoder:
             raise ProtocolError(f"a message needs at most {MAX_BYTES} bytes, not {size}", "too_big")
         try:
             message = _decoder.decode(data)
+            legacy = _legacy_decoder.decode(data) if message.v is None else None
         except msgspec.ValidationError as error:
             raise ProtocolError(_line(str(error)), "bad_field") from None
         except (msgspec.DecodeError, UnicodeError) as error:
@@ -168,29 +181,25 @@ class Decoder:
         except RecursionError:
             raise ProtocolError("the message is nested too deeply", "bad_json") from None
         try:
-            return self._request(message)
+            if legacy is None or (legacy.cameras is None and legacy.camera is None):
+                return self._native(message)
+            return self._legacy(message, legacy)
         except (FormatError, PoseError) as error:
             code = "bad_pose" if isinstance(error, PoseError) else "bad_camera"
             raise ProtocolError(_line(str(error)), code, _safe_id(message.frame_id)) from None
         except ProtocolError as error:
             raise ProtocolError(_line(str(error)), error.code, _safe_id(message.frame_id)) from None
 
-    def _request(self, m: _Message) -> RenderRequest | Ack:
-        for name, value in (("frame_id", m.frame_id), ("ack", m.ack)):
-            if value is not None and not 0 <= value <= MAX_ID:
-                raise ProtocolError(f"{name} needs a whole number from 0 to {MAX_ID}")
-        if m.cameras is not None or m.camera is not None:
-            return self._legacy(m)
+    def _native(self, m: _Message) -> RenderRequest | Ack:
+        _check_ids(m)
         if m.v != VERSION:
             found = "none" if m.v is None else f"{m.v}"[:20]
             raise ProtocolError(f'this server speaks version {VERSION}: send "v": {VERSION}, not {found}', "version")
         if m.frame_id is None:
-            if m.ack is None or m.eyes is not None:
-                raise ProtocolError("a request needs frame_id")
+            asked = [name for name in _PICTURE if getattr(m, name) not in (None, False)]
+            if m.ack is None or asked:
+                raise ProtocolError("a request needs frame_id" + (f" (found {', '.join(asked)})" if asked else ""))
             return Ack(m.ack)
-        return self._native(m)
-
-    def _native(self, m: _Message) -> RenderRequest:
         o = self.options
         if m.pose is not None and m.tracking is not None:
             raise ProtocolError("a request has either pose or tracking, not both")
@@ -221,25 +230,26 @@ class Decoder:
             eyes=tuple(range(len(cameras))),
         )
 
-    def _legacy(self, m: _Message) -> RenderRequest:
+    def _legacy(self, m: _Message, old: _LegacyMessage) -> RenderRequest:
         """Head poses in Unity's frame, both eyes alike; IPD, field of view and size are the server's."""
+        _check_ids(m)
         o = self.options
-        heads = [m.camera] if m.camera is not None else m.cameras or []
+        heads = [old.camera] if old.camera is not None else old.cameras or []
         heads = sorted(heads, key=lambda head: head.eye)
         if not 1 <= len(heads) <= 2 or len({head.eye for head in heads}) != len(heads):
             raise ProtocolError("cameras needs one or two entries of different eyes")
         cameras = []
         for head in heads:
             pair = stereo_cameras(_head_from_unity(head), o.ipd, o.fov, size=o.size)
-            cameras.append(self._near(pair[head.eye == "right"]))
-        given = {} if m.smplx is None else _given(m.smplx)
+            cameras.append(self._placed(pair[head.eye == "right"]))
+        given = {} if old.smplx is None else _given(old.smplx)
         pose = {key: value for key, value in given.items() if key in POSE_KEYS}  # trans is ignored, as in their server
         return RenderRequest(
             frame_id=m.frame_id,
             cameras=self._mirrored(tuple(cameras)),
             pose=Pose.from_smplx(pose) if pose else None,
             quality=o.quality,
-            form="single-legacy" if m.camera is not None else "bundle-legacy",
+            form="single-legacy" if old.camera is not None else "bundle-legacy",
             eyes=tuple(int(head.eye == "right") for head in heads),
         )
 
@@ -265,9 +275,14 @@ class Decoder:
             raise ProtocolError("viewmat needs an orthonormal rotation (world to camera, row by row)", "bad_camera")
         if np.linalg.det(rotation) < 0:
             raise ProtocolError("viewmat is a reflection; for a mirror picture connect to /ws?mirror=1", "bad_camera")
-        return self._near(Camera(viewmat, np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]]), *size))
+        if not NEAREST <= eye.near < eye.far <= FAR:
+            raise ProtocolError(f"an eye needs {NEAREST:g} <= near < far <= {FAR:g} (metres)", "bad_camera")
+        if not 0 <= eye.sh_degree <= SH_DEGREE:
+            raise ProtocolError(f"sh_degree needs a whole number from 0 to {SH_DEGREE}", "bad_camera")
+        k = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]])
+        return self._placed(Camera(viewmat, k, *size, near=eye.near, far=eye.far, sh_degree=eye.sh_degree))
 
-    def _near(self, camera: Camera) -> Camera:
+    def _placed(self, camera: Camera) -> Camera:
         limit = self.options.max_distance
         if not np.abs(camera.position).max() <= limit:
             raise ProtocolError(f"an eye needs to be within {limit:g} m of the origin", "bad_camera")
@@ -297,13 +312,27 @@ class Decoder:
                 raise ProtocolError(f"tracking.{name} needs a quaternion of about unit length", "bad_camera")
 
 
-def eye_fields(camera: Camera) -> dict[str, list[float]]:
-    """{"viewmat": 16 numbers, "K": [fx, fy, cx, cy]} of a camera, as requests and replies carry it."""
+def eye_fields(camera: Camera) -> dict[str, Any]:
+    """{"viewmat": 16 numbers, "K": [fx, fy, cx, cy]} of a camera, as requests and replies carry it.
+
+    near, far (metres) and sh_degree are there where they are not the default.
+    """
     k = camera.K
-    return {
+    fields: dict[str, Any] = {
         "viewmat": camera.viewmat.ravel().tolist(),
         "K": [float(k[0, 0]), float(k[1, 1]), float(k[0, 2]), float(k[1, 2])],
     }
+    for name, default in (("near", NEAR), ("far", FAR), ("sh_degree", SH_DEGREE)):
+        value = getattr(camera, name)
+        if value != default:
+            fields[name] = value
+    return fields
+
+
+def _check_ids(m: _Message) -> None:
+    for name, value in (("frame_id", m.frame_id), ("ack", m.ack)):
+        if value is not None and not 0 <= value <= MAX_ID:
+            raise ProtocolError(f"{name} needs a whole number from 0 to {MAX_ID}")
 
 
 def error_text(code: str, message: str, frame_id: int | None = None) -> str:

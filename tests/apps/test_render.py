@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 import pytest
 
-from apps.cli import main
+from apps.cli import joined, main
 from glsplat import reference
 from glsplat.formats import save
 from glsplat.splats import Splats
@@ -177,6 +177,22 @@ def test_usage_errors_exit_with_2(scene: Path) -> None:
         with pytest.raises(SystemExit) as stop:
             main(arguments)
         assert stop.value.code == 2
+
+
+def test_a_point_may_begin_with_a_minus(scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """As an argument of its own, with =, and with .5; what follows is still read, and after -- nothing is joined."""
+    shots = []
+    for index, eye in enumerate((["--eye", "-1.2,1,-2"], ["--eye=-1.2,1,-2"], ["--eye", "-1.20,1e0,-.2e1"])):
+        png = tmp_path / f"{index}.npy"
+        arguments = ["render", str(scene), *eye, "--target", "-.1,0,0", "--size", "24", "-o", str(png)]
+        assert main(arguments) == 0
+        shots.append(np.load(png))
+    assert np.array_equal(shots[0], shots[1]) and np.array_equal(shots[0], shots[2])
+    assert joined(["--eye", "-1,2,3", "--", "--eye", "-1"]) == ["--eye=-1,2,3", "--", "--eye", "-1"]
+    assert joined(["-o", "-1.png", "--json", "--size", "8", "-2"]) == ["-o", "-1.png", "--json", "--size", "8", "-2"]
+    with pytest.raises(SystemExit):
+        main(["render", str(scene), "--eye", "-1,2", "-o", str(tmp_path / "a.png")])
+    assert "a point is x,y,z, for example 0,1,3, not '-1,2'" in capsys.readouterr().err
 
 
 def test_empty_scene(tmp_path: Path) -> None:
