@@ -53,6 +53,7 @@ class Connection:
         self._given_up: set[int] = set()  # frame_ids whose waiter left: their pictures are for nobody
         self._unread: deque[Arrived | ProtocolError] = deque(maxlen=_UNREAD)
         self._news = asyncio.Event()
+        self._said = ""  # the newest error that names no request, such as too many messages
         self._failure: ProtocolError | None = None
         self._task = asyncio.create_task(self._read(), name="glsplat client")
 
@@ -111,10 +112,12 @@ class Connection:
             async with asyncio.timeout(timeout):
                 return await future
         except TimeoutError:
-            newer = f"; a newer one ({self.newest}) may have replaced it" if self.newest > frame_id else ""
-            raise ProtocolError(
-                f"{self._url}: no picture for request {frame_id} within {timeout:g} s{newer}", "timeout", frame_id
-            ) from None
+            text = f"{self._url}: no picture for request {frame_id} within {timeout:g} s"
+            if self.newest > frame_id:
+                text += f"; a newer one ({self.newest}) may have replaced it"
+            if self._said:
+                text += f"; the server said: {self._said}"
+            raise ProtocolError(text, "timeout", frame_id) from None
         finally:
             del self._waiting[frame_id]
             if frame_id in self._sent:
@@ -185,6 +188,7 @@ class Connection:
         """The server's error about one request; without a number, it is about what is waited for."""
         number = error.frame_id
         if number is None:
+            self._said = str(error)
             number = next(iter(self._waiting), None)
         if number is not None:
             self._sent.pop(number, None)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import gc
 import json
+import random
 import time
 from dataclasses import replace
 
@@ -20,6 +21,7 @@ from glsplat.errors import GlsplatError, ProtocolError
 from glsplat.net.client import Client
 from glsplat.net.messages import Ack, Decoder, WireOptions, eye_fields
 from glsplat.net.server import Server, ServerConfig
+from glsplat.net.session import SessionConfig
 from glsplat.renderer import Renderer
 from glsplat.skinning.pose import Pose
 from glsplat.splats import Splats
@@ -200,6 +202,39 @@ def test_a_cancelled_receive_loses_no_picture():
             return (await client.receive()).reply.frame_id
 
     assert asyncio.run(main()) == 1
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_any_mixture_of_calls_at_once_ends_in_pictures_or_errors(seed):
+    """Two that render, one that sends, two that do anything, some of it cancelled: no render is left without a word."""
+    rng = random.Random(seed)
+    backend = FakeBackend(
+        delay=rng.choice([0, 0.002, 0.01]), fail=lambda request: RuntimeError("no") if rng.random() < 0.1 else None
+    )
+    unlimited = ServerConfig(port=0, session=SessionConfig(rate=1e5, burst=10**5))
+    codes: list[str] = []
+
+    async def act(client: Client, kind: str) -> None:
+        for _ in range(30):
+            name = kind or rng.choice(["render", "send", "receive"])
+            call = client.receive() if name == "receive" else getattr(client, name)(PAIR)
+            try:
+                await (asyncio.wait_for(call, rng.uniform(0, 0.02)) if rng.random() < 0.3 else call)
+            except ProtocolError as error:
+                codes.append(f"{name} {error.code}")
+            except TimeoutError:
+                codes.append("cancelled")
+            await asyncio.sleep(rng.uniform(0, 0.005))
+
+    async def main():
+        async with serving(backend, unlimited) as server, Client(server.url, window=seed + 1, timeout=2) as client:
+            await asyncio.gather(*(act(client, kind) for kind in ("render", "render", "send", "", "")))
+            backend.fail = lambda request: None
+            reply = await client.render(PAIR)
+            return reply.frame_id == client.newest
+
+    assert asyncio.run(main()) and "cancelled" in codes
+    assert set(codes) <= {"cancelled", "render dropped", "render render", "receive render", "receive timeout"}
 
 
 # ---------------------------------------------------------------------------------------------------- goes away
