@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from math import isfinite, sqrt
@@ -15,6 +16,7 @@ from glsplat.skinning.pose import Pose
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.tracking.body import HAND_FRAMES, HEAD_FRAME, Body
 from glsplat.tracking.calibration import Calibration
+from glsplat.tracking.checked import checked, finite, standing, still
 from glsplat.tracking.filters import OneEuro, PositionFilter, RotationFilter
 from glsplat.tracking.fingers import Fingers
 from glsplat.tracking.guard import Guard
@@ -23,6 +25,8 @@ from glsplat.tracking.sample import Sample, Transform
 from glsplat.tracking.solver import AnalyticSolver, Solution, Solver, Targets
 
 __all__ = ["Tracker", "TrackerConfig"]
+
+log = logging.getLogger("glsplat.tracking")
 
 HEAD_POSITION, HEAD_ROTATION = OneEuro(5.0, 40.0), OneEuro(5.0, 8.0)
 HAND_POSITION, HAND_ROTATION = OneEuro(4.0, 40.0), OneEuro(4.0, 6.0)
@@ -95,6 +99,9 @@ class Tracker:
     The pose is in the avatar's own metres, its ground at y = 0: world positions are divided by ``calibration.scale``
     after the floor is subtracted. Draw the avatar at unit size and divide the cameras' positions likewise
     (``to_avatar``). Not thread-safe; one Tracker a user. Deterministic: the same samples give the same poses.
+
+    A ``solver`` of your own may raise or return what is no body: the last pose is then held, ``flags`` has
+    "solver_failed" and ``solver_error`` says why. Raises PoseError for a solver without ``reset`` and ``solve``.
     """
 
     def __init__(
@@ -109,7 +116,12 @@ class Tracker:
         self.calibration = calibration or Calibration()
         self.config = c = config or TrackerConfig()
         self.body = Body.of(skeleton)
-        self.solver: Solver = solver or AnalyticSolver(self.body)
+        self.solver: Solver = AnalyticSolver(self.body) if solver is None else solver
+        self._trusted = type(self.solver) is AnalyticSolver
+        if not all(callable(getattr(self.solver, name, None)) for name in ("reset", "solve")):
+            raise PoseError(
+                f"a solver needs the methods reset() and solve(targets, dt), which {type(solver).__name__} lacks"
+            )
         self.head_only = head_only
         self._root = self.body.joints[0]
         self._guard = Guard(self.body, c.joint_speed, c.root_speed, c.foot_speed)
@@ -139,12 +151,15 @@ class Tracker:
         self._count = 0
         self._pose: Pose | None = None
         self.flags: tuple[str, ...] = ()
+        self.solver_error = ""  # why the newest pose is held although there was a sample; one line
         self.reach_error: tuple[float | None, float | None] = (None, None)
 
     # -- in
 
     def update(self, sample: Sample) -> Pose:
-        """The pose at ``sample.t`` (plus ``config.prediction``), read-only. Never raises for what a sample holds.
+        """The pose at ``sample.t`` (plus ``config.prediction``), read-only, finite.
+
+        Never raises for what a sample holds, nor for what the solver does.
 
         ``flags`` then tells what was out of the ordinary, ``reach_error`` the metres by which each wrist misses its
         hand (None: not tracked).
@@ -183,12 +198,16 @@ class Tracker:
             self._head.reset()
             for hand in self._hands:
                 hand.reset()
-            self.solver.reset()
         step = min(dt or self._step, self.config.gap)
         if seen is not None:
             self._frozen(seen, flags)
         targets = self._filtered(head, hands, step, flags)
-        solution = self._solve(targets, step)
+        solution = self._solve(targets, step, fresh)
+        if solution is None:
+            flags.append("solver_failed")
+            last = self._guard.last
+            # never a jump: not to the held body, and from it only at the speeds of every body
+            solution, fresh = (standing(self._root), True) if last is None else (still(last), False)
         return self._finish(solution, sample, hands, 0.0 if fresh else step, flags)
 
     def __call__(self, tracking: Mapping[str, Any], t: float) -> Pose:
@@ -297,10 +316,26 @@ class Tracker:
                 targets.left, targets.left_hand = at, turn
         return targets
 
-    def _solve(self, targets: Targets, dt: float) -> Solution:
-        solution = self.solver.solve(targets, min(dt, 0.1))
-        for _ in range(int(dt / 0.1 - 1e-9)):  # a hole of some tenths of a second: let the body settle
-            solution = self.solver.solve(targets, 0.1)
+    def _solve(self, targets: Targets, dt: float, fresh: bool) -> Solution | None:
+        """The solver's body, checked; None where it has none."""
+        try:
+            if fresh:
+                self.solver.reset()
+            solution = self.solver.solve(targets, min(dt, 0.1))
+            for _ in range(int(dt / 0.1 - 1e-9)):  # a hole of some tenths of a second: let the body settle
+                solution = self.solver.solve(targets, 0.1)
+            # our own keeps to the limits by itself, to the last bit; that its numbers are finite is asked all the same
+            if self._trusted and finite(solution):
+                self.solver_error = ""
+                return solution
+            solution = checked(solution)
+        except Exception as error:
+            if not self.solver_error:  # once, not at every sample
+                log.warning("%s failed; the last pose is held", type(self.solver).__name__, exc_info=True)
+            text = str(error) if isinstance(error, PoseError) else f"{type(error).__name__}: {error}"
+            self.solver_error = " ".join(text.split())[:300]
+            return None
+        self.solver_error = ""
         return solution
 
     # -- out
