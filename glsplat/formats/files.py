@@ -1,83 +1,233 @@
-"""Opening and replacing files: every way this can fail becomes one FormatError line that names the file."""
+"""Opening and replacing files: every way this can fail becomes one FormatError line that names the file.
+
+A file is named by a path (str, bytes, os.PathLike), or it is an object that is open already, in binary mode.
+"""
 
 from __future__ import annotations
 
+import io
 import os
 import secrets
 import stat
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 from glsplat.errors import FormatError
 from glsplat.splats import Splats
 
-__all__ = ["checked", "naming", "open_regular", "replace_file"]
+__all__ = ["Source", "checked", "folder_of", "naming", "open_regular", "replace_file", "sampled", "suffix_of"]
+
+Source = str | bytes | os.PathLike[Any] | BinaryIO
+"""What is read or written. An object is read from where it stands to its end, and stays open."""
+
+_IN_PLACE = (io.BytesIO, io.BufferedReader, io.BufferedRandom, io.FileIO)  # quick to seek in; all else is read whole
+_BLOCKS, _BLOCK = 64, 1 << 16  # a sample of a large file: so many blocks of so many bytes
+
+
+def path_of(source: Source) -> str:
+    """A path as str. Raises FormatError for anything else, file objects among it."""
+    if isinstance(source, (str, bytes, os.PathLike)):
+        return os.fsdecode(source)
+    raise FormatError(
+        f"expected a path (str, bytes, os.PathLike) or a file open in binary mode, not {type(source).__name__}"
+    )
+
+
+def suffix_of(source: Source) -> str:
+    """The suffix of a path, or of the name that an open file has; "" where there is none. Lower case, with its dot."""
+    name = getattr(source, "name", "") if _is_open(source) else path_of(source)
+    return Path(os.fsdecode(name)).suffix.lower() if isinstance(name, (str, bytes)) else ""
+
+
+def folder_of(source: Source) -> Path | None:
+    """The folder of a path; None for an open file, whose name need not be where it lies."""
+    return None if _is_open(source) else Path(path_of(source)).parent
+
+
+def name_of(source: Source) -> str:
+    """For messages: the path, or what an open file is called."""
+    if not _is_open(source):
+        name: Any = path_of(source)
+    else:
+        name = getattr(source, "name", None)
+        if not isinstance(name, (str, bytes)) or not name:
+            return f"<{type(source).__name__}>"
+    return os.fsdecode(name).encode("utf-8", "replace").decode()  # bytes that are no text cannot be printed
+
+
+def _is_open(source: Source) -> bool:
+    return not isinstance(source, (str, bytes, os.PathLike)) and (hasattr(source, "read") or hasattr(source, "write"))
 
 
 @contextmanager
-def open_regular(path: str | Path) -> Iterator[tuple[BinaryIO, int]]:
-    """A regular file, opened for reading, and its size in bytes.
+def open_regular(source: Source) -> Iterator[tuple[BinaryIO, int]]:
+    """A regular file, opened for reading, and its size in bytes; of an object, what is left of it.
 
     Raises FormatError for a directory, a pipe or device (reading one might never end), and anything the system
     refuses, also while the body of the ``with`` reads.
     """
+    name = name_of(source)
     try:
+        if _is_open(source):
+            yield _rest_of(source, name)  # type: ignore[arg-type]
+            if isinstance(source, _IN_PLACE) and source.seekable():
+                source.seek(0, os.SEEK_END)
+            return
         # O_NONBLOCK: opening a pipe without a writer would wait for one
-        descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
+        flags = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
+        descriptor = os.open(path_of(source), flags)
         with os.fdopen(descriptor, "rb") as file:
             info = os.fstat(descriptor)
             if not stat.S_ISREG(info.st_mode):
                 kind = "a directory" if stat.S_ISDIR(info.st_mode) else "not a regular file"
-                raise FormatError(f"{path}: expected a file, but this is {kind}")
+                raise FormatError(f"{name}: expected a file, but this is {kind}")
             yield file, info.st_size
     except OSError as error:
-        raise FormatError(f"{path}: cannot be read ({error.strerror or error})") from None
-    except ValueError as error:  # a path with a NUL byte
-        raise FormatError(f"{str(path)!r}: cannot be read ({error})") from None
+        raise FormatError(f"{name}: cannot be read ({error.strerror or error})") from None
+    except ValueError as error:  # a path with a NUL byte, a file that was closed
+        raise FormatError(f"{name!r}: cannot be read ({error})") from None
 
 
-def replace_file(path: str | Path, parts: Iterable[bytes | memoryview]) -> None:
-    """Write ``parts`` beside ``path`` and rename: the file is complete or, on any failure, as it was.
+def replace_file(target: Source, parts: Iterable[bytes | memoryview]) -> None:
+    """Write ``parts`` beside the path ``target`` and rename: the file is complete or, on any failure, as it was.
 
-    Raises FormatError when the folder or the file cannot be written.
+    A link is followed, a file that is there keeps its mode (and owner, where the system allows), a new one gets what
+    the umask says. An open file is written to from where it stands. Raises FormatError when this is refused.
     """
-    target = Path(path)
-    if target.exists() and not target.is_file():  # renaming over a device or a folder would destroy it, or fail late
-        raise FormatError(f"{path}: cannot be written (it exists and is not a regular file)")
-    partial = target.parent / f".{secrets.token_hex(6)}.partial"
+    name = name_of(target)
     try:
-        try:
-            with open(partial, "xb") as file:
-                for part in parts:
-                    file.write(part)
-            os.replace(partial, target)
-        except BaseException:
-            partial.unlink(missing_ok=True)
-            raise
+        if _is_open(target):
+            _write_to(target, parts, name)  # type: ignore[arg-type]
+        else:
+            _replace(Path(os.path.realpath(path_of(target))), parts)
     except OSError as error:
-        raise FormatError(f"{path}: cannot be written ({error.strerror or error})") from None
+        raise FormatError(f"{name}: cannot be written ({error.strerror or error})") from None
     except ValueError as error:
-        raise FormatError(f"{str(path)!r}: cannot be written ({error})") from None
+        raise FormatError(f"{name!r}: cannot be written ({error})") from None
 
 
 @contextmanager
-def naming(path: str | Path) -> Iterator[None]:
+def naming(source: Source) -> Iterator[None]:
     """Put the file's name in front of the message of a FormatError that does not have it yet."""
+    name = name_of(source)
     try:
         yield
     except FormatError as error:
         text = str(error)
-        raise FormatError(text if text.startswith(f"{path}: ") else f"{path}: {text}") from None
+        raise FormatError(text if text.startswith((f"{name}: ", f"{name!r}: ")) else f"{name}: {text}") from None
 
 
-def checked(splats: Splats, path: str | Path, strict: bool) -> Splats:
+def sampled(file: BinaryIO, start: int, size: int, whole: int = _BLOCKS * _BLOCK) -> bytes:
+    """``size`` bytes from ``start``, or of more than ``whole`` blocks spread evenly, each at a multiple of 64 bytes."""
+    if size <= whole:
+        file.seek(start)
+        return file.read(size)
+    parts = []
+    for index in range(_BLOCKS):
+        file.seek(start + (size - _BLOCK) * index // (_BLOCKS - 1) // 64 * 64)
+        parts.append(file.read(_BLOCK))
+    return b"".join(parts)
+
+
+def checked(splats: Splats, source: Source, strict: bool) -> Splats:
     """``splats`` as they are; with ``strict``, a FormatError with the count when some are not finite."""
     if strict:
         bad = len(splats) - int(splats.finite().sum())
         if bad:
             raise FormatError(
-                f"{path}: {bad} of {len(splats)} splats hold NaN or infinity; repair the file or load it without strict"
+                f"{name_of(source)}: {bad} of {len(splats)} splats hold NaN or infinity; "
+                "repair the file or load it without strict"
             )
     return splats
+
+
+class _Rest(io.RawIOBase):
+    """What is left of an open file, as a file of its own that begins at 0; closing it leaves the other open."""
+
+    def __init__(self, file: BinaryIO, start: int, size: int) -> None:
+        self._file, self._start, self._size, self._at = file, start, size, 0
+
+    def readable(self) -> bool:
+        return True
+
+    def seekable(self) -> bool:
+        return True
+
+    def seek(self, offset: int, whence: int = 0) -> int:
+        self._at = max(0, offset + (0, self._at, self._size)[whence])
+        return self._at
+
+    def tell(self) -> int:
+        return self._at
+
+    def readinto(self, buffer: Any) -> int:
+        self._file.seek(self._start + self._at)
+        data = self._file.read(len(buffer))
+        buffer[: len(data)] = data
+        self._at += len(data)
+        return len(data)
+
+
+def _rest_of(file: BinaryIO, name: str) -> tuple[BinaryIO, int]:
+    if isinstance(file, io.TextIOBase) or not hasattr(file, "read"):
+        raise FormatError(f"{name}: expected a file open for reading in binary mode (open(..., 'rb'))")
+    if isinstance(file, _IN_PLACE) and file.seekable():
+        start = file.tell()
+        size = file.seek(0, os.SEEK_END) - start
+        file.seek(start)
+        return io.BufferedReader(_Rest(file, start, max(size, 0)), _BLOCK), max(size, 0)
+    try:
+        data: Any = file.read()
+    except (OSError, ValueError):
+        raise
+    except Exception as error:  # zlib.error, BadZipFile, EOFError, ...: whatever the object's own kind is
+        raise FormatError(f"{name}: cannot be read ({type(error).__name__}: {error})") from error
+    if not isinstance(data, (bytes, bytearray, memoryview)):
+        raise FormatError(
+            f"{name}: expected a file open in binary mode, whose read() gives bytes, not {type(data).__name__}"
+        )
+    return io.BytesIO(data), len(data)
+
+
+def _write_to(file: BinaryIO, parts: Iterable[bytes | memoryview], name: str) -> None:
+    if isinstance(file, io.TextIOBase) or not hasattr(file, "write"):
+        raise FormatError(f"{name}: expected a file open for writing in binary mode (open(..., 'wb'))")
+    for part in parts:
+        rest = memoryview(part).cast("B")
+        while len(rest):  # an unbuffered file may take less than it is given
+            try:
+                count = file.write(rest)
+            except TypeError as error:
+                raise FormatError(f"{name}: expected a file open in binary mode ({error})") from None
+            if count == 0:
+                raise FormatError(f"{name}: cannot be written (it takes no more bytes)")
+            rest = rest[len(rest) if count is None else count :]
+
+
+def _replace(path: Path, parts: Iterable[bytes | memoryview]) -> None:
+    try:
+        old = os.lstat(path)
+    except FileNotFoundError:
+        old = None
+    if old is not None:
+        # renaming over a device or a folder would destroy it, or fail late; a link that is left is one in a circle
+        if not stat.S_ISREG(old.st_mode):
+            raise OSError("it exists and is not a regular file")
+        if not os.access(path, os.W_OK):  # renaming does not ask
+            raise PermissionError(13, "Permission denied")
+    partial = path.parent / f".{secrets.token_hex(6)}.partial"
+    try:
+        with open(partial, "xb") as file:
+            for part in parts:
+                file.write(part)
+        if old is not None:
+            if hasattr(os, "chown"):
+                with suppress(OSError):  # only root may give a file away
+                    os.chown(partial, old.st_uid, old.st_gid)
+            os.chmod(partial, stat.S_IMODE(old.st_mode) & 0o777)
+        os.replace(partial, path)
+    except BaseException:
+        partial.unlink(missing_ok=True)
+        raise

@@ -9,10 +9,12 @@ from __future__ import annotations
 
 import base64
 import binascii
+import io
 import struct
 from collections.abc import Iterable
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any, BinaryIO, TypeVar
 from urllib.parse import unquote
 
 import msgspec
@@ -20,10 +22,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.errors import FormatError
-from glsplat.formats.files import open_regular
+from glsplat.formats.files import open_regular, sampled
 
-__all__ = ["Accessor", "Asset", "Buffer", "BufferView", "Container", "Gltf", "Mesh", "Node", "Primitive", "Scene"]
-__all__ += ["Output", "Skin", "item", "parse", "to_glb", "to_json"]
+__all__ = [
+    "Accessor",
+    "Asset",
+    "Blob",
+    "Buffer",
+    "BufferView",
+    "Container",
+    "Gltf",
+    "Mesh",
+    "Node",
+    "Primitive",
+    "Scene",
+]
+__all__ += ["Output", "Skin", "item", "parse", "read_container", "to_glb", "to_json"]
 
 T = TypeVar("T")
 Index = Annotated[int, msgspec.Meta(ge=0, le=2**53)]
@@ -34,6 +48,7 @@ Mat4 = Annotated[list[float], msgspec.Meta(min_length=16, max_length=16)]
 _COMPONENTS = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
 _FULL_SCALE = {"i1": 127.0, "u1": 255.0, "<i2": 32767.0, "<u2": 65535.0}
+_SAMPLED = 1 << 24  # bytes of JSON above which it is looked at for holes first
 _MAGIC, _JSON, _BIN = 0x46546C67, 0x4E4F534A, 0x004E4942
 
 
@@ -138,21 +153,48 @@ class Gltf(_Object):
     buffers: list[Buffer] = []
 
 
+@dataclass(frozen=True, slots=True)
+class Blob:
+    """Bytes of a file, read where they are needed: an accessor may want little of a large buffer."""
+
+    source: BinaryIO | Path
+    start: int
+    length: int
+
+    @classmethod
+    def of(cls, data: bytes) -> Blob:
+        """Bytes that are in memory."""
+        return cls(io.BytesIO(data), 0, len(data))
+
+    def __len__(self) -> int:
+        return self.length
+
+    def part(self, start: int, count: int) -> bytes:
+        """``count`` bytes from ``start``, which the caller knows to be there."""
+        if isinstance(self.source, Path):
+            with open_regular(self.source) as (file, _):
+                return replace(self, source=file).part(start, count)
+        self.source.seek(self.start + start)
+        data = self.source.read(count)
+        if len(data) != count:
+            raise FormatError("the file became shorter while it was read")
+        return data
+
+
 class Container:
     """A parsed file: the JSON and, on demand, its buffers. Nothing outside the file's own folder is opened."""
 
-    def __init__(self, gltf: Gltf, blob: memoryview | None, folder: Path) -> None:
+    def __init__(self, gltf: Gltf, blob: Blob | None, folder: Path | None) -> None:
         self.gltf = gltf
         self._blob = blob
         self._folder = folder
-        self._uris: dict[str, memoryview] = {}
-        self._files: dict[Path, memoryview] = {}
+        self._uris: dict[str, Blob] = {}
 
     def read(self, index: int, what: str, types: tuple[str, ...]) -> NDArray[np.generic]:
-        """The elements of an accessor [count, width], raw component type, a view into its buffer.
+        """The elements of an accessor [count, width], raw component type.
 
         ``what`` names the accessor in messages. Raises FormatError when it leaves its buffer or has another type
-        than one of ``types``; no memory is allocated for what the buffer does not hold.
+        than one of ``types``; no memory is allocated for what the buffer does not hold, and no more of it is read.
         """
         accessor = item(self.gltf.accessors, index, f"accessor of {what}")
         code = _COMPONENTS.get(accessor.component_type)
@@ -181,7 +223,8 @@ class Container:
                 f"{min(view.byte_length, max(len(data) - view.byte_offset, 0))}"
             )
         offset = view.byte_offset + accessor.byte_offset
-        return np.ndarray((accessor.count, width), dtype, data, offset, (stride, dtype.itemsize))
+        part = data.part(offset, stride * (accessor.count - 1) + size)
+        return np.ndarray((accessor.count, width), dtype, part, 0, (stride, dtype.itemsize))
 
     def numbers(self, index: int, what: str, types: tuple[str, ...]) -> NDArray[np.float32]:
         """The elements of an accessor [count, width] as float32, normalised integers decoded (glTF 2.0, 3.11)."""
@@ -193,7 +236,7 @@ class Container:
             values = np.maximum(values / np.float32(_FULL_SCALE[code]), np.float32(-1))
         return values
 
-    def _buffer(self, index: int) -> memoryview:
+    def _buffer(self, index: int) -> Blob:
         buffer = item(self.gltf.buffers, index, "buffer")
         if buffer.uri is None:
             if index or self._blob is None:
@@ -205,18 +248,22 @@ class Container:
             data = self._uris[buffer.uri]
         if len(data) < buffer.byte_length:
             raise FormatError(f"truncated: buffer {index} declares {buffer.byte_length} bytes, {len(data)} are there")
-        return data[: buffer.byte_length]
+        return replace(data, length=buffer.byte_length)
 
-    def _fetch(self, uri: str) -> memoryview:
+    def _fetch(self, uri: str) -> Blob:
         if uri.startswith("data:"):
             head, comma, body = uri.partition(",")
             try:
                 if not comma or not head.endswith(";base64"):
                     raise ValueError("no ;base64")
-                return memoryview(base64.b64decode(body, validate=True))
+                return Blob.of(base64.b64decode(body, validate=True))
             except (ValueError, binascii.Error) as error:
                 raise FormatError(f"a data URI of a buffer is not base64 ({str(error)[:60]})") from None
         name = unquote(uri)
+        if self._folder is None:
+            raise FormatError(
+                f"the buffer {name[:60]!r} is a file of its own, and an open file has no folder; give its path"
+            )
         folder = self._folder.resolve()
         try:
             target = (folder / name).resolve()
@@ -225,10 +272,8 @@ class Container:
         # also catches absolute paths and symbolic links that lead out
         if "\\" in name or ":" in name or not target.is_relative_to(folder):
             raise FormatError(f"the buffer {name[:60]!r} lies outside the file's own folder; put it beside the file")
-        if target not in self._files:  # many spellings of one name must not be read many times
-            with open_regular(target) as (file, _):
-                self._files[target] = memoryview(file.read())
-        return self._files[target]
+        with open_regular(target) as (_, size):
+            return Blob(target, 0, size)
 
 
 def item(items: list[T], index: int, what: str) -> T:
@@ -240,13 +285,21 @@ def item(items: list[T], index: int, what: str) -> T:
 
 def parse(data: bytes, folder: Path) -> Container:
     """A GLB, or the JSON of a .gltf whose buffers lie in ``folder``. Raises FormatError without naming the file."""
-    view = memoryview(data)
-    blob: memoryview | None = None
-    text = view
-    if data[:4] == b"glTF":
-        text, blob = _chunks(view)
+    return read_container(io.BytesIO(data), len(data), folder)
+
+
+def read_container(file: BinaryIO, size: int, folder: Path | None) -> Container:
+    """The same of an open file of ``size`` bytes; it has to stay open while the container is read from."""
+    text, blob = Blob(file, 0, size), None
+    file.seek(0)
+    head = file.read(20)
+    if head[:4] == b"glTF":
+        text, blob = _chunks(file, size, head)
+    # a hole in a file is not read: JSON has no zero bytes
+    if text.length > _SAMPLED and b"\0" in sampled(file, text.start, text.length):
+        raise FormatError("the glTF JSON is broken: it has zero bytes (a hole in the file?)")
     try:
-        gltf = msgspec.json.decode(text, type=Gltf)
+        gltf = msgspec.json.decode(text.part(0, text.length), type=Gltf)
     except (msgspec.MsgspecError, RecursionError, UnicodeDecodeError) as error:
         raise FormatError(f"the glTF JSON is broken: {str(error)[:160]}") from None
     if not gltf.asset.version.startswith("2."):
@@ -254,25 +307,25 @@ def parse(data: bytes, folder: Path) -> Container:
     return Container(gltf, blob, folder)
 
 
-def _chunks(view: memoryview) -> tuple[memoryview, memoryview | None]:
-    if len(view) < 20:
-        raise FormatError(f"truncated: a GLB has a header of 20 bytes, this file has {len(view)}")
-    _, version, length = struct.unpack_from("<III", view)
+def _chunks(file: BinaryIO, have: int, head: bytes) -> tuple[Blob, Blob | None]:
+    if have < 20:
+        raise FormatError(f"truncated: a GLB has a header of 20 bytes, this file has {have}")
+    _, version, length = struct.unpack_from("<III", head)
     if version != 2:
         raise FormatError(f"needs GLB version 2, found {version}")
-    if length > len(view):
-        raise FormatError(f"truncated: the GLB header declares {length} bytes, the file has {len(view)}")
-    found: list[memoryview] = []
+    if length > have:
+        raise FormatError(f"truncated: the GLB header declares {length} bytes, the file has {have}")
+    found: list[Blob] = []
     at = 12
     for kind, name in ((_JSON, "JSON"), (_BIN, "BIN")):
         if at + 8 > length:
             break
-        size, tag = struct.unpack_from("<II", view, at)
+        size, tag = struct.unpack("<II", Blob(file, at, 8).part(0, 8))
         if at + 8 + size > length:
             raise FormatError(f"truncated: the {name} chunk declares {size} bytes, {length - at - 8} are left")
         if tag != kind:
             break
-        found.append(view[at + 8 : at + 8 + size])
+        found.append(Blob(file, at + 8, size))
         at += 8 + size
     if not found:
         raise FormatError("the first chunk of a GLB needs to be JSON")

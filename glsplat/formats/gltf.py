@@ -9,21 +9,33 @@ which a viewer that knows only the extension shows in the zero pose.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.avatar import Avatar
 from glsplat.errors import FormatError
-from glsplat.formats.files import checked, naming, open_regular, replace_file
-from glsplat.formats.glb import Asset, Buffer, Container, Mesh, Node, Output, Primitive, Scene, parse, to_glb, to_json
+from glsplat.formats.files import Source, checked, folder_of, naming, open_regular, replace_file, suffix_of
+from glsplat.formats.glb import (
+    Asset,
+    Buffer,
+    Container,
+    Mesh,
+    Node,
+    Output,
+    Primitive,
+    Scene,
+    read_container,
+    to_glb,
+    to_json,
+)
 from glsplat.formats.nodes import Instance, graph_of, instances
 from glsplat.formats.rig import read_skeleton, read_skin, write_rig
 from glsplat.formats.transform import transformed
 from glsplat.splats import SH_C0, Splats
 
-__all__ = ["EXTENSION", "load_gltf", "save_gltf"]
+__all__ = ["EXTENSION", "load_gltf", "read_gltf", "save_gltf"]
 
 EXTENSION = "KHR_gaussian_splatting"
 _VERSION = 1  # of asset.extras.glsplat
@@ -38,7 +50,7 @@ _INSTANCES = 64  # times the splats stored, that nodes may show them: a small fi
 _SH_NAMES = [(degree, n) for degree in range(4) for n in range(2 * degree + 1)]
 
 
-def load_gltf(path: str | Path, *, strict: bool = False) -> Splats | Avatar:
+def load_gltf(source: Source, *, strict: bool = False) -> Splats | Avatar:
     """Read a .glb or .gltf: an Avatar where the splats have a skin, else all splats of the scene in world space.
 
     Node transforms are applied, including the rotation of spherical harmonics (transform.py); a skinned primitive
@@ -49,19 +61,22 @@ def load_gltf(path: str | Path, *, strict: bool = False) -> Splats | Avatar:
     Raises FormatError: no glTF, no splats in it, an attribute missing, truncated or of another kind, a colour space
     other than display sRGB, compressed splats, or an external buffer outside the file's own folder.
     """
-    with naming(path):
-        with open_regular(path) as (file, _):
-            container = parse(file.read(), Path(path).parent)
-        scene = _scene(container)
-        checked(scene.splats if isinstance(scene, Avatar) else scene, path, strict)
+    with naming(source), open_regular(source) as (file, size):
+        scene = read_gltf(file, size, folder_of(source))
+        checked(scene.splats if isinstance(scene, Avatar) else scene, source, strict)
         return scene
 
 
-def save_gltf(scene: Splats | Avatar, path: str | Path) -> None:
-    """Write a .glb, or where ``path`` ends in .gltf one JSON file with its buffer embedded.
+def read_gltf(file: BinaryIO, size: int, folder: Path | None) -> Splats | Avatar:
+    """The scene of an open file of ``size`` bytes, whose other buffers lie in ``folder``."""
+    return _scene(read_container(file, size, folder))
+
+
+def save_gltf(scene: Splats | Avatar, target: Source, *, embedded: bool | None = None) -> None:
+    """Write a .glb, or where ``target`` ends in .gltf one JSON file with its buffer ``embedded``.
 
     Attributes are stored as float32 exactly as they are, joints as the smallest unsigned integer that fits.
-    Raises FormatError when ``path`` cannot be written or an avatar's metadata is not JSON.
+    Raises FormatError when ``target`` cannot be written or an avatar's metadata is not JSON.
     """
     out = Output()
     splats = scene.splats if isinstance(scene, Avatar) else scene
@@ -100,8 +115,9 @@ def save_gltf(scene: Splats | Avatar, path: str | Path) -> None:
     gltf.extensions_used = [EXTENSION]
     blob = b"".join(out.parts)
     gltf.buffers = [Buffer(byte_length=len(blob))]
-    with naming(path):
-        replace_file(path, to_json(gltf, blob) if Path(path).suffix.lower() == ".gltf" else to_glb(gltf, blob))
+    embedded = suffix_of(target) == ".gltf" if embedded is None else embedded
+    with naming(target):
+        replace_file(target, to_json(gltf, blob) if embedded else to_glb(gltf, blob))
 
 
 def _scene(container: Container) -> Splats | Avatar:

@@ -11,19 +11,19 @@ import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from itertools import islice
-from pathlib import Path
 from typing import BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.errors import FormatError
-from glsplat.formats.files import checked, naming, open_regular, replace_file
+from glsplat.formats.files import Source, checked, naming, open_regular, replace_file
 from glsplat.splats import Splats, normalised
 
-__all__ = ["load_ply", "save_ply"]
+__all__ = ["load_ply", "read_ply", "save_ply"]
 
 _HEADER_LIMIT = 1 << 16  # bytes; a header of 3DGS has 1.5 kB
+_LINE_LIMIT = 1 << 16  # bytes of a line of ASCII; a splat of degree 3 has 800
 _CHUNK = 1 << 15  # splats converted at a time: fits the cache and keeps the peak memory near the result's
 _ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">", "ascii": ""}
 _TYPES = {
@@ -56,37 +56,40 @@ class _Element:
         return np.dtype([(name, order + code) for name, code in self.properties.items()])
 
 
-def load_ply(path: str | Path, *, strict: bool = False) -> Splats:
+def load_ply(source: Source, *, strict: bool = False) -> Splats:
     """Read a 3DGS PLY and activate its attributes: exp(scale), sigmoid(opacity), unit quaternions wxyz.
 
     The header is checked against the size of the file before anything is allocated. Non-finite values are kept,
     or with ``strict`` refused. Raises FormatError: no PLY, a PLY of something else than splats (names the missing
     properties), truncated, or longer than its header says.
     """
-    with naming(path), open_regular(path) as (file, size):
-        head = file.read(_HEADER_LIMIT)
-        order, elements, start = _header(head)
-        antialias = _ANTIALIAS.encode() in head[:start].splitlines()
-        vertex = next((e for e in elements if e.name == "vertex"), None)
-        if vertex is None:
-            raise FormatError(f"a splat PLY needs an element vertex, found {_listed([e.name for e in elements])}")
-        degree = _check_properties(vertex)
-        before = elements[: elements.index(vertex)]
-        if any(e.lists for e in before):
-            raise FormatError(
-                "an element with list properties before the vertices is not supported; put it behind them"
-            )
-        last = elements[-1] is vertex
-        file.seek(start)
-        if order:
-            chunks = _binary(file, size - start, before, vertex, order, last)
-        else:
-            chunks = _ascii(file, size - start, before, vertex, last)
-        return checked(replace(_activate(chunks, vertex.count, degree), antialias=antialias), path, strict)
+    with naming(source), open_regular(source) as (file, size):
+        return checked(read_ply(file, size), source, strict)
 
 
-def save_ply(splats: Splats, path: str | Path) -> None:
-    """Write a binary little-endian 3DGS PLY; raises FormatError when ``path`` cannot be written.
+def read_ply(file: BinaryIO, size: int) -> Splats:
+    """The splats of an open file of ``size`` bytes."""
+    head = file.read(_HEADER_LIMIT)
+    order, elements, start = _header(head)
+    antialias = _ANTIALIAS.encode() in head[:start].splitlines()
+    vertex = next((e for e in elements if e.name == "vertex"), None)
+    if vertex is None:
+        raise FormatError(f"a splat PLY needs an element vertex, found {_listed([e.name for e in elements])}")
+    degree = _check_properties(vertex)
+    before = elements[: elements.index(vertex)]
+    if any(e.lists for e in before):
+        raise FormatError("an element with list properties before the vertices is not supported; put it behind them")
+    last = elements[-1] is vertex
+    file.seek(start)
+    if order:
+        chunks = _binary(file, size - start, before, vertex, order, last)
+    else:
+        chunks = _ascii(file, size - start, before, vertex, last)
+    return replace(_activate(chunks, vertex.count, degree), antialias=antialias)
+
+
+def save_ply(splats: Splats, target: Source) -> None:
+    """Write a binary little-endian 3DGS PLY; raises FormatError when ``target`` cannot be written.
 
     Opacities outside [0, 1] are clamped, a negative scale is written as its magnitude (the covariance is the same);
     0 and 1 become finite logits that read back as exactly 0 and 1, and a zero scale reads back as zero. ``antialias``
@@ -97,7 +100,7 @@ def save_ply(splats: Splats, path: str | Path) -> None:
     header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(splats)}"]
     header[2:2] = [_ANTIALIAS] if splats.antialias else []
     header += [f"property float {name}" for name in names] + ["end_header", ""]
-    replace_file(path, _packed("\n".join(header).encode(), splats))
+    replace_file(target, _packed("\n".join(header).encode(), splats))
 
 
 def _packed(header: bytes, splats: Splats) -> Iterator[bytes | memoryview]:
@@ -191,7 +194,7 @@ def _ascii(
         raise FormatError(
             f"truncated: the header declares {vertex.count} splats, the file has {available} bytes for them"
         )
-    lines = (line for line in file if not line.isspace())
+    lines = _lines(file)
     for element in before:
         if element.count > available or sum(1 for _ in islice(lines, element.count)) != element.count:
             raise FormatError(f"truncated: fewer than {element.count} lines of element {element.name[:40]!r}")
@@ -210,6 +213,15 @@ def _ascii(
         yield dict(zip(vertex.names, table.reshape(count, width).T, strict=True))
     if last and next(lines, None) is not None:
         raise FormatError(f"the header declares {vertex.count} splats, but the file holds more")
+
+
+def _lines(file: BinaryIO) -> Iterator[bytes]:
+    """Lines that are not blank. A hole in a file is a line without an end: it is not read to its end."""
+    while line := file.readline(_LINE_LIMIT):
+        if len(line) == _LINE_LIMIT and not line.endswith(b"\n"):
+            raise FormatError(f"a line of a splat has more than {_LINE_LIMIT} bytes; is this an ASCII PLY?")
+        if not line.isspace():
+            yield line
 
 
 def _activate(chunks: Iterator[dict[str, NDArray[np.generic]]], count: int, degree: int) -> Splats:

@@ -5,64 +5,94 @@ quaternion wxyz as 8 bits, 128 + 128 q. No header, no view-dependent colour.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
+from numpy.typing import NDArray
 
 from glsplat.errors import FormatError
-from glsplat.formats.files import checked, naming, open_regular, replace_file
+from glsplat.formats.files import Source, checked, naming, open_regular, replace_file, sampled
 from glsplat.splats import SH_C0, Splats, normalised
 
-__all__ = ["load_splat", "looks_like_splat", "save_splat"]
+__all__ = ["load_splat", "looks_like_splat", "read_splat", "save_splat"]
 
 _RECORD = np.dtype([("mean", "<f4", 3), ("scale", "<f4", 3), ("rgba", "u1", 4), ("rot", "u1", 4)])
 _CHUNK = 1 << 16  # splats written at a time
 _PLAUSIBLE = 0.9  # of the splats; a capture may hold a few broken ones
 
 
-def load_splat(path: str | Path, *, strict: bool = False) -> Splats:
+def load_splat(source: Source, *, strict: bool = False) -> Splats:
     """Read a .splat file. Non-finite values are kept, or with ``strict`` refused.
 
     Raises FormatError when the size is no multiple of 32 bytes. An empty file holds no splats.
     """
-    with naming(path):
-        with open_regular(path) as (file, _):
-            data = file.read()
-        if len(data) % _RECORD.itemsize:
-            raise FormatError(f"a .splat file has 32 bytes a splat, but this one has {len(data)} bytes (truncated?)")
+    with naming(source), open_regular(source) as (file, size):
+        return checked(read_splat(file, size), source, strict)
+
+
+def read_splat(file: BinaryIO, size: int) -> Splats:
+    """The splats of an open file of ``size`` bytes."""
+    if size % _RECORD.itemsize:
+        raise FormatError(f"a .splat file has 32 bytes a splat, but this one has {size} bytes (truncated?)")
+    if _holes(np.frombuffer(sampled(file, 0, size), _RECORD)) > 1 - _PLAUSIBLE:
+        raise FormatError("no .splat file: much of it is zero bytes (a hole?)")
+    count = size // _RECORD.itemsize
+    means, scales = np.empty((2, count, 3), np.float32)
+    quats, opacities = np.empty((count, 4), np.float32), np.empty(count, np.float32)
+    sh = np.empty((count, 1, 3), np.float32)
+    file.seek(0)
+    for at in range(0, count, _CHUNK):
+        data = file.read(min(_CHUNK, count - at) * _RECORD.itemsize)
+        part = slice(at, min(at + _CHUNK, count))
+        if len(data) != (part.stop - at) * _RECORD.itemsize:
+            raise FormatError("the file became shorter while it was read")
         rows = np.frombuffer(data, _RECORD)
         rgba = rows["rgba"].astype(np.float32) / 255
-        quats = normalised((rows["rot"].astype(np.float32) - 128) / np.float32(128))
-        sh = (rgba[:, None, :3] - np.float32(0.5)) / np.float32(SH_C0)
-        splats = Splats.create(rows["mean"], quats, rows["scale"], rgba[:, 3], sh)
-        return checked(splats, path, strict)
+        means[part], scales[part], opacities[part] = rows["mean"], rows["scale"], rgba[:, 3]
+        # twice: a byte is not unit, and what is nearly unit is left as it is
+        quats[part] = normalised(normalised((rows["rot"].astype(np.float32) - 128) / np.float32(128)))
+        sh[part, 0] = (rgba[:, :3] - np.float32(0.5)) / np.float32(SH_C0)
+    return Splats(means, quats, scales, opacities, sh)
 
 
-def looks_like_splat(data: bytes) -> bool:
-    """Whether bytes without any magic can be a .splat: most positions finite, most scales positive, and no text."""
+def looks_like_splat(data: bytes, *, named: bool = False) -> bool:
+    """Whether bytes without any magic can be a .splat: most positions finite, most scales positive, and no text.
+
+    ``named`` so: flat splats and ones that are not finite are taken too, as far as no scale is negative.
+    """
     # digits and blanks are small positive floats, but a quaternion has bytes of 128 and more
     if not data or len(data) % _RECORD.itemsize or data[:4096].isascii():
         return False
     rows = np.frombuffer(data, _RECORD)
     mean, scale = rows["mean"], rows["scale"]
+    if named:
+        return bool((scale < 0).any(axis=1).mean() <= 1 - _PLAUSIBLE and _holes(rows) <= 1 - _PLAUSIBLE)
     good = (np.abs(mean) < 1e9).all(axis=1) & (scale > 0).all(axis=1) & (scale < 1e6).all(axis=1)
     return bool(good.mean() >= _PLAUSIBLE)
 
 
-def save_splat(splats: Splats, path: str | Path) -> None:
+def _holes(rows: NDArray[np.void]) -> float:
+    """The part of the records that is all zero: even a splat of zeros has 128s in its quaternion."""
+    return float(1 - rows.view(np.uint64).reshape(-1, 4).any(axis=1).mean()) if len(rows) else 0.0
+
+
+def save_splat(splats: Splats, target: Source) -> None:
     """Write a .splat file: degree 0 of the colour only, colour, opacity and rotation rounded to 8 bits.
 
-    Raises FormatError when ``path`` cannot be written.
+    A negative scale is written as its magnitude, a rotation by the quaternion with w >= 0: the same splat. Raises
+    FormatError when ``target`` cannot be written.
     """
-    replace_file(path, _packed(splats))
+    replace_file(target, _packed(splats))
 
 
 def _packed(splats: Splats) -> Iterator[bytes]:
     for at in range(0, len(splats), _CHUNK):
         part = slice(at, at + _CHUNK)
         rows = np.empty(len(splats.means[part]), _RECORD)
-        rows["mean"], rows["scale"] = splats.means[part], splats.scales[part]
+        rows["mean"], rows["scale"] = splats.means[part], np.abs(splats.scales[part])
         rgba = np.hstack([splats.sh[part, 0] * np.float32(SH_C0) + np.float32(0.5), splats.opacities[part, None]])
         rows["rgba"] = np.rint(np.clip(np.nan_to_num(rgba), 0, 1) * 255)
-        rows["rot"] = np.clip(np.rint(np.nan_to_num(splats.quats[part]) * 128 + 128), 0, 255)
+        quats = np.nan_to_num(splats.quats[part])
+        quats = np.where(quats[:, :1] < 0, -quats, quats)  # a byte of 128 or more in each splat: it is never text
+        rows["rot"] = np.clip(np.rint(quats * 128 + 128), 0, 255)
         yield rows.tobytes()
