@@ -6,8 +6,10 @@ import asyncio
 import gc
 import json
 import random
+import re
 import time
 from dataclasses import replace
+from pathlib import Path
 
 import aiohttp
 import numpy as np
@@ -486,3 +488,16 @@ def test_near_and_far_follow_the_avatars_scale():
     request = sample(1, 0.0)
     request = replace(request, cameras=tuple(moved(camera, near=1.0, far=5.0) for camera in request.cameras))
     assert [(c.near, c.far) for c in solver.solve(request, 0.0).cameras] == [(0.8, 4.0)] * 2
+
+
+def test_the_example_of_the_page_runs():
+    text = (Path(__file__).resolve().parents[2] / "docs" / "python.md").read_text(encoding="utf-8")
+    code = re.search(r"## A client\n.*?```python\n(.*?)```", text, re.S).group(1)
+    names: dict = {}
+    exec(compile(code, "python.md", "exec"), names)
+
+    async def main():
+        async with serving() as server:
+            return await names["main"](server.url)
+
+    assert asyncio.run(main()) == [1, 2, 3, 4]

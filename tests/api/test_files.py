@@ -5,6 +5,7 @@ from __future__ import annotations
 import gzip
 import io
 import os
+import re
 import stat
 import struct
 import subprocess
@@ -290,9 +291,9 @@ def test_a_file_that_may_not_be_written_is_not_replaced() -> None:
     script = (
         "import os, sys, glsplat\n"
         "from tests.formats.scenes import random_splats\n"
-        "save = glsplat.save\n"  # imported while it may be
+        "save, scene = glsplat.save, random_splats(1)\n"  # imported while it may be
         "if os.geteuid() == 0: os.setgid(65534); os.setuid(65534)\n"  # to root nothing is forbidden
-        "try: save(random_splats(1), sys.argv[1])\n"
+        "try: save(scene, sys.argv[1])\n"
         "except glsplat.GlsplatError as error: print(error)\n"
     )
     with tempfile.TemporaryDirectory() as folder:  # one that others may enter
@@ -541,3 +542,10 @@ def test_the_default_avatar_through_memory() -> None:
     assert isinstance(again, Avatar) and again.skeleton.names == avatar.skeleton.names
     same(again, avatar)
     np.testing.assert_array_equal(again.skin.weights, avatar.skin.weights)
+
+
+def test_the_example_of_the_page_runs() -> None:
+    text = (ROOT / "docs" / "python.md").read_text(encoding="utf-8")
+    code = re.search(r"## Files\n.*?```python\n(.*?)```", text, re.S)
+    assert code is not None
+    exec(compile(code.group(1), "python.md", "exec"), {})
