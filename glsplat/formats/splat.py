@@ -92,7 +92,7 @@ def _packed(splats: Splats) -> Iterator[bytes]:
         rows["mean"], rows["scale"] = splats.means[part], np.abs(splats.scales[part])
         rgba = np.hstack([splats.sh[part, 0] * np.float32(SH_C0) + np.float32(0.5), splats.opacities[part, None]])
         rows["rgba"] = np.rint(np.clip(np.nan_to_num(rgba), 0, 1) * 255)
-        quats = np.nan_to_num(splats.quats[part])
+        quats = np.clip(np.nan_to_num(splats.quats[part]), -1, 1)
         quats = np.where(quats[:, :1] < 0, -quats, quats)  # a byte of 128 or more in each splat: it is never text
         rows["rot"] = np.clip(np.rint(quats * 128 + 128), 0, 255)
         yield rows.tobytes()
