@@ -165,7 +165,7 @@ def _whole_frames() -> list[Case]:
     far = (1e5, -2e5, 5e4)
     away = Camera(look_at((far[0], far[1], far[2] + 3), far), pinhole(SIZE, SIZE), SIZE, SIZE)
     outlier = few.take(np.r_[0, np.arange(len(few))])
-    outlier.means[0] = 0, 0, -1e6
+    outlier = replace(outlier, means=np.vstack([[[0, 0, -1e6]], outlier.means[1:]]))
     single = camera(1)
     return [
         picture_case("no splats", "an empty scene", "the background", few.take([]), pair),

@@ -16,9 +16,12 @@ from glsplat.splats import Splats
 __all__ = ["Avatar", "default_avatar"]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Avatar:
-    """Canonical Gaussians (zero pose), the rig that moves them, and where they come from."""
+    """Canonical Gaussians (zero pose), the rig that moves them, and where they come from.
+
+    Raises FormatError when the parts do not fit each other.
+    """
 
     splats: Splats
     skeleton: Skeleton
@@ -26,11 +29,18 @@ class Avatar:
     meta: Mapping[str, Any] = field(default_factory=dict)  # asset.extras.glsplat: version, source, licence, ...
 
     def __post_init__(self) -> None:
+        for name, kind in (("splats", Splats), ("skeleton", Skeleton), ("skin", Skin), ("meta", Mapping)):
+            if not isinstance(getattr(self, name), kind):
+                raise FormatError(f"an avatar's {name} needs {kind.__name__}, not {type(getattr(self, name)).__name__}")
         if len(self.skin) != len(self.splats):
             raise FormatError(f"an avatar needs one skin row a splat, not {len(self.skin)} for {len(self.splats)}")
         if len(self.skin) and int(self.skin.joints.max()) >= len(self.skeleton):
             raise FormatError(f"the skin names joint {self.skin.joints.max()} of {len(self.skeleton)}")
         object.__setattr__(self, "skin", self.skin.anchored(self.skeleton.parents))
+        object.__setattr__(self, "meta", dict(self.meta))
+
+    def __repr__(self) -> str:
+        return f"Avatar({len(self.splats)} splats, {len(self.skeleton)} joints, {self.skin.influences} a splat)"
 
 
 @lru_cache(maxsize=1)
