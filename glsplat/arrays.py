@@ -57,7 +57,7 @@ def own_whole(value: ArrayLike, dtype: type[Kind], what: str, error: type[Glspla
     if array.dtype.kind == "f" and not (np.isfinite(array) & (array == np.rint(array))).all():
         raise error(f"{what} needs whole numbers, found fractions, NaN or infinity")
     limits = np.iinfo(dtype)  # type: ignore[type-var]
-    if array.size and (array.min() < limits.min or array.max() > limits.max):
+    if array.size and (int(array.min()) < limits.min or int(array.max()) > limits.max):
         raise error(f"{what} needs whole numbers from {limits.min} to {limits.max}, found {_span(array)}")
     return frozen(np.array(array, dtype, order="C"))
 
@@ -65,7 +65,9 @@ def own_whole(value: ArrayLike, dtype: type[Kind], what: str, error: type[Glspla
 def number(value: Any, what: str, error: type[GlsplatError] = FormatError) -> float:
     """``value`` as a float; NaN and infinity, booleans and text are refused."""
     if type(value) is not float:
-        if isinstance(value, (bool, np.bool_, str, bytes, complex)) or np.ndim(value):
+        kind = getattr(getattr(value, "dtype", None), "kind", "f")
+        vector = isinstance(value, np.ndarray) and value.ndim > 0
+        if isinstance(value, (bool, str, bytes, complex)) or kind not in "iuf" or vector:
             raise error(f"{what} needs a number, not {_shown(value)}")
         try:
             value = float(value)

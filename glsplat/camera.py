@@ -81,10 +81,10 @@ class Camera:
         size = count(width, "width"), count(height, "height")
         if min(size) < 1:
             raise FormatError(f"a camera needs a size of at least 1x1, not {size[0]}x{size[1]}")
-        colour = plain(background, "background")
-        if colour.shape != (3,) or not (np.abs(colour) <= _LARGEST).all():
+        colour = [float(c) for c in plain(background, "background").reshape(-1).tolist()]
+        if np.shape(background) != (3,) or not all(abs(c) <= _LARGEST for c in colour):
             raise FormatError(f"a background is three finite numbers, not {background!r:.60}")
-        red, green, blue = colour.tolist()
+        red, green, blue = colour
         depths = number(near, "near"), number(far, "far")
         if not 0 < depths[0] < depths[1]:
             raise FormatError(f"a camera needs 0 < near < far, not near {depths[0]:g} and far {depths[1]:g}")
@@ -98,7 +98,7 @@ class Camera:
         keep(self, "K", k)
         keep(self, "width", size[0])
         keep(self, "height", size[1])
-        keep(self, "background", (float(red), float(green), float(blue)))
+        keep(self, "background", (red, green, blue))
         keep(self, "near", depths[0])
         keep(self, "far", depths[1])
         keep(self, "sh_degree", degree)

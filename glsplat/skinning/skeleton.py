@@ -59,10 +59,8 @@ class Skeleton:
             inverse_rest: NDArray[np.float64] = np.linalg.inv(rest).astype(np.float64)
         except np.linalg.LinAlgError:
             raise PoseError("a rest frame has no inverse (a zero scale?)") from None
-        if inverse_bind is None or np.shape(inverse_bind)[:1] == (0,):
-            inverse = frozen(inverse_rest)
-        else:
-            inverse = own(inverse_bind, np.float64, "inverse_bind", PoseError)
+        given = None if inverse_bind is None else own(inverse_bind, np.float64, "inverse_bind", PoseError)
+        inverse = given if given is not None and given.size else frozen(inverse_rest)
         if inverse.shape != (count, 4, 4) or not np.isfinite(inverse).all():
             raise PoseError(f"inverse_bind needs finite numbers of shape ({count}, 4, 4), not {inverse.shape}")
         levels = _levels(parents)
@@ -109,23 +107,25 @@ class Skeleton:
         translations: ArrayLike | None = None,  # [J, 3] metres in the parent's frame, added to the rest offset
     ) -> NDArray[np.float64]:
         """Global joint frames [J, 4, 4] of a pose: G_j = G_parent L_j R_j, level by level."""
-        rot = np.asarray(rotations, np.float64)
+        rot = plain(rotations, "rotations", PoseError)
         if rot.shape == (len(self), 3):
             rot = rotation_matrices(rot)
         if rot.shape != (len(self), 3, 3):
-            raise PoseError(f"this skeleton needs {len(self)} joint rotations, not shape {np.shape(rotations)}")
+            raise PoseError(f"this skeleton needs {len(self)} joint rotations, not shape {rot.shape}")
         local = self._local.copy()
         local[:, :3, :3] = local[:, :3, :3] @ rot
         if translations is not None:
-            if np.shape(translations) != (len(self), 3):
-                raise PoseError(f"translations need shape ({len(self)}, 3), not {np.shape(translations)}")
-            local[:, :3, 3] += np.asarray(translations, np.float64)
-        if np.shape(trans) != (3,):
-            raise PoseError(f"trans needs shape (3,), not {np.shape(trans)}")
+            offsets = plain(translations, "translations", PoseError)
+            if offsets.shape != (len(self), 3):
+                raise PoseError(f"translations need shape ({len(self)}, 3), not {offsets.shape}")
+            local[:, :3, 3] += offsets
+        moved = plain(trans, "trans", PoseError)
+        if moved.shape != (3,):
+            raise PoseError(f"trans needs shape (3,), not {moved.shape}")
         out = local
         for level, (ids, parents) in enumerate(self._levels):
             if level == 0:
-                out[ids, :3, 3] += np.asarray(trans, np.float64)
+                out[ids, :3, 3] += moved
             else:
                 out[ids] = out[parents] @ local[ids]
         return out
