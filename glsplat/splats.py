@@ -65,7 +65,7 @@ class Splats:
             own_ones["quats"] = frozen(normalised(own_ones["quats"]))
         held = None if cones is None else own_whole(cones, np.int8, "cones")
         if held is not None and held.shape != (n, 4):
-            raise FormatError(f"cones needs shape ({n}, 4), not {held.shape}")
+            raise FormatError(f"cones needs int8 of shape ({n}, 4), not {held.shape}")
         if not isinstance(antialias, (bool, np.bool_)):
             raise FormatError(f"antialias is True or False, not {antialias!r:.40}")
         for name, array in {**own_ones, "antialias": bool(antialias), "cones": held}.items():
