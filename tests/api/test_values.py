@@ -387,16 +387,21 @@ def test_poses_that_could_mean_two_things_are_refused() -> None:
 def test_a_switch_is_no_number_and_a_number_no_switch() -> None:
     assert RenderConfig(antialias=np.True_).antialias is True  # type: ignore[arg-type]
     assert type(RenderConfig(sort_bits=np.int64(16)).sort_bits) is int  # type: ignore[arg-type]
-    for change in ({"sh_degree": True}, {"cull_hidden": 1}, {"influences": False}, {"eps2d": np.nan}, {"eps2d": "0.3"},
-                   {"max_sigma": None}, {"sort_period": 2.0}, {"target": ["8"]}, {"target": np.array(["8", "16f"])}):  # fmt: skip
+    wrong: list[dict[str, Any]] = [
+        {"sh_degree": True}, {"cull_hidden": 1}, {"influences": False}, {"eps2d": np.nan}, {"eps2d": "0.3"},
+        {"max_sigma": None}, {"sort_period": 2.0}, {"target": ["8"]}, {"target": np.array(["8", "16f"])},
+    ]  # fmt: skip
+    for change in wrong:
         refused(lambda change=change: RenderConfig(**change), next(iter(change)))  # type: ignore[misc]
 
 
 def test_reprs_are_one_line_that_says_what_it_is() -> None:
     avatar = glsplat.default_avatar()
     pictures = {0: bytes(20000), 1: bytes(30000)}
-    values = [avatar, avatar.splats, avatar.skin, avatar.skeleton, Pose.zero(), Camera(VIEW, K, 64, 64, name="left"),
-              RenderConfig(), RenderConfig(target="32f", cull_hidden=True), Reply(7, pictures, {"t": list(range(999))})]  # fmt: skip
+    values = [
+        avatar, avatar.splats, avatar.skin, avatar.skeleton, Pose.zero(), Camera(VIEW, K, 64, 64, name="left"),
+        RenderConfig(), RenderConfig(target="32f", cull_hidden=True), Reply(7, pictures, {"t": list(range(999))}),
+    ]  # fmt: skip
     for value in values:
         text = repr(value)
         assert "\n" not in text and len(text) <= 120 and re.match(rf"{type(value).__name__}\(.*\)$", text), text
