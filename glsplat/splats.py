@@ -172,7 +172,7 @@ def _sh_of(rgb: ArrayLike) -> NDArray[np.float32]:
     finite = colours[np.isfinite(colours)]
     brightest, darkest = finite.max(initial=0), finite.min(initial=0)
     if brightest > (2 if colours.dtype.kind == "f" else 1):
-        raise FormatError(f"rgb needs 0 to 1, found {brightest:g}; divide colours of 0 to 255 by 255")
+        raise FormatError(f"rgb needs 0 to 1, found {brightest:g}; divide 0 to 255 by 255, or give sh for more light")
     if darkest < -1:
         raise FormatError(f"rgb needs 0 to 1, found {darkest:g}")
     with np.errstate(over="ignore"):

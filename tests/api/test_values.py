@@ -242,7 +242,7 @@ def test_a_matrix_of_the_other_convention_is_refused() -> None:
 
 def test_colours_of_0_to_255_are_refused_with_a_hint() -> None:
     for rgb in ([[255, 128, 0]], np.array([[200, 3, 9]], np.uint8), [[255.0, 0.0, 0.0]]):
-        refused(lambda rgb=rgb: one_splat(rgb=rgb), "0 to 1", "by 255")  # type: ignore[misc]
+        refused(lambda rgb=rgb: one_splat(rgb=rgb), "0 to 1", "by 255", "sh")  # type: ignore[misc]
     assert len(one_splat(rgb=[[1.3, -0.2, 0.5]])) == 1 and len(one_splat(rgb=[[1, 0, 1]])) == 1
 
 
