@@ -21,6 +21,11 @@ class Avatar:
     """Canonical Gaussians (zero pose), the rig that moves them, and where they come from.
 
     Raises FormatError when the parts do not fit each other.
+
+    >>> splats = glsplat.Splats.create([[0, 1, 0]], [[1, 0, 0, 0]], [[0.1, 0.1, 0.1]], [0.9], rgb=[[1, 0, 0]])
+    >>> skeleton = glsplat.Skeleton.from_joints(["hip", "knee"], [-1, 0], [[0, 1, 0], [0, 0.5, 0]])
+    >>> glsplat.Avatar(splats, skeleton, glsplat.Skin([[0, 1]], [[0.75, 0.25]]))
+    Avatar(1 splats, 2 joints, 2 a splat)
     """
 
     splats: Splats
@@ -45,7 +50,11 @@ class Avatar:
 
 @lru_cache(maxsize=1)
 def default_avatar() -> Avatar:
-    """The embedded person (about 40,000 splats, 55 SMPL-X joints; licence beside the file)."""
+    """The embedded person (about 40,000 splats, 55 SMPL-X joints; licence beside the file).
+
+    >>> glsplat.default_avatar().skeleton
+    Skeleton(55 joints: pelvis, left_hip, right_hip, ...)
+    """
     from glsplat.formats.gltf import load_gltf  # here, because formats builds on this module
 
     with resources.as_file(resources.files("glsplat.data") / "default_avatar.glb") as path:

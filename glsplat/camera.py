@@ -50,6 +50,10 @@ class Camera:
     Takes anything that numpy reads as numbers, checks it and keeps read-only copies; the matrices are float64 so that
     the host can compose them without loss. ``dataclasses.replace(camera, ...)`` makes another one of it. Raises
     FormatError.
+
+    >>> view = glsplat.look_at(eye=(0, 1.2, 2.5), target=(0, 1, 0))
+    >>> glsplat.Camera(view, glsplat.pinhole(640, 480, fov=40), 640, 480, background=[1, 1, 1])
+    Camera(640x480, at (0, 1.2, 2.5), 40 degrees high)
     """
 
     viewmat: NDArray[np.float64]  # [4, 4] world to camera, row-major, OpenCV axes
@@ -141,7 +145,11 @@ class Camera:
 
 
 def pinhole(width: SupportsIndex, height: SupportsIndex, fov: SupportsFloat = PAPER_FOV) -> NDArray[np.float64]:
-    """K [3, 3] with square pixels and a centred principal point for a vertical field of view in degrees."""
+    """K [3, 3] with square pixels and a centred principal point for a vertical field of view in degrees.
+
+    >>> glsplat.pinhole(640, 480, fov=90).round(9).tolist()
+    [[240.0, 0.0, 320.0], [0.0, 240.0, 240.0], [0.0, 0.0, 1.0]]
+    """
     size = count(width, "width"), count(height, "height")
     if min(size) < 1:
         raise FormatError(f"pinhole needs a size of at least 1x1, not {size[0]}x{size[1]}")
@@ -156,6 +164,10 @@ def look_at(eye: ArrayLike, target: ArrayLike, up: ArrayLike = (0.0, 1.0, 0.0)) 
     """viewmat [4, 4] of a camera at ``eye`` looking at ``target`` (OpenCV axes); all [3], metres, world frame.
 
     Looking straight along ``up`` is legal: another axis takes its place.
+
+    >>> view = glsplat.look_at(eye=(0, 0, 3), target=(0, 0, 0))
+    >>> (view @ [0, 0, 0, 1])[:3].tolist()  # the target lies 3 m ahead
+    [0.0, 0.0, 3.0]
     """
     start, end, above = _vector(eye, "eye", 3), _vector(target, "target", 3), _vector(up, "up", 3)
     forward = end - start
@@ -191,6 +203,11 @@ def stereo_cameras(
 
     T_H_e = translate(-+ipd/2, 0, 0) along the head's x axis; T_W_e = T_W_H T_H_e; viewmat = its inverse, turned to
     OpenCV axes. ``K`` overrides ``fov`` (vertical, degrees, square pixels); one K a side gives off-centre frusta.
+
+    >>> head = np.eye(4)
+    >>> head[:3, 3] = 0, 1.6, 2
+    >>> glsplat.stereo_cameras(head, ipd=0.064, size=(1024, 1024))[0]
+    Camera(left, 1024x1024, at (-0.032, 1.6, 2), 65 degrees high)
     """
     head = plain(head_pose, "a head pose").astype(np.float64)
     if head.shape != (4, 4):

@@ -18,7 +18,13 @@ Output = Literal["float32", "uint8"]
 
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
 class RenderConfig:
-    """Knobs of a renderer; the defaults are the pixel contract (docs/conventions.md) at its best price."""
+    """Knobs of a renderer; the defaults are the pixel contract (docs/conventions.md) at its best price.
+
+    Raises GlsplatError for a value out of range.
+
+    >>> glsplat.RenderConfig(output="float32", cull_hidden=True)
+    RenderConfig(output='float32', cull_hidden=True)
+    """
 
     target: Target = "auto"  # float target; auto = 32f on software rasterizers, 16f on GPUs (measured)
     output: Output = "uint8"  # uint8: resolved to 8 bit; float32: the target as it is, unclipped

@@ -23,6 +23,9 @@ def straight(image: NDArray[Depth], background: ArrayLike = (0.0, 0.0, 0.0)) -> 
     laying the result over the same background gives the picture back. Alpha stays; where it is zero there is no
     colour, and RGB is zero. uint8 is rounded to the nearest and clamped to 0..255, float32 is neither. Raises
     GlsplatError for anything else.
+
+    >>> glsplat.straight(np.array([[100, 50, 0, 128]], np.uint8)).tolist()
+    [[199, 100, 0, 128]]
     """
     if not isinstance(image, np.ndarray) or image.dtype not in (np.uint8, np.float32) or image.shape[-1:] != (4,):
         found = f"{image.dtype} of {image.shape}" if isinstance(image, np.ndarray) else type(image).__name__

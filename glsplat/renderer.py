@@ -46,7 +46,14 @@ class FrameStats:
 
 
 class Renderer:
-    """Renders one scene or avatar for any number of views; create, use and release it on one thread."""
+    """Renders one scene or avatar for any number of views; create, use and release it on one thread.
+
+    >>> eyes = glsplat.stereo_cameras(np.eye(4), size=(320, 240))
+    >>> with glsplat.Renderer(glsplat.default_avatar(), size=(320, 240), views=2) as renderer:
+    ...     image = renderer.render(eyes)
+    >>> image.shape, image.dtype
+    ((2, 240, 320, 4), dtype('uint8'))
+    """
 
     def __init__(
         self,

@@ -28,6 +28,9 @@ class Splats:
     legal here and have a stated fate in the renderer (docs/conventions.md), so that loading loses nothing.
     Arrays are converted and copied, except float32 ones that are read-only down to the memory they own: those are
     kept, so ``array.flags.writeable = False`` hands a large one over. Raises FormatError when a shape does not fit.
+
+    >>> glsplat.Splats.create([[0, 1, 0]], [[1, 0, 0, 0]], [[0.1, 0.1, 0.1]], opacities=[0.9], rgb=[[1, 0, 0]])
+    Splats(1 splats, SH degree 0, 56 bytes)
     """
 
     means: NDArray[np.float32]  # [N, 3] metres, world or zero-pose frame
@@ -103,7 +106,8 @@ class Splats:
 
     def __repr__(self) -> str:
         more = (", antialias" if self.antialias else "") + ("" if self.cones is None else ", visibility cones")
-        return f"Splats({len(self)} splats, SH degree {self.sh_degree}, {self.nbytes / 1e6:.4g} MB{more})"
+        size = f"{self.nbytes / 1e6:.4g} MB" if self.nbytes >= 1e5 else f"{self.nbytes} bytes"
+        return f"Splats({len(self)} splats, SH degree {self.sh_degree}, {size}{more})"
 
     def __len__(self) -> int:
         return len(self.means)

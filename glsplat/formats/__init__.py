@@ -55,6 +55,10 @@ def load(path: str | Path, *, strict: bool = False) -> Splats | Avatar:
     """Read a scene or an avatar; the format is recognised by content, whatever the file's name.
 
     With ``strict``, NaN and infinity are refused instead of kept. Raises FormatError, one line that names the file.
+
+    >>> glsplat.save(glsplat.default_avatar(), "me.glb")
+    >>> glsplat.load("me.glb")
+    Avatar(40000 splats, 55 joints, 4 a splat)
     """
     kind = recognise(path)
     if kind == "ply":
@@ -69,6 +73,10 @@ def save(scene: Splats | Avatar, path: str | Path) -> None:
 
     An avatar goes into glTF with its rig; into the other formats go its splats alone, in the zero pose. Raises
     FormatError for another suffix, and when the file cannot be written.
+
+    >>> glsplat.save(glsplat.default_avatar().splats, "me.ply")
+    >>> len(glsplat.load("me.ply"))
+    40000
     """
     suffix = Path(path).suffix.lower()
     if suffix in (".glb", ".gltf"):

@@ -29,6 +29,9 @@ class Pose:
     """Rotations of the J joints of a skeleton. The zero pose (all zeros) is the bind pose.
 
     Takes anything that numpy reads as numbers, checks it and keeps read-only copies. Raises PoseError.
+
+    >>> glsplat.Pose.from_smplx({"global_orient": [0, 0.5, 0], "transl": [0, 0, 1]})
+    Pose(55 joints, 1 turned, trans (0, 0, 1))
     """
 
     rotations: NDArray[np.float64]  # [J, 3] axis-angle, radians, in each joint's rest frame

@@ -21,6 +21,10 @@ class Skeleton:
 
     An SMPL-X rig has rest frames parallel to the world; other rigs may have any. Several roots are legal, a cycle,
     a parent out of range or a frame that cannot be inverted is a PoseError. The arrays are read-only copies.
+
+    >>> skeleton = glsplat.Skeleton.from_joints(["hip", "knee"], parents=[-1, 0], joints=[[0, 1, 0], [0, 0.5, 0]])
+    >>> skeleton.forward([[np.pi / 2, 0, 0], [0, 0, 0]])[1, :3, 3].round(3).tolist()  # the knee, the hip bent back
+    [0.0, 1.0, -0.5]
     """
 
     names: tuple[str, ...]

@@ -26,6 +26,10 @@ class Skin:
     Takes any integer joints and any weights that are finite, not negative and not all zero for a splat; weights of
     another sum are divided by it, and 3 or 5 to 7 influences get slots without weight up to 4 or 8. The arrays are
     read-only copies. Raises FormatError; ``Skin.create`` repairs and reduces instead.
+
+    >>> skin = glsplat.Skin([[0, 1, 2]], [[2, 1, 1]])
+    >>> skin.weights.tolist()
+    [[0.5, 0.25, 0.25, 0.0]]
     """
 
     joints: NDArray[np.uint16]  # [N, K], K in INFLUENCES
