@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from itertools import islice
 from pathlib import Path
-from typing import BinaryIO, NamedTuple
+from typing import BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -236,8 +236,8 @@ def _activate(chunks: Iterator[dict[str, NDArray[np.generic]]], count: int, degr
                 base = channel * (coefficients - 1)
                 rest = [f"f_rest_{base + i}" for i in range(coefficients - 1)]
                 _gather(out.sh[part, 1:, channel], columns, rest)
-    means, quats, scales, opacities, sh = map(frozen, _empty(0, coefficients) if out is None else out)
-    return Splats(means, quats, scales, opacities, sh)
+    out = out or _empty(0, coefficients)
+    return Splats(frozen(out.means), frozen(out.quats), frozen(out.scales), frozen(out.opacities), frozen(out.sh))
 
 
 def _gather(
@@ -247,7 +247,8 @@ def _gather(
         out[:, i] = columns[name]
 
 
-class _Columns(NamedTuple):
+@dataclass
+class _Columns:
     """The arrays of Splats while they are filled."""
 
     means: NDArray[np.float32]

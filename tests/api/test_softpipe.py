@@ -24,7 +24,9 @@ DRAWN = (
 def test_the_same_holds_on_softpipe() -> None:
     env = {**os.environ, "GALLIUM_DRIVER": "softpipe"}
     driver = "import glsplat; c = glsplat.create_context(); print(c.driver); c.release()"
-    found = subprocess.run([sys.executable, "-c", driver], cwd=ROOT, env=env, capture_output=True, text=True, check=True)
+    found = subprocess.run(
+        [sys.executable, "-c", driver], cwd=ROOT, env=env, capture_output=True, text=True, check=True
+    )
     assert "softpipe" in found.stdout
     tests = [f"tests/api/test_values.py::{name}" for name in DRAWN]
     command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", *tests]
