@@ -101,13 +101,13 @@ SCORE_POSES: dict[str, Rotations] = {
 
 def score_pose(name: str, skeleton: Skeleton) -> Pose:
     """A pose of SCORE_POSES on any rig; joints the rig lacks are left out."""
-    pose = Pose.zero(len(skeleton))
+    rotations = np.zeros((len(skeleton), 3))
     index = {joint: i for i, joint in enumerate(skeleton.names)}
     given = SCORE_POSES[name]
     for joint, (x, y, z) in given.items():
         twin = joint.replace("left", "right", 1)
         if joint in index:
-            pose.rotations[index[joint]] = x, y, z
+            rotations[index[joint]] = x, y, z
         if twin not in given and twin in index:
-            pose.rotations[index[twin]] = np.array([x, -y, -z])  # reflected in the plane x = 0
-    return pose
+            rotations[index[twin]] = np.array([x, -y, -z])  # reflected in the plane x = 0
+    return Pose(rotations)

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from glsplat.errors import FormatError
 from glsplat.formats.files import replace_file
+from glsplat.pictures import straight
 
 __all__ = ["Clip", "eight_bit", "label", "save_npy", "save_png", "side_by_side", "stack"]
 
@@ -55,8 +56,8 @@ def label(image: Image, text: str) -> Image:
 
 
 def save_png(path: str | Path, image: NDArray[Any]) -> None:
-    """Write an RGB or RGBA picture [H, W, 3|4]."""
-    pixels = eight_bit(image)
+    """Write a picture [H, W, 3|4]. RGBA is as the renderer gives it (colours times alpha) and is stored straight."""
+    pixels = eight_bit(straight(image) if image.shape[2] == 4 else image)
     order = cv2.COLOR_RGBA2BGRA if pixels.shape[2] == 4 else cv2.COLOR_RGB2BGR
     ok, data = cv2.imencode(".png", cv2.cvtColor(np.ascontiguousarray(pixels), order))
     if not ok:

@@ -15,7 +15,7 @@ from glsplat.config import RenderConfig
 from glsplat.context import Context
 from glsplat.errors import GlsplatError
 from glsplat.renderer import Renderer
-from glsplat.splats import Splats
+from glsplat.splats import SH_C0, Splats
 
 from .report_error import Difference
 
@@ -165,7 +165,7 @@ def _whole_frames() -> list[Case]:
     far = (1e5, -2e5, 5e4)
     away = Camera(look_at((far[0], far[1], far[2] + 3), far), pinhole(SIZE, SIZE), SIZE, SIZE)
     outlier = few.take(np.r_[0, np.arange(len(few))])
-    outlier.means[0] = 0, 0, -1e6
+    outlier = replace(outlier, means=np.vstack([[[0, 0, -1e6]], outlier.means[1:]]))
     single = camera(1)
     return [
         picture_case("no splats", "an empty scene", "the background", few.take([]), pair),
@@ -189,8 +189,10 @@ def _one(changes: dict[str, Any]) -> Splats:
         "scales": [[0.1] * 3],
         "opacities": [0.8],
         "rgb": [[1.0, 0.2, 0.1]],
+        **changes,
     }
-    return Splats.create(**{**values, **changes})
+    sh = (np.array(values.pop("rgb"))[:, None] - 0.5) / SH_C0  # as rgb it would be refused where it is far from 0 to 1
+    return Splats.create(**values, sh=sh)
 
 
 def _words(changes: dict[str, Any]) -> str:

@@ -15,13 +15,16 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from glsplat.avatar import Avatar, default_avatar
-    from glsplat.camera import Camera, stereo_cameras
+    from glsplat.camera import Camera, look_at, pinhole, stereo_cameras
     from glsplat.config import RenderConfig
     from glsplat.context import create_context
     from glsplat.errors import GlsplatError
     from glsplat.formats import load, save
+    from glsplat.pictures import straight
     from glsplat.renderer import Renderer
     from glsplat.skinning.pose import Pose
+    from glsplat.skinning.skeleton import Skeleton
+    from glsplat.skinning.skin import Skin
     from glsplat.splats import Splats
 
 __version__ = "0.1.0"
@@ -33,12 +36,17 @@ __all__ = [
     "Pose",
     "RenderConfig",
     "Renderer",
+    "Skeleton",
+    "Skin",
     "Splats",
     "create_context",
     "default_avatar",
     "load",
+    "look_at",
+    "pinhole",
     "save",
     "stereo_cameras",
+    "straight",
 ]
 
 _HOME = {
@@ -48,12 +56,17 @@ _HOME = {
     "Pose": "skinning.pose",
     "RenderConfig": "config",
     "Renderer": "renderer",
+    "Skeleton": "skinning.skeleton",
+    "Skin": "skinning.skin",
     "Splats": "splats",
     "create_context": "context",
     "default_avatar": "avatar",
     "load": "formats",
+    "look_at": "camera",
+    "pinhole": "camera",
     "save": "formats",
     "stereo_cameras": "camera",
+    "straight": "pictures",
 }
 
 

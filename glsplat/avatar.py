@@ -16,9 +16,17 @@ from glsplat.splats import Splats
 __all__ = ["Avatar", "default_avatar"]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Avatar:
-    """Canonical Gaussians (zero pose), the rig that moves them, and where they come from."""
+    """Canonical Gaussians (zero pose), the rig that moves them, and where they come from.
+
+    Raises FormatError when the parts do not fit each other.
+
+    >>> splats = glsplat.Splats.create([[0, 1, 0]], [[1, 0, 0, 0]], [[0.1, 0.1, 0.1]], [0.9], rgb=[[1, 0, 0]])
+    >>> skeleton = glsplat.Skeleton.from_joints(["hip", "knee"], [-1, 0], [[0, 1, 0], [0, 0.5, 0]])
+    >>> glsplat.Avatar(splats, skeleton, glsplat.Skin([[0, 1]], [[0.75, 0.25]]))
+    Avatar(1 splats, 2 joints, 2 a splat)
+    """
 
     splats: Splats
     skeleton: Skeleton
@@ -26,16 +34,27 @@ class Avatar:
     meta: Mapping[str, Any] = field(default_factory=dict)  # asset.extras.glsplat: version, source, licence, ...
 
     def __post_init__(self) -> None:
+        for name, kind in (("splats", Splats), ("skeleton", Skeleton), ("skin", Skin), ("meta", Mapping)):
+            if not isinstance(getattr(self, name), kind):
+                raise FormatError(f"an avatar's {name} needs {kind.__name__}, not {type(getattr(self, name)).__name__}")
         if len(self.skin) != len(self.splats):
             raise FormatError(f"an avatar needs one skin row a splat, not {len(self.skin)} for {len(self.splats)}")
         if len(self.skin) and int(self.skin.joints.max()) >= len(self.skeleton):
             raise FormatError(f"the skin names joint {self.skin.joints.max()} of {len(self.skeleton)}")
         object.__setattr__(self, "skin", self.skin.anchored(self.skeleton.parents))
+        object.__setattr__(self, "meta", dict(self.meta))
+
+    def __repr__(self) -> str:
+        return f"Avatar({len(self.splats)} splats, {len(self.skeleton)} joints, {self.skin.influences} a splat)"
 
 
 @lru_cache(maxsize=1)
 def default_avatar() -> Avatar:
-    """The embedded person (about 40,000 splats, 55 SMPL-X joints; licence beside the file)."""
+    """The embedded person (about 40,000 splats, 55 SMPL-X joints; licence beside the file).
+
+    >>> glsplat.default_avatar().skeleton
+    Skeleton(55 joints: pelvis, left_hip, right_hip, ...)
+    """
     from glsplat.formats.gltf import load_gltf  # here, because formats builds on this module
 
     with resources.as_file(resources.files("glsplat.data") / "default_avatar.glb") as path:

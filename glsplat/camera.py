@@ -8,14 +8,16 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
+from math import isfinite
 from pathlib import Path
-from typing import Any
+from typing import Any, SupportsFloat, SupportsIndex
 
 import numpy as np
 import pyrr
 from numpy.typing import ArrayLike, NDArray
 
+from glsplat.arrays import count, number, own, plain, restored
 from glsplat.errors import FormatError
 
 __all__ = [
@@ -33,6 +35,7 @@ __all__ = [
 OPENCV_FROM_OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
 """Turns the camera by 180 degrees about x: from (x right, y up, -z forward) to (x right, y down, z forward)."""
 
+_NO_ROTATION = "viewmat needs a rotation (or reflection) with the last row 0 0 0 1"
 _LARGEST = 1e12  # of pixels and metres; squares of it still fit into float32
 
 PAPER_IPD = 0.055
@@ -40,9 +43,18 @@ PAPER_FOV = 65.0
 """Inter-pupillary distance (m) and vertical field of view (degrees) of the paper's table of system parameters."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, init=False, repr=False)
 class Camera:
-    """A pinhole view. Matrices are float64 so that the host can compose them without loss."""
+    """A pinhole view: where it looks from, how it projects, how many pixels it has.
+
+    Takes anything that numpy reads as numbers, checks it and keeps read-only copies; the matrices are float64 so that
+    the host can compose them without loss. ``dataclasses.replace(camera, ...)`` makes another one of it. Raises
+    FormatError.
+
+    >>> view = glsplat.look_at(eye=(0, 1.2, 2.5), target=(0, 1, 0))
+    >>> glsplat.Camera(view, glsplat.pinhole(640, 480, fov=40), 640, 480, background=[1, 1, 1])
+    Camera(640x480, at (0, 1.2, 2.5), 40 degrees high)
+    """
 
     viewmat: NDArray[np.float64]  # [4, 4] world to camera, row-major, OpenCV axes
     K: NDArray[np.float64]  # [3, 3] pixels; fx, fy may differ, cx, cy may be anywhere
@@ -54,31 +66,56 @@ class Camera:
     sh_degree: int = 3  # evaluate at most this degree
     name: str = field(default="", compare=False)
 
-    def __post_init__(self) -> None:
-        view, k = np.asarray(self.viewmat, np.float64), np.asarray(self.K, np.float64)
+    def __init__(
+        self,
+        viewmat: ArrayLike,  # [4, 4]
+        K: ArrayLike,  # [3, 3]
+        width: SupportsIndex,
+        height: SupportsIndex,
+        background: ArrayLike = (0.0, 0.0, 0.0),  # [3] red, green, blue; 1 is full
+        near: SupportsFloat = 0.01,
+        far: SupportsFloat = 1e10,
+        sh_degree: SupportsIndex = 3,
+        name: str = "",
+    ) -> None:
+        view, k = own(viewmat, np.float64, "viewmat"), own(K, np.float64, "K")
         if view.shape != (4, 4) or k.shape != (3, 3):
             raise FormatError(f"a camera needs a 4x4 viewmat and a 3x3 K, not {view.shape} and {k.shape}")
-        if not (np.isfinite(view).all() and np.isfinite(k).all()):
-            raise FormatError("a camera needs finite numbers in viewmat and K, found NaN or infinity")
-        gram = view[:3, :3] @ view[:3, :3].T
-        if np.abs(gram - np.eye(3)).max() > 1e-3 or np.abs(view[3] - (0, 0, 0, 1)).max() > 1e-6:
-            raise FormatError("viewmat needs a rotation (or reflection) with the last row 0 0 0 1")
-        if np.abs(k - np.array([[k[0, 0], 0, k[0, 2]], [0, k[1, 1], k[1, 2]], [0, 0, 1]])).max() > 1e-9:
-            raise FormatError("K needs the form fx 0 cx, 0 fy cy, 0 0 1; a skew is not supported")
-        if k[0, 0] <= 0 or k[1, 1] <= 0:
-            raise FormatError(f"a camera needs fx, fy > 0, not {k[0, 0]:g} and {k[1, 1]:g}")
-        if max(np.abs(k).max(), np.abs(view).max()) > _LARGEST:
-            raise FormatError(f"a camera needs numbers below {_LARGEST:g} in viewmat and K")
-        if len(self.background) != 3 or not (np.abs(self.background) <= _LARGEST).all():
-            raise FormatError(f"a background is three finite numbers, not {self.background}")
-        if self.sh_degree not in (0, 1, 2, 3):
-            raise FormatError(f"sh_degree is 0 to 3, not {self.sh_degree}")
-        if self.width < 1 or self.height < 1:
-            raise FormatError(f"a camera needs a size of at least 1x1, not {self.width}x{self.height}")
-        if not 0 < self.near < self.far:
-            raise FormatError(f"a camera needs 0 < near < far, not near {self.near:g} and far {self.far:g}")
-        object.__setattr__(self, "viewmat", view)
-        object.__setattr__(self, "K", k)
+        _check_matrices(view.tolist(), k.tolist())
+        size = count(width, "width"), count(height, "height")
+        if min(size) < 1:
+            raise FormatError(f"a camera needs a size of at least 1x1, not {size[0]}x{size[1]}")
+        colour = [float(c) for c in plain(background, "background").reshape(-1).tolist()]
+        if np.shape(background) != (3,) or not all(abs(c) <= _LARGEST for c in colour):
+            raise FormatError(f"a background is three finite numbers, not {background!r:.60}")
+        red, green, blue = colour
+        depths = number(near, "near"), number(far, "far")
+        if not 0 < depths[0] < depths[1]:
+            raise FormatError(f"a camera needs 0 < near < far, not near {depths[0]:g} and far {depths[1]:g}")
+        degree = count(sh_degree, "sh_degree")
+        if degree not in (0, 1, 2, 3):
+            raise FormatError(f"sh_degree is 0 to 3, not {degree}")
+        if not isinstance(name, str):
+            raise FormatError(f"a camera's name is text, not {type(name).__name__}")
+        keep = object.__setattr__
+        keep(self, "viewmat", view)
+        keep(self, "K", k)
+        keep(self, "width", size[0])
+        keep(self, "height", size[1])
+        keep(self, "background", (red, green, blue))
+        keep(self, "near", depths[0])
+        keep(self, "far", depths[1])
+        keep(self, "sh_degree", degree)
+        keep(self, "name", name)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return restored, (type(self), {f.name: getattr(self, f.name) for f in fields(self)})
+
+    def __repr__(self) -> str:
+        x, y, z = self.position
+        fov = np.degrees(2 * np.arctan(self.height / 2 / self.K[1, 1]))
+        named = f"{self.name}, " if self.name else ""
+        return f"Camera({named}{self.width}x{self.height}, at ({x:.4g}, {y:.4g}, {z:.4g}), {fov:.4g} degrees high)"
 
     @property
     def position(self) -> NDArray[np.float64]:
@@ -87,6 +124,7 @@ class Camera:
 
     def resized(self, width: int, height: int) -> Camera:
         """The same view with another number of pixels (K scales with it)."""
+        width, height = count(width, "width"), count(height, "height")
         scale = np.diag([width / self.width, height / self.height, 1.0])
         return replace(self, K=scale @ self.K, width=width, height=height)
 
@@ -106,26 +144,38 @@ class Camera:
         }
 
 
-def pinhole(width: int, height: int, fov: float = PAPER_FOV) -> NDArray[np.float64]:
-    """K [3, 3] with square pixels and a centred principal point for a vertical field of view in degrees."""
-    if not 0 < fov < 180:
-        raise FormatError(f"the field of view needs to lie between 0 and 180 degrees, not {fov:g}")
-    f = height / 2 / np.tan(np.radians(fov) / 2)
-    return np.array([[f, 0, width / 2], [0, f, height / 2], [0, 0, 1.0]])
+def pinhole(width: SupportsIndex, height: SupportsIndex, fov: SupportsFloat = PAPER_FOV) -> NDArray[np.float64]:
+    """K [3, 3] with square pixels and a centred principal point for a vertical field of view in degrees.
+
+    >>> glsplat.pinhole(640, 480, fov=90).round(9).tolist()
+    [[240.0, 0.0, 320.0], [0.0, 240.0, 240.0], [0.0, 0.0, 1.0]]
+    """
+    size = count(width, "width"), count(height, "height")
+    if min(size) < 1:
+        raise FormatError(f"pinhole needs a size of at least 1x1, not {size[0]}x{size[1]}")
+    angle = number(fov, "the field of view")
+    if not 0 < angle < 180:
+        raise FormatError(f"the field of view needs to lie between 0 and 180 degrees, not {angle:g}")
+    f = size[1] / 2 / np.tan(np.radians(angle) / 2)
+    return np.array([[f, 0, size[0] / 2], [0, f, size[1] / 2], [0, 0, 1.0]])
 
 
 def look_at(eye: ArrayLike, target: ArrayLike, up: ArrayLike = (0.0, 1.0, 0.0)) -> NDArray[np.float64]:
-    """viewmat [4, 4] of a camera at ``eye`` looking at ``target`` (OpenCV axes).
+    """viewmat [4, 4] of a camera at ``eye`` looking at ``target`` (OpenCV axes); all [3], metres, world frame.
 
     Looking straight along ``up`` is legal: another axis takes its place.
+
+    >>> view = glsplat.look_at(eye=(0, 0, 3), target=(0, 0, 0))
+    >>> (view @ [0, 0, 0, 1])[:3].tolist()  # the target lies 3 m ahead
+    [0.0, 0.0, 3.0]
     """
-    eye, target, up = (np.asarray(v, np.float64) for v in (eye, target, up))
-    forward = target - eye
+    start, end, above = _vector(eye, "eye", 3), _vector(target, "target", 3), _vector(up, "up", 3)
+    forward = end - start
     if not np.linalg.norm(forward) > 0:
         raise FormatError("eye and target are the same point; move one of them")
-    if np.linalg.norm(np.cross(forward, up)) < 1e-9 * np.linalg.norm(forward):
-        up = np.array([0.0, 0.0, -1.0])
-    opengl = pyrr.matrix44.create_look_at(eye, target, up, dtype=np.float64).T  # pyrr stores columns as rows
+    if np.linalg.norm(np.cross(forward, above)) < 1e-9 * np.linalg.norm(forward):
+        above = np.array([0.0, 0.0, -1.0])
+    opengl = pyrr.matrix44.create_look_at(start, end, above, dtype=np.float64).T  # pyrr stores columns as rows
     return OPENCV_FROM_OPENGL @ np.asarray(opengl)
 
 
@@ -143,30 +193,40 @@ def head_matrix(position: ArrayLike, quat_xyzw: ArrayLike) -> NDArray[np.float64
 
 def stereo_cameras(
     head_pose: ArrayLike,  # [4, 4] T_W_H
-    ipd: float = PAPER_IPD,
-    fov: float = PAPER_FOV,
+    ipd: SupportsFloat = PAPER_IPD,
+    fov: SupportsFloat = PAPER_FOV,
     K: ArrayLike | Sequence[ArrayLike] | None = None,  # [3, 3], or one a side [2, 3, 3]
-    size: tuple[int, int] = (1024, 1024),
-    background: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    size: tuple[SupportsIndex, SupportsIndex] = (1024, 1024),
+    background: ArrayLike = (0.0, 0.0, 0.0),
 ) -> tuple[Camera, Camera]:
     """The left and right eye of a head (paper, equations 1 to 3).
 
     T_H_e = translate(-+ipd/2, 0, 0) along the head's x axis; T_W_e = T_W_H T_H_e; viewmat = its inverse, turned to
     OpenCV axes. ``K`` overrides ``fov`` (vertical, degrees, square pixels); one K a side gives off-centre frusta.
+
+    >>> head = np.eye(4)
+    >>> head[:3, 3] = 0, 1.6, 2
+    >>> glsplat.stereo_cameras(head, ipd=0.064, size=(1024, 1024))[0]
+    Camera(left, 1024x1024, at (-0.032, 1.6, 2), 65 degrees high)
     """
-    head = np.asarray(head_pose, np.float64)
+    head = plain(head_pose, "a head pose").astype(np.float64)
     if head.shape != (4, 4):
         raise FormatError(f"a head pose is a 4x4 matrix, not {head.shape}")
-    ks = np.asarray(pinhole(*size, fov) if K is None else K, np.float64)
+    if not isinstance(size, Sequence) or isinstance(size, str) or len(size) != 2:
+        raise FormatError(f"size needs width and height, not {size!r:.40}")
+    ks = pinhole(*size, fov) if K is None else own(K, np.float64, "K")  # type: ignore[arg-type]
     if ks.shape not in ((3, 3), (2, 3, 3)):
         raise FormatError(f"K needs shape (3, 3), or (2, 3, 3) for one a side, not {ks.shape}")
-    ks = np.broadcast_to(ks, (2, 3, 3))
+    ks, half = np.broadcast_to(ks, (2, 3, 3)), 0.5 * number(ipd, "ipd")
     eyes = []
-    for index, (name, sign) in enumerate((("left", -0.5), ("right", 0.5))):
+    for index, (name, sign) in enumerate((("left", -1.0), ("right", 1.0))):
         world_from_eye = head.copy()
-        world_from_eye[:3, 3] += head[:3, 0] * (sign * ipd)
-        viewmat = OPENCV_FROM_OPENGL @ np.linalg.inv(world_from_eye)
-        eyes.append(Camera(viewmat, ks[index].copy(), *size, background=background, name=name))
+        world_from_eye[:3, 3] += head[:3, 0] * (sign * half)
+        try:
+            viewmat = OPENCV_FROM_OPENGL @ np.linalg.inv(world_from_eye)
+        except np.linalg.LinAlgError:
+            raise FormatError("a head pose needs a rotation and a place; this matrix has no inverse") from None
+        eyes.append(Camera(viewmat, ks[index], *size, background=background, name=name))
     return eyes[0], eyes[1]
 
 
@@ -223,6 +283,35 @@ def read_cameras(path: str | Path) -> tuple[list[Camera], bool]:
     if len({(c.width, c.height) for c in cameras}) > 1:
         raise FormatError(f"{path}: all cameras of a file need the same width and height")
     return cameras, isinstance(data, list)
+
+
+def _check_matrices(view: list[list[float]], k: list[list[float]]) -> None:
+    """Refuse what is no camera; on plain floats, because a pair is made for every frame."""
+    values = (*view[0], *view[1], *view[2], *view[3], *k[0], *k[1], *k[2])
+    if not all(map(isfinite, values)):
+        raise FormatError("a camera needs finite numbers in viewmat and K, found NaN or infinity")
+    if max(map(abs, values)) > _LARGEST:
+        raise FormatError(f"a camera needs numbers below {_LARGEST:g} in viewmat and K")
+    for i in range(3):
+        for j in range(i, 3):
+            a, b = view[i], view[j]
+            if abs(a[0] * b[0] + a[1] * b[1] + a[2] * b[2] - (i == j)) > 1e-3:
+                raise FormatError(_NO_ROTATION)
+    x, y, z, w = view[3]
+    if max(abs(x), abs(y), abs(z), abs(w - 1)) > 1e-6:
+        raise FormatError(_NO_ROTATION)
+    (fx, skew, _), (zero, fy, _), (left, low, one) = k
+    if max(abs(skew), abs(zero), abs(left), abs(low), abs(one - 1)) > 1e-9:
+        raise FormatError("K needs the form fx 0 cx, 0 fy cy, 0 0 1; a skew is not supported")
+    if fx <= 0 or fy <= 0:
+        raise FormatError(f"a camera needs fx, fy > 0, not {fx:g} and {fy:g}")
+
+
+def _vector(value: ArrayLike, what: str, length: int) -> NDArray[np.float64]:
+    vector = plain(value, what).astype(np.float64)
+    if vector.shape != (length,) or not np.isfinite(vector).all():
+        raise FormatError(f"{what} needs {length} finite numbers, not {value!r:.60}")
+    return vector
 
 
 def _from_json(view: Any, where: str) -> Camera:

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Literal
 
+import numpy as np
+
+from glsplat.arrays import count, number
 from glsplat.errors import GlsplatError
 
 __all__ = ["RenderConfig"]
@@ -13,9 +16,15 @@ Target = Literal["auto", "8", "16f", "32f"]
 Output = Literal["float32", "uint8"]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True, kw_only=True, repr=False)
 class RenderConfig:
-    """Knobs of a renderer; the defaults are the pixel contract (docs/conventions.md) at its best price."""
+    """Knobs of a renderer; the defaults are the pixel contract (docs/conventions.md) at its best price.
+
+    Raises GlsplatError for a value out of range.
+
+    >>> glsplat.RenderConfig(output="float32", cull_hidden=True)
+    RenderConfig(output='float32', cull_hidden=True)
+    """
 
     target: Target = "auto"  # float target; auto = 32f on software rasterizers, 16f on GPUs (measured)
     output: Output = "uint8"  # uint8: resolved to 8 bit; float32: the target as it is, unclipped
@@ -52,9 +61,17 @@ class RenderConfig:
             "cull_hidden": (False, True),
         }
         for name, values in allowed.items():
-            if getattr(self, name) not in values:
-                raise GlsplatError(f"{name} needs one of {', '.join(map(str, values))}, not {getattr(self, name)}")
-        if not (isinstance(self.sort_period, int) and 1 <= self.sort_period <= 1000):
+            value = getattr(self, name)
+            # True == 1 and 32.0 == 32: what is kept is the value meant, and a switch is no number
+            fit = [v for v in values if np.isscalar(value) == np.isscalar(v) and _is_switch(v) == _is_switch(value)]
+            chosen = next((v for v in fit if v == value), _NOTHING)
+            if chosen is _NOTHING:
+                raise GlsplatError(f"{name} needs one of {', '.join(map(str, values))}, not {value!r:.60}")
+            object.__setattr__(self, name, chosen)
+        object.__setattr__(self, "sort_period", count(self.sort_period, "sort_period", GlsplatError))
+        for name in ("cull_margin", "eps2d", "max_sigma"):
+            object.__setattr__(self, name, number(getattr(self, name), name, GlsplatError))
+        if not 1 <= self.sort_period <= 1000:
             raise GlsplatError(f"sort_period needs 1 to 1000 frames, not {self.sort_period}")
         if not -2 <= self.cull_margin <= 2:
             raise GlsplatError(f"cull_margin needs -2 to 2, not {self.cull_margin:g}")
@@ -62,3 +79,14 @@ class RenderConfig:
             raise GlsplatError(f"eps2d needs 0 to 100 px^2, not {self.eps2d:g}")
         if not 0 < self.max_sigma <= 3.33:
             raise GlsplatError(f"max_sigma needs a value above 0 and at most 3.33, not {self.max_sigma:g}")
+
+    def __repr__(self) -> str:
+        changed = [f"{f.name}={getattr(self, f.name)!r}" for f in fields(self) if getattr(self, f.name) != f.default]
+        return f"RenderConfig({', '.join(changed)})"
+
+
+_NOTHING = object()
+
+
+def _is_switch(value: object) -> bool:
+    return isinstance(value, (bool, np.bool_))

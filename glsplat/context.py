@@ -64,6 +64,11 @@ def create_context(
     ``device`` is an index or a part of a name in ``egl_devices()``; by default GLSPLAT_DEVICE, else the first.
     ``backend`` is egl or osmesa; by default GLSPLAT_BACKEND, else EGL and, where EGL has no device, OSMesa.
     Raises ContextError with the list of devices or what to install.
+
+    >>> context = glsplat.create_context()
+    >>> renderer = glsplat.Renderer(glsplat.default_avatar(), size=(320, 240), context=context)
+    >>> renderer.release()
+    >>> context.release()
     """
     if given is not None:
         return _probed(given, "given")

@@ -14,7 +14,14 @@ Commands print the message of a GlsplatError as one line and exit with 1; anythi
 
 
 class GlsplatError(Exception):
-    """Base of all errors raised on purpose. The message is one line: expected, came, what to do."""
+    """Base of all errors raised on purpose. The message is one line: expected, came, what to do.
+
+    >>> try:
+    ...     glsplat.pinhole(640, 480, fov=200)
+    ... except glsplat.GlsplatError as error:
+    ...     print(error)
+    the field of view needs to lie between 0 and 180 degrees, not 200
+    """
 
 
 class FormatError(GlsplatError):

@@ -12,8 +12,9 @@ from types import TracebackType
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from glsplat.arrays import own
 from glsplat.avatar import Avatar
 from glsplat.camera import Camera, passes_of, sorting_camera
 from glsplat.config import RenderConfig
@@ -45,7 +46,14 @@ class FrameStats:
 
 
 class Renderer:
-    """Renders one scene or avatar for any number of views; create, use and release it on one thread."""
+    """Renders one scene or avatar for any number of views; create, use and release it on one thread.
+
+    >>> eyes = glsplat.stereo_cameras(np.eye(4), size=(320, 240))
+    >>> with glsplat.Renderer(glsplat.default_avatar(), size=(320, 240), views=2) as renderer:
+    ...     image = renderer.render(eyes)
+    >>> image.shape, image.dtype
+    ((2, 240, 320, 4), dtype('uint8'))
+    """
 
     def __init__(
         self,
@@ -59,18 +67,18 @@ class Renderer:
     ) -> None:
         if views < 1:
             raise GlsplatError(f"views needs at least 1, not {views}")
-        self.config = config or RenderConfig()
+        self.config: RenderConfig = config or RenderConfig()
         self._released = False
         self._owns_context = context is None
-        self.context = context or create_context()
+        self.context: Context = context or create_context()
         self._programs = Programs(self.context.ctx)
-        self.timer = StageTimer(self.context.ctx.finish if timed else None)
+        self.timer: StageTimer = StageTimer(self.context.ctx.finish if timed else None)
         self._scene: SceneBuffers | None = None
         self._pipelines: dict[Variant, Pipeline] = {}
         self._targets = TargetPool(self.context, self.target_dtype)
-        self.stats = FrameStats(0, 0, 0)
-        self.variant = Variant()  # of the last pass
-        self.size = (0, 0)
+        self.stats: FrameStats = FrameStats(0, 0, 0)
+        self.variant: Variant = Variant()  # of the last pass
+        self.size: tuple[int, int] = (0, 0)
         try:
             geometry = self.config.layers == "geometry"
             if self.config.layers == "vertex" and not self.context.vertex_layers:
@@ -165,22 +173,24 @@ class Renderer:
         cameras: Sequence[Camera],
         pose: Pose | None = None,  # zero pose if none; ignored by a scene without a skeleton
         *,
-        sort_viewmat: NDArray[np.float64] | None = None,  # [4, 4] orders all views; default: see docs/frame.md
+        sort_viewmat: ArrayLike | None = None,  # [4, 4] orders all views; default: see docs/frame.md
     ) -> NDArray[Any]:
         """The images [V, H, W, 4], row 0 at the top: RGB over the background and accumulated alpha.
 
-        float32 (unclipped) or uint8 by ``config.output``. The array is new with each call. Raises PoseError for a pose
-        that does not fit, GlsplatError for cameras of another size.
+        Colours are multiplied by their alpha already (premultiplied); ``glsplat.straight(image)`` divides it out again,
+        for PNG files and image libraries. float32 (unclipped) or uint8 by ``config.output``. The array is new with each
+        call. Raises PoseError for a pose that does not fit, GlsplatError for cameras of another size.
         """
-        if sort_viewmat is not None and not (np.shape(sort_viewmat) == (4, 4) and np.isfinite(sort_viewmat).all()):
+        order = None if sort_viewmat is None else own(sort_viewmat, np.float64, "sort_viewmat", GlsplatError)
+        if order is not None and not (order.shape == (4, 4) and np.isfinite(order).all()):
             raise GlsplatError("sort_viewmat needs 4x4 finite numbers")
         self._begin(cameras, pose)
         out = np.empty((len(cameras), self.size[1], self.size[0], 4), self._output_type())
-        passes = passes_of(cameras, self.config.order == "shared" or sort_viewmat is not None)
+        passes = passes_of(cameras, self.config.order == "shared" or order is not None)
         for batch in passes:
             views = [cameras[i] for i in batch]
             boxed = self.config.output == "uint8"
-            pipeline, target = self._draw(views, sort_viewmat, boxed, alone=len(passes) == 1)
+            pipeline, target = self._draw(views, order, boxed, alone=len(passes) == 1)
             byte_target = self._targets.byte_target(self.size, len(views)) if self.config.output == "uint8" else None
             pipeline.read(target, byte_target, views, out[batch[0] : batch[0] + len(views)], self.timer)
             self._count(pipeline)

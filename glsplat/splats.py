@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from glsplat.arrays import frozen, own, own_whole, plain, restored
 from glsplat.errors import FormatError
 
 __all__ = ["SH_C0", "Splats"]
@@ -15,12 +17,20 @@ SH_C0 = 0.28209479177387814
 """Y_0^0, the constant real spherical harmonic: rgb = SH_C0 * f_dc + 0.5 (3DGS)."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+_ROUNDED = 5e-7  # of a squared length: unit to float32 rounding
+
+
+@dataclass(frozen=True, slots=True, eq=False, init=False, repr=False)
 class Splats:
-    """N Gaussians with activated attributes (linear scales and opacities), float32, C-contiguous.
+    """N Gaussians with activated attributes (linear scales and opacities), float32, C-contiguous, read-only.
 
     Values are stored as they came: NaN, zero quaternions, negative scales and opacities outside [0, 1] are
     legal here and have a stated fate in the renderer (docs/conventions.md), so that loading loses nothing.
+    Arrays are converted and copied, except float32 ones that are read-only down to the memory they own: those are
+    kept, so ``array.flags.writeable = False`` hands a large one over. Raises FormatError when a shape does not fit.
+
+    >>> glsplat.Splats.create([[0, 1, 0]], [[1, 0, 0, 0]], [[0.1, 0.1, 0.1]], opacities=[0.9], rgb=[[1, 0, 0]])
+    Splats(1 splats, SH degree 0, 56 bytes)
     """
 
     means: NDArray[np.float32]  # [N, 3] metres, world or zero-pose frame
@@ -31,16 +41,38 @@ class Splats:
     antialias: bool = False  # meant to be drawn with opacity compensation for the dilation (RenderConfig.antialias)
     cones: NDArray[np.int8] | None = None  # [N, 4] visibility cone / 127: axis in the splat's own axes, smallest cosine
 
-    def __post_init__(self) -> None:
-        n = len(self.means)
+    def __init__(
+        self,
+        means: ArrayLike,  # [N, 3]
+        quats: ArrayLike,  # [N, 4] wxyz, any length
+        scales: ArrayLike,  # [N, 3]
+        opacities: ArrayLike,  # [N]
+        sh: ArrayLike,  # [N, K, 3], K 1, 4, 9 or 16
+        antialias: bool = False,
+        cones: ArrayLike | None = None,  # [N, 4] of whole numbers -128..127
+    ) -> None:
+        arrays = {"means": means, "quats": quats, "scales": scales, "opacities": opacities, "sh": sh}
+        own_ones = {name: own(array, np.float32, name) for name, array in arrays.items()}
+        n = own_ones["means"].shape[0] if own_ones["means"].ndim else 1
         shapes = {"means": (n, 3), "quats": (n, 4), "scales": (n, 3), "opacities": (n,)}
-        for name, shape in shapes.items():
-            _require(name, getattr(self, name), shape)
-        if self.sh.ndim != 3 or self.sh.shape[0] != n or self.sh.shape[1] not in (1, 4, 9, 16):
-            raise FormatError(f"sh needs shape ({n}, 1|4|9|16, 3) for SH degree 0 to 3, not {self.sh.shape}")
-        _require("sh", self.sh, (n, self.sh.shape[1], 3))
-        if self.cones is not None and (self.cones.shape != (n, 4) or self.cones.dtype != np.int8):
-            raise FormatError(f"cones needs int8 of shape ({n}, 4), not {self.cones.dtype} of {self.cones.shape}")
+        k = 1 if own_ones["sh"].ndim != 3 else own_ones["sh"].shape[1]
+        for name, shape in {**shapes, "sh": (n, k, 3)}.items():
+            if own_ones[name].shape == (0,) and n == 0:  # an empty list has no second dimension
+                own_ones[name] = own_ones[name].reshape(shape)
+            if name == "sh" and (own_ones[name].shape != shape or k not in (1, 4, 9, 16)):
+                found = own_ones[name].shape
+                raise FormatError(f"sh needs shape ({n}, 1|4|9|16, 3) for SH degree 0 to 3, not {found}")
+            if own_ones[name].shape != shape:
+                raise FormatError(f"{name} needs shape {shape}, not {own_ones[name].shape}")
+        if not _are_unit(own_ones["quats"]):
+            own_ones["quats"] = frozen(normalised(own_ones["quats"]))
+        held = None if cones is None else own_whole(cones, np.int8, "cones")
+        if held is not None and held.shape != (n, 4):
+            raise FormatError(f"cones needs int8 of shape ({n}, 4), not {held.shape}")
+        if not isinstance(antialias, (bool, np.bool_)):
+            raise FormatError(f"antialias is True or False, not {antialias!r:.40}")
+        for name, array in {**own_ones, "antialias": bool(antialias), "cones": held}.items():
+            object.__setattr__(self, name, array)
 
     @classmethod
     def create(
@@ -53,25 +85,29 @@ class Splats:
         *,
         rgb: ArrayLike | None = None,  # [N, 3] in [0, 1], instead of sh
         antialias: bool = False,
-        cones: NDArray[np.int8] | None = None,  # [N, 4]
+        cones: ArrayLike | None = None,  # [N, 4]
     ) -> Splats:
-        """Convert, normalise the quaternions and check the shapes.
+        """The same, with plain colours: ``rgb`` makes splats of SH degree 0.
 
-        Raises FormatError when a shape does not fit or not exactly one of ``sh`` and ``rgb`` is given.
+        Raises FormatError when a shape does not fit, not exactly one of ``sh`` and ``rgb`` is given, or ``rgb`` is
+        0 to 255; colours a little outside [0, 1] are kept (-1 to 2: views of a higher degree overshoot).
         """
         if (sh is None) == (rgb is None):
             raise FormatError("a splat needs exactly one of sh and rgb")
         if sh is None:
-            sh = ((np.asarray(rgb, np.float64) - 0.5) / SH_C0)[:, None, :]
-        return cls(
-            _f32(means),
-            normalised(_f32(quats)),
-            _f32(scales),
-            _f32(np.asarray(opacities).reshape(-1)),
-            _f32(sh),
-            antialias,
-            cones,
-        )
+            assert rgb is not None
+            sh = _sh_of(rgb)
+        alphas = plain(opacities, "opacities")
+        alphas = alphas.reshape(-1) if alphas.ndim == 0 or alphas.shape[1:] == (1,) else alphas
+        return cls(means, quats, scales, alphas, sh, antialias, cones)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return restored, (type(self), {f.name: getattr(self, f.name) for f in fields(self)})
+
+    def __repr__(self) -> str:
+        more = (", antialias" if self.antialias else "") + ("" if self.cones is None else ", visibility cones")
+        size = f"{self.nbytes / 1e6:.4g} MB" if self.nbytes >= 1e5 else f"{self.nbytes} bytes"
+        return f"Splats({len(self)} splats, SH degree {self.sh_degree}, {size}{more})"
 
     def __len__(self) -> int:
         return len(self.means)
@@ -88,13 +124,18 @@ class Splats:
         return sum(a.nbytes for a in arrays if a is not None)
 
     def take(self, index: ArrayLike) -> Splats:
-        """The splats at ``index`` (an integer or boolean array), in that order."""
+        """The splats at ``index`` (an integer or boolean array), in that order. Raises FormatError outside of them."""
         i = np.asarray(index)
-        i = i if i.dtype == bool else i.astype(np.intp)  # an empty list has no integer type
-        cones = None if self.cones is None else self.cones[i]
-        return Splats(
-            self.means[i], self.quats[i], self.scales[i], self.opacities[i], self.sh[i], self.antialias, cones
-        )
+        n = len(self)
+        if i.dtype == bool and i.shape == (n,):
+            i = np.flatnonzero(i)
+        if i.ndim != 1 or (i.size and (i.dtype.kind not in "iu" or i.min() < -n or i.max() >= n)):
+            raise FormatError(f"take() needs a list of whole numbers below {n}, or {n} booleans")
+        i = i.astype(np.intp)  # an empty list has no integer type
+        arrays = (self.means, self.quats, self.scales, self.opacities, self.sh)
+        means, quats, scales, opacities, sh = (frozen(a.take(i, axis=0)) for a in arrays)
+        cones = None if self.cones is None else frozen(self.cones.take(i, axis=0))
+        return Splats(means, quats, scales, opacities, sh, self.antialias, cones)
 
     def finite(self) -> NDArray[np.bool_]:
         """[N] True where every attribute is finite."""
@@ -113,18 +154,30 @@ def normalised(quats: NDArray[np.float32]) -> NDArray[np.float32]:
     """
     with np.errstate(all="ignore"):
         peak = np.abs(quats).max(axis=-1, keepdims=True)
-        rounded = np.abs(np.einsum("...i,...i->...", quats, quats)[..., None] - 1) <= 5e-7
+        rounded = np.abs(np.einsum("...i,...i->...", quats, quats)[..., None] - 1) <= _ROUNDED
         usable = np.isfinite(peak) & (peak > 0) & ~rounded
         scaled = quats / np.where(usable, peak, 1)
         unit = scaled / np.where(usable, np.linalg.norm(scaled, axis=-1, keepdims=True), 1)
     return np.where(usable, unit, quats).astype(np.float32)
 
 
-def _f32(array: ArrayLike) -> NDArray[np.float32]:
+def _are_unit(quats: NDArray[np.float32]) -> bool:
+    """Whether normalised() would change nothing."""
+    with np.errstate(all="ignore"):
+        return bool((np.abs(np.einsum("ij,ij->i", quats, quats) - 1) <= _ROUNDED).all())
+
+
+def _sh_of(rgb: ArrayLike) -> NDArray[np.float32]:
+    """[N, 1, 3] coefficients of plain colours."""
+    colours = plain(rgb, "rgb")
+    colours = colours.reshape(0, 3) if colours.shape == (0,) else colours
+    if colours.ndim != 2 or colours.shape[1] != 3:
+        raise FormatError(f"rgb needs shape (N, 3), not {colours.shape}")
+    finite = colours[np.isfinite(colours)]
+    brightest, darkest = finite.max(initial=0), finite.min(initial=0)
+    if brightest > (2 if colours.dtype.kind == "f" else 1):
+        raise FormatError(f"rgb needs 0 to 1, found {brightest:g}; divide 0 to 255 by 255, or give sh for more light")
+    if darkest < -1:
+        raise FormatError(f"rgb needs 0 to 1, found {darkest:g}")
     with np.errstate(over="ignore"):
-        return np.ascontiguousarray(array, np.float32)
-
-
-def _require(name: str, array: NDArray[np.float32], shape: tuple[int, ...]) -> None:
-    if array.shape != shape or array.dtype != np.float32:
-        raise FormatError(f"{name} needs float32 of shape {shape}, not {array.dtype} of {array.shape}")
+        return frozen(((colours.astype(np.float64) - 0.5) / SH_C0)[:, None, :].astype(np.float32))

@@ -9,6 +9,7 @@ import pytest
 
 from glsplat import reference
 from glsplat.renderer import Renderer
+from glsplat.splats import SH_C0
 from tests.compare import assert_contract
 from tests.scenes import camera, one_splat
 
@@ -26,7 +27,7 @@ HARD = {
     "huge": {"scales": [[1e6, 1e6, 1e6]]},
     "opacity 1": {"opacities": [1.0]},
     "opacity 2": {"opacities": [2.0]},
-    "bright": {"rgb": [[30.0, 0.0, -5.0]]},
+    "bright": {"rgb": None, "sh": (np.array([[[30.0, 0.0, -5.0]]]) - 0.5) / SH_C0},
     "on the near plane": {"means": [[0.0, 0.0, 2.99]]},
     "just in front": {"means": [[0.001, 0.0, 2.985]], "scales": [[0.01, 0.01, 0.01]]},
     "far off axis": {"means": [[40.0, 0.0, 2.0]], "scales": [[20.0, 0.1, 0.1]]},

@@ -47,6 +47,10 @@ def load(source: Source, *, strict: bool = False, format: str | None = None) -> 
     The format is recognised by content, whatever the file's name, unless ``format`` says it: "ply", "splat", "glb" or
     "gltf". An open file is read from where it stands and stays open. With ``strict``, NaN and infinity are refused
     instead of kept. Raises FormatError, one line that names the file.
+
+    >>> glsplat.save(glsplat.default_avatar(), "me.glb")
+    >>> glsplat.load("me.glb")
+    Avatar(40000 splats, 55 joints, 4 a splat)
     """
     with naming(source), open_regular(source) as (file, size):
         kind = _recognise(file, size, suffix_of(source) == ".splat") if format is None else _known(format)
@@ -67,6 +71,10 @@ def save(scene: Splats | Avatar, target: Source, *, format: str | None = None) -
     file is complete or, on any failure, the old one as it was; a link is followed, an old file keeps its mode. An
     avatar goes into glTF with its rig; into the other formats go its splats alone, in the zero pose. Raises
     FormatError for another suffix, and when the file cannot be written.
+
+    >>> glsplat.save(glsplat.default_avatar().splats, "me.ply")
+    >>> len(glsplat.load("me.ply"))
+    40000
     """
     with naming(target):
         suffix = suffix_of(target)

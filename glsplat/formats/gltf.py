@@ -14,6 +14,7 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
+from glsplat.arrays import frozen
 from glsplat.avatar import Avatar
 from glsplat.errors import FormatError
 from glsplat.formats.files import Source, checked, folder_of, naming, open_regular, replace_file, suffix_of
@@ -164,7 +165,7 @@ def _merged(container: Container, found: list[Instance]) -> Splats:
         np.concatenate([p.quats for p in parts]),
         np.concatenate([p.scales for p in parts]),
         np.concatenate([p.opacities for p in parts]),
-        np.concatenate(sh),
+        frozen(np.concatenate(sh)),
         all(p.antialias for p in parts),
         np.concatenate(cones) if len(cones) == len(parts) else None,
     )
@@ -209,7 +210,7 @@ def _splats(container: Container, primitive: Primitive, name: str) -> Splats:
         np.roll(quats, 1, axis=1),
         scales,
         opacities,
-        np.stack(sh, axis=1),
+        frozen(np.stack(sh, axis=1)),
         antialias=_note(container).get(_ANTIALIAS) is True,
         cones=_cones(container, attributes[_CONE], len(means), name) if _CONE in attributes else None,
     )

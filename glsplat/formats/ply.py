@@ -16,6 +16,7 @@ from typing import BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
+from glsplat.arrays import frozen
 from glsplat.errors import FormatError
 from glsplat.formats.files import Source, checked, naming, open_regular, replace_file
 from glsplat.splats import Splats, normalised
@@ -226,7 +227,7 @@ def _lines(file: BinaryIO) -> Iterator[bytes]:
 
 def _activate(chunks: Iterator[dict[str, NDArray[np.generic]]], count: int, degree: int) -> Splats:
     coefficients = (degree + 1) ** 2
-    out: Splats | None = None
+    out: _Columns | None = None
     at = 0
     for columns in chunks:  # the first chunk has been checked against the file, so the arrays may be allocated
         if out is None:
@@ -247,7 +248,8 @@ def _activate(chunks: Iterator[dict[str, NDArray[np.generic]]], count: int, degr
                 base = channel * (coefficients - 1)
                 rest = [f"f_rest_{base + i}" for i in range(coefficients - 1)]
                 _gather(out.sh[part, 1:, channel], columns, rest)
-    return _empty(0, coefficients) if out is None else out
+    out = out or _empty(0, coefficients)
+    return Splats(frozen(out.means), frozen(out.quats), frozen(out.scales), frozen(out.opacities), frozen(out.sh))
 
 
 def _gather(
@@ -257,9 +259,20 @@ def _gather(
         out[:, i] = columns[name]
 
 
-def _empty(count: int, coefficients: int) -> Splats:
+@dataclass
+class _Columns:
+    """The arrays of Splats while they are filled."""
+
+    means: NDArray[np.float32]
+    quats: NDArray[np.float32]
+    scales: NDArray[np.float32]
+    opacities: NDArray[np.float32]
+    sh: NDArray[np.float32]
+
+
+def _empty(count: int, coefficients: int) -> _Columns:
     means, scales, quats = (np.empty((count, width), np.float32) for width in (3, 3, 4))
-    return Splats(means, quats, scales, np.empty(count, np.float32), np.empty((count, coefficients, 3), np.float32))
+    return _Columns(means, quats, scales, np.empty(count, np.float32), np.empty((count, coefficients, 3), np.float32))
 
 
 def _listed(names: list[str]) -> str:

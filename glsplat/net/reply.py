@@ -27,7 +27,7 @@ _EYE = struct.Struct("<BI")
 _LENGTH = struct.Struct("<I")
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Reply:
     """One parsed reply: JPEG bytes by eye number (0 left, 1 right) and the JSON part."""
 
@@ -35,6 +35,10 @@ class Reply:
     pictures: dict[int, bytes]
     info: dict[str, Any] = field(default_factory=dict)
     nbytes: int = 0  # of the whole message
+
+    def __repr__(self) -> str:
+        eyes = ", ".join(f"eye {eye}: {len(jpeg)} bytes" for eye, jpeg in sorted(self.pictures.items())) or "no picture"
+        return f"Reply(frame {self.frame_id}, {eyes})"
 
     def decoders(self) -> list[Callable[[], NDArray[np.uint8]]]:
         """One call an eye, left first, that decodes its picture; they may run in threads side by side."""

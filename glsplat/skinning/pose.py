@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from math import isfinite
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from glsplat.arrays import count, own, plain, restored
 from glsplat.errors import PoseError
 from glsplat.skinning.skeleton import Skeleton
-from glsplat.skinning.smplx import JOINT_NAMES, POSE_KEYS
+from glsplat.skinning.smplx import JOINT_NAMES, POSE_KEYS, SMPLX_NAMES
 
 __all__ = ["Pose", "load_pose"]
 
@@ -22,39 +24,71 @@ _LIMIT = 1e6  # metres, radians; more is a mistake of units
 _DEGREES = 4 * np.pi  # radians; an angle beyond two turns in a file was meant in degrees
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, init=False, repr=False)
 class Pose:
-    """Rotations of the J joints of a skeleton. The zero pose (all zeros) is the bind pose."""
+    """Rotations of the J joints of a skeleton. The zero pose (all zeros) is the bind pose.
+
+    Takes anything that numpy reads as numbers, checks it and keeps read-only copies. Raises PoseError.
+
+    >>> glsplat.Pose.from_smplx({"global_orient": [0, 0.5, 0], "transl": [0, 0, 1]})
+    Pose(55 joints, 1 turned, trans (0, 0, 1))
+    """
 
     rotations: NDArray[np.float64]  # [J, 3] axis-angle, radians, in each joint's rest frame
     trans: NDArray[np.float64]  # [3] metres, moves the roots
     translations: NDArray[np.float64] | None = None  # [J, 3] metres added to rest offsets; for rigs that stretch
 
-    def __post_init__(self) -> None:
-        if self.rotations.ndim != 2 or self.rotations.shape[1] != 3 or self.trans.shape != (3,):
-            raise PoseError(f"a pose needs rotations (J, 3) and trans (3,), not {self.rotations.shape}")
-        values = [self.rotations, self.trans] + ([] if self.translations is None else [self.translations])
-        if not all(np.isfinite(v).all() for v in values):
-            raise PoseError("a pose needs finite numbers, found NaN or infinity")
+    def __init__(
+        self,
+        rotations: ArrayLike,  # [J, 3]
+        trans: ArrayLike = (0.0, 0.0, 0.0),  # [3]
+        translations: ArrayLike | None = None,  # [J, 3]
+    ) -> None:
+        turned, moved = own(rotations, np.float64, "rotations", PoseError), own(trans, np.float64, "trans", PoseError)
+        if turned.ndim != 2 or turned.shape[1] != 3 or moved.shape != (3,):
+            raise PoseError(f"a pose needs rotations (J, 3) and trans (3,), not {turned.shape} and {moved.shape}")
+        stretched = None if translations is None else own(translations, np.float64, "translations", PoseError)
+        if stretched is not None and stretched.shape != turned.shape:
+            raise PoseError(f"translations need one row a joint, {turned.shape}, not {stretched.shape}")
         # 1e300 is finite, its square is not
-        for name, value in (("trans", self.trans), ("a rotation", self.rotations), ("translations", self.translations)):
-            most = 0.0 if value is None else np.abs(value).max(initial=0.0)
+        for name, value in (("trans", moved), ("a rotation", turned), ("translations", stretched)):
+            most = 0.0 if value is None else float(np.abs(value).max(initial=0.0))
+            if not isfinite(most):  # the largest of numbers with a NaN is NaN
+                raise PoseError("a pose needs finite numbers, found NaN or infinity")
             if most > _LIMIT:
                 unit = "radians" if name == "a rotation" else "metres"
                 raise PoseError(f"{name} needs {unit} below {_LIMIT:g}, not {most:g}")
+        keep = object.__setattr__
+        keep(self, "rotations", turned)
+        keep(self, "trans", moved)
+        keep(self, "translations", stretched)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return restored, (type(self), {f.name: getattr(self, f.name) for f in fields(self)})
+
+    def __repr__(self) -> str:
+        turned = int(self.rotations.any(axis=1).sum())
+        x, y, z = self.trans
+        stretched = "" if self.translations is None else ", with translations"
+        return f"Pose({len(self.rotations)} joints, {turned} turned, trans ({x:.4g}, {y:.4g}, {z:.4g}){stretched})"
 
     @classmethod
     def zero(cls, joints: int = _COUNT) -> Pose:
         """The bind pose of a rig of that many joints."""
-        return cls(np.zeros((joints, 3)), np.zeros(3))
+        return cls(np.zeros((max(count(joints, "the number of joints", PoseError), 0), 3)))
 
     @classmethod
     def from_smplx(cls, data: Mapping[str, Any]) -> Pose:
         """A pose object with any of the keys root_pose, trans, body_pose, jaw_pose, ... (missing = zero).
 
-        Lists may be nested (21, 3) or flat (63). Other keys are ignored (LHM files carry betas, focal and more);
-        an object with none of the keys, wrong counts or non-finite numbers is a PoseError.
+        SMPL-X's own names of the same things are read too (global_orient, transl, left_hand_pose, right_hand_pose).
+        Arrays may be nested (21, 3), flat (63) or a batch of one (1, 63). Other keys are ignored (LHM files carry
+        betas, focal and more); an object with none of the keys, one thing under both of its names, wrong counts or
+        non-finite numbers is a PoseError.
         """
+        if not isinstance(data, Mapping):
+            raise PoseError(f"a pose is a mapping of {', '.join(POSE_KEYS)}, not {type(data).__name__}")
+        data = _own_names(data)
         if not any(key in data for key in POSE_KEYS):
             raise PoseError(f"a pose needs at least one of {', '.join(POSE_KEYS)}; found {_some(data)}")
         rotations = np.zeros((_COUNT, 3))
@@ -117,16 +151,26 @@ def load_pose(path: str | Path, skeleton: Skeleton) -> Pose:
         raise PoseError(f"{path}: {error}") from None
 
 
+def _own_names(data: Mapping[str, Any]) -> Mapping[str, Any]:
+    """The same object with SMPL-X's names in our words."""
+    if not any(name in data for name in SMPLX_NAMES):
+        return data
+    for name, key in SMPLX_NAMES.items():
+        if name in data and key in data:
+            raise PoseError(f"a pose has {name} and {key}, which are the same thing; leave one out")
+    return {SMPLX_NAMES.get(name, name): value for name, value in data.items()}
+
+
 def _numbers(value: Any, key: str, joints: int) -> NDArray[np.float64]:
-    try:
-        array = np.asarray(value, np.float64)
-    except (TypeError, ValueError):
-        raise PoseError(f"{key} needs {joints} x 3 numbers") from None
-    if array.size != 3 * joints or array.ndim > 2:
-        raise PoseError(f"{key} needs {joints} x 3 numbers, found shape {array.shape}")
+    array = plain(value, key, PoseError)
+    while array.ndim > 1 and array.shape[0] == 1 and array.shape != (joints, 3):
+        array = array[0]  # a batch of one, as the body model returns it
+    if array.shape not in ((joints, 3), (3 * joints,)):
+        components = "; the components of a hand's PCA are no rotations" if key.endswith("hand_pose") else ""
+        raise PoseError(f"{key} needs {joints} x 3 numbers, found shape {np.shape(value)}{components}")
     if not np.isfinite(array).all():
         raise PoseError(f"{key} needs finite numbers, found NaN or infinity")
-    return array.reshape(joints, 3)
+    return array.reshape(joints, 3).astype(np.float64)
 
 
 def _some(names: Any, limit: int = 6) -> str:

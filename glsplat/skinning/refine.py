@@ -135,14 +135,13 @@ def refine(
 
 def _random_pose(names: tuple[str, ...], rng: np.random.Generator) -> Pose:
     """Arms anywhere between hanging and raised, one pose in three sits deep, joints bent the way they bend."""
-    pose = Pose.zero(len(names))
     index = {name: i for i, name in enumerate(names)}
     if "left_shoulder" not in index or "right_shoulder" not in index:
-        return pose
-    pose.rotations[:] = rng.normal(0, 0.06, pose.rotations.shape)
-    pose.rotations[index.get("pelvis", 0)] = 0
+        return Pose.zero(len(names))
+    rotations = rng.normal(0, 0.06, (len(names), 3))
+    rotations[index.get("pelvis", 0)] = 0
     if "jaw" in index:
-        pose.rotations[index["jaw"]] += (max(0.0, rng.uniform(-0.3, 0.3)), 0.0, 0.0)
+        rotations[index["jaw"]] += (max(0.0, rng.uniform(-0.3, 0.3)), 0.0, 0.0)
     deep = rng.uniform(0.5, 1.0) if rng.uniform() < 1 / 3 else 0.0
     for side, sign in (("left", 1.0), ("right", -1.0)):
         changes = {
@@ -159,8 +158,8 @@ def _random_pose(names: tuple[str, ...], rng: np.random.Generator) -> Pose:
                 changes[f"{finger}{i}"] = (0.0, 0.0, -sign * curl * rng.uniform(0.6, 1.0))
         for name, value in changes.items():
             if f"{side}_{name}" in index:
-                pose.rotations[index[f"{side}_{name}"]] += value
-    return pose
+                rotations[index[f"{side}_{name}"]] += value
+    return Pose(rotations)
 
 
 _CLOSE_UPS = (

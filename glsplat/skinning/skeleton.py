@@ -2,71 +2,99 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from glsplat.arrays import frozen, own, own_whole, plain
 from glsplat.errors import PoseError
 
 __all__ = ["Skeleton", "rotation_matrices"]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, init=False, repr=False)
 class Skeleton:
     """J joints. ``rest`` is the global frame of each joint in the bind (zero) pose.
 
     An SMPL-X rig has rest frames parallel to the world; other rigs may have any. Several roots are legal, a cycle,
-    a parent out of range or a frame that cannot be inverted is a PoseError.
+    a parent out of range or a frame that cannot be inverted is a PoseError. The arrays are read-only copies.
+
+    >>> skeleton = glsplat.Skeleton.from_joints(["hip", "knee"], parents=[-1, 0], joints=[[0, 1, 0], [0, 0.5, 0]])
+    >>> skeleton.forward([[np.pi / 2, 0, 0], [0, 0, 0]])[1, :3, 3].round(3).tolist()  # the knee, the hip bent back
+    [0.0, 1.0, -0.5]
     """
 
     names: tuple[str, ...]
     parents: NDArray[np.int32]  # [J] index of the parent, -1 for a root
     rest: NDArray[np.float64]  # [J, 4, 4] world from joint at the zero pose
-    inverse_bind: NDArray[np.float64] = field(default_factory=lambda: np.empty((0, 4, 4)))  # [J, 4, 4]; none: inv(rest)
+    inverse_bind: NDArray[np.float64]  # [J, 4, 4] joint from world when it was bound
     _local: NDArray[np.float64] = field(init=False, repr=False)  # [J, 4, 4] rest frame in the parent's
     _levels: list[tuple[NDArray[np.intp], NDArray[np.int32]]] = field(
         init=False, repr=False
     )  # joints by depth, parents
 
-    def __post_init__(self) -> None:
-        parents = np.asarray(self.parents, np.int32).reshape(-1)
-        rest = np.asarray(self.rest, np.float64)
-        count = len(self.names)
+    def __init__(
+        self,
+        names: Sequence[str],
+        parents: ArrayLike,  # [J]
+        rest: ArrayLike,  # [J, 4, 4]
+        inverse_bind: ArrayLike | None = None,  # [J, 4, 4]; None: the inverses of rest
+    ) -> None:
+        if isinstance(names, str) or not all(isinstance(name, str) for name in names):
+            raise PoseError("a skeleton needs its joints' names as a sequence of text")
+        names, count = tuple(names), len(names)
+        parents = own_whole(parents, np.int32, "parents", PoseError)
+        rest = own(rest, np.float64, "rest", PoseError)
         if count < 1 or parents.shape != (count,) or rest.shape != (count, 4, 4):
             raise PoseError(
                 f"a skeleton of {count} joints needs parents ({count},) and rest ({count}, 4, 4), "
                 f"not {parents.shape} and {rest.shape}"
             )
-        if len(set(self.names)) != count:
+        if len(set(names)) != count:
             raise PoseError("joint names need to be distinct")
         if not np.isfinite(rest).all():
             raise PoseError("rest frames need finite numbers, found NaN or infinity")
+        if np.abs(rest[:, 3] - (0, 0, 0, 1)).max() > 1e-4:
+            raise PoseError("rest frames need the last row 0 0 0 1 (translation in the last column); transpose them")
         try:
             inverse_rest: NDArray[np.float64] = np.linalg.inv(rest).astype(np.float64)
         except np.linalg.LinAlgError:
             raise PoseError("a rest frame has no inverse (a zero scale?)") from None
-        inverse = np.asarray(self.inverse_bind, np.float64) if len(self.inverse_bind) else inverse_rest
+        given = None if inverse_bind is None else own(inverse_bind, np.float64, "inverse_bind", PoseError)
+        inverse = given if given is not None and given.size else frozen(inverse_rest)
         if inverse.shape != (count, 4, 4) or not np.isfinite(inverse).all():
             raise PoseError(f"inverse_bind needs finite numbers of shape ({count}, 4, 4), not {inverse.shape}")
         levels = _levels(parents)
         local = rest.copy()
         child = parents >= 0
         local[child] = inverse_rest[parents[child]] @ rest[child]
-        for name, value in (("parents", parents), ("rest", rest), ("inverse_bind", inverse)):
-            object.__setattr__(self, name, value)
-        object.__setattr__(self, "_local", local)
-        object.__setattr__(self, "_levels", [(ids, parents[ids]) for ids in levels])
+        keep = object.__setattr__
+        keep(self, "names", names)
+        keep(self, "parents", parents)
+        keep(self, "rest", rest)
+        keep(self, "inverse_bind", inverse)
+        keep(self, "_local", frozen(local))
+        keep(self, "_levels", [(ids, parents[ids]) for ids in levels])
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (self.names, self.parents, self.rest, self.inverse_bind)
+
+    def __repr__(self) -> str:
+        shown = ", ".join(self.names[:3]) + (", ..." if len(self) > 3 else "")
+        return f"Skeleton({len(self)} joints: {shown:.60})"
 
     @classmethod
-    def from_joints(cls, names: tuple[str, ...], parents: ArrayLike, joints: ArrayLike) -> Skeleton:
+    def from_joints(cls, names: Sequence[str], parents: ArrayLike, joints: ArrayLike) -> Skeleton:
         """A rig whose rest frames are parallel to the world (SMPL-X): ``joints`` [J, 3] in metres."""
-        positions = np.asarray(joints, np.float64)
+        positions = plain(joints, "joints", PoseError)
         if positions.ndim != 2 or positions.shape[1] != 3:
             raise PoseError(f"joints need shape (J, 3), not {positions.shape}")
         rest = np.tile(np.eye(4), (len(positions), 1, 1))
         rest[:, :3, 3] = positions
-        return cls(tuple(names), np.asarray(parents, np.int32), rest)
+        return cls(names, parents, rest)
 
     def __len__(self) -> int:
         return len(self.names)
@@ -83,19 +111,25 @@ class Skeleton:
         translations: ArrayLike | None = None,  # [J, 3] metres in the parent's frame, added to the rest offset
     ) -> NDArray[np.float64]:
         """Global joint frames [J, 4, 4] of a pose: G_j = G_parent L_j R_j, level by level."""
-        rot = np.asarray(rotations, np.float64)
+        rot = plain(rotations, "rotations", PoseError)
         if rot.shape == (len(self), 3):
             rot = rotation_matrices(rot)
         if rot.shape != (len(self), 3, 3):
-            raise PoseError(f"this skeleton needs {len(self)} joint rotations, not shape {np.shape(rotations)}")
+            raise PoseError(f"this skeleton needs {len(self)} joint rotations, not shape {rot.shape}")
         local = self._local.copy()
         local[:, :3, :3] = local[:, :3, :3] @ rot
         if translations is not None:
-            local[:, :3, 3] += np.asarray(translations, np.float64)
+            offsets = plain(translations, "translations", PoseError)
+            if offsets.shape != (len(self), 3):
+                raise PoseError(f"translations need shape ({len(self)}, 3), not {offsets.shape}")
+            local[:, :3, 3] += offsets
+        moved = plain(trans, "trans", PoseError)
+        if moved.shape != (3,):
+            raise PoseError(f"trans needs shape (3,), not {moved.shape}")
         out = local
         for level, (ids, parents) in enumerate(self._levels):
             if level == 0:
-                out[ids, :3, 3] += np.asarray(trans, np.float64)
+                out[ids, :3, 3] += moved
             else:
                 out[ids] = out[parents] @ local[ids]
         return out

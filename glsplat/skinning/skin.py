@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
+from typing import Any, SupportsFloat, SupportsIndex
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from glsplat.arrays import count, frozen, number, own, own_whole, plain, restored
 from glsplat.errors import FormatError
 
 __all__ = ["INFLUENCES", "Skin"]
@@ -15,17 +17,70 @@ INFLUENCES = (1, 2, 4, 8)
 """Joints a splat that have a shader variant."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, init=False, repr=False)
 class Skin:
     """N splats times K influences, strongest first, weights that sum to exactly one (float32 rounding apart).
 
     In an Avatar the first slot holds the splat's anchor instead (``anchored``); the two differ in a few per cent.
+
+    Takes any integer joints and any weights that are finite, not negative and not all zero for a splat; weights of
+    another sum are divided by it, and 3 or 5 to 7 influences get slots without weight up to 4 or 8. The arrays are
+    read-only copies. Raises FormatError; ``Skin.create`` repairs and reduces instead.
+
+    >>> skin = glsplat.Skin([[0, 1, 2]], [[2, 1, 1]])
+    >>> skin.weights.tolist()
+    [[0.5, 0.25, 0.25, 0.0]]
     """
 
     joints: NDArray[np.uint16]  # [N, K], K in INFLUENCES
     weights: NDArray[np.float32]  # [N, K] >= 0
     lost: float = 0.0  # mean weight cut off when the influences were reduced to K
     repaired: int = 0  # splats whose weights were negative, not finite or all zero
+
+    def __init__(
+        self,
+        joints: ArrayLike,  # [N, K] of whole numbers, K 1 to 8
+        weights: ArrayLike,  # [N, K]
+        lost: SupportsFloat = 0.0,
+        repaired: SupportsIndex = 0,
+    ) -> None:
+        ids, w = own_whole(joints, np.uint16, "joints"), own(weights, np.float32, "weights")
+        if ids.ndim != 2 or ids.shape != w.shape or ids.shape[1] < 1:
+            raise FormatError(f"joints and weights need one shape (N, K), not {ids.shape} and {w.shape}")
+        slots = next((k for k in INFLUENCES if k >= ids.shape[1]), None)
+        if slots is None:
+            raise FormatError(
+                f"a skin has at most {INFLUENCES[-1]} joints a splat, not {ids.shape[1]}; "
+                "Skin.create(joints, weights, joint_count, influences=8) keeps the strongest"
+            )
+        low, high = float(w.min(initial=0)), float(w.max(initial=0))  # NaN if there is one
+        if not (low >= 0 and high < np.inf):
+            raise FormatError(
+                f"weights need finite numbers of 0 and above, found {high if low >= 0 else low:g}; "
+                "Skin.create(joints, weights, joint_count) repairs them"
+            )
+        total = w.sum(axis=1, dtype=np.float64)
+        if len(w) and not total.min() > 0:
+            row = int(total.argmin())
+            raise FormatError(f"splat {row} has no weight; Skin.create(joints, weights, joint_count) repairs it")
+        if len(w) and np.abs(total - 1).max() > 8 * 2**-24:
+            w = frozen((w / total[:, None]).astype(np.float32))
+        if slots > ids.shape[1]:
+            pad = ((0, 0), (0, slots - ids.shape[1]))
+            ids, w = frozen(np.pad(ids, pad)), frozen(np.pad(w, pad))
+        if not w.all():
+            ids = _without_strays(ids, w)
+        keep = object.__setattr__
+        keep(self, "joints", ids)
+        keep(self, "weights", w)
+        keep(self, "lost", number(lost, "lost"))
+        keep(self, "repaired", count(repaired, "repaired"))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return restored, (type(self), {f.name: getattr(self, f.name) for f in fields(self)})
+
+    def __repr__(self) -> str:
+        return f"Skin({len(self)} splats, {self.influences} joints each)"
 
     @classmethod
     def create(cls, joints: ArrayLike, weights: ArrayLike, joint_count: int, influences: int = 4) -> Skin:
@@ -35,8 +90,11 @@ class Skin:
         no weight left rides joint ``joints[i, 0]``; both are counted in ``repaired``. A joint outside
         0..joint_count-1 with a weight above zero is a FormatError: it cannot be guessed.
         """
-        ids = np.asarray(joints)
-        w = np.asarray(weights, np.float64)
+        ids, w = plain(joints, "joints"), plain(weights, "weights").astype(np.float64)
+        if ids.dtype.kind == "f" and not (np.isfinite(ids) & (ids == np.rint(ids))).all():
+            raise FormatError("joints needs whole numbers, found fractions, NaN or infinity")
+        if not 1 <= joint_count <= 65536:
+            raise FormatError(f"joint_count needs 1 to 65536, not {joint_count}")
         if ids.ndim != 2 or ids.shape != w.shape or ids.shape[1] < 1:
             raise FormatError(f"joints and weights need one shape (N, K), not {ids.shape} and {w.shape}")
         if influences not in INFLUENCES:
@@ -63,7 +121,7 @@ class Skin:
             kept, kept_ids = np.pad(kept, pad), np.pad(kept_ids, pad)
         kept /= kept.sum(axis=1, keepdims=True)
         kept_ids = np.where(kept > 0, kept_ids, kept_ids[:, :1])  # unused slots fetch a bone that is fetched anyway
-        return cls(kept_ids.astype(np.uint16), kept.astype(np.float32), max(lost, 0.0), repaired)
+        return cls(frozen(kept_ids.astype(np.uint16)), frozen(kept.astype(np.float32)), max(lost, 0.0), repaired)
 
     def __len__(self) -> int:
         return len(self.joints)
@@ -105,10 +163,17 @@ class Skin:
         all_ids, all_weights = self.joints.copy(), self.weights.copy()
         all_ids[rows] = np.where(weights > 0, ids, ids[:, :1])
         all_weights[rows] = weights
-        return replace(self, joints=all_ids, weights=all_weights)
+        return replace(self, joints=frozen(all_ids), weights=frozen(all_weights))
 
     def dense(self, joint_count: int) -> NDArray[np.float64]:
         """[N, J] weights, for comparisons."""
         out = np.zeros((len(self), joint_count))
         np.add.at(out, (np.arange(len(self))[:, None], self.joints), self.weights)
         return out
+
+
+def _without_strays(ids: NDArray[np.uint16], weights: NDArray[np.float32]) -> NDArray[np.uint16]:
+    """The same joints, the slots without weight naming the row's strongest: it is fetched anyway, and it exists."""
+    strongest = np.take_along_axis(ids, weights.argmax(axis=1)[:, None], axis=1)
+    stray = (weights == 0) & (ids != strongest)
+    return frozen(np.where(stray, strongest, ids)) if stray.any() else ids

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-__all__ = ["JOINT_NAMES", "PARENTS", "POSE_KEYS"]
+__all__ = ["JOINT_NAMES", "PARENTS", "POSE_KEYS", "SMPLX_NAMES"]
 
 _FINGERS = ("index", "middle", "pinky", "ring", "thumb")
 
@@ -34,3 +34,11 @@ POSE_KEYS: dict[str, slice] = {
     "rhand_pose": slice(40, 55),
 }
 """Key of a pose object -> the joints it holds (LHM's layout; hands relative to the flat hand)."""
+
+SMPLX_NAMES: dict[str, str] = {
+    "global_orient": "root_pose",
+    "transl": "trans",
+    "left_hand_pose": "lhand_pose",
+    "right_hand_pose": "rhand_pose",
+}
+"""What the authors' own body model calls the same things -> key of a pose object."""

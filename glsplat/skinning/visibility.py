@@ -106,16 +106,16 @@ def probe_poses(names: tuple[str, ...]) -> list[Pose]:
     poses = [Pose.zero(len(names))]
     if all(name in index for name in ("left_shoulder", "right_shoulder", "left_hip", "left_knee", "left_wrist")):
         for bend in (0.5, -0.5):
-            pose = Pose.zero(len(names))
+            rotations = np.zeros((len(names), 3))
             for side, sign in (("left", 1.0), ("right", -1.0)):
-                pose.rotations[index[f"{side}_shoulder"]] = (0, 0, -sign * 2 * bend)
-                pose.rotations[index[f"{side}_wrist"]] = (0, 0, -sign * bend)
-                pose.rotations[index[f"{side}_hip"]] = (-sign * bend, 0, sign * 0.3)
-                pose.rotations[index[f"{side}_knee"]] = (0.6, 0, 0)
-                pose.rotations[index[f"{side}_ankle"]] = (bend, 0, 0)
+                rotations[index[f"{side}_shoulder"]] = (0, 0, -sign * 2 * bend)
+                rotations[index[f"{side}_wrist"]] = (0, 0, -sign * bend)
+                rotations[index[f"{side}_hip"]] = (-sign * bend, 0, sign * 0.3)
+                rotations[index[f"{side}_knee"]] = (0.6, 0, 0)
+                rotations[index[f"{side}_ankle"]] = (bend, 0, 0)
             if "jaw" in index:
-                pose.rotations[index["jaw"]] = (0.3, 0, 0)
-            poses.append(pose)
+                rotations[index["jaw"]] = (0.3, 0, 0)
+            poses.append(Pose(rotations))
     return poses
 
 

@@ -55,24 +55,24 @@ class Arm:
 
     def __init__(self, body: Body, index: int) -> None:
         self.index = index
-        self.sign = 1.0 if index == 0 else -1.0
+        self.sign: float = 1.0 if index == 0 else -1.0
         collar, shoulder, elbow, wrist = (pair[index] for pair in (COLLARS, SHOULDERS, ELBOWS, WRISTS))
-        self.joints = (shoulder, elbow, wrist)
-        self.collar_offset = _minus(body.joints[collar], body.joints[SPINE3])
-        self.shoulder_offset = _minus(body.joints[shoulder], body.joints[collar])
-        self.elbow_offset = _minus(body.joints[elbow], body.joints[shoulder])
-        self.wrist_offset = _minus(body.joints[wrist], body.joints[elbow])
-        self.rest = _plus(self.collar_offset, self.shoulder_offset)  # of the shoulder, from the chest
-        self.axis = body.direction(elbow, wrist)  # of the forearm at rest: the axis of pronation
+        self.joints: tuple[int, int, int] = (shoulder, elbow, wrist)
+        self.collar_offset: Vec = _minus(body.joints[collar], body.joints[SPINE3])
+        self.shoulder_offset: Vec = _minus(body.joints[shoulder], body.joints[collar])
+        self.elbow_offset: Vec = _minus(body.joints[elbow], body.joints[shoulder])
+        self.wrist_offset: Vec = _minus(body.joints[wrist], body.joints[elbow])
+        self.rest: Vec = _plus(self.collar_offset, self.shoulder_offset)  # of the shoulder, from the chest
+        self.axis: Vec = body.direction(elbow, wrist)  # of the forearm at rest: the axis of pronation
         # the left forearm flexes about -y (towards +z), the right one about +y
-        self.limb = Limb.of(body, (shoulder, elbow, wrist), (0.0, -self.sign, 0.0), ELBOW_FLEXION)
-        self.reach = self.limb.upper + self.limb.lower
+        self.limb: Limb = Limb.of(body, (shoulder, elbow, wrist), (0.0, -self.sign, 0.0), ELBOW_FLEXION)
+        self.reach: float = self.limb.upper + self.limb.lower
         f = self.wrist_offset
-        self.back = (-f[0], -f[1], -f[2])
+        self.back: tuple[float, float, float] = (-f[0], -f[1], -f[2])
         self.pole: Vec | None = None  # last elbow direction, in the chest's frame
-        self.swivel = Channel()  # radians from one sample to the next
-        self.extra = 0.0  # radians the elbow is away from its natural direction because of the shoulder's limits
-        self.twist = 0.0
+        self.swivel: Channel = Channel()  # radians from one sample to the next
+        self.extra: float = 0.0  # radians the elbow is away from its natural direction because of the shoulder's limits
+        self.twist: float = 0.0
 
     def reset(self) -> None:
         """Forget the past."""

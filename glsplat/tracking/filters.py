@@ -32,6 +32,9 @@ class OneEuro:
 class PositionFilter:
     """One Euro on a point, with a limit on its speed."""
 
+    max_speed: float
+    setting: OneEuro
+
     def __init__(self, setting: OneEuro, max_speed: float) -> None:
         self.setting, self.max_speed = setting, max_speed
         self.value: Vec | None = None
@@ -76,6 +79,9 @@ class PositionFilter:
 
 class RotationFilter:
     """One Euro on a unit quaternion, whichever its sign, with a limit on its speed."""
+
+    max_speed: float
+    setting: OneEuro
 
     def __init__(self, setting: OneEuro, max_speed: float) -> None:
         self.setting, self.max_speed = setting, max_speed

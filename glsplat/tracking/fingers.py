@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from glsplat.tracking.body import Body
 from glsplat.tracking.limits import FINGER_HIGH, FINGER_LOW, THUMB_LIMIT
-from glsplat.tracking.quat import Quat, unit
+from glsplat.tracking.quat import Quat, Vec, unit
 
 __all__ = ["Fingers"]
 
@@ -28,6 +28,9 @@ _STARTS = (6, 11, 21, 16, 1)  # proximal joints (the knuckles); the thumb's meta
 class Fingers:
     """One hand's fingers, smoothed."""
 
+    high: NDArray[np.float64]
+    low: NDArray[np.float64]
+
     def __init__(self, body: Body, index: int, smoothing: float) -> None:
         self.smoothing = smoothing  # seconds
         sign = 1.0 if index == 0 else -1.0
@@ -35,18 +38,20 @@ class Fingers:
         joints = body.rest[first : first + 15].reshape(5, 3, 3)
         ends = (joints[:, 1] - joints[:, 0], joints[:, 2] - joints[:, 1], joints[:, 2] - joints[:, 1])
         # rest directions of each finger's three bones
-        self.bones = [[unit((float(v[f, 0]), float(v[f, 1]), float(v[f, 2]))) for v in ends] for f in range(5)]
+        self.bones: list[list[Vec]] = [
+            [unit((float(v[f, 0]), float(v[f, 1]), float(v[f, 2]))) for v in ends] for f in range(5)
+        ]
         low, high = np.tile(FINGER_LOW, (5, 1, 1)), np.tile(FINGER_HIGH, (5, 1, 1))
         low[4], high[4] = -THUMB_LIMIT, THUMB_LIMIT
         if index == 1:  # turns about y and z change sign
             mirror = np.array([1.0, -1.0, -1.0])
             low, high = np.minimum(low * mirror, high * mirror), np.maximum(low * mirror, high * mirror)
         self.low, self.high = low, high  # [5, 3, 3] finger, joint, rotation vector
-        self.fist = np.zeros((5, 3, 3))
+        self.fist: NDArray[np.float64] = np.zeros((5, 3, 3))
         self.fist[:4, :, 2] = -FIST * sign
         self.fist[4] = THUMB_FIST * np.array([1.0, sign, sign])
         self.fist = np.clip(self.fist, low, high)
-        self.value = self.fist * RELAXED
+        self.value: NDArray[np.float64] = self.fist * RELAXED
         self.target: Array | None = None
 
     def update(

@@ -23,9 +23,14 @@ class Gait:
     Gait Analysis, 2010; Collins, Adamczyk & Kuo 2009 for the arms).
     """
 
+    frequency: float
+    locked: float
+    phase: float
+    walking: bool
+
     def __init__(self, leg: float) -> None:
-        self.size = leg / 0.83  # length scale of the body; speeds scale by its root (equal Froude number)
-        self.pace = sqrt(self.size)
+        self.size: float = leg / 0.83  # length scale of the body; speeds scale by its root (equal Froude number)
+        self.pace: float = sqrt(self.size)
         self.reset()
 
     def reset(self) -> None:

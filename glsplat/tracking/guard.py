@@ -20,6 +20,12 @@ PARTS = (0.7, 0.5, 0.35, 0.25, 0.12, 0.06)  # of a step that are tried, where th
 class Guard:
     """Bounds the step from the pose shown last to the next one. Changes solutions in place."""
 
+    foot_speed: float
+    joint_speed: float
+    offsets: tuple[Vec, ...]
+    root_speed: float
+    sole: float
+
     def __init__(self, body: Body, joint_speed: float, root_speed: float, foot_speed: float) -> None:
         self.offsets, self.sole = body.offsets, body.sole
         self.joint_speed, self.root_speed, self.foot_speed = joint_speed, root_speed, foot_speed  # rad/s, m/s, m/s

@@ -19,10 +19,10 @@ class Heading:
     """The body's yaw. The zero pose faces +z at yaw 0."""
 
     def __init__(self) -> None:
-        self.yaw = 0.0
-        self.head_yaw = 0.0
-        self.hands = 0.0  # radians from the head's yaw
-        self.started = False
+        self.yaw: float = 0.0
+        self.head_yaw: float = 0.0
+        self.hands: float = 0.0  # radians from the head's yaw
+        self.started: bool = False
 
     def reset(self) -> None:
         """Forget the past: the next update faces where the head faces."""

@@ -39,14 +39,14 @@ class Leg:
     def __init__(self, body: Body, index: int) -> None:
         hip, knee, ankle, foot = HIPS[index], KNEES[index], ANKLES[index], FEET[index]
         self.index = index
-        self.hip = sub(body.joints[hip], body.joints[PELVIS])
-        self.limb = Limb.of(body, (hip, knee, ankle), (1.0, 0.0, 0.0), KNEE_FLEXION, STRAIGHT)
-        self.length = self.limb.upper + self.limb.lower
-        self.ankle = sub(body.joints[ankle], body.joints[foot])  # from the ball
-        self.knee = sub(body.joints[knee], body.joints[hip])
-        self.shin = sub(body.joints[ankle], body.joints[knee])
-        self.ankle_height = 0.0  # metres, as last solved
-        self.size = sqrt(sum(v * v for v in self.ankle))
+        self.hip: Vec = sub(body.joints[hip], body.joints[PELVIS])
+        self.limb: Limb = Limb.of(body, (hip, knee, ankle), (1.0, 0.0, 0.0), KNEE_FLEXION, STRAIGHT)
+        self.length: float = self.limb.upper + self.limb.lower
+        self.ankle: Vec = sub(body.joints[ankle], body.joints[foot])  # from the ball
+        self.knee: Vec = sub(body.joints[knee], body.joints[hip])
+        self.shin: Vec = sub(body.joints[ankle], body.joints[knee])
+        self.ankle_height: float = 0.0  # metres, as last solved
+        self.size: float = sqrt(sum(v * v for v in self.ankle))
         self.ball: Vec | None = None  # where the last solution put it, if the leg reached
 
     def solve(self, foot: Foot, hip: Vec, pelvis: Quat, yaw: float) -> tuple[Quat, Quat, Quat]:

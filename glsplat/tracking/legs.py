@@ -32,26 +32,31 @@ TAKE_OFF = 0.02  # metres below and above the reach of the tiptoes over which a 
 class Legs:
     """Two legs under a pelvis, on flat ground at y = 0."""
 
+    turning: float
+    yaw: float
+
     def __init__(self, body: Body) -> None:
-        self.sole = body.sole
-        self.legs = (Leg(body, 0), Leg(body, 1))
-        self.length = self.legs[0].length
-        self.size = self.length / 0.83
-        self.height = body.joints[PELVIS][1] - body.ground
+        self.sole: float = body.sole
+        self.legs: tuple[Leg, Leg] = (Leg(body, 0), Leg(body, 1))
+        self.length: float = self.legs[0].length
+        self.size: float = self.length / 0.83
+        self.height: float = body.joints[PELVIS][1] - body.ground
         forward = (0.0, 0.0, BALANCE * self.size)
-        self.home = tuple([sub(sub(body.joints[FEET[i]], body.joints[PELVIS]), forward) for i in (0, 1)])
+        self.home: tuple[Vec, ...] = tuple(
+            [sub(sub(body.joints[FEET[i]], body.joints[PELVIS]), forward) for i in (0, 1)]
+        )
         _, up, back = self.legs[0].ankle
-        self.tiptoe = up * cos(TIPTOE) - back * sin(TIPTOE) - up  # metres the ankle rises on tiptoe
-        self.farthest = self.legs[0].limb.farthest + up + self.tiptoe + self.sole  # of a hip from the ground
-        self.feet = (Foot(0), Foot(1))
-        self.gait = Gait(self.length)
-        self.started = False
-        self.flying = False  # in a jump
+        self.tiptoe: float = up * cos(TIPTOE) - back * sin(TIPTOE) - up  # metres the ankle rises on tiptoe
+        self.farthest: float = self.legs[0].limb.farthest + up + self.tiptoe + self.sole  # of a hip from the ground
+        self.feet: tuple[Foot, Foot] = (Foot(0), Foot(1))
+        self.gait: Gait = Gait(self.length)
+        self.started: bool = False
+        self.flying: bool = False  # in a jump
         self.rest: Vec = (0.0, 0.0, 0.0)  # the base without its sway
-        self.air = 0.0  # metres both feet are off the ground
+        self.air: float = 0.0  # metres both feet are off the ground
         self.yaw = self.turning = 0.0  # rad, rad/s of the heading
-        self.calm = 0.0  # seconds of standing still
-        self.slack = 0.0  # metres left until the tiptoes lose the ground
+        self.calm: float = 0.0  # seconds of standing still
+        self.slack: float = 0.0  # metres left until the tiptoes lose the ground
 
     def reset(self) -> None:
         """Forget the past; the next update plants both feet under the pelvis."""

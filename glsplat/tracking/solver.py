@@ -106,12 +106,12 @@ class AnalyticSolver:
 
     def __init__(self, body: Body) -> None:
         self.body = body
-        self.heading = Heading()
-        self.spine = Spine(body)
-        self.legs = Legs(body)
-        self.arms = (Arm(body, 0), Arm(body, 1))
-        self.rest_neck = body.joints[NECK]
-        self.pelvis_rest = body.joints[PELVIS]
+        self.heading: Heading = Heading()
+        self.spine: Spine = Spine(body)
+        self.legs: Legs = Legs(body)
+        self.arms: tuple[Arm, Arm] = (Arm(body, 0), Arm(body, 1))
+        self.rest_neck: Vec = body.joints[NECK]
+        self.pelvis_rest: Vec = body.joints[PELVIS]
         self.reset()
 
     def reset(self) -> None:

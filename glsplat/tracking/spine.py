@@ -54,18 +54,18 @@ class Spine:
     """Keeps the lean of the torso, which is smoothed, and the last chest, which the neck hangs on."""
 
     def __init__(self, body: Body) -> None:
-        self.eye = body.eye
-        self.offset = {j: body.offsets[j] for j in (HEAD, NECK, SPINE3, SPINE2, SPINE1)}
+        self.eye: Vec = body.eye
+        self.offset: dict[int, Vec] = {j: body.offsets[j] for j in (HEAD, NECK, SPINE3, SPINE2, SPINE1)}
         rise = (self.offset[SPINE1][1], self.offset[SPINE2][1], self.offset[SPINE3][1], self.offset[NECK][1])
         self.length = sum(rise)
         # lean of the pelvis-neck line = low * pelvis tilt + high * chest tilt, when the tilt grows evenly in between
-        self.low = (rise[0] + rise[1] * 2 / 3 + rise[2] / 3) / self.length
-        self.neck_height = body.joints[NECK][1] - body.ground
-        self.stature = body.eye_height
-        self.lowest = LOWEST_PELVIS * body.eye_height
-        self.rest_pelvis = body.joints[PELVIS]
-        self.lean = (0.0, 0.0)
-        self.shift = (0.0, 0.0)
+        self.low: float = (rise[0] + rise[1] * 2 / 3 + rise[2] / 3) / self.length
+        self.neck_height: float = body.joints[NECK][1] - body.ground
+        self.stature: float = body.eye_height
+        self.lowest: float = LOWEST_PELVIS * body.eye_height
+        self.rest_pelvis: Vec = body.joints[PELVIS]
+        self.lean: tuple[float, float] = (0.0, 0.0)
+        self.shift: tuple[float, float] = (0.0, 0.0)
         self.turned: Vec = (0.0, 0.0, 0.0)  # rotation vector from chest to head, before the limits
         self.chest: Quat | None = None
         self.neck: Quat | None = None

@@ -104,6 +104,8 @@ class Tracker:
     "solver_failed" and ``solver_error`` says why. Raises PoseError for a solver without ``reset`` and ``solve``.
     """
 
+    config: TrackerConfig
+
     def __init__(
         self,
         skeleton: Skeleton,
@@ -113,9 +115,9 @@ class Tracker:
         head_only: bool = False,
     ) -> None:
         self.skeleton = skeleton
-        self.calibration = calibration or Calibration()
+        self.calibration: Calibration = calibration or Calibration()
         self.config = c = config or TrackerConfig()
-        self.body = Body.of(skeleton)
+        self.body: Body = Body.of(skeleton)
         self.solver: Solver = AnalyticSolver(self.body) if solver is None else solver
         self._trusted = type(self.solver) is AnalyticSolver
         if not all(callable(getattr(self.solver, name, None)) for name in ("reset", "solve")):

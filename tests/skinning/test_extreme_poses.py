@@ -11,6 +11,7 @@ import pytest
 from numpy.typing import ArrayLike
 
 from glsplat import reference
+from glsplat.arrays import restored
 from glsplat.avatar import Avatar, default_avatar
 from glsplat.errors import FormatError, PoseError
 from glsplat.renderer import Renderer
@@ -179,7 +180,7 @@ def test_weights_are_made_to_sum_to_one(weights: list[float], same_as: list[floa
 
 
 def test_bad_weights_behind_the_checks_cost_only_their_splats(renderer_of: Make) -> None:
-    """A Skin put together by hand, without create(): NaN hides that splat, nothing else changes."""
+    """A Skin that came past its checks (here as a pickle would): NaN hides that splat, nothing else changes."""
     avatar, pose = chain(40, 4), turned(4, 1, (0, 0, 1), 40)
     good = renderer_of(avatar).render([camera()], pose)
     hidden = avatar.splats.opacities.copy()
@@ -187,7 +188,11 @@ def test_bad_weights_behind_the_checks_cost_only_their_splats(renderer_of: Make)
     expected = renderer_of(replace(avatar, splats=replace(avatar.splats, opacities=hidden))).render([camera()], pose)
     weights = avatar.skin.weights.copy()
     weights[7] = np.nan
-    broken = Avatar(avatar.splats, avatar.skeleton, Skin(avatar.skin.joints, weights))
+    with pytest.raises(FormatError, match=r"found nan; Skin.create\(joints, weights, joint_count\) repairs"):
+        Skin(avatar.skin.joints, weights)
+    unchecked = restored(Skin, {"joints": avatar.skin.joints, "weights": weights, "lost": 0.0, "repaired": 0})
+    parts = {"splats": avatar.splats, "skeleton": avatar.skeleton, "skin": unchecked, "meta": {}}
+    broken = restored(Avatar, parts)
     renderer = renderer_of(broken)
     assert np.array_equal(renderer.render([camera()], pose), expected) and not np.array_equal(good, expected)
     assert renderer.stats.culled["out of range"] == 1

@@ -121,7 +121,7 @@ def test_interpolation_is_slerp_and_loops():
     rotations[2, 5] = (0, 0, -np.pi * 0.9)  # 0.2 pi further, the short way
     motion = Motion(10.0, rotations, np.arange(12.0).reshape(4, 3))
     assert motion.at(0.05).rotations[5] == pytest.approx([0, 0, 0.45 * np.pi])
-    half = Rotation.from_rotvec(motion.at(0.15).rotations[5]).as_matrix()
+    half = Rotation.from_rotvec(motion.at(0.15).rotations[5].copy()).as_matrix()
     assert half == pytest.approx(Rotation.from_rotvec([0, 0, np.pi]).as_matrix(), abs=1e-9)
     assert motion.at(0.05).trans == pytest.approx([1.5, 2.5, 3.5])
     assert motion.at(0.4).trans == pytest.approx(motion.at(0).trans)

@@ -1,0 +1,47 @@
+"""Pictures as the renderer gives them: colours that are already multiplied by their alpha."""
+
+from __future__ import annotations
+
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from glsplat.arrays import plain
+from glsplat.errors import GlsplatError
+
+__all__ = ["straight"]
+
+Depth = TypeVar("Depth", np.uint8, np.float32)
+
+
+def straight(image: NDArray[Depth], background: ArrayLike = (0.0, 0.0, 0.0)) -> NDArray[Depth]:
+    """The picture with straight alpha, as PNG files and image libraries expect it: a new array like ``image``.
+
+    ``image`` is [..., 4] RGBA as ``render()`` returns it, uint8 or float32: colours times alpha, plus the camera's
+    ``background`` [3] (0 to 1) times what alpha leaves. That share is taken out again and the rest divided by alpha, so
+    laying the result over the same background gives the picture back. Alpha stays; where it is zero there is no
+    colour, and RGB is zero. uint8 is rounded to the nearest and clamped to 0..255, float32 is neither. Raises
+    GlsplatError for anything else.
+
+    >>> glsplat.straight(np.array([[100, 50, 0, 128]], np.uint8)).tolist()
+    [[199, 100, 0, 128]]
+    """
+    if not isinstance(image, np.ndarray) or image.dtype not in (np.uint8, np.float32) or image.shape[-1:] != (4,):
+        found = f"{image.dtype} of {image.shape}" if isinstance(image, np.ndarray) else type(image).__name__
+        raise GlsplatError(f"straight() takes uint8 or float32 pictures [..., 4] as render() returns them, not {found}")
+    behind = plain(background, "background", GlsplatError).astype(np.float64)
+    if behind.shape != (3,) or not np.isfinite(behind).all():
+        raise GlsplatError(f"a background is three finite numbers, not {background!r:.60}")
+    alpha, full = image[..., 3:], 1.0
+    if image.dtype == np.uint8:
+        # float64 divides two bytes exactly enough that a half is a half
+        alpha, full = alpha.astype(np.float64), 255.0
+    with np.errstate(all="ignore"):
+        colour = (image[..., :3] - (behind * (full - alpha)).astype(alpha.dtype)) * full / alpha
+    if image.dtype == np.uint8:
+        colour = np.clip(np.floor(colour + 0.5), 0, 255)
+    out = np.empty_like(image, order="C")
+    out[..., :3] = np.where(alpha > 0, colour, 0)
+    out[..., 3] = image[..., 3]
+    return out
