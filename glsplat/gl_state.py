@@ -65,7 +65,7 @@ _SWITCHES: dict[int, tuple[bool | None, int]] = {
     0x0BE2: (None, 330),  # BLEND
     0x0B71: (None, 330),  # DEPTH_TEST
     0x0B44: (None, 330),  # CULL_FACE
-    0x8C89: (False, 330),  # RASTERIZER_DISCARD
+    0x8C89: (None, 330),  # RASTERIZER_DISCARD
     0x8642: (None, 330),  # PROGRAM_POINT_SIZE
     0x0C11: (False, 330),  # SCISSOR_TEST
     0x809E: (False, 330),  # SAMPLE_ALPHA_TO_COVERAGE
@@ -92,6 +92,7 @@ _ENABLE_ONLY = {  # what moderngl remembers by itself
     0x8C89: moderngl.RASTERIZER_DISCARD,
     0x8642: moderngl.PROGRAM_POINT_SIZE,
 }
+_ALL = sum(_ENABLE_ONLY.values())
 _UNITS = (0, 1)  # texture units of the passes
 _STORAGE_SLOTS = range(5)  # of the GPU sorter
 _UNIFORM, _STORAGE = (0x8A11, 0x8A28), (0x90D2, 0x90D3)  # target, binding
@@ -252,6 +253,9 @@ class GLState:
         for (switch, wanted), on in zip(self._switches, was.switches, strict=True):
             if wanted is not None and wanted != on:
                 gl["Enable" if wanted else "Disable"](switch)
+        # moderngl skips what it takes for set, which need not be what is: all on and all off, then both agree
+        self._ctx.enable_only(_ALL)
+        self._ctx.enable_only(moderngl.NOTHING)
         for (enum, need), value in zip(_PIXEL_STORE.items(), was.pixel_store, strict=True):
             if need is not None and need != value:
                 gl["PixelStorei"](enum, need)
@@ -297,6 +301,7 @@ class GLState:
                 flags |= _ENABLE_ONLY[switch] if on else 0
             elif wanted != on:
                 gl["Enable" if on else "Disable"](switch)
+        ctx.enable_only(moderngl.NOTHING)
         ctx.enable_only(flags)
         gl["BindFramebuffer"](0x8CA9, alive("IsFramebuffer", draw))
         gl["BindFramebuffer"](0x8CA8, alive("IsFramebuffer", read))

@@ -230,7 +230,10 @@ def test_arguments_of_render(kind: Kind) -> None:
 
 @pytest.mark.parametrize("wrong", [{"global_orient": np.zeros(3)}, np.zeros((4, 3)), "rest"])
 def test_what_is_no_pose(wrong: Any) -> None:
-    with Renderer(limb(), size=(SIZE, SIZE)) as renderer, pytest.raises(PoseError, match=r"needs a glsplat\.Pose, not "):
+    with (
+        Renderer(limb(), size=(SIZE, SIZE)) as renderer,
+        pytest.raises(PoseError, match=r"needs a glsplat\.Pose, not "),
+    ):
         renderer.render(VIEWS, wrong)
 
 
