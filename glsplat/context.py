@@ -119,6 +119,7 @@ def create_context(
     current if none was. Raises ContextError with the list of devices or what to install.
     """
     check_process()
+    current.look()
     release_dropped()
     if given is not None:
         return _given(given)
@@ -232,6 +233,7 @@ class _OSMesa:
         if path is None:
             raise ContextError("no OSMesa library; Debian/Ubuntu: apt-get install libosmesa6")
         lib = self._lib = ctypes.CDLL(path)
+        current.look()
         lib.OSMesaCreateContextAttribs.restype = ctypes.c_void_p
         lib.OSMesaCreateContextAttribs.argtypes = [ctypes.c_void_p, ctypes.c_void_p]
         lib.OSMesaMakeCurrent.argtypes = [ctypes.c_void_p, ctypes.c_void_p, ctypes.c_uint, ctypes.c_int, ctypes.c_int]
@@ -269,6 +271,7 @@ def _osmesa() -> moderngl.Context:
 
 
 def _own(ctx: moderngl.Context, backend: str) -> Context:
+    current.look()
     owner = owner_of(ctx, current.binding())
     destroy_when_dropped(ctx, owner, f"a context of glsplat ({backend})")
     return _probed(ctx, backend, owner)

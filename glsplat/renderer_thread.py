@@ -37,7 +37,7 @@ class RendererThread:
             self._renderer = self._pool.submit(make, scene, **options).result()
         except BaseException:
             self._open = False
-            self._pool.shutdown(wait=False)
+            self._pool.shutdown()
             raise
 
     def submit(
