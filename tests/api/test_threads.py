@@ -159,18 +159,19 @@ def test_dropped_renderers_do_not_add_up() -> None:
     assert (resident() - before) / 30 < 0.7
 
     context = create_context()
-    for _ in range(3):
-        kind.draw(kind.make(context))
     gl = GL(context.ctx)
 
     def buffers() -> int:
         with context:
             return sum(gl.IsBuffer(name) & 255 for name in range(1, 500))
 
+    stays = kind.make(context)
+    kind.draw(stays)
     live = buffers()
     for _ in range(20):
         kind.draw(kind.make(context))
     assert 0 < buffers() == live
+    stays.release()
     context.release()
 
 
