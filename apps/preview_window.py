@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+from dataclasses import replace
 from types import TracebackType
 from typing import Any
 
@@ -62,7 +63,8 @@ class Window:
             glfw.swap_interval(1 if vsync else 0)
             settings: dict[str, Any] = {"context": _Current(glfw)}
             self._ctx = moderngl.create_context(require=_REQUIRED, **settings)
-            self.context: Context = create_context(given=self._ctx)
+            # nobody but us draws in this window: there is no state of others to look after
+            self.context: Context = replace(create_context(given=self._ctx), state=None)
             self._screen = self._ctx.screen
         except BaseException:
             glfw.terminate()

@@ -8,13 +8,19 @@ from __future__ import annotations
 import ctypes
 import ctypes.util
 import os
-from dataclasses import dataclass
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from types import TracebackType
 from typing import Any
 
 import moderngl
 import numpy as np
 
+from glsplat import current
 from glsplat.errors import ContextError, ShaderError
+from glsplat.gl_state import GLState
+from glsplat.owner import Entry, Owner, check_process, destroy_when_dropped, owner_of, release_dropped
 from glsplat.shaders import Variant, flatten, link
 
 __all__ = ["Context", "create_context", "egl_devices"]
@@ -25,7 +31,11 @@ INSTALL = "install Mesa's software driver (Debian/Ubuntu: apt-get install libegl
 
 @dataclass(frozen=True, eq=False)
 class Context:
-    """A moderngl context and what it can do. Belongs to the thread that made it."""
+    """A moderngl context and what it can do. Belongs to the thread that made it (docs/python.md).
+
+    glsplat enters it by itself. For OpenGL of your own use ``with context:``, which makes it current and gives back
+    what was current before.
+    """
 
     ctx: moderngl.Context
     backend: str  # egl, osmesa or given
@@ -33,6 +43,9 @@ class Context:
     compute: bool  # OpenGL 4.3
     software: bool  # a software rasterizer
     scratch: moderngl.Framebuffer  # 1x1; what is bound while nothing is drawn
+    owner: Owner
+    state: GLState | None = None  # of a given context, which is left as it was found
+    _stays: list[Entry] = field(default_factory=list)
 
     @property
     def driver(self) -> str:
@@ -45,12 +58,51 @@ class Context:
         info = self.ctx.info
         return min(info["GL_MAX_TEXTURE_SIZE"], *info["GL_MAX_VIEWPORT_DIMS"])
 
+    @property
+    def released(self) -> bool:
+        """True after release()."""
+        return isinstance(self.scratch.mglo, moderngl.InvalidObject)
+
+    def entered(self, call: str) -> Entry:
+        """``with`` it this context is current, its state is known, and afterwards all is as before.
+
+        Raises ContextError, which names ``call``, on another thread, in a forked child and after release().
+        """
+        if self.released:
+            raise ContextError(f"{call}: this context was released; make a new one")
+        return Entry(self.owner, call, self.state)
+
+    def __enter__(self) -> Context:
+        stay = Entry(self.owner, "Context", None)
+        stay.__enter__()
+        self._stays.append(stay)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._stays.pop().__exit__(kind, error, trace)
+
+    def loosen(self) -> None:
+        """Break the ring of references through the framebuffer in use, so that the last holder's end is the end."""
+        if self.ctx.fbo is self.scratch:
+            self.ctx.fbo = None  # type: ignore[assignment]  # as moderngl leaves a new context
+
     def release(self) -> None:
-        """Destroy the context unless it was given."""
-        for texture in self.scratch.color_attachments:
-            texture.release()
-        self.scratch.release()
+        """Destroy the context unless it was given. May be called twice; raises ContextError on another thread."""
+        if self.released or self.owner.forked:
+            return
+        with self.entered("Context.release()"):
+            if self.state is None:
+                self.scratch.use()  # moderngl restores the framebuffer that was bound, and fails if it is gone
+            else:
+                self.state.release()
+            for texture in self.scratch.color_attachments:
+                texture.release()
+            self.scratch.release()
         if self.backend != "given":
+            self.owner.destroyed = True
+            self.owner.leave()
             self.ctx.release()
 
 
@@ -63,27 +115,37 @@ def create_context(
 
     ``device`` is an index or a part of a name in ``egl_devices()``; by default GLSPLAT_DEVICE, else the first.
     ``backend`` is egl or osmesa; by default GLSPLAT_BACKEND, else EGL and, where EGL has no device, OSMesa.
-    Raises ContextError with the list of devices or what to install.
+    ``given`` is your own moderngl context, current on this thread: it is left as it is found. A new context stays
+    current if none was. Raises ContextError with the list of devices or what to install.
 
     >>> context = glsplat.create_context()
     >>> renderer = glsplat.Renderer(glsplat.default_avatar(), size=(320, 240), context=context)
     >>> renderer.release()
     >>> context.release()
     """
+    check_process()
+    current.look()
+    release_dropped()
     if given is not None:
-        return _probed(given, "given")
+        return _given(given)
+    with _kept_current():
+        current.unbind()  # one library does not make a context current over another's
+        return _created(device, backend)
+
+
+def _created(device: int | str | None, backend: str | None) -> Context:
     backend = backend or os.environ.get("GLSPLAT_BACKEND") or None
     if backend not in (None, "egl", "osmesa"):
         raise ContextError(f"backend needs egl or osmesa, not {backend}")
     if backend == "osmesa":
-        return _probed(_osmesa(), "osmesa")
+        return _own(_osmesa(), "osmesa")
     device = device if device is not None else os.environ.get("GLSPLAT_DEVICE") or None
     try:
-        return _probed(_egl(device), "egl")
+        return _own(_egl(device), "egl")
     except ContextError:
         if backend == "egl" or device is not None or not _osmesa_library():
             raise
-        return _probed(_osmesa(), "osmesa")
+        return _own(_osmesa(), "osmesa")
 
 
 def egl_devices() -> list[str]:
@@ -143,13 +205,25 @@ def _egl(wanted: int | str | None) -> moderngl.Context:
             raise ContextError(f"no EGL device {text!r}; there are {listed}")
         index = matches[0]
     # glcontext lets this variable override the argument it is given
-    os.environ.pop("GLCONTEXT_DEVICE_INDEX", None)
+    variable = os.environ.pop("GLCONTEXT_DEVICE_INDEX", None)
     try:
-        # moderngl's stub types the loader's settings as dicts
-        settings: dict[str, Any] = {"backend": "egl", "device_index": index}
-        return moderngl.create_context(standalone=True, require=REQUIRED, **settings)
+        return _made(standalone=True, backend="egl", device_index=index)
     except Exception as error:  # glcontext raises bare Exception
         raise ContextError(f"EGL device {index} ({names[index]}) gives no OpenGL 3.3: {error}; {INSTALL}") from None
+    finally:
+        if variable is not None:
+            os.environ["GLCONTEXT_DEVICE_INDEX"] = variable
+
+
+def _made(**settings: Any) -> moderngl.Context:
+    """A new context that does not become moderngl's default one: that belongs to the user."""
+    store = getattr(moderngl, "_store", None)
+    default = getattr(store, "default_context", None)
+    try:
+        return moderngl.create_context(require=REQUIRED, **settings)
+    finally:
+        if store is not None:
+            store.default_context = default
 
 
 def _osmesa_library() -> str | None:
@@ -164,6 +238,7 @@ class _OSMesa:
         if path is None:
             raise ContextError("no OSMesa library; Debian/Ubuntu: apt-get install libosmesa6")
         lib = self._lib = ctypes.CDLL(path)
+        current.look()
         lib.OSMesaCreateContextAttribs.restype = ctypes.c_void_p
         lib.OSMesaCreateContextAttribs.argtypes = [ctypes.c_void_p, ctypes.c_void_p]
         lib.OSMesaMakeCurrent.argtypes = [ctypes.c_void_p, ctypes.c_void_p, ctypes.c_uint, ctypes.c_int, ctypes.c_int]
@@ -197,18 +272,57 @@ class _OSMesa:
 
 
 def _osmesa() -> moderngl.Context:
-    settings: dict[str, Any] = {"context": _OSMesa()}
-    return moderngl.create_context(require=REQUIRED, **settings)
+    return _made(context=_OSMesa())
 
 
-def _probed(ctx: moderngl.Context, backend: str) -> Context:
+def _own(ctx: moderngl.Context, backend: str) -> Context:
+    current.look()
+    owner = owner_of(ctx, current.binding())
+    destroy_when_dropped(ctx, owner, f"a context of glsplat ({backend})")
+    return _probed(ctx, backend, owner)
+
+
+def _given(given: moderngl.Context) -> Context:
+    _check_version(given)
+    with _kept_current(whatever=True):
+        try:
+            given.mglo.__enter__()  # a context of moderngl's becomes current
+        except Exception:  # a window's may have no such method: it has to be current
+            pass
+        owner, state = owner_of(given, current.binding()), GLState(given)
+        with owner.entered("create_context()", state):
+            return _probed(given, "given", owner, state)
+
+
+@contextmanager
+def _kept_current(whatever: bool = False) -> Iterator[None]:
+    """Give back what was current; if nothing was, only after an error, or ``whatever`` happens."""
+    former = current.binding()
+    try:
+        yield
+    except BaseException:
+        whatever = True
+        raise
+    finally:
+        if former is not None:
+            if not current.is_current(former):
+                current.bind(former)
+        elif whatever:
+            current.unbind()
+
+
+def _check_version(ctx: moderngl.Context) -> None:
     if ctx.version_code < REQUIRED:
         raise ContextError(f"OpenGL 3.3 is needed, this context has {ctx.version_code / 100:.1f}; {INSTALL}")
+
+
+def _probed(ctx: moderngl.Context, backend: str, owner: Owner, state: GLState | None = None) -> Context:
+    _check_version(ctx)
     renderer = ctx.info["GL_RENDERER"].lower()
     software = any(name in renderer for name in ("llvmpipe", "softpipe", "swrast", "swiftshader"))
     scratch = ctx.framebuffer([ctx.texture((1, 1), 4)])
     layers = _vertex_layers(ctx, scratch)
-    return Context(ctx, backend, layers, ctx.version_code >= 430, software, scratch)
+    return Context(ctx, backend, layers, ctx.version_code >= 430, software, scratch, owner, state)
 
 
 def _vertex_layers(ctx: moderngl.Context, scratch: moderngl.Framebuffer) -> bool:

@@ -7,9 +7,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from types import TracebackType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,34 +19,30 @@ from glsplat.avatar import Avatar
 from glsplat.camera import Camera, passes_of, sorting_camera
 from glsplat.config import RenderConfig
 from glsplat.context import Context, create_context
-from glsplat.errors import ContextError, GlsplatError, PoseError
+from glsplat.errors import ContextError, GlsplatError
+from glsplat.owner import Entry, abandon
 from glsplat.passes.pipeline import Pipeline
 from glsplat.passes.scene import SceneBuffers
+from glsplat.passes.stats import FrameStats, union
 from glsplat.passes.target import FORMATS, Target
 from glsplat.passes.target_pool import TargetPool
+from glsplat.passes.views import checked_pose, checked_views
 from glsplat.shaders import Programs, Variant, variant_for
 from glsplat.shaders.variant import MAX_VIEWS
 from glsplat.skinning.pose import Pose
 from glsplat.splats import Splats
 from glsplat.timing import StageTimer
 
+if TYPE_CHECKING:
+    from glsplat.renderer_thread import RendererThread
+
 __all__ = ["FrameStats", "Renderer"]
-
-
-@dataclass(frozen=True)
-class FrameStats:
-    """What one call of render() did."""
-
-    splats: int  # in the scene
-    drawn: int  # of them, summed over the passes of the call
-    skipped: int  # not finite or without a rotation: never uploaded
-    culled: dict[str, int] = field(default_factory=dict)  # by reason
-    sorted: bool = True  # False where the previous order still held
-    covered: tuple[int, int, int, int] = (0, 0, 0, 0)  # x, y, width, height outside of which is only background
 
 
 class Renderer:
     """Renders one scene or avatar for any number of views; create, use and release it on one thread.
+
+    Whatever OpenGL context is current before a call is current after it. ``run_in_thread()`` serves many threads.
 
     >>> eyes = glsplat.stereo_cameras(np.eye(4), size=(320, 240))
     >>> with glsplat.Renderer(glsplat.default_avatar(), size=(320, 240), views=2) as renderer:
@@ -68,32 +64,42 @@ class Renderer:
         if views < 1:
             raise GlsplatError(f"views needs at least 1, not {views}")
         self.config: RenderConfig = config or RenderConfig()
-        self._released = False
         self._owns_context = context is None
         self.context: Context = context or create_context()
+        self.context.owner.check("Renderer()")
+        self._released = False
         self._programs = Programs(self.context.ctx)
         self.timer: StageTimer = StageTimer(self.context.ctx.finish if timed else None)
         self._scene: SceneBuffers | None = None
+        self._splat_count = 0
         self._pipelines: dict[Variant, Pipeline] = {}
         self._targets = TargetPool(self.context, self.target_dtype)
         self.stats: FrameStats = FrameStats(0, 0, 0)
         self.variant: Variant = Variant()  # of the last pass
         self.size: tuple[int, int] = (0, 0)
+        if self.context.state is not None and self.config.sorter != "cpu":
+            self.context.state.look_after_storage()
         try:
-            geometry = self.config.layers == "geometry"
-            if self.config.layers == "vertex" and not self.context.vertex_layers:
-                raise ContextError(f"{self.driver} cannot write gl_Layer in the vertex shader; use layers='geometry'")
-            if self.config.sorter == "gpu" and not self.context.compute:
-                raise ContextError(f"the GPU sorter needs OpenGL 4.3, this is {self.driver}; use sorter='cpu'")
-            self._geometry = geometry or not self.context.vertex_layers
-            automatic = self.config.shape == "auto" and self.context.software
-            self._triangle = automatic or self.config.shape == "triangle"
-            self.resize(*size)
-            self.load(scene)
-            self._targets.float_target(self.size, min(views, MAX_VIEWS))
+            with self.context.entered("Renderer()"):
+                self._open(scene, size, views)
+            if self._owns_context:
+                self.context.owner.leave()  # a new context stays current where none was
         except BaseException:
             self.release()
             raise
+
+    @classmethod
+    def run_in_thread(cls, scene: Splats | Avatar, **options: Any) -> RendererThread:
+        """A renderer on a thread of its own, with the options of ``Renderer()``: all threads may call it.
+
+        ::
+
+            with Renderer.run_in_thread(avatar, size=(512, 512)) as renderer:
+                images = await asyncio.to_thread(renderer.render, [camera], pose)
+        """
+        from glsplat.renderer_thread import RendererThread
+
+        return RendererThread(cls, scene, options)
 
     @property
     def driver(self) -> str:
@@ -132,30 +138,8 @@ class Renderer:
 
     def load(self, scene: Splats | Avatar) -> None:
         """Replace the scene; the old one's buffers are released."""
-        self._check()
-        avatar = scene if isinstance(scene, Avatar) else None
-        splats = avatar.splats if avatar else scene
-        if not isinstance(splats, Splats):
-            raise GlsplatError(f"a scene is Splats or an Avatar, not {type(scene).__name__}")
-        if self.config.cull_hidden and splats.cones is None:
-            raise GlsplatError(
-                "cull_hidden needs splats with visibility cones, this scene has none; "
-                "make them (glsplat avatar cones, glsplat.skinning.cones.with_cones) or leave cull_hidden off"
-            )
-        self._drop_scene()
-        skin = avatar.skin if avatar else None
-        if avatar is not None and self.config.influences:
-            skin = avatar.skin.reduced(self.config.influences).anchored(avatar.skeleton.parents)
-        self._avatar = avatar
-        self._degree = min(splats.sh_degree, self.config.sh_degree)
-        joints = len(avatar.skeleton) if avatar else 0
-        if joints > self.context.max_size:
-            raise ContextError(f"{joints} joints, but a texture of {self.driver} holds {self.context.max_size}")
-        self._antialias = splats.antialias
-        self._scene = SceneBuffers(self.context.ctx, splats, skin, joints, self._degree, self.config.cull_hidden)
-        self._splat_count = len(splats)
-        self._geometry_version = 0
-        self._last_bones: NDArray[np.float64] | None = None
+        with self._entered("load"):
+            self._load(scene)
 
     def resize(self, width: int, height: int) -> None:
         """Set the size of all views in pixels. Targets of a few sizes used before are kept: see drop_targets()."""
@@ -166,7 +150,8 @@ class Renderer:
 
     def drop_targets(self) -> None:
         """Give back the memory of all targets; the next frame makes its own."""
-        self._targets.release()
+        with self._entered("drop_targets"):
+            self._targets.release()
 
     def render(
         self,
@@ -184,43 +169,59 @@ class Renderer:
         order = None if sort_viewmat is None else own(sort_viewmat, np.float64, "sort_viewmat", GlsplatError)
         if order is not None and not (order.shape == (4, 4) and np.isfinite(order).all()):
             raise GlsplatError("sort_viewmat needs 4x4 finite numbers")
-        self._begin(cameras, pose)
-        out = np.empty((len(cameras), self.size[1], self.size[0], 4), self._output_type())
-        passes = passes_of(cameras, self.config.order == "shared" or order is not None)
-        for batch in passes:
-            views = [cameras[i] for i in batch]
-            boxed = self.config.output == "uint8"
-            pipeline, target = self._draw(views, order, boxed, alone=len(passes) == 1)
-            byte_target = self._targets.byte_target(self.size, len(views)) if self.config.output == "uint8" else None
-            pipeline.read(target, byte_target, views, out[batch[0] : batch[0] + len(views)], self.timer)
-            self._count(pipeline)
-        self.timer.stop()
-        return out
+        cameras = self._views(cameras)
+        with self._entered("render"):
+            self._begin(pose)
+            out = np.empty((len(cameras), self.size[1], self.size[0], 4), self._output_type())
+            passes = passes_of(cameras, self.config.order == "shared" or order is not None)
+            for batch in passes:
+                views = [cameras[i] for i in batch]
+                boxed = self.config.output == "uint8"
+                pipeline, target = self._draw(views, order, boxed, alone=len(passes) == 1)
+                byte_target = self._targets.byte_target(self.size, len(views)) if boxed else None
+                pipeline.read(target, byte_target, views, out[batch[0] : batch[0] + len(views)], self.timer)
+                self._count(pipeline)
+            self.timer.stop()
+            return out
 
     def draw(self, cameras: Sequence[Camera], pose: Pose | None = None) -> Target:
         """Draw one view or a pair and leave it on the GPU: the float target, layer 0 the left eye, row 0 at the top.
 
-        For windows: nothing is read back. The target belongs to the renderer and is overwritten by the next call.
+        For windows: nothing is read back. The layers hold what ``render()`` makes of the same views. The target
+        belongs to the renderer and is overwritten by the next call.
         """
-        self._begin(cameras, pose)
+        cameras = self._views(cameras)
         if len(cameras) > 2:
             raise GlsplatError(f"draw() takes one view or a pair, not {len(cameras)}; render() takes any number")
-        pipeline, target = self._draw(cameras, None, boxed=False)
-        self._count(pipeline)
-        self.timer.stop()
-        return target
+        with self._entered("draw"):
+            self._begin(pose)
+            passes = passes_of(cameras, self.config.order == "shared")
+            for batch in passes:
+                pipeline, target = self._draw([cameras[i] for i in batch], None, boxed=False, alone=len(passes) == 1)
+                if len(passes) > 1:  # eyes that do not share an order: drawn one by one into the pair's layers
+                    pair = self._targets.float_target(self.size, len(cameras))
+                    pair.copy_layer(self.context.ctx, batch[0], target)
+                    target = pair
+                self._count(pipeline)
+            self.timer.stop()
+            return target
 
     def redraw(self, cameras: Sequence[Camera]) -> float:
         """Step 4 alone on the records the last call left, for one view or a pair: milliseconds until the GPU is done.
 
-        The draw floor: what the picture costs once everything before it is known (``glsplat bench``).
+        The draw floor: what the picture costs once everything before it is known (``glsplat bench``). Raises
+        GlsplatError for views that are not drawn in one pass.
         """
-        pipeline, target = self._pipeline(cameras), self._targets.float_target(self.size, len(cameras))
-        self.context.ctx.finish()
-        timer = StageTimer(self.context.ctx.finish)
-        timer.start()
-        pipeline.draw(target, cameras, timer, boxed=self.config.output == "uint8")
-        return timer.ms["draw"]
+        cameras = self._views(cameras)
+        if len(passes_of(cameras, self.config.order == "shared")) > 1:
+            raise GlsplatError("redraw() takes views of one pass: one view, or a pair that looks the same way")
+        with self._entered("redraw"):
+            pipeline, target = self._pipeline(cameras), self._targets.float_target(self.size, len(cameras))
+            self.context.ctx.finish()
+            timer = StageTimer(self.context.ctx.finish)
+            timer.start()
+            pipeline.draw(target, cameras, timer, boxed=self.config.output == "uint8")
+            return timer.ms["draw"]
 
     def posed(self) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
         """What the skin pass made of the last pose: world means [N, 3] and shapes M [N, 3, 3], Sigma = M M^T.
@@ -228,25 +229,27 @@ class Renderer:
         Read back for measurements. N leaves out the splats in ``stats.skipped``. Raises GlsplatError for a scene that
         is not skinned or not rendered yet.
         """
-        skin = self._pipelines[self.variant].skin if self.variant in self._pipelines else None
-        if skin is None or self._scene is None:
+        with self._entered("posed"):
+            pipeline = self._pipelines.get(self.variant)
+            posed = pipeline.posed() if pipeline else None
+        if posed is None:
             raise GlsplatError(
                 "posed() needs an avatar that was rendered; this scene is not skinned or not rendered yet"
             )
-        means, shapes = skin.read()
-        return means + self._scene.origin, shapes
+        return posed
 
     def release(self) -> None:
         """Delete every GL object, and the context if it was made here. May be called twice."""
         if self._released:
             return
         with ExitStack() as stack:
-            if self._owns_context:
-                stack.callback(self.context.release)
-            stack.callback(self._programs.release)
-            stack.callback(self._targets.release)
-            stack.callback(self._drop_scene)
-        self._owns_context, self._released = False, True
+            if not (self.context.released or self.context.owner.forked):
+                self.context.owner.check("Renderer.release()")
+                if self._owns_context:
+                    stack.callback(self.context.release)
+                stack.enter_context(self.context.entered("Renderer.release()"))
+                self._free(stack)
+            self._owns_context, self._released = False, True
 
     def __enter__(self) -> Renderer:
         return self
@@ -256,19 +259,63 @@ class Renderer:
     ) -> None:
         self.release()
 
+    def __del__(self) -> None:
+        if not getattr(self, "_released", True):
+            label = f"a Renderer ({self._splat_count} splats, {self.size[0]}x{self.size[1]})"
+            abandon(label, self.context.owner, self._forget, self._owns_context)
+
     # ------------------------------------------------------------------------------------------------- internals
 
-    def _check(self) -> None:
+    def _open(self, scene: Splats | Avatar, size: tuple[int, int], views: int) -> None:
+        """Check what the driver can do, and make what does not wait for the first frame."""
+        geometry = self.config.layers == "geometry"
+        if self.config.layers == "vertex" and not self.context.vertex_layers:
+            raise ContextError(f"{self.driver} cannot write gl_Layer in the vertex shader; use layers='geometry'")
+        if self.config.sorter == "gpu" and not self.context.compute:
+            raise ContextError(f"the GPU sorter needs OpenGL 4.3, this is {self.driver}; use sorter='cpu'")
+        self._geometry = geometry or not self.context.vertex_layers
+        automatic = self.config.shape == "auto" and self.context.software
+        self._triangle = automatic or self.config.shape == "triangle"
+        self.resize(*size)
+        self._load(scene)
+        self._targets.float_target(self.size, min(views, MAX_VIEWS))
+
+    def _load(self, scene: Splats | Avatar) -> None:
+        avatar = scene if isinstance(scene, Avatar) else None
+        splats = avatar.splats if avatar else scene
+        if not isinstance(splats, Splats):
+            raise GlsplatError(f"a scene is Splats or an Avatar, not {type(scene).__name__}")
+        if self.config.cull_hidden and splats.cones is None:
+            raise GlsplatError(
+                "cull_hidden needs splats with visibility cones, this scene has none; "
+                "make them (glsplat avatar cones, glsplat.skinning.cones.with_cones) or leave cull_hidden off"
+            )
+        skin = avatar.skin if avatar else None
+        if avatar is not None and self.config.influences:
+            skin = avatar.skin.reduced(self.config.influences).anchored(avatar.skeleton.parents)
+        joints = len(avatar.skeleton) if avatar else 0
+        if joints > self.context.max_size:
+            raise ContextError(f"{joints} joints, but a texture of {self.driver} holds {self.context.max_size}")
+        self._drop_scene()
+        self._avatar = avatar
+        self._degree = min(splats.sh_degree, self.config.sh_degree)
+        self._antialias = splats.antialias
+        self._splat_count = len(splats)
+        self._geometry_version = 0
+        self._last_bones: NDArray[np.float64] | None = None
+        self._scene = SceneBuffers(self.context.ctx, splats, skin, joints, self._degree, self.config.cull_hidden)
+
+    def _entered(self, call: str) -> Entry:
         if self._released:
             raise GlsplatError("this renderer was released; make a new one")
+        return self.context.entered(f"Renderer.{call}()")
 
-    def _begin(self, cameras: Sequence[Camera], pose: Pose | None) -> None:
-        self._check()
-        if not cameras:
-            raise GlsplatError("render needs at least one camera")
-        if any((c.width, c.height) != self.size for c in cameras):
-            raise GlsplatError(f"cameras need the renderer's size {self.size[0]}x{self.size[1]}; call resize() first")
-        assert self._scene is not None
+    def _views(self, cameras: Sequence[Camera]) -> list[Camera]:
+        return checked_views(cameras, self.size, "; call resize() first")
+
+    def _begin(self, pose: Pose | None) -> None:
+        if self._scene is None:
+            raise GlsplatError("this renderer has no scene: load() did not finish; call it again")
         self.stats = FrameStats(self._splat_count, 0, self._scene.skipped, {}, False)
         self.timer.start()
         self._pose(pose)
@@ -289,7 +336,7 @@ class Renderer:
     def _count(self, pipeline: Pipeline) -> None:
         old = self.stats
         culled = {reason: old.culled.get(reason, 0) + count for reason, count in pipeline.culled.items()}
-        covered = _union(old.covered, pipeline.covered)
+        covered = union(old.covered, pipeline.covered)
         self.stats = replace(old, drawn=old.drawn + pipeline.drawn, culled=culled, covered=covered)
 
     def _output_type(self) -> type[np.generic]:
@@ -299,16 +346,14 @@ class Renderer:
         """Upload the bones if the pose changed, and note that the geometry did."""
         if self._avatar is None:
             return
+        assert self._scene is not None
         skeleton = self._avatar.skeleton
-        pose = pose or Pose.zero(len(skeleton))
-        if len(pose.rotations) != len(skeleton):
-            raise PoseError(f"the pose has {len(pose.rotations)} joints, the avatar {len(skeleton)}")
-        bones = pose.bones(skeleton)
+        bones = checked_pose(pose, len(skeleton), "avatar").bones(skeleton)
         if self._last_bones is None or not np.array_equal(bones, self._last_bones):
-            assert self._scene is not None
+            self._last_bones = None  # until they have arrived: an upload that is broken off is done again
             self._scene.write_bones(bones)
-            self._last_bones = bones
             self._geometry_version += 1
+            self._last_bones = bones
         self.timer.mark("pose")
 
     def _pipeline(self, views: Sequence[Camera]) -> Pipeline:
@@ -328,19 +373,24 @@ class Renderer:
         return self._pipelines[variant]
 
     def _drop_scene(self) -> None:
-        for pipeline in self._pipelines.values():
+        # forgotten first, released then: what is broken off in between must not be used again
+        (pipelines, self._pipelines), (scene, self._scene) = (self._pipelines, {}), (self._scene, None)
+        for pipeline in pipelines.values():
             pipeline.release()
-        self._pipelines.clear()
-        if self._scene is not None:
-            self._scene.release()
-            self._scene = None
+        if scene is not None:
+            scene.release()
 
+    def _free(self, stack: ExitStack) -> None:
+        """Delete what this renderer made, whatever fails, when ``stack`` closes."""
+        stack.callback(self._programs.release)
+        stack.callback(self._targets.release)
+        stack.callback(self._drop_scene)
 
-def _union(a: tuple[int, int, int, int], b: tuple[int, int, int, int]) -> tuple[int, int, int, int]:
-    """The smallest box that holds both; an empty one adds nothing."""
-    if not (a[2] and a[3]):
-        return b
-    if not (b[2] and b[3]):
-        return a
-    x, y = min(a[0], b[0]), min(a[1], b[1])
-    return x, y, max(a[0] + a[2], b[0] + b[2]) - x, max(a[1] + a[3], b[1] + b[3]) - y
+    def _forget(self) -> None:
+        """Release what was dropped. A context of its own goes with whoever still holds it."""
+        if not self._released and not self.context.released:
+            with self.context.entered("Renderer.release()"), ExitStack() as stack:
+                self._free(stack)
+        self._released = True
+        if self._owns_context:
+            self.context.loosen()

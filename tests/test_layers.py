@@ -23,10 +23,12 @@ FLOORS = [
     ["avatar"],
     ["formats", "reference", "tracking"],
     ["shaders"],
+    ["current", "gl_state"],
+    ["owner"],
     ["context"],
     ["passes"],
     ["mesh"],
-    ["renderer"],
+    ["renderer", "renderer_thread"],
     ["net"],
 ]
 FLOOR = {name: level for level, names in enumerate(FLOORS) for name in names}

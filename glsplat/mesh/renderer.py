@@ -19,10 +19,12 @@ from numpy.typing import NDArray
 from glsplat.camera import Camera
 from glsplat.config import RenderConfig
 from glsplat.context import Context, create_context
-from glsplat.errors import ContextError, GlsplatError, PoseError
+from glsplat.errors import ContextError, GlsplatError
 from glsplat.mesh.buffers import INFLUENCES, MeshBuffers
+from glsplat.owner import abandon
 from glsplat.passes.frame import FrameBlock
 from glsplat.passes.geometry import bind_frame
+from glsplat.passes.views import checked_pose, checked_views
 from glsplat.shaders import Programs, Variant
 from glsplat.skinning.people import RiggedMesh
 from glsplat.skinning.pose import Pose
@@ -76,32 +78,15 @@ class MeshRenderer:
         self.mesh, self.size = mesh, size
         self._owns_context = context is None
         self.context: Context = context or create_context()
-        ctx = self.context.ctx
-        self.timer: StageTimer = StageTimer(ctx.finish if timed else None)
+        self.context.owner.check("MeshRenderer()")
+        self._released = False
+        self.timer: StageTimer = StageTimer(self.context.ctx.finish if timed else None)
         self._stack = ExitStack()
         try:
-            factor = self.config.supersample
-            large = (size[0] * factor, size[1] * factor)
-            if not 0 < min(size) <= max(large) <= self.context.max_size:
-                limit = self.context.max_size // factor
-                raise ContextError(f"size needs 1 to {limit} pixels a side on {self.driver}, not {size[0]}x{size[1]}")
-            self._programs = self._own(Programs(ctx))
-            skin = Skin.create(mesh.joints, mesh.weights, len(mesh.skeleton), INFLUENCES)
-            self._reach = _reach(mesh, skin)
-            self._buffers = self._own(MeshBuffers(ctx, mesh, skin, min(self.config.anisotropy, ctx.max_anisotropy)))
-            self._frame = self._own(FrameBlock(ctx, 1))
-            self._draw_array, self._resolve_array = self._arrays(ctx, factor)
-            self._samples = self.config.samples if ctx.max_samples >= self.config.samples else 1
-            self._large = self._own(ctx.texture(large, 4, dtype="f1"))
-            depth = self._own(ctx.depth_renderbuffer(large, samples=self._samples if self._samples > 1 else 0))
-            if self._samples > 1:
-                colour = self._own(ctx.renderbuffer(large, 4, samples=self._samples, dtype="f1"))
-                self._drawn = self._own(ctx.framebuffer([colour], depth))
-                self._averaged = self._own(ctx.framebuffer([self._large]))
-            else:
-                self._drawn = self._averaged = self._own(ctx.framebuffer([self._large], depth))
-            self._result = self._own(ctx.texture(size, 4, dtype="f1" if self.config.output == "uint8" else "f4"))
-            self._final = self._own(ctx.framebuffer([self._result]))
+            with self.context.entered("MeshRenderer()"):
+                self._open()
+            if self._owns_context:
+                self.context.owner.leave()  # a new context stays current where none was
         except BaseException:
             self.release()
             raise
@@ -131,38 +116,23 @@ class MeshRenderer:
         ``config.output`` decides between uint8 and float32 in [0, 1]. Raises PoseError for a pose that does not fit,
         GlsplatError for cameras of another size.
         """
-        if not cameras:
-            raise GlsplatError("render needs at least one camera")
-        if any((c.width, c.height) != self.size for c in cameras):
-            raise GlsplatError(f"cameras need the renderer's size {self.size[0]}x{self.size[1]}")
-        skeleton = self.mesh.skeleton
-        pose = pose or Pose.zero(len(skeleton))
-        if len(pose.rotations) != len(skeleton):
-            raise PoseError(f"the pose has {len(pose.rotations)} joints, the mesh {len(skeleton)}")
-        self.timer.start()
-        bones = pose.bones(skeleton)
-        origin = bones[0, :, :3] @ skeleton.joints[0] + bones[0, :, 3]  # far from zero float32 has no bits left
-        bones[:, :, 3] -= origin
-        self._buffers.bones.write(bones.astype(np.float32))
-        self.timer.mark("pose")
-        out = np.empty((len(cameras), self.size[1], self.size[0], 4), self.config.output)
-        for camera, image in zip(cameras, out, strict=True):
-            self._draw(self._fitted(camera, bones, origin), origin)
-            self.timer.mark("draw")
-            self._resolve()
-            self.timer.mark("resolve")
-            self._result.read_into(image)
-            self.timer.mark("read")
-        self.timer.stop()
-        return out
+        cameras = checked_views(cameras, self.size)
+        pose = checked_pose(pose, len(self.mesh.skeleton), "mesh")
+        if self._released:
+            raise GlsplatError("this renderer was released; make a new one")
+        with self.context.entered("MeshRenderer.render()"):
+            return self._render(cameras, pose)
 
     def release(self) -> None:
         """Delete every GL object, and the context if it was made here. May be called twice."""
-        self.context.scratch.use()  # moderngl restores the framebuffer that was bound, and fails if it is gone
-        self._stack.close()
-        if self._owns_context:
-            self.context.release()
-        self._owns_context = False
+        if self._released:
+            return
+        if not (self.context.released or self.context.owner.forked):
+            with self.context.entered("MeshRenderer.release()"):
+                self._free()
+            if self._owns_context:
+                self.context.release()
+        self._owns_context, self._released = False, True
 
     def __enter__(self) -> MeshRenderer:
         return self
@@ -172,7 +142,38 @@ class MeshRenderer:
     ) -> None:
         self.release()
 
+    def __del__(self) -> None:
+        if not getattr(self, "_released", True):
+            label = f"a MeshRenderer ({self.size[0]}x{self.size[1]})"
+            abandon(label, self.context.owner, self._forget, self._owns_context)
+
     # ------------------------------------------------------------------------------------------------- internals
+
+    def _open(self) -> None:
+        """Make buffers, programs and targets."""
+        ctx, size, mesh = self.context.ctx, self.size, self.mesh
+        factor = self.config.supersample
+        large = (size[0] * factor, size[1] * factor)
+        if not 0 < min(size) <= max(large) <= self.context.max_size:
+            limit = self.context.max_size // factor
+            raise ContextError(f"size needs 1 to {limit} pixels a side on {self.driver}, not {size[0]}x{size[1]}")
+        self._programs = self._own(Programs(ctx))
+        skin = Skin.create(mesh.joints, mesh.weights, len(mesh.skeleton), INFLUENCES)
+        self._reach = _reach(mesh, skin)
+        self._buffers = self._own(MeshBuffers(ctx, mesh, skin, min(self.config.anisotropy, ctx.max_anisotropy)))
+        self._frame = self._own(FrameBlock(ctx, 1))
+        self._draw_array, self._resolve_array = self._arrays(ctx, factor)
+        self._samples = self.config.samples if ctx.max_samples >= self.config.samples else 1
+        self._large = self._own(ctx.texture(large, 4, dtype="f1"))
+        depth = self._own(ctx.depth_renderbuffer(large, samples=self._samples if self._samples > 1 else 0))
+        if self._samples > 1:
+            colour = self._own(ctx.renderbuffer(large, 4, samples=self._samples, dtype="f1"))
+            self._drawn = self._own(ctx.framebuffer([colour], depth))
+            self._averaged = self._own(ctx.framebuffer([self._large]))
+        else:
+            self._drawn = self._averaged = self._own(ctx.framebuffer([self._large], depth))
+        self._result = self._own(ctx.texture(size, 4, dtype="f1" if self.config.output == "uint8" else "f4"))
+        self._final = self._own(ctx.framebuffer([self._result]))
 
     def _own(self, item: Any) -> Any:
         self._stack.callback(item.release)
@@ -201,6 +202,38 @@ class MeshRenderer:
         near = max(camera.near, float((depth - reach)[used].min()) * 0.99)
         far = min(camera.far, float((depth + reach)[used].max()) * 1.01)
         return replace(camera, near=near, far=max(far, near * 1.001))
+
+    def _render(self, cameras: Sequence[Camera], pose: Pose) -> NDArray[Any]:
+        self.timer.start()
+        skeleton = self.mesh.skeleton
+        bones = pose.bones(skeleton)
+        origin = bones[0, :, :3] @ skeleton.joints[0] + bones[0, :, 3]  # far from zero float32 has no bits left
+        bones[:, :, 3] -= origin
+        self._buffers.bones.write(bones.astype(np.float32))
+        self.timer.mark("pose")
+        out = np.empty((len(cameras), self.size[1], self.size[0], 4), self.config.output)
+        for camera, image in zip(cameras, out, strict=True):
+            self._draw(self._fitted(camera, bones, origin), origin)
+            self.timer.mark("draw")
+            self._resolve()
+            self.timer.mark("resolve")
+            self._result.read_into(image)
+            self.timer.mark("read")
+        self.timer.stop()
+        return out
+
+    def _free(self) -> None:
+        self.context.scratch.use()  # moderngl restores the framebuffer that was bound, and fails if it is gone
+        self._stack.close()
+
+    def _forget(self) -> None:
+        """Release what was dropped. A context of its own goes with whoever still holds it."""
+        if not self._released and not self.context.released:
+            with self.context.entered("MeshRenderer.release()"):
+                self._free()
+        self._released = True
+        if self._owns_context:
+            self.context.loosen()
 
     def _draw(self, camera: Camera, origin: NDArray[np.float64]) -> None:
         ctx, factor = self.context.ctx, self.config.supersample

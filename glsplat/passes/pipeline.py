@@ -48,6 +48,7 @@ class Pipeline:
         self._seen: tuple[Any, ...] | None = None  # what the records were made for
         self._counted = True
         self._posed_for = -1
+        self._posed_origin = scene.origin
         self._order: NDArray[np.uint32] = np.empty(0, np.uint32)
         self._order_age = config.sort_period  # moved frames since the sort; at first more than may pass
         self.culled: dict[str, int] = {}
@@ -81,10 +82,12 @@ class Pipeline:
         """Splats of the current order."""
         return self._project.count
 
-    @property
-    def skin(self) -> SkinPass | None:
-        """The skin pass, if the scene has one."""
-        return self._skin
+    def posed(self) -> tuple[NDArray[np.float64], NDArray[np.float32]] | None:
+        """World means [N, 3] and shapes [N, 3, 3] of the last skin pass; None without one."""
+        if self._skin is None or self._posed_for < 0:
+            return None
+        means, shapes = self._skin.read()
+        return means + self._posed_origin, shapes
 
     @property
     def nbytes(self) -> int:
@@ -105,7 +108,9 @@ class Pipeline:
         self._scratch.use()  # without a complete framebuffer transform feedback silently writes nothing
         timer.mark("frame")
         if self._skin and self._posed_for != version:
+            self._posed_for = -1
             self._skin.run()
+            self._posed_origin = self._scene.origin
             self._posed_for = version
             timer.mark("skin")
         # an unmoved scene seen by unmoved cameras keeps its order and its records
@@ -113,9 +118,10 @@ class Pipeline:
         moved = state != self._seen
         if not moved and self._order_age == 0:
             return False
-        self._seen = state
         resort = not (moved and alone) or self._order_age + 1 >= self._config.sort_period
-        self._order_age = 0 if resort else self._order_age + 1
+        age = 0 if resort else self._order_age + 1
+        # noted again when the records are there: a frame that is broken off in between leaves nothing to go by
+        self._seen, self._order_age = None, self._config.sort_period
         if self._sorter:
             if resort:
                 self._key.run()
@@ -138,6 +144,8 @@ class Pipeline:
         timer.mark("sort")
         self._project.run()
         timer.mark("project")
+        self._order_age = age
+        self._seen = state
         return resort
 
     def draw(self, target: Target, views: Sequence[Camera], timer: StageTimer, boxed: bool) -> None:

@@ -8,6 +8,8 @@ import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
+from glsplat.context import Context
+from glsplat.owner import Entry, owner_of
 from glsplat.passes.target import Target
 from glsplat.shaders import Variant, flatten, link
 
@@ -27,10 +29,12 @@ def view_size(window: tuple[int, int], layout: Layout) -> tuple[int, int]:
 class Present:
     """Every pixel of the window is one texel of a layer: nothing is filtered, what is shown is what was rendered."""
 
-    def __init__(self, ctx: moderngl.Context) -> None:
-        self._ctx = ctx
+    def __init__(self, context: Context | moderngl.Context) -> None:
+        self._context = context
+        self._ctx = context.ctx if isinstance(context, Context) else context
         self._arrays: dict[tuple[int, int], moderngl.VertexArray] = {}  # by (anaglyph, text)
-        self._text = ctx.texture((1, 1), 4)
+        with self._entered("Present()"):
+            self._text = self._ctx.texture((1, 1), 4)
         self._box = (0, 0, 0, 0)
 
     def write_text(self, image: NDArray[np.uint8] | None, left: int = 0, top: int = 0) -> None:
@@ -39,10 +43,11 @@ class Present:
             self._box = (0, 0, 0, 0)
             return
         height, width = image.shape[:2]
-        if self._text.size != (width, height):
-            self._text.release()
-            self._text = self._ctx.texture((width, height), 4)
-        self._text.write(np.ascontiguousarray(image))
+        with self._entered("Present.write_text()"):
+            if self._text.size != (width, height):
+                old, self._text = self._text, self._ctx.texture((width, height), 4)
+                old.release()
+            self._text.write(np.ascontiguousarray(image))
         self._box = (left, top, width, height)
 
     def run(self, target: Target, framebuffer: moderngl.Framebuffer, size: tuple[int, int], layout: Layout) -> None:
@@ -50,6 +55,10 @@ class Present:
 
         Values are clamped and rounded by the fixed-point framebuffer, as in resolve.frag.glsl.
         """
+        with self._entered("Present.run()"):
+            self._run(target, framebuffer, size, layout)
+
+    def _run(self, target: Target, framebuffer: moderngl.Framebuffer, size: tuple[int, int], layout: Layout) -> None:
         views, _, width, _ = target.shape
         framebuffer.viewport = (0, 0, *size)
         framebuffer.use()
@@ -80,8 +89,14 @@ class Present:
 
     def release(self) -> None:
         """Delete programs, vertex arrays and texture."""
-        for array in self._arrays.values():
-            array.program.release()
-            array.release()
-        self._arrays.clear()
-        self._text.release()
+        with self._entered("Present.release()"):
+            arrays, self._arrays = self._arrays, {}
+            for array in arrays.values():
+                array.program.release()
+                array.release()
+            self._text.release()
+
+    def _entered(self, call: str) -> Entry:
+        if isinstance(self._context, Context):
+            return self._context.entered(call)
+        return owner_of(self._context).entered(call)

@@ -44,6 +44,16 @@ class Target:
         self.texture.read_into(pixels)
         np.multiply(pixels, 1 / 255 if self.numpy_dtype == np.uint8 else 1, out=out, dtype=np.float32, casting="unsafe")
 
+    def copy_layer(self, ctx: moderngl.Context, layer: int, single: Target) -> None:
+        """Make ``layer`` a copy of a target of one view; it stays on the GPU."""
+        _, height, width, _ = self.shape
+        pixels = ctx.buffer(reserve=single.nbytes)
+        try:
+            single.texture.read_into(pixels)
+            self.texture.write(pixels, viewport=(0, 0, layer, width, height, 1))
+        finally:
+            pixels.release()
+
     @property
     def nbytes(self) -> int:
         """GPU bytes of the texture."""

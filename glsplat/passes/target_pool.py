@@ -56,7 +56,8 @@ class TargetPool:
     def _use(self, size: Size) -> dict[int, Target]:
         if size not in self._floats:
             self._context.scratch.use()  # making a target restores the framebuffer that was bound, if it is still there
-            self._floats[size], self._bytes[size] = {}, {}
+            self._bytes[size] = {}
+            self._floats[size] = {}  # last: whatever has floats has bytes, wherever this is broken off
         self._floats.move_to_end(size)
         return self._floats[size]
 
@@ -70,9 +71,10 @@ class TargetPool:
         """Delete the targets of the size that was used longest ago."""
         self._context.scratch.use()  # nor may the framebuffer that is bound be one of those that go
         size = next(iter(self._floats))
-        for target in self._targets_of(size):
+        targets = self._targets_of(size)
+        del self._floats[size], self._bytes[size]  # before they go: one that is broken off is not used again
+        for target in targets:
             target.release()
-        del self._floats[size], self._bytes[size]
 
     def _nbytes_of(self, size: Size) -> int:
         return sum(target.nbytes for target in self._targets_of(size))

@@ -15,6 +15,7 @@ from importlib import resources
 import moderngl
 
 from glsplat.errors import ShaderError
+from glsplat.shaders.uninterrupted import uninterrupted
 from glsplat.shaders.variant import Variant, variant_for
 
 __all__ = ["Programs", "Source", "Variant", "flatten", "variant_for"]
@@ -144,7 +145,8 @@ class Programs:
         key = (source.text,)
         if key not in self._cache:
             try:
-                self._cache[key] = self._ctx.compute_shader(source.text)
+                with uninterrupted():
+                    self._cache[key] = self._ctx.compute_shader(source.text)
             except moderngl.Error as error:
                 raise ShaderError(_message(f"{name}.comp.glsl", {"compute_shader": source}, str(error))) from None
         program = self._cache[key]
@@ -167,13 +169,14 @@ def link(
 ) -> moderngl.Program:
     """Compile and link; a ShaderError names the chunk and its line."""
     try:
-        return ctx.program(
-            vertex_shader=stages["vertex_shader"].text,
-            fragment_shader=stages["fragment_shader"].text if "fragment_shader" in stages else None,
-            geometry_shader=stages["geometry_shader"].text if "geometry_shader" in stages else None,
-            varyings=tuple(varyings),
-            varyings_capture_mode="separate" if separate else "interleaved",
-        )
+        with uninterrupted():
+            return ctx.program(
+                vertex_shader=stages["vertex_shader"].text,
+                fragment_shader=stages["fragment_shader"].text if "fragment_shader" in stages else None,
+                geometry_shader=stages["geometry_shader"].text if "geometry_shader" in stages else None,
+                varyings=tuple(varyings),
+                varyings_capture_mode="separate" if separate else "interleaved",
+            )
     except moderngl.Error as error:
         raise ShaderError(_message(name, stages, str(error))) from None
 

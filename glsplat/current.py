@@ -1,0 +1,217 @@
+"""Which OpenGL context is current on this thread, and making another one so: EGL, GLX and OSMesa by their C functions.
+
+Wherever none of the three is found (Windows, macOS) nothing is known and nothing is switched: whoever made the context
+keeps it current.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import sys
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+from glsplat.errors import ContextError
+
+__all__ = ["Binding", "bind", "binding", "is_current", "look", "unbind"]
+
+Handle = int | None
+
+
+class Binding(NamedTuple):
+    """A context as one of the APIs binds it."""
+
+    api: _Api
+    context: int
+    rest: tuple[Any, ...]  # display and surfaces, or OSMesa's buffer
+
+
+class _Api:
+    """One way to make contexts current. A library this process has not loaded can have made none."""
+
+    libraries: tuple[str, ...]
+
+    def __init__(self) -> None:
+        self._lib: Any = None
+
+    def find(self) -> None:
+        for name in () if self._lib else self.libraries:
+            try:
+                self._lib = ctypes.CDLL(name, mode=os.RTLD_NOLOAD | os.RTLD_LAZY)
+            except OSError:
+                continue
+            self._declare()
+            return
+
+    def _declare(self) -> None: ...
+
+    def current(self) -> Binding | None:
+        raise NotImplementedError
+
+    def bind(self, binding: Binding) -> bool:
+        raise NotImplementedError
+
+    def unbind(self) -> None:
+        raise NotImplementedError
+
+    def _function(self, name: str, result: Any, *arguments: Any) -> Callable[..., Any]:
+        function = getattr(self._lib, name)
+        function.restype, function.argtypes = result, arguments
+        return function
+
+
+_P = ctypes.c_void_p
+
+
+class _Egl(_Api):
+    libraries = ("libEGL.so.1", "libEGL.so")
+
+    def _declare(self) -> None:
+        self.context = self._function("eglGetCurrentContext", _P)
+        self._display = self._function("eglGetCurrentDisplay", _P)
+        self._surface = self._function("eglGetCurrentSurface", _P, ctypes.c_int)
+        self._make = self._function("eglMakeCurrent", ctypes.c_uint, _P, _P, _P, _P)
+
+    def current(self) -> Binding | None:
+        context = self.context() if self._lib else None
+        if not context:
+            return None
+        return Binding(self, context, (self._display(), self._surface(0x3059), self._surface(0x305A)))  # draw, read
+
+    def bind(self, binding: Binding) -> bool:
+        return bool(self._make(*binding.rest, binding.context))
+
+    def unbind(self) -> None:
+        if self._lib and self.context():
+            self._make(self._display(), None, None, None)
+
+
+class _Glx(_Api):
+    libraries = ("libGLX.so.0", "libGL.so.1", "libGL.so")
+
+    def _declare(self) -> None:
+        self.context = self._function("glXGetCurrentContext", _P)
+        self._display = self._function("glXGetCurrentDisplay", _P)
+        self._draw = self._function("glXGetCurrentDrawable", ctypes.c_ulong)
+        self._read = self._function("glXGetCurrentReadDrawable", ctypes.c_ulong)
+        self._make = self._function("glXMakeContextCurrent", ctypes.c_int, _P, ctypes.c_ulong, ctypes.c_ulong, _P)
+
+    def current(self) -> Binding | None:
+        context = self.context() if self._lib else None
+        return Binding(self, context, (self._display(), self._draw(), self._read())) if context else None
+
+    def bind(self, binding: Binding) -> bool:
+        return bool(self._make(*binding.rest, binding.context))
+
+    def unbind(self) -> None:
+        if self._lib and self.context():
+            self._make(self._display(), 0, 0, None)
+
+
+class _OSMesa(_Api):
+    """Shares Mesa's notion of the current context with Mesa's EGL and GLX, which do not hear of it when it changes."""
+
+    libraries = ("libOSMesa.so.8", "libOSMesa.so.6", "libOSMesa.so")
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._as_seen: dict[int, Handle] = {}  # context of EGL or GLX -> what OSMesa calls it while it is current
+
+    def _declare(self) -> None:
+        self.context = self._function("OSMesaGetCurrentContext", _P)
+        self._make = self._function(
+            "OSMesaMakeCurrent", ctypes.c_ubyte, _P, _P, ctypes.c_uint, ctypes.c_int, ctypes.c_int
+        )
+        out = ctypes.POINTER(ctypes.c_int)
+        self._colour = self._function("OSMesaGetColorBuffer", ctypes.c_ubyte, _P, out, out, out, ctypes.POINTER(_P))
+        self._get = self._function("OSMesaGetIntegerv", None, ctypes.c_int, out)
+
+    def current(self, other: Binding | None = None) -> Binding | None:
+        """``other``: what EGL or GLX take for current."""
+        context = self.context() if self._lib else None
+        if not context or (other is not None and self._as_seen.get(other.context, context) == context):
+            return None
+        width, height, kind, buffer = ctypes.c_int(), ctypes.c_int(), ctypes.c_int(), _P()
+        self._colour(context, width, height, kind, buffer)
+        self._get(0x23, kind)  # OSMESA_TYPE
+        return Binding(self, context, (buffer, kind.value, width.value, height.value))
+
+    def holds(self, other: int) -> bool:
+        """Whether the context that EGL or GLX take for current still is."""
+        return self._lib is None or (other in self._as_seen and self._as_seen[other] == self.context())
+
+    def note(self, other: int) -> None:
+        """EGL or GLX just made that context current."""
+        if self._lib:
+            self._as_seen[other] = self.context()
+
+    def bind(self, binding: Binding) -> bool:
+        return bool(self._make(binding.context, *binding.rest))
+
+    def unbind(self) -> None:
+        if self._lib and self.context():
+            self._make(None, None, 0, 0, 0)
+
+
+_EGL, _GLX, _OSMESA = _Egl(), _Glx(), _OSMesa()
+_APIS: tuple[_Api, ...] = (_EGL, _GLX, _OSMESA)
+
+
+_find_symbol: Any = getattr(ctypes.CDLL(None), "dlsym", None) if sys.platform.startswith("linux") else None
+if _find_symbol is not None:
+    _find_symbol.restype, _find_symbol.argtypes = _P, (_P, ctypes.c_char_p)
+
+
+def look() -> None:
+    """See which of the libraries this process has loaded. Takes 0.1 ms; to be called where contexts are made."""
+    for api in _APIS:
+        api.find()
+
+
+def _look_for_osmesa() -> None:
+    # somebody may have loaded it for all (as PyOpenGL does) after our contexts were made
+    if _OSMESA._lib is None and _find_symbol is not None and _find_symbol(None, b"OSMesaGetCurrentContext"):
+        look()
+
+
+def binding() -> Binding | None:
+    """What is current on this thread."""
+    _look_for_osmesa()
+    other = _EGL.current() or _GLX.current()
+    return _OSMESA.current(other) or other
+
+
+def is_current(mine: Binding) -> bool:
+    """Whether GL calls of this thread go to ``mine``."""
+    _look_for_osmesa()
+    if mine.api is _OSMESA:
+        return bool(_OSMESA.context() == mine.context)
+    return bool(mine.api.context() == mine.context) and _OSMESA.holds(mine.context)  # type: ignore[attr-defined]
+
+
+def bind(mine: Binding) -> None:
+    """Make ``mine`` current. Raises ContextError if it cannot be."""
+    _look_for_osmesa()
+    if mine.api is _OSMESA:
+        if _GLX._lib and _GLX.context():
+            _GLX.unbind()
+        _EGL.unbind()
+    else:
+        if _OSMESA._lib:  # behind the back of the others: only what is bound anew is bound
+            _OSMESA.unbind()
+            mine.api.unbind()
+        (_GLX if mine.api is _EGL else _EGL).unbind()
+    if not mine.api.bind(mine):
+        raise ContextError(
+            "the OpenGL context cannot become current: is it current on another thread, or was it (or its window) "
+            "destroyed? release it there first"
+        )
+    if mine.api is not _OSMESA:
+        _OSMESA.note(mine.context)
+
+
+def unbind() -> None:
+    """Leave this thread without a context."""
+    for api in reversed(_APIS):
+        api.unbind()

@@ -1,0 +1,29 @@
+"""FrameStats: what one call of render() did, added up over its passes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+__all__ = ["FrameStats", "union"]
+
+
+@dataclass(frozen=True)
+class FrameStats:
+    """What one call of render() did."""
+
+    splats: int  # in the scene
+    drawn: int  # of them, summed over the passes of the call
+    skipped: int  # not finite or without a rotation: never uploaded
+    culled: dict[str, int] = field(default_factory=dict)  # by reason
+    sorted: bool = True  # False where the previous order still held
+    covered: tuple[int, int, int, int] = (0, 0, 0, 0)  # x, y, width, height outside of which is only background
+
+
+def union(a: tuple[int, int, int, int], b: tuple[int, int, int, int]) -> tuple[int, int, int, int]:
+    """The smallest box that holds both; an empty one adds nothing."""
+    if not (a[2] and a[3]):
+        return b
+    if not (b[2] and b[3]):
+        return a
+    x, y = min(a[0], b[0]), min(a[1], b[1])
+    return x, y, max(a[0] + a[2], b[0] + b[2]) - x, max(a[1] + a[3], b[1] + b[3]) - y

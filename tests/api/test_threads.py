@@ -1,0 +1,313 @@
+"""Threads, forks, and renderers that nobody released."""
+
+from __future__ import annotations
+
+import asyncio
+import gc
+import os
+import subprocess
+import sys
+import threading
+import warnings
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from glsplat.config import RenderConfig
+from glsplat.context import create_context
+from glsplat.errors import ContextError, GlsplatError, PoseError
+from glsplat.mesh import MeshRenderer
+from glsplat.renderer import Renderer
+from tests.api.current_context import GL, asked, nothing_current
+from tests.api.variants import KINDS, SIZE, VIEWS, bent
+from tests.scenes import cloud, limb
+
+pytestmark = pytest.mark.gl
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@pytest.fixture(autouse=True)
+def _nothing_before() -> Iterator[None]:
+    nothing_current()
+    yield
+    nothing_current()
+
+
+def on_thread(call: Callable[[], object], name: str = "another") -> BaseException | None:
+    """What ``call`` raises there."""
+    caught: list[BaseException | None] = [None]
+
+    def run() -> None:
+        try:
+            call()
+        except BaseException as error:
+            caught[0] = error
+
+    thread = threading.Thread(target=run, name=name)
+    thread.start()
+    thread.join(60)
+    return caught[0]
+
+
+@pytest.mark.parametrize("kind", [KINDS[0], KINDS[-1]], ids=lambda kind: kind.name)
+def test_another_thread_is_told_so(kind: object) -> None:
+    renderer = kind.make()  # type: ignore[attr-defined]
+    picture = kind.draw(renderer)  # type: ignore[attr-defined]
+    calls = [lambda: renderer.render(VIEWS), renderer.release, renderer.context.release]
+    if isinstance(renderer, Renderer):
+        calls += [
+            lambda: renderer.draw(VIEWS),
+            lambda: renderer.redraw(VIEWS),
+            lambda: renderer.load(cloud()),
+            renderer.drop_targets,
+            renderer.posed,
+            lambda: Renderer(cloud(), context=renderer.context),
+        ]
+    for call in calls:
+        error = on_thread(call)
+        assert isinstance(error, ContextError)
+        assert "'another'" in str(error) and "'MainThread'" in str(error) and "run_in_thread" in str(error)
+        assert "\n" not in str(error)
+        assert np.array_equal(kind.draw(renderer), picture)  # type: ignore[attr-defined]
+    renderer.release()
+    assert on_thread(renderer.release) is None  # there is nothing left to do
+
+
+def test_a_renderer_a_thread() -> None:
+    """Each thread its own renderer, at the same time."""
+    kinds = [KINDS[0], KINDS[4], KINDS[-1]] * 2
+    expected = {}
+    for kind in kinds:
+        with kind.make() as renderer:
+            expected[kind.name] = kind.draw(renderer)
+
+    def work(index: int) -> bool:
+        kind = kinds[index]
+        with kind.make() as renderer:
+            return all(np.array_equal(kind.draw(renderer), expected[kind.name]) for _ in range(5))
+
+    with ThreadPoolExecutor(len(kinds)) as pool:
+        assert all(pool.map(work, range(len(kinds))))
+
+
+def test_run_in_thread_from_many_threads_and_asyncio() -> None:
+    poses = [bent(angle=0.1 * i) for i in range(6)]
+    with Renderer(limb(), size=(SIZE, SIZE)) as renderer:
+        expected = [renderer.render(VIEWS, pose) for pose in poses]
+    with Renderer.run_in_thread(limb(), size=(SIZE, SIZE), config=RenderConfig()) as shared:
+        assert np.array_equal(shared.render(VIEWS, poses[0]), expected[0])
+        with ThreadPoolExecutor(6) as pool:
+            pictures = list(pool.map(lambda pose: shared.render(VIEWS, pose), poses * 3))
+        assert all(np.array_equal(p, e) for p, e in zip(pictures, expected * 3, strict=True))
+
+        async def main() -> list[object]:
+            jobs = [asyncio.to_thread(shared.render, VIEWS, pose) for pose in poses]
+            jobs += [asyncio.wrap_future(shared.submit(Renderer.render, VIEWS, pose)) for pose in poses]
+            return await asyncio.gather(*jobs)
+
+        results = asyncio.run(main())
+        assert all(np.array_equal(r, e) for r, e in zip(results, expected * 2, strict=True))  # type: ignore[arg-type]
+        with pytest.raises(PoseError):
+            shared.render(VIEWS, bent(9))
+        assert shared.submit(lambda r: r.stats.splats).result() == len(limb().splats)
+        assert not asked()[0]  # nothing on this thread
+    shared.release()
+    with pytest.raises(GlsplatError, match="released"):
+        shared.render(VIEWS)
+    with pytest.raises(GlsplatError, match="a scene is Splats or an Avatar"):
+        Renderer.run_in_thread("no scene")  # type: ignore[arg-type]
+    assert not [t for t in threading.enumerate() if t.name.startswith("glsplat renderer")]
+
+
+def test_what_was_dropped_is_freed_and_named() -> None:
+    kind = KINDS[0]
+    for make, name in ((kind.make, "a Renderer .500 splats, 64x64."), (KINDS[-1].make, "a MeshRenderer .64x64.")):
+        with pytest.warns(ResourceWarning, match=name + " was never released"):
+            make()
+        gc.collect()
+    with pytest.warns(ResourceWarning, match="a context of glsplat .egl. was never released"):
+        create_context()
+        gc.collect()
+    nothing_current()
+    with pytest.warns(ResourceWarning, match="a RendererThread was never released"):
+        Renderer.run_in_thread(cloud(), size=(SIZE, SIZE))
+        gc.collect()
+
+
+def resident() -> float:
+    """MB."""
+    with open("/proc/self/statm") as file:
+        return int(file.read().split()[1]) * os.sysconf("SC_PAGESIZE") / 2**20
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads /proc")
+@pytest.mark.filterwarnings("ignore::ResourceWarning")
+def test_dropped_renderers_do_not_add_up() -> None:
+    """200 by the script of docs/testing.md; here as many as show it: a context kept is 5 to 7 MB."""
+    kind, scene = KINDS[0], cloud()
+
+    def drop(count: int) -> None:
+        for _ in range(count):
+            kind.draw(Renderer(scene, size=(SIZE, SIZE)))
+
+    drop(3)
+    before = resident()
+    drop(30)
+    assert (resident() - before) / 30 < 0.7
+
+    context = create_context()
+    gl = GL(context.ctx)
+
+    def buffers() -> int:
+        with context:
+            return sum(gl.IsBuffer(name) & 255 for name in range(1, 500))
+
+    stays = kind.make(context)
+    kind.draw(stays)
+    live = buffers()
+    for _ in range(20):
+        kind.draw(kind.make(context))
+    assert 0 < buffers() == live
+    stays.release()
+    context.release()
+
+
+@pytest.mark.filterwarnings("ignore::ResourceWarning")
+def test_dropped_on_another_thread_is_freed_on_its_own() -> None:
+    kind = KINDS[0]
+    stays = kind.make()
+    picture = kind.draw(stays)
+    holder = [kind.make()]
+    context = holder[0].context
+    kind.draw(holder[0])
+
+    def drop() -> None:
+        holder.clear()
+        gc.collect()
+        assert not asked()[0]  # nothing was made current there
+
+    assert on_thread(drop) is None
+    assert not context.released
+    assert np.array_equal(kind.draw(stays), picture)  # between frames, here, it goes
+    del context
+    gc.collect()
+    stays.release()
+
+
+@pytest.mark.filterwarnings("ignore::ResourceWarning")
+def test_dropped_in_the_middle_of_a_frame() -> None:
+    """The collector runs whenever it likes: what shares the context waits until the frame is over."""
+    kind, context = KINDS[0], create_context()
+    with kind.make(context) as renderer:
+        picture = kind.draw(renderer)
+        for _ in range(3):
+            other = [kind.make(context)]
+            kind.draw(other[0])
+            timer = renderer.timer  # type: ignore[union-attr]
+            mark = type(timer).mark
+
+            def drop(stage: str, mark: object = mark, other: list[object] = other, timer: object = timer) -> None:
+                other.clear()
+                gc.collect()
+                mark(timer, stage)  # type: ignore[operator]
+
+            timer.mark = drop  # type: ignore[method-assign]
+            assert np.array_equal(kind.draw(renderer), picture)
+            del timer.mark  # type: ignore[method-assign]
+            assert np.array_equal(kind.draw(renderer), picture)
+    context.release()
+
+
+FORK = """
+import os, sys, signal
+import numpy as np
+from glsplat import create_context
+from glsplat.renderer import Renderer
+from tests.scenes import cloud, eyes
+renderer = Renderer(cloud(), size=(64, 64))
+picture = renderer.render(eyes())
+child = os.fork()
+if child == 0:
+    signal.alarm(20)  # it used to hang
+    said = []
+    for call in (lambda: renderer.render(eyes()), lambda: Renderer(cloud()), create_context, renderer.posed):
+        try:
+            call()
+        except Exception as error:
+            said.append(type(error).__name__ == "ContextError" and "forked" in str(error) and "spawn" in str(error))
+    renderer.release()  # harmless: a with block ends in the child too
+    os._exit(0 if said == [True] * 4 else 3)
+status = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+assert status == 0, status
+assert np.array_equal(renderer.render(eyes()), picture)
+renderer.release()
+child = os.fork()  # nothing in the parent needs OpenGL any more, but its driver was started
+os._exit(0) if child == 0 else os.waitpid(child, 0)
+print("right")
+"""
+
+SPAWN = """
+import multiprocessing, sys
+import numpy as np
+from tests.api.spawned import picture
+if __name__ == "__main__":
+    mine = picture()
+    with multiprocessing.get_context("spawn").Pool(1) as pool:
+        assert np.array_equal(pool.apply(picture), mine)
+    print("right")
+"""
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork on this system")
+@pytest.mark.parametrize("script", [FORK, SPAWN], ids=["fork", "spawn"])
+def test_children(script: str, tmp_path: Path) -> None:
+    file = tmp_path / "program.py"
+    file.write_text(script)
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    done = subprocess.run([sys.executable, file], capture_output=True, text=True, timeout=120, env=environment)
+    assert done.stdout.strip() == "right", done.stdout + done.stderr
+
+
+def test_a_fork_before_any_context_is_free_to_draw() -> None:
+    script = (
+        "import os\nfrom glsplat.renderer import Renderer\nfrom tests.scenes import cloud, eyes\n"
+        "child = os.fork()\n"
+        "with Renderer(cloud(), size=(64, 64)) as renderer:\n    assert renderer.render(eyes()).any()\n"
+        "os._exit(0) if child == 0 else None\n"
+        "assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0\n"
+    )
+    subprocess.run([sys.executable, "-c", script], check=True, timeout=120, cwd=ROOT)
+
+
+def test_nothing_is_said_at_exit() -> None:
+    """A program that ends without release() is no leak."""
+    script = (
+        "from glsplat.renderer import Renderer\nfrom tests.scenes import cloud, eyes\n"
+        "renderer = Renderer(cloud(), size=(64, 64))\nassert renderer.render(eyes()).any()\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-X", "dev", "-W", "error::ResourceWarning:glsplat", "-c", script],
+        capture_output=True, text=True, timeout=120, cwd=ROOT,
+    )  # fmt: skip
+    assert done.returncode == 0 and "never released" not in done.stderr, done.stderr
+
+
+def test_mesh_and_splats_release_twice() -> None:
+    for kind in (KINDS[0], KINDS[-1]):
+        renderer = kind.make()
+        renderer.release()
+        renderer.release()
+        assert isinstance(renderer, Renderer | MeshRenderer)
+        with pytest.raises(GlsplatError, match="this renderer was released"):
+            renderer.render(VIEWS)
+    context = create_context()
+    late = KINDS[0].make(context)
+    context.release()
+    context.release()
+    late.release()  # its context is gone, and all of it with it
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        del late
