@@ -19,6 +19,7 @@ from glsplat.camera import Camera, passes_of, sorting_camera
 from glsplat.config import RenderConfig
 from glsplat.context import Context, create_context
 from glsplat.errors import ContextError, GlsplatError, PoseError
+from glsplat.passes.budget import Budget
 from glsplat.passes.pipeline import Pipeline
 from glsplat.passes.scene import SceneBuffers
 from glsplat.passes.target import FORMATS, Target
@@ -42,6 +43,7 @@ class FrameStats:
     culled: dict[str, int] = field(default_factory=dict)  # by reason
     sorted: bool = True  # False where the previous order still held
     covered: tuple[int, int, int, int] = (0, 0, 0, 0)  # x, y, width, height outside of which is only background
+    cost: int = 0  # covered pixels (passes/budget.py); counted only under a budget
 
 
 class Renderer:
@@ -166,11 +168,13 @@ class Renderer:
         pose: Pose | None = None,  # zero pose if none; ignored by a scene without a skeleton
         *,
         sort_viewmat: NDArray[np.float64] | None = None,  # [4, 4] orders all views; default: see docs/frame.md
+        budget: Budget | None = None,  # what this picture may cost; none: whatever it takes
     ) -> NDArray[Any]:
         """The images [V, H, W, 4], row 0 at the top: RGB over the background and accumulated alpha.
 
         float32 (unclipped) or uint8 by ``config.output``. The array is new with each call. Raises PoseError for a pose
-        that does not fit, GlsplatError for cameras of another size.
+        that does not fit, GlsplatError for cameras of another size, BudgetError for a picture beyond its budget: the
+        next one is drawn as if it had not been asked for.
         """
         if sort_viewmat is not None and not (np.shape(sort_viewmat) == (4, 4) and np.isfinite(sort_viewmat).all()):
             raise GlsplatError("sort_viewmat needs 4x4 finite numbers")
@@ -180,7 +184,7 @@ class Renderer:
         for batch in passes:
             views = [cameras[i] for i in batch]
             boxed = self.config.output == "uint8"
-            pipeline, target = self._draw(views, sort_viewmat, boxed, alone=len(passes) == 1)
+            pipeline, target = self._draw(views, sort_viewmat, boxed, len(passes) == 1, budget)
             byte_target = self._targets.byte_target(self.size, len(views)) if self.config.output == "uint8" else None
             pipeline.read(target, byte_target, views, out[batch[0] : batch[0] + len(views)], self.timer)
             self._count(pipeline)
@@ -264,14 +268,19 @@ class Renderer:
         self._pose(pose)
 
     def _draw(
-        self, views: Sequence[Camera], sort_viewmat: NDArray[np.float64] | None, boxed: bool, alone: bool = True
+        self,
+        views: Sequence[Camera],
+        sort_viewmat: NDArray[np.float64] | None,
+        boxed: bool,
+        alone: bool = True,
+        budget: Budget | None = None,
     ) -> tuple[Pipeline, Target]:
         """Steps 1 to 4 for one pass."""
         pipeline = self._pipeline(views)
         target = self._targets.float_target(self.size, len(views))
         order = sorting_camera(views) if sort_viewmat is None else sort_viewmat
-        resorted = pipeline.geometry(views, order, self._geometry_version, self.timer, alone)
-        pipeline.draw(target, views, self.timer, boxed)
+        resorted = pipeline.geometry(views, order, self._geometry_version, self.timer, alone, budget)
+        pipeline.draw(target, views, self.timer, boxed, budget)
         self.variant = pipeline.variant
         self.stats = replace(self.stats, sorted=self.stats.sorted or resorted)
         return pipeline, target
@@ -280,7 +289,8 @@ class Renderer:
         old = self.stats
         culled = {reason: old.culled.get(reason, 0) + count for reason, count in pipeline.culled.items()}
         covered = _union(old.covered, pipeline.covered)
-        self.stats = replace(old, drawn=old.drawn + pipeline.drawn, culled=culled, covered=covered)
+        cost = old.cost + (pipeline.cost or 0)
+        self.stats = replace(old, drawn=old.drawn + pipeline.drawn, culled=culled, covered=covered, cost=cost)
 
     def _output_type(self) -> type[np.generic]:
         return np.uint8 if self.config.output == "uint8" else np.float32
