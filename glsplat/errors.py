@@ -6,7 +6,7 @@
     ├── FormatError      a file is not what it should be (names the file, what was expected, what came)
     ├── BudgetError      a picture would cost more, or takes longer, than it may
     ├── ContextError     no OpenGL context, or one that cannot do the work
-    │   └── ContextLost  the context is gone, or does nothing any more
+    │   └── ContextLostError    the context is gone, or does nothing any more
     ├── ShaderError      a shader does not compile (names file and line of the chunk)
     ├── PoseError        a pose or motion does not fit the skeleton
     └── ProtocolError    a message breaks the wire protocol
@@ -27,7 +27,7 @@ class ContextError(GlsplatError):
     """No OpenGL context could be made, or it lacks something the renderer needs."""
 
 
-class ContextLost(ContextError):
+class ContextLostError(ContextError):
     """The context worked and does not any more; nothing but a new one helps."""
 
 

@@ -8,7 +8,7 @@ import time
 
 import numpy as np
 
-from glsplat.errors import ContextError, GlsplatError, PoseError
+from glsplat.errors import ContextLostError, GlsplatError, PoseError
 from glsplat.net.backend import Rendered
 
 
@@ -31,7 +31,7 @@ class Boxed:
             70: lambda: time.sleep(60),
             92: lambda: 1 / 0,
         }
-        errors = {93: PoseError("no such joint"), 94: ContextError("lost"), 95: GlsplatError("out of memory")}
+        errors = {93: PoseError("no such joint"), 94: ContextLostError("lost"), 95: GlsplatError("out of memory")}
         acts.get(request.frame_id, lambda: None)()
         if request.frame_id in errors:
             raise errors[request.frame_id]
