@@ -1,7 +1,8 @@
 """Whose picture is drawn next: equal renderer time for every address, then for every client of an address.
 
 Start-time fair queueing over two levels: the one who had the least time goes next, by a virtual clock that never runs
-back, so that who was idle or is new has no credit for the past. No I/O: times are seconds of any clock.
+back, so that who was idle or is new has no credit for the past. All newcomers together have one share until their first
+picture is drawn, else a stream of them would starve who is there. No I/O: times are seconds of any clock.
 
 A picture cannot be put aside for another, so fair shares alone would leave a client of short pictures one of them
 between two long ones. Long pictures therefore rest after each other while somebody waits who draws short ones.
@@ -36,6 +37,8 @@ class _Client:
 class _Address(Generic[K]):
     spent: float  # virtual seconds
     clock: float = 0.0  # of its clients
+    joining: float = 0.0  # where on it new clients begin
+    fresh: bool = True  # nothing drawn for it yet
     clients: dict[K, _Client] = field(default_factory=dict)
 
 
@@ -45,6 +48,7 @@ class Turns(Generic[K]):
     def __init__(self) -> None:
         self._addresses: dict[str, _Address[K]] = {}
         self._clock = 0.0
+        self._joining = 0.0  # where on it new addresses begin
         self._rest_until = float("-inf")
         self._last = 0.0  # seconds the last picture took
 
@@ -54,8 +58,8 @@ class Turns(Generic[K]):
 
     def add(self, address: str, key: K) -> None:
         """A client takes part from now on."""
-        mine = self._addresses.setdefault(address, _Address(self._clock))
-        mine.clients[key] = _Client(mine.clock)
+        mine = self._addresses.setdefault(address, _Address(max(self._clock, self._joining)))
+        mine.clients[key] = _Client(max(mine.clock, mine.joining))
 
     def remove(self, address: str, key: K) -> None:
         """A client left. What its address owes is remembered until the others have caught up."""
@@ -93,9 +97,14 @@ class Turns(Generic[K]):
         """The picture of that client took so long, up to ``now``. The client may have left meanwhile."""
         mine = self._addresses.setdefault(address, _Address(self._clock))
         seconds = max(seconds, _LEAST)
+        if mine.fresh:
+            self._joining = max(self._joining, self._clock) + seconds
+            mine.fresh = False
         mine.spent += seconds
         self._last = seconds
         client = mine.clients.get(key)
+        if client is None or client.length is None:
+            mine.joining = max(mine.joining, mine.clock) + seconds
         if client is not None:
             client.spent += seconds
             client.length = max(seconds, _FORGET * (client.length or 0.0))
