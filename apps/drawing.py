@@ -17,8 +17,8 @@ from glsplat.splats import Splats
 __all__ = ["MAX_COST", "MAX_TIME", "RendererBackend"]
 
 MAX_COST = 1e9
-"""Covered pixels of a picture (passes/budget.py): three to eight times what a person who fills two eyes of 2048x2048
-needs (1.2e8 at half a body's height away, 3.4e8 with the eyes in the clothes; docs/protocol.md)."""
+"""Covered pixels of a picture (passes/budget.py): eight times what a person who fills two eyes of 2048x2048 needs, and
+more than twice what one needs whose face is in front of the eyes (docs/protocol.md, section 5)."""
 
 MAX_TIME = 5.0
 """Seconds of a picture."""

@@ -80,7 +80,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=MAX_COST,
         metavar="PIXELS",
         help="pixels a picture may cover, splat by splat and eye by eye (default 1e9: a person who fills two eyes of "
-        "2048x2048 covers 1.2e8 to 3.4e8); dearer ones are refused, and clients that keep asking are dropped",
+        "2048x2048 covers 1.2e8 to 4.1e8); dearer ones are refused, and clients that keep asking are dropped",
     )
     parser.add_argument(
         "--max-time",

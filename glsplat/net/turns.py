@@ -50,6 +50,7 @@ class Turns(Generic[K]):
         self._clock = 0.0
         self._joining = 0.0  # where on it new addresses begin
         self._rest_until = float("-inf")
+        self._rest_after = 0.0  # seconds the picture took that the others rest after, if it was a long one
         self._last = 0.0  # seconds the last picture took
 
     def __contains__(self, client: tuple[str, K]) -> bool:
@@ -80,12 +81,13 @@ class Turns(Generic[K]):
             for _, key in keys:
                 address.clients[key].asked = now
         longest = self._longest_short(now) if now < self._rest_until else float("inf")
-        waiting.sort(key=lambda entry: entry[0])
+        resting = self._rest_after > longest
+        waiting.sort(key=lambda entry: (entry[0], not entry[1].fresh))
         for spent, address, keys in waiting:
             keys.sort(key=lambda entry: entry[0])
             for mine, key in keys:
                 client = address.clients[key]
-                if longest < float("inf") and (client.length is None or client.length > longest):
+                if resting and (client.length is None or client.length > longest):
                     continue
                 # the clocks follow the one who had least, also where it rests
                 self._clock, address.clock = max(self._clock, waiting[0][0]), max(address.clock, keys[0][0])
@@ -108,8 +110,9 @@ class Turns(Generic[K]):
         if client is not None:
             client.spent += seconds
             client.length = max(seconds, _FORGET * (client.length or 0.0))
-        if seconds > self._longest_short(now):
-            self._rest_until = now + seconds * min(_MOST_REST, seconds / _STALL)
+        until = now + seconds * min(_MOST_REST, seconds / _STALL)
+        if until > self._rest_until:
+            self._rest_until, self._rest_after = until, seconds
 
     def rest(self, now: float) -> float:
         """Seconds after which to ask ``next`` again although nothing happened; 0: none."""

@@ -85,6 +85,15 @@ def test_pictures_of_seconds_leave_the_others_three_quarters_of_the_time(length)
     assert min(len(c.drawn) for c in slow) > 0
 
 
+def test_a_rest_begins_also_when_short_pictures_come_later() -> None:
+    slow, good = Client("b", 5.0), Client("g", 0.06, period=0.2)
+    world = World(slow)
+    world.run(5)
+    world.turns.add("g", good)
+    world.run(15)
+    assert len(slow.drawn) == 1 and len(good.drawn) >= 70
+
+
 def test_without_short_pictures_nothing_rests() -> None:
     world = World(Client("a", 1.0), Client("b", 2.0))
     world.run(60)
