@@ -134,9 +134,8 @@ class Server:
         self._draining = True
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(self.config.drain_timeout):
-                while self.pump.drawing_for < _HOPELESS and any(
-                    channel.session.status()["under_way"] for channel in self._channels.values()
-                ):
+                channels = self._channels.values()
+                while self.pump.drawing_for < _HOPELESS and any(c.session.status()["under_way"] for c in channels):
                     await asyncio.sleep(0.01)
         sockets = [ws.close(code=GOING_AWAY, message=b"the server stops") for ws in self._sockets.values()]
         await asyncio.gather(*sockets, return_exceptions=True)
@@ -362,20 +361,16 @@ class Server:
             if frame.ends:
                 log.warning("client %d is dropped: %s", channel.number, frame.ends)
                 self._hold_off(channel.address)
-                try:
+                with contextlib.suppress(TimeoutError):
                     async with asyncio.timeout(_FAREWELL):
                         await ws.close(code=POLICY_VIOLATION, message=frame.ends.encode())
-                except TimeoutError:
-                    _cut_off(request)
-                return
+                return _cut_off(request)
 
     def _hold_off(self, address: str) -> None:
         """Take no new connections of that address for a while."""
         now = clock()
-        if len(self._held) >= _HELD:
-            self._held = {name: until for name, until in self._held.items() if until > now}
-        if len(self._held) < _HELD:
-            self._held[address] = now + _HOLD_OFF
+        held = [(name, until) for name, until in self._held.items() if until > now]
+        self._held = dict(held[-_HELD:]) | {address: now + _HOLD_OFF}
 
     async def _send(self, ws: web.WebSocketResponse, data: str | bytes) -> None:
         if ws.closed:
