@@ -30,7 +30,7 @@ from glsplat.tracking.calibration import Calibration
 from glsplat.tracking.sample import Sample
 from glsplat.tracking.tracker import Tracker
 
-from .drawing import RendererBackend
+from .drawing import MAX_COST, MAX_TIME, RendererBackend
 from .scene import add_scene, load_scene, size
 
 HELP = "Serve pictures of an avatar to headsets and other clients over a WebSocket (docs/protocol.md)."
@@ -101,6 +101,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--mirror", action="store_true", help="show the mirror image (clients may choose by /ws?mirror=)"
     )
+    parser.add_argument(
+        "--max-cost",
+        type=float,
+        default=MAX_COST,
+        metavar="PIXELS",
+        help="pixels a picture may cover, splat by splat and eye by eye (default 1e9: a person who fills two eyes of "
+        "2048x2048 covers 1.2e8 to 4.1e8); dearer ones are refused, and clients that keep asking are dropped",
+    )
+    parser.add_argument(
+        "--max-time",
+        type=float,
+        default=MAX_TIME,
+        metavar="SECONDS",
+        help="a picture may take (default 5); one that takes longer is abandoned, a second one ends its client",
+    )
     parser.add_argument("--cull-hidden", action="store_true", help="leave out splats no eye can see: faster, 45 dB")
     parser.add_argument("--calibration", type=Path, metavar="FILE", help="of the users whose tracking is sent")
     parser.add_argument("--tls-cert", type=Path, metavar="PEM", help="certificate; makes it wss:// and https://")
@@ -124,6 +139,8 @@ def server_config(args: argparse.Namespace) -> ServerConfig:
     for name, (value, low, high) in limits.items():
         if not low <= value <= high:
             raise GlsplatError(f"{name} needs {low} to {high}, not {value}")
+    if not args.max_cost > 0 or not 0.1 <= args.max_time <= 600:
+        raise GlsplatError("--max-cost needs a number of pixels above 0 and --max-time 0.1 to 600 s")
     if not 0 <= args.ipd <= 0.2 or not 1 <= args.fov <= 170:
         raise GlsplatError("--ipd needs 0 to 0.2 m and --fov 1 to 170 degrees")
     pixels = args.size or (min(1024, args.max_size),) * 2
@@ -158,7 +175,8 @@ def run(args: argparse.Namespace) -> int:
         print("glsplat serve: anybody who reaches this port can use it (--insecure)", file=sys.stderr)
     scene = load_scene(args)
     calibration = Calibration.load(args.calibration) if args.calibration else Calibration()
-    server = make_server(scene, config, args.device, calibration, rendering=RenderConfig(cull_hidden=args.cull_hidden))
+    rendering, budget = RenderConfig(cull_hidden=args.cull_hidden), (args.max_cost, args.max_time)
+    server = make_server(scene, config, args.device, calibration, rendering=rendering, budget=budget)
 
     def started() -> None:
         if args.json:
@@ -178,6 +196,7 @@ def make_server(
     calibration: Calibration | None = None,
     own_process: bool = True,
     rendering: RenderConfig | None = None,
+    budget: tuple[float, float] = (MAX_COST, MAX_TIME),  # of a picture: covered pixels, seconds
 ) -> Server:
     """A server that draws ``scene`` with OpenGL and solves tracking if its rig is SMPL-X's.
 
@@ -193,6 +212,6 @@ def make_server(
             fitted = base if height is None else Calibration.of_height(skeleton, height, base.floor)
             return TrackingSolver(skeleton, fitted)
 
-    draw = partial(RendererBackend, scene, config.wire.size, device, rendering)
-    backend = ProcessBackend(draw, config.wire.max_side) if own_process else draw()
+    draw = partial(RendererBackend, scene, config.wire.size, device, rendering, *budget)
+    backend = ProcessBackend(draw, config.wire.max_side, budget[1]) if own_process else draw()
     return Server(backend, config, solver=solver, skeleton=skeleton)

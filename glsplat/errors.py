@@ -4,7 +4,9 @@
 
     GlsplatError
     ├── FormatError      a file is not what it should be (names the file, what was expected, what came)
+    ├── BudgetError      a picture would cost more, or takes longer, than it may
     ├── ContextError     no OpenGL context, or one that cannot do the work
+    │   └── ContextLostError    the context is gone, or does nothing any more
     ├── ShaderError      a shader does not compile (names file and line of the chunk)
     ├── PoseError        a pose or motion does not fit the skeleton
     └── ProtocolError    a message breaks the wire protocol
@@ -30,6 +32,18 @@ class FormatError(GlsplatError):
 
 class ContextError(GlsplatError):
     """No OpenGL context could be made, or it lacks something the renderer needs."""
+
+
+class ContextLostError(ContextError):
+    """The context worked and does not any more; nothing but a new one helps."""
+
+
+class BudgetError(GlsplatError):
+    """A picture was not drawn to its end. ``code`` says why: too_costly, too_slow or abandoned."""
+
+    def __init__(self, message: str, code: str = "too_costly") -> None:
+        super().__init__(message)
+        self.code = code
 
 
 class ShaderError(GlsplatError):

@@ -21,6 +21,7 @@ from glsplat.config import RenderConfig
 from glsplat.context import Context, create_context
 from glsplat.errors import ContextError, GlsplatError
 from glsplat.owner import Entry, abandon
+from glsplat.passes.budget import Budget
 from glsplat.passes.pipeline import Pipeline
 from glsplat.passes.scene import SceneBuffers
 from glsplat.passes.stats import FrameStats, union
@@ -159,12 +160,14 @@ class Renderer:
         pose: Pose | None = None,  # zero pose if none; ignored by a scene without a skeleton
         *,
         sort_viewmat: ArrayLike | None = None,  # [4, 4] orders all views; default: see docs/frame.md
+        budget: Budget | None = None,  # what this picture may cost; none: whatever it takes
     ) -> NDArray[Any]:
         """The images [V, H, W, 4], row 0 at the top: RGB over the background and accumulated alpha.
 
         Colours are multiplied by their alpha already (premultiplied); ``glsplat.straight(image)`` divides it out again,
         for PNG files and image libraries. float32 (unclipped) or uint8 by ``config.output``. The array is new with each
-        call. Raises PoseError for a pose that does not fit, GlsplatError for cameras of another size.
+        call. Raises PoseError for a pose that does not fit, GlsplatError for cameras of another size, BudgetError for a
+        picture beyond its budget: the next one is drawn as if it had not been asked for.
         """
         order = None if sort_viewmat is None else own(sort_viewmat, np.float64, "sort_viewmat", GlsplatError)
         if order is not None and not (order.shape == (4, 4) and np.isfinite(order).all()):
@@ -177,7 +180,7 @@ class Renderer:
             for batch in passes:
                 views = [cameras[i] for i in batch]
                 boxed = self.config.output == "uint8"
-                pipeline, target = self._draw(views, order, boxed, alone=len(passes) == 1)
+                pipeline, target = self._draw(views, order, boxed, len(passes) == 1, budget)
                 byte_target = self._targets.byte_target(self.size, len(views)) if boxed else None
                 pipeline.read(target, byte_target, views, out[batch[0] : batch[0] + len(views)], self.timer)
                 self._count(pipeline)
@@ -321,14 +324,19 @@ class Renderer:
         self._pose(pose)
 
     def _draw(
-        self, views: Sequence[Camera], sort_viewmat: NDArray[np.float64] | None, boxed: bool, alone: bool = True
+        self,
+        views: Sequence[Camera],
+        sort_viewmat: NDArray[np.float64] | None,
+        boxed: bool,
+        alone: bool = True,
+        budget: Budget | None = None,
     ) -> tuple[Pipeline, Target]:
         """Steps 1 to 4 for one pass."""
         pipeline = self._pipeline(views)
         target = self._targets.float_target(self.size, len(views))
         order = sorting_camera(views) if sort_viewmat is None else sort_viewmat
-        resorted = pipeline.geometry(views, order, self._geometry_version, self.timer, alone)
-        pipeline.draw(target, views, self.timer, boxed)
+        resorted = pipeline.geometry(views, order, self._geometry_version, self.timer, alone, budget)
+        pipeline.draw(target, views, self.timer, boxed, budget)
         self.variant = pipeline.variant
         self.stats = replace(self.stats, sorted=self.stats.sorted or resorted)
         return pipeline, target
@@ -337,7 +345,8 @@ class Renderer:
         old = self.stats
         culled = {reason: old.culled.get(reason, 0) + count for reason, count in pipeline.culled.items()}
         covered = union(old.covered, pipeline.covered)
-        self.stats = replace(old, drawn=old.drawn + pipeline.drawn, culled=culled, covered=covered)
+        cost = old.cost + (pipeline.cost or 0)
+        self.stats = replace(old, drawn=old.drawn + pipeline.drawn, culled=culled, covered=covered, cost=cost)
 
     def _output_type(self) -> type[np.generic]:
         return np.uint8 if self.config.output == "uint8" else np.float32

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +13,7 @@ from glsplat.camera import Camera
 from glsplat.net.messages import RenderRequest
 from glsplat.skinning.pose import Pose
 
-__all__ = ["Backend", "PoseSolver", "Rendered", "Solved"]
+__all__ = ["Backend", "Interruptible", "PoseSolver", "Rendered", "Solved"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -34,19 +34,37 @@ class Backend(Protocol):
     """A renderer. The server calls all three on one thread of its own, ``open`` first and ``close`` last."""
 
     def open(self) -> str:
-        """Make the context and load the scene; returns the driver string. May raise GlsplatError."""
+        """Make the context, load the scene and draw a plain picture of it; returns the driver string.
+
+        May raise GlsplatError: after a lost context that, and nothing a client asks for, ends the server.
+        """
         ...
 
     def render(self, request: RenderRequest) -> Rendered:
         """Draw ``request.cameras`` at ``request.pose`` (None: the rest pose).
 
-        Raises ContextError if the context is lost: the server then calls ``close`` and ``open`` again. Any other
-        error costs this picture only.
+        Raises ContextLostError if the context is lost: the server then calls ``close`` and ``open`` again. BudgetError
+        if the picture costs more than it may. Any other error costs this picture only.
         """
         ...
 
     def close(self) -> None:
         """Release everything; called once more after an ``open`` that failed."""
+        ...
+
+
+@runtime_checkable
+class Interruptible(Protocol):
+    """A backend that can leave a picture unfinished."""
+
+    abandoned: Callable[[], bool]
+    """Set by the server, asked now and then while a picture is drawn, on any thread: does nobody want it any more?
+
+    ``render`` may then raise BudgetError.
+    """
+
+    def kill(self) -> None:
+        """End what draws, hung or not: ``render`` and ``open`` then raise ContextLostError. From any thread."""
         ...
 
 

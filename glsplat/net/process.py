@@ -8,13 +8,9 @@ the rest of a picture is zero already. A driver that crashes or hangs takes its 
 from __future__ import annotations
 
 import atexit
-import mmap
 import multiprocessing
-import os
-import queue
-import shutil
 import signal
-import tempfile
+import time
 import traceback
 from collections.abc import Callable
 from contextlib import suppress
@@ -25,104 +21,134 @@ from multiprocessing.context import SpawnProcess
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from glsplat.errors import ContextError, GlsplatError
-from glsplat.net.backend import Backend, Rendered
+from glsplat.errors import ContextError, ContextLostError, GlsplatError
+from glsplat.net.backend import Backend, Interruptible, Rendered
 from glsplat.net.messages import RenderRequest
+from glsplat.net.slots import Slots, SlotWriter
 
 __all__ = ["ProcessBackend"]
 
-_SLOTS = 3  # pictures: one being drawn, two being encoded
 _OPEN = 60.0  # seconds to make a context and load a scene
-_HANG = 15.0  # seconds after which a picture will not come any more
+_HANG = 10.0  # seconds beyond what a picture may take after which it will not come any more
 _CLOSE = 5.0
-_SHM = "/dev/shm"
+_LOOK = 0.05  # seconds between two looks whether a picture is still wanted
 
 
 class ProcessBackend:
     """Runs what ``make()`` returns in a process of its own. ``max_side`` bounds the pictures (pixels, one or two eyes).
 
-    ``make`` is pickled: a class or a partial of one, with picklable arguments.
+    ``make`` is pickled: a class or a partial of one, with picklable arguments. ``seconds`` is what it lets a picture
+    take; one that takes far longer hangs, and its process is ended.
     """
 
-    def __init__(self, make: Callable[[], Backend], max_side: int) -> None:
-        self._make = make
+    def __init__(self, make: Callable[[], Backend], max_side: int, seconds: float = 5.0) -> None:
+        self.abandoned: Callable[[], bool] = lambda: False
+        self._make, self._seconds = make, seconds
         self._slot_bytes = 2 * max_side * max_side * 4
         self._process: SpawnProcess | None = None
+        self._number = 0  # of the picture
+        self._hangs = False
+
+    @property
+    def free_slots(self) -> int:
+        """Pictures that can be drawn before one has to be done with."""
+        return self._slots.free
 
     def open(self) -> str:
-        """Start the process. Raises what the backend's ``open`` raises; ContextError if it dies of it."""
+        """Start the process. Raises what the backend's ``open`` raises; ContextLostError if it dies of it."""
         spawn = multiprocessing.get_context("spawn")
-        total = self._slot_bytes * _SLOTS
-        roomy = os.path.isdir(_SHM) and shutil.disk_usage(_SHM).free > total  # containers often have 64 MB there
-        with tempfile.NamedTemporaryFile(prefix="glsplat-", dir=_SHM if roomy else None) as file:
-            file.truncate(total)
-            self._slots = np.frombuffer(mmap.mmap(file.fileno(), total), np.uint8).reshape(_SLOTS, -1)
-            self._free: queue.SimpleQueue[int] = queue.SimpleQueue()
-            for slot in range(_SLOTS):
-                self._free.put(slot)
+        self._hangs = False
+        self._slots = Slots(self._slot_bytes)
+        try:
             self._pipe, theirs = spawn.Pipe()
-            arguments = (self._make, theirs, file.name, total)
-            self._process = spawn.Process(target=_work, args=arguments, name="glsplat renderer", daemon=True)
-            self._process.start()
+            arguments = (self._make, theirs, self._slots.path, self._slots.nbytes)
+            process = spawn.Process(target=_work, args=arguments, name="glsplat renderer", daemon=True)
+            process.start()
+            self._process = process
             atexit.register(self.close)  # before multiprocessing waits for its children
             theirs.close()
-            try:
-                driver: str = self._answer(_OPEN)
-            except BaseException:
-                self.close()
-                raise
+            driver: str = self._answer(_OPEN)
+        except BaseException as error:
+            self.close()
+            self._slots.close()
+            if isinstance(error, OSError):
+                raise ContextError(f"the renderer's process cannot be started: {error.strerror}") from None
+            raise
+        finally:
+            self._slots.unlink()
         return driver
 
     def render(self, request: RenderRequest) -> Rendered:
-        """Draw; the pictures lie in shared memory until ``done`` of what is returned is called."""
-        slot = self._free.get()
+        """Draw; the pictures lie in shared memory until ``done`` of what is returned is called, once."""
+        slots, camera = self._slots, request.cameras[0]
+        shape = (len(request.cameras), camera.height, camera.width, 4)
+        nbytes = int(np.prod(shape))
+        if nbytes > self._slot_bytes:
+            raise GlsplatError(f"{camera.width}x{camera.height} pixels are more than the server was started for")
+        slot = slots.take(nbytes)
         try:
+            self._number += 1
             try:
-                self._pipe.send((slot, replace(request, tracking=None)))
+                self._pipe.send((self._number, slot, shape, replace(request, tracking=None)))
             except OSError:
-                raise ContextError("the renderer's process has ended") from None
-            rendered, shape = self._answer(_HANG)
+                raise ContextLostError("the renderer's process has ended") from None
+            rendered = self._answer(self._seconds + _HANG, self._number)
         except BaseException:
-            self._free.put(slot)
+            slots.give_back(slot)
             raise
-        images = self._slots[slot, : int(np.prod(shape))].reshape(shape)
-        return replace(rendered, images=images, done=partial(self._free.put, slot))
+        # the slots of this process: a later one has its own
+        return replace(rendered, images=slots.picture(slot, shape), done=partial(slots.give_back, slot))
+
+    def kill(self) -> None:
+        """End the process, hung or not; a ``render`` or ``open`` under way raises ContextLostError. From any thread."""
+        process = self._process
+        if process is not None:
+            with suppress(ValueError):  # closed meanwhile
+                process.kill()
 
     def close(self) -> None:
         """End the process, by force if it does not listen."""
         if self._process is None:
             return
         atexit.unregister(self.close)
-        with suppress(OSError):
-            self._pipe.send(None)
-        self._process.join(_CLOSE)
+        if self._hangs:
+            self._process.kill()
+        else:
+            with suppress(OSError):
+                self._pipe.send(None)
+            self._process.join(_CLOSE)
         if self._process.is_alive():
             self._process.kill()
-            self._process.join()
+        self._process.join()
         self._pipe.close()
         self._process.close()
         self._process = None
+        self._slots.close()
 
-    def _answer(self, seconds: float) -> Any:
+    def _answer(self, seconds: float, number: int | None = None) -> Any:
+        """What the process sends next; for a picture of that ``number`` it is told when nobody wants it any more."""
+        until = time.monotonic() + seconds
         try:
-            if not self._pipe.poll(seconds):
-                raise ContextError(f"the renderer did not answer within {seconds:g} s")
+            while not self._pipe.poll(max(0.0, min(_LOOK, until - time.monotonic()))):
+                if time.monotonic() >= until:
+                    self._hangs = True
+                    raise ContextLostError(f"the renderer did not answer within {seconds:g} s")
+                if number is not None and self.abandoned():
+                    self._slots.abandon(number)
             answer = self._pipe.recv()
         except (EOFError, OSError):
-            raise ContextError("the renderer's process has ended") from None
+            raise ContextLostError("the renderer's process has ended") from None
         if isinstance(answer, Exception):
             raise answer
         return answer
 
 
-def _work(make: Callable[[], Backend], pipe: Connection, path: str, size: int) -> None:
+def _work(make: Callable[[], Backend], pipe: Connection, path: str, nbytes: int) -> None:
     """The process: a driver string or an error, then an answer for each request until None comes or the pipe ends."""
-    for number in (signal.SIGINT, signal.SIGTERM):  # they may reach all processes; the server ends this one in order
-        signal.signal(number, signal.SIG_IGN)
-    with open(path, "r+b") as file:
-        slots = _Slots(np.frombuffer(mmap.mmap(file.fileno(), size), np.uint8))
+    for signal_number in (signal.SIGINT, signal.SIGTERM):  # they may reach all processes; the server ends this one
+        signal.signal(signal_number, signal.SIG_IGN)
+    slots = SlotWriter(path, nbytes)
     backend = make()
     try:
         pipe.send(backend.open())
@@ -131,34 +157,15 @@ def _work(make: Callable[[], Backend], pipe: Connection, path: str, size: int) -
         return
     with suppress(EOFError, OSError):
         while (task := pipe.recv()) is not None:
-            slot, request = task
+            number, slot, shape, request = task
+            if isinstance(backend, Interruptible):
+                backend.abandoned = partial(slots.abandoned, number)
             try:
                 rendered = backend.render(request)
-                slots.put(slot, rendered)
-                pipe.send((replace(rendered, images=np.empty(0, np.uint8)), rendered.images.shape))
+                slots.put(slot, rendered, shape)
+                pipe.send(replace(rendered, images=np.empty(0, np.uint8)))
             except GlsplatError as error:
                 pipe.send(error)
             except Exception:
                 pipe.send(RuntimeError(traceback.format_exc()))  # for the server's log
     backend.close()
-
-
-class _Slots:
-    """Pictures in shared memory, of which only what is covered is written."""
-
-    def __init__(self, memory: NDArray[np.uint8]) -> None:
-        self._slots = memory.reshape(_SLOTS, -1)
-        self._dirty: dict[int, NDArray[np.uint8]] = {}  # by slot: what its last picture covered
-
-    def put(self, slot: int, rendered: Rendered) -> None:
-        """Zero what the slot's last picture covered, copy what this one covers."""
-        images = rendered.images
-        _, height, width, _ = images.shape
-        if images.nbytes > self._slots.shape[1]:
-            raise GlsplatError(f"{width}x{height} pixels are more than the server was started for")
-        if slot in self._dirty:
-            self._dirty[slot].fill(0)
-        x, y, w, h = rendered.covered or (0, 0, width, height)
-        covered = self._slots[slot, : images.nbytes].reshape(images.shape)[:, y : y + h, x : x + w]
-        covered[...] = images[:, y : y + h, x : x + w]
-        self._dirty[slot] = covered

@@ -1,4 +1,4 @@
-"""The frame pump: takes requests of all clients in turn, draws them on one thread, encodes while the next is drawn.
+"""The frame pump: takes the clients' requests in fair turns, draws on one thread, encodes while the next is drawn.
 
 The event loop only passes things on. One thread owns the renderer (an OpenGL context belongs to a thread); a few more
 encode. Each client gets its pictures in order, at most its window of them under way.
@@ -9,20 +9,22 @@ from __future__ import annotations
 import asyncio
 import logging
 import time
-from collections import deque
 from collections.abc import Awaitable, Callable
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from glsplat.errors import ContextError, GlsplatError, PoseError
-from glsplat.net.backend import Backend, PoseSolver, Rendered
+from glsplat.errors import BudgetError, ContextError, ContextLostError, GlsplatError, PoseError
+from glsplat.net.backend import Backend, Interruptible, PoseSolver, Rendered
+from glsplat.net.blame import Blame
 from glsplat.net.encode import Encoded, Encoder
 from glsplat.net.messages import RenderRequest, eye_fields
 from glsplat.net.reply import pack_reply, pack_single
 from glsplat.net.session import Session
 from glsplat.net.solving import Solution, Solving
 from glsplat.net.stages import StageTimes
+from glsplat.net.turns import Turns
 
 __all__ = ["Channel", "FramePump"]
 
@@ -30,7 +32,8 @@ log: logging.Logger = logging.getLogger("glsplat.net")
 
 _SICK = 3  # pictures in a row that failed before /healthz says so
 _STUCK = 10.0  # seconds a picture may take before /healthz says so
-_REBUILDS = 3  # lost contexts in a row, without a picture between them, before the pump gives up
+_PAUSES = (0.0, 0.5, 1.0)  # seconds before each attempt to make a new context; then the pump gives up
+_GRACE = 0.5  # seconds the picture in hand gets when the server stops
 
 
 @dataclass(eq=False, slots=True)
@@ -43,6 +46,7 @@ class Frame:
     encoded: Awaitable[Encoded] | None = None  # None: it could not be drawn
     error: tuple[str, str] = ("", "")  # code and message in that case
     notes: tuple[str, ...] | None = None  # of the tracking solver
+    ends: str = ""  # why the connection ends after this answer and its address is held off, if it does
 
 
 @dataclass(eq=False, slots=True)
@@ -52,6 +56,7 @@ class Channel:
     number: int
     session: Session
     solving: Solving | None = None  # None: this server solves no tracking
+    address: str = ""  # what has a fair share of the renderer's time
     frames: asyncio.Queue[Frame] = field(default_factory=asyncio.Queue)  # bounded by the session's window
 
 
@@ -63,22 +68,31 @@ class FramePump:
         self.stages: StageTimes = StageTimes()
         self.failures: int = 0  # in a row
         self.rebuilds: int = 0  # contexts lost and made anew
-        self._lost = 0  # of them in a row
         self._backend = backend
         self._clock = clock
+        self._drawing: Channel | None = None
         self._drawing_since: float | None = None
-        self._turn: deque[Channel] = deque()
+        self._stopping = False
+        self._turns: Turns[Channel] = Turns()
+        self._blame = Blame()
         self._wake = asyncio.Event()
         self._render_thread = ThreadPoolExecutor(1, thread_name_prefix="render")
         self._solve_thread = ThreadPoolExecutor(1, thread_name_prefix="solve")
         self._encode_threads = ThreadPoolExecutor(2, thread_name_prefix="frame")
         self._encoder = Encoder()
         self._task: asyncio.Task[None] | None = None
+        if isinstance(backend, Interruptible):
+            backend.abandoned = self._abandoned
+
+    @property
+    def drawing_for(self) -> float:
+        """Seconds the picture in hand has taken so far; 0: none is."""
+        return 0.0 if self._drawing_since is None else self._clock() - self._drawing_since
 
     @property
     def healthy(self) -> bool:
         """False once several pictures in a row failed, one takes far too long, or the pump has ended."""
-        stuck = self._drawing_since is not None and self._clock() - self._drawing_since > _STUCK
+        stuck = self.drawing_for > _STUCK
         return self.failures < _SICK and not stuck and self._task is not None and not self._task.done()
 
     async def start(self) -> None:
@@ -99,32 +113,36 @@ class FramePump:
             self._task.result()
 
     async def stop(self) -> None:
-        """Finish the picture in hand, close the backend, end the threads."""
+        """Close the backend, end the threads; the picture in hand gets half a second."""
         if self._task is None:
             return
+        self._stopping = True
         self._task.cancel()
         await asyncio.gather(self._task, return_exceptions=True)
         self._task = None
+        closing = asyncio.get_running_loop().run_in_executor(self._render_thread, self._backend.close)
         try:
-            await asyncio.get_running_loop().run_in_executor(self._render_thread, self._backend.close)
+            done, _ = await asyncio.wait([closing], timeout=_GRACE)
+            if not done and isinstance(self._backend, Interruptible):
+                self._backend.kill()
+            await closing
         except Exception:  # the driver is gone, or its objects are: the process ends anyway
             log.exception("the renderer could not be closed")
         finally:
             self._end_threads()
 
-    def open(self, number: int, session: Session, solver: PoseSolver | None = None) -> Channel:
+    def open(self, number: int, session: Session, solver: PoseSolver | None = None, address: str = "") -> Channel:
         """A client, with what solves its tracking; it takes part once it is added."""
         solving = None if solver is None else Solving(solver, self._solve_thread, self._clock)
-        return Channel(number, session, solving)
+        return Channel(number, session, solving, address)
 
     def add(self, channel: Channel) -> None:
         """Let a client take part."""
-        self._turn.append(channel)
+        self._turns.add(channel.address, channel)
 
     def remove(self, channel: Channel) -> None:
-        """Forget a client; a picture of it that is being drawn is thrown away."""
-        if channel in self._turn:
-            self._turn.remove(channel)
+        """Forget a client; a picture of it that is being drawn is given up, or thrown away."""
+        self._turns.remove(channel.address, channel)
         if channel.solving is not None:
             channel.solving.clear()
 
@@ -172,23 +190,26 @@ class FramePump:
 
     async def _run(self) -> None:
         while True:
-            channel = self._next()
+            start = self._clock()
+            channel = self._turns.next(lambda channel: channel.session.ready(), start)
             if channel is None:
                 self._wake.clear()
-                await self._wake.wait()
+                with suppress(TimeoutError):
+                    async with asyncio.timeout(self._turns.rest(start) or None):
+                        await self._wake.wait()
                 continue
-            self._drawing_since = self._clock()
-            await self._draw_one(channel)
-            self._drawing_since = None
+            self._drawing, self._drawing_since = channel, start
+            try:
+                await self._draw_one(channel)
+            finally:
+                self._drawing = self._drawing_since = None
+            now = self._clock()
+            self._turns.charge(channel.address, channel, now - start, now)
 
-    def _next(self) -> Channel | None:
-        """The next client, in turn, whose request can be drawn."""
-        for _ in range(len(self._turn)):
-            channel = self._turn[0]
-            self._turn.rotate(-1)
-            if channel.session.ready():
-                return channel
-        return None
+    def _abandoned(self) -> bool:
+        """Nobody waits for the picture in hand any more. On any thread."""
+        drawing = self._drawing
+        return self._stopping or (drawing is not None and (drawing.address, drawing) not in self._turns)
 
     async def _draw_one(self, channel: Channel) -> None:
         loop = asyncio.get_running_loop()
@@ -200,12 +221,15 @@ class FramePump:
         solution = channel.solving.take(request.frame_id) if channel.solving is not None else None
         try:
             encoded = await loop.run_in_executor(self._render_thread, self._draw, frame, solution)
-            self.failures = self._lost = 0
+            self.failures = 0
             frame.encoded = asyncio.wrap_future(encoded)
         except PoseError as error:
             frame.error = ("bad_pose", str(error))
+        except BudgetError as error:
+            frame.error = (error.code, str(error))
+            frame.ends = self._over_budget(channel, request, error)
         except Exception as error:
-            lost = isinstance(error, ContextError)
+            lost = isinstance(error, ContextLostError)
             self.failures += 1
             log.error(
                 "frame %s of client %d could not be drawn: %s",
@@ -213,19 +237,39 @@ class FramePump:
                 exc_info=not isinstance(error, GlsplatError),
             )
             frame.error = ("render", "the picture could not be drawn")  # no details: they may name files
-        if channel in self._turn:
+            if lost and self._blame.again(channel.address, self._clock()):
+                frame.ends = "pictures that the renderer does not survive"
+        if (channel.address, channel) in self._turns:
             channel.frames.put_nowait(frame)
         if lost:
             await self._rebuild()
 
+    def _over_budget(self, channel: Channel, request: RenderRequest, error: BudgetError) -> str:
+        """Why that ends the connection, or nothing. Only what a client asked for is at fault, so nothing is rebuilt."""
+        if error.code == "too_slow":
+            log.warning("frame %s of client %d took too long; it is abandoned", request.frame_id, channel.number)
+            return "pictures that take too long" if self._blame.again(channel.address, self._clock()) else ""
+        if error.code == "too_costly":
+            return "too many pictures that cost too much" if channel.session.overspent(self._clock()) else ""
+        return ""
+
     async def _rebuild(self) -> None:
-        """A new context and everything in it; clients keep their connection. Raises ContextError if that is no use."""
-        self._lost += 1
-        if self._lost > _REBUILDS:
-            raise ContextError(f"the OpenGL context was lost {self._lost} times in a row; restart the driver")
+        """A new context and everything in it; clients keep their connection.
+
+        Raises ContextError if none can be made that draws a plain picture: no client's requests bring that about.
+        """
         log.warning("the OpenGL context is lost; making a new one")
-        self.driver = await asyncio.get_running_loop().run_in_executor(self._render_thread, self._reopen)
+        for pause in _PAUSES:
+            await asyncio.sleep(pause)
+            try:
+                self.driver = await asyncio.get_running_loop().run_in_executor(self._render_thread, self._reopen)
+                break
+            except ContextError as error:
+                log.warning("there is no new one: %s", error)
+                if pause == _PAUSES[-1]:
+                    raise
         self.rebuilds += 1
+        self.failures = 0  # it has drawn a picture
 
     def _reopen(self) -> str:
         """On the render thread."""
@@ -247,23 +291,30 @@ class FramePump:
         start = self._clock()
         frame.times["wait"] = (start - frame.arrived) * 1e3 - frame.times.get("ik", 0.0)  # solving is no waiting
         rendered = self._backend.render(request)
-        frame.times["render"] = (self._clock() - start) * 1e3
-        if len(rendered.images) != len(frame.request.eyes):
-            raise RuntimeError(f"{len(frame.request.eyes)} pictures were asked for, {len(rendered.images)} drawn")
-        frame.times |= {name: ms for name, ms in rendered.timings.items() if name not in ("render", "total")}
-        # from here: the event loop need not hear of it first
-        return self._encode_threads.submit(self._encode, rendered, frame.request)
+        done = rendered.done or _nothing
+        try:
+            frame.times["render"] = (self._clock() - start) * 1e3
+            if len(rendered.images) != len(frame.request.eyes):
+                raise RuntimeError(f"{len(frame.request.eyes)} pictures were asked for, {len(rendered.images)} drawn")
+            frame.times |= {name: ms for name, ms in rendered.timings.items() if name not in ("render", "total")}
+            # from here: the event loop need not hear of it first
+            encoded = self._encode_threads.submit(self._encode, rendered, frame.request)
+        except BaseException:
+            done()
+            raise
+        # of the future, not of the encoding: one that is cancelled while it waits never begins
+        encoded.add_done_callback(lambda _: done())
+        return encoded
 
     def _encode(self, rendered: Rendered, request: RenderRequest) -> Encoded:
         """On an encoding thread."""
-        try:
-            return self._encoder.encode(rendered.images, request.quality, request.crop, rendered.covered)
-        finally:
-            if rendered.done is not None:
-                rendered.done()
+        return self._encoder.encode(rendered.images, request.quality, request.crop, rendered.covered)
 
     def _end_threads(self) -> None:
         self._render_thread.shutdown(wait=False)
         self._solve_thread.shutdown(wait=False, cancel_futures=True)
         self._encode_threads.shutdown(wait=False)
         self._encoder.close()
+
+
+def _nothing() -> None: ...

@@ -25,7 +25,7 @@ from glsplat.net.access import SUBPROTOCOL, Access, server_tls
 from glsplat.net.backend import Backend, PoseSolver
 from glsplat.net.messages import MAX_BYTES, Decoder, WireOptions
 from glsplat.net.pump import Channel, FramePump
-from glsplat.net.session import GOING_AWAY, Close, Counts, Session, SessionConfig, Warn
+from glsplat.net.session import GOING_AWAY, POLICY_VIOLATION, Close, Counts, Session, SessionConfig, Warn
 from glsplat.net.status import metrics_text, page_html
 from glsplat.skinning.skeleton import Skeleton
 
@@ -35,6 +35,9 @@ log: logging.Logger = logging.getLogger("glsplat.net")
 clock: Callable[[], float] = time.perf_counter  # the pump's clock too
 
 _MAX_WINDOW = 8
+_HOLD_OFF = 30.0  # seconds in which an address cannot connect after one of its clients was dropped
+_HELD = 4096  # addresses that are held off at most
+_HOPELESS = 2.0  # seconds after which a picture is not waited for when the server stops
 _FAREWELL = 0.5  # seconds a client that broke the rules gets to answer the close, while what it sends is thrown away
 _HEADERS = {
     "Content-Security-Policy": "default-src 'none'; style-src 'unsafe-inline'",
@@ -81,6 +84,7 @@ class Server:
         self._skeleton = skeleton
         self._channels: dict[int, Channel] = {}
         self._sockets: dict[int, web.WebSocketResponse] = {}
+        self._held: dict[str, float] = {}  # by address: until when
         self._totals = Counts()
         self._numbers = 0
         self._refused = 0
@@ -130,7 +134,8 @@ class Server:
         self._draining = True
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(self.config.drain_timeout):
-                while any(channel.session.status()["under_way"] for channel in self._channels.values()):
+                channels = self._channels.values()
+                while self.pump.drawing_for < _HOPELESS and any(c.session.status()["under_way"] for c in channels):
                     await asyncio.sleep(0.01)
         sockets = [ws.close(code=GOING_AWAY, message=b"the server stops") for ws in self._sockets.values()]
         await asyncio.gather(*sockets, return_exceptions=True)
@@ -238,6 +243,11 @@ class Server:
             self._refused += 1
             text = f"the server is full ({self.config.max_clients} clients); try again later\n"
             return web.Response(status=503, text=text, headers={"Retry-After": "5"})
+        held = self._held.get(request.remote or "", 0.0) - clock()
+        if held > 0:
+            self._refused += 1
+            text = f"a client of this address was dropped; try again in {held:.0f} s\n"
+            return web.Response(status=429, text=text, headers={"Retry-After": str(int(held) + 1)})
         try:
             channel = self._open_channel(request)
         except ProtocolError as error:
@@ -285,7 +295,7 @@ class Server:
         solver = None if self._make_solver is None else self._make_solver(metres)
         self._numbers += 1
         session = Session(Decoder(wire, self._skeleton), limits, clock())
-        channel = self.pump.open(self._numbers, session, solver)
+        channel = self.pump.open(self._numbers, session, solver, request.remote or "")
         self._channels[channel.number] = channel
         return channel
 
@@ -348,6 +358,19 @@ class Server:
             if not isinstance(packed, str):
                 session.sent(frame.request, sum(map(len, packed)))
             self.pump.wake()
+            if frame.ends:
+                log.warning("client %d is dropped: %s", channel.number, frame.ends)
+                self._hold_off(channel.address)
+                with contextlib.suppress(TimeoutError):
+                    async with asyncio.timeout(_FAREWELL):
+                        await ws.close(code=POLICY_VIOLATION, message=frame.ends.encode())
+                return _cut_off(request)
+
+    def _hold_off(self, address: str) -> None:
+        """Take no new connections of that address for a while."""
+        now = clock()
+        held = [(name, until) for name, until in self._held.items() if until > now]
+        self._held = dict(held[-_HELD:]) | {address: now + _HOLD_OFF}
 
     async def _send(self, ws: web.WebSocketResponse, data: str | bytes) -> None:
         if ws.closed:

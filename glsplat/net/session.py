@@ -132,6 +132,10 @@ class Session:
             return Warn(text)
         return Close(text, POLICY_VIOLATION, "too many malformed messages")
 
+    def overspent(self, now: float) -> bool:
+        """Count a picture that was refused for what it costs, like a malformed message; True: end the connection."""
+        return not self._errors.take(now)
+
     def ready(self) -> bool:
         """True while a request waits and the window has room for its picture."""
         return bool(self._pending) and len(self._under_way.union(self._unacked)) < self.config.window

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import moderngl
 
+from glsplat.passes.budget import Budget
 from glsplat.passes.geometry import bind_frame
 from glsplat.passes.project import record_layout
 from glsplat.passes.target import Target
@@ -22,14 +25,14 @@ class DrawPass:
         program = programs.draw("splat", "splat", variant)
         bind_frame(program)
         self._array = ctx.vertex_array(program, [])
-        stride, offset = variant.record_floats * 4, 0
+        self._records, self._stride, offset = records, variant.record_floats * 4, 0
+        self._attributes: list[tuple[int, int, int]] = []  # location, floats, offset in bytes
         for _, name, floats in record_layout(variant):
             attribute = program[name]
             assert isinstance(attribute, moderngl.Attribute)
-            self._array.bind(
-                attribute.location, "f", records, f"{floats}f", offset=offset, stride=stride, divisor=self._views
-            )
+            self._attributes.append((attribute.location, floats, offset))
             offset += floats * 4
+        self._begin_at(0)
 
     def run(self, target: Target, count: int, indirect: moderngl.Buffer | None = None) -> None:
         """Blend ``count`` records, first to last; ``indirect`` holds the number where only the GPU knows it."""
@@ -44,6 +47,31 @@ class DrawPass:
         else:
             self._array.render_indirect(indirect, mode, count=1)
         self._ctx.enable_only(moderngl.NOTHING)
+
+    def run_slices(self, target: Target, ends: Sequence[int], budget: Budget) -> None:
+        """The same picture in several draws, each up to one of the record numbers ``ends``, growing.
+
+        Waits for each and asks the budget whether to go on. Raises what it raises; the target is then half drawn.
+        """
+        begin = 0
+        try:
+            for end in ends:
+                if begin:
+                    self._ctx.finish()
+                    budget.check()
+                self._begin_at(begin)
+                self.run(target, end - begin)
+                begin = end
+        finally:
+            self._begin_at(0)
+
+    def _begin_at(self, record: int) -> None:
+        """Let instance 0 be that record; a base instance would need OpenGL 4.2."""
+        for location, floats, offset in self._attributes:
+            start = record * self._stride + offset
+            self._array.bind(
+                location, "f", self._records, f"{floats}f", offset=start, stride=self._stride, divisor=self._views
+            )
 
     def release(self) -> None:
         """Delete the vertex array."""

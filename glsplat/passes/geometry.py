@@ -52,7 +52,7 @@ class SkinPass:
 
 
 class KeyPass:
-    """A sortable depth a splat, or the reason why no view draws it, and the tiles it touches."""
+    """A sortable depth a splat, or the reason why no view draws it, the tiles it touches, and what it costs."""
 
     def __init__(
         self,
@@ -62,18 +62,19 @@ class KeyPass:
         content: Content,
         count: int,
         cover: moderngl.Buffer,  # [N] uint32, borrowed: the order's buffer, which is free until the sort
+        cost: moderngl.Buffer,  # [N] uint32, borrowed: the records', free until they are made
     ) -> None:
-        program = programs.feedback("key", variant, ("key", "cover"), separate=True)
+        program = programs.feedback("key", variant, ("key", "cover", "cost"), separate=True)
         bind_frame(program)
         self._count = count
         self.keys: moderngl.Buffer = ctx.buffer(reserve=max(16, count * 4))
-        self._cover = cover
+        self._cover, self._cost = cover, cost
         self._array = ctx.vertex_array(program, content)
-        self._host = np.empty((2, count), np.uint32)
+        self._host = np.empty((3, count), np.uint32)
 
     def run(self) -> None:
-        """Write keys and tiles."""
-        self._array.transform([self.keys, self._cover], moderngl.POINTS, vertices=self._count)
+        """Write keys, tiles and costs."""
+        self._array.transform([self.keys, self._cover, self._cost], moderngl.POINTS, vertices=self._count)
 
     def read(self) -> tuple[NDArray[np.uint32], NDArray[np.uint32]]:
         """[N] the keys and [N] the packed tiles on the host; the arrays are reused by the next call."""
@@ -81,6 +82,12 @@ class KeyPass:
             self.keys.read_into(self._host[0], size=self._count * 4)
             self._cover.read_into(self._host[1], size=self._count * 4)
         return self._host[0], self._host[1]
+
+    def costs(self) -> NDArray[np.uint32]:
+        """[N] blocks of 4x4 pixels a splat covers, 0 where none is drawn; to be read before the records are made."""
+        if self._count:
+            self._cost.read_into(self._host[2], size=self._count * 4)
+        return self._host[2]
 
     def release(self) -> None:
         """Delete the key buffer and the vertex array."""

@@ -24,7 +24,7 @@ class GpuSorter:
         programs: Programs,
         keys: moderngl.Buffer,  # [N] uint32, overwritten
         order: moderngl.Buffer,  # [N] uint32
-        scratch: moderngl.Buffer,  # >= 8 N bytes, free until the records are written
+        scratch: moderngl.Buffer,  # >= 8 N bytes, free until the records are written; holds the costs [N] uint32
         count: int,
         views: int,
         bits: int = 32,  # 16 looks at the upper half of a key only
@@ -34,14 +34,13 @@ class GpuSorter:
             limit = ctx.info["GL_MAX_SHADER_STORAGE_BLOCK_SIZE"]
             raise ContextError(f"{count} splats exceed this driver's {limit} byte buffers; use sorter='cpu'")
         self._ctx, self._count, self._views = ctx, count, views
-        self._start = np.array([corners] + [0] * 11, np.uint32)
+        self._start = np.array([corners] + [0] * 15, np.uint32)
         self._shifts = range(32 - bits, 32, DIGIT)
         self._buffers = (keys, order, scratch)
         self._groups = max(1, -(-count // BLOCK))
         self._histogram = ctx.buffer(reserve=16 * self._groups * 4)
-        self.indirect: moderngl.Buffer = ctx.buffer(
-            reserve=48
-        )  # indirect draw (4 uints), then counts by cull code (8 uints)
+        # indirect draw (4 uints), counts by cull code (8), cost (2), 2 to spare
+        self.indirect: moderngl.Buffer = ctx.buffer(reserve=64)
         self._stages = {name: programs.compute(f"radix_{name}") for name in ("init", "count", "scan", "scatter")}
 
     @staticmethod
@@ -64,12 +63,13 @@ class GpuSorter:
             self._dispatch("scan", 1, **settings)
             self._dispatch("scatter", self._groups, **settings)
 
-    def counts(self) -> tuple[int, dict[str, int]]:
-        """Splats drawn, and splats culled by reason; waits for the GPU."""
+    def counts(self) -> tuple[int, dict[str, int], int]:
+        """Splats drawn, splats culled by reason, and the cost in blocks of 4x4 pixels; waits for the GPU."""
         if not self._count:
-            return 0, dict.fromkeys(CULL_REASONS.values(), 0)
+            return 0, dict.fromkeys(CULL_REASONS.values(), 0), 0
         data = np.frombuffer(self.indirect.read(), np.uint32)
-        return int(data[1]) // self._views, {name: int(data[4 + code]) for code, name in CULL_REASONS.items()}
+        culled = {name: int(data[4 + code]) for code, name in CULL_REASONS.items()}
+        return int(data[1]) // self._views, culled, int(data[12]) + (int(data[13]) << 32)
 
     def _dispatch(self, name: str, groups: int, **settings: int | bool) -> None:
         program = self._stages[name]

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from glsplat.camera import Camera
 from glsplat.config import RenderConfig
 from glsplat.context import Context
+from glsplat.passes.budget import BLOCK_PIXELS, Budget
 from glsplat.passes.draw import DrawPass
 from glsplat.passes.frame import FrameBlock
 from glsplat.passes.geometry import KeyPass, SkinPass
@@ -53,6 +54,8 @@ class Pipeline:
         self._order_age = config.sort_period  # moved frames since the sort; at first more than may pass
         self.culled: dict[str, int] = {}
         self.covered: Box = (0, 0, 0, 0)
+        self.cost: int | None = None  # covered pixels of the current records; known only under a budget
+        self._costs: NDArray[np.uint32] | None = None  # of the records, in their order, in blocks
         with ExitStack() as stack:  # releases what was made if a later pass cannot be
 
             def own(item: P) -> P:
@@ -63,9 +66,8 @@ class Pipeline:
             self._skin = own(SkinPass(ctx, programs, variant, scene)) if variant.influences else None
             content = self._skin.content() if self._skin else scene.rigid_content()
             self._project = own(ProjectPass(ctx, programs, variant, content + scene.sh_content(variant), count))
-            self._key = own(
-                KeyPass(ctx, programs, variant, content + scene.cone_content(), count, cover=self._project.order)
-            )
+            spare = (self._project.order, self._project.records)  # until the sort, and until the project pass
+            self._key = own(KeyPass(ctx, programs, variant, content + scene.cone_content(), count, *spare))
             self._sorter: GpuSorter | None = None
             automatic = config.sorter == "auto" and context.compute and not context.software
             if config.sorter == "gpu" or (automatic and GpuSorter.fits(ctx, self._project.records)):
@@ -102,8 +104,12 @@ class Pipeline:
         version: int,
         timer: StageTimer,
         alone: bool = True,  # no other pass of this frame has left its order here
+        budget: Budget | None = None,
     ) -> bool:
-        """Steps 1 to 3, up to the records in drawing order. True if the splats were sorted again."""
+        """Steps 1 to 3, up to the records in drawing order. True if the splats were sorted again.
+
+        Raises BudgetError if drawing them would cost too much; with the CPU sorter before they are sorted.
+        """
         self._frame.write(views, sort_viewmat, self._scene.origin, self._config, self._scene.shift)
         self._scratch.use()  # without a complete framebuffer transform feedback silently writes nothing
         timer.mark("frame")
@@ -116,12 +122,17 @@ class Pipeline:
         # an unmoved scene seen by unmoved cameras keeps its order and its records
         state = (version, sort_viewmat.tobytes(), tuple(map(_view_state, views)))
         moved = state != self._seen
-        if not moved and self._order_age == 0:
+        if not moved and self._order_age == 0 and (budget is None or self.cost is not None):
+            if budget is not None:
+                budget.spend(self.cost or 0)
             return False
         resort = not (moved and alone) or self._order_age + 1 >= self._config.sort_period
+        if self._sorter and budget is not None:
+            resort = True  # it is the sorter that adds up the costs
         age = 0 if resort else self._order_age + 1
         # noted again when the records are there: a frame that is broken off in between leaves nothing to go by
         self._seen, self._order_age = None, self._config.sort_period
+        self.cost = self._costs = None
         if self._sorter:
             if resort:
                 self._key.run()
@@ -134,6 +145,11 @@ class Pipeline:
             self._key.run()  # with an old order too: it knows which box is covered
             timer.mark("key")
             keys, tiles = self._key.read()
+            if budget is not None:
+                costs = self._key.costs()
+                self.cost = BLOCK_PIXELS * int(costs.sum(dtype=np.uint64))
+                budget.spend(self.cost)
+                self._costs = costs if self.cost > budget.slice_cost else None
             self.culled = count_culled(keys)
             self.covered = covered_box(tiles[keys < FIRST_CULLED], views[0].width, views[0].height)
             if resort:
@@ -141,17 +157,34 @@ class Pipeline:
             else:  # an old order without what is culled by now: the covered box does not hold that
                 order = self._order[keys[self._order] < FIRST_CULLED]
             self._project.write_order(order)
+            self._costs = self._costs[order] if self._costs is not None else None
         timer.mark("sort")
         self._project.run()
         timer.mark("project")
         self._order_age = age
         self._seen = state
+        if self._sorter and budget is not None:
+            self._count()
+            budget.spend(self.cost or 0)
         return resort
 
-    def draw(self, target: Target, views: Sequence[Camera], timer: StageTimer, boxed: bool) -> None:
-        """Step 4: backgrounds (``boxed``: where splats fall, nothing else will be read), then every record."""
+    def draw(
+        self,
+        target: Target,
+        views: Sequence[Camera],
+        timer: StageTimer,
+        boxed: bool,
+        budget: Budget | None = None,
+    ) -> None:
+        """Step 4: backgrounds (``boxed``: where splats fall, nothing else will be read), then every record.
+
+        Raises BudgetError when the budget says so while slices are drawn.
+        """
         self._clear.run(target, views, self.covered if boxed else (0, 0, views[0].width, views[0].height))
-        self._draw.run(target, self._project.count, self._sorter.indirect if self._sorter else None)
+        if budget is not None and (self.cost or 0) > budget.slice_cost:
+            self._draw.run_slices(target, self._slices(budget.slice_cost), budget)
+        else:
+            self._draw.run(target, self._project.count, self._sorter.indirect if self._sorter else None)
         timer.mark("draw")
 
     def read(
@@ -173,9 +206,25 @@ class Pipeline:
             timer.mark("resolve")
             byte_target.read(out, self.covered)
         if self._sorter and not self._counted:
-            self._project.count, self.culled = self._sorter.counts()  # after the read, so that nothing waits twice
-            self._counted = True
+            self._count()  # after the read, so that nothing waits twice
         timer.mark("read")
+
+    def _count(self) -> None:
+        """What the GPU sorter counted, to the host."""
+        assert self._sorter is not None
+        self._project.count, self.culled, blocks = self._sorter.counts()
+        self.cost = BLOCK_PIXELS * blocks
+        self._counted = True
+
+    def _slices(self, cost: float) -> list[int]:
+        """Where to cut the records into slices of about that cost: the number of the record after each."""
+        count = self._project.count
+        wanted = max(1, min(count, int(-(-(self.cost or 0) // cost))))
+        if self._costs is None:  # only the GPU knows what each costs
+            return [count * i // wanted for i in range(1, wanted + 1)]
+        sums = np.cumsum(self._costs, dtype=np.uint64)
+        cuts = np.searchsorted(sums, int(sums[-1]) * np.arange(1, wanted) // wanted) + 1
+        return sorted({*map(int, cuts), count})
 
     def release(self) -> None:
         """Delete the work buffers and vertex arrays."""

@@ -10,6 +10,7 @@
 
 flat out uint key;
 flat out uint cover;  // tiles of 1/256 of the image that the splat touches in any view: x0, y0, x1, y1, a byte each
+flat out uint cost;   // blocks of 4x4 pixels that its box covers, summed over the views (passes/budget.py)
 
 void main() {
     mat3 shape = input_shape();
@@ -17,11 +18,12 @@ void main() {
 #if CULL_HIDDEN
     if (hidden(mean_opacity.xyz, shape)) {
         key = 0xFFFFFF00u + HIDDEN;
-        cover = 0u;
+        cover = cost = 0u;
         return;
     }
 #endif
     uint reason = OUTSIDE;
+    cost = 0u;
     vec2 low = vec2(255.0), high = vec2(0.0);
     for (int v = 0; v < VIEWS; ++v) {
         Footprint foot;
@@ -31,6 +33,9 @@ void main() {
             vec2 reach = extent_of(foot.alpha) * vec2(foot.cholesky.x, length(foot.cholesky.yz)) + 0.5;
             low = min(low, floor((foot.centre - reach) * frame.size.zw * 128.0));
             high = max(high, floor((foot.centre + reach) * frame.size.zw * 128.0));
+            vec2 first = floor(max(foot.centre - reach, 0.0) * 0.25);
+            uvec2 blocks = uvec2(ceil(min(foot.centre + reach, frame.size.xy) * 0.25) - first);
+            cost += blocks.x * blocks.y;
         }
     }
     uvec4 tiles = uvec4(clamp(vec4(low, high), 0.0, 255.0));

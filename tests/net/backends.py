@@ -8,7 +8,7 @@ import time
 
 import numpy as np
 
-from glsplat.errors import ContextError, GlsplatError, PoseError
+from glsplat.errors import BudgetError, ContextLostError, GlsplatError, PoseError
 from glsplat.net.backend import Rendered
 
 
@@ -17,6 +17,7 @@ class Boxed:
 
     def __init__(self, fails_to_open: Exception | None = None) -> None:
         self._fails = fails_to_open
+        self.abandoned = lambda: False
 
     def open(self) -> str:
         if isinstance(self._fails, GlsplatError):
@@ -29,9 +30,10 @@ class Boxed:
         acts = {
             90: lambda: os.kill(os.getpid(), signal.SIGSEGV),
             70: lambda: time.sleep(60),
+            71: self._until_abandoned,
             92: lambda: 1 / 0,
         }
-        errors = {93: PoseError("no such joint"), 94: ContextError("lost"), 95: GlsplatError("out of memory")}
+        errors = {93: PoseError("no such joint"), 94: ContextLostError("lost"), 95: GlsplatError("out of memory")}
         acts.get(request.frame_id, lambda: None)()
         if request.frame_id in errors:
             raise errors[request.frame_id]
@@ -41,5 +43,13 @@ class Boxed:
         box = (x, y, 8, 4)
         out[:, y : y + 4, x : x + 8] = int(camera.K[0, 0])
         return Rendered(out, {"draw": 1.5}, "boxed", None if request.frame_id == 50 else box)
+
+    def _until_abandoned(self) -> None:
+        for _ in range(300):
+            if self.abandoned():
+                raise BudgetError("abandoned", "abandoned")
+            time.sleep(0.02)
+
+    def kill(self) -> None: ...
 
     def close(self) -> None: ...

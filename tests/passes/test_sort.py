@@ -45,18 +45,20 @@ def test_gpu_sorter_gives_the_same_order(context: Context, rng: np.random.Genera
         pytest.skip("no OpenGL 4.3")
     keys = keys_of(np.round(rng.normal(3, 2, count), 2))  # thousands of equal depths
     keys[rng.random(count) < 0.2] = FIRST_CULLED + 4
+    costs = rng.integers(0, 2**23, count, np.uint32)  # their sum does not fit into 32 bits
     with context.ctx:
         programs = Programs(context.ctx)
         buffers = [
             context.ctx.buffer(keys),
             context.ctx.buffer(reserve=count * 4),
-            context.ctx.buffer(reserve=count * 8),
+            context.ctx.buffer(np.concatenate([costs, np.zeros(count, np.uint32)])),
         ]
         sorter = GpuSorter(context.ctx, programs, *buffers, count, 2, bits)
         sorter.run()
-        drawn, culled = sorter.counts()
+        drawn, culled, cost = sorter.counts()
         order = np.frombuffer(buffers[1].read(), np.uint32)[:drawn]
         expected = sorted_indices(keys, bits)
+        assert cost == costs.sum(dtype=np.uint64)
         assert np.array_equal(order, expected) and culled == count_culled(keys)
         for item in (sorter, programs, *buffers):
             item.release()
