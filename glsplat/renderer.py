@@ -175,11 +175,11 @@ class Renderer:
         cameras = self._views(cameras)
         with self._entered("render"):
             self._begin(pose)
-            out = np.empty((len(cameras), self.size[1], self.size[0], 4), self._output_type())
+            boxed = self.config.output == "uint8"
+            out = np.empty((len(cameras), self.size[1], self.size[0], 4), np.uint8 if boxed else np.float32)
             passes = passes_of(cameras, self.config.order == "shared" or order is not None)
             for batch in passes:
                 views = [cameras[i] for i in batch]
-                boxed = self.config.output == "uint8"
                 pipeline, target = self._draw(views, order, boxed, len(passes) == 1, budget)
                 byte_target = self._targets.byte_target(self.size, len(views)) if boxed else None
                 pipeline.read(target, byte_target, views, out[batch[0] : batch[0] + len(views)], self.timer)
@@ -347,9 +347,6 @@ class Renderer:
         covered = union(old.covered, pipeline.covered)
         cost = old.cost + (pipeline.cost or 0)
         self.stats = replace(old, drawn=old.drawn + pipeline.drawn, culled=culled, covered=covered, cost=cost)
-
-    def _output_type(self) -> type[np.generic]:
-        return np.uint8 if self.config.output == "uint8" else np.float32
 
     def _pose(self, pose: Pose | None) -> None:
         """Upload the bones if the pose changed, and note that the geometry did."""

@@ -17,7 +17,7 @@ import numpy as np
 
 from glsplat.camera import Camera
 from glsplat.errors import GlsplatError, ProtocolError
-from glsplat.net.connection import Arrived, Connection
+from glsplat.net.client_connection import Arrived, Connection
 from glsplat.net.messages import MAX_BYTES, VERSION, eye_fields
 from glsplat.net.reply import Reply
 from glsplat.skinning.pose import Pose
