@@ -390,7 +390,7 @@ def test_the_version_decides_the_form(old):
 def coloured() -> Splats:
     """A row of balls from 1 to 3 m in front of the camera whose colours depend on the direction."""
     rng = np.random.default_rng(7)
-    means = np.stack([np.linspace(-0.6, 0.6, 7), np.zeros(7), np.linspace(-0.8, 0.8, 7)], axis=1)
+    means = np.stack([np.linspace(-0.6, 0.6, 7), np.ones(7), np.linspace(-0.8, 0.8, 7)], axis=1)
     sh = rng.normal(0, 0.6, (7, 16, 3))
     sh[:, 0] = 1.2
     return Splats.create(means, np.tile([1.0, 0, 0, 0], (7, 1)), np.full((7, 3), 0.09), np.full(7, 0.95), sh)
@@ -400,7 +400,7 @@ def coloured() -> Splats:
 def test_near_far_and_degree_change_the_picture_as_a_renderer_does():
     """Against a renderer in this process, within what JPEG loses; and each field moves far more than that."""
     scene, size = coloured(), (160, 160)
-    head = head_matrix((0.0, 0.0, 2.0), (0, 0, 0, 1))
+    head = head_matrix((0.0, 1.0, 2.0), (0, 0, 0, 1))
     plain = stereo_cameras(head, size=size)
     views = {
         "plain": plain,
