@@ -67,18 +67,18 @@ class Renderer:
     ) -> None:
         if views < 1:
             raise GlsplatError(f"views needs at least 1, not {views}")
-        self.config = config or RenderConfig()
+        self.config: RenderConfig = config or RenderConfig()
         self._released = False
         self._owns_context = context is None
-        self.context = context or create_context()
+        self.context: Context = context or create_context()
         self._programs = Programs(self.context.ctx)
-        self.timer = StageTimer(self.context.ctx.finish if timed else None)
+        self.timer: StageTimer = StageTimer(self.context.ctx.finish if timed else None)
         self._scene: SceneBuffers | None = None
         self._pipelines: dict[Variant, Pipeline] = {}
         self._targets = TargetPool(self.context, self.target_dtype)
-        self.stats = FrameStats(0, 0, 0)
-        self.variant = Variant()  # of the last pass
-        self.size = (0, 0)
+        self.stats: FrameStats = FrameStats(0, 0, 0)
+        self.variant: Variant = Variant()  # of the last pass
+        self.size: tuple[int, int] = (0, 0)
         try:
             geometry = self.config.layers == "geometry"
             if self.config.layers == "vertex" and not self.context.vertex_layers:

@@ -306,7 +306,7 @@ class Output:
     """The file being written: collects accessors, each in its own bufferView, aligned to 4 bytes."""
 
     def __init__(self) -> None:
-        self.gltf = Gltf()
+        self.gltf: Gltf = Gltf()
         self.parts: list[bytes] = []
         self._length = 0
 

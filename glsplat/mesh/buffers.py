@@ -20,6 +20,8 @@ VERTEX = np.dtype([("vertex", "f4", 3), ("uv", "f4", 2), ("joints", "u2", 4), ("
 class MeshBuffers:
     """One vertex buffer for all parts; a part is a range of triangles and a texture."""
 
+    ranges: list[tuple[int, int]]  # first index and count of each part
+
     def __init__(self, ctx: moderngl.Context, mesh: RiggedMesh, skin: Skin, anisotropy: float) -> None:
         vertices, triangles, self.ranges = [], [], []
         base = first = 0
@@ -32,12 +34,12 @@ class MeshBuffers:
             triangles.append(faces + base)
             self.ranges.append((first, faces.size))  # of the index buffer
             base, first = base + len(block), first + faces.size
-        self.triangles = first // 3
-        self.vertices = ctx.buffer(np.concatenate(vertices))
-        self.faces = ctx.buffer(np.concatenate(triangles).astype(np.uint32))
-        self.textures = [_texture(ctx, part, anisotropy) for part in mesh.parts]
-        self.cutouts = [part.cutout for part in mesh.parts]
-        self.bones = ctx.texture((3, len(mesh.skeleton)), 4, dtype="f4")
+        self.triangles: int = first // 3
+        self.vertices: moderngl.Buffer = ctx.buffer(np.concatenate(vertices))
+        self.faces: moderngl.Buffer = ctx.buffer(np.concatenate(triangles).astype(np.uint32))
+        self.textures: list[moderngl.Texture] = [_texture(ctx, part, anisotropy) for part in mesh.parts]
+        self.cutouts: list[bool] = [part.cutout for part in mesh.parts]
+        self.bones: moderngl.Texture = ctx.texture((3, len(mesh.skeleton)), 4, dtype="f4")
         self.bones.filter = (moderngl.NEAREST, moderngl.NEAREST)
 
     @property

@@ -60,6 +60,9 @@ class MeshRenderer:
     Views are not batched: a layered, multisampled target with a depth buffer is beyond what moderngl can attach.
     """
 
+    mesh: RiggedMesh
+    size: tuple[int, int]
+
     def __init__(
         self,
         mesh: RiggedMesh,
@@ -69,12 +72,12 @@ class MeshRenderer:
         context: Context | None = None,
         timed: bool = False,  # wait for the GPU at every stage mark
     ) -> None:
-        self.config = config or MeshConfig()
+        self.config: MeshConfig = config or MeshConfig()
         self.mesh, self.size = mesh, size
         self._owns_context = context is None
-        self.context = context or create_context()
+        self.context: Context = context or create_context()
         ctx = self.context.ctx
-        self.timer = StageTimer(ctx.finish if timed else None)
+        self.timer: StageTimer = StageTimer(ctx.finish if timed else None)
         self._stack = ExitStack()
         try:
             factor = self.config.supersample

@@ -61,7 +61,7 @@ class Client:
         cafile: str | Path | None = None,
         timeout: float = 10.0,
     ) -> None:
-        self.url = _checked_url(url)
+        self.url: str = _checked_url(url)
         self._query = {"window": window, "mirror": int(mirror) or None, "height": height}
         self._headers = {"Authorization": f"Bearer {token}"} if token else {}
         self._cafile = cafile

@@ -151,7 +151,7 @@ class Decoder:
     """Turns text into requests for one session. ``skeleton`` None means the 55 joints of SMPL-X."""
 
     def __init__(self, options: WireOptions | None = None, skeleton: Skeleton | None = None) -> None:
-        self.options = options or WireOptions()
+        self.options: WireOptions = options or WireOptions()
         self.skeleton = skeleton
 
     def decode(self, data: str | bytes) -> RenderRequest | Ack:

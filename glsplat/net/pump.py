@@ -26,7 +26,7 @@ from glsplat.net.stages import StageTimes
 
 __all__ = ["Channel", "FramePump"]
 
-log = logging.getLogger("glsplat.net")
+log: logging.Logger = logging.getLogger("glsplat.net")
 
 _SICK = 3  # pictures in a row that failed before /healthz says so
 _STUCK = 10.0  # seconds a picture may take before /healthz says so
@@ -59,10 +59,10 @@ class FramePump:
     """Owns the render thread, the encoders and the turn of the clients."""
 
     def __init__(self, backend: Backend, clock: Callable[[], float] = time.perf_counter) -> None:
-        self.driver = ""
-        self.stages = StageTimes()
-        self.failures = 0  # in a row
-        self.rebuilds = 0  # contexts lost and made anew
+        self.driver: str = ""
+        self.stages: StageTimes = StageTimes()
+        self.failures: int = 0  # in a row
+        self.rebuilds: int = 0  # contexts lost and made anew
         self._lost = 0  # of them in a row
         self._backend = backend
         self._clock = clock

@@ -31,8 +31,8 @@ from glsplat.skinning.skeleton import Skeleton
 
 __all__ = ["Server", "ServerConfig"]
 
-log = logging.getLogger("glsplat.net")
-clock = time.perf_counter  # the pump's clock too
+log: logging.Logger = logging.getLogger("glsplat.net")
+clock: Callable[[], float] = time.perf_counter  # the pump's clock too
 
 _MAX_WINDOW = 8
 _FAREWELL = 0.5  # seconds a client that broke the rules gets to answer the close, while what it sends is thrown away
@@ -74,9 +74,9 @@ class Server:
         solver: Callable[[float | None], PoseSolver] | None = None,
         skeleton: Skeleton | None = None,
     ) -> None:
-        self.config = config or ServerConfig()
-        self.pump = FramePump(backend)
-        self.port = self.config.port
+        self.config: ServerConfig = config or ServerConfig()
+        self.pump: FramePump = FramePump(backend)
+        self.port: int = self.config.port
         self._make_solver = solver
         self._skeleton = skeleton
         self._channels: dict[int, Channel] = {}

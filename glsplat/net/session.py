@@ -90,11 +90,11 @@ class Session:
     """
 
     def __init__(self, decoder: Decoder, config: SessionConfig | None = None, now: float = 0.0) -> None:
-        self.config = config or SessionConfig()
-        self.counts = Counts()
+        self.config: SessionConfig = config or SessionConfig()
+        self.counts: Counts = Counts()
         self.accepted: RenderRequest | None = None  # what the last message brought, if it asked for a picture
-        self.last_form = ""  # of the newest request, for /stats
-        self.last_size = (0, 0)
+        self.last_form: str = ""  # of the newest request, for /stats
+        self.last_size: tuple[int, int] = (0, 0)
         self._decoder = decoder
         self._opened = self._heard = self._noticed = now
         self._pending: dict[int, tuple[RenderRequest, float]] = {}  # by eye for the oldest form, else one

@@ -24,7 +24,7 @@ class StageTimes:
     """The last ``length`` frames, by stage."""
 
     def __init__(self, length: int = 256) -> None:
-        self.frames = 0
+        self.frames: int = 0
         self._length = length
         self._values: dict[str, deque[float]] = {}
         self._at: deque[float] = deque(maxlen=length)

@@ -44,7 +44,7 @@ class FrameBlock:
 
     def __init__(self, ctx: moderngl.Context, views: int) -> None:
         self._record = np.zeros((), frame_dtype(views))
-        self.buffer = ctx.buffer(reserve=self._record.nbytes, dynamic=True)
+        self.buffer: moderngl.Buffer = ctx.buffer(reserve=self._record.nbytes, dynamic=True)
 
     def write(
         self,

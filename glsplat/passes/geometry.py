@@ -25,7 +25,7 @@ class SkinPass:
         program = programs.feedback("skin", variant, names)
         bind_frame(program)
         _set_unit(program, "bones", BONE_UNIT)
-        self.posed = ctx.buffer(reserve=max(16, scene.count * (64 if self._wide else 52)))
+        self.posed: moderngl.Buffer = ctx.buffer(reserve=max(16, scene.count * (64 if self._wide else 52)))
         self._array = ctx.vertex_array(program, scene.rigid_content() + scene.skin_content())
 
     def content(self) -> Content:
@@ -66,7 +66,7 @@ class KeyPass:
         program = programs.feedback("key", variant, ("key", "cover"), separate=True)
         bind_frame(program)
         self._count = count
-        self.keys = ctx.buffer(reserve=max(16, count * 4))
+        self.keys: moderngl.Buffer = ctx.buffer(reserve=max(16, count * 4))
         self._cover = cover
         self._array = ctx.vertex_array(program, content)
         self._host = np.empty((2, count), np.uint32)

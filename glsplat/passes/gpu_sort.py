@@ -39,7 +39,9 @@ class GpuSorter:
         self._buffers = (keys, order, scratch)
         self._groups = max(1, -(-count // BLOCK))
         self._histogram = ctx.buffer(reserve=16 * self._groups * 4)
-        self.indirect = ctx.buffer(reserve=48)  # indirect draw (4 uints), then counts by cull code (8 uints)
+        self.indirect: moderngl.Buffer = ctx.buffer(
+            reserve=48
+        )  # indirect draw (4 uints), then counts by cull code (8 uints)
         self._stages = {name: programs.compute(f"radix_{name}") for name in ("init", "count", "scan", "scatter")}
 
     @staticmethod

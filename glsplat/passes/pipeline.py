@@ -37,6 +37,8 @@ P = TypeVar("P", bound=_Owner)
 class Pipeline:
     """Owns what depends on the variant: work buffers and vertex arrays. The scene and the programs are borrowed."""
 
+    variant: Variant
+
     def __init__(
         self, context: Context, programs: Programs, variant: Variant, scene: SceneBuffers, config: RenderConfig
     ) -> None:

@@ -38,9 +38,9 @@ class ProjectPass:
                 varyings.append(base)
         program = programs.feedback("project", variant, varyings)
         bind_frame(program)
-        self.count = 0
-        self.order = ctx.buffer(reserve=max(16, count * 4), dynamic=True)
-        self.records = ctx.buffer(reserve=max(16, count * variant.record_floats * 4))
+        self.count: int = 0
+        self.order: moderngl.Buffer = ctx.buffer(reserve=max(16, count * 4), dynamic=True)
+        self.records: moderngl.Buffer = ctx.buffer(reserve=max(16, count * variant.record_floats * 4))
         self._array = ctx.vertex_array(program, content, index_buffer=self.order)
 
     def write_order(self, order: NDArray[np.uint32]) -> None:

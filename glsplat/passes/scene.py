@@ -26,10 +26,10 @@ class SceneBuffers:
         self, ctx: moderngl.Context, splats: Splats, skin: Skin | None, joints: int, sh_degree: int, cones: bool
     ) -> None:
         usable = splats.finite() & (np.abs(splats.quats).max(axis=1, initial=0) > 0)
-        self.skipped = int(len(splats) - usable.sum())
+        self.skipped: int = int(len(splats) - usable.sum())
         if self.skipped:
             splats = splats.take(usable)
-        self.count = len(splats)
+        self.count: int = len(splats)
         self.sh_degree = sh_degree
         # Far from the world's origin float32 has no bits left for the splats themselves: move them near zero
         self._centre = np.zeros(3)
@@ -48,8 +48,8 @@ class SceneBuffers:
         self._joints: moderngl.Buffer | None = None
         self._weights: moderngl.Buffer | None = None
         self.bones: moderngl.Texture | None = None
-        self.shift = 1.0
-        self.influences = 0
+        self.shift: float = 1.0
+        self.influences: int = 0
         if skin is not None:
             self.influences = skin.influences
             rows = usable if self.skipped else slice(None)

@@ -29,11 +29,11 @@ class Target:
     """Colour for V views of one size: premultiplied RGB over the background, and accumulated alpha."""
 
     def __init__(self, ctx: moderngl.Context, width: int, height: int, views: int, dtype: str) -> None:
-        self.shape = (views, height, width, 4)
+        self.shape: tuple[int, int, int, int] = (views, height, width, 4)
         self.numpy_dtype: np.dtype[Any] = np.dtype(_NUMPY[dtype])
-        self.texture = ctx.texture_array((width, height, views), 4, dtype=dtype)
+        self.texture: moderngl.TextureArray = ctx.texture_array((width, height, views), 4, dtype=dtype)
         self.texture.filter = (moderngl.NEAREST, moderngl.NEAREST)
-        self.framebuffer = _framebuffer(ctx, self.texture)
+        self.framebuffer: moderngl.Framebuffer = _framebuffer(ctx, self.texture)
 
     def read(self, out: NDArray[np.float32]) -> None:
         """Copy all layers to ``out`` [V, H, W, 4] as floats, row 0 first (the top row of the image)."""
@@ -59,9 +59,9 @@ class ByteTarget:
     """8 bits a channel, the views one below the other: one plain texture, so that parts of it can be read."""
 
     def __init__(self, ctx: moderngl.Context, width: int, height: int, views: int) -> None:
-        self.shape = (views, height, width, 4)
-        self.texture = ctx.texture((width, height * views), 4)
-        self.framebuffer = _framebuffer(ctx, self.texture)
+        self.shape: tuple[int, int, int, int] = (views, height, width, 4)
+        self.texture: moderngl.Texture = ctx.texture((width, height * views), 4)
+        self.framebuffer: moderngl.Framebuffer = _framebuffer(ctx, self.texture)
 
     def read(self, out: NDArray[np.uint8], box: Box) -> None:
         """Copy the pixels of ``box`` of every view into ``out`` [V, H, W, 4] and fill the rest with the background.

@@ -97,6 +97,8 @@ class Tracker:
     (``to_avatar``). Not thread-safe; one Tracker a user. Deterministic: the same samples give the same poses.
     """
 
+    config: TrackerConfig
+
     def __init__(
         self,
         skeleton: Skeleton,
@@ -106,9 +108,9 @@ class Tracker:
         head_only: bool = False,
     ) -> None:
         self.skeleton = skeleton
-        self.calibration = calibration or Calibration()
+        self.calibration: Calibration = calibration or Calibration()
         self.config = c = config or TrackerConfig()
-        self.body = Body.of(skeleton)
+        self.body: Body = Body.of(skeleton)
         self.solver: Solver = solver or AnalyticSolver(self.body)
         self.head_only = head_only
         self._root = self.body.joints[0]
