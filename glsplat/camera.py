@@ -181,13 +181,13 @@ def look_at(eye: ArrayLike, target: ArrayLike, up: ArrayLike = (0.0, 1.0, 0.0)) 
 
 def head_matrix(position: ArrayLike, quat_xyzw: ArrayLike) -> NDArray[np.float64]:
     """T_W_H [4, 4] from a position (3,) and a quaternion xyzw (4,) of any non-zero length (OpenXR axes)."""
-    quat = np.asarray(quat_xyzw, np.float64)
+    quat = plain(quat_xyzw, "a quaternion").astype(np.float64)
     norm = np.linalg.norm(quat)
-    if not (np.isfinite(quat).all() and norm > 1e-9):
-        raise FormatError(f"a head pose needs a finite quaternion of non-zero length, not {quat.tolist()}")
+    if quat.shape != (4,) or not (np.isfinite(quat).all() and norm > 1e-9):
+        raise FormatError(f"a head pose needs a finite quaternion of non-zero length, not {quat.tolist()!r:.60}")
     matrix = np.eye(4)
     matrix[:3, :3] = pyrr.matrix33.create_from_quaternion(quat / norm)  # column vectors, unlike its 4x4 ones
-    matrix[:3, 3] = np.asarray(position, np.float64)
+    matrix[:3, 3] = _vector(position, "a head's position", 3)
     return matrix
 
 

@@ -75,7 +75,9 @@ class Pose:
     @classmethod
     def zero(cls, joints: int = _COUNT) -> Pose:
         """The bind pose of a rig of that many joints."""
-        return cls(np.zeros((max(count(joints, "the number of joints", PoseError), 0), 3)))
+        if count(joints, "the number of joints", PoseError) < 0:
+            raise PoseError(f"a rig has no {joints} joints")
+        return cls(np.zeros((joints, 3)))
 
     @classmethod
     def from_smplx(cls, data: Mapping[str, Any]) -> Pose:

@@ -43,7 +43,8 @@ class Skeleton:
         rest: ArrayLike,  # [J, 4, 4]
         inverse_bind: ArrayLike | None = None,  # [J, 4, 4]; None: the inverses of rest
     ) -> None:
-        if isinstance(names, str) or not all(isinstance(name, str) for name in names):
+        listed = isinstance(names, Sequence) and not isinstance(names, str)
+        if not listed or not all(isinstance(name, str) for name in names):
             raise PoseError("a skeleton needs its joints' names as a sequence of text")
         names, count = tuple(names), len(names)
         parents = own_whole(parents, np.int32, "parents", PoseError)

@@ -93,7 +93,7 @@ class Skin:
         ids, w = plain(joints, "joints"), plain(weights, "weights").astype(np.float64)
         if ids.dtype.kind == "f" and not (np.isfinite(ids) & (ids == np.rint(ids))).all():
             raise FormatError("joints needs whole numbers, found fractions, NaN or infinity")
-        if not 1 <= joint_count <= 65536:
+        if not 1 <= count(joint_count, "joint_count") <= 65536:
             raise FormatError(f"joint_count needs 1 to 65536, not {joint_count}")
         if ids.ndim != 2 or ids.shape != w.shape or ids.shape[1] < 1:
             raise FormatError(f"joints and weights need one shape (N, K), not {ids.shape} and {w.shape}")

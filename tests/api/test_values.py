@@ -15,6 +15,7 @@ import pytest
 
 import glsplat
 from glsplat import Avatar, Camera, GlsplatError, Pose, RenderConfig, Skeleton, Skin, Splats
+from glsplat.camera import head_matrix
 from glsplat.net.reply import Reply
 
 VIEW = glsplat.look_at((0, 0, 3), (0, 0, 0))
@@ -217,6 +218,11 @@ def test_what_is_no_number_is_refused_in_one_line(bad: Any) -> None:
     ]  # fmt: skip
     for make in makers:
         refused(make)
+    for make in (lambda: Skin.create([[0]], [[1.0]], bad), lambda: Pose.zero(bad)):
+        refused(make)
+    refused(lambda: Skeleton(bad, [-1], [np.eye(4)]))
+    refused(lambda: head_matrix(bad, (0, 0, 0, 1)))
+    refused(lambda: head_matrix((0, 0, 0), bad))
     if bad is not None:
         refused(lambda: one_splat(rgb=bad))
         refused(lambda: Pose(np.zeros((2, 3)), translations=bad))
