@@ -236,9 +236,8 @@ class Renderer:
             pipeline = self._pipelines.get(self.variant)
             posed = pipeline.posed() if pipeline else None
         if posed is None:
-            raise GlsplatError(
-                "posed() needs an avatar that was rendered; this scene is not skinned or not rendered yet"
-            )
+            why = "this scene is not skinned or not rendered yet"
+            raise GlsplatError(f"posed() needs an avatar that was rendered; {why}")
         return posed
 
     def release(self) -> None:
