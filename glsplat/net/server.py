@@ -7,25 +7,28 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import errno
 import logging
 import os
 import signal
-import socket
 import time
-from collections.abc import Awaitable, Callable
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from aiohttp import WSMsgType, web
 
-from glsplat.errors import GlsplatError, ProtocolError
+from glsplat.errors import ProtocolError
 from glsplat.net.access import SUBPROTOCOL, Access, server_tls
 from glsplat.net.backend import Backend, PoseSolver
+from glsplat.net.door import Door
+from glsplat.net.limits import Limits, Purse
+from glsplat.net.listener import bind
 from glsplat.net.messages import MAX_BYTES, Decoder, WireOptions
+from glsplat.net.meter import Breach
 from glsplat.net.pump import Channel, FramePump
 from glsplat.net.session import GOING_AWAY, Close, Counts, Session, SessionConfig, Warn
+from glsplat.net.solving import SolvingBudget
 from glsplat.net.status import metrics_text, page_html
 from glsplat.skinning.skeleton import Skeleton
 
@@ -35,6 +38,7 @@ log = logging.getLogger("glsplat.net")
 clock = time.perf_counter  # the pump's clock too
 
 _MAX_WINDOW = 8
+_TURN = 8  # messages of one client in a row before others are heard
 _FAREWELL = 0.5  # seconds a client that broke the rules gets to answer the close, while what it sends is thrown away
 _HEADERS = {
     "Content-Security-Policy": "default-src 'none'; style-src 'unsafe-inline'",
@@ -53,6 +57,7 @@ class ServerConfig:
     tls: tuple[Path, Path] | None = None  # certificate and key, PEM
     wire: WireOptions = field(default_factory=WireOptions)
     session: SessionConfig = field(default_factory=SessionConfig)
+    limits: Limits = field(default_factory=Limits)
     max_clients: int = 8
     heartbeat: float = 15.0  # seconds between pings; half of it without a pong ends the connection
     write_timeout: float = 2.0  # seconds a client may leave a reply unread
@@ -77,13 +82,14 @@ class Server:
         self.config = config or ServerConfig()
         self.pump = FramePump(backend)
         self.port = self.config.port
+        self.door = Door(self.config.access, self.config.limits, self.config.max_clients, clock)
+        self._budget = SolvingBudget(self.config.limits.solving, clock())
         self._make_solver = solver
         self._skeleton = skeleton
         self._channels: dict[int, Channel] = {}
-        self._sockets: dict[int, web.WebSocketResponse] = {}
+        self._sockets: dict[int, tuple[web.WebSocketResponse, web.Request]] = {}
         self._totals = Counts()
         self._numbers = 0
-        self._refused = 0
         self._draining = False
         self._started = clock()
         self._runner: web.AppRunner | None = None
@@ -97,13 +103,14 @@ class Server:
     async def start(self) -> None:
         """Bind, open the backend, then accept clients. Raises GlsplatError (port in use, files, no OpenGL)."""
         tls = server_tls(*self.config.tls) if self.config.tls else None
-        listener = self._bind()
+        listening = bind(self.config.access.host, self.config.port)
+        self.port = listening.getsockname()[1]
         try:
             await self.pump.start()
         except BaseException:
-            listener.close()
+            listening.close()
             raise
-        app = web.Application(middlewares=[self._guard], client_max_size=MAX_BYTES)
+        app = web.Application(middlewares=[self.door.guard], client_max_size=MAX_BYTES)
         app.add_routes(
             [
                 web.get("/ws", self._websocket),
@@ -114,15 +121,11 @@ class Server:
             ]
         )
         app.on_response_prepare.append(_set_headers)
-        # keepalive_timeout also ends connections that never send a whole request
-        self._runner = web.AppRunner(
-            app,
-            access_log=None,
-            keepalive_timeout=self.config.session.handshake,
-            shutdown_timeout=self.config.drain_timeout,
-        )
+        self._runner = web.AppRunner(app, access_log=None, shutdown_timeout=self.config.drain_timeout)
         await self._runner.setup()
-        await web.SockSite(self._runner, listener, ssl_context=tls).start()
+        assert self._runner.server is not None
+        cert = None if self.config.tls is None else self.config.tls[0]
+        self.door.open(self._runner.server, listening, tls, cert, self.config.session.handshake)
         self._started = clock()
 
     async def stop(self) -> None:
@@ -132,8 +135,9 @@ class Server:
             async with asyncio.timeout(self.config.drain_timeout):
                 while any(channel.session.status()["under_way"] for channel in self._channels.values()):
                     await asyncio.sleep(0.01)
-        sockets = [ws.close(code=GOING_AWAY, message=b"the server stops") for ws in self._sockets.values()]
+        sockets = [ws.close(code=GOING_AWAY, message=b"the server stops") for ws, _ in self._sockets.values()]
         await asyncio.gather(*sockets, return_exceptions=True)
+        await self.door.close()
         if self._runner is not None:
             await self._runner.cleanup()
         await self.pump.stop()
@@ -183,41 +187,12 @@ class Server:
             "fps": round(self.pump.stages.fps(), 2),
             "max_clients": self.config.max_clients,
             "token": self.config.access.token is not None,
-            "refused": self._refused,
+            **self.door.status(),
             "rebuilds": self.pump.rebuilds,
             "totals": totals,
             "stages": self.pump.stages.summary(),
             "clients": clients,
         }
-
-    def _bind(self) -> socket.socket:
-        host, port = self.config.access.host, self.config.port
-        family = socket.AF_INET6 if ":" in host else socket.AF_INET
-        listener = socket.socket(family, socket.SOCK_STREAM)
-        try:
-            listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            listener.bind((host, port))
-            listener.listen(64)
-        except (OSError, OverflowError) as error:
-            listener.close()
-            if getattr(error, "errno", None) == errno.EADDRINUSE:
-                raise GlsplatError(f"port {port} is in use; choose another with --port") from None
-            reason = getattr(error, "strerror", None) or str(error)
-            raise GlsplatError(f"cannot listen on {host} port {port} ({reason}); choose --host and --port") from None
-        self.port = listener.getsockname()[1]
-        return listener
-
-    @web.middleware
-    async def _guard(
-        self, request: web.Request, handler: Callable[[web.Request], Awaitable[web.StreamResponse]]
-    ) -> web.StreamResponse:
-        if request.path != "/healthz":  # which says nothing about the scene or the clients
-            refusal = self.config.access.refusal(request.headers)
-            if refusal is not None:
-                self._refused += 1
-                asks = {"WWW-Authenticate": "Basic realm=glsplat"} if refusal[0] == 401 else None
-                return web.Response(status=refusal[0], text=refusal[1] + "\n", headers=asks)
-        return await handler(request)
 
     async def _healthz(self, request: web.Request) -> web.Response:
         healthy = self.pump.healthy and not self._draining
@@ -235,18 +210,22 @@ class Server:
 
     async def _websocket(self, request: web.Request) -> web.StreamResponse:
         if self._draining or len(self._channels) >= self.config.max_clients:
-            self._refused += 1
+            self.door.refused += 1
             text = f"the server is full ({self.config.max_clients} clients); try again later\n"
             return web.Response(status=503, text=text, headers={"Retry-After": "5"})
+        ws = self._make_socket()
+        entered = self.door.enter(request, ws)
+        if isinstance(entered, web.Response):
+            return entered
         try:
-            channel = self._open_channel(request)
+            channel = self._open_channel(request, entered)
         except ProtocolError as error:
+            self.door.leave(request, entered)
             return web.Response(status=400, text=f"{error}\n")
         writer: asyncio.Task[None] | None = None
         try:
-            ws = self._make_socket()
             await ws.prepare(request)
-            self._sockets[channel.number] = ws
+            self._sockets[channel.number] = ws, request
             self.pump.add(channel)
             writer = asyncio.create_task(self._write(channel, ws, request))
             await self._read(channel, ws)
@@ -256,6 +235,7 @@ class Server:
             return ws
         finally:
             self._close_channel(channel)
+            self.door.leave(request, entered)
             if writer is not None:
                 writer.cancel()
                 await asyncio.gather(writer, return_exceptions=True)
@@ -269,7 +249,7 @@ class Server:
             protocols=(SUBPROTOCOL,),
         )
 
-    def _open_channel(self, request: web.Request) -> Channel:
+    def _open_channel(self, request: web.Request, purse: Purse) -> Channel:
         """A new client with the options of its address: /ws?mirror=1&window=3&height=1.75."""
         mirror, window, height = (request.query.get(name) for name in ("mirror", "window", "height"))
         wire, limits = self.config.wire, self.config.session
@@ -286,11 +266,15 @@ class Server:
         self._numbers += 1
         session = Session(Decoder(wire, self._skeleton), limits, clock())
         channel = self.pump.open(self._numbers, session, solver)
+        if channel.solving is not None:
+            channel.solving.share = self._budget.open(purse.samples, clock())
         self._channels[channel.number] = channel
         return channel
 
     def _close_channel(self, channel: Channel) -> None:
         self.pump.remove(channel)
+        if channel.solving is not None and channel.solving.share is not None:
+            self._budget.close(channel.solving.share)
         self._sockets.pop(channel.number, None)
         del self._channels[channel.number]
         for name, value in asdict(channel.session.counts).items():
@@ -298,7 +282,7 @@ class Server:
 
     async def _read(self, channel: Channel, ws: web.WebSocketResponse) -> None:
         """Messages of one client until it leaves, is too long silent, or breaks the rules too often."""
-        session = channel.session
+        session, count = channel.session, 0
         while True:
             try:
                 # not receive(timeout=...): that begins anew with each ping or pong, and leaves out writing the pongs
@@ -314,17 +298,30 @@ class Server:
                 elif message.type == WSMsgType.BINARY:
                     error = ProtocolError("a request is a text message (JSON), not a binary one", "binary")
                     outcome = session.malformed(error, clock())
+                elif isinstance(message.data, Breach):  # nothing more is read of this client
+                    outcome = session.broke(message.data)
                 else:  # closed, or a broken frame that aiohttp has answered (1002, 1007, 1009)
                     return
             if isinstance(outcome, Warn):
                 await self._send(ws, outcome.text)
             elif isinstance(outcome, Close):
-                await self._send(ws, outcome.text)
-                async with asyncio.timeout(_FAREWELL):  # else it is cut off
-                    await ws.close(code=outcome.code, message=outcome.reason.encode())
+                await self._farewell(channel, ws, outcome)
                 return
             else:
                 self.pump.received(channel)
+            count += 1
+            if count % _TURN == 0:  # receive() does not give way while more has arrived
+                await asyncio.sleep(0)
+
+    async def _farewell(self, channel: Channel, ws: web.WebSocketResponse, close: Close) -> None:
+        """Close the connection of a client that broke the rules. Raises TimeoutError if it does not answer."""
+        self.pump.remove(channel)
+        if close.breach:
+            self.door.breach(self._sockets[channel.number][1], close.reason)
+        if close.text:
+            await self._send(ws, close.text)
+        async with asyncio.timeout(_FAREWELL):  # else it is cut off
+            await ws.close(code=close.code, message=close.reason.encode())
 
     async def _write(self, channel: Channel, ws: web.WebSocketResponse, request: web.Request) -> None:
         """Pictures of one client, in order. A client that does not read them in time is cut off."""

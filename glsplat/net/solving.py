@@ -1,6 +1,8 @@
 """One client's tracking, solved sample by sample as it arrives: while the renderer is busy, not before it draws again.
 
 A filter wants all samples in their order, whatever the frame rate, so requests that are never drawn are solved too.
+Clients take turns, one sample each. A client beyond its budget has only its newest sample solved, once a picture of it
+is due: the filter sees a coarser, honest series, each sample at its own time.
 """
 
 from __future__ import annotations
@@ -8,33 +10,103 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Executor, Future
+from dataclasses import dataclass
+from threading import Lock
 
 from glsplat.net.backend import PoseSolver, Solved
+from glsplat.net.limits import Bucket
 from glsplat.net.messages import RenderRequest
 
-__all__ = ["Solution", "Solving"]
+__all__ = ["Share", "Solution", "Solving", "SolvingBudget"]
 
 _MOST = 32  # samples that wait to be solved; beyond that the oldest are left out
+_AHEAD = 2.0  # seconds of solving that may be spent at once, in seconds of the budget
 
 Solution = Future[tuple[Solved, float]]
 """What a sample comes to, and the milliseconds that took."""
+
+
+class SolvingBudget:
+    """The seconds of solving a second that all clients share. While it lasts anybody may spend; then each its part."""
+
+    def __init__(self, rate: float, now: float) -> None:
+        self._rate = rate
+        self._all = Bucket.full(rate, rate * _AHEAD, now)
+        self._shares: list[Share] = []
+
+    def open(self, samples: Bucket, now: float) -> Share:
+        """A client's share; ``samples`` are those it may have solved one by one."""
+        share = Share(self, samples, Bucket.full(self._rate, self._rate * _AHEAD, now), deque())
+        self._shares.append(share)
+        self._divide()
+        return share
+
+    def close(self, share: Share) -> None:
+        """The client left."""
+        self._shares.remove(share)
+        self._divide()
+
+    def left(self, now: float) -> bool:
+        """True while the budget of all lasts."""
+        return self._all.left(now) > 0
+
+    def charge(self, now: float, seconds: float) -> None:
+        """That much was spent."""
+        self._all.charge(now, seconds)
+
+    def _divide(self) -> None:
+        for share in self._shares:
+            share.part.rate = self._rate / len(self._shares)
+            share.part.capacity = share.part.rate * _AHEAD
+
+
+@dataclass(eq=False, slots=True)
+class Share:
+    """One client's part of the budget."""
+
+    budget: SolvingBudget
+    samples: Bucket
+    part: Bucket
+    spent: deque[float]  # seconds; filled by the solving thread, emptied by ``allows``
+
+    def allows(self, now: float) -> bool:
+        """True if one more sample may be solved on its own; it is counted."""
+        while self.spent:
+            seconds = self.spent.popleft()
+            self.part.charge(now, seconds)
+            self.budget.charge(now, seconds)
+        within = self.part.left(now) > 0 or self.budget.left(now)
+        return within and self.samples.take(now)
 
 
 class Solving:
     """The samples of one client. ``thread`` has to work one job at a time; it may be shared by many clients."""
 
     def __init__(self, solver: PoseSolver, thread: Executor, clock: Callable[[], float]) -> None:
+        self.share: Share | None = None  # None: no limit
+        self.merged = 0  # samples left out in favour of a newer one, the budget being spent
         self._solver, self._thread, self._clock = solver, thread, clock
         self._solutions: deque[tuple[int | None, Solution]] = deque()  # by frame_id, oldest first
+        self._unsolved: deque[tuple[RenderRequest, float, Solution]] = deque()  # of those, oldest first
+        self._put_off: tuple[RenderRequest, float] | None = None  # the newest sample, beyond the budget
+        self._lock = Lock()  # over _unsolved and _running
+        self._running = False  # a job of ours is with the thread
 
     def add(self, request: RenderRequest) -> None:
         """A request with tracking was accepted."""
-        self._solutions.append((request.frame_id, self._thread.submit(self._solve, request, self._clock())))
-        if len(self._solutions) > _MOST:
-            self._solutions.popleft()[1].cancel()
+        now = self._clock()
+        self.merged += self._put_off is not None
+        self._put_off = None
+        if self.share is None or self.share.allows(now):
+            self._queue(request, now)
+        else:
+            self._put_off = request, now
 
     def take(self, frame_id: int | None) -> Solution | None:
         """The solution of a request, done or under way; those of older requests are forgotten."""
+        if self._put_off is not None and self._put_off[0].frame_id == frame_id:
+            self._queue(*self._put_off)
+            self._put_off = None
         while self._solutions:
             number, solution = self._solutions.popleft()
             if number == frame_id:
@@ -43,10 +115,47 @@ class Solving:
 
     def clear(self) -> None:
         """The client left."""
+        self._put_off = None
         while self._solutions:
             self._solutions.popleft()[1].cancel()
 
-    def _solve(self, request: RenderRequest, now: float) -> tuple[Solved, float]:
+    def _queue(self, request: RenderRequest, now: float) -> None:
+        solution: Solution = Future()
+        self._solutions.append((request.frame_id, solution))
+        if len(self._solutions) > _MOST:
+            self._solutions.popleft()[1].cancel()
+        with self._lock:
+            while self._unsolved and self._unsolved[0][2].cancelled():
+                self._unsolved.popleft()
+            self._unsolved.append((request, now, solution))
+            submit, self._running = not self._running, True
+        if submit:
+            self._thread.submit(self._solve_next)
+
+    def _solve_next(self) -> None:
+        """On the solving thread: the oldest sample, then to the end of the line behind the other clients."""
+        solution = None
+        while solution is None:
+            with self._lock:
+                if not self._unsolved:
+                    self._running = False
+                    return
+                request, arrived, oldest = self._unsolved.popleft()
+            if oldest.set_running_or_notify_cancel():
+                solution = oldest
         start = self._clock()
-        solved = self._solver.solve(request, now * 1e3)
-        return solved, (self._clock() - start) * 1e3
+        try:
+            result = self._solver.solve(request, arrived * 1e3)
+        except BaseException as error:
+            solution.set_exception(error)
+        else:
+            solution.set_result((result, (self._clock() - start) * 1e3))
+        if self.share is not None:
+            self.share.spent.append(self._clock() - start)
+        try:
+            self._thread.submit(self._solve_next)
+        except RuntimeError:  # the server stops
+            with self._lock:
+                self._running = False
+                while self._unsolved:
+                    self._unsolved.popleft()[2].cancel()
