@@ -10,20 +10,22 @@ import asyncio
 from collections.abc import Callable
 from typing import Any
 
-from aiohttp import WSMessage, WSMsgType, web
+from aiohttp import web
 
 from glsplat.net.limits import Limits
-from glsplat.net.meter import FrameMeter
+from glsplat.net.meter import Breach, FrameMeter
 from glsplat.net.notices import Notices
 
 __all__ = ["Connection"]
 
 
 class _MeteredReader:
-    """aiohttp's WebSocket parser behind a meter. After a breach nothing is read on; the receiver gets the Breach."""
+    """aiohttp's WebSocket parser behind a meter. After a breach nothing is read on."""
 
-    def __init__(self, reader: Any, meter: FrameMeter, clock: Callable[[], float], stop: Callable[[], None]) -> None:
-        self._reader, self._meter, self._clock, self._stop = reader, meter, clock, stop
+    def __init__(
+        self, reader: Any, meter: FrameMeter, clock: Callable[[], float], broke: Callable[[Breach], None]
+    ) -> None:
+        self._reader, self._meter, self._clock, self._broke = reader, meter, clock, broke
         self._ended = False
 
     def feed_data(self, data: bytes) -> tuple[bool, bytes]:
@@ -33,9 +35,7 @@ class _MeteredReader:
         result: tuple[bool, bytes] = self._reader.feed_data(data if breach is None else data[:allowed])
         if breach is not None:
             self._ended = True
-            # as aiohttp itself reports a missing pong
-            self._reader.queue.feed_data(WSMessage(WSMsgType.ERROR, breach, None), 0)
-            self._stop()
+            self._broke(breach)
         return result
 
     def feed_eof(self) -> None:
@@ -45,7 +45,7 @@ class _MeteredReader:
 class Connection(web.RequestHandler):
     """``meter`` is set by the server once the connection is a client's, before its handshake is answered."""
 
-    __slots__ = ("_clock", "_gone", "_head", "_head_most", "_notices", "busy", "key", "meter")
+    __slots__ = ("_clock", "_gone", "_head", "_head_most", "_notices", "breached", "busy", "key", "meter")
 
     def __init__(
         self,
@@ -66,6 +66,7 @@ class Connection(web.RequestHandler):
         )
         self.key = key  # of its address
         self.meter: FrameMeter | None = None
+        self.breached: asyncio.Future[Breach] = asyncio.get_running_loop().create_future()
         self.busy = False  # while a request of it is answered
         self._head, self._head_most = 0, limits.head
         self._notices, self._clock, self._gone = notices, clock, gone
@@ -88,7 +89,7 @@ class Connection(web.RequestHandler):
     def set_parser(self, parser: Any, data_received_cb: Callable[[], None] | None = None) -> None:
         """aiohttp calls this with its WebSocket parser right after the handshake."""
         if self.meter is not None:
-            parser = _MeteredReader(parser, self.meter, self._clock, self._stop_reading)
+            parser = _MeteredReader(parser, self.meter, self._clock, self._broke)
         super().set_parser(parser, data_received_cb)
 
     def handle_error(
@@ -130,6 +131,8 @@ class Connection(web.RequestHandler):
         if self.transport is not None:
             self.transport.abort()
 
-    def _stop_reading(self) -> None:
+    def _broke(self, breach: Breach) -> None:
+        if not self.breached.done():
+            self.breached.set_result(breach)
         if self.transport is not None:
-            self.transport.pause_reading()
+            self.transport.pause_reading()  # what it goes on sending stays on its side

@@ -20,7 +20,7 @@ from glsplat.net.listener import Listener
 from glsplat.net.meter import FrameMeter
 from glsplat.net.notices import Notices
 
-__all__ = ["Door"]
+__all__ = ["Door", "connection_of"]
 
 Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
 
@@ -88,8 +88,7 @@ class Door:
             refusal = self._refusal(request, connection)
             if refusal is None:
                 return await handler(request)
-            self.refused += 1
-            return refusal
+            return self._refused(refusal)
         finally:
             connection.busy = False
             connection.request_done()
@@ -99,15 +98,14 @@ class Door:
         connection = connection_of(request)
         offered = [name.strip() for name in request.headers.get("Sec-WebSocket-Protocol", SUBPROTOCOL).split(",")]
         if SUBPROTOCOL not in offered:  # aiohttp would log what was offered, a token perhaps
-            self.refused += 1
-            return web.Response(status=400, text=f"the subprotocol here is {SUBPROTOCOL}: offer it, or none\n")
+            return self._refused(web.Response(status=400, text=f"the subprotocol here is {SUBPROTOCOL}: offer it, or none\n"))
         if not ws.can_prepare(request):
-            return web.Response(status=400, text="this is the address of a WebSocket (RFC 6455, version 13)\n")
+            text = "this is the address of a WebSocket (RFC 6455, version 13)\n"
+            return self._refused(web.Response(status=400, text=text))
         purse = self.addresses.enter(connection.key, self._clock())
         if purse is None:
-            self.refused += 1
             most = self.addresses.per_address
-            return _later(5.0, f"at most {most} clients at once from one address")
+            return self._refused(_later(5.0, f"at most {most} clients at once from one address"))
         connection.meter = FrameMeter(purse, self.limits)
         if self._listener is not None:
             self._listener.promote(connection)
@@ -121,6 +119,12 @@ class Door:
         """A client broke a limit: its address is held off for a while."""
         self.addresses.breach(connection_of(request).key, self._clock())
         self.notices("breach", f"a client broke a limit ({reason}); its address is held off")
+
+    def _refused(self, response: web.Response) -> web.Response:
+        """Count it; nothing more is read on its connection."""
+        self.refused += 1
+        response.force_close()
+        return response
 
     def _refusal(self, request: web.Request, connection: Connection) -> web.Response | None:
         now, key, addresses, access = self._clock(), connection.key, self.addresses, self._access

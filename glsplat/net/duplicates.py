@@ -30,7 +30,7 @@ def has_duplicates(data: str | bytes) -> bool:
     Every pair has one colon, so a text whose objects, once read, hold as many keys as it has colons has no pair too
     many: that costs a tenth of what reading pair by pair does. Colons in strings only lead to the slow way.
     """
-    text = data if isinstance(data, str) else data.decode("utf-8")
+    text = data if isinstance(data, str) else data.decode("utf-8", "replace")
     if _keys(_plain.decode(text)) == text.count(":"):
         return False
     try:

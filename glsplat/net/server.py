@@ -21,7 +21,7 @@ from aiohttp import WSMsgType, web
 from glsplat.errors import ProtocolError
 from glsplat.net.access import SUBPROTOCOL, Access, server_tls
 from glsplat.net.backend import Backend, PoseSolver
-from glsplat.net.door import Door
+from glsplat.net.door import Door, connection_of
 from glsplat.net.limits import Limits, Purse
 from glsplat.net.listener import bind
 from glsplat.net.messages import MAX_BYTES, Decoder, WireOptions
@@ -228,7 +228,7 @@ class Server:
             self._sockets[channel.number] = ws, request
             self.pump.add(channel)
             writer = asyncio.create_task(self._write(channel, ws, request))
-            await self._read(channel, ws)
+            await self._converse(channel, ws, connection_of(request).breached)
             return ws
         except (ConnectionError, TimeoutError):  # it neither reads nor listens
             _cut_off(request)
@@ -280,6 +280,21 @@ class Server:
         for name, value in asdict(channel.session.counts).items():
             setattr(self._totals, name, getattr(self._totals, name) + value)
 
+    async def _converse(self, channel: Channel, ws: web.WebSocketResponse, breached: asyncio.Future[Breach]) -> None:
+        """Messages of one client until it leaves or is put out."""
+        reading = asyncio.create_task(self._read(channel, ws))
+        ends: list[asyncio.Future[Any]] = [reading, breached]
+        try:
+            await asyncio.wait(ends, return_when=asyncio.FIRST_COMPLETED)
+        finally:
+            if not reading.done():
+                reading.cancel()
+                await asyncio.wait([reading])
+        if breached.done() and not ws.closed:
+            await self._farewell(channel, ws, channel.session.broke(breached.result()))
+        elif not reading.cancelled():
+            reading.result()
+
     async def _read(self, channel: Channel, ws: web.WebSocketResponse) -> None:
         """Messages of one client until it leaves, is too long silent, or breaks the rules too often."""
         session, count = channel.session, 0
@@ -298,8 +313,6 @@ class Server:
                 elif message.type == WSMsgType.BINARY:
                     error = ProtocolError("a request is a text message (JSON), not a binary one", "binary")
                     outcome = session.malformed(error, clock())
-                elif isinstance(message.data, Breach):  # nothing more is read of this client
-                    outcome = session.broke(message.data)
                 else:  # closed, or a broken frame that aiohttp has answered (1002, 1007, 1009)
                     return
             if isinstance(outcome, Warn):
