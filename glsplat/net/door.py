@@ -98,7 +98,9 @@ class Door:
         connection = connection_of(request)
         offered = [name.strip() for name in request.headers.get("Sec-WebSocket-Protocol", SUBPROTOCOL).split(",")]
         if SUBPROTOCOL not in offered:  # aiohttp would log what was offered, a token perhaps
-            return self._refused(web.Response(status=400, text=f"the subprotocol here is {SUBPROTOCOL}: offer it, or none\n"))
+            return self._refused(
+                web.Response(status=400, text=f"the subprotocol here is {SUBPROTOCOL}: offer it, or none\n")
+            )
         if not ws.can_prepare(request):
             text = "this is the address of a WebSocket (RFC 6455, version 13)\n"
             return self._refused(web.Response(status=400, text=text))

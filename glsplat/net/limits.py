@@ -6,9 +6,12 @@ No clocks and no sockets: times come in as arguments, in seconds of any clock th
 from __future__ import annotations
 
 import ipaddress
-from dataclasses import dataclass
+from collections import deque
+from dataclasses import dataclass, field
 
-__all__ = ["Bucket", "Limits", "Purse", "Strikes", "address_key"]
+__all__ = ["Bucket", "Budget", "Limits", "Purse", "Share", "Strikes", "address_key"]
+
+_AHEAD = 2.0  # seconds of its rate that a budget holds
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -26,7 +29,8 @@ class Limits:
     bytes_burst: float = 24.0 * 2**20
     samples: float = 150.0  # of tracking, solved one by one a second of one client; above it the newest only
     samples_burst: float = 50.0
-    solving: float = 0.5  # seconds of solving a second, all clients together
+    solving: float = 0.35  # seconds of CPU time a second for solving tracking, all clients together ...
+    reading: float = 0.25  # ... and for reading JSON; where it runs out, each client has an equal part
     per_address: int | None = None  # clients of one address; None: half of max_clients, all of them on loopback
     visits: float = 10.0  # connections and HTTP requests a second of one address
     visits_burst: float = 50.0
@@ -86,6 +90,54 @@ class Purse:
     def fullness(self, now: float) -> float:
         """1 untouched, 0 or below where something is spent."""
         return min(b.left(now) / b.capacity for b in (self.frames, self.control, self.bytes, self.samples))
+
+
+class Budget:
+    """CPU time for all clients, ``rate`` seconds a second. While it lasts anybody may spend, then each its part."""
+
+    def __init__(self, rate: float, now: float) -> None:
+        self.rate = rate
+        self.all = Bucket.full(rate, rate * _AHEAD, now)
+        self._shares: list[Share] = []
+
+    def open(self, now: float) -> Share:
+        """A new client's share."""
+        share = Share(self, Bucket.full(self.rate, self.rate * _AHEAD, now))
+        self._shares.append(share)
+        self._divide()
+        return share
+
+    def close(self, share: Share) -> None:
+        """The client left."""
+        self._shares.remove(share)
+        self._divide()
+
+    def _divide(self) -> None:
+        for share in self._shares:
+            share.part.rate = self.rate / len(self._shares)
+            share.part.capacity = share.part.rate * _AHEAD
+
+
+@dataclass(eq=False, slots=True)
+class Share:
+    """One client's part of a budget. What was spent is charged afterwards, by any thread."""
+
+    budget: Budget
+    part: Bucket
+    _spent: deque[float] = field(default_factory=deque)
+
+    def spend(self, seconds: float) -> None:
+        """That much was spent."""
+        self._spent.append(seconds)
+
+    def left(self, now: float) -> bool:
+        """True while the client may spend more. One thread asks."""
+        while self._spent:
+            seconds = self._spent.popleft()
+            self.part.charge(now, seconds)
+            self.budget.all.charge(now, seconds)
+        within = self.part.left(now) > 0
+        return self.budget.all.left(now) > 0 or within
 
 
 @dataclass(slots=True)

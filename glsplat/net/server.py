@@ -22,13 +22,12 @@ from glsplat.errors import ProtocolError
 from glsplat.net.access import SUBPROTOCOL, Access, server_tls
 from glsplat.net.backend import Backend, PoseSolver
 from glsplat.net.door import Door, connection_of
-from glsplat.net.limits import Limits, Purse
+from glsplat.net.limits import Budget, Limits, Purse, Share
 from glsplat.net.listener import bind
 from glsplat.net.messages import MAX_BYTES, Decoder, WireOptions
 from glsplat.net.meter import Breach
 from glsplat.net.pump import Channel, FramePump
 from glsplat.net.session import GOING_AWAY, Close, Counts, Session, SessionConfig, Warn
-from glsplat.net.solving import SolvingBudget
 from glsplat.net.status import metrics_text, page_html
 from glsplat.skinning.skeleton import Skeleton
 
@@ -83,7 +82,8 @@ class Server:
         self.pump = FramePump(backend)
         self.port = self.config.port
         self.door = Door(self.config.access, self.config.limits, self.config.max_clients, clock)
-        self._budget = SolvingBudget(self.config.limits.solving, clock())
+        self._reading = Budget(self.config.limits.reading, clock())
+        self._solving = Budget(self.config.limits.solving, clock())
         self._make_solver = solver
         self._skeleton = skeleton
         self._channels: dict[int, Channel] = {}
@@ -267,14 +267,15 @@ class Server:
         session = Session(Decoder(wire, self._skeleton), limits, clock())
         channel = self.pump.open(self._numbers, session, solver)
         if channel.solving is not None:
-            channel.solving.share = self._budget.open(purse.samples, clock())
+            channel.solving.share = self._solving.open(clock())
+            channel.solving.samples = purse.samples
         self._channels[channel.number] = channel
         return channel
 
     def _close_channel(self, channel: Channel) -> None:
         self.pump.remove(channel)
         if channel.solving is not None and channel.solving.share is not None:
-            self._budget.close(channel.solving.share)
+            self._solving.close(channel.solving.share)
         self._sockets.pop(channel.number, None)
         del self._channels[channel.number]
         for name, value in asdict(channel.session.counts).items():
@@ -297,6 +298,13 @@ class Server:
 
     async def _read(self, channel: Channel, ws: web.WebSocketResponse) -> None:
         """Messages of one client until it leaves, is too long silent, or breaks the rules too often."""
+        share = self._reading.open(clock())
+        try:
+            await self._read_within(share, channel, ws)
+        finally:
+            self._reading.close(share)
+
+    async def _read_within(self, share: Share, channel: Channel, ws: web.WebSocketResponse) -> None:
         session, count = channel.session, 0
         while True:
             try:
@@ -309,7 +317,13 @@ class Server:
                 if message.type == WSMsgType.TEXT:
                     if self._draining:
                         continue
-                    outcome = session.receive(message.data, clock())
+                    now = clock()
+                    if share.left(now):
+                        worked = time.thread_time()
+                        outcome = session.receive(message.data, now)
+                        share.spend(time.thread_time() - worked)
+                    else:
+                        outcome = session.unread(now)
                 elif message.type == WSMsgType.BINARY:
                     error = ProtocolError("a request is a text message (JSON), not a binary one", "binary")
                     outcome = session.malformed(error, clock())

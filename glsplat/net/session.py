@@ -107,6 +107,14 @@ class Session:
             return self.malformed(error, now)
         return None
 
+    def unread(self, now: float) -> Warn | None:
+        """A message was dropped as it came: this client has had its part of the time there is for reading."""
+        self._heard = now
+        self.accepted = None
+        self.counts.received += 1
+        self.counts.limited += 1
+        return self._warned("the server has no time to read more of your messages: send fewer, or shorter ones", now)
+
     def malformed(self, error: ProtocolError, now: float) -> Warn | Close:
         """Count a message that could not be used; repeated ones end the connection."""
         self._heard = now
@@ -221,7 +229,11 @@ class Session:
         if not self._flood.take(now):
             text = error_text("rate", "the connection ends: too many messages")
             return Close(text, POLICY_VIOLATION, "too many messages", breach=True)
+        return self._warned(f"at most {self.config.rate:g} messages a second are read", now)
+
+    def _warned(self, text: str, now: float) -> Warn | None:
+        """The error ``rate``, once a second."""
         if now - self._noticed < 1.0:
             return None
         self._noticed = now
-        return Warn(error_text("rate", f"at most {self.config.rate:g} messages a second are read"))
+        return Warn(error_text("rate", text))

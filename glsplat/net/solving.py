@@ -10,80 +10,34 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Executor, Future
-from dataclasses import dataclass
 from threading import Lock
+from time import thread_time
 
 from glsplat.net.backend import PoseSolver, Solved
-from glsplat.net.limits import Bucket
+from glsplat.net.limits import Bucket, Share
 from glsplat.net.messages import RenderRequest
 
-__all__ = ["Share", "Solution", "Solving", "SolvingBudget"]
+__all__ = ["Solution", "Solving"]
 
 _MOST = 32  # samples that wait to be solved; beyond that the oldest are left out
-_AHEAD = 2.0  # seconds of solving that may be spent at once, in seconds of the budget
 
 Solution = Future[tuple[Solved, float]]
 """What a sample comes to, and the milliseconds that took."""
 
 
-class SolvingBudget:
-    """The seconds of solving a second that all clients share. While it lasts anybody may spend; then each its part."""
-
-    def __init__(self, rate: float, now: float) -> None:
-        self._rate = rate
-        self._all = Bucket.full(rate, rate * _AHEAD, now)
-        self._shares: list[Share] = []
-
-    def open(self, samples: Bucket, now: float) -> Share:
-        """A client's share; ``samples`` are those it may have solved one by one."""
-        share = Share(self, samples, Bucket.full(self._rate, self._rate * _AHEAD, now), deque())
-        self._shares.append(share)
-        self._divide()
-        return share
-
-    def close(self, share: Share) -> None:
-        """The client left."""
-        self._shares.remove(share)
-        self._divide()
-
-    def left(self, now: float) -> bool:
-        """True while the budget of all lasts."""
-        return self._all.left(now) > 0
-
-    def charge(self, now: float, seconds: float) -> None:
-        """That much was spent."""
-        self._all.charge(now, seconds)
-
-    def _divide(self) -> None:
-        for share in self._shares:
-            share.part.rate = self._rate / len(self._shares)
-            share.part.capacity = share.part.rate * _AHEAD
-
-
-@dataclass(eq=False, slots=True)
-class Share:
-    """One client's part of the budget."""
-
-    budget: SolvingBudget
-    samples: Bucket
-    part: Bucket
-    spent: deque[float]  # seconds; filled by the solving thread, emptied by ``allows``
-
-    def allows(self, now: float) -> bool:
-        """True if one more sample may be solved on its own; it is counted."""
-        while self.spent:
-            seconds = self.spent.popleft()
-            self.part.charge(now, seconds)
-            self.budget.charge(now, seconds)
-        within = self.part.left(now) > 0 or self.budget.left(now)
-        return within and self.samples.take(now)
-
-
 class Solving:
     """The samples of one client. ``thread`` has to work one job at a time; it may be shared by many clients."""
 
-    def __init__(self, solver: PoseSolver, thread: Executor, clock: Callable[[], float]) -> None:
-        self.share: Share | None = None  # None: no limit
+    def __init__(
+        self,
+        solver: PoseSolver,
+        thread: Executor,
+        clock: Callable[[], float],
+        cpu: Callable[[], float] = thread_time,  # seconds the calling thread has worked
+    ) -> None:
+        self.share: Share | None = None  # of the time for solving; None: no limit
+        self.samples: Bucket | None = None  # solved one by one; None: no limit
+        self._cpu = cpu
         self.merged = 0  # samples left out in favour of a newer one, the budget being spent
         self._solver, self._thread, self._clock = solver, thread, clock
         self._solutions: deque[tuple[int | None, Solution]] = deque()  # by frame_id, oldest first
@@ -97,7 +51,8 @@ class Solving:
         now = self._clock()
         self.merged += self._put_off is not None
         self._put_off = None
-        if self.share is None or self.share.allows(now):
+        within = self.share is None or self.share.left(now)
+        if within and (self.samples is None or self.samples.take(now)):
             self._queue(request, now)
         else:
             self._put_off = request, now
@@ -143,7 +98,7 @@ class Solving:
                 request, arrived, oldest = self._unsolved.popleft()
             if oldest.set_running_or_notify_cancel():
                 solution = oldest
-        start = self._clock()
+        start, worked = self._clock(), self._cpu()
         try:
             result = self._solver.solve(request, arrived * 1e3)
         except BaseException as error:
@@ -151,7 +106,7 @@ class Solving:
         else:
             solution.set_result((result, (self._clock() - start) * 1e3))
         if self.share is not None:
-            self.share.spent.append(self._clock() - start)
+            self.share.spend(self._cpu() - worked)
         try:
             self._thread.submit(self._solve_next)
         except RuntimeError:  # the server stops

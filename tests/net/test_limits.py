@@ -12,11 +12,11 @@ import pytest
 from glsplat.net.addresses import Addresses
 from glsplat.net.backend import Solved
 from glsplat.net.duplicates import has_duplicates
-from glsplat.net.limits import Bucket, Limits, Purse, Strikes, address_key
+from glsplat.net.limits import Bucket, Budget, Limits, Purse, Strikes, address_key
 from glsplat.net.messages import Decoder, RenderRequest
 from glsplat.net.meter import FrameMeter
 from glsplat.net.session import Session
-from glsplat.net.solving import Solving, SolvingBudget
+from glsplat.net.solving import Solving
 from glsplat.skinning.pose import Pose
 from tests.net.wire import frame, native
 
@@ -266,12 +266,12 @@ class Timed:
 def clients(rates, cost, seconds, limits=LIMITS):
     """Samples solved of each client, at its own rate, on one thread whose samples take ``cost`` seconds."""
     clock, thread = [0.0], Stepped()
-    budget = SolvingBudget(limits.solving, 0.0)
+    budget = Budget(limits.solving, 0.0)
     solvers = [Timed(clock, cost) for _ in rates]
     each = []
     for solver in solvers:
-        solving = Solving(solver, thread, lambda: clock[0])
-        solving.share = budget.open(Purse(limits, 0.0).samples, 0.0)
+        solving = Solving(solver, thread, lambda: clock[0], lambda: clock[0])
+        solving.share, solving.samples = budget.open(0.0), Purse(limits, 0.0).samples
         each.append(solving)
     sent = [0] * len(rates)
     while clock[0] < seconds:
@@ -297,11 +297,11 @@ def test_normal_tracking_is_solved_sample_by_sample():
 
 
 def test_six_clients_at_220_samples_a_second_leave_a_good_one_its_own():
-    solved, _ = clients([72.0] + [220.0] * 6, cost=0.0009, seconds=20.0)
-    busy = sum(solved) * 0.0009
-    assert busy < LIMITS.solving + 0.12  # of the thread; the start of 2 s at once included
-    assert abs(solved[0] - 72) < 3  # within its seventh: 72 * 0.9 ms = 6.5 % of the time
-    assert all(50 < rate < 110 for rate in solved[1:])
+    solved, _ = clients([72.0] + [220.0] * 6, cost=0.0006, seconds=20.0)
+    busy = sum(solved) * 0.0006
+    assert busy < LIMITS.solving * 1.35  # of the thread, with the 2 s that may be spent at once
+    assert abs(solved[0] - 72) < 3  # within its seventh: 72 * 0.6 ms = 4.3 % of the time
+    assert all(50 < rate < 130 for rate in solved[1:])
 
 
 def test_above_the_rate_of_one_client_only_the_newest_is_solved():
@@ -314,7 +314,7 @@ def test_what_was_put_off_is_solved_when_its_picture_is_due():
     solver = Timed(clock, 0.001)
     solving = Solving(solver, thread, lambda: clock[0])
     limits = Limits(samples=0.0, samples_burst=2.0)
-    solving.share = SolvingBudget(0.5, 0.0).open(Purse(limits, 0.0).samples, 0.0)
+    solving.samples = Purse(limits, 0.0).samples
     for frame_id in range(1, 8):
         clock[0] = frame_id * 0.01
         solving.add(RenderRequest(frame_id=frame_id, cameras=(), tracking={}))
