@@ -29,8 +29,8 @@ class Limits:
     bytes_burst: float = 24.0 * 2**20
     samples: float = 150.0  # of tracking, solved one by one a second of one client; above it the newest only
     samples_burst: float = 50.0
-    solving: float = 0.35  # seconds of CPU time a second for solving tracking, all clients together ...
-    reading: float = 0.25  # ... and for reading JSON; where it runs out, each client has an equal part
+    solving: float = 0.25  # seconds of work a second on the tracking of all clients together ...
+    reading: float = 0.25  # ... and on reading their JSON; where it runs out, each client has an equal part
     per_address: int | None = None  # clients of one address; None: half of max_clients, all of them on loopback
     visits: float = 10.0  # connections and HTTP requests a second of one address
     visits_burst: float = 50.0
@@ -93,7 +93,7 @@ class Purse:
 
 
 class Budget:
-    """CPU time for all clients, ``rate`` seconds a second. While it lasts anybody may spend, then each its part."""
+    """Working time, ``rate`` seconds a second for all clients. While it lasts anybody may spend, then each its part."""
 
     def __init__(self, rate: float, now: float) -> None:
         self.rate = rate
@@ -124,20 +124,24 @@ class Share:
 
     budget: Budget
     part: Bucket
-    _spent: deque[float] = field(default_factory=deque)
+    _spent: deque[tuple[float, float]] = field(default_factory=deque)
 
-    def spend(self, seconds: float) -> None:
-        """That much was spent."""
-        self._spent.append(seconds)
+    def spend(self, own: float, all_in_all: float | None = None) -> None:
+        """Seconds that the client's work took, and those that passed, if others had to wait all the while."""
+        self._spent.append((own, own if all_in_all is None else all_in_all))
 
     def left(self, now: float) -> bool:
         """True while the client may spend more. One thread asks."""
         while self._spent:
-            seconds = self._spent.popleft()
-            self.part.charge(now, seconds)
-            self.budget.all.charge(now, seconds)
+            own, all_in_all = self._spent.popleft()
+            self.part.charge(now, own)
+            self.budget.all.charge(now, all_in_all)
         within = self.part.left(now) > 0
         return self.budget.all.left(now) > 0 or within
+
+    def wait(self, now: float) -> float:
+        """Seconds until the client's own part is there again."""
+        return max(0.0, -self.part.left(now)) / self.part.rate
 
 
 @dataclass(slots=True)

@@ -12,7 +12,7 @@ import os
 import signal
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -22,11 +22,13 @@ from glsplat.errors import ProtocolError
 from glsplat.net.access import SUBPROTOCOL, Access, server_tls
 from glsplat.net.backend import Backend, PoseSolver
 from glsplat.net.door import Door, connection_of
-from glsplat.net.limits import Budget, Limits, Purse, Share
+from glsplat.net.limits import Budget, Limits, Purse
 from glsplat.net.listener import bind
 from glsplat.net.messages import MAX_BYTES, Decoder, WireOptions
 from glsplat.net.meter import Breach
+from glsplat.net.options import client_options
 from glsplat.net.pump import Channel, FramePump
+from glsplat.net.reading import Reading
 from glsplat.net.session import GOING_AWAY, Close, Counts, Session, SessionConfig, Warn
 from glsplat.net.status import metrics_text, page_html
 from glsplat.skinning.skeleton import Skeleton
@@ -36,7 +38,6 @@ __all__ = ["Server", "ServerConfig"]
 log = logging.getLogger("glsplat.net")
 clock = time.perf_counter  # the pump's clock too
 
-_MAX_WINDOW = 8
 _TURN = 8  # messages of one client in a row before others are heard
 _FAREWELL = 0.5  # seconds a client that broke the rules gets to answer the close, while what it sends is thrown away
 _HEADERS = {
@@ -251,17 +252,7 @@ class Server:
 
     def _open_channel(self, request: web.Request, purse: Purse) -> Channel:
         """A new client with the options of its address: /ws?mirror=1&window=3&height=1.75."""
-        mirror, window, height = (request.query.get(name) for name in ("mirror", "window", "height"))
-        wire, limits = self.config.wire, self.config.session
-        if mirror is not None:
-            if mirror not in ("0", "1"):
-                raise ProtocolError("mirror needs 0 or 1")
-            wire = replace(wire, mirror=mirror == "1")
-        if window is not None:
-            if window not in map(str, range(1, _MAX_WINDOW + 1)):
-                raise ProtocolError(f"window needs 1 to {_MAX_WINDOW}")
-            limits = replace(limits, window=int(window))
-        metres = _metres(height)
+        wire, limits, metres = client_options(request.query, self.config.wire, self.config.session)
         solver = None if self._make_solver is None else self._make_solver(metres)
         self._numbers += 1
         session = Session(Decoder(wire, self._skeleton), limits, clock())
@@ -298,43 +289,48 @@ class Server:
 
     async def _read(self, channel: Channel, ws: web.WebSocketResponse) -> None:
         """Messages of one client until it leaves, is too long silent, or breaks the rules too often."""
-        share = self._reading.open(clock())
+        reading = Reading(self._reading.open(clock()))
         try:
-            await self._read_within(share, channel, ws)
+            await self._read_within(reading, channel, ws)
         finally:
-            self._reading.close(share)
+            self._reading.close(reading.share)
 
-    async def _read_within(self, share: Share, channel: Channel, ws: web.WebSocketResponse) -> None:
+    async def _read_within(self, reading: Reading, channel: Channel, ws: web.WebSocketResponse) -> None:
         session, count = channel.session, 0
         while True:
+            text: str | None = None
+            outcome: Warn | Close | None = None
+            now = clock()
             try:
                 # not receive(timeout=...): that begins anew with each ping or pong, and leaves out writing the pongs
-                async with asyncio.timeout(max(0.01, session.expires() - clock())):
+                async with asyncio.timeout(max(0.01, min(session.expires() - now, reading.wait(now)))):
                     message = await ws.receive()
             except TimeoutError:
-                outcome: Warn | Close | None = session.expired(clock())
+                text = reading.take()
+                if text is None:
+                    outcome = session.expired(clock())
             else:
                 if message.type == WSMsgType.TEXT:
                     if self._draining:
                         continue
-                    now = clock()
-                    if share.left(now):
-                        worked = time.thread_time()
-                        outcome = session.receive(message.data, now)
-                        share.spend(time.thread_time() - worked)
-                    else:
-                        outcome = session.unread(now)
+                    text = reading.offer(message.data, clock())
                 elif message.type == WSMsgType.BINARY:
                     error = ProtocolError("a request is a text message (JSON), not a binary one", "binary")
                     outcome = session.malformed(error, clock())
                 else:  # closed, or a broken frame that aiohttp has answered (1002, 1007, 1009)
                     return
+            if text is not None:
+                now, worked = clock(), time.thread_time()
+                outcome = session.receive(text, now)
+                # waiting for other threads is not the client's fault, but the loop stands still meanwhile
+                reading.share.spend(time.thread_time() - worked, clock() - now)
+            session.counts.unread = reading.left_out
             if isinstance(outcome, Warn):
                 await self._send(ws, outcome.text)
             elif isinstance(outcome, Close):
                 await self._farewell(channel, ws, outcome)
                 return
-            else:
+            elif text is not None:
                 self.pump.received(channel)
             count += 1
             if count % _TURN == 0:  # receive() does not give way while more has arrived
@@ -378,18 +374,6 @@ class Server:
             return
         async with asyncio.timeout(self.config.write_timeout):
             await (ws.send_str(data) if isinstance(data, str) else ws.send_bytes(data))
-
-
-def _metres(height: str | None) -> float | None:
-    if height is None:
-        return None
-    try:
-        metres = float(height)
-    except ValueError:
-        metres = 0.0
-    if not 0.5 <= metres <= 2.8:
-        raise ProtocolError("height needs 0.5 to 2.8 metres")
-    return metres
 
 
 async def _set_headers(request: web.Request, response: web.StreamResponse) -> None:

@@ -61,6 +61,7 @@ class Counts:
     stale: int = 0  # requests whose frame_id did not grow
     malformed: int = 0
     limited: int = 0  # messages above the rate, not read
+    unread: int = 0  # messages beyond the client's part of the time, dropped for newer ones
     failed: int = 0  # pictures that could not be drawn
     sent: int = 0  # replies
     bytes_sent: int = 0
@@ -106,14 +107,6 @@ class Session:
         except ProtocolError as error:
             return self.malformed(error, now)
         return None
-
-    def unread(self, now: float) -> Warn | None:
-        """A message was dropped as it came: this client has had its part of the time there is for reading."""
-        self._heard = now
-        self.accepted = None
-        self.counts.received += 1
-        self.counts.limited += 1
-        return self._warned("the server has no time to read more of your messages: send fewer, or shorter ones", now)
 
     def malformed(self, error: ProtocolError, now: float) -> Warn | Close:
         """Count a message that could not be used; repeated ones end the connection."""
@@ -229,11 +222,7 @@ class Session:
         if not self._flood.take(now):
             text = error_text("rate", "the connection ends: too many messages")
             return Close(text, POLICY_VIOLATION, "too many messages", breach=True)
-        return self._warned(f"at most {self.config.rate:g} messages a second are read", now)
-
-    def _warned(self, text: str, now: float) -> Warn | None:
-        """The error ``rate``, once a second."""
         if now - self._noticed < 1.0:
             return None
         self._noticed = now
-        return Warn(error_text("rate", text))
+        return Warn(error_text("rate", f"at most {self.config.rate:g} messages a second are read"))
