@@ -28,6 +28,7 @@ from glsplat.camera import head_matrix, stereo_cameras
 from glsplat.errors import GlsplatError, PoseError, ProtocolError
 from glsplat.net.client import Client
 from glsplat.net.encode import encode_picture
+from glsplat.net.limits import Limits
 from glsplat.net.messages import Decoder, RenderRequest, eye_fields
 from glsplat.net.reply import decode_picture
 from glsplat.net.server import Server, ServerConfig
@@ -49,6 +50,10 @@ def test_defaults_are_loopback_and_the_papers_setting():
     assert (config.wire.size, config.wire.quality, config.wire.ipd, config.wire.fov) == ((1024, 1024), 80, 0.055, 65)
     assert not config.wire.mirror and config.tls is None and config.access.token is None
     assert serve.server_config(arguments("--max-size", 256)).wire.size == (256, 256)
+    assert config.limits == Limits() and config.access.hosts == ()
+    words = ("--max-per-address", 3, "--max-waiting", 9, "--allow-host", "a.example", "--allow-host", "*.b.example")
+    config = serve.server_config(arguments(*words))
+    assert config.limits == Limits(per_address=3, waiting=9) and config.access.hosts == ("a.example", "*.b.example")
 
 
 @pytest.mark.parametrize(
@@ -58,6 +63,8 @@ def test_defaults_are_loopback_and_the_papers_setting():
         (["--port", 70000], "--port needs 0 to 65535, not 70000"),
         (["--quality", 0], "--quality needs 1 to 100"),
         (["--max-clients", 0], "--max-clients needs 1 to 256"),
+        (["--max-per-address", 0], "--max-per-address needs 1 to 256"),
+        (["--max-waiting", 1], "--max-waiting needs 2 to 4096"),
         (["--window", 0], "--window needs 1 to 8"),
         (["--size", 4096], "raise --max-size"),
         (["--fov", 180], "--fov 1 to 170"),

@@ -9,11 +9,13 @@ import signal
 import time
 
 import aiohttp
+import numpy as np
 import pytest
 
 import glsplat
 from apps.drawing import RendererBackend
 from glsplat.errors import BudgetError, ContextError, ContextLostError
+from glsplat.net.backend import Rendered
 from glsplat.net.client import Client
 from glsplat.net.messages import Decoder
 from glsplat.net.process import ProcessBackend
@@ -196,31 +198,32 @@ def test_clients_that_leave_take_no_picture_slot_with_them():
 def test_eight_clients_share_time_and_not_pictures(serve, fake_backend):
     """From 64 to 1536 pixels a side, over real sockets; in turn each of them had the same number of pictures."""
     sides = (64, 256, 512, 768, 1024, 1152, 1280, 1536)
-    backend = fake_backend()
-    render = backend.render
 
-    def slow(request):
-        backend.delay = request.cameras[0].width ** 2 * 5e-8  # 0.2 ms to 0.12 s
-        return render(request)
+    class Sized(fake_backend):
+        """Takes 0.2 ms to 0.12 s, and little of the processor."""
 
-    backend.render = slow
+        def render(self, request):
+            side = request.cameras[0].width
+            time.sleep(side**2 * 5e-8)
+            return Rendered(np.zeros((2, side, side, 4), np.uint8), covered=(0, 0, 16, 16))
+
     counts = dict.fromkeys(sides, 0)
 
     async def client(server, number, side):
         async with visitor(f"127.0.0.{number + 20}") as http, http.ws_connect(server.url) as ws:
             frame_id, end = 1, time.perf_counter() + 4
             while time.perf_counter() < end:
-                await ws.send_str(native(frame_id, size=[side, side], ack=frame_id - 1))
-                message = await ws.receive(timeout=10)
+                await ws.send_str(native(frame_id, size=[side, side], ack=frame_id - 1, crop=True))
+                message = await ws.receive(timeout=30)
                 counts[side] += message.type == aiohttp.WSMsgType.BINARY
                 frame_id += 1
 
     async def main():
-        async with serve(backend) as server:
+        async with serve(Sized()) as server:
             await asyncio.gather(*(client(server, i, side) for i, side in enumerate(sides)))
 
     asyncio.run(main())
-    assert counts[64] >= 3 * max(counts[1536], 1) and min(counts.values()) > 0
+    assert counts[64] >= 2.5 * max(counts[1536], 1) and min(counts.values()) > 0
 
 
 def test_a_good_client_reads_why(serve, fake_backend, cameras):
