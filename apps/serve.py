@@ -19,6 +19,7 @@ from glsplat.config import RenderConfig
 from glsplat.errors import GlsplatError
 from glsplat.net.access import Access, is_loopback, read_token
 from glsplat.net.backend import Solved
+from glsplat.net.limits import Limits
 from glsplat.net.messages import RenderRequest, WireOptions
 from glsplat.net.process import ProcessBackend
 from glsplat.net.server import Server, ServerConfig
@@ -33,7 +34,11 @@ from glsplat.tracking.tracker import Tracker
 from .drawing import MAX_COST, MAX_TIME, RendererBackend
 from .scene import add_scene, load_scene, size
 
-HELP = "Serve pictures of an avatar to headsets and other clients over a WebSocket (docs/protocol.md)."
+HELP = (
+    "Serve pictures of an avatar to headsets and other clients over a WebSocket (docs/protocol.md). "
+    "A client may send 240 messages, 1000 frames, 20 control frames and 2 MiB a second, an address make 10 connections "
+    "and requests a second (bursts and the rest: docs/deploying.md, Limits)."
+)
 EXAMPLE = "glsplat serve me.glb --port 8000"
 
 
@@ -95,6 +100,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--max-size", type=int, default=2048, help="largest side a request may ask for (default 2048)")
     parser.add_argument("--quality", type=int, default=80, help="JPEG quality where requests name none (default 80)")
     parser.add_argument("--max-clients", type=int, default=8, help="clients at once (default 8)")
+    parser.add_argument(
+        "--max-per-address",
+        type=int,
+        metavar="N",
+        help="clients of one address (default: half of --max-clients, on loopback all; behind a proxy: all)",
+    )
+    parser.add_argument(
+        "--max-waiting", type=int, default=64, metavar="N", help="connections that are not yet clients (default 64)"
+    )
     parser.add_argument("--window", type=int, default=2, help="pictures under way a client (default 2)")
     parser.add_argument("--ipd", type=float, default=PAPER_IPD, help="metres between the eyes, for requests with heads")
     parser.add_argument("--fov", type=float, default=PAPER_FOV, help="vertical degrees, for requests with heads")
@@ -122,6 +136,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--tls-key", type=Path, metavar="PEM", help="its key")
     parser.add_argument("--token-file", type=Path, metavar="FILE", help="clients need the token in this file")
     parser.add_argument("--origin", action="append", default=[], help="web page that may connect; may be repeated")
+    parser.add_argument(
+        "--allow-host", action="append", default=[], metavar="NAME", help="name it goes by; may be repeated, *.NAME too"
+    )
     parser.add_argument("--insecure", action="store_true", help="listen beyond this machine without TLS and token")
     parser.add_argument("--device", help="EGL device: index or part of its name (also GLSPLAT_DEVICE)")
     parser.add_argument("--json", action="store_true", help="print address and driver as a JSON line once ready")
@@ -136,6 +153,9 @@ def server_config(args: argparse.Namespace) -> ServerConfig:
         "--quality": (args.quality, 1, 100),
     }
     limits |= {"--max-clients": (args.max_clients, 1, 256), "--window": (args.window, 1, 8)}
+    limits |= {"--max-waiting": (args.max_waiting, 2, 4096)}
+    if args.max_per_address is not None:
+        limits["--max-per-address"] = (args.max_per_address, 1, 256)
     for name, (value, low, high) in limits.items():
         if not low <= value <= high:
             raise GlsplatError(f"{name} needs {low} to {high}, not {value}")
@@ -151,7 +171,12 @@ def server_config(args: argparse.Namespace) -> ServerConfig:
     tls = None if args.tls_cert is None else (args.tls_cert, args.tls_key)
     token = None if args.token_file is None else read_token(args.token_file)
     access = Access(
-        host=args.host, token=token, tls=tls is not None, insecure=args.insecure, origins=tuple(args.origin)
+        host=args.host,
+        token=token,
+        tls=tls is not None,
+        insecure=args.insecure,
+        origins=tuple(args.origin),
+        hosts=tuple(args.allow_host),
     )
     wire = WireOptions(
         size=pixels, max_side=args.max_size, quality=args.quality, ipd=args.ipd, fov=args.fov, mirror=args.mirror
@@ -162,6 +187,7 @@ def server_config(args: argparse.Namespace) -> ServerConfig:
         tls=tls,
         wire=wire,
         session=SessionConfig(window=args.window),
+        limits=Limits(per_address=args.max_per_address, waiting=args.max_waiting),
         max_clients=args.max_clients,
         scene=Path(args.scene).name if args.scene else "default avatar",
     )

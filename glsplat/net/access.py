@@ -1,7 +1,8 @@
-"""Who may talk to the server: bind address, TLS, token, browser origin. Decisions only, no sockets.
+"""Who may talk to the server: bind address, TLS, token, browser origin, host name. Decisions only, no sockets.
 
 Browsers let any page open a WebSocket to any host, localhost included, so a page's Origin has to be on a list
-(cross-site WebSocket hijacking, CWE-1385); other clients send no Origin and are let through to the token.
+(cross-site WebSocket hijacking, CWE-1385); other clients send no Origin and are let through to the token. A page may
+also let its own name lead here and then read this server as its own (DNS rebinding): names have to be known, too.
 """
 
 from __future__ import annotations
@@ -9,19 +10,22 @@ from __future__ import annotations
 import base64
 import hmac
 import ipaddress
+import re
+import socket
 import ssl
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from urllib.parse import urlsplit
 
 from glsplat.errors import GlsplatError
 
-__all__ = ["SUBPROTOCOL", "Access", "is_loopback", "read_token", "server_tls"]
+__all__ = ["SUBPROTOCOL", "Access", "certificate_names", "is_loopback", "machine_names", "read_token", "server_tls"]
 
 SUBPROTOCOL = "glsplat.v1"
 TOKEN_PREFIX = "token."  # browsers cannot set headers on a WebSocket: they offer "glsplat.v1" and "token.SECRET"
 _LOOPBACK_NAMES = ("localhost", "127.0.0.1", "::1")
+_HOST = re.compile(r"(?:\[(?P<address>[0-9a-f:.]{2,45})\]|(?P<name>[a-z0-9._-]{1,253}))(?::[0-9]{1,5})?")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -33,6 +37,7 @@ class Access:
     tls: bool = False
     insecure: bool = False  # another address than loopback without TLS and token, on the user's own word
     origins: tuple[str, ...] = ()  # further pages that may connect, e.g. "https://lab.example:8000"
+    hosts: tuple[str, ...] = ()  # names it goes by, besides addresses and localhost; "*.lab.example" for one label more
 
     def __post_init__(self) -> None:
         if not is_loopback(self.host) and not self.insecure and not (self.tls and self.token):
@@ -40,6 +45,23 @@ class Access:
                 f"{self.host} can be reached from other machines: give --tls-cert, --tls-key and --token-file, "
                 "or accept the risk with --insecure"
             )
+
+    def wrong_host(self, given: Sequence[str]) -> tuple[int, str] | None:
+        """None if ``given``, the Host headers of a request, name this server, else the HTTP status and one line.
+
+        An address is always right: nobody can make it lead elsewhere. The port is not looked at: it may be forwarded.
+        """
+        found = _HOST.fullmatch(given[0].strip().lower()) if len(given) == 1 else None
+        if found is None:
+            return 400, "a request needs one Host header"
+        name = (found["address"] or found["name"]).removesuffix(".")
+        if name == "localhost" or name.endswith(".localhost") or _is_address(name):
+            return None
+        for own in (self.host, *self.hosts):
+            own = own.lower().removesuffix(".")
+            if name == own or (own.startswith("*.") and name.partition(".")[2] == own[2:]):
+                return None
+        return 421, "this server does not go by that name: start it with --allow-host NAME to allow it"
 
     def refusal(self, headers: Mapping[str, str]) -> tuple[int, str] | None:
         """None to let a request in, else the HTTP status and one line of text."""
@@ -59,6 +81,11 @@ class Access:
             return page.netloc.lower() == host.lower() and page.scheme == ("https" if self.tls else "http")
         except ValueError:
             return False
+
+    def offers_token(self, headers: Mapping[str, str]) -> bool:
+        """True if a request brings any token, right or wrong."""
+        protocols = headers.get("Sec-WebSocket-Protocol", "")
+        return "Authorization" in headers or any(p.strip().startswith(TOKEN_PREFIX) for p in protocols.split(","))
 
     def _token_given(self, headers: Mapping[str, str]) -> bool:
         assert self.token is not None
@@ -81,6 +108,35 @@ def is_loopback(host: str) -> bool:
         return ipaddress.ip_address(host).is_loopback
     except ValueError:
         return False
+
+
+def machine_names() -> tuple[str, ...]:
+    """What other machines of a local network call this one: its host name, also with .local (mDNS)."""
+    name = socket.gethostname()
+    return (name, f"{name.partition('.')[0]}.local") if name else ()
+
+
+def certificate_names(cert: str | Path, server: ssl.SSLContext) -> tuple[str, ...]:
+    """The DNS names a certificate is for; none if they cannot be read (it has expired, say).
+
+    Python shows only a peer's certificate, so a client shakes hands with ``server`` in memory.
+    """
+    try:
+        client = ssl.create_default_context(cafile=cert)
+        client.check_hostname = False
+        client.verify_flags |= ssl.VERIFY_X509_PARTIAL_CHAIN  # trust the certificate itself, whoever issued it
+        there, back = ssl.MemoryBIO(), ssl.MemoryBIO()
+        ends = client.wrap_bio(back, there), server.wrap_bio(there, back, server_side=True)
+        for end in ends * 3:
+            try:
+                end.do_handshake()
+            except ssl.SSLWantReadError:
+                continue
+        found: Mapping[str, object] = ends[0].getpeercert() or {}
+    except (ssl.SSLError, OSError, ValueError):
+        return ()
+    names = found.get("subjectAltName", ())
+    return tuple(value for kind, value in names if kind == "DNS") if isinstance(names, tuple) else ()
 
 
 def read_token(path: str | Path) -> str:
@@ -109,6 +165,14 @@ def server_tls(cert: str | Path, key: str | Path) -> ssl.SSLContext:
         message = f"{cert}, {key}: expected a certificate and the key that belongs to it in PEM, without a passphrase"
         raise GlsplatError(message) from None
     return context
+
+
+def _is_address(name: str) -> bool:
+    try:
+        ipaddress.ip_address(name)
+    except ValueError:
+        return False
+    return True
 
 
 def _basic_password(value: str) -> str:

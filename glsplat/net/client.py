@@ -278,6 +278,8 @@ def _refused(url: str, status: int) -> str:
         401: "it wants a token; give it with --token-file",
         403: "it does not serve this origin",
         404: "there is no WebSocket at this path; it is /ws",
+        421: "it does not go by this name; start it with --allow-host",
+        429: "this address has too many clients there, or broke a limit; try again later",
         503: "it is full or stopping; try again later",
     }
     return f"{url}: the server refuses ({status}): {reasons.get(status, 'no glsplat server?')}"

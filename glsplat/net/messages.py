@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from glsplat.camera import PAPER_FOV, PAPER_IPD, Camera, head_matrix, stereo_cameras
 from glsplat.errors import FormatError, PoseError, ProtocolError
+from glsplat.net.duplicates import has_duplicates
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.smplx import POSE_KEYS
@@ -174,12 +175,15 @@ class Decoder:
         try:
             message = _decoder.decode(data)
             legacy = _legacy_decoder.decode(data) if message.v is None else None
+            repeated = has_duplicates(data)
         except msgspec.ValidationError as error:
             raise ProtocolError(_line(str(error)), "bad_field") from None
-        except (msgspec.DecodeError, UnicodeError) as error:
+        except (msgspec.DecodeError, ValueError) as error:
             raise ProtocolError(_line(str(error)), "bad_json") from None
         except RecursionError:
             raise ProtocolError("the message is nested too deeply", "bad_json") from None
+        if repeated:
+            raise ProtocolError("an object gives a key twice", "bad_json", _safe_id(message.frame_id))
         try:
             if legacy is None or (legacy.cameras is None and legacy.camera is None):
                 return self._native(message)

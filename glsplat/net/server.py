@@ -7,25 +7,29 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import errno
 import logging
 import os
 import signal
-import socket
 import time
-from collections.abc import Awaitable, Callable
-from dataclasses import asdict, dataclass, field, replace
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
 from aiohttp import WSMsgType, web
 
-from glsplat.errors import GlsplatError, ProtocolError
+from glsplat.errors import ProtocolError
 from glsplat.net.access import SUBPROTOCOL, Access, server_tls
 from glsplat.net.backend import Backend, PoseSolver
+from glsplat.net.door import Door, connection_of
+from glsplat.net.limits import Budget, Limits, Purse
+from glsplat.net.listener import bind
 from glsplat.net.messages import MAX_BYTES, Decoder, WireOptions
+from glsplat.net.meter import POLICY_VIOLATION, Breach
+from glsplat.net.options import client_options
 from glsplat.net.pump import Channel, FramePump
-from glsplat.net.session import GOING_AWAY, POLICY_VIOLATION, Close, Counts, Session, SessionConfig, Warn
+from glsplat.net.reading import Reading
+from glsplat.net.session import GOING_AWAY, Close, Counts, Session, SessionConfig, Warn
 from glsplat.net.status import metrics_text, page_html
 from glsplat.skinning.skeleton import Skeleton
 
@@ -34,10 +38,8 @@ __all__ = ["Server", "ServerConfig"]
 log: logging.Logger = logging.getLogger("glsplat.net")
 clock: Callable[[], float] = time.perf_counter  # the pump's clock too
 
-_MAX_WINDOW = 8
-_HOLD_OFF = 30.0  # seconds in which an address cannot connect after one of its clients was dropped
-_HELD = 4096  # addresses that are held off at most
 _HOPELESS = 2.0  # seconds after which a picture is not waited for when the server stops
+_TURN = 8  # messages of one client in a row before others are heard
 _FAREWELL = 0.5  # seconds a client that broke the rules gets to answer the close, while what it sends is thrown away
 _HEADERS = {
     "Content-Security-Policy": "default-src 'none'; style-src 'unsafe-inline'",
@@ -56,6 +58,7 @@ class ServerConfig:
     tls: tuple[Path, Path] | None = None  # certificate and key, PEM
     wire: WireOptions = field(default_factory=WireOptions)
     session: SessionConfig = field(default_factory=SessionConfig)
+    limits: Limits = field(default_factory=Limits)
     max_clients: int = 8
     heartbeat: float = 15.0  # seconds between pings; half of it without a pong ends the connection
     write_timeout: float = 2.0  # seconds a client may leave a reply unread
@@ -80,14 +83,15 @@ class Server:
         self.config: ServerConfig = config or ServerConfig()
         self.pump: FramePump = FramePump(backend)
         self.port: int = self.config.port
+        self.door: Door = Door(self.config.access, self.config.limits, self.config.max_clients, clock)
+        self._reading = Budget(self.config.limits.reading, clock())
+        self._solving = Budget(self.config.limits.solving, clock())
         self._make_solver = solver
         self._skeleton = skeleton
         self._channels: dict[int, Channel] = {}
-        self._sockets: dict[int, web.WebSocketResponse] = {}
-        self._held: dict[str, float] = {}  # by address: until when
+        self._sockets: dict[int, tuple[web.WebSocketResponse, web.Request]] = {}
         self._totals = Counts()
         self._numbers = 0
-        self._refused = 0
         self._draining = False
         self._started = clock()
         self._runner: web.AppRunner | None = None
@@ -101,13 +105,14 @@ class Server:
     async def start(self) -> None:
         """Bind, open the backend, then accept clients. Raises GlsplatError (port in use, files, no OpenGL)."""
         tls = server_tls(*self.config.tls) if self.config.tls else None
-        listener = self._bind()
+        listening = bind(self.config.access.host, self.config.port)
+        self.port = listening.getsockname()[1]
         try:
             await self.pump.start()
         except BaseException:
-            listener.close()
+            listening.close()
             raise
-        app = web.Application(middlewares=[self._guard], client_max_size=MAX_BYTES)
+        app = web.Application(middlewares=[self.door.guard], client_max_size=MAX_BYTES)
         app.add_routes(
             [
                 web.get("/ws", self._websocket),
@@ -118,15 +123,11 @@ class Server:
             ]
         )
         app.on_response_prepare.append(_set_headers)
-        # keepalive_timeout also ends connections that never send a whole request
-        self._runner = web.AppRunner(
-            app,
-            access_log=None,
-            keepalive_timeout=self.config.session.handshake,
-            shutdown_timeout=self.config.drain_timeout,
-        )
+        self._runner = web.AppRunner(app, access_log=None, shutdown_timeout=self.config.drain_timeout)
         await self._runner.setup()
-        await web.SockSite(self._runner, listener, ssl_context=tls).start()
+        assert self._runner.server is not None
+        cert = None if self.config.tls is None else self.config.tls[0]
+        self.door.open(self._runner.server, listening, tls, cert, self.config.session.handshake)
         self._started = clock()
 
     async def stop(self) -> None:
@@ -137,8 +138,9 @@ class Server:
                 channels = self._channels.values()
                 while self.pump.drawing_for < _HOPELESS and any(c.session.status()["under_way"] for c in channels):
                     await asyncio.sleep(0.01)
-        sockets = [ws.close(code=GOING_AWAY, message=b"the server stops") for ws in self._sockets.values()]
+        sockets = [ws.close(code=GOING_AWAY, message=b"the server stops") for ws, _ in self._sockets.values()]
         await asyncio.gather(*sockets, return_exceptions=True)
+        await self.door.close()
         if self._runner is not None:
             await self._runner.cleanup()
         await self.pump.stop()
@@ -188,41 +190,12 @@ class Server:
             "fps": round(self.pump.stages.fps(), 2),
             "max_clients": self.config.max_clients,
             "token": self.config.access.token is not None,
-            "refused": self._refused,
+            **self.door.status(),
             "rebuilds": self.pump.rebuilds,
             "totals": totals,
             "stages": self.pump.stages.summary(),
             "clients": clients,
         }
-
-    def _bind(self) -> socket.socket:
-        host, port = self.config.access.host, self.config.port
-        family = socket.AF_INET6 if ":" in host else socket.AF_INET
-        listener = socket.socket(family, socket.SOCK_STREAM)
-        try:
-            listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            listener.bind((host, port))
-            listener.listen(64)
-        except (OSError, OverflowError) as error:
-            listener.close()
-            if getattr(error, "errno", None) == errno.EADDRINUSE:
-                raise GlsplatError(f"port {port} is in use; choose another with --port") from None
-            reason = getattr(error, "strerror", None) or str(error)
-            raise GlsplatError(f"cannot listen on {host} port {port} ({reason}); choose --host and --port") from None
-        self.port = listener.getsockname()[1]
-        return listener
-
-    @web.middleware
-    async def _guard(
-        self, request: web.Request, handler: Callable[[web.Request], Awaitable[web.StreamResponse]]
-    ) -> web.StreamResponse:
-        if request.path != "/healthz":  # which says nothing about the scene or the clients
-            refusal = self.config.access.refusal(request.headers)
-            if refusal is not None:
-                self._refused += 1
-                asks = {"WWW-Authenticate": "Basic realm=glsplat"} if refusal[0] == 401 else None
-                return web.Response(status=refusal[0], text=refusal[1] + "\n", headers=asks)
-        return await handler(request)
 
     async def _healthz(self, request: web.Request) -> web.Response:
         healthy = self.pump.healthy and not self._draining
@@ -240,32 +213,32 @@ class Server:
 
     async def _websocket(self, request: web.Request) -> web.StreamResponse:
         if self._draining or len(self._channels) >= self.config.max_clients:
-            self._refused += 1
+            self.door.refused += 1
             text = f"the server is full ({self.config.max_clients} clients); try again later\n"
             return web.Response(status=503, text=text, headers={"Retry-After": "5"})
-        held = self._held.get(request.remote or "", 0.0) - clock()
-        if held > 0:
-            self._refused += 1
-            text = f"a client of this address was dropped; try again in {held:.0f} s\n"
-            return web.Response(status=429, text=text, headers={"Retry-After": str(int(held) + 1)})
+        ws = self._make_socket()
+        entered = self.door.enter(request, ws)
+        if isinstance(entered, web.Response):
+            return entered
         try:
-            channel = self._open_channel(request)
+            channel = self._open_channel(request, entered)
         except ProtocolError as error:
+            self.door.leave(request, entered)
             return web.Response(status=400, text=f"{error}\n")
         writer: asyncio.Task[None] | None = None
         try:
-            ws = self._make_socket()
             await ws.prepare(request)
-            self._sockets[channel.number] = ws
+            self._sockets[channel.number] = ws, request
             self.pump.add(channel)
             writer = asyncio.create_task(self._write(channel, ws, request))
-            await self._read(channel, ws)
+            await self._converse(channel, ws, connection_of(request).breached)
             return ws
         except (ConnectionError, TimeoutError):  # it neither reads nor listens
             _cut_off(request)
             return ws
         finally:
             self._close_channel(channel)
+            self.door.leave(request, entered)
             if writer is not None:
                 writer.cancel()
                 await asyncio.gather(writer, return_exceptions=True)
@@ -279,62 +252,101 @@ class Server:
             protocols=(SUBPROTOCOL,),
         )
 
-    def _open_channel(self, request: web.Request) -> Channel:
+    def _open_channel(self, request: web.Request, purse: Purse) -> Channel:
         """A new client with the options of its address: /ws?mirror=1&window=3&height=1.75."""
-        mirror, window, height = (request.query.get(name) for name in ("mirror", "window", "height"))
-        wire, limits = self.config.wire, self.config.session
-        if mirror is not None:
-            if mirror not in ("0", "1"):
-                raise ProtocolError("mirror needs 0 or 1")
-            wire = replace(wire, mirror=mirror == "1")
-        if window is not None:
-            if window not in map(str, range(1, _MAX_WINDOW + 1)):
-                raise ProtocolError(f"window needs 1 to {_MAX_WINDOW}")
-            limits = replace(limits, window=int(window))
-        metres = _metres(height)
+        wire, limits, metres = client_options(request.query, self.config.wire, self.config.session)
         solver = None if self._make_solver is None else self._make_solver(metres)
         self._numbers += 1
         session = Session(Decoder(wire, self._skeleton), limits, clock())
-        channel = self.pump.open(self._numbers, session, solver, request.remote or "")
+        channel = self.pump.open(self._numbers, session, solver, connection_of(request).key)
+        if channel.solving is not None:
+            channel.solving.share = self._solving.open(clock())
+            channel.solving.samples = purse.samples
         self._channels[channel.number] = channel
         return channel
 
     def _close_channel(self, channel: Channel) -> None:
         self.pump.remove(channel)
+        if channel.solving is not None and channel.solving.share is not None:
+            self._solving.close(channel.solving.share)
         self._sockets.pop(channel.number, None)
         del self._channels[channel.number]
         for name, value in asdict(channel.session.counts).items():
             setattr(self._totals, name, getattr(self._totals, name) + value)
 
+    async def _converse(self, channel: Channel, ws: web.WebSocketResponse, breached: asyncio.Future[Breach]) -> None:
+        """Messages of one client until it leaves or is put out."""
+        reading = asyncio.create_task(self._read(channel, ws))
+        ends: list[asyncio.Future[Any]] = [reading, breached]
+        try:
+            await asyncio.wait(ends, return_when=asyncio.FIRST_COMPLETED)
+        finally:
+            if not reading.done():
+                reading.cancel()
+                await asyncio.wait([reading])
+        if breached.done() and not ws.closed:
+            await self._farewell(channel, ws, channel.session.broke(breached.result()))
+        elif not reading.cancelled():
+            reading.result()
+
     async def _read(self, channel: Channel, ws: web.WebSocketResponse) -> None:
         """Messages of one client until it leaves, is too long silent, or breaks the rules too often."""
-        session = channel.session
+        reading = Reading(self._reading.open(clock()))
+        try:
+            await self._read_within(reading, channel, ws)
+        finally:
+            self._reading.close(reading.share)
+
+    async def _read_within(self, reading: Reading, channel: Channel, ws: web.WebSocketResponse) -> None:
+        session, count = channel.session, 0
         while True:
+            text: str | None = None
+            outcome: Warn | Close | None = None
+            now = clock()
             try:
                 # not receive(timeout=...): that begins anew with each ping or pong, and leaves out writing the pongs
-                async with asyncio.timeout(max(0.01, session.expires() - clock())):
+                async with asyncio.timeout(max(0.01, min(session.expires() - now, reading.wait(now)))):
                     message = await ws.receive()
             except TimeoutError:
-                outcome: Warn | Close | None = session.expired(clock())
+                text = reading.take()
+                if text is None:
+                    outcome = session.expired(clock())
             else:
                 if message.type == WSMsgType.TEXT:
                     if self._draining:
                         continue
-                    outcome = session.receive(message.data, clock())
+                    text = reading.offer(message.data, clock())
                 elif message.type == WSMsgType.BINARY:
                     error = ProtocolError("a request is a text message (JSON), not a binary one", "binary")
                     outcome = session.malformed(error, clock())
                 else:  # closed, or a broken frame that aiohttp has answered (1002, 1007, 1009)
                     return
+            if text is not None:
+                now, worked = clock(), time.thread_time()
+                outcome = session.receive(text, now)
+                # waiting for other threads is not the client's fault, but the loop stands still meanwhile
+                reading.share.spend(time.thread_time() - worked, clock() - now)
+            session.counts.unread = reading.left_out
             if isinstance(outcome, Warn):
                 await self._send(ws, outcome.text)
             elif isinstance(outcome, Close):
-                await self._send(ws, outcome.text)
-                async with asyncio.timeout(_FAREWELL):  # else it is cut off
-                    await ws.close(code=outcome.code, message=outcome.reason.encode())
+                await self._farewell(channel, ws, outcome)
                 return
-            else:
+            elif text is not None:
                 self.pump.received(channel)
+            count += 1
+            if count % _TURN == 0:  # receive() does not give way while more has arrived
+                await asyncio.sleep(0)
+
+    async def _farewell(self, channel: Channel, ws: web.WebSocketResponse, close: Close) -> None:
+        """Close the connection of a client that broke the rules. Raises TimeoutError if it does not answer."""
+        self.pump.remove(channel)
+        if close.breach:
+            self.door.breach(self._sockets[channel.number][1], close.reason)
+        if close.text:
+            await self._send(ws, close.text)
+        async with asyncio.timeout(_FAREWELL):  # else it is cut off
+            await ws.close(code=close.code, message=close.reason.encode())
 
     async def _write(self, channel: Channel, ws: web.WebSocketResponse, request: web.Request) -> None:
         """Pictures of one client, in order. A client that does not read them in time is cut off."""
@@ -360,35 +372,15 @@ class Server:
             self.pump.wake()
             if frame.ends:
                 log.warning("client %d is dropped: %s", channel.number, frame.ends)
-                self._hold_off(channel.address)
                 with contextlib.suppress(TimeoutError):
-                    async with asyncio.timeout(_FAREWELL):
-                        await ws.close(code=POLICY_VIOLATION, message=frame.ends.encode())
+                    await self._farewell(channel, ws, Close("", POLICY_VIOLATION, frame.ends, breach=True))
                 return _cut_off(request)
-
-    def _hold_off(self, address: str) -> None:
-        """Take no new connections of that address for a while."""
-        now = clock()
-        held = [(name, until) for name, until in self._held.items() if until > now]
-        self._held = dict(held[-_HELD:]) | {address: now + _HOLD_OFF}
 
     async def _send(self, ws: web.WebSocketResponse, data: str | bytes) -> None:
         if ws.closed:
             return
         async with asyncio.timeout(self.config.write_timeout):
             await (ws.send_str(data) if isinstance(data, str) else ws.send_bytes(data))
-
-
-def _metres(height: str | None) -> float | None:
-    if height is None:
-        return None
-    try:
-        metres = float(height)
-    except ValueError:
-        metres = 0.0
-    if not 0.5 <= metres <= 2.8:
-        raise ProtocolError("height needs 0.5 to 2.8 metres")
-    return metres
 
 
 async def _set_headers(request: web.Request, response: web.StreamResponse) -> None:

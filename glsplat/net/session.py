@@ -11,12 +11,13 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 from glsplat.errors import ProtocolError
+from glsplat.net.limits import Bucket
 from glsplat.net.messages import MAX_ID, Ack, Decoder, RenderRequest, error_text
+from glsplat.net.meter import POLICY_VIOLATION, Breach
 
 __all__ = ["Close", "Counts", "Session", "SessionConfig", "Warn"]
 
-POLICY_VIOLATION = 1008  # RFC 6455, section 7.4.1
-GOING_AWAY = 1001
+GOING_AWAY = 1001  # RFC 6455, section 7.4.1
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -42,11 +43,12 @@ class Warn:
 
 @dataclass(frozen=True, slots=True)
 class Close:
-    """Send this error text, then close the connection with this code."""
+    """Send this error text (unless empty), then close the connection with this code."""
 
     text: str
     code: int
     reason: str
+    breach: bool = False  # of a limit on what may be sent: its address is held off
 
 
 @dataclass(slots=True)
@@ -59,27 +61,10 @@ class Counts:
     stale: int = 0  # requests whose frame_id did not grow
     malformed: int = 0
     limited: int = 0  # messages above the rate, not read
+    unread: int = 0  # messages beyond the client's part of the time, dropped for newer ones
     failed: int = 0  # pictures that could not be drawn
     sent: int = 0  # replies
     bytes_sent: int = 0
-
-
-@dataclass(slots=True)
-class _Bucket:
-    """A token bucket: ``capacity`` at once, refilled by ``rate`` a second."""
-
-    capacity: float
-    rate: float
-    level: float
-    time: float
-
-    def take(self, now: float) -> bool:
-        self.level = min(self.capacity, self.level + max(0.0, now - self.time) * self.rate)
-        self.time = now
-        if self.level < 1:
-            return False
-        self.level -= 1
-        return True
 
 
 class Session:
@@ -102,9 +87,9 @@ class Session:
         self._unacked: deque[int] = deque()
         self._newest = -1  # frame_id accepted
         self._newest_sent = -1
-        self._rate = _Bucket(self.config.rate + self.config.burst, self.config.rate, self.config.burst, now)
-        self._flood = _Bucket(self.config.flood, self.config.rate, self.config.flood, now)
-        self._errors = _Bucket(self.config.errors, self.config.forgive, self.config.errors, now)
+        self._rate = Bucket(self.config.rate + self.config.burst, self.config.rate, self.config.burst, now)
+        self._flood = Bucket(self.config.flood, self.config.rate, self.config.flood, now)
+        self._errors = Bucket(self.config.errors, self.config.forgive, self.config.errors, now)
 
     def receive(self, data: str | bytes, now: float) -> Warn | Close | None:
         """Take one text message. None: nothing to say (accepted, acknowledged or dropped as too old)."""
@@ -135,6 +120,15 @@ class Session:
     def overspent(self, now: float) -> bool:
         """Count a picture that was refused for what it costs, like a malformed message; True: end the connection."""
         return not self._errors.take(now)
+
+    def broke(self, breach: Breach) -> Close:
+        """The frames themselves were wrong, or too many: none of them is read any more."""
+        if breach.code != POLICY_VIOLATION:
+            self.counts.malformed += 1
+            return Close("", breach.code, breach.reason)
+        self.counts.limited += 1
+        text = error_text("rate", f"the connection ends: {breach.reason}")
+        return Close(text, breach.code, breach.reason, breach=True)
 
     def ready(self) -> bool:
         """True while a request waits and the window has room for its picture."""
@@ -231,7 +225,7 @@ class Session:
         self.counts.limited += 1
         if not self._flood.take(now):
             text = error_text("rate", "the connection ends: too many messages")
-            return Close(text, POLICY_VIOLATION, "too many messages")
+            return Close(text, POLICY_VIOLATION, "too many messages", breach=True)
         if now - self._noticed < 1.0:
             return None
         self._noticed = now

@@ -15,6 +15,7 @@ _COUNTERS = {
     "stale": "requests whose frame_id did not grow",
     "malformed": "messages that could not be used",
     "limited": "messages above the rate limit",
+    "unread": "messages beyond a client's part of the time, dropped for newer ones",
     "failed": "pictures that could not be drawn",
     "sent": "pictures sent",
     "bytes_sent": "bytes of pictures sent",
@@ -28,6 +29,9 @@ def metrics_text(stats: Mapping[str, Any]) -> str:
         *_metric("up_seconds", "gauge", "seconds since the start", [("", stats["uptime"])]),
         *_metric("fps", "gauge", "pictures a second over the last five seconds", [("", stats["fps"])]),
         *_metric("refused_total", "counter", "connections refused", [("", stats["refused"])]),
+        *_metric("turned_away_total", "counter", "connections closed unanswered", [("", stats["turned_away"])]),
+        *_metric("waiting", "gauge", "connections that are no clients", [("", stats["waiting"])]),
+        *_metric("held_off", "gauge", "addresses that are held off", [("", stats["held_off"])]),
         *_metric("rebuilds_total", "counter", "OpenGL contexts lost and made anew", [("", stats["rebuilds"])]),
     ]
     for name, text in _COUNTERS.items():

@@ -13,6 +13,7 @@ import pytest
 from aiohttp import WSMsgType, web
 
 from glsplat.net.server import Server, ServerConfig
+from tests.net.wire import UNLIMITED
 
 pytest.importorskip("kosoku")
 
@@ -57,7 +58,8 @@ def run(backend, cases, without=(), limit=None):
     """(number of cases that passed, those that did not)."""
 
     async def main():
-        server = EchoServer(backend, ServerConfig(port=0))
+        # hundreds of connections, thousands of messages and 16 MiB at once are the suite's business
+        server = EchoServer(backend, ServerConfig(port=0, limits=UNLIMITED))
         server.limit = limit
         await server.start()
         try:

@@ -138,7 +138,11 @@ def test_a_burst_of_requests_draws_only_a_few(serve, fake_backend):
         async with serve(backend) as server, aiohttp.ClientSession() as http, http.ws_connect(server.url) as ws:
             for i in range(1, 501):
                 await ws.send_str(native(i))
-            await asyncio.sleep(0.3)
+            for _ in range(500):
+                await asyncio.sleep(0.02)
+                if server.stats()["totals"]["received"] == 500:
+                    break
+            await asyncio.sleep(0.1)
             return server.stats()["totals"], server.stats()["clients"][0]
 
     totals, client = asyncio.run(main())

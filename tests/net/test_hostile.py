@@ -23,7 +23,7 @@ from glsplat.net.backend import Rendered
 from glsplat.net.client import Client
 from glsplat.net.server import ServerConfig
 from glsplat.net.session import SessionConfig
-from tests.net.wire import EYE, UPGRADE, frame, native, raw, still_serves
+from tests.net.wire import EYE, UNLIMITED, UPGRADE, frame, native, raw, still_serves
 
 ROOT = Path(__file__).parents[2]
 
@@ -84,9 +84,9 @@ def test_ten_thousand_requests_a_second_end_the_connection(serve, fake_backend, 
 
 
 def test_a_flood_that_is_not_cut_off_starves_nobody(serve, fake_backend, cameras):
-    """The limit taken away: what it does not read it drops, one request waits, the other client is served."""
+    """The limits taken away: what it does not read it drops, one request waits, the other client is served."""
     backend = fake_backend(delay=0.002)
-    config = ServerConfig(port=0, session=SessionConfig(flood=10**9))
+    config = ServerConfig(port=0, session=SessionConfig(flood=10**9), limits=UNLIMITED)
 
     async def main():
         async with serve(backend, config) as server, Client(server.url) as other:
@@ -104,7 +104,8 @@ def test_a_flood_that_is_not_cut_off_starves_nobody(serve, fake_backend, cameras
 
     flood, times, waiting, totals = asyncio.run(main())
     assert flood.sent >= 5_000  # what a busy machine manages of 15,000
-    assert totals["received"] >= flood.sent and totals["limited"] > 0.9 * (flood.sent - 120 - 240 * 3)
+    # what is still in line when it leaves is not read
+    assert totals["received"] > 0.9 * flood.sent and totals["limited"] > 0.9 * (flood.sent - 120 - 240 * 3)
     assert totals["accepted"] - len(times) <= 120 + 240 * 3  # burst and rate: all others are not even parsed
     assert waiting <= 1
     assert len(times) >= 10 and np.median(times) < 0.25 and max(times) < 1.5
@@ -195,7 +196,7 @@ def test_a_thousand_connections_leave_nothing_behind(serve, cameras):
 
     async def main():
         process = psutil.Process()
-        async with serve() as server:
+        async with serve(config=ServerConfig(port=0, limits=UNLIMITED)) as server:
             served = await still_serves(server, cameras)
             await asyncio.sleep(0.1)
             before = len(asyncio.all_tasks()), process.num_fds(), threading.active_count()
@@ -286,12 +287,13 @@ sys.path.insert(0, sys.argv[1])
 from glsplat.net.server import Server, ServerConfig
 from glsplat.net.session import SessionConfig
 from tests.net.conftest import FakeBackend
+from tests.net.wire import UNLIMITED
 class Quick(FakeBackend):
     def render(self, request):
         self.drawn.clear()
         return super().render(request)
 logging.disable()
-server = Server(Quick(), ServerConfig(port=0, session=SessionConfig(rate=1e5)))
+server = Server(Quick(), ServerConfig(port=0, session=SessionConfig(rate=1e5), limits=UNLIMITED))
 asyncio.run(server.run(lambda: print(server.port, flush=True)))
 """
 

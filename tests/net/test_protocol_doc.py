@@ -11,10 +11,14 @@ import aiohttp
 import numpy as np
 import simplejpeg
 
-from glsplat.net import messages, pump, server, session
+from apps.serve import HELP
+from glsplat.net import messages, options, pump, reading, server, session
+from glsplat.net.limits import Limits
 from glsplat.net.messages import Decoder
 from glsplat.net.server import ServerConfig
 from glsplat.net.session import SessionConfig
+from glsplat.skinning.skeleton import Skeleton, rotation_matrices
+from tests.net.wire import EYE
 
 TEXT = (Path(__file__).parents[2] / "docs" / "protocol.md").read_text(encoding="utf-8")
 
@@ -77,6 +81,61 @@ def test_every_error_code_is_in_the_table():
     assert not missing
 
 
+def test_the_numbers_of_the_limits():
+    """Both pages and the help of the command hold the defaults."""
+    limits, mib = Limits(), 2**20
+    deploying = (Path(__file__).parents[2] / "docs" / "deploying.md").read_text(encoding="utf-8")
+    for phrase in (
+        f"(`--max-clients`) | {ServerConfig().max_clients} |",
+        f"(`--max-waiting`) | {limits.waiting} |",
+        f"HTTP requests of an address | {limits.visits:g} a second | {limits.visits_burst:g} |",
+        f"between requests | {limits.head // 1024} KiB |",
+        f"TLS handshake | {SessionConfig().handshake:g} |",
+        f"tokens of an address | {limits.guesses}, then one after 1, 2, 4 ... {limits.hold_off_most:g} s |",
+        f"frames of a client | {limits.frames:g} a second | {limits.frames_burst:g} |",
+        f"closes of a client | {limits.control:g} a second | {limits.control_burst:g} |",
+        f"bytes of a client | {limits.bytes / mib:g} MiB a second | {limits.bytes_burst / mib:g} MiB |",
+        f"messages of a client | {SessionConfig().rate:g} a second | {SessionConfig().burst} |",
+        f"messages of all clients | {limits.reading:g} s a second | {2 * limits.reading:g} s |",
+        f"tracking of all clients | {limits.solving:g} s a second | {2 * limits.solving:g} s |",
+        f"samples of a client | {limits.samples:g} a second | {limits.samples_burst:g} |",
+        f"of an address | {limits.hold_off:g} s, doubling up to {limits.hold_off_most:g} s | | 429; forgotten after "
+        f"{limits.forget:g} s",
+        f"addresses remembered | {limits.addresses} |",
+    ):
+        assert phrase in deploying, phrase
+    for phrase in (
+        f"{limits.frames:g} frames a second ({limits.frames_burst:g} at once), {limits.control:g} control frames",
+        f"({limits.control_burst:g}) and {limits.bytes / mib:g} MiB ({limits.bytes_burst / mib:g} MiB)",
+        f"{limits.reading:g} s of each second to read",
+        f"{limits.samples:g} samples a second of a client ({limits.samples_burst:g} at once) and {limits.solving:g} s",
+        f"429 for {limits.hold_off:g} s",
+        f"those of up to {reading._SHORT} characters",
+    ):
+        assert phrase in TEXT, phrase
+    for phrase in (f"{limits.frames:g} frames", f"{limits.control:g} control", f"make {limits.visits:g} connections"):
+        assert phrase in HELP, phrase
+
+
+def test_translations_are_in_the_frame_that_the_page_says():
+    """A joint whose rest frame is turned, under a parent that is turned and posed: only the parent's axes fit."""
+    assert "the **parent's** frame as posed" in TEXT
+    rest = np.tile(np.eye(4), (2, 1, 1))
+    rest[0, :3, :3] = rotation_matrices([0.3, -0.5, 0.2])
+    rest[1, :3, :3] = rotation_matrices([1.0, 0.4, -0.7])
+    rest[1, :3, 3] = 0.1, 0.5, 0.0
+    skeleton = Skeleton(("root", "tip"), np.array([-1, 0]), rest)
+    message = {"v": 1, "frame_id": 1, "eyes": [EYE], "size": [64, 64]}
+    posed = {"joints": {"root": [0, 0, 1.2]}}
+    moved = posed | {"translations": {"tip": [0.2, -0.1, 0.05]}}
+    frames = []
+    for pose in (posed, moved):
+        given = Decoder(skeleton=skeleton).decode(json.dumps(message | {"pose": pose})).pose
+        frames.append(skeleton.forward(given.rotations, given.trans, given.translations))
+    expected = frames[0][0, :3, :3] @ [0.2, -0.1, 0.05]
+    assert np.allclose(frames[1][1, :3, 3] - frames[0][1, :3, 3], expected)
+
+
 def test_the_numbers_of_the_page():
     config, limits = ServerConfig(), SessionConfig()
     for phrase in (
@@ -91,4 +150,4 @@ def test_the_numbers_of_the_page():
         f"port {config.port}",
     ):
         assert phrase in TEXT, phrase
-    assert server._MAX_WINDOW == 8
+    assert options.MAX_WINDOW == 8

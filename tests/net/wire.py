@@ -7,8 +7,13 @@ import json
 import struct
 
 from glsplat.net.client import Client
+from glsplat.net.limits import Limits
 
 EYE = {"viewmat": [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 2, 0, 0, 0, 1], "K": [50, 50, 32, 32]}
+UNLIMITED = Limits(
+    **dict.fromkeys(("frames", "control", "bytes", "visits"), 1e9),
+    **dict.fromkeys(("frames_burst", "control_burst", "bytes_burst", "visits_burst"), 1e9),
+)  # for tests of what lies behind the limits
 UPGRADE = (
     b"GET /ws HTTP/1.1\r\nHost: 127.0.0.1\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
     b"Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n\r\n"

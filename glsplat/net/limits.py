@@ -1,0 +1,185 @@
+"""What one client, one address and all strangers together may use: the numbers, and the buckets that hold them.
+
+No clocks and no sockets: times come in as arguments, in seconds of any clock that does not run backwards.
+"""
+
+from __future__ import annotations
+
+import ipaddress
+from collections import deque
+from dataclasses import dataclass, field
+
+__all__ = ["Bucket", "Budget", "Limits", "Purse", "Share", "Strikes", "address_key"]
+
+_AHEAD = 2.0  # seconds of its rate that a budget holds
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Limits:
+    """The defaults leave a legal client at 120 Hz with full hands (9 kB a request) more than twice what it needs.
+
+    Bursts are what such a client sends after 20 seconds of a network that stood still.
+    """
+
+    frames: float = 1000.0  # text, binary and continuation frames a second of one client ...
+    frames_burst: float = 5000.0  # ... and at once on top of that
+    control: float = 20.0  # pings, pongs and closes a second; each ping costs a pong
+    control_burst: float = 100.0
+    bytes: float = 2.0 * 2**20  # a second
+    bytes_burst: float = 24.0 * 2**20
+    samples: float = 150.0  # of tracking, solved one by one a second of one client; above it the newest only
+    samples_burst: float = 50.0
+    solving: float = 0.25  # seconds of work a second on the tracking of all clients together ...
+    reading: float = 0.25  # ... and on reading their JSON; where it runs out, each client has an equal part
+    per_address: int | None = None  # clients of one address; None: half of max_clients, all of them on loopback
+    visits: float = 10.0  # connections and HTTP requests a second of one address
+    visits_burst: float = 50.0
+    waiting: int = 64  # connections of all addresses that are not, or not yet, clients
+    head: int = 64 * 1024  # bytes before a request is whole, or between one and the next
+    guesses: int = 5  # wrong tokens of one address before the hold-off begins at 1 s
+    hold_off: float = 10.0  # seconds an address is held off once a client of it broke a limit
+    hold_off_most: float = 300.0  # each further breach (or guess) doubles the hold-off up to this
+    forget: float = 600.0  # seconds without a breach (or guess) until they are forgotten
+    addresses: int = 4096  # remembered
+
+
+@dataclass(slots=True)
+class Bucket:
+    """A token bucket: ``capacity`` at once, refilled by ``rate`` a second. It may be overdrawn by ``charge``."""
+
+    capacity: float
+    rate: float
+    level: float
+    time: float
+
+    @classmethod
+    def full(cls, rate: float, burst: float, now: float) -> Bucket:
+        """``burst`` at once, then ``rate`` a second."""
+        return cls(burst, rate, burst, now)
+
+    def left(self, now: float) -> float:
+        """The level at ``now``."""
+        self.level = min(self.capacity, self.level + max(0.0, now - self.time) * self.rate)
+        self.time = max(self.time, now)
+        return self.level
+
+    def take(self, now: float, amount: float = 1.0) -> bool:
+        """Take ``amount`` if it is there."""
+        if self.left(now) < amount:
+            return False
+        self.level -= amount
+        return True
+
+    def charge(self, now: float, amount: float) -> None:
+        """Take ``amount`` whether it is there or not."""
+        self.left(now)
+        self.level -= amount
+
+
+class Purse:
+    """What one client may spend. It belongs to the address: who comes back finds it as it was left."""
+
+    __slots__ = ("bytes", "control", "frames", "samples")
+
+    def __init__(self, limits: Limits, now: float) -> None:
+        self.frames = Bucket.full(limits.frames, limits.frames_burst, now)
+        self.control = Bucket.full(limits.control, limits.control_burst, now)
+        self.bytes = Bucket.full(limits.bytes, limits.bytes_burst, now)
+        self.samples = Bucket.full(limits.samples, limits.samples_burst, now)
+
+    def fullness(self, now: float) -> float:
+        """1 untouched, 0 or below where something is spent."""
+        return min(b.left(now) / b.capacity for b in (self.frames, self.control, self.bytes, self.samples))
+
+
+class Budget:
+    """Working time, ``rate`` seconds a second for all clients. While it lasts anybody may spend, then each its part."""
+
+    def __init__(self, rate: float, now: float) -> None:
+        self.rate = rate
+        self.all = Bucket.full(rate, rate * _AHEAD, now)
+        self._shares: list[Share] = []
+
+    def open(self, now: float) -> Share:
+        """A new client's share."""
+        share = Share(self, Bucket.full(self.rate, self.rate * _AHEAD, now))
+        self._shares.append(share)
+        self._divide()
+        return share
+
+    def close(self, share: Share) -> None:
+        """The client left."""
+        self._shares.remove(share)
+        self._divide()
+
+    def _divide(self) -> None:
+        for share in self._shares:
+            share.part.rate = self.rate / len(self._shares)
+            share.part.capacity = share.part.rate * _AHEAD
+
+
+@dataclass(eq=False, slots=True)
+class Share:
+    """One client's part of a budget. What was spent is charged afterwards, by any thread."""
+
+    budget: Budget
+    part: Bucket
+    _spent: deque[tuple[float, float]] = field(default_factory=deque)
+
+    def spend(self, own: float, all_in_all: float | None = None) -> None:
+        """Seconds that the client's work took, and those that passed, if others had to wait all the while."""
+        self._spent.append((own, own if all_in_all is None else all_in_all))
+
+    def left(self, now: float) -> bool:
+        """True while the client may spend more. One thread asks."""
+        while self._spent:
+            own, all_in_all = self._spent.popleft()
+            self.part.charge(now, own)
+            self.budget.all.charge(now, all_in_all)
+        within = self.part.left(now) > 0
+        return self.budget.all.left(now) > 0 or within
+
+    def wait(self, now: float) -> float:
+        """Seconds until the client's own part is there again."""
+        return max(0.0, -self.part.left(now)) / self.part.rate
+
+
+@dataclass(slots=True)
+class Strikes:
+    """Breaches of one kind by one address, and how long they hold it off: ``first`` seconds, doubled by each more."""
+
+    free: int  # of them without a consequence
+    first: float  # seconds
+    most: float  # seconds
+    forget: float  # seconds without one until all are forgotten
+    count: int = 0
+    until: float = float("-inf")
+    last: float = float("-inf")
+
+    def strike(self, now: float) -> None:
+        """One more."""
+        self.count = 1 if now - max(self.last, self.until) > self.forget else self.count + 1
+        self.last = now
+        if self.count > self.free:
+            self.until = now + min(self.most, self.first * 2.0 ** min(self.count - self.free - 1, 30))
+
+    def wait(self, now: float) -> float:
+        """Seconds until the address may try again; 0: now."""
+        return max(0.0, self.until - now)
+
+    def forgotten(self, now: float) -> bool:
+        """True once nothing is held against the address."""
+        return self.count == 0 or now - max(self.last, self.until) > self.forget
+
+
+def address_key(host: str) -> str:
+    """What counts as one address: an IPv4 address, or the /64 that one IPv6 subscriber has."""
+    try:
+        address = ipaddress.ip_address(host.partition("%")[0])
+    except ValueError:
+        return host[:64]
+    if isinstance(address, ipaddress.IPv6Address):
+        if address.ipv4_mapped is not None:
+            return str(address.ipv4_mapped)
+        return str(ipaddress.ip_network((address, 64), strict=False))
+    return str(address)
