@@ -16,7 +16,6 @@ from glsplat.avatar import Avatar
 from glsplat.camera import Camera
 from glsplat.config import RenderConfig
 from glsplat.context import Context, create_context
-from glsplat.errors import GlsplatError
 from glsplat.renderer import Renderer
 from glsplat.skinning.motion import load_motion
 from glsplat.skinning.pose import Pose
@@ -24,6 +23,7 @@ from glsplat.splats import Splats
 
 from .machine import machine
 from .scene import add_scene, load_scene, size, splats_of, view_of, viewing_point
+from .usage import UsageError
 
 HELP = (
     "Measure stage times (median and 95th percentile after warm-up), the draw floor, the gain of drawing both eyes in "
@@ -68,7 +68,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Measure and print."""
     if args.frames < 3:
-        raise GlsplatError(f"--frames needs at least 3, not {args.frames}")
+        raise UsageError(f"--frames needs at least 3, not {args.frames}")
     scene = load_scene(args)
     context = create_context(args.device)
     try:

@@ -15,6 +15,8 @@ from importlib import import_module
 import glsplat
 from glsplat.errors import GlsplatError
 
+from .usage import CommandParser, UsageError
+
 # imported when called: a command should not wait for the imports of the others
 COMMANDS = {
     "render": "a picture, a clip or a turntable of a scene or a posed avatar",
@@ -34,7 +36,7 @@ COMMANDS = {
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command; the entry point of the installed ``glsplat``."""
     arguments = list(sys.argv[1:] if argv is None else argv)
-    parser = argparse.ArgumentParser(
+    parser = CommandParser(
         prog="glsplat",
         description="Animatable 3D Gaussian avatars for VR on plain OpenGL. "
         "Without a scene, commands use the default avatar.",
@@ -47,7 +49,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
     try:
         module = import_module(f".{chosen.command}", __package__)
-        command = argparse.ArgumentParser(
+        command = CommandParser(
             prog=f"glsplat {chosen.command}",
             description=module.HELP,
             epilog=f"example:\n  {module.EXAMPLE}",
@@ -58,6 +60,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         code = int(module.run(args) or 0)
         sys.stdout.flush()  # here, where a full disk can still be reported
         return code
+    except UsageError as error:
+        print(f"glsplat {chosen.command}: {error}; see glsplat {chosen.command} --help", file=sys.stderr)
+        return 2
     except GlsplatError as error:
         print(f"glsplat {chosen.command}: {error}", file=sys.stderr)
         return 1

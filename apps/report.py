@@ -17,7 +17,7 @@ from typing import Any
 from tqdm import tqdm
 
 from glsplat.context import Context, create_context
-from glsplat.errors import FormatError, GlsplatError
+from glsplat.errors import FormatError
 from glsplat.formats.files import replace_file
 
 from . import report_latency
@@ -37,6 +37,7 @@ from .report_stability_skin import skin_cases
 from .report_stability_tracking import tracking_cases
 from .report_subjects import PERSON_SPLATS, Subject, check_cameras, subjects_of
 from .scene import splats_of
+from .usage import UsageError
 
 HELP = (
     "Render scenes over a grid of settings, compare with a float64 reference, time every setting in one process, and "
@@ -81,9 +82,9 @@ def run(args: argparse.Namespace) -> int:
     frames = (8 if args.quick else 30) if args.frames is None else args.frames
     size = (128 if args.quick else 256) if args.size is None else args.size
     if not 3 <= frames <= 10000:
-        raise GlsplatError(f"--frames needs 3 to 10000, not {frames}")
+        raise UsageError(f"--frames needs 3 to 10000, not {frames}")
     if not 16 <= size <= 1024:
-        raise GlsplatError(f"--size needs 16 to 1024 (the float64 reference is slow), not {size}")
+        raise UsageError(f"--size needs 16 to 1024 (the float64 reference is slow), not {size}")
     require_extra()
     check_cameras(args.cameras, args.scenes)
     try:

@@ -12,12 +12,17 @@ from glsplat.avatar import Avatar, default_avatar
 from glsplat.camera import Camera, look_at, pinhole, stereo_cameras
 from glsplat.errors import FormatError
 from glsplat.formats import load
+from glsplat.skinning.motion import Motion, embedded_motions, load_motion
+from glsplat.skinning.skeleton import Skeleton
 from glsplat.splats import Splats
+
+from .usage import UsageError
 
 __all__ = [
     "add_scene",
     "degrees",
     "load_scene",
+    "motion_of",
     "natural",
     "not_negative",
     "point",
@@ -44,6 +49,14 @@ def load_scene(args: argparse.Namespace) -> Splats | Avatar:
     if not Path(args.scene).exists():
         raise FormatError(f"{args.scene}: no such file; give a PLY, .splat or glTF, or nothing for the default avatar")
     return load(args.scene, strict=getattr(args, "strict", False))
+
+
+def motion_of(name: str, skeleton: Skeleton, option: str = "--motion") -> Motion:
+    """The motion an option names: a file or an embedded one. Raises UsageError where there is neither."""
+    if not Path(name).exists() and name not in embedded_motions():
+        known = ", ".join(embedded_motions()) or "none"
+        raise UsageError(f"{option} {name}: no such file and no such motion; embedded are {known}")
+    return load_motion(name, skeleton)
 
 
 def splats_of(scene: Splats | Avatar) -> Splats:

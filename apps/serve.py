@@ -16,7 +16,6 @@ import numpy as np
 from glsplat.avatar import Avatar
 from glsplat.camera import PAPER_FOV, PAPER_IPD, Camera
 from glsplat.config import RenderConfig
-from glsplat.errors import GlsplatError
 from glsplat.net.access import Access, is_loopback, read_token
 from glsplat.net.backend import Solved
 from glsplat.net.messages import RenderRequest, WireOptions
@@ -32,6 +31,7 @@ from glsplat.tracking.tracker import Tracker
 
 from .drawing import RendererBackend
 from .scene import add_scene, load_scene, size
+from .usage import UsageError
 
 HELP = "Serve pictures of an avatar to headsets and other clients over a WebSocket (docs/protocol.md)."
 EXAMPLE = "glsplat serve me.glb --port 8000"
@@ -96,14 +96,14 @@ def server_config(args: argparse.Namespace) -> ServerConfig:
     limits |= {"--max-clients": (args.max_clients, 1, 256), "--window": (args.window, 1, 8)}
     for name, (value, low, high) in limits.items():
         if not low <= value <= high:
-            raise GlsplatError(f"{name} needs {low} to {high}, not {value}")
+            raise UsageError(f"{name} needs {low} to {high}, not {value}")
     if not 0 <= args.ipd <= 0.2 or not 1 <= args.fov <= 170:
-        raise GlsplatError("--ipd needs 0 to 0.2 m and --fov 1 to 170 degrees")
+        raise UsageError("--ipd needs 0 to 0.2 m and --fov 1 to 170 degrees")
     pixels = args.size or (min(1024, args.max_size),) * 2
     if max(pixels) > args.max_size:
-        raise GlsplatError(f"--size needs at most {args.max_size} a side; raise --max-size to allow more")
+        raise UsageError(f"--size needs at most {args.max_size} a side; raise --max-size to allow more")
     if (args.tls_cert is None) != (args.tls_key is None):
-        raise GlsplatError("TLS needs both --tls-cert and --tls-key")
+        raise UsageError("TLS needs both --tls-cert and --tls-key")
     tls = None if args.tls_cert is None else (args.tls_cert, args.tls_key)
     token = None if args.token_file is None else read_token(args.token_file)
     access = Access(
