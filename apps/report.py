@@ -23,7 +23,7 @@ from glsplat.formats.files import replace_file
 from . import report_latency
 from .bench import WARM_UP
 from .machine import machine
-from .report_agreement import agreement, agreement_cost
+from .report_agreement import LOADED, agreement, agreement_cost, verdict
 from .report_batching import batching
 from .report_error import require_extra
 from .report_growth import Grid, grid_of, growth, growth_cost
@@ -103,8 +103,10 @@ def run(args: argparse.Namespace) -> int:
     for row in result["agreement"]:
         print(
             f"{row['scene']}, 2 x {row['size']}x{row['size']}: report {row['report_ms']['median']:.2f} ms, "
-            f"bench {row['bench_ms']['median']:.2f} ms: {'agree' if row['agree'] else 'DIFFER'}"
+            f"bench {row['bench_ms']['median']:.2f} ms: {verdict(row)}"
         )
+    if not all(row["agree"] for row in result["agreement"]):
+        print(LOADED)
     print(f"{len(result['stability']) - len(failed)} of {len(result['stability'])} stability cases hold")
     for row in failed:
         print(f"  failed: {row['group']}, {row['case']}: {row['seen']}")
