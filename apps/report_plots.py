@@ -130,7 +130,7 @@ def batching_plot(rows: Sequence[dict[str, Any]]) -> bytes:
         places = [i + (index - 1.5) * width for i in values]
         if values:
             drawn = times.bar(places, list(values.values()), width, label=label, color=colour)
-            times.bar_label(drawn, fmt="%.1f", fontsize=7)
+            times.bar_label(drawn, fmt="%.4g", fontsize=7)
     times.set_xticks(range(len(rows)), names)
     times.set(ylabel="ms for both eyes", title="The paper's figures are of its authors' GPU and avatar")
     times.legend(fontsize=8)
@@ -151,8 +151,9 @@ def left_out_plot(rows: Sequence[dict[str, Any]]) -> bytes:
     figure = Figure(figsize=(10, 0.45 * len(rows) + 1.6), layout="constrained")
     axes = figure.subplots()
     drawn = axes.barh([row["feature"] for row in rows], [row["cost"] for row in rows], color="C0")
-    axes.bar_label(drawn, fmt="%.2f x", fontsize=8)
     axes.axvline(1, color="0.3", linewidth=0.8)
+    paper = {"facecolor": "white", "edgecolor": "none", "pad": 1}  # the line at 1 does not run through a number
+    axes.bar_label(drawn, fmt="%.2f x", fontsize=8, padding=4, bbox=paper)
     axes.invert_yaxis()
     axes.set(xlabel="frame with the feature present but unused / frame without it")
     return _png(figure)

@@ -30,6 +30,7 @@ from glsplat.tracking.sample import Sample
 from glsplat.tracking.tracker import Tracker
 
 from .drawing import RendererBackend
+from .logs import add_log_format, start_logging
 from .scene import add_scene, load_scene, size
 from .usage import UsageError
 
@@ -83,6 +84,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--insecure", action="store_true", help="listen beyond this machine without TLS and token")
     parser.add_argument("--device", help="EGL device: index or part of its name (also GLSPLAT_DEVICE)")
     parser.add_argument("--json", action="store_true", help="print address and driver as a JSON line once ready")
+    add_log_format(parser)
     parser.add_argument("--verbose", action="store_true", help="log tracebacks of failed pictures")
 
 
@@ -126,9 +128,9 @@ def server_config(args: argparse.Namespace) -> ServerConfig:
 def run(args: argparse.Namespace) -> int:
     """Serve until SIGINT or SIGTERM; 0 after an orderly stop."""
     config = server_config(args)
-    logging.basicConfig(level=logging.INFO if args.verbose else logging.WARNING, format="glsplat serve: %(message)s")
+    start_logging(args.log_format, logging.INFO if args.verbose else logging.WARNING)
     if args.insecure and not is_loopback(args.host):
-        print("glsplat serve: anybody who reaches this port can use it (--insecure)", file=sys.stderr)
+        logging.getLogger("glsplat.serve").warning("anybody who reaches this port can use it (--insecure)")
     scene = load_scene(args)
     calibration = Calibration.load(args.calibration) if args.calibration else Calibration()
     server = make_server(scene, config, args.device, calibration, rendering=RenderConfig(cull_hidden=args.cull_hidden))
