@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import difflib
 import os
 import sys
 from collections.abc import Sequence
@@ -45,6 +46,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     )
     parser.add_argument("--version", action="version", version=f"glsplat {glsplat.__version__}")
     parser.add_argument("command", choices=list(COMMANDS), metavar="COMMAND", help="one of the commands below")
+    if arguments and arguments[0] not in COMMANDS and arguments[0] not in ("-h", "--help", "--version"):
+        near = difflib.get_close_matches(arguments[0], COMMANDS, 1)
+        parser.error(
+            f"{arguments[0]}: no such command" + (f"; is it {near[0]}?" if near else f"; {', '.join(COMMANDS)}")
+        )
     chosen = parser.parse_args(arguments[:1] or ["--help"])
 
     try:

@@ -22,7 +22,7 @@ from .preview_feed import Feed
 from .preview_files import motion_names, read_motion
 from .preview_viewer import Viewer
 from .preview_window import Window
-from .scene import add_scene, load_scene, point, size
+from .scene import add_scene, colour, load_scene, point, size
 from .usage import UsageError
 
 HELP = (
@@ -45,7 +45,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--eye", type=point, metavar="X,Y,Z", help="where the camera stands (default: all in view)")
     parser.add_argument("--target", type=point, metavar="X,Y,Z", help="what it looks at (default: the scene's middle)")
     parser.add_argument("--ipd", type=float, default=PAPER_IPD, help="metres between the eyes (default 0.055)")
-    parser.add_argument("--background", type=point, metavar="R,G,B", help="0 to 1 each (default 0,0,0)")
+    parser.add_argument("--background", type=colour, metavar="R,G,B", help="0 to 1 each (default 0,0,0)")
     parser.add_argument("--numbers", action="store_true", help="begin with the overlay of times and counts (key O)")
     parser.add_argument("--vsync", action="store_true", help="one picture a refresh of the screen instead of all")
     parser.add_argument("--frames", type=int, metavar="N", help="show N pictures, 1/30 s apart in the motion, and end")

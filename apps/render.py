@@ -27,7 +27,19 @@ from glsplat.splats import Splats
 
 from .clip import CLIPS, Clip
 from .output import save_npy, save_png, side_by_side
-from .scene import add_scene, degrees, load_scene, motion_of, point, positive, size, view_of, viewing_point
+from .scene import (
+    add_scene,
+    colour,
+    degrees,
+    load_scene,
+    motion_of,
+    not_negative,
+    point,
+    positive,
+    size,
+    view_of,
+    viewing_point,
+)
 from .usage import UsageError, output_kind
 
 HELP = (
@@ -47,8 +59,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--eye", type=point, metavar="X,Y,Z", help="where the camera stands (default: all in view)")
     parser.add_argument("--target", type=point, metavar="X,Y,Z", help="what it looks at (default: the scene's middle)")
     parser.add_argument("--stereo", action="store_true", help="both eyes in one pass, side by side in pictures")
-    parser.add_argument("--ipd", type=float, default=PAPER_IPD, help="metres between the eyes (default 0.055)")
-    parser.add_argument("--background", type=point, metavar="R,G,B", default=(0.0, 0.0, 0.0), help="0 to 1 each")
+    parser.add_argument("--ipd", type=not_negative, default=PAPER_IPD, help="metres between the eyes (default 0.055)")
+    parser.add_argument("--background", type=colour, metavar="R,G,B", default=(0.0, 0.0, 0.0), help="0 to 1 each")
     parser.add_argument("--pose", metavar="FILE", help="pose file (JSON)")
     parser.add_argument("--motion", metavar="FILE", help="motion file or the name of an embedded one")
     parser.add_argument("--frame", type=int, metavar="N", help="frame of the motion (default: all, as a clip)")

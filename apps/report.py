@@ -87,12 +87,12 @@ def run(args: argparse.Namespace) -> int:
         raise UsageError(f"--size needs 16 to 1024 (the float64 reference is slow), not {size}")
     require_extra()
     check_cameras(args.cameras, args.scenes)
+    paths = [None, *dict.fromkeys(args.scenes)]
+    subjects = [s for path in paths for s in subjects_of(path, size, args.cameras)]
     try:
         args.output.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise FormatError(f"{args.output}: cannot make the folder ({error.strerror})") from None
-    paths = [None, *dict.fromkeys(args.scenes)]
-    subjects = [s for path in paths for s in subjects_of(path, size, args.cameras)]
     context = create_context(args.device)
     try:
         result = measured(context, subjects, frames, args.quick, BATCHING_SIZES, grid_of(args.quick), args.device)

@@ -20,6 +20,7 @@ from .usage import UsageError
 
 __all__ = [
     "add_scene",
+    "colour",
     "degrees",
     "load_scene",
     "motion_of",
@@ -122,6 +123,17 @@ def point(text: str) -> tuple[float, float, float]:
     if not np.isfinite((x, y, z)).all():
         raise argparse.ArgumentTypeError(f"a point is three finite numbers, not {text!r}")
     return x, y, z
+
+
+def colour(text: str) -> tuple[float, float, float]:
+    """argparse type: red,green,blue from 0 to 1."""
+    try:
+        red, green, blue = (float(part) for part in text.split(","))
+    except ValueError:
+        red = green = blue = np.nan
+    if not (0 <= red <= 1 and 0 <= green <= 1 and 0 <= blue <= 1):
+        raise argparse.ArgumentTypeError(f"a colour is R,G,B from 0 to 1, for example 0.2,0.2,0.2, not {text!r}")
+    return red, green, blue
 
 
 def viewing_point(scene: Splats | Avatar, fov: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -129,13 +129,13 @@ def run(args: argparse.Namespace) -> int:
     """Serve until SIGINT or SIGTERM; 0 after an orderly stop."""
     config = server_config(args)
     start_logging(args.log_format, logging.INFO if args.verbose else logging.WARNING)
-    if args.insecure and not is_loopback(args.host):
-        logging.getLogger("glsplat.serve").warning("anybody who reaches this port can use it (--insecure)")
     scene = load_scene(args)
     calibration = Calibration.load(args.calibration) if args.calibration else Calibration()
     server = make_server(scene, config, args.device, calibration, rendering=RenderConfig(cull_hidden=args.cull_hidden))
 
     def started() -> None:
+        if args.insecure and not is_loopback(args.host):
+            logging.getLogger("glsplat.serve").warning("anybody who reaches this port can use it (--insecure)")
         if args.json:
             print(json.dumps({"url": server.url, "port": server.port, "driver": server.pump.driver}), flush=True)
         else:

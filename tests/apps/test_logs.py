@@ -63,7 +63,10 @@ def test_text_has_time_level_and_logger(capsys):
 
 def test_the_server_logs_as_asked(capsys, monkeypatch):
     class Quiet:
+        url, port, pump = "ws://192.0.2.1:8000/ws", 8000, argparse.Namespace(driver="none")
+
         async def run(self, started):
+            started()
             logging.getLogger("glsplat.net").warning("here")
 
     monkeypatch.setattr(serve, "make_server", lambda *_, **__: Quiet())

@@ -33,7 +33,12 @@ def test_an_option_that_is_not_there(capsys, command):
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["nosuch"], "glsplat: COMMAND: invalid choice: 'nosuch' (choose from"),
+        (["nosuch"], "glsplat: nosuch: no such command; render, preview, serve, "),
+        (["rendr", "-o", "x.png"], "glsplat: rendr: no such command; is it render?"),
+        (["--verbose"], "glsplat: --verbose: no such command"),
+        (["render", "-o", "a.png", "--background", "255,0,0"], "--background: a colour is R,G,B from 0 to 1"),
+        (["render", "-o", "a.png", "--ipd", "nan"], "--ipd: a finite number of at least 0"),
+        (["bench", "--motion", "nosuch"], "--motion nosuch: no such file and no such motion"),
         (["render"], "glsplat render: missing: -o/--output; see glsplat render --help"),
         (["render", "-o"], "glsplat render: -o/--output: expected one argument"),
         (["render", "-o", "a.png", "--size", "0"], "--size: a size is at least 1x1"),
