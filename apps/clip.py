@@ -96,6 +96,8 @@ class Clip:
     def __enter__(self) -> Clip:
         if not self._path.parent.is_dir() or not os.access(self._path.parent, os.W_OK):
             raise FormatError(f"{self._path}: cannot be written (no such folder, or not writable)")
+        # a warning a frame when the disk is full; _verify says it once
+        self._log_level = cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
         return self
 
     def __exit__(
@@ -113,6 +115,7 @@ class Clip:
         except OSError as problem:
             raise FormatError(f"{self._path}: cannot be written ({problem.strerror})") from None
         finally:
+            cv2.utils.logging.setLogLevel(self._log_level)
             self._partial.unlink(missing_ok=True)
 
 
