@@ -1,12 +1,13 @@
 # Every target does its own set-up: system libraries (by apt when root), a virtual environment, the package.
 VENV ?= .venv
 PYTHON ?= python3
+DEMO ?= # more options for `make demo`, such as DEMO='--seconds 2'
 BIN := $(VENV)/bin
 
 .PHONY: demo test install style types unit goldens bench report clean
 
 demo: $(VENV)/.run
-	$(BIN)/glsplat demo -o out/demo
+	$(BIN)/glsplat demo -o out/demo $(DEMO)
 
 test: $(VENV)/.dev style types unit
 
@@ -30,13 +31,13 @@ bench: $(VENV)/.run
 	$(BIN)/glsplat bench
 
 $(VENV)/.run: pyproject.toml .ci/system
-	.ci/system
+	PYTHON=$(PYTHON) .ci/system
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e .
 	touch $@
 
 $(VENV)/.dev: pyproject.toml .ci/system
-	.ci/system test
+	PYTHON=$(PYTHON) .ci/system test
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[dev]'
 	touch $@ $(VENV)/.run

@@ -21,7 +21,6 @@ from glsplat.formats.files import replace_file
 from glsplat.skinning.cones import ConeConfig, with_cones
 from glsplat.skinning.importers import bind_to_mesh, load_lhm_dump, marked_no_rotate
 from glsplat.skinning.lam import is_lam_zip, load_lam_zip
-from glsplat.skinning.motion import load_motion
 from glsplat.skinning.people import RiggedMesh, read_person
 from glsplat.skinning.pose import Pose, load_pose
 from glsplat.skinning.posed import posed_splats
@@ -33,6 +32,8 @@ from glsplat.skinning.surface import make_avatar
 
 from . import avatar_score
 from .motion_library import library, to_json
+from .scene import motion_of
+from .usage import UsageError
 
 HELP = "Make avatars from rigged people, import, export and score them, find hidden splats, write the embedded motions."
 EXAMPLE = "glsplat avatar make person.npz -o me.glb --splats 40000"
@@ -77,7 +78,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         command.add_argument("--json", action="store_true", help="print what was made as JSON")
 
     export = commands.add_parser("export", help="the avatar in one pose as a static splat file")
-    export.add_argument("avatar", type=Path, help="avatar (.glb)")
+    export.add_argument("avatar", nargs="?", type=Path, help="avatar (.glb); default: the embedded one")
     export.add_argument("--pose", help="pose or motion file, or the name of an embedded motion (default: zero pose)")
     export.add_argument("--at", type=float, default=0.0, help="seconds into a motion (default 0)")
     export.add_argument("-o", "--out", type=Path, required=True, help="file to write (.ply, .splat, .glb)")
@@ -112,7 +113,7 @@ def run(args: argparse.Namespace) -> int:
 def _make(args: argparse.Namespace) -> int:
     _check_name(args.out)
     if args.steps < 0:
-        raise GlsplatError(f"--steps needs 0 or more, not {args.steps}")
+        raise UsageError(f"--steps needs 0 or more, not {args.steps}")
     began = time.perf_counter()
     mesh = _person(args.person) if args.body is None else read_obj_person(args.person, read_body(args.body))
     with _progress() as show:
@@ -127,9 +128,9 @@ def _make(args: argparse.Namespace) -> int:
 def _cones(args: argparse.Namespace) -> int:
     _check_name(args.out)
     if not 0 < args.psnr <= 100:
-        raise GlsplatError(f"--psnr needs decibels above 0 and at most 100, not {args.psnr:g}")
+        raise UsageError(f"--psnr needs decibels above 0 and at most 100, not {args.psnr:g}")
     if not 8 <= args.directions <= 4096:
-        raise GlsplatError(f"--directions needs 8 to 4096, not {args.directions}")
+        raise UsageError(f"--directions needs 8 to 4096, not {args.directions}")
     began = time.perf_counter()
     with _progress() as show:
         made = with_cones(load(args.scene), ConeConfig(psnr=args.psnr, directions=args.directions), show)
@@ -156,7 +157,7 @@ def _import(args: argparse.Namespace) -> int:
     began = time.perf_counter()
     if args.dump.suffix.lower() == ".zip" or is_lam_zip(args.dump):
         if args.mesh is not None:
-            raise GlsplatError(f"{args.dump}: a LAM zip brings its own mesh; leave out --mesh")
+            raise UsageError(f"{args.dump}: a LAM zip brings its own mesh; leave out --mesh")
         return _write(load_lam_zip(args.dump), args, began)
     if args.mesh is None:
         avatar = load_lhm_dump(args.dump)
@@ -167,7 +168,7 @@ def _import(args: argparse.Namespace) -> int:
             )
         return _write(avatar, args, began)
     if not 0 < args.reach < 1000:
-        raise GlsplatError(f"--reach needs centimetres above 0, not {args.reach:g}")
+        raise UsageError(f"--reach needs centimetres above 0, not {args.reach:g}")
     scene = load(args.dump)
     splats = scene.splats if isinstance(scene, Avatar) else scene
     try:
@@ -194,7 +195,7 @@ def _person(path: Path) -> RiggedMesh:
 
 def _check_name(out: Path) -> None:
     if out.suffix.lower() not in (".glb", ".gltf"):
-        raise GlsplatError(f"{out}: an avatar is written as .glb or .gltf; change the name")
+        raise UsageError(f"{out}: an avatar is written as .glb or .gltf; change the name")
 
 
 def _write(avatar: Avatar, args: argparse.Namespace, began: float) -> int:
@@ -220,17 +221,17 @@ def _write(avatar: Avatar, args: argparse.Namespace, began: float) -> int:
 
 
 def _export(args: argparse.Namespace) -> int:
-    scene = load(args.avatar)
+    scene = default_avatar() if args.avatar is None else load(args.avatar)
     if not isinstance(scene, Avatar):
         raise FormatError(f"{args.avatar}: has no skeleton to pose; give an avatar (.glb with a skin)")
     pose = Pose.zero(len(scene.skeleton))
     if args.pose is not None:
         if not math.isfinite(args.at):
-            raise GlsplatError(f"--at needs a number of seconds, not {args.at}")
+            raise UsageError(f"--at needs a number of seconds, not {args.at}")
         if _is_single_pose(args.pose):
             pose = load_pose(args.pose, scene.skeleton)
         else:
-            pose = load_motion(args.pose, scene.skeleton).at(args.at)
+            pose = motion_of(args.pose, scene.skeleton, "--pose").at(args.at)
     save(posed_splats(scene, pose), args.out)
     print(f"{args.out}: {len(scene.splats)} splats")
     return 0

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from glsplat.avatar import Avatar
 from glsplat.camera import Camera, look_at, pinhole
 from glsplat.config import RenderConfig
-from glsplat.errors import FormatError, GlsplatError
+from glsplat.errors import FormatError
 from glsplat.formats.files import replace_file
 from glsplat.mesh import MeshConfig, MeshRenderer
 from glsplat.renderer import Renderer
@@ -24,6 +24,7 @@ from glsplat.skinning.people import RiggedMesh
 
 from .avatar_poses import SCORE_POSES, score_pose
 from .output import eight_bit, label, save_png, stack
+from .usage import UsageError
 
 __all__ = ["Score", "add_arguments", "compare", "report", "score"]
 
@@ -69,15 +70,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def report(args: argparse.Namespace, avatar: Avatar, mesh: RiggedMesh) -> int:
     """Score, print, write the sheet; 0 on success."""
     if not 1 <= args.poses <= len(SCORE_POSES):
-        raise GlsplatError(f"--poses needs 1 to {len(SCORE_POSES)}, not {args.poses}")
+        raise UsageError(f"--poses needs 1 to {len(SCORE_POSES)}, not {args.poses}")
     if not 1 <= args.views <= 360:
-        raise GlsplatError(f"--views needs 1 to 360, not {args.views}")
+        raise UsageError(f"--views needs 1 to 360, not {args.views}")
     if not 32 <= args.size <= 4096:
-        raise GlsplatError(f"--size needs 32 to 4096, not {args.size}")
+        raise UsageError(f"--size needs 32 to 4096, not {args.size}")
     if not 0 <= args.grey <= 1:
-        raise GlsplatError(f"--grey needs 0 to 1, not {args.grey}")
+        raise UsageError(f"--grey needs 0 to 1, not {args.grey}")
     if args.sheet is not None and args.sheet.suffix.lower() not in (".png", ".jpg", ".jpeg"):
-        raise GlsplatError(f"{args.sheet}: a contact sheet is written as .png or .jpg; change the name")
+        raise UsageError(f"{args.sheet}: a contact sheet is written as .png or .jpg; change the name")
     names = list(SCORE_POSES)[: args.poses]
     with MeshRenderer(mesh, size=(args.size,) * 2, config=MeshConfig(output="float32")) as truth:
         config = RenderConfig(output="float32", antialias=args.antialias)

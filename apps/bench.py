@@ -16,14 +16,13 @@ from glsplat.avatar import Avatar
 from glsplat.camera import Camera
 from glsplat.config import RenderConfig
 from glsplat.context import Context, create_context
-from glsplat.errors import GlsplatError
 from glsplat.renderer import Renderer
-from glsplat.skinning.motion import load_motion
 from glsplat.skinning.pose import Pose
 from glsplat.splats import Splats
 
 from .machine import machine
-from .scene import add_scene, load_scene, size, splats_of, view_of, viewing_point
+from .scene import add_scene, load_scene, motion_of, size, splats_of, view_of, viewing_point
+from .usage import UsageError
 
 HELP = (
     "Measure stage times (median and 95th percentile after warm-up), the draw floor, the gain of drawing both eyes in "
@@ -68,7 +67,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Measure and print."""
     if args.frames < 3:
-        raise GlsplatError(f"--frames needs at least 3, not {args.frames}")
+        raise UsageError(f"--frames needs at least 3, not {args.frames}")
     scene = load_scene(args)
     context = create_context(args.device)
     try:
@@ -103,7 +102,7 @@ class Bench:
         frames = self._args.frames + WARM_UP
         out: list[tuple[str, Splats | Avatar, list[Pose | None]]] = [("static", splats_of(scene), [None] * frames)]
         if isinstance(scene, Avatar) and not self._args.static:
-            motion = load_motion(self._args.motion, scene.skeleton)
+            motion = motion_of(self._args.motion, scene.skeleton)
             out.append(("in motion", scene, [motion.at(i / 30) for i in range(frames)]))
         return out
 
@@ -169,7 +168,7 @@ class Bench:
 
     def influences(self, avatar: Avatar) -> list[dict[str, Any]]:
         """The skin stage by joints a splat, interleaved, and the pose upload it needs."""
-        motion = load_motion(self._args.motion, avatar.skeleton)
+        motion = motion_of(self._args.motion, avatar.skeleton)
         counts = [k for k in (1, 2, 4, 8) if k <= avatar.skin.influences]
         pixels = self._args.sizes[0]
         config = self._config

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import difflib
 import os
 import re
 import sys
@@ -15,6 +16,8 @@ from importlib import import_module
 
 import glsplat
 from glsplat.errors import GlsplatError
+
+from .usage import CommandParser, UsageError
 
 _OPTION, _NEGATIVE = re.compile("--[a-z][a-z-]*"), re.compile(r"-\.?[0-9]")
 
@@ -37,7 +40,7 @@ COMMANDS = {
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command; the entry point of the installed ``glsplat``."""
     arguments = list(sys.argv[1:] if argv is None else argv)
-    parser = argparse.ArgumentParser(
+    parser = CommandParser(
         prog="glsplat",
         description="Animatable 3D Gaussian avatars for VR on plain OpenGL. "
         "Without a scene, commands use the default avatar.",
@@ -46,11 +49,16 @@ def main(argv: Sequence[str] | None = None) -> int:
     )
     parser.add_argument("--version", action="version", version=f"glsplat {glsplat.__version__}")
     parser.add_argument("command", choices=list(COMMANDS), metavar="COMMAND", help="one of the commands below")
+    if arguments and arguments[0] not in COMMANDS and arguments[0] not in ("-h", "--help", "--version"):
+        near = difflib.get_close_matches(arguments[0], COMMANDS, 1)
+        parser.error(
+            f"{arguments[0]}: no such command" + (f"; is it {near[0]}?" if near else f"; {', '.join(COMMANDS)}")
+        )
     chosen = parser.parse_args(arguments[:1] or ["--help"])
 
     try:
         module = import_module(f".{chosen.command}", __package__)
-        command = argparse.ArgumentParser(
+        command = CommandParser(
             prog=f"glsplat {chosen.command}",
             description=module.HELP,
             epilog=f"example:\n  {module.EXAMPLE}",
@@ -61,6 +69,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         code = int(module.run(args) or 0)
         sys.stdout.flush()  # here, where a full disk can still be reported
         return code
+    except UsageError as error:
+        print(f"glsplat {chosen.command}: {error}; see glsplat {chosen.command} --help", file=sys.stderr)
+        return 2
     except GlsplatError as error:
         print(f"glsplat {chosen.command}: {error}", file=sys.stderr)
         return 1

@@ -23,15 +23,17 @@ from .replay import load_drive, save_clip, save_sheet
 from .scene import size
 from .stage_table import frame_text, table_markdown, table_text
 from .streaming import Drive, Result, observer, stream
+from .usage import UsageError
 
 HELP = (
     "Start a server, stream recorded head and hands through it at two sizes (tracking to pose to both eyes to JPEG), "
-    "and show rates, stage times, a contact sheet and a clip."
+    "and show rates, stage times, a contact sheet and a clip (MP4 with VP9, which browsers play)."
 )
 EXAMPLE = "glsplat demo -o out/demo"
 
 _START = 60.0  # seconds a server may take to get ready on a slow machine
 _STOP = 10.0
+_ACROSS = 1024  # pixels of the clip: VP9 of twice that would take longer than the streaming
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -52,12 +54,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Serve, stream, report, save, stop."""
     if not 0.1 <= args.seconds <= 600 or not 1 <= args.fps <= 240:
-        raise GlsplatError("--seconds needs 0.1 to 600 and --fps 1 to 240")
+        raise UsageError("--seconds needs 0.1 to 600 and --fps 1 to 240")
+    drive, _ = load_drive(args.motion, args.avatar, args.tracking)
     try:
         args.output.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise FormatError(f"{args.output}: cannot make the folder ({error.strerror})") from None
-    drive, _ = load_drive(args.motion, args.avatar, args.tracking)
     with running_server(args.avatar) as url:
         results = asyncio.run(_measure(args, url, drive))
     sheet, clip = args.output / "contact_sheet.png", args.output / "clip.mp4"
@@ -65,7 +67,7 @@ def run(args: argparse.Namespace) -> int:
     if not kept:
         raise GlsplatError("no picture came; run `glsplat serve --verbose` and `glsplat replay` to see why")
     save_sheet(sheet, kept)
-    save_clip(clip, kept)
+    shown = save_clip(clip, kept, across=_ACROSS)
     if args.table:
         replace_file(args.table, [table_markdown(results).encode()])
     if args.json:
@@ -76,7 +78,7 @@ def run(args: argparse.Namespace) -> int:
         print(f"2x {name}, drawn by {result.driver}")
         print(table_text(result))
         print(frame_text(result), end="\n\n")
-    print(sheet, clip, *([args.table] if args.table else []), sep="\n")
+    print(sheet, shown, *([args.table] if args.table else []), sep="\n")
     return 0
 
 

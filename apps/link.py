@@ -17,6 +17,8 @@ from urllib.parse import urlsplit, urlunsplit
 
 from glsplat.errors import GlsplatError
 
+from .usage import UsageError
+
 __all__ = ["Link", "link", "over"]
 
 _CHUNK = 4096  # bytes read at once: 0.7 ms at 50 Mbit/s
@@ -57,7 +59,7 @@ async def over(simulated: Link | None, url: str) -> AsyncIterator[str]:
         return
     parts = urlsplit(url)
     if parts.scheme != "ws" or parts.hostname is None:
-        raise GlsplatError(f"--link goes with ws://HOST:PORT/ws, not {url}")
+        raise UsageError(f"--link goes with ws://HOST:PORT/ws, not {url}")
     relay = _Relay(simulated, parts.hostname, parts.port or 80)
     try:
         _, writer = await asyncio.open_connection(relay.host, relay.port)

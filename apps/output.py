@@ -1,13 +1,10 @@
-"""Writing pictures and clips: always to a temporary neighbour first, so that no partial file is left behind."""
+"""Writing pictures: always to a temporary neighbour first, so that no partial file is left behind."""
 
 from __future__ import annotations
 
 import io
-import os
-import secrets
 from collections.abc import Sequence
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 import cv2
@@ -18,7 +15,7 @@ from glsplat.errors import FormatError
 from glsplat.formats.files import replace_file
 from glsplat.pictures import straight
 
-__all__ = ["Clip", "eight_bit", "label", "save_npy", "save_png", "side_by_side", "stack"]
+__all__ = ["Image", "eight_bit", "label", "save_npy", "save_png", "side_by_side", "stack"]
 
 Image = NDArray[np.uint8]
 
@@ -70,54 +67,3 @@ def save_npy(path: str | Path, array: NDArray[Any]) -> None:
     buffer = io.BytesIO()
     np.save(buffer, array)
     replace_file(path, [buffer.getbuffer()])
-
-
-class Clip:
-    """An MP4 written frame by frame; it takes its name when the ``with`` block ends without an error."""
-
-    def __init__(self, path: str | Path, fps: float) -> None:
-        self._path, self._fps = Path(path), fps
-        self._partial = self._path.parent / f".{secrets.token_hex(6)}.mp4"
-        self._writer: Any = None
-        self._frames = 0
-
-    def add(self, image: NDArray[Any]) -> None:
-        """Append an RGB picture [H, W, 3|4]; all of one size, odd sizes lose their last row or column."""
-        if min(image.shape[:2]) < 2:
-            raise FormatError(f"{self._path}: MP4 needs pictures of at least 2x2 pixels")
-        pixels = eight_bit(image)[: image.shape[0] // 2 * 2, : image.shape[1] // 2 * 2, :3]
-        if self._writer is None:
-            size = pixels.shape[1], pixels.shape[0]
-            fourcc = cv2.VideoWriter.fourcc(*"mp4v")
-            self._writer = cv2.VideoWriter(str(self._partial), fourcc, self._fps, size)
-            if not self._writer.isOpened():
-                raise FormatError(f"{self._path}: cannot be written as MP4 (is the folder writable?)")
-        self._frames += 1
-        self._writer.write(cv2.cvtColor(np.ascontiguousarray(pixels), cv2.COLOR_RGB2BGR))
-
-    def _verify(self) -> None:
-        """OpenCV does not report failed writes: look whether all frames arrived."""
-        reader = cv2.VideoCapture(str(self._partial))
-        count = int(reader.get(cv2.CAP_PROP_FRAME_COUNT)) if reader.isOpened() else 0
-        reader.release()
-        if count != self._frames:
-            raise FormatError(f"{self._path}: {count} of {self._frames} frames were written (is the disk full?)")
-
-    def __enter__(self) -> Clip:
-        if not self._path.parent.is_dir() or not os.access(self._path.parent, os.W_OK):
-            raise FormatError(f"{self._path}: cannot be written (no such folder, or not writable)")
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        if self._writer is not None:
-            self._writer.release()
-        try:
-            if kind is None and self._partial.exists():
-                self._verify()
-                os.replace(self._partial, self._path)
-        except OSError as problem:
-            raise FormatError(f"{self._path}: cannot be written ({problem.strerror})") from None
-        finally:
-            self._partial.unlink(missing_ok=True)

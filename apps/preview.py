@@ -10,7 +10,7 @@ from pathlib import Path
 
 from glsplat.avatar import Avatar
 from glsplat.camera import PAPER_FOV, PAPER_IPD, pinhole
-from glsplat.errors import FormatError, GlsplatError
+from glsplat.errors import FormatError
 from glsplat.net.access import read_token
 from glsplat.skinning.pose import load_pose
 from glsplat.splats import Splats
@@ -22,7 +22,8 @@ from .preview_feed import Feed
 from .preview_files import motion_names, read_motion
 from .preview_viewer import Viewer
 from .preview_window import Window
-from .scene import add_scene, load_scene, point, size
+from .scene import add_scene, colour, load_scene, point, size
+from .usage import UsageError
 
 HELP = (
     "A window that shows a scene or a moving avatar: orbit, fly, pose it by hand, in mono or stereo. H shows the keys."
@@ -44,7 +45,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--eye", type=point, metavar="X,Y,Z", help="where the camera stands (default: all in view)")
     parser.add_argument("--target", type=point, metavar="X,Y,Z", help="what it looks at (default: the scene's middle)")
     parser.add_argument("--ipd", type=float, default=PAPER_IPD, help="metres between the eyes (default 0.055)")
-    parser.add_argument("--background", type=point, metavar="R,G,B", help="0 to 1 each (default 0,0,0)")
+    parser.add_argument("--background", type=colour, metavar="R,G,B", help="0 to 1 each (default 0,0,0)")
     parser.add_argument("--numbers", action="store_true", help="begin with the overlay of times and counts (key O)")
     parser.add_argument("--vsync", action="store_true", help="one picture a refresh of the screen instead of all")
     parser.add_argument("--frames", type=int, metavar="N", help="show N pictures, 1/30 s apart in the motion, and end")
@@ -132,12 +133,12 @@ def _frames(args: argparse.Namespace) -> int | None:
     pinhole(1, 1, args.fov)
     _check_connect(args)
     if args.frames is not None and args.frames < 1:
-        raise GlsplatError(f"--frames needs at least 1, not {args.frames}")
+        raise UsageError(f"--frames needs at least 1, not {args.frames}")
     if args.screenshot is None:
         return args.frames
     path = Path(args.screenshot)
     if path.suffix.lower() != ".png":
-        raise GlsplatError(f"--screenshot {path}: the name needs to end in .png")
+        raise UsageError(f"--screenshot {path}: the name needs to end in .png")
     if not path.parent.is_dir():
         raise FormatError(f"{path}: there is no folder {path.parent}; create it first")
     return args.frames or 1
@@ -148,11 +149,11 @@ def _check_connect(args: argparse.Namespace) -> None:
     if args.connect is None:
         for name in ("recording", "quality", "token_file", "tls_ca"):
             if getattr(args, name) is not None:
-                raise GlsplatError(f"--{name.replace('_', '-')} goes with --connect; without a server, see --motion")
+                raise UsageError(f"--{name.replace('_', '-')} goes with --connect; without a server, see --motion")
     elif args.background is not None:
-        raise GlsplatError("--background does not go with --connect: a server's pictures are on black")
+        raise UsageError("--background does not go with --connect: a server's pictures are on black")
     if args.quality is not None and not 1 <= args.quality <= 100:
-        raise GlsplatError(f"--quality needs 1 to 100, not {args.quality}")
+        raise UsageError(f"--quality needs 1 to 100, not {args.quality}")
 
 
 def _feed(args: argparse.Namespace) -> Feed | None:
@@ -166,10 +167,10 @@ def _feed(args: argparse.Namespace) -> Feed | None:
 def _start(args: argparse.Namespace, scene: Splats | Avatar, viewer: Viewer) -> None:
     """The pose or motion the arguments ask for, or the embedded one that fits."""
     if sum(value is not None for value in (args.pose, args.motion, args.recording)) > 1:
-        raise GlsplatError("give one of --pose, --motion and --recording")
+        raise UsageError("give one of --pose, --motion and --recording")
     if viewer.player is None:
         if args.pose or args.motion or args.recording is not None:
-            raise GlsplatError("this scene has no skeleton; --pose and --motion need an avatar (.glb with a skin)")
+            raise UsageError("this scene has no skeleton; --pose and --motion need an avatar (.glb with a skin)")
         return
     if args.pose:
         viewer.player.hold(load_pose(args.pose, viewer.player.skeleton))

@@ -14,13 +14,15 @@ import numpy as np
 from glsplat.avatar import Avatar
 from glsplat.errors import FormatError, GlsplatError
 from glsplat.formats import load
-from glsplat.skinning.motion import Motion, embedded_motions, load_motion
+from glsplat.skinning.motion import Motion, embedded_motions
 from glsplat.skinning.pose import Pose, load_pose
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.smplx import JOINT_NAMES
 from glsplat.splats import Splats
 from glsplat.tracking.recording import replay
 from glsplat.tracking.tracker import Tracker
+
+from .scene import motion_of
 
 __all__ = ["Dropped", "motion_names", "read_dropped", "read_motion"]
 
@@ -45,7 +47,7 @@ def motion_names(scene: Splats | Avatar) -> list[str]:
 
 def read_motion(name: str, skeleton: Skeleton) -> Motion:
     """A motion file, an embedded motion by name, or a recording of head and hands (.jsonl), solved for the skeleton."""
-    return _solved(name, skeleton) if name.lower().endswith(".jsonl") else load_motion(name, skeleton)
+    return _solved(name, skeleton) if name.lower().endswith(".jsonl") else motion_of(name, skeleton)
 
 
 def _solved(name: str, skeleton: Skeleton) -> Motion:

@@ -19,31 +19,48 @@ from glsplat.avatar import Avatar
 from glsplat.camera import PAPER_FOV, PAPER_IPD, Camera, read_cameras
 from glsplat.config import RenderConfig
 from glsplat.context import create_context
-from glsplat.errors import FormatError, GlsplatError
+from glsplat.errors import FormatError
 from glsplat.renderer import Renderer
-from glsplat.skinning.motion import Motion, load_motion
+from glsplat.skinning.motion import Motion
 from glsplat.skinning.pose import Pose, load_pose
 from glsplat.splats import Splats
 
-from .output import Clip, save_npy, save_png, side_by_side
-from .scene import add_scene, degrees, load_scene, point, positive, size, view_of, viewing_point
+from .clip import CLIPS, Clip
+from .output import save_npy, save_png, side_by_side
+from .scene import (
+    add_scene,
+    colour,
+    degrees,
+    load_scene,
+    motion_of,
+    not_negative,
+    point,
+    positive,
+    size,
+    view_of,
+    viewing_point,
+)
+from .usage import UsageError, output_kind
 
-HELP = "Render a scene or a posed avatar: .npy holds exact floats, .png a picture, .mp4 a motion or a turntable."
+HELP = (
+    "Render a scene or a posed avatar: .npy holds exact floats, .png a picture, .mp4 or .webm a motion or a turntable "
+    "(VP9, which browsers play)."
+)
 EXAMPLE = "glsplat render --motion wave-and-turn --frame 40 --stereo -o wave.png"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command line."""
     add_scene(parser)
-    parser.add_argument("-o", "--output", required=True, help=".png, .npy, .mp4, or a folder/ for a PNG sequence")
+    parser.add_argument("-o", "--output", required=True, help=".png, .npy, a clip .mp4 or .webm, or a folder/ of PNG")
     parser.add_argument("--cameras", metavar="FILE", help="camera file: one object, or a list for several views")
     parser.add_argument("--size", type=size, default=(1024, 1024), help="WxH in pixels (default 1024x1024)")
     parser.add_argument("--fov", type=degrees, default=PAPER_FOV, help="vertical field of view in degrees (default 65)")
     parser.add_argument("--eye", type=point, metavar="X,Y,Z", help="where the camera stands (default: all in view)")
     parser.add_argument("--target", type=point, metavar="X,Y,Z", help="what it looks at (default: the scene's middle)")
     parser.add_argument("--stereo", action="store_true", help="both eyes in one pass, side by side in pictures")
-    parser.add_argument("--ipd", type=float, default=PAPER_IPD, help="metres between the eyes (default 0.055)")
-    parser.add_argument("--background", type=point, metavar="R,G,B", default=(0.0, 0.0, 0.0), help="0 to 1 each")
+    parser.add_argument("--ipd", type=not_negative, default=PAPER_IPD, help="metres between the eyes (default 0.055)")
+    parser.add_argument("--background", type=colour, metavar="R,G,B", default=(0.0, 0.0, 0.0), help="0 to 1 each")
     parser.add_argument("--pose", metavar="FILE", help="pose file (JSON)")
     parser.add_argument("--motion", metavar="FILE", help="motion file or the name of an embedded one")
     parser.add_argument("--frame", type=int, metavar="N", help="frame of the motion (default: all, as a clip)")
@@ -74,9 +91,9 @@ def run(args: argparse.Namespace) -> int:
     output = Path(args.output)
     exact = output.suffix.lower() == ".npy"
     sequence = args.turntable is not None or (args.motion is not None and args.frame is None)
-    _check_output(args.output, sequence)
     scene = load_scene(args)
     count, shots = _shots(args, scene)
+    _check_output(args, sequence)  # after the motion: without one, it is not the output's name that is wrong
     first = next(shots)
     config = RenderConfig(
         target=args.float_target,
@@ -119,45 +136,47 @@ def _check_combinations(args: argparse.Namespace) -> None:
     """Refuse options of which one would silently win."""
     for one, other in (("pose", "motion"), ("cameras", "turntable"), ("cameras", "eye"), ("cameras", "target")):
         if getattr(args, one) is not None and getattr(args, other) is not None:
-            raise GlsplatError(f"give --{one} or --{other}, not both")
+            raise UsageError(f"give --{one} or --{other}, not both")
     if args.cameras is not None and args.stereo:
-        raise GlsplatError("give --cameras or --stereo, not both; a pair is a list of two cameras")
+        raise UsageError("give --cameras or --stereo, not both; a pair is a list of two cameras")
     if args.frame is not None and args.motion is None:
-        raise GlsplatError("--frame needs --motion")
+        raise UsageError("--frame needs --motion")
     if args.turntable is not None and args.motion is not None and args.frame is None:
-        raise GlsplatError("--turntable with --motion needs --frame: the pose to turn around")
+        raise UsageError("--turntable with --motion needs --frame: the pose to turn around")
 
 
-def _check_output(name: str, sequence: bool) -> None:
+def _check_output(args: argparse.Namespace, sequence: bool) -> None:
     """Refuse what could not be written before the work starts."""
-    path = Path(name)
-    allowed = (".mp4", "") if sequence else (".png", ".npy")
-    if path.suffix.lower() not in allowed or (path.suffix == "" and not name.endswith("/") and not path.is_dir()):
-        expected = "end in .mp4, or in / for a PNG sequence" if sequence else "end in .png or .npy"
-        hint = "" if sequence else "; for a clip leave out --frame or give --turntable"
-        raise GlsplatError(f"-o {name}: the output needs to {expected}{hint}")
-    folder = path.parent
-    if not folder.is_dir():
-        raise FormatError(f"{name}: there is no folder {folder}; create it first")
+    if sequence:
+        why = f"--motion {args.motion}" if args.turntable is None else f"--turntable {args.turntable}"
+        what = f"a clip .mp4 or .webm for {why}"
+        if args.turntable is None and Path(args.output).suffix.lower() in (".png", ".npy"):
+            what += " (for one picture of it add --frame N)"
+        output_kind("-o", args.output, tuple(CLIPS), what, folder="PNG files")
+        return
+    what = ".png or .npy"
+    if Path(args.output).suffix.lower() in CLIPS or args.output.endswith("/"):
+        what += " (for a clip or a folder/ of pictures give --motion without --frame, or --turntable)"
+    output_kind("-o", args.output, (".png", ".npy"), what)
 
 
 def _shots(args: argparse.Namespace, scene: Splats | Avatar) -> tuple[int, Iterator[_Shot]]:
     """How many pictures, and each one's cameras and pose."""
     if (args.pose or args.motion) and not isinstance(scene, Avatar):
-        raise GlsplatError("this scene has no skeleton; --pose and --motion need an avatar (.glb with a skin)")
+        raise UsageError("this scene has no skeleton; --pose and --motion need an avatar (.glb with a skin)")
     pose: Pose | None = None
     motion: Motion | None = None
     if isinstance(scene, Avatar) and args.pose:
         pose = load_pose(args.pose, scene.skeleton)
     if isinstance(scene, Avatar) and args.motion:
-        motion = load_motion(args.motion, scene.skeleton)
+        motion = motion_of(args.motion, scene.skeleton)
         if args.frame is not None:
             if not 0 <= args.frame < len(motion):
-                raise GlsplatError(f"--frame needs 0 to {len(motion) - 1} for {args.motion}, not {args.frame}")
+                raise UsageError(f"--frame needs 0 to {len(motion) - 1} for {args.motion}, not {args.frame}")
             pose = motion.pose(args.frame)
     if args.turntable is not None:
         if args.turntable < 1:
-            raise GlsplatError(f"--turntable needs at least 1 view, not {args.turntable}")
+            raise UsageError(f"--turntable needs at least 1 view, not {args.turntable}")
         views = (_Shot(_view(args, scene, 2 * np.pi * i / args.turntable), pose, False) for i in range(args.turntable))
         return args.turntable, views
     cameras, several = read_cameras(args.cameras) if args.cameras else (_view(args, scene), args.stereo)
@@ -183,10 +202,12 @@ def _save_sequence(
     pictures = (side_by_side(renderer.render(shot.cameras, shot.pose)) for shot in shots)
     frames = tqdm(chain([first], pictures), total=count, unit="frame", disable=args.json or not sys.stderr.isatty())
     path = Path(args.output)
-    if path.suffix.lower() == ".mp4":
+    if path.suffix.lower() in CLIPS:
         with Clip(path, args.fps) as clip:
             for picture in frames:
                 clip.add(picture)
+        if not args.json:
+            print(clip.summary)
         return
     try:
         path.mkdir(exist_ok=True)

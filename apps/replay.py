@@ -25,18 +25,20 @@ from glsplat.formats import load
 from glsplat.net.access import read_token
 from glsplat.net.client import Client
 from glsplat.net.reply import Reply
-from glsplat.skinning.motion import Motion, embedded_motions, load_motion
+from glsplat.skinning.motion import Motion, embedded_motions
 from glsplat.skinning.smplx import JOINT_NAMES
 from glsplat.tracking.derive import derive, truth_from_motion
 from glsplat.tracking.recording import embedded_recording
 from glsplat.tracking.recording import replay as read_samples
 from glsplat.tracking.sample import Sample
 
+from .clip import CLIPS, Clip
 from .link import Link, link, over
-from .output import Clip, label, save_png, side_by_side, stack
-from .scene import size
+from .output import label, save_png, side_by_side, stack
+from .scene import motion_of, size
 from .stage_table import comparison_markdown, frame_text, table_text
 from .streaming import POLICIES, Drive, Driven, Result, stream
+from .usage import UsageError, output_kind
 
 HELP = "Stream recorded head and hands, or a motion, through a server; report latency by stage and save pictures."
 EXAMPLE = "glsplat replay --url ws://127.0.0.1:8000/ws --save sheet.png"
@@ -75,27 +77,27 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--mirror", action="store_true", help="ask for the mirror image")
     parser.add_argument("--token-file", type=Path, metavar="FILE", help="token for a server that wants one")
     parser.add_argument("--tls-ca", type=Path, metavar="PEM", help="certificate to trust on wss://")
-    parser.add_argument("--save", metavar="DIR|.mp4|.png", help="pairs as PNG in a folder/, a clip, or a contact sheet")
+    parser.add_argument("--save", metavar="OUT", help="a folder/ of PNG, a clip .mp4 or .webm (VP9), a sheet .png")
     parser.add_argument("--json", action="store_true", help="print the numbers as JSON")
 
 
 def run(args: argparse.Namespace) -> int:
     """Stream, report, save. 1 when no picture came."""
     if not 1 <= args.fps <= 240:
-        raise GlsplatError(f"--fps needs 1 to 240, not {args.fps:g}")
+        raise UsageError(f"--fps needs 1 to 240, not {args.fps:g}")
     if args.frames is not None and args.frames < 1:
-        raise GlsplatError(f"--frames needs at least 1, not {args.frames}")
+        raise UsageError(f"--frames needs at least 1, not {args.frames}")
     if not 1 <= args.window <= 8:
-        raise GlsplatError(f"--window needs 1 to 8, not {args.window}")
+        raise UsageError(f"--window needs 1 to 8, not {args.window}")
     if args.quality is not None and not 1 <= args.quality <= 100:
-        raise GlsplatError(f"--quality needs 1 to 100, not {args.quality}")
+        raise UsageError(f"--quality needs 1 to 100, not {args.quality}")
     several = args.compare or len(args.link or ()) > 1
     if args.save and several:
-        raise GlsplatError("--save goes with a single run, not with --compare or several --link")
+        raise UsageError("--save goes with a single run, not with --compare or several --link")
     if args.save:
         check_target(args.save)
     token = read_token(args.token_file) if args.token_file else None
-    drive, seconds = load_drive(args.motion, args.avatar, args.tracking)
+    drive, seconds = load_drive(args.motion, args.avatar, args.tracking, "MOTION")
     frames = args.frames or max(1, round(min(seconds, 20.0) * args.fps))
     policies = POLICIES if args.compare else (args.policy,)
     runs = []
@@ -115,7 +117,7 @@ def run(args: argparse.Namespace) -> int:
 
 def _report(args: argparse.Namespace, result: Result) -> None:
     if args.save and result.kept:
-        save_pictures(args.save, result)
+        saved = save_pictures(args.save, result)
     if args.json:
         print(json.dumps(result.summary()))
         return
@@ -123,7 +125,7 @@ def _report(args: argparse.Namespace, result: Result) -> None:
     print(table_text(result))
     print(frame_text(result))
     if args.save and result.kept:
-        print(args.save)
+        print(saved)
 
 
 def _report_several(args: argparse.Namespace, runs: list[tuple[str, str, Result]]) -> None:
@@ -190,7 +192,9 @@ class Played:
         return Driven({"joints": joints, "trans": pose.trans.tolist()}, root=pose.trans)
 
 
-def load_drive(name: str | None, avatar: str | None = None, tracking: bool = False) -> tuple[Drive, float]:
+def load_drive(
+    name: str | None, avatar: str | None = None, tracking: bool = False, option: str = "--motion"
+) -> tuple[Drive, float]:
     """What moves the avatar, and for how many seconds. Raises GlsplatError naming the file.
 
     ``tracking`` sends a motion's head and hands, not its poses. Without a name it is the embedded recording, or, for an
@@ -206,7 +210,7 @@ def load_drive(name: str | None, avatar: str | None = None, tracking: bool = Fal
     scene = load(avatar) if avatar else default_avatar()
     if not isinstance(scene, Avatar):
         raise GlsplatError(f"{avatar}: this scene has no skeleton to move; give an avatar (.glb with a skin)")
-    motion = load_motion(name or default_motion(), scene.skeleton)
+    motion = motion_of(name or default_motion(), scene.skeleton, option)
     if tracking or (name is None and scene.skeleton.names == JOINT_NAMES):
         truth = truth_from_motion(scene.skeleton, motion.rotations, motion.trans, motion.fps, _TRACKING_RATE)
         return _recording(derive(scene.skeleton, truth), motion.label), motion.duration
@@ -247,34 +251,31 @@ def _finite(value: Any) -> bool:
 
 def check_target(target: str) -> None:
     """Refuse what could not be saved before the work starts."""
-    path = Path(target)
-    folder = path.suffix.lower() not in (".mp4", ".png")
-    if folder and path.suffix and not path.is_dir() and not target.endswith("/"):
-        raise GlsplatError(f"--save {target}: expected a folder/, a clip .mp4 or a contact sheet .png")
-    if not path.parent.is_dir():
-        raise FormatError(f"{target}: there is no folder {path.parent}; create it first")
+    output_kind("--save", target, (*CLIPS, ".png"), "a clip .mp4 or .webm, a contact sheet .png", folder="PNG files")
 
 
-def save_pictures(target: str, result: Result) -> None:
-    """The kept pairs as a folder of PNG, a clip at the speed they came, or a contact sheet of several moments."""
+def save_pictures(target: str, result: Result) -> str:
+    """The kept pairs as a folder of PNG, a clip at the speed they came, or a contact sheet; says what was written."""
     path = Path(target)
-    if path.suffix.lower() == ".mp4":
-        save_clip(path, result.kept)
-    elif path.suffix.lower() == ".png":
+    if path.suffix.lower() in CLIPS:
+        return save_clip(path, result.kept)
+    if path.suffix.lower() == ".png":
         save_sheet(path, result.kept)
     else:
         path.mkdir(exist_ok=True)
         for _, reply in result.kept:
             save_png(path / f"{reply.frame_id:06d}.png", _pair(reply))
+    return target
 
 
-def save_clip(path: Path, kept: list[tuple[float, Reply]]) -> None:
-    """Left and right side by side, MP4, at the mean rate of the pictures."""
+def save_clip(path: Path, kept: list[tuple[float, Reply]], across: int | None = None) -> str:
+    """Left and right side by side at the mean rate of the pictures; at most ``across`` pixels wide. Says what it is."""
     seconds = kept[-1][0] - kept[0][0]
     fps = (len(kept) - 1) / seconds if seconds > 0 else 10.0
     with Clip(path, max(1.0, round(fps, 2))) as clip:
         for _, reply in kept:
-            clip.add(_pair(reply))
+            clip.add(_fitted(_pair(reply), across))
+    return clip.summary
 
 
 def save_sheet(path: Path, kept: list[tuple[float, Reply]], columns: int = 2) -> None:
@@ -283,12 +284,17 @@ def save_sheet(path: Path, kept: list[tuple[float, Reply]], columns: int = 2) ->
     chosen = [kept[int(i * step)] for i in range(min(_MOMENTS, len(kept)))]
     tiles = []
     for seconds, reply in chosen:
-        pair = _pair(reply)
-        scale = min(1.0, _TILE / pair.shape[1])
-        pair = cv2.resize(pair, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+        pair = _fitted(_pair(reply), _TILE)
         tiles.append(label(pair, f"frame {reply.frame_id}, {seconds:.2f} s: left | right"))
     save_png(path, stack([tiles[i : i + columns] for i in range(0, len(tiles), columns)]))
 
 
 def _pair(reply: Reply) -> NDArray[np.uint8]:
     return side_by_side(np.stack(reply.images()))
+
+
+def _fitted(pair: NDArray[np.uint8], across: int | None) -> NDArray[np.uint8]:
+    if across is None or pair.shape[1] <= across:
+        return pair
+    scale = across / pair.shape[1]
+    return cv2.resize(pair, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA).astype(np.uint8)

@@ -17,13 +17,13 @@ from typing import Any
 from tqdm import tqdm
 
 from glsplat.context import Context, create_context
-from glsplat.errors import FormatError, GlsplatError
+from glsplat.errors import FormatError
 from glsplat.formats.files import replace_file
 
 from . import report_latency
 from .bench import WARM_UP
 from .machine import machine
-from .report_agreement import agreement, agreement_cost
+from .report_agreement import LOADED, agreement, agreement_cost, verdict
 from .report_batching import batching
 from .report_error import require_extra
 from .report_growth import Grid, grid_of, growth, growth_cost
@@ -37,6 +37,7 @@ from .report_stability_skin import skin_cases
 from .report_stability_tracking import tracking_cases
 from .report_subjects import PERSON_SPLATS, Subject, check_cameras, subjects_of
 from .scene import splats_of
+from .usage import UsageError
 
 HELP = (
     "Render scenes over a grid of settings, compare with a float64 reference, time every setting in one process, and "
@@ -81,17 +82,17 @@ def run(args: argparse.Namespace) -> int:
     frames = (8 if args.quick else 30) if args.frames is None else args.frames
     size = (128 if args.quick else 256) if args.size is None else args.size
     if not 3 <= frames <= 10000:
-        raise GlsplatError(f"--frames needs 3 to 10000, not {frames}")
+        raise UsageError(f"--frames needs 3 to 10000, not {frames}")
     if not 16 <= size <= 1024:
-        raise GlsplatError(f"--size needs 16 to 1024 (the float64 reference is slow), not {size}")
+        raise UsageError(f"--size needs 16 to 1024 (the float64 reference is slow), not {size}")
     require_extra()
     check_cameras(args.cameras, args.scenes)
+    paths = [None, *dict.fromkeys(args.scenes)]
+    subjects = [s for path in paths for s in subjects_of(path, size, args.cameras)]
     try:
         args.output.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise FormatError(f"{args.output}: cannot make the folder ({error.strerror})") from None
-    paths = [None, *dict.fromkeys(args.scenes)]
-    subjects = [s for path in paths for s in subjects_of(path, size, args.cameras)]
     context = create_context(args.device)
     try:
         result = measured(context, subjects, frames, args.quick, BATCHING_SIZES, grid_of(args.quick), args.device)
@@ -102,8 +103,10 @@ def run(args: argparse.Namespace) -> int:
     for row in result["agreement"]:
         print(
             f"{row['scene']}, 2 x {row['size']}x{row['size']}: report {row['report_ms']['median']:.2f} ms, "
-            f"bench {row['bench_ms']['median']:.2f} ms: {'agree' if row['agree'] else 'DIFFER'}"
+            f"bench {row['bench_ms']['median']:.2f} ms: {verdict(row)}"
         )
+    if not all(row["agree"] for row in result["agreement"]):
+        print(LOADED)
     print(f"{len(result['stability']) - len(failed)} of {len(result['stability'])} stability cases hold")
     for row in failed:
         print(f"  failed: {row['group']}, {row['case']}: {row['seen']}")

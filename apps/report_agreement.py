@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from glsplat.avatar import Avatar
@@ -14,13 +14,28 @@ from .report_measure import Tick, frame_cost
 from .report_subjects import Subject
 from .scene import splats_of
 
-__all__ = ["agreement", "agreement_cost"]
+__all__ = ["LOADED", "agreement", "agreement_cost", "verdict"]
 
 RENDERS = 11
 """Pictures of one view that a frame of ``glsplat bench`` takes for a pair."""
 
 TOLERANCE = 0.1
 """Share by which two medians may differ on a machine that does nothing else, where their own spread is smaller."""
+
+
+LOADED = (
+    "Report and bench measured the same frames at different times and differ by more than their own spread: mostly "
+    "because the machine did something else meanwhile. Compare settings with each other: they took turns."
+)
+"""What to think of a difference; the report's own numbers hold beside each other either way."""
+
+
+def verdict(row: Mapping[str, Any]) -> str:
+    """One row of ``agreement`` in words."""
+    apart = abs(row["report_ms"]["median"] - row["bench_ms"]["median"])
+    return (
+        f"{'agree' if row['agree'] else 'differ'} ({apart:.2f} ms apart, {row['allowed_ms']:.2f} are within the spread)"
+    )
 
 
 def agreement_cost(subjects: Sequence[Subject], frames: int) -> float:

@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from . import report_latency
+from .report_agreement import LOADED, verdict
 
 __all__ = ["page"]
 
@@ -256,11 +257,11 @@ def _hidden(rows: Sequence[Mapping[str, Any]], pictures: Mapping[str, bytes]) ->
 
 def _agreement(rows: Sequence[Mapping[str, Any]]) -> str:
     said = [
-        f"{row['scene']} {row['report_ms']['median']:.2f} / {row['bench_ms']['median']:.2f} ms "
-        f"({'agree' if row['agree'] else 'DIFFER'} within {row['allowed_ms']:.2f} ms)"
+        f"{row['scene']} {row['report_ms']['median']:.2f} / {row['bench_ms']['median']:.2f} ms ({verdict(row)})"
         for row in rows
     ]
-    return "The default by this report / by glsplat bench, in one process: " + ("; ".join(said) or "not compared")
+    text = "The default by this report / by glsplat bench, in one process: " + ("; ".join(said) or "not compared")
+    return text if all(row["agree"] for row in rows) else f"{text}. {LOADED}"
 
 
 def _bytes(sizes: Mapping[str, int], splats: int) -> str:

@@ -24,6 +24,7 @@ _MEASURES = (
 )
 _MARKERS = "osD^v<>PX*hpd"
 _COLOURS = ("k", *(f"C{i}" for i in range(10)), "navy", "olive", "0.6")
+_NAME_LINE = 0.07  # height of a line of names, share of a panel
 _FLOOR = 1e-7  # where a logarithmic axis begins
 
 
@@ -64,6 +65,8 @@ def knob_plot(scene: dict[str, Any]) -> bytes:
     lines = -(-len(knobs) // columns)
     figure = Figure(figsize=(16, 3.4 * lines), layout="constrained")
     panels: list[Axes] = list(figure.subplots(lines, columns, squeeze=False, sharex=True, sharey=True).flat)
+    limits = _limits(scene["settings"])
+    panels[0].set(xlim=limits[0], ylim=limits[1])
     for axes, knob in zip(panels, knobs, strict=False):
         own = sorted((r for r in scene["settings"] if r["knob"] == knob), key=lambda r: r["ms"]["median"])
         axes.plot([r["ms"]["median"] for r in own], [r["psnr"] for r in own], color="0.8", zorder=1)
@@ -73,19 +76,42 @@ def knob_plot(scene: dict[str, Any]) -> bytes:
         for row in sorted(own, key=lambda r: -r["psnr"]) if knob == "JPEG" else ():  # they lie on top of each other
             named += f"{row['psnr']:5.1f} dB  {row['setting']}, {row['bytes'] / 1024:.0f} KiB\n"
         axes.text(0.03, 0.97, named, transform=axes.transAxes, va="top", fontsize=8)
-        for index, row in enumerate(sorted(own, key=lambda r: -r["psnr"]) if knob != "JPEG" else ()):
-            place, beside = (row["ms"]["median"], row["psnr"]), (5, -11 if index % 2 else 4)
-            axes.annotate(row["setting"], place, xytext=beside, textcoords="offset points", fontsize=8)
+        if knob != "JPEG":
+            _name(axes, [(r["ms"]["median"], r["psnr"], r["setting"]) for r in own], limits)
         axes.set_title(knob + (" (against an exact order an eye)" if knob == "order" else ""), fontsize=10)
         axes.grid(alpha=0.3)
     for axes in panels[len(knobs) :]:
         axes.set_axis_off()
-    panels[0].margins(x=0.2, y=0.1)
-    panels[0].set_ylim(top=min(PSNR_CAP + 10, max(r["psnr"] for r in scene["settings"]) + 12))
     figure.supxlabel("ms a frame (median)")
     figure.supylabel("PSNR (dB)")
     figure.suptitle(_title(scene) + "; red: on the Pareto front")
     return _png(figure)
+
+
+def _limits(rows: Sequence[dict[str, Any]]) -> tuple[tuple[float, float], tuple[float, float]]:
+    """(left, right) and (bottom, top) that show all points, with room for names on the right."""
+    ms, psnr = [row["ms"]["median"] for row in rows], [row["psnr"] for row in rows]
+    span = max(max(ms) - min(ms), 1e-3)
+    bottom, top = min(psnr) - 6, min(PSNR_CAP + 10, max(psnr) + 12)
+    return (min(ms) - 0.08 * span, max(ms) + 0.55 * span), (bottom, max(top, bottom + 20))
+
+
+def _name(axes: Axes, points: list[tuple[float, float, str]], limits: tuple[tuple[float, float], ...]) -> None:
+    """Write the names in a column right of the points, a line apart where the points are closer, each with a line."""
+    (left, right), (bottom, top) = limits
+    column = max(x for x, _, _ in points) + 0.06 * (right - left)
+    line = _NAME_LINE * (top - bottom)
+    points = sorted(points, key=lambda point: -point[1])
+    places = [min(points[0][1], top - line)]
+    for _, y, _ in points[1:]:
+        places.append(min(y, places[-1] - line))
+    lowest = bottom + line / 2
+    for i in reversed(range(len(places))):
+        places[i] = max(places[i], lowest)
+        lowest = places[i] + line
+    for (x, y, text), place in zip(points, places, strict=True):
+        lead = {"arrowstyle": "-", "color": "0.6", "linewidth": 0.5, "shrinkA": 0, "shrinkB": 3}
+        axes.annotate(text, (x, y), xytext=(column, place), va="center", fontsize=8, arrowprops=lead, zorder=1)
 
 
 def batching_plot(rows: Sequence[dict[str, Any]]) -> bytes:
@@ -104,7 +130,7 @@ def batching_plot(rows: Sequence[dict[str, Any]]) -> bytes:
         places = [i + (index - 1.5) * width for i in values]
         if values:
             drawn = times.bar(places, list(values.values()), width, label=label, color=colour)
-            times.bar_label(drawn, fmt="%.1f", fontsize=7)
+            times.bar_label(drawn, fmt="%.4g", fontsize=7)
     times.set_xticks(range(len(rows)), names)
     times.set(ylabel="ms for both eyes", title="The paper's figures are of its authors' GPU and avatar")
     times.legend(fontsize=8)
@@ -125,8 +151,9 @@ def left_out_plot(rows: Sequence[dict[str, Any]]) -> bytes:
     figure = Figure(figsize=(10, 0.45 * len(rows) + 1.6), layout="constrained")
     axes = figure.subplots()
     drawn = axes.barh([row["feature"] for row in rows], [row["cost"] for row in rows], color="C0")
-    axes.bar_label(drawn, fmt="%.2f x", fontsize=8)
     axes.axvline(1, color="0.3", linewidth=0.8)
+    paper = {"facecolor": "white", "edgecolor": "none", "pad": 1}  # the line at 1 does not run through a number
+    axes.bar_label(drawn, fmt="%.2f x", fontsize=8, padding=4, bbox=paper)
     axes.invert_yaxis()
     axes.set(xlabel="frame with the feature present but unused / frame without it")
     return _png(figure)

@@ -12,12 +12,18 @@ from glsplat.avatar import Avatar, default_avatar
 from glsplat.camera import Camera, look_at, pinhole, stereo_cameras
 from glsplat.errors import FormatError
 from glsplat.formats import load
+from glsplat.skinning.motion import Motion, embedded_motions, load_motion
+from glsplat.skinning.skeleton import Skeleton
 from glsplat.splats import Splats
+
+from .usage import UsageError
 
 __all__ = [
     "add_scene",
+    "colour",
     "degrees",
     "load_scene",
+    "motion_of",
     "natural",
     "not_negative",
     "point",
@@ -44,6 +50,14 @@ def load_scene(args: argparse.Namespace) -> Splats | Avatar:
     if not Path(args.scene).exists():
         raise FormatError(f"{args.scene}: no such file; give a PLY, .splat or glTF, or nothing for the default avatar")
     return load(args.scene, strict=getattr(args, "strict", False))
+
+
+def motion_of(name: str, skeleton: Skeleton, option: str = "--motion") -> Motion:
+    """The motion an option names: a file or an embedded one. Raises UsageError where there is neither."""
+    if not Path(name).exists() and name not in embedded_motions():
+        known = ", ".join(embedded_motions()) or "none"
+        raise UsageError(f"{option} {name}: no such file and no such motion; embedded are {known}")
+    return load_motion(name, skeleton)
 
 
 def splats_of(scene: Splats | Avatar) -> Splats:
@@ -109,6 +123,17 @@ def point(text: str) -> tuple[float, float, float]:
     if not np.isfinite((x, y, z)).all():
         raise argparse.ArgumentTypeError(f"a point is three finite numbers, not {text!r}")
     return x, y, z
+
+
+def colour(text: str) -> tuple[float, float, float]:
+    """argparse type: red,green,blue from 0 to 1."""
+    try:
+        red, green, blue = (float(part) for part in text.split(","))
+    except ValueError:
+        red = green = blue = np.nan
+    if not (0 <= red <= 1 and 0 <= green <= 1 and 0 <= blue <= 1):
+        raise argparse.ArgumentTypeError(f"a colour is R,G,B from 0 to 1, for example 0.2,0.2,0.2, not {text!r}")
+    return red, green, blue
 
 
 def viewing_point(scene: Splats | Avatar, fov: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -16,7 +16,6 @@ import numpy as np
 from glsplat.avatar import Avatar
 from glsplat.camera import PAPER_FOV, PAPER_IPD, Camera
 from glsplat.config import RenderConfig
-from glsplat.errors import GlsplatError
 from glsplat.net.access import Access, is_loopback, read_token
 from glsplat.net.backend import Solved
 from glsplat.net.limits import Limits
@@ -32,7 +31,9 @@ from glsplat.tracking.sample import Sample
 from glsplat.tracking.tracker import Tracker
 
 from .drawing import MAX_COST, MAX_TIME, RendererBackend
+from .logs import add_log_format, start_logging
 from .scene import add_scene, load_scene, size
+from .usage import UsageError
 
 HELP = (
     "Serve pictures of an avatar to headsets and other clients over a WebSocket (docs/protocol.md). "
@@ -142,6 +143,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--insecure", action="store_true", help="listen beyond this machine without TLS and token")
     parser.add_argument("--device", help="EGL device: index or part of its name (also GLSPLAT_DEVICE)")
     parser.add_argument("--json", action="store_true", help="print address and driver as a JSON line once ready")
+    add_log_format(parser)
     parser.add_argument("--verbose", action="store_true", help="log tracebacks of failed pictures")
 
 
@@ -158,16 +160,16 @@ def server_config(args: argparse.Namespace) -> ServerConfig:
         limits["--max-per-address"] = (args.max_per_address, 1, 256)
     for name, (value, low, high) in limits.items():
         if not low <= value <= high:
-            raise GlsplatError(f"{name} needs {low} to {high}, not {value}")
+            raise UsageError(f"{name} needs {low} to {high}, not {value}")
     if not args.max_cost > 0 or not 0.1 <= args.max_time <= 600:
-        raise GlsplatError("--max-cost needs a number of pixels above 0 and --max-time 0.1 to 600 s")
+        raise UsageError("--max-cost needs a number of pixels above 0 and --max-time 0.1 to 600 s")
     if not 0 <= args.ipd <= 0.2 or not 1 <= args.fov <= 170:
-        raise GlsplatError("--ipd needs 0 to 0.2 m and --fov 1 to 170 degrees")
+        raise UsageError("--ipd needs 0 to 0.2 m and --fov 1 to 170 degrees")
     pixels = args.size or (min(1024, args.max_size),) * 2
     if max(pixels) > args.max_size:
-        raise GlsplatError(f"--size needs at most {args.max_size} a side; raise --max-size to allow more")
+        raise UsageError(f"--size needs at most {args.max_size} a side; raise --max-size to allow more")
     if (args.tls_cert is None) != (args.tls_key is None):
-        raise GlsplatError("TLS needs both --tls-cert and --tls-key")
+        raise UsageError("TLS needs both --tls-cert and --tls-key")
     tls = None if args.tls_cert is None else (args.tls_cert, args.tls_key)
     token = None if args.token_file is None else read_token(args.token_file)
     access = Access(
@@ -196,15 +198,15 @@ def server_config(args: argparse.Namespace) -> ServerConfig:
 def run(args: argparse.Namespace) -> int:
     """Serve until SIGINT or SIGTERM; 0 after an orderly stop."""
     config = server_config(args)
-    logging.basicConfig(level=logging.INFO if args.verbose else logging.WARNING, format="glsplat serve: %(message)s")
-    if args.insecure and not is_loopback(args.host):
-        print("glsplat serve: anybody who reaches this port can use it (--insecure)", file=sys.stderr)
+    start_logging(args.log_format, logging.INFO if args.verbose else logging.WARNING)
     scene = load_scene(args)
     calibration = Calibration.load(args.calibration) if args.calibration else Calibration()
     rendering, budget = RenderConfig(cull_hidden=args.cull_hidden), (args.max_cost, args.max_time)
     server = make_server(scene, config, args.device, calibration, rendering=rendering, budget=budget)
 
     def started() -> None:
+        if args.insecure and not is_loopback(args.host):
+            logging.getLogger("glsplat.serve").warning("anybody who reaches this port can use it (--insecure)")
         if args.json:
             print(json.dumps({"url": server.url, "port": server.port, "driver": server.pump.driver}), flush=True)
         else:

@@ -13,9 +13,8 @@ import numpy as np
 from tqdm import tqdm
 
 from glsplat.avatar import Avatar, default_avatar
-from glsplat.errors import FormatError, GlsplatError, PoseError
+from glsplat.errors import FormatError, PoseError
 from glsplat.formats import load
-from glsplat.skinning.motion import load_motion
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.tracking.body import Body
@@ -26,7 +25,8 @@ from glsplat.tracking.sample import Sample
 from glsplat.tracking.score import Score, score
 from glsplat.tracking.tracker import Tracker, TrackerConfig
 
-from .scene import natural, not_negative, positive
+from .scene import motion_of, natural, not_negative, positive
+from .usage import UsageError
 
 HELP = "Head and hand tracking to a full-body pose: derive it from motions, calibrate, solve, score, show, bench."
 EXAMPLE = "glsplat tracking from-motion walk -o rec.jsonl --truth truth.jsonl --rate 72"
@@ -131,7 +131,7 @@ def tracker_of(args: argparse.Namespace, skeleton: Skeleton) -> Tracker:
     """The tracker that ``add_recording``'s options ask for."""
     calibration = Calibration()
     if args.calibration and args.height is not None:
-        raise GlsplatError("--calibration and --height both tell the user's size; give one of them")
+        raise UsageError("--calibration and --height both tell the user's size; give one of them")
     if args.calibration:
         calibration = Calibration.load(args.calibration)
     elif args.height is not None:
@@ -144,10 +144,10 @@ def tracker_of(args: argparse.Namespace, skeleton: Skeleton) -> Tracker:
 def from_motion(args: argparse.Namespace) -> int:
     """A recording (and the truth) from a motion."""
     if not 0 <= args.dropout <= 0.9:
-        raise GlsplatError(f"--dropout needs 0 to 0.9, not {args.dropout:g}")
+        raise UsageError(f"--dropout needs 0 to 0.9, not {args.dropout:g}")
     _different(args.output, args.truth)
     skeleton = skeleton_of(args.avatar)
-    motion = load_motion(args.motion, skeleton)
+    motion = motion_of(args.motion, skeleton, "MOTION")
     count = len(motion) if args.seconds is None else min(len(motion), max(2, round(args.seconds * motion.fps)))
     truth = truth_from_motion(skeleton, motion.rotations[:count], motion.trans[:count], motion.fps, args.rate)
     how = Disturbance(
@@ -187,7 +187,7 @@ def run_calibrate(args: argparse.Namespace) -> int:
     elif args.height is not None:
         calibration = Calibration.of_height(skeleton, args.height, args.floor or 0.0)
     else:
-        raise GlsplatError("give a recording of standing still, or --height in metres")
+        raise UsageError("give a recording of standing still, or --height in metres")
     calibration.save(args.output)
     print(f"{args.output}: scale {calibration.scale:.3f}, floor {calibration.floor:.3f} m")
     return 0
@@ -219,7 +219,7 @@ def solved(tracker: Tracker, sample: Sample) -> dict[str, Any]:
 def _different(output: str, other: str | None) -> None:
     """Refuse to write over the file that is read, or both outputs into one."""
     if other is not None and Path(output).resolve() == Path(other).resolve():
-        raise GlsplatError(f"{output}: the two files need different names")
+        raise UsageError(f"{output}: the two files need different names")
 
 
 def run_score(args: argparse.Namespace) -> int:

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
-from glsplat.errors import FormatError, GlsplatError
+from glsplat.errors import FormatError
 from glsplat.formats.files import replace_file
 from glsplat.skinning.motion import Motion, embedded_motions, load_motion
 from glsplat.skinning.skeleton import Skeleton
@@ -24,6 +24,8 @@ from glsplat.tracking.body import Body
 from glsplat.tracking.derive import derive, truth_from_motion
 from glsplat.tracking.score import Score, mean_score, score
 from glsplat.tracking.tracker import Tracker, TrackerConfig
+
+from .usage import UsageError
 
 __all__ = ["add_bench"]
 
@@ -63,7 +65,7 @@ def bench(args: argparse.Namespace) -> int:
     try:
         rates = [float(rate) for rate in args.rates.split(",")]
     except ValueError:
-        raise GlsplatError(f"--rates needs numbers separated by commas, not {args.rates!r}") from None
+        raise UsageError(f"--rates needs numbers separated by commas, not {args.rates!r}") from None
     skeleton = skeleton_of(args.avatar)
     motions = [(Path(name).stem, load_motion(name, skeleton)) for name in args.motions or embedded_motions()]
     rows: list[Row] = []

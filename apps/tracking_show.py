@@ -15,15 +15,16 @@ from tqdm import tqdm
 
 from glsplat.avatar import Avatar, default_avatar
 from glsplat.camera import Camera, look_at, pinhole
-from glsplat.errors import FormatError, GlsplatError
 from glsplat.formats import load
 from glsplat.skinning.pose import Pose
 from glsplat.tracking.recording import PoseTrack, read_poses
 from glsplat.tracking.sample import Sample
 from glsplat.tracking.tracker import Tracker
 
-from .output import Clip, label, save_png, stack
+from .clip import CLIPS, Clip
+from .output import label, save_png, stack
 from .scene import positive, size
+from .usage import UsageError, output_kind
 
 __all__ = ["add_show"]
 
@@ -41,7 +42,7 @@ def add_show(commands: Any) -> None:
     command = commands.add_parser("show", help="pictures of the solved avatar with targets and joints over it")
     add_recording(command)
     command.add_argument(
-        "-o", "--output", required=True, metavar="OUT", help="folder/, clip .mp4, or contact sheet .png"
+        "-o", "--output", required=True, metavar="OUT", help="folder/, clip .mp4 or .webm (VP9), contact sheet .png"
     )
     command.add_argument("--truth", metavar="JSONL", help="draw these poses too (from-motion --truth)")
     command.add_argument("--size", type=size, default=(512, 512), help="pixels of a view (default 512x512)")
@@ -56,20 +57,19 @@ def show(args: argparse.Namespace) -> int:
     from .tracking import samples_of, skeleton_of, tracker_of
 
     target = Path(args.output)
-    kind = target.suffix.lower() if not args.output.endswith("/") else ""
-    if kind not in ("", ".mp4", ".png"):
-        raise FormatError(f"{args.output}: expected a folder/, a clip .mp4 or a contact sheet .png")
+    what = "a clip .mp4 or .webm, a contact sheet .png"
+    kind = output_kind("-o", args.output, (*CLIPS, ".png"), what, folder="PNG files")
     tracker = tracker_of(args, skeleton_of(args.avatar))
     samples = samples_of(args.recording)
     if max(args.size) > 4096 or args.fps > 1000:
-        raise GlsplatError("--size needs at most 4096 a side and --fps at most 1000")
+        raise UsageError("--size needs at most 4096 a side and --fps at most 1000")
     truth = read_poses(args.truth) if args.truth else None
     frames = _chosen(samples, args.fps, TILES if kind == ".png" else None)
     painter = Painter(args, tracker, truth)
     bar = tqdm(enumerate(samples), total=len(samples), unit="sample", disable=not sys.stderr.isatty(), leave=False)
     pictures: list[Image] = []
     with painter.drawing() as draw:
-        if kind == ".mp4":
+        if kind in CLIPS:
             with Clip(target, args.fps) as clip:
                 for index, sample in bar:
                     pose = tracker.update(sample)
@@ -86,7 +86,7 @@ def show(args: argparse.Namespace) -> int:
                     pictures.append(draw(index, sample, pose))
     if pictures:
         save_png(target, stack([pictures[i : i + 5] for i in range(0, len(pictures), 5)]))
-    print(args.output)
+    print(clip.summary if kind in CLIPS else args.output)
     return 0
 
 

@@ -319,4 +319,8 @@ def _fails(main: Callable[[list[str]], int], arguments: list[str], text: str) ->
 
     with contextlib.redirect_stderr(io.StringIO()) as error:
         code = main(["preview", *arguments])
-    return code == 1 and text in error.getvalue() and error.getvalue().count("\n") == 1
+    return (
+        code == (2 if error.getvalue().endswith("--help\n") else 1)
+        and text in error.getvalue()
+        and error.getvalue().count("\n") == 1
+    )

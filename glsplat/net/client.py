@@ -89,15 +89,9 @@ class Client:
         try:
             async with asyncio.timeout(self._timeout):
                 ws = await http.ws_connect(url, headers=self._headers, ssl=tls, max_msg_size=_MAX_REPLY, compress=0)
-        except aiohttp.ClientConnectorCertificateError:
+        except (aiohttp.ClientError, OSError, TimeoutError) as error:
             await http.close()
-            raise ProtocolError(f"{self.url}: its certificate is not trusted; give it with --tls-ca", "tls") from None
-        except aiohttp.WSServerHandshakeError as error:
-            await http.close()
-            raise ProtocolError(_refused(self.url, error.status), "refused") from None
-        except (aiohttp.ClientError, OSError, TimeoutError):
-            await http.close()
-            raise ProtocolError(f"no server at {self.url}: start one with `glsplat serve`", "unreachable") from None
+            raise await _not_connected(self.url, error) from None
         except BaseException:
             await http.close()
             raise
@@ -270,6 +264,43 @@ def _client_tls(cafile: str | Path) -> ssl.SSLContext:
         return ssl.create_default_context(cafile=str(cafile))
     except (OSError, ssl.SSLError):
         raise GlsplatError(f"{cafile}: expected a certificate in PEM") from None
+
+
+async def _not_connected(url: str, error: Exception) -> ProtocolError:
+    """What stands between us and the server, and what to do about it."""
+    if isinstance(error, aiohttp.ClientConnectorCertificateError):
+        return ProtocolError(f"{url}: its certificate is not trusted; give it with --tls-ca", "tls")
+    if isinstance(error, aiohttp.ClientConnectorSSLError):
+        reason = getattr(error.os_error, "reason", None)
+        if reason in _NO_TLS:
+            return ProtocolError(f"{url}: this server does not speak TLS; the address begins with ws://", "tls")
+        return ProtocolError(f"{url}: no agreement on TLS ({reason or error.os_error})", "tls")
+    reached = not isinstance(error, aiohttp.ClientConnectorError | TimeoutError)
+    if reached and url.startswith("ws:") and await _speaks_tls(url):
+        return ProtocolError(f"{url}: this server speaks TLS; the address begins with wss://", "tls")
+    if isinstance(error, aiohttp.WSServerHandshakeError):
+        return ProtocolError(_refused(url, error.status), "refused")
+    if reached:
+        return ProtocolError(f"{url}: what listens there closed the connection; is it a glsplat server?", "unreachable")
+    return ProtocolError(f"no server at {url}: start one with `glsplat serve`", "unreachable")
+
+
+# what OpenSSL calls an answer that is not TLS: plain HTTP, in old and new versions
+_NO_TLS = ("WRONG_VERSION_NUMBER", "RECORD_LAYER_FAILURE", "HTTP_REQUEST", "UNEXPECTED_MESSAGE")
+
+
+async def _speaks_tls(url: str) -> bool:
+    """True if a TLS handshake succeeds there; whose certificate it is does not matter."""
+    parts = urlsplit(url)
+    tls = ssl.create_default_context()
+    tls.check_hostname, tls.verify_mode = False, ssl.CERT_NONE
+    try:
+        async with asyncio.timeout(2.0):
+            _, writer = await asyncio.open_connection(parts.hostname, parts.port or 80, ssl=tls)
+    except (OSError, TimeoutError):
+        return False
+    writer.close()
+    return True
 
 
 def _refused(url: str, status: int) -> str:

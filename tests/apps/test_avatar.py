@@ -8,7 +8,7 @@ import glsplat_apps.cli as cli
 import numpy as np
 import pytest
 
-from glsplat.avatar import Avatar
+from glsplat.avatar import Avatar, default_avatar
 from glsplat.formats import load
 from glsplat.skinning.surface import SamplerConfig
 
@@ -136,7 +136,13 @@ def test_motions(tmp_path, capsys):
 def test_mistakes_are_one_line(person, tmp_path, monkeypatch, capsys, words, message):
     monkeypatch.chdir(tmp_path)
     places = {"{person}": str(person), "{avatar}": str(DATA / "default_avatar.glb")}
-    assert cli.main(["avatar", *(places.get(word, word) for word in words)]) == 1
-    error = capsys.readouterr().err.strip()
-    assert message in error and "\n" not in error
+    code = cli.main(["avatar", *(places.get(word, word) for word in words)])
+    error = capsys.readouterr().err
+    assert code == (2 if error.endswith("--help\n") else 1)
+    assert message in error and error.count("\n") == 1
     assert not list(tmp_path.iterdir())
+
+
+def test_export_of_the_embedded_avatar(tmp_path, capsys):
+    assert cli.main(["avatar", "export", "--pose", "walk", "-o", str(tmp_path / "a.ply")]) == 0
+    assert len(load(tmp_path / "a.ply")) == len(default_avatar().splats)

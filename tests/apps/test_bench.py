@@ -36,5 +36,5 @@ def test_bench_of_an_avatar(tmp_path: Path, capsys: pytest.CaptureFixture[str]) 
     assert main(arguments) == 0
     text = capsys.readouterr().out
     assert "in motion, 2 x 16x16" in text and "skinning by joints a splat" in text and "frame / floor" in text
-    assert main([*arguments[:-1], "2"]) == 1
+    assert main([*arguments[:-1], "2"]) == 2
     assert "--frames needs at least 3" in capsys.readouterr().err

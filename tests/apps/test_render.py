@@ -38,8 +38,9 @@ def avatar(tmp_path: Path) -> Path:
 
 def fails(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
     """The one line a failing command prints."""
-    assert main([str(a) for a in arguments]) == 1
+    code = main([str(a) for a in arguments])
     out, err = capsys.readouterr()
+    assert code == (2 if err.endswith("--help\n") else 1)  # bad usage says where help is
     assert out == "" and err.count("\n") == 1 and "Traceback" not in err
     return err
 
@@ -106,7 +107,7 @@ def test_wrong_inputs(scene: Path, avatar: Path, tmp_path: Path, capsys: pytest.
     cases = [
         ([tmp_path / "none.ply", "-o", png], "none.ply: no such file"),
         ([text, "-o", png], "notes.txt: expected 3DGS PLY"),
-        ([scene, "-o", tmp_path / "x.jpg"], "end in .png or .npy"),
+        ([scene, "-o", tmp_path / "x.jpg"], "expected .png or .npy"),
         ([scene, "-o", tmp_path / "no" / "x.png"], "there is no folder"),
         ([scene, "--pose", "p.json", "-o", png], "no skeleton"),
         ([avatar, "--pose", tmp_path / "p.json", "-o", png], "cannot read the pose"),
@@ -167,7 +168,7 @@ def test_output_that_is_a_folder_leaves_nothing(
     scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "taken.png").mkdir()
-    assert "cannot be written" in fails(capsys, "render", scene, "--size", "8", "-o", tmp_path / "taken.png")
+    assert "this is a folder" in fails(capsys, "render", scene, "--size", "8", "-o", tmp_path / "taken.png")
     assert sorted(p.name for p in tmp_path.iterdir()) == ["cloud.ply", "taken.png"]
 
 

@@ -126,7 +126,7 @@ def test_a_recording_is_sent_as_tracking(stripes, tmp_path):
         (["nowhere.jsonl"], "nowhere.jsonl"),
         (["--avatar", "nowhere.glb"], "nowhere.glb"),
         (["--save", "no/such/folder/sheet.png"], "there is no folder no/such/folder"),
-        (["--save", "clip.avi"], "expected a folder/, a clip .mp4 or a contact sheet .png"),
+        (["--save", "clip.avi"], "expected a clip .mp4 or .webm, a contact sheet .png, or clip.avi/"),
         (["--token-file", "nowhere"], "nowhere: cannot read the token"),
         (["--tls-ca", "nowhere.pem", "--url", "wss://127.0.0.1:9"], "nowhere.pem: expected a certificate"),
         (["--fps", "0"], "--fps needs 1 to 240"),

@@ -108,8 +108,8 @@ def test_bench_writes_its_table(tmp_path, capsys):
 )
 def test_mistakes_are_one_line(words, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    assert run(*words) == 1
-    error = capsys.readouterr().err
+    code, error = run(*words), capsys.readouterr().err
+    assert code == (2 if error.endswith("--help\n") else 1)
     assert error.startswith("glsplat tracking: ") and error.count("\n") == 1
     assert not list(tmp_path.iterdir())
 
@@ -122,5 +122,5 @@ def test_a_rate_of_no_pictures_is_bad_usage(derived, capsys):
 
 def test_a_calibration_does_not_replace_its_recording(derived, capsys):
     before = (derived / "r.jsonl").read_bytes()
-    assert run("calibrate", derived / "r.jsonl", "-o", derived / "r.jsonl") == 1
+    assert run("calibrate", derived / "r.jsonl", "-o", derived / "r.jsonl") == 2
     assert "different names" in capsys.readouterr().err and (derived / "r.jsonl").read_bytes() == before

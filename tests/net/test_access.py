@@ -179,7 +179,35 @@ def test_tls_and_the_clients_trust(serve, cameras, tmp_path):
             assert server.url.startswith("wss://")
             with pytest.raises(ProtocolError, match="not trusted; give it with --tls-ca"):
                 await Client(server.url, TOKEN).connect()
+            with pytest.raises(ProtocolError, match="speaks TLS; the address begins with wss://"):
+                await Client(server.url.replace("wss:", "ws:"), TOKEN).connect()
             async with Client(server.url, TOKEN, cafile=cert) as client:
                 return (await client.render(cameras)).frame_id
 
     assert asyncio.run(main()) == 1
+
+
+def test_tls_to_a_plain_server_is_said(serve):
+    async def main():
+        async with serve() as server:
+            with pytest.raises(ProtocolError, match="does not speak TLS; the address begins with ws://"):
+                await Client(server.url.replace("ws:", "wss:")).connect()
+
+    asyncio.run(main())
+
+
+@pytest.mark.parametrize(
+    ("greeting", "message"), [(b"SSH-2.0-x\r\n", "is it a glsplat server"), (b"", "is it a glsplat server")]
+)
+def test_something_else_listens(greeting, message):
+    async def answer(reader, writer):
+        writer.write(greeting)
+        writer.close()
+
+    async def main():
+        async with await asyncio.start_server(answer, "127.0.0.1", 0) as server:
+            port = server.sockets[0].getsockname()[1]
+            with pytest.raises(ProtocolError, match=message):
+                await Client(f"ws://127.0.0.1:{port}/ws").connect()
+
+    asyncio.run(main())

@@ -1,0 +1,103 @@
+"""Clips: a codec that browsers play, every frame in it, and nothing left behind when the disk is full."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from glsplat_apps import clip as module
+from glsplat_apps.clip import Clip
+
+from glsplat.errors import FormatError
+
+
+def picture(step: int, width: int = 96, height: int = 64) -> np.ndarray:
+    """A disc on a gradient that moves; smooth enough for 4:2:0."""
+    x, y = np.meshgrid(np.arange(width), np.arange(height))
+    disc = np.clip(20 - np.hypot(x - 20 - 4 * step, y - 30), 0, 1)[..., None]
+    return np.uint8(disc * (40, 180, 250) + (1 - disc) * np.stack([x, y, 80 + 0 * x], axis=-1))
+
+
+def frames(path: Path) -> list[np.ndarray]:
+    reader = cv2.VideoCapture(str(path))
+    found = []
+    while (got := reader.read())[0]:
+        found.append(cv2.cvtColor(got[1], cv2.COLOR_BGR2RGB))
+    reader.release()
+    return found
+
+
+@pytest.mark.parametrize("ending", [".mp4", ".webm", ".WebM"])
+@pytest.mark.parametrize(("count", "fps"), [(1, 24.0), (31, 10.37), (9, 240.0)])
+def test_every_frame_arrives_in_order(tmp_path, capfd, ending, count, fps):
+    path = tmp_path / f"clip{ending}"
+    with Clip(path, fps) as clip:
+        for step in range(count):
+            clip.add(picture(step))
+    assert clip.summary == f"{path}: {count} pictures, {fps:g} a second, VP9"
+    got = frames(path)
+    assert len(got) == count
+    for step, image in enumerate(got):
+        assert np.abs(image.astype(float) - picture(step)).mean() < 3  # the next picture is 5 off
+    assert capfd.readouterr() == ("", "")  # nor does the library print
+    assert [p.name for p in tmp_path.iterdir()] == [path.name]
+
+
+def test_the_codec_is_one_that_browsers_play(tmp_path):
+    for name, box in (("a.mp4", b"vp09"), ("a.webm", b"V_VP9")):
+        with Clip(tmp_path / name, 10) as clip:
+            clip.add(picture(0))
+        data = (tmp_path / name).read_bytes()
+        assert box in data and b"mp4v" not in data
+        assert data[4:8] == b"ftyp" if name == "a.mp4" else data[:4] == b"\x1a\x45\xdf\xa3" and b"webm" in data[:64]
+        if shutil.which("ffprobe"):
+            ask = ["ffprobe", "-v", "error", "-show_entries", "stream=codec_name", "-of", "csv=p=0", tmp_path / name]
+            assert subprocess.run(ask, capture_output=True, text=True, check=True).stdout.strip() == "vp9"
+
+
+def test_an_opencv_without_vp9_says_what_it_wrote(tmp_path, monkeypatch):
+    monkeypatch.setattr(module, "CLIPS", {".mp4": "zzzz", ".webm": "zzzz"})
+    with Clip(tmp_path / "a.mp4", 10) as clip:
+        clip.add(picture(0))
+    assert "MPEG-4 part 2, which browsers do not play" in clip.summary and len(frames(tmp_path / "a.mp4")) == 1
+    with pytest.raises(FormatError, match="cannot write such a clip"), Clip(tmp_path / "a.webm", 10) as clip:
+        clip.add(picture(0))
+
+
+@pytest.mark.parametrize("ending", [".mp4", ".webm"])
+@pytest.mark.parametrize(
+    ("limit", "count", "code"),
+    # VP9 writes when it ends, so few frames are enough; VP8 and MPEG-4 as well at once, which may fail frame by frame
+    [(0, 6, ""), (1, 6, ""), (20, 90, "old")],
+)
+def test_a_full_disk_is_one_line_and_leaves_nothing(tmp_path, ending, limit, count, code):
+    script = (
+        "import sys, numpy as np; from glsplat_apps import clip; from glsplat.errors import FormatError\n"
+        "if sys.argv[2] != '6': clip.CLIPS['.mp4'] = clip.CLIPS['.webm'] = sys.argv[3]\n"
+        "noise = np.random.default_rng(1)\n"
+        "try:\n"
+        "    with clip.Clip(sys.argv[1], 30) as made:\n"
+        "        for _ in range(int(sys.argv[2])): made.add(noise.integers(0, 255, (128, 128, 3), dtype=np.uint8))\n"
+        "except FormatError as error: print(error)\n"
+    )
+    limited = f'ulimit -f {limit}; exec {sys.executable} -c "$1" "$2" "$3" "$4"'
+    code = {".mp4": "mp4v", ".webm": "VP80"}[ending] if code else code
+    command = ["bash", "-c", limited, "sh", script, tmp_path / f"a{ending}", str(count), code]
+    done = subprocess.run(command, cwd=Path(__file__).parents[2], capture_output=True, text=True, timeout=120)
+    assert done.stderr == "" and done.returncode == 0
+    assert done.stdout.count("\n") == 1 and done.stdout.startswith(f"{tmp_path}/a{ending}: ")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_error_leaves_the_old_clip(tmp_path):
+    path = tmp_path / "a.mp4"
+    path.write_bytes(b"old")
+    with pytest.raises(KeyError), Clip(path, 10) as clip:
+        clip.add(picture(0))
+        raise KeyError
+    assert path.read_bytes() == b"old" and list(tmp_path.iterdir()) == [path]

@@ -1,0 +1,78 @@
+"""The container file: what it installs and copies is what there is, and where docker works it is built and run."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import re
+import shutil
+import subprocess
+import time
+import urllib.request
+from pathlib import Path
+
+import pytest
+from glsplat_apps import serve
+
+ROOT = Path(__file__).resolve().parents[1]
+TEXT = (ROOT / "Dockerfile").read_text().replace("\\\n", " ")
+
+
+def test_it_installs_what_drawing_needs():
+    needed = set(re.findall(r'drawing="\$drawing (\S+)"', (ROOT / ".ci" / "system").read_text())) - {"python3-venv"}
+    last = TEXT[TEXT.rindex("FROM ") :]
+    assert needed == {"libegl1", "libgl1", "libegl-mesa0", "libgl1-mesa-dri"} and all(name in last for name in needed)
+    assert re.search(r"^USER [1-9]\d*$", last, re.M)  # a number: Kubernetes can see that it is not root
+
+
+def test_its_command_is_one_that_serve_understands():
+    words = json.loads(re.search(r"^CMD (\[.*\])$", TEXT, re.M)[1])
+    assert words[0] == "serve"
+    parser = argparse.ArgumentParser()
+    serve.add_arguments(parser)
+    config = serve.server_config(parser.parse_args(words[1:]))
+    assert f"EXPOSE {config.port}" in TEXT and config.access.host == "0.0.0.0"
+
+
+def test_what_the_build_needs_is_not_ignored():
+    rules = (ROOT / ".dockerignore").read_text().split()
+    packages = {"apps", "glsplat", "pyproject.toml", "README.md", "LICENSE"}
+    assert rules[0] == "*" and packages == {rule[1:] for rule in rules if rule.startswith("!")}
+    assert all((ROOT / name).exists() for name in packages)
+
+
+@pytest.mark.slow
+def test_it_builds_and_serves():
+    if not os.environ.get("GLSPLAT_TEST_DOCKER"):
+        pytest.skip("building an image takes minutes and a registry: set GLSPLAT_TEST_DOCKER=1 to do it")
+    docker = shutil.which("docker")
+    if docker is None or subprocess.run([docker, "info"], capture_output=True, timeout=60).returncode:
+        pytest.skip("no docker, or its daemon does not answer")
+    subprocess.run([docker, "build", "-q", "-t", "glsplat-test", str(ROOT)], check=True, timeout=280)
+    start = [
+        docker,
+        "run",
+        "-d",
+        "--rm",
+        "-p",
+        "127.0.0.1::8000",
+        "--cap-drop",
+        "ALL",
+        "--read-only",
+        "--tmpfs",
+        "/tmp",
+    ]
+    container = subprocess.run([*start, "glsplat-test"], check=True, capture_output=True, text=True).stdout.strip()
+    try:
+        port = subprocess.run([docker, "port", container, "8000"], check=True, capture_output=True, text=True)
+        url = f"http://{port.stdout.split()[0]}/healthz"
+        for _ in range(120):
+            try:
+                assert urllib.request.urlopen(url, timeout=2).read() == b"ok"
+                return
+            except OSError:
+                time.sleep(0.5)
+        pytest.fail(f"{url} does not answer")
+    finally:
+        subprocess.run([docker, "stop", "-t", "10", container], capture_output=True, timeout=60)
