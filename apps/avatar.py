@@ -18,10 +18,11 @@ from glsplat.avatar import Avatar, default_avatar
 from glsplat.errors import FormatError, GlsplatError
 from glsplat.formats import load, save
 from glsplat.formats.files import replace_file
+from glsplat.meshes import RiggedMesh
 from glsplat.skinning.cones import ConeConfig, with_cones
 from glsplat.skinning.importers import bind_to_mesh, load_lhm_dump, marked_no_rotate
 from glsplat.skinning.lam import is_lam_zip, load_lam_zip
-from glsplat.skinning.people import RiggedMesh, read_person
+from glsplat.skinning.people import read_person
 from glsplat.skinning.pose import Pose, load_pose
 from glsplat.skinning.posed import posed_splats
 from glsplat.skinning.refine import RefineConfig, refine

@@ -19,8 +19,8 @@ from glsplat.config import RenderConfig
 from glsplat.errors import FormatError
 from glsplat.formats.files import replace_file
 from glsplat.mesh import MeshConfig, MeshRenderer
+from glsplat.meshes import RiggedMesh
 from glsplat.renderer import Renderer
-from glsplat.skinning.people import RiggedMesh
 
 from .avatar_poses import SCORE_POSES, score_pose
 from .output import eight_bit, label, save_png, stack

@@ -13,6 +13,8 @@ from typing import Any, NamedTuple
 
 import moderngl
 
+from glsplat.shaders.slots import UNITS
+
 __all__ = ["GLState"]
 
 # name -> (enum, values, least GL version). One glGet each.
@@ -93,7 +95,7 @@ _ENABLE_ONLY = {  # what moderngl remembers by itself
     0x8642: moderngl.PROGRAM_POINT_SIZE,
 }
 _ALL = sum(_ENABLE_ONLY.values())
-_UNITS = (0, 1)  # texture units of the passes
+_UNITS = tuple(sorted(set(UNITS.values())))  # of the passes
 _STORAGE_SLOTS = range(5)  # of the GPU sorter
 _UNIFORM, _STORAGE = (0x8A11, 0x8A28), (0x90D2, 0x90D3)  # target, binding
 _FILL, _ADD, _LEQUAL, _LAST_VERTEX, _FIXED_ONLY = 0x1B02, 0x8006, 0x0203, 0x8E4E, 0x891D

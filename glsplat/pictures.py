@@ -10,9 +10,10 @@ from numpy.typing import ArrayLike, NDArray
 from glsplat.arrays import plain
 from glsplat.errors import GlsplatError
 
-__all__ = ["straight"]
+__all__ = ["lifted", "straight"]
 
 Depth = TypeVar("Depth", np.uint8, np.float32)
+Float = TypeVar("Float", np.float32, np.float64)
 
 
 def straight(image: NDArray[Depth], background: ArrayLike = (0.0, 0.0, 0.0)) -> NDArray[Depth]:
@@ -45,3 +46,13 @@ def straight(image: NDArray[Depth], background: ArrayLike = (0.0, 0.0, 0.0)) -> 
     out[..., :3] = np.where(alpha > 0, colour, 0)
     out[..., 3] = image[..., 3]
     return out
+
+
+def lifted(image: NDArray[Float], background: tuple[float, float, float]) -> NDArray[Float]:
+    """[H, W, 4] of a picture from which hidden splats were left out: what shone through is made up for (lift.glsl).
+
+    Behind alpha A there was about A^3 more of the same colour: A' = 1 - (1 - A) (1 - A^3).
+    """
+    alpha = image[..., 3:]
+    more = alpha * alpha * (1 - alpha)
+    return image * (1 + more) - more * np.asarray((*background, 0), image.dtype)

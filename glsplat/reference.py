@@ -9,32 +9,36 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.camera import Camera, passes_of, sorting_camera
 from glsplat.config import RenderConfig
+from glsplat.pictures import lifted
+from glsplat.rotations import is_rigid, quaternion_matrices
 from glsplat.skinning.skin import Skin
 from glsplat.splats import Splats
 
 __all__ = [
+    "Ground",
     "Posed",
     "Projected",
     "blended_rotations",
     "depth_order",
     "evaluate_sh",
+    "joined",
     "lifted",
+    "placed",
     "project",
     "quaternion_matrices",
     "render",
+    "render_scene",
     "rest",
     "skin",
 ]
 
 F64 = NDArray[np.float64]
-T = TypeVar("T", np.float32, np.float64)
 
 ALPHA_MAX = 0.99
 ALPHA_MIN = 1 / 255
@@ -53,6 +57,14 @@ class Posed:
 
 
 @dataclass(frozen=True)
+class Ground:
+    """What opaque meshes leave at the pixel centres of one view, before any splat."""
+
+    colours: F64  # [H, W, 3]
+    z: F64  # [H, W] camera z in metres, infinite where no mesh is
+
+
+@dataclass(frozen=True)
 class Projected:
     """Splats of one view in pixels."""
 
@@ -67,17 +79,6 @@ class Projected:
     def visible(self) -> NDArray[np.bool_]:
         """[N] True where the splat is drawn in this view."""
         return self.extents > 0
-
-
-def quaternion_matrices(quats: NDArray[np.floating]) -> F64:
-    """[N, 4] unit wxyz to [N, 3, 3] (covariance.glsl)."""
-    w, x, y, z = np.moveaxis(np.asarray(quats, np.float64), -1, 0)
-    rows = (
-        (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
-        (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
-        (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
-    )
-    return np.stack([np.stack(row, -1) for row in rows], -2)
 
 
 def rest(splats: Splats) -> Posed:
@@ -119,16 +120,30 @@ def skin(splats: Splats, binding: Skin, bones: F64, mode: str = "polar") -> Pose
     weights = binding.weights.astype(np.float64)
     blended = np.einsum("nk,nkij->nij", weights, bones[binding.joints])
     means = np.einsum("nij,nj->ni", blended[:, :, :3], splats.means.astype(np.float64)) + blended[:, :, 3]
-    shift = 1.0 if rigid(bones) else 3.0
+    shift = 1.0 if is_rigid(bones) else 3.0
     rotations = blended_rotations(blended[:, :, :3], bones[binding.joints[:, 0], :, :3], shift)
     linear = rotations if mode == "polar" else blended[:, :, :3]
     return Posed(means, linear @ rest(splats).shapes, rotations)
 
 
-def rigid(bones: F64) -> bool:
-    """Whether every bone's 3x3 is a rotation within 1e-4."""
-    gram = np.einsum("jki,jkl->jil", bones[:, :, :3], bones[:, :, :3])
-    return bool(np.abs(gram - np.eye(3)).max() < 1e-4 and (np.linalg.det(bones[:, :, :3]) > 0).all())
+def placed(posed: Posed, transform: F64) -> Posed:
+    """Splats of an item that stands somewhere: x -> s R x + t of ``transform`` [4, 4] (place.vert.glsl)."""
+    linear = transform[:3, :3]
+    turn = linear / np.cbrt(np.linalg.det(linear))
+    means = posed.means @ linear.T + transform[:3, 3]
+    return Posed(means, linear @ posed.shapes, turn @ posed.rotations)
+
+
+def joined(parts: Sequence[tuple[Posed, Splats]]) -> tuple[Posed, Splats, NDArray[np.bool_]]:
+    """All items of a scene as one: posed splats, their attributes, and [N] who asks for opacity compensation."""
+    degree = max(splats.sh_degree for _, splats in parts)
+    count = (degree + 1) ** 2
+    sh = [np.pad(splats.sh, ((0, 0), (0, count - splats.sh.shape[1]), (0, 0))) for _, splats in parts]
+    posed = Posed(*(np.concatenate([getattr(p, n) for p, _ in parts]) for n in ("means", "shapes", "rotations")))
+    names = ("means", "quats", "scales", "opacities")
+    means, quats, scales, opacities = (np.concatenate([getattr(s, n) for _, s in parts]) for n in names)
+    splats = Splats(means, quats, scales, opacities, np.concatenate(sh))
+    return posed, splats, np.concatenate([np.full(len(s), s.antialias) for _, s in parts])
 
 
 def evaluate_sh(sh: F64, directions: F64, degree: int) -> F64:
@@ -158,9 +173,16 @@ def evaluate_sh(sh: F64, directions: F64, degree: int) -> F64:
     return np.maximum(np.einsum("kn,nkc->nc", np.stack(basis), sh[:, : len(basis)]) + 0.5, 0)
 
 
-def project(posed: Posed, splats: Splats, camera: Camera, config: RenderConfig | None = None) -> Projected:
+def project(
+    posed: Posed,
+    splats: Splats,
+    camera: Camera,
+    config: RenderConfig | None = None,
+    antialias: NDArray[np.bool_] | None = None,  # [N] of a scene whose items differ; default: the splats' own flag
+) -> Projected:
     """One view of the splats: EWA projection, culling and colour (project.glsl, extent.glsl, sh.glsl)."""
     config = config or RenderConfig()
+    asked = splats.antialias if antialias is None else antialias
     with np.errstate(all="ignore"):
         R, t = camera.viewmat[:3, :3], camera.viewmat[:3, 3]
         x, y, z = (posed.means @ R.T + t).T
@@ -179,8 +201,8 @@ def project(posed: Posed, splats: Splats, camera: Camera, config: RenderConfig |
         a, c = a + config.eps2d, c + config.eps2d
 
         alphas = np.minimum(splats.opacities.astype(np.float64), 1.0)
-        if splats.antialias if config.antialias is None else config.antialias:
-            alphas = alphas * np.sqrt(np.maximum(det / dilated, AA_FLOOR))
+        compensation = np.sqrt(np.maximum(det / dilated, AA_FLOOR))
+        alphas = alphas * np.where(asked if config.antialias is None else config.antialias, compensation, 1.0)
         extents = np.minimum(config.max_sigma, np.sqrt(2 * np.log(alphas / ALPHA_MIN)))
         means2d = np.stack([fx * x / z + cx, fy * y / z + cy], -1)
         reach_x, reach_y = extents * np.sqrt(a), extents * np.sqrt(c)
@@ -206,10 +228,16 @@ def depth_order(means: F64, viewmat: F64) -> NDArray[np.intp]:
     return np.argsort(np.nan_to_num(depths, nan=np.inf), kind="stable")[::-1]
 
 
-def composite(view: Projected, order: NDArray[np.intp], camera: Camera) -> F64:
-    """[H, W, 4]: premultiplied over, far to near, on the camera's background (splat.frag.glsl)."""
-    image = np.zeros((camera.height, camera.width, 4))
+def composite(view: Projected, order: NDArray[np.intp], camera: Camera, ground: Ground | None = None) -> F64:
+    """[H, W, 5]: premultiplied over, far to near, on the camera's background (splat.frag.glsl); then weighted z.
+
+    With ``ground`` splats whose mean lies behind a mesh are not drawn there. Channel 4 is the sum of weight times z.
+    """
+    image = np.zeros((camera.height, camera.width, 5))
     image[..., :3] = camera.background
+    if ground is not None:
+        hit = np.isfinite(ground.z)
+        image[hit] = np.concatenate([ground.colours[hit], np.ones((hit.sum(), 1)), ground.z[hit][:, None]], axis=1)
     for i in order[view.visible[order]]:
         a, b, c = view.covars2d[i]
         det = a * c - b * b
@@ -224,21 +252,14 @@ def composite(view: Projected, order: NDArray[np.intp], camera: Camera) -> F64:
         distance2 = np.maximum((c * dx * dx - 2 * b * dx * dy + a * dy * dy) / det, 0)
         alpha = np.minimum(ALPHA_MAX, view.alphas[i] * np.exp(-0.5 * distance2))
         alpha[(alpha < ALPHA_MIN) | (distance2 > k * k * (1 + 1e-9))] = 0
+        if ground is not None:
+            alpha[view.depths[i] > ground.z[y0:y1, x0:x1]] = 0
         patch = image[y0:y1, x0:x1]
         patch *= 1 - alpha[..., None]
         patch[..., :3] += alpha[..., None] * view.colours[i]
         patch[..., 3] += alpha
+        patch[..., 4] += alpha * view.depths[i]
     return image
-
-
-def lifted(image: NDArray[T], background: tuple[float, float, float]) -> NDArray[T]:
-    """[H, W, 4] of a picture from which hidden splats were left out: what shone through is made up for (lift.glsl).
-
-    Behind alpha A there was about A^3 more of the same colour: A' = 1 - (1 - A) (1 - A^3).
-    """
-    alpha = image[..., 3:]
-    more = alpha * alpha * (1 - alpha)
-    return image * (1 + more) - more * np.asarray((*background, 0), image.dtype)
 
 
 def render(
@@ -256,8 +277,28 @@ def render(
     for indices in passes_of(cameras, config.order == "shared"):
         views = [cameras[i] for i in indices]
         order = depth_order(posed.means, sorting_camera(views) if sort_viewmat is None else sort_viewmat)
-        images += [composite(project(posed, splats, view, config), order, view) for view in views]
+        images += [composite(project(posed, splats, view, config), order, view)[..., :4] for view in views]
     return np.stack(images)
+
+
+def render_scene(
+    parts: Sequence[tuple[Posed, Splats]],  # the items in their order, posed and placed
+    cameras: Sequence[Camera],
+    grounds: Sequence[Ground] | None = None,  # one a camera
+    config: RenderConfig | None = None,
+) -> tuple[F64, F64]:
+    """A scene of several items: images [V, H, W, 4], and expected depths [V, H, W] in metres, 0 where alpha is 0."""
+    config = config or RenderConfig()
+    posed, splats, antialias = joined(parts)
+    layers = []
+    for indices in passes_of(cameras, config.order == "shared"):
+        order = depth_order(posed.means, sorting_camera([cameras[i] for i in indices]))
+        for i in indices:
+            view = project(posed, splats, cameras[i], config, antialias)
+            layers.append(composite(view, order, cameras[i], grounds[i] if grounds else None))
+    image = np.stack(layers)
+    alpha = image[..., 3]
+    return image[..., :4], np.divide(image[..., 4], alpha, out=np.zeros_like(alpha), where=alpha > 0)
 
 
 def _davenport(m: F64) -> F64:

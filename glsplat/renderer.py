@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from types import TracebackType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -20,15 +20,17 @@ from glsplat.camera import Camera, passes_of, sorting_camera
 from glsplat.config import RenderConfig
 from glsplat.context import Context, create_context
 from glsplat.errors import ContextError, GlsplatError
+from glsplat.meshes import RiggedMesh
 from glsplat.owner import Entry, abandon
 from glsplat.passes.budget import Budget
 from glsplat.passes.pipeline import Pipeline
-from glsplat.passes.scene import SceneBuffers
+from glsplat.passes.staged import Staged
 from glsplat.passes.stats import FrameStats, union
 from glsplat.passes.target import FORMATS, Target
 from glsplat.passes.target_pool import TargetPool
-from glsplat.passes.views import checked_pose, checked_views
-from glsplat.shaders import Programs, Variant, variant_for
+from glsplat.passes.views import checked_views
+from glsplat.scene import Item, Scene
+from glsplat.shaders import Programs, Variant
 from glsplat.shaders.variant import MAX_VIEWS
 from glsplat.skinning.pose import Pose
 from glsplat.splats import Splats
@@ -54,7 +56,7 @@ class Renderer:
 
     def __init__(
         self,
-        scene: Splats | Avatar,
+        scene: Scene | Item | Splats | Avatar | RiggedMesh,
         *,
         size: tuple[int, int] = (1024, 1024),  # width, height
         views: int = 1,  # expected; targets are made for them now instead of with the first frame
@@ -71,9 +73,7 @@ class Renderer:
         self._released = False
         self._programs = Programs(self.context.ctx)
         self.timer: StageTimer = StageTimer(self.context.ctx.finish if timed else None)
-        self._scene: SceneBuffers | None = None
-        self._splat_count = 0
-        self._pipelines: dict[Variant, Pipeline] = {}
+        self._staged: Staged | None = None
         self._targets = TargetPool(self.context, self.target_dtype)
         self.stats: FrameStats = FrameStats(0, 0, 0)
         self.variant: Variant = Variant()  # of the last pass
@@ -90,7 +90,7 @@ class Renderer:
             raise
 
     @classmethod
-    def run_in_thread(cls, scene: Splats | Avatar, **options: Any) -> RendererThread:
+    def run_in_thread(cls, scene: Scene | Item | Splats | Avatar | RiggedMesh, **options: Any) -> RendererThread:
         """A renderer on a thread of its own, with the options of ``Renderer()``: all threads may call it.
 
         ::
@@ -129,16 +129,11 @@ class Renderer:
 
         Not counted: the bone texture and the uniform blocks, which do not grow with the splats.
         """
-        scene = self._scene
-        return {
-            "splats": scene.nbytes if scene else 0,
-            "sh": scene.sh_nbytes if scene else 0,
-            "work": sum(p.nbytes for p in self._pipelines.values()),
-            "targets": self._targets.nbytes,
-        }
+        staged = self._staged.nbytes() if self._staged else {"splats": 0, "meshes": 0, "sh": 0, "work": 0}
+        return staged | {"targets": self._targets.nbytes}
 
-    def load(self, scene: Splats | Avatar) -> None:
-        """Replace the scene; the old one's buffers are released."""
+    def load(self, scene: Scene | Item | Splats | Avatar | RiggedMesh) -> None:
+        """Replace the scene. The old one is kept until the new one is on the GPU, and stays if that fails."""
         with self._entered("load"):
             self._load(scene)
 
@@ -154,20 +149,45 @@ class Renderer:
         with self._entered("drop_targets"):
             self._targets.release()
 
+    @overload
     def render(
         self,
         cameras: Sequence[Camera],
-        pose: Pose | None = None,  # zero pose if none; ignored by a scene without a skeleton
+        pose: Pose | None = ...,
+        *,
+        sort_viewmat: ArrayLike | None = ...,
+        budget: Budget | None = ...,
+        depth: Literal[False] = ...,
+    ) -> NDArray[Any]: ...
+
+    @overload
+    def render(
+        self,
+        cameras: Sequence[Camera],
+        pose: Pose | None = ...,
+        *,
+        sort_viewmat: ArrayLike | None = ...,
+        budget: Budget | None = ...,
+        depth: Literal[True],
+    ) -> tuple[NDArray[Any], NDArray[np.float32]]: ...
+
+    def render(
+        self,
+        cameras: Sequence[Camera],
+        pose: Pose | None = None,  # of the one avatar; default: the item's own, else zero; ignored without a skeleton
         *,
         sort_viewmat: ArrayLike | None = None,  # [4, 4] orders all views; default: see docs/frame.md
         budget: Budget | None = None,  # what this picture may cost; none: whatever it takes
-    ) -> NDArray[Any]:
+        depth: bool = False,  # return expected depths beside the images
+    ) -> NDArray[Any] | tuple[NDArray[Any], NDArray[np.float32]]:
         """The images [V, H, W, 4], row 0 at the top: RGB over the background and accumulated alpha.
 
         Colours are multiplied by their alpha already (premultiplied); ``glsplat.straight(image)`` divides it out again,
-        for PNG files and image libraries. float32 (unclipped) or uint8 by ``config.output``. The array is new with each
-        call. Raises PoseError for a pose that does not fit, GlsplatError for cameras of another size, BudgetError for a
-        picture beyond its budget: the next one is drawn as if it had not been asked for.
+        for PNG files and image libraries. float32 (unclipped) or uint8 by ``config.output``. With ``depth`` also
+        [V, H, W] float32: camera z in metres, the mean of what a pixel shows by its weight in the picture, meshes
+        included; 0 where alpha is 0. The arrays are new with each call. Raises PoseError for a pose that does not fit,
+        GlsplatError for cameras of another size, BudgetError for a picture beyond its budget: the next one is drawn as
+        if it had not been asked for.
         """
         order = None if sort_viewmat is None else own(sort_viewmat, np.float64, "sort_viewmat", GlsplatError)
         if order is not None and not (order.shape == (4, 4) and np.isfinite(order).all()):
@@ -177,15 +197,18 @@ class Renderer:
             self._begin(pose)
             boxed = self.config.output == "uint8"
             out = np.empty((len(cameras), self.size[1], self.size[0], 4), np.uint8 if boxed else np.float32)
-            passes = passes_of(cameras, self.config.order == "shared" or order is not None)
-            for batch in passes:
-                views = [cameras[i] for i in batch]
-                pipeline, target = self._draw(views, order, boxed, len(passes) == 1, budget)
+            depths = np.empty(out.shape[:3] if depth else 0, np.float32)
+            for ordinal, batch in enumerate(passes_of(cameras, self.config.order == "shared" or order is not None)):
+                views, mine = [cameras[i] for i in batch], slice(batch[0], batch[0] + len(batch))
+                pipeline, target = self._draw(views, order, boxed, ordinal, budget, depth)
                 byte_target = self._targets.byte_target(self.size, len(views)) if boxed else None
-                pipeline.read(target, byte_target, views, out[batch[0] : batch[0] + len(views)], self.timer)
+                pipeline.read(target, byte_target, views, out[mine], self.timer)
+                if depth:
+                    depths[mine] = target.read_depth()
+                    self.timer.mark("read")
                 self._count(pipeline)
             self.timer.stop()
-            return out
+            return (out, depths) if depth else out
 
     def draw(self, cameras: Sequence[Camera], pose: Pose | None = None) -> Target:
         """Draw one view or a pair and leave it on the GPU: the float target, layer 0 the left eye, row 0 at the top.
@@ -199,8 +222,8 @@ class Renderer:
         with self._entered("draw"):
             self._begin(pose)
             passes = passes_of(cameras, self.config.order == "shared")
-            for batch in passes:
-                pipeline, target = self._draw([cameras[i] for i in batch], None, boxed=False, alone=len(passes) == 1)
+            for ordinal, batch in enumerate(passes):
+                pipeline, target = self._draw([cameras[i] for i in batch], None, boxed=False, ordinal=ordinal)
                 if len(passes) > 1:  # eyes that do not share an order: drawn one by one into the pair's layers
                     pair = self._targets.float_target(self.size, len(cameras))
                     pair.copy_layer(self.context.ctx, batch[0], target)
@@ -219,11 +242,12 @@ class Renderer:
         if len(passes_of(cameras, self.config.order == "shared")) > 1:
             raise GlsplatError("redraw() takes views of one pass: one view, or a pair that looks the same way")
         with self._entered("redraw"):
-            pipeline, target = self._pipeline(cameras), self._targets.float_target(self.size, len(cameras))
+            pipeline, target = self._scene.pipeline(cameras, 0), self._targets.float_target(self.size, len(cameras))
+            ground = self._scene.ground(cameras, 0, self.target_dtype, self.timer)
             self.context.ctx.finish()
             timer = StageTimer(self.context.ctx.finish)
             timer.start()
-            pipeline.draw(target, cameras, timer, boxed=self.config.output == "uint8")
+            pipeline.draw(target, cameras, timer, self.config.output == "uint8", ground=ground)
             return timer.ms["draw"]
 
     def posed(self) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
@@ -233,12 +257,11 @@ class Renderer:
         is not skinned or not rendered yet.
         """
         with self._entered("posed"):
-            pipeline = self._pipelines.get(self.variant)
-            posed = pipeline.posed() if pipeline else None
-        if posed is None:
-            why = "this scene is not skinned or not rendered yet"
-            raise GlsplatError(f"posed() needs an avatar that was rendered; {why}")
-        return posed
+            arena = self._scene.arena
+            if not (arena.posed and arena.version):
+                why = "this scene is not skinned or not rendered yet"
+                raise GlsplatError(f"posed() needs an avatar that was rendered; {why}")
+            return arena.read()
 
     def release(self) -> None:
         """Delete every GL object, and the context if it was made here. May be called twice."""
@@ -263,12 +286,13 @@ class Renderer:
 
     def __del__(self) -> None:
         if not getattr(self, "_released", True):
-            label = f"a Renderer ({self._splat_count} splats, {self.size[0]}x{self.size[1]})"
+            splats = self._staged.splats if self._staged else 0
+            label = f"a Renderer ({splats} splats, {self.size[0]}x{self.size[1]})"
             abandon(label, self.context.owner, self._forget, self._owns_context)
 
     # ------------------------------------------------------------------------------------------------- internals
 
-    def _open(self, scene: Splats | Avatar, size: tuple[int, int], views: int) -> None:
+    def _open(self, scene: Scene | Item | Splats | Avatar | RiggedMesh, size: tuple[int, int], views: int) -> None:
         """Check what the driver can do, and make what does not wait for the first frame."""
         geometry = self.config.layers == "geometry"
         if self.config.layers == "vertex" and not self.context.vertex_layers:
@@ -282,30 +306,17 @@ class Renderer:
         self._load(scene)
         self._targets.float_target(self.size, min(views, MAX_VIEWS))
 
-    def _load(self, scene: Splats | Avatar) -> None:
-        avatar = scene if isinstance(scene, Avatar) else None
-        splats = avatar.splats if avatar else scene
-        if not isinstance(splats, Splats):
-            raise GlsplatError(f"a scene is Splats or an Avatar, not {type(scene).__name__}")
-        if self.config.cull_hidden and splats.cones is None:
-            raise GlsplatError(
-                "cull_hidden needs splats with visibility cones, this scene has none; "
-                "make them (glsplat avatar cones, glsplat.skinning.cones.with_cones) or leave cull_hidden off"
-            )
-        skin = avatar.skin if avatar else None
-        if avatar is not None and self.config.influences:
-            skin = avatar.skin.reduced(self.config.influences).anchored(avatar.skeleton.parents)
-        joints = len(avatar.skeleton) if avatar else 0
-        if joints > self.context.max_size:
-            raise ContextError(f"{joints} joints, but a texture of {self.driver} holds {self.context.max_size}")
-        self._drop_scene()
-        self._avatar = avatar
-        self._degree = min(splats.sh_degree, self.config.sh_degree)
-        self._antialias = splats.antialias
-        self._splat_count = len(splats)
-        self._geometry_version = 0
-        self._last_bones: NDArray[np.float64] | None = None
-        self._scene = SceneBuffers(self.context.ctx, splats, skin, joints, self._degree, self.config.cull_hidden)
+    def _load(self, scene: Scene | Item | Splats | Avatar | RiggedMesh) -> None:
+        parts = (self.context, self._programs, Scene.of(scene), self.config, self._geometry, self._triangle)
+        old, self._staged = self._staged, Staged(*parts)
+        if old is not None:
+            old.release()
+
+    @property
+    def _scene(self) -> Staged:
+        if self._staged is None:
+            raise GlsplatError("this renderer has no scene: load() did not finish; call it again")
+        return self._staged
 
     def _entered(self, call: str) -> Entry:
         if self._released:
@@ -316,26 +327,26 @@ class Renderer:
         return checked_views(cameras, self.size, "; call resize() first")
 
     def _begin(self, pose: Pose | None) -> None:
-        if self._scene is None:
-            raise GlsplatError("this renderer has no scene: load() did not finish; call it again")
-        self.stats = FrameStats(self._splat_count, 0, self._scene.skipped, {}, False)
         self.timer.start()
-        self._pose(pose)
+        self._scene.update(pose, self.timer)
+        self.stats = FrameStats(self._scene.splats, 0, self._scene.skipped, {}, False)
 
     def _draw(
         self,
         views: Sequence[Camera],
         sort_viewmat: NDArray[np.float64] | None,
         boxed: bool,
-        alone: bool = True,
+        ordinal: int = 0,  # of the pass in this call
         budget: Budget | None = None,
+        depth: bool = False,
     ) -> tuple[Pipeline, Target]:
         """Steps 1 to 4 for one pass."""
-        pipeline = self._pipeline(views)
-        target = self._targets.float_target(self.size, len(views))
+        ground = self._scene.ground(views, ordinal, self.target_dtype, self.timer)
+        pipeline = self._scene.pipeline(views, ordinal, depth)
+        target = self._targets.float_target(self.size, len(views), depth)
         order = sorting_camera(views) if sort_viewmat is None else sort_viewmat
-        resorted = pipeline.geometry(views, order, self._geometry_version, self.timer, alone, budget)
-        pipeline.draw(target, views, self.timer, boxed, budget)
+        resorted = pipeline.geometry(views, order, self.timer, budget)
+        pipeline.draw(target, views, self.timer, boxed, budget, ground)
         self.variant = pipeline.variant
         self.stats = replace(self.stats, sorted=self.stats.sorted or resorted)
         return pipeline, target
@@ -347,43 +358,10 @@ class Renderer:
         cost = old.cost + (pipeline.cost or 0)
         self.stats = replace(old, drawn=old.drawn + pipeline.drawn, culled=culled, covered=covered, cost=cost)
 
-    def _pose(self, pose: Pose | None) -> None:
-        """Upload the bones if the pose changed, and note that the geometry did."""
-        if self._avatar is None:
-            return
-        assert self._scene is not None
-        skeleton = self._avatar.skeleton
-        bones = checked_pose(pose, len(skeleton), "avatar").bones(skeleton)
-        if self._last_bones is None or not np.array_equal(bones, self._last_bones):
-            self._last_bones = None  # until they have arrived: an upload that is broken off is done again
-            self._scene.write_bones(bones)
-            self._geometry_version += 1
-            self._last_bones = bones
-        self.timer.mark("pose")
-
-    def _pipeline(self, views: Sequence[Camera]) -> Pipeline:
-        assert self._scene is not None
-        degree = min(self._degree, views[0].sh_degree)
-        variant = variant_for(
-            degree,
-            self._scene.influences,
-            len(views),
-            self.config,
-            self._geometry,
-            self._triangle,
-            self._antialias,
-        )
-        if variant not in self._pipelines:
-            self._pipelines[variant] = Pipeline(self.context, self._programs, variant, self._scene, self.config)
-        return self._pipelines[variant]
-
     def _drop_scene(self) -> None:
-        # forgotten first, released then: what is broken off in between must not be used again
-        (pipelines, self._pipelines), (scene, self._scene) = (self._pipelines, {}), (self._scene, None)
-        for pipeline in pipelines.values():
-            pipeline.release()
-        if scene is not None:
-            scene.release()
+        staged, self._staged = self._staged, None  # forgotten first: what is broken off must not be used again
+        if staged is not None:
+            staged.release()
 
     def _free(self, stack: ExitStack) -> None:
         """Delete what this renderer made, whatever fails, when ``stack`` closes."""

@@ -15,7 +15,9 @@ from numpy.typing import NDArray
 from glsplat.avatar import Avatar
 from glsplat.camera import Camera
 from glsplat.errors import GlsplatError
+from glsplat.meshes import RiggedMesh
 from glsplat.renderer import Renderer
+from glsplat.scene import Item, Scene
 from glsplat.skinning.pose import Pose
 from glsplat.splats import Splats
 
@@ -28,7 +30,9 @@ T = TypeVar("T")
 class RendererThread:
     """Made by ``Renderer.run_in_thread()``. Every method may be called on any thread; calls are done one by one."""
 
-    def __init__(self, make: Callable[..., Renderer], scene: Splats | Avatar, options: dict[str, Any]) -> None:
+    def __init__(
+        self, make: Callable[..., Renderer], scene: Scene | Item | Splats | Avatar | RiggedMesh, options: dict[str, Any]
+    ) -> None:
         if options.get("context") is not None:
             raise GlsplatError("run_in_thread() makes a context on its own thread; leave context out")
         self._pool = ThreadPoolExecutor(1, "glsplat renderer")

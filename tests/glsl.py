@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.context import Context
-from glsplat.shaders import Variant, flatten, link
+from glsplat.shaders import SkinVariant, Variant, flatten, link
 
 
 def run_chunk(
@@ -17,8 +17,9 @@ def run_chunk(
     text: str,  # a vertex shader with #include lines, inputs named like ``inputs`` and outputs like ``outputs``
     inputs: Mapping[str, NDArray[np.generic]],  # [N] or [N, k]
     outputs: Mapping[str, int],  # name -> floats
-    variant: Variant | None = None,
+    variant: Variant | SkinVariant | None = None,
     frame: NDArray[np.void] | None = None,
+    textures: Mapping[str, NDArray[np.float32]] | None = None,  # sampler -> [rows, columns, components]
 ) -> dict[str, NDArray[np.float32]]:
     """[N, floats] of each output."""
     ctx = context.ctx
@@ -28,7 +29,7 @@ def run_chunk(
         overrides={"chunk_under_test.vert.glsl": text},
     )
     program = link(ctx, "chunk under test", {"vertex_shader": source}, tuple(outputs))
-    buffers = []
+    buffers: list[moderngl.Buffer | moderngl.Texture] = []
     content = []
     count = len(next(iter(inputs.values())))
     for name, array in inputs.items():
@@ -46,6 +47,11 @@ def run_chunk(
         assert isinstance(member, moderngl.UniformBlock)
         member.binding = 0
         block.bind_to_uniform_block(0)
+    for unit, (name, texels) in enumerate((textures or {}).items()):
+        rows, columns, components = texels.shape
+        buffers.append(ctx.texture((columns, rows), components, np.ascontiguousarray(texels, np.float32), dtype="f4"))
+        buffers[-1].use(unit)
+        program[name] = unit
     context.scratch.use()
     array_object = ctx.vertex_array(program, content)
     array_object.transform(result, moderngl.POINTS, vertices=count)

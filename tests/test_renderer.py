@@ -311,7 +311,7 @@ def test_clear_errors(renderer_of: Make, context: Context) -> None:
         renderer.render([camera()], sort_viewmat=np.full((4, 4), np.nan))
     with pytest.raises(GlsplatError, match="views needs at least 1"):
         Renderer(limb(), views=0, context=context)
-    with pytest.raises(GlsplatError, match="a scene is Splats or an Avatar, not NoneType"):
+    with pytest.raises(GlsplatError, match="an item shows Splats, an Avatar or a RiggedMesh, not NoneType"):
         Renderer(None, size=(8, 8), context=context)  # type: ignore[arg-type]
     released = Renderer(limb(), size=(8, 8), context=context)
     released.release()

@@ -20,13 +20,13 @@ from glsplat.camera import Camera
 from glsplat.config import RenderConfig
 from glsplat.context import Context, create_context
 from glsplat.errors import ContextError, GlsplatError
-from glsplat.mesh.buffers import INFLUENCES, MeshBuffers
+from glsplat.meshes import RiggedMesh
 from glsplat.owner import abandon
 from glsplat.passes.frame import FrameBlock
-from glsplat.passes.geometry import bind_frame
+from glsplat.passes.mesh_buffers import INFLUENCES, MeshBuffers
 from glsplat.passes.views import checked_pose, checked_views
-from glsplat.shaders import Programs, Variant
-from glsplat.skinning.people import RiggedMesh
+from glsplat.shaders import MeshVariant, Programs, Variant
+from glsplat.shaders.slots import UNITS
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.skin import Skin
 from glsplat.timing import StageTimer
@@ -35,7 +35,7 @@ __all__ = ["MeshConfig", "MeshRenderer"]
 
 ALPHA_TO_COVERAGE = 0x809E  # GL_SAMPLE_ALPHA_TO_COVERAGE; moderngl has no name for either
 ALPHA_TO_ONE = 0x809F  # GL_SAMPLE_ALPHA_TO_ONE: the target keeps how much is covered, not how much alpha
-BONES, SKIN = 0, 1  # texture units
+BONES, SKIN, LARGE = UNITS["bones"], UNITS["skin_texture"], UNITS["large"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -180,12 +180,9 @@ class MeshRenderer:
         return item
 
     def _arrays(self, ctx: moderngl.Context, factor: int) -> tuple[moderngl.VertexArray, moderngl.VertexArray]:
-        program = self._programs.draw("mesh", "mesh", Variant(influences=INFLUENCES))
+        program = self._programs.draw("mesh", "mesh", MeshVariant(influences=INFLUENCES))
         resolve = self._programs.draw("screen", "mesh_resolve", Variant())
-        bind_frame(program)
-        bind_frame(resolve)
-        program["bones"], program["skin_texture"] = BONES, SKIN
-        resolve["large"], resolve["factor"] = SKIN, factor
+        resolve["factor"] = factor
         self._lowest = program["lowest"]
         array = ctx.vertex_array(program, [self._buffers.content], index_buffer=self._buffers.faces)
         return self._own(array), self._own(ctx.vertex_array(resolve, []))
@@ -238,7 +235,7 @@ class MeshRenderer:
     def _draw(self, camera: Camera, origin: NDArray[np.float64]) -> None:
         ctx, factor = self.context.ctx, self.config.supersample
         large = camera.resized(camera.width * factor, camera.height * factor)
-        self._frame.write([large], large.viewmat, origin, _NO_SPLATS, 1.0)
+        self._frame.write([large], large.viewmat, origin, _NO_SPLATS)
         self._drawn.use()
         self._drawn.clear(0.0, 0.0, 0.0, 0.0, depth=1.0)
         ctx.enable_only(moderngl.DEPTH_TEST)
@@ -261,7 +258,7 @@ class MeshRenderer:
     def _resolve(self) -> None:
         self._final.use()
         self.context.ctx.enable_only(moderngl.NOTHING)
-        self._large.use(SKIN)
+        self._large.use(LARGE)
         self._resolve_array.render(moderngl.TRIANGLES, vertices=3, instances=1)
 
 

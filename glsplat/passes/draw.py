@@ -7,7 +7,6 @@ from collections.abc import Sequence
 import moderngl
 
 from glsplat.passes.budget import Budget
-from glsplat.passes.geometry import bind_frame
 from glsplat.passes.project import record_layout
 from glsplat.passes.target import Target
 from glsplat.shaders import Programs, Variant
@@ -23,7 +22,6 @@ class DrawPass:
         self._views = variant.views
         self._corners = 3 if variant.triangle else 4
         program = programs.draw("splat", "splat", variant)
-        bind_frame(program)
         self._array = ctx.vertex_array(program, [])
         self._records, self._stride, offset = records, variant.record_floats * 4, 0
         self._attributes: list[tuple[int, int, int]] = []  # location, floats, offset in bytes

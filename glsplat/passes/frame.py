@@ -10,10 +10,9 @@ from numpy.typing import NDArray
 
 from glsplat.camera import Camera
 from glsplat.config import RenderConfig
+from glsplat.shaders.slots import FRAME_BLOCK
 
-__all__ = ["FRAME_BINDING", "FrameBlock", "frame_dtype"]
-
-FRAME_BINDING = 0
+__all__ = ["FrameBlock", "frame_dtype"]
 
 VIEW_DTYPE = np.dtype(
     [
@@ -52,7 +51,6 @@ class FrameBlock:
         sort_viewmat: NDArray[np.float64],  # [4, 4]
         origin: NDArray[np.float64],  # [3] world position of the scene's zero
         config: RenderConfig,
-        shift: float,  # eigenvalue shift of the rotation average (reference.blended_rotations)
     ) -> None:
         """Fill the block for one batch of views and bind it."""
         record = self._record
@@ -71,9 +69,9 @@ class FrameBlock:
         record["sort_row"][3] = sort_viewmat[2, :3] @ origin + sort_viewmat[2, 3]
         width, height = cameras[0].width, cameras[0].height
         record["size"] = width, height, 2 / width, 2 / height
-        record["knobs"][:4] = config.eps2d, config.max_sigma, shift, config.cull_margin
+        record["knobs"][:4] = config.eps2d, config.max_sigma, 0.0, config.cull_margin
         self.buffer.write(record)
-        self.buffer.bind_to_uniform_block(FRAME_BINDING)
+        self.buffer.bind_to_uniform_block(FRAME_BLOCK)
 
     def release(self) -> None:
         """Delete the buffer."""

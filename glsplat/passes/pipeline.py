@@ -6,26 +6,28 @@ from collections.abc import Sequence
 from contextlib import ExitStack
 from typing import Any, Protocol, TypeVar
 
+import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.camera import Camera
 from glsplat.config import RenderConfig
 from glsplat.context import Context
+from glsplat.passes.arena import Arena
 from glsplat.passes.budget import BLOCK_PIXELS, Budget
 from glsplat.passes.draw import DrawPass
 from glsplat.passes.frame import FrameBlock
-from glsplat.passes.geometry import KeyPass, SkinPass
 from glsplat.passes.gpu_sort import GpuSorter
+from glsplat.passes.ground import Ground
+from glsplat.passes.key import KeyPass
 from glsplat.passes.project import ProjectPass
-from glsplat.passes.scene import SceneBuffers
 from glsplat.passes.sort import FIRST_CULLED, count_culled, covered_box, sorted_indices
 from glsplat.passes.target import Box, ByteTarget, Clear, Resolve, Target
-from glsplat.reference import lifted
+from glsplat.pictures import lifted
 from glsplat.shaders import Programs, Variant
 from glsplat.timing import StageTimer
 
-__all__ = ["Pipeline"]
+__all__ = ["Pipeline", "view_state"]
 
 
 class _Owner(Protocol):
@@ -36,20 +38,18 @@ P = TypeVar("P", bound=_Owner)
 
 
 class Pipeline:
-    """Owns what depends on the variant: work buffers and vertex arrays. The scene and the programs are borrowed."""
+    """Owns what depends on the variant: work buffers and vertex arrays. The arena and the programs are borrowed."""
 
     variant: Variant
 
     def __init__(
-        self, context: Context, programs: Programs, variant: Variant, scene: SceneBuffers, config: RenderConfig
+        self, context: Context, programs: Programs, variant: Variant, arena: Arena, config: RenderConfig
     ) -> None:
-        ctx, count = context.ctx, scene.count
-        self._scene, self._config, self.variant = scene, config, variant
+        ctx, count = context.ctx, arena.count
+        self._arena, self._config, self.variant = arena, config, variant
         self._scratch = context.scratch
         self._seen: tuple[Any, ...] | None = None  # what the records were made for
         self._counted = True
-        self._posed_for = -1
-        self._posed_origin = scene.origin
         self._order: NDArray[np.uint32] = np.empty(0, np.uint32)
         self._order_age = config.sort_period  # moved frames since the sort; at first more than may pass
         self.culled: dict[str, int] = {}
@@ -63,17 +63,19 @@ class Pipeline:
                 return item
 
             self._frame = own(FrameBlock(ctx, variant.views))
-            self._skin = own(SkinPass(ctx, programs, variant, scene)) if variant.influences else None
-            content = self._skin.content() if self._skin else scene.rigid_content()
-            self._project = own(ProjectPass(ctx, programs, variant, content + scene.sh_content(variant), count))
-            spare = (self._project.order, self._project.records)  # until the sort, and until the project pass
-            self._key = own(KeyPass(ctx, programs, variant, content + scene.cone_content(), count, *spare))
-            self._sorter: GpuSorter | None = None
+            self._project = own(ProjectPass(ctx, programs, variant, count))
+            records, order = self._project.records, self._project.order
             automatic = config.sorter == "auto" and context.compute and not context.software
-            if config.sorter == "gpu" or (automatic and GpuSorter.fits(ctx, self._project.records)):
-                work = (self._key.keys, self._project.order, self._project.records)
+            self._keys: moderngl.Buffer | None = None
+            if config.sorter == "gpu" or (automatic and GpuSorter.fits(ctx, records)):
+                self._keys = own(ctx.buffer(reserve=max(16, count * 4)))
+            # the CPU reads the keys before it writes the order, so both may lie in one buffer
+            self._key = own(KeyPass(ctx, programs, variant, arena.cones, count, self._keys or order, records))
+            self._sorter: GpuSorter | None = None
+            if self._keys is not None:
                 corners = 3 if variant.triangle else 4
-                self._sorter = own(GpuSorter(ctx, programs, *work, count, variant.views, config.sort_bits, corners))
+                settings = (count, variant.views, config.sort_bits, corners)
+                self._sorter = own(GpuSorter(ctx, programs, self._keys, order, records, *settings))
             self._draw = own(DrawPass(ctx, programs, variant, self._project.records))
             self._clear = own(Clear(ctx, programs, variant))
             self._resolve = own(Resolve(ctx, programs, variant))
@@ -84,49 +86,36 @@ class Pipeline:
         """Splats of the current order."""
         return self._project.count
 
-    def posed(self) -> tuple[NDArray[np.float64], NDArray[np.float32]] | None:
-        """World means [N, 3] and shapes [N, 3, 3] of the last skin pass; None without one."""
-        if self._skin is None or self._posed_for < 0:
-            return None
-        means, shapes = self._skin.read()
-        return means + self._posed_origin, shapes
-
     @property
     def nbytes(self) -> int:
         """GPU bytes of the work buffers."""
-        buffers = [self._key.keys, self._project.order, self._project.records]
-        return sum(b.size for b in buffers) + (self._skin.posed.size if self._skin else 0)
+        keys = self._keys.size if self._keys else 0
+        return keys + self._project.order.size + self._project.records.size
 
     def geometry(
         self,
         views: Sequence[Camera],
         sort_viewmat: NDArray[np.float64],
-        version: int,
         timer: StageTimer,
-        alone: bool = True,  # no other pass of this frame has left its order here
         budget: Budget | None = None,
     ) -> bool:
         """Steps 1 to 3, up to the records in drawing order. True if the splats were sorted again.
 
         Raises BudgetError if drawing them would cost too much; with the CPU sorter before they are sorted.
         """
-        self._frame.write(views, sort_viewmat, self._scene.origin, self._config, self._scene.shift)
+        arena = self._arena
+        self._frame.write(views, sort_viewmat, arena.origin, self._config)
+        arena.use()
         self._scratch.use()  # without a complete framebuffer transform feedback silently writes nothing
         timer.mark("frame")
-        if self._skin and self._posed_for != version:
-            self._posed_for = -1
-            self._skin.run()
-            self._posed_origin = self._scene.origin
-            self._posed_for = version
-            timer.mark("skin")
         # an unmoved scene seen by unmoved cameras keeps its order and its records
-        state = (version, sort_viewmat.tobytes(), tuple(map(_view_state, views)))
+        state = (arena.version, sort_viewmat.tobytes(), tuple(map(view_state, views)))
         moved = state != self._seen
         if not moved and self._order_age == 0 and (budget is None or self.cost is not None):
             if budget is not None:
                 budget.spend(self.cost or 0)
             return False
-        resort = not (moved and alone) or self._order_age + 1 >= self._config.sort_period
+        resort = not moved or self._order_age + 1 >= self._config.sort_period
         if self._sorter and budget is not None:
             resort = True  # it is the sorter that adds up the costs
         age = 0 if resort else self._order_age + 1
@@ -138,19 +127,18 @@ class Pipeline:
                 self._key.run()
                 timer.mark("key")
                 self._sorter.run()
-                self._project.count = self._scene.count  # culled ones sort last; the indirect draw leaves them out
+                self._project.count = arena.count  # culled ones sort last; the indirect draw leaves them out
                 self._counted = False
             self.covered = (0, 0, views[0].width, views[0].height)
         else:
             self._key.run()  # with an old order too: it knows which box is covered
             timer.mark("key")
-            keys, tiles = self._key.read()
+            keys, tiles, costs = self._key.read()
             if budget is not None:
-                costs = self._key.costs()
                 self.cost = BLOCK_PIXELS * int(costs.sum(dtype=np.uint64))
                 budget.spend(self.cost)
                 self._costs = costs if self.cost > budget.slice_cost else None
-            self.culled = count_culled(keys)
+            self.culled = self._without_padding(count_culled(keys))
             self.covered = covered_box(tiles[keys < FIRST_CULLED], views[0].width, views[0].height)
             if resort:
                 self._order = order = sorted_indices(keys, self._config.sort_bits)
@@ -175,11 +163,15 @@ class Pipeline:
         timer: StageTimer,
         boxed: bool,
         budget: Budget | None = None,
+        ground: Ground | None = None,  # with variant.occluded
     ) -> None:
         """Step 4: backgrounds (``boxed``: where splats fall, nothing else will be read), then every record.
 
         Raises BudgetError when the budget says so while slices are drawn.
         """
+        if ground is not None:
+            ground.use()
+            self.covered = (0, 0, views[0].width, views[0].height)
         self._clear.run(target, views, self.covered if boxed else (0, 0, views[0].width, views[0].height))
         if budget is not None and (self.cost or 0) > budget.slice_cost:
             self._draw.run_slices(target, self._slices(budget.slice_cost), budget)
@@ -212,9 +204,14 @@ class Pipeline:
     def _count(self) -> None:
         """What the GPU sorter counted, to the host."""
         assert self._sorter is not None
-        self._project.count, self.culled, blocks = self._sorter.counts()
+        self._project.count, culled, blocks = self._sorter.counts()
+        self.culled = self._without_padding(culled)
         self.cost = BLOCK_PIXELS * blocks
         self._counted = True
+
+    def _without_padding(self, culled: dict[str, int]) -> dict[str, int]:
+        """What fills up the rows of the arena is transparent, but nobody's splat."""
+        return culled | {"transparent": culled["transparent"] - self._arena.padding}
 
     def _slices(self, cost: float) -> list[int]:
         """Where to cut the records into slices of about that cost: the number of the record after each."""
@@ -231,6 +228,6 @@ class Pipeline:
         self._owned.close()
 
 
-def _view_state(camera: Camera) -> tuple[object, ...]:
+def view_state(camera: Camera) -> tuple[object, ...]:
     """All of a camera that decides records."""
     return camera.viewmat.tobytes(), camera.K.tobytes(), camera.width, camera.height, camera.near, camera.far

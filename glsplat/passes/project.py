@@ -6,8 +6,6 @@ import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
-from glsplat.passes.geometry import bind_frame
-from glsplat.passes.scene import Content
 from glsplat.shaders import Programs, Variant
 
 __all__ = ["ProjectPass", "record_layout"]
@@ -22,26 +20,24 @@ def record_layout(variant: Variant) -> list[tuple[str, str, int]]:
 
     layout = [("rgb", "rgb0", 3)] if variant.sh_degree == 0 else spread("rgb", 3)
     layout += [("alpha", "alpha0", 1)] if not variant.antialias else spread("alpha", 1)
-    return layout + spread("centre", 2) + spread("cholesky", 3)
+    layout += spread("centre", 2) + spread("cholesky", 3)
+    return layout + (spread("z", 1) if variant.depth or variant.occluded else [])
 
 
 class ProjectPass:
-    """Runs through the index buffer ``order``, so the vertex fetch does the gather and the records come out sorted."""
+    """Runs through ``order`` and gathers from the arena's textures, so the records come out sorted."""
 
-    def __init__(
-        self, ctx: moderngl.Context, programs: Programs, variant: Variant, content: Content, count: int
-    ) -> None:
+    def __init__(self, ctx: moderngl.Context, programs: Programs, variant: Variant, count: int) -> None:
         varyings = []
         for captured, _, _ in record_layout(variant):
             base = captured.split("[")[0]
             if base not in varyings:
                 varyings.append(base)
         program = programs.feedback("project", variant, varyings)
-        bind_frame(program)
         self.count: int = 0
         self.order: moderngl.Buffer = ctx.buffer(reserve=max(16, count * 4), dynamic=True)
         self.records: moderngl.Buffer = ctx.buffer(reserve=max(16, count * variant.record_floats * 4))
-        self._array = ctx.vertex_array(program, content, index_buffer=self.order)
+        self._array = ctx.vertex_array(program, [(self.order, "1u4", "order")])
 
     def write_order(self, order: NDArray[np.uint32]) -> None:
         """Set the splats to draw and their order (indices, far to near)."""

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from glsplat.camera import Camera
 from glsplat.errors import ContextError
-from glsplat.passes.geometry import bind_frame
 from glsplat.shaders import Programs, Variant
+from glsplat.shaders.slots import UNITS
 
 __all__ = ["FORMATS", "Box", "ByteTarget", "Clear", "Resolve", "Target"]
 
@@ -26,14 +26,33 @@ _NUMPY = {"f1": np.uint8, "f2": np.float16, "f4": np.float32}
 
 
 class Target:
-    """Colour for V views of one size: premultiplied RGB over the background, and accumulated alpha."""
+    """Colour for V views of one size: premultiplied RGB over the background, and accumulated alpha.
 
-    def __init__(self, ctx: moderngl.Context, width: int, height: int, views: int, dtype: str) -> None:
+    With ``depth`` a second texture array takes the sum of weight times camera z (metres).
+    """
+
+    def __init__(
+        self, ctx: moderngl.Context, width: int, height: int, views: int, dtype: str, depth: bool = False
+    ) -> None:
         self.shape: tuple[int, int, int, int] = (views, height, width, 4)
         self.numpy_dtype: np.dtype[Any] = np.dtype(_NUMPY[dtype])
         self.texture: moderngl.TextureArray = ctx.texture_array((width, height, views), 4, dtype=dtype)
         self.texture.filter = (moderngl.NEAREST, moderngl.NEAREST)
-        self.framebuffer: moderngl.Framebuffer = _framebuffer(ctx, self.texture)
+        self.depth: moderngl.TextureArray | None = None
+        if depth:
+            self.depth = ctx.texture_array((width, height, views), 1, dtype="f4")
+            self.depth.filter = (moderngl.NEAREST, moderngl.NEAREST)
+        attached = [self.texture] if self.depth is None else [self.texture, self.depth]
+        self.framebuffer: moderngl.Framebuffer = _framebuffer(ctx, *attached)
+
+    def read_depth(self) -> NDArray[np.float32]:
+        """[V, H, W] expected camera z in metres, 0 where nothing was drawn."""
+        assert self.depth is not None
+        colour = np.empty(self.shape, np.float32)
+        self.read(colour)
+        total = np.frombuffer(self.depth.read(), np.float32).reshape(self.shape[:3])
+        alpha = colour[..., 3]
+        return np.divide(total, alpha, out=np.zeros_like(total), where=alpha > 0)
 
     def read(self, out: NDArray[np.float32]) -> None:
         """Copy all layers to ``out`` [V, H, W, 4] as floats, row 0 first (the top row of the image)."""
@@ -56,13 +75,16 @@ class Target:
 
     @property
     def nbytes(self) -> int:
-        """GPU bytes of the texture."""
-        return int(np.prod(self.shape)) * self.numpy_dtype.itemsize
+        """GPU bytes of the textures."""
+        pixel = 4 * self.numpy_dtype.itemsize + (0 if self.depth is None else 4)
+        return int(np.prod(self.shape[:3])) * pixel
 
     def release(self) -> None:
-        """Delete framebuffer and texture."""
+        """Delete framebuffer and textures."""
         self.framebuffer.release()
         self.texture.release()
+        if self.depth is not None:
+            self.depth.release()
 
 
 class ByteTarget:
@@ -102,7 +124,7 @@ class ByteTarget:
 
 
 class Clear:
-    """Backgrounds before the splats: one plain clear, or a pass where the views' backgrounds differ."""
+    """What lies behind the splats: one plain clear, or a pass where backgrounds differ, for meshes and depth."""
 
     def __init__(self, ctx: moderngl.Context, programs: Programs, variant: Variant) -> None:
         self._ctx, self._programs, self._variant = ctx, programs, variant
@@ -111,12 +133,11 @@ class Clear:
     def run(self, target: Target, cameras: Sequence[Camera], box: Box) -> None:
         """Fill ``box`` of all layers with each view's background and alpha 0."""
         colours = {camera.background for camera in cameras}
-        if len(colours) == 1:
+        if len(colours) == 1 and not self._variant.depth and not self._variant.occluded:
             target.framebuffer.clear(*colours.pop(), 0.0, viewport=box)
             return
         if self._array is None:
             program = self._programs.draw("screen", "background", self._variant)
-            bind_frame(program)
             self._array = self._ctx.vertex_array(program, [])
         target.framebuffer.use()
         self._ctx.enable_only(moderngl.NOTHING)
@@ -142,7 +163,7 @@ class Resolve:
         x, y, width, height = box
         into.framebuffer.use()
         self._ctx.enable_only(moderngl.NOTHING)
-        source.texture.use(0)
+        source.texture.use(UNITS["target"])
         views, rows, _, _ = into.shape
         background = self._program.get("background", None)
         for view in range(views):
@@ -157,12 +178,13 @@ class Resolve:
         self._array.release()
 
 
-def _framebuffer(ctx: moderngl.Context, texture: moderngl.Texture | moderngl.TextureArray) -> moderngl.Framebuffer:
+def _framebuffer(ctx: moderngl.Context, *textures: moderngl.Texture | moderngl.TextureArray) -> moderngl.Framebuffer:
     try:
-        return ctx.framebuffer([texture])
+        return ctx.framebuffer(list(textures))
     except moderngl.Error:
-        size = "x".join(map(str, texture.size))
-        texture.release()
+        size = "x".join(map(str, textures[0].size))
+        for texture in textures:
+            texture.release()
         raise ContextError(
             f"the driver cannot make a target of {size}; is there enough memory? use a smaller size"
         ) from None

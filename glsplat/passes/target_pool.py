@@ -23,7 +23,9 @@ class TargetPool:
 
     def __init__(self, context: Context, dtype: str) -> None:
         self._context, self._dtype = context, dtype
-        self._floats: OrderedDict[Size, dict[int, Target]] = OrderedDict()  # the size used last comes last; by views
+        self._floats: OrderedDict[Size, dict[tuple[int, bool], Target]] = (
+            OrderedDict()
+        )  # the size used last comes last; by views and depth
         self._bytes: dict[Size, dict[int, ByteTarget]] = {}
 
     @property
@@ -31,13 +33,14 @@ class TargetPool:
         """GPU bytes of all targets that are kept."""
         return sum(map(self._nbytes_of, self._floats))
 
-    def float_target(self, size: Size, views: int) -> Target:
+    def float_target(self, size: Size, views: int, depth: bool = False) -> Target:
         """The float target of that size for so many views; drops sizes that have not been used for long."""
         mine = self._use(size)
-        if views not in mine:
-            mine[views] = Target(self._context.ctx, *size, views, self._dtype)
+        key = (views, depth)
+        if key not in mine:
+            mine[key] = Target(self._context.ctx, *size, views, self._dtype, depth)
             self._trim()
-        return mine[views]
+        return mine[key]
 
     def byte_target(self, size: Size, views: int) -> ByteTarget:
         """The same for the 8-bit picture made of it."""
@@ -53,7 +56,7 @@ class TargetPool:
         while self._floats:
             self._drop()
 
-    def _use(self, size: Size) -> dict[int, Target]:
+    def _use(self, size: Size) -> dict[tuple[int, bool], Target]:
         if size not in self._floats:
             self._context.scratch.use()  # making a target restores the framebuffer that was bound, if it is still there
             self._bytes[size] = {}

@@ -15,10 +15,11 @@ from importlib import resources
 import moderngl
 
 from glsplat.errors import ShaderError
+from glsplat.shaders.slots import bind_slots
 from glsplat.shaders.uninterrupted import uninterrupted
-from glsplat.shaders.variant import Variant, variant_for
+from glsplat.shaders.variant import MeshVariant, SkinVariant, Variant, variant_for
 
-__all__ = ["Programs", "Source", "Variant", "flatten", "variant_for"]
+__all__ = ["MeshVariant", "Programs", "SkinVariant", "Source", "Variant", "flatten", "variant_for"]
 
 _INCLUDE = re.compile(r'^\s*#include\s+"([^"]+)"\s*$')
 _CONDITION = re.compile(r"^\s*#(?:if|elif)\b(.*)$")
@@ -111,15 +112,15 @@ class Programs:
         return len(self._cache)
 
     def feedback(
-        self, name: str, variant: Variant, varyings: Sequence[str], separate: bool = False
+        self, name: str, variant: Variant | SkinVariant, varyings: Sequence[str], separate: bool = False
     ) -> moderngl.Program:
         """Program ``name``.vert.glsl that captures ``varyings`` (into one buffer, or one each) and draws nothing."""
         return self._get(name, {"vertex_shader": f"{name}.vert.glsl"}, variant, varyings, separate)
 
-    def draw(self, vertex: str, fragment: str, variant: Variant) -> moderngl.Program:
+    def draw(self, vertex: str, fragment: str, variant: Variant | MeshVariant) -> moderngl.Program:
         """Program of two stages; with ``variant.geometry`` ``vertex``.geom.glsl routes the layers."""
         stages = {"vertex_shader": f"{vertex}.vert.glsl", "fragment_shader": f"{fragment}.frag.glsl"}
-        if variant.geometry:
+        if variant.defines().get("GEOMETRY"):
             stages["geometry_shader"] = f"{vertex}.geom.glsl"
         return self._get(vertex, stages, variant)
 
@@ -127,14 +128,14 @@ class Programs:
         self,
         name: str,
         stages: Mapping[str, str],
-        variant: Variant,
+        variant: Variant | SkinVariant | MeshVariant,
         varyings: Sequence[str] = (),
         separate: bool = False,
     ) -> moderngl.Program:
         sources = {stage: flatten(file, variant.defines()) for stage, file in stages.items()}
         key = (*(source.text for source in sources.values()), *varyings, separate)
         if key not in self._cache:
-            self._cache[key] = link(self._ctx, name, sources, varyings, separate)
+            self._cache[key] = bind_slots(link(self._ctx, name, sources, varyings, separate))
         program = self._cache[key]
         assert isinstance(program, moderngl.Program)
         return program

@@ -12,5 +12,5 @@ layout(std140) uniform Frame {
     View views[VIEWS];
     vec4 sort_row;  // third row of the sorting camera: z = dot(xyz, mean) + w
     vec4 size;      // width, height in pixels, 2 / width, 2 / height
-    vec4 knobs;     // eps2d (px^2), max_sigma, eigenvalue shift of the skin's rotation average, cull_margin
+    vec4 knobs;     // eps2d (px^2), max_sigma, unused, cull_margin
 } frame;

@@ -9,25 +9,26 @@
 #endif
 
 flat out uint key;
-flat out uint cover;  // tiles of 1/256 of the image that the splat touches in any view: x0, y0, x1, y1, a byte each
-flat out uint cost;   // blocks of 4x4 pixels that its box covers, summed over the views (passes/budget.py)
+// x: tiles of 1/256 of the image that the splat touches in any view: x0, y0, x1, y1, a byte each;
+// y: blocks of 4x4 pixels that its box covers, summed over the views (passes/budget.py)
+flat out uvec2 cover;
 
 void main() {
-    mat3 shape = input_shape();
+    Splat splat = splat_of(gl_VertexID);
     gl_Position = vec4(0.0);
 #if CULL_HIDDEN
-    if (hidden(mean_opacity.xyz, shape)) {
+    if (hidden(splat.mean, splat.shape)) {
         key = 0xFFFFFF00u + HIDDEN;
-        cover = cost = 0u;
+        cover = uvec2(0u);
         return;
     }
 #endif
     uint reason = OUTSIDE;
-    cost = 0u;
+    cover = uvec2(0u);
     vec2 low = vec2(255.0), high = vec2(0.0);
     for (int v = 0; v < VIEWS; ++v) {
         Footprint foot;
-        uint why = project(mean_opacity.xyz, shape, mean_opacity.w, v, foot);
+        uint why = project(splat.mean, splat.shape, splat.opacity, v, foot);
         reason = min(reason, why);
         if (why == VISIBLE) {
             vec2 reach = extent_of(foot.alpha) * vec2(foot.cholesky.x, length(foot.cholesky.yz)) + 0.5;
@@ -35,13 +36,13 @@ void main() {
             high = max(high, floor((foot.centre + reach) * frame.size.zw * 128.0));
             vec2 first = floor(max(foot.centre - reach, 0.0) * 0.25);
             uvec2 blocks = uvec2(ceil(min(foot.centre + reach, frame.size.xy) * 0.25) - first);
-            cost += blocks.x * blocks.y;
+            cover.y += blocks.x * blocks.y;
         }
     }
     uvec4 tiles = uvec4(clamp(vec4(low, high), 0.0, 255.0));
-    cover = tiles.x | tiles.y << 8 | tiles.z << 16 | tiles.w << 24;
+    cover.x = tiles.x | tiles.y << 8 | tiles.z << 16 | tiles.w << 24;
     // IEEE floats compare like integers once the sign is undone; codes lie above every finite key
-    uint bits = floatBitsToUint(dot(frame.sort_row.xyz, mean_opacity.xyz) + frame.sort_row.w);
+    uint bits = floatBitsToUint(dot(frame.sort_row.xyz, splat.mean) + frame.sort_row.w);
     bits = (bits & 0x80000000u) != 0u ? ~bits : bits | 0x80000000u;
     key = reason == VISIBLE ? min(bits, 0xFFFFFEFFu) : 0xFFFFFF00u + reason;
 }

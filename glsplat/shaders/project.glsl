@@ -3,6 +3,7 @@ struct Footprint {
     vec2 centre;   // pixels
     vec3 cholesky; // l00, l10, l11 of the dilated covariance (px): a square root needs no eigenvectors, has no bad case
     float alpha;   // opacity, compensated under ANTIALIAS
+    float z;       // of the mean, in metres
 };
 
 // Why a splat is not drawn; 0 = it is. Codes are counted on the host: CULL_REASONS in passes/sort.py.
@@ -14,12 +15,19 @@ const uint OUTSIDE = 4u;
 const uint HIDDEN = 5u;
 
 uint project(vec3 mean, mat3 shape, float opacity, int view, out Footprint foot) {
+#if ANTIALIAS == 2
+    bool compensated = opacity < 0.0;
+    opacity = abs(opacity);
+#else
+    const bool compensated = true;
+#endif
     View v = frame.views[view];
     vec3 p = vec3(dot(v.rows[0].xyz, mean), dot(v.rows[1].xyz, mean), dot(v.rows[2].xyz, mean))
         + vec3(v.rows[0].w, v.rows[1].w, v.rows[2].w);
     foot.centre = vec2(0.0);
     foot.cholesky = vec3(0.0);
     foot.alpha = min(opacity, 1.0);
+    foot.z = p.z;
     if (!(p.z > v.range.x && p.z < v.range.y)) return OUT_OF_RANGE;
 
     // J W M row by row: (f / z) (row_xy - clamp(xy / z) row_z)
@@ -40,7 +48,7 @@ uint project(vec3 mean, mat3 shape, float opacity, int view, out Footprint foot)
     foot.cholesky = vec3(l00, l10, sqrt(dilated));
     foot.centre = v.intrinsics.xy * (p.xy / p.z) + v.intrinsics.zw;
 #if ANTIALIAS
-    foot.alpha *= sqrt(max(area / dilated, 2.5e-5));
+    if (compensated) foot.alpha *= sqrt(max(area / dilated, 2.5e-5));
 #endif
     if (!(foot.alpha >= ALPHA_MIN)) return TRANSPARENT;
     if (!(l00 > 0.0 && l00 < 1e18 && dilated > 0.0 && dilated < 1e36)) return DEGENERATE;

@@ -7,6 +7,7 @@
 #include "project.glsl"
 #include "sh.glsl"
 
+in uint order;  // the index of the splat; far to near
 #if SHARED_RGB
 out vec3 rgb;
 #else
@@ -19,26 +20,34 @@ out float alpha[VIEWS];
 #endif
 out vec2 centre[VIEWS];
 out vec3 cholesky[VIEWS];  // zero where this view does not draw the splat: a quad without area
+#if DEPTH || OCCLUDED
+out float z[VIEWS];  // of the mean, in metres
+#endif
 
 void main() {
-    mat3 shape = input_shape();
+    int index = int(order);
+    Splat splat = splat_of(index);
 #if SHARED_RGB
-    rgb = evaluate_sh(vec3(0.0));
+    rgb = evaluate_sh(index, vec3(0.0));
 #endif
 #if SHARED_ALPHA
-    alpha = min(mean_opacity.w, 1.0);
+    alpha = min(splat.opacity, 1.0);
 #endif
     for (int v = 0; v < VIEWS; ++v) {
         Footprint foot;
-        bool drawn = project(mean_opacity.xyz, shape, mean_opacity.w, v, foot) == VISIBLE;
+        bool drawn = project(splat.mean, splat.shape, splat.opacity, v, foot) == VISIBLE;
         centre[v] = drawn ? foot.centre : vec2(-1.0);
         cholesky[v] = drawn ? foot.cholesky : vec3(0.0);
 #if !SHARED_RGB
-        vec3 direction = mean_opacity.xyz - frame.views[v].eye.xyz;
-        rgb[v] = evaluate_sh(canonical_direction(direction * inversesqrt(max(dot(direction, direction), 1e-30))));
+        vec3 direction = splat.mean - frame.views[v].eye.xyz;
+        direction *= inversesqrt(max(dot(direction, direction), 1e-30));
+        rgb[v] = evaluate_sh(index, canonical_direction(direction, splat.turn));
 #endif
 #if !SHARED_ALPHA
         alpha[v] = foot.alpha;
+#endif
+#if DEPTH || OCCLUDED
+        z[v] = foot.z;
 #endif
     }
     gl_Position = vec4(0.0);

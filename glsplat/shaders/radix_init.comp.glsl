@@ -1,4 +1,5 @@
-// Sums up what the splats cost (key.vert.glsl left it in the scratch space). Keys to "far first", indices from the back (of equal keys the lower index is the nearer, drawn later), and counts.
+// Keys to "far first", indices from the back (of equal keys the lower index is the nearer, drawn later), and counts.
+// Sums up what the splats cost: key.vert.glsl left pairs (tiles, cost) in the scratch space.
 layout(local_size_x = 256) in;
 #include "radix.glsl"
 
@@ -26,7 +27,7 @@ void main() {
             bool drawn = key < 0xFFFFFF00u;
             keys[place] = drawn ? ~key : 0xFFFFFFFFu;
             order[place] = count - 1u - place;
-            atomicAdd(blocks, min(scratch[place], 0x7FFFFFu));
+            atomicAdd(blocks, min(scratch[2u * place + 1u], 0x7FFFFFu));
             if (drawn) atomicAdd(instances, views);
             else atomicAdd(culled[min(key - 0xFFFFFF00u, 7u)], 1u);
         }

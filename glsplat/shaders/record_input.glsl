@@ -15,14 +15,25 @@ in float alpha0;
 in float alpha1;
 #endif
 
+#if DEPTH || OCCLUDED
+in float z0;
+#if VIEWS > 1
+in float z1;
+#endif
+#endif
+
 struct Record {
     vec2 centre;
     vec3 cholesky;
     vec4 colour;  // rgb, alpha
+    float z;      // of the mean, in metres
 };
 
 Record record_of(int view) {
-    Record r = Record(centre0, cholesky0, vec4(rgb0, alpha0));
+    Record r = Record(centre0, cholesky0, vec4(rgb0, alpha0), 0.0);
+#if DEPTH || OCCLUDED
+    r.z = z0;
+#endif
 #if VIEWS > 1
     if (view == 1) {
         r.centre = centre1;
@@ -32,6 +43,9 @@ Record record_of(int view) {
 #endif
 #if !SHARED_ALPHA
         r.colour.a = alpha1;
+#endif
+#if DEPTH || OCCLUDED
+        r.z = z1;
 #endif
     }
 #endif

@@ -1,23 +1,26 @@
 // Colour of a splat in a direction: 3DGS basis and signs. Twin: reference.evaluate_sh.
-// The coefficients arrive as vec4 attributes sh0, sh1, ... holding floats in order [coefficient][rgb].
-#if SH_DEGREE == 0
-in vec3 sh0;
-vec3 evaluate_sh(vec3 d) { return clamp(0.28209479177387814 * sh0 + 0.5, 0.0, 1e30); }
-#else
-in vec4 sh0, sh1, sh2;
-#if SH_DEGREE > 1
-in vec4 sh3, sh4, sh5, sh6;
-#endif
-#if SH_DEGREE > 2
-in vec4 sh7, sh8, sh9, sh10, sh11;
-#endif
+// The coefficients lie in texels of 4 floats (3 at degree 0) in order [coefficient][rgb]; the scene's highest degree
+// decides how many a splat has, SH_DEGREE how many are read.
+#include "arena.glsl"
+uniform sampler2D colours;
 
-vec3 evaluate_sh(vec3 d) {
+#if SH_DEGREE == 0
+vec3 evaluate_sh(int index, vec3 d) {
+    vec3 sh0 = texelFetch(colours, texel_of(index, COLOUR_TEXELS), 0).xyz;
+    return clamp(0.28209479177387814 * sh0 + 0.5, 0.0, 1e30);
+}
+#else
+vec4 coefficients(ivec2 at, int i) { return texelFetch(colours, at + ivec2(i, 0), 0); }
+
+vec3 evaluate_sh(int index, vec3 d) {
+    ivec2 at = texel_of(index, COLOUR_TEXELS);
+    vec4 sh0 = coefficients(at, 0), sh1 = coefficients(at, 1), sh2 = coefficients(at, 2);
     float x = d.x, y = d.y, z = d.z;
     vec3 colour = 0.28209479177387814 * sh0.xyz;
     colour += 0.4886025119029199
         * (-y * vec3(sh0.w, sh1.xy) + z * vec3(sh1.zw, sh2.x) - x * sh2.yzw);
 #if SH_DEGREE > 1
+    vec4 sh3 = coefficients(at, 3), sh4 = coefficients(at, 4), sh5 = coefficients(at, 5), sh6 = coefficients(at, 6);
     float xx = x * x, yy = y * y, zz = z * z;
     colour += 1.0925484305920792 * x * y * sh3.xyz;
     colour -= 1.0925484305920792 * y * z * vec3(sh3.w, sh4.xy);
@@ -26,6 +29,8 @@ vec3 evaluate_sh(vec3 d) {
     colour += 0.5462742152960396 * (xx - yy) * sh6.xyz;
 #endif
 #if SH_DEGREE > 2
+    vec4 sh7 = coefficients(at, 7), sh8 = coefficients(at, 8), sh9 = coefficients(at, 9);
+    vec4 sh10 = coefficients(at, 10), sh11 = coefficients(at, 11);
     colour -= 0.5900435899266435 * y * (3.0 * xx - yy) * vec3(sh6.w, sh7.xy);
     colour += 2.890611442640554 * x * y * z * vec3(sh7.zw, sh8.x);
     colour -= 0.4570457994644658 * y * (4.0 * zz - xx - yy) * sh8.yzw;

@@ -1,43 +1,40 @@
-// Skin pass, once a splat, shared by all views: mean' and M' = R_i M, captured by transform feedback.
-#include "frame.glsl"
+// Skin pass, once a splat of an avatar: mean' = s (sum of its bones), M' = s R_i M, captured by transform feedback.
 #include "covariance.glsl"
 #include "skin.glsl"
 #include "rotation.glsl"
+
+uniform float shift;  // of the rotation average's eigenvalues: 1 for rigid bones, 3 where one scales or reflects
+uniform float size;   // s: the scale the item stands in the scene at; its rotation and place are in the bones
+uniform float opacity_sign;  // -1 where only some items of a scene ask for opacity compensation, and this one does
 
 in vec4 mean_opacity;
 in vec4 quat;
 in vec3 scale;
 
 out vec4 posed_mean;  // xyz, opacity
-#if KEEP_ROTATION
-out vec4 posed_x, posed_y, posed_z;
-#else
-out vec3 posed_x, posed_y, posed_z;
-#endif
+out vec4 posed_x, posed_y, posed_z;  // columns of M'; w: modified Rodrigues parameters of R_i
 
 void main() {
     Affine b = blended_bones();
     vec4 mean = vec4(mean_opacity.xyz, 1.0);
-    posed_mean = vec4(dot(b.x, mean), dot(b.y, mean), dot(b.z, mean), mean_opacity.w);
+    posed_mean = vec4(size * vec3(dot(b.x, mean), dot(b.y, mean), dot(b.z, mean)), opacity_sign * mean_opacity.w);
     mat3 linear = transpose(mat3(b.x.xyz, b.y.xyz, b.z.xyz));
-#if !RAW || KEEP_ROTATION
+#if !RAW || TURNED
     Affine a = anchor_bone();
     mat3 anchor = transpose(mat3(a.x.xyz, a.y.xyz, a.z.xyz));
-    vec4 turned = blended_quaternion(linear, anchor, frame.knobs.z);
+    vec4 turned = blended_quaternion(linear, anchor, shift);
 #endif
 #if !RAW
     linear = quaternion_matrix(turned);
 #endif
-    mat3 shape = linear * shape_matrix(quat, scale);
-#if KEEP_ROTATION
-    vec3 rodrigues = turned.yzw / (1.0 + turned.x);  // modified Rodrigues parameters: no bad case for w >= 0
+    mat3 shape = size * (linear * shape_matrix(quat, scale));
+#if TURNED
+    vec3 rodrigues = turned.yzw / (1.0 + turned.x);  // no bad case for w >= 0
+#else
+    vec3 rodrigues = vec3(0.0);
+#endif
     posed_x = vec4(shape[0], rodrigues.x);
     posed_y = vec4(shape[1], rodrigues.y);
     posed_z = vec4(shape[2], rodrigues.z);
-#else
-    posed_x = shape[0];
-    posed_y = shape[1];
-    posed_z = shape[2];
-#endif
     gl_Position = vec4(0.0);
 }

@@ -7,9 +7,18 @@
 flat out vec4 vertex_colour;
 out vec2 vertex_offset;
 flat out int vertex_layer;
+#if DEPTH || OCCLUDED
+flat out float vertex_z;
+#endif
 #else
 flat out vec4 splat_colour;  // rgb, alpha
 out vec2 splat_offset;       // standard deviations from the centre
+#if DEPTH || OCCLUDED
+flat out float splat_z;      // camera z of the mean, in metres
+#endif
+#if OCCLUDED
+flat out int splat_layer;
+#endif
 #endif
 
 void main() {
@@ -34,9 +43,18 @@ void main() {
     vertex_colour = record.colour;
     vertex_offset = offset;
     vertex_layer = view;
+#if DEPTH || OCCLUDED
+    vertex_z = record.z;
+#endif
 #else
     splat_colour = record.colour;
     splat_offset = offset;
+#if DEPTH || OCCLUDED
+    splat_z = record.z;
+#endif
+#if OCCLUDED
+    splat_layer = view;
+#endif
 #if VIEWS > 1
     gl_Layer = view;
 #endif

@@ -1,25 +1,36 @@
-// A splat as the key and project passes see it: static attributes, or what the skin pass wrote.
-#if INFLUENCES > 0
-in vec4 mean_opacity;
-#if KEEP_ROTATION
-in vec4 shape_x, shape_y, shape_z;  // columns of M; w: modified Rodrigues parameters of R_i
+// A splat as the key and project passes see it: at rest as it was loaded, or POSED by the pass of its item.
+#include "arena.glsl"
+uniform sampler2D splats;
+
+struct Splat {
+    vec3 mean;      // about the scene's origin
+    float opacity;  // under ANTIALIAS 2 negative where the splat asks for opacity compensation
+    mat3 shape;     // M, Sigma = M M^T
+    vec3 turn;      // modified Rodrigues parameters of R_i
+};
+
+Splat splat_of(int index) {
+#if POSED
+    ivec2 at = texel_of(index, 4);
+    vec4 mean_opacity = texelFetch(splats, at, 0);
+    vec4 x = texelFetch(splats, at + ivec2(1, 0), 0);
+    vec4 y = texelFetch(splats, at + ivec2(2, 0), 0);
+    vec4 z = texelFetch(splats, at + ivec2(3, 0), 0);
+    return Splat(mean_opacity.xyz, mean_opacity.w, mat3(x.xyz, y.xyz, z.xyz), vec3(x.w, y.w, z.w));
 #else
-in vec3 shape_x, shape_y, shape_z;
+    ivec2 at = texel_of(index, 3);
+    vec4 mean_opacity = texelFetch(splats, at, 0);
+    vec4 quat = texelFetch(splats, at + ivec2(1, 0), 0);  // wxyz
+    vec3 scale = texelFetch(splats, at + ivec2(2, 0), 0).xyz;
+    return Splat(mean_opacity.xyz, mean_opacity.w, shape_matrix(quat, scale), vec3(0.0));
 #endif
-mat3 input_shape() { return mat3(shape_x.xyz, shape_y.xyz, shape_z.xyz); }
-#else
-in vec4 mean_opacity;
-in vec4 quat;  // wxyz
-in vec3 scale;
-mat3 input_shape() { return shape_matrix(quat, scale); }
-#endif
+}
 
 // A view direction in the frame in which the splat's SH was made (paper: R_i^T d under skinning).
-vec3 canonical_direction(vec3 d) {
-#if KEEP_ROTATION
-    vec3 r = vec3(shape_x.w, shape_y.w, shape_z.w);
-    float s = dot(r, r);
-    vec4 q = vec4(1.0 - s, 2.0 * r) / (1.0 + s);
+vec3 canonical_direction(vec3 d, vec3 turn) {
+#if TURNED
+    float s = dot(turn, turn);
+    vec4 q = vec4(1.0 - s, 2.0 * turn) / (1.0 + s);
     return d * quaternion_matrix(q);
 #else
     return d;

@@ -1,53 +1,57 @@
-"""Variant: what a program is compiled for. One frozen value, one function that decides it; the program-cache key."""
+"""Variants: what a program is compiled for. Frozen values, decided in one function each; the program-cache key."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, fields
-from itertools import product
 
 from glsplat.config import RenderConfig
 from glsplat.errors import ShaderError
 
-__all__ = ["MAX_VIEWS", "SH_FLOATS", "Variant", "every_variant", "variant_for"]
+__all__ = ["COLOUR_TEXELS", "MAX_VIEWS", "MeshVariant", "SkinVariant", "Variant", "variant_for"]
 
 MAX_VIEWS = 2
 """Views one pass draws: one, or a stereo pair. Longer lists of cameras run pass after pass."""
 
-SH_FLOATS = (3, 12, 28, 48)
-"""Floats a splat of SH data on the GPU, by degree; degree 2 is padded to whole vec4s."""
+COLOUR_TEXELS = (1, 3, 7, 12)
+"""Texels a splat of SH data on the GPU, by degree: of three floats at degree 0, else of four (degree 2 is padded)."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Variant:
-    """Every field becomes a #define with a number; what is 0 is not compiled and its buffers are not bound."""
+    """The frame's passes. Every field becomes a #define with a number; what is 0 is not compiled, nothing bound."""
 
-    sh_degree: int = 0  # 0..3; 0 evaluates no basis and keeps one colour for all views
-    influences: int = 0  # joints a splat: 0 (rigid: no skin pass, no bone texture), 1, 2, 4, 8
+    sh_degree: int = 0  # evaluated, 0..3; 0 evaluates no basis and keeps one colour for all views
+    stored_degree: int = 0  # of the scene's colours on the GPU: at least sh_degree
+    posed: int = 0  # the splats were posed or placed by the passes of their items
+    turned: int = 0  # posed splats carry R_i (SH that turns with them)
     views: int = 1  # layers drawn at once; 1 has no layer code
-    antialias: int = 0  # opacity compensation, one opacity a view
-    raw: int = 0  # skinning by the blended matrix as it is instead of its nearest rotation
+    antialias: int = 0  # opacity compensation, one opacity a view; 2: of the splats that ask for it
     geometry: int = 0  # layers routed by a geometry shader where the vertex shader cannot
-    keep_rotation: int = 0  # skin pass hands R_i on (SH under skinning)
     triangle: int = 0  # a splat is one triangle around its ellipse instead of a quad
     cull_hidden: int = 0  # the key pass looks at visibility cones
     cut: int = 0  # splats end at max_sigma although alpha is still above 1/255 there
+    depth: int = 0  # a second target takes weight times camera z
+    occluded: int = 0  # splats are tested against the z of meshes
 
     def __post_init__(self) -> None:
-        if self.sh_degree not in range(4):
-            raise ShaderError(f"variant: sh_degree is 0 to 3, not {self.sh_degree}")
-        if self.influences not in (0, 1, 2, 4, 8):
-            raise ShaderError(f"variant: influences is 0, 1, 2, 4 or 8, not {self.influences}")
+        if not (self.sh_degree in range(4) and self.stored_degree in range(4)):
+            raise ShaderError(f"variant: sh_degree is 0 to 3, not {self.sh_degree} of {self.stored_degree}")
+        if self.sh_degree > self.stored_degree:
+            raise ShaderError(f"variant: sh_degree {self.sh_degree} needs stored_degree, which is {self.stored_degree}")
         if self.views not in range(1, MAX_VIEWS + 1):
             raise ShaderError(f"variant: views is 1 to {MAX_VIEWS}, not {self.views}")
-        if (self.raw or self.keep_rotation) and not self.influences:
-            raise ShaderError("variant: raw and keep_rotation are about skinning, but influences is 0")
-        if self.keep_rotation != int(bool(self.influences and self.sh_degree)):
-            raise ShaderError("variant: keep_rotation goes with influences > 0 and sh_degree > 0")
+        if self.antialias not in (0, 1, 2):
+            raise ShaderError(f"variant: antialias is 0, 1 or 2, not {self.antialias}")
+        if self.turned != int(bool(self.posed and self.sh_degree)):
+            raise ShaderError("variant: turned goes with posed and sh_degree > 0")
+        if self.antialias == 2 and not self.posed:
+            raise ShaderError("variant: antialias 2 needs posed, whose opacities carry the sign")
 
     def defines(self) -> dict[str, int]:
-        """Name -> number for the preprocessor, plus the two facts that follow from the fields."""
-        values = {field.name.upper(): int(getattr(self, field.name)) for field in fields(self)}
+        """Name -> number for the preprocessor, plus the facts that follow from the fields."""
+        values = _numbers(self)
+        del values["STORED_DEGREE"]  # shaders know it as:
+        values["COLOUR_TEXELS"] = COLOUR_TEXELS[self.stored_degree]
         values["SHARED_RGB"] = int(self.sh_degree == 0)
         values["SHARED_ALPHA"] = int(not self.antialias)
         return values
@@ -55,53 +59,71 @@ class Variant:
     @property
     def record_floats(self) -> int:
         """Floats of one projected record: what the views share, then what differs, view by view."""
-        own = 5 + (0 if self.sh_degree == 0 else 3) + (1 if self.antialias else 0)
+        own = 5 + (0 if self.sh_degree == 0 else 3) + (1 if self.antialias else 0) + (self.depth or self.occluded)
         shared = (3 if self.sh_degree == 0 else 0) + (0 if self.antialias else 1)
         return shared + own * self.views
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SkinVariant:
+    """The pass that poses one avatar (or one mesh)."""
+
+    influences: int = 4  # joints a splat: 1, 2, 4, 8
+    raw: int = 0  # by the blended matrix as it is instead of its nearest rotation
+    turned: int = 0  # R_i is handed on (SH that turns with the splat)
+
+    def __post_init__(self) -> None:
+        if self.influences not in (1, 2, 4, 8):
+            raise ShaderError(f"skin variant: influences is 1, 2, 4 or 8, not {self.influences}")
+
+    def defines(self) -> dict[str, int]:
+        """Name -> number for the preprocessor."""
+        return _numbers(self)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MeshVariant:
+    """What draws a textured mesh."""
+
+    influences: int = 4  # joints a vertex
+    views: int = 1  # side by side in one draw: one below the other in the target
+
+    def defines(self) -> dict[str, int]:
+        """Name -> number for the preprocessor."""
+        return _numbers(self)
+
+
 def variant_for(
-    sh_degree: int,  # of the scene
-    influences: int,  # of the scene, 0 = rigid
     views: int,
     config: RenderConfig,
+    *,
+    stored_degree: int = 0,  # of the scene
+    sh_degree: int = 3,  # asked for by the cameras
+    posed: bool = False,
+    antialias: frozenset[bool] = frozenset({False}),  # what the scene's items ask for
     geometry: bool = False,
     triangle: bool = False,
-    antialias: bool = False,  # of the scene
+    depth: bool = False,
+    occluded: bool = False,
 ) -> Variant:
     """What a scene needs under a config, and nothing more."""
-    degree = min(sh_degree, config.sh_degree)
-    joints = min(influences, config.influences) if config.influences else influences
+    degree = min(stored_degree, sh_degree, config.sh_degree)
+    asked = antialias if config.antialias is None else frozenset({config.antialias})
     return Variant(
         sh_degree=degree,
-        influences=joints,
+        stored_degree=stored_degree,
+        posed=int(posed),
+        turned=int(posed and degree > 0),
         views=views,
-        antialias=int(antialias if config.antialias is None else config.antialias),
-        raw=int(bool(joints) and config.rotation == "raw"),
+        antialias=2 if len(asked) > 1 else int(True in asked),
         geometry=int(geometry),  # for one view too: it orders the vertices, and a pair has to equal its singles
-        keep_rotation=int(bool(joints) and degree > 0),
         triangle=int(triangle),
         cull_hidden=int(config.cull_hidden),
         cut=int(config.max_sigma < 3.33),
+        depth=int(depth),
+        occluded=int(occluded),
     )
 
 
-def every_variant() -> Iterator[Variant]:
-    """All combinations that are allowed (for the test that compiles each)."""
-    for degree, joints, views, antialias, raw, geometry, triangle, cull, cut in product(
-        range(4), (0, 1, 2, 4, 8), range(1, MAX_VIEWS + 1), (0, 1), (0, 1), (0, 1), (0, 1), (0, 1), (0, 1)
-    ):
-        if raw and not joints:
-            continue
-        yield Variant(
-            sh_degree=degree,
-            influences=joints,
-            views=views,
-            antialias=antialias,
-            raw=raw,
-            geometry=geometry,
-            keep_rotation=int(bool(joints and degree)),
-            triangle=triangle,
-            cull_hidden=cull,
-            cut=cut,
-        )
+def _numbers(variant: Variant | SkinVariant | MeshVariant) -> dict[str, int]:
+    return {field.name.upper(): int(getattr(variant, field.name)) for field in fields(variant)}

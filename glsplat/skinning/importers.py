@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from glsplat.avatar import Avatar
 from glsplat.errors import FormatError, PoseError
-from glsplat.skinning.people import RiggedMesh
+from glsplat.meshes import RiggedMesh
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.skin import Skin
 from glsplat.skinning.smplx import JOINT_NAMES

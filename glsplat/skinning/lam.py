@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from glsplat.avatar import Avatar
 from glsplat.errors import FormatError
 from glsplat.formats.ply import load_ply
-from glsplat.skinning.people import RiggedMesh
+from glsplat.meshes import RiggedMesh
 from glsplat.skinning.rigged_gltf import read_gltf_person
 from glsplat.skinning.skin import Skin
 from glsplat.splats import Splats

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.camera import Camera
-from glsplat.skinning.people import RiggedMesh
+from glsplat.meshes import RiggedMesh
 
 __all__ = ["mesh_picture", "mesh_picture_and_depth", "visible_faces"]
 

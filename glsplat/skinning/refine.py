@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from glsplat.avatar import Avatar
 from glsplat.camera import Camera, look_at, pinhole
-from glsplat.skinning.people import RiggedMesh
+from glsplat.meshes import RiggedMesh
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.raster import mesh_picture_and_depth
 from glsplat.skinning.splat_gradients import footprints

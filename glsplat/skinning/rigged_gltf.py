@@ -16,7 +16,8 @@ from glsplat.formats.files import naming, open_regular
 from glsplat.formats.glb import Accessor, Container, Primitive, parse
 from glsplat.formats.nodes import Instance, graph_of
 from glsplat.formats.rig import read_skeleton
-from glsplat.skinning.people import MeshPart, RiggedMesh, decode_texture
+from glsplat.meshes import MeshPart, RiggedMesh
+from glsplat.skinning.people import decode_texture
 
 __all__ = ["read_gltf_person"]
 

@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.errors import FormatError, PoseError
+from glsplat.meshes import MeshPart, RiggedMesh
 from glsplat.skinning.importers import nearest_weights
-from glsplat.skinning.people import MeshPart, RiggedMesh, decode_texture
+from glsplat.skinning.people import decode_texture
 from glsplat.skinning.skeleton import Skeleton
 
 __all__ = ["read_body", "read_obj_person"]

@@ -21,7 +21,7 @@ from scipy.spatial.transform import Rotation
 
 from glsplat.avatar import Avatar
 from glsplat.errors import FormatError
-from glsplat.skinning.people import MeshPart, RiggedMesh
+from glsplat.meshes import MeshPart, RiggedMesh
 from glsplat.skinning.skin import Skin
 from glsplat.skinning.visibility import HEAD, Seen, seen_surface
 from glsplat.splats import Splats

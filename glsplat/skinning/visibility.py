@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from glsplat.camera import Camera, look_at, pinhole
-from glsplat.skinning.people import RiggedMesh
+from glsplat.meshes import RiggedMesh
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.raster import visible_faces
 

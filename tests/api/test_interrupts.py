@@ -192,8 +192,9 @@ def test_broken_off_by_a_signal(pictures: Callable[[Kind], list[NDArray[Any]]]) 
 
 
 def test_a_load_that_is_broken_off_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
-    from glsplat.errors import GlsplatError
     from glsplat.passes.scene import SceneBuffers
+
+    from glsplat.errors import GlsplatError
 
     kind = KINDS[0]
     with kind.make() as renderer:

@@ -16,9 +16,10 @@ from glsplat.camera import Camera, look_at, pinhole, stereo_cameras
 from glsplat.context import Context
 from glsplat.errors import ContextError, GlsplatError, PoseError
 from glsplat.mesh import MeshConfig, MeshRenderer
-from glsplat.mesh.buffers import corners
+from glsplat.meshes import MeshPart, RiggedMesh
+from glsplat.passes.mesh_buffers import corners
 from glsplat.renderer import Renderer
-from glsplat.skinning.people import MeshPart, RiggedMesh, read_person
+from glsplat.skinning.people import read_person
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.splats import Splats

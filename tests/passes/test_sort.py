@@ -51,7 +51,7 @@ def test_gpu_sorter_gives_the_same_order(context: Context, rng: np.random.Genera
         buffers = [
             context.ctx.buffer(keys),
             context.ctx.buffer(reserve=count * 4),
-            context.ctx.buffer(np.concatenate([costs, np.zeros(count, np.uint32)])),
+            context.ctx.buffer(np.stack([np.full(count, 7, np.uint32), costs], axis=1)),  # tiles, cost
         ]
         sorter = GpuSorter(context.ctx, programs, *buffers, count, 2, bits)
         sorter.run()

@@ -12,7 +12,9 @@ from glsplat.camera import Camera, look_at
 from glsplat.config import RenderConfig
 from glsplat.context import Context
 from glsplat.passes.frame import FrameBlock, frame_dtype
+from glsplat.passes.items import ROW
 from glsplat.shaders import Variant
+from glsplat.shaders.variant import COLOUR_TEXELS
 from glsplat.skinning.skeleton import rotation_matrices
 from glsplat.splats import Splats
 from tests.glsl import run_chunk
@@ -51,31 +53,30 @@ def test_covariance(gl: Context, rng: np.random.Generator) -> None:
     close(np.stack([out["c0"], out["c1"], out["c2"]], -1), expected)
 
 
-@pytest.mark.parametrize("degree", range(4))
-def test_sh(gl: Context, rng: np.random.Generator, degree: int) -> None:
-    sh = rng.normal(size=(2000, (degree + 1) ** 2, 3))
+@pytest.mark.parametrize(("degree", "stored"), [(0, 0), (1, 1), (2, 2), (3, 3), (0, 3), (1, 2)])
+def test_sh(gl: Context, rng: np.random.Generator, degree: int, stored: int) -> None:
+    """More than one row of the texture, of which a camera may ask for a lower degree than is stored."""
+    sh = rng.normal(size=(2000, (stored + 1) ** 2, 3)).astype(np.float32)
     directions = unit(rng.normal(size=(2000, 3)))
     directions[:6] = np.concatenate([np.eye(3), -np.eye(3)])
-    floats = (3, 12, 28, 48)[degree]
-    flat = np.zeros((2000, floats))
-    flat[:, : sh[0].size] = sh.reshape(2000, -1)
+    texels, components = COLOUR_TEXELS[stored], 4 if stored else 3
+    rows = np.zeros((2 * ROW, texels * components), np.float32)
+    rows[:2000, : sh[0].size] = sh.reshape(2000, -1)
     text = """
     #include "sh.glsl"
-    in vec3 d; out vec3 colour;
-    void main() { colour = evaluate_sh(d); gl_Position = vec4(0); }"""
-    inputs = {"sh0": flat} if degree == 0 else {f"sh{i}": flat[:, 4 * i : 4 * i + 4] for i in range(floats // 4)}
-    if degree:
-        inputs["d"] = directions
-    if degree == 2:
-        inputs["sh6"] = flat[:, 24:28]
-    out = run_chunk(gl, text, inputs, {"colour": 3}, Variant(sh_degree=degree))
-    expected = reference.evaluate_sh(sh, directions, degree)
+    in uint index; in vec3 d; out vec3 colour;
+    void main() { colour = evaluate_sh(int(index), d); gl_Position = vec4(0); }"""
+    inputs = {"index": np.arange(2000, dtype=np.uint32)} | ({"d": directions} if degree else {})
+    variant = Variant(sh_degree=degree, stored_degree=stored)
+    colours = {"colours": rows.reshape(2, ROW * texels, components)}
+    out = run_chunk(gl, text, inputs, {"colour": 3}, variant, textures=colours)
+    expected = reference.evaluate_sh(sh.astype(np.float64), directions, degree)
     assert (expected == 0).any() and np.abs(out["colour"] - expected).max() < 2e-6
 
 
 def frame_of(camera: Camera, config: RenderConfig, gl: Context) -> np.ndarray:
     block = FrameBlock(gl.ctx, 1)
-    block.write([camera], camera.viewmat, np.zeros(3), config, 1.0)
+    block.write([camera], camera.viewmat, np.zeros(3), config)
     record = np.frombuffer(block.buffer.read(), frame_dtype(1))[0].copy()
     block.release()
     return record

@@ -15,7 +15,8 @@ from glsplat.errors import ShaderError
 from glsplat.passes.frame import frame_dtype
 from glsplat.passes.project import record_layout
 from glsplat.shaders import Programs, Variant, flatten, link
-from glsplat.shaders.variant import every_variant, variant_for
+from glsplat.shaders.slots import UNITS
+from glsplat.shaders.variant import MeshVariant, SkinVariant, variant_for
 
 FILES = [file for file in resources.files("glsplat.shaders").iterdir() if file.name.endswith(".glsl")]
 
@@ -75,46 +76,99 @@ def test_log_dialects(log: str) -> None:
 
 
 def test_every_flag_is_used_and_never_by_ifdef() -> None:
-    text = "\n".join(file.read_text() for file in FILES)
-    assert not re.search(r"#\s*ifn?def\b|\bdefined\b", text)
-    for flag in Variant().defines():
-        assert re.search(rf"\b{flag}\b", text), f"no shader reads {flag}"
+    code = "\n".join(re.sub(r"//.*", "", file.read_text()) for file in FILES)  # a comment is no use
+    assert not re.search(r"#\s*ifn?def\b|\bdefined\b", code)
+    for flag in Variant().defines() | SkinVariant().defines() | MeshVariant().defines():
+        assert re.search(rf"\b{flag}\b", code), f"no shader reads {flag}"
 
 
 def test_variants() -> None:
-    config = RenderConfig()
-    assert variant_for(0, 0, 1, config) == Variant()
-    assert variant_for(3, 4, 2, config) == Variant(sh_degree=3, influences=4, views=2, keep_rotation=1)
-    assert variant_for(3, 8, 2, RenderConfig(sh_degree=1, influences=2)).influences == 2
-    for wrong in ({"raw": 1}, {"views": 3}, {"sh_degree": 4}, {"influences": 3}, {"keep_rotation": 1}):
+    config, mixed = RenderConfig(), frozenset({True, False})
+    assert variant_for(1, config) == Variant()
+    assert variant_for(2, config, stored_degree=3, posed=True) == Variant(
+        sh_degree=3, stored_degree=3, posed=1, turned=1, views=2
+    )
+    assert variant_for(2, RenderConfig(sh_degree=1), stored_degree=3).sh_degree == 1
+    assert variant_for(1, config, posed=True, antialias=mixed).antialias == 2
+    assert variant_for(1, RenderConfig(antialias=False), posed=True, antialias=mixed).antialias == 0
+    for wrong in (
+        {"views": 3},
+        {"sh_degree": 4},
+        {"sh_degree": 1},  # more than is stored
+        {"turned": 1},
+        {"posed": 1, "sh_degree": 1, "stored_degree": 1},  # without turned
+        {"antialias": 2},
+        {"antialias": 3},
+    ):
         with pytest.raises(ShaderError, match="variant"):
             Variant(**wrong)
-    assert all(sum(floats for *_, floats in record_layout(v)) == v.record_floats for v in every_variant())
+    with pytest.raises(ShaderError, match="skin variant: influences is 1, 2, 4 or 8, not 3"):
+        SkinVariant(influences=3)
+    assert all(sum(floats for *_, floats in record_layout(v)) == v.record_floats for v in ROWS)
+
+
+def rows() -> list[Variant]:
+    """Each flag alone and beside the flags that share its code; not all products, which double with every flag."""
+    degrees = [{"sh_degree": d, "stored_degree": d} for d in range(4)] + [{"sh_degree": 1, "stored_degree": 3}]
+    out = []
+    for views in (1, 2):
+        for degree in degrees:
+            for posed in (0, 1):
+                turned = int(bool(posed and degree["sh_degree"]))
+                out.append(Variant(views=views, posed=posed, turned=turned, **degree))
+                out.append(Variant(views=views, posed=posed, turned=turned, antialias=1 + posed, **degree))
+        for antialias in (0, 1):
+            for geometry, triangle in ((0, 1), (1, 0), (1, 1)):
+                for flags in ({}, {"depth": 1}, {"occluded": 1}, {"depth": 1, "occluded": 1, "cut": 1}):
+                    out.append(Variant(views=views, antialias=antialias, geometry=geometry, triangle=triangle, **flags))
+        out.append(Variant(views=views, cull_hidden=1))
+        out.append(Variant(views=views, cull_hidden=1, posed=1, cut=1))
+        out.append(Variant(views=views, cut=1))
+    return out
+
+
+ROWS = rows()
 
 
 @pytest.mark.gl
-def test_every_variant_compiles(gl: Context) -> None:
+def test_the_variants_that_matter_compile(gl: Context) -> None:
     programs = Programs(gl.ctx)
-    for variant in every_variant():
-        if variant.influences:
-            programs.feedback("skin", variant, ("posed_mean", "posed_x", "posed_y", "posed_z"))
+    for variant in ROWS:
         programs.feedback("key", variant, ("key", "cover"), separate=True)
         programs.feedback("project", variant, ("rgb", "alpha", "centre", "cholesky"))
         program = programs.draw("splat", "splat", variant)
         assert attributes_of(program) == {name for _, name, _ in record_layout(variant)}
         block = programs.draw("screen", "background", variant)["Frame"]
         assert isinstance(block, moderngl.UniformBlock) and block.size == frame_dtype(variant.views).itemsize
+    posed = ("posed_mean", "posed_x", "posed_y", "posed_z")
+    programs.feedback("place", Variant(), posed)
+    for influences in (1, 2, 4, 8):
+        for raw, turned in ((0, 0), (0, 1), (1, 0), (1, 1)):
+            programs.feedback("skin", SkinVariant(influences=influences, raw=raw, turned=turned), posed)
+    for views in (1, 2):
+        programs.draw("ground", "ground", MeshVariant(views=views))
     programs.release()
 
 
 @pytest.mark.gl
 def test_what_a_scene_does_not_need_is_left_out(gl: Context) -> None:
     programs = Programs(gl.ctx)
-    static = programs.feedback("project", Variant(), ("rgb", "alpha", "centre", "cholesky"))
-    assert attributes_of(static) == {"mean_opacity", "quat", "scale", "sh0"}
-    assert "bones" not in static
-    posed = programs.feedback("project", Variant(influences=4), ("rgb", "alpha", "centre", "cholesky"))
-    assert attributes_of(posed) == {"mean_opacity", "shape_x", "shape_y", "shape_z", "sh0"}
+    plain = programs.feedback("project", Variant(), ("rgb", "alpha", "centre", "cholesky"))
+    assert attributes_of(plain) == {"order"} and "splats" in plain and "colours" in plain
+    assert attributes_of(programs.feedback("key", Variant(), ("key", "cover"), separate=True)) == set()
+    assert "bones" not in plain and "mesh_z" not in programs.draw("splat", "splat", Variant())
     assert "extension" not in flatten("splat.vert.glsl", Variant().defines()).text
     assert "extension" in flatten("splat.vert.glsl", Variant(views=2).defines()).text
     programs.release()
+
+
+def test_slots() -> None:
+    """Every sampler of every shader has a unit, and no program has two on one."""
+    for file in FILES:
+        if file.name.count(".") < 2:
+            continue
+        flags = dict.fromkeys(Variant().defines() | SkinVariant().defines() | MeshVariant().defines(), 1)
+        text = flatten(file.name, flags | {"ANAGLYPH": 0, "TEXT": 1}).text
+        samplers = re.findall(r"^uniform sampler\w+ (\w+);", text, re.MULTILINE)
+        units = [UNITS[name] for name in samplers]
+        assert len(set(units)) == len(units), f"{file.name}: {samplers}"

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from glsplat import reference
 from glsplat.avatar import Avatar
+from glsplat.meshes import RiggedMesh
 from glsplat.renderer import Renderer
-from glsplat.skinning.people import RiggedMesh
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.skeleton import Skeleton, rotation_matrices
 from glsplat.skinning.skin import Skin

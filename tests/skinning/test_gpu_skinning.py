@@ -125,9 +125,9 @@ def test_bones_are_uploaded_whatever_the_number_of_splats(renderer_of: Make) -> 
         avatar = chain(count, 30)
         renderer = renderer_of(avatar, (1, 1))
         renderer.render([VIEW], Pose.zero(30))
-        scene = renderer._scene
-        assert scene is not None and scene.bones is not None
-        assert scene.bones.size == (3, 30) and scene.bones.dtype == "f4"
+        assert renderer._staged is not None
+        (item,) = renderer._staged.arena.items
+        assert item.bones.size == (3, 30) and item.bones.dtype == "f4"
         bent = Pose(np.full((30, 3), 0.1), np.zeros(3))
         renderer.render([VIEW], bent)
         assert "skin" in renderer.timings

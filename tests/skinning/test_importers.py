@@ -13,8 +13,8 @@ from glsplat import reference
 from glsplat.avatar import Avatar
 from glsplat.camera import Camera, look_at, pinhole
 from glsplat.errors import FormatError
+from glsplat.meshes import MeshPart, RiggedMesh
 from glsplat.skinning.importers import bind_to_mesh, load_lhm_dump
-from glsplat.skinning.people import MeshPart, RiggedMesh
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.posed import posed_splats
 from glsplat.skinning.rigged_gltf import read_gltf_person

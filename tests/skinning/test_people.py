@@ -10,7 +10,8 @@ import pytest
 
 from glsplat.camera import Camera, look_at, pinhole
 from glsplat.errors import FormatError
-from glsplat.skinning.people import MeshPart, RiggedMesh, decode_texture, read_person
+from glsplat.meshes import MeshPart, RiggedMesh
+from glsplat.skinning.people import decode_texture, read_person
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.raster import mesh_picture, mesh_picture_and_depth, visible_faces
 

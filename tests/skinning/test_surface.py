@@ -10,7 +10,7 @@ from glsplat import reference
 from glsplat.camera import Camera, look_at, pinhole
 from glsplat.config import RenderConfig
 from glsplat.errors import FormatError
-from glsplat.skinning.people import MeshPart, RiggedMesh
+from glsplat.meshes import MeshPart, RiggedMesh
 from glsplat.skinning.raster import mesh_picture
 from glsplat.skinning.refine import RefineConfig, refine
 from glsplat.skinning.skeleton import Skeleton

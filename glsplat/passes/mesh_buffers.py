@@ -6,7 +6,7 @@ import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
-from glsplat.skinning.people import MeshPart, RiggedMesh
+from glsplat.meshes import MeshPart, RiggedMesh
 from glsplat.skinning.skin import Skin
 
 __all__ = ["INFLUENCES", "MeshBuffers", "corners"]

@@ -1,0 +1,91 @@
+"""Meshes: textured triangles on a skeleton. Values; readers are in making/, what draws them in mesh/ and passes/."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glsplat.errors import FormatError
+from glsplat.skinning.pose import Pose
+from glsplat.skinning.skeleton import Skeleton
+
+__all__ = ["MeshPart", "RiggedMesh"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MeshPart:
+    """The triangles that share one texture."""
+
+    name: str
+    faces: NDArray[np.int32]  # [F, 3] vertex indices
+    uv: NDArray[np.float64]  # [F, 3, 2] a texture coordinate a corner, v axis up, repeats outside [0, 1]
+    texture: NDArray[np.uint8]  # [H, W, 4] RGBA, row 0 is v = 1
+
+    @property
+    def cutout(self) -> bool:
+        """True where texels of alpha below one half cut holes (hair, brows, lashes)."""
+        return bool((self.texture[..., 3] < 128).any())
+
+    def sample(self, uv: NDArray[np.float64], *, nearest: bool = False) -> NDArray[np.float64]:
+        """RGBA in [0, 1] at texture coordinates [..., 2]: bilinear, texel centres at +0.5."""
+        height, width = self.texture.shape[:2]
+        x = uv[..., 0] % 1.0 * width - 0.5
+        y = (1.0 - uv[..., 1] % 1.0) * height - 0.5
+        if nearest:
+            return self.texture[np.rint(y).astype(int) % height, np.rint(x).astype(int) % width] / 255.0
+        x0, y0 = np.floor(x).astype(int), np.floor(y).astype(int)
+        fx, fy = (x - x0)[..., None], (y - y0)[..., None]
+        x1, y1 = np.clip(x0 + 1, 0, width - 1), np.clip(y0 + 1, 0, height - 1)
+        x0, y0 = np.clip(x0, 0, width - 1), np.clip(y0, 0, height - 1)
+        t = self.texture
+        top = t[y0, x0] * (1 - fx) + t[y0, x1] * fx
+        return (top * (1 - fy) + (t[y1, x0] * (1 - fx) + t[y1, x1] * fx) * fy) / 255.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RiggedMesh:
+    """A person in the zero pose: vertices, the rig that moves them, textured parts."""
+
+    vertices: NDArray[np.float64]  # [V, 3] metres, y up, facing +z
+    skeleton: Skeleton
+    joints: NDArray[np.int64]  # [V, K] joints of each vertex
+    weights: NDArray[np.float64]  # [V, K] >= 0
+    parts: tuple[MeshPart, ...]
+    meta: Mapping[str, Any] = field(default_factory=dict)  # source, licence, ... (what the file says)
+
+    def __post_init__(self) -> None:
+        count = len(self.vertices)
+        if self.vertices.shape != (count, 3) or not np.isfinite(self.vertices).all():
+            raise FormatError(f"a mesh needs finite vertices (V, 3), not {self.vertices.shape}")
+        if self.joints.shape != self.weights.shape or self.joints.shape[:1] != (count,) or self.joints.ndim != 2:
+            raise FormatError(f"a mesh of {count} vertices needs joints and weights ({count}, K)")
+        if self.joints.size and not 0 <= self.joints.min() <= self.joints.max() < len(self.skeleton):
+            raise FormatError(f"a vertex is bound to joint {self.joints.max()} of {len(self.skeleton)}")
+        if not self.parts or not sum(len(part.faces) for part in self.parts):
+            raise FormatError("a mesh needs at least one triangle")
+        for part in self.parts:
+            if part.faces.size and not 0 <= part.faces.min() <= part.faces.max() < count:
+                raise FormatError(f'part "{part.name}" names vertex {part.faces.max()} of {count}')
+            if part.uv.shape != (*part.faces.shape, 2):
+                raise FormatError(f'part "{part.name}" needs uv {(*part.faces.shape, 2)}, not {part.uv.shape}')
+
+    @property
+    def faces(self) -> NDArray[np.int32]:
+        """[F, 3] the triangles of all parts, in order."""
+        return np.concatenate([part.faces for part in self.parts])
+
+    @property
+    def face_parts(self) -> NDArray[np.intp]:
+        """[F] index of each triangle's part."""
+        return np.repeat(np.arange(len(self.parts)), [len(part.faces) for part in self.parts])
+
+    def posed(self, pose: Pose) -> NDArray[np.float64]:
+        """[V, 3] vertices under linear blend skinning."""
+        bones = pose.bones(self.skeleton)
+        total = self.weights.sum(axis=1, keepdims=True)
+        blended = np.einsum("vk,vkij->vij", self.weights / np.where(total > 0, total, 1), bones[self.joints])
+        return np.einsum("vij,vj->vi", blended[:, :, :3], self.vertices) + blended[:, :, 3]

@@ -1,0 +1,169 @@
+"""Arena: all visible splats of a scene in one index space, a range an item. Key, sort, project and draw see only this.
+
+One texture holds the geometry (as loaded, three texels a splat, if a single item stands where it was loaded; else
+posed, four texels), one the colours. Ranges begin with a row of ROW splats; what is left of a row has opacity 0.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import ExitStack
+from typing import TypeVar
+
+import moderngl
+import numpy as np
+from numpy.typing import NDArray
+
+from glsplat.context import Context
+from glsplat.errors import ContextError
+from glsplat.passes.items import NEAR, ROW, ItemBuffers, Placement, upload_rows, write_rows
+from glsplat.shaders.slots import UNITS
+from glsplat.shaders.variant import COLOUR_TEXELS
+
+__all__ = ["Arena"]
+
+_RUN = 64
+"""Rows that are posed at a time: bounds the scratch buffer to 4 MB."""
+
+_POSED_BYTES = 64
+
+
+class Arena:
+    """The splats of some items, in their order. Made anew when an item comes or goes; the items are borrowed."""
+
+    def __init__(
+        self,
+        context: Context,
+        items: Sequence[ItemBuffers],
+        *,
+        posed: bool,  # False: a single item without a skeleton, where it was loaded
+        degree: int,  # of the colours
+        signed: bool = False,  # some items ask for opacity compensation and some do not (variant.antialias 2)
+        cones: bool = False,
+    ) -> None:
+        ctx = context.ctx
+        self.items, self.posed, self.degree = tuple(items), posed, degree
+        self.version = 0  # grows with every movement
+        self.runs = 0  # of item passes so far
+        self.origin = np.zeros(3)  # world position of the scene's zero
+        self._signs = [-1.0 if signed and item.splats.antialias else 1.0 for item in items]
+        self._scratch_target = context.scratch
+        rows = [max(1, -(-item.count // ROW)) for item in items]
+        self.first = np.concatenate([[0], np.cumsum(rows)])  # [I + 1] first row of each item, and the end
+        height = int(self.first[-1])
+        alone = len(items) == 1
+        self.count = items[0].count if alone else height * ROW
+        self.padding = self.count - sum(item.count for item in items)
+        self._written: list[Placement | None] = [None] * len(items)
+        limit = int(ctx.info["GL_MAX_TEXTURE_SIZE"])
+        if max(height, ROW * COLOUR_TEXELS[degree]) > limit:
+            raise ContextError(
+                f"{self.count} splats of SH degree {degree} need textures larger than the {limit} texels of "
+                f"{ctx.info['GL_RENDERER']}; use fewer splats or a lower sh_degree"
+            )
+        with ExitStack() as stack:
+            texels, components = COLOUR_TEXELS[degree], 4 if degree else 3
+            if alone:
+                self.colours = upload_rows(ctx, items[0].colours(degree), texels, components, stack)
+            else:
+                self.colours = upload_rows(ctx, np.empty((0, 1), np.float32), texels, components, stack, height)
+                for item, first in zip(items, self.first, strict=False):
+                    write_rows(self.colours, int(first), item.colours(degree), texels, components)
+            self.cones = _own(stack, ctx.buffer(self._packed_cones())) if cones else None
+            self.splats: moderngl.Texture
+            self._run: moderngl.Buffer | None = None
+            if posed:
+                self.splats = _own(stack, ctx.texture((ROW * 4, max(1, height)), 4, dtype="f4"))
+                self.splats.filter = (moderngl.NEAREST, moderngl.NEAREST)
+                self._run = _own(stack, ctx.buffer(reserve=min(_RUN, max(rows, default=1)) * ROW * _POSED_BYTES))
+            else:
+                (item,) = items
+                assert item.rest is not None
+                self.splats, self.origin = item.rest, item.centre
+            self._owned = stack.pop_all()
+
+    @property
+    def nbytes(self) -> int:
+        """GPU bytes of the posed geometry, the scratch buffer and the cones."""
+        posed = self.splats.width * self.splats.height * 16 if self.posed else 0
+        return posed + (self._run.size if self._run else 0) + (self.cones.size if self.cones else 0)
+
+    @property
+    def colour_nbytes(self) -> int:
+        """GPU bytes of the colours."""
+        return self.colours.width * self.colours.height * (16 if self.degree else 12)
+
+    def place(self, places: Sequence[Placement]) -> bool:
+        """Pose and place what moved since the last call. True if anything did."""
+        if not self.posed:
+            return False
+        before = self.version
+        origin = self._origin(places)
+        if not np.array_equal(origin, self.origin):
+            self._written = [None] * len(self.items)
+            self.origin = origin
+        for index, place in enumerate(places):
+            if place.same(self._written[index]):
+                continue
+            self._written[index] = None  # until it is there: what is half written must not be taken for finished
+            self.version += 1
+            self._write(index, place)
+            self._written[index] = place
+        return self.version != before
+
+    def use(self) -> None:
+        """Bind the textures for the passes of a frame."""
+        self.splats.use(UNITS["splats"])
+        self.colours.use(UNITS["colours"])
+
+    def read(self, index: int = 0) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
+        """World means [N, 3] and shapes [N, 3, 3] of a posed item, on the host."""
+        first, item = int(self.first[index]), self.items[index]
+        rows = np.frombuffer(self.splats.read(), np.float32).reshape(-1, 16)[first * ROW :][: item.count]
+        shapes = np.stack([rows[:, 4 + 4 * i : 7 + 4 * i] for i in range(3)], axis=-1)
+        return rows[:, :3] + self.origin, shapes
+
+    def release(self) -> None:
+        """Delete textures and buffers, not the items."""
+        self._owned.close()
+
+    def _origin(self, places: Sequence[Placement]) -> NDArray[np.float64]:
+        """Near the items: float32 has no bits left for splats far from it."""
+        anchors = np.array([item.anchor(place) for item, place in zip(self.items, places, strict=True)])
+        if len(anchors) == 1:  # nothing else has to move with it
+            return anchors[0] if np.abs(anchors[0]).max() > NEAR else np.zeros(3)
+        middle = np.median(anchors, axis=0) if len(anchors) else np.zeros(3)
+        wanted = np.rint(middle / NEAR) * NEAR if np.abs(middle).max() > NEAR else np.zeros(3)
+        return wanted if np.abs(wanted - self.origin).max() > 2 * NEAR else self.origin
+
+    def _write(self, index: int, place: Placement) -> None:
+        item, first = self.items[index], int(self.first[index])
+        array = item.prepare(place, self.origin, self.degree > 0, self._signs[index])
+        assert self._run is not None
+        self._scratch_target.use()  # without a complete framebuffer transform feedback silently writes nothing
+        self.runs += 1
+        for start in range(0, max(item.count, 1), _RUN * ROW):
+            count = min(_RUN * ROW, item.count - start)
+            rows = max(1, -(-count // ROW))
+            if count:
+                array.transform(self._run, moderngl.POINTS, vertices=count, first=start)
+            if count < rows * ROW:
+                self._run.write(bytes((rows * ROW - count) * _POSED_BYTES), offset=count * _POSED_BYTES)
+            self.splats.write(self._run, (0, first + start // ROW, ROW * 4, rows))
+
+    def _packed_cones(self) -> NDArray[np.int8]:
+        """[count, 4]; items without cones get one that hides nothing."""
+        out = np.zeros((max(1, self.count), 4), np.int8)
+        out[:, 3] = -127  # the smallest cosine there is
+        for item, first in zip(self.items, self.first, strict=False):
+            if item.splats.cones is not None:
+                out[first * ROW : first * ROW + item.count] = item.splats.cones
+        return out
+
+
+T = TypeVar("T", moderngl.Texture, moderngl.Buffer)
+
+
+def _own(stack: ExitStack, item: T) -> T:
+    stack.callback(item.release)
+    return item

@@ -1,0 +1,251 @@
+"""Staged: a scene on the GPU. Items are uploaded once and posed when they move.
+
+The arena is made anew when one comes or goes.
+
+Pipelines (order, records) are kept by variant, size and place in the call, so that clients of several sizes that take
+turns, or several passes of one frame, do not overwrite each other's.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Sequence
+
+import numpy as np
+
+from glsplat.avatar import Avatar
+from glsplat.camera import Camera
+from glsplat.config import RenderConfig
+from glsplat.context import Context
+from glsplat.errors import ContextError, GlsplatError, PoseError
+from glsplat.meshes import RiggedMesh
+from glsplat.passes.arena import Arena
+from glsplat.passes.ground import Ground, MeshItem
+from glsplat.passes.items import ItemBuffers, Placement
+from glsplat.passes.pipeline import Pipeline, view_state
+from glsplat.passes.views import checked_pose
+from glsplat.scene import Item, Scene
+from glsplat.shaders import Programs, Variant, variant_for
+from glsplat.skinning.pose import Pose
+from glsplat.splats import Splats
+from glsplat.timing import StageTimer
+
+__all__ = ["Staged"]
+
+_PASSES = 4
+"""Passes of one call that keep records of their own; later ones share the last place."""
+
+_KEPT = 8
+"""Pipelines that are kept at most."""
+
+_KEPT_BYTES = 256 * 2**20
+"""What pipelines other than the one in use may take."""
+
+Key = tuple[Variant, tuple[int, int], int]
+
+
+class Staged:
+    """Owns the buffers of all items, the arena and the pipelines; scene, context and programs are borrowed."""
+
+    def __init__(
+        self, context: Context, programs: Programs, scene: Scene, config: RenderConfig, geometry: bool, triangle: bool
+    ) -> None:
+        self.scene = scene
+        self._context, self._programs, self._config = context, programs, config
+        self._geometry, self._triangle = geometry, triangle
+        self._items: dict[int, tuple[Item, ItemBuffers]] = {}  # by id(); the item is kept, so the id stays its own
+        self._meshes: dict[int, tuple[Item, MeshItem]] = {}
+        self._standing: list[tuple[MeshItem, Placement]] = []  # the visible meshes of this frame
+        self._standing_version = 0
+        self._grounds: OrderedDict[tuple[tuple[int, int], int, int], Ground] = OrderedDict()
+        self._arena: Arena | None = None
+        self._pipelines: OrderedDict[Key, Pipeline] = OrderedDict()  # the one used last comes last
+        self.arenas = 0  # made so far
+        try:
+            self._stage()
+        except BaseException:
+            self.release()
+            raise
+
+    @property
+    def arena(self) -> Arena:
+        """All visible splats."""
+        assert self._arena is not None
+        return self._arena
+
+    @property
+    def splats(self) -> int:
+        """Splats of the visible items, drawable or not."""
+        return sum(item.count + item.skipped for item in self.arena.items)
+
+    @property
+    def skipped(self) -> int:
+        """Splats that were never uploaded: not finite, or without a rotation."""
+        return sum(item.skipped for item in self.arena.items)
+
+    def nbytes(self) -> dict[str, int]:
+        """GPU bytes: splats (items and arena), sh, work (keys, order, records)."""
+        return {
+            "splats": sum(buffers.nbytes for _, buffers in self._items.values()) + self.arena.nbytes,
+            "meshes": sum(mesh.buffers.nbytes for _, mesh in self._meshes.values())
+            + sum(ground.nbytes for ground in self._grounds.values()),
+            "sh": self.arena.colour_nbytes,
+            "work": sum(pipeline.nbytes for pipeline in self._pipelines.values()),
+        }
+
+    def update(self, pose: Pose | None, timer: StageTimer) -> None:
+        """Follow the scene: what came, went, moved. ``pose`` is for the one avatar of a scene, if there is one."""
+        items = self._stage()
+        if pose is not None:
+            avatars = sum(isinstance(item.content, Avatar) for item in items)
+            if avatars > 1:
+                raise PoseError(f"render() got one pose for {avatars} avatars; set the pose of each item instead")
+        places = [self._placement(item, pose) for item in items]
+        self._stand(pose)
+        timer.mark("pose")
+        if self.arena.place(places):
+            timer.mark("skin")
+
+    def ground(self, views: Sequence[Camera], ordinal: int, dtype: str, timer: StageTimer) -> Ground | None:
+        """The meshes under these views, drawn; None without any."""
+        if not self._standing:
+            return None
+        key = ((views[0].width, views[0].height), len(views), min(ordinal, _PASSES - 1))
+        if key not in self._grounds:
+            self._grounds[key] = Ground(self._context, self._programs, *key[:2], dtype)
+            while len(self._grounds) > _PASSES:
+                self._grounds.popitem(last=False)[1].release()
+        self._grounds.move_to_end(key)
+        ground = self._grounds[key]
+        ground.run(views, self._standing, (self._standing_version, tuple(view_state(view) for view in views)))
+        timer.mark("mesh")
+        return ground
+
+    def pipeline(self, views: Sequence[Camera], ordinal: int, depth: bool = False) -> Pipeline:
+        """What draws these views, as pass number ``ordinal`` of the call."""
+        variant = variant_for(
+            len(views),
+            self._config,
+            stored_degree=self.arena.degree,
+            sh_degree=views[0].sh_degree,
+            posed=self.arena.posed,
+            antialias=frozenset(item.splats.antialias for item in self.arena.items) or frozenset({False}),
+            geometry=self._geometry,
+            triangle=self._triangle,
+            depth=depth,
+            occluded=bool(self._standing),
+        )
+        key = (variant, (views[0].width, views[0].height), min(ordinal, _PASSES - 1))
+        if key not in self._pipelines:
+            self._pipelines[key] = Pipeline(self._context, self._programs, variant, self.arena, self._config)
+        self._pipelines.move_to_end(key)
+        self._trim()
+        return self._pipelines[key]
+
+    def release(self) -> None:
+        """Delete everything; may be called twice."""
+        self._drop_pipelines()
+        while self._grounds:
+            self._grounds.popitem()[1].release()
+        for _, mesh in self._meshes.values():
+            mesh.release()
+        self._meshes.clear()
+        self._standing = []
+        if self._arena is not None:
+            self._arena.release()
+            self._arena = None
+        for _, buffers in self._items.values():
+            buffers.release()
+        self._items.clear()
+
+    def _stage(self) -> list[Item]:
+        """Buffers for what is new, an arena for what is visible; the visible splat items in order.
+
+        Nothing of what stands is given up before what replaces it is there.
+        """
+        for item in self.scene:
+            if id(item) not in self._items and item.visible and not isinstance(item.content, RiggedMesh):
+                self._items[id(item)] = item, self._buffers_of(item)
+        visible = [item for item in self.scene if item.visible and not isinstance(item.content, RiggedMesh)]
+        buffers = [self._items[id(item)][1] for item in visible]
+        posed = len(visible) != 1 or isinstance(visible[0].content, Avatar) or _moved(visible[0])
+        if self._arena is None or self._arena.items != tuple(buffers) or self._arena.posed != posed:
+            arena = self._arena_of(buffers, posed)
+            self._drop_pipelines()
+            if self._arena is not None:
+                self._arena.release()
+            self._arena = arena
+            self.arenas += 1
+        present = {id(item) for item in self.scene}
+        for gone in [key for key in self._items if key not in present]:
+            self._items.pop(gone)[1].release()
+        return visible
+
+    def _stand(self, pose: Pose | None) -> None:
+        """Where the visible meshes are; what is gone is released."""
+        standing = []
+        for item in self.scene:
+            if item.visible and isinstance(item.content, RiggedMesh):
+                if id(item) not in self._meshes:
+                    self._meshes[id(item)] = item, MeshItem(self._context, item.content)
+                standing.append((self._meshes[id(item)][1], self._placement(item, pose)))
+        same = len(standing) == len(self._standing) and all(
+            mesh is old and place.same(before)
+            for (mesh, place), (old, before) in zip(standing, self._standing, strict=True)
+        )
+        if not same:
+            self._standing_version += 1
+        self._standing = standing
+        present = {id(item) for item in self.scene}
+        for gone in [key for key in self._meshes if key not in present]:
+            self._meshes.pop(gone)[1].release()
+
+    def _buffers_of(self, item: Item) -> ItemBuffers:
+        content, context, config = item.content, self._context, self._config
+        splats = content.splats if isinstance(content, Avatar) else content
+        assert isinstance(splats, Splats)
+        skin, joints = None, 0
+        if isinstance(content, Avatar):
+            skin, joints = content.skin, len(content.skeleton)
+            if config.influences:
+                skin = skin.reduced(config.influences).anchored(content.skeleton.parents)
+            if joints > context.max_size:
+                raise ContextError(f"{joints} joints, but a texture of {context.driver} holds {context.max_size}")
+        return ItemBuffers(context.ctx, self._programs, splats, skin, joints, config.rotation == "raw")
+
+    def _arena_of(self, buffers: Sequence[ItemBuffers], posed: bool) -> Arena:
+        config = self._config
+        if config.cull_hidden and buffers and all(item.splats.cones is None for item in buffers):
+            raise GlsplatError(
+                "cull_hidden needs splats with visibility cones, this scene has none; "
+                "make them (glsplat avatar cones, glsplat.skinning.cones.with_cones) or leave cull_hidden off"
+            )
+        degree = min(max((item.splats.sh_degree for item in buffers), default=0), config.sh_degree)
+        mixed = config.antialias is None and len({item.splats.antialias for item in buffers}) > 1
+        return Arena(self._context, buffers, posed=posed, degree=degree, signed=mixed, cones=config.cull_hidden)
+
+    def _placement(self, item: Item, pose: Pose | None) -> Placement:
+        linear = item.transform[:3, :3]
+        size = float(np.cbrt(np.linalg.det(linear))) if _moved(item) else 1.0
+        bones = None
+        if not isinstance(item.content, Splats):
+            skeleton = item.content.skeleton
+            wanted = pose if pose is not None and isinstance(item.content, Avatar) else item.pose
+            bones = checked_pose(wanted, len(skeleton), "avatar").bones(skeleton)
+        return Placement(linear / size, item.transform[:3, 3], size, bones)
+
+    def _trim(self) -> None:
+        while len(self._pipelines) > 1:
+            newest = next(reversed(self._pipelines.values()))
+            others = sum(pipeline.nbytes for pipeline in self._pipelines.values()) - newest.nbytes
+            if len(self._pipelines) <= _KEPT and others <= _KEPT_BYTES:
+                return
+            self._pipelines.popitem(last=False)[1].release()
+
+    def _drop_pipelines(self) -> None:
+        while self._pipelines:
+            self._pipelines.popitem()[1].release()
+
+
+def _moved(item: Item) -> bool:
+    return not np.array_equal(item.transform, np.eye(4))

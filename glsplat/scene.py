@@ -1,0 +1,191 @@
+"""Scene: several things in one frame, each an item with a place, a pose and a switch. Values: nothing here draws."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from glsplat.avatar import Avatar
+from glsplat.errors import GlsplatError, PoseError
+from glsplat.meshes import RiggedMesh
+from glsplat.rotations import quaternion_matrices
+from glsplat.skinning.pose import Pose
+from glsplat.splats import Splats
+
+__all__ = ["Item", "Scene", "similarity"]
+
+_LARGEST = 1e6  # metres, and of a scale; beyond it is a mistake of units
+_SMALLEST = 1e-6
+
+
+class Item:
+    """Splats, an Avatar or a RiggedMesh in a scene. What it shows is fixed; the rest may change between frames.
+
+    ``transform`` [4, 4] takes the thing's own space to the scene: a rotation, one scale for all axes, a translation
+    in metres (see ``similarity``). Assigning an attribute checks and copies what it is given.
+    """
+
+    __slots__ = ("_content", "_name", "_pose", "_transform", "_visible")
+
+    def __init__(
+        self,
+        content: Splats | Avatar | RiggedMesh,
+        *,
+        pose: Pose | None = None,  # zero pose if none
+        transform: ArrayLike | None = None,  # [4, 4]
+        visible: bool = True,
+        name: str = "",
+    ) -> None:
+        if not isinstance(content, (Splats, Avatar, RiggedMesh)):
+            raise GlsplatError(f"an item shows Splats, an Avatar or a RiggedMesh, not {type(content).__name__}")
+        self._content = content
+        self.pose = pose
+        self._transform = _checked(np.eye(4) if transform is None else transform)
+        self.visible = visible
+        self._name = str(name)
+
+    @property
+    def content(self) -> Splats | Avatar | RiggedMesh:
+        """What it shows."""
+        return self._content
+
+    @property
+    def name(self) -> str:
+        """For people; need not be distinct."""
+        return self._name
+
+    @property
+    def pose(self) -> Pose | None:
+        """Of its skeleton; None: the zero pose."""
+        return self._pose
+
+    @pose.setter
+    def pose(self, pose: Pose | None) -> None:
+        if pose is not None:
+            if not isinstance(pose, Pose):
+                raise PoseError(f"an item's pose is a Pose, not {type(pose).__name__}; see Pose.from_smplx")
+            if isinstance(self._content, Splats):
+                raise PoseError("splats without a skeleton have no pose; move them with transform")
+            joints = len(self._content.skeleton)
+            if len(pose.rotations) != joints:
+                raise PoseError(f"the pose has {len(pose.rotations)} joints, the item {joints}")
+        self._pose = pose
+
+    @property
+    def transform(self) -> NDArray[np.float64]:
+        """[4, 4] scene from item; read only, assign a new one to move it."""
+        return self._transform
+
+    @transform.setter
+    def transform(self, transform: ArrayLike) -> None:
+        self._transform = _checked(transform)
+
+    @property
+    def visible(self) -> bool:
+        """False: it costs nothing and keeps its buffers."""
+        return self._visible
+
+    @visible.setter
+    def visible(self, visible: bool) -> None:
+        self._visible = bool(visible)
+
+    def __repr__(self) -> str:
+        place = ", ".join(f"{v:g}" for v in self._transform[:3, 3])
+        return f"Item({type(self._content).__name__} {self._name!r} at ({place}){'' if self._visible else ', hidden'})"
+
+
+class Scene:
+    """Items in one frame. Of splats at equal depth those of the earlier item are the nearer (docs/conventions.md)."""
+
+    def __init__(self, items: Iterable[Item] = ()) -> None:
+        self._items: list[Item] = []
+        for item in items:
+            self.add(item)
+
+    @classmethod
+    def of(cls, thing: Scene | Item | Splats | Avatar | RiggedMesh) -> Scene:
+        """The scene itself, or a scene of that one thing."""
+        if isinstance(thing, Scene):
+            return thing
+        return cls([thing if isinstance(thing, Item) else Item(thing)])
+
+    @property
+    def items(self) -> tuple[Item, ...]:
+        """In the order in which they were added."""
+        return tuple(self._items)
+
+    def add(self, item: Item) -> Item:
+        """Put an item behind the others; returns it."""
+        if not isinstance(item, Item):
+            raise GlsplatError(f"a scene holds Items, not {type(item).__name__}; write Item(...)")
+        if any(item is other for other in self._items):
+            raise GlsplatError(f"{item} is in the scene already; make another Item of the same content")
+        self._items.append(item)
+        return item
+
+    def remove(self, item: Item) -> None:
+        """Take an item out; its buffers are released with the next frame."""
+        for index, other in enumerate(self._items):
+            if other is item:
+                del self._items[index]
+                return
+        raise GlsplatError(f"{item} is not in the scene")
+
+    def __len__(self) -> int:
+        return len(self._items)
+
+    def __iter__(self) -> Iterator[Item]:
+        return iter(self.items)
+
+    def __repr__(self) -> str:
+        return f"Scene({len(self._items)} items)"
+
+
+def similarity(
+    translation: ArrayLike = (0.0, 0.0, 0.0),  # [3] metres
+    rotation: ArrayLike = (0.0, 0.0, 0.0, 1.0),  # [4] quaternion xyzw of any length but zero
+    scale: float = 1.0,
+) -> NDArray[np.float64]:
+    """[4, 4] of x -> scale * R x + translation. Raises GlsplatError for what is no such transform."""
+    try:
+        quat = np.asarray(rotation, np.float64)
+        offset = np.asarray(translation, np.float64)
+        size = float(scale)
+    except (TypeError, ValueError):
+        raise GlsplatError("a transform needs numbers: translation [3], rotation xyzw [4], scale") from None
+    if quat.shape != (4,) or offset.shape != (3,):
+        raise GlsplatError(f"a transform needs translation [3] and rotation xyzw [4], not {offset.shape}, {quat.shape}")
+    if not np.isfinite([size, *offset]).all():
+        raise GlsplatError(f"a transform needs finite numbers, not scale {size:g} and translation {offset.tolist()}")
+    norm = np.linalg.norm(quat) if np.abs(quat).max() < 1e100 else np.inf
+    if not 1e-9 < norm < np.inf:
+        raise GlsplatError(f"a rotation needs a finite quaternion xyzw of non-zero length, not {quat.tolist()}")
+    out = np.eye(4)
+    out[:3, :3] = size * quaternion_matrices(np.roll(quat / norm, 1))
+    out[:3, 3] = offset
+    return _checked(out)
+
+
+def _checked(transform: ArrayLike) -> NDArray[np.float64]:
+    try:
+        matrix = np.array(transform, np.float64)
+    except (TypeError, ValueError):
+        raise GlsplatError("a transform is a 4x4 matrix of numbers") from None
+    if matrix.shape != (4, 4):
+        raise GlsplatError(f"a transform is a 4x4 matrix, not {matrix.shape}; see glsplat.scene.similarity")
+    if not np.isfinite(matrix).all():
+        raise GlsplatError("a transform needs finite numbers, found NaN or infinity")
+    if np.abs(matrix[3] - (0, 0, 0, 1)).max() > 1e-9:
+        raise GlsplatError("a transform needs the last row 0 0 0 1")
+    if np.abs(matrix).max() > _LARGEST:
+        raise GlsplatError(f"a transform needs metres and a scale below {_LARGEST:g}, not {np.abs(matrix).max():g}")
+    linear = matrix[:3, :3]
+    size = float(np.cbrt(np.linalg.det(linear)))
+    if not size >= _SMALLEST:
+        raise GlsplatError("a transform needs a rotation times a scale above 1e-6, no reflection")
+    if np.abs(linear @ linear.T / size**2 - np.eye(3)).max() > 1e-4:
+        raise GlsplatError("a transform needs one scale for all axes and no shear")
+    matrix.setflags(write=False)
+    return matrix

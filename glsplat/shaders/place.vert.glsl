@@ -1,0 +1,23 @@
+// Place pass, once a splat of an item without a skeleton: mean' = s R mean + t, M' = s R M, by transform feedback.
+#include "covariance.glsl"
+#include "splat_input.glsl"
+
+uniform mat3 turn;           // R
+uniform vec3 rodrigues;      // its modified Rodrigues parameters
+uniform vec3 offset;         // t, about the scene's origin
+uniform float size;          // s
+uniform float opacity_sign;  // as in skin.vert.glsl
+uniform int first;           // index of the first splat of this run
+
+out vec4 posed_mean;
+out vec4 posed_x, posed_y, posed_z;
+
+void main() {
+    Splat splat = splat_of(first + gl_VertexID);
+    posed_mean = vec4(size * (turn * splat.mean) + offset, opacity_sign * splat.opacity);
+    mat3 shape = size * (turn * splat.shape);
+    posed_x = vec4(shape[0], rodrigues.x);
+    posed_y = vec4(shape[1], rodrigues.y);
+    posed_z = vec4(shape[2], rodrigues.z);
+    gl_Position = vec4(0.0);
+}

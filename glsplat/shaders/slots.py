@@ -1,0 +1,35 @@
+"""Every binding of every program, once: texture units by the sampler's name, and the uniform block's slot."""
+
+from __future__ import annotations
+
+import moderngl
+
+__all__ = ["FRAME_BLOCK", "UNITS", "bind_slots"]
+
+FRAME_BLOCK = 0
+"""Slot of the uniform block Frame (frame.glsl)."""
+
+UNITS = {
+    "splats": 0,  # arena: geometry (splat_input.glsl)
+    "colours": 1,  # arena: SH (sh.glsl)
+    "bones": 2,  # bone texture of an avatar or a mesh (skin.glsl)
+    "mesh_z": 3,  # camera z of the nearest mesh (splat.frag.glsl)
+    "mesh_colour": 4,
+    "skin_texture": 5,  # of a mesh
+    "target": 0,  # float layers (resolve.frag.glsl, present.frag.glsl)
+    "text": 1,  # over a window (present.frag.glsl)
+    "large": 5,  # the larger picture of a mesh (mesh_resolve.frag.glsl)
+}
+"""Sampler -> texture unit. Two samplers share a unit only if no program has both."""
+
+
+def bind_slots(program: moderngl.Program) -> moderngl.Program:
+    """Point a program's samplers and its Frame block at their slots (what no function reads is optimised away)."""
+    block = program.get("Frame", None)
+    if isinstance(block, moderngl.UniformBlock):
+        block.binding = FRAME_BLOCK
+    for name, unit in UNITS.items():
+        sampler = program.get(name, None)
+        if isinstance(sampler, moderngl.Uniform):
+            sampler.value = unit
+    return program

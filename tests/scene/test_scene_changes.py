@@ -1,0 +1,241 @@
+"""Items come, go, move and hide between frames: what is done again, and that nothing is left behind."""
+
+from __future__ import annotations
+
+import gc
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import moderngl
+import numpy as np
+import pytest
+
+from glsplat.config import RenderConfig
+from glsplat.context import Context
+from glsplat.errors import ContextError, GlsplatError, PoseError
+from glsplat.passes import staged
+from glsplat.renderer import Renderer
+from glsplat.scene import Item, Scene, similarity
+from tests.scene.worlds import random_pose, upright
+from tests.scenes import camera, cloud, eyes, limb
+
+pytestmark = pytest.mark.gl
+
+Make = Callable[..., Renderer]
+
+
+def fresh(context: Context, scene: Scene, **settings: Any) -> np.ndarray:
+    """The picture of a renderer that has seen nothing before."""
+    config = RenderConfig(output="float32", **settings)
+    with Renderer(Scene(scene.items), size=(64, 64), config=config, context=context) as renderer:
+        return renderer.render(eyes())
+
+
+def test_every_change_is_drawn_as_if_new(renderer_of: Make, context: Context) -> None:
+    """A walk through all the changes there are; after each the picture is that of a fresh renderer."""
+    rod, mist = Item(limb(200, degree=1)), Item(cloud(150, 2))
+    scene = Scene([rod, mist])
+    renderer = renderer_of(scene, views=2)
+    extra = Item(cloud(1500, seed=4), transform=similarity((0, 0.3, 0)))  # more than a row of the arena
+    screen = Item(upright(0.1, 0.5, (200, 30, 30)))
+
+    def pose() -> None:
+        rod.pose = random_pose(4, 3)
+
+    def move() -> None:
+        mist.transform = similarity((0.1, -0.2, 0.3), (0.1, 0.2, 0, 1), 1.3)
+
+    def hide() -> None:
+        mist.visible = False
+
+    def show() -> None:
+        mist.visible = True
+
+    def back() -> None:
+        rod.pose, mist.transform = None, similarity()
+
+    changes: list[Callable[[], object]] = [
+        pose,
+        move,
+        lambda: scene.add(extra),
+        lambda: scene.add(screen),
+        hide,
+        lambda: scene.remove(rod),
+        show,
+        lambda: scene.remove(extra),
+        lambda: setattr(screen, "visible", False),
+        lambda: scene.add(rod),
+        lambda: setattr(screen, "visible", True),
+        lambda: scene.remove(screen),
+        back,
+        lambda: scene.remove(mist),
+        lambda: scene.remove(rod),  # nothing left
+        lambda: scene.add(mist),
+    ]
+    before = renderer.render(eyes())
+    for change in changes:
+        change()
+        now = renderer.render(eyes())
+        assert np.array_equal(now, fresh(context, scene))
+        assert np.array_equal(now, renderer.render(eyes()))  # and again, when nothing moved
+        assert not np.array_equal(now, before)
+        before = now
+
+
+def test_only_what_moved_is_posed_again(renderer_of: Make) -> None:
+    first, second, still = Item(limb(50)), Item(limb(60, seed=9)), Item(cloud(70))
+    scene = Scene([first, second, still])
+    renderer = renderer_of(scene, views=2)
+    renderer.render(eyes())
+    assert renderer._staged is not None
+    arena, arenas = renderer._staged.arena, renderer._staged.arenas
+    assert arena.runs == 3  # one an item
+    renderer.render(eyes())
+    assert arena.runs == 3
+    first.pose = random_pose(4, 1)
+    renderer.render(eyes())
+    assert arena.runs == 4
+    still.transform = similarity((0.1, 0, 0))
+    second.pose = random_pose(4, 2)
+    renderer.render([*eyes(), camera(distance=4)])  # three views, two passes
+    assert arena.runs == 6 and renderer._staged.arenas == arenas
+    assert "skin" in renderer.timings
+    renderer.render(eyes())
+    assert "skin" not in renderer.timings and "sort" not in renderer.timings
+
+
+def test_sizes_in_turn_neither_pose_nor_sort_again(renderer_of: Make) -> None:
+    """Three clients with a size each that ask in turn while nobody moves: each goes straight to its draw."""
+    scene = Scene([Item(limb(200)), Item(cloud(100))])
+    renderer = renderer_of(scene, views=2)
+    sizes = (64, 48, 33)
+    for round_ in range(3):
+        for size in sizes:
+            renderer.resize(size, size)
+            renderer.render(eyes(size))
+            assert ("sort" in renderer.timings) == (round_ == 0)
+            assert renderer.stats.sorted == (round_ == 0)
+    assert renderer._staged is not None and renderer._staged.arena.runs == 2
+    # four views in two passes of one variant keep their records, too
+    renderer.resize(64, 64)
+    four = [*eyes(), *eyes(distance=-3.0)]
+    image = renderer.render(four)
+    assert np.array_equal(renderer.render(four), image) and "sort" not in renderer.timings
+
+
+def test_pipelines_are_bounded(renderer_of: Make, monkeypatch: pytest.MonkeyPatch) -> None:
+    renderer = renderer_of(cloud(5000), views=2)
+    for size in range(8, 40):
+        renderer.resize(size, size)
+        renderer.render(eyes(size))
+    assert renderer._staged is not None
+    assert len(renderer._staged._pipelines) <= staged._KEPT
+    monkeypatch.setattr(staged, "_KEPT_BYTES", 1)
+    renderer.render(eyes(39))
+    assert len(renderer._staged._pipelines) == 1
+
+
+def test_coming_and_going_leaves_nothing(context: Context) -> None:
+    """500 times an item comes, is drawn and goes: no GL object stays."""
+    with context.ctx:
+        context.ctx.gc_mode = "context_gc"
+        try:
+            scene = Scene([Item(cloud(30))])
+            with Renderer(scene, size=(16, 16), context=context) as renderer:
+                kinds = [Item(limb(20)), Item(cloud(20, 1)), Item(upright(0.1, 0.3, (9, 9, 9)))]
+                renderer.render([camera(16)])
+                for round_ in range(500):
+                    item = scene.add(kinds[round_ % 3])
+                    renderer.render([camera(16)])
+                    scene.remove(item)
+                    if round_ % 2:
+                        renderer.render([camera(16)])
+                    if round_ == 20:
+                        gc.collect()
+                        early = len([o for o in context.ctx.objects if not isinstance(o, moderngl.InvalidObject)])
+                renderer.render([camera(16)])
+                gc.collect()
+                late = len([o for o in context.ctx.objects if not isinstance(o, moderngl.InvalidObject)])
+                assert late <= early
+            del renderer
+            gc.collect()
+            assert not [o for o in context.ctx.objects if not isinstance(o, moderngl.InvalidObject)]
+        finally:
+            context.ctx.gc_mode = None
+
+
+def test_a_scene_that_cannot_be_loaded_leaves_the_old_one(renderer_of: Make, monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = limb(100)
+    renderer = renderer_of(scene, views=2)
+    image = renderer.render(eyes())
+
+    def fail(*_: object, **__: object) -> None:
+        raise ContextError("no memory")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(staged, "Arena", fail)
+        with pytest.raises(ContextError, match="no memory"):
+            renderer.load(cloud(10))
+    assert np.array_equal(renderer.render(eyes()), image)
+    with pytest.raises(GlsplatError, match="not str"):
+        renderer.load("person.glb")  # type: ignore[arg-type]
+    assert np.array_equal(renderer.render(eyes()), image)
+
+
+def test_an_item_that_cannot_be_added_leaves_the_frame_as_it_was(
+    renderer_of: Make, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scene = Scene([Item(limb(100)), Item(cloud(50))])
+    renderer = renderer_of(scene, views=2)
+    image = renderer.render(eyes())
+    extra = scene.add(Item(cloud(20)))
+
+    def fail(*_: object, **__: object) -> None:
+        raise ContextError("no memory")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(staged, "Arena", fail)
+        with pytest.raises(ContextError, match="no memory"):
+            renderer.render(eyes())
+    scene.remove(extra)
+    assert np.array_equal(renderer.render(eyes()), image)
+
+
+def test_hidden_splats_in_a_scene_of_which_some_have_cones(renderer_of: Make) -> None:
+    """Items without cones are drawn whole, whatever the margin."""
+    bare = cloud(200)
+    hiding = replace(bare, cones=np.full((200, 4), (0, 0, 127, 127), np.int8))  # seen along one axis only
+    for margin in (0.0, 1.5):
+        renderer = renderer_of(Scene([Item(hiding), Item(bare)]), cull_hidden=True, cull_margin=margin)
+        renderer.render([camera()])
+        assert renderer.stats.culled["hidden"] == 200 or margin == 0.0
+        assert renderer.stats.culled["hidden"] <= 200 and renderer.stats.drawn >= 190
+    with pytest.raises(GlsplatError, match="cull_hidden needs splats with visibility cones"):
+        renderer_of(Scene([Item(bare), Item(bare)]), cull_hidden=True)
+
+
+def test_statistics_do_not_count_padding(renderer_of: Make) -> None:
+    for sorter in ("cpu", "gpu"):
+        renderer = renderer_of(Scene([Item(cloud(30)), Item(cloud(1025, seed=2))]), sorter=sorter)
+        renderer.render([camera()])
+        stats = renderer.stats
+        assert stats.splats == 1055 == stats.drawn + sum(stats.culled.values())
+
+
+def test_an_empty_scene(renderer_of: Make) -> None:
+    for scene in (Scene(), Scene([Item(cloud(10), visible=False)]), Scene([Item(upright(0.1, 0.4, (9, 90, 9)))])):
+        image, depth = renderer_of(scene, views=2).render(eyes(), depth=True)
+        assert np.isfinite(image).all() and image.any() == depth.any() == (len(scene) == 1 and scene.items[0].visible)
+
+
+def test_a_pose_given_to_render_is_the_one_avatars(renderer_of: Make) -> None:
+    rod = Item(limb(100))
+    renderer = renderer_of(Scene([rod, Item(cloud(50))]), views=2)
+    posed = renderer.render(eyes(), random_pose(4, 7))
+    assert not np.array_equal(posed, renderer.render(eyes()))
+    rod.pose = random_pose(4, 7)
+    assert np.array_equal(posed, renderer.render(eyes()))
+    two = renderer_of(Scene([rod, Item(limb(50, 4))]))
+    with pytest.raises(PoseError, match="2 avatars"):
+        two.render([camera()], random_pose(4, 7))
