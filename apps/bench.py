@@ -15,13 +15,14 @@ from tqdm import tqdm
 from glsplat.avatar import Avatar
 from glsplat.camera import Camera
 from glsplat.config import RenderConfig
-from glsplat.context import Context, create_context
+from glsplat.evaluate.machine import machine
+from glsplat.gl.context import Context, create_context
 from glsplat.renderer import Renderer
 from glsplat.skinning.pose import Pose
 from glsplat.splats import Splats
+from glsplat.views import splats_of, view_of, viewing_point
 
-from .machine import machine
-from .scene import add_scene, load_scene, motion_of, size, splats_of, view_of, viewing_point
+from .args import add_scene, load_scene, motion_of, size
 from .usage import UsageError
 
 HELP = (

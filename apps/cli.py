@@ -36,6 +36,9 @@ COMMANDS = {
     "convert": "between PLY, .splat and glTF",
 }
 
+MODULES = {name: f"{name}.command" for name in ("avatar", "preview", "replay", "report", "tracking")}
+"""Commands that are folders."""
+
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command; the entry point of the installed ``glsplat``."""
@@ -57,7 +60,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     chosen = parser.parse_args(arguments[:1] or ["--help"])
 
     try:
-        module = import_module(f".{chosen.command}", __package__)
+        module = import_module(f".{MODULES.get(chosen.command, chosen.command)}", __package__)
         command = CommandParser(
             prog=f"glsplat {chosen.command}",
             description=module.HELP,

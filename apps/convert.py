@@ -13,8 +13,7 @@ from glsplat.avatar import Avatar
 from glsplat.errors import FormatError
 from glsplat.formats import load, save
 from glsplat.splats import Splats
-
-from .scene import splats_of
+from glsplat.views import splats_of
 
 __all__ = ["EXAMPLE", "HELP", "add_arguments", "losses", "run"]
 

@@ -19,10 +19,10 @@ from glsplat.errors import FormatError, GlsplatError
 from glsplat.formats.files import replace_file
 from glsplat.net.client import Client
 
-from .replay import load_drive, save_clip, save_sheet
-from .scene import size
-from .stage_table import frame_text, table_markdown, table_text
-from .streaming import Drive, Result, observer, stream
+from .args import size
+from .replay.command import load_drive, save_clip, save_sheet
+from .replay.stage_table import frame_text, table_markdown, table_text
+from .replay.streaming import Drive, Result, observer, stream
 from .usage import UsageError
 
 HELP = (
@@ -135,7 +135,7 @@ def _serve(connection: Connection, avatar: str | None) -> None:
     """The child: tells its URL, or one line of what went wrong."""
     from glsplat.net.server import ServerConfig
 
-    from .scene import load_scene
+    from .args import load_scene
     from .serve import make_server
 
     try:

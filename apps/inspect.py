@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 from glsplat.avatar import Avatar
 from glsplat.formats import recognise
 from glsplat.splats import Splats
+from glsplat.views import splats_of
 
-from .scene import add_scene, load_scene, splats_of
+from .args import add_scene, load_scene
 
 __all__ = ["EXAMPLE", "HELP", "add_arguments", "describe", "run"]
 

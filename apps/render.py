@@ -18,28 +18,17 @@ from tqdm import tqdm
 from glsplat.avatar import Avatar
 from glsplat.camera import PAPER_FOV, PAPER_IPD, Camera, read_cameras
 from glsplat.config import RenderConfig
-from glsplat.context import create_context
 from glsplat.errors import FormatError
+from glsplat.gl.context import create_context
+from glsplat.motion.motion import Motion
 from glsplat.renderer import Renderer
-from glsplat.skinning.motion import Motion
 from glsplat.skinning.pose import Pose, load_pose
 from glsplat.splats import Splats
+from glsplat.views import view_of, viewing_point
 
+from .args import add_scene, colour, degrees, load_scene, motion_of, not_negative, point, positive, size
 from .clip import CLIPS, Clip
 from .output import save_npy, save_png, side_by_side
-from .scene import (
-    add_scene,
-    colour,
-    degrees,
-    load_scene,
-    motion_of,
-    not_negative,
-    point,
-    positive,
-    size,
-    view_of,
-    viewing_point,
-)
 from .usage import UsageError, output_kind
 
 HELP = (

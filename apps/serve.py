@@ -16,11 +16,12 @@ import numpy as np
 from glsplat.avatar import Avatar
 from glsplat.camera import PAPER_FOV, PAPER_IPD, Camera
 from glsplat.config import RenderConfig
-from glsplat.net.access import Access, is_loopback, read_token
 from glsplat.net.backend import Solved
-from glsplat.net.limits import Limits
+from glsplat.net.backends.gl import MAX_COST, MAX_TIME, RendererBackend
+from glsplat.net.backends.process import ProcessBackend
+from glsplat.net.guard.access import Access, is_loopback, read_token
+from glsplat.net.guard.limits import Limits
 from glsplat.net.messages import RenderRequest, WireOptions
-from glsplat.net.process import ProcessBackend
 from glsplat.net.server import Server, ServerConfig
 from glsplat.net.session import SessionConfig
 from glsplat.skinning.skeleton import Skeleton
@@ -30,9 +31,8 @@ from glsplat.tracking.calibration import Calibration
 from glsplat.tracking.sample import Sample
 from glsplat.tracking.tracker import Tracker
 
-from .drawing import MAX_COST, MAX_TIME, RendererBackend
+from .args import add_scene, load_scene, size
 from .logs import add_log_format, start_logging
-from .scene import add_scene, load_scene, size
 from .usage import UsageError
 
 HELP = (

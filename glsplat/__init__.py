@@ -14,14 +14,17 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from glsplat.avatar import Avatar, default_avatar
+    from glsplat.avatar import Avatar
     from glsplat.camera import Camera, look_at, pinhole, stereo_cameras
     from glsplat.config import RenderConfig
-    from glsplat.context import create_context
+    from glsplat.data import default_avatar
     from glsplat.errors import GlsplatError
     from glsplat.formats import load, save
+    from glsplat.gl.context import create_context
+    from glsplat.meshes import RiggedMesh
     from glsplat.pictures import straight
     from glsplat.renderer import Renderer
+    from glsplat.scene import Item, Scene, similarity
     from glsplat.skinning.pose import Pose
     from glsplat.skinning.skeleton import Skeleton
     from glsplat.skinning.skin import Skin
@@ -33,9 +36,12 @@ __all__ = [
     "Avatar",
     "Camera",
     "GlsplatError",
+    "Item",
     "Pose",
     "RenderConfig",
     "Renderer",
+    "RiggedMesh",
+    "Scene",
     "Skeleton",
     "Skin",
     "Splats",
@@ -45,6 +51,7 @@ __all__ = [
     "look_at",
     "pinhole",
     "save",
+    "similarity",
     "stereo_cameras",
     "straight",
 ]
@@ -53,18 +60,22 @@ _HOME = {
     "Avatar": "avatar",
     "Camera": "camera",
     "GlsplatError": "errors",
+    "Item": "scene",
     "Pose": "skinning.pose",
     "RenderConfig": "config",
     "Renderer": "renderer",
+    "RiggedMesh": "meshes",
+    "Scene": "scene",
     "Skeleton": "skinning.skeleton",
     "Skin": "skinning.skin",
     "Splats": "splats",
-    "create_context": "context",
-    "default_avatar": "avatar",
+    "create_context": "gl.context",
+    "default_avatar": "data",
     "load": "formats",
     "look_at": "camera",
     "pinhole": "camera",
     "save": "formats",
+    "similarity": "scene",
     "stereo_cameras": "camera",
     "straight": "pictures",
 }

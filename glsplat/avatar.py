@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from functools import lru_cache
-from importlib import resources
 from typing import Any
 
 from glsplat.errors import FormatError
@@ -13,7 +11,7 @@ from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.skin import Skin
 from glsplat.splats import Splats
 
-__all__ = ["Avatar", "default_avatar"]
+__all__ = ["Avatar"]
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -46,18 +44,3 @@ class Avatar:
 
     def __repr__(self) -> str:
         return f"Avatar({len(self.splats)} splats, {len(self.skeleton)} joints, {self.skin.influences} a splat)"
-
-
-@lru_cache(maxsize=1)
-def default_avatar() -> Avatar:
-    """The embedded person (about 40,000 splats, 55 SMPL-X joints; licence beside the file).
-
-    >>> glsplat.default_avatar().skeleton
-    Skeleton(55 joints: pelvis, left_hip, right_hip, ...)
-    """
-    from glsplat.formats.gltf import load_gltf  # here, because formats builds on this module
-
-    with resources.as_file(resources.files("glsplat.data") / "default_avatar.glb") as path:
-        scene = load_gltf(path)
-    assert isinstance(scene, Avatar)
-    return scene

@@ -40,7 +40,7 @@ class RenderConfig:
     influences: Literal[0, 1, 2, 4, 8] = 0  # joints a splat; 0 = as many as the avatar has
     sh_degree: int = 3  # evaluate at most this degree
     antialias: bool | None = None  # opacity compensation (Mip-Splatting's 2D filter); None: if the splats ask for it
-    cull_hidden: bool = False  # leave out splats that are seen from outside their visibility cone (skinning/cones.py)
+    cull_hidden: bool = False  # leave out splats that are seen from outside their visibility cone (making/cones.py)
     cull_margin: float = 0.0  # added to the smallest cosine of every cone: above 0 leaves out more
     eps2d: float = 0.3  # px^2 added to the diagonal of the projected covariance
     max_sigma: float = 3.33  # standard deviations at which a quad ends at the latest

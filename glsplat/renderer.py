@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, Literal, overload
+from typing import Any, Literal, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,26 +18,24 @@ from glsplat.arrays import own
 from glsplat.avatar import Avatar
 from glsplat.camera import Camera, passes_of, sorting_camera
 from glsplat.config import RenderConfig
-from glsplat.context import Context, create_context
 from glsplat.errors import ContextError, GlsplatError
+from glsplat.gl.context import Context, create_context
+from glsplat.gl.owner import Entry, abandon
 from glsplat.meshes import RiggedMesh
-from glsplat.owner import Entry, abandon
-from glsplat.passes.budget import Budget
-from glsplat.passes.pipeline import Pipeline
+from glsplat.passes.frame.budget import Budget
+from glsplat.passes.frame.pipeline import Pipeline
 from glsplat.passes.staged import Staged
 from glsplat.passes.stats import FrameStats, union
 from glsplat.passes.target import FORMATS, Target
 from glsplat.passes.target_pool import TargetPool
 from glsplat.passes.views import checked_views
+from glsplat.renderer_thread import RendererThread
 from glsplat.scene import Item, Scene
 from glsplat.shaders import Programs, Variant
 from glsplat.shaders.variant import MAX_VIEWS
 from glsplat.skinning.pose import Pose
 from glsplat.splats import Splats
 from glsplat.timing import StageTimer
-
-if TYPE_CHECKING:
-    from glsplat.renderer_thread import RendererThread
 
 __all__ = ["FrameStats", "Renderer"]
 
@@ -90,7 +88,9 @@ class Renderer:
             raise
 
     @classmethod
-    def run_in_thread(cls, scene: Scene | Item | Splats | Avatar | RiggedMesh, **options: Any) -> RendererThread:
+    def run_in_thread(
+        cls, scene: Scene | Item | Splats | Avatar | RiggedMesh, **options: Any
+    ) -> RendererThread[Renderer]:
         """A renderer on a thread of its own, with the options of ``Renderer()``: all threads may call it.
 
         ::
@@ -98,8 +98,6 @@ class Renderer:
             with Renderer.run_in_thread(avatar, size=(512, 512)) as renderer:
                 images = await asyncio.to_thread(renderer.render, [camera], pose)
         """
-        from glsplat.renderer_thread import RendererThread
-
         return RendererThread(cls, scene, options)
 
     @property

@@ -11,7 +11,7 @@ import pytest
 
 from glsplat.avatar import Avatar
 from glsplat.config import RenderConfig
-from glsplat.context import Context, create_context
+from glsplat.gl.context import Context, create_context
 from glsplat.renderer import Renderer
 from glsplat.splats import Splats
 

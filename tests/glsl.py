@@ -8,7 +8,7 @@ import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
-from glsplat.context import Context
+from glsplat.gl.context import Context
 from glsplat.shaders import SkinVariant, Variant, flatten, link
 
 

@@ -14,8 +14,8 @@ from glsplat import reference
 from glsplat.avatar import Avatar
 from glsplat.camera import Camera, look_at, pinhole, sorting_camera
 from glsplat.config import RenderConfig
-from glsplat.context import Context
 from glsplat.errors import ContextError, GlsplatError, PoseError
+from glsplat.gl.context import Context
 from glsplat.renderer import Renderer
 from glsplat.skinning.pose import Pose
 from glsplat.splats import Splats
@@ -332,7 +332,7 @@ def test_gpu_bytes_a_splat(renderer_of: Make) -> None:
 
 
 def test_a_pass_that_cannot_be_made_leaves_nothing(context: Context, monkeypatch: pytest.MonkeyPatch) -> None:
-    from glsplat.passes import pipeline
+    from glsplat.passes.frame import pipeline
 
     def fail(*_: object) -> None:
         raise ContextError("no more")

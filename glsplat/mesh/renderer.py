@@ -18,12 +18,12 @@ from numpy.typing import NDArray
 
 from glsplat.camera import Camera
 from glsplat.config import RenderConfig
-from glsplat.context import Context, create_context
 from glsplat.errors import ContextError, GlsplatError
+from glsplat.gl.context import Context, create_context
+from glsplat.gl.owner import abandon
 from glsplat.meshes import RiggedMesh
-from glsplat.owner import abandon
-from glsplat.passes.frame import FrameBlock
-from glsplat.passes.mesh_buffers import INFLUENCES, MeshBuffers
+from glsplat.passes.block import FrameBlock
+from glsplat.passes.item.mesh_buffers import INFLUENCES, MeshBuffers
 from glsplat.passes.views import checked_pose, checked_views
 from glsplat.shaders import MeshVariant, Programs, Variant
 from glsplat.shaders.slots import UNITS

@@ -17,8 +17,8 @@ from typing import Any
 
 from glsplat.errors import BudgetError, ContextError, ContextLostError, GlsplatError, PoseError
 from glsplat.net.backend import Backend, Interruptible, PoseSolver, Rendered
-from glsplat.net.blame import Blame
-from glsplat.net.encode import Encoded, Encoder
+from glsplat.net.codec.encode import Encoded, Encoder
+from glsplat.net.guard.blame import Blame
 from glsplat.net.messages import RenderRequest, eye_fields
 from glsplat.net.reply import pack_reply, pack_single
 from glsplat.net.session import Session

@@ -19,16 +19,16 @@ from typing import Any
 from aiohttp import WSMsgType, web
 
 from glsplat.errors import ProtocolError
-from glsplat.net.access import SUBPROTOCOL, Access, server_tls
 from glsplat.net.backend import Backend, PoseSolver
-from glsplat.net.door import Door, connection_of
-from glsplat.net.limits import Budget, Limits, Purse
-from glsplat.net.listener import bind
+from glsplat.net.guard.access import SUBPROTOCOL, Access, server_tls
+from glsplat.net.guard.door import Door, connection_of
+from glsplat.net.guard.limits import Budget, Limits, Purse
+from glsplat.net.guard.listener import bind
+from glsplat.net.guard.meter import POLICY_VIOLATION, Breach
+from glsplat.net.guard.reading import Reading
 from glsplat.net.messages import MAX_BYTES, Decoder, WireOptions
-from glsplat.net.meter import POLICY_VIOLATION, Breach
 from glsplat.net.options import client_options
 from glsplat.net.pump import Channel, FramePump
-from glsplat.net.reading import Reading
 from glsplat.net.session import GOING_AWAY, Close, Counts, Session, SessionConfig, Warn
 from glsplat.net.status import metrics_text, page_html
 from glsplat.skinning.skeleton import Skeleton

@@ -11,9 +11,9 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 from glsplat.errors import ProtocolError
-from glsplat.net.limits import Bucket
+from glsplat.net.guard.limits import Bucket
+from glsplat.net.guard.meter import POLICY_VIOLATION, Breach
 from glsplat.net.messages import MAX_ID, Ack, Decoder, RenderRequest, error_text
-from glsplat.net.meter import POLICY_VIOLATION, Breach
 
 __all__ = ["Close", "Counts", "Session", "SessionConfig", "Warn"]
 

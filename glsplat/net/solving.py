@@ -14,7 +14,7 @@ from threading import Lock
 from time import thread_time
 
 from glsplat.net.backend import PoseSolver, Solved
-from glsplat.net.limits import Bucket, Share
+from glsplat.net.guard.limits import Bucket, Share
 from glsplat.net.messages import RenderRequest
 
 __all__ = ["Solution", "Solving"]

@@ -14,9 +14,9 @@ import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
-from glsplat.context import Context
 from glsplat.errors import ContextError
-from glsplat.passes.items import NEAR, ROW, ItemBuffers, Placement, upload_rows, write_rows
+from glsplat.gl.context import Context
+from glsplat.passes.item.buffers import NEAR, ROW, ItemBuffers, Placement, upload_rows, write_rows
 from glsplat.shaders.slots import UNITS
 from glsplat.shaders.variant import COLOUR_TEXELS
 

@@ -8,8 +8,8 @@ import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
-from glsplat.context import Context
-from glsplat.owner import Entry, owner_of
+from glsplat.gl.context import Context
+from glsplat.gl.owner import Entry, owner_of
 from glsplat.passes.target import Target
 from glsplat.shaders import Variant, flatten, link
 

@@ -16,13 +16,13 @@ import numpy as np
 from glsplat.avatar import Avatar
 from glsplat.camera import Camera
 from glsplat.config import RenderConfig
-from glsplat.context import Context
 from glsplat.errors import ContextError, GlsplatError, PoseError
+from glsplat.gl.context import Context
 from glsplat.meshes import RiggedMesh
 from glsplat.passes.arena import Arena
-from glsplat.passes.ground import Ground, MeshItem
-from glsplat.passes.items import ItemBuffers, Placement
-from glsplat.passes.pipeline import Pipeline, view_state
+from glsplat.passes.frame.pipeline import Pipeline, view_state
+from glsplat.passes.item.buffers import ItemBuffers, Placement
+from glsplat.passes.item.ground import Ground, MeshItem
 from glsplat.passes.views import checked_pose
 from glsplat.scene import Item, Scene
 from glsplat.shaders import Programs, Variant, variant_for
@@ -218,7 +218,7 @@ class Staged:
         if config.cull_hidden and buffers and all(item.splats.cones is None for item in buffers):
             raise GlsplatError(
                 "cull_hidden needs splats with visibility cones, this scene has none; "
-                "make them (glsplat avatar cones, glsplat.skinning.cones.with_cones) or leave cull_hidden off"
+                "make them (glsplat avatar cones, glsplat.making.cones.with_cones) or leave cull_hidden off"
             )
         degree = min(max((item.splats.sh_degree for item in buffers), default=0), config.sh_degree)
         mixed = config.antialias is None and len({item.splats.antialias for item in buffers}) > 1

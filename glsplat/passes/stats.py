@@ -17,7 +17,7 @@ class FrameStats:
     culled: dict[str, int] = field(default_factory=dict)  # by reason
     sorted: bool = True  # False where the previous order still held
     covered: tuple[int, int, int, int] = (0, 0, 0, 0)  # x, y, width, height outside of which is only background
-    cost: int = 0  # covered pixels (passes/budget.py); counted only under a budget
+    cost: int = 0  # covered pixels (passes/frame/budget.py); counted only under a budget
 
 
 def union(a: tuple[int, int, int, int], b: tuple[int, int, int, int]) -> tuple[int, int, int, int]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import OrderedDict
 
-from glsplat.context import Context
+from glsplat.gl.context import Context
 from glsplat.passes.target import ByteTarget, Target
 
 __all__ = ["TargetPool"]

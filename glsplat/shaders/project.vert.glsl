@@ -1,5 +1,5 @@
 // Project pass, in sorted order: one record a splat with the footprints of all views, captured by transform feedback.
-// What the views share comes first. Layout twin: record_layout in passes/project.py.
+// What the views share comes first. Layout twin: record_layout in passes/frame/project.py.
 #include "frame.glsl"
 #include "extent.glsl"
 #include "covariance.glsl"

@@ -1,5 +1,5 @@
 // The record of an instance as attributes: one record serves all views (divisor = VIEWS), a view picks its part.
-// Layout twin: record_layout in passes/project.py.
+// Layout twin: record_layout in passes/frame/project.py.
 in vec2 centre0;
 in vec3 cholesky0;
 #if VIEWS > 1

@@ -12,10 +12,10 @@ from typing import Any
 from glsplat.errors import FormatError, PoseError
 from glsplat.formats.files import replace_file
 from glsplat.skinning.skeleton import Skeleton
-from glsplat.tracking.body import HEAD_FRAME, Body
-from glsplat.tracking.heading import head_pitch
-from glsplat.tracking.quat import conj, length, mul, normalized, sub
 from glsplat.tracking.sample import Sample
+from glsplat.tracking.solve.body import HEAD_FRAME, Body
+from glsplat.tracking.solve.heading import head_pitch
+from glsplat.tracking.solve.quat import conj, length, mul, normalized, sub
 
 __all__ = ["Calibration", "calibrate"]
 

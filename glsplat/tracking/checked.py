@@ -7,10 +7,10 @@ from math import isfinite, sqrt
 from typing import Any
 
 from glsplat.errors import PoseError
-from glsplat.tracking.body import PELVIS
-from glsplat.tracking.limits import clamp_joint
-from glsplat.tracking.quat import IDENTITY, Quat, Vec
-from glsplat.tracking.solver import Solution
+from glsplat.tracking.solve.body import PELVIS
+from glsplat.tracking.solve.limits import clamp_joint
+from glsplat.tracking.solve.quat import IDENTITY, Quat, Vec
+from glsplat.tracking.solve.solver import Solution
 
 __all__ = ["checked", "finite", "standing", "still"]
 

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from glsplat.errors import PoseError
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.tracking.batch import forward_all, quats_from_matrices, resample
-from glsplat.tracking.body import HAND_FRAMES, HEAD, WRISTS, Body
 from glsplat.tracking.sample import Sample, Transform
+from glsplat.tracking.solve.body import HAND_FRAMES, HEAD, WRISTS, Body
 
 __all__ = ["Disturbance", "Truth", "derive", "disturb", "truth_from_motion"]
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import acos, exp, pi, sqrt
 
-from glsplat.tracking.quat import Quat, Vec, clamp, mul, nlerp, to_quat
+from glsplat.tracking.solve.quat import Quat, Vec, clamp, mul, nlerp, to_quat
 
 __all__ = ["OneEuro", "PositionFilter", "RotationFilter"]
 

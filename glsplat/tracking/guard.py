@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from math import acos, cos, sqrt
 
-from glsplat.tracking.body import ANKLES, FEET, HIPS, KNEES, PELVIS, Body
-from glsplat.tracking.limits import clamp_joint
-from glsplat.tracking.quat import IDENTITY, Quat, Vec, add, mul, nlerp, pull, rotate, slerp
-from glsplat.tracking.solver import Solution
+from glsplat.tracking.solve.body import ANKLES, FEET, HIPS, KNEES, PELVIS, Body
+from glsplat.tracking.solve.limits import clamp_joint
+from glsplat.tracking.solve.quat import IDENTITY, Quat, Vec, add, mul, nlerp, pull, rotate, slerp
+from glsplat.tracking.solve.solver import Solution
 
 __all__ = ["Guard"]
 

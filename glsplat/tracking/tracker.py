@@ -14,15 +14,15 @@ from numpy.typing import NDArray
 from glsplat.errors import PoseError
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.skeleton import Skeleton
-from glsplat.tracking.body import HAND_FRAMES, HEAD_FRAME, Body
 from glsplat.tracking.calibration import Calibration
 from glsplat.tracking.checked import checked, finite, standing, still
 from glsplat.tracking.filters import OneEuro, PositionFilter, RotationFilter
-from glsplat.tracking.fingers import Fingers
 from glsplat.tracking.guard import Guard
-from glsplat.tracking.quat import IDENTITY, Quat, Vec, conj, mul, rotation_vector, to_quat
 from glsplat.tracking.sample import Sample, Transform
-from glsplat.tracking.solver import AnalyticSolver, Solution, Solver, Targets
+from glsplat.tracking.solve.body import HAND_FRAMES, HEAD_FRAME, Body
+from glsplat.tracking.solve.fingers import Fingers
+from glsplat.tracking.solve.quat import IDENTITY, Quat, Vec, conj, mul, rotation_vector, to_quat
+from glsplat.tracking.solve.solver import AnalyticSolver, Solution, Solver, Targets
 
 __all__ = ["Tracker", "TrackerConfig"]
 

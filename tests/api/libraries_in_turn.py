@@ -12,7 +12,7 @@ from typing import Any
 import moderngl
 import numpy as np
 
-from glsplat.context import Context, create_context
+from glsplat.gl.context import Context, create_context
 from tests.api.current_context import asked
 from tests.api.variants import KINDS
 

@@ -16,9 +16,9 @@ import numpy as np
 import pytest
 
 from apps.serve import TrackingSolver, make_server
-from glsplat.avatar import default_avatar
 from glsplat.camera import Camera, head_matrix, look_at, pinhole, stereo_cameras
 from glsplat.config import RenderConfig
+from glsplat.data import default_avatar
 from glsplat.errors import GlsplatError, ProtocolError
 from glsplat.net.client import Client
 from glsplat.net.messages import Ack, Decoder, WireOptions, eye_fields

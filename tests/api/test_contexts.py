@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from glsplat.context import Context, create_context
 from glsplat.errors import ContextError, GlsplatError, PoseError
+from glsplat.gl.context import Context, create_context
 from glsplat.renderer import Renderer
 from tests.api.current_context import asked, nothing_current
 from tests.api.variants import BACK, KINDS, SIZE, VIEWS, Kind, bent, splats

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 import glsplat
 from glsplat.camera import Camera, look_at
-from glsplat.context import create_context
+from glsplat.gl.context import create_context
 from glsplat.renderer import Renderer
 from tests.api.current_context import asked, nothing_current
 from tests.api.variants import KINDS, SIZE, VIEWS, Kind, bent, splats

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from glsplat.context import create_context
+from glsplat.gl.context import create_context
 from glsplat.passes.present import Present
 from glsplat.renderer import Renderer
 from tests.api.current_context import GL, nothing_current

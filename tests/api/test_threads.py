@@ -17,8 +17,8 @@ import numpy as np
 import pytest
 
 from glsplat.config import RenderConfig
-from glsplat.context import create_context
 from glsplat.errors import ContextError, GlsplatError, PoseError
+from glsplat.gl.context import create_context
 from glsplat.mesh import MeshRenderer
 from glsplat.renderer import Renderer
 from tests.api.current_context import GL, asked, nothing_current

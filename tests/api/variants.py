@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 from glsplat.camera import Camera, look_at, pinhole
 from glsplat.config import RenderConfig
-from glsplat.context import Context
+from glsplat.gl.context import Context
+from glsplat.making.people import MeshPart, RiggedMesh
 from glsplat.mesh import MeshConfig, MeshRenderer
 from glsplat.renderer import Renderer
-from glsplat.skinning.people import MeshPart, RiggedMesh
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.splats import Splats

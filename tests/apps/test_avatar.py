@@ -8,9 +8,10 @@ import glsplat_apps.cli as cli
 import numpy as np
 import pytest
 
-from glsplat.avatar import Avatar, default_avatar
+from glsplat.avatar import Avatar
+from glsplat.data import default_avatar
 from glsplat.formats import load
-from glsplat.skinning.surface import SamplerConfig
+from glsplat.making.surface import SamplerConfig
 
 DATA = Path(cli.__file__).parents[1] / "glsplat" / "data"
 

@@ -8,14 +8,14 @@ import cv2
 import glsplat_apps.cli as cli
 import numpy as np
 import pytest
-from glsplat_apps.avatar_poses import SCORE_POSES, score_pose
-from glsplat_apps.avatar_score import DISTANCE, FILL, camera_around, compare, score
 
-from glsplat.avatar import default_avatar
 from glsplat.config import RenderConfig
+from glsplat.data import default_avatar
+from glsplat.evaluate.avatar_poses import SCORE_POSES, score_pose
+from glsplat.evaluate.avatar_score import DISTANCE, FILL, camera_around, compare, score
+from glsplat.making.people import read_person
 from glsplat.mesh import MeshConfig, MeshRenderer
 from glsplat.renderer import Renderer
-from glsplat.skinning.people import read_person
 from glsplat.skinning.skeleton import rotation_matrices
 
 WHOLE = (slice(None), slice(None))

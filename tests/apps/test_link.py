@@ -9,7 +9,7 @@ import time
 import numpy as np
 import pytest
 
-from apps.link import Link, link, over
+from apps.replay.link import Link, link, over
 from glsplat.errors import GlsplatError
 
 

@@ -9,9 +9,9 @@ import cv2
 import numpy as np
 import pytest
 
-from apps import replay
-from apps.stage_table import table_markdown
-from apps.streaming import POLICIES, STAGES, Result, observer
+from apps.replay import command as replay
+from apps.replay.stage_table import table_markdown
+from apps.replay.streaming import POLICIES, STAGES, Result, observer
 from glsplat.errors import GlsplatError
 
 

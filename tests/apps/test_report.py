@@ -13,20 +13,25 @@ from typing import Any
 import numpy as np
 import pytest
 
-from apps import report, report_growth, report_latency, report_stability, report_stability_tracking, report_subjects
 from apps.cli import main
-from apps.report_batching import PAPER, batching
-from apps.report_growth import Grid
-from apps.report_knobs import settings_of
-from apps.report_left_out import features_of, left_out, unmoved
-from apps.report_stability import Case, Outcome, camera, frame_cases, judge, picture_case
-from apps.report_stability_skin import skin_cases
-from apps.report_stability_tracking import tracking_cases
-from apps.report_subjects import Subject
-from apps.streaming import STAGES
-from glsplat.context import Context
+from apps.replay.streaming import STAGES
+from apps.report import command as report
+from apps.report import growth as report_growth
+from apps.report import latency as report_latency
+from apps.report import stability as report_stability
+from apps.report import stability_tracking as report_stability_tracking
+from apps.report import subjects as report_subjects
+from apps.report.batching import PAPER, batching
+from apps.report.growth import Grid
+from apps.report.knobs import settings_of
+from apps.report.left_out import features_of, left_out, unmoved
+from apps.report.stability import Case, Outcome, camera, frame_cases, judge, picture_case
+from apps.report.stability_skin import skin_cases
+from apps.report.stability_tracking import tracking_cases
+from apps.report.subjects import Subject
 from glsplat.errors import GlsplatError
 from glsplat.formats import save
+from glsplat.gl.context import Context
 from glsplat.skinning.pose import Pose
 from glsplat.tracking import Sample
 from tests.scenes import cloud, limb, one_splat

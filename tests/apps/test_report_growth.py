@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from apps import report_growth
-from apps.report_agreement import agreement
-from apps.report_growth import Grid, fitted, grid_of, growth, growth_cost, resampled
-from apps.report_knobs import base_config, settings_of
-from apps.report_measure import measure
-from apps.report_subjects import Subject
-from glsplat.context import Context
+from apps.report import growth as report_growth
+from apps.report.agreement import agreement
+from apps.report.growth import Grid, fitted, grid_of, growth, growth_cost, resampled
+from apps.report.knobs import base_config, settings_of
+from apps.report.measure import measure
+from apps.report.subjects import Subject
+from glsplat.gl.context import Context
 from tests.scenes import limb
 
 pytest.importorskip("flip_evaluator")

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from apps.report_hidden import Search, hidden, hidden_cost, with_hidden
-from apps.report_knobs import base_config, settings_of
-from apps.report_subjects import Subject
-from glsplat.context import Context
+from apps.report.hidden import Search, hidden, hidden_cost, with_hidden
+from apps.report.knobs import base_config, settings_of
+from apps.report.subjects import Subject
+from glsplat.gl.context import Context
 from glsplat.splats import Splats
 from tests.scenes import camera, cloud
 

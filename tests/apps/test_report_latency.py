@@ -7,8 +7,8 @@ import multiprocessing
 
 import pytest
 
-from apps import report_latency
-from apps.streaming import STAGES
+from apps.replay.streaming import STAGES
+from apps.report import latency as report_latency
 
 
 @pytest.mark.gl

@@ -6,7 +6,7 @@ from itertools import combinations
 
 import numpy as np
 import pytest
-from glsplat_apps import report_plots
+from glsplat_apps.report import plots as report_plots
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.text import Text
 

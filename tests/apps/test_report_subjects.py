@@ -8,17 +8,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from apps.report_knobs import Drawn, Setting, base_config, error_frames, settings_of
-from apps.report_levels import cells, merged
-from apps.report_measure import measure
-from apps.report_subjects import Subject, cameras_for, check_cameras, dense_person, subjects_of
+from apps.report.knobs import Drawn, Setting, base_config, error_frames, settings_of
+from apps.report.levels import cells, merged
+from apps.report.measure import measure
+from apps.report.subjects import Subject, cameras_for, check_cameras, dense_person, subjects_of
 from glsplat import reference
 from glsplat.avatar import Avatar
 from glsplat.config import RenderConfig
-from glsplat.context import Context
 from glsplat.errors import FormatError
 from glsplat.formats import load, save
-from glsplat.skinning.surface import SamplerConfig
+from glsplat.gl.context import Context
+from glsplat.making.surface import SamplerConfig
 from glsplat.splats import Splats
 from tests.scenes import camera, cloud, limb
 

@@ -23,12 +23,12 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from apps import cli, serve
-from glsplat.avatar import default_avatar
 from glsplat.camera import head_matrix, stereo_cameras
+from glsplat.data import default_avatar
 from glsplat.errors import GlsplatError, PoseError, ProtocolError
 from glsplat.net.client import Client
-from glsplat.net.encode import encode_picture
-from glsplat.net.limits import Limits
+from glsplat.net.codec.encode import encode_picture
+from glsplat.net.guard.limits import Limits
 from glsplat.net.messages import Decoder, RenderRequest, eye_fields
 from glsplat.net.reply import decode_picture
 from glsplat.net.server import Server, ServerConfig

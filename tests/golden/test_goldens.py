@@ -17,8 +17,9 @@ import cv2
 import numpy as np
 import pytest
 
-from glsplat.avatar import Avatar, default_avatar
+from glsplat.avatar import Avatar
 from glsplat.camera import Camera, look_at, pinhole, stereo_cameras
+from glsplat.data import default_avatar
 from glsplat.renderer import Renderer
 from glsplat.skinning.pose import Pose
 from glsplat.splats import Splats

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from glsplat import reference
-from glsplat.avatar import default_avatar
 from glsplat.camera import sorting_camera, stereo_cameras
+from glsplat.data import default_avatar
+from glsplat.motion.motion import load_motion
 from glsplat.renderer import Renderer
-from glsplat.skinning.motion import load_motion
 from tests.compare import assert_contract
 
 pytestmark = pytest.mark.gl

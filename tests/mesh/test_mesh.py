@@ -11,15 +11,15 @@ import numpy as np
 import pytest
 from numpy.typing import ArrayLike, NDArray
 
-from glsplat.avatar import default_avatar
 from glsplat.camera import Camera, look_at, pinhole, stereo_cameras
-from glsplat.context import Context
+from glsplat.data import default_avatar
 from glsplat.errors import ContextError, GlsplatError, PoseError
+from glsplat.gl.context import Context
+from glsplat.making.people import read_person
 from glsplat.mesh import MeshConfig, MeshRenderer
 from glsplat.meshes import MeshPart, RiggedMesh
-from glsplat.passes.mesh_buffers import corners
+from glsplat.passes.item.mesh_buffers import corners
 from glsplat.renderer import Renderer
-from glsplat.skinning.people import read_person
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.splats import Splats

@@ -16,7 +16,7 @@ import pytest
 import simplejpeg
 
 from apps.serve import make_server
-from glsplat.avatar import default_avatar
+from glsplat.data import default_avatar
 from glsplat.net.messages import WireOptions
 from glsplat.net.server import ServerConfig
 

@@ -14,10 +14,10 @@ import pytest
 
 from glsplat.camera import Camera
 from glsplat.errors import ContextError, ContextLostError, GlsplatError, PoseError, ProtocolError
-from glsplat.net import process, slots
+from glsplat.net.backends import process, slots
+from glsplat.net.backends.process import ProcessBackend
 from glsplat.net.client import Client
 from glsplat.net.messages import RenderRequest
-from glsplat.net.process import ProcessBackend
 from glsplat.net.server import ServerConfig
 from tests.net.backends import Boxed
 

@@ -12,8 +12,9 @@ import numpy as np
 import simplejpeg
 
 from apps.serve import HELP
-from glsplat.net import messages, options, pump, reading, server, session
-from glsplat.net.limits import Limits
+from glsplat.net import messages, options, pump, server, session
+from glsplat.net.guard import reading
+from glsplat.net.guard.limits import Limits
 from glsplat.net.messages import Decoder
 from glsplat.net.server import ServerConfig
 from glsplat.net.session import SessionConfig

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from glsplat.errors import ContextError, GlsplatError, ProtocolError
-from glsplat.net.access import Access
 from glsplat.net.backend import Solved
 from glsplat.net.client import Client
+from glsplat.net.guard.access import Access
 from glsplat.net.messages import WireOptions
 from glsplat.net.server import Server, ServerConfig
 from glsplat.skinning.pose import Pose

@@ -13,9 +13,9 @@ import pytest
 
 from glsplat.camera import Camera
 from glsplat.errors import ContextError, GlsplatError
-from glsplat.net import slots
+from glsplat.net.backends import slots
+from glsplat.net.backends.process import ProcessBackend
 from glsplat.net.messages import RenderRequest
-from glsplat.net.process import ProcessBackend
 from tests.net.backends import Boxed
 
 MIB = 2**20

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import pytest
 
-from glsplat.net.blame import Blame
+from glsplat.net.guard.blame import Blame
 from glsplat.net.turns import Turns
 
 

@@ -7,7 +7,7 @@ import json
 import struct
 
 from glsplat.net.client import Client
-from glsplat.net.limits import Limits
+from glsplat.net.guard.limits import Limits
 
 EYE = {"viewmat": [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 2, 0, 0, 0, 1], "K": [50, 50, 32, 32]}
 UNLIMITED = Limits(

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from glsplat.context import Context
-from glsplat.passes.gpu_sort import GpuSorter
-from glsplat.passes.sort import FIRST_CULLED, count_culled, covered_box, sorted_indices
+from glsplat.gl.context import Context
+from glsplat.passes.frame.gpu_sort import GpuSorter
+from glsplat.passes.frame.sort import FIRST_CULLED, count_culled, covered_box, sorted_indices
 from glsplat.shaders import Programs
 
 

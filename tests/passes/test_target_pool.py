@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import moderngl
 import pytest
 
-from glsplat.context import Context
+from glsplat.gl.context import Context
 from glsplat.passes import target_pool
 from glsplat.passes.target_pool import SIZES, TargetPool
 

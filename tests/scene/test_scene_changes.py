@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from glsplat.config import RenderConfig
-from glsplat.context import Context
 from glsplat.errors import ContextError, GlsplatError, PoseError
+from glsplat.gl.context import Context
 from glsplat.passes import staged
 from glsplat.renderer import Renderer
 from glsplat.scene import Item, Scene, similarity

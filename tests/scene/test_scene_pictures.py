@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from glsplat.avatar import default_avatar
 from glsplat.camera import Camera, stereo_cameras
 from glsplat.config import RenderConfig
+from glsplat.data import default_avatar
 from glsplat.formats import load
 from glsplat.renderer import Renderer
 from glsplat.scene import Item, Scene, similarity

@@ -11,10 +11,10 @@ from glsplat import reference
 from glsplat.avatar import Avatar
 from glsplat.camera import Camera
 from glsplat.config import RenderConfig
+from glsplat.making.raster import mesh_picture_and_depth
 from glsplat.meshes import MeshPart, RiggedMesh
 from glsplat.scene import Item, Scene
 from glsplat.skinning.pose import Pose
-from glsplat.skinning.raster import mesh_picture_and_depth
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.splats import Splats
 

@@ -10,9 +10,9 @@ import pytest
 from glsplat import reference
 from glsplat.camera import Camera, look_at
 from glsplat.config import RenderConfig
-from glsplat.context import Context
-from glsplat.passes.frame import FrameBlock, frame_dtype
-from glsplat.passes.items import ROW
+from glsplat.gl.context import Context
+from glsplat.passes.block import FrameBlock, frame_dtype
+from glsplat.passes.item.buffers import ROW
 from glsplat.shaders import Variant
 from glsplat.shaders.variant import COLOUR_TEXELS
 from glsplat.skinning.skeleton import rotation_matrices

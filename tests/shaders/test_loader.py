@@ -10,10 +10,10 @@ import moderngl
 import pytest
 
 from glsplat.config import RenderConfig
-from glsplat.context import Context
 from glsplat.errors import ShaderError
-from glsplat.passes.frame import frame_dtype
-from glsplat.passes.project import record_layout
+from glsplat.gl.context import Context
+from glsplat.passes.block import frame_dtype
+from glsplat.passes.frame.project import record_layout
 from glsplat.shaders import Programs, Variant, flatten, link
 from glsplat.shaders.slots import UNITS
 from glsplat.shaders.variant import MeshVariant, SkinVariant, variant_for

@@ -12,7 +12,8 @@ from numpy.typing import ArrayLike
 
 from glsplat import reference
 from glsplat.arrays import restored
-from glsplat.avatar import Avatar, default_avatar
+from glsplat.avatar import Avatar
+from glsplat.data import default_avatar
 from glsplat.errors import FormatError, PoseError
 from glsplat.renderer import Renderer
 from glsplat.skinning.pose import Pose

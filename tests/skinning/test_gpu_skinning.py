@@ -9,12 +9,13 @@ import numpy as np
 import pytest
 
 from glsplat import reference
-from glsplat.avatar import Avatar, default_avatar
+from glsplat.avatar import Avatar
 from glsplat.camera import Camera, look_at, pinhole, stereo_cameras
+from glsplat.data import default_avatar
 from glsplat.errors import GlsplatError
+from glsplat.making.people import read_person
+from glsplat.motion.motion import embedded_motions, load_motion
 from glsplat.renderer import Renderer
-from glsplat.skinning.motion import embedded_motions, load_motion
-from glsplat.skinning.people import read_person
 from glsplat.skinning.pose import Pose
 from tests.compare import assert_contract
 from tests.scenes import cloud, limb

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from glsplat.avatar import default_avatar
+from glsplat.data import default_avatar
 from glsplat.skinning.skeleton import Skeleton
-from glsplat.tracking.body import Body
+from glsplat.tracking.solve.body import Body
 from tests.tracking.moves import Stage, Track, run
 
 

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from glsplat.skinning.skeleton import Skeleton, rotation_matrices
 from glsplat.tracking import Sample, Tracker
-from glsplat.tracking.body import HAND_FRAMES, HEAD_FRAME, Body
-from glsplat.tracking.limits import violation
-from glsplat.tracking.quat import Quat, mul, to_quat, yaw_quat
+from glsplat.tracking.solve.body import HAND_FRAMES, HEAD_FRAME, Body
+from glsplat.tracking.solve.limits import violation
+from glsplat.tracking.solve.quat import Quat, mul, to_quat, yaw_quat
 
 Vec = tuple[float, float, float]
 DT = 1 / 72

@@ -7,13 +7,13 @@ import math
 import numpy as np
 import pytest
 
-from glsplat.skinning.motion import load_motion
+from glsplat.evaluate.tracking_score import score
+from glsplat.motion.motion import load_motion
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.tracking import Sample, Solution, Targets, Tracker, TrackerConfig
-from glsplat.tracking.body import ELBOWS, FEET, HEAD, KNEES, SHOULDERS, WRISTS, Body
 from glsplat.tracking.derive import derive, truth_from_motion
-from glsplat.tracking.quat import IDENTITY
-from glsplat.tracking.score import score
+from glsplat.tracking.solve.body import ELBOWS, FEET, HEAD, KNEES, SHOULDERS, WRISTS, Body
+from glsplat.tracking.solve.quat import IDENTITY
 from tests.tracking.moves import DT, Run, Stage, Track, hand_turn, head_turn, seconds
 
 

@@ -9,7 +9,7 @@ import pytest
 from glsplat.errors import FormatError, PoseError
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.tracking import Calibration, Sample, Tracker, calibrate
-from glsplat.tracking.body import WRISTS, Body
+from glsplat.tracking.solve.body import WRISTS, Body
 from tests.tracking.moves import Stage, head_turn, seconds
 
 

@@ -11,7 +11,7 @@ import pytest
 
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.tracking import Sample, TrackerConfig
-from glsplat.tracking.body import ANKLES, FEET, Body
+from glsplat.tracking.solve.body import ANKLES, FEET, Body
 from tests.tracking.moves import DECLARED, Run, Stage, Track, hand_turn, head_turn
 
 SPEEDS = (0.0, 0.0, 0.3, 1.3, 1.3, 3.5)  # m/s that a stroller changes between
@@ -135,7 +135,7 @@ def test_a_slow_walk_backwards_does_not_lean_back(stage: Stage, track: Track) ->
 def test_feet_of_any_solver_stay_on_the_floor(stage: Stage, skeleton: Skeleton, track: Track) -> None:
     """A plugged-in solver without any sense of the floor."""
     from glsplat.tracking import Solution, Targets
-    from glsplat.tracking.quat import IDENTITY
+    from glsplat.tracking.solve.quat import IDENTITY
 
     class Sinking:
         def reset(self) -> None:

@@ -5,12 +5,12 @@ import pytest
 
 from glsplat.camera import head_matrix
 from glsplat.errors import PoseError
-from glsplat.skinning.motion import load_motion
+from glsplat.evaluate.baseline import baseline
+from glsplat.evaluate.tracking_score import mean_score, score
+from glsplat.motion.motion import load_motion
 from glsplat.skinning.skeleton import Skeleton
-from glsplat.tracking.baseline import baseline
-from glsplat.tracking.body import Body
 from glsplat.tracking.derive import Disturbance, Truth, derive, disturb, truth_from_motion
-from glsplat.tracking.score import mean_score, score
+from glsplat.tracking.solve.body import Body
 
 
 @pytest.fixture(scope="module")

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from glsplat.tracking import Calibration, Sample, Tracker
-from glsplat.tracking.body import ANKLES, ELBOWS, FEET, HEAD, SHOULDERS, WRISTS
+from glsplat.tracking.solve.body import ANKLES, ELBOWS, FEET, HEAD, SHOULDERS, WRISTS
 from tests.tracking.moves import DT, Run, Stage, Track, hand_turn, head_turn, seconds
 
 NAN = math.nan
@@ -161,7 +161,7 @@ _SIDES = (("left", 1), ("right", -1))
 
 
 def _turned(xyzw: tuple[float, ...], yaw: float) -> tuple[float, ...]:
-    from glsplat.tracking.quat import mul, yaw_quat
+    from glsplat.tracking.solve.quat import mul, yaw_quat
 
     w, x, y, z = mul(yaw_quat(yaw), (xyzw[3], xyzw[0], xyzw[1], xyzw[2]))
     return (x, y, z, w)

@@ -6,8 +6,8 @@ import pytest
 from glsplat.skinning.skeleton import Skeleton, rotation_matrices
 from glsplat.tracking import Sample, Tracker, TrackerConfig
 from glsplat.tracking.batch import forward_all
-from glsplat.tracking.body import Body
 from glsplat.tracking.derive import Truth, derive
+from glsplat.tracking.solve.body import Body
 from tests.tracking.moves import Stage
 
 HANDS = {"left": slice(25, 40), "right": slice(40, 55)}

@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from glsplat.tracking.body import ANKLES, ELBOWS, HIPS, KNEES, SHOULDERS, WRISTS
-from glsplat.tracking.limits import clamp_joint, violation
-from glsplat.tracking.quat import mul, rotate, to_quat
+from glsplat.tracking.solve.body import ANKLES, ELBOWS, HIPS, KNEES, SHOULDERS, WRISTS
+from glsplat.tracking.solve.limits import clamp_joint, violation
+from glsplat.tracking.solve.quat import mul, rotate, to_quat
 
 D = math.pi / 180
 

@@ -13,12 +13,12 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from glsplat.avatar import default_avatar
+from glsplat.data import default_avatar
 from glsplat.errors import PoseError
 from glsplat.skinning.skeleton import rotation_matrices
-from glsplat.tracking.body import Body
 from glsplat.tracking.sample import Sample
-from glsplat.tracking.solver import AnalyticSolver, Solution
+from glsplat.tracking.solve.body import Body
+from glsplat.tracking.solve.solver import AnalyticSolver, Solution
 from glsplat.tracking.tracker import Tracker, TrackerConfig
 
 NAN, INF = math.nan, math.inf

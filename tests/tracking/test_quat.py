@@ -7,8 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from glsplat.skinning.skeleton import rotation_matrices
-from glsplat.tracking import quat
 from glsplat.tracking.batch import axis_angles, quats_from_matrices, resample
+from glsplat.tracking.solve import quat
 
 vectors = st.tuples(*[st.floats(-3.0, 3.0) for _ in range(3)])
 

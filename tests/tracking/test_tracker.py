@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from glsplat.avatar import default_avatar
+from glsplat.data import default_avatar
 from glsplat.errors import FormatError, PoseError
 from glsplat.skinning.skeleton import rotation_matrices
 from glsplat.tracking.calibration import Calibration

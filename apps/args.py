@@ -1,0 +1,125 @@
+"""What several commands share on their command lines: the scene, the view and the picture's size."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+
+from glsplat.avatar import Avatar
+from glsplat.data import default_avatar
+from glsplat.errors import FormatError
+from glsplat.formats import load
+from glsplat.motion.motion import Motion, embedded_motions, load_motion
+from glsplat.skinning.skeleton import Skeleton
+from glsplat.splats import Splats
+
+from .usage import UsageError
+
+__all__ = [
+    "add_scene",
+    "colour",
+    "degrees",
+    "load_scene",
+    "motion_of",
+    "natural",
+    "not_negative",
+    "point",
+    "positive",
+    "size",
+]
+
+
+def add_scene(parser: argparse.ArgumentParser) -> None:
+    """The positional SCENE and --strict."""
+    parser.add_argument("scene", nargs="?", metavar="SCENE", help="PLY, .splat or glTF; default: the embedded avatar")
+    parser.add_argument("--strict", action="store_true", help="refuse files with NaN or infinity instead of skipping")
+
+
+def load_scene(args: argparse.Namespace) -> Splats | Avatar:
+    """The scene the arguments name, or the default avatar."""
+    if args.scene is None:
+        return default_avatar()
+    if not Path(args.scene).exists():
+        raise FormatError(f"{args.scene}: no such file; give a PLY, .splat or glTF, or nothing for the default avatar")
+    return load(args.scene, strict=getattr(args, "strict", False))
+
+
+def motion_of(name: str, skeleton: Skeleton, option: str = "--motion") -> Motion:
+    """The motion an option names: a file or an embedded one. Raises UsageError where there is neither."""
+    if not Path(name).exists() and name not in embedded_motions():
+        known = ", ".join(embedded_motions()) or "none"
+        raise UsageError(f"{option} {name}: no such file and no such motion; embedded are {known}")
+    return load_motion(name, skeleton)
+
+
+def size(text: str) -> tuple[int, int]:
+    """argparse type: WxH, or one number for a square."""
+    try:
+        parts = [int(part) for part in text.lower().split("x")]
+        width, height = parts * 2 if len(parts) == 1 else parts
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"a size is WxH, for example 1024x1024, not {text!r}") from None
+    if width < 1 or height < 1:
+        raise argparse.ArgumentTypeError(f"a size is at least 1x1, not {text!r}")
+    return width, height
+
+
+def positive(text: str) -> float:
+    """argparse type: a finite number above zero."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = np.nan
+    if not 0 < value < np.inf:
+        raise argparse.ArgumentTypeError(f"a finite number above 0 is needed, not {text!r}")
+    return value
+
+
+def not_negative(text: str) -> float:
+    """argparse type: a finite number, zero or above."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = np.nan
+    if not 0 <= value < np.inf:
+        raise argparse.ArgumentTypeError(f"a finite number of at least 0 is needed, not {text!r}")
+    return value
+
+
+def natural(text: str) -> int:
+    """argparse type: a whole number, zero or above."""
+    if not text.isdecimal():
+        raise argparse.ArgumentTypeError(f"a whole number of at least 0 is needed, not {text!r}")
+    return int(text)
+
+
+def degrees(text: str) -> float:
+    """argparse type: a field of view between 0 and 180 degrees."""
+    value = positive(text)
+    if value >= 180:
+        raise argparse.ArgumentTypeError(f"a field of view lies between 0 and 180 degrees, not {text!r}")
+    return value
+
+
+def point(text: str) -> tuple[float, float, float]:
+    """argparse type: x,y,z in metres."""
+    try:
+        x, y, z = (float(part) for part in text.split(","))
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"a point is x,y,z, for example 0,1,3, not {text!r}") from None
+    if not np.isfinite((x, y, z)).all():
+        raise argparse.ArgumentTypeError(f"a point is three finite numbers, not {text!r}")
+    return x, y, z
+
+
+def colour(text: str) -> tuple[float, float, float]:
+    """argparse type: red,green,blue from 0 to 1."""
+    try:
+        red, green, blue = (float(part) for part in text.split(","))
+    except ValueError:
+        red = green = blue = np.nan
+    if not (0 <= red <= 1 and 0 <= green <= 1 and 0 <= blue <= 1):
+        raise argparse.ArgumentTypeError(f"a colour is R,G,B from 0 to 1, for example 0.2,0.2,0.2, not {text!r}")
+    return red, green, blue

@@ -1,0 +1,267 @@
+"""``glsplat avatar``: make, import and export avatars."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from tqdm import tqdm
+
+from glsplat.avatar import Avatar
+from glsplat.data import default_avatar
+from glsplat.errors import FormatError, GlsplatError
+from glsplat.evaluate import avatar_score
+from glsplat.formats import load, save
+from glsplat.formats.files import replace_file
+from glsplat.making.cones import ConeConfig, with_cones
+from glsplat.making.importers import bind_to_mesh, load_lhm_dump, marked_no_rotate
+from glsplat.making.lam import is_lam_zip, load_lam_zip
+from glsplat.making.people import read_person
+from glsplat.making.posed import posed_splats
+from glsplat.making.refine import RefineConfig, refine
+from glsplat.making.rigged_gltf import read_gltf_person
+from glsplat.making.scans import read_body, read_obj_person
+from glsplat.making.surface import make_avatar
+from glsplat.meshes import RiggedMesh
+from glsplat.motion.library import library, to_json
+from glsplat.skinning.pose import Pose, load_pose
+from glsplat.skinning.smplx import JOINT_NAMES
+
+from ..args import motion_of
+from ..usage import UsageError
+
+HELP = "Make avatars from rigged people, import, export and score them, find hidden splats, write the embedded motions."
+EXAMPLE = "glsplat avatar make person.npz -o me.glb --splats 40000"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The subcommands and their options."""
+    commands = parser.add_subparsers(dest="action", required=True, metavar="ACTION")
+    make = commands.add_parser("make", help="a rigged, textured person (.npz, .glb) to a Gaussian avatar")
+    make.add_argument(
+        "person", type=Path, help="rigged, textured mesh: person archive (.npz), .glb, .gltf, or .obj with --body"
+    )
+    make.add_argument("--body", type=Path, help="rigged body (.npz) that lends joints and weights to an .obj in T-pose")
+    make.add_argument("--splats", type=int, default=40_000, help="number of Gaussians (default 40000)")
+    make.add_argument("--seed", type=int, default=0, help="same seed, same bytes (default 0)")
+    make.add_argument(
+        "--steps",
+        type=int,
+        default=RefineConfig().steps,
+        help="fitting steps of 1 to 2 s (default %(default)d); 0: none",
+    )
+    make.add_argument("--no-cones", action="store_true", help="make no visibility cones (--cull-hidden needs them)")
+
+    cones = commands.add_parser("cones", help="find out which splats are hidden from where, for --cull-hidden")
+    cones.add_argument("scene", type=Path, help="avatar or static splats")
+    cones.add_argument("-o", "--out", type=Path, required=True, help="file to write (.glb, .gltf)")
+    cones.add_argument(
+        "--psnr", type=float, default=ConeConfig().psnr, help="dB that test pictures keep (default %(default)g)"
+    )
+    cones.add_argument(
+        "--directions", type=int, default=ConeConfig().directions, help="views a pose (default %(default)d)"
+    )
+
+    taken = commands.add_parser("import", help="an LHM dump (.npz), a LAM zip, or splats bound to a rigged mesh")
+    taken.add_argument("dump", type=Path, help="lhm_dump.npz, a LAM .zip, or a splat file (PLY, .splat) with --mesh")
+    taken.add_argument("--mesh", type=Path, help="rigged mesh in the same pose and place (.npz, .glb), for its weights")
+    taken.add_argument("--reach", type=float, default=5.0, help="cm a splat may lie off the mesh (default 5)")
+    for command in (make, taken):
+        command.add_argument("-o", "--out", type=Path, required=True, help="avatar to write (.glb)")
+        for key, what in _NOTES.items():
+            command.add_argument(f"--{key}", help=f"{what}, kept in the file")
+        command.add_argument("--json", action="store_true", help="print what was made as JSON")
+
+    export = commands.add_parser("export", help="the avatar in one pose as a static splat file")
+    export.add_argument("avatar", nargs="?", type=Path, help="avatar (.glb); default: the embedded one")
+    export.add_argument("--pose", help="pose or motion file, or the name of an embedded motion (default: zero pose)")
+    export.add_argument("--at", type=float, default=0.0, help="seconds into a motion (default 0)")
+    export.add_argument("-o", "--out", type=Path, required=True, help="file to write (.ply, .splat, .glb)")
+
+    measured = commands.add_parser("score", help="compare an avatar with the textured mesh it was made from")
+    avatar_score.add_arguments(measured)
+
+    motions = commands.add_parser("motions", help="write the motions that come with glsplat (JSON)")
+    motions.add_argument("-o", "--out", type=Path, required=True, help="folder to write to")
+
+
+_NOTES = {
+    "source": "where the person comes from",
+    "licence": "terms of use of the person's data",
+    "consent": "who agreed to this likeness, or why nobody needs to",
+}
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run the chosen action; 0 on success."""
+    actions = {
+        "make": _make,
+        "import": _import,
+        "export": _export,
+        "score": _score,
+        "motions": _motions,
+        "cones": _cones,
+    }
+    return actions[args.action](args)
+
+
+def _make(args: argparse.Namespace) -> int:
+    _check_name(args.out)
+    if args.steps < 0:
+        raise UsageError(f"--steps needs 0 or more, not {args.steps}")
+    began = time.perf_counter()
+    mesh = _person(args.person) if args.body is None else read_obj_person(args.person, read_body(args.body))
+    with _progress() as show:
+        avatar = make_avatar(mesh, args.splats, args.seed, progress=show)
+        if args.steps:
+            avatar = refine(avatar, mesh, args.seed, RefineConfig(steps=args.steps), show)
+        if not args.no_cones:
+            avatar = with_cones(avatar, progress=show)
+    return _write(avatar, args, began)
+
+
+def _cones(args: argparse.Namespace) -> int:
+    _check_name(args.out)
+    if not 0 < args.psnr <= 100:
+        raise UsageError(f"--psnr needs decibels above 0 and at most 100, not {args.psnr:g}")
+    if not 8 <= args.directions <= 4096:
+        raise UsageError(f"--directions needs 8 to 4096, not {args.directions}")
+    began = time.perf_counter()
+    with _progress() as show:
+        made = with_cones(load(args.scene), ConeConfig(psnr=args.psnr, directions=args.directions), show)
+    save(made, args.out)
+    print(f"{args.out}: {args.out.stat().st_size / 1e6:.2f} MB, {time.perf_counter() - began:.1f} s")
+    return 0
+
+
+@contextmanager
+def _progress() -> Iterator[Callable[[str, float], None]]:
+    """A bar for (stage, share done); none where nobody watches."""
+    with tqdm(total=100, disable=None, leave=False, bar_format="{desc}: {bar} {n:.0f} %") as bar:
+
+        def show(stage: str, done: float) -> None:
+            bar.set_description(stage)
+            bar.n = 100 * done
+            bar.refresh()
+
+        yield show
+
+
+def _import(args: argparse.Namespace) -> int:
+    _check_name(args.out)
+    began = time.perf_counter()
+    if args.dump.suffix.lower() == ".zip" or is_lam_zip(args.dump):
+        if args.mesh is not None:
+            raise UsageError(f"{args.dump}: a LAM zip brings its own mesh; leave out --mesh")
+        return _write(load_lam_zip(args.dump), args, began)
+    if args.mesh is None:
+        avatar = load_lhm_dump(args.dump)
+        held = marked_no_rotate(avatar)
+        if held and not args.json:
+            print(
+                f"note: {held} of {len(avatar.splats)} splats are marked no_rotate by LHM; here they turn with the body"
+            )
+        return _write(avatar, args, began)
+    if not 0 < args.reach < 1000:
+        raise UsageError(f"--reach needs centimetres above 0, not {args.reach:g}")
+    scene = load(args.dump)
+    splats = scene.splats if isinstance(scene, Avatar) else scene
+    try:
+        avatar = bind_to_mesh(splats, _person(args.mesh), args.reach / 100)
+    except FormatError as error:
+        text = str(error)
+        raise FormatError(text if text.startswith(str(args.mesh)) else f"{args.dump}: {text}") from None
+    return _write(replace(avatar, meta={**avatar.meta, "source": args.dump.name}), args, began)
+
+
+def _person(path: Path) -> RiggedMesh:
+    """A rigged mesh by content."""
+    try:
+        with open(path, "rb") as file:
+            head = file.read(64)
+    except OSError as error:
+        raise FormatError(f"{path}: cannot read the person ({error.strerror})") from None
+    if head.startswith(b"glTF") or head.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"{"):
+        return read_gltf_person(path)
+    if path.suffix.lower() == ".obj":
+        raise FormatError(f"{path}: an .obj has no rig; name a rigged body with --body")
+    return read_person(path)
+
+
+def _check_name(out: Path) -> None:
+    if out.suffix.lower() not in (".glb", ".gltf"):
+        raise UsageError(f"{out}: an avatar is written as .glb or .gltf; change the name")
+
+
+def _write(avatar: Avatar, args: argparse.Namespace, began: float) -> int:
+    meta: dict[str, Any] = dict(avatar.meta)
+    smplx = avatar.skeleton.names == JOINT_NAMES
+    meta.setdefault("body_model", "SMPL-X joints (55)" if smplx else f"{len(avatar.skeleton)} joints")
+    meta.setdefault("consent", "not stated")
+    meta.update({key: getattr(args, key) for key in _NOTES if getattr(args, key)})
+    save(replace(avatar, meta=meta), args.out)
+    facts = {
+        "out": str(args.out),
+        "splats": len(avatar.splats),
+        "bytes": args.out.stat().st_size,
+        "weight_lost": round(avatar.skin.lost, 6),
+        "weights_repaired": avatar.skin.repaired,
+        "seconds": round(time.perf_counter() - began, 1),
+    }
+    if args.json:
+        print(json.dumps(facts))
+    else:
+        print(f"{args.out}: {facts['splats']} splats, {args.out.stat().st_size / 1e6:.2f} MB, {facts['seconds']} s")
+    return 0
+
+
+def _export(args: argparse.Namespace) -> int:
+    scene = default_avatar() if args.avatar is None else load(args.avatar)
+    if not isinstance(scene, Avatar):
+        raise FormatError(f"{args.avatar}: has no skeleton to pose; give an avatar (.glb with a skin)")
+    pose = Pose.zero(len(scene.skeleton))
+    if args.pose is not None:
+        if not math.isfinite(args.at):
+            raise UsageError(f"--at needs a number of seconds, not {args.at}")
+        if _is_single_pose(args.pose):
+            pose = load_pose(args.pose, scene.skeleton)
+        else:
+            pose = motion_of(args.pose, scene.skeleton, "--pose").at(args.at)
+    save(posed_splats(scene, pose), args.out)
+    print(f"{args.out}: {len(scene.splats)} splats")
+    return 0
+
+
+def _is_single_pose(path: str) -> bool:
+    """True for a pose object, which may hold translations; motions, frames of a video and all else are motions."""
+    try:
+        data = json.loads(Path(path).read_text(encoding="utf-8")) if path.lower().endswith(".json") else None
+    except (OSError, ValueError, RecursionError):
+        return False  # the motion reader says what is wrong
+    return isinstance(data, dict) and not {"frames", "focal"} & data.keys()
+
+
+def _score(args: argparse.Namespace) -> int:
+    scene = default_avatar() if args.avatar is None else load(args.avatar)
+    if not isinstance(scene, Avatar):
+        raise FormatError(f"{args.avatar}: has no skeleton to pose; give an avatar (.glb with a skin)")
+    return avatar_score.report(args, scene, _person(args.mesh))
+
+
+def _motions(args: argparse.Namespace) -> int:
+    try:
+        args.out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise GlsplatError(f"{args.out}: cannot make the folder ({error.strerror})") from None
+    for name, motion in library(default_avatar().skeleton).items():
+        file = args.out / f"{name}.json"
+        replace_file(file, [to_json(motion).encode()])
+        print(f"{file}: {len(motion)} frames, {motion.duration:.1f} s")
+    return 0

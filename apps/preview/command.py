@@ -1,0 +1,183 @@
+"""``glsplat preview``: a window that shows a scene or a moving avatar."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from contextlib import ExitStack
+from pathlib import Path
+
+from glsplat.avatar import Avatar
+from glsplat.camera import PAPER_FOV, PAPER_IPD, pinhole
+from glsplat.errors import FormatError
+from glsplat.net.guard.access import read_token
+from glsplat.skinning.pose import load_pose
+from glsplat.splats import Splats
+
+from ..args import add_scene, colour, load_scene, point, size
+from ..output import save_png
+from ..usage import UsageError
+from .cameras import Options
+from .connect import Watched, read_tracked
+from .feed import Feed
+from .files import motion_names, read_motion
+from .viewer import Viewer
+from .window import Window
+
+HELP = (
+    "A window that shows a scene or a moving avatar: orbit, fly, pose it by hand, in mono or stereo. H shows the keys."
+)
+EXAMPLE = "glsplat preview --motion walk --layout anaglyph"
+
+_FPS = 30.0  # of the clock under --frames
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The command line."""
+    add_scene(parser)
+    parser.add_argument("--motion", metavar="FILE", help="motion file or name (default: an embedded one, if it fits)")
+    parser.add_argument("--pose", metavar="FILE", help="pose file (JSON) instead of a motion")
+    parser.add_argument("--paused", action="store_true", help="begin with the motion's first frame and stay there")
+    parser.add_argument("--layout", choices=("mono", "side-by-side", "anaglyph"), default="mono", help="keys 1, 2, 3")
+    parser.add_argument("--size", type=size, default=(1280, 720), help="WxH of the window (default 1280x720)")
+    parser.add_argument("--fov", type=float, default=PAPER_FOV, help="vertical field of view in degrees (default 65)")
+    parser.add_argument("--eye", type=point, metavar="X,Y,Z", help="where the camera stands (default: all in view)")
+    parser.add_argument("--target", type=point, metavar="X,Y,Z", help="what it looks at (default: the scene's middle)")
+    parser.add_argument("--ipd", type=float, default=PAPER_IPD, help="metres between the eyes (default 0.055)")
+    parser.add_argument("--background", type=colour, metavar="R,G,B", help="0 to 1 each (default 0,0,0)")
+    parser.add_argument("--numbers", action="store_true", help="begin with the overlay of times and counts (key O)")
+    parser.add_argument("--vsync", action="store_true", help="one picture a refresh of the screen instead of all")
+    parser.add_argument("--frames", type=int, metavar="N", help="show N pictures, 1/30 s apart in the motion, and end")
+    parser.add_argument("--screenshot", metavar="FILE", help="save the last picture (.png) and end; alone: --frames 1")
+    parser.add_argument("--json", action="store_true", help="at the end print driver, counts and stage times")
+    server = parser.add_argument_group("watch a running server", "SCENE is then what it shows, for skeleton and view")
+    server.add_argument("--connect", metavar="URL", help="show the pictures of `glsplat serve` at ws://HOST:PORT/ws")
+    server.add_argument(
+        "--recording",
+        nargs="?",
+        const="",
+        metavar="FILE",
+        help="send head and hands (.jsonl; default: the embedded recording) instead of poses: the server solves",
+    )
+    server.add_argument("--quality", type=int, help="JPEG quality, 1 to 100 (default: the server's)")
+    server.add_argument("--token-file", type=Path, metavar="FILE", help="token for a server that wants one")
+    server.add_argument("--tls-ca", type=Path, metavar="PEM", help="certificate to trust on wss://")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Show the window until it is closed."""
+    frames = _frames(args)
+    scene = load_scene(args)
+    label = args.connect or ("default avatar" if args.scene is None else Path(args.scene).name)
+    with ExitStack() as stack:
+        feed = _feed(args)
+        if feed is not None:
+            feed.start()
+            stack.callback(feed.close)
+        window = stack.enter_context(Window(args.size, f"glsplat: {label}", args.vsync))
+        options = Options(
+            layout=args.layout,
+            fov=args.fov,
+            ipd=args.ipd,
+            background=args.background or (0.0, 0.0, 0.0),
+            eye=args.eye,
+            target=args.target,
+            numbers=args.numbers,
+            text_scale=window.text_scale,
+        )
+        pictures = None
+        if feed is not None:
+            feed.wake = window.wake
+            stack.callback(feed.close)  # before the window, which it wakes, is gone
+            pictures = Watched(feed, window.context.ctx)
+        viewer = Viewer(scene, window.context, window.size, options, label, pictures)
+        stack.callback(viewer.release)
+        _start(args, scene, viewer)
+        window.attach(viewer)
+        loop(window, viewer, frames)
+        report = viewer.report()  # before the screenshot draws once more
+        if args.screenshot:
+            save_png(args.screenshot, viewer.capture())
+        if args.json:
+            print(json.dumps(report))
+    return 0
+
+
+def loop(window: Window, viewer: Viewer, frames: int | None = None) -> None:
+    """Draw whenever the picture changes, sleep when nothing does; ``frames`` pictures on a clock of their own."""
+    drawn, last = 0, time.perf_counter()
+    while frames is None or drawn < frames:
+        visible = min(window.size) > 0
+        busy = visible and (viewer.animating or viewer.dirty)
+        pace = viewer.pictures.pace if frames is None else 0.0
+        window.wait(pace if busy or frames is not None else viewer.timeout)
+        if window.closing or viewer.closing:
+            return
+        now = time.perf_counter()
+        if frames is None:
+            # what moves starts when it starts, not when the window fell asleep
+            viewer.advance(now - last if busy or not viewer.animating else 0.0)
+        else:
+            viewer.advance(1 / _FPS if drawn else 0.0)
+            viewer.settle()
+            viewer.expose()
+        last = now
+        if viewer.dirty and viewer.refresh(window.framebuffer):
+            window.swap()
+            drawn += 1
+
+
+def _frames(args: argparse.Namespace) -> int | None:
+    """How many pictures; refuses what could not be shown or saved before a window opens."""
+    pinhole(1, 1, args.fov)
+    _check_connect(args)
+    if args.frames is not None and args.frames < 1:
+        raise UsageError(f"--frames needs at least 1, not {args.frames}")
+    if args.screenshot is None:
+        return args.frames
+    path = Path(args.screenshot)
+    if path.suffix.lower() != ".png":
+        raise UsageError(f"--screenshot {path}: the name needs to end in .png")
+    if not path.parent.is_dir():
+        raise FormatError(f"{path}: there is no folder {path.parent}; create it first")
+    return args.frames or 1
+
+
+def _check_connect(args: argparse.Namespace) -> None:
+    """Options of the server and options of drawing here do not mix."""
+    if args.connect is None:
+        for name in ("recording", "quality", "token_file", "tls_ca"):
+            if getattr(args, name) is not None:
+                raise UsageError(f"--{name.replace('_', '-')} goes with --connect; without a server, see --motion")
+    elif args.background is not None:
+        raise UsageError("--background does not go with --connect: a server's pictures are on black")
+    if args.quality is not None and not 1 <= args.quality <= 100:
+        raise UsageError(f"--quality needs 1 to 100, not {args.quality}")
+
+
+def _feed(args: argparse.Namespace) -> Feed | None:
+    """The server's pictures, if they are asked for; not connected yet."""
+    if args.connect is None:
+        return None
+    token = None if args.token_file is None else read_token(args.token_file)
+    return Feed(args.connect, token, cafile=args.tls_ca, quality=args.quality)
+
+
+def _start(args: argparse.Namespace, scene: Splats | Avatar, viewer: Viewer) -> None:
+    """The pose or motion the arguments ask for, or the embedded one that fits."""
+    if sum(value is not None for value in (args.pose, args.motion, args.recording)) > 1:
+        raise UsageError("give one of --pose, --motion and --recording")
+    if viewer.player is None:
+        if args.pose or args.motion or args.recording is not None:
+            raise UsageError("this scene has no skeleton; --pose and --motion need an avatar (.glb with a skin)")
+        return
+    if args.pose:
+        viewer.player.hold(load_pose(args.pose, viewer.player.skeleton))
+    elif args.recording is not None:
+        viewer.player.play(read_tracked(args.recording or None))
+    elif args.motion:
+        viewer.player.play(read_motion(args.motion, viewer.player.skeleton))
+    elif motion_names(scene):
+        viewer.next_motion()
+    viewer.player.playing &= not args.paused

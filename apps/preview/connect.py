@@ -1,0 +1,175 @@
+"""Pictures of a server in the preview's window: wishes to the feed, its newest picture to a texture."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import cv2
+import moderngl
+import numpy as np
+
+from glsplat.avatar import Avatar
+from glsplat.camera import Camera
+from glsplat.errors import GlsplatError
+from glsplat.passes.target import Target
+from glsplat.skinning.pose import Pose
+from glsplat.skinning.smplx import JOINT_NAMES
+from glsplat.splats import Splats
+
+from ..replay.command import Recording, load_drive
+from .feed import PACE, Feed, Picture, Wish
+from .overlay import Line
+from .player import Player, Tracked
+
+__all__ = ["Watched", "read_tracked"]
+
+
+def read_tracked(name: str | None, rate: float = 72.0) -> Tracked:
+    """A recording of head and hands (.jsonl, or the embedded one); of each moment the newest sample.
+
+    Raises FormatError naming the file.
+    """
+    if name is not None and not name.lower().endswith(".jsonl"):
+        raise GlsplatError(f"{name}: a recording of head and hands ends in .jsonl")
+    recording, seconds = load_drive(name)
+    if not isinstance(recording, Recording):
+        raise GlsplatError("this installation has no recording of its own; give --recording a file")
+    count = max(1, min(round(seconds * rate), 4 * len(recording.samples)))  # a long gap is not held in memory
+    samples = [recording.at((i + 0.5) / rate).tracking or {} for i in range(count)]
+    zeros = np.zeros((count, len(JOINT_NAMES), 3))
+    return Tracked(rate, zeros, zeros[:, 0], JOINT_NAMES, Path(name).stem if name else "recording", samples)
+
+
+class Watched:
+    """What a server draws. The feed is the caller's; it outlives the pictures."""
+
+    pace = PACE
+
+    def __init__(self, feed: Feed, context: moderngl.Context) -> None:
+        self._feed, self._ctx = feed, context
+        self._wish: Wish | None = None
+        self._picture: Picture | None = None
+        self._shown = 0
+        self._age_ms = 0.0
+        self._target = Target(context, 1, 1, 1, "f1")  # black until the first picture
+        self._target.texture.write(bytes(4))
+
+    @property
+    def notice(self) -> str:
+        """What is wrong with the connection."""
+        return self._feed.notice
+
+    @property
+    def fresh(self) -> bool:
+        """True while a picture waits."""
+        return self._feed.ready
+
+    def ask(self, cameras: Sequence[Camera], player: Player | None) -> bool:
+        """Send what is wanted if it is something else than before; True if a newer picture is there."""
+        wish = _wish(cameras, player)
+        if self._wish is None or not _same(wish, self._wish):
+            self._wish = wish
+            self._feed.ask(wish)
+        return self._feed.ready
+
+    def settle(self) -> None:
+        """Wait for the answer to the newest wish. GlsplatError if there is none."""
+        self._feed.settle()
+
+    def draw(self, cameras: Sequence[Camera], player: Player | None, exact: bool) -> Target:
+        """The newest picture; of another size than the window it is scaled (while the window is being resized)."""
+        size = cameras[0].width, cameras[0].height
+        picture = self._feed.take()
+        if picture is not None:
+            self._picture = picture
+            self._shown += 1
+            self._age_ms = (time.perf_counter() - picture.asked) * 1e3
+        if self._picture is not None and (picture is not None or self._target.shape[2:0:-1] != size):
+            self._upload(self._picture, size)
+        return self._target
+
+    def load(self, scene: Splats | Avatar) -> None:
+        """Not here."""
+        raise GlsplatError("the server chooses what is shown: start it with `glsplat serve FILE`")
+
+    def facts(self) -> list[Line]:
+        """Driver of the server, the picture's bytes and age, counts."""
+        if self._picture is None:
+            return [("no picture yet",)]
+        info = self._picture.info
+        return [
+            (str(info.get("driver", "")),),
+            (
+                f"frame {self._picture.frame_id}: {self._picture.nbytes / 1e3:.0f} kB, "
+                f"{self._age_ms:.0f} ms after it was asked for",
+            ),
+            (f"{self._shown} shown, {info.get('dropped', 0)} dropped by the server, {self._feed.late} late",),
+        ]
+
+    def stages(self) -> dict[str, float]:
+        """The server's stages without the parts of rendering, then the way and the decoding."""
+        if self._picture is None:
+            return {}
+        times = self._picture.info.get("times", {})
+        stages = {name: float(times[name]) for name in ("wait", "ik", "render", "encode") if name in times}
+        return stages | {"communication": self._picture.communication_ms, "decode": self._picture.decode_ms}
+
+    def report(self) -> dict[str, Any]:
+        """Address, driver, counts and the stage times of the newest picture."""
+        info: Mapping[str, Any] = {} if self._picture is None else self._picture.info
+        return {
+            "url": self._feed.url,
+            "driver": info.get("driver", ""),
+            "shown": self._shown,
+            "dropped": info.get("dropped", 0),
+            "late": self._feed.late,
+            "reconnects": self._feed.reconnects,
+            "bytes": 0 if self._picture is None else self._picture.nbytes,
+            "age_ms": round(self._age_ms, 3),
+            "timings_ms": {name: round(ms, 3) for name, ms in self.stages().items()},
+        }
+
+    def release(self) -> None:
+        """Delete the texture."""
+        self._target.release()
+
+    def _upload(self, picture: Picture, size: tuple[int, int]) -> None:
+        images = picture.images
+        if images.shape[2:0:-1] != size:
+            images = np.stack([cv2.resize(image, size, interpolation=cv2.INTER_LINEAR) for image in images])
+        if self._target.shape != images.shape:
+            self._target.release()
+            self._target = Target(self._ctx, *size, len(images), "f1")
+        self._target.texture.write(images)
+
+
+def _wish(cameras: Sequence[Camera], player: Player | None) -> Wish:
+    """A recording goes as raw tracking, all else as a pose."""
+    if player is None:
+        return Wish(cameras)
+    if isinstance(player.motion, Tracked):
+        return Wish(cameras, tracking=player.motion.samples[player.frame])
+    pose, names = player.pose(), player.skeleton.names
+    if names == JOINT_NAMES:
+        return Wish(cameras, pose)
+    joints: dict[str, Any] = {"joints": dict(zip(names, pose.rotations, strict=True)), "trans": pose.trans}
+    if pose.translations is not None:
+        joints["translations"] = dict(zip(names, pose.translations, strict=True))
+    return Wish(cameras, joints)
+
+
+def _same(a: Wish, b: Wish) -> bool:
+    return a.tracking is b.tracking and np.array_equal(_numbers(a), _numbers(b))
+
+
+def _numbers(wish: Wish) -> np.ndarray[Any, np.dtype[np.float64]]:
+    parts = [np.append(np.append(c.viewmat, c.K), (c.width, c.height)) for c in wish.cameras]
+    if isinstance(wish.pose, Pose):
+        parts += [wish.pose.rotations.ravel(), wish.pose.trans]
+    elif wish.pose is not None:
+        parts += [wish.pose["trans"]]
+        parts += [value for key in ("joints", "translations") for value in wish.pose.get(key, {}).values()]
+    return np.concatenate(parts)

@@ -1,0 +1,105 @@
+"""Files for the preview: what a dropped file or folder is, by content, and the motions that fit a scene."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from itertools import pairwise
+from math import isfinite
+from pathlib import Path
+from statistics import median
+
+import numpy as np
+
+from glsplat.avatar import Avatar
+from glsplat.errors import FormatError, GlsplatError
+from glsplat.formats import load
+from glsplat.motion.motion import Motion, embedded_motions
+from glsplat.skinning.pose import Pose, load_pose
+from glsplat.skinning.skeleton import Skeleton
+from glsplat.skinning.smplx import JOINT_NAMES
+from glsplat.splats import Splats
+from glsplat.tracking.recording import replay
+from glsplat.tracking.tracker import Tracker
+
+from ..args import motion_of
+
+__all__ = ["Dropped", "motion_names", "read_dropped", "read_motion"]
+
+_MOST_TELLING = "wave-and-turn"
+_MAX_JSON = 512 << 20
+
+
+@dataclass(frozen=True, eq=False)
+class Dropped:
+    """What a file holds, and what to call it."""
+
+    content: Splats | Avatar | Motion | Pose
+    label: str
+
+
+def motion_names(scene: Splats | Avatar) -> list[str]:
+    """Embedded motions for the scene's skeleton (SMPL-X only), the one that shows most of the body first."""
+    if not isinstance(scene, Avatar) or scene.skeleton.names != JOINT_NAMES:
+        return []
+    return sorted(embedded_motions(), key=lambda name: (name != _MOST_TELLING, name))
+
+
+def read_motion(name: str, skeleton: Skeleton) -> Motion:
+    """A motion file, an embedded motion by name, or a recording of head and hands (.jsonl), solved for the skeleton."""
+    return _solved(name, skeleton) if name.lower().endswith(".jsonl") else motion_of(name, skeleton)
+
+
+def _solved(name: str, skeleton: Skeleton) -> Motion:
+    """The poses of a recording at its median rate; of each moment the newest that was known then."""
+    tracker = Tracker(skeleton)
+    times, poses = [], []
+    for sample in replay(name):
+        if isfinite(sample.t):
+            times.append(sample.t)
+            poses.append(tracker.update(sample))
+    if not poses:
+        raise FormatError(f"{name}: expected tracking samples with a time, one JSON object a line, found none")
+    steps = [later - earlier for earlier, later in pairwise(times) if later > earlier]
+    step = max(median(steps), 1e-3) if steps else 1 / 72
+    moments = np.maximum.accumulate(times)  # clocks of headsets sometimes run backwards
+    count = min(len(poses) * 4, round((moments[-1] - moments[0]) / step) + 1)  # a long gap is not held in memory
+    chosen = np.searchsorted(moments, moments[0] + (np.arange(count) + 0.5) * step) - 1
+    rotations = np.stack([poses[i].rotations for i in chosen])
+    trans = np.stack([poses[i].trans for i in chosen])
+    return Motion(1 / step, rotations, trans, skeleton.names, Path(name).stem)
+
+
+def read_dropped(name: str, skeleton: Skeleton | None) -> Dropped:
+    """Read a scene, a motion or a pose, whichever the file or folder is. GlsplatError, one line, names it."""
+    path = Path(name)
+    if not path.exists():
+        raise FormatError(f"{path}: no such file")
+    kind = _kind(path)
+    if kind == "scene":
+        return Dropped(load(path), path.name)
+    if skeleton is None:
+        raise GlsplatError(f"{path.name}: this scene has no skeleton to move; open an avatar (.glb with a skin) first")
+    if kind == "pose":
+        return Dropped(load_pose(path, skeleton), path.name)
+    return Dropped(read_motion(str(path), skeleton), path.name)
+
+
+def _kind(path: Path) -> str:
+    """scene, motion or pose."""
+    if path.is_dir():
+        return "motion"
+    try:
+        with open(path, "rb") as file:
+            head = file.read(512).removeprefix(b"\xef\xbb\xbf").lstrip()
+        if head.startswith((b"PK", b"HIERARCHY", b"[")) or path.suffix.lower() in (".amc", ".bvh", ".npz", ".jsonl"):
+            return "motion"
+        if head.startswith(b"{") and path.stat().st_size <= _MAX_JSON:
+            keys = json.loads(path.read_text(encoding="utf-8"))
+            if "asset" not in keys:
+                return "motion" if "frames" in keys else "pose"
+    except OSError as error:
+        raise FormatError(f"{path}: cannot be read ({error.strerror})") from None
+    except (ValueError, RecursionError) as error:
+        raise FormatError(f"{path}: expected JSON, but {error}") from None
+    return "scene"

@@ -1,0 +1,145 @@
+"""Text over the preview: which lines are due, and lines of cells as a small premultiplied RGBA picture."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from itertools import groupby
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from .keys import HELP_LINES
+from .player import Player
+
+__all__ = ["Line", "Overlay", "number_lines", "text_image", "title_line"]
+
+Line = tuple[str, ...]
+"""Cells of one line; the columns of consecutive lines with as many cells are aligned."""
+
+_FONT = cv2.FONT_HERSHEY_SIMPLEX
+_SHADE = 0.6  # how much of the picture the box hides
+_INK = 235
+_LONGEST = 110  # characters of a cell
+_SHOWN = 4.0  # seconds a message stays
+_PERIOD = 0.25  # seconds between new numbers: a text that changes with every picture cannot be read
+
+
+class Overlay:
+    """Numbers, keys, a passing message and a lasting notice; ``lines()`` changes only with something new to read."""
+
+    def __init__(self, numbers: bool = False) -> None:
+        self.numbers = numbers
+        self.help = False
+        self.left = 0.0  # seconds the message stays
+        self.notice = ""  # stays until it is taken away
+        self._message = ""
+        self._numbers: list[Line] = []
+        self._due = 0.0
+
+    def say(self, message: str) -> None:
+        """Show a message for a while."""
+        self._message, self.left = message, _SHOWN
+
+    def advance(self, seconds: float) -> bool:
+        """Let time pass; True if a message went away."""
+        if self.left <= 0:
+            return False
+        self.left -= seconds
+        return self.left <= 0
+
+    def renew(self) -> None:
+        """Something was done: the numbers are due now."""
+        self._due = 0.0
+
+    def lines(self, numbers: Callable[[], list[Line]], live: bool = True) -> tuple[Line, ...]:
+        """What is to be read now; ``numbers`` is asked when they are on and due.
+
+        ``live`` False is for screenshots: no message, and the numbers of the window instead of the extra picture's.
+        """
+        out: list[Line] = []
+        if self.numbers:
+            now = time.monotonic()
+            if not self._numbers or (live and now >= self._due):
+                self._numbers, self._due = numbers(), now + _PERIOD
+            out += self._numbers
+        if self.help:
+            out += [("",), *HELP_LINES] if out else HELP_LINES
+        if live and self.left > 0:
+            out.append((self._message,))
+        if live and self.notice:
+            out.append((self.notice,))
+        return tuple(out)
+
+
+def title_line(label: str, layout: str, size: tuple[int, int]) -> Line:
+    """What is shown, and the pixels of a view."""
+    return (f"{label}  {layout} {'' if layout == 'mono' else '2 x '}{size[0]}x{size[1]}",)
+
+
+def number_lines(
+    facts: Sequence[Line], player: Player | None, stages: Mapping[str, float], rate: float | None
+) -> list[Line]:
+    """Facts about the picture, motion, joint and stage times (ms) of the last frame; ``rate`` in pictures a second."""
+    lines = list(facts)
+    if player is not None and player.motion is not None:
+        state = "playing" if player.playing else "paused"
+        lines.append((f"{player.motion.label or 'motion'} frame {player.frame} of {len(player.motion)}, {state}",))
+    if player is not None and player.joint is not None:
+        lines.append((f"{player.joint_name} turned {player.turned:.0f} degrees",))
+    lines += [(name, f"{ms:.2f} ms") for name, ms in stages.items()]
+    lines.append(("together", f"{sum(stages.values()):.2f} ms"))
+    lines.append(("pictures", f"{rate:.1f} a second" if rate else "when something changes"))
+    return lines
+
+
+def text_image(lines: Sequence[Line], scale: float = 1.0) -> NDArray[np.uint8] | None:
+    """Premultiplied RGBA [h, w, 4] of light text on a dark box, or None without lines. Other than ASCII becomes "?"."""
+    if not lines:
+        return None
+    size = 0.48 * scale
+    height, margin, gap = round(19 * scale), round(8 * scale), round(14 * scale)
+    rows = [tuple(_plain(cell) for cell in line) for line in lines]
+    # lines with equally many cells make a block: one set of columns, and a box as wide as its widest line
+    blocks = [(block, _columns(block, size, gap)) for block in _runs(rows)]
+    ink = np.zeros((height * len(rows) + 2 * margin, max(edges[-1] for _, edges in blocks) + 2 * margin), np.uint8)
+    shade = np.zeros(ink.shape, np.float32)
+    top = margin
+    for block, edges in blocks:
+        bottom = top + height * len(block)
+        shade[top - margin * (top == margin) : bottom, : edges[-1] + 2 * margin] = _SHADE
+        for line in block:
+            for cell, x in zip(line, edges[:-1], strict=True):
+                at = (margin + x, top + round(14 * scale))
+                cv2.putText(ink, cell, at, _FONT, size, 255, max(1, round(scale)), cv2.LINE_AA)
+            top += height
+    shade[top:] = shade[top - 1]
+    cover = ink.astype(np.float32) / 255
+    out = np.empty((*ink.shape, 4), np.uint8)
+    out[..., :3] = np.rint(cover * _INK)[..., None]
+    out[..., 3] = np.rint((cover + (1 - cover) * shade) * 255)
+    return out
+
+
+def _runs(rows: Sequence[Line]) -> Iterator[list[Line]]:
+    """Consecutive lines with equally many cells."""
+    return (list(run) for _, run in groupby(rows, len))
+
+
+def _columns(block: Sequence[Line], size: float, gap: int) -> list[int]:
+    """Left edge of each column, then the right end of the widest line."""
+    edges = [0]
+    for column in zip(*block, strict=True):
+        edges.append(edges[-1] + max(_width(cell, size) for cell in column) + gap)
+    return [*edges[:-1], edges[-1] - gap]
+
+
+def _plain(text: str) -> str:
+    # the stroke fonts of OpenCV know ASCII only
+    text = text.encode("ascii", "replace").decode()
+    return text if len(text) <= _LONGEST else text[: _LONGEST - 3] + "..."
+
+
+def _width(text: str, size: float) -> int:
+    return int(cv2.getTextSize(text, _FONT, size, 1)[0][0])

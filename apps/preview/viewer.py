@@ -1,0 +1,399 @@
+"""Viewer: everything the preview does between a window's events and a framebuffer. Knows no window system."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections import deque
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import moderngl
+import numpy as np
+from numpy.typing import NDArray
+
+from glsplat.avatar import Avatar
+from glsplat.camera import Camera
+from glsplat.errors import GlsplatError
+from glsplat.gl.context import Context
+from glsplat.motion.motion import Motion
+from glsplat.passes.present import Layout, Present, view_size
+from glsplat.skinning.pose import Pose
+from glsplat.splats import Splats
+from glsplat.views import viewing_point
+
+from ..output import save_png
+from .cameras import Options, View, cameras_of
+from .files import Dropped, motion_names, read_dropped, read_motion
+from .keys import ACTIONS, FLIGHT, TURNS
+from .overlay import Line, Overlay, number_lines, text_image, title_line
+from .pictures import Drawn, Pictures
+from .player import Player, Tracked
+
+__all__ = ["Options", "Viewer"]
+
+_TURN = 5.0  # degrees a key press
+_ORBIT = 3.5  # radians across the height of the window
+_ZOOM = 0.9  # of the distance a notch of the wheel
+_LONGEST = 0.1  # seconds of flight a frame: after a pause the eye must not jump
+
+
+class Viewer:
+    """A scene, a view and a pose, changed by events; ``dirty`` when the picture is no longer what it should be."""
+
+    def __init__(
+        self,
+        scene: Splats | Avatar,  # for its skeleton and where to look from; drawn if there are no other pictures
+        context: Context,
+        size: tuple[int, int],
+        options: Options,
+        label: str = "",
+        pictures: Pictures | None = None,  # released with the viewer
+    ) -> None:
+        self.options = options
+        self.layout: Layout = options.layout
+        self.size = size
+        self.dirty = True
+        self.closing = False
+        self.player: Player | None = None
+        self.view = self._home = View(np.zeros(3), 1.0)
+        self._scene, self._label = scene, label
+        self._context = context
+        self.overlay = Overlay(options.numbers)
+        self._held: set[str] = set()
+        self._shift = False
+        self._drag = ""
+        self._cursor = (0.0, 0.0)
+        self._text: tuple[Line, ...] = ()
+        self._frames: deque[float] = deque(maxlen=30)
+        self._present_ms = 0.0
+        self._motion_index = -1
+        self._exposed = True  # the window's pixels are due, whether there is a new picture or not
+        self.pictures = pictures or Drawn(scene, context, view_size(size, self.layout))
+        try:
+            self._present = Present(context.ctx)
+            self._show(scene, label)
+        except BaseException:
+            self.pictures.release()
+            raise
+
+    # ---------------------------------------------------------------------------------------------------- state
+
+    @property
+    def animating(self) -> bool:
+        """True while the next picture differs without any event."""
+        return bool(self._held) or (self.player is not None and self.player.moving)
+
+    @property
+    def timeout(self) -> float | None:
+        """Seconds until something is due although nothing moves; None: wait for an event."""
+        return self.overlay.left if self.overlay.left > 0 else None
+
+    def cameras(self) -> list[Camera]:
+        """The cameras of the window as it is."""
+        o = self.options
+        return cameras_of(self.view, self.layout, self.size, o.fov, o.ipd, o.background)
+
+    def pose(self) -> Pose | None:
+        """The pose of the moment; None for a scene without a skeleton."""
+        return None if self.player is None else self.player.pose()
+
+    def advance(self, seconds: float) -> None:
+        """Let time pass: motion, flight, messages, and what came by itself."""
+        if not self.animating:
+            self._frames.clear()  # a pause is no slow picture
+        notice, self.overlay.notice = self.overlay.notice, self.pictures.notice
+        if self.overlay.advance(seconds) or notice != self.overlay.notice:
+            self.dirty = self._exposed = True
+        self.dirty |= self.pictures.fresh
+        if self.player is not None and self.player.moving:
+            self.player.advance(seconds)
+            self.dirty = True
+        if self._held:
+            way = np.sum([FLIGHT[key] for key in self._held], axis=0)
+            # as fast as the scene is large, slower near the target
+            speed = max(0.05 * self._home.distance, 0.6 * min(self.view.distance, self._home.distance))
+            step = way * speed * (3 if self._shift else 1) * min(seconds, _LONGEST)
+            self.view = self.view.moved(*map(float, step))
+            self.dirty = True
+
+    # --------------------------------------------------------------------------------------------------- events
+
+    def press(self, key: str, shift: bool = False, repeated: bool = False) -> None:
+        """A key goes down (or repeats); names as in preview_keys."""
+        self._shift = shift
+        if key in FLIGHT:
+            self._held.add(key)
+        elif key in TURNS and self.player is not None:
+            self._turn(TURNS[key], 1.0 if shift else _TURN)
+        elif key in ACTIONS and (not repeated or key in ".,[]"):
+            action: Callable[[], None] = getattr(self, ACTIONS[key])
+            action()
+        self._changed()
+
+    def release_key(self, key: str) -> None:
+        """A key goes up."""
+        self._held.discard(key)
+
+    def hold_shift(self, down: bool) -> None:
+        """Shift goes down or up while other keys are held."""
+        self._shift = down
+
+    def drag(self, button: str, shift: bool = False) -> None:
+        """A mouse button goes down: left, middle or right; nothing: all are up."""
+        self._drag = "middle" if button == "left" and shift else button
+
+    def move(self, x: float, y: float) -> None:
+        """The cursor is at (x, y) pixels from the upper left corner."""
+        height = max(1, self.size[1])
+        right, down = (x - self._cursor[0]) / height, (y - self._cursor[1]) / height
+        self._cursor = (x, y)
+        if not self._drag or (right, down) == (0, 0):
+            return
+        if self._drag == "left":
+            self.view = self.view.orbited(-right * _ORBIT, down * _ORBIT)
+        elif self._drag == "right":
+            self.view = self.view.looked(right * _ORBIT / 2, -down * _ORBIT / 2)
+        else:
+            metres = 2 * self.view.distance * float(np.tan(np.radians(self.options.fov) / 2))
+            self.view = self.view.moved(-right * metres, down * metres, 0)
+        self.dirty = True
+
+    def scroll(self, notches: float) -> None:
+        """The wheel turns; up is nearer."""
+        home = self._home.distance
+        self.view = self.view.zoomed(_ZOOM**notches, 1e-3 * home, 1e3 * home)
+        self.dirty = True
+
+    def unfocus(self) -> None:
+        """The window lost the keyboard: no key is held any more."""
+        self._held.clear()
+        self._drag = ""
+
+    def resize(self, width: int, height: int) -> None:
+        """The window has another number of pixels; 0 where it is iconified."""
+        self.size = (width, height)
+        self.dirty = self._exposed = True
+
+    def expose(self) -> None:
+        """The window system lost the picture."""
+        self.dirty = self._exposed = True
+
+    def drop(self, path: str) -> None:
+        """A scene, a pose or a motion is opened; what fails is said in the window and leaves all as it was."""
+        try:
+            self.open(read_dropped(path, None if self.player is None else self.player.skeleton))
+        except (GlsplatError, moderngl.Error) as error:
+            print(f"glsplat preview: {error}", file=sys.stderr)
+            self.overlay.say(str(error))
+        self._changed()
+
+    def open(self, what: Dropped) -> None:
+        """Show what was read from a file."""
+        if isinstance(what.content, (Splats, Avatar)):
+            self.pictures.load(what.content)
+            self._show(what.content, what.label)
+        elif self.player is None:
+            raise GlsplatError(f"{what.label}: this scene has no skeleton to move; drop an avatar first")
+        elif isinstance(what.content, Motion):
+            self.player.play(what.content)
+        else:
+            self.player.hold(what.content)
+        self.overlay.say(what.label)
+
+    # -------------------------------------------------------------------------------------------------- actions
+
+    def mono(self) -> None:
+        """One view."""
+        self.layout = "mono"
+
+    def side_by_side(self) -> None:
+        """Both eyes, left on the left."""
+        self.layout = "side-by-side"
+
+    def anaglyph(self) -> None:
+        """Both eyes in one picture for red-cyan glasses."""
+        self.layout = "anaglyph"
+
+    def play(self) -> None:
+        """Start or stop the clock."""
+        if self.player is not None:
+            self.player.playing = not self.player.playing
+
+    def next_frame(self) -> None:
+        """Stop at the next frame."""
+        self._step(1)
+
+    def previous_frame(self) -> None:
+        """Stop at the previous frame."""
+        self._step(-1)
+
+    def next_motion(self) -> None:
+        """The next embedded motion; after the last the zero pose."""
+        names = motion_names(self._scene)
+        if self.player is None or not names:
+            return self.overlay.say("this scene has no skeleton that the embedded motions fit")
+        self._motion_index = (self._motion_index + 1) % (len(names) + 1)
+        if self._motion_index == len(names):
+            self.player.hold(None)
+            return self.overlay.say("zero pose")
+        self.player.play(read_motion(names[self._motion_index], self.player.skeleton))
+        self.overlay.say(names[self._motion_index])
+
+    def next_joint(self) -> None:
+        """Select the next joint."""
+        self._select(1)
+
+    def previous_joint(self) -> None:
+        """Select the previous joint."""
+        self._select(-1)
+
+    def straighten(self) -> None:
+        """Undo what the arrow keys did to the selected joint."""
+        if self.player is not None:
+            self.player.straighten()
+
+    def reset_view(self) -> None:
+        """The view of the beginning."""
+        self.view = self._home
+
+    def screenshot(self) -> None:
+        """Save the picture under a name of the moment in the current folder."""
+        name = time.strftime("glsplat-%Y%m%d-%H%M%S")
+        path = next(p for i in range(1000) if not (p := Path(f"{name}{f'-{i}' if i else ''}.png")).exists())
+        try:
+            save_png(path, self.capture())
+        except GlsplatError as error:
+            return self.overlay.say(str(error))
+        self.overlay.say(f"saved {path}")
+
+    def toggle_numbers(self) -> None:
+        """Stage times and splat counts; while they are on, every stage waits for the GPU."""
+        self.overlay.numbers = not self.overlay.numbers
+
+    def toggle_help(self) -> None:
+        """The keys."""
+        self.overlay.help = not self.overlay.help
+
+    def quit(self) -> None:
+        """Close the window."""
+        self.closing = True
+
+    # ------------------------------------------------------------------------------------------------- pictures
+
+    def refresh(self, framebuffer: moderngl.Framebuffer) -> bool:
+        """Bring the window up to date; False if there is nothing new to show. ``dirty`` is False afterwards."""
+        self.dirty = False
+        if min(self.size) < 1:
+            return False
+        new = self.pictures.ask(self.cameras(), self.player)
+        if not (new or self._exposed):
+            return False
+        if not self.animating:
+            self.overlay.renew()  # nothing may come after this picture: the numbers are to be its own
+        self.draw(framebuffer, new=new)
+        return True
+
+    def settle(self) -> None:
+        """Wait for the picture of this moment. GlsplatError if it does not come."""
+        if min(self.size) > 0:
+            self.pictures.ask(self.cameras(), self.player)
+            self.pictures.settle()
+
+    def draw(self, framebuffer: moderngl.Framebuffer, live: bool = True, new: bool = True) -> None:
+        """Picture and text into ``framebuffer``; ``dirty`` is False afterwards. Without a pixel nothing happens."""
+        self.dirty = self._exposed = False
+        if min(self.size) < 1:
+            return
+        exact = self.overlay.numbers
+        target = self.pictures.draw(self.cameras(), self.player, exact)
+        start = time.perf_counter()
+        self._write_text(live)
+        self._present.run(target, framebuffer, self.size, self.layout)
+        if exact:
+            self._context.ctx.finish()
+        now = time.perf_counter()
+        self._present_ms = (now - start) * 1e3
+        if new:
+            self._frames.append(now)
+
+    def capture(self) -> NDArray[np.uint8]:
+        """[H, W, 3] the window's pixels without messages; drawn anew, because a covered window has none."""
+        if min(self.size) < 1:
+            raise GlsplatError("the window is iconified; there is nothing to save")
+        texture = self._context.ctx.texture(self.size, 4)
+        framebuffer = self._context.ctx.framebuffer([texture])
+        try:
+            self.draw(framebuffer, live=False, new=False)
+            data = framebuffer.read(components=3, alignment=1)
+        finally:
+            self._context.scratch.use()
+            framebuffer.release()
+            texture.release()
+        self.dirty = self._exposed = True
+        pixels = np.frombuffer(data, np.uint8).reshape(self.size[1], self.size[0], 3)
+        return np.ascontiguousarray(pixels[::-1])
+
+    def report(self) -> dict[str, Any]:
+        """Driver, counts and stage times of the last frame."""
+        return {"window": list(self.size), "layout": self.layout, **self.pictures.report()}
+
+    def release(self) -> None:
+        """Delete all GL objects."""
+        self._present.release()
+        self.pictures.release()
+
+    # ------------------------------------------------------------------------------------------------ internals
+
+    def _show(self, scene: Splats | Avatar, label: str) -> None:
+        """Take over a scene the renderer has loaded."""
+        before = self.player
+        self._scene, self._label = scene, label
+        self.player = Player(scene.skeleton) if isinstance(scene, Avatar) else None
+        if self.player is not None and before is not None and before.motion is not None:
+            if before.motion.names == self.player.skeleton.names:
+                self.player.play(before.motion)
+                self.player.playing = before.playing
+        eye, target = viewing_point(scene, self.options.fov)
+        if before is None:  # of a scene that comes later nobody said where it lies
+            eye = eye if self.options.eye is None else np.array(self.options.eye)
+            target = target if self.options.target is None else np.array(self.options.target)
+        self.view = self._home = View.between(eye, target)
+
+    def _step(self, frames: int) -> None:
+        if self.player is not None:
+            self.player.step(frames)
+
+    def _select(self, step: int) -> None:
+        if self.player is None:
+            return self.overlay.say("this scene has no joints")
+        self.player.select(step)
+        self.overlay.say(f"{self.player.joint_name}: turn it with the arrow keys")
+
+    def _turn(self, axis: tuple[float, float, float], degrees: float) -> None:
+        assert self.player is not None
+        if isinstance(self.player.motion, Tracked):
+            return self.overlay.say("the server solves this recording: no joint can be turned (M: next motion)")
+        if self.player.joint is None:
+            self.player.select(1)
+        self.player.turn(axis, degrees)
+        self.overlay.say(f"{self.player.joint_name}: turned {self.player.turned:.0f} degrees")
+
+    def _changed(self) -> None:
+        self.dirty = self._exposed = True
+        self.overlay.renew()
+
+    def _write_text(self, live: bool) -> None:
+        lines = self.overlay.lines(self._number_lines, live)
+        if lines != self._text:
+            self._present.write_text(text_image(lines, self.options.text_scale))
+            self._text = lines
+
+    def _number_lines(self) -> list[Line]:
+        rate = None
+        if self.animating and len(self._frames) > 1:
+            rate = (len(self._frames) - 1) / (self._frames[-1] - self._frames[0])
+        stages = self.pictures.stages() | {"present": self._present_ms}
+        title = title_line(self._label, self.layout, view_size(self.size, self.layout))
+        return number_lines([title, *self.pictures.facts()], self.player, stages, rate)

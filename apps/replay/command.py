@@ -1,0 +1,301 @@
+"""``glsplat replay``: a client that streams a motion through a server and reports where the time goes."""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import json
+import sys
+from bisect import bisect_right
+from collections.abc import Iterable
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter1d
+from tqdm import tqdm
+
+from glsplat.avatar import Avatar
+from glsplat.data import default_avatar
+from glsplat.errors import FormatError, GlsplatError
+from glsplat.formats import load
+from glsplat.motion.motion import Motion, embedded_motions
+from glsplat.net.client import Client
+from glsplat.net.guard.access import read_token
+from glsplat.net.reply import Reply
+from glsplat.skinning.smplx import JOINT_NAMES
+from glsplat.tracking.derive import derive, truth_from_motion
+from glsplat.tracking.recording import embedded_recording
+from glsplat.tracking.recording import replay as read_samples
+from glsplat.tracking.sample import Sample
+
+from ..args import motion_of, size
+from ..clip import CLIPS, Clip
+from ..output import label, save_png, side_by_side, stack
+from ..usage import UsageError, output_kind
+from .link import Link, link, over
+from .stage_table import comparison_markdown, frame_text, table_text
+from .streaming import POLICIES, Drive, Driven, Result, stream
+
+HELP = "Stream recorded head and hands, or a motion, through a server; report latency by stage and save pictures."
+EXAMPLE = "glsplat replay --url ws://127.0.0.1:8000/ws --save sheet.png"
+
+_SHOWN_FIRST = ("wave-and-turn", "wave", "walk")
+_TRACKING_RATE = 72.0  # samples a second that a headset delivers
+_STANDS = 2.0  # seconds over which the head's way is averaged to tell where the user stands
+_MOMENTS = 6  # pairs on a contact sheet
+_TILE = 1024  # pixels across a pair on a contact sheet
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The command line."""
+    parser.add_argument(
+        "motion",
+        nargs="?",
+        metavar="RECORDING|MOTION",
+        help="tracking samples (.jsonl), or a motion file or name, sent as poses; default: the embedded recording",
+    )
+    parser.add_argument("--url", default="ws://127.0.0.1:8000/ws", help="server (default ws://127.0.0.1:8000/ws)")
+    parser.add_argument("--avatar", metavar="FILE", help="avatar the server shows, for the motion's skeleton")
+    parser.add_argument(
+        "--tracking", action="store_true", help="of a motion, send head and hands only: the server solves"
+    )
+    parser.add_argument("--fps", type=float, default=72.0, help="requests and display refreshes a second (default 72)")
+    parser.add_argument("--frames", type=int, help="requests in all (default: all of it once, at most 20 s)")
+    parser.add_argument("--window", type=int, default=2, help="pictures under way (default 2; 3 from 15 ms round trip)")
+    parser.add_argument("--policy", choices=POLICIES, default=POLICIES[0], help="when to ask (default mailbox)")
+    parser.add_argument("--compare", action="store_true", help="one run with each policy, and a table of them")
+    parser.add_argument(
+        "--link", type=link, action="append", metavar="RTT,MBIT", help="simulate a link of so many ms and Mbit/s"
+    )
+    parser.add_argument("--size", type=size, default=(1024, 1024), help="pixels an eye (default 1024x1024)")
+    parser.add_argument("--quality", type=int, help="JPEG quality (default: the server's)")
+    parser.add_argument("--crop", action="store_true", help="have only the covered part of each picture sent")
+    parser.add_argument("--mirror", action="store_true", help="ask for the mirror image")
+    parser.add_argument("--token-file", type=Path, metavar="FILE", help="token for a server that wants one")
+    parser.add_argument("--tls-ca", type=Path, metavar="PEM", help="certificate to trust on wss://")
+    parser.add_argument("--save", metavar="OUT", help="a folder/ of PNG, a clip .mp4 or .webm (VP9), a sheet .png")
+    parser.add_argument("--json", action="store_true", help="print the numbers as JSON")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Stream, report, save. 1 when no picture came."""
+    if not 1 <= args.fps <= 240:
+        raise UsageError(f"--fps needs 1 to 240, not {args.fps:g}")
+    if args.frames is not None and args.frames < 1:
+        raise UsageError(f"--frames needs at least 1, not {args.frames}")
+    if not 1 <= args.window <= 8:
+        raise UsageError(f"--window needs 1 to 8, not {args.window}")
+    if args.quality is not None and not 1 <= args.quality <= 100:
+        raise UsageError(f"--quality needs 1 to 100, not {args.quality}")
+    several = args.compare or len(args.link or ()) > 1
+    if args.save and several:
+        raise UsageError("--save goes with a single run, not with --compare or several --link")
+    if args.save:
+        check_target(args.save)
+    token = read_token(args.token_file) if args.token_file else None
+    drive, seconds = load_drive(args.motion, args.avatar, args.tracking, "MOTION")
+    frames = args.frames or max(1, round(min(seconds, 20.0) * args.fps))
+    policies = POLICIES if args.compare else (args.policy,)
+    runs = []
+    for simulated in args.link or (None,):
+        for policy in policies:
+            result = asyncio.run(_stream(args, token, simulated, policy, drive, frames))
+            runs.append((str(simulated or "as it is"), policy, result))
+    if several:
+        _report_several(args, runs)
+    else:
+        _report(args, runs[0][2])
+    failed = next((result for _, _, result in runs if not result.shown), None)
+    if failed is not None:
+        raise GlsplatError(f"no picture came{f': {failed.last_error}' if failed.last_error else ''}")
+    return 0
+
+
+def _report(args: argparse.Namespace, result: Result) -> None:
+    if args.save and result.kept:
+        saved = save_pictures(args.save, result)
+    if args.json:
+        print(json.dumps(result.summary()))
+        return
+    print(f"{args.url}, {args.size[0]}x{args.size[1]} an eye, drawn by {result.driver or 'nobody'}")
+    print(table_text(result))
+    print(frame_text(result))
+    if args.save and result.kept:
+        print(saved)
+
+
+def _report_several(args: argparse.Namespace, runs: list[tuple[str, str, Result]]) -> None:
+    if args.json:
+        print(json.dumps([{"link": place, "policy": policy, **result.summary()} for place, policy, result in runs]))
+        return
+    print(f"{args.url}, {args.size[0]}x{args.size[1]} an eye, {args.fps:g} Hz, window {args.window}\n")
+    print(comparison_markdown(runs))
+
+
+async def _stream(
+    args: argparse.Namespace, token: str | None, simulated: Link | None, policy: str, drive: Drive, frames: int
+) -> Result:
+    bars = not args.json and sys.stderr.isatty()
+    async with over(simulated, args.url) as url:
+        async with Client(url, token, window=args.window, mirror=args.mirror, cafile=args.tls_ca) as client:
+            with tqdm(total=frames, desc=policy, unit="frame", disable=not bars, leave=False) as bar:
+                return await stream(
+                    client,
+                    drive,
+                    frames=frames,
+                    fps=args.fps,
+                    size=args.size,
+                    quality=args.quality,
+                    crop=args.crop,
+                    policy=policy,
+                    window=args.window,
+                    keep=bool(args.save),
+                    progress=bar.update,
+                )
+
+
+@dataclass(frozen=True)
+class Recording:
+    """Tracking samples in order of time; the sample of a moment is the newest that was known then."""
+
+    times: list[float]  # seconds from the first sample
+    samples: list[dict[str, Any]]
+    roots: NDArray[np.float64]  # [N, 3] where the user stands, without the sway of the head
+
+    @property
+    def seconds(self) -> float:
+        """From the first sample to the last; 1 for a single one."""
+        return self.times[-1] or 1.0
+
+    def at(self, seconds: float) -> Driven:
+        """The tracking object at ``seconds``; the recording repeats."""
+        index = max(0, bisect_right(self.times, seconds % self.seconds) - 1)
+        return Driven(tracking=self.samples[index], root=self.roots[index])
+
+
+@dataclass(frozen=True)
+class Played:
+    """A motion, played over and over. Rigs other than SMPL-X are sent by joint name."""
+
+    motion: Motion
+
+    def at(self, seconds: float) -> Driven:
+        """The pose at ``seconds``."""
+        pose = self.motion.at(seconds)
+        if self.motion.names == JOINT_NAMES:
+            return Driven(pose, root=pose.trans)
+        joints = dict(zip(self.motion.names, pose.rotations.tolist(), strict=True))
+        return Driven({"joints": joints, "trans": pose.trans.tolist()}, root=pose.trans)
+
+
+def load_drive(
+    name: str | None, avatar: str | None = None, tracking: bool = False, option: str = "--motion"
+) -> tuple[Drive, float]:
+    """What moves the avatar, and for how many seconds. Raises GlsplatError naming the file.
+
+    ``tracking`` sends a motion's head and hands, not its poses. Without a name it is the embedded recording, or, for an
+    avatar of its own, the embedded motion; without SMPL-X's rig as poses.
+    """
+    if name is None and avatar is None and has_recording():
+        recording = _recording(embedded_recording(), "the embedded recording")
+        return recording, recording.seconds
+    if name is not None and name.endswith(".jsonl"):
+        recording = _recording(read_samples(name), name)
+        return recording, recording.seconds
+
+    scene = load(avatar) if avatar else default_avatar()
+    if not isinstance(scene, Avatar):
+        raise GlsplatError(f"{avatar}: this scene has no skeleton to move; give an avatar (.glb with a skin)")
+    motion = motion_of(name or default_motion(), scene.skeleton, option)
+    if tracking or (name is None and scene.skeleton.names == JOINT_NAMES):
+        truth = truth_from_motion(scene.skeleton, motion.rotations, motion.trans, motion.fps, _TRACKING_RATE)
+        return _recording(derive(scene.skeleton, truth), motion.label), motion.duration
+    return Played(motion), motion.duration
+
+
+def has_recording() -> bool:
+    """True where this installation has a recording of its own."""
+    return resources.files("glsplat.data").joinpath("recording.jsonl").is_file()
+
+
+def default_motion() -> str:
+    """The embedded motion that shows most of the body; whichever there is otherwise."""
+    names = embedded_motions()
+    if not names:
+        raise GlsplatError("this installation has no embedded motions; give a motion file")
+    return next((name for name in _SHOWN_FIRST if name in names), names[0])
+
+
+def _recording(samples: Iterable[Sample], name: str) -> Recording:
+    times, tracked = [], []
+    for sample in samples:
+        fields = {key: value for key, value in sample.to_json().items() if _finite(value)}  # NaN: not tracked
+        times.append(float(fields.pop("t")))
+        tracked.append(fields)
+    if not tracked:
+        raise FormatError(f"{name}: expected tracking samples, a JSON object a line, found none")
+    heads = np.array([(fields.get("head") or (0.0, 0.0, 0.0))[:3] for fields in tracked]) * (1, 0, 1)
+    roots = uniform_filter1d(heads, round(_STANDS * _TRACKING_RATE), axis=0, mode="nearest")
+    return Recording([max(0.0, t - times[0]) for t in times], tracked, roots)
+
+
+def _finite(value: Any) -> bool:
+    if isinstance(value, list):
+        return all(map(_finite, value))
+    return value is None or bool(np.isfinite(value))
+
+
+def check_target(target: str) -> None:
+    """Refuse what could not be saved before the work starts."""
+    output_kind("--save", target, (*CLIPS, ".png"), "a clip .mp4 or .webm, a contact sheet .png", folder="PNG files")
+
+
+def save_pictures(target: str, result: Result) -> str:
+    """The kept pairs as a folder of PNG, a clip at the speed they came, or a contact sheet; says what was written."""
+    path = Path(target)
+    if path.suffix.lower() in CLIPS:
+        return save_clip(path, result.kept)
+    if path.suffix.lower() == ".png":
+        save_sheet(path, result.kept)
+    else:
+        path.mkdir(exist_ok=True)
+        for _, reply in result.kept:
+            save_png(path / f"{reply.frame_id:06d}.png", _pair(reply))
+    return target
+
+
+def save_clip(path: Path, kept: list[tuple[float, Reply]], across: int | None = None) -> str:
+    """Left and right side by side at the mean rate of the pictures; at most ``across`` pixels wide. Says what it is."""
+    seconds = kept[-1][0] - kept[0][0]
+    fps = (len(kept) - 1) / seconds if seconds > 0 else 10.0
+    with Clip(path, max(1.0, round(fps, 2))) as clip:
+        for _, reply in kept:
+            clip.add(_fitted(_pair(reply), across))
+    return clip.summary
+
+
+def save_sheet(path: Path, kept: list[tuple[float, Reply]], columns: int = 2) -> None:
+    """Several moments, each left and right side by side with frame number and time."""
+    step = max(1, len(kept) / _MOMENTS)
+    chosen = [kept[int(i * step)] for i in range(min(_MOMENTS, len(kept)))]
+    tiles = []
+    for seconds, reply in chosen:
+        pair = _fitted(_pair(reply), _TILE)
+        tiles.append(label(pair, f"frame {reply.frame_id}, {seconds:.2f} s: left | right"))
+    save_png(path, stack([tiles[i : i + columns] for i in range(0, len(tiles), columns)]))
+
+
+def _pair(reply: Reply) -> NDArray[np.uint8]:
+    return side_by_side(np.stack(reply.images()))
+
+
+def _fitted(pair: NDArray[np.uint8], across: int | None) -> NDArray[np.uint8]:
+    if across is None or pair.shape[1] <= across:
+        return pair
+    scale = across / pair.shape[1]
+    return cv2.resize(pair, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA).astype(np.uint8)

@@ -1,0 +1,94 @@
+"""The latency table of a streaming run, as text for the terminal and as markdown for the documentation."""
+
+from __future__ import annotations
+
+import platform
+from collections.abc import Sequence
+from importlib.metadata import version
+
+from glsplat.evaluate.machine import machine
+from glsplat.net.stages import median_p95
+
+from .streaming import STAGES, Result
+
+__all__ = ["comparison_markdown", "frame_text", "table_markdown", "table_text"]
+
+
+def table_text(result: Result) -> str:
+    """Rows of stage, place, median and 95th percentile in ms; the parts of rendering are indented."""
+    lines = [f"{'stage':28}{'where':8}{'median':>9}{'p95':>9}   ms"]
+    for name, place, median, p95 in _rows(result):
+        lines.append(f"{name:28}{place:8}{median:9.2f}{p95:9.2f}")
+    return "\n".join(lines)
+
+
+def frame_text(result: Result) -> str:
+    """Two lines about frames, bytes, the age of the picture on show, and what comes on top of rendering."""
+    age, age95 = median_p95(result.ages)
+    more, more95 = median_p95(result.beyond_render)
+    size = sum(result.nbytes) / max(len(result.nbytes), 1) / 1e3
+    return (
+        f"{result.fps:.1f} pictures a second: {result.sent} asked, {result.shown} shown, {result.dropped} dropped, "
+        f"{result.late} late, {result.errors} failed; {size:.0f} kB a frame; age on show {age:.0f} ms (p95 {age95:.0f})"
+        f"\n{result.share:.2f} of what the renderer could draw without a pause; request to reply less render "
+        f"{more:.1f} ms (p95 {more95:.1f})"
+    )
+
+
+def comparison_markdown(runs: Sequence[tuple[str, str, Result]]) -> str:
+    """One row a run: link, policy, rate and ages; below it driver, machine, versions and date."""
+    lines = [
+        "| link | policy | shown a second | render, mean | share of render rate | reply - render, median | p95 "
+        "| of it in the mailbox | age at reply, p95 | bound | age on show, median | p95 | kB a frame |",
+        "|---|---|" + "--:|" * 11,
+    ]
+    for place, policy, result in runs:
+        (more, more95), age = median_p95(result.beyond_render), median_p95(result.ages)
+        reply95 = median_p95(result.replies)[1]
+        size = sum(result.nbytes) / max(len(result.nbytes), 1) / 1e3
+        lines.append(
+            f"| {place} | {policy} | {result.fps:.1f} | {result.render_ms:.1f} | {result.share:.2f} "
+            f"| {more:.1f} | {more95:.1f} | {median_p95(result.waits)[0]:.1f} "
+            f"| {reply95:.0f} | {result.age_bound:.0f} | {age[0]:.0f} | {age[1]:.0f} | {size:.0f} |"
+        )
+    return "\n".join([*lines, "", *_measured_on([result for _, _, result in runs])]) + "\n"
+
+
+def table_markdown(results: Sequence[tuple[str, Result]]) -> str:
+    """One table, a pair of columns for each run, with driver, machine, versions and date below."""
+    names = [name for name, _ in results]
+    lines = [
+        "| stage | where | " + " | ".join(f"{name}: median | p95" for name in names) + " |",
+        "|---|---|" + "--:|--:|" * len(names),
+    ]
+    columns = [{(name, place): (m, p) for name, place, m, p in _rows(result)} for _, result in results]
+    for key in columns[0]:
+        cells = " | ".join(f"{c[key][0]:.2f} | {c[key][1]:.2f}" if key in c else " | " for c in columns)
+        lines.append(f"| {key[0].replace('  ', '- ')} | {key[1]} | {cells} |")
+    lines.append("| pictures a second | | " + " | ".join(f"{r.fps:.1f} | " for _, r in results) + " |")
+    ages = [median_p95(r.ages) for _, r in results]
+    lines.append("| age of the picture on show | client | " + " | ".join(f"{m:.0f} | {p:.0f}" for m, p in ages) + " |")
+    sizes = [sum(r.nbytes) / max(len(r.nbytes), 1) / 1e3 for _, r in results]
+    lines.append("| kB a frame | | " + " | ".join(f"{size:.0f} | " for size in sizes) + " |")
+    return "\n".join([*lines, "", *_measured_on([result for _, result in results])]) + "\n"
+
+
+def _measured_on(results: Sequence[Result]) -> list[str]:
+    driver = next((r.driver for r in results if r.driver), "unknown driver")
+    facts = machine()
+    packages = ", ".join(f"{name} {version(name)}" for name in ("moderngl", "numpy", "aiohttp", "simplejpeg"))
+    return [
+        f"Milliseconds. {driver}; {facts['machine']}, {facts['cores']} cores, {platform.system()}; "
+        f"Python {platform.python_version()}, {packages};",
+        f"{facts['date']}, client on this machine.",
+    ]
+
+
+def _rows(result: Result) -> list[tuple[str, str, float, float]]:
+    rows = []
+    for key, name, place in STAGES:
+        rows.append((name, place, *median_p95(result.times.get(key, []))))
+        if key == "render":
+            parts = [part for part in result.times if part.startswith("render/")]  # in the order of the frame
+            rows += [(f"  {p.removeprefix('render/')}", place, *median_p95(result.times[p])) for p in parts]
+    return rows

@@ -1,0 +1,248 @@
+"""``glsplat report``: error against run time, what batching gains, what is left out, and whether hard cases hold."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import re
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from tqdm import tqdm
+
+from glsplat.errors import FormatError
+from glsplat.evaluate.machine import machine
+from glsplat.formats.files import replace_file
+from glsplat.gl.context import Context, create_context
+from glsplat.views import splats_of
+
+from ..bench import WARM_UP
+from ..usage import UsageError
+from . import latency as report_latency
+from .agreement import LOADED, agreement, agreement_cost, verdict
+from .batching import batching
+from .error import require_extra
+from .growth import Grid, grid_of, growth, growth_cost
+from .hidden import Search, hidden, hidden_cost, with_hidden
+from .html import page
+from .knobs import Setting, base_config, error_frames, settings_of
+from .left_out import features_of, left_out, unmoved
+from .measure import frame_cost, measure, measure_cost
+from .stability import frame_cases, judge
+from .stability_skin import skin_cases
+from .stability_tracking import tracking_cases
+from .subjects import PERSON_SPLATS, Subject, check_cameras, subjects_of
+
+HELP = (
+    "Render scenes over a grid of settings, compare with a float64 reference, time every setting in one process, and "
+    "write report.html (opens offline), plots and report.json. The default avatar is always among the scenes."
+)
+EXAMPLE = "glsplat report --quick -o out/report"
+
+BATCHING_SIZES = (512, 768, 1024)
+NOT_MEASURED = {
+    "views = 1 with layer code": "a program for two views cannot draw one",
+}
+_CASE = 60.0  # milliseconds of a stability case
+_REQUEST = 1000 / 72  # milliseconds between requests of the latency section
+_BAR = "{desc}: {percentage:3.0f}% |{bar}| {elapsed} passed, about {remaining} to go"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The command line."""
+    parser.add_argument(
+        "scenes",
+        nargs="*",
+        metavar="SCENE",
+        help="PLY, .splat or glTF besides the default avatar, or a rigged person (.npz), seen as an avatar of "
+        f"{PERSON_SPLATS} splats whose truth has all joints a splat; NAME.camera.json beside NAME.ply is its view",
+    )
+    parser.add_argument(
+        "--cameras",
+        nargs="+",
+        default=[],
+        metavar="WHERE",
+        help="folders with NAME.camera.json for scenes that have none beside them, or NAME=FILE for one scene",
+    )
+    parser.add_argument("--quick", action="store_true", help="fewer frames, smaller pictures, fewer points of growth")
+    parser.add_argument("--frames", type=int, help="measured frames a setting (default 30; 8 with --quick)")
+    parser.add_argument("--size", type=int, help="pixels a side of section 1 (default 256; 128 with --quick)")
+    parser.add_argument("--device", help="EGL device: index or part of its name (also GLSPLAT_DEVICE)")
+    parser.add_argument("-o", "--output", type=Path, default=Path("out/report"), help="folder (default out/report)")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Measure, write, and say what does not hold: 1 if a stability case failed."""
+    frames = (8 if args.quick else 30) if args.frames is None else args.frames
+    size = (128 if args.quick else 256) if args.size is None else args.size
+    if not 3 <= frames <= 10000:
+        raise UsageError(f"--frames needs 3 to 10000, not {frames}")
+    if not 16 <= size <= 1024:
+        raise UsageError(f"--size needs 16 to 1024 (the float64 reference is slow), not {size}")
+    require_extra()
+    check_cameras(args.cameras, args.scenes)
+    paths = [None, *dict.fromkeys(args.scenes)]
+    subjects = [s for path in paths for s in subjects_of(path, size, args.cameras)]
+    try:
+        args.output.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise FormatError(f"{args.output}: cannot make the folder ({error.strerror})") from None
+    context = create_context(args.device)
+    try:
+        result = measured(context, subjects, frames, args.quick, BATCHING_SIZES, grid_of(args.quick), args.device)
+    finally:
+        context.release()
+    files = write(result, args.output)
+    failed = [row for row in result["stability"] if row["verdict"] != "holds"]
+    for row in result["agreement"]:
+        print(
+            f"{row['scene']}, 2 x {row['size']}x{row['size']}: report {row['report_ms']['median']:.2f} ms, "
+            f"bench {row['bench_ms']['median']:.2f} ms: {verdict(row)}"
+        )
+    if not all(row["agree"] for row in result["agreement"]):
+        print(LOADED)
+    print(f"{len(result['stability']) - len(failed)} of {len(result['stability'])} stability cases hold")
+    for row in failed:
+        print(f"  failed: {row['group']}, {row['case']}: {row['seen']}")
+    print(*files, sep="\n")
+    return 1 if failed else 0
+
+
+def measured(
+    context: Context,
+    subjects: list[Subject],
+    frames: int,
+    quick: bool,
+    sizes: tuple[int, ...] = BATCHING_SIZES,
+    grid: Grid | None = None,
+    device: str | None = None,
+) -> dict[str, Any]:
+    """All sections of the report as one JSON object; plots are not made yet."""
+    base, cases, grid = base_config(context), [*frame_cases(), *skin_cases(), *tracking_cases()], grid or grid_of(quick)
+    settings = [settings_of(subject, base, quick, context.compute) for subject in subjects]
+    compared = [error_frames(subject, frames, quick) for subject in subjects]
+    main = next((s for s in subjects if s.moving), subjects[0])
+    still = replace(main, cameras=())
+    orbiting = [i for i, subject in enumerate(subjects) if not subject.cameras][:2]
+    twice = [subjects[i] for i in orbiting]
+    again = min(frames, 6) if quick else frames
+    features = features_of(main.scene, context)
+    fewer = max(3, frames // 4) if quick else max(3, frames // 2)
+    splats = len(splats_of(main.scene))
+    feature_cost = 4 * frame_cost(splats, 2 * main.size**2)
+    pair_cost = {side: 5.5 * frame_cost(splats, 2 * side**2) for side in sizes}
+    culled, search = with_hidden(subjects), Search(frames=3, moments=1, around=3) if quick else Search(frames=frames)
+    total = _REQUEST * report_latency.frames(quick) + _CASE * len(cases) + growth_cost(grid)
+    total += agreement_cost(twice, again) + hidden_cost(culled, search)
+    total += sum(measure_cost(*one, frames, two) for one, two in zip(_pairs(subjects, settings), compared, strict=True))
+    total += (WARM_UP + fewer) * (feature_cost * (len(features) + 0.5) + sum(pair_cost.values()))
+    if context.software:
+        tqdm.write(f"about {math.ceil(total / 60e3)} minutes on two cores that do nothing else", file=sys.stderr)
+    seconds: dict[str, float] = {}
+    with tqdm(total=total, bar_format=_BAR, disable=not sys.stderr.isatty()) as bar:
+
+        def section(name: str, text: str = "") -> None:
+            bar.set_description(text or name)
+            seconds[name] = seconds.get(name, 0.0) - time.perf_counter()
+
+        def end(name: str) -> None:
+            seconds[name] = round(seconds[name] + time.perf_counter(), 1)
+
+        section("stability")
+        stability = judge(cases, context, lambda n: bar.update(_CASE * n))
+        end("stability")
+        scenes = []
+        for (subject, own), when in zip(_pairs(subjects, settings), compared, strict=True):
+            section("scenes", subject.name)
+            scenes.append(measure(context, subject, own, frames, when, tick=bar.update))
+            end("scenes")
+        section("agreement")
+        agreed = agreement(context, twice, [scenes[i] for i in orbiting], again, bar.update)
+        end("agreement")
+        section("hidden splats")
+        hidden_rows, hidden_pictures = hidden(context, culled, search, bar.update)
+        end("hidden splats")
+        section("left out")
+        rows = left_out(context, replace(still, moving=False), features, fewer, lambda n: bar.update(feature_cost * n))
+        unmoved_row = unmoved(context, still, fewer, lambda n: bar.update(feature_cost / 2 * n))
+        end("left out")
+        batches = []
+        for side in sizes:
+            section("batching", f"batching {side}x{side}")
+            both = replace(still, size=side)
+            batches.append(batching(context, both, fewer, lambda n, side=side: bar.update(pair_cost[side] * n)))  # type: ignore[misc]
+            end("batching")
+        section("latency")
+        latency = report_latency.measure(quick, lambda n: bar.update(_REQUEST * n))
+        end("latency")
+        section("growth")
+        grown = growth(context, grid, device, bar.update)
+        end("growth")
+    facts = machine()
+    facts["versions"] |= {name: version(name) for name in ("matplotlib", "flip-evaluator", "simplejpeg")}
+    return {
+        **facts,
+        "driver": context.driver,
+        "backend": context.backend,
+        "quick": quick,
+        "frames": frames,
+        "frames_of_the_rest": fewer,  # batching and what is left out
+        "warm_up": WARM_UP,
+        "seconds": seconds,
+        "expected_seconds": round(total / 1e3, 1),
+        "scenes": scenes,
+        "agreement": agreed,
+        "batching": batches,
+        "batching_scene": main.name,
+        "left_out": rows,
+        "left_out_splats": splats,
+        "unmoved": unmoved_row,
+        "stability": stability,
+        "latency": latency,
+        "growth": grown,
+        "hidden": hidden_rows,
+        "hidden_pictures": hidden_pictures,  # taken out and written as PNG
+        "not_measured": NOT_MEASURED,
+    }
+
+
+def _pairs(subjects: Sequence[Subject], settings: Sequence[list[Setting]]) -> list[tuple[Subject, list[Setting]]]:
+    return list(zip(subjects, settings, strict=True))
+
+
+def write(result: dict[str, Any], folder: Path) -> list[Path]:
+    """Plots, report.json and report.html, each complete or as it was; returns their paths, the page last."""
+    from .plots import batching_plot, error_plot, growth_plot, hidden_plot, knob_plot, left_out_plot
+
+    pictures: dict[str, bytes] = {"batching.png": batching_plot(result["batching"])}
+    pictures["left_out.png"] = left_out_plot(result["left_out"])
+    pictures["growth.png"] = growth_plot(result["growth"])
+    for index, row in enumerate(result["hidden"]):
+        row["plot"] = f"hidden-{index}.png"
+        pictures[row["plot"]] = hidden_plot(row, result["hidden_pictures"][row["scene"]])
+    result = {key: value for key, value in result.items() if key != "hidden_pictures"}
+    for index, scene in enumerate(result["scenes"]):
+        stem = f"{index}-" + (re.sub(r"[^a-z0-9]+", "-", scene["scene"].lower()).strip("-") or "scene")
+        scene["plots"] = [f"{stem}.png", f"{stem}-knobs.png"]
+        pictures |= dict(zip(scene["plots"], (error_plot(scene), knob_plot(scene)), strict=True))
+    result = finite(result)
+    text = json.dumps(result, indent=1, allow_nan=False)
+    files = {**pictures, "report.json": text.encode(), "report.html": page(result, pictures).encode()}
+    for name, data in files.items():
+        replace_file(folder / name, [data])
+    return [folder / name for name in files]
+
+
+def finite(value: Any) -> Any:
+    """The same JSON value with None for what JSON cannot say (NaN, infinity)."""
+    if isinstance(value, dict):
+        return {key: finite(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [finite(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -1,0 +1,298 @@
+"""report.html: one file that opens without a network, with every table and picture of a report."""
+
+from __future__ import annotations
+
+import base64
+import html
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from . import latency as report_latency
+from .agreement import LOADED, verdict
+
+__all__ = ["page"]
+
+_STYLE = """
+body { font: 15px/1.45 system-ui, sans-serif; margin: 2em auto; max-width: 1200px; padding: 0 1em; color: #222; }
+table { border-collapse: collapse; margin: 1em 0; font-size: 13px; }
+th, td { border-bottom: 1px solid #ddd; padding: 3px 10px; text-align: left; vertical-align: top; }
+td.n { text-align: right; font-variant-numeric: tabular-nums; }
+tr.front { background: #fff4e0; } tr.failed { background: #ffd9d6; font-weight: bold; }
+img { max-width: 100%; } code { background: #f2f2f2; padding: 0 3px; }
+"""
+
+
+_DENSE = (
+    "Drawn with at most eight joints a splat; the truth has all joints that the corners of the nearest triangle of the "
+    "person's mesh have."
+)
+
+
+def page(result: Mapping[str, Any], pictures: Mapping[str, bytes]) -> str:
+    """The whole document; ``pictures`` are PNG by file name, as they are written beside it."""
+    failed = [row for row in result["stability"] if row["verdict"] != "holds"]
+    versions = ", ".join(f"{name} {version}" for name, version in result["versions"].items())
+    rest = f"{result['frames_of_the_rest']} in sections 2 and 3, {result['growth']['frames']} in 6"
+    width = f"{result['frames']} frames a setting after {result['warm_up']} of warm-up ({rest})"
+    facts = [
+        f"Driver: {result['driver']} ({result['backend']})",
+        f"Machine: {result['machine']}, {result['cores']} cores",
+        f"Versions: {versions}; commit {result['commit'] or 'unknown'}; {result['date']} (UTC)",
+        f"{width}, settings interleaved frame by frame" + ("; a quick run" if result["quick"] else ""),
+        _agreement(result["agreement"]),
+        f"Stability: {len(result['stability']) - len(failed)} of {len(result['stability'])} cases hold",
+    ]
+    parts = ["<h1>Error against run time</h1><ul>", *(f"<li>{_text(fact)}</li>" for fact in facts), "</ul>"]
+    parts.append(
+        "<p>Errors are against pictures computed in float64; times are whole frames with 8-bit output, read back. "
+        "Timings of one run are comparable; machines are not.</p>"
+    )
+    parts.append("<h2>1. Error against run time</h2>")
+    for scene in result["scenes"]:
+        parts += _scene(scene, pictures)
+    parts += _batching(result["batching"], pictures)
+    parts += _left_out(result, pictures)
+    parts += _stability(result["stability"])
+    parts += _latency(result["latency"])
+    parts += _growth(result["growth"], pictures)
+    parts += _hidden(result["hidden"], pictures)
+    rows = [[name, why] for name, why in result["not_measured"].items()]
+    parts += ["<h2>8. What this report does not measure</h2>", _table(["what", "why"], rows)]
+    head = f'<html lang="en"><head><meta charset="utf-8"><title>glsplat report</title><style>{_STYLE}</style></head>'
+    return f"<!doctype html>{head}<body>{''.join(parts)}</body></html>\n"
+
+
+def _scene(scene: Mapping[str, Any], pictures: Mapping[str, bytes]) -> list[str]:
+    width, height = scene["size"]
+    heading = f"{scene['scene']}: {scene['splats']:,} splats, {scene['views']} x {width}x{height}"
+    better = ", ".join(scene["better"]) or "none"
+    rows, classes = [], []
+    for row in scene["settings"]:
+        rows.append(
+            [
+                row["knob"],
+                row["setting"],
+                row["ms"]["median"],
+                row["ms"]["p95"],
+                row["ratio"],
+                row["psnr"],
+                row["maximum"],
+                row["flip"],
+                "front" if row["pareto"] else "",
+            ]
+        )
+        classes.append("front" if row["pareto"] else "")
+    names = [
+        "knob",
+        "setting",
+        "ms, median",
+        "ms, p95",
+        "of the default",
+        "PSNR (dB)",
+        "maximum error",
+        "FLIP",
+        "Pareto",
+    ]
+    return [
+        f"<h3>{_text(heading)}</h3>",
+        *([f"<p>{_DENSE}</p>"] if scene["dense_truth"] else []),
+        *(_image(pictures, name) for name in scene["plots"]),
+        f"<p>The default measured twice differs by {scene['noise_ms']:.3f} ms. "
+        f"As close or closer than the default and faster by more than that: {_text(better)}.</p>",
+        _table(names, rows, classes),
+    ]
+
+
+def _batching(rows: Sequence[Mapping[str, Any]], pictures: Mapping[str, bytes]) -> list[str]:
+    table, stages = [], []
+    for row in rows:
+        paper = row.get("paper", {})
+        ours = [row["pair_ms"]["median"], row["two_ms"]["median"], row["fps"], row["two_fps"], row["gain"]]
+        theirs = [paper.get("pair_ms", ""), paper.get("two_ms", ""), paper.get("gain", "")]
+        table.append([f"{row['size']} x {row['size']}", *ours, row["in_turn_gain"], *theirs])
+        for stage in row["stages"]:
+            stages.append([f"{row['size']}", stage["stage"], stage["pair_ms"], stage["two_ms"], stage["saved_ms"]])
+    names = ["pixels an eye", "batched (ms)", "two renders (ms)", "FPS", "FPS, two renders", "gain"]
+    names += ["gain over one renderer, eye by eye", "paper, batched (ms)", "paper, not batched (ms)", "paper, gain"]
+    return [
+        "<h2>2. Binocular Batching</h2>",
+        "<p>Two renders share nothing; one renderer, eye by eye, shares skinning. The paper's figures are of its "
+        "authors' GPU and avatar.</p>",
+        _image(pictures, "batching.png"),
+        _table(names, table),
+        _table(["pixels an eye", "stage", "pair (ms)", "two renders (ms)", "saved (ms)"], stages),
+    ]
+
+
+def _left_out(result: Mapping[str, Any], pictures: Mapping[str, bytes]) -> list[str]:
+    rows = []
+    for row in result["left_out"]:
+        lean, full = row["lean"], row["full"]
+        rows.append(
+            [
+                row["feature"],
+                row["how"],
+                lean["ms"]["median"],
+                full["ms"]["median"],
+                row["cost"],
+                f"{lean['programs']} / {full['programs']}",
+                f"{lean['buffers']} / {full['buffers']}",
+                " ".join(stage for stage in full["passes"] if stage not in lean["passes"]) or "-",
+                _bytes(lean["bytes"], result["left_out_splats"]),
+                _bytes(full["bytes"], result["left_out_splats"]),
+                f"{row['apart']:.1e}" + ("" if row["same_picture"] else " (NOT one picture)"),
+            ]
+        )
+    names = ["feature", "present but unused", "without (ms)", "with (ms)", "cost", "programs", "buffers", "more passes"]
+    names += ["bytes a splat without", "with", "pictures apart"]
+    still = result["unmoved"]
+    rest = [["moved", still["moved_ms"]["median"], " ".join(still["moved_passes"])]]
+    rest.append(["unmoved", still["unmoved_ms"]["median"], " ".join(still["unmoved_passes"])])
+    return [
+        "<h2>3. What is left out</h2>",
+        _image(pictures, "left_out.png"),
+        _table(names, rows),
+        f"<p>Passes of a frame of {_text(still['scene'])}:</p>",
+        _table(["frame", "ms, median", "passes"], rest),
+    ]
+
+
+def _stability(cases: Sequence[Mapping[str, Any]]) -> list[str]:
+    rows = []
+    for case in cases:
+        compared = case["error"] is not None or case["unit"]
+        error = f"{_number(case['error'])} {case['unit']}" if compared else ""
+        rows.append(
+            [case["group"], case["case"], case["input"], case["behaviour"], case["seen"], error, case["verdict"]]
+        )
+    names = ["of", "case", "input", "stated behaviour", "seen", "largest error, or what was measured", "verdict"]
+    classes = ["" if case["verdict"] == "holds" else "failed" for case in cases]
+    return ["<h2>4. Stability</h2><p>Every row was run for this report.</p>", _table(names, rows, classes)]
+
+
+def _latency(result: Mapping[str, Any]) -> list[str]:
+    head, *rows = report_latency.rows(dict(result))
+    shown = [
+        f"2 x {run['size'][0]}x{run['size'][1]}: {run['pictures_a_second']:.1f} pictures a second, "
+        f"{run['bytes_per_frame'] / 1024:.0f} KiB each, {run['dropped']} of {run['sent']} replaced by newer requests"
+        for run in result["runs"]
+    ]
+    return [
+        "<h2>5. Latency</h2>",
+        f"<p>A server and a client on this machine; the embedded recording of head and hands at {result['fps']:.0f} "
+        "requests a second (ms; the paper's column is its table, on its authors' GPU, headset and network).</p>",
+        _table(head, rows),
+        "<ul>",
+        *(f"<li>{_text(line)}</li>" for line in shown),
+        "</ul>",
+    ]
+
+
+def _growth(growth: Mapping[str, Any], pictures: Mapping[str, bytes]) -> list[str]:
+    rows, lines = [], []
+    for axis in ("splats", "pixels", "views"):
+        for row in growth[axis]:
+            what = [axis, row["splats"], f"{row['views']} x {row['size']}x{row['size']}"]
+            if "left_out" in row:
+                rows.append([*what, f"left out: {row['left_out']}", "", "", ""])
+                continue
+            process = row["process_bytes"]
+            grown = process / 1e6 if process is not None else "not measured"
+            rows.append([*what, row["ms"]["median"], row["ms"]["p95"], row["gpu_bytes"] / 1e6, grown])
+    fits = growth["fits"]
+    stages = {f"{stage}, ns a splat": line for stage, line in fits["stages_ns_a_splat"].items()}
+    named = {
+        "whole frame, ns a splat": (fits["ns_a_splat"], "ms"),
+        **{name: (line, "ms") for name, line in stages.items()},
+        "whole frame, ns a pixel": (fits["ns_a_pixel"], "ms"),
+        "whole frame, ms a view": (fits["ms_a_view"], "ms"),
+        "buffers and textures, bytes a splat": (fits["gpu_bytes_a_splat"], "bytes"),
+        "buffers and textures, bytes a pixel": (fits["gpu_bytes_a_pixel"], "bytes"),
+        "process, bytes a splat": (fits["process_bytes_a_splat"], "bytes"),
+    }
+    for name, (line, unit) in named.items():
+        if line:
+            constant = f"{_number(line['constant'])} {unit}"
+            lines.append([name, line["slope"], constant, f"{100 * line['largest_relative_error']:.0f} %"])
+    return [
+        "<h2>6. Growth</h2>",
+        f"<p>{_text(growth['scene'])}, with fewer or more splats of the same area in all. Straight lines of least "
+        "relative error through the medians; the last column says how far the worst point lies off.</p>",
+        _image(pictures, "growth.png"),
+        _table(["slope", "value", "constant", "worst point"], lines),
+        _table(
+            ["along", "splats", "views", "ms, median", "ms, p95", "buffers and textures (MB)", "process grew by (MB)"],
+            rows,
+        ),
+    ]
+
+
+def _hidden(rows: Sequence[Mapping[str, Any]], pictures: Mapping[str, bytes]) -> list[str]:
+    out = ["<h2>7. Hidden splats</h2>"]
+    if not rows:
+        return [*out, "<p>No scene has visibility cones.</p>"]
+    table = []
+    for row in rows:
+        for price in row["price"]:
+            times = [price[key]["median"] for key in ("whole_ms", "floor_ms", "culled_ms")]
+            size = f"2 x {price['size']}x{price['size']}"
+            wanted = "" if price["wanted"] is None else f"{price['wanted']:g}"
+            table.append([row["scene"], size, *times, price["to_floor"], wanted, price["drawn"], price["psnr"]])
+    names = ["scene", "pictures", "whole frame (ms)", "its draw alone (ms)", "without hidden splats (ms)"]
+    names += ["of the draw alone", "wanted", "splats drawn", "PSNR (dB)"]
+    worst = []
+    for row in rows:
+        w = row["worst"]
+        worst.append([row["scene"], w["pictures"], w["psnr_median"], w["psnr_p5"], w["psnr"], w["where"]])
+    heads = ["scene", "pictures", "PSNR, median (dB)", "5th percentile", "worst", "where"]
+    return [
+        *out,
+        "<p>Splats seen from outside their visibility cone are left out. PSNR here is against the complete picture of "
+        "the same renderer; the error against run time of several margins is in section 1.</p>",
+        _table(names, table),
+        _table(heads, worst),
+        *(_image(pictures, row["plot"]) for row in rows),
+    ]
+
+
+def _agreement(rows: Sequence[Mapping[str, Any]]) -> str:
+    said = [
+        f"{row['scene']} {row['report_ms']['median']:.2f} / {row['bench_ms']['median']:.2f} ms ({verdict(row)})"
+        for row in rows
+    ]
+    text = "The default by this report / by glsplat bench, in one process: " + ("; ".join(said) or "not compared")
+    return text if all(row["agree"] for row in rows) else f"{text}. {LOADED}"
+
+
+def _bytes(sizes: Mapping[str, int], splats: int) -> str:
+    return f"{(sizes['splats'] + sizes['sh'] + sizes['work']) / max(splats, 1):.0f}"
+
+
+def _table(names: Sequence[str], rows: Sequence[Sequence[Any]], classes: Sequence[str] = ()) -> str:
+    lines = ["<table><tr>", *(f"<th>{_text(name)}</th>" for name in names), "</tr>"]
+    for index, row in enumerate(rows):
+        kind = classes[index] if classes else ""
+        lines.append(f'<tr class="{kind}">' if kind else "<tr>")
+        for value in row:
+            number = isinstance(value, (int, float))
+            lines.append(f'<td class="n">{_number(value)}</td>' if number else f"<td>{_text(str(value))}</td>")
+        lines.append("</tr>")
+    return "".join([*lines, "</table>"])
+
+
+def _number(value: float | None) -> str:
+    if value is None:
+        return "not finite"
+    if isinstance(value, int):
+        return f"{value:,}"
+    small = value != 0 and abs(value) < 1e-3
+    return f"{value:.1e}" if small else f"{value:.5g}"
+
+
+def _image(pictures: Mapping[str, bytes], name: str) -> str:
+    data = base64.b64encode(pictures[name]).decode("ascii")
+    return f'<p><img alt="{_text(name)}" src="data:image/png;base64,{data}"></p>'
+
+
+def _text(value: str) -> str:
+    return html.escape(value)

@@ -1,0 +1,155 @@
+"""``glsplat tracking bench``: scores on whole motions against two baselines, and the table of docs/tracking.md."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import platform
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from tqdm import tqdm
+
+from glsplat.errors import FormatError
+from glsplat.evaluate.baseline import baseline
+from glsplat.evaluate.tracking_score import Score, mean_score, score
+from glsplat.formats.files import replace_file
+from glsplat.motion.motion import Motion, embedded_motions, load_motion
+from glsplat.skinning.skeleton import Skeleton
+from glsplat.tracking.batch import forward_all
+from glsplat.tracking.derive import derive, truth_from_motion
+from glsplat.tracking.solve.body import Body
+from glsplat.tracking.tracker import Tracker, TrackerConfig
+
+from ..usage import UsageError
+
+__all__ = ["add_bench"]
+
+BEGIN, END = "<!-- scores: begin -->", "<!-- scores: end -->"
+SOLVERS = ("glued", "naive", "glsplat", "glsplat, head only")
+
+
+def add_bench(commands: Any) -> None:
+    """The subcommand's options."""
+    from .command import add_skeleton
+
+    command = commands.add_parser("bench", help="score motions against two baselines; writes the table")
+    command.add_argument("motions", nargs="*", metavar="MOTION", help="motion files or names (default: the embedded)")
+    command.add_argument("--rates", default="30,72,90", help="samples a second, separated by commas")
+    command.add_argument("--no-filter", action="store_true", help="switch the One Euro filters off")
+    command.add_argument("--table", metavar="FILE.md", help="put the table between the marks of this file")
+    command.add_argument("--json", action="store_true", help="print the numbers as JSON")
+    add_skeleton(command)
+    command.set_defaults(work=bench)
+
+
+@dataclass(frozen=True)
+class Row:
+    """One clip at one rate, by one solver."""
+
+    clip: str
+    rate: float
+    solver: str
+    score: Score
+    milliseconds: float  # median a sample; NaN where it was not timed
+
+
+def bench(args: argparse.Namespace) -> int:
+    """Score everything, print the table."""
+    from .command import skeleton_of
+
+    try:
+        rates = [float(rate) for rate in args.rates.split(",")]
+    except ValueError:
+        raise UsageError(f"--rates needs numbers separated by commas, not {args.rates!r}") from None
+    skeleton = skeleton_of(args.avatar)
+    motions = [(Path(name).stem, load_motion(name, skeleton)) for name in args.motions or embedded_motions()]
+    rows: list[Row] = []
+    jobs = [(name, motion, rate) for rate in rates for name, motion in motions]
+    for name, motion, rate in tqdm(jobs, unit="clip", disable=not sys.stderr.isatty(), leave=False):
+        rows += rows_of(name, motion, rate, skeleton, TrackerConfig.raw() if args.no_filter else TrackerConfig())
+    text = table(rows)
+    if args.table:
+        insert(Path(args.table), text)
+    if args.json:
+        rows_json = [
+            {"clip": r.clip, "rate": r.rate, "solver": r.solver, "ms": _known(r.milliseconds), **r.score.to_json()}
+            for r in rows
+        ]
+        print(json.dumps(rows_json))
+    else:
+        print(text)
+    return 0
+
+
+def rows_of(name: str, motion: Motion, rate: float, skeleton: Skeleton, config: TrackerConfig) -> list[Row]:
+    """All solvers on one clip at one rate."""
+    truth = truth_from_motion(skeleton, motion.rotations, motion.trans, motion.fps, rate)
+    sole = Body.of(skeleton).sole
+    nan = float("nan")
+    rows = [
+        Row(name, rate, kind, score(baseline(truth, kind), truth.positions, rate, sole), nan)  # type: ignore[arg-type]
+        for kind in SOLVERS[:2]
+    ]
+    samples = derive(skeleton, truth)
+    for head_only in (False, True):
+        tracker = Tracker(skeleton, config=config, head_only=head_only)
+        rotations, trans, spent = np.empty_like(truth.rotations), np.empty_like(truth.trans), []
+        for i, sample in enumerate(samples):
+            start = time.perf_counter()
+            pose = tracker.update(sample)
+            spent.append(time.perf_counter() - start)
+            rotations[i], trans[i] = pose.rotations, pose.trans
+        positions, _ = forward_all(skeleton, rotations, trans)
+        result = score(positions, truth.positions, rate, sole, rotations, truth.rotations)
+        rows.append(Row(name, rate, SOLVERS[2 + head_only], result, float(np.median(spent)) * 1e3))
+    return rows
+
+
+def table(rows: list[Row]) -> str:
+    """Markdown: the clips at each rate, then the means weighted by frames."""
+    head = (
+        "| clip | Hz | solver | MPJPE cm | upper | lower | root | hands | fingers | MPJRE deg | MPJVE cm/s "
+        "| jitter / truth | skate / truth cm/s | under floor cm | ms |"
+    )
+    lines = [head, "|" + " --- |" * 15]
+    lines += [_line(row) for row in rows]
+    for rate in dict.fromkeys(row.rate for row in rows):
+        for solver in SOLVERS:
+            same = [row for row in rows if row.rate == rate and row.solver == solver]
+            spent = float(np.median([row.milliseconds for row in same]))
+            lines.append(_line(Row("**all**", rate, solver, mean_score([row.score for row in same]), spent)))
+    where = f"Python {platform.python_version()}, numpy {np.__version__}, {platform.machine()}"
+    return "\n".join([*lines, "", f"Times: median a sample, one core, fingers included ({where})."])
+
+
+def _line(row: Row) -> str:
+    s = row.score
+    cells = (
+        *(row.clip, f"{row.rate:g}", row.solver, f"{s.mpjpe:.2f}", f"{s.upper:.2f}", f"{s.lower:.2f}", f"{s.root:.2f}"),
+        *(f"{s.hands:.2f}", f"{s.fingers:.2f}", "-" if s.mpjre != s.mpjre else f"{s.mpjre:.1f}", f"{s.mpjve:.1f}"),
+        *(f"{s.jitter:.1f} / {s.jitter_truth:.1f}", f"{s.skate:.1f} / {s.skate_truth:.1f}", f"{s.penetration:.2f}"),
+        "-" if row.milliseconds != row.milliseconds else f"{row.milliseconds:.2f}",
+    )
+    return "| " + " | ".join(cells) + " |"
+
+
+def insert(path: Path, text: str) -> None:
+    """Replace what stands between the marks of a document."""
+    try:
+        document = path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise FormatError(f"{path}: cannot read the document ({error.strerror})") from None
+    before, begin, rest = document.partition(BEGIN)
+    _, end, after = rest.partition(END)
+    if not begin or not end:
+        raise FormatError(f"{path}: needs the marks {BEGIN} and {END} around the table")
+    replace_file(path, [f"{before}{BEGIN}\n{text}\n{END}{after}".encode()])
+
+
+def _known(value: float) -> float | None:
+    return None if value != value else value

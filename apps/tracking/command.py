@@ -1,0 +1,260 @@
+"""``glsplat tracking``: head and hands to a full-body pose; derive, calibrate, solve, score, show, bench."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from tqdm import tqdm
+
+from glsplat.avatar import Avatar
+from glsplat.data import default_avatar
+from glsplat.errors import FormatError, PoseError
+from glsplat.evaluate.tracking_score import Score, score
+from glsplat.formats import load
+from glsplat.skinning.pose import Pose
+from glsplat.skinning.skeleton import Skeleton
+from glsplat.tracking.calibration import Calibration, calibrate
+from glsplat.tracking.derive import Disturbance, Truth, derive, disturb, truth_from_motion
+from glsplat.tracking.recording import embedded_recording, read_poses, record, replay, write_lines
+from glsplat.tracking.sample import Sample
+from glsplat.tracking.solve.body import Body
+from glsplat.tracking.tracker import Tracker, TrackerConfig
+
+from ..args import motion_of, natural, not_negative, positive
+from ..usage import UsageError
+
+HELP = "Head and hand tracking to a full-body pose: derive it from motions, calibrate, solve, score, show, bench."
+EXAMPLE = "glsplat tracking from-motion walk -o rec.jsonl --truth truth.jsonl --rate 72"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The subcommands."""
+    from .bench import add_bench
+    from .show import add_show
+
+    commands = parser.add_subparsers(dest="task", required=True, metavar="TASK")
+
+    command = commands.add_parser("from-motion", help="derive head and hand tracking from a full-body motion")
+    command.add_argument("motion", help="BVH, AMC, AMASS .npz, JSON, or the name of an embedded motion")
+    command.add_argument("-o", "--output", required=True, metavar="JSONL", help="the recording")
+    command.add_argument("--truth", metavar="JSONL", help="also write the full-body poses it came from")
+    command.add_argument("--rate", type=float, default=72.0, help="samples a second (default 72)")
+    command.add_argument("--seconds", type=positive, help="use at most this much of the motion")
+    command.add_argument("--no-fingers", action="store_true", help="leave out the 25 joints a hand")
+    command.add_argument("--noise-mm", type=not_negative, default=0.0, help="noise of positions, standard deviation")
+    command.add_argument("--noise-deg", type=not_negative, default=0.0, help="noise of orientations")
+    command.add_argument("--dropout", type=float, default=0.0, help="share of the time a hand is lost (0 to 0.9)")
+    command.add_argument("--latency-ms", type=not_negative, default=0.0, help="samples tell of this long ago")
+    command.add_argument("--seed", type=natural, default=0, help="of the noise and the losses")
+    add_skeleton(command)
+    command.set_defaults(work=from_motion)
+
+    command = commands.add_parser("calibrate", help="scale and floor from a few seconds of standing still")
+    command.add_argument("recording", nargs="?", metavar="JSONL", help="samples; needed unless --height is given")
+    command.add_argument("-o", "--output", required=True, metavar="JSON", help="the calibration")
+    command.add_argument("--height", type=float, help="the user's stature in metres")
+    command.add_argument("--floor", type=float, help="y of the floor in the tracking space (default 0)")
+    add_skeleton(command)
+    command.set_defaults(work=run_calibrate)
+
+    command = commands.add_parser("solve", help="full-body poses of a recording, one line a sample")
+    add_recording(command)
+    command.add_argument("-o", "--output", required=True, metavar="JSONL", help="the poses")
+    command.set_defaults(work=solve)
+
+    command = commands.add_parser("score", help="errors of solved poses against the truth")
+    command.add_argument("poses", metavar="POSES.jsonl")
+    command.add_argument("truth", metavar="TRUTH.jsonl")
+    command.add_argument("--json", action="store_true", help="print the numbers as JSON")
+    add_skeleton(command)
+    command.set_defaults(work=run_score)
+
+    add_show(commands)
+    add_bench(commands)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Do the chosen task."""
+    work: Callable[[argparse.Namespace], int] = args.work
+    return work(args)
+
+
+def add_skeleton(parser: argparse.ArgumentParser) -> None:
+    """--avatar: whose skeleton."""
+    parser.add_argument("--avatar", metavar="FILE", help="avatar (.glb) or body (.npz with joints); default: embedded")
+
+
+def add_recording(parser: argparse.ArgumentParser) -> None:
+    """A recording, and how to solve it."""
+    parser.add_argument("recording", nargs="?", metavar="RECORDING", help="samples (.jsonl); default: the embedded one")
+    parser.add_argument("--calibration", metavar="JSON", help="from `glsplat tracking calibrate`")
+    parser.add_argument("--height", type=float, help="the user's stature in metres, instead of a calibration")
+    parser.add_argument("--head-only", action="store_true", help="ignore the hands")
+    parser.add_argument("--no-filter", action="store_true", help="switch the One Euro filters off")
+    parser.add_argument("--predict-ms", type=float, default=0.0, help="extrapolate to the time of display (0 to 100)")
+    add_skeleton(parser)
+
+
+def skeleton_of(name: str | None) -> Skeleton:
+    """The skeleton of an avatar file, of a body's .npz, or of the embedded avatar."""
+    if name is None:
+        return default_avatar().skeleton
+    if name.endswith(".npz"):
+        try:
+            with np.load(name, allow_pickle=False) as body:
+                names, parents, joints = body["joint_names"], body["parents"], body["joints"]
+                return Skeleton.from_joints(tuple(map(str, names)), parents, joints)
+        except OSError as error:
+            raise FormatError(f"{name}: cannot read the body ({error.strerror or error})") from None
+        except (KeyError, ValueError) as error:
+            raise FormatError(f"{name}: a body holds joint_names, parents and joints, but {error}") from None
+    scene = load(name)
+    if not isinstance(scene, Avatar):
+        raise FormatError(f"{name}: this scene has no skeleton; give an avatar (.glb with a skin)")
+    return scene.skeleton
+
+
+def samples_of(name: str | None) -> list[Sample]:
+    """The samples of a recording; the embedded one by default."""
+    samples = embedded_recording() if name is None else list(replay(name))
+    if not samples:
+        raise FormatError(f"{name}: expected tracking samples, one JSON object a line, found none")
+    return samples
+
+
+def tracker_of(args: argparse.Namespace, skeleton: Skeleton) -> Tracker:
+    """The tracker that ``add_recording``'s options ask for."""
+    calibration = Calibration()
+    if args.calibration and args.height is not None:
+        raise UsageError("--calibration and --height both tell the user's size; give one of them")
+    if args.calibration:
+        calibration = Calibration.load(args.calibration)
+    elif args.height is not None:
+        calibration = Calibration.of_height(skeleton, args.height)
+    settings = {"prediction": args.predict_ms / 1000}
+    config = TrackerConfig.raw(**settings) if args.no_filter else TrackerConfig(**settings)
+    return Tracker(skeleton, calibration, config, head_only=args.head_only)
+
+
+def from_motion(args: argparse.Namespace) -> int:
+    """A recording (and the truth) from a motion."""
+    if not 0 <= args.dropout <= 0.9:
+        raise UsageError(f"--dropout needs 0 to 0.9, not {args.dropout:g}")
+    _different(args.output, args.truth)
+    skeleton = skeleton_of(args.avatar)
+    motion = motion_of(args.motion, skeleton, "MOTION")
+    count = len(motion) if args.seconds is None else min(len(motion), max(2, round(args.seconds * motion.fps)))
+    truth = truth_from_motion(skeleton, motion.rotations[:count], motion.trans[:count], motion.fps, args.rate)
+    how = Disturbance(
+        noise_mm=args.noise_mm,
+        noise_deg=args.noise_deg,
+        dropout=args.dropout,
+        latency_s=args.latency_ms / 1000,
+        seed=args.seed,
+    )
+    samples = derive(skeleton, truth, fingers=not args.no_fingers)
+    record(args.output, disturb(samples, how) if how != Disturbance(seed=args.seed) else samples)
+    if args.truth:
+        write_lines(args.truth, truth_lines(truth))
+    print(f"{args.output}: {len(samples)} samples at {args.rate:g} Hz, {truth.times[-1]:.2f} s")
+    return 0
+
+
+def truth_lines(truth: Truth) -> Iterator[dict[str, Any]]:
+    """The lines ``read_poses`` reads, for a true motion."""
+    for i, t in enumerate(truth.times):
+        pose = Pose(truth.rotations[i], truth.trans[i])
+        yield {
+            "t": float(t),
+            **pose.to_smplx(),
+            "joints": truth.positions[i].tolist(),
+            "reach_error": None,
+            "flags": [],
+        }
+
+
+def run_calibrate(args: argparse.Namespace) -> int:
+    """A calibration file from a recording, or from a height."""
+    skeleton = skeleton_of(args.avatar)
+    _different(args.output, args.recording)
+    if args.recording:
+        calibration = calibrate(list(replay(args.recording)), skeleton, args.floor, args.height)
+    elif args.height is not None:
+        calibration = Calibration.of_height(skeleton, args.height, args.floor or 0.0)
+    else:
+        raise UsageError("give a recording of standing still, or --height in metres")
+    calibration.save(args.output)
+    print(f"{args.output}: scale {calibration.scale:.3f}, floor {calibration.floor:.3f} m")
+    return 0
+
+
+def solve(args: argparse.Namespace) -> int:
+    """Poses of a recording."""
+    skeleton = skeleton_of(args.avatar)
+    tracker = tracker_of(args, skeleton)
+    _different(args.output, args.recording)
+    samples = samples_of(args.recording)
+    bar = tqdm(samples, unit="sample", disable=not sys.stderr.isatty(), leave=False)
+    count = write_lines(args.output, (solved(tracker, sample) for sample in bar))
+    print(f"{args.output}: {count} poses")
+    return 0
+
+
+def solved(tracker: Tracker, sample: Sample) -> dict[str, Any]:
+    """One line of ``solve``: time, pose keys, joints in the world, reach error (m), flags."""
+    pose = tracker.update(sample)
+    line = {"t": sample.t, **pose.to_smplx(), "joints": tracker.joints(pose).tolist()}
+    line["reach_error"] = None if tracker.reach_error == (None, None) else list(tracker.reach_error)
+    line["flags"] = list(tracker.flags)
+    if tracker.calibration.scale != 1.0:
+        line["scale"] = tracker.calibration.scale  # joints = scale * avatar's joints + floor
+    return line
+
+
+def _different(output: str, other: str | None) -> None:
+    """Refuse to write over the file that is read, or both outputs into one."""
+    if other is not None and Path(output).resolve() == Path(other).resolve():
+        raise UsageError(f"{output}: the two files need different names")
+
+
+def run_score(args: argparse.Namespace) -> int:
+    """Scores of one file against another."""
+    poses, truth = read_poses(args.poses), read_poses(args.truth)
+    if len(poses.times) != len(truth.times):
+        raise PoseError(
+            f"{args.poses} has {len(poses.times)} poses and {args.truth} {len(truth.times)}; they need the same samples"
+        )
+    apart = np.abs(np.asarray(poses.times) - np.asarray(truth.times)).max(initial=0.0)
+    if not truth.rate > 0 or apart > 0.5 / truth.rate:
+        raise PoseError(f"{args.poses} and {args.truth} need the same, rising time stamps; they are {apart:g} s apart")
+    sole = Body.of(skeleton_of(args.avatar)).sole
+    result = score(poses.joints, truth.joints, truth.rate, sole, poses.rotations, truth.rotations)
+    if args.json:
+        print(json.dumps(result.to_json()))
+    else:
+        print(score_text(result))
+    return 0
+
+
+def score_text(result: Score) -> str:
+    """The numbers with their units, one a line."""
+    rows = (
+        (
+            "MPJPE",
+            f"{result.mpjpe:.2f} cm   (upper {result.upper:.2f}, lower {result.lower:.2f}, root {result.root:.2f})",
+        ),
+        ("hands", f"{result.hands:.2f} cm   (fingers {result.fingers:.2f})"),
+        ("MPJRE", f"{result.mpjre:.2f} deg"),
+        ("MPJVE", f"{result.mpjve:.1f} cm/s"),
+        ("jitter", f"{result.jitter:.2f} (truth {result.jitter_truth:.2f}) 100 m/s^3"),
+        ("skate", f"{result.skate:.2f} (truth {result.skate_truth:.2f}) cm/s"),
+        ("penetration", f"{result.penetration:.2f} cm"),
+        ("frames", str(result.frames)),
+    )
+    return "\n".join(f"{name:12} {text}" for name, text in rows)

@@ -1,0 +1,182 @@
+"""``glsplat tracking show``: the solved avatar from the side, with targets and joints drawn over it."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from tqdm import tqdm
+
+from glsplat.avatar import Avatar
+from glsplat.camera import Camera, look_at, pinhole
+from glsplat.data import default_avatar
+from glsplat.formats import load
+from glsplat.skinning.pose import Pose
+from glsplat.tracking.recording import PoseTrack, read_poses
+from glsplat.tracking.sample import Sample
+from glsplat.tracking.tracker import Tracker
+
+from ..args import positive, size
+from ..clip import CLIPS, Clip
+from ..output import label, save_png, stack
+from ..usage import UsageError, output_kind
+
+__all__ = ["add_show"]
+
+Image = NDArray[np.uint8]
+
+BONE, TARGET, MISSED, TRUE = (255, 210, 60), (80, 230, 120), (255, 80, 80), (150, 150, 255)
+BACKGROUND = (0.16, 0.17, 0.19)
+TILES = 10  # moments on a contact sheet
+
+
+def add_show(commands: Any) -> None:
+    """The subcommand's options."""
+    from .command import add_recording
+
+    command = commands.add_parser("show", help="pictures of the solved avatar with targets and joints over it")
+    add_recording(command)
+    command.add_argument(
+        "-o", "--output", required=True, metavar="OUT", help="folder/, clip .mp4 or .webm (VP9), contact sheet .png"
+    )
+    command.add_argument("--truth", metavar="JSONL", help="draw these poses too (from-motion --truth)")
+    command.add_argument("--size", type=size, default=(512, 512), help="pixels of a view (default 512x512)")
+    command.add_argument("--fps", type=positive, default=24.0, help="pictures a second of the recording (default 24)")
+    command.add_argument("--side", type=float, default=60.0, help="degrees from the front the camera stands")
+    command.add_argument("--stick", action="store_true", help="joints only, no avatar (needs no OpenGL)")
+    command.set_defaults(work=show)
+
+
+def show(args: argparse.Namespace) -> int:
+    """Solve, draw, save."""
+    from .command import samples_of, skeleton_of, tracker_of
+
+    target = Path(args.output)
+    what = "a clip .mp4 or .webm, a contact sheet .png"
+    kind = output_kind("-o", args.output, (*CLIPS, ".png"), what, folder="PNG files")
+    tracker = tracker_of(args, skeleton_of(args.avatar))
+    samples = samples_of(args.recording)
+    if max(args.size) > 4096 or args.fps > 1000:
+        raise UsageError("--size needs at most 4096 a side and --fps at most 1000")
+    truth = read_poses(args.truth) if args.truth else None
+    frames = _chosen(samples, args.fps, TILES if kind == ".png" else None)
+    painter = Painter(args, tracker, truth)
+    bar = tqdm(enumerate(samples), total=len(samples), unit="sample", disable=not sys.stderr.isatty(), leave=False)
+    pictures: list[Image] = []
+    with painter.drawing() as draw:
+        if kind in CLIPS:
+            with Clip(target, args.fps) as clip:
+                for index, sample in bar:
+                    pose = tracker.update(sample)
+                    if index in frames:
+                        clip.add(draw(index, sample, pose))
+        else:
+            if kind == "":
+                target.mkdir(parents=True, exist_ok=True)
+            for index, sample in bar:
+                pose = tracker.update(sample)
+                if index in frames and kind == "":
+                    save_png(target / f"{index:06d}.png", draw(index, sample, pose))
+                elif index in frames:
+                    pictures.append(draw(index, sample, pose))
+    if pictures:
+        save_png(target, stack([pictures[i : i + 5] for i in range(0, len(pictures), 5)]))
+    print(clip.summary if kind in CLIPS else args.output)
+    return 0
+
+
+def _chosen(samples: list[Sample], fps: float, count: int | None) -> set[int]:
+    """Indices of the samples that become pictures: ``count`` evenly, or one each 1/fps seconds."""
+    if count is not None:
+        return {round(i * (len(samples) - 1) / max(count - 1, 1)) for i in range(count)}
+    chosen, due = set(), -np.inf
+    for index, sample in enumerate(samples):
+        if sample.t >= due:
+            chosen.add(index)
+            due = max(due + 1 / fps, sample.t) if np.isfinite(due) else sample.t + 1 / fps
+    return chosen
+
+
+class Painter:
+    """Camera at the side of the avatar, the renderer where there is one, lines over it."""
+
+    def __init__(self, args: argparse.Namespace, tracker: Tracker, truth: PoseTrack | None) -> None:
+        self.args, self.tracker, self.truth = args, tracker, truth
+        self.avatar = None if args.stick else self._avatar(args.avatar)
+        self.renderer: Any = None
+
+    @staticmethod
+    def _avatar(name: str | None) -> Avatar | None:
+        if name is not None and name.endswith(".npz"):
+            return None  # a body without splats
+        scene = default_avatar() if name is None else load(name)
+        return scene if isinstance(scene, Avatar) else None
+
+    def drawing(self) -> Painter:
+        """Use as ``with painter.drawing() as draw``."""
+        return self
+
+    def __enter__(self) -> Callable[[int, Sample, Pose], Image]:
+        if self.avatar is not None:
+            from glsplat.renderer import Renderer
+
+            self.renderer = Renderer(self.avatar, size=self.args.size, views=1)
+        return self.picture
+
+    def __exit__(self, *_: object) -> None:
+        if self.renderer is not None:
+            self.renderer.release()
+
+    def picture(self, index: int, sample: Sample, pose: Pose) -> Image:
+        """[H, W, 3] one moment."""
+        tracker = self.tracker
+        joints = tracker.skeleton.forward(pose.rotations, pose.trans)[:, :3, 3]
+        middle = np.array([joints[0, 0], 0.52 * tracker.body.eye_height, joints[0, 2]])
+        camera = self._camera(middle)
+        if self.renderer is not None:
+            image: Image = np.ascontiguousarray(self.renderer.render([camera], pose)[0, ..., :3])
+        else:
+            shade = [round(255 * v) for v in BACKGROUND]
+            image = np.full((camera.height, camera.width, 3), shade, np.uint8)
+        if self.truth is not None:
+            scale, floor = tracker.calibration.scale, tracker.calibration.floor
+            true = (self.truth.joints[min(index, len(self.truth.joints) - 1)] - (0, floor, 0)) / scale
+            self._bones(image, camera, true, TRUE)
+        self._bones(image, camera, joints, BONE)
+        self._targets(image, camera, sample)
+        planted = "".join(s[0].upper() for s in ("left", "right") if f"{s}_planted" in tracker.flags) or "-"
+        return label(image, f"{sample.t:.2f} s  feet {planted}")
+
+    def _camera(self, middle: NDArray[np.float64]) -> Camera:
+        angle = np.radians(self.args.side)
+        eye = middle + 3.4 * np.array([np.sin(angle), 0.12, np.cos(angle)])
+        width, height = self.args.size
+        return Camera(look_at(eye, middle), pinhole(width, height, 40.0), width, height, background=BACKGROUND)
+
+    def _bones(self, image: Image, camera: Camera, joints: NDArray[np.float64], colour: tuple[int, int, int]) -> None:
+        pixels = _project(camera, joints)
+        for joint in range(1, 22):
+            parent = int(self.tracker.skeleton.parents[joint])
+            cv2.line(image, pixels[joint], pixels[parent], colour, 1, cv2.LINE_AA)
+
+    def _targets(self, image: Image, camera: Camera, sample: Sample) -> None:
+        tracker = self.tracker
+        for name, pose in (("head", sample.head), ("left", sample.left), ("right", sample.right)):
+            if pose is None or not np.isfinite(pose).all() or (name != "head" and tracker.head_only):
+                continue
+            at = tracker.to_avatar(np.block([[np.eye(3), np.array(pose[:3])[:, None]], [np.zeros(3), 1.0]]))[:3, 3]
+            colour = MISSED if f"{name}_out_of_reach" in tracker.flags else TARGET
+            cv2.circle(image, _project(camera, at[None])[0], max(3, camera.height // 90), colour, 2, cv2.LINE_AA)
+
+
+def _project(camera: Camera, points: NDArray[np.float64]) -> list[tuple[int, int]]:
+    seen = points @ camera.viewmat[:3, :3].T + camera.viewmat[:3, 3]
+    pixels = seen @ camera.K.T
+    pixels = pixels[:, :2] / np.maximum(pixels[:, 2:], 1e-3)
+    return [(int(x), int(y)) for x, y in np.clip(np.rint(pixels), -9999, 9999)]

@@ -1,0 +1,163 @@
+"""Two baselines that a solver has to beat: the template glued to the head, and a naive inverse kinematics.
+
+Both are told more than a headset knows: the true body of the first frame. They give positions only.
+"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glsplat.tracking.derive import Truth
+from glsplat.tracking.solve.body import HEAD, NECK, PELVIS, SPINE1, SPINE2, SPINE3
+
+__all__ = ["baseline"]
+
+Array = NDArray[np.float64]
+
+_ARMS = ((13, 16, 18, 20), (14, 17, 19, 21))
+_LEGS = ((1, 4, 7, 10), (2, 5, 8, 11))
+_FINGERS = (range(25, 40), range(40, 55))
+
+
+def baseline(truth: Truth, kind: Literal["glued", "naive"]) -> Array:
+    """Joint positions [T, 55, 3] estimated from the true head and wrists.
+
+    glued: the body of the first frame, turned by a smoothed head yaw, hung on the head; wrists at the hands. naive: a
+    yaw follower, a torso of fixed length under the head, two-bone arms with an elbow guessed from a straight wrist, and
+    feet that step with the pelvis.
+    """
+    solver = _Naive(truth)
+    return np.stack([solver.frame(k, kind) for k in range(len(truth.times))])
+
+
+class _Naive:
+    def __init__(self, truth: Truth) -> None:
+        self.truth, self.dt = truth, float(truth.times[1] - truth.times[0])
+        first = truth.positions[0]
+        across = first[1] - first[2]
+        self.first, self.facing = first, _yaw(np.arctan2(-across[2], across[0]))
+        self.template = (first - first[HEAD]) @ self.facing  # in the first frame's heading
+        self.head = truth.frames[0, HEAD]
+        self.neck = self.head.T @ (first[NECK] - first[HEAD])
+        self.elbow = [truth.frames[0, arm[3]].T @ (first[arm[2]] - first[arm[3]]) for arm in _ARMS]
+        self.yaw = self._head_yaw(0)
+        self.velocity = np.zeros(3)
+        self.feet: list[Array] = []
+        self.steps: list[tuple[Array, float] | None] = [None, None]
+
+    def _ahead(self, k: int) -> Array:
+        forward: Array = self.truth.frames[k, HEAD] @ self.head.T @ self.facing @ np.array([0.0, 0.0, 1.0])
+        return forward
+
+    def _head_yaw(self, k: int) -> float:
+        forward = self._ahead(k)
+        return float(np.arctan2(forward[0], forward[2]))
+
+    def frame(self, k: int, kind: str) -> Array:
+        truth, template = self.truth, self.template
+        head, target = truth.positions[k, HEAD], self._head_yaw(k)
+        self.yaw += _wrapped(target - self.yaw) * (1 - np.exp(-self.dt / 0.25))
+        behind = _wrapped(target - self.yaw)
+        if abs(behind) > 0.9:
+            self.yaw += behind - np.sign(behind) * 0.9
+        facing = _yaw(self.yaw)
+        out: Array = head + template @ facing.T
+        if kind == "naive":
+            self._body(k, out, head, facing)
+        for arm, fingers in zip(_ARMS, _FINGERS, strict=True):
+            out[arm[3]] = truth.positions[k, arm[3]]
+            hand = truth.frames[k, arm[3]] @ truth.frames[0, arm[3]].T
+            out[fingers] = out[arm[3]] + (self.first[fingers] - self.first[arm[3]]) @ hand.T
+        return out
+
+    def _body(self, k: int, out: Array, head: Array, facing: Array) -> None:
+        truth, template, rest = self.truth, self.template, self.template[PELVIS]
+        if k:
+            self.velocity = 0.8 * self.velocity + 0.2 * (head - truth.positions[k - 1, HEAD]) / self.dt
+            self.velocity[1] = 0
+        neck = head + truth.frames[k, HEAD] @ self.neck
+        hips = head + facing @ rest
+        drop = head[1] - self.first[HEAD, 1]
+        pitch = -np.arcsin(np.clip(self._ahead(k)[1], -1, 1))
+        if self.feet and np.linalg.norm(self.velocity) < 0.4:
+            ankles = (template[7] + template[8]) / 2
+            hips[[0, 2]] += 0.35 * ((self.feet[0] + self.feet[1]) / 2 + facing @ (rest - ankles) - hips)[[0, 2]]
+        hips[1] = self.first[PELVIS, 1] + min(drop, 0) * (0.5 if pitch > 0.5 else 0.85) + max(drop, 0)
+        length = np.linalg.norm(template[NECK] - rest)
+        hips = neck - _unit(neck - hips) * length
+        torso = _frame(facing[:, 0], neck - hips) @ _frame(np.array([1.0, 0, 0]), template[NECK] - rest).T
+        for joint in (PELVIS, SPINE1, SPINE2, SPINE3):
+            out[joint] = hips + torso @ (template[joint] - rest)
+        out[NECK] = neck
+        for side, (collar, shoulder, elbow, wrist) in enumerate(_ARMS):
+            for joint in (collar, shoulder):
+                out[joint] = neck + torso @ (template[joint] - template[NECK])
+            hand = truth.positions[k, wrist]
+            a, b = self._length(shoulder, elbow), self._length(elbow, wrist)
+            reach = hand - out[shoulder]
+            far = float(np.linalg.norm(reach))
+            out[shoulder] += _unit(reach) * min(max(far - 0.97 * (a + b), 0.0), 0.08)
+            guess = hand + truth.frames[k, wrist] @ self.elbow[side]
+            middle = out[shoulder] + reach * a / (a + b)
+            down = torso @ np.array([0.5 - side, -1, -0.5])
+            out[elbow], _ = _two_bone(out[shoulder], hand, a, b, 0.6 * _unit(guess - middle) + 0.4 * _unit(down))
+        self._legs(out, hips, facing)
+
+    def _legs(self, out: Array, hips: Array, facing: Array) -> None:
+        rest = self.template[PELVIS]
+        for side, (hip, knee, ankle, foot) in enumerate(_LEGS):
+            out[hip] = hips + facing @ (self.template[hip] - rest)
+            target = hips + facing @ (self.template[ankle] - rest) + self.velocity * 0.18
+            target[1] = self.first[ankle, 1]
+            if len(self.feet) <= side:
+                self.feet.append(target.copy())
+            step = self.steps[side]
+            if step is not None:
+                start, phase = step
+                phase += self.dt / 0.35
+                self.steps[side] = (start, phase) if phase < 1 else None
+                e = min(phase, 1.0) ** 2 * (3 - 2 * min(phase, 1.0))
+                self.feet[side] = start * (1 - e) + target * e
+                self.feet[side][1] = target[1] + (0.1 * np.sin(np.pi * phase) if phase < 1 else 0.0)
+            elif np.linalg.norm((target - self.feet[side])[[0, 2]]) > 0.14 and self.steps[1 - side] is None:
+                self.steps[side] = (self.feet[side].copy(), 0.0)
+            ahead = facing @ np.array([0.1 - 0.2 * side, 0, 1.0])
+            a, b = self._length(hip, knee), self._length(knee, ankle)
+            out[knee], out[ankle] = _two_bone(out[hip], self.feet[side], a, b, ahead)
+            out[foot] = out[ankle] + facing @ (self.template[foot] - self.template[ankle])
+
+    def _length(self, a: int, b: int) -> float:
+        return float(np.linalg.norm(self.first[a] - self.first[b]))
+
+
+def _yaw(angle: float) -> Array:
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]])
+
+
+def _wrapped(angle: float) -> float:
+    return float((angle + np.pi) % (2 * np.pi) - np.pi)
+
+
+def _unit(v: Array) -> Array:
+    out: Array = v / (np.linalg.norm(v) + 1e-9)
+    return out
+
+
+def _frame(across: Array, up: Array) -> Array:
+    """[3, 3] with y along ``up`` and x as near to ``across`` as that allows."""
+    y = _unit(up)
+    z = _unit(np.cross(across, y))
+    return np.stack([np.cross(y, z), y, z], 1)
+
+
+def _two_bone(root: Array, end: Array, a: float, b: float, pole: Array) -> tuple[Array, Array]:
+    """Middle joint and (reachable) end."""
+    line = _unit(end - root)
+    far = float(np.clip(np.linalg.norm(end - root), abs(a - b) + 1e-3, (a + b) * 0.999))
+    along = (a * a - b * b + far * far) / (2 * far)
+    side = _unit(pole - line * (pole @ line)) * np.sqrt(max(a * a - along * along, 0.0))
+    return root + line * along + side, root + line * far

@@ -1,0 +1,1 @@
+"""OpenGL contexts: making them, taking turns with others, leaving them as they were found."""

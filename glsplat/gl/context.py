@@ -1,0 +1,354 @@
+"""OpenGL contexts without a window: EGL with device choice, OSMesa through its C library, or one that is given.
+
+What a driver can do is probed by rendering, not read from extension strings (docs/shaders.md has the reasons).
+"""
+
+from __future__ import annotations
+
+import ctypes
+import ctypes.util
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from types import TracebackType
+from typing import Any
+
+import moderngl
+import numpy as np
+
+from glsplat.errors import ContextError, ShaderError
+from glsplat.gl import current
+from glsplat.gl.owner import Entry, Owner, check_process, destroy_when_dropped, owner_of, release_dropped
+from glsplat.gl.state import GLState
+from glsplat.shaders import Variant, flatten, link
+
+__all__ = ["Context", "create_context", "egl_devices"]
+
+REQUIRED = 330
+INSTALL = "install Mesa's software driver (Debian/Ubuntu: apt-get install libegl1 libgl1-mesa-dri) or your GPU's driver"
+
+
+@dataclass(frozen=True, eq=False)
+class Context:
+    """A moderngl context and what it can do. Belongs to the thread that made it (docs/python.md).
+
+    glsplat enters it by itself. For OpenGL of your own use ``with context:``, which makes it current and gives back
+    what was current before.
+    """
+
+    ctx: moderngl.Context
+    backend: str  # egl, osmesa or given
+    vertex_layers: bool  # the vertex shader can write gl_Layer (probed)
+    compute: bool  # OpenGL 4.3
+    software: bool  # a software rasterizer
+    scratch: moderngl.Framebuffer  # 1x1; what is bound while nothing is drawn
+    owner: Owner
+    state: GLState | None = None  # of a given context, which is left as it was found
+    _stays: list[Entry] = field(default_factory=list)
+
+    @property
+    def driver(self) -> str:
+        """Renderer and version strings of the driver."""
+        return f"{self.ctx.info['GL_RENDERER']}, {self.ctx.info['GL_VERSION']}"
+
+    @property
+    def max_size(self) -> int:
+        """Largest width or height of a target in pixels."""
+        info = self.ctx.info
+        return min(info["GL_MAX_TEXTURE_SIZE"], *info["GL_MAX_VIEWPORT_DIMS"])
+
+    @property
+    def released(self) -> bool:
+        """True after release()."""
+        return isinstance(self.scratch.mglo, moderngl.InvalidObject)
+
+    def entered(self, call: str) -> Entry:
+        """``with`` it this context is current, its state is known, and afterwards all is as before.
+
+        Raises ContextError, which names ``call``, on another thread, in a forked child and after release().
+        """
+        if self.released:
+            raise ContextError(f"{call}: this context was released; make a new one")
+        return Entry(self.owner, call, self.state)
+
+    def __enter__(self) -> Context:
+        stay = Entry(self.owner, "Context", None)
+        stay.__enter__()
+        self._stays.append(stay)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._stays.pop().__exit__(kind, error, trace)
+
+    def loosen(self) -> None:
+        """Break the ring of references through the framebuffer in use, so that the last holder's end is the end."""
+        if self.ctx.fbo is self.scratch:
+            self.ctx.fbo = None  # type: ignore[assignment]  # as moderngl leaves a new context
+
+    def release(self) -> None:
+        """Destroy the context unless it was given. May be called twice; raises ContextError on another thread."""
+        if self.released or self.owner.forked:
+            return
+        with self.entered("Context.release()"):
+            if self.state is None:
+                self.scratch.use()  # moderngl restores the framebuffer that was bound, and fails if it is gone
+            else:
+                self.state.release()
+            for texture in self.scratch.color_attachments:
+                texture.release()
+            self.scratch.release()
+        if self.backend != "given":
+            self.owner.destroyed = True
+            self.owner.leave()
+            self.ctx.release()
+
+
+def create_context(
+    device: int | str | None = None,
+    backend: str | None = None,
+    given: moderngl.Context | None = None,
+) -> Context:
+    """A context that can render, with its abilities probed.
+
+    ``device`` is an index or a part of a name in ``egl_devices()``; by default GLSPLAT_DEVICE, else the first.
+    ``backend`` is egl or osmesa; by default GLSPLAT_BACKEND, else EGL and, where EGL has no device, OSMesa.
+    ``given`` is your own moderngl context, current on this thread: it is left as it is found. A new context stays
+    current if none was. Raises ContextError with the list of devices or what to install.
+
+    >>> context = glsplat.create_context()
+    >>> renderer = glsplat.Renderer(glsplat.default_avatar(), size=(320, 240), context=context)
+    >>> renderer.release()
+    >>> context.release()
+    """
+    check_process()
+    current.look()
+    release_dropped()
+    if given is not None:
+        return _given(given)
+    with _kept_current():
+        current.unbind()  # one library does not make a context current over another's
+        return _created(device, backend)
+
+
+def _created(device: int | str | None, backend: str | None) -> Context:
+    backend = backend or os.environ.get("GLSPLAT_BACKEND") or None
+    if backend not in (None, "egl", "osmesa"):
+        raise ContextError(f"backend needs egl or osmesa, not {backend}")
+    if backend == "osmesa":
+        return _own(_osmesa(), "osmesa")
+    device = device if device is not None else os.environ.get("GLSPLAT_DEVICE") or None
+    try:
+        return _own(_egl(device), "egl")
+    except ContextError:
+        if backend == "egl" or device is not None or not _osmesa_library():
+            raise
+        return _own(_osmesa(), "osmesa")
+
+
+def egl_devices() -> list[str]:
+    """Names of the EGL devices in index order, e.g. ["NVIDIA (cuda 0)", "Mesa software"]; empty without EGL."""
+    path = ctypes.util.find_library("EGL")
+    if path is None:
+        return []
+    try:
+        egl = ctypes.CDLL(path)
+    except OSError:
+        return []
+    egl.eglGetProcAddress.restype = ctypes.c_void_p
+    egl.eglGetProcAddress.argtypes = [ctypes.c_char_p]
+
+    def function(name: bytes, result: Any, *arguments: Any) -> Any:
+        address = egl.eglGetProcAddress(name)
+        return ctypes.CFUNCTYPE(result, *arguments)(address) if address else None
+
+    query = function(b"eglQueryDevicesEXT", ctypes.c_uint, ctypes.c_int, ctypes.c_void_p, ctypes.c_void_p)
+    string = function(b"eglQueryDeviceStringEXT", ctypes.c_char_p, ctypes.c_void_p, ctypes.c_int)
+    attribute = function(
+        b"eglQueryDeviceAttribEXT", ctypes.c_uint, ctypes.c_void_p, ctypes.c_int, ctypes.POINTER(ctypes.c_ssize_t)
+    )
+    if query is None or string is None:
+        return []
+    handles = (ctypes.c_void_p * 32)()
+    count = ctypes.c_int()
+    if not query(32, handles, ctypes.byref(count)):
+        return []
+    names = []
+    for handle in handles[: count.value]:
+        extensions = (string(handle, 0x3055) or b"").decode()  # EGL_EXTENSIONS
+        value = ctypes.c_ssize_t()
+        if "EGL_NV_device_cuda" in extensions and attribute and attribute(handle, 0x323A, ctypes.byref(value)):
+            names.append(f"NVIDIA (cuda {value.value})")
+        elif "EGL_MESA_device_software" in extensions:
+            names.append("Mesa software")
+        elif "EGL_EXT_device_drm" in extensions:
+            names.append((string(handle, 0x3233) or b"drm device").decode())  # EGL_DRM_DEVICE_FILE_EXT
+        else:
+            names.append("unnamed")
+    return names
+
+
+def _egl(wanted: int | str | None) -> moderngl.Context:
+    names = egl_devices()
+    if not names:
+        raise ContextError(f"found 0 EGL devices; {INSTALL}")
+    index = 0
+    if wanted is not None:
+        text = str(wanted)
+        matches = [i for i, name in enumerate(names) if text.lower() in name.lower()]
+        if text.isdecimal():
+            matches = [int(text)] if int(text) < len(names) else []
+        if not matches:
+            listed = "; ".join(f"{i}: {name}" for i, name in enumerate(names))
+            raise ContextError(f"no EGL device {text!r}; there are {listed}")
+        index = matches[0]
+    # glcontext lets this variable override the argument it is given
+    variable = os.environ.pop("GLCONTEXT_DEVICE_INDEX", None)
+    try:
+        return _made(standalone=True, backend="egl", device_index=index)
+    except Exception as error:  # glcontext raises bare Exception
+        raise ContextError(f"EGL device {index} ({names[index]}) gives no OpenGL 3.3: {error}; {INSTALL}") from None
+    finally:
+        if variable is not None:
+            os.environ["GLCONTEXT_DEVICE_INDEX"] = variable
+
+
+def _made(**settings: Any) -> moderngl.Context:
+    """A new context that does not become moderngl's default one: that belongs to the user."""
+    store = getattr(moderngl, "_store", None)
+    default = getattr(store, "default_context", None)
+    try:
+        return moderngl.create_context(require=REQUIRED, **settings)
+    finally:
+        if store is not None:
+            store.default_context = default
+
+
+def _osmesa_library() -> str | None:
+    return ctypes.util.find_library("OSMesa")
+
+
+class _OSMesa:
+    """What moderngl asks of a context object, on OSMesa's C functions."""
+
+    def __init__(self) -> None:
+        path = _osmesa_library()
+        if path is None:
+            raise ContextError("no OSMesa library; Debian/Ubuntu: apt-get install libosmesa6")
+        lib = self._lib = ctypes.CDLL(path)
+        current.look()
+        lib.OSMesaCreateContextAttribs.restype = ctypes.c_void_p
+        lib.OSMesaCreateContextAttribs.argtypes = [ctypes.c_void_p, ctypes.c_void_p]
+        lib.OSMesaMakeCurrent.argtypes = [ctypes.c_void_p, ctypes.c_void_p, ctypes.c_uint, ctypes.c_int, ctypes.c_int]
+        lib.OSMesaGetProcAddress.restype = ctypes.c_void_p
+        lib.OSMesaGetProcAddress.argtypes = [ctypes.c_char_p]
+        lib.OSMesaDestroyContext.argtypes = [ctypes.c_void_p]
+        # format RGBA, profile core, version 3.3 at least (names from GL/osmesa.h)
+        attributes = (ctypes.c_int * 9)(0x22, 0x1908, 0x33, 0x34, 0x36, 3, 0x37, 3, 0)
+        self._handle = lib.OSMesaCreateContextAttribs(attributes, None)
+        self._pixels = ctypes.create_string_buffer(16 * 16 * 4)  # never drawn to; OSMesa wants one
+        if not self._handle:
+            raise ContextError("OSMesa gives no OpenGL 3.3 core context; update Mesa")
+        self.__enter__()
+
+    def load_opengl_function(self, name: str) -> int:
+        """Address of a GL function, as moderngl asks for it."""
+        return self._lib.OSMesaGetProcAddress(name.encode()) or 0
+
+    def __enter__(self) -> _OSMesa:
+        if not self._lib.OSMesaMakeCurrent(self._handle, self._pixels, 0x1401, 16, 16):  # GL_UNSIGNED_BYTE
+            raise ContextError("OSMesa could not make its context current")
+        return self
+
+    def __exit__(self, *_: object) -> None: ...
+
+    def release(self) -> None:
+        """Destroy the context."""
+        if self._handle:
+            self._lib.OSMesaDestroyContext(self._handle)
+            self._handle = None
+
+
+def _osmesa() -> moderngl.Context:
+    return _made(context=_OSMesa())
+
+
+def _own(ctx: moderngl.Context, backend: str) -> Context:
+    current.look()
+    owner = owner_of(ctx, current.binding())
+    destroy_when_dropped(ctx, owner, f"a context of glsplat ({backend})")
+    return _probed(ctx, backend, owner)
+
+
+def _given(given: moderngl.Context) -> Context:
+    _check_version(given)
+    with _kept_current(whatever=True):
+        try:
+            given.mglo.__enter__()  # a context of moderngl's becomes current
+        except Exception:  # a window's may have no such method: it has to be current
+            pass
+        owner, state = owner_of(given, current.binding()), GLState(given)
+        with owner.entered("create_context()", state):
+            return _probed(given, "given", owner, state)
+
+
+@contextmanager
+def _kept_current(whatever: bool = False) -> Iterator[None]:
+    """Give back what was current; if nothing was, only after an error, or ``whatever`` happens."""
+    former = current.binding()
+    try:
+        yield
+    except BaseException:
+        whatever = True
+        raise
+    finally:
+        if former is not None:
+            if not current.is_current(former):
+                current.bind(former)
+        elif whatever:
+            current.unbind()
+
+
+def _check_version(ctx: moderngl.Context) -> None:
+    if ctx.version_code < REQUIRED:
+        raise ContextError(f"OpenGL 3.3 is needed, this context has {ctx.version_code / 100:.1f}; {INSTALL}")
+
+
+def _probed(ctx: moderngl.Context, backend: str, owner: Owner, state: GLState | None = None) -> Context:
+    _check_version(ctx)
+    renderer = ctx.info["GL_RENDERER"].lower()
+    software = any(name in renderer for name in ("llvmpipe", "softpipe", "swrast", "swiftshader"))
+    scratch = ctx.framebuffer([ctx.texture((1, 1), 4)])
+    layers = _vertex_layers(ctx, scratch)
+    return Context(ctx, backend, layers, ctx.version_code >= 430, software, scratch, owner, state)
+
+
+def _vertex_layers(ctx: moderngl.Context, scratch: moderngl.Framebuffer) -> bool:
+    """Draw one pixel into each of two layers, routed by the vertex shader, and look."""
+    variant = Variant(views=2)
+    vertex = flatten("screen.vert.glsl", variant.defines())
+    fragment = flatten(
+        "probe.frag.glsl",
+        {},
+        overrides={"probe.frag.glsl": "flat in int layer; out vec4 f; void main() { f = vec4(layer == 1 ? 1 : 0.5); }"},
+    )
+    texture = ctx.texture_array((1, 1, 2), 4)
+    framebuffer = ctx.framebuffer([texture])
+    try:
+        framebuffer.clear()
+        framebuffer.use()
+        program = link(ctx, "probe", {"vertex_shader": vertex, "fragment_shader": fragment})
+        array = ctx.vertex_array(program, [])
+        array.render(moderngl.TRIANGLES, vertices=3, instances=2)
+        layers = np.frombuffer(texture.read(), np.uint8).reshape(2, 4)[:, 0]
+        array.release()
+        program.release()
+        return bool(abs(int(layers[0]) - 128) <= 1 and layers[1] == 255)
+    except (moderngl.Error, ShaderError):  # a driver that rejects the shader answers the question as well
+        return False
+    finally:
+        scratch.use()
+        framebuffer.release()
+        texture.release()

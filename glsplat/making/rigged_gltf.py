@@ -1,0 +1,166 @@
+"""Rigged, textured people in glTF 2.0: triangles with a skin and base colours."""
+
+from __future__ import annotations
+
+import base64
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glsplat.errors import FormatError
+from glsplat.formats.files import naming, open_regular
+from glsplat.formats.glb import Accessor, Container, Primitive, parse
+from glsplat.formats.nodes import Instance, graph_of
+from glsplat.formats.rig import read_skeleton
+from glsplat.making.people import decode_texture
+from glsplat.meshes import MeshPart, RiggedMesh
+
+__all__ = ["read_gltf_person"]
+
+F64 = NDArray[np.float64]
+
+
+def read_gltf_person(path: str | Path) -> RiggedMesh:
+    """The skinned triangles of a .glb or .gltf, with the base colour textures of their materials.
+
+    Takes the skin that moves the most vertices; meshes without it are left out. The zero pose is the file's rest pose.
+    Alpha counts where the material says MASK or BLEND. Raises FormatError naming the file: no skinned triangles,
+    compressed geometry, a texture that is no JPEG or PNG.
+    """
+    with naming(path):
+        folder = Path(path).parent
+        with open_regular(path) as (file, _):
+            data = file.read()
+        container = parse(data, folder)
+        raw = _raw(data)
+        graph = graph_of(container.gltf)
+        sized: dict[int, int] = {}
+        found: list[tuple[int, Instance, Mapping[str, Any]]] = []
+        for i, node in enumerate(container.gltf.nodes):
+            if node.mesh is None or node.skin is None:
+                continue
+            mesh = container.gltf.meshes[node.mesh] if node.mesh < len(container.gltf.meshes) else None
+            for p, primitive in enumerate(mesh.primitives if mesh else []):
+                where = f"mesh {node.mesh} primitive {p}"
+                if primitive.mode == 4 and "JOINTS_0" in primitive.attributes and "POSITION" in primitive.attributes:
+                    entry = Instance(primitive, node, graph.world[i], where)
+                    found.append((node.skin, entry, raw["meshes"][node.mesh]["primitives"][p]))
+                    accessor = primitive.attributes["POSITION"]
+                    count = container.gltf.accessors[accessor].count if accessor < len(container.gltf.accessors) else 0
+                    sized[node.skin] = sized.get(node.skin, 0) + count
+        if not found:
+            raise FormatError("a person needs triangles with a skin (JOINTS_0 and WEIGHTS_0), found none")
+        best = max(sized, key=lambda skin: sized[skin])
+        chosen = [(instance, extra) for skin, instance, extra in found if skin == best]
+        skeleton = read_skeleton(container, chosen[0][0], graph)
+        return _mesh(container, raw, folder, chosen, skeleton, Path(path).name)
+
+
+def _mesh(
+    container: Container,
+    raw: Mapping[str, Any],
+    folder: Path,
+    chosen: list[tuple[Instance, Mapping[str, Any]]],
+    skeleton: Any,
+    name: str,
+) -> RiggedMesh:
+    vertices: list[F64] = []
+    joints: list[NDArray[np.int64]] = []
+    weights: list[F64] = []
+    parts: list[MeshPart] = []
+    first = 0
+    for instance, extra in chosen:
+        primitive, where = instance.primitive, instance.name
+        points = container.numbers(primitive.attributes["POSITION"], f"{where} POSITION", ("VEC3",)).astype(np.float64)
+        sets = [s for s in (0, 1) if f"JOINTS_{s}" in primitive.attributes and f"WEIGHTS_{s}" in primitive.attributes]
+        if 0 not in sets:
+            raise FormatError(f"{where}: JOINTS_0 needs WEIGHTS_0 beside it")
+        ids = [container.read(primitive.attributes[f"JOINTS_{s}"], f"{where} JOINTS_{s}", ("VEC4",)) for s in sets]
+        ws = [container.numbers(primitive.attributes[f"WEIGHTS_{s}"], f"{where} WEIGHTS_{s}", ("VEC4",)) for s in sets]
+        faces = _faces(container, primitive, extra, where, len(points))
+        texture, set_of_uv = _texture(container, raw, folder, extra.get("material"))
+        uv = np.zeros((len(points), 2), np.float32)
+        if f"TEXCOORD_{set_of_uv}" in primitive.attributes:
+            uv = container.numbers(primitive.attributes[f"TEXCOORD_{set_of_uv}"], f"{where} TEXCOORD", ("VEC2",))
+        if {len(a) for a in (*ids, *ws, uv)} != {len(points)}:
+            raise FormatError(f"{where}: JOINTS, WEIGHTS and TEXCOORD need {len(points)} elements, as POSITION has")
+        wide = np.zeros((len(points), 8), np.int64), np.zeros((len(points), 8))
+        wide[0][:, : 4 * len(sets)], wide[1][:, : 4 * len(sets)] = np.hstack(ids), np.hstack(ws)
+        corner = uv.astype(np.float64)[faces]
+        corner[..., 1] = 1 - corner[..., 1]  # glTF's v axis points down
+        parts.append(MeshPart(where, (faces + first).astype(np.int32), corner, texture))
+        vertices.append(points)
+        joints.append(wide[0])
+        weights.append(wide[1])
+        first += len(points)
+    meta = {"source": name}
+    return RiggedMesh(
+        np.concatenate(vertices), skeleton, np.concatenate(joints), np.concatenate(weights), tuple(parts), meta
+    )
+
+
+def _raw(data: bytes) -> Any:
+    """The JSON as it is, for what splats do not need: indices, materials, images (already known to be valid)."""
+    if data[:4] == b"glTF":
+        size = int.from_bytes(data[12:16], "little")
+        data = data[20 : 20 + size]
+    return json.loads(data)
+
+
+def _faces(
+    container: Container, primitive: Primitive, extra: Mapping[str, Any], where: str, count: int
+) -> NDArray[np.int64]:
+    compressed = [name for name in extra.get("extensions", ()) if "compression" in name]
+    if compressed:
+        raise FormatError(f"{where}: the geometry is compressed ({compressed[0][:60]}); export it plainly")
+    index = np.arange(count)
+    if isinstance(extra.get("indices"), int):
+        index = container.read(extra["indices"], f"{where} indices", ("SCALAR",))[:, 0].astype(np.int64)
+    if len(index) % 3 or (len(index) and index.max() >= count):
+        raise FormatError(f"{where}: the indices need whole triangles of {count} vertices")
+    return index.reshape(-1, 3)
+
+
+def _texture(
+    container: Container, raw: Mapping[str, Any], folder: Path, material: Any
+) -> tuple[NDArray[np.uint8], int]:
+    """RGBA of a material's base colour, and which TEXCOORD it uses."""
+    try:
+        entry = raw["materials"][material] if isinstance(material, int) else {}
+        base = entry.get("pbrMetallicRoughness", {})
+        factor = np.array(base.get("baseColorFactor", (1, 1, 1, 1)), np.float64)
+        factor[:3] = factor[:3] ** (1 / 2.2)  # linear to display, near enough for a flat tint
+        opaque = entry.get("alphaMode", "OPAQUE") == "OPAQUE"
+        image, uv_set = np.full((4, 4, 4), 255, np.uint8), 0
+        if "baseColorTexture" in base:
+            uv_set = int(base["baseColorTexture"].get("texCoord", 0))
+            source = raw["textures"][base["baseColorTexture"]["index"]]["source"]
+            image = decode_texture(_image(container, raw["images"][source], folder), f"image {source}")
+    except (KeyError, IndexError, TypeError, ValueError):
+        raise FormatError(f"material {material} is malformed or uses an image format that is not supported") from None
+    tinted = np.rint(np.clip(image * factor, 0, 255)).astype(np.uint8)
+    if opaque:
+        tinted[..., 3] = 255
+    return tinted, uv_set
+
+
+def _image(container: Container, image: Mapping[str, Any], folder: Path) -> bytes:
+    if "bufferView" in image:
+        view = container.gltf.buffer_views[image["bufferView"]]
+        # read through an accessor of bytes, so that the bounds are checked in one place
+        container.gltf.accessors.append(
+            Accessor(component_type=5121, count=view.byte_length, type="SCALAR", buffer_view=image["bufferView"])
+        )
+        return container.read(len(container.gltf.accessors) - 1, "image", ("SCALAR",)).tobytes()
+    uri = str(image["uri"])
+    if uri.startswith("data:"):
+        return base64.b64decode(uri.partition(",")[2])
+    target = (folder / uri).resolve()
+    if not target.is_relative_to(folder.resolve()):
+        raise FormatError(f"image {uri[:60]!r} lies outside the file's own folder")
+    with open_regular(target) as (file, _):
+        return file.read()

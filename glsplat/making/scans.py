@@ -1,0 +1,148 @@
+"""People without a rig: a textured OBJ in a T-pose takes joints and weights from a rigged body."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glsplat.errors import FormatError, PoseError
+from glsplat.making.importers import nearest_weights
+from glsplat.making.people import decode_texture
+from glsplat.meshes import MeshPart, RiggedMesh
+from glsplat.skinning.skeleton import Skeleton
+
+__all__ = ["read_body", "read_obj_person"]
+
+_TYPICAL, _WORST = 0.06, 0.2  # metres a scan may lie off the body: the median, and 95 % of its vertices
+
+
+def read_body(path: str | Path) -> RiggedMesh:
+    """An untextured rigged body (.npz): v_template, faces, joints, parents, joint_names, skin_indices, skin_weights.
+
+    Raises FormatError naming the file and the key.
+    """
+    keys = ("v_template", "faces", "joints", "parents", "joint_names", "skin_indices", "skin_weights")
+    try:
+        with open(path, "rb") as file:
+            if file.read(2) != b"PK":
+                raise FormatError(f"{path}: a body is an .npz archive, but this is none")
+            file.seek(0)
+            with np.load(file, allow_pickle=False) as archive:
+                missing = [key for key in keys if key not in archive]
+                if missing:
+                    raise FormatError(f"{path}: a body needs {missing[0]}; found {', '.join(archive.files[:6])}")
+                data = {key: np.asarray(archive[key]) for key in keys}
+        names = tuple(map(str, data["joint_names"]))
+        faces = data["faces"].astype(np.int32)
+        part = MeshPart("body", faces, np.zeros((*faces.shape, 2)), np.full((4, 4, 4), 255, np.uint8))
+        return RiggedMesh(
+            data["v_template"].astype(np.float64),
+            Skeleton.from_joints(names, data["parents"].astype(np.int32), data["joints"]),
+            data["skin_indices"].astype(np.int64),
+            data["skin_weights"].astype(np.float64),
+            (part,),
+        )
+    except OSError as error:
+        raise FormatError(f"{path}: cannot read the body ({error.strerror or error})") from None
+    except (FormatError, PoseError) as error:
+        text = str(error)
+        raise FormatError(text if text.startswith(str(path)) else f"{path}: {text}") from None
+    except Exception as error:  # numpy raises many kinds on broken archives
+        raise FormatError(f"{path}: a body is an .npz of numbers, but {error}") from None
+
+
+def read_obj_person(path: str | Path, body: RiggedMesh) -> RiggedMesh:
+    """An OBJ of a person in T-pose (y up, facing +z, any unit) with the joints and weights of ``body``.
+
+    The body is scaled to the person's height and put where it stands; each vertex takes the weights of the nearest
+    point of the body. The texture is the first map_Kd of the material file beside the OBJ, or its Kd colour. Raises
+    FormatError: no triangles, or a person that lies too far off the body (another pose).
+    """
+    source = Path(path)
+    try:
+        text = source.read_text(encoding="utf-8", errors="replace")
+        vertices, faces, corner = _parse(text)
+    except OSError as error:
+        raise FormatError(f"{path}: cannot read the person ({error.strerror})") from None
+    except (ValueError, IndexError) as error:
+        raise FormatError(f"{path}: not a usable OBJ ({str(error)[:80]})") from None
+    if not len(faces) or not np.isfinite(vertices).all() or not np.ptp(vertices[:, 1]) > 0:
+        raise FormatError(f"{path}: a person needs triangles with finite vertices and some height")
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    middle = (low + high) / 2
+    fitted = _fitted(body, low, high)
+    scale = np.ptp(fitted.vertices[:, 1]) / (high[1] - low[1])
+    at = (vertices - (middle[0], low[1], middle[2])) * scale
+    joints, weights, distance = nearest_weights(fitted, at)
+    if np.median(distance) > _TYPICAL or np.percentile(distance, 95) > _WORST:
+        raise FormatError(
+            f"{path}: the person lies {np.median(distance) * 100:.0f} cm off the body (median); "
+            "it needs to stand in a T-pose, y up, facing +z"
+        )
+    part = MeshPart(source.stem, faces, corner, _texture(source, text))
+    return RiggedMesh(at, fitted.skeleton, joints, weights, (part,), {"source": source.name})
+
+
+def _parse(text: str) -> tuple[NDArray[np.float64], NDArray[np.int32], NDArray[np.float64]]:
+    """Vertices [V, 3], triangles [F, 3] (polygons as fans) and their texture coordinates [F, 3, 2]."""
+    points: list[list[float]] = []
+    coordinates: list[list[float]] = [[0.0, 0.0]]  # index 0: none
+    triangles: list[list[int]] = []
+    mapped: list[list[int]] = []
+    for line in text.splitlines():
+        words = line.split()
+        if not words:
+            continue
+        if words[0] == "v":
+            points.append([float(w) for w in words[1:4]])
+        elif words[0] == "vt":
+            coordinates.append([float(w) for w in words[1:3]])
+        elif words[0] == "f":
+            corners = [word.split("/") for word in words[1:]]
+            at = [_index(c[0], len(points)) - 1 for c in corners]
+            uv = [_index(c[1], len(coordinates) - 1) if len(c) > 1 and c[1] else 0 for c in corners]
+            for k in range(1, len(corners) - 1):
+                triangles.append([at[0], at[k], at[k + 1]])
+                mapped.append([uv[0], uv[k], uv[k + 1]])
+    faces = np.array(triangles, np.int32).reshape(-1, 3)
+    vertices = np.array(points, np.float64).reshape(-1, 3)
+    return vertices, faces, np.array(coordinates, np.float64)[np.array(mapped, np.intp).reshape(-1, 3)]
+
+
+def _index(word: str, count: int) -> int:
+    """An OBJ index from 1, negative from the end."""
+    value = int(word)
+    value = count + 1 + value if value < 0 else value
+    if not 1 <= value <= count:
+        raise ValueError(f"a face names element {word} of {count}")
+    return value
+
+
+def _fitted(body: RiggedMesh, low: NDArray[np.float64], high: NDArray[np.float64]) -> RiggedMesh:
+    """The body with its feet on y = 0, over the origin; metres if the scan is, else of its own height."""
+    own = body.vertices
+    height = high[1] - low[1]
+    scale = height / np.ptp(own[:, 1]) if 0.5 < height < 2.6 else 1.0  # another unit: keep the body's size
+    centre = (own.max(axis=0) + own.min(axis=0)) / 2
+    origin = np.array([centre[0], own[:, 1].min(), centre[2]])
+    skeleton = Skeleton.from_joints(body.skeleton.names, body.skeleton.parents, (body.skeleton.joints - origin) * scale)
+    return replace(body, vertices=(own - origin) * scale, skeleton=skeleton)
+
+
+def _texture(source: Path, text: str) -> NDArray[np.uint8]:
+    color = np.array([200, 200, 200, 255], np.uint8)
+    library = next((line.split(None, 1)[1].strip() for line in text.splitlines() if line.startswith("mtllib ")), None)
+    if library is not None and (source.parent / library).is_file():
+        for line in (source.parent / library).read_text(encoding="utf-8", errors="replace").splitlines():
+            words = line.split()
+            if len(words) > 1 and words[0] == "map_Kd":
+                image = (source.parent / words[-1]).resolve()
+                if not image.is_relative_to(source.parent.resolve()) or not image.is_file():
+                    raise FormatError(f"{source}: the texture {words[-1][:60]!r} is not beside it")
+                return decode_texture(image.read_bytes(), f"{source}: {words[-1]}")
+            if len(words) == 4 and words[0] == "Kd":
+                color[:3] = np.rint(np.clip([float(w) for w in words[1:]], 0, 1) * np.float64(255))
+    return np.tile(color, (4, 4, 1))

@@ -1,0 +1,1 @@
+"""Motion: recorded movement of a skeleton, its readers, and the embedded library."""

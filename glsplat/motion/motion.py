@@ -1,0 +1,303 @@
+"""Motion: a pose for every moment, from per-frame JSON, AMASS, BVH or ASF/AMC files, or one that comes with glsplat."""
+
+from __future__ import annotations
+
+import json
+import re
+import zipfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation, Slerp
+
+from glsplat.errors import PoseError
+from glsplat.motion.bvh import parse_acclaim, parse_bvh, skeleton_file
+from glsplat.motion.clip import retarget
+from glsplat.skinning.pose import Pose
+from glsplat.skinning.skeleton import Skeleton
+from glsplat.skinning.smplx import JOINT_NAMES, POSE_KEYS
+
+__all__ = ["Motion", "embedded_motions", "load_motion"]
+
+F64 = NDArray[np.float64]
+
+DEFAULT_FPS = 30.0
+_DEGREES = 4 * np.pi  # an angle beyond two turns was not meant in radians
+_MAX_BYTES = 512 << 20
+_STANDING = 20  # percent of the frames in which the lower foot may be below the floor
+_FEET = ("left_ankle", "right_ankle", "left_foot", "right_foot")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Motion:
+    """T poses at a constant rate for a rig of J joints."""
+
+    fps: float
+    rotations: F64  # [T, J, 3] axis-angle, radians
+    trans: F64  # [T, 3] metres
+    names: tuple[str, ...] = JOINT_NAMES
+    label: str = field(default="", compare=False)
+
+    def __post_init__(self) -> None:
+        frames, joints = len(self.rotations), len(self.names)
+        if self.rotations.shape != (frames, joints, 3) or self.trans.shape != (frames, 3):
+            raise PoseError(
+                f"a motion of {joints} joints needs rotations (T, {joints}, 3) and trans (T, 3), "
+                f"not {self.rotations.shape} and {self.trans.shape}"
+            )
+        if not frames:
+            raise PoseError("a motion needs at least one frame, found none")
+        if not (np.isfinite(self.fps) and 1e-3 <= self.fps <= 1e5):
+            raise PoseError(f"a motion needs a frame rate above zero, not {self.fps:g}")
+        for value in (self.rotations, self.trans):
+            bad = ~np.isfinite(value).reshape(frames, -1).all(axis=1)
+            if bad.any():
+                raise PoseError(f"frame {int(bad.argmax())} holds NaN or infinity; a motion needs finite numbers")
+        angle = np.linalg.norm(self.rotations, axis=2).max(axis=1)
+        if angle.max() > _DEGREES:
+            worst = int(angle.argmax())
+            raise PoseError(f"frame {worst} turns a joint by {angle[worst]:.0f} rad; angles are radians, not degrees")
+
+    def __len__(self) -> int:
+        return len(self.rotations)
+
+    @property
+    def duration(self) -> float:
+        """Seconds of one round: frames / fps."""
+        return len(self) / self.fps
+
+    def pose(self, frame: int) -> Pose:
+        """The pose of a frame; negative indices count from the end."""
+        if not -len(self) <= frame < len(self):
+            raise PoseError(f"frame {frame} does not exist; this motion has {len(self)}")
+        return Pose(self.rotations[frame], self.trans[frame])
+
+    def at(self, seconds: float, loop: bool = True) -> Pose:
+        """The pose at a time: rotations by slerp, translation linearly.
+
+        ``loop`` repeats with the period ``duration`` (the last frame leads back to the first); else time is clamped.
+        """
+        if not np.isfinite(seconds):
+            raise PoseError(f"a time needs to be finite, not {seconds}")
+        count = len(self)
+        at = seconds * self.fps
+        at = at % count if loop else min(max(at, 0.0), count - 1.0)
+        first = min(int(at), count - 1)
+        second = (first + 1) % count if loop else min(first + 1, count - 1)
+        part = min(max(at - first, 0.0), 1.0)
+        if part == 0 or first == second:
+            return self.pose(first)
+        a = Rotation.from_rotvec(self.rotations[first])
+        turn = (a.inv() * Rotation.from_rotvec(self.rotations[second])).as_rotvec()
+        rotations = (a * Rotation.from_rotvec(turn * part)).as_rotvec()
+        return Pose(rotations, self.trans[first] * (1 - part) + self.trans[second] * part)
+
+    def resampled(self, fps: float) -> Motion:
+        """The same motion at another rate (slerp)."""
+        count = max(1, round((len(self) - 1) * fps / self.fps) + 1)
+        times = np.minimum(np.arange(count) / fps * self.fps, len(self) - 1)
+        if len(self) == 1:
+            return Motion(fps, self.rotations, self.trans, self.names, self.label)
+        frames = np.arange(len(self))
+        joints = [Slerp(frames, Rotation.from_rotvec(r))(times).as_rotvec() for r in self.rotations.transpose(1, 0, 2)]
+        trans = np.stack([np.interp(times, frames, column) for column in self.trans.T], axis=1)
+        return Motion(fps, np.stack(joints, axis=1), trans, self.names, self.label)
+
+
+def embedded_motions() -> tuple[str, ...]:
+    """Names of the motions that come with glsplat, for ``load_motion``."""
+    files = resources.files("glsplat.data").iterdir()
+    return tuple(sorted(f.name.removesuffix(".json") for f in files if f.name.endswith(".json")))
+
+
+def load_motion(path: str | Path, skeleton: Skeleton, *, forward: bool = False, fps: float | None = None) -> Motion:
+    """Read a motion; the format is recognised by content.
+
+    Embedded names ("idle", "walk", ...); a folder of one JSON pose a frame (LHM's layout), one JSON pose, a JSON list
+    of poses or {"fps", "frames"}; AMASS .npz (SMPL-H ``poses`` or SMPL-X keys; z up is turned to y up); BVH; .amc with
+    its .asf beside it. Motion capture of another body is retargeted (clip.py), begins above the origin and has its
+    lowest foot on the floor; ``forward`` also turns it to face +z. ``fps`` overrides what the file says.
+
+    Raises PoseError, one line that names the file.
+    """
+    name = str(path)
+    source = Path(path)
+    if not source.exists() and re.fullmatch(r"[\w-]+", name):
+        if name not in embedded_motions():
+            raise PoseError(f"{name}: no such file and no such motion; embedded are {', '.join(embedded_motions())}")
+        with resources.as_file(resources.files("glsplat.data").joinpath(f"{name}.json")) as file:
+            return load_motion(file, skeleton, forward=forward, fps=fps)
+    try:
+        motion = _read(source, skeleton, forward)
+        label = source.stem
+        return Motion(fps or motion.fps, motion.rotations, motion.trans, motion.names, label)
+    except OSError as error:
+        raise PoseError(f"{path}: cannot read the motion ({error.strerror or error})") from None
+    except PoseError as error:
+        text = str(error)
+        raise PoseError(text if text.startswith(f"{path}") else f"{path}: {text}") from None
+
+
+def _read(path: Path, skeleton: Skeleton, forward: bool) -> Motion:
+    if path.is_dir():
+        files = sorted(path.glob("*.json"), key=lambda p: [int(n) for n in re.findall(r"\d+", p.stem)] or [0])
+        if not files:
+            raise PoseError("a motion folder holds one .json a frame, found none")
+        return _of_frames([_json(file) for file in files], DEFAULT_FPS, skeleton, [str(f) for f in files])
+    if path.stat().st_size > _MAX_BYTES:
+        raise PoseError(f"a motion file has at most {_MAX_BYTES >> 20} MiB, not {path.stat().st_size >> 20}")
+    with open(path, "rb") as file:
+        head = file.read(256)
+    text = head.lstrip(b"\xef\xbb\xbf \t\r\n")
+    if head.startswith(b"PK"):
+        return _amass(path, skeleton, forward)
+    if text[:9].upper() == b"HIERARCHY":
+        clip = parse_bvh(path.read_text(encoding="latin-1"))
+    elif text.startswith((b"#!OML", b":FULLY", b":DEGREES")) or path.suffix.lower() == ".amc":
+        bones = skeleton_file(path)
+        clip = parse_acclaim(bones.read_text(encoding="latin-1"), path.read_text(encoding="latin-1"))
+    elif text.startswith((b"{", b"[")):
+        return _of_json(_json(path), skeleton)
+    else:
+        raise PoseError("expected JSON poses, an AMASS .npz, BVH or .amc, but this is none of them")
+    rotations, trans = retarget(clip, skeleton, forward=forward)
+    return Motion(clip.fps, rotations, _grounded(rotations, trans, skeleton))
+
+
+def _json(path: Path) -> Any:
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except (ValueError, RecursionError) as error:
+        raise PoseError(f"{path}: a motion is JSON here, but {error}") from None
+
+
+def _of_json(data: Any, skeleton: Skeleton) -> Motion:
+    fps = DEFAULT_FPS
+    frames = data
+    if isinstance(data, Mapping):
+        if "frames" in data:
+            frames = data["frames"]
+            try:
+                fps = float(data.get("fps", DEFAULT_FPS))
+            except (TypeError, ValueError):
+                raise PoseError(f'"fps" is a number, not {data["fps"]!r}') from None
+        else:
+            frames = [data]
+    if not isinstance(frames, list):
+        raise PoseError(f'"frames" is a list of poses, not {type(frames).__name__}')
+    return _of_frames(frames, fps, skeleton, [f"frame {i}" for i in range(len(frames))])
+
+
+def _of_frames(frames: Sequence[Any], fps: float, skeleton: Skeleton, where: Sequence[str]) -> Motion:
+    if not frames:
+        raise PoseError("a motion needs at least one frame, found none")
+    poses = []
+    for frame, place in zip(frames, where, strict=True):
+        try:
+            poses.append(Pose.from_json(frame, skeleton))
+        except PoseError as error:
+            raise PoseError(f"{place}: {error}") from None
+    if any(p.translations is not None for p in poses):
+        raise PoseError('"translations" belong to single poses; a motion holds rotations and trans')
+    rotations, trans = np.stack([p.rotations for p in poses]), np.stack([p.trans for p in poses])
+    if isinstance(frames[0], Mapping) and "focal" in frames[0]:
+        # LHM's files come from video: the person in the camera's frame (y down, z away)
+        rotations, trans = _turned(rotations, trans, np.diag([1.0, -1.0, -1.0]), skeleton)
+        trans = trans - trans[0] * (1, 0, 1)
+        Motion(fps, rotations, trans, skeleton.names)
+        trans = _grounded(rotations, trans, skeleton)
+    return Motion(fps, rotations, trans, skeleton.names)
+
+
+def _turned(rotations: F64, trans: F64, turn: F64, skeleton: Skeleton) -> tuple[F64, F64]:
+    """A motion in a turned world: x' = Q x for x = R (v - J0) + J0 + t."""
+    root = skeleton.joints[0]
+    out = np.array(rotations)
+    out[:, 0] = (Rotation.from_matrix(turn) * Rotation.from_rotvec(rotations[:, 0])).as_rotvec()
+    return out, (trans + root) @ turn.T - root
+
+
+def _grounded(rotations: F64, trans: F64, skeleton: Skeleton) -> F64:
+    """``trans`` shifted so that the lower foot stands as high as in the zero pose most of the time it stands.
+
+    The height is a low percentile over the frames, not the minimum: a toe that bends down would lift the rest.
+    """
+    feet = [i for i, name in enumerate(skeleton.names) if name in _FEET]
+    if not feet:
+        return trans
+    step = max(1, len(trans) // 300)
+    rest = skeleton.joints[feet, 1]
+    lowest = [
+        float((skeleton.forward(turn, shift)[feet, 1, 3] - rest).min())
+        for turn, shift in zip(rotations[::step], trans[::step], strict=True)
+    ]
+    return trans - np.array([0, np.percentile(lowest, _STANDING), 0])
+
+
+_AMASS_X = {
+    "root_orient": "root_pose",
+    "pose_body": "body_pose",
+    "pose_jaw": "jaw_pose",
+    "pose_eye": None,
+    "pose_hand": None,
+}
+
+
+def _amass(path: Path, skeleton: Skeleton, forward: bool) -> Motion:
+    if skeleton.names != JOINT_NAMES:
+        raise PoseError("AMASS moves the SMPL-X rig only; this avatar has another one")
+    try:
+        with open(path, "rb") as file, np.load(file, allow_pickle=False) as archive:
+            keys = [k for k in (*_AMASS_X, "poses", "trans", "mocap_framerate", "mocap_frame_rate") if k in archive]
+            data = {key: np.asarray(archive[key], np.float64) for key in keys}
+    except (ValueError, TypeError, EOFError, zipfile.BadZipFile, AttributeError) as error:
+        raise PoseError(f"an AMASS motion is an .npz of numbers, but {error}") from None
+    if "pose_body" not in data and "poses" not in data:
+        raise PoseError("an AMASS motion needs poses, or root_orient and pose_body; found neither")
+    frames = len(data.get("pose_body", data.get("poses", ())))
+    rotations = np.zeros((frames, len(JOINT_NAMES), 3))
+    if "pose_body" in data:
+        if "root_orient" not in data:
+            raise PoseError("an AMASS motion with pose_body needs root_orient")
+        rotations[:, POSE_KEYS["root_pose"]] = _shaped(data, "root_orient", frames, 1)
+        rotations[:, POSE_KEYS["body_pose"]] = _shaped(data, "pose_body", frames, 21)
+        if "pose_jaw" in data:
+            rotations[:, POSE_KEYS["jaw_pose"]] = _shaped(data, "pose_jaw", frames, 1)
+        if "pose_eye" in data:
+            rotations[:, 23:25] = _shaped(data, "pose_eye", frames, 2)
+        if "pose_hand" in data:
+            rotations[:, 25:55] = _shaped(data, "pose_hand", frames, 30)
+    else:
+        width = data["poses"].shape[1] if data["poses"].ndim == 2 else 0
+        if width not in (72, 156, 165):
+            raise PoseError(f"poses need 156 numbers a frame (SMPL-H; 72 or 165 work too), found {data['poses'].shape}")
+        count = width // 3
+        poses = _shaped(data, "poses", frames, count)
+        if count == 52:  # SMPL-H: body, then both hands
+            rotations[:, :22], rotations[:, 25:] = poses[:, :22], poses[:, 22:]
+        elif count == 55:
+            rotations[:] = poses
+        else:  # SMPL: the last two are palms
+            rotations[:, :22] = poses[:, :22]
+    trans = _shaped(data, "trans", frames, 1)[:, 0] if "trans" in data else np.zeros((frames, 3))
+    rates = [data[k] for k in ("mocap_framerate", "mocap_frame_rate") if k in data]
+    fps = float(rates[0].reshape(-1)[0]) if rates and rates[0].size else 120.0
+    Motion(fps, rotations, trans)  # refuse nonsense before it is turned
+    z_to_y = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])  # -90 degrees about x
+    rotations, trans = _turned(rotations, trans, z_to_y, skeleton)
+    if forward:
+        ahead = Rotation.from_rotvec(rotations[0, 0]).apply([0, 0, 1])
+        turn = Rotation.from_rotvec([0, -np.arctan2(ahead[0], ahead[2]), 0]).as_matrix()
+        rotations, trans = _turned(rotations, trans, turn, skeleton)
+    return Motion(fps, rotations, _grounded(rotations, trans - trans[0] * (1, 0, 1), skeleton))
+
+
+def _shaped(data: Mapping[str, F64], key: str, frames: int, joints: int) -> F64:
+    if data[key].size != frames * joints * 3 or len(data[key]) != frames:
+        raise PoseError(f"{key} needs {frames} x {joints * 3} numbers, found shape {data[key].shape}")
+    return data[key].reshape(frames, joints, 3)

@@ -1,0 +1,1 @@
+"""Renderers as the server sees them."""

@@ -1,0 +1,110 @@
+"""The renderer as the server sees it. Imports little: the process that draws is to be ready soon."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+from glsplat.avatar import Avatar
+from glsplat.camera import Camera, look_at, pinhole
+from glsplat.config import RenderConfig
+from glsplat.errors import BudgetError, ContextLostError, GlsplatError, PoseError
+from glsplat.net.backend import Rendered
+from glsplat.net.messages import RenderRequest
+from glsplat.passes.frame.budget import Budget
+from glsplat.splats import Splats
+
+__all__ = ["MAX_COST", "MAX_TIME", "RendererBackend"]
+
+MAX_COST = 1e9
+"""Covered pixels of a picture (passes/frame/budget.py): eight times what a person needs who fills two eyes of 2048^2,
+and more than twice what one needs whose face is in front of the eyes (docs/protocol.md, section 5)."""
+
+MAX_TIME = 5.0
+"""Seconds of a picture."""
+
+_SLICE = 1.0  # seconds; only pictures that take longer than that are drawn in slices
+_SLICE_LEAST = 1e6  # covered pixels
+
+
+class RendererBackend:
+    """Draws one scene. Pictures of different sizes may follow each other, none beyond its budget."""
+
+    def __init__(
+        self,
+        scene: Splats | Avatar,
+        pixels: tuple[int, int],
+        device: str | None = None,
+        config: RenderConfig | None = None,
+        max_cost: float = MAX_COST,
+        max_time: float = MAX_TIME,
+    ) -> None:
+        self.abandoned: Callable[[], bool] = lambda: False
+        self._max_cost, self._max_time = max_cost, max_time
+        self._scene, self._pixels, self._device = scene, pixels, device
+        self._config = config or RenderConfig()
+
+    def open(self) -> str:
+        """Make the context, load the scene, and draw once so that no client waits for the shaders."""
+        from glsplat.gl.context import create_context  # here: the module can be imported without a driver
+        from glsplat.renderer import Renderer
+
+        self._context = create_context(self._device)
+        self._mark = 0
+        try:
+            self._renderer = Renderer(
+                self._scene, size=self._pixels, views=2, config=self._config, context=self._context
+            )
+            view = Camera(look_at((0, 1.2, 2.0), (0, 1, 0)), pinhole(*self._pixels), *self._pixels)
+            self._renderer.render([view, view], budget=Budget())
+            start = time.perf_counter()
+            self._renderer.render([view, view], budget=Budget())  # nothing is compiled or sorted this time
+            rate = self._renderer.stats.cost / (time.perf_counter() - start)
+            self._slice_cost = max(_SLICE_LEAST, rate * _SLICE)
+        except BaseException:
+            self._context.release()
+            del self._context
+            raise
+        return self._renderer.driver
+
+    def render(self, request: RenderRequest) -> Rendered:
+        """Draw all eyes of a request in one call. Raises ContextLostError, and BudgetError for too much."""
+        renderer, first = self._renderer, request.cameras[0]
+        budget = Budget(self._max_cost, self._max_time, self._slice_cost, self.abandoned)
+        try:
+            renderer.resize(first.width, first.height)
+            images = renderer.render(request.cameras, request.pose, budget=budget)
+            if self._context.ctx.error != "GL_NO_ERROR":  # reading it clears it
+                raise GlsplatError(f"{renderer.driver} reports an OpenGL error: the picture is not to be trusted")
+        except (PoseError, BudgetError):  # before anything was drawn, or the next picture is drawn over it
+            raise
+        except Exception:
+            self._check_alive()
+            renderer.load(self._scene)  # whatever was half done must not be taken for finished
+            renderer.drop_targets()
+            raise
+        self._check_alive()
+        return Rendered(images, dict(renderer.timings), renderer.driver, renderer.stats.covered)
+
+    def _check_alive(self) -> None:
+        """Write a number through the context and read it back.
+
+        A lost context ignores calls and need not report it: what is "read" then is whatever lay in memory, such as
+        somebody else's picture.
+        """
+        self._mark = (self._mark + 1) % 2**32
+        expected = self._mark.to_bytes(4, "little")
+        red, green, blue, alpha = (byte / 255 for byte in expected)
+        self._context.scratch.clear(red, green, blue, alpha)
+        if self._context.scratch.read(components=4) != expected:
+            raise ContextLostError(f"{self._renderer.driver} does nothing any more") from None
+
+    def kill(self) -> None:
+        """Nothing: a thread cannot be ended. ProcessBackend can."""
+
+    def close(self) -> None:
+        """Release the renderer and its context."""
+        if hasattr(self, "_context"):
+            self._renderer.release()
+            self._context.release()
+            del self._context

@@ -1,0 +1,108 @@
+"""JPEG: the eyes of a frame encoded side by side in threads, straight from the renderer's array.
+
+simplejpeg brings its own libjpeg-turbo, releases the GIL and reads RGBA and padded rows as they lie in memory.
+"""
+
+from __future__ import annotations
+
+import time
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+import simplejpeg
+from numpy.typing import NDArray
+
+from glsplat.net.codec.partial import encode_covered
+
+__all__ = ["Box", "Encoded", "Encoder", "covered_box", "encode_picture"]
+
+Box = tuple[int, int, int, int]  # x, y, width, height in pixels
+
+_BLOCK = 16  # pixels of a 4:2:0 block: boxes on its grid do not bleed
+
+
+@dataclass(frozen=True, slots=True)
+class Encoded:
+    """The JPEGs of one frame, in the order of the images."""
+
+    pictures: list[bytes]
+    boxes: list[Box] | None  # where each picture lies, if it was cropped
+    ms: float  # wall time of the encoding
+
+
+class Encoder:
+    """A small pool of encoding threads, shared by all sessions. Close it when done."""
+
+    def __init__(self, threads: int = 2, subsampling: str = "420") -> None:
+        self._pool = ThreadPoolExecutor(threads, thread_name_prefix="encode")
+        self._subsampling = subsampling
+
+    def encode(
+        self, images: NDArray[np.uint8], quality: int = 80, crop: bool = False, covered: Box | None = None
+    ) -> Encoded:
+        """Encode ``images`` [V, H, W, 3|4]; blocks until all are done, so call it off the event loop.
+
+        Outside ``covered`` the images are zero; it is not put through the codec where that saves time.
+        With ``crop`` only a box of each picture is encoded: ``covered``, widened to whole blocks, or, where that is
+        unknown, the box of its opaque pixels. The calling thread does the last eye itself: a pair takes one thread of
+        the pool.
+        """
+        start = time.perf_counter()
+        height, width = images.shape[1:3]
+        box = None
+        if covered is not None and covered[2:] != (width, height):
+            box = on_blocks(covered, width, height)
+        jobs = [self._pool.submit(self._one, image, quality, crop, box) for image in images[:-1]]
+        last = self._one(images[-1], quality, crop, box)
+        done = [job.result() for job in jobs] + [last]
+        pictures = [picture for picture, _ in done]
+        boxes = [box for _, box in done if box is not None]
+        return Encoded(pictures, boxes or None, (time.perf_counter() - start) * 1e3)
+
+    def close(self) -> None:
+        """Wait for running encodings and end the threads."""
+        self._pool.shutdown()
+
+    def _one(self, image: NDArray[np.uint8], quality: int, crop: bool, known: Box | None) -> tuple[bytes, Box | None]:
+        if not crop:
+            if known is not None and self._subsampling == "420" and image.shape[2] == 4:
+                picture = encode_covered(image, known, quality)
+                if picture is not None:
+                    return picture, None
+            return encode_picture(image, quality, self._subsampling), None
+        x, y, w, h = box = known or covered_box(image)
+        return encode_picture(image[y : y + h, x : x + w], quality, self._subsampling), box
+
+
+def encode_picture(image: NDArray[np.uint8], quality: int = 80, subsampling: str = "420") -> bytes:
+    """JPEG of one picture [H, W, 3|4]; alpha is left out (the picture lies on its background already)."""
+    if image.strides[0] < 0 or image.strides[1:] != (image.shape[2], 1):  # the codec reads rows of packed pixels
+        image = np.ascontiguousarray(image)
+    layout = "RGBX" if image.shape[2] == 4 else "RGB"
+    return bytes(simplejpeg.encode_jpeg(image, quality, layout, subsampling))
+
+
+def covered_box(image: NDArray[np.uint8]) -> Box:
+    """The smallest box on the grid of 16 pixels that holds every pixel with alpha above zero.
+
+    An empty picture gives its first block, because a JPEG needs at least one pixel.
+    """
+    height, width = image.shape[:2]
+    # alpha is the highest byte of a little-endian pixel, so a row's largest pixel tells whether any alpha is above zero
+    pixels = np.ascontiguousarray(image).view("<u4")[..., 0]
+    rows = np.flatnonzero(pixels.max(axis=1) >> 24)
+    if not len(rows):
+        return 0, 0, min(_BLOCK, width), min(_BLOCK, height)
+    columns = np.flatnonzero(pixels[rows[0] : rows[-1] + 1].max(axis=0) >> 24)
+    x, y = columns[0], rows[0]
+    return on_blocks((x, y, columns[-1] + 1 - x, rows[-1] + 1 - y), width, height)
+
+
+def on_blocks(box: Box, width: int, height: int) -> Box:
+    """``box`` widened to the grid of 16 pixels, inside the picture; an empty one gives a block."""
+    left, top, right, bottom = box[0], box[1], box[0] + box[2], box[1] + box[3]
+    x, y = min(left, width - 1) // _BLOCK * _BLOCK, min(top, height - 1) // _BLOCK * _BLOCK
+    right = min(max(-(-right // _BLOCK) * _BLOCK, x + _BLOCK), width)
+    bottom = min(max(-(-bottom // _BLOCK) * _BLOCK, y + _BLOCK), height)
+    return int(x), int(y), int(right - x), int(bottom - y)  # numpy's integers are no JSON

@@ -1,0 +1,1 @@
+"""What keeps strangers and greedy clients from the others: who may come in, and how much they may use."""

@@ -1,0 +1,104 @@
+"""The addresses that connect: how many clients each has, what they spent, and which of them are held off. No I/O."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+
+from glsplat.net.guard.limits import Bucket, Limits, Purse, Strikes
+
+__all__ = ["Addresses"]
+
+
+class _Address:
+    """One address. Its purses outlive its connections, so that connecting again brings no fresh budget."""
+
+    __slots__ = ("breaches", "clients", "guesses", "purses", "visits")
+
+    def __init__(self, limits: Limits, now: float) -> None:
+        most, forget = limits.hold_off_most, limits.forget
+        self.clients = 0
+        self.purses: list[Purse] = []  # those that no client holds
+        self.visits = Bucket.full(limits.visits, limits.visits_burst, now)
+        self.breaches = Strikes(0, limits.hold_off, most, forget)
+        self.guesses = Strikes(limits.guesses, 1.0, most, forget)
+
+
+class Addresses:
+    """A table of bounded size, by ``address_key``. Addresses with clients are never left out of it.
+
+    ``per_address`` clients an address at most. A client never spends from another's purse, so that what one does costs
+    its neighbours at the same address nothing while they are connected.
+    """
+
+    def __init__(self, limits: Limits, per_address: int) -> None:
+        self.limits = limits
+        self.per_address = per_address
+        self._table: OrderedDict[str, _Address] = OrderedDict()  # the one heard of longest ago first
+
+    def __len__(self) -> int:
+        return len(self._table)
+
+    def visit(self, key: str, now: float) -> bool:
+        """Count a connection or an HTTP request; False: too many."""
+        return self._at(key, now).visits.take(now)
+
+    def enter(self, key: str, now: float) -> Purse | None:
+        """A client's purse, the fullest that is free; None: the address has as many clients as it may."""
+        address = self._at(key, now)
+        if address.clients >= self.per_address:
+            return None
+        address.clients += 1
+        if len(address.purses) + address.clients <= self.per_address:
+            return Purse(self.limits, now)
+        address.purses.sort(key=lambda purse: purse.fullness(now))
+        return address.purses.pop()
+
+    def leave(self, key: str, purse: Purse, now: float) -> None:
+        """The client that held ``purse`` is gone."""
+        address = self._at(key, now)
+        address.clients -= 1
+        address.purses = [p for p in (*address.purses, purse) if p.fullness(now) < 1]
+
+    def breach(self, key: str, now: float) -> None:
+        """A client of this address broke a limit: new connections are refused for a while."""
+        self._at(key, now).breaches.strike(now)
+
+    def held_off(self, key: str, now: float) -> float:
+        """Seconds during which nothing new is taken from this address."""
+        address = self._table.get(key)
+        return 0.0 if address is None else address.breaches.wait(now)
+
+    def guess(self, key: str, now: float) -> None:
+        """A wrong token came from this address."""
+        self._at(key, now).guesses.strike(now)
+
+    def no_guess(self, key: str, now: float) -> float:
+        """Seconds during which no token from this address is looked at, the right one included."""
+        address = self._table.get(key)
+        return 0.0 if address is None else address.guesses.wait(now)
+
+    def count_held_off(self, now: float) -> int:
+        """How many addresses are held off."""
+        return sum(a.breaches.wait(now) > 0 or a.guesses.wait(now) > 0 for a in self._table.values())
+
+    def _at(self, key: str, now: float) -> _Address:
+        address = self._table.get(key)
+        if address is None:
+            if len(self._table) >= self.limits.addresses:
+                self._forget(now)
+            address = self._table[key] = _Address(self.limits, now)
+        self._table.move_to_end(key)
+        return address
+
+    def _forget(self, now: float) -> None:
+        """Make room: who has nothing held against it goes first, else who was heard of longest ago."""
+        oldest = None
+        for key, address in self._table.items():
+            if address.clients:
+                continue
+            oldest = oldest or key
+            if address.breaches.forgotten(now) and address.guesses.forgotten(now):
+                oldest = key
+                break
+        if oldest is not None:
+            del self._table[oldest]

@@ -1,0 +1,138 @@
+"""One TCP connection under aiohttp: its bytes are counted before HTTP and WebSocket parsers see them.
+
+aiohttp answers pings, and throws away what it cannot use, before the server's own loop hears of it, and logs what
+strangers send with their words in it. Both are stopped here, by overriding methods of its request handler.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from typing import Any
+
+from aiohttp import web
+
+from glsplat.net.guard.limits import Limits
+from glsplat.net.guard.meter import Breach, FrameMeter
+from glsplat.net.guard.notices import Notices
+
+__all__ = ["Connection"]
+
+
+class _MeteredReader:
+    """aiohttp's WebSocket parser behind a meter. After a breach nothing is read on."""
+
+    def __init__(
+        self, reader: Any, meter: FrameMeter, clock: Callable[[], float], broke: Callable[[Breach], None]
+    ) -> None:
+        self._reader, self._meter, self._clock, self._broke = reader, meter, clock, broke
+        self._ended = False
+
+    def feed_data(self, data: bytes) -> tuple[bool, bytes]:
+        if self._ended:
+            return False, b""
+        allowed, breach = self._meter.feed(data, self._clock())
+        result: tuple[bool, bytes] = self._reader.feed_data(data if breach is None else data[:allowed])
+        if breach is not None:
+            self._ended = True
+            self._broke(breach)
+        return result
+
+    def feed_eof(self) -> None:
+        self._reader.feed_eof()
+
+
+class Connection(web.RequestHandler):
+    """``meter`` is set by the server once the connection is a client's, before its handshake is answered."""
+
+    __slots__ = ("_clock", "_gone", "_head", "_head_most", "_notices", "breached", "busy", "key", "meter")
+
+    def __init__(
+        self,
+        server: web.Server,
+        key: str,
+        limits: Limits,
+        notices: Notices,
+        clock: Callable[[], float],
+        gone: Callable[[], None],
+        timeout: float,  # seconds for a whole request, from the connection or the one before
+    ) -> None:
+        super().__init__(
+            server,
+            loop=asyncio.get_running_loop(),
+            access_log=None,  # type: ignore[arg-type]  # which switches it off
+            keepalive_timeout=timeout,
+            lingering_time=0,  # else it reads on, for ten seconds and at any rate, what is sent behind an answer
+        )
+        self.key = key  # of its address
+        self.meter: FrameMeter | None = None
+        self.breached: asyncio.Future[Breach] = asyncio.get_running_loop().create_future()
+        self.busy = False  # while a request of it is answered
+        self._head, self._head_most = 0, limits.head
+        self._notices, self._clock, self._gone = notices, clock, gone
+
+    def data_received(self, data: bytes) -> None:
+        """Bytes from the socket (after TLS)."""
+        if self.meter is None:
+            self._head += len(data)
+            if self._head > self._head_most:
+                self._notices("head", f"a connection sent {self._head_most} bytes without a request; cut off")
+                self.abort()
+                return
+        super().data_received(data)
+
+    def connection_lost(self, exc: BaseException | None) -> None:
+        """The socket is closed."""
+        self._gone()
+        super().connection_lost(exc)
+
+    def set_parser(self, parser: Any, data_received_cb: Callable[[], None] | None = None) -> None:
+        """aiohttp calls this with its WebSocket parser right after the handshake."""
+        if self.meter is not None:
+            parser = _MeteredReader(parser, self.meter, self._clock, self._broke)
+        super().set_parser(parser, data_received_cb)
+
+    def handle_error(
+        self,
+        request: web.BaseRequest,
+        status: int = 500,
+        exc: BaseException | None = None,
+        message: str | None = None,
+    ) -> web.StreamResponse:
+        """Answer malformed HTTP, or a fault of the server's, without repeating anything of the request."""
+        if status == 500:
+            self.log_exception("a request failed", exc_info=exc)
+        else:
+            self._notices("http", f"malformed HTTP was refused ({status})")
+        if request.writer.output_size > 0:
+            raise ConnectionError("an answer is under way already")
+        response = web.Response(status=status, text="the request failed\n" if status == 500 else "malformed request\n")
+        response.force_close()
+        return response
+
+    def log_exception(self, *args: Any, **kw: Any) -> None:
+        """One line with the kind of error and its place: tracebacks and messages may hold what a peer sent."""
+        error = kw.get("exc_info")
+        if not isinstance(error, BaseException):
+            self._notices("fault", "a request failed in the server")
+            return
+        trace, place = error.__traceback__, ""
+        while trace is not None:
+            place = f" at {trace.tb_frame.f_code.co_filename.rpartition('/')[2]}:{trace.tb_lineno}"
+            trace = trace.tb_next
+        self._notices("fault", f"a request failed in the server: {type(error).__name__}{place}")
+
+    def request_done(self) -> None:
+        """A request was answered: the bytes of the next are counted anew."""
+        self._head = 0
+
+    def abort(self) -> None:
+        """Close at once, whatever is under way."""
+        if self.transport is not None:
+            self.transport.abort()
+
+    def _broke(self, breach: Breach) -> None:
+        if not self.breached.done():
+            self.breached.set_result(breach)
+        if self.transport is not None:
+            self.transport.pause_reading()  # what it goes on sending stays on its side

@@ -1,0 +1,203 @@
+"""The listening socket: accepts connections at a bounded rate and keeps a bounded number of those that are no clients.
+
+asyncio's own server logs a traceback for each attempt once no file descriptor is left, and accepts without bound.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import errno
+import os
+import socket
+import ssl
+from collections import Counter
+from collections.abc import Callable
+
+from glsplat.errors import GlsplatError
+from glsplat.net.guard.addresses import Addresses
+from glsplat.net.guard.connection import Connection
+from glsplat.net.guard.limits import address_key
+from glsplat.net.guard.notices import Notices
+
+__all__ = ["Listener", "bind"]
+
+_BACKLOG = 64
+_PAUSE = 1.0  # seconds without accepting when no descriptor is left and none can be freed
+_RESERVE = 12  # descriptors kept for what the server opens itself: a renderer started anew, files, wake-ups
+_FEWEST = 2  # connections in the handshake, however few descriptors there are
+_EXHAUSTED = (errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM)
+
+Make = Callable[[str, Callable[[], None]], Connection]
+"""Makes the protocol of a connection from its address's key and what to call when it is gone."""
+
+
+class Waiting:
+    """A connection that is no client: in the handshake, asking for a page, or idle."""
+
+    __slots__ = ("connection", "key", "task")
+
+    def __init__(self, key: str) -> None:
+        self.key = key
+        self.connection: Connection | None = None
+        self.task: asyncio.Task[None] | None = None
+
+    @property
+    def idle(self) -> bool:
+        return self.connection is None or not self.connection.busy
+
+    def end(self) -> None:
+        """Close it at once."""
+        if self.connection is not None and self.connection.transport is not None:
+            self.connection.abort()
+        elif self.task is not None:
+            self.task.cancel()  # in the TLS handshake
+
+
+class Listener:
+    """Accepts for ``make``. ``clients`` descriptors are left for clients, which are counted elsewhere."""
+
+    def __init__(
+        self,
+        listening: socket.socket,
+        make: Make,
+        addresses: Addresses,
+        notices: Notices,
+        clock: Callable[[], float],
+        *,
+        clients: int,
+        tls: ssl.SSLContext | None = None,
+        handshake: float = 10.0,  # seconds
+    ) -> None:
+        self._socket, self._make, self._addresses, self._notices = listening, make, addresses, notices
+        self._clock, self._clients, self._tls, self._handshake = clock, clients, tls, handshake
+        self._waiting: dict[Waiting, None] = {}  # oldest first
+        self._task: asyncio.Task[None] | None = None
+        self.room = 0  # connections that may wait
+        self.turned_away = 0  # connections closed unanswered
+
+    @property
+    def waiting(self) -> int:
+        """Connections that are no clients."""
+        return len(self._waiting)
+
+    def start(self) -> None:
+        """Accept from now on."""
+        self.room = self._room()
+        self._socket.setblocking(False)
+        self._task = asyncio.create_task(self._accept(), name="accept")
+
+    async def stop(self) -> None:
+        """Accept nothing more and close the socket; what is connected stays."""
+        if self._task is not None:
+            self._task.cancel()
+            await asyncio.gather(self._task, return_exceptions=True)
+        self._socket.close()
+        for entry in list(self._waiting):
+            if entry.connection is None or entry.connection.transport is None:
+                entry.end()
+
+    def promote(self, connection: Connection) -> None:
+        """It became a client: no longer counted here, nor closed to make room."""
+        for entry in self._waiting:
+            if entry.connection is connection:
+                del self._waiting[entry]
+                return
+
+    async def _accept(self) -> None:
+        loop = asyncio.get_running_loop()
+        while True:
+            try:
+                accepted, peer = await loop.sock_accept(self._socket)
+            except ConnectionAbortedError:
+                continue
+            except OSError as error:
+                kind = "are used up" if error.errno in _EXHAUSTED else f"cannot be had ({error.strerror})"
+                self._notices("descriptors", f"file descriptors {kind}: idle connections are closed first")
+                await asyncio.sleep(0 if self._make_room() else _PAUSE)
+                continue
+            self._admit(accepted, address_key(peer[0]))
+            await asyncio.sleep(0)  # sock_accept does not, while there is something to accept
+
+    def _admit(self, accepted: socket.socket, key: str) -> None:
+        if not self._addresses.visit(key, self._clock()):
+            self._notices("visits", "an address connects too often; closed unanswered")
+        elif len(self._waiting) < self.room or self._make_room():
+            entry = Waiting(key)
+            self._waiting[entry] = None
+            entry.task = asyncio.create_task(self._open(accepted, entry), name="open")
+            return
+        else:
+            self._notices("waiting", "too many connections that are no clients; closed unanswered")
+        self.turned_away += 1
+        accepted.close()
+
+    async def _open(self, accepted: socket.socket, entry: Waiting) -> None:
+        """Hand the socket to a protocol, after the TLS handshake where there is one."""
+        connection = self._make(entry.key, lambda: self._forget(entry))
+        entry.connection = connection
+        try:
+            await asyncio.get_running_loop().connect_accepted_socket(
+                lambda: connection,
+                accepted,
+                ssl=self._tls,
+                ssl_handshake_timeout=self._handshake if self._tls else None,
+            )
+        except (OSError, asyncio.CancelledError):  # no TLS, or gone
+            self._forget(entry)
+            accepted.close()
+
+    def _forget(self, entry: Waiting) -> None:
+        self._waiting.pop(entry, None)
+
+    def _make_room(self) -> bool:
+        """Close the oldest idle connection of the address that has most of them; False if all are busy."""
+        idle = [entry for entry in self._waiting if entry.idle]
+        if not idle:
+            return False
+        most = Counter(entry.key for entry in self._waiting)
+        victim = max(idle, key=lambda entry: most[entry.key])  # the first of the largest: the oldest
+        self._forget(victim)
+        victim.end()
+        self.turned_away += 1
+        return True
+
+    def _room(self) -> int:
+        limit = _descriptors_left()
+        wanted = self._addresses.limits.waiting
+        if limit is None or limit - self._clients - _RESERVE >= wanted:
+            return wanted
+        room = max(_FEWEST, limit - self._clients - _RESERVE)
+        self._notices("few", f"few file descriptors (ulimit -n): {room} connections may wait, not {wanted}")
+        return room
+
+
+def bind(host: str, port: int) -> socket.socket:
+    """A listening socket. Raises GlsplatError (port in use, no such address)."""
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    listening = socket.socket(family, socket.SOCK_STREAM)
+    try:
+        listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        listening.bind((host, port))
+        listening.listen(_BACKLOG)
+    except (OSError, OverflowError) as error:
+        listening.close()
+        if getattr(error, "errno", None) == errno.EADDRINUSE:
+            raise GlsplatError(f"port {port} is in use; choose another with --port") from None
+        reason = getattr(error, "strerror", None) or str(error)
+        raise GlsplatError(f"cannot listen on {host} port {port} ({reason}); choose --host and --port") from None
+    return listening
+
+
+def _descriptors_left() -> int | None:
+    """How many more files this process may open; None where that cannot be told."""
+    try:
+        import resource  # not on Windows
+    except ImportError:
+        return None
+    soft = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
+    if soft == resource.RLIM_INFINITY:
+        return None
+    try:
+        return soft - len(os.listdir("/proc/self/fd"))
+    except OSError:  # no /proc: most of them are free right after the start
+        return soft - 32

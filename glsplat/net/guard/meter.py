@@ -1,0 +1,93 @@
+"""A client's WebSocket frames counted by their headers alone (RFC 6455, section 5.2), before anything reads them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from glsplat.net.guard.limits import Limits, Purse
+
+__all__ = ["POLICY_VIOLATION", "Breach", "FrameMeter"]
+
+PROTOCOL_ERROR = 1002  # RFC 6455, section 7.4.1
+POLICY_VIOLATION = 1008
+
+
+@dataclass(frozen=True, slots=True)
+class Breach:
+    """Why a connection ends. ``reason`` is told to the client."""
+
+    code: int  # of the close
+    reason: str
+
+
+class FrameMeter:
+    """Follows the frames of one connection through the stream of its bytes and takes each from the client's purse.
+
+    A limit is noticed at the first header beyond it: what a client sent in one go after that is never looked at.
+    """
+
+    def __init__(self, purse: Purse, limits: Limits) -> None:
+        self._purse, self._limits = purse, limits
+        self._head = bytearray()  # of a header that is not whole yet
+        self._skip = 0  # bytes of payload to come
+
+    def feed(self, data: bytes, now: float) -> tuple[int, Breach | None]:
+        """How many bytes of ``data`` may be read on, and what is wrong with those behind them."""
+        if not self._purse.bytes.take(now, len(data)):
+            return 0, Breach(POLICY_VIOLATION, f"more than {self._limits.bytes / 1024:g} KiB a second")
+        position, size = 0, len(data)
+        if self._head and size:
+            # the first bytes complete the header that the last ones began
+            wanted = min(_LONGEST - len(self._head), size)
+            known = len(self._head)
+            self._head += data[:wanted]
+            breach = self._refused(self._head, 0, now) if known < 2 <= len(self._head) else None
+            if breach is not None:
+                return 0, breach
+            length = _header(self._head, 0, len(self._head))
+            if length is None:
+                return size, None
+            position = length[0] - known
+            self._skip = length[1]
+            self._head.clear()
+        while True:
+            step = min(self._skip, size - position)
+            position += step
+            self._skip -= step
+            if position >= size:
+                return size, None
+            if size - position >= 2:
+                breach = self._refused(data, position, now)
+                if breach is not None:
+                    return position, breach
+            length = _header(data, position, size)
+            if length is None:
+                self._head += data[position:]
+                return size, None
+            position += length[0]
+            self._skip = length[1]
+
+    def _refused(self, data: bytes | bytearray, at: int, now: float) -> Breach | None:
+        """Judge and count the frame whose two first bytes are at ``at``."""
+        if not data[at + 1] & 0x80:
+            return Breach(PROTOCOL_ERROR, "a client's frames need a mask")
+        control = bool(data[at] & 0x08)
+        if (self._purse.control if control else self._purse.frames).take(now):
+            return None
+        rate, kind = (self._limits.control, "control frames") if control else (self._limits.frames, "frames")
+        return Breach(POLICY_VIOLATION, f"more than {rate:g} {kind} a second")
+
+
+_LONGEST = 14  # bytes of a header: 2, 8 of length, 4 of mask
+
+
+def _header(data: bytes | bytearray, at: int, end: int) -> tuple[int, int] | None:
+    """Bytes of the header at ``at`` and of the payload behind it, or None where it is not whole before ``end``."""
+    if end - at < 2:
+        return None
+    short = data[at + 1] & 0x7F
+    extended = 8 if short == 127 else 2 if short == 126 else 0
+    size = 2 + extended + (4 if data[at + 1] & 0x80 else 0)
+    if end - at < size:
+        return None
+    return size, int.from_bytes(data[at + 2 : at + 2 + extended], "big") if extended else short

@@ -1,0 +1,233 @@
+"""Pipeline: the passes of one variant over one scene, in order: skin, key, sort, project, draw, resolve, read."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import ExitStack
+from typing import Any, Protocol, TypeVar
+
+import moderngl
+import numpy as np
+from numpy.typing import NDArray
+
+from glsplat.camera import Camera
+from glsplat.config import RenderConfig
+from glsplat.gl.context import Context
+from glsplat.passes.arena import Arena
+from glsplat.passes.block import FrameBlock
+from glsplat.passes.frame.budget import BLOCK_PIXELS, Budget
+from glsplat.passes.frame.draw import DrawPass
+from glsplat.passes.frame.gpu_sort import GpuSorter
+from glsplat.passes.frame.key import KeyPass
+from glsplat.passes.frame.project import ProjectPass
+from glsplat.passes.frame.sort import FIRST_CULLED, count_culled, covered_box, sorted_indices
+from glsplat.passes.item.ground import Ground
+from glsplat.passes.target import Box, ByteTarget, Clear, Resolve, Target
+from glsplat.pictures import lifted
+from glsplat.shaders import Programs, Variant
+from glsplat.timing import StageTimer
+
+__all__ = ["Pipeline", "view_state"]
+
+
+class _Owner(Protocol):
+    def release(self) -> None: ...
+
+
+P = TypeVar("P", bound=_Owner)
+
+
+class Pipeline:
+    """Owns what depends on the variant: work buffers and vertex arrays. The arena and the programs are borrowed."""
+
+    variant: Variant
+
+    def __init__(
+        self, context: Context, programs: Programs, variant: Variant, arena: Arena, config: RenderConfig
+    ) -> None:
+        ctx, count = context.ctx, arena.count
+        self._arena, self._config, self.variant = arena, config, variant
+        self._scratch = context.scratch
+        self._seen: tuple[Any, ...] | None = None  # what the records were made for
+        self._counted = True
+        self._order: NDArray[np.uint32] = np.empty(0, np.uint32)
+        self._order_age = config.sort_period  # moved frames since the sort; at first more than may pass
+        self.culled: dict[str, int] = {}
+        self.covered: Box = (0, 0, 0, 0)
+        self.cost: int | None = None  # covered pixels of the current records; known only under a budget
+        self._costs: NDArray[np.uint32] | None = None  # of the records, in their order, in blocks
+        with ExitStack() as stack:  # releases what was made if a later pass cannot be
+
+            def own(item: P) -> P:
+                stack.callback(item.release)
+                return item
+
+            self._frame = own(FrameBlock(ctx, variant.views))
+            self._project = own(ProjectPass(ctx, programs, variant, count))
+            records, order = self._project.records, self._project.order
+            automatic = config.sorter == "auto" and context.compute and not context.software
+            self._keys: moderngl.Buffer | None = None
+            if config.sorter == "gpu" or (automatic and GpuSorter.fits(ctx, records)):
+                self._keys = own(ctx.buffer(reserve=max(16, count * 4)))
+            # the CPU reads the keys before it writes the order, so both may lie in one buffer
+            self._key = own(KeyPass(ctx, programs, variant, arena.cones, count, self._keys or order, records))
+            self._sorter: GpuSorter | None = None
+            if self._keys is not None:
+                corners = 3 if variant.triangle else 4
+                settings = (count, variant.views, config.sort_bits, corners)
+                self._sorter = own(GpuSorter(ctx, programs, self._keys, order, records, *settings))
+            self._draw = own(DrawPass(ctx, programs, variant, self._project.records))
+            self._clear = own(Clear(ctx, programs, variant))
+            self._resolve = own(Resolve(ctx, programs, variant))
+            self._owned = stack.pop_all()
+
+    @property
+    def drawn(self) -> int:
+        """Splats of the current order."""
+        return self._project.count
+
+    @property
+    def nbytes(self) -> int:
+        """GPU bytes of the work buffers."""
+        keys = self._keys.size if self._keys else 0
+        return keys + self._project.order.size + self._project.records.size
+
+    def geometry(
+        self,
+        views: Sequence[Camera],
+        sort_viewmat: NDArray[np.float64],
+        timer: StageTimer,
+        budget: Budget | None = None,
+    ) -> bool:
+        """Steps 1 to 3, up to the records in drawing order. True if the splats were sorted again.
+
+        Raises BudgetError if drawing them would cost too much; with the CPU sorter before they are sorted.
+        """
+        arena = self._arena
+        self._frame.write(views, sort_viewmat, arena.origin, self._config)
+        arena.use()
+        self._scratch.use()  # without a complete framebuffer transform feedback silently writes nothing
+        timer.mark("frame")
+        # an unmoved scene seen by unmoved cameras keeps its order and its records
+        state = (arena.version, sort_viewmat.tobytes(), tuple(map(view_state, views)))
+        moved = state != self._seen
+        if not moved and self._order_age == 0 and (budget is None or self.cost is not None):
+            if budget is not None:
+                budget.spend(self.cost or 0)
+            return False
+        resort = not moved or self._order_age + 1 >= self._config.sort_period
+        if self._sorter and budget is not None:
+            resort = True  # it is the sorter that adds up the costs
+        age = 0 if resort else self._order_age + 1
+        # noted again when the records are there: a frame that is broken off in between leaves nothing to go by
+        self._seen, self._order_age = None, self._config.sort_period
+        self.cost = self._costs = None
+        if self._sorter:
+            if resort:
+                self._key.run()
+                timer.mark("key")
+                self._sorter.run()
+                self._project.count = arena.count  # culled ones sort last; the indirect draw leaves them out
+                self._counted = False
+            self.covered = (0, 0, views[0].width, views[0].height)
+        else:
+            self._key.run()  # with an old order too: it knows which box is covered
+            timer.mark("key")
+            keys, tiles, costs = self._key.read()
+            if budget is not None:
+                self.cost = BLOCK_PIXELS * int(costs.sum(dtype=np.uint64))
+                budget.spend(self.cost)
+                self._costs = costs if self.cost > budget.slice_cost else None
+            self.culled = self._without_padding(count_culled(keys))
+            self.covered = covered_box(tiles[keys < FIRST_CULLED], views[0].width, views[0].height)
+            if resort:
+                self._order = order = sorted_indices(keys, self._config.sort_bits)
+            else:  # an old order without what is culled by now: the covered box does not hold that
+                order = self._order[keys[self._order] < FIRST_CULLED]
+            self._project.write_order(order)
+            self._costs = self._costs[order] if self._costs is not None else None
+        timer.mark("sort")
+        self._project.run()
+        timer.mark("project")
+        self._order_age = age
+        self._seen = state
+        if self._sorter and budget is not None:
+            self._count()
+            budget.spend(self.cost or 0)
+        return resort
+
+    def draw(
+        self,
+        target: Target,
+        views: Sequence[Camera],
+        timer: StageTimer,
+        boxed: bool,
+        budget: Budget | None = None,
+        ground: Ground | None = None,  # with variant.occluded
+    ) -> None:
+        """Step 4: backgrounds (``boxed``: where splats fall, nothing else will be read), then every record.
+
+        Raises BudgetError when the budget says so while slices are drawn.
+        """
+        if ground is not None:
+            ground.use()
+            self.covered = (0, 0, views[0].width, views[0].height)
+        self._clear.run(target, views, self.covered if boxed else (0, 0, views[0].width, views[0].height))
+        if budget is not None and (self.cost or 0) > budget.slice_cost:
+            self._draw.run_slices(target, self._slices(budget.slice_cost), budget)
+        else:
+            self._draw.run(target, self._project.count, self._sorter.indirect if self._sorter else None)
+        timer.mark("draw")
+
+    def read(
+        self,
+        target: Target,
+        byte_target: ByteTarget | None,
+        views: Sequence[Camera],
+        out: NDArray[Any],  # [V, H, W, 4] uint8 if there is a byte target, else float32
+        timer: StageTimer,
+    ) -> None:
+        """Steps 5 and 6: 8-bit conversion where asked for, and the picture to the host."""
+        if byte_target is None:
+            target.read(out)
+            if self.variant.cull_hidden:
+                for picture, view in zip(out, views, strict=True):
+                    picture[:] = lifted(picture, view.background)
+        else:
+            self._resolve.run(target, byte_target, views, self.covered)
+            timer.mark("resolve")
+            byte_target.read(out, self.covered)
+        if self._sorter and not self._counted:
+            self._count()  # after the read, so that nothing waits twice
+        timer.mark("read")
+
+    def _count(self) -> None:
+        """What the GPU sorter counted, to the host."""
+        assert self._sorter is not None
+        self._project.count, culled, blocks = self._sorter.counts()
+        self.culled = self._without_padding(culled)
+        self.cost = BLOCK_PIXELS * blocks
+        self._counted = True
+
+    def _without_padding(self, culled: dict[str, int]) -> dict[str, int]:
+        """What fills up the rows of the arena is transparent, but nobody's splat."""
+        return culled | {"transparent": culled["transparent"] - self._arena.padding}
+
+    def _slices(self, cost: float) -> list[int]:
+        """Where to cut the records into slices of about that cost: the number of the record after each."""
+        count = self._project.count
+        wanted = max(1, min(count, int(-(-(self.cost or 0) // cost))))
+        if self._costs is None:  # only the GPU knows what each costs
+            return [count * i // wanted for i in range(1, wanted + 1)]
+        sums = np.cumsum(self._costs, dtype=np.uint64)
+        cuts = np.searchsorted(sums, int(sums[-1]) * np.arange(1, wanted) // wanted) + 1
+        return sorted({*map(int, cuts), count})
+
+    def release(self) -> None:
+        """Delete the work buffers and vertex arrays."""
+        self._owned.close()
+
+
+def view_state(camera: Camera) -> tuple[object, ...]:
+    """All of a camera that decides records."""
+    return camera.viewmat.tobytes(), camera.K.tobytes(), camera.width, camera.height, camera.near, camera.far

@@ -1,0 +1,1 @@
+"""The analytic body: head and hands to joint rotations, without learned parts."""

@@ -1,0 +1,163 @@
+"""A leg: hip, knee and ankle for a foot in its place; the heel rises where the leg is too short or the ankle stiff."""
+
+from __future__ import annotations
+
+from math import acos, atan2, cos, exp, hypot, radians, sin, sqrt
+
+from glsplat.tracking.solve.body import ANKLES, FEET, HIPS, KNEES, PELVIS, Body
+from glsplat.tracking.solve.foot import Foot
+from glsplat.tracking.solve.limb import Limb, two_bone
+from glsplat.tracking.solve.quat import (
+    Quat,
+    Vec,
+    add,
+    clamp,
+    conj,
+    mul,
+    rotate,
+    rotation_vector,
+    sub,
+    to_quat,
+    unit,
+    wrap,
+    yaw_quat,
+)
+
+__all__ = ["TIPTOE", "Leg"]
+
+KNEE_FLEXION = 145.0  # degrees the knee may bend
+DORSIFLEXION = 0.66  # radians the ankle bends under load
+TIPTOE = 1.0  # radians the heel may lift about the ball
+EXTENSION = 0.5  # behind for each metre down: 27 degrees the hip extends
+STRAIGHT = 0.997  # of its length a leg stretches to
+SOFT = 0.03  # of its length over which a leg becomes straight: the knee would jump otherwise
+
+
+class Leg:
+    """One leg's measures and its inverse kinematics."""
+
+    def __init__(self, body: Body, index: int) -> None:
+        hip, knee, ankle, foot = HIPS[index], KNEES[index], ANKLES[index], FEET[index]
+        self.index = index
+        self.hip: Vec = sub(body.joints[hip], body.joints[PELVIS])
+        self.limb: Limb = Limb.of(body, (hip, knee, ankle), (1.0, 0.0, 0.0), KNEE_FLEXION, STRAIGHT)
+        self.length: float = self.limb.upper + self.limb.lower
+        self.ankle: Vec = sub(body.joints[ankle], body.joints[foot])  # from the ball
+        self.knee: Vec = sub(body.joints[knee], body.joints[hip])
+        self.shin: Vec = sub(body.joints[ankle], body.joints[knee])
+        self.ankle_height: float = 0.0  # metres, as last solved
+        self.size: float = sqrt(sum(v * v for v in self.ankle))
+        self.ball: Vec | None = None  # where the last solution put it, if the leg reached
+
+    def solve(self, foot: Foot, hip: Vec, pelvis: Quat, yaw: float) -> tuple[Quat, Quat, Quat]:
+        """World rotation of the thigh, local rotation of the knee, world rotation of the foot.
+
+        A foot that the leg does not reach is ``strained``: a straight leg points at it.
+        """
+        limb, pitch = self.limb, foot.tilt.at
+        foot.strained = False
+        aside_x = aside_z = 0.0
+        exact = True
+        ankle = self.above(foot, pitch)
+        far = _distance(hip, ankle)
+        want = self._softly(far)
+        if far - want > 1e-6:
+            # a leg too short for the flat foot lifts the heel, as little as it must
+            pitch = self._heel(foot, hip, want, pitch, max(pitch, TIPTOE))
+            ankle = self.above(foot, pitch)
+            excess = _distance(hip, ankle) - limb.farthest
+            exact, foot.strained = excess < 1e-3, excess > 0.005
+        elif far < limb.nearest:
+            # a knee bent as far as it goes pushes the foot away from under the hip
+            down, x, z = hip[1] - ankle[1], ankle[0] - hip[0], ankle[2] - hip[2]
+            aside = hypot(x, z)
+            if aside < 1e-6:
+                x, z, aside = 1e-6 * sin(yaw), 1e-6 * cos(yaw), 1e-6
+            k = sqrt(max(limb.nearest * limb.nearest - down * down, 0.0)) / aside - 1
+            aside_x, aside_z = x * k, z * k
+            ankle = self.above(foot, pitch, aside_x, aside_z)
+            foot.strained = aside * k > 0.005
+        turn = wrap(foot.yaw - yaw)
+        facing = yaw + 0.5 * turn
+        ahead = rotate(pelvis, (0.0, 0.0, 1.0))
+        pole = unit((sin(facing) + ahead[0], 0.5 * ahead[1], cos(facing) + ahead[2]), (sin(facing), 0.0, cos(facing)))
+        # the knee bends outwards a little (hip abduction of a relaxed crouch)
+        out = 0.12 if self.index == 0 else -0.12
+        pole = unit((pole[0] + out * cos(facing), pole[1], pole[2] - out * sin(facing)))
+        thigh, knee, shin = two_bone(limb, hip, ankle, pole)
+        for _ in range(3):
+            # a deep crouch lifts the heel where the ankle bends no further
+            lean = atan2(-(shin[0] * sin(foot.yaw) + shin[2] * cos(foot.yaw)), -shin[1])
+            excess = lean - pitch - DORSIFLEXION
+            if not 1e-4 < excess < 1.5 or pitch > 1.2:
+                break
+            pitch += 0.7 * excess
+            ankle = self.above(foot, pitch, aside_x, aside_z)
+            thigh, knee, shin = two_bone(limb, hip, ankle, pole)
+            exact = exact and limb.nearest < _distance(hip, ankle) < limb.farthest + 1e-3
+        self.ankle_height = ankle[1]
+        x, y, z = foot.ball
+        self.ball = (x + aside_x, y, z + aside_z) if exact else None
+        return thigh, knee, mul(yaw_quat(foot.yaw), to_quat((pitch, 0.0, 0.0)))
+
+    def strains(self, foot: Foot, hip: Vec, pelvis: Quat) -> bool:
+        """Would a hip here stretch the leg to where the foot is planted, or the hip too far back?"""
+        x, y, z = sub(self.above(foot, TIPTOE), hip)
+        if x * x + y * y + z * z > self.limb.farthest * self.limb.farthest:
+            return True
+        x, y, z = rotate(conj(pelvis), (x, y, z))
+        return -z > EXTENSION * -y > 0
+
+    def above(self, foot: Foot, pitch: float, aside_x: float = 0.0, aside_z: float = 0.0) -> Vec:
+        """The ankle's place, the heel lifted by ``pitch``, the foot pushed aside."""
+        x, y, z = self.ankle
+        c, s = cos(pitch), sin(pitch)
+        y, z = y * c - z * s, y * s + z * c
+        c, s = cos(foot.yaw), sin(foot.yaw)
+        bx, by, bz = foot.ball
+        return (bx + aside_x + x * c + z * s, by + y, bz + aside_z - x * s + z * c)
+
+    def settle(self, hip: Vec, thigh: Quat, knee: Quat) -> Quat:
+        """The knee of a thigh that the hip's limits hold elsewhere, bent so that the ankle is as high as it was to be.
+
+        The ankle's height is a sine of the bend: the nearest one that serves.
+        """
+        at = add(hip, rotate(thigh, self.knee))
+        x, y, z = rotate(knee, self.shin)
+        ux, uy, uz = rotate(conj(thigh), (0.0, 1.0, 0.0))
+        across, along = uy * y + uz * z, uz * y - uy * z
+        size = hypot(across, along)
+        lift = self.ankle_height - at[1] - ux * x
+        if across >= lift or size < 1e-9:
+            return knee
+        middle, half = atan2(along, across), acos(clamp(lift / size, -1.0, 1.0))
+        turn = min((wrap(middle - half), wrap(middle + half)), key=abs)
+        bent = rotation_vector(knee)[0]
+        return mul(to_quat((clamp(bent + turn, 0.0, radians(KNEE_FLEXION)) - bent, 0.0, 0.0)), knee)
+
+    def _softly(self, far: float) -> float:
+        """The distance from hip to ankle that a leg takes for a foot this far away: never quite straight at once."""
+        soft = SOFT * self.length
+        begin = self.limb.farthest - soft
+        return far if far <= begin else begin + soft * (1 - exp(-(far - begin) / soft))
+
+    def _heel(self, foot: Foot, hip: Vec, want: float, low: float, high: float) -> float:
+        """The pitch between low and high that brings the ankle to this distance from the hip, or nearest to it.
+
+        Law of cosines about the ball: the ankle's circle in the foot's plane.
+        """
+        s, c = sin(foot.yaw), cos(foot.yaw)
+        hx, hy, hz = hip[0] - foot.x.at, hip[1] - foot.y.at, hip[2] - foot.z.at
+        hx, hz = hx * c - hz * s, hx * s + hz * c
+        x, y, z = self.ankle
+        across, along = hy * y + hz * z, hz * y - hy * z
+        size = hypot(across, along)
+        if size < 1e-9:
+            return low
+        goal = 0.5 * (hx * hx + hy * hy + hz * hz + self.size * self.size - want * want) - hx * x
+        best = atan2(along, across)  # the ankle nearest to the hip
+        return clamp(best - acos(clamp(goal / size, -1.0, 1.0)), low, high) if best > low else low
+
+
+def _distance(a: Vec, b: Vec) -> float:
+    return sqrt((a[0] - b[0]) ** 2 + (a[1] - b[1]) ** 2 + (a[2] - b[2]) ** 2)

@@ -1,0 +1,345 @@
+"""The preview on a running server: a viewer on a framebuffer, then the command under Xvfb."""
+# ruff: noqa: F811  (a fixture of another file has the name of its argument)
+
+from __future__ import annotations
+
+import asyncio
+import json
+import socket
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from apps.cli import main
+from apps.output import side_by_side
+from apps.preview.cameras import Options
+from apps.preview.connect import Watched, read_tracked
+from apps.preview.feed import Feed, Wish
+from apps.preview.viewer import Viewer
+from apps.serve import make_server
+from glsplat.avatar import Avatar
+from glsplat.camera import Camera
+from glsplat.data import default_avatar
+from glsplat.errors import GlsplatError
+from glsplat.formats import save
+from glsplat.gl.context import Context
+from glsplat.net.backend import Rendered
+from glsplat.net.guard.access import Access
+from glsplat.net.messages import WireOptions
+from glsplat.net.server import Server, ServerConfig
+from glsplat.renderer import Renderer
+from glsplat.skinning.pose import Pose
+from tests.scenes import camera, cloud, limb
+from tests.xvfb import display, psnr, python  # noqa: F401  (a fixture)
+
+VIEW = Options(eye=(0.4, 0.3, 3.0), target=(0.7, 0.0, 0.0))
+
+
+class Grey:
+    """A renderer without OpenGL: all pixels have the grey value of the camera's x in centimetres."""
+
+    def __init__(self) -> None:
+        self.requests: list = []
+
+    def open(self) -> str:
+        return "numpy"
+
+    def render(self, request) -> Rendered:
+        self.requests.append(request)
+        c = request.cameras[0]
+        shade = round(100 * float(c.position[0]))
+        return Rendered(np.full((len(request.cameras), c.height, c.width, 4), shade, np.uint8), {"draw": 1.0}, "numpy")
+
+    def close(self) -> None: ...
+
+
+@contextmanager
+def serving(make: Callable[[], Server]) -> Iterator[str]:
+    """The address of a server in a thread of its own."""
+    ready, state = threading.Event(), {}
+
+    async def work() -> None:
+        server = make()
+        await server.start()
+        state.update(url=server.url, loop=asyncio.get_running_loop(), end=asyncio.Event())
+        ready.set()
+        await state["end"].wait()
+        await server.stop()
+
+    thread = threading.Thread(target=lambda: asyncio.run(work()))
+    thread.start()
+    try:
+        assert ready.wait(60)
+        yield state["url"]
+    finally:
+        state["loop"].call_soon_threadsafe(state["end"].set)
+        thread.join(20)
+
+
+@contextmanager
+def feeding(url: str, **options) -> Iterator[Feed]:
+    feed = Feed(url, **options)
+    feed.start()
+    try:
+        yield feed
+    finally:
+        feed.close()
+
+
+def at(x: float, size: int = 32) -> Wish:
+    view = camera(size)
+    viewmat = view.viewmat.copy()
+    viewmat[0, 3] = -x
+    return Wish([replace(view, viewmat=viewmat)])
+
+
+def until(condition: Callable[[], object], seconds: float = 10.0) -> bool:
+    end = time.monotonic() + seconds
+    while not condition() and time.monotonic() < end:
+        time.sleep(0.01)
+    return bool(condition())
+
+
+def shade(feed: Feed) -> float:
+    picture = feed.take()
+    assert picture is not None
+    return float(np.median(picture.images[..., :3]))
+
+
+def test_the_newest_wish_is_answered_and_a_quiet_feed_asks_for_nothing() -> None:
+    backend, woken = Grey(), []
+    with serving(lambda: Server(backend, ServerConfig(port=0))) as url, feeding(url, quality=100) as feed:
+        feed.wake = lambda: woken.append(1)
+        for x in (0.5, 0.7, 0.9, 1.1):
+            feed.ask(at(x))
+        feed.settle()
+        assert shade(feed) == pytest.approx(110, abs=1) and until(lambda: woken)
+        assert len(backend.requests) <= 4 and feed.take() is None and feed.notice == ""
+        count = len(backend.requests)
+        time.sleep(0.1)
+        assert len(backend.requests) == count
+
+
+def test_a_server_that_goes_away_is_said_and_tried_again() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        port = free.getsockname()[1]
+    config = ServerConfig(port=port, drain_timeout=0.2)
+    with serving(lambda: Server(Grey(), config)) as url:
+        feed = Feed(url)
+        feed.start()
+        feed.ask(at(0.5))
+        feed.settle()
+        assert shade(feed) == pytest.approx(50, abs=2)
+    try:
+        assert until(lambda: "trying again in" in feed.notice) and "\n" not in feed.notice, feed.notice
+        start = time.monotonic()
+        feed.ask(at(0.8))  # returns at once, whatever the network does
+        assert time.monotonic() - start < 0.1
+        with serving(lambda: Server(Grey(), config)):
+            assert until(lambda: feed.ready) and feed.notice == "" and feed.reconnects == 1
+            assert shade(feed) == pytest.approx(80, abs=2)
+    finally:
+        start = time.monotonic()
+        feed.close()
+    assert time.monotonic() - start < 1.5
+
+
+def test_a_wish_too_large_for_the_server_is_drawn_smaller() -> None:
+    options = ServerConfig(port=0, wire=WireOptions(size=(32, 32), max_side=40))
+    with serving(lambda: Server(Grey(), options)) as url, feeding(url) as feed:
+        feed.ask(at(0.5, 150))
+        feed.settle()
+        picture = feed.take()
+        assert picture is not None and picture.images.shape == (1, 38, 38, 4) and feed.notice == ""
+
+
+def test_refusals_at_the_start_are_errors() -> None:
+    with pytest.raises(GlsplatError, match="expected ws://HOST:PORT/ws"):
+        Feed("http://127.0.0.1:8000")
+    with pytest.raises(GlsplatError, match="no server at"):
+        Feed("ws://127.0.0.1:1").start()
+    access = Access(token="0123456789abcdef")
+    with serving(lambda: Server(Grey(), ServerConfig(port=0, access=access))) as url:
+        with pytest.raises(GlsplatError, match="wants a token"):
+            Feed(url).start()
+        with feeding(url, token="0123456789abcdef"):
+            pass
+
+
+@pytest.fixture(scope="module")
+def limb_server() -> Iterator[str]:
+    with serving(lambda: make_server(limb(degree=1), ServerConfig(port=0))) as url:
+        yield url
+
+
+@pytest.fixture
+def watching(context: Context, limb_server: str) -> Iterator[Callable[..., Viewer]]:
+    made: list[tuple[Viewer, Feed]] = []
+
+    def make(scene: Avatar, size: tuple[int, int], options: Options = VIEW, url: str = limb_server) -> Viewer:
+        feed = Feed(url, quality=95)
+        feed.start()
+        made.append((Viewer(scene, context, size, options, "server", Watched(feed, context.ctx)), feed))
+        return made[-1][0]
+
+    with context.ctx:
+        yield make
+        for viewer, feed in made:
+            viewer.release()
+            feed.close()
+        assert context.ctx.error == "GL_NO_ERROR"
+
+
+def headless(context: Context, scene: Avatar, cameras: list[Camera], pose: Pose | None) -> np.ndarray:
+    with Renderer(scene, size=(cameras[0].width, cameras[0].height), context=context) as renderer:
+        return renderer.render(cameras, pose)[..., :3]
+
+
+@pytest.mark.gl
+def test_layouts_show_what_the_server_draws(watching: Callable[..., Viewer], context: Context) -> None:
+    avatar = limb(degree=1)
+    viewer = watching(avatar, (193, 128), replace(VIEW, ipd=0.3))
+    assert viewer.player is not None
+    viewer.player.select(1)
+    viewer.player.turn((0, 0, 1), 40)
+    for key, columns in (("1", 193), ("2", 192), ("3", 193)):
+        viewer.press(key)
+        viewer.settle()
+        shown = viewer.capture()
+        expected = headless(context, avatar, viewer.cameras(), viewer.pose())
+        rest = headless(context, avatar, viewer.cameras(), None)
+        if key == "3":
+            expected, rest = (np.concatenate([i[0, ..., :1], i[1, ..., 1:]], axis=-1)[None] for i in (expected, rest))
+        assert psnr(shown[:, :columns], side_by_side(expected)) > 32, key  # JPEG, colours at half resolution
+        assert psnr(shown[:, :columns], side_by_side(rest)) < 25, key
+        assert not shown[:, columns:].any()
+
+
+@pytest.mark.gl
+def test_the_window_is_redrawn_for_new_pictures_only(watching: Callable[..., Viewer], context: Context) -> None:
+    viewer = watching(limb(degree=1), (96, 64), replace(VIEW, numbers=True))
+    texture = context.ctx.texture((96, 64), 4)
+    screen = context.ctx.framebuffer([texture])
+    try:
+        viewer.settle()
+        assert viewer.refresh(screen) and not viewer.dirty
+        assert not viewer.refresh(screen)  # the same view: neither asked for nor drawn
+        viewer.drag("left")
+        viewer.move(20, 10)
+        drawn = viewer.refresh(screen)  # asks; the old picture stays until the new one comes
+        assert not drawn and not viewer.dirty
+        assert until(lambda: (viewer.advance(0.0), viewer.dirty)[1])
+        assert viewer.refresh(screen) and not viewer.refresh(screen)
+        viewer.expose()
+        assert viewer.refresh(screen)
+        lines = [line[0] for line in viewer._text]
+        assert [s for s in lines if s in ("wait", "render", "encode", "communication", "decode", "present")] == [
+            *("wait", "render", "encode", "communication", "decode", "present")
+        ]
+        assert any("kB" in line and "after it was asked for" in line for line in lines)
+        assert any(line.startswith("2 shown") for line in lines)
+        report = viewer.report()
+        assert report["shown"] == 2 and report["reconnects"] == 0 and report["timings_ms"]["render"] > 0
+    finally:
+        context.scratch.use()
+        screen.release()
+        texture.release()
+
+
+@pytest.mark.gl
+def test_another_window_size_scales_the_old_picture_until_the_new_one_comes(
+    watching: Callable[..., Viewer], context: Context
+) -> None:
+    avatar = limb(degree=1)
+    viewer = watching(avatar, (192, 128))
+    viewer.settle()
+    viewer.capture()
+    viewer.resize(97, 65)
+    scaled = viewer.capture()
+    viewer.settle()
+    exact = viewer.capture()
+    expected = side_by_side(headless(context, avatar, viewer.cameras(), None))
+    assert scaled.shape == exact.shape == (65, 97, 3)
+    assert psnr(exact, expected) > 30 and 15 < psnr(scaled, expected) < psnr(exact, expected)
+
+
+@pytest.mark.gl
+def test_what_makes_no_sense_on_a_server_is_said(
+    watching: Callable[..., Viewer], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    viewer = watching(limb(degree=1), (96, 64))
+    save(cloud(), tmp_path / "cloud.ply")
+    viewer.drop(str(tmp_path / "cloud.ply"))
+    assert "the server chooses what is shown" in viewer.overlay.lines(list)[-1][0]
+    assert "the server chooses" in capsys.readouterr().err
+    assert viewer.player is not None  # all as it was
+
+
+@pytest.mark.gl
+def test_a_recording_goes_as_tracking(context: Context) -> None:
+    motion, backend = read_tracked(None), Grey()
+    assert len(motion) > 72 and all("head" in sample for sample in motion.samples)
+    with serving(lambda: Server(backend, ServerConfig(port=0))) as url, feeding(url) as feed, context.ctx:
+        viewer = Viewer(default_avatar(), context, (32, 32), VIEW, "server", Watched(feed, context.ctx))
+        try:
+            assert viewer.player is not None
+            viewer.player.play(motion)
+            with pytest.raises(GlsplatError, match="no tracking solver"):  # this server has none
+                viewer.settle()
+            assert "no tracking solver" in feed.notice
+            viewer.press("left")
+            assert "no joint can be turned" in viewer.overlay.lines(list)[-1][0]
+            viewer.player.hold(None)
+            viewer.settle()
+            assert feed.notice == "" and backend.requests[-1].tracking is None
+        finally:
+            viewer.release()
+
+
+@pytest.mark.gl
+def test_the_command_shows_what_the_server_draws(
+    display: str, limb_server: str, tmp_path: Path, context: Context
+) -> None:
+    avatar = limb(degree=1)
+    save(avatar, tmp_path / "limb.glb")
+    frames = [{"joints": {"joint1": [0, 0, a], "joint2": [0, a, 0]}} for a in (0.0, 0.3, 0.6, 0.9)]
+    (tmp_path / "motion.json").write_text(json.dumps({"fps": 30, "frames": frames}))
+    command = ["-m", "apps.cli", "preview", "limb.glb", "--connect", limb_server, "--motion", "motion.json"]
+    command += ["--frames", "3", "--quality", "95", "--json", "--screenshot", "shot.png", "--size", "200x150"]
+    done = python(*command, "--eye=0.4,0.3,3", "--target=0.7,0,0", display=display, cwd=tmp_path)
+    assert done.returncode == 0 and done.stderr == "", done.stderr
+    report = json.loads(done.stdout)
+    assert report["url"] == limb_server and report["shown"] == 3 and report["window"] == [200, 150]
+    shot = cv2.imread(str(tmp_path / "shot.png"))[..., ::-1]
+    with context.ctx:
+        viewer = Viewer(avatar, context, (200, 150), VIEW)
+        cameras = viewer.cameras()
+        viewer.release()
+        expected = headless(context, avatar, cameras, Pose.from_json(frames[2], avatar.skeleton))[0]
+        rest = headless(context, avatar, cameras, None)[0]
+    assert psnr(shot, expected) > 32 > 25 > psnr(shot, rest)
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--connect", "http://127.0.0.1:8000"], "expected ws://HOST:PORT/ws"),
+        (["--connect", "ws://127.0.0.1:1"], "no server at ws://127.0.0.1:1/ws: start one with `glsplat serve`"),
+        (["--connect", "ws://127.0.0.1:1", "--background=1,1,1"], "--background does not go with --connect"),
+        (["--connect", "ws://127.0.0.1:1", "--quality=0"], "--quality needs 1 to 100"),
+        (["--connect", "ws://127.0.0.1:1", "--token-file", "nowhere"], "nowhere: cannot read the token"),
+        (["--recording"], "--recording goes with --connect"),
+        (["--tls-ca", "x.pem"], "--tls-ca goes with --connect"),
+    ],
+)
+def test_mistakes_are_one_line(words: list[str], message: str, capsys: pytest.CaptureFixture[str]) -> None:
+    code, error = main(["preview", *words]), capsys.readouterr().err
+    assert code == (2 if error.endswith("--help\n") else 1)
+    assert message in error and error.count("\n") == 1

@@ -1,0 +1,226 @@
+"""The inspect and convert commands."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from glsplat_apps import cli, convert, inspect
+
+from glsplat.avatar import Avatar
+from glsplat.formats import load, save
+from glsplat.splats import Splats
+from tests.formats.scenes import assert_equal, awkward_splats, random_avatar, random_splats
+
+
+def described(capsys: pytest.CaptureFixture[str], *arguments: object) -> dict[str, Any]:
+    assert cli.main(["inspect", *map(str, arguments), "--json"]) == 0
+    out: dict[str, Any] = json.loads(capsys.readouterr().out)
+    return out
+
+
+def test_inspect_counts_ranges_and_sizes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    splats = random_splats(200, 2)
+    save(splats, tmp_path / "a.ply")
+    report = described(capsys, tmp_path / "a.ply")
+    assert (report["format"], report["kind"], report["splats"], report["sh_degree"]) == ("ply", "splats", 200, 2)
+    assert report["file_bytes"] == (tmp_path / "a.ply").stat().st_size
+    assert report["memory_bytes"] == splats.nbytes == 200 * 4 * (3 + 4 + 3 + 1 + 27)
+    np.testing.assert_allclose(report["bounds"]["max"], splats.means.max(axis=0))
+    np.testing.assert_allclose(report["scale"]["p50"], np.median(splats.scales.max(axis=1)), rtol=1e-5)
+    np.testing.assert_allclose(report["opacity"]["p100"], splats.opacities.max(), rtol=1e-5)
+    assert report["unusual"] == {}
+    assert report["antialias"] is False and report["cones"] is False
+
+
+def with_extras(splats: Splats) -> Splats:
+    return replace(splats, antialias=True, cones=np.full((len(splats), 4), 9, np.int8))
+
+
+def test_inspect_says_whether_there_are_cones_and_antialias(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    save(with_extras(random_splats()), tmp_path / "a.glb")
+    report = described(capsys, tmp_path / "a.glb")
+    assert report["antialias"] is True and report["cones"] is True
+    assert cli.main(["inspect", str(tmp_path / "a.glb")]) == 0
+    text = capsys.readouterr().out
+    assert "opacity compensation wanted" in text and "every splat has one" in text
+    save(random_splats(), tmp_path / "b.glb")
+    assert cli.main(["inspect", str(tmp_path / "b.glb")]) == 0
+    text = capsys.readouterr().out
+    assert "not asked for" in text and "--cull-hidden needs them" in text
+
+
+def test_inspect_finds_what_is_unusual(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    base = random_splats(1000)
+    means, quats, scales, opacities = base.means.copy(), base.quats.copy(), base.scales.copy(), base.opacities.copy()
+    means[0] = 1e6
+    means[1, 0] = np.nan
+    quats[2:4] = 0
+    scales[4], scales[5:8, 0], scales[8, 1] = (1, 1, 1e-4), 0, -0.01
+    opacities[9], opacities[10:15], opacities[15] = 1.5, 0.001, -1
+    save(Splats(means, quats, scales, opacities, base.sh), tmp_path / "a.glb")
+    assert described(capsys, tmp_path / "a.glb")["unusual"] == {
+        "not_finite": 1,
+        "zero_quaternions": 2,
+        "negative_scales": 1,
+        "zero_scales": 3,
+        "needles": 1,
+        "opacities_outside": 2,
+        "invisible": 6,
+        "outliers": 1,
+    }
+
+
+def test_inspect_an_avatar(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    avatar = random_avatar()
+    save(avatar, tmp_path / "a.glb")
+    report = described(capsys, tmp_path / "a.glb")
+    rig = report["avatar"]
+    assert (report["kind"], rig["joints"], rig["influences"]) == ("avatar", 5, 4)
+    assert rig["roots"] == ["bone 0", "bone 4"]
+    assert rig["weight_lost"] == avatar.skin.lost > 0.05  # five influences cut to four
+    assert sum(rig["splats_per_joint"].values()) == 40
+    strongest = np.take_along_axis(avatar.skin.joints, avatar.skin.weights.argmax(1)[:, None], 1)
+    assert rig["splats_per_joint"]["bone 2"] == int((strongest == 2).sum())
+    assert rig["meta"]["licence"] == "CC0"
+    assert rig["rest_offset"] < 1e-5
+
+
+def test_inspect_says_it_in_words(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    avatar = random_avatar()
+    hostile = Avatar(
+        awkward_splats().take([i % 10 for i in range(40)]), avatar.skeleton, avatar.skin, {"a\x1b[2J": "\x07\n" * 9}
+    )
+    save(hostile, tmp_path / "a.glb")
+    assert cli.main(["inspect", str(tmp_path / "a.glb")]) == 0
+    text = capsys.readouterr().out
+    assert "avatar, glb, 40 splats, SH degree 1" in text
+    assert "20 not_finite: NaN or infinity" in text
+    assert "5 joints, roots bone 0, bone 4; 4 influences a splat" in text
+    assert "\x1b" not in text and "\x07" not in text
+    assert max(map(len, text.splitlines()[1:])) <= 110
+
+
+@pytest.mark.parametrize("suffix", [".ply", ".glb"])
+def test_inspect_no_splats(tmp_path: Path, capsys: pytest.CaptureFixture[str], suffix: str) -> None:
+    for empty in (random_splats(0), awkward_splats().take([1])):
+        save(empty, tmp_path / f"a{suffix}")
+        report = described(capsys, tmp_path / f"a{suffix}")
+        assert report["splats"] == len(empty) and report["bounds"] is None
+        assert cli.main(["inspect", str(tmp_path / f"a{suffix}")]) == 0
+        capsys.readouterr()
+
+
+def test_inspect_without_a_scene_takes_the_default_avatar(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(args, "default_avatar", random_avatar)
+    report = described(capsys)
+    assert report["kind"] == "avatar" and report["file"] is None and report["splats"] == 40
+    assert cli.main(["inspect"]) == 0
+    assert "the default avatar: avatar" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("arguments", [["inspect", "no.ply"], ["convert", "no.ply", "a.ply"]])
+def test_missing_file(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(arguments) == 1
+    error = capsys.readouterr().err
+    assert "no.ply: no such file" in error and error.count("\n") == 1
+
+
+def test_strict(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    save(awkward_splats(), tmp_path / "a.ply")
+    for command in (
+        ["inspect", str(tmp_path / "a.ply")],
+        ["convert", str(tmp_path / "a.ply"), str(tmp_path / "b.glb")],
+    ):
+        assert cli.main([*command, "--strict"]) == 1
+        assert "5 of 10 splats hold NaN or infinity" in capsys.readouterr().err
+    assert not (tmp_path / "b.glb").exists()
+
+
+# --- convert --------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("source", [".ply", ".splat", ".glb", ".gltf"])
+@pytest.mark.parametrize("target", [".ply", ".splat", ".glb", ".gltf"])
+def test_every_pair_of_formats(tmp_path: Path, capsys: pytest.CaptureFixture[str], source: str, target: str) -> None:
+    save(random_splats(100, 0), tmp_path / f"a{source}")
+    assert cli.main(["convert", str(tmp_path / f"a{source}"), str(tmp_path / f"b{target}")]) == 0
+    assert capsys.readouterr().err == ""
+    a, b = load(tmp_path / f"a{source}"), load(tmp_path / f"b{target}")
+    assert isinstance(a, Splats) and isinstance(b, Splats)
+    eight_bit = 0.5 / 255 + 1e-6 if target == ".splat" else 1e-6
+    np.testing.assert_array_equal(a.means, b.means)
+    np.testing.assert_allclose(a.scales, b.scales, rtol=1e-6)
+    np.testing.assert_allclose(a.opacities, b.opacities, atol=eight_bit)
+    np.testing.assert_allclose(np.abs((a.quats * b.quats).sum(axis=1)), 1, atol=2e-4 if target == ".splat" else 1e-6)
+    colour = np.clip(a.sh * 0.28209479 + 0.5, 0, 1) if target == ".splat" else a.sh * 0.28209479 + 0.5
+    np.testing.assert_allclose(b.sh * 0.28209479 + 0.5, colour, atol=eight_bit)
+
+
+def test_avatar_to_avatar_keeps_the_rig(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    avatar = random_avatar(degree=3)
+    save(avatar, tmp_path / "a.glb")
+    assert cli.main(["convert", str(tmp_path / "a.glb"), str(tmp_path / "b.gltf")]) == 0
+    again = load(tmp_path / "b.gltf")
+    assert isinstance(again, Avatar) and capsys.readouterr().err == ""
+    assert_equal(again.splats, avatar.splats)
+    assert again.meta == {"version": 1, **avatar.meta}
+
+
+@pytest.mark.parametrize("suffix", [".ply", ".splat"])
+def test_losses_are_said(tmp_path: Path, capsys: pytest.CaptureFixture[str], suffix: str) -> None:
+    avatar = random_avatar(degree=1)
+    save(avatar, tmp_path / "a.glb")
+    assert cli.main(["convert", str(tmp_path / "a.glb"), str(tmp_path / f"b{suffix}")]) == 0
+    said = capsys.readouterr()
+    assert "the rig of 5 joints is dropped, the file holds the zero pose" in said.err and said.out == ""
+    assert ("harmonics of degree 1 are dropped" in said.err) == (suffix == ".splat")
+    converted = load(tmp_path / f"b{suffix}")
+    assert isinstance(converted, Splats)
+    np.testing.assert_array_equal(converted.means, avatar.splats.means)
+
+
+@pytest.mark.parametrize("suffix", [".ply", ".splat", ".glb"])
+def test_dropped_cones_and_antialias_are_said(tmp_path: Path, capsys: pytest.CaptureFixture[str], suffix: str) -> None:
+    save(with_extras(random_splats()), tmp_path / "a.glb")
+    assert cli.main(["convert", str(tmp_path / "a.glb"), str(tmp_path / f"b{suffix}")]) == 0
+    said = capsys.readouterr().err
+    assert ("visibility cones are dropped" in said) == (suffix != ".glb")
+    assert ("opacity compensation is dropped" in said) == (suffix == ".splat")
+
+
+def test_values_a_format_cannot_hold_are_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    save(awkward_splats(), tmp_path / "a.glb")
+    assert cli.main(["convert", str(tmp_path / "a.glb"), str(tmp_path / "b.ply")]) == 0
+    assert "1 splats with negative scales" in capsys.readouterr().err
+
+
+def test_failures_leave_no_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    save(random_splats(), tmp_path / "a.ply")
+    for output in (tmp_path / "b.obj", tmp_path / "none" / "b.ply"):
+        assert cli.main(["convert", str(tmp_path / "a.ply"), str(output)]) == 1
+        assert capsys.readouterr().err.count("\n") == 1
+    assert [p.name for p in tmp_path.iterdir()] == ["a.ply"]
+
+
+@pytest.mark.parametrize("module", [inspect, convert])
+def test_help(module: Any, capsys: pytest.CaptureFixture[str]) -> None:
+    module.add_arguments(argparse.ArgumentParser())
+    with pytest.raises(SystemExit) as done:
+        cli.main([module.__name__.split(".")[-1], "--help"])
+    assert done.value.code == 0 and module.EXAMPLE in capsys.readouterr().out
+
+
+@pytest.mark.shared
+def test_real_file_from_splat_to_ply(tmp_path: Path, shared_data: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    source = shared_data / "splats" / "demosthenes_10k.splat"
+    assert cli.main(["convert", str(source), str(tmp_path / "a.ply")]) == 0
+    report = described(capsys, tmp_path / "a.ply")
+    assert report["splats"] == 10_000 and "not_finite" not in report["unusual"]

@@ -1,0 +1,325 @@
+"""Motion capture files: parsing, retargeting to the SMPL-X rig, malformed input."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from glsplat.errors import PoseError
+from glsplat.making.people import read_person
+from glsplat.motion.bvh import parse_acclaim, parse_bvh
+from glsplat.motion.clip import retarget
+from glsplat.motion.motion import load_motion
+from glsplat.skinning.skeleton import Skeleton
+from glsplat.skinning.smplx import JOINT_NAMES, PARENTS
+
+NAMES = {name: i for i, name in enumerate(JOINT_NAMES)}
+
+# (name, parent, offset in metres) of a figure with its arms hanging, y up, facing +z
+HANGING = [
+    ("Hips", None, (0, 0.95, 0)),
+    ("LeftUpLeg", "Hips", (0.1, -0.05, 0)),
+    ("LeftLeg", "LeftUpLeg", (0, -0.42, 0)),
+    ("LeftFoot", "LeftLeg", (0, -0.4, 0)),
+    ("LeftToeBase", "LeftFoot", (0, -0.06, 0.13)),
+    ("RightUpLeg", "Hips", (-0.1, -0.05, 0)),
+    ("RightLeg", "RightUpLeg", (0, -0.42, 0)),
+    ("RightFoot", "RightLeg", (0, -0.4, 0)),
+    ("RightToeBase", "RightFoot", (0, -0.06, 0.13)),
+    ("Spine", "Hips", (0, 0.1, 0)),
+    ("Spine1", "Spine", (0, 0.2, 0)),
+    ("Neck", "Spine1", (0, 0.25, 0)),
+    ("Head", "Neck", (0, 0.1, 0)),
+    ("LeftShoulder", "Spine1", (0.04, 0.2, 0)),
+    ("LeftArm", "LeftShoulder", (0.14, 0, 0)),
+    ("LeftForeArm", "LeftArm", (0, -0.28, 0)),
+    ("LeftHand", "LeftForeArm", (0, -0.25, 0)),
+    ("RightShoulder", "Spine1", (-0.04, 0.2, 0)),
+    ("RightArm", "RightShoulder", (-0.14, 0, 0)),
+    ("RightForeArm", "RightArm", (0, -0.28, 0)),
+    ("RightHand", "RightForeArm", (0, -0.25, 0)),
+]
+BANDAI = {"Spine1": "Chest", "LeftToeBase": "Toes_L", "RightToeBase": "Toes_R"}
+BANDAI |= {
+    f"{s}{a}": f"{b}_{s[0]}"
+    for s in ("Left", "Right")
+    for a, b in (
+        ("UpLeg", "UpperLeg"),
+        ("Leg", "LowerLeg"),
+        ("Foot", "Foot"),
+        ("Shoulder", "Shoulder"),
+        ("Arm", "UpperArm"),
+        ("ForeArm", "LowerArm"),
+        ("Hand", "Hand"),
+    )
+}
+MAKEHUMAN = {"Hips": "root", "Spine": "spine04", "Spine1": "spine01", "Neck": "neck03", "Head": "head"}
+MAKEHUMAN |= {
+    f"{s}{a}": f"{b}.{s[0]}"
+    for s in ("Left", "Right")
+    for a, b in (
+        ("UpLeg", "upperleg01"),
+        ("Leg", "lowerleg01"),
+        ("Foot", "foot"),
+        ("ToeBase", "toe1-1"),
+        ("Shoulder", "clavicle"),
+        ("Arm", "upperarm01"),
+        ("ForeArm", "lowerarm01"),
+        ("Hand", "wrist"),
+    )
+}
+
+
+def bvh(angles, *, rename=None, unit=1.0, turn=None, frames=2, root=(0.0, 0.95, 0.0)):
+    """A BVH text of the hanging figure. ``angles``: joint -> (z, y, x) degrees; ``turn``: change of axes [3, 3]."""
+    turn = np.eye(3) if turn is None else turn
+    rename = rename or {}
+    children = {name: [n for n, p, _ in HANGING if p == name] for name, _, _ in HANGING}
+    offsets = {name: turn @ np.array(offset) * unit for name, _, offset in HANGING}
+    lines, order = ["HIERARCHY"], []
+
+    def emit(name, depth):
+        order.append(name)
+        kind = "JOINT" if depth else "ROOT"
+        channels = "Zrotation Yrotation Xrotation"
+        lines.append(f"{kind} {rename.get(name, name)}\n{{\nOFFSET {' '.join(map(str, offsets[name]))}")
+        lines.append(f"CHANNELS 3 {channels}" if depth else f"CHANNELS 6 Xposition Yposition Zposition {channels}")
+        for child in children[name]:
+            emit(child, depth + 1)
+        if not children[name]:
+            lines.append("End Site\n{\nOFFSET 0 0.05 0\n}")
+        lines.append("}")
+
+    emit("Hips", 0)
+    numbers = list(turn @ np.array(root) * unit)
+    for name in order:
+        matrix = Rotation.from_euler("ZYX", angles.get(name, (0, 0, 0)), degrees=True).as_matrix()
+        numbers += Rotation.from_matrix(turn @ matrix @ turn.T).as_euler("ZYX", degrees=True).tolist()
+    motion = "\n".join([" ".join(f"{v:.9f}" for v in numbers)] * frames)
+    return "\n".join(lines) + f"\nMOTION\nFrames: {frames}\nFrame Time: 0.02\n{motion}\n"
+
+
+@pytest.fixture(scope="module")
+def skeleton() -> Skeleton:
+    """A T-posed figure of other proportions than the BVH's."""
+    at = np.zeros((55, 3))
+    place = {"pelvis": (0, 0.9, 0), "spine1": (0, 1.0, 0), "spine2": (0, 1.1, 0), "spine3": (0, 1.2, 0)}
+    place |= {"neck": (0, 1.4, 0), "head": (0, 1.5, 0)}
+    for side, sign in (("left", 1), ("right", -1)):
+        place |= {f"{side}_hip": (0.09 * sign, 0.8, 0), f"{side}_knee": (0.09 * sign, 0.45, 0)}
+        place |= {f"{side}_ankle": (0.09 * sign, 0.1, 0), f"{side}_foot": (0.09 * sign, 0.03, 0.12)}
+        place |= {f"{side}_collar": (0.05 * sign, 1.35, 0), f"{side}_shoulder": (0.16 * sign, 1.35, 0)}
+        place |= {f"{side}_elbow": (0.42 * sign, 1.35, 0), f"{side}_wrist": (0.65 * sign, 1.35, 0)}
+    for name, i in NAMES.items():
+        at[i] = place.get(name, at[PARENTS[i]] + (0.03 * np.sign(at[PARENTS[i]][0]), 0, 0.01))
+    return Skeleton.from_joints(JOINT_NAMES, PARENTS, at)
+
+
+def positions(skeleton, clip, frame=0, **options):
+    rotations, trans = retarget(clip, skeleton, **options)
+    return skeleton.forward(rotations[frame], trans[frame])[:, :3, 3]
+
+
+def direction(at, a, b):
+    v = at[NAMES[b]] - at[NAMES[a]]
+    return v / np.linalg.norm(v)
+
+
+def test_rest_pose_hangs_the_arms(skeleton):
+    clip = parse_bvh(bvh({}))
+    assert clip.fps == pytest.approx(50) and len(clip) == 2
+    at = positions(skeleton, clip)
+    for side in ("left", "right"):
+        assert direction(at, f"{side}_shoulder", f"{side}_elbow") == pytest.approx([0, -1, 0], abs=1e-6)
+        assert direction(at, f"{side}_elbow", f"{side}_wrist") == pytest.approx([0, -1, 0], abs=1e-6)
+        assert direction(at, f"{side}_hip", f"{side}_knee") == pytest.approx([0, -1, 0], abs=1e-6)
+    rotations, _ = retarget(clip, skeleton)
+    assert rotations[0, [NAMES[n] for n in ("pelvis", "left_ankle", "head", "left_elbow", "left_wrist")]] == (
+        pytest.approx(0, abs=1e-6)
+    )
+    # thumbs stay in front when the arms hang
+    assert at[NAMES["left_thumb3"], 2] > 0.01
+
+
+def test_bending_the_right_way(skeleton):
+    angles = {"LeftLeg": (0, 0, 50), "RightUpLeg": (0, 0, -40), "LeftForeArm": (0, 0, -90), "Head": (0, 30, 0)}
+    at = positions(skeleton, parse_bvh(bvh(angles)))
+    assert direction(at, "left_knee", "left_ankle")[2] < -0.7  # the shin goes back
+    assert direction(at, "right_hip", "right_knee")[2] > 0.6  # the thigh goes forward
+    assert direction(at, "left_elbow", "left_wrist") == pytest.approx([0, 0, 1], abs=1e-6)  # the forearm forward
+    rotations, _ = retarget(parse_bvh(bvh(angles)), skeleton)
+    assert rotations[0, NAMES["head"]] == pytest.approx([0, np.radians(30), 0], abs=1e-6)
+
+
+@pytest.mark.parametrize("rename", [{}, BANDAI, MAKEHUMAN, {n: f"mixamorig:{n}" for n, _, _ in HANGING}])
+def test_joint_names_of_several_makers(skeleton, rename):
+    angles = {"LeftLeg": (0, 0, 50), "RightArm": (-70, 0, 0), "Spine1": (0, 20, 0), "LeftToeBase": (0, 0, -20)}
+    plain = retarget(parse_bvh(bvh(angles)), skeleton)[0]
+    renamed = retarget(parse_bvh(bvh(angles, rename=rename)), skeleton)[0]
+    together = [NAMES[n] for n in JOINT_NAMES if not n.startswith("spine")]
+    assert renamed[:, together] == pytest.approx(plain[:, together], abs=1e-6)
+    assert np.abs(renamed[0, [NAMES[f"spine{i}"] for i in (1, 2, 3)]].sum(axis=0)) == pytest.approx(
+        [0, np.radians(20), 0], abs=1e-6
+    )
+
+
+@pytest.mark.parametrize("unit", [1.0, 100.0, 39.37])
+def test_units_follow_from_the_legs(skeleton, unit):
+    clip = parse_bvh(bvh({}, unit=unit, root=(3.0, 0.95, 4.0)))
+    object.__setattr__(clip, "positions", clip.positions + [[0, 0, 0], [0, 0, unit]])
+    _, trans = retarget(clip, skeleton)
+    leg = 0.7 / 0.82
+    assert trans[0, [0, 2]] == pytest.approx([0, 0], abs=1e-9)
+    assert trans[1] - trans[0] == pytest.approx([0, 0, leg], abs=1e-6)
+
+
+def test_other_axes(skeleton):
+    """z up, facing -y: the same poses come out."""
+    turn = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
+    angles = {"LeftLeg": (0, 0, 50), "RightArm": (-70, 0, 0), "Hips": (0, 15, 0)}
+    plain = retarget(parse_bvh(bvh(angles)), skeleton)
+    turned = retarget(parse_bvh(bvh(angles, turn=turn)), skeleton)
+    assert turned[0] == pytest.approx(plain[0], abs=1e-6)
+    assert turned[1] == pytest.approx(plain[1], abs=1e-6)
+
+
+def test_forward_turns_to_z(skeleton):
+    clip = parse_bvh(bvh({"Hips": (0, 130, 0)}))
+    object.__setattr__(
+        clip, "positions", clip.positions + [[0, 0, 0], [np.sin(np.radians(130)), 0, np.cos(np.radians(130))]]
+    )
+    kept, ahead = retarget(clip, skeleton), retarget(clip, skeleton, forward=True)
+    assert kept[0][0, 0] == pytest.approx([0, np.radians(130), 0], abs=1e-6)
+    assert ahead[0][0, 0] == pytest.approx([0, 0, 0], abs=1e-6)
+    assert (ahead[1][1] - ahead[1][0])[2] > 0.5
+
+
+@pytest.mark.parametrize("cut", [0.05, 0.3, 0.7, 0.97])
+def test_truncated_files(tmp_path, skeleton, cut):
+    text = bvh({}, frames=20)
+    path = tmp_path / "cut.bvh"
+    path.write_text(text[: int(len(text) * cut)])
+    with pytest.raises(PoseError) as caught:
+        load_motion(path, skeleton)
+    assert str(caught.value).startswith(str(path)) and "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "word"),
+    [
+        ("Frames: 2", "Frames: 0", "frame"),
+        ("Frames: 2", "Frames: two", "Frames"),
+        ("Frame Time: 0.02", "Frame Time: 0", "frame time"),
+        ("Xposition Yposition", "Xposition Wposition", "channel"),
+        ("Frames: 2", "Frames: 3", "numbers"),
+        ("LeftUpLeg", "Thing", "left_hip"),
+        ("0.950000000", "nan", "finite"),
+        ("0.950000000", "abc", "numbers"),
+        ("OFFSET 0.0 0.95 0.0", "OFFSET 0.0 x 0.0", "malformed"),
+    ],
+)
+def test_malformed_files(tmp_path, skeleton, old, new, word):
+    text = bvh({})
+    assert old in text
+    (tmp_path / "bad.bvh").write_text(text.replace(old, new))
+    with pytest.raises(PoseError) as caught:
+        load_motion(tmp_path / "bad.bvh", skeleton)
+    assert word in str(caught.value) and "bad.bvh" in str(caught.value)
+
+
+ASF = """:version 1.10
+:units
+  length 0.45
+  angle deg
+:root
+   order TX TY TZ RX RY RZ
+   axis XYZ
+   position 0 0 0
+   orientation 0 0 0
+:bonedata
+  begin
+     id 1
+     name lfemur
+     direction 0 -1 0
+     length 2
+     axis 0 0 20 XYZ
+     dof rx rz
+  end
+  begin
+     id 2
+     name ltibia
+     direction 0 -1 0
+     length 3
+     axis 0 90 0 XYZ
+     dof rx
+  end
+:hierarchy
+  begin
+    root lfemur
+    lfemur ltibia
+  end
+"""
+
+
+def test_acclaim_axes_and_tips():
+    clip = parse_acclaim(ASF, ":FULLY-SPECIFIED\n:DEGREES\n1\nroot 1 2 3 0 90 0\nlfemur 10 20\nltibia 30\n")
+    assert clip.names == ("root", "lfemur", "ltibia") and clip.fps == 120
+    assert clip.positions[0].tolist() == [1, 2, 3]
+    assert clip.rest[2].tolist() == [0, -2, 0]  # our joint is the near end of the bone
+    axis = Rotation.from_euler("xyz", [0, 0, 20], degrees=True)
+    turn = Rotation.from_euler("xyz", [10, 0, 20], degrees=True)
+    assert clip.rotations[0, 1] == pytest.approx((axis * turn * axis.inv()).as_matrix())
+    assert clip.rotations[0, 2] == pytest.approx(Rotation.from_euler("z", -30, degrees=True).as_matrix())
+
+
+@pytest.mark.parametrize(
+    ("asf", "amc", "word"),
+    [
+        (ASF, ":DEGREES\n", "no frames"),
+        (ASF, ":RADIANS\n1\nroot 0 0 0 0 0 0\n", "radians"),
+        (ASF, "1\nroot 0 0 0 0 0 0\nlfemur 1 2\n", "ltibia"),
+        (ASF, "1\nroot 0 0 0 0 0 0\nlfemur 1\nltibia 1\n", "lfemur"),
+        (ASF, "1\nroot 0 0 0 0 0 0\nlfemur x 1\nltibia 1\n", "lfemur"),
+        (ASF[:300], "1\nroot 0 0 0 0 0 0\n", ".asf"),
+        ("", "1\nroot 0 0 0 0 0 0\n", ".asf"),
+    ],
+)
+def test_malformed_acclaim(asf, amc, word):
+    with pytest.raises(PoseError, match=word):
+        parse_acclaim(asf, amc)
+
+
+def test_amc_without_skeleton(tmp_path, skeleton):
+    (tmp_path / "02_01.amc").write_text(":FULLY-SPECIFIED\n1\nroot 0 0 0 0 0 0\n")
+    with pytest.raises(PoseError, match=r"\.asf"):
+        load_motion(tmp_path / "02_01.amc", skeleton)
+
+
+@pytest.mark.shared
+@pytest.mark.parametrize("name", ["cmu_131_01.bvh", "cmu_02_01.amc", "cmu_02_03.amc"])
+def test_captured_people_walk_upright(shared_data: Path, name):
+    """Real captures: head above pelvis above feet, soles down, knees and elbows never bent backwards."""
+    skeleton = read_person(shared_data / "people" / "char_c_registry.npz").skeleton
+    motion = load_motion(shared_data / "mocap" / name, skeleton, forward=True)
+    assert motion.fps == pytest.approx(120, rel=1e-3) and len(motion) > 100
+    assert motion.rotations[0, 0, 1] == pytest.approx(0, abs=0.3)
+    upright, gap = 0, []
+    frames = range(0, len(motion), 23)
+    for i in frames:
+        world = skeleton.forward(motion.rotations[i], motion.trans[i])
+        at = world[:, :3, 3]
+        upright += at[NAMES["head"], 1] - at[NAMES["pelvis"], 1] > 0.35 and at[NAMES["pelvis"], 1] > 0.7
+        gap.append(min(at[NAMES[f"{s}_foot"], 1] for s in ("left", "right")))
+        for side, sign in (("left", 1), ("right", -1)):
+            thigh, shin, foot = (world[NAMES[f"{side}_{n}"], :3, :3] for n in ("hip", "knee", "ankle"))
+            assert Rotation.from_matrix(thigh.T @ shin).as_rotvec()[0] > -0.25
+            upper, fore = (
+                at[NAMES[f"{side}_{b}"]] - at[NAMES[f"{side}_{a}"]]
+                for a, b in (("shoulder", "elbow"), ("elbow", "wrist"))
+            )
+            ahead = world[NAMES[f"{side}_shoulder"], :3, 2]  # the side the elbow bends to, up to the arm's twist
+            assert fore @ ahead > -0.12 * np.linalg.norm(fore) or upper @ fore > 0.8 * np.linalg.norm(upper) ** 2
+            assert sign in (1, -1) and foot[1, 1] > -0.6
+    assert upright >= 0.75 * len(frames)
+    assert np.median(gap) == pytest.approx(skeleton.joints[NAMES["left_foot"], 1], abs=0.08)

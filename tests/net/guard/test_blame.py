@@ -1,0 +1,239 @@
+"""Pictures that cost too much, take too long or end the renderer: their client's fault, and nobody else's."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import os
+import signal
+import time
+
+import aiohttp
+import numpy as np
+import pytest
+
+import glsplat
+from glsplat.errors import BudgetError, ContextError, ContextLostError
+from glsplat.net.backend import Rendered
+from glsplat.net.backends.gl import RendererBackend
+from glsplat.net.backends.process import ProcessBackend
+from glsplat.net.client import Client
+from glsplat.net.messages import Decoder
+from glsplat.net.pump import FramePump
+from glsplat.net.server import Server, ServerConfig
+from glsplat.net.session import Session
+from tests.net.backends import Boxed
+from tests.net.wire import native, still_serves
+
+
+def visitor(address: str) -> aiohttp.ClientSession:
+    """A client that comes from another address of loopback."""
+    return aiohttp.ClientSession(connector=aiohttp.TCPConnector(local_addr=(address, 0)))
+
+
+async def ask(ws: aiohttp.ClientWebSocketResponse, frame_id: int, **fields: object) -> object:
+    """The error code, the close code, or the first bytes of the picture."""
+    await ws.send_str(native(frame_id, **fields))
+    message = await ws.receive(timeout=10)
+    if message.type == aiohttp.WSMsgType.TEXT:
+        return json.loads(message.data)["error"]["code"]
+    return message.data[:2] if message.type == aiohttp.WSMsgType.BINARY else ws.close_code
+
+
+async def outcome(server: Server, address: str, code: str, pictures: int) -> tuple[list[object], int]:
+    """What a client of that address is answered, and the status of its next attempt to connect."""
+    async with visitor(address) as http:
+        async with http.ws_connect(server.url) as ws:
+            answers = [await ask(ws, i) for i in range(1, pictures + 1)]
+            answers.append((await ws.receive(timeout=5)).data)
+        async with http.get(server.url.replace("ws", "http", 1)) as response:
+            return answers, response.status
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "warned"),
+    [
+        (BudgetError("covers 1e12 pixels", "too_costly"), "too_costly", 8),
+        (BudgetError("took too long", "too_slow"), "too_slow", 1),
+        (ContextLostError("hangs"), "render", 1),
+    ],
+)
+def test_bad_pictures_end_their_client_and_hold_off_its_address(serve, fake_backend, error, code, warned):
+    """First a warning; the server goes on, and other addresses notice nothing."""
+
+    def fail(request):
+        return error if request.frame_id < 100 else None
+
+    async def main():
+        async with serve(fake_backend(fail=fail)) as server, visitor("127.0.0.9") as http:
+            async with http.ws_connect(server.url) as good:
+                first = await ask(good, 100)
+                answers, status = await outcome(server, "127.0.0.8", code, warned + 1)
+                async with visitor("127.0.0.7") as other, other.ws_connect(server.url) as ws:
+                    warning = await ask(ws, 1)
+                    after = await ask(ws, 101, ack=0)
+                return first, answers, status, warning, after, await ask(good, 101), server.pump.healthy
+
+    first, answers, status, warning, after, good, healthy = asyncio.run(main())
+    assert answers == [code] * (warned + 1) + [1008] and status in (429, 503)
+    assert (warning, after, first, good, healthy) == (code, b"VR", b"VR", b"VR", True)
+
+
+def test_no_number_of_lost_contexts_ends_the_server(serve, fake_backend, cameras):
+    backend = fake_backend(fail=lambda request: ContextLostError("lost") if request.frame_id < 100 else None)
+
+    async def main():
+        async with serve(backend) as server:
+            for i in range(10):
+                async with visitor(f"127.0.0.{i + 10}") as http, http.ws_connect(server.url) as ws:
+                    assert await ask(ws, 1) == "render"
+            async with visitor("127.0.0.9") as http, http.ws_connect(server.url) as ws:
+                return await ask(ws, 100), server.pump.rebuilds, server.pump.healthy
+
+    assert asyncio.run(main()) == (b"VR", 10, True)
+
+
+def test_a_request_the_driver_cannot_serve_is_not_a_lost_context(serve, fake_backend, cameras):
+    refusal = ContextError("size needs 1 to 16384 pixels a side")
+    backend = fake_backend(fail=lambda request: refusal if request.frame_id < 100 else None)
+
+    async def main():
+        async with serve(backend) as server, aiohttp.ClientSession() as http, http.ws_connect(server.url) as ws:
+            answers = [await ask(ws, i) for i in range(1, 7)]
+            return answers, await ask(ws, 100), server.pump.rebuilds
+
+    assert asyncio.run(main()) == (["render"] * 6, b"VR", 0)
+
+
+def test_a_real_picture_that_costs_too_much(serve):
+    """A body collapsed to a point and seen through a long lens, 4 kB of legal JSON."""
+    avatar = glsplat.default_avatar()
+    skeleton = avatar.skeleton
+    offsets = -skeleton._local[1:, :3, 3]
+    pose = {
+        "joints": {},
+        "translations": {name: list(map(float, o)) for name, o in zip(skeleton.names[1:], offsets, strict=True)},
+        "trans": list(map(float, (0, 1.2, 0) - skeleton.rest[0, :3, 3])),
+    }
+    eye = {"viewmat": [1, 0, 0, 0, 0, -1, 0, 1.2, 0, 0, -1, 2, 0, 0, 0, 1], "K": [81920, 81920, 1024, 1024]}
+    backend = RendererBackend(avatar, (64, 64))
+
+    async def main():
+        async with serve(backend, skeleton=skeleton) as server, aiohttp.ClientSession() as http:
+            async with http.ws_connect(server.url) as ws:
+                start = time.perf_counter()
+                code = await ask(ws, 1, eyes=[eye, eye], size=[2048, 2048], pose=pose)
+                seconds = time.perf_counter() - start
+                return code, seconds, await ask(ws, 2), server.pump.rebuilds
+
+    code, seconds, after, rebuilds = asyncio.run(main())
+    assert (code, after, rebuilds) == ("too_costly", b"VR", 0)
+    assert seconds < 3  # it would take 8 to 15
+
+
+def test_a_picture_nobody_waits_for_is_given_up(serve, cameras):
+    async def main():
+        async with serve(ProcessBackend(Boxed, 64), ServerConfig(port=0)) as server:
+            async with aiohttp.ClientSession() as http, http.ws_connect(server.url) as ws:
+                await ws.send_str(native(71))
+                while not server.pump.drawing_for:
+                    await asyncio.sleep(0.005)
+            start = time.perf_counter()
+            alive = await still_serves(server, cameras)
+            return alive, time.perf_counter() - start, server.pump.rebuilds
+
+    alive, seconds, rebuilds = asyncio.run(main())
+    assert alive and rebuilds == 0 and seconds < 3  # it would take 6
+
+
+def test_a_hung_renderer_does_not_keep_the_server_from_ending(cameras):
+    server = Server(ProcessBackend(Boxed, 64), ServerConfig(port=0))
+    times = []
+
+    async def hang():
+        async with aiohttp.ClientSession() as http, http.ws_connect(server.url) as ws:
+            await ws.send_str(native(70))
+            while not server.pump.drawing_for:
+                await asyncio.sleep(0.005)
+            times.append(time.perf_counter())
+            os.kill(os.getpid(), signal.SIGTERM)
+            await ws.receive()
+
+    async def main():
+        tasks = []
+        await server.run(lambda: tasks.append(asyncio.create_task(hang())))
+
+    asyncio.run(main())
+    assert time.perf_counter() - times[0] < 5
+
+
+def test_clients_that_leave_take_no_picture_slot_with_them():
+    """While their picture waits for the encoder, is encoded, or lies ready; or when there is one too many of them."""
+    backend = ProcessBackend(Boxed, 64)
+    pump = FramePump(backend)
+
+    async def main():
+        await pump.start()
+        encode = pump._encoder.encode
+        pump._encoder.encode = lambda *args: (time.sleep(0.003), encode(*args))[1]
+        for i in range(300):
+            channel = pump.open(i, Session(Decoder()), None)
+            pump.add(channel)
+            channel.session.receive(native(1), 0.0)
+            pump.received(channel)
+            frame = await asyncio.wait_for(channel.frames.get(), 10)
+            packing = asyncio.create_task(pump.pack(channel, frame))
+            await asyncio.sleep(0 if i % 3 else 0.004)
+            packing.cancel()
+            pump.remove(channel)
+            await asyncio.gather(packing, return_exceptions=True)
+        await asyncio.sleep(0.1)
+        free = backend.free_slots
+        await pump.stop()
+        return free
+
+    assert asyncio.run(main()) == 3
+
+
+def test_eight_clients_share_time_and_not_pictures(serve, fake_backend):
+    """From 64 to 1536 pixels a side, over real sockets; in turn each of them had the same number of pictures."""
+    sides = (64, 256, 512, 768, 1024, 1152, 1280, 1536)
+
+    class Sized(fake_backend):
+        """Takes 0.2 ms to 0.12 s, and little of the processor."""
+
+        def render(self, request):
+            side = request.cameras[0].width
+            time.sleep(side**2 * 5e-8)
+            return Rendered(np.zeros((2, side, side, 4), np.uint8), covered=(0, 0, 16, 16))
+
+    counts = dict.fromkeys(sides, 0)
+
+    async def client(server, number, side):
+        async with visitor(f"127.0.0.{number + 20}") as http, http.ws_connect(server.url) as ws:
+            frame_id, end = 1, time.perf_counter() + 4
+            while time.perf_counter() < end:
+                await ws.send_str(native(frame_id, size=[side, side], ack=frame_id - 1, crop=True))
+                message = await ws.receive(timeout=30)
+                counts[side] += message.type == aiohttp.WSMsgType.BINARY
+                frame_id += 1
+
+    async def main():
+        async with serve(Sized()) as server:
+            await asyncio.gather(*(client(server, i, side) for i, side in enumerate(sides)))
+
+    asyncio.run(main())
+    assert counts[64] >= 2.5 * max(counts[1536], 1) and min(counts.values()) > 0
+
+
+def test_a_good_client_reads_why(serve, fake_backend, cameras):
+    """The library's client reports the refusal as the error it is."""
+    error = BudgetError("the picture covers 1e+10 pixels splat by splat, at most 1e+09 are drawn", "too_costly")
+
+    async def main():
+        async with serve(fake_backend(fail=lambda request: error)) as server, Client(server.url) as client:
+            with pytest.raises(glsplat.GlsplatError, match="at most 1e") as caught:
+                await client.render(cameras)
+            return caught.value.code
+
+    assert asyncio.run(main()) == "too_costly"

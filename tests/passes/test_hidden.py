@@ -1,0 +1,209 @@
+"""Splats left out because no eye is inside their visibility cone: the decision, the lift, the cones themselves."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from glsplat import reference
+from glsplat.avatar import Avatar
+from glsplat.camera import look_at
+from glsplat.errors import FormatError, GlsplatError
+from glsplat.formats import load, save
+from glsplat.making.cones import ConeConfig, hidden, with_cones
+from glsplat.making.posed import posed_splats
+from glsplat.renderer import Renderer
+from glsplat.skinning.pose import Pose
+from glsplat.splats import Splats
+from tests.compare import Difference
+from tests.scenes import camera, cloud, eyes, limb
+
+Make = Callable[..., Renderer]
+
+QUICK = ConeConfig(directions=32, size=56, tests=3)
+
+
+def coned(splats: Splats, seed: int = 5) -> Splats:
+    """The splats with cones of any direction and width."""
+    return replace(splats, cones=np.random.default_rng(seed).integers(-128, 128, (len(splats), 4)).astype(np.int8))
+
+
+def ball(count: int = 4000) -> Splats:
+    """An opaque ball of discs, and a few splats inside it that nothing shows."""
+    i = np.arange(count) + 0.5
+    z, turn = 1 - 2 * i / count, np.pi * (1 + 5**0.5) * i
+    normal = np.stack([np.sqrt(1 - z * z) * np.cos(turn), np.sqrt(1 - z * z) * np.sin(turn), z], axis=1)
+    half = np.stack([1 + normal[:, 2], -normal[:, 1], normal[:, 0], np.zeros(count)], axis=1)  # turns z to the normal
+    inside = 0.3 * normal[:: count // 200]
+    quats = np.concatenate([half, np.tile([1.0, 0, 0, 0], (len(inside), 1))])
+    means = np.concatenate([0.5 * normal, inside])
+    disc = 0.03 * np.sqrt(4000 / count)  # close the surface
+    colours = 0.5 + 0.4 * np.concatenate([normal, -inside])
+    return Splats.create(
+        means, quats, np.tile([disc, disc, 0.001], (len(means), 1)), np.full(len(means), 0.97), rgb=colours
+    )
+
+
+@pytest.mark.gl
+@pytest.mark.parametrize("skinned", [False, True])
+@pytest.mark.parametrize("margin", [0.0, -0.3, 0.4])
+def test_what_is_left_out_is_what_the_cones_say(renderer_of: Make, skinned: bool, margin: float) -> None:
+    views = eyes()
+    scene: Splats | Avatar = coned(cloud(2000))
+    pose, posed = None, coned(cloud(2000))
+    if skinned:
+        avatar = limb(2000)
+        avatar = replace(avatar, splats=coned(avatar.splats))
+        pose = Pose(np.full((len(avatar.skeleton), 3), (0.1, 0.2, 0.7)), np.array([-0.8, -0.3, 0.1]))
+        scene, posed = avatar, posed_splats(avatar, pose)
+    gone = hidden(posed, [view.position for view in views], margin)
+    assert 0.1 < gone.mean() < 0.9
+    culled = renderer_of(scene, views=2, cull_hidden=True, cull_margin=margin)
+    kept = renderer_of(posed.take(~gone), views=2)
+    pictures = culled.render(views, pose)
+    expected = np.stack([reference.lifted(p, v.background) for p, v in zip(kept.render(views), views, strict=True)])
+    assert Difference.of(pictures, expected).psnr > (100 if skinned else 130)
+    assert culled.stats.culled["hidden"] == gone.sum()
+    assert culled.stats.drawn + sum(culled.stats.culled.values()) == len(posed)
+
+
+@pytest.mark.gl
+def test_eight_bit_pictures_are_lifted_alike(renderer_of: Make) -> None:
+    scene = coned(cloud(800))
+    left, right = eyes(size=50)
+    views = (replace(left, background=(0.9, 0.1, 0.5)), replace(right, background=(0.0, 0.6, 0.2)))
+    exact = renderer_of(scene, size=(50, 50), views=2, cull_hidden=True).render(views)
+    rounded = renderer_of(scene, size=(50, 50), views=2, cull_hidden=True, output="uint8").render(views)
+    assert np.abs(rounded - np.rint(255 * np.clip(exact, 0, 1))).max() <= 1
+
+
+def test_lift_keeps_background_and_opaque_pixels() -> None:
+    background = (0.25, 0.5, 0.75)
+    nothing, solid = np.array([[[*background, 0.0]]]), np.array([[[0.1, 0.2, 0.3, 1.0]]])
+    assert np.allclose(reference.lifted(nothing, background), nothing)
+    assert np.allclose(reference.lifted(solid, background), solid)
+    thin = np.array([[[0.6 * 0.9 + 0.4 * b for b in background] + [0.6]]])  # colour 0.9 at alpha 0.6
+    alpha = 1 - 0.4 * (1 - 0.6**3)
+    assert np.allclose(
+        reference.lifted(thin, background), [[[alpha * 0.9 + (1 - alpha) * b for b in background] + [alpha]]]
+    )
+
+
+def test_lift_keeps_infinite_colours() -> None:
+    pixel = np.array([[[np.inf, 0.5, 0.5, 1.0]]], np.float32)  # a colour beyond 65504 on a target of half floats
+    assert np.array_equal(reference.lifted(pixel, (0.1, 0.2, 0.3)), pixel)
+
+
+@pytest.mark.gl
+@pytest.mark.parametrize("thickness", [0.0, 1e-38, 1e-25, 1e-20, 1e-16])
+def test_splats_without_thickness_are_never_hidden(renderer_of: Make, thickness: float) -> None:
+    scene = coned(cloud(500))
+    scales = scene.scales.copy()
+    scales[::2, 1] = thickness
+    scene = replace(scene, scales=scales)
+    gone = hidden(scene, [camera(64).position])
+    assert not gone[::2].any() and gone[1::2].any()
+    renderer = renderer_of(scene, cull_hidden=True)
+    renderer.render([camera(64)])
+    assert renderer.stats.culled["hidden"] == gone.sum()
+
+
+@pytest.mark.gl
+def test_the_lowest_byte_is_minus_one_as_gltf_says(renderer_of: Make) -> None:
+    one = Splats.create([[0.0, 0, 0]], [[1.0, 0, 0, 0]], [[0.1, 0.1, 0.01]], [0.9], rgb=[[1.0, 1, 1]])
+    one = replace(one, cones=np.array([[0, 0, -127, -128]], np.int8))  # all but what the margin takes off
+    assert hidden(one, [camera(64).position], 0.005)[0]
+    renderer = renderer_of(one, cull_hidden=True, cull_margin=0.005)
+    renderer.render([camera(64)])
+    assert renderer.stats.culled["hidden"] == 1
+
+
+@pytest.mark.gl
+def test_half_a_ball_is_hidden_and_the_picture_stays(renderer_of: Make) -> None:
+    splats = with_cones(ball(), QUICK)
+    whole, culled = renderer_of(splats), renderer_of(splats, cull_hidden=True)
+    for angle in (0.3, 1.4, 2.9, 4.1):
+        view = replace(camera(64), viewmat=look_at((3 * np.sin(angle), 0.7, 3 * np.cos(angle)), (0, 0, 0)))
+        expected = whole.render([view])
+        assert (
+            Difference.of(culled.render([view]), expected).psnr > 36
+        )  # from 32 directions, the ball fills a fifth of the picture
+        assert 0.38 < culled.stats.culled["hidden"] / len(splats) < 0.6
+    inside = splats.take(np.arange(len(splats)) >= 4000)
+    assert hidden(inside, [np.array([0, 0, 3.0])]).mean() > 0.95
+    turned = Splats.create(
+        splats.means, splats.quats * -1, splats.scales, splats.opacities, splats.sh, cones=splats.cones
+    )  # -q is the same rotation
+    assert np.array_equal(hidden(turned, [np.array([0, 0, 3.0])]), hidden(splats, [np.array([0, 0, 3.0])]))
+
+
+def test_a_wanted_psnr_is_kept_by_hiding_less() -> None:
+    eye = [np.array([0.5, 0.4, 4.0])]
+    shares = [hidden(with_cones(ball(600), replace(QUICK, psnr=psnr)), eye).mean() for psnr in (25, 38, 160)]
+    assert shares[0] > shares[1] > 0.1
+    assert shares[2] == 0  # more than the lift itself lets through: everything is kept
+
+
+def test_splats_that_cannot_be_drawn_have_no_cone() -> None:
+    scene = ball(600)
+    means = scene.means.copy()
+    means[3] = np.nan
+    broken = with_cones(replace(scene, means=means), QUICK)
+    assert broken.cones is not None and broken.cones[3].tolist() == [0, 0, 0, -127]
+    assert np.isfinite(broken.cones).all() and not hidden(broken, [np.array([0, 0, 3.0])])[3]
+    with pytest.raises(GlsplatError, match="at least one finite splat"):
+        with_cones(broken.take([3]), QUICK)
+
+
+@pytest.mark.gl
+def test_no_cones_is_one_clear_line(renderer_of: Make) -> None:
+    with pytest.raises(GlsplatError, match="cull_hidden needs splats with visibility cones"):
+        renderer_of(cloud(10), cull_hidden=True)
+    with pytest.raises(GlsplatError, match="no visibility cones"):
+        hidden(cloud(10), [np.zeros(3)])
+    with pytest.raises(FormatError, match="cones needs int8"):
+        replace(cloud(10), cones=np.zeros((9, 4), np.int8))
+
+
+def test_files_keep_cones_and_antialias(tmp_path: Path) -> None:
+    avatar = limb(50)
+    avatar = replace(avatar, splats=replace(coned(avatar.splats), antialias=True))
+    for scene, suffix in ((avatar, ".glb"), (avatar.splats, ".glb"), (avatar.splats, ".gltf")):
+        save(scene, tmp_path / f"a{suffix}")
+        read = load(tmp_path / f"a{suffix}")
+        splats = read.splats if isinstance(read, Avatar) else read
+        assert splats.antialias and np.array_equal(splats.cones, avatar.splats.cones)
+    for wants, meta in ((True, {"antialias": "no"}), (False, {"antialias": True})):  # the splats decide
+        save(replace(avatar, splats=replace(avatar.splats, antialias=wants), meta=meta), tmp_path / "m.glb")
+        read = load(tmp_path / "m.glb")
+        assert isinstance(read, Avatar) and read.splats.antialias == wants
+    save(avatar.splats, tmp_path / "a.ply")
+    ply = load(tmp_path / "a.ply")
+    assert isinstance(ply, Splats) and ply.antialias and ply.cones is None
+    save(replace(avatar.splats, antialias=False, cones=None), tmp_path / "b.ply")
+    assert not load(tmp_path / "b.ply").antialias  # type: ignore[union-attr]
+
+
+@pytest.mark.gl
+def test_antialias_follows_the_splats(renderer_of: Make) -> None:
+    scene, views = cloud(300), (camera(64, distance=9.0),)
+    meant = replace(scene, antialias=True)
+    plain, soft = (renderer_of(scene, antialias=a).render(views) for a in (False, True))
+    assert np.array_equal(renderer_of(meant).render(views), soft)
+    assert np.array_equal(renderer_of(meant, antialias=False).render(views), plain)
+    assert np.array_equal(renderer_of(scene).render(views), plain) and not np.array_equal(plain, soft)
+    assert Difference.of(renderer_of(meant).render(views), reference.render(meant, views)).psnr > 90
+
+
+def test_a_camera_inside_the_cone_sees_the_splat() -> None:
+    one = Splats.create([[0.0, 0, 0]], [[1.0, 0, 0, 0]], [[0.1, 0.1, 0.01]], [0.9], rgb=[[1.0, 1, 1]])
+    one = replace(one, cones=np.array([[0, 0, 127, 90]], np.int8))  # within 45 degrees of its z axis
+    assert not hidden(one, [np.array([0.5, 0, 1.0])])[0]
+    assert hidden(one, [np.array([1.5, 0, 1.0])])[0] and hidden(one, [np.array([0, 0, -1.0])])[0]
+    assert not hidden(one, [np.array([1.5, 0, 1.0]), np.array([0, 0, 2.0])])[0]  # one eye is enough
+    upside_down = replace(one, quats=np.array([[0.0, 1, 0, 0]], np.float32))
+    assert hidden(upside_down, [np.array([0.5, 0, 1.0])])[0] and not hidden(upside_down, [np.array([0, 0, -1.0])])[0]
