@@ -15,13 +15,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from glsplat.arrays import own
-from glsplat.avatar import Avatar
 from glsplat.camera import Camera, passes_of, sorting_camera
 from glsplat.config import RenderConfig
 from glsplat.errors import ContextError, GlsplatError
 from glsplat.gl.context import Context, create_context
 from glsplat.gl.owner import Entry, abandon
-from glsplat.meshes import RiggedMesh
 from glsplat.passes.frame.budget import Budget
 from glsplat.passes.frame.pipeline import Pipeline
 from glsplat.passes.staged import Staged
@@ -30,11 +28,10 @@ from glsplat.passes.target import FORMATS, Target
 from glsplat.passes.target_pool import TargetPool
 from glsplat.passes.views import checked_views
 from glsplat.renderer_thread import RendererThread
-from glsplat.scene import Item, Scene
+from glsplat.scene import Scene, Shown
 from glsplat.shaders import Programs, Variant
 from glsplat.shaders.variant import MAX_VIEWS
 from glsplat.skinning.pose import Pose
-from glsplat.splats import Splats
 from glsplat.timing import StageTimer
 
 __all__ = ["FrameStats", "Renderer"]
@@ -54,7 +51,7 @@ class Renderer:
 
     def __init__(
         self,
-        scene: Scene | Item | Splats | Avatar | RiggedMesh,
+        scene: Shown,
         *,
         size: tuple[int, int] = (1024, 1024),  # width, height
         views: int = 1,  # expected; targets are made for them now instead of with the first frame
@@ -88,9 +85,7 @@ class Renderer:
             raise
 
     @classmethod
-    def run_in_thread(
-        cls, scene: Scene | Item | Splats | Avatar | RiggedMesh, **options: Any
-    ) -> RendererThread[Renderer]:
+    def run_in_thread(cls, scene: Shown, **options: Any) -> RendererThread[Renderer]:
         """A renderer on a thread of its own, with the options of ``Renderer()``: all threads may call it.
 
         ::
@@ -130,7 +125,7 @@ class Renderer:
         staged = self._staged.nbytes() if self._staged else {"splats": 0, "meshes": 0, "sh": 0, "work": 0}
         return staged | {"targets": self._targets.nbytes}
 
-    def load(self, scene: Scene | Item | Splats | Avatar | RiggedMesh) -> None:
+    def load(self, scene: Shown) -> None:
         """Replace the scene. The old one is kept until the new one is on the GPU, and stays if that fails."""
         with self._entered("load"):
             self._load(scene)
@@ -290,7 +285,7 @@ class Renderer:
 
     # ------------------------------------------------------------------------------------------------- internals
 
-    def _open(self, scene: Scene | Item | Splats | Avatar | RiggedMesh, size: tuple[int, int], views: int) -> None:
+    def _open(self, scene: Shown, size: tuple[int, int], views: int) -> None:
         """Check what the driver can do, and make what does not wait for the first frame."""
         geometry = self.config.layers == "geometry"
         if self.config.layers == "vertex" and not self.context.vertex_layers:
@@ -304,7 +299,7 @@ class Renderer:
         self._load(scene)
         self._targets.float_target(self.size, min(views, MAX_VIEWS))
 
-    def _load(self, scene: Scene | Item | Splats | Avatar | RiggedMesh) -> None:
+    def _load(self, scene: Shown) -> None:
         parts = (self.context, self._programs, Scene.of(scene), self.config, self._geometry, self._triangle)
         old, self._staged = self._staged, Staged(*parts)
         if old is not None:

@@ -14,7 +14,10 @@ from glsplat.rotations import quaternion_matrices
 from glsplat.skinning.pose import Pose
 from glsplat.splats import Splats
 
-__all__ = ["Item", "Scene", "similarity"]
+__all__ = ["Content", "Item", "Scene", "Shown", "similarity"]
+
+Content = Splats | Avatar | RiggedMesh
+"""What an item may show."""
 
 _LARGEST = 1e6  # metres, and of a scale; beyond it is a mistake of units
 _SMALLEST = 1e-6
@@ -31,7 +34,7 @@ class Item:
 
     def __init__(
         self,
-        content: Splats | Avatar | RiggedMesh,
+        content: Content,
         *,
         pose: Pose | None = None,  # zero pose if none
         transform: ArrayLike | None = None,  # [4, 4]
@@ -47,7 +50,7 @@ class Item:
         self._name = str(name)
 
     @property
-    def content(self) -> Splats | Avatar | RiggedMesh:
+    def content(self) -> Content:
         """What it shows."""
         return self._content
 
@@ -105,7 +108,7 @@ class Scene:
             self.add(item)
 
     @classmethod
-    def of(cls, thing: Scene | Item | Splats | Avatar | RiggedMesh) -> Scene:
+    def of(cls, thing: Shown) -> Scene:
         """The scene itself, or a scene of that one thing."""
         if isinstance(thing, Scene):
             return thing
@@ -141,6 +144,10 @@ class Scene:
 
     def __repr__(self) -> str:
         return f"Scene({len(self._items)} items)"
+
+
+Shown = Scene | Item | Content
+"""What a renderer takes: a scene, or one thing, which is then a scene of one."""
 
 
 def similarity(

@@ -16,12 +16,10 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from glsplat.avatar import Avatar
 from glsplat.errors import FormatError, GlsplatError, PoseError
 from glsplat.formats import load
-from glsplat.meshes import RiggedMesh
 from glsplat.motion.motion import Motion, load_motion
-from glsplat.scene import Item, Scene, similarity
+from glsplat.scene import Content, Item, Scene, similarity
 from glsplat.skinning.pose import Pose, load_pose
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.splats import Splats
@@ -37,8 +35,6 @@ _LARGEST = 4 * 2**20  # bytes of a scene file
 
 UPS = ("y", "-y", "z", "-z")
 """Axes that may be up: y as everywhere here, -y for most captures, z for CAD and robots."""
-
-Content = Splats | Avatar | RiggedMesh
 
 
 class _Item(msgspec.Struct, forbid_unknown_fields=True):

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from glsplat_apps import cli, convert, inspect
+from glsplat_apps import args, cli, convert, inspect
 
 from glsplat.avatar import Avatar
 from glsplat.formats import load, save
