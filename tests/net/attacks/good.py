@@ -31,7 +31,7 @@ class Service(NamedTuple):
 
 @dataclass
 class GoodClient:
-    """``async with asyncio.TaskGroup`` runs ``run``; ``over`` measures. ``hertz`` None: a new request for each picture."""
+    """A task runs ``run``, ``over`` measures. ``hertz`` None: the next request when a picture has come."""
 
     target: Target
     size: int = 128

@@ -12,13 +12,9 @@ from dataclasses import dataclass, replace
 
 from tests.net.wire import frame
 
-__all__ = ["CHEAP", "Refused", "Target", "abort", "again_and_again", "connect", "drain", "frame", "repeat", "upgrade"]
+__all__ = ["CHEAP", "Target", "abort", "again_and_again", "connect", "drain", "frame", "repeat", "upgrade"]
 
 CHEAP = 0.02  # seconds between two bursts: attackers share the server's processors and must not be the load themselves
-
-
-class Refused(Exception):
-    """The server answered the handshake with something else than 101."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +52,7 @@ def connect(target: Target, timeout: float = 2.0, receive_buffer: int | None = N
 
 
 def upgrade(target: Target, query: str = "", headers: str = "", receive_buffer: int | None = None) -> socket.socket:
-    """A WebSocket. Raises OSError, or Refused for an answer other than 101."""
+    """A WebSocket. Raises OSError, ConnectionRefusedError for an answer other than 101."""
     sock = connect(target, receive_buffer=receive_buffer)
     try:
         sock.sendall(handshake(target, query, headers))
@@ -64,7 +60,7 @@ def upgrade(target: Target, query: str = "", headers: str = "", receive_buffer: 
         while b"\r\n\r\n" not in head and (part := sock.recv(4096)):
             head += part
         if b" 101 " not in head.partition(b"\r\n")[0]:
-            raise Refused(head[:40].decode("latin-1"))
+            raise ConnectionRefusedError(head[:40].decode("latin-1"))
     except BaseException:
         sock.close()
         raise
@@ -125,7 +121,7 @@ def again_and_again(visit: Attack, pause: float = 0.05) -> Attack:
 
     def attack(target: Target, number: int, stop: threading.Event) -> None:
         while not stop.is_set():
-            with contextlib.suppress(OSError, Refused):
+            with contextlib.suppress(OSError):
                 visit(target, number, stop)
             stop.wait(pause)
 
