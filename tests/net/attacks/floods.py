@@ -68,6 +68,23 @@ def just_below(target: Target, number: int, stop: threading.Event) -> None:
         repeat(sock, blob, 230, stop)
 
 
+def permitted(target: Target, number: int, stop: threading.Event) -> None:
+    """Nothing but legal requests in full poses, 230 a second: each one is read and checked, few are drawn."""
+    ids = itertools.count(1)
+    pose = {
+        "root_pose": [0, 0.1, 0],
+        "body_pose": [[0.1, 0, 0]] * 21,
+        "lhand_pose": [0.1] * 45,
+        "rhand_pose": [0.1] * 45,
+    }
+
+    def blob() -> bytes:
+        return b"".join(frame(0x1, request(next(ids), (16, 16), pose=pose, ack=None)) for _ in range(10))
+
+    with upgrade(target, "?window=1") as sock:
+        repeat(sock, blob, 23, stop)
+
+
 def deep(nbytes: int) -> bytes:
     """A field that nobody reads, nested as deeply as the reader may follow."""
     half = nbytes // 2
@@ -87,6 +104,7 @@ FLOODS: dict[str, Attack] = {
     "pongs": flood(PONG, 170),
     "63 kB with an old frame_id": flood(frame(0x1, stale()), 230),
     "63 kB in slow numbers": again_and_again(just_below),
+    "requests at the permitted rate": again_and_again(permitted),
     "nested arrays": flood(frame(0x1, deep(900)) * 20, 12),
     "acknowledgements": flood(frame(0x1, b'{"v":1,"ack":0}') * 23, 10),
     "malformed": flood(frame(0x1, b"{") * 4, 20),

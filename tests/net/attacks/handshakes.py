@@ -60,6 +60,15 @@ def idle_clients(target: Target, number: int, stop: threading.Event) -> None:
             drain(sock)
 
 
+def held_places(target: Target, number: int, stop: threading.Event) -> None:
+    """Asks for one speck of a picture, then says just enough to be let alone: a client's place for nothing."""
+    with upgrade(target, "?window=1") as sock:
+        sock.sendall(frame(0x1, request(1, (1, 1))))
+        while not stop.wait(0.5):
+            sock.sendall(frame(0x1, b'{"v":1,"ack":0}'))
+            drain(sock)
+
+
 def slow_loris(target: Target, number: int, stop: threading.Event) -> None:
     """Ten handshakes at once, one byte of each every 0.2 s."""
     held = [connect(target) for _ in range(10)]
@@ -81,9 +90,9 @@ def churn(target: Target, number: int, stop: threading.Event) -> None:
 
 
 def client_churn(target: Target, number: int, stop: threading.Event) -> None:
-    """The same with a handshake and a request: each one takes and leaves a client's place."""
+    """The same with a handshake, a height to calibrate for and a request: each takes and leaves a client's place."""
     while not stop.wait(0.02):
-        with upgrade(target) as sock:
+        with upgrade(target, "?height=1.61") as sock:
             sock.sendall(frame(0x1, request(1, (16, 16))))
 
 
@@ -165,6 +174,13 @@ def pages(target: Target, number: int, stop: threading.Event) -> None:
         repeat(sock, lambda: blob, 40, stop)
 
 
+def unread_pages(target: Target, number: int, stop: threading.Event) -> None:
+    """Page after page asked for on one connection and never taken: who keeps the requests, or the answers?"""
+    blob = f"GET /metrics HTTP/1.1\r\nHost: {target.host}:{target.port}\r\n\r\n".encode() * 500
+    with connect(target, receive_buffer=4096) as sock:
+        repeat(sock, lambda: blob, 40, stop, read=False)
+
+
 def body(target: Target, number: int, stop: threading.Event) -> None:
     """A request whose body never ends, in chunks of one byte."""
     head = f"POST / HTTP/1.1\r\nHost: {target.host}:{target.port}\r\nTransfer-Encoding: chunked\r\n\r\n"
@@ -199,6 +215,7 @@ def broken_frames(target: Target, number: int, stop: threading.Event) -> None:
 HANDSHAKES: dict[str, Attack] = {
     "idle connections": again_and_again(idle),
     "clients that ask for nothing": again_and_again(idle_clients),
+    "clients that hold their place": again_and_again(held_places),
     "slow handshakes": again_and_again(slow_loris),
     "connections that end at once": again_and_again(churn),
     "clients that end at once": again_and_again(client_churn),
@@ -207,6 +224,7 @@ HANDSHAKES: dict[str, Attack] = {
     "long headers": again_and_again(header_bomb),
     "no HTTP": again_and_again(malformed),
     "status pages": again_and_again(pages),
+    "status pages, unread": again_and_again(unread_pages),
     "a body without end": again_and_again(body),
     "broken frames": again_and_again(broken_frames),
 }
