@@ -55,17 +55,19 @@ def time_leaps(target: Target, number: int, stop: threading.Event) -> None:
         repeat(sock, blob, 20, stop)
 
 
-def just_below(target: Target, number: int, stop: threading.Event) -> None:
-    """One byte less than the limit, all of it legal: numbers that are slow to read, at 230 a second, always newer."""
-    ids = itertools.count(2)
-    digits = "1." + "123456789" * 80 + ","
-    body = stale(65_000, digits)
+def always_newer(body: bytes, a_second: float = 230) -> Attack:
+    """A legal request of nearly 64 kB, never an old one, as often as messages are read."""
 
-    def blob() -> bytes:
-        return frame(0x1, body.replace(b'"frame_id": 1,', b'"frame_id": %d,' % next(ids), 1))
+    def visit(target: Target, number: int, stop: threading.Event) -> None:
+        ids = itertools.count(2)
 
-    with upgrade(target, "?window=8") as sock:
-        repeat(sock, blob, 230, stop)
+        def blob() -> bytes:
+            return frame(0x1, body.replace(b'"frame_id": 1,', b'"frame_id": %d,' % next(ids), 1))
+
+        with upgrade(target, "?window=8") as sock:
+            repeat(sock, blob, a_second, stop)
+
+    return again_and_again(visit)
 
 
 def permitted(target: Target, number: int, stop: threading.Event) -> None:
@@ -103,10 +105,14 @@ FLOODS: dict[str, Attack] = {
     "pings, pongs unread": flood(FULL_PING, 170, read=False),
     "pongs": flood(PONG, 170),
     "63 kB with an old frame_id": flood(frame(0x1, stale()), 230),
-    "63 kB in slow numbers": again_and_again(just_below),
+    "63 kB in slow numbers": always_newer(stale(65_000, "1." + "123456789" * 80 + ",")),
+    "63 kB of empty objects": always_newer(stale(60_000, "{},").replace(b'"more": [', b'"note": ":", "more": [')),
+    "63 kB, 30 a second": always_newer(stale(60_000, "{},").replace(b'"more": [', b'"note": ":", "more": ['), 30),
     "requests at the permitted rate": again_and_again(permitted),
     "nested arrays": flood(frame(0x1, deep(900)) * 20, 12),
     "acknowledgements": flood(frame(0x1, b'{"v":1,"ack":0}') * 23, 10),
+    "950 short messages a second": flood(frame(0x1, b'{"v":1,"ack":0}') * 19, 50),
+    "19 pings a second": flood(frame(0x9, b"p" * 125), 19),
     "malformed": flood(frame(0x1, b"{") * 4, 20),
     "binary": flood(frame(0x2, b"\0" * 60_000), 40),
     "empty continuations": flood(EMPTY_PARTS, 100, first=BEGUN),
