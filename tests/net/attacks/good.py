@@ -26,7 +26,7 @@ class Service(NamedTuple):
 
     def against(self, undisturbed: Service) -> tuple[float, float]:
         """Rate and age as ratios."""
-        return self.rate / undisturbed.rate, self.age / undisturbed.age
+        return self.rate / max(undisturbed.rate, 1e-9), self.age / undisturbed.age
 
 
 @dataclass
