@@ -26,7 +26,6 @@ from tests.net.attacks.victim import Victim, victim
 
 __all__ = ["Outcome", "measure"]
 
-WARM = 1.5  # seconds before anything counts
 HEAD = (
     "| attack | undisturbed | rate | age | afterwards | RSS MB | lives | log lines | losses | rebuilds | refused | |\n"
     "|---|---|---|---|---|---|---|---|---|---|---|---|"
@@ -83,12 +82,13 @@ async def measure(
     good: str = "127.0.0.2",
     hertz: float | None = 5.0,
     size: int = 128,
+    warm: float = 1.5,  # seconds before anything counts
 ) -> Outcome:
     """One attack on a running server, once from each of ``sources``, with quiet phases before, between and after."""
     client = GoodClient(server.target.to(good), size, hertz)
     running = asyncio.create_task(client.run())
     try:
-        await asyncio.sleep(WARM)
+        await asyncio.sleep(warm)
         calm: list[Service] = []
         for _ in range(5):  # a machine with other work may have a bad second, which nothing could be compared with
             calm = [await client.over(quiet)]
@@ -119,7 +119,7 @@ async def hour(server: Victim, raiders: Attackers, seconds: float, source: str, 
     """Time-lapsed: every attack in turn, ``seconds`` in all; memory and service while it goes on."""
     client = GoodClient(server.target.to("127.0.0.2"), 128, 5.0)
     running = asyncio.create_task(client.run())
-    await asyncio.sleep(WARM)
+    await asyncio.sleep(1.5)
     before = await client.over(5.0)
     print(f"{0:6.0f} s: {server.rss()['server']:.1f} MB serving, {server.rss()['all']:.1f} MB in all", flush=True)
     start = time.monotonic()

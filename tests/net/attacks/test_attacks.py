@@ -7,11 +7,13 @@ from __future__ import annotations
 
 import asyncio
 import itertools
+import time
+from dataclasses import replace
 
 import pytest
 
 from tests.net.attacks.attack import ATTACKS, EVERYTHING, attackers
-from tests.net.attacks.campaign import measure
+from tests.net.attacks.campaign import Outcome, measure
 from tests.net.attacks.light import light_avatar
 from tests.net.attacks.victim import victim
 
@@ -19,9 +21,7 @@ pytestmark = [pytest.mark.gl, pytest.mark.timeout(240)]
 
 MEASURED = [
     "pings",
-    "pongs",
     "63 kB with an old frame_id",
-    "63 kB in slow numbers",
     "tracking",
     "collapsed body, 40 image sizes",
     "64^2 to 1536^2",
@@ -30,7 +30,6 @@ MEASURED = [
     "clients that end at once",
 ]
 REST = [name for name in ATTACKS if name not in MEASURED]
-ROUNDS = 3  # a machine with other work has bad seconds: the median of the ratios counts
 addresses = itertools.count(10)
 
 
@@ -41,18 +40,30 @@ def server(tmp_path_factory):
         yield running, raiders
 
 
-def attacked(server, name, connections=4, seconds=1.0):
-    """The outcome; the attackers come from an address that no attack came from before, once a round."""
-    sources = [f"127.0.1.{next(addresses)}" for _ in range(ROUNDS)]
-    options = {
-        "sources": sources,
-        "connections": connections,
-        "seconds": seconds,
-        "quiet": 0.8,
-        "hertz": 10.0,
-        "size": 64,
-    }
-    return asyncio.run(measure(*server, name, **options))
+def attacked(server, name, connections=4, seconds=1.5):
+    """An outcome that is as promised; else the median of three, because a machine with other work has bad seconds.
+
+    The attackers come from an address that no attack came from before.
+    """
+    rounds: list[Outcome] = []
+    for _ in range(3):
+        asked = {"connections": connections, "seconds": seconds, "quiet": 0.8, "hertz": 6.0, "size": 64}
+        rounds.append(asyncio.run(measure(*server, name, sources=[f"127.0.1.{next(addresses)}"], warm=0.5, **asked)))
+        if rounds[0].held:
+            return rounds[0]
+    return merged(rounds)
+
+
+def merged(rounds):
+    """Several outcomes of one attack as one of several rounds."""
+    calm = [outcome.quiet[0] for outcome in rounds] + [rounds[-1].quiet[-1]]
+    return replace(
+        rounds[-1],
+        quiet=calm,
+        attacked=[outcome.attacked[0] for outcome in rounds],
+        alive=all(outcome.alive for outcome in rounds),
+        log_lines=max(outcome.log_lines for outcome in rounds),
+    )
 
 
 @pytest.mark.parametrize("name", MEASURED)
@@ -73,12 +84,12 @@ def test_all_at_once_from_sixteen_connections(server):
 
 
 def test_the_other_attacks_leave_the_server_well(server):
-    """Half a second of each: it stays healthy and its log short; what they cost is the campaign's to measure."""
+    """A third of a second of each: it stays healthy and its log short; what they cost is the campaign's to measure."""
     running, raiders = server
     before = running.log_lines
     for name in REST:
         raiders.begin(name, f"127.0.2.{next(addresses)}", 4)
-        asyncio.run(asyncio.sleep(0.5))
+        time.sleep(0.3)
         raiders.end()
         assert running.process.poll() is None, f"{name} ended the server: {running.log[-2000:]}"
     assert running.alive()
@@ -89,8 +100,7 @@ def test_the_other_attacks_leave_the_server_well(server):
 def test_without_descriptors(tmp_path):
     """100 idle connections on a server that may have 48 files: no flood of log lines, and it serves on."""
     with victim(str(light_avatar(tmp_path)), files=48) as running, attackers(running.port) as raiders:
-        options = {"connections": 1, "seconds": 1.5, "quiet": 0.8, "hertz": 10.0, "size": 64}
-        outcome = asyncio.run(measure(running, raiders, "idle connections", sources=["127.0.3.1"] * 2, **options))
+        outcome = attacked((running, raiders), "idle connections", connections=1)
         rate, age = outcome.ratios
         assert outcome.alive and "Traceback" not in running.log
         assert rate >= 0.7 and age <= 2.0, f"{outcome}\n{running.log[-1000:]}"
