@@ -163,7 +163,7 @@ def main() -> None:
     parser.add_argument("--hour", type=float, metavar="SECONDS", help="all attacks for so long, memory as it goes")
     parser.add_argument("--options", default="", help="further ones of glsplat serve")
     parser.add_argument("--json", help="write the rows to this file")
-    parser.add_argument("--light", action="store_true", help="serve one splat in eight of the default avatar")
+    parser.add_argument("--light", action="store_true", help="serve one splat in three of the default avatar")
     args = parser.parse_args()
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))  # which ends the server, too
     names = args.names or [*ATTACKS, EVERYTHING]

@@ -1,4 +1,4 @@
-"""The default avatar with one splat in eight: what a test can draw quickly on any machine."""
+"""The default avatar with one splat in three: what a test can draw quickly on any machine."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ __all__ = ["light_avatar"]
 def light_avatar(folder: Path) -> Path:
     """A .glb in ``folder``."""
     avatar = default_avatar()
-    some = np.arange(0, len(avatar.splats), 8)
+    some = np.arange(0, len(avatar.splats), 3)
     skin = Skin(avatar.skin.joints[some], avatar.skin.weights[some])
     path = folder / "light.glb"
     save(replace(avatar, splats=avatar.splats.take(some), skin=skin), path)
