@@ -281,9 +281,8 @@ class Server:
         try:
             await asyncio.wait(ends, return_when=asyncio.FIRST_COMPLETED)
         finally:
-            if not reading.done():
-                reading.cancel()
-                await asyncio.wait([reading])
+            reading.cancel()
+            await asyncio.gather(reading, return_exceptions=True)  # looked at, or asyncio logs it: the peer may be gone
         if breached.done() and not ws.closed:
             await self._farewell(channel, ws, channel.session.broke(breached.result()))
         elif not reading.cancelled():

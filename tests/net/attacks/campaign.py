@@ -1,0 +1,212 @@
+"""The campaign, by hand: ``python -m tests.net.attacks.campaign`` prints a table of what a good client sees.
+
+For each attack a real ``glsplat serve`` of its own, with default options: the good client alone, then under attack, and
+that several times over; ratios of the phases that follow each other, and their median. Attackers and client run on the
+server's machine, so the attackers keep their own work small.
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import dataclasses
+import json
+import signal
+import sys
+import tempfile
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from statistics import median
+
+from tests.net.attacks.attack import ATTACKS, EVERYTHING, Attackers, attackers
+from tests.net.attacks.good import GoodClient, Service
+from tests.net.attacks.light import light_avatar
+from tests.net.attacks.victim import Victim, victim
+
+__all__ = ["Outcome", "measure"]
+
+HEAD = (
+    "| attack | undisturbed | rate | age | afterwards | RSS MB | lives | log lines | losses | rebuilds | refused | |\n"
+    "|---|---|---|---|---|---|---|---|---|---|---|---|"
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """One row of the table."""
+
+    attack: str
+    quiet: list[Service]  # undisturbed, one more than attacked: the last is what is left afterwards
+    attacked: list[Service]
+    rss: tuple[float, float]  # MB of server and renderer, before and after
+    alive: bool
+    log_lines: int
+    rebuilds: int
+    refused: int
+
+    @property
+    def ratios(self) -> tuple[float, float]:
+        """Rate and age under attack to those of the quiet phase before; medians over the rounds."""
+        first = self.quiet[0]  # instead of a phase that was not quiet: the server had not got over the attack before it
+        calm = [phase if phase.rate >= 0.7 * first.rate else first for phase in self.quiet]
+        pairs = [hit.against(base) for base, hit in zip(calm, self.attacked, strict=False)]
+        return median(rate for rate, _ in pairs), median(age for _, age in pairs)
+
+    @property
+    def held(self) -> bool:
+        """The promise: 70 % of the pictures at no more than twice their age, and a server that lives."""
+        rate, age = self.ratios
+        return self.alive and rate >= 0.7 and age <= 2.0
+
+    def __str__(self) -> str:
+        rate, age = self.ratios
+        first, last = self.quiet[0], self.quiet[-1]
+        losses = sum(phase.losses for phase in self.attacked)
+        return (
+            f"| {self.attack} | {first.rate:.1f}/s, {first.age:.0f} ms | {rate:.0%} | {age:.1f} "
+            f"| {last.against(first)[0]:.0%} | {self.rss[0]:.0f} → {self.rss[1]:.0f} | {'yes' if self.alive else 'NO'} "
+            f"| {self.log_lines} | {losses} | {self.rebuilds} | {self.refused} | {'' if self.held else 'missed'} |"
+        )
+
+
+async def measure(
+    server: Victim,
+    raiders: Attackers,
+    name: str,
+    *,
+    sources: list[str],
+    connections: int = 4,
+    seconds: float = 3.0,
+    quiet: float = 2.0,
+    good: str = "127.0.0.2",
+    hertz: float | None = 5.0,
+    size: int = 128,
+    warm: float = 1.5,  # seconds before anything counts
+) -> Outcome:
+    """One attack on a running server, once from each of ``sources``, with quiet phases before, between and after."""
+    client = GoodClient(server.target.to(good), size, hertz)
+    running = asyncio.create_task(client.run())
+    try:
+        await asyncio.sleep(warm)
+        calm: list[Service] = []
+        for _ in range(5):  # a machine with other work may have a bad second, which nothing could be compared with
+            calm = [await client.over(quiet)]
+            if calm[0].rate >= 0.8 * min(hertz or 1.0, 5.0):
+                break
+        rss, lines, hits = server.rss()["all"], server.log_lines, []
+        for source in sources:
+            await asyncio.to_thread(raiders.begin, name, source, connections)
+            await asyncio.sleep(0.3)
+            hits.append(await client.over(seconds))
+            await asyncio.to_thread(raiders.end)
+            await asyncio.sleep(0.5)
+            calm.append(await client.over(quiet))
+    finally:
+        running.cancel()
+    if server.log_lines > lines + 60:
+        print("    its log ends: " + server.log[-300:].replace("\n", "\n    "), file=sys.stderr)
+    for error in client.errors[:3]:
+        print(f"    the good client: {error}", file=sys.stderr)
+    alive = await asyncio.to_thread(server.alive)
+    stats = await asyncio.to_thread(server.stats)
+    left = server.rss()["all"] if server.process.poll() is None else float("nan")
+    counts = server.log_lines - lines, stats.get("rebuilds", -1), stats.get("refused", -1)
+    return Outcome(name, calm, hits, (rss, left), alive, *counts)
+
+
+async def hour(server: Victim, raiders: Attackers, seconds: float, source: str, connections: int) -> None:
+    """Time-lapsed: every attack in turn, ``seconds`` in all; memory and service while it goes on."""
+    client = GoodClient(server.target.to("127.0.0.2"), 128, 5.0)
+    running = asyncio.create_task(client.run())
+    await asyncio.sleep(1.5)
+    before = await client.over(5.0)
+    print(f"{0:6.0f} s: {server.rss()['server']:.1f} MB serving, {server.rss()['all']:.1f} MB in all", flush=True)
+    start = time.monotonic()
+    await asyncio.to_thread(raiders.begin, EVERYTHING, source, connections)
+    while (gone := time.monotonic() - start) < seconds:
+        rate, age = (await client.over(min(20.0, max(1.0, seconds - gone)))).against(before)
+        rss = server.rss()
+        print(
+            f"{time.monotonic() - start:6.0f} s: {rss['server']:.1f} MB serving, {rss['all']:.1f} MB in all, "
+            f"rate {rate:.0%}, age x {age:.1f}, {server.log_lines} log lines",
+            flush=True,
+        )
+    await asyncio.to_thread(raiders.end)
+    running.cancel()
+    await asyncio.sleep(3)
+    rss = server.rss()
+    totals = server.stats().get("totals", {})
+    print(f"after: {rss['server']:.1f} MB serving, {rss['all']:.1f} MB, alive: {server.alive()}, {json.dumps(totals)}")
+
+
+def addresses(source: str, rounds: int) -> list[str]:
+    """Where each round comes from: another address each time, because an address may have been held off meanwhile."""
+    base, _, last = source.rstrip("+").rpartition(".")
+    step = 16 if source.endswith("+") else 1
+    return [f"{base}.{int(last) + step * i}{'+' if step > 1 else ''}" for i in range(rounds)]
+
+
+def main() -> None:
+    """The command line."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("names", nargs="*", help="attacks; default: each alone, then all at once")
+    parser.add_argument("--source", default="127.0.0.3", help="the attackers' address; 127.0.0.10+ gives each its own")
+    parser.add_argument("--connections", type=int, default=4, help="hostile ones for each attack (16 for all at once)")
+    parser.add_argument("--good", default="127.0.0.2", help="the good client's address")
+    parser.add_argument("--rounds", type=int, default=3)
+    parser.add_argument("--seconds", type=float, default=3.0, help="under attack in a round; twice that all at once")
+    parser.add_argument("--quiet", type=float, default=2.0, help="seconds undisturbed, before and after each")
+    parser.add_argument("--hertz", type=float, default=5.0, help="the good client's pace; 0: as fast as pictures come")
+    parser.add_argument("--size", type=int, default=128, help="pixels an eye of the good client")
+    parser.add_argument("--files", type=int, help="descriptors the server may have")
+    parser.add_argument("--hour", type=float, metavar="SECONDS", help="all attacks for so long, memory as it goes")
+    parser.add_argument("--options", default="", help="further ones of glsplat serve")
+    parser.add_argument("--json", help="write the rows to this file")
+    parser.add_argument("--light", action="store_true", help="serve one splat in three of the default avatar")
+    args = parser.parse_args()
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))  # which ends the server, too
+    names = args.names or [*ATTACKS, EVERYTHING]
+    unknown = [name for name in names if name not in (*ATTACKS, EVERYTHING)]
+    if unknown:
+        parser.error(f"{unknown[0]!r} is none of {', '.join([*ATTACKS, EVERYTHING])}")
+    options = args.options.split()
+    if args.light:
+        options.append(str(light_avatar(Path(tempfile.mkdtemp()))))
+    if args.hour:
+        with victim(*options, files=args.files) as server, attackers(server.port) as raiders:
+            asyncio.run(hour(server, raiders, args.hour, args.source, 16))
+        return
+    rows = []
+    for name in names:
+        whole = name == EVERYTHING
+        with victim(*options, files=args.files) as server, attackers(server.port) as raiders:
+            if not rows:
+                print(
+                    f"{server.driver}; attackers from {args.source}, the good client {args.good}\n\n{HEAD}", flush=True
+                )
+            outcome = asyncio.run(
+                measure(
+                    server,
+                    raiders,
+                    name,
+                    sources=[args.good] * args.rounds
+                    if args.source == args.good
+                    else addresses(args.source, args.rounds),
+                    connections=16 if whole else args.connections,
+                    seconds=args.seconds * (2 if whole else 1),
+                    quiet=args.quiet,
+                    good=args.good,
+                    hertz=args.hertz or None,
+                    size=args.size,
+                )
+            )
+            rows.append(outcome)
+            print(outcome, flush=True)
+    if args.json:
+        with open(args.json, "w") as file:
+            json.dump([dataclasses.asdict(row) for row in rows], file, indent=1)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,256 @@
+"""Raw byte streams at the real port of a real server: ``python -m tests.net.attacks.fuzz_bytes 100000``.
+
+A stream is HTTP that was once a request, or a handshake followed by WebSocket frames that were once a session, both
+changed at random. The server has to stay up, answer others in time, and leave no traceback in its log.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import queue
+import socket
+import struct
+import sys
+import threading
+import time
+from collections import Counter, deque
+from dataclasses import dataclass, field
+from random import Random
+
+from tests.net.attacks.fuzz_messages import message
+from tests.net.attacks.handshakes import BROKEN, GARBAGE
+from tests.net.attacks.requests import request
+from tests.net.attacks.sockets import Target, abort, connect, frame, handshake
+from tests.net.attacks.victim import Victim, victim
+
+__all__ = ["Sent", "send", "stream"]
+
+BITS = [0, 1, 0x7D, 0x7E, 0x7F, 0x80, 0x81, 0x88, 0x89, 0x8A, 0xFE, 0xFF, 0x0A, 0x0D, 0x20, 0x3A]
+PARTS = [
+    *(
+        b"\r\n",
+        b"\r\n\r\n",
+        b"\n",
+        b"\r",
+        b" ",
+        b":",
+        b"\t",
+        b"\0",
+        b"HTTP/1.1",
+        b"GET ",
+        b"\x80",
+        b"%00",
+        b"Host: a\r\n",
+    ),
+    *(b"Content-Length: 5\r\n", b"Content-Length: 99999999999999999999\r\n", b"Transfer-Encoding: chunked\r\n"),
+    *(b"Connection: close\r\n", b"Expect: 100-continue\r\n", b"Upgrade: h2c\r\n", b"Origin: null\r\n", b"Cookie: \r\n"),
+    *(b"Sec-WebSocket-Version: 99\r\n", b"Sec-WebSocket-Extensions: permessage-deflate; server_max_window_bits=99\r\n"),
+    *(
+        b"Sec-WebSocket-Key: short\r\n",
+        b"Sec-WebSocket-Protocol: ,,,\r\n",
+        b"Authorization: Basic ====\r\n",
+        b"a" * 9000,
+    ),
+]
+PATHS = [
+    "/ws",
+    "/",
+    "/stats",
+    "/metrics",
+    "/healthz",
+    "/ws?window=9",
+    "/ws?height=nan",
+    "/ws?mirror=%ff",
+    "//",
+    "/../x",
+    "*",
+]
+
+HELD = 8  # connections a thread leaves open behind the one it is at
+
+
+@dataclass
+class Sent:
+    """What was sent and what the server made of it."""
+
+    streams: int = 0
+    answers: Counter[str] = field(default_factory=Counter)  # first bytes of what came back
+    probes: list[float] = field(default_factory=list)  # seconds that /healthz took meanwhile
+    dead: bool = False
+    seconds: float = 0.0
+
+
+def stream(i: int, chance: Random, target: Target) -> list[bytes]:
+    """The i-th stream, in the pieces it is sent in."""
+    kind = chance.random()
+    if kind < 0.4:
+        method = chance.choice(("GET", "GET", "POST", "HEAD", "OPTIONS", "PUT", "get", "\xff"))
+        head = f"{method} {chance.choice(PATHS)} HTTP/1.{chance.choice('0119')}\r\nHost: {target.host}\r\n\r\n"
+        data = bent(chance.choice((head.encode("latin-1"), handshake(target))), chance)
+    elif kind < 0.5:
+        data = bent(chance.choice(GARBAGE), chance)
+    elif kind < 0.55:
+        data = chance.randbytes(chance.randint(0, 3000))
+    else:
+        session = [frame(0x1, request(1, (16, 16)))]
+        for _ in range(chance.randint(1, 5)):
+            session.append(frames(i, chance))
+        data = handshake(target, chance.choice(("", "?window=8", "?mirror=1"))) + b"".join(session)
+    cuts = sorted(chance.randint(0, len(data)) for _ in range(chance.choice((0, 0, 0, 1, 2))))
+    return [data[a:b] for a, b in zip([0, *cuts], [*cuts, len(data)], strict=True)]
+
+
+def frames(i: int, chance: Random) -> bytes:
+    """One or more frames, some of them broken."""
+    text = message(i, chance)
+    payload = (text.encode("utf-8", "surrogatepass") if isinstance(text, str) else text)[:66_000]
+    match chance.randrange(8):
+        case 0:
+            return chance.choice(BROKEN)
+        case 1:
+            return bent(frame(0x1, payload[:2000]), chance)
+        case 2:
+            at = chance.randint(0, len(payload))
+            return frame(0x1, payload[:at], fin=False) + frame(0x9, b"x") + frame(0x0, payload[at:])
+        case 3:
+            return frame(
+                chance.randrange(16), payload[: chance.choice((0, 1, 2, 125, 126, 2000))], chance.random() < 0.7
+            )
+        case 4:
+            head = bytes((chance.choice(BITS), 0x80 | chance.randrange(128)))
+            return head + struct.pack("!Q", chance.getrandbits(64)) + chance.randbytes(8)
+        case 5:
+            return frame(0x8, struct.pack("!H", chance.choice((0, 999, 1000, 1005, 1006, 1015, 2999, 5000))) + b"bye")
+        case _:
+            return frame(0x1, payload)
+
+
+def bent(data: bytes, chance: Random) -> bytes:
+    """Some bytes changed, put in, taken out or doubled."""
+    out = bytearray(data)
+    for _ in range(chance.choice((0, 1, 1, 2, 4, 16))):
+        at = chance.randint(0, len(out))
+        match chance.randrange(5):
+            case 0 if at < len(out):
+                out[at] = chance.choice(BITS)
+            case 1:
+                out[at:at] = chance.choice(PARTS)
+            case 2:
+                del out[at : at + chance.randint(1, 20)]
+            case 3:
+                out[at:at] = out[at : at + 40]
+            case _ if at < len(out):
+                out[at] ^= 1 << chance.randrange(8)
+    return bytes(out)
+
+
+def send(server: Victim, number: int, seed: int, threads: int = 8, addresses: int = 200) -> Sent:
+    """``number`` streams from as many loopback addresses as told, while somebody else asks for /healthz."""
+    sent, jobs, over = Sent(), queue.SimpleQueue[int](), threading.Event()
+    start = time.monotonic()
+    for i in range(number):
+        jobs.put(i)
+    lock = threading.Lock()
+
+    def count(answer: str) -> None:
+        with lock:
+            sent.streams += 1
+            sent.answers[answer] += 1
+
+    def work() -> None:
+        held: deque[socket.socket] = deque()  # sent, and to be read when the server had its time
+        chance = Random(seed)
+        with contextlib.suppress(queue.Empty):
+            while not over.is_set():
+                i = jobs.get_nowait()
+                chance = Random(seed * 1_000_003 + i)
+                target = server.target.to(f"127.0.{1 + i % addresses // 200}.{1 + i % 200}")
+                begun = begin(target, stream(i, chance, target), chance)
+                if isinstance(begun, str):
+                    count(begun)
+                else:
+                    held.append(begun)
+                if len(held) > HELD:
+                    count(finish(held.popleft(), chance))
+        for sock in held:
+            count(finish(sock, chance))
+
+    def probe() -> None:
+        while not over.wait(1.0):
+            began = time.monotonic()
+            if server.get("/healthz") != "ok\n" and server.process.poll() is not None:
+                sent.dead = True
+                over.set()
+            sent.probes.append(time.monotonic() - began)
+
+    workers = [threading.Thread(target=work, daemon=True) for _ in range(threads)]
+    prober = threading.Thread(target=probe, daemon=True)
+    for thread in (*workers, prober):
+        thread.start()
+    for thread in workers:
+        thread.join()
+    over.set()
+    prober.join()
+    sent.seconds = time.monotonic() - start
+    return sent
+
+
+def begin(target: Target, pieces: list[bytes], chance: Random) -> socket.socket | str:
+    """Send one stream; its connection, or why there is none to be read."""
+    try:
+        sock = connect(target)
+    except OSError as error:
+        return f"cannot connect ({type(error).__name__})"
+    try:
+        for piece in pieces:
+            sock.sendall(piece)
+        if chance.random() < 0.5:
+            sock.shutdown(socket.SHUT_WR)
+    except OSError:
+        sock.close()
+        return "(reset while sending)"
+    return sock
+
+
+def finish(sock: socket.socket, chance: Random) -> str:
+    """How the server's answer began; now and then without a farewell."""
+    sock.settimeout(0.05)
+    try:
+        answer = sock.recv(4096)[:12].decode("latin-1") or "(end)"
+    except TimeoutError:
+        answer = "(waits)"
+    except OSError:
+        answer = "(reset)"
+    if chance.random() < 0.2:
+        abort(sock)
+    sock.close()
+    return answer
+
+
+def main() -> None:
+    """The command line."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("number", type=int, nargs="?", default=5000)
+    parser.add_argument("--seed", type=int, default=1)
+    args = parser.parse_args()
+    with victim("--size", "64x64") as server:
+        send(server, args.number // 20, args.seed + 1)  # what is made once is made now
+        early = server.rss()
+        sent = send(server, args.number, args.seed)
+        late = server.rss()
+        alive, log = server.alive(), server.log
+    print(
+        f"{sent.streams} streams in {sent.seconds:.0f} s; alive: {alive and not sent.dead}; "
+        f"{log.count('Traceback')} tracebacks and {log.count(chr(10))} lines in the log ({len(log)} bytes); "
+        f"/healthz meanwhile: median {sorted(sent.probes)[len(sent.probes) // 2] * 1e3:.0f} ms, "
+        f"slowest {max(sent.probes) * 1e3:.0f} ms; memory {early['server']:.1f} → {late['server']:.1f} MB serving, "
+        f"{early['all']:.1f} → {late['all']:.1f} MB in all"
+    )
+    print(", ".join(f"{name!r} {count}" for name, count in sent.answers.most_common(20)))
+    if "Traceback" in log:
+        print(log[log.index("Traceback") - 200 :][:4000], file=sys.stderr)
+
+
+if __name__ == "__main__":
+    main()

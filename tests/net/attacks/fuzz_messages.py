@@ -1,0 +1,232 @@
+"""Fuzzed messages through decoder and session, without sockets: ``python -m tests.net.attacks.fuzz_messages 1000000``.
+
+Every message has to end in an answer the protocol knows, every request that is accepted has to be one the renderer may
+draw, and a session has to stay within its window, whatever order messages and pictures come in.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import re
+import time
+import traceback
+from collections import Counter
+from dataclasses import dataclass, field
+from pathlib import Path
+from random import Random
+from typing import Any
+
+import numpy as np
+import psutil
+
+from glsplat.avatar import default_avatar
+from glsplat.errors import GlsplatError
+from glsplat.net.messages import MAX_ID, Decoder, RenderRequest, WireOptions
+from glsplat.net.session import Close, Session, SessionConfig, Warn
+from glsplat.tracking.calibration import Calibration
+from tests.net.attacks.mutations import damaged, mutated, written
+from tests.net.attacks.requests import collapsed, hands, legacy, pair, request, tracking
+
+__all__ = ["Findings", "fuzz", "valid"]
+
+CODES = set(
+    re.findall(
+        r"`(\w+)`",
+        "".join(
+            line.split("|")[1]
+            for line in (Path(__file__).parents[3] / "docs/protocol.md")
+            .read_text()
+            .partition("## 6.")[2]
+            .partition("## 7.")[0]
+            .splitlines()
+            if line.startswith("| `")
+        ),
+    )
+)
+
+
+@dataclass
+class Findings:
+    """What came of it."""
+
+    outcomes: Counter[str] = field(default_factory=Counter)
+    faults: list[str] = field(default_factory=list)  # tracebacks and broken promises, each with its message
+    slowest: tuple[float, str] = (0.0, "")  # seconds
+    seconds: float = 0.0
+    growth: float = 0.0  # MB from a tenth of the way to the end
+
+    def __str__(self) -> str:
+        number = sum(self.outcomes.values())
+        return (
+            f"{number} messages in {self.seconds:.0f} s, {len(self.faults)} faults, slowest "
+            f"{self.slowest[0] * 1e3:.2f} ms ({self.slowest[1][:80]!r}), memory {self.growth:+.1f} MB; "
+            + ", ".join(f"{name} {count}" for name, count in self.outcomes.most_common())
+        )
+
+
+def valid(i: int) -> list[dict[str, Any]]:
+    """One message of each form, with ids that may follow each other."""
+    zeros = [[0.1, 0.0, 0.0]] * 21
+    pose = {"root_pose": [0, 0.2, 0], "trans": [0, 0, 0], "body_pose": zeros, "lhand_pose": [0.1] * 45}
+    full = {"tracking": tracking(i), "t": i * 4.5}
+    bundle = json.loads(legacy(i))
+    return [
+        json.loads(request(i)),
+        json.loads(request(i, pose=pose, quality=80, crop=True, t=1.5)),
+        json.loads(request(i, pose=collapsed())),
+        json.loads(request(i, eyes=pair(64, 64)[:1], size=[64, 64], ack=None)),
+        json.loads(request(i, **full)),
+        json.loads(request(i, **full, eyes=None)),
+        json.loads(
+            request(
+                i, tracking={"head": [0, 1.6, 0, 0, 0, 0, 1], "left_grip": [0, 1, 0, 0, 0, 0, 1], "right_curl": 0.5}
+            )
+        ),
+        json.loads(request(i, tracking={"left": None, "left_joints": [n for joint in hands(0.01) for n in joint]})),
+        {"v": 1, "ack": 0},
+        bundle,
+        {"frame_id": i, "cameras": [bundle["camera"], bundle["camera"] | {"eye": "right"}], "smplx": bundle["smplx"]},
+    ]
+
+
+FORMS = [json.dumps(form) for form in valid(1)]
+
+
+class _Peer:
+    """A client's session with a pump that draws now and then; begun anew when it is closed."""
+
+    def __init__(self, chance: Random, findings: Findings) -> None:
+        self.chance, self.findings = chance, findings
+        self.skeleton = default_avatar().skeleton
+        self.now = 0.0
+        self.begin()
+
+    def begin(self) -> None:
+        skeleton = self.skeleton if self.chance.random() < 0.8 else None
+        options = WireOptions(mirror=self.chance.random() < 0.2)
+        self.window = self.chance.randint(1, 8)
+        self.session = Session(Decoder(options, skeleton), SessionConfig(window=self.window), self.now)
+        self.taken: list[RenderRequest] = []
+        self.newest = -1
+        self.limit = options.max_side
+        from apps.serve import TrackingSolver
+
+        self.solver = TrackingSolver(self.skeleton, Calibration())
+
+    def say(self, data: str | bytes) -> str:
+        """One message; the name of what came of it."""
+        self.now += self.chance.choice((0.0, 0.001, 0.01, 0.02, 1.0))
+        outcome = self.session.receive(data, self.now)
+        if isinstance(outcome, Warn | Close):
+            error = json.loads(outcome.text)["error"]
+            assert set(error) == {"code", "message", "frame_id"} and error["code"] in CODES, outcome
+            assert error["message"].isprintable() and len(error["message"]) <= 300
+            assert error["frame_id"] is None or 0 <= error["frame_id"] <= MAX_ID
+            if isinstance(outcome, Close):
+                self.begin()
+                return "closed"
+            return str(error["code"])
+        accepted = self.session.accepted
+        if accepted is not None:
+            self.check(accepted)
+        self.pump()
+        return "nothing asked" if accepted is None else "accepted"
+
+    def check(self, r: RenderRequest) -> None:
+        """What the renderer is promised."""
+        assert r.frame_id is not None and self.newest < r.frame_id <= MAX_ID
+        self.newest = r.frame_id
+        assert 1 <= len(r.cameras) <= 2 and len(r.eyes) == len(r.cameras) and set(r.eyes) <= {0, 1}
+        assert 1 <= r.quality <= 100 and np.isfinite(r.t or 0.0)
+        for camera in r.cameras:
+            assert 1 <= camera.width <= self.limit and 1 <= camera.height <= self.limit
+            assert np.isfinite(camera.viewmat).all() and np.isfinite(camera.K).all()
+        pose = r.pose
+        if r.tracking is not None and self.chance.random() < 0.05:
+            try:
+                pose = self.solver.solve(r, self.now * 1e3).pose
+            except GlsplatError:
+                return
+        if pose is not None and len(pose.rotations) == len(self.skeleton) and self.chance.random() < 0.2:
+            assert np.isfinite(pose.bones(self.skeleton)).all()
+
+    def pump(self) -> None:
+        """Take, write or fail pictures at random; the window holds."""
+        if self.chance.random() < 0.5 and (taken := self.session.next_request(self.now)) is not None:
+            self.taken.append(taken[0])
+        if self.taken and self.chance.random() < 0.5:
+            frame = self.taken.pop(0)
+            if self.chance.random() < 0.9:
+                self.session.sending(frame)
+                self.session.sent(frame, 100)
+            else:
+                self.session.failed(frame, "render", "no")
+        status = self.session.status()
+        assert status["under_way"] <= self.window and status["waiting"] <= 2
+        assert status["unacknowledged"] <= self.window
+
+
+def message(i: int, chance: Random) -> str | bytes:
+    """The i-th message of a seed."""
+    one, other = (json.loads(chance.choice(FORMS)) for _ in range(2))
+    for kind_of in (one, other):
+        if "frame_id" in kind_of and chance.random() < 0.95:
+            kind_of["frame_id"] = i % MAX_ID
+    kind = chance.random()
+    if kind < 0.05:
+        return written(one, chance)
+    if kind < 0.70:
+        return written(mutated(one, other, chance), chance)
+    text = damaged(written(mutated(one, other, chance) if kind < 0.85 else one, chance), written(other, chance), chance)
+    if chance.random() < 0.9:
+        return text
+    data = bytearray(text.encode("utf-8", "replace"))
+    for _ in range(chance.randint(1, 8)):
+        if data:
+            data[chance.randrange(len(data))] = chance.randrange(256)
+    return bytes(data)
+
+
+def fuzz(number: int, seed: int, most_faults: int = 20) -> Findings:
+    """``number`` messages of one seed through one session after another."""
+    chance, findings = Random(seed), Findings()
+    peer = _Peer(chance, findings)
+    process = psutil.Process()
+    start, early = time.perf_counter(), 0
+    with np.errstate(all="raise", under="ignore"):  # a warning there would be a line in a server's log
+        for i in range(number):
+            data = message(i, chance)
+            began = time.thread_time()  # of this thread: others may be at work on the machine
+            try:
+                findings.outcomes[peer.say(data)] += 1
+            except Exception:
+                findings.outcomes["FAULT"] += 1
+                findings.faults.append(f"{data[:2000]!r}\n{traceback.format_exc()}")
+                if len(findings.faults) >= most_faults:
+                    break
+                peer.begin()
+            took = time.thread_time() - began
+            if took > findings.slowest[0]:
+                findings.slowest = took, str(data[:200])
+            if i == number // 10:
+                early = process.memory_info().rss
+    findings.seconds = time.perf_counter() - start
+    findings.growth = (process.memory_info().rss - early) / 1e6
+    return findings
+
+
+def main() -> None:
+    """The command line."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("number", type=int, nargs="?", default=10_000)
+    parser.add_argument("--seed", type=int, default=1)
+    args = parser.parse_args()
+    findings = fuzz(args.number, args.seed)
+    for fault in findings.faults:
+        print(fault)
+    print(findings)
+
+
+if __name__ == "__main__":
+    main()

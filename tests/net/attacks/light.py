@@ -1,0 +1,24 @@
+"""The default avatar with one splat in three: what a test can draw quickly on any machine."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from glsplat.avatar import default_avatar
+from glsplat.formats import save
+from glsplat.skinning.skin import Skin
+
+__all__ = ["light_avatar"]
+
+
+def light_avatar(folder: Path) -> Path:
+    """A .glb in ``folder``."""
+    avatar = default_avatar()
+    some = np.arange(0, len(avatar.splats), 3)
+    skin = Skin(avatar.skin.joints[some], avatar.skin.weights[some])
+    path = folder / "light.glb"
+    save(replace(avatar, splats=avatar.splats.take(some), skin=skin), path)
+    return path

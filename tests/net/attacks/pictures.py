@@ -1,0 +1,138 @@
+"""Attackers that ask for pictures: each request is one that some honest client might send."""
+
+from __future__ import annotations
+
+import itertools
+import threading
+from collections.abc import Callable
+
+from tests.net.attacks.requests import collapsed, heap, legacy, pair, request
+from tests.net.attacks.sockets import Attack, Target, abort, again_and_again, drain, frame, repeat, upgrade
+
+__all__ = ["PICTURES"]
+
+LARGE = (2048, 2048)
+
+
+def asking(
+    make: Callable[[int, int], bytes],
+    a_second: float = 20,
+    query: str = "?window=8",
+    read: bool = True,
+    receive_buffer: int | None = None,
+) -> Attack:
+    """Requests ``make(frame_id, number of the connection)``, never acknowledged: the server draws what it can."""
+
+    def visit(target: Target, number: int, stop: threading.Event) -> None:
+        ids = itertools.count(1)
+        with upgrade(target, query, receive_buffer=receive_buffer) as sock:
+            repeat(sock, lambda: frame(0x1, make(next(ids), number)), a_second, stop, read)
+
+    return again_and_again(visit)
+
+
+def costly(frame_id: int, number: int) -> bytes:
+    """The whole body in one heap, seen through a focal length of 40 image sizes."""
+    y, z = heap()
+    eyes = pair(*LARGE, focal=40.0, y=y, z=z + 2.0)
+    return request(frame_id, LARGE, eyes=eyes, pose=collapsed(), quality=100, ack=None)
+
+
+def close_up(frame_id: int, number: int) -> bytes:
+    """The rest pose, an eye a hand's breadth from the chest: a full screen of an ordinary person."""
+    eyes = pair(*LARGE, focal=1.0, y=1.2 + 0.01 * (frame_id % 10), z=0.3)
+    return request(frame_id, LARGE, eyes=eyes, quality=100, ack=None)
+
+
+def inside(frame_id: int, number: int) -> bytes:
+    """An eye in the middle of the head, which looks through all of it."""
+    return request(frame_id, LARGE, eyes=pair(*LARGE, focal=0.6, y=1.55, z=0.1), ack=None)
+
+
+def of_many_sizes(frame_id: int, number: int) -> bytes:
+    """Eight clients, 64^2 to 1536^2."""
+    side = (64, 256, 512, 768, 1024, 1280, 1408, 1536)[number % 8]
+    return request(frame_id, (side, side), ack=None)
+
+
+def never_the_same_size(frame_id: int, number: int) -> bytes:
+    """Targets of the sizes used last are kept: always ask for another one."""
+    size = (1 + (frame_id * 397 + number * 31) % 2048, 1 + (frame_id * 571) % 2048)
+    return request(frame_id, size, ack=None)
+
+
+def strips(frame_id: int, number: int) -> bytes:
+    """One pixel wide, then one pixel high."""
+    return request(frame_id, (1, 2048) if frame_id % 2 else (2048, 1), ack=None)
+
+
+def specks(frame_id: int, number: int) -> bytes:
+    """1 x 1 pixel: all that a picture costs besides its pixels, in another pose each time."""
+    pose = {"root_pose": [0, frame_id % 60 / 10, 0], "body_pose": [[(frame_id % 3) / 10, 0, 0]] * 21}
+    return request(frame_id, (1, 1), pose=pose, ack=None)
+
+
+def both_mailboxes(frame_id: int, number: int) -> bytes:
+    """The oldest form, whose two eyes wait side by side; left and right in turn, at the server's own size."""
+    return legacy(frame_id, "right" if frame_id % 2 else "left")
+
+
+def noisy(frame_id: int, number: int) -> bytes:
+    """What compresses worst, at quality 100, for a client that does not read."""
+    return request(frame_id, LARGE, eyes=pair(*LARGE, focal=1.5, z=1.2), quality=100, ack=None)
+
+
+def leaving(target: Target, number: int, stop: threading.Event) -> None:
+    """Asks for a large picture, waits until it is being drawn or encoded, and is gone."""
+    for i in itertools.count():
+        if stop.is_set():
+            return
+        sock = upgrade(target, "?window=8")
+        try:
+            sock.sendall(frame(0x1, request(1, (1024, 1024), ack=None)) + frame(0x1, request(2, (1024, 1024))))
+            stop.wait((0.0, 0.02, 0.1, 0.3)[i % 4])
+        finally:
+            abort(sock)
+
+
+def asleep(target: Target, number: int, stop: threading.Event) -> None:
+    """Takes a few bytes a second of what it asked for, so that each reply is nearly given up."""
+    with upgrade(target, "?window=8", receive_buffer=4096) as sock:
+        for frame_id in itertools.count(1):
+            if stop.is_set():
+                return
+            sock.sendall(frame(0x1, noisy(frame_id, number)))
+            sock.settimeout(0.1)
+            try:
+                sock.recv(512)
+            except TimeoutError:
+                pass
+            sock.settimeout(0.5)
+            stop.wait(0.3)
+
+
+def acknowledged(target: Target, number: int, stop: threading.Event) -> None:
+    """A client in good standing that reads, acknowledges and asks for the dearest picture it is given."""
+    with upgrade(target, "?window=8") as sock:
+        for frame_id in itertools.count(1):
+            if stop.is_set():
+                return
+            sock.sendall(frame(0x1, close_up(frame_id, number)))
+            drain(sock)
+            stop.wait(0.05)
+
+
+PICTURES: dict[str, Attack] = {
+    "collapsed body, 40 image sizes": asking(costly, 2),
+    "close-ups, 2048^2": asking(close_up),
+    "an eye inside the head, 2048^2": asking(inside),
+    "64^2 to 1536^2": asking(of_many_sizes),
+    "another size each time": asking(never_the_same_size),
+    "strips of 1 x 2048": asking(strips),
+    "specks of 1 x 1": asking(specks, 230),
+    "one eye a message": asking(both_mailboxes, 100, query=""),
+    "does not read": asking(noisy, 20, read=False, receive_buffer=4096),
+    "reads a few bytes": again_and_again(asleep),
+    "leaves while drawn": again_and_again(leaving),
+    "acknowledges dear pictures": again_and_again(acknowledged),
+}
