@@ -338,7 +338,7 @@ class Renderer:
         pipeline = self._scene.pipeline(views, ordinal, depth)
         target = self._targets.float_target(self.size, len(views), depth)
         order = sorting_camera(views) if sort_viewmat is None else sort_viewmat
-        resorted = pipeline.geometry(views, order, self.timer, budget)
+        resorted = pipeline.geometry(views, order, self.timer, budget, self._scene.shared(ordinal))
         pipeline.draw(target, views, self.timer, boxed, budget, ground)
         self.variant = pipeline.variant
         self.stats = replace(self.stats, sorted=self.stats.sorted or resorted)

@@ -40,6 +40,7 @@ class Context:
     ctx: moderngl.Context
     backend: str  # egl, osmesa or given
     vertex_layers: bool  # the vertex shader can write gl_Layer (probed)
+    vertex_ids: bool  # gl_VertexID counts beyond the first 4096 points of a draw (probed)
     compute: bool  # OpenGL 4.3
     software: bool  # a software rasterizer
     scratch: moderngl.Framebuffer  # 1x1; what is bound while nothing is drawn
@@ -322,7 +323,25 @@ def _probed(ctx: moderngl.Context, backend: str, owner: Owner, state: GLState | 
     software = any(name in renderer for name in ("llvmpipe", "softpipe", "swrast", "swiftshader"))
     scratch = ctx.framebuffer([ctx.texture((1, 1), 4)])
     layers = _vertex_layers(ctx, scratch)
-    return Context(ctx, backend, layers, ctx.version_code >= 430, software, scratch, owner, state)
+    ids = _vertex_ids(ctx)
+    return Context(ctx, backend, layers, ids, ctx.version_code >= 430, software, scratch, owner, state)
+
+
+def _vertex_ids(ctx: moderngl.Context) -> bool:
+    """Write gl_VertexID of many points and look: Mesa's softpipe (22.3.6) begins anew every 4096."""
+    text = "out float id; void main() { id = float(gl_VertexID); gl_Position = vec4(0.0); }"
+    source = flatten("probe.vert.glsl", {}, overrides={"probe.vert.glsl": text})
+    program = link(ctx, "probe", {"vertex_shader": source}, ("id",))
+    array = ctx.vertex_array(program, [])
+    count = 5000
+    result = ctx.buffer(reserve=count * 4)
+    try:
+        array.transform(result, moderngl.POINTS, vertices=count)
+        return bool(np.array_equal(np.frombuffer(result.read(), np.float32), np.arange(count)))
+    finally:
+        result.release()
+        array.release()
+        program.release()
 
 
 def _vertex_layers(ctx: moderngl.Context, scratch: moderngl.Framebuffer) -> bool:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from glsplat.errors import ContextError
 from glsplat.gl.context import Context
-from glsplat.passes.item.buffers import NEAR, ROW, ItemBuffers, Placement, upload_rows, write_rows
+from glsplat.passes.item.buffers import NEAR, ROW, ItemBuffers, Placement, numbers_of, upload_rows, write_rows
 from glsplat.shaders.slots import UNITS
 from glsplat.shaders.variant import COLOUR_TEXELS
 
@@ -70,6 +70,7 @@ class Arena:
                 for item, first in zip(items, self.first, strict=False):
                     write_rows(self.colours, int(first), item.colours(degree), texels, components)
             self.cones = _own(stack, ctx.buffer(self._packed_cones())) if cones else None
+            self.numbers = None if context.vertex_ids else _own(stack, numbers_of(ctx, self.count))
             self.splats: moderngl.Texture
             self._run: moderngl.Buffer | None = None
             if posed:
@@ -86,7 +87,7 @@ class Arena:
     def nbytes(self) -> int:
         """GPU bytes of the posed geometry, the scratch buffer and the cones."""
         posed = self.splats.width * self.splats.height * 16 if self.posed else 0
-        return posed + (self._run.size if self._run else 0) + (self.cones.size if self.cones else 0)
+        return posed + sum(buffer.size for buffer in (self._run, self.cones, self.numbers) if buffer is not None)
 
     @property
     def colour_nbytes(self) -> int:

@@ -121,6 +121,11 @@ class Staged:
         timer.mark("mesh")
         return ground
 
+    @staticmethod
+    def shared(ordinal: int) -> bool:
+        """Whether other passes of one call may be drawn by the same pipeline as pass number ``ordinal``."""
+        return ordinal >= _PASSES - 1
+
     def pipeline(self, views: Sequence[Camera], ordinal: int, depth: bool = False) -> Pipeline:
         """What draws these views, as pass number ``ordinal`` of the call."""
         variant = variant_for(
@@ -134,6 +139,7 @@ class Staged:
             triangle=self._triangle,
             depth=depth,
             occluded=bool(self._standing),
+            numbered=not self._context.vertex_ids,
         )
         key = (variant, (views[0].width, views[0].height), min(ordinal, _PASSES - 1))
         if key not in self._pipelines:
@@ -211,7 +217,7 @@ class Staged:
                 skin = skin.reduced(config.influences).anchored(content.skeleton.parents)
             if joints > context.max_size:
                 raise ContextError(f"{joints} joints, but a texture of {context.driver} holds {context.max_size}")
-        return ItemBuffers(context.ctx, self._programs, splats, skin, joints, config.rotation == "raw")
+        return ItemBuffers(context, self._programs, splats, skin, joints, config.rotation == "raw")
 
     def _arena_of(self, buffers: Sequence[ItemBuffers], posed: bool) -> Arena:
         config = self._config

@@ -1,5 +1,12 @@
 // The arena: all splats of a scene in textures of 1024 splats a row, fetched by index. Twin: passes/arena.py.
 // Textures, because the project pass gathers in sorted order, and OpenGL ES and WebGL forbid index buffers there.
+#if NUMBERED
+in uint number;  // where gl_VertexID cannot be trusted (Context.vertex_ids)
+int splat_index() { return int(number); }
+#else
+int splat_index() { return gl_VertexID; }
+#endif
+
 ivec2 texel_of(int index, int texels) {  // the first of the texels of a splat
     return ivec2((index & 1023) * texels, index >> 10);
 }

@@ -14,7 +14,7 @@ flat out uint key;
 flat out uvec2 cover;
 
 void main() {
-    Splat splat = splat_of(gl_VertexID);
+    Splat splat = splat_of(splat_index());
     gl_Position = vec4(0.0);
 #if CULL_HIDDEN
     if (hidden(splat.mean, splat.shape)) {
@@ -24,7 +24,7 @@ void main() {
     }
 #endif
     uint reason = OUTSIDE;
-    cover = uvec2(0u);
+    uint cost = 0u;
     vec2 low = vec2(255.0), high = vec2(0.0);
     for (int v = 0; v < VIEWS; ++v) {
         Footprint foot;
@@ -36,11 +36,11 @@ void main() {
             high = max(high, floor((foot.centre + reach) * frame.size.zw * 128.0));
             vec2 first = floor(max(foot.centre - reach, 0.0) * 0.25);
             uvec2 blocks = uvec2(ceil(min(foot.centre + reach, frame.size.xy) * 0.25) - first);
-            cover.y += blocks.x * blocks.y;
+            cost += blocks.x * blocks.y;
         }
     }
     uvec4 tiles = uvec4(clamp(vec4(low, high), 0.0, 255.0));
-    cover.x = tiles.x | tiles.y << 8 | tiles.z << 16 | tiles.w << 24;
+    cover = uvec2(tiles.x | tiles.y << 8 | tiles.z << 16 | tiles.w << 24, cost);
     // IEEE floats compare like integers once the sign is undone; codes lie above every finite key
     uint bits = floatBitsToUint(dot(frame.sort_row.xyz, splat.mean) + frame.sort_row.w);
     bits = (bits & 0x80000000u) != 0u ? ~bits : bits | 0x80000000u;

@@ -32,6 +32,7 @@ class Variant:
     cut: int = 0  # splats end at max_sigma although alpha is still above 1/255 there
     depth: int = 0  # a second target takes weight times camera z
     occluded: int = 0  # splats are tested against the z of meshes
+    numbered: int = 0  # an attribute numbers the splats where the driver's gl_VertexID does not
 
     def __post_init__(self) -> None:
         if not (self.sh_degree in range(4) and self.stored_degree in range(4)):
@@ -105,6 +106,7 @@ def variant_for(
     triangle: bool = False,
     depth: bool = False,
     occluded: bool = False,
+    numbered: bool = False,
 ) -> Variant:
     """What a scene needs under a config, and nothing more."""
     degree = min(stored_degree, sh_degree, config.sh_degree)
@@ -122,6 +124,7 @@ def variant_for(
         cut=int(config.max_sigma < 3.33),
         depth=int(depth),
         occluded=int(occluded),
+        numbered=int(numbered),
     )
 
 

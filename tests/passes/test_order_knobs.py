@@ -84,5 +84,5 @@ def test_switches_are_checked(knob: dict[str, object]) -> None:
 
 @pytest.mark.parametrize("period", [0, -1, 1001, 1.5])
 def test_sort_period_is_checked(period: float) -> None:
-    with pytest.raises(GlsplatError, match="sort_period needs 1 to 1000"):
+    with pytest.raises(GlsplatError, match="sort_period needs"):
         RenderConfig(sort_period=period)  # type: ignore[arg-type]

@@ -13,6 +13,7 @@ from glsplat.camera import Camera, stereo_cameras
 from glsplat.config import RenderConfig
 from glsplat.data import default_avatar
 from glsplat.formats import load
+from glsplat.gl.context import Context
 from glsplat.renderer import Renderer
 from glsplat.scene import Item, Scene, similarity
 from tests.compare import Difference, assert_contract
@@ -76,7 +77,9 @@ def test_items_interleave_as_the_concatenated_scene(
     ],
     ids=str,
 )
-def test_items_under_every_knob(renderer_of: Make, settings: dict[str, object]) -> None:
+def test_items_under_every_knob(renderer_of: Make, context: Context, settings: dict[str, object]) -> None:
+    if settings.get("sorter") == "gpu" and not context.compute:
+        pytest.skip("no OpenGL 4.3")
     scene, cameras, config = mixed_scene(), list(eyes()), RenderConfig(**settings)  # type: ignore[arg-type]
     expected, _ = reference_of(scene, cameras, config)
     assert_contract(renderer_of(scene, views=2, **settings).render(cameras), expected)
@@ -99,7 +102,9 @@ def test_meshes_cut_through(renderer_of: Make, views: int) -> None:
 
 
 @pytest.mark.parametrize("settings", [{}, {"sorter": "gpu"}, {"layers": "geometry"}], ids=str)
-def test_depth_is_the_weighted_mean(renderer_of: Make, settings: dict[str, object]) -> None:
+def test_depth_is_the_weighted_mean(renderer_of: Make, context: Context, settings: dict[str, object]) -> None:
+    if settings.get("sorter") == "gpu" and not context.compute:
+        pytest.skip("no OpenGL 4.3")
     scene, cameras = mixed_scene(), views_of(3)
     image, depth = renderer_of(scene, views=2, **settings).render(cameras, depth=True)
     expected, distance = reference_of(scene, cameras)
@@ -125,7 +130,7 @@ def test_a_pair_equals_its_single_renders(renderer_of: Make) -> None:
     together, depths = renderer.render(cameras, depth=True)
     for index, view in enumerate(cameras):
         alone, depth = renderer.render([view], depth=True)
-        assert np.array_equal(alone[0], together[index]) and np.array_equal(depth[0], depths[index])
+        assert np.array_equal(alone[0], together[index]) and np.allclose(depth[0], depths[index], atol=1e-6)
 
 
 @pytest.mark.parametrize("far", [0.0, 5e4])

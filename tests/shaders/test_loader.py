@@ -124,6 +124,7 @@ def rows() -> list[Variant]:
         out.append(Variant(views=views, cull_hidden=1))
         out.append(Variant(views=views, cull_hidden=1, posed=1, cut=1))
         out.append(Variant(views=views, cut=1))
+        out.append(Variant(views=views, numbered=1, cull_hidden=1))
     return out
 
 
@@ -141,7 +142,8 @@ def test_the_variants_that_matter_compile(gl: Context) -> None:
         block = programs.draw("screen", "background", variant)["Frame"]
         assert isinstance(block, moderngl.UniformBlock) and block.size == frame_dtype(variant.views).itemsize
     posed = ("posed_mean", "posed_x", "posed_y", "posed_z")
-    programs.feedback("place", Variant(), posed)
+    for numbered in (0, 1):
+        programs.feedback("place", Variant(numbered=numbered), posed)
     for influences in (1, 2, 4, 8):
         for raw, turned in ((0, 0), (0, 1), (1, 0), (1, 1)):
             programs.feedback("skin", SkinVariant(influences=influences, raw=raw, turned=turned), posed)

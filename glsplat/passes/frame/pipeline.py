@@ -69,8 +69,7 @@ class Pipeline:
             self._keys: moderngl.Buffer | None = None
             if config.sorter == "gpu" or (automatic and GpuSorter.fits(ctx, records)):
                 self._keys = own(ctx.buffer(reserve=max(16, count * 4)))
-            # the CPU reads the keys before it writes the order, so both may lie in one buffer
-            self._key = own(KeyPass(ctx, programs, variant, arena.cones, count, self._keys or order, records))
+            self._key = own(KeyPass(ctx, programs, variant, arena, self._keys, records))
             self._sorter: GpuSorter | None = None
             if self._keys is not None:
                 corners = 3 if variant.triangle else 4
@@ -98,6 +97,7 @@ class Pipeline:
         sort_viewmat: NDArray[np.float64],
         timer: StageTimer,
         budget: Budget | None = None,
+        shared: bool = False,  # other passes of the frame come here, too: an old order may be theirs
     ) -> bool:
         """Steps 1 to 3, up to the records in drawing order. True if the splats were sorted again.
 
@@ -115,7 +115,7 @@ class Pipeline:
             if budget is not None:
                 budget.spend(self.cost or 0)
             return False
-        resort = not moved or self._order_age + 1 >= self._config.sort_period
+        resort = shared or not moved or self._order_age + 1 >= self._config.sort_period
         if self._sorter and budget is not None:
             resort = True  # it is the sorter that adds up the costs
         age = 0 if resort else self._order_age + 1

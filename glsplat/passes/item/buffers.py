@@ -14,6 +14,7 @@ import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
+from glsplat.gl.context import Context
 from glsplat.rotations import is_rigid, rodrigues_parameters
 from glsplat.shaders import Programs, SkinVariant, Variant
 from glsplat.shaders.slots import UNITS
@@ -21,7 +22,7 @@ from glsplat.shaders.variant import COLOUR_TEXELS
 from glsplat.skinning.skin import Skin
 from glsplat.splats import Splats
 
-__all__ = ["NEAR", "ROW", "ItemBuffers", "Placement", "upload_rows"]
+__all__ = ["NEAR", "ROW", "ItemBuffers", "Placement", "numbers_of", "upload_rows", "write_rows"]
 
 ROW = 1024
 """Splats a row of the arena's textures (arena.glsl)."""
@@ -61,7 +62,7 @@ class ItemBuffers:
 
     def __init__(
         self,
-        ctx: moderngl.Context,
+        context: Context,
         programs: Programs,
         splats: Splats,
         skin: Skin | None,
@@ -83,7 +84,8 @@ class ItemBuffers:
             self.centre = median if np.abs(median).max() > NEAR else np.zeros(3)
         self.rest: moderngl.Texture | None = None
         self._arrays: dict[SkinVariant | Variant, moderngl.VertexArray] = {}
-        self._ctx = ctx
+        ctx = self._ctx = context.ctx
+        self._place = Variant(numbered=int(not context.vertex_ids))
         with ExitStack() as stack:  # releases what was made if a later allocation fails
             self._content: list[tuple[object, ...]] = []
             self._buffers: list[moderngl.Buffer] = []  # static, joints, weights
@@ -91,6 +93,10 @@ class ItemBuffers:
                 rows = np.zeros((self.count, 12), np.float32)
                 self._fill(rows)
                 self.rest = upload_rows(ctx, rows, 3, 4, stack)
+                if self._place.numbered:
+                    self._buffers.append(numbers_of(ctx, self.count))
+                    stack.callback(self._buffers[0].release)
+                    self._content = [(self._buffers[0], "1u4", "number")]
             else:
                 static = np.empty((self.count, 11), np.float32)
                 self._fill(static)
@@ -110,7 +116,7 @@ class ItemBuffers:
     def nbytes(self) -> int:
         """GPU bytes without the bone texture."""
         if self.rest is not None:
-            return self.rest.width * self.rest.height * 16
+            return self.rest.width * self.rest.height * 16 + sum(buffer.size for buffer in self._buffers)
         return sum(buffer.size for buffer in self._buffers)
 
     def anchor(self, place: Placement) -> NDArray[np.float64]:
@@ -121,7 +127,7 @@ class ItemBuffers:
     def prepare(self, place: Placement, origin: NDArray[np.float64], turned: bool, sign: float) -> moderngl.VertexArray:
         """Set bones and uniforms for a run about ``origin`` (world); returns what to draw with transform feedback."""
         if place.bones is None:
-            array = self._array(Variant())
+            array = self._array(self._place)
             program = array.program
             program["turn"] = tuple(place.turn.T.ravel())  # columns
             program["rodrigues"] = tuple(rodrigues_parameters(place.turn))
@@ -178,6 +184,11 @@ class ItemBuffers:
         flat = sh[:, :used].reshape(len(sh), used * 3)
         wanted = COLOUR_TEXELS[degree] * (4 if degree else 3)
         return np.pad(flat, ((0, 0), (0, wanted - flat.shape[1]))) if flat.shape[1] < wanted else flat
+
+
+def numbers_of(ctx: moderngl.Context, count: int) -> moderngl.Buffer:
+    """0, 1, 2 ... as uint32, for drivers whose gl_VertexID does not count (Context.vertex_ids)."""
+    return ctx.buffer(np.arange(max(count, 4), dtype=np.uint32))
 
 
 def upload_rows(
