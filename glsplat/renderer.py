@@ -251,7 +251,7 @@ class Renderer:
         """
         with self._entered("posed"):
             arena = self._scene.arena
-            if not (arena.posed and arena.version):
+            if not (arena.posed and arena.written()):
                 why = "this scene is not skinned or not rendered yet"
                 raise GlsplatError(f"posed() needs an avatar that was rendered; {why}")
             return arena.read()

@@ -31,7 +31,7 @@ FLOORS = [
     ["glsplat.tracking"],
     ["glsplat.shaders"],
     ["glsplat.gl"],
-    ["glsplat.passes.stats", "glsplat.passes.views", "glsplat.passes.block"],
+    ["glsplat.passes.stats", "glsplat.passes.views", "glsplat.passes.block", "glsplat.passes.kept"],
     ["glsplat.passes.item"],
     ["glsplat.passes.arena", "glsplat.passes.target"],
     ["glsplat.passes.frame", "glsplat.passes.target_pool", "glsplat.passes.present"],

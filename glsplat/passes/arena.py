@@ -117,6 +117,10 @@ class Arena:
         self.splats.use(UNITS["splats"])
         self.colours.use(UNITS["colours"])
 
+    def written(self, index: int = 0) -> bool:
+        """Whether the range of an item holds what it was last asked to hold."""
+        return self._written[index] is not None
+
     def read(self, index: int = 0) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
         """World means [N, 3] and shapes [N, 3, 3] of a posed item, on the host."""
         first, item = int(self.first[index]), self.items[index]

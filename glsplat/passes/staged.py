@@ -8,7 +8,6 @@ turns, or several passes of one frame, do not overwrite each other's.
 
 from __future__ import annotations
 
-from collections import OrderedDict
 from collections.abc import Sequence
 
 import numpy as np
@@ -23,6 +22,7 @@ from glsplat.passes.arena import Arena
 from glsplat.passes.frame.pipeline import Pipeline, view_state
 from glsplat.passes.item.buffers import ItemBuffers, Placement
 from glsplat.passes.item.ground import Ground, MeshItem
+from glsplat.passes.kept import Kept
 from glsplat.passes.views import checked_pose
 from glsplat.scene import Item, Scene
 from glsplat.shaders import Programs, Variant, variant_for
@@ -57,9 +57,9 @@ class Staged:
         self._meshes: dict[int, tuple[Item, MeshItem]] = {}
         self._standing: list[tuple[MeshItem, Placement]] = []  # the visible meshes of this frame
         self._standing_version = 0
-        self._grounds: OrderedDict[tuple[tuple[int, int], int, int], Ground] = OrderedDict()
+        self._grounds: Kept[tuple[tuple[int, int], int, int], Ground] = Kept(_PASSES, _KEPT_BYTES)
         self._arena: Arena | None = None
-        self._pipelines: OrderedDict[Key, Pipeline] = OrderedDict()  # the one used last comes last
+        self._pipelines: Kept[Key, Pipeline] = Kept(_KEPT, _KEPT_BYTES)
         self.arenas = 0  # made so far
         try:
             self._stage()
@@ -87,10 +87,9 @@ class Staged:
         """GPU bytes: splats (items and arena), sh, work (keys, order, records)."""
         return {
             "splats": sum(buffers.nbytes for _, buffers in self._items.values()) + self.arena.nbytes,
-            "meshes": sum(mesh.buffers.nbytes for _, mesh in self._meshes.values())
-            + sum(ground.nbytes for ground in self._grounds.values()),
+            "meshes": sum(mesh.buffers.nbytes for _, mesh in self._meshes.values()) + self._grounds.nbytes,
             "sh": self.arena.colour_nbytes,
-            "work": sum(pipeline.nbytes for pipeline in self._pipelines.values()),
+            "work": self._pipelines.nbytes,
         }
 
     def update(self, pose: Pose | None, timer: StageTimer) -> None:
@@ -111,12 +110,7 @@ class Staged:
         if not self._standing:
             return None
         key = ((views[0].width, views[0].height), len(views), min(ordinal, _PASSES - 1))
-        if key not in self._grounds:
-            self._grounds[key] = Ground(self._context, self._programs, *key[:2], dtype)
-            while len(self._grounds) > _PASSES:
-                self._grounds.popitem(last=False)[1].release()
-        self._grounds.move_to_end(key)
-        ground = self._grounds[key]
+        ground = self._grounds.get(key, lambda: Ground(self._context, self._programs, *key[:2], dtype))
         ground.run(views, self._standing, (self._standing_version, tuple(view_state(view) for view in views)))
         timer.mark("mesh")
         return ground
@@ -142,27 +136,21 @@ class Staged:
             numbered=not self._context.vertex_ids,
         )
         key = (variant, (views[0].width, views[0].height), min(ordinal, _PASSES - 1))
-        if key not in self._pipelines:
-            self._pipelines[key] = Pipeline(self._context, self._programs, variant, self.arena, self._config)
-        self._pipelines.move_to_end(key)
-        self._trim()
-        return self._pipelines[key]
+        parts = (self._context, self._programs, variant, self.arena, self._config)
+        return self._pipelines.get(key, lambda: Pipeline(*parts))
 
     def release(self) -> None:
         """Delete everything; may be called twice."""
-        self._drop_pipelines()
-        while self._grounds:
-            self._grounds.popitem()[1].release()
-        for _, mesh in self._meshes.values():
+        self._pipelines.release()
+        self._grounds.release()
+        meshes, self._meshes, self._standing = self._meshes, {}, []
+        for _, mesh in meshes.values():
             mesh.release()
-        self._meshes.clear()
-        self._standing = []
-        if self._arena is not None:
-            self._arena.release()
-            self._arena = None
-        for _, buffers in self._items.values():
+        (arena, self._arena), (items, self._items) = (self._arena, None), (self._items, {})
+        if arena is not None:
+            arena.release()
+        for _, buffers in items.values():
             buffers.release()
-        self._items.clear()
 
     def _stage(self) -> list[Item]:
         """Buffers for what is new, an arena for what is visible; the visible splat items in order.
@@ -177,10 +165,10 @@ class Staged:
         posed = len(visible) != 1 or isinstance(visible[0].content, Avatar) or _moved(visible[0])
         if self._arena is None or self._arena.items != tuple(buffers) or self._arena.posed != posed:
             arena = self._arena_of(buffers, posed)
-            self._drop_pipelines()
-            if self._arena is not None:
-                self._arena.release()
-            self._arena = arena
+            self._pipelines.release()  # they draw the old one
+            old, self._arena = self._arena, arena
+            if old is not None:
+                old.release()
             self.arenas += 1
         present = {id(item) for item in self.scene}
         for gone in [key for key in self._items if key not in present]:
@@ -239,18 +227,6 @@ class Staged:
             wanted = pose if pose is not None and isinstance(item.content, Avatar) else item.pose
             bones = checked_pose(wanted, len(skeleton), "avatar").bones(skeleton)
         return Placement(linear / size, item.transform[:3, 3], size, bones)
-
-    def _trim(self) -> None:
-        while len(self._pipelines) > 1:
-            newest = next(reversed(self._pipelines.values()))
-            others = sum(pipeline.nbytes for pipeline in self._pipelines.values()) - newest.nbytes
-            if len(self._pipelines) <= _KEPT and others <= _KEPT_BYTES:
-                return
-            self._pipelines.popitem(last=False)[1].release()
-
-    def _drop_pipelines(self) -> None:
-        while self._pipelines:
-            self._pipelines.popitem()[1].release()
 
 
 def _moved(item: Item) -> bool:

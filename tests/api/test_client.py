@@ -15,6 +15,7 @@ import aiohttp
 import numpy as np
 import pytest
 
+import glsplat
 from apps.serve import TrackingSolver, make_server
 from glsplat.camera import Camera, head_matrix, look_at, pinhole, stereo_cameras
 from glsplat.config import RenderConfig
@@ -493,7 +494,7 @@ def test_near_and_far_follow_the_avatars_scale():
 def test_the_example_of_the_page_runs():
     text = (Path(__file__).resolve().parents[2] / "docs" / "python.md").read_text(encoding="utf-8")
     code = re.search(r"## A client\n.*?```python\n(.*?)```", text, re.S).group(1)
-    names: dict = {}
+    names: dict = {"glsplat": glsplat}  # the page is one program
     exec(compile(code, "python.md", "exec"), names)
 
     async def main():

@@ -131,7 +131,7 @@ def test_pipelines_are_bounded(renderer_of: Make, monkeypatch: pytest.MonkeyPatc
         renderer.render(eyes(size))
     assert renderer._staged is not None
     assert len(renderer._staged._pipelines) <= staged._KEPT
-    monkeypatch.setattr(staged, "_KEPT_BYTES", 1)
+    monkeypatch.setattr(renderer._staged._pipelines, "_most_bytes", 1)
     renderer.render(eyes(39))
     assert len(renderer._staged._pipelines) == 1
 
