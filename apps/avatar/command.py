@@ -17,7 +17,6 @@ from tqdm import tqdm
 from glsplat.avatar import Avatar
 from glsplat.data import default_avatar
 from glsplat.errors import FormatError, GlsplatError
-from glsplat.evaluate import avatar_score
 from glsplat.formats import load, save
 from glsplat.formats.files import replace_file
 from glsplat.making.cones import ConeConfig, with_cones
@@ -36,6 +35,7 @@ from glsplat.skinning.smplx import JOINT_NAMES
 
 from ..args import motion_of
 from ..usage import UsageError
+from . import score
 
 HELP = "Make avatars from rigged people, import, export and score them, find hidden splats, write the embedded motions."
 EXAMPLE = "glsplat avatar make person.npz -o me.glb --splats 40000"
@@ -86,7 +86,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     export.add_argument("-o", "--out", type=Path, required=True, help="file to write (.ply, .splat, .glb)")
 
     measured = commands.add_parser("score", help="compare an avatar with the textured mesh it was made from")
-    avatar_score.add_arguments(measured)
+    score.add_arguments(measured)
 
     motions = commands.add_parser("motions", help="write the motions that come with glsplat (JSON)")
     motions.add_argument("-o", "--out", type=Path, required=True, help="folder to write to")
@@ -252,7 +252,7 @@ def _score(args: argparse.Namespace) -> int:
     scene = default_avatar() if args.avatar is None else load(args.avatar)
     if not isinstance(scene, Avatar):
         raise FormatError(f"{args.avatar}: has no skeleton to pose; give an avatar (.glb with a skin)")
-    return avatar_score.report(args, scene, _person(args.mesh))
+    return score.report(args, scene, _person(args.mesh))
 
 
 def _motions(args: argparse.Namespace) -> int:

@@ -17,27 +17,26 @@ from typing import Any
 from tqdm import tqdm
 
 from glsplat.errors import FormatError
+from glsplat.evaluate.difference import require_extra
+from glsplat.evaluate.frames import WARM_UP
+from glsplat.evaluate.knobs import Setting, base_config, error_frames, settings_of
 from glsplat.evaluate.machine import machine
+from glsplat.evaluate.sections.batching import batching
+from glsplat.evaluate.sections.growth import Grid, grid_of, growth, growth_cost
+from glsplat.evaluate.sections.hidden import Search, hidden, hidden_cost, with_hidden
+from glsplat.evaluate.sections.left_out import features_of, left_out, unmoved
+from glsplat.evaluate.sections.measure import agreement, agreement_cost, frame_cost, measure, measure_cost
+from glsplat.evaluate.stability.frame import frame_cases, judge
+from glsplat.evaluate.stability.skin import skin_cases
+from glsplat.evaluate.stability.tracking import tracking_cases
+from glsplat.evaluate.subjects import PERSON_SPLATS, Subject, check_cameras, subjects_of
 from glsplat.formats.files import replace_file
 from glsplat.gl.context import Context, create_context
 from glsplat.views import splats_of
 
-from ..bench import WARM_UP
 from ..usage import UsageError
 from . import latency as report_latency
-from .agreement import LOADED, agreement, agreement_cost, verdict
-from .batching import batching
-from .error import require_extra
-from .growth import Grid, grid_of, growth, growth_cost
-from .hidden import Search, hidden, hidden_cost, with_hidden
-from .html import page
-from .knobs import Setting, base_config, error_frames, settings_of
-from .left_out import features_of, left_out, unmoved
-from .measure import frame_cost, measure, measure_cost
-from .stability import frame_cases, judge
-from .stability_skin import skin_cases
-from .stability_tracking import tracking_cases
-from .subjects import PERSON_SPLATS, Subject, check_cameras, subjects_of
+from .html import LOADED, page, verdict
 
 HELP = (
     "Render scenes over a grid of settings, compare with a float64 reference, time every setting in one process, and "

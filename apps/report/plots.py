@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter
 from numpy.typing import NDArray
 
-from .error import PSNR_CAP
+from glsplat.evaluate.difference import PSNR_CAP
 
 __all__ = ["batching_plot", "error_plot", "growth_plot", "hidden_plot", "knob_plot", "left_out_plot"]
 

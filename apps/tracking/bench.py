@@ -6,8 +6,6 @@ import argparse
 import json
 import platform
 import sys
-import time
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -15,28 +13,22 @@ import numpy as np
 from tqdm import tqdm
 
 from glsplat.errors import FormatError
-from glsplat.evaluate.baseline import baseline
-from glsplat.evaluate.tracking_score import Score, mean_score, score
+from glsplat.evaluate.tracking_rows import SOLVERS, Row, rows_of
+from glsplat.evaluate.tracking_score import mean_score
 from glsplat.formats.files import replace_file
-from glsplat.motion.motion import Motion, embedded_motions, load_motion
-from glsplat.skinning.skeleton import Skeleton
-from glsplat.tracking.batch import forward_all
-from glsplat.tracking.derive import derive, truth_from_motion
-from glsplat.tracking.solve.body import Body
-from glsplat.tracking.tracker import Tracker, TrackerConfig
+from glsplat.motion.motion import embedded_motions, load_motion
+from glsplat.tracking.tracker import TrackerConfig
 
 from ..usage import UsageError
+from .options import add_skeleton, skeleton_of
 
 __all__ = ["add_bench"]
 
 BEGIN, END = "<!-- scores: begin -->", "<!-- scores: end -->"
-SOLVERS = ("glued", "naive", "glsplat", "glsplat, head only")
 
 
 def add_bench(commands: Any) -> None:
     """The subcommand's options."""
-    from .command import add_skeleton
-
     command = commands.add_parser("bench", help="score motions against two baselines; writes the table")
     command.add_argument("motions", nargs="*", metavar="MOTION", help="motion files or names (default: the embedded)")
     command.add_argument("--rates", default="30,72,90", help="samples a second, separated by commas")
@@ -47,21 +39,8 @@ def add_bench(commands: Any) -> None:
     command.set_defaults(work=bench)
 
 
-@dataclass(frozen=True)
-class Row:
-    """One clip at one rate, by one solver."""
-
-    clip: str
-    rate: float
-    solver: str
-    score: Score
-    milliseconds: float  # median a sample; NaN where it was not timed
-
-
 def bench(args: argparse.Namespace) -> int:
     """Score everything, print the table."""
-    from .command import skeleton_of
-
     try:
         rates = [float(rate) for rate in args.rates.split(",")]
     except ValueError:
@@ -84,30 +63,6 @@ def bench(args: argparse.Namespace) -> int:
     else:
         print(text)
     return 0
-
-
-def rows_of(name: str, motion: Motion, rate: float, skeleton: Skeleton, config: TrackerConfig) -> list[Row]:
-    """All solvers on one clip at one rate."""
-    truth = truth_from_motion(skeleton, motion.rotations, motion.trans, motion.fps, rate)
-    sole = Body.of(skeleton).sole
-    nan = float("nan")
-    rows = [
-        Row(name, rate, kind, score(baseline(truth, kind), truth.positions, rate, sole), nan)  # type: ignore[arg-type]
-        for kind in SOLVERS[:2]
-    ]
-    samples = derive(skeleton, truth)
-    for head_only in (False, True):
-        tracker = Tracker(skeleton, config=config, head_only=head_only)
-        rotations, trans, spent = np.empty_like(truth.rotations), np.empty_like(truth.trans), []
-        for i, sample in enumerate(samples):
-            start = time.perf_counter()
-            pose = tracker.update(sample)
-            spent.append(time.perf_counter() - start)
-            rotations[i], trans[i] = pose.rotations, pose.trans
-        positions, _ = forward_all(skeleton, rotations, trans)
-        result = score(positions, truth.positions, rate, sole, rotations, truth.rotations)
-        rows.append(Row(name, rate, SOLVERS[2 + head_only], result, float(np.median(spent)) * 1e3))
-    return rows
 
 
 def table(rows: list[Row]) -> str:

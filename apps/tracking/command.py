@@ -12,22 +12,21 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
-from glsplat.avatar import Avatar
-from glsplat.data import default_avatar
-from glsplat.errors import FormatError, PoseError
+from glsplat.errors import PoseError
 from glsplat.evaluate.tracking_score import Score, score
-from glsplat.formats import load
 from glsplat.skinning.pose import Pose
-from glsplat.skinning.skeleton import Skeleton
 from glsplat.tracking.calibration import Calibration, calibrate
 from glsplat.tracking.derive import Disturbance, Truth, derive, disturb, truth_from_motion
-from glsplat.tracking.recording import embedded_recording, read_poses, record, replay, write_lines
+from glsplat.tracking.recording import read_poses, record, replay, write_lines
 from glsplat.tracking.sample import Sample
 from glsplat.tracking.solve.body import Body
-from glsplat.tracking.tracker import Tracker, TrackerConfig
+from glsplat.tracking.tracker import Tracker
 
 from ..args import motion_of, natural, not_negative, positive
 from ..usage import UsageError
+from .bench import add_bench
+from .options import add_recording, add_skeleton, samples_of, skeleton_of, tracker_of
+from .show import add_show
 
 HELP = "Head and hand tracking to a full-body pose: derive it from motions, calibrate, solve, score, show, bench."
 EXAMPLE = "glsplat tracking from-motion walk -o rec.jsonl --truth truth.jsonl --rate 72"
@@ -35,9 +34,6 @@ EXAMPLE = "glsplat tracking from-motion walk -o rec.jsonl --truth truth.jsonl --
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The subcommands."""
-    from .bench import add_bench
-    from .show import add_show
-
     commands = parser.add_subparsers(dest="task", required=True, metavar="TASK")
 
     command = commands.add_parser("from-motion", help="derive head and hand tracking from a full-body motion")
@@ -83,63 +79,6 @@ def run(args: argparse.Namespace) -> int:
     """Do the chosen task."""
     work: Callable[[argparse.Namespace], int] = args.work
     return work(args)
-
-
-def add_skeleton(parser: argparse.ArgumentParser) -> None:
-    """--avatar: whose skeleton."""
-    parser.add_argument("--avatar", metavar="FILE", help="avatar (.glb) or body (.npz with joints); default: embedded")
-
-
-def add_recording(parser: argparse.ArgumentParser) -> None:
-    """A recording, and how to solve it."""
-    parser.add_argument("recording", nargs="?", metavar="RECORDING", help="samples (.jsonl); default: the embedded one")
-    parser.add_argument("--calibration", metavar="JSON", help="from `glsplat tracking calibrate`")
-    parser.add_argument("--height", type=float, help="the user's stature in metres, instead of a calibration")
-    parser.add_argument("--head-only", action="store_true", help="ignore the hands")
-    parser.add_argument("--no-filter", action="store_true", help="switch the One Euro filters off")
-    parser.add_argument("--predict-ms", type=float, default=0.0, help="extrapolate to the time of display (0 to 100)")
-    add_skeleton(parser)
-
-
-def skeleton_of(name: str | None) -> Skeleton:
-    """The skeleton of an avatar file, of a body's .npz, or of the embedded avatar."""
-    if name is None:
-        return default_avatar().skeleton
-    if name.endswith(".npz"):
-        try:
-            with np.load(name, allow_pickle=False) as body:
-                names, parents, joints = body["joint_names"], body["parents"], body["joints"]
-                return Skeleton.from_joints(tuple(map(str, names)), parents, joints)
-        except OSError as error:
-            raise FormatError(f"{name}: cannot read the body ({error.strerror or error})") from None
-        except (KeyError, ValueError) as error:
-            raise FormatError(f"{name}: a body holds joint_names, parents and joints, but {error}") from None
-    scene = load(name)
-    if not isinstance(scene, Avatar):
-        raise FormatError(f"{name}: this scene has no skeleton; give an avatar (.glb with a skin)")
-    return scene.skeleton
-
-
-def samples_of(name: str | None) -> list[Sample]:
-    """The samples of a recording; the embedded one by default."""
-    samples = embedded_recording() if name is None else list(replay(name))
-    if not samples:
-        raise FormatError(f"{name}: expected tracking samples, one JSON object a line, found none")
-    return samples
-
-
-def tracker_of(args: argparse.Namespace, skeleton: Skeleton) -> Tracker:
-    """The tracker that ``add_recording``'s options ask for."""
-    calibration = Calibration()
-    if args.calibration and args.height is not None:
-        raise UsageError("--calibration and --height both tell the user's size; give one of them")
-    if args.calibration:
-        calibration = Calibration.load(args.calibration)
-    elif args.height is not None:
-        calibration = Calibration.of_height(skeleton, args.height)
-    settings = {"prediction": args.predict_ms / 1000}
-    config = TrackerConfig.raw(**settings) if args.no_filter else TrackerConfig(**settings)
-    return Tracker(skeleton, calibration, config, head_only=args.head_only)
 
 
 def from_motion(args: argparse.Namespace) -> int:

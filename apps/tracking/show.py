@@ -26,6 +26,7 @@ from ..args import positive, size
 from ..clip import CLIPS, Clip
 from ..output import label, save_png, stack
 from ..usage import UsageError, output_kind
+from .options import add_recording, samples_of, skeleton_of, tracker_of
 
 __all__ = ["add_show"]
 
@@ -38,8 +39,6 @@ TILES = 10  # moments on a contact sheet
 
 def add_show(commands: Any) -> None:
     """The subcommand's options."""
-    from .command import add_recording
-
     command = commands.add_parser("show", help="pictures of the solved avatar with targets and joints over it")
     add_recording(command)
     command.add_argument(
@@ -55,8 +54,6 @@ def add_show(commands: Any) -> None:
 
 def show(args: argparse.Namespace) -> int:
     """Solve, draw, save."""
-    from .command import samples_of, skeleton_of, tracker_of
-
     target = Path(args.output)
     what = "a clip .mp4 or .webm, a contact sheet .png"
     kind = output_kind("-o", args.output, (*CLIPS, ".png"), what, folder="PNG files")

@@ -101,7 +101,8 @@ class Staged:
                 raise PoseError(f"render() got one pose for {avatars} avatars; set the pose of each item instead")
         places = [self._placement(item, pose) for item in items]
         self._stand(pose)
-        timer.mark("pose")
+        if self._standing or any(place.bones is not None for place in places):
+            timer.mark("pose")
         if self.arena.place(places):
             timer.mark("skin")
 

@@ -15,12 +15,12 @@ pytestmark = pytest.mark.gl
 
 
 def test_bench(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    save(cloud(500), tmp_path / "a.ply")
+    save(cloud(1024), tmp_path / "a.ply")
     assert main(["bench", str(tmp_path / "a.ply"), "--sizes", "32x24", "--frames", "3", "--json"]) == 0
     result = json.loads(capsys.readouterr().out)
     assert {"driver", "machine", "cores", "date", "versions", "commit"} <= set(result)
     (row,) = result["settings"]
-    assert row["kind"] == "static" and row["splats"] == 500 and row["bytes_per_splat"] <= 120
+    assert row["kind"] == "static" and row["splats"] == 1024 and row["bytes_per_splat"] <= 120
     assert 0 < row["floor_ms"]["median"] and row["frame_ms"]["p95"] >= row["frame_ms"]["median"] > 0
     assert "skin" not in row["stages_ms"] and {"key", "sort", "project", "draw", "read"} <= set(row["stages_ms"])
     assert row["gpu_draw_ms"]["median"] >= 0

@@ -16,20 +16,20 @@ import pytest
 from apps.cli import main
 from apps.replay.streaming import STAGES
 from apps.report import command as report
-from apps.report import growth as report_growth
 from apps.report import latency as report_latency
-from apps.report import stability as report_stability
-from apps.report import stability_tracking as report_stability_tracking
-from apps.report import subjects as report_subjects
-from apps.report.batching import PAPER, batching
-from apps.report.growth import Grid
-from apps.report.knobs import settings_of
-from apps.report.left_out import features_of, left_out, unmoved
-from apps.report.stability import Case, Outcome, camera, frame_cases, judge, picture_case
-from apps.report.stability_skin import skin_cases
-from apps.report.stability_tracking import tracking_cases
-from apps.report.subjects import Subject
 from glsplat.errors import GlsplatError
+from glsplat.evaluate import subjects as report_subjects
+from glsplat.evaluate.knobs import settings_of
+from glsplat.evaluate.sections import growth as report_growth
+from glsplat.evaluate.sections.batching import PAPER, batching
+from glsplat.evaluate.sections.growth import Grid
+from glsplat.evaluate.sections.left_out import features_of, left_out, unmoved
+from glsplat.evaluate.stability import frame as report_stability
+from glsplat.evaluate.stability import tracking as report_stability_tracking
+from glsplat.evaluate.stability.frame import Case, Outcome, camera, frame_cases, judge, picture_case
+from glsplat.evaluate.stability.skin import skin_cases
+from glsplat.evaluate.stability.tracking import tracking_cases
+from glsplat.evaluate.subjects import Subject
 from glsplat.formats import save
 from glsplat.gl.context import Context
 from glsplat.skinning.pose import Pose
@@ -137,7 +137,7 @@ def test_a_feature_left_out_changes_no_pixel(context: Context) -> None:
     skin = by_name["skinning"]
     assert set(skin["full"]["passes"]) - set(skin["lean"]["passes"]) == {"pose", "skin"}
     assert skin["full"]["programs"] == skin["lean"]["programs"] + 1
-    assert skin["full"]["buffers"] == skin["lean"]["buffers"] + 3  # joints, weights, posed splats
+    assert skin["full"]["buffers"] == skin["lean"]["buffers"] + 4  # attributes, joints, weights, scratch of the pass
     culled = by_name["hidden splats"]
     assert culled["full"]["buffers"] == culled["lean"]["buffers"] + 1 and culled["full"]["variant"]["cull_hidden"]
     assert by_name["SH degree 3"]["full"]["bytes"]["sh"] > 10 * by_name["SH degree 3"]["lean"]["bytes"]["sh"]

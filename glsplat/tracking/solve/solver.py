@@ -49,6 +49,7 @@ LONGEST_JUMP = 0.7  # seconds; a head out of reach for longer is not a jump (0.7
 HOLD, SINK, REGAIN = 0.25, 0.35, 0.2  # seconds: a lost hand stays, sinks to the side, is taken up again
 TWIST = 0.2  # of the yaw that both hands suggest by which the chest turns further than the pelvis
 RESTING = 1e-3  # metres a planted foot may still be above the floor
+SLOW = 0.125  # seconds; twice that scores worse on motion capture (docs/tracking.md)
 LOWEST_EYE = 0.04  # of the eye height: a head on the floor
 
 __all__ = ["AnalyticSolver", "Solution", "Solver", "Targets"]
@@ -128,7 +129,7 @@ class AnalyticSolver:
         self._placed = False
         self._velocity: Vec = (0.0, 0.0, 0.0)  # of the base, lightly smoothed
         self._travel: Vec = (0.0, 0.0, 0.0)  # horizontal, smoothed over a step
-        self._slow: Vec = (0.0, 0.0, 0.0)  # horizontal, smoothed over a stride: walking or only swaying
+        self._slow: Vec = (0.0, 0.0, 0.0)  # horizontal, smoothed by SLOW more: walking or only swaying
         self._twist = 0.0
         self._memory = (_Memory(), _Memory())
         self._flight = 0.0  # seconds in the air
@@ -199,9 +200,7 @@ class AnalyticSolver:
             return
         self._seen += 1
         least = 1 / self._seen  # a start in mid-walk: the first velocities count at once
-        c = max(1 - exp(-dt / 0.25), least)
-        w, t = self._slow, self._travel
-        self._slow = (w[0] + (t[0] - w[0]) * c, 0.0, w[2] + (t[2] - w[2]) * c)
+        before = self._travel
         k = 1 / max(dt, 1e-4)
         n, p = base, self._before
         now = ((n[0] - p[0]) * k, (n[1] - p[1]) * k, (n[2] - p[2]) * k)
@@ -218,9 +217,8 @@ class AnalyticSolver:
         d = 1 - exp(-dt / 0.8)
         self._origin = o = (o[0] + (base[0] - o[0]) * d, 0.0, o[2] + (base[2] - o[2]) * d)
         self._away = hypot(base[0] - o[0], base[2] - o[2])
-        c = max(1 - exp(-dt / 0.25), least)
-        w, t = self._slow, self._travel
-        self._slow = (w[0] + (t[0] - w[0]) * c, 0.0, w[2] + (t[2] - w[2]) * c)
+        c = max(1 - exp(-0.5 * dt / SLOW), least)  # of half the sample: towards the travel before it, then after it
+        self._slow = _towards(_towards(self._slow, before, c), self._travel, c)
 
     @staticmethod
     def _base(torso: Torso) -> Vec:
@@ -314,3 +312,8 @@ class AnalyticSolver:
             ["head_out_of_reach"] if self._sink > 0.02 else [],
             (feet[0], feet[1]),
         )
+
+
+def _towards(point: Vec, goal: Vec, share: float) -> Vec:
+    """A horizontal vector, by ``share`` of the way."""
+    return (point[0] + (goal[0] - point[0]) * share, 0.0, point[2] + (goal[2] - point[2]) * share)

@@ -12,14 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.data import default_avatar
+from glsplat.evaluate.stability.frame import Case, Outcome
 from glsplat.gl.context import Context
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.tracking import Sample, Tracker
 from glsplat.tracking.solve.body import ELBOWS, FEET, HAND_FRAMES, HEAD, HEAD_FRAME, HIPS, SHOULDERS, WRISTS, Body
 from glsplat.tracking.solve.limits import violation
 from glsplat.tracking.solve.quat import mul, to_quat, yaw_quat
-
-from .stability import Case, Outcome
 
 __all__ = ["tracking_cases"]
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -15,6 +14,9 @@ from glsplat.avatar import Avatar
 from glsplat.camera import Camera, load_cameras
 from glsplat.data import default_avatar
 from glsplat.errors import FormatError, GlsplatError
+from glsplat.evaluate.frames import FOV
+from glsplat.evaluate.levels import merged
+from glsplat.formats import load
 from glsplat.making.importers import nearest_weights
 from glsplat.making.people import read_person
 from glsplat.making.surface import SamplerConfig, make_avatar
@@ -24,10 +26,6 @@ from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.skin import Skin
 from glsplat.splats import Splats
 from glsplat.views import splats_of, view_of, viewing_point
-
-from ..args import load_scene
-from ..bench import FOV
-from .levels import merged
 
 __all__ = ["PERSON_SPLATS", "Subject", "cameras_for", "check_cameras", "dense_person", "orbit", "subjects_of"]
 
@@ -93,7 +91,9 @@ def subjects_of(path: str | None, size: int, cameras: Sequence[str] = ()) -> lis
     """
     if path is not None and Path(path).suffix.lower() == ".npz":
         return [dense_person(Path(path), PERSON_SPLATS, size)]
-    scene = default_avatar() if path is None else load_scene(argparse.Namespace(scene=path))
+    if path is not None and not Path(path).exists():
+        raise FormatError(f"{path}: no such file; give a PLY, .splat or glTF")
+    scene = default_avatar() if path is None else load(path)
     name = "default avatar" if path is None else Path(path).name
     file = cameras_for(Path(path), cameras) if path is not None else None
     if file is not None:

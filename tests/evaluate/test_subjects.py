@@ -8,14 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from apps.report.knobs import Drawn, Setting, base_config, error_frames, settings_of
-from apps.report.levels import cells, merged
-from apps.report.measure import measure
-from apps.report.subjects import Subject, cameras_for, check_cameras, dense_person, subjects_of
 from glsplat import reference
 from glsplat.avatar import Avatar
 from glsplat.config import RenderConfig
 from glsplat.errors import FormatError
+from glsplat.evaluate.knobs import Drawn, Setting, base_config, error_frames, settings_of
+from glsplat.evaluate.levels import cells, merged
+from glsplat.evaluate.sections.measure import measure
+from glsplat.evaluate.subjects import Subject, cameras_for, check_cameras, dense_person, subjects_of
 from glsplat.formats import load, save
 from glsplat.gl.context import Context
 from glsplat.making.surface import SamplerConfig

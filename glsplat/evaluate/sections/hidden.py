@@ -17,16 +17,15 @@ from glsplat.avatar import Avatar
 from glsplat.camera import Camera
 from glsplat.config import RenderConfig
 from glsplat.errors import GlsplatError
+from glsplat.evaluate.difference import Difference
+from glsplat.evaluate.frames import FOV, WARM_UP, Series
+from glsplat.evaluate.sections.measure import Tick, frame_cost
+from glsplat.evaluate.subjects import Subject
 from glsplat.gl.context import Context
 from glsplat.motion.motion import embedded_motions, load_motion
 from glsplat.renderer import Renderer
 from glsplat.skinning.pose import Pose
 from glsplat.views import splats_of, view_of, viewing_point
-
-from ..bench import FOV, WARM_UP, Series
-from .error import Difference
-from .measure import Tick, frame_cost
-from .subjects import Subject
 
 __all__ = ["Search", "hidden", "hidden_cost", "with_hidden"]
 

@@ -8,12 +8,11 @@ from typing import Any
 import numpy as np
 
 from glsplat.config import RenderConfig
+from glsplat.evaluate.frames import STAGES, WARM_UP, Series
+from glsplat.evaluate.sections.measure import Tick
+from glsplat.evaluate.subjects import Subject
 from glsplat.gl.context import Context
 from glsplat.renderer import Renderer
-
-from ..bench import STAGES, WARM_UP, Series
-from .measure import Tick
-from .subjects import Subject
 
 __all__ = ["PAPER", "batching"]
 

@@ -18,14 +18,13 @@ import numpy as np
 from glsplat.avatar import Avatar
 from glsplat.camera import Camera
 from glsplat.data import default_avatar
+from glsplat.evaluate.frames import FOV, STAGES, Series
+from glsplat.evaluate.sections.measure import Tick, frame_cost
+from glsplat.evaluate.subjects import Subject
 from glsplat.gl.context import Context, create_context
 from glsplat.renderer import Renderer
 from glsplat.skinning.skin import Skin
 from glsplat.views import view_of, viewing_point
-
-from ..bench import FOV, STAGES, Series
-from .measure import Tick, frame_cost
-from .subjects import Subject
 
 __all__ = ["Grid", "fitted", "grid_of", "growth", "growth_cost", "resampled"]
 

@@ -13,11 +13,10 @@ from glsplat.avatar import Avatar
 from glsplat.camera import Camera, look_at, pinhole, sorting_camera, stereo_cameras
 from glsplat.config import RenderConfig
 from glsplat.errors import GlsplatError
+from glsplat.evaluate.difference import Difference
 from glsplat.gl.context import Context
 from glsplat.renderer import Renderer
 from glsplat.splats import SH_C0, Splats
-
-from .error import Difference
 
 __all__ = ["Case", "Outcome", "camera", "cloud", "frame_cases", "judge", "picture_case", "refused", "renderer"]
 

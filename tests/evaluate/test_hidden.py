@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from apps.report.hidden import Search, hidden, hidden_cost, with_hidden
-from apps.report.knobs import base_config, settings_of
-from apps.report.subjects import Subject
+from glsplat.evaluate.knobs import base_config, settings_of
+from glsplat.evaluate.sections.hidden import Search, hidden, hidden_cost, with_hidden
+from glsplat.evaluate.subjects import Subject
 from glsplat.gl.context import Context
 from glsplat.splats import Splats
 from tests.scenes import camera, cloud

@@ -8,11 +8,10 @@ from typing import Any
 
 from glsplat.avatar import Avatar
 from glsplat.config import RenderConfig
+from glsplat.evaluate.frames import WARM_UP
+from glsplat.evaluate.subjects import Subject
 from glsplat.gl.context import Context
 from glsplat.views import splats_of
-
-from ..bench import WARM_UP
-from .subjects import Subject
 
 __all__ = ["CONFIG_KNOBS", "LONGEST_PERIOD", "Drawn", "Setting", "base_config", "error_frames", "settings_of"]
 

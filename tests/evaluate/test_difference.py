@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from apps.report.error import PSNR_CAP, Difference, Truth, pareto
-from apps.report.knobs import Drawn, Setting, base_config, settings_of
-from apps.report.measure import _typical, better_than_default, measure
-from apps.report.subjects import Subject
 from glsplat.camera import Camera, look_at, pinhole
 from glsplat.config import RenderConfig
 from glsplat.errors import GlsplatError
+from glsplat.evaluate.difference import PSNR_CAP, Difference, Truth, pareto
+from glsplat.evaluate.knobs import Drawn, Setting, base_config, settings_of
+from glsplat.evaluate.sections.measure import _typical, better_than_default, measure
+from glsplat.evaluate.subjects import Subject
 from glsplat.gl.context import Context
 from glsplat.splats import Splats
 from tests.scenes import cloud, limb, one_splat

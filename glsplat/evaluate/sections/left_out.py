@@ -12,6 +12,9 @@ import numpy as np
 
 from glsplat.avatar import Avatar
 from glsplat.config import RenderConfig
+from glsplat.evaluate.frames import STAGES, WARM_UP, Series
+from glsplat.evaluate.sections.measure import Tick
+from glsplat.evaluate.subjects import Subject
 from glsplat.gl.context import Context
 from glsplat.renderer import Renderer
 from glsplat.skinning.pose import Pose
@@ -19,10 +22,6 @@ from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.skin import Skin
 from glsplat.splats import Splats
 from glsplat.views import splats_of
-
-from ..bench import STAGES, WARM_UP, Series
-from .measure import Tick
-from .subjects import Subject
 
 __all__ = ["Feature", "features_of", "left_out", "unmoved"]
 

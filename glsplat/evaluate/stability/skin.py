@@ -13,13 +13,12 @@ from glsplat import reference
 from glsplat.arrays import restored
 from glsplat.avatar import Avatar
 from glsplat.errors import FormatError, GlsplatError, PoseError
+from glsplat.evaluate.stability.frame import Case, Outcome, camera, refused, renderer
 from glsplat.gl.context import Context
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.skin import Skin
 from glsplat.splats import Splats
-
-from .stability import Case, Outcome, camera, refused, renderer
 
 __all__ = ["chain", "skin_cases"]
 

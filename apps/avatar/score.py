@@ -1,0 +1,127 @@
+"""``glsplat avatar score``: an avatar against the textured mesh it was made from, in poses the fit has not seen."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import simplejpeg
+from numpy.typing import NDArray
+
+from glsplat.avatar import Avatar
+from glsplat.config import RenderConfig
+from glsplat.evaluate.avatar_poses import SCORE_POSES
+from glsplat.evaluate.avatar_score import Score, score
+from glsplat.formats.files import replace_file
+from glsplat.mesh import MeshConfig, MeshRenderer
+from glsplat.meshes import RiggedMesh
+from glsplat.renderer import Renderer
+
+from ..output import eight_bit, label, save_png, stack
+from ..usage import UsageError
+
+__all__ = ["add_arguments", "report"]
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of the subcommand."""
+    parser.add_argument("avatar", type=Path, nargs="?", help="avatar (.glb); default: the embedded avatar")
+    parser.add_argument("--mesh", type=Path, required=True, help="the rigged, textured mesh it shows (.npz, .glb)")
+    parser.add_argument("--poses", type=int, default=len(SCORE_POSES), help=f"poses (default {len(SCORE_POSES)})")
+    parser.add_argument("--views", type=int, default=4, help="views a pose, evenly around (default 4)")
+    parser.add_argument("--size", type=int, default=512, help="pixels, square (default 512)")
+    parser.add_argument(
+        "--antialias",
+        action=argparse.BooleanOptionalAction,
+        help="draw the avatar with opacity compensation (default: what the file asks for)",
+    )
+    parser.add_argument("--grey", type=float, default=0.0, help="background, 0 black (default) to 1 white")
+    parser.add_argument("--sheet", type=Path, help="contact sheet to write (.png, .jpg): avatar, mesh, 4 x difference")
+    parser.add_argument("--json", action="store_true", help="print the figures of every picture as JSON")
+
+
+def report(args: argparse.Namespace, avatar: Avatar, mesh: RiggedMesh) -> int:
+    """Score, print, write the sheet; 0 on success."""
+    if not 1 <= args.poses <= len(SCORE_POSES):
+        raise UsageError(f"--poses needs 1 to {len(SCORE_POSES)}, not {args.poses}")
+    if not 1 <= args.views <= 360:
+        raise UsageError(f"--views needs 1 to 360, not {args.views}")
+    if not 32 <= args.size <= 4096:
+        raise UsageError(f"--size needs 32 to 4096, not {args.size}")
+    if not 0 <= args.grey <= 1:
+        raise UsageError(f"--grey needs 0 to 1, not {args.grey}")
+    if args.sheet is not None and args.sheet.suffix.lower() not in (".png", ".jpg", ".jpeg"):
+        raise UsageError(f"{args.sheet}: a contact sheet is written as .png or .jpg; change the name")
+    names = list(SCORE_POSES)[: args.poses]
+    with MeshRenderer(mesh, size=(args.size,) * 2, config=MeshConfig(output="float32")) as truth:
+        config = RenderConfig(output="float32", antialias=args.antialias)
+        with Renderer(avatar, size=(args.size,) * 2, config=config, context=truth.context) as renderer:
+            scores = list(score(renderer, truth, avatar, mesh, names, args.views, args.grey))
+            driver = renderer.driver
+    if args.sheet is not None:
+        _write_sheet(args.sheet, scores, args.views)
+    body, ssim = np.array([s.body for s in scores]), np.array([s.ssim for s in scores])
+    hands = np.array([s.hands for s in scores if s.hands is not None])
+    facts = {
+        "splats": len(avatar.splats),
+        "driver": driver,
+        "antialias": avatar.splats.antialias if args.antialias is None else args.antialias,
+        "size": args.size,
+        "pictures": len(scores),
+        "body_psnr": _summary(body),
+        "hands_psnr": _summary(hands) if len(hands) else None,
+        "ssim": _summary(ssim, 4),
+        "milliseconds": round(float(np.median([s.milliseconds for s in scores])), 2),
+    }
+    if args.json:
+        each = [
+            {"pose": s.pose, "azimuth": s.azimuth, "body_psnr": s.body, "hands_psnr": s.hands, "ssim": s.ssim}
+            for s in scores
+        ]
+        print(json.dumps({**facts, "each": each}))
+        return 0
+    print(f"{len(avatar.splats)} splats, {args.poses} poses x {args.views} views at {args.size}^2, {driver}")
+    for name in names:
+        mine = [s for s in scores if s.pose == name]
+        worst = min(s.hands if s.hands is not None else np.nan for s in mine)
+        print(
+            f"  {name:18} body {min(s.body for s in mine):5.1f} dB  hands {worst:5.1f} dB  "
+            f"SSIM {min(s.ssim for s in mine):.4f}  (worst view)"
+        )
+    print(
+        f"body: {body.min():.1f} dB at worst, {body.mean():.1f} mean; SSIM {ssim.min():.4f}, {ssim.mean():.4f}", end=""
+    )
+    print(f"; hands {hands.min():.1f}, {hands.mean():.1f} dB" if len(hands) else "", end="")
+    print(f"; {facts['milliseconds']} ms a picture (median)")
+    return 0
+
+
+def _summary(values: NDArray[np.float64], digits: int = 2) -> dict[str, float]:
+    return {"min": round(float(values.min()), digits), "mean": round(float(values.mean()), digits)}
+
+
+def _write_sheet(path: Path, scores: list[Score], views: int) -> None:
+    """A row a pose, for each view the avatar, the mesh and four times their difference, at half size."""
+    rows = []
+    for first in range(0, len(scores), views):
+        row = []
+        for s in scores[first : first + views]:
+            hands = "" if s.hands is None else f", hands {s.hands:.1f}"
+            text = f"{s.pose}: {s.body:.1f}{hands} dB, {s.ssim:.3f}"
+            for picture, words in (
+                (s.avatar, text),
+                (s.mesh, "mesh"),
+                (4 * np.abs(s.avatar - s.mesh), "4 x difference"),
+            ):
+                size = (picture.shape[1] // 2, picture.shape[0] // 2)
+                row.append(label(eight_bit(cv2.resize(picture, size, interpolation=cv2.INTER_AREA)), words))
+        rows.append(row)
+    sheet = stack(rows, 2)
+    if path.suffix.lower() == ".png":
+        save_png(path, sheet)
+    else:
+        data = simplejpeg.encode_jpeg(np.ascontiguousarray(sheet), 88, "RGB", "444")
+        replace_file(path, [data])

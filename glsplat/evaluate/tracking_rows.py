@@ -1,0 +1,56 @@
+"""Head and hands of a true motion through the tracker and two baselines: scores and times of a clip."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+
+import numpy as np
+
+from glsplat.evaluate.baseline import baseline
+from glsplat.evaluate.tracking_score import Score, score
+from glsplat.motion.motion import Motion
+from glsplat.skinning.skeleton import Skeleton
+from glsplat.tracking.batch import forward_all
+from glsplat.tracking.derive import derive, truth_from_motion
+from glsplat.tracking.solve.body import Body
+from glsplat.tracking.tracker import Tracker, TrackerConfig
+
+__all__ = ["SOLVERS", "Row", "rows_of"]
+
+SOLVERS = ("glued", "naive", "glsplat", "glsplat, head only")
+
+
+@dataclass(frozen=True)
+class Row:
+    """One clip at one rate, by one solver."""
+
+    clip: str
+    rate: float
+    solver: str
+    score: Score
+    milliseconds: float  # median a sample; NaN where it was not timed
+
+
+def rows_of(name: str, motion: Motion, rate: float, skeleton: Skeleton, config: TrackerConfig) -> list[Row]:
+    """All solvers on one clip at one rate."""
+    truth = truth_from_motion(skeleton, motion.rotations, motion.trans, motion.fps, rate)
+    sole = Body.of(skeleton).sole
+    nan = float("nan")
+    rows = [
+        Row(name, rate, kind, score(baseline(truth, kind), truth.positions, rate, sole), nan)  # type: ignore[arg-type]
+        for kind in SOLVERS[:2]
+    ]
+    samples = derive(skeleton, truth)
+    for head_only in (False, True):
+        tracker = Tracker(skeleton, config=config, head_only=head_only)
+        rotations, trans, spent = np.empty_like(truth.rotations), np.empty_like(truth.trans), []
+        for i, sample in enumerate(samples):
+            start = time.perf_counter()
+            pose = tracker.update(sample)
+            spent.append(time.perf_counter() - start)
+            rotations[i], trans[i] = pose.rotations, pose.trans
+        positions, _ = forward_all(skeleton, rotations, trans)
+        result = score(positions, truth.positions, rate, sole, rotations, truth.rotations)
+        rows.append(Row(name, rate, SOLVERS[2 + head_only], result, float(np.median(spent)) * 1e3))
+    return rows
