@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import ExitStack
 from typing import Any
 
 import moderngl
@@ -36,14 +37,19 @@ class Target:
     ) -> None:
         self.shape: tuple[int, int, int, int] = (views, height, width, 4)
         self.numpy_dtype: np.dtype[Any] = np.dtype(_NUMPY[dtype])
-        self.texture: moderngl.TextureArray = ctx.texture_array((width, height, views), 4, dtype=dtype)
-        self.texture.filter = (moderngl.NEAREST, moderngl.NEAREST)
-        self.depth: moderngl.TextureArray | None = None
-        if depth:
-            self.depth = ctx.texture_array((width, height, views), 1, dtype="f4")
-            self.depth.filter = (moderngl.NEAREST, moderngl.NEAREST)
-        attached = [self.texture] if self.depth is None else [self.texture, self.depth]
-        self.framebuffer: moderngl.Framebuffer = _framebuffer(ctx, *attached)
+        with ExitStack() as stack:  # releases what was made if a later allocation fails
+            self.texture: moderngl.TextureArray = ctx.texture_array((width, height, views), 4, dtype=dtype)
+            stack.callback(self.texture.release)
+            self.texture.filter = (moderngl.NEAREST, moderngl.NEAREST)
+            self.depth: moderngl.TextureArray | None = None
+            if depth:
+                self.depth = ctx.texture_array((width, height, views), 1, dtype="f4")
+                stack.callback(self.depth.release)
+                self.depth.filter = (moderngl.NEAREST, moderngl.NEAREST)
+            attached = [self.texture] if self.depth is None else [self.texture, self.depth]
+            self.framebuffer: moderngl.Framebuffer = _framebuffer(ctx, *attached)
+            stack.callback(self.framebuffer.release)
+            self._owned = stack.pop_all()
 
     def read_depth(self) -> NDArray[np.float32]:
         """[V, H, W] expected camera z in metres, 0 where nothing was drawn."""
@@ -81,10 +87,7 @@ class Target:
 
     def release(self) -> None:
         """Delete framebuffer and textures."""
-        self.framebuffer.release()
-        self.texture.release()
-        if self.depth is not None:
-            self.depth.release()
+        self._owned.close()
 
 
 class ByteTarget:
@@ -92,8 +95,12 @@ class ByteTarget:
 
     def __init__(self, ctx: moderngl.Context, width: int, height: int, views: int) -> None:
         self.shape: tuple[int, int, int, int] = (views, height, width, 4)
-        self.texture: moderngl.Texture = ctx.texture((width, height * views), 4)
-        self.framebuffer: moderngl.Framebuffer = _framebuffer(ctx, self.texture)
+        with ExitStack() as stack:  # releases what was made if a later allocation fails
+            self.texture: moderngl.Texture = ctx.texture((width, height * views), 4)
+            stack.callback(self.texture.release)
+            self.framebuffer: moderngl.Framebuffer = _framebuffer(ctx, self.texture)
+            stack.callback(self.framebuffer.release)
+            self._owned = stack.pop_all()
 
     def read(self, out: NDArray[np.uint8], box: Box) -> None:
         """Copy the pixels of ``box`` of every view into ``out`` [V, H, W, 4] and fill the rest with the background.
@@ -119,8 +126,7 @@ class ByteTarget:
 
     def release(self) -> None:
         """Delete framebuffer and texture."""
-        self.framebuffer.release()
-        self.texture.release()
+        self._owned.close()
 
 
 class Clear:
@@ -183,8 +189,6 @@ def _framebuffer(ctx: moderngl.Context, *textures: moderngl.Texture | moderngl.T
         return ctx.framebuffer(list(textures))
     except moderngl.Error:
         size = "x".join(map(str, textures[0].size))
-        for texture in textures:
-            texture.release()
         raise ContextError(
             f"the driver cannot make a target of {size}; is there enough memory? use a smaller size"
         ) from None

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from contextlib import ExitStack
+
 import moderngl
 import numpy as np
 
@@ -38,10 +40,14 @@ class GpuSorter:
         self._shifts = range(32 - bits, 32, DIGIT)
         self._buffers = (keys, order, scratch)
         self._groups = max(1, -(-count // BLOCK))
-        self._histogram = ctx.buffer(reserve=16 * self._groups * 4)
-        # indirect draw (4 uints), counts by cull code (8), cost (2), 2 to spare
-        self.indirect: moderngl.Buffer = ctx.buffer(reserve=64)
-        self._stages = {name: programs.compute(f"radix_{name}") for name in ("init", "count", "scan", "scatter")}
+        with ExitStack() as stack:  # releases what was made if a later allocation fails
+            self._histogram = ctx.buffer(reserve=16 * self._groups * 4)
+            stack.callback(self._histogram.release)
+            # indirect draw (4 uints), counts by cull code (8), cost (2), 2 to spare
+            self.indirect: moderngl.Buffer = ctx.buffer(reserve=64)
+            stack.callback(self.indirect.release)
+            self._stages = {name: programs.compute(f"radix_{name}") for name in ("init", "count", "scan", "scatter")}
+            self._owned = stack.pop_all()
 
     @staticmethod
     def fits(ctx: moderngl.Context, scratch: moderngl.Buffer) -> bool:
@@ -82,5 +88,4 @@ class GpuSorter:
 
     def release(self) -> None:
         """Delete the histogram and the counters."""
-        self._histogram.release()
-        self.indirect.release()
+        self._owned.close()

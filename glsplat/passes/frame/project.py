@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from contextlib import ExitStack
+
 import moderngl
 import numpy as np
 from numpy.typing import NDArray
@@ -35,9 +37,14 @@ class ProjectPass:
                 varyings.append(base)
         program = programs.feedback("project", variant, varyings)
         self.count: int = 0
-        self.order: moderngl.Buffer = ctx.buffer(reserve=max(16, count * 4), dynamic=True)
-        self.records: moderngl.Buffer = ctx.buffer(reserve=max(16, count * variant.record_floats * 4))
-        self._array = ctx.vertex_array(program, [(self.order, "1u4", "order")])
+        with ExitStack() as stack:  # releases what was made if a later allocation fails
+            self.order: moderngl.Buffer = ctx.buffer(reserve=max(16, count * 4), dynamic=True)
+            stack.callback(self.order.release)
+            self.records: moderngl.Buffer = ctx.buffer(reserve=max(16, count * variant.record_floats * 4))
+            stack.callback(self.records.release)
+            self._array = ctx.vertex_array(program, [(self.order, "1u4", "order")])
+            stack.callback(self._array.release)
+            self._owned = stack.pop_all()
 
     def write_order(self, order: NDArray[np.uint32]) -> None:
         """Set the splats to draw and their order (indices, far to near)."""
@@ -52,6 +59,4 @@ class ProjectPass:
 
     def release(self) -> None:
         """Delete the order, the records and the vertex array."""
-        self._array.release()
-        self.order.release()
-        self.records.release()
+        self._owned.close()

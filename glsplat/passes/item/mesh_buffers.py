@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from contextlib import ExitStack
+
 import moderngl
 import numpy as np
 from numpy.typing import NDArray
@@ -35,12 +37,20 @@ class MeshBuffers:
             self.ranges.append((first, faces.size))  # of the index buffer
             base, first = base + len(block), first + faces.size
         self.triangles: int = first // 3
-        self.vertices: moderngl.Buffer = ctx.buffer(np.concatenate(vertices))
-        self.faces: moderngl.Buffer = ctx.buffer(np.concatenate(triangles).astype(np.uint32))
-        self.textures: list[moderngl.Texture] = [_texture(ctx, part, anisotropy) for part in mesh.parts]
         self.cutouts: list[bool] = [part.cutout for part in mesh.parts]
-        self.bones: moderngl.Texture = ctx.texture((3, len(mesh.skeleton)), 4, dtype="f4")
-        self.bones.filter = (moderngl.NEAREST, moderngl.NEAREST)
+        with ExitStack() as stack:  # releases what was made if a later allocation fails
+            self.vertices: moderngl.Buffer = ctx.buffer(np.concatenate(vertices))
+            stack.callback(self.vertices.release)
+            self.faces: moderngl.Buffer = ctx.buffer(np.concatenate(triangles).astype(np.uint32))
+            stack.callback(self.faces.release)
+            self.textures: list[moderngl.Texture] = []
+            for part in mesh.parts:
+                self.textures.append(_texture(ctx, part, anisotropy))
+                stack.callback(self.textures[-1].release)
+            self.bones: moderngl.Texture = ctx.texture((3, len(mesh.skeleton)), 4, dtype="f4")
+            stack.callback(self.bones.release)
+            self.bones.filter = (moderngl.NEAREST, moderngl.NEAREST)
+            self._owned = stack.pop_all()
 
     @property
     def content(self) -> tuple[object, ...]:
@@ -55,10 +65,7 @@ class MeshBuffers:
 
     def release(self) -> None:
         """Delete buffers and textures."""
-        self.vertices.release()
-        self.faces.release()
-        for texture in (self.bones, *self.textures):
-            texture.release()
+        self._owned.close()
 
 
 def corners(part: MeshPart) -> tuple[NDArray[np.int32], NDArray[np.float32], NDArray[np.int64]]:
