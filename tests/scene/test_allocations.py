@@ -178,7 +178,7 @@ def test_an_item_that_does_not_fit_can_be_taken_out_again(driver: tuple[Context,
             scene.add(extra)
             renderer.render(eyes(SIZE))
 
-        for _ in range(2):  # vertex arrays and grounds are kept for the next time, but never twice
+        for _ in range(3):  # vertex arrays and grounds are kept for the next time, but never twice
             counts = []
             for times in short.each(added):
                 scene.remove(extra)
@@ -187,5 +187,5 @@ def test_an_item_that_does_not_fit_can_be_taken_out_again(driver: tuple[Context,
             scene.remove(extra)
             renderer.render(eyes(SIZE))
             most.append(max(counts))
-        assert len(counts) >= 3 and most[1] <= most[0]
+        assert len(counts) >= 3 and most[2] == most[1] >= most[0]
     assert not short.left()
