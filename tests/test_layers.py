@@ -7,6 +7,7 @@ import importlib.util
 import subprocess
 import sys
 import tomllib
+from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
@@ -86,6 +87,8 @@ def imports_of(module: str) -> frozenset[str]:
             start = ".".join([*base, *([node.module] if node.module else [])])
             for alias in node.names:  # `from room import module` imports the module, else the name's home
                 inner = own(f"{start}.{alias.name}")
+                if start == ROOT_INIT and alias.name in glsplat._HOME:
+                    inner = f"{ROOT_INIT}.{glsplat._HOME[alias.name]}"
                 found.add(inner if inner in FILES else own(start))
     return frozenset(found - {module})
 
@@ -107,6 +110,7 @@ def test_imports_go_down(module: str) -> None:
         for start, forbidden in FORBIDDEN.items():
             if module == start or module.startswith(f"{start}."):
                 assert name.split(".")[0] not in forbidden, f"{module} imports {name}"
+        assert name != ROOT_INIT or not module.startswith(f"{ROOT_INIT}."), f"{module} imports the root"
         if name == ROOT_INIT or name not in FILES:
             continue
         other = room_of(name)
@@ -131,6 +135,66 @@ def test_no_circle() -> None:
     for module in FILES:
         walk(module, ())
     assert len(done) > 200
+
+
+PLANTED = [
+    ("glsplat.camera", "from glsplat import Renderer"),  # from the root, which knows all
+    ("glsplat.camera", "from glsplat import Scene as S, Splats"),
+    ("glsplat.camera", "import glsplat"),
+    ("glsplat.camera", "import glsplat.renderer as r"),
+    ("glsplat.camera", "from . import renderer"),
+    ("glsplat.skinning.skin", "from ..passes.frame import key"),
+    ("glsplat.skinning.skin", "def f():\n    from glsplat.formats.gltf import load_gltf"),  # in a function
+    ("glsplat.net.session", "class A:\n    def f(self):\n        import moderngl"),
+    ("glsplat.net.session", "if False:\n    from glsplat.evaluate.machine import machine"),
+    ("glsplat.tracking.sample", "import cv2.aruco"),
+    ("glsplat.passes.arena", "from glsplat import reference"),
+    ("glsplat.evaluate.frames", "from apps.output import label"),
+    ("glsplat.evaluate.frames", "from glsplat_apps.output import label"),
+    ("glsplat.evaluate.frames", "from tests.scenes import cloud"),
+    ("apps.output", "from tests.scenes import cloud"),
+    ("apps.report.plots", "from glsplat.reference import skin"),
+]
+
+
+@pytest.mark.parametrize(("module", "line"), PLANTED)
+def test_a_planted_import_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, module: str, line: str) -> None:
+    test_imports_go_down(module)
+    plant(tmp_path, monkeypatch, {module: line})
+    with pytest.raises(AssertionError, match=f"{module} imports"):
+        test_imports_go_down(module)
+
+
+@pytest.mark.parametrize(
+    "lines",
+    [
+        {"apps.tracking.options": "from .command import run"},
+        {"apps.output": "def f():\n    from . import render"},
+        {"tests.scenes": "from tests.compare import assert_close", "tests.compare": "import tests.scenes"},
+        {"glsplat.net.session": "from glsplat.net import server"},
+    ],
+)
+def test_a_planted_circle_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, lines: dict[str, str]) -> None:
+    plant(tmp_path, monkeypatch, lines)
+    with pytest.raises(AssertionError, match=" > "):
+        test_no_circle()
+
+
+def plant(folder: Path, monkeypatch: pytest.MonkeyPatch, lines: dict[str, str]) -> None:
+    """Lines at the end of copies of modules, which stand for the modules until the test is over."""
+    for module, line in lines.items():
+        copy = folder / module / FILES[module].name
+        copy.parent.mkdir()
+        copy.write_text(f"{FILES[module].read_text()}\n{line}\n")
+        monkeypatch.setitem(FILES, module, copy)
+    imports_of.cache_clear()
+
+
+@pytest.fixture(autouse=True)
+def _read_again(request: pytest.FixtureRequest) -> Iterator[None]:
+    yield
+    if "planted" in request.node.name:
+        imports_of.cache_clear()
 
 
 def test_the_rules_can_fail() -> None:
