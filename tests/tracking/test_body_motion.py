@@ -14,6 +14,7 @@ from glsplat.tracking import Sample, Solution, Targets, Tracker, TrackerConfig
 from glsplat.tracking.derive import derive, truth_from_motion
 from glsplat.tracking.solve.body import ELBOWS, FEET, HEAD, KNEES, SHOULDERS, WRISTS, Body
 from glsplat.tracking.solve.quat import IDENTITY
+from glsplat.tracking.solve.solver import SLOW, AnalyticSolver
 from tests.tracking.moves import DT, Run, Stage, Track, hand_turn, head_turn, seconds
 
 
@@ -186,3 +187,16 @@ def test_motion_capture_comes_back(skeleton: Skeleton, shared_data, clip: str) -
     result = measured(skeleton, str(shared_data / "mocap" / clip), 72.0)
     limit = 5.5 if clip == "cmu_02_01.amc" else 9.0  # walking; jumping
     assert result.mpjpe < limit and result.hands < 1.5 and result.skate < 1 and result.penetration < 0.2
+
+
+@pytest.mark.parametrize("rate", [30.0, 72.0, 90.0, 240.0])
+def test_the_slow_speed_lags_by_its_time_constant(body: Body, rate: float) -> None:
+    """The mean delay of a first-order low pass is its time constant, whatever the rate; here behind the travel."""
+    solver, dt = AnalyticSolver(body), 1 / rate
+    lag = at = 0.0
+    for step in range(round(8 * rate)):
+        at += dt * (step > 3 * rate)  # stands, then goes at 1 m/s
+        solver._motion((at, 0.0, 0.0), dt)
+        lag += (solver._travel[0] - solver._slow[0]) * dt
+    assert solver._slow[0] == pytest.approx(1, abs=1e-6)
+    assert SLOW == 0.125 and lag == pytest.approx(SLOW, abs=0.6 * dt)

@@ -89,7 +89,7 @@ class Legs:
         pelvis: Quat,
         yaw: float,
         velocity: Vec,
-        slow: Vec,  # m/s over the last stride
+        slow: Vec,  # m/s, smoothed for some 0.3 s in all: walking or only swaying
         speed: float,
         dt: float,
     ) -> list[tuple[Quat, Quat, Quat]]:
