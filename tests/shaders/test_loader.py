@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from importlib import resources
 
 import moderngl
@@ -129,6 +129,52 @@ def rows() -> list[Variant]:
 
 
 ROWS = rows()
+SKINS = [SkinVariant(influences=k, raw=raw, turned=turned) for k in (1, 2, 4, 8) for raw in (0, 1) for turned in (0, 1)]
+MESHES = [MeshVariant(views=views) for views in (1, 2)]
+
+
+def kept(text: str, defines: dict[str, int]) -> set[tuple[int, bool]]:
+    """(line of an #if or #elif, what it decides) for conditions that these flags reach; {} for other flags."""
+    out, stack = set(), [(True, False)]  # a level: this branch is kept; one of its branches was
+    for number, line in enumerate(text.splitlines(), 1):
+        word, _, rest = line.strip().partition(" ")
+        if word == "#endif":
+            stack.pop()
+        elif word in ("#if", "#elif", "#else"):
+            _, done = (False, False) if word == "#if" else stack.pop()
+            reached, yes = stack[-1][0] and not done, True
+            if word != "#else" and reached:
+                condition = rest.split("//")[0].replace("&&", " and ").replace("||", " or ")
+                yes = bool(eval(re.sub(r"!(?!=)", " not ", condition), dict(defines)))
+                out.add((number, yes))
+            stack.append((reached and yes, done or (reached and yes)))
+    return out
+
+
+def missed(rows: Sequence[Variant | SkinVariant | MeshVariant]) -> list[str]:
+    """Conditions of the shaders that these rows never make true, or never false."""
+    out = []
+    for file in FILES:
+        text = file.read_text()
+        conditions = [n for n, line in enumerate(text.splitlines(), 1) if re.match(r"\s*#\s*(el)?if\b", line)]
+        reached: set[tuple[int, bool]] = set()
+        for row in rows:
+            try:
+                reached |= kept(text, row.defines())
+            except NameError:  # a file for flags of another kind
+                continue
+        wanted = {(number, value) for number in conditions for value in (True, False)}
+        out += [f"{file.name}:{number} {value}" for number, value in sorted(wanted - reached)]
+    return out
+
+
+def test_the_rows_reach_every_branch() -> None:
+    windows = {"present.frag.glsl"}  # its flags are no variant's: tests/apps/preview draws all of them
+    rest = [line for line in missed([*ROWS, *SKINS, *MESHES]) if line.split(":")[0] not in windows]
+    assert not rest
+    for flag in ("depth", "occluded", "cull_hidden", "antialias", "geometry", "triangle", "posed", "cut", "numbered"):
+        fewer = [row for row in ROWS if not getattr(row, flag)]
+        assert len(missed([*fewer, *SKINS, *MESHES])) > len(missed([*ROWS, *SKINS, *MESHES])), flag
 
 
 @pytest.mark.gl
@@ -144,11 +190,10 @@ def test_the_variants_that_matter_compile(gl: Context) -> None:
     posed = ("posed_mean", "posed_x", "posed_y", "posed_z")
     for numbered in (0, 1):
         programs.feedback("place", Variant(numbered=numbered), posed)
-    for influences in (1, 2, 4, 8):
-        for raw, turned in ((0, 0), (0, 1), (1, 0), (1, 1)):
-            programs.feedback("skin", SkinVariant(influences=influences, raw=raw, turned=turned), posed)
-    for views in (1, 2):
-        programs.draw("ground", "ground", MeshVariant(views=views))
+    for skin in SKINS:
+        programs.feedback("skin", skin, posed)
+    for mesh in MESHES:
+        programs.draw("ground", "ground", mesh)
     programs.release()
 
 
