@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -16,13 +16,15 @@ from glsplat.avatar import Avatar
 from glsplat.camera import Camera
 from glsplat.config import RenderConfig
 from glsplat.evaluate.machine import machine
+from glsplat.formats.scene_file import SceneFile
 from glsplat.gl.context import Context, create_context
+from glsplat.meshes import RiggedMesh
 from glsplat.renderer import Renderer
+from glsplat.scene import Content, Shown
 from glsplat.skinning.pose import Pose
-from glsplat.splats import Splats
 from glsplat.views import splats_of, view_of, viewing_point
 
-from .args import add_scene, load_scene, motion_of, size
+from .args import add_scene, motion_of, open_scene, single, size
 from .usage import UsageError
 
 HELP = (
@@ -69,16 +71,19 @@ def run(args: argparse.Namespace) -> int:
     """Measure and print."""
     if args.frames < 3:
         raise UsageError(f"--frames needs at least 3, not {args.frames}")
-    scene = load_scene(args)
+    file = open_scene(args)
+    scene = single(file)
     context = create_context(args.device)
     try:
         bench = Bench(context, args)
-        settings = [(s, pixels, views) for s in bench.kinds(scene) for pixels in args.sizes for views in args.views]
+        settings = [
+            (s, pixels, views) for s in bench.kinds(scene, file) for pixels in args.sizes for views in args.views
+        ]
         progress = tqdm(total=len(settings) + 1, unit="setting", disable=args.json or not sys.stderr.isatty())
         rows = []
         for (kind, model, poses), pixels, views in settings:
             progress.set_description(f"{kind} {views} x {pixels[0]}x{pixels[1]}")
-            rows.append(bench.setting(kind, model, poses, pixels, views))
+            rows.append(bench.setting(kind, model, poses, pixels, views, file.pose_at if model is file.scene else None))
             progress.update()
         skins = bench.influences(scene) if isinstance(scene, Avatar) and not args.static else []
         progress.update()
@@ -98,17 +103,25 @@ class Bench:
         self._context, self._args = context, args
         self._config = RenderConfig(target=args.float_target, sorter=args.sorter)
 
-    def kinds(self, scene: Splats | Avatar) -> list[tuple[str, Splats | Avatar, list[Pose | None]]]:
-        """(name, scene, poses): static, and for avatars in motion as well."""
+    def kinds(self, scene: Content | None, file: SceneFile) -> list[tuple[str, Shown, list[Pose | None]]]:
+        """(name, scene, poses): static, and for avatars in motion as well; a scene of several things as it plays."""
         frames = self._args.frames + WARM_UP
-        out: list[tuple[str, Splats | Avatar, list[Pose | None]]] = [("static", splats_of(scene), [None] * frames)]
+        if scene is None or isinstance(scene, RiggedMesh):
+            return [("in motion" if file.motions else "static", file.scene, [None] * frames)]
+        out: list[tuple[str, Shown, list[Pose | None]]] = [("static", splats_of(scene), [None] * frames)]
         if isinstance(scene, Avatar) and not self._args.static:
             motion = motion_of(self._args.motion, scene.skeleton)
             out.append(("in motion", scene, [motion.at(i / 30) for i in range(frames)]))
         return out
 
     def setting(
-        self, kind: str, scene: Splats | Avatar, poses: list[Pose | None], pixels: tuple[int, int], views: int
+        self,
+        kind: str,
+        scene: Shown,
+        poses: list[Pose | None],
+        pixels: tuple[int, int],
+        views: int,
+        pose_at: Callable[[float], None] | None = None,  # plays the motions of the scene, in seconds
     ) -> dict[str, Any]:
         """Whole frame, draw floor, stages, and the pair (or the one view) against single renders."""
         pair, single, staged = (
@@ -119,6 +132,8 @@ class Bench:
         stages: dict[str, list[float]] = {}
         for i, pose in enumerate(poses):
             eyes = self._eyes(scene, pixels, i)[:views]
+            if pose_at is not None:
+                pose_at(i / 30)
             pair.render(eyes, pose)
             total = pair.timings["total"]
             with query:
@@ -141,7 +156,8 @@ class Bench:
             still_apart.append(unmoved_apart)
             for stage in STAGES:
                 stages.setdefault(stage, []).append(staged.timings.get(stage, 0.0))
-        count, stats, memory = len(splats_of(scene)), pair.stats, pair.nbytes()
+        stats, memory = pair.stats, pair.nbytes()
+        count = stats.splats
         row = {
             "kind": kind,
             "size": list(pixels),
@@ -210,10 +226,10 @@ class Bench:
             total += renderer.timings["total"]
         return total
 
-    def _renderer(self, scene: Splats | Avatar, pixels: tuple[int, int], views: int, timed: int) -> Renderer:
+    def _renderer(self, scene: Shown, pixels: tuple[int, int], views: int, timed: int) -> Renderer:
         return Renderer(scene, size=pixels, views=views, config=self._config, context=self._context, timed=bool(timed))
 
-    def _eyes(self, scene: Splats | Avatar, pixels: tuple[int, int], frame: int) -> list[Camera]:
+    def _eyes(self, scene: Shown, pixels: tuple[int, int], frame: int) -> list[Camera]:
         """The pair of a head that orbits one degree a frame."""
         eye, target = viewing_point(scene, FOV)
         x, y, z = eye - target
