@@ -6,6 +6,7 @@ import struct
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from glsplat.errors import FormatError
 from glsplat.formats import load
@@ -66,9 +67,14 @@ def _read_obj(path: Path) -> RiggedMesh:
             obj = parse_obj(text)
         except (ValueError, IndexError) as error:
             raise FormatError(f"not a usable OBJ ({str(error)[:80]})") from None
-        textures = textures_of(path, obj.library)
+        textures: dict[str, tuple[NDArray[np.uint8], bool]] = {}
+        for name, texture, mapped in textures_of(path, obj.library):
+            if name in obj.names and (mapped or name not in textures or not textures[name][1]):
+                textures[name] = texture, mapped
         parts = tuple(
-            MeshPart(name or path.stem, obj.faces[mine], obj.uv[mine], textures.get(name, flat()))
+            MeshPart(
+                name or path.stem, obj.faces[mine], obj.uv[mine], textures[name][0] if name in textures else flat()
+            )
             for index, name in enumerate(obj.names)
             if (mine := obj.material == index).any()
         )

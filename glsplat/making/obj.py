@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -67,33 +68,31 @@ def parse_obj(text: str) -> Obj:
     )
 
 
-def textures_of(source: Path, library: str | None) -> dict[str, NDArray[np.uint8]]:
-    """RGBA by material: its map_Kd, else its Kd colour. Raises FormatError for an image that is not beside the file."""
-    out: dict[str, NDArray[np.uint8]] = {}
+def textures_of(source: Path, library: str | None) -> Iterator[tuple[str, NDArray[np.uint8], bool]]:
+    """(material, RGBA, whether it is an image) of each Kd and map_Kd, in the order of the material file.
+
+    Raises FormatError for an image that is not beside the file.
+    """
     file = None if library is None else _beside(source, library)
     if file is None:
-        return out
+        return
     name = ""
-    mapped: set[str] = set()
     for line in file.read_text(encoding="utf-8", errors="replace").splitlines():
         words = line.split()
         if len(words) < 2:
             continue
         if words[0] == "newmtl":
             name = " ".join(words[1:])
-            out[name] = flat((_GREY,) * 3)
         elif words[0] == "map_Kd":
             image = _beside(source, words[-1])
             if image is None:
                 raise FormatError(f"{source}: the texture {words[-1][:60]!r} is not beside it")
-            out[name] = decode_texture(image.read_bytes(), f"{source}: {words[-1]}")
-            mapped.add(name)
-        elif words[0] == "Kd" and len(words) == 4 and name not in mapped:
+            yield name, decode_texture(image.read_bytes(), f"{source}: {words[-1]}"), True
+        elif words[0] == "Kd" and len(words) == 4:
             try:
-                out[name] = flat(tuple(np.rint(np.clip([float(w) for w in words[1:]], 0, 1) * np.float64(255))))
+                yield name, flat(tuple(np.rint(np.clip([float(w) for w in words[1:]], 0, 1) * np.float64(255)))), False
             except ValueError:
                 raise FormatError(f"{source}: Kd needs three numbers, not {line[:60]!r}") from None
-    return out
 
 
 def flat(colour: tuple[float, ...] = (_GREY,) * 3) -> NDArray[np.uint8]:

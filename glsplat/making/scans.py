@@ -99,6 +99,10 @@ def _fitted(body: RiggedMesh, low: NDArray[np.float64], high: NDArray[np.float64
 
 
 def _texture(source: Path, library: str | None) -> NDArray[np.uint8]:
-    """The first texture of the material file that is more than a colour, else the first colour."""
-    found = list(textures_of(source, library).values())
-    return next((image for image in found if len(image) > 4), found[0] if found else flat())
+    """The first image of the material file, else its last colour."""
+    colour = flat()
+    for _, texture, mapped in textures_of(source, library):
+        if mapped:
+            return texture
+        colour = texture
+    return colour

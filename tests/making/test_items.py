@@ -75,7 +75,7 @@ def test_obj_with_materials(tmp_path: Path) -> None:
     import cv2
 
     (tmp_path / "room.obj").write_text(OBJ)
-    (tmp_path / "room.mtl").write_text("newmtl red\nKd 1 0 0\nnewmtl tiles\nKd 0 0 0\nmap_Kd tiles.png\n")
+    (tmp_path / "room.mtl").write_text("newmtl red\nKd 1 0 0\nnewmtl tiles\nKd 0 0 0\nmap_Kd tiles.png\nKd 0 0 1\n")
     cv2.imwrite(str(tmp_path / "tiles.png"), np.full((8, 8, 3), (0, 255, 0), np.uint8))
     mesh = load_item(tmp_path / "room.obj")
     assert isinstance(mesh, RiggedMesh) and [p.name for p in mesh.parts] == ["red", "tiles", "unknown"]
