@@ -11,7 +11,12 @@ from glsplat.avatar import Avatar
 from glsplat.data import default_avatar
 from glsplat.errors import FormatError
 from glsplat.formats import load
+from glsplat.formats.scene_file import UPS, SceneFile, upright
+from glsplat.formats.transform import transformed
+from glsplat.making.items import is_scene
+from glsplat.making.items import load_scene as load_file
 from glsplat.motion.motion import Motion, embedded_motions, load_motion
+from glsplat.scene import Content
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.splats import Splats
 
@@ -19,31 +24,78 @@ from .usage import UsageError
 
 __all__ = [
     "add_scene",
+    "add_up",
     "colour",
     "degrees",
+    "driven",
     "load_scene",
     "motion_of",
     "natural",
     "not_negative",
+    "open_scene",
     "point",
     "positive",
+    "single",
     "size",
 ]
 
 
 def add_scene(parser: argparse.ArgumentParser) -> None:
-    """The positional SCENE and --strict."""
-    parser.add_argument("scene", nargs="?", metavar="SCENE", help="PLY, .splat or glTF; default: the embedded avatar")
+    """The positional SCENE, --up and --strict."""
+    what = "PLY, .splat, glTF, a mesh (OBJ, glTF, .npz), or a scene file (JSON); default: the embedded avatar"
+    parser.add_argument("scene", nargs="?", metavar="SCENE", help=what)
+    add_up(parser)
     parser.add_argument("--strict", action="store_true", help="refuse files with NaN or infinity instead of skipping")
 
 
+def add_up(parser: argparse.ArgumentParser) -> None:
+    """--up."""
+    parser.add_argument(
+        "--up", choices=UPS, default="y", help="the file's axis that points up (default y; most 3DGS captures: -y)"
+    )
+
+
 def load_scene(args: argparse.Namespace) -> Splats | Avatar:
-    """The scene the arguments name, or the default avatar."""
+    """The splats or the avatar that the arguments name, or the default avatar; no meshes, no scene files."""
     if args.scene is None:
         return default_avatar()
     if not Path(args.scene).exists():
         raise FormatError(f"{args.scene}: no such file; give a PLY, .splat or glTF, or nothing for the default avatar")
     return load(args.scene, strict=getattr(args, "strict", False))
+
+
+def open_scene(args: argparse.Namespace) -> SceneFile:
+    """All that the arguments name, turned so that --up is up: a scene file, or one thing as a scene."""
+    if args.scene is None:
+        return SceneFile.of(default_avatar())
+    if not Path(args.scene).exists():
+        raise FormatError(f"{args.scene}: no such file; give a PLY, .splat, glTF, mesh or scene file, or nothing")
+    file = load_file(args.scene, strict=args.strict)
+    turn = upright(args.up)
+    if args.up == "y":
+        return file
+    if len(file.scene) == 1 and isinstance(splats := file.scene.items[0].content, Splats) and not is_scene(args.scene):
+        return SceneFile.of(transformed(splats, turn))  # static splats stay the leanest scene
+    for item in file.scene:
+        item.transform = turn @ item.transform
+    return file
+
+
+def single(file: SceneFile) -> Content | None:
+    """The one thing of a scene of one that stands where its file puts it; None for anything more."""
+    items = file.scene.items
+    alone = len(items) == 1 and items[0].visible and not file.motions and items[0].pose is None
+    return items[0].content if alone and np.array_equal(items[0].transform, np.eye(4)) else None
+
+
+def driven(file: SceneFile, what: str) -> Avatar:
+    """The one visible avatar, whose pose an option or a client sets. Raises UsageError where there is not just one."""
+    if file.avatar is not None:
+        assert isinstance(file.avatar.content, Avatar)
+        return file.avatar.content
+    if any(item.visible and isinstance(item.content, Avatar) for item in file.scene):
+        raise UsageError(f"{what} is for one avatar, this scene has several; say in the scene file what each does")
+    raise UsageError(f"this scene has no skeleton; {what} needs an avatar (.glb with a skin)")
 
 
 def motion_of(name: str, skeleton: Skeleton, option: str = "--motion") -> Motion:

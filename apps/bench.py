@@ -11,11 +11,16 @@ from tqdm import tqdm
 
 from glsplat.avatar import Avatar
 from glsplat.config import RenderConfig
-from glsplat.evaluate.frames import Bench
+from glsplat.evaluate.frames import WARM_UP, Bench
 from glsplat.evaluate.machine import machine
+from glsplat.formats.scene_file import SceneFile
 from glsplat.gl.context import create_context
+from glsplat.meshes import RiggedMesh
+from glsplat.motion.motion import Motion
+from glsplat.scene import Content, Shown
+from glsplat.skinning.pose import Pose
 
-from .args import add_scene, load_scene, motion_of, size
+from .args import add_scene, motion_of, open_scene, single, size
 from .usage import UsageError
 
 HELP = (
@@ -45,18 +50,19 @@ def run(args: argparse.Namespace) -> int:
     """Measure and print."""
     if args.frames < 3:
         raise UsageError(f"--frames needs at least 3, not {args.frames}")
-    scene = load_scene(args)
+    file = open_scene(args)
+    scene = single(file)
     motion = motion_of(args.motion, scene.skeleton) if isinstance(scene, Avatar) and not args.static else None
     context = create_context(args.device)
     try:
         bench = Bench(context, args.frames, RenderConfig(target=args.float_target, sorter=args.sorter))
-        kinds = bench.kinds(scene, motion)
+        kinds = kinds_of(bench, scene, motion, file, args.frames + WARM_UP)
         settings = [(kind, pixels, views) for kind in kinds for pixels in args.sizes for views in args.views]
         progress = tqdm(total=len(settings) + 1, unit="setting", disable=args.json or not sys.stderr.isatty())
         rows = []
         for (kind, model, poses), pixels, views in settings:
             progress.set_description(f"{kind} {views} x {pixels[0]}x{pixels[1]}")
-            rows.append(bench.setting(kind, model, poses, pixels, views))
+            rows.append(bench.setting(kind, model, poses, pixels, views, file.pose_at if model is file.scene else None))
             progress.update()
         skins = bench.influences(scene, motion, args.sizes[0]) if isinstance(scene, Avatar) and motion else []
         progress.update()
@@ -67,6 +73,15 @@ def run(args: argparse.Namespace) -> int:
     finally:
         context.release()
     return 0
+
+
+def kinds_of(
+    bench: Bench, scene: Content | None, motion: Motion | None, file: SceneFile, frames: int
+) -> list[tuple[str, Shown, list[Pose | None]]]:
+    """(name, scene, poses) of what is measured: one thing as ever, a scene of several as it plays."""
+    if scene is None or isinstance(scene, RiggedMesh):
+        return [("in motion" if file.motions else "static", file.scene, [None] * frames)]
+    return [*bench.kinds(scene, motion)]
 
 
 def table(result: dict[str, Any]) -> str:

@@ -90,13 +90,14 @@ def main(argv: Sequence[str] | None = None) -> int:
 def joined(arguments: Sequence[str]) -> list[str]:
     """``--eye -1.2,1,2`` as ``--eye=-1.2,1,2``: to argparse, what begins with a minus and is no number is an option.
 
-    No option of ours begins with a minus and a digit. What follows ``--`` stays as it is.
+    No option of ours begins with a minus and a digit. So does ``--up -y``. What follows ``--`` stays as it is.
     """
     out: list[str] = []
     for index, argument in enumerate(arguments):
         if argument == "--":
             return out + list(arguments[index:])
-        if out and _OPTION.fullmatch(out[-1]) and _NEGATIVE.match(argument):
+        axis = bool(out) and out[-1] == "--up" and argument in ("-y", "-z")
+        if axis or (out and _OPTION.fullmatch(out[-1]) and _NEGATIVE.match(argument)):
             out[-1] += f"={argument}"
         else:
             out.append(argument)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,12 +13,20 @@ import numpy as np
 from glsplat.avatar import Avatar
 from glsplat.errors import FormatError
 from glsplat.formats import load, save
+from glsplat.formats.scene_file import upright
+from glsplat.formats.transform import transformed
+from glsplat.skinning.skeleton import Skeleton
 from glsplat.splats import Splats
 from glsplat.views import splats_of
 
-__all__ = ["EXAMPLE", "HELP", "add_arguments", "losses", "run"]
+from .args import add_up
 
-HELP = "Convert between 3DGS PLY, .splat and glTF (KHR_gaussian_splatting); the output's suffix decides."
+__all__ = ["EXAMPLE", "HELP", "add_arguments", "losses", "run", "turned"]
+
+HELP = (
+    "Convert between 3DGS PLY, .splat and glTF (KHR_gaussian_splatting); the output's suffix decides. "
+    "With --up the output has y up."
+)
 EXAMPLE = "glsplat convert scene.ply scene.glb"
 
 
@@ -25,6 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command line."""
     parser.add_argument("input", metavar="IN", help="PLY, .splat, .glb or .gltf, recognised by content")
     parser.add_argument("output", metavar="OUT", help="file to write, ending in .ply, .splat, .glb or .gltf")
+    add_up(parser)
     parser.add_argument("--strict", action="store_true", help="refuse a file with NaN or infinity")
 
 
@@ -32,11 +42,25 @@ def run(args: argparse.Namespace) -> int:
     """Convert one file; what the output's format cannot hold is said on stderr. Raises FormatError."""
     if not Path(args.input).exists():
         raise FormatError(f"{args.input}: no such file; give a PLY, .splat or glTF")
-    scene = load(args.input, strict=args.strict)
+    scene = turned(load(args.input, strict=args.strict), args.up)
     save(scene, args.output)
     for loss in losses(scene, Path(args.output).suffix.lower()):
         print(f"glsplat convert: {args.output}: {loss}", file=sys.stderr)
     return 0
+
+
+def turned(scene: Splats | Avatar, up: str) -> Splats | Avatar:
+    """The scene turned for good, so that the axis ``up`` becomes y: means, rotations, colours' directions, the rig."""
+    turn = upright(up)
+    if not isinstance(scene, Avatar):
+        return transformed(scene, turn)
+    rig = scene.skeleton
+    if up == "y":
+        return scene
+    bind = rig.inverse_bind @ turn.T
+    return replace(
+        scene, splats=transformed(scene.splats, turn), skeleton=Skeleton(rig.names, rig.parents, turn @ rig.rest, bind)
+    )
 
 
 def losses(scene: Splats | Avatar, suffix: str) -> Iterator[str]:

@@ -13,14 +13,17 @@ from numpy.typing import NDArray
 
 from glsplat.avatar import Avatar
 from glsplat.formats import recognise
+from glsplat.formats.scene_file import SceneFile
+from glsplat.making.items import is_scene
+from glsplat.meshes import RiggedMesh
 from glsplat.splats import Splats
-from glsplat.views import splats_of
+from glsplat.views import box_of, splats_of
 
-from .args import add_scene, load_scene
+from .args import add_scene, open_scene, single
 
-__all__ = ["EXAMPLE", "HELP", "add_arguments", "describe", "run"]
+__all__ = ["EXAMPLE", "HELP", "add_arguments", "describe", "describe_scene", "run"]
 
-HELP = "Say what is in a scene or avatar file: counts, ranges, the rig, and anything unusual."
+HELP = "Say what is in a scene, avatar, mesh or scene file: counts, ranges, the rig, items, and anything unusual."
 EXAMPLE = "glsplat inspect me.glb --json"
 
 _NEEDLE = 1e3  # longest over shortest axis
@@ -46,9 +49,66 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Print the description; a file that cannot be read raises FormatError."""
-    report = describe(load_scene(args), args.scene)
-    print(json.dumps(report, indent=1) if args.json else _text(report))
+    file = open_scene(args)
+    scene = single(file) if args.scene is None or not is_scene(args.scene) else None
+    if args.up != "y" and scene is None and len(file.scene) == 1 and not is_scene(args.scene):
+        scene = file.scene.items[0].content  # a rig does not tell which way is up
+    if isinstance(scene, (Splats, Avatar)):
+        report = describe(scene, args.scene)
+        print(json.dumps(report, indent=1) if args.json else _text(report))
+        return 0
+    whole = describe_scene(file, args.scene)
+    print(json.dumps(whole, indent=1) if args.json else _scene_text(whole))
     return 0
+
+
+def describe_scene(file: SceneFile, path: str) -> dict[str, Any]:
+    """A scene file, or a mesh, as JSON values: what stands where. Items of one file share their memory."""
+    items = []
+    for index, item in enumerate(file.scene):
+        content, box = item.content, box_of(item)
+        entry: dict[str, Any] = {"name": item.name, "kind": type(content).__name__.lower(), "visible": item.visible}
+        entry["translation"] = item.transform[:3, 3].tolist()
+        entry["scale"] = float(np.cbrt(np.linalg.det(item.transform[:3, :3])))
+        entry["bounds"] = None if box is None else {"min": box[0].tolist(), "max": box[1].tolist()}  # of 98 %
+        if isinstance(content, RiggedMesh):
+            entry |= {"kind": "mesh", "triangles": len(content.faces), "parts": len(content.parts)}
+        else:
+            entry["splats"] = len(splats_of(content))
+        if not isinstance(content, Splats):
+            motion = next((motion for other, motion in file.motions.values() if other is item), None)
+            entry |= {"joints": len(content.skeleton), "posed": item.pose is not None}
+            entry["motion"] = None if motion is None else {"name": motion.label, "seconds": motion.duration}
+        items.append(entry | {"item": index})
+    different = {id(item.content): item.content for item in file.scene}.values()
+    return {
+        "file": path,
+        "kind": "scene" if is_scene(path) else "mesh",
+        "up": file.up,
+        "background": list(file.background),
+        "duration": file.duration,
+        "splats": sum(entry.get("splats", 0) for entry in items),
+        "memory_bytes": sum(splats_of(c).nbytes for c in different if not isinstance(c, RiggedMesh)),
+        "items": items,
+    }
+
+
+def _scene_text(report: dict[str, Any]) -> str:
+    lines = [f"{report['file']}: {report['kind']}, {len(report['items'])} items, {report['splats']:,} splats"]
+    lines.append(f"  {'up':12} {report['up']}")
+    lines.append(f"  {'background':12} {', '.join(f'{v:g}' for v in report['background'])}")
+    if report["duration"]:
+        lines.append(f"  {'motions':12} {report['duration']:.2f} s")
+    for entry in report["items"]:
+        what = f"{entry['splats']:,} splats" if "splats" in entry else f"{entry['triangles']:,} triangles"
+        at = ", ".join(f"{v:.4g}" for v in entry["translation"])
+        words = [entry["kind"], what, f"at {at}"]
+        words += [f"scale {entry['scale']:.4g}"] if abs(entry["scale"] - 1) > 1e-9 else []
+        words += [f"{entry['joints']} joints"] if "joints" in entry else []
+        words += [f"moves by {entry['motion']['name']}"] if entry.get("motion") else []
+        words += [] if entry["visible"] else ["hidden"]
+        lines.append(f"  {entry['item']:<4} {entry['name'] or '-'}: " + ", ".join(words))
+    return "\n".join("".join(c if c.isprintable() else "?" for c in line) for line in lines)
 
 
 def describe(scene: Splats | Avatar, path: str | Path | None) -> dict[str, Any]:

@@ -15,7 +15,7 @@ from glsplat.errors import FormatError
 from glsplat.formats.files import replace_file
 from glsplat.pictures import straight
 
-__all__ = ["Image", "eight_bit", "label", "save_npy", "save_png", "side_by_side", "stack"]
+__all__ = ["Image", "eight_bit", "joined_views", "label", "save_depth", "save_npy", "save_png", "side_by_side", "stack"]
 
 Image = NDArray[np.uint8]
 
@@ -30,6 +30,11 @@ def eight_bit(image: NDArray[Any]) -> Image:
 def side_by_side(images: NDArray[Any]) -> Image:
     """[V, H, W, C] to one [H, V * W, 3] picture."""
     return np.concatenate(list(eight_bit(images[..., :3])), axis=1)
+
+
+def joined_views(images: NDArray[Any]) -> NDArray[Any]:
+    """[V, H, W, ...] to one [H, V * W, ...] picture, values and channels as they are."""
+    return np.concatenate(list(images), axis=1)
 
 
 def stack(rows: Sequence[Sequence[Image]], gap: int = 4) -> Image:
@@ -67,3 +72,18 @@ def save_npy(path: str | Path, array: NDArray[Any]) -> None:
     buffer = io.BytesIO()
     np.save(buffer, array)
     replace_file(path, [buffer.getbuffer()])
+
+
+def save_depth(path: str | Path, depths: NDArray[np.float32], several: bool) -> None:
+    """Write depths [V, H, W] in metres: .npy as they are (one view without ``several``: [H, W]), .png as 16-bit grey.
+
+    The picture holds millimetres, views side by side: 0 is nothing, and 65535 is 65.535 m and all beyond.
+    """
+    if Path(path).suffix.lower() == ".npy":
+        return save_npy(path, depths if several else depths[0])
+    millimetres = np.rint(np.clip(joined_views(depths).astype(np.float64) * 1000, 0, 65535))
+    nearest = np.where(joined_views(depths) > 0, np.maximum(millimetres, 1), 0)  # half a millimetre is not nothing
+    ok, data = cv2.imencode(".png", nearest.astype(np.uint16))
+    if not ok:
+        raise FormatError(f"{path}: the depths could not be encoded as PNG")
+    replace_file(path, [data.tobytes()])

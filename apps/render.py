@@ -6,7 +6,7 @@ import argparse
 import json
 import sys
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -15,20 +15,19 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from glsplat.avatar import Avatar
 from glsplat.camera import PAPER_FOV, PAPER_IPD, Camera, read_cameras
 from glsplat.config import RenderConfig
 from glsplat.errors import FormatError
+from glsplat.formats.scene_file import SceneFile
 from glsplat.gl.context import create_context
 from glsplat.motion.motion import Motion
 from glsplat.renderer import Renderer
 from glsplat.skinning.pose import Pose, load_pose
-from glsplat.splats import Splats
 from glsplat.views import view_of, viewing_point
 
-from .args import add_scene, colour, degrees, load_scene, motion_of, not_negative, point, positive, size
+from .args import add_scene, colour, degrees, driven, motion_of, not_negative, open_scene, point, positive, size
 from .clip import CLIPS, Clip
-from .output import save_npy, save_png, side_by_side
+from .output import joined_views, save_depth, save_npy, save_png, side_by_side
 from .usage import UsageError, output_kind
 
 HELP = (
@@ -42,6 +41,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command line."""
     add_scene(parser)
     parser.add_argument("-o", "--output", required=True, help=".png, .npy, a clip .mp4 or .webm, or a folder/ of PNG")
+    parser.add_argument("--alpha", action="store_true", help="PNG with (straight) alpha, without the background")
+    parser.add_argument(
+        "--depth", metavar="FILE", help="also expected depth: .npy in metres, .png in millimetres (16 bit); 0: nothing"
+    )
     parser.add_argument("--cameras", metavar="FILE", help="camera file: one object, or a list for several views")
     parser.add_argument("--size", type=size, default=(1024, 1024), help="WxH in pixels (default 1024x1024)")
     parser.add_argument("--fov", type=degrees, default=PAPER_FOV, help="vertical field of view in degrees (default 65)")
@@ -49,10 +52,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--target", type=point, metavar="X,Y,Z", help="what it looks at (default: the scene's middle)")
     parser.add_argument("--stereo", action="store_true", help="both eyes in one pass, side by side in pictures")
     parser.add_argument("--ipd", type=not_negative, default=PAPER_IPD, help="metres between the eyes (default 0.055)")
-    parser.add_argument("--background", type=colour, metavar="R,G,B", default=(0.0, 0.0, 0.0), help="0 to 1 each")
+    parser.add_argument("--background", type=colour, metavar="R,G,B", help="0 to 1 each (default 0,0,0)")
     parser.add_argument("--pose", metavar="FILE", help="pose file (JSON)")
     parser.add_argument("--motion", metavar="FILE", help="motion file or the name of an embedded one")
-    parser.add_argument("--frame", type=int, metavar="N", help="frame of the motion (default: all, as a clip)")
+    parser.add_argument(
+        "--frame", type=int, metavar="N", help="frame of the motion, or picture of a scene file's clip (default: all)"
+    )
     parser.add_argument("--turntable", type=int, metavar="N", help="N views around the scene, as a clip or sequence")
     parser.add_argument("--fps", type=positive, default=30.0, help="frames a second of a clip (default 30)")
     parser.add_argument(
@@ -79,14 +84,15 @@ def run(args: argparse.Namespace) -> int:
     _check_combinations(args)
     output = Path(args.output)
     exact = output.suffix.lower() == ".npy"
-    sequence = args.turntable is not None or (args.motion is not None and args.frame is None)
-    scene = load_scene(args)
-    count, shots = _shots(args, scene)
+    scene = open_scene(args)
+    plays = bool(scene.motions) and args.frame is None and not args.motion and not args.pose and _is_sequence(output)
+    sequence = args.turntable is not None or (args.motion is not None and args.frame is None) or plays
+    count, shots = _shots(args, scene, plays)
     _check_output(args, sequence)  # after the motion: without one, it is not the output's name that is wrong
     first = next(shots)
     config = RenderConfig(
         target=args.float_target,
-        output="float32" if exact else "uint8",
+        output="float32" if exact or args.alpha else "uint8",  # bytes divided by a small alpha would be coarse
         layers=args.layers,
         sorter=args.sorter,
         rotation=args.rotation,
@@ -98,15 +104,23 @@ def run(args: argparse.Namespace) -> int:
     try:
         camera = first.cameras[0]
         with Renderer(
-            scene, size=(camera.width, camera.height), views=len(first.cameras), config=config, context=context
+            scene.scene, size=(camera.width, camera.height), views=len(first.cameras), config=config, context=context
         ) as renderer:
-            images = renderer.render(first.cameras, first.pose)
+            picture = joined_views if args.alpha else side_by_side
             if sequence:
-                _save_sequence(args, renderer, side_by_side(images), shots, count)
-            elif exact:
-                save_npy(output, images if first.several else images[0])
+                pictures = (picture(_rendered(renderer, scene, shot)) for shot in chain([first], shots))
+                _save_sequence(args, pictures, count)
             else:
-                save_png(output, side_by_side(images))
+                scene.pose_at(first.seconds)
+                if args.depth:
+                    images, depths = renderer.render(first.cameras, first.pose, depth=True)
+                    save_depth(args.depth, depths, first.several)
+                else:
+                    images = renderer.render(first.cameras, first.pose)
+                if exact:
+                    save_npy(output, images if first.several else images[0])
+                else:
+                    save_png(output, picture(images))
             if args.json:
                 print(json.dumps(_report(renderer)))
     finally:
@@ -119,6 +133,7 @@ class _Shot:
     cameras: list[Camera]
     pose: Pose | None
     several: bool  # a list of views was asked for: .npy is [V, H, W, 4]
+    seconds: float = 0.0  # on the clock of the scene file's motions
 
 
 def _check_combinations(args: argparse.Namespace) -> None:
@@ -128,18 +143,34 @@ def _check_combinations(args: argparse.Namespace) -> None:
             raise UsageError(f"give --{one} or --{other}, not both")
     if args.cameras is not None and args.stereo:
         raise UsageError("give --cameras or --stereo, not both; a pair is a list of two cameras")
-    if args.frame is not None and args.motion is None:
-        raise UsageError("--frame needs --motion")
+    ending = Path(args.output).suffix.lower()
+    if args.alpha and args.background is not None:
+        raise UsageError("give --alpha or --background, not both; with --alpha nothing lies behind the scene")
+    if args.alpha and ending == ".npy":
+        raise UsageError("--alpha is for PNG; an .npy holds alpha anyway")
+    if args.alpha and ending in CLIPS:
+        raise UsageError("--alpha is for PNG; a clip has no alpha, give a folder/ of pictures")
     if args.turntable is not None and args.motion is not None and args.frame is None:
         raise UsageError("--turntable with --motion needs --frame: the pose to turn around")
 
 
+def _is_sequence(output: Path) -> bool:
+    return output.suffix.lower() not in (".png", ".npy")
+
+
 def _check_output(args: argparse.Namespace, sequence: bool) -> None:
     """Refuse what could not be written before the work starts."""
+    if args.depth is not None:
+        if sequence:
+            raise UsageError("--depth is for one picture, not for a clip or a sequence")
+        output_kind("--depth", args.depth, (".npy", ".png"), ".npy (metres) or .png (millimetres)")
+        if Path(args.depth).resolve() == Path(args.output).resolve():
+            raise UsageError("--depth and -o name the same file")
     if sequence:
-        why = f"--motion {args.motion}" if args.turntable is None else f"--turntable {args.turntable}"
+        why = "the scene's motions" if args.motion is None else f"--motion {args.motion}"
+        why = why if args.turntable is None else f"--turntable {args.turntable}"
         what = f"a clip .mp4 or .webm for {why}"
-        if args.turntable is None and Path(args.output).suffix.lower() in (".png", ".npy"):
+        if args.turntable is None and not _is_sequence(Path(args.output)):
             what += " (for one picture of it add --frame N)"
         output_kind("-o", args.output, tuple(CLIPS), what, folder="PNG files")
         return
@@ -149,47 +180,56 @@ def _check_output(args: argparse.Namespace, sequence: bool) -> None:
     output_kind("-o", args.output, (".png", ".npy"), what)
 
 
-def _shots(args: argparse.Namespace, scene: Splats | Avatar) -> tuple[int, Iterator[_Shot]]:
-    """How many pictures, and each one's cameras and pose."""
-    if (args.pose or args.motion) and not isinstance(scene, Avatar):
-        raise UsageError("this scene has no skeleton; --pose and --motion need an avatar (.glb with a skin)")
+def _shots(args: argparse.Namespace, scene: SceneFile, plays: bool) -> tuple[int, Iterator[_Shot]]:
+    """How many pictures, and each one's cameras and pose. ``plays``: the motions of the scene file."""
+    if args.frame is not None and args.motion is None and not scene.motions:
+        raise UsageError("--frame needs --motion, or a scene file with motions")
     pose: Pose | None = None
     motion: Motion | None = None
-    if isinstance(scene, Avatar) and args.pose:
-        pose = load_pose(args.pose, scene.skeleton)
-    if isinstance(scene, Avatar) and args.motion:
-        motion = motion_of(args.motion, scene.skeleton)
-        if args.frame is not None:
-            if not 0 <= args.frame < len(motion):
-                raise UsageError(f"--frame needs 0 to {len(motion) - 1} for {args.motion}, not {args.frame}")
-            pose = motion.pose(args.frame)
+    seconds = 0.0
+    if args.pose:
+        pose = load_pose(args.pose, driven(scene, "--pose").skeleton)
+    if args.motion:
+        motion = motion_of(args.motion, driven(scene, "--motion").skeleton)
+    count = max(1, round(scene.duration * args.fps)) if motion is None else len(motion)
+    if args.frame is not None:
+        if not 0 <= args.frame < count:
+            raise UsageError(f"--frame needs 0 to {count - 1} for {args.motion or 'this scene'}, not {args.frame}")
+        seconds = args.frame / (args.fps if motion is None else motion.fps)
+        pose = pose if motion is None else motion.pose(args.frame)
     if args.turntable is not None:
         if args.turntable < 1:
             raise UsageError(f"--turntable needs at least 1 view, not {args.turntable}")
-        views = (_Shot(_view(args, scene, 2 * np.pi * i / args.turntable), pose, False) for i in range(args.turntable))
-        return args.turntable, views
+        angles = (2 * np.pi * i / args.turntable for i in range(args.turntable))
+        return args.turntable, (_Shot(_view(args, scene, angle), pose, False, seconds) for angle in angles)
     cameras, several = read_cameras(args.cameras) if args.cameras else (_view(args, scene), args.stereo)
-    if motion is not None and args.frame is None:
+    if args.alpha:
+        cameras = [replace(camera, background=(0.0, 0.0, 0.0)) for camera in cameras]
+    if plays or (motion is not None and args.frame is None):
         # on the motion's clock, so that a clip plays at the speed it was recorded
-        count = max(1, round(len(motion) / motion.fps * args.fps))
-        return count, (_Shot(cameras, motion.at(i / args.fps), several) for i in range(count))
-    return 1, iter([_Shot(cameras, pose, several)])
+        count = max(1, round((scene.duration if motion is None else motion.duration) * args.fps))
+        times = (i / args.fps for i in range(count))
+        return count, (_Shot(cameras, None if motion is None else motion.at(t), several, t) for t in times)
+    return 1, iter([_Shot(cameras, pose, several, seconds)])
 
 
-def _view(args: argparse.Namespace, scene: Splats | Avatar, angle: float = 0.0) -> list[Camera]:
-    eye, target = viewing_point(scene, args.fov)
+def _rendered(renderer: Renderer, scene: SceneFile, shot: _Shot) -> NDArray[Any]:
+    scene.pose_at(shot.seconds)
+    return renderer.render(shot.cameras, shot.pose)
+
+
+def _view(args: argparse.Namespace, scene: SceneFile, angle: float = 0.0) -> list[Camera]:
+    eye, target = viewing_point(scene.scene, args.fov)
     eye = eye if args.eye is None else np.array(args.eye)
     target = target if args.target is None else np.array(args.target)
     x, y, z = eye - target
     turned = np.array([x * np.cos(angle) + z * np.sin(angle), y, z * np.cos(angle) - x * np.sin(angle)])
-    return view_of(target + turned, target, args.size, args.fov, args.ipd if args.stereo else None, args.background)
+    behind = (0.0, 0.0, 0.0) if args.alpha else args.background or scene.background
+    return view_of(target + turned, target, args.size, args.fov, args.ipd if args.stereo else None, behind)
 
 
-def _save_sequence(
-    args: argparse.Namespace, renderer: Renderer, first: NDArray[Any], shots: Iterator[_Shot], count: int
-) -> None:
-    pictures = (side_by_side(renderer.render(shot.cameras, shot.pose)) for shot in shots)
-    frames = tqdm(chain([first], pictures), total=count, unit="frame", disable=args.json or not sys.stderr.isatty())
+def _save_sequence(args: argparse.Namespace, pictures: Iterator[NDArray[Any]], count: int) -> None:
+    frames = tqdm(pictures, total=count, unit="frame", disable=args.json or not sys.stderr.isatty())
     path = Path(args.output)
     if path.suffix.lower() in CLIPS:
         with Clip(path, args.fps) as clip:

@@ -16,6 +16,7 @@ import numpy as np
 from glsplat.avatar import Avatar
 from glsplat.camera import PAPER_FOV, PAPER_IPD, Camera
 from glsplat.config import RenderConfig
+from glsplat.formats.scene_file import SceneFile
 from glsplat.net.backend import Solved
 from glsplat.net.backends.gl import MAX_COST, MAX_TIME, RendererBackend
 from glsplat.net.backends.process import ProcessBackend
@@ -24,14 +25,14 @@ from glsplat.net.guard.limits import Limits
 from glsplat.net.messages import RenderRequest, WireOptions
 from glsplat.net.server import Server, ServerConfig
 from glsplat.net.session import SessionConfig
+from glsplat.scene import Shown
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.smplx import JOINT_NAMES
-from glsplat.splats import Splats
 from glsplat.tracking.calibration import Calibration
 from glsplat.tracking.sample import Sample
 from glsplat.tracking.tracker import Tracker
 
-from .args import add_scene, load_scene, size
+from .args import add_scene, open_scene, size
 from .logs import add_log_format, start_logging
 from .usage import UsageError
 
@@ -199,7 +200,7 @@ def run(args: argparse.Namespace) -> int:
     """Serve until SIGINT or SIGTERM; 0 after an orderly stop."""
     config = server_config(args)
     start_logging(args.log_format, logging.INFO if args.verbose else logging.WARNING)
-    scene = load_scene(args)
+    scene = open_scene(args)
     calibration = Calibration.load(args.calibration) if args.calibration else Calibration()
     rendering, budget = RenderConfig(cull_hidden=args.cull_hidden), (args.max_cost, args.max_time)
     server = make_server(scene, config, args.device, calibration, rendering=rendering, budget=budget)
@@ -218,7 +219,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def make_server(
-    scene: Splats | Avatar,
+    scene: Shown | SceneFile,
     config: ServerConfig,
     device: str | None = None,
     calibration: Calibration | None = None,
@@ -228,11 +229,15 @@ def make_server(
 ) -> Server:
     """A server that draws ``scene`` with OpenGL and solves tracking if its rig is SMPL-X's.
 
-    ``own_process`` draws in a process of its own, else in a thread.
+    The poses of clients are for the one visible avatar; with several a pose is refused, without any it does nothing.
+    The motions of a scene file play on the server's clock. ``own_process`` draws in a process of its own,
+    else in a thread.
     """
     # threads hand over every 0.5 ms instead of 5: the loop answers in time while the render thread holds the GIL
     sys.setswitchinterval(0.0005)
-    skeleton = scene.skeleton if isinstance(scene, Avatar) else None
+    file = scene if isinstance(scene, SceneFile) else SceneFile.of(scene)
+    item = file.avatar
+    skeleton = item.content.skeleton if item is not None and isinstance(item.content, Avatar) else None
     base, solver = calibration or Calibration(), None
     if skeleton is not None and skeleton.names == JOINT_NAMES:
 
@@ -240,6 +245,8 @@ def make_server(
             fitted = base if height is None else Calibration.of_height(skeleton, height, base.floor)
             return TrackingSolver(skeleton, fitted)
 
-    draw = partial(RendererBackend, scene, config.wire.size, device, rendering, *budget)
+    draw = partial(RendererBackend, file.scene, config.wire.size, device, rendering, *budget)
+    if file.motions:  # in one pickle with the scene, so that the items are the same
+        draw = partial(draw, pose_at=file.pose_at)
     backend = ProcessBackend(draw, config.wire.max_side, budget[1]) if own_process else draw()
     return Server(backend, config, solver=solver, skeleton=skeleton)

@@ -13,7 +13,7 @@ from glsplat.errors import FormatError
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.skeleton import Skeleton
 
-__all__ = ["MeshPart", "RiggedMesh"]
+__all__ = ["MeshPart", "RiggedMesh", "standing"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,7 +48,19 @@ class MeshPart:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RiggedMesh:
-    """A person in the zero pose: vertices, the rig that moves them, textured parts."""
+    """Textured triangles in the zero pose of the rig that moves them: a person, or with one joint a thing that stands.
+
+    Scenes show it opaque, in its textures' colours, cut out where their alpha is below one half. Raises FormatError
+    when the parts do not fit each other.
+
+    >>> from glsplat.meshes import MeshPart
+    >>> red = np.full((4, 4, 4), (255, 0, 0, 255), np.uint8)
+    >>> part = MeshPart("front", np.array([[0, 1, 2]], np.int32), np.zeros((1, 3, 2)), red)
+    >>> skeleton = glsplat.Skeleton.from_joints(["root"], [-1], [[0, 0, 0]])
+    >>> corners = np.array([[-1.0, 0, 0], [1, 0, 0], [0, 1, 0]])
+    >>> len(glsplat.RiggedMesh(corners, skeleton, np.zeros((3, 1), int), np.ones((3, 1)), (part,)).faces)
+    1
+    """
 
     vertices: NDArray[np.float64]  # [V, 3] metres, y up, facing +z
     skeleton: Skeleton
@@ -89,3 +101,11 @@ class RiggedMesh:
         total = self.weights.sum(axis=1, keepdims=True)
         blended = np.einsum("vk,vkij->vij", self.weights / np.where(total > 0, total, 1), bones[self.joints])
         return np.einsum("vij,vj->vi", blended[:, :, :3], self.vertices) + blended[:, :, 3]
+
+
+def standing(vertices: NDArray[np.float64], parts: tuple[MeshPart, ...], source: str) -> RiggedMesh:
+    """A mesh on one joint at the origin; ``vertices`` [V, 3] in metres."""
+    count = len(vertices)
+    skeleton = Skeleton.from_joints(("root",), [-1], [[0.0, 0.0, 0.0]])
+    bound = np.zeros((count, 1), np.int64), np.ones((count, 1))
+    return RiggedMesh(vertices, skeleton, *bound, parts, {"source": source})

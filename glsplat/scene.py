@@ -28,6 +28,11 @@ class Item:
 
     ``transform`` [4, 4] takes the thing's own space to the scene: a rotation, one scale for all axes, a translation
     in metres (see ``similarity``). Assigning an attribute checks and copies what it is given.
+
+    >>> item = glsplat.Item(glsplat.default_avatar(), name="Ann")
+    >>> item.transform = glsplat.similarity((0, 0, 2), scale=1.1)
+    >>> item
+    Item(Avatar 'Ann' at (0, 0, 2))
     """
 
     __slots__ = ("_content", "_name", "_pose", "_transform", "_visible")
@@ -100,7 +105,16 @@ class Item:
 
 
 class Scene:
-    """Items in one frame. Of splats at equal depth those of the earlier item are the nearer (docs/conventions.md)."""
+    """Items in one frame. Of splats at equal depth those of the earlier item are the nearer (docs/conventions.md).
+
+    >>> person = glsplat.default_avatar()
+    >>> scene = glsplat.Scene([glsplat.Item(person), glsplat.Item(person, transform=glsplat.similarity((0.7, 0, 0)))])
+    >>> with glsplat.Renderer(scene, size=(64, 48)) as renderer:
+    ...     camera = glsplat.Camera(glsplat.look_at((0, 1, 3), (0, 1, 0)), glsplat.pinhole(64, 48), 64, 48)
+    ...     image, depth = renderer.render([camera], depth=True)
+    >>> image.shape, depth.shape
+    ((1, 48, 64, 4), (1, 48, 64))
+    """
 
     def __init__(self, items: Iterable[Item] = ()) -> None:
         self._items: list[Item] = []
@@ -155,7 +169,11 @@ def similarity(
     rotation: ArrayLike = (0.0, 0.0, 0.0, 1.0),  # [4] quaternion xyzw of any length but zero
     scale: float = 1.0,
 ) -> NDArray[np.float64]:
-    """[4, 4] of x -> scale * R x + translation. Raises GlsplatError for what is no such transform."""
+    """[4, 4] of x -> scale * R x + translation. Raises GlsplatError for what is no such transform.
+
+    >>> (glsplat.similarity((0, 1, 0), scale=2) @ (1, 0, 0, 1)).tolist()
+    [2.0, 1.0, 0.0, 1.0]
+    """
     try:
         quat = np.asarray(rotation, np.float64)
         offset = np.asarray(translation, np.float64)

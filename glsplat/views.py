@@ -7,9 +7,12 @@ from numpy.typing import NDArray
 
 from glsplat.avatar import Avatar
 from glsplat.camera import Camera, look_at, pinhole, stereo_cameras
+from glsplat.meshes import RiggedMesh
+from glsplat.scene import Item, Scene, Shown
+from glsplat.skinning.pose import Pose
 from glsplat.splats import Splats
 
-__all__ = ["splats_of", "view_of", "viewing_point"]
+__all__ = ["box_of", "splats_of", "view_of", "viewing_point"]
 
 OPENGL_FROM_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
 
@@ -19,16 +22,35 @@ def splats_of(scene: Splats | Avatar) -> Splats:
     return scene.splats if isinstance(scene, Avatar) else scene
 
 
-def viewing_point(scene: Splats | Avatar, fov: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """(eye, target) that shows 98 % of the splats from the front (+z)."""
-    splats = splats_of(scene)
-    usable = splats.finite()
-    if not usable.any():
+def viewing_point(scene: Shown, fov: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """(eye, target) from the front (+z) that shows 98 % of the splats and vertices of each visible item."""
+    boxes = [box for item in Scene.of(scene) if item.visible and (box := box_of(item)) is not None]
+    if not boxes:
         return np.array([0.0, 0.0, 1.0]), np.zeros(3)
-    low, high = np.percentile(splats.means[usable].astype(np.float64), (1, 99), axis=0)
+    low, high = np.min([box[0] for box in boxes], axis=0), np.max([box[1] for box in boxes], axis=0)
     centre, half = (low + high) / 2, max(float((high - low).max()) / 2, 1e-3)
     distance = half * 1.25 / np.tan(np.radians(fov) / 2) + float(high[2] - low[2]) / 2
     return centre + np.array([0, 0, distance]), centre
+
+
+def box_of(item: Item) -> NDArray[np.float64] | None:
+    """[2, 3] lowest and highest of 98 % of an item in its scene; None if empty.
+
+    A mesh in its pose; an avatar in its zero pose, moved by ``trans``, because its splats are posed on the GPU.
+    """
+    if isinstance(item.content, RiggedMesh):
+        # what a file binds may be of another size than what its rest pose shows
+        points = item.content.posed(item.pose or Pose.zero(len(item.content.skeleton)))
+    else:
+        splats = splats_of(item.content)
+        points = splats.means[splats.finite()].astype(np.float64)
+        if item.pose is not None:
+            points = points + item.pose.trans
+    if not len(points):
+        return None
+    if not np.array_equal(item.transform, np.eye(4)):
+        points = points @ item.transform[:3, :3].T + item.transform[:3, 3]
+    return np.asarray(np.percentile(points, (1, 99), axis=0), np.float64)
 
 
 def view_of(

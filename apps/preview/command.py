@@ -8,14 +8,13 @@ import time
 from contextlib import ExitStack
 from pathlib import Path
 
-from glsplat.avatar import Avatar
 from glsplat.camera import PAPER_FOV, PAPER_IPD, pinhole
 from glsplat.errors import FormatError
+from glsplat.formats.scene_file import SceneFile
 from glsplat.net.guard.access import read_token
 from glsplat.skinning.pose import load_pose
-from glsplat.splats import Splats
 
-from ..args import add_scene, colour, load_scene, point, size
+from ..args import add_scene, colour, driven, open_scene, point, size
 from ..output import save_png
 from ..usage import UsageError
 from .cameras import Options
@@ -68,7 +67,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Show the window until it is closed."""
     frames = _frames(args)
-    scene = load_scene(args)
+    scene = open_scene(args)
     label = args.connect or ("default avatar" if args.scene is None else Path(args.scene).name)
     with ExitStack() as stack:
         feed = _feed(args)
@@ -80,7 +79,7 @@ def run(args: argparse.Namespace) -> int:
             layout=args.layout,
             fov=args.fov,
             ipd=args.ipd,
-            background=args.background or (0.0, 0.0, 0.0),
+            background=args.background or scene.background,
             eye=args.eye,
             target=args.target,
             numbers=args.numbers,
@@ -164,13 +163,15 @@ def _feed(args: argparse.Namespace) -> Feed | None:
     return Feed(args.connect, token, cafile=args.tls_ca, quality=args.quality)
 
 
-def _start(args: argparse.Namespace, scene: Splats | Avatar, viewer: Viewer) -> None:
-    """The pose or motion the arguments ask for, or the embedded one that fits."""
+def _start(args: argparse.Namespace, scene: SceneFile, viewer: Viewer) -> None:
+    """The pose or motion the arguments ask for, or the scene file, or the embedded one that fits."""
     if sum(value is not None for value in (args.pose, args.motion, args.recording)) > 1:
         raise UsageError("give one of --pose, --motion and --recording")
+    if args.paused:
+        viewer.others.playing = False
     if viewer.player is None:
         if args.pose or args.motion or args.recording is not None:
-            raise UsageError("this scene has no skeleton; --pose and --motion need an avatar (.glb with a skin)")
+            driven(scene, "--pose" if args.pose else "--motion" if args.motion else "--recording")
         return
     if args.pose:
         viewer.player.hold(load_pose(args.pose, viewer.player.skeleton))
@@ -178,6 +179,6 @@ def _start(args: argparse.Namespace, scene: Splats | Avatar, viewer: Viewer) -> 
         viewer.player.play(read_tracked(args.recording or None))
     elif args.motion:
         viewer.player.play(read_motion(args.motion, viewer.player.skeleton))
-    elif motion_names(scene):
+    elif viewer.player.idle and motion_names(viewer.player.skeleton):
         viewer.next_motion()
     viewer.player.playing &= not args.paused

@@ -11,13 +11,12 @@ import cv2
 import moderngl
 import numpy as np
 
-from glsplat.avatar import Avatar
 from glsplat.camera import Camera
 from glsplat.errors import GlsplatError
 from glsplat.passes.target import Target
+from glsplat.scene import Shown
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.smplx import JOINT_NAMES
-from glsplat.splats import Splats
 
 from ..replay.command import Recording, load_drive
 from .feed import PACE, Feed, Picture, Wish
@@ -91,7 +90,7 @@ class Watched:
             self._upload(self._picture, size)
         return self._target
 
-    def load(self, scene: Splats | Avatar) -> None:
+    def load(self, scene: Shown) -> None:
         """Not here."""
         raise GlsplatError("the server chooses what is shown: start it with `glsplat serve FILE`")
 

@@ -11,20 +11,20 @@ from statistics import median
 
 import numpy as np
 
-from glsplat.avatar import Avatar
 from glsplat.errors import FormatError, GlsplatError
-from glsplat.formats import load
+from glsplat.formats.scene_file import SceneFile
+from glsplat.making.items import is_scene, load_item, load_scene
 from glsplat.motion.motion import Motion, embedded_motions
+from glsplat.scene import Content, Shown
 from glsplat.skinning.pose import Pose, load_pose
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.smplx import JOINT_NAMES
-from glsplat.splats import Splats
 from glsplat.tracking.recording import replay
 from glsplat.tracking.tracker import Tracker
 
 from ..args import motion_of
 
-__all__ = ["Dropped", "motion_names", "read_dropped", "read_motion"]
+__all__ = ["Dropped", "motion_names", "read_dropped", "read_motion", "shown"]
 
 _MOST_TELLING = "wave-and-turn"
 _MAX_JSON = 512 << 20
@@ -34,13 +34,18 @@ _MAX_JSON = 512 << 20
 class Dropped:
     """What a file holds, and what to call it."""
 
-    content: Splats | Avatar | Motion | Pose
+    content: Content | SceneFile | Motion | Pose
     label: str
 
 
-def motion_names(scene: Splats | Avatar) -> list[str]:
-    """Embedded motions for the scene's skeleton (SMPL-X only), the one that shows most of the body first."""
-    if not isinstance(scene, Avatar) or scene.skeleton.names != JOINT_NAMES:
+def shown(scene: Shown | SceneFile) -> Shown:
+    """What a renderer takes."""
+    return scene.scene if isinstance(scene, SceneFile) else scene
+
+
+def motion_names(skeleton: Skeleton | None) -> list[str]:
+    """Embedded motions for a skeleton (SMPL-X only), the one that shows most of the body first."""
+    if skeleton is None or skeleton.names != JOINT_NAMES:
         return []
     return sorted(embedded_motions(), key=lambda name: (name != _MOST_TELLING, name))
 
@@ -77,7 +82,7 @@ def read_dropped(name: str, skeleton: Skeleton | None) -> Dropped:
         raise FormatError(f"{path}: no such file")
     kind = _kind(path)
     if kind == "scene":
-        return Dropped(load(path), path.name)
+        return Dropped(load_scene(path) if is_scene(path) else load_item(path), path.name)
     if skeleton is None:
         raise GlsplatError(f"{path.name}: this scene has no skeleton to move; open an avatar (.glb with a skin) first")
     if kind == "pose":
@@ -96,7 +101,7 @@ def _kind(path: Path) -> str:
             return "motion"
         if head.startswith(b"{") and path.stat().st_size <= _MAX_JSON:
             keys = json.loads(path.read_text(encoding="utf-8"))
-            if "asset" not in keys:
+            if "asset" not in keys and "items" not in keys:
                 return "motion" if "frames" in keys else "pose"
     except OSError as error:
         raise FormatError(f"{path}: cannot be read ({error.strerror})") from None

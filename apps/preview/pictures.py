@@ -7,14 +7,13 @@ from typing import Any, Protocol
 
 import moderngl
 
-from glsplat.avatar import Avatar
 from glsplat.camera import Camera
 from glsplat.config import RenderConfig
 from glsplat.errors import GlsplatError
 from glsplat.gl.context import Context
 from glsplat.passes.target import Target
 from glsplat.renderer import Renderer
-from glsplat.splats import Splats
+from glsplat.scene import Shown
 from glsplat.timing import StageTimer
 
 from .overlay import Line
@@ -50,7 +49,7 @@ class Pictures(Protocol):
         """The layers to show, one a view; ``exact`` waits at each stage, so that its time is its own."""
         ...
 
-    def load(self, scene: Splats | Avatar) -> None:
+    def load(self, scene: Shown) -> None:
         """Show another scene from now on. GlsplatError leaves all as it was."""
         ...
 
@@ -78,7 +77,7 @@ class Drawn:
     notice = ""
     fresh = False
 
-    def __init__(self, scene: Splats | Avatar, context: Context, size: tuple[int, int]) -> None:
+    def __init__(self, scene: Shown, context: Context, size: tuple[int, int]) -> None:
         config = RenderConfig(output="float32")  # nothing is read back: the window rounds to 8 bit
         self._scene, self._context = scene, context
         self._renderer = Renderer(scene, size=size, config=config, context=context)
@@ -97,7 +96,7 @@ class Drawn:
         renderer.resize(cameras[0].width, cameras[0].height)
         return renderer.draw(cameras, None if player is None else player.pose())
 
-    def load(self, scene: Splats | Avatar) -> None:
+    def load(self, scene: Shown) -> None:
         """Replace the scene."""
         try:
             self._renderer.load(scene)

@@ -10,11 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from glsplat.avatar import Avatar
+from glsplat.formats.scene_file import SceneFile
 from glsplat.motion.motion import Motion
+from glsplat.scene import Item
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.skeleton import Skeleton
 
-__all__ = ["Player", "Tracked"]
+__all__ = ["Others", "Player", "Tracked", "players_of"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,6 +25,31 @@ class Tracked(Motion):
     """A recording on the player's clock, for a server that solves its samples: the poses here stay zero."""
 
     samples: Sequence[Mapping[str, Any]] = ()  # tracking objects of docs/protocol.md, one a frame
+
+
+class Others:
+    """The motions of a scene file, but for the one that the player took over."""
+
+    def __init__(self, file: SceneFile | None = None, own: Item | None = None) -> None:
+        motions = () if file is None else file.motions.values()
+        self._motions = [(item, motion) for item, motion in motions if item is not own]
+        self._time = 0.0
+        self.playing = bool(self._motions)
+
+    @property
+    def moving(self) -> bool:
+        """True while the scene changes by itself."""
+        return self.playing
+
+    def toggle(self) -> None:
+        """Start or stop the clock."""
+        self.playing = bool(self._motions) and not self.playing
+
+    def advance(self, seconds: float) -> None:
+        """Let the clock run, and pose the items."""
+        self._time += seconds
+        for item, motion in self._motions:
+            item.pose = motion.at(self._time)
 
 
 class Player:
@@ -40,6 +68,11 @@ class Player:
     def moving(self) -> bool:
         """True while the pose changes by itself."""
         return self.playing and self.motion is not None and len(self.motion) > 1
+
+    @property
+    def idle(self) -> bool:
+        """True while there is neither a motion nor a pose."""
+        return self.motion is None and self._still is None
 
     @property
     def frame(self) -> int:
@@ -110,3 +143,17 @@ class Player:
         for joint, turn in self._turns.items():
             rotations[joint] = (Rotation.from_rotvec(rotations[joint]) * turn).as_rotvec()
         return Pose(rotations, pose.trans, pose.translations)
+
+
+def players_of(file: SceneFile) -> tuple[Player | None, Others]:
+    """A player for the one visible avatar, if there is one, at what the file says of it; and the other motions."""
+    item = file.avatar
+    if item is None or not isinstance(item.content, Avatar):
+        return None, Others(file)
+    player = Player(item.content.skeleton)
+    motion = next((motion for other, motion in file.motions.values() if other is item), None)
+    if motion is not None:
+        player.play(motion)
+    elif item.pose is not None:
+        player.hold(item.pose)
+    return player, Others(file, item)

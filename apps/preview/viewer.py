@@ -13,23 +13,23 @@ import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
-from glsplat.avatar import Avatar
 from glsplat.camera import Camera
 from glsplat.errors import GlsplatError
+from glsplat.formats.scene_file import SceneFile
 from glsplat.gl.context import Context
 from glsplat.motion.motion import Motion
 from glsplat.passes.present import Layout, Present, view_size
+from glsplat.scene import Shown
 from glsplat.skinning.pose import Pose
-from glsplat.splats import Splats
 from glsplat.views import viewing_point
 
 from ..output import save_png
 from .cameras import Options, View, cameras_of
-from .files import Dropped, motion_names, read_dropped, read_motion
+from .files import Dropped, motion_names, read_dropped, read_motion, shown
 from .keys import ACTIONS, FLIGHT, TURNS
 from .overlay import Line, Overlay, number_lines, text_image, title_line
 from .pictures import Drawn, Pictures
-from .player import Player, Tracked
+from .player import Others, Player, Tracked, players_of
 
 __all__ = ["Options", "Viewer"]
 
@@ -44,7 +44,7 @@ class Viewer:
 
     def __init__(
         self,
-        scene: Splats | Avatar,  # for its skeleton and where to look from; drawn if there are no other pictures
+        scene: Shown | SceneFile,  # for its skeleton and where to look from; drawn if there are no other pictures
         context: Context,
         size: tuple[int, int],
         options: Options,
@@ -58,7 +58,7 @@ class Viewer:
         self.closing = False
         self.player: Player | None = None
         self.view = self._home = View(np.zeros(3), 1.0)
-        self._scene, self._label = scene, label
+        self._label, self.others = label, Others()
         self._context = context
         self.overlay = Overlay(options.numbers)
         self._held: set[str] = set()
@@ -70,7 +70,7 @@ class Viewer:
         self._present_ms = 0.0
         self._motion_index = -1
         self._exposed = True  # the window's pixels are due, whether there is a new picture or not
-        self.pictures = pictures or Drawn(scene, context, view_size(size, self.layout))
+        self.pictures = pictures or Drawn(shown(scene), context, view_size(size, self.layout))
         try:
             self._present = Present(context.ctx)
             self._show(scene, label)
@@ -83,7 +83,7 @@ class Viewer:
     @property
     def animating(self) -> bool:
         """True while the next picture differs without any event."""
-        return bool(self._held) or (self.player is not None and self.player.moving)
+        return bool(self._held) or self.others.moving or (self.player is not None and self.player.moving)
 
     @property
     def timeout(self) -> float | None:
@@ -107,9 +107,10 @@ class Viewer:
         if self.overlay.advance(seconds) or notice != self.overlay.notice:
             self.dirty = self._exposed = True
         self.dirty |= self.pictures.fresh
-        if self.player is not None and self.player.moving:
-            self.player.advance(seconds)
-            self.dirty = True
+        for clock in (self.player, self.others):
+            if clock is not None and clock.moving:
+                clock.advance(seconds)
+                self.dirty = True
         if self._held:
             way = np.sum([FLIGHT[key] for key in self._held], axis=0)
             # as fast as the scene is large, slower near the target
@@ -191,8 +192,8 @@ class Viewer:
 
     def open(self, what: Dropped) -> None:
         """Show what was read from a file."""
-        if isinstance(what.content, (Splats, Avatar)):
-            self.pictures.load(what.content)
+        if not isinstance(what.content, (Motion, Pose)):
+            self.pictures.load(shown(what.content))
             self._show(what.content, what.label)
         elif self.player is None:
             raise GlsplatError(f"{what.label}: this scene has no skeleton to move; drop an avatar first")
@@ -217,7 +218,8 @@ class Viewer:
         self.layout = "anaglyph"
 
     def play(self) -> None:
-        """Start or stop the clock."""
+        """Start or stop the clocks."""
+        self.others.toggle()
         if self.player is not None:
             self.player.playing = not self.player.playing
 
@@ -231,7 +233,7 @@ class Viewer:
 
     def next_motion(self) -> None:
         """The next embedded motion; after the last the zero pose."""
-        names = motion_names(self._scene)
+        names = motion_names(None if self.player is None else self.player.skeleton)
         if self.player is None or not names:
             return self.overlay.say("this scene has no skeleton that the embedded motions fit")
         self._motion_index = (self._motion_index + 1) % (len(names) + 1)
@@ -346,16 +348,15 @@ class Viewer:
 
     # ------------------------------------------------------------------------------------------------ internals
 
-    def _show(self, scene: Splats | Avatar, label: str) -> None:
+    def _show(self, scene: Shown | SceneFile, label: str) -> None:
         """Take over a scene the renderer has loaded."""
-        before = self.player
-        self._scene, self._label = scene, label
-        self.player = Player(scene.skeleton) if isinstance(scene, Avatar) else None
-        if self.player is not None and before is not None and before.motion is not None:
+        before, self._label = self.player, label
+        self.player, self.others = players_of(scene if isinstance(scene, SceneFile) else SceneFile.of(scene))
+        if self.player is not None and self.player.idle and before is not None and before.motion is not None:
             if before.motion.names == self.player.skeleton.names:
                 self.player.play(before.motion)
                 self.player.playing = before.playing
-        eye, target = viewing_point(scene, self.options.fov)
+        eye, target = viewing_point(shown(scene), self.options.fov)
         if before is None:  # of a scene that comes later nobody said where it lies
             eye = eye if self.options.eye is None else np.array(self.options.eye)
             target = target if self.options.target is None else np.array(self.options.target)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -14,6 +14,7 @@ from glsplat.config import RenderConfig
 from glsplat.gl.context import Context
 from glsplat.motion.motion import Motion
 from glsplat.renderer import Renderer
+from glsplat.scene import Shown
 from glsplat.skinning.pose import Pose
 from glsplat.splats import Splats
 from glsplat.views import splats_of, view_of, viewing_point
@@ -56,20 +57,29 @@ class Bench:
         return out
 
     def setting(
-        self, kind: str, scene: Splats | Avatar, poses: list[Pose | None], pixels: tuple[int, int], views: int
+        self,
+        kind: str,
+        scene: Shown,
+        poses: list[Pose | None],
+        pixels: tuple[int, int],
+        views: int,
+        pose_at: Callable[[float], None] | None = None,  # plays the motions of the scene, in seconds
     ) -> dict[str, Any]:
         """Whole frame, draw floor, stages, and the pair (or the one view) against single renders."""
         pair, single, staged = (
             self._renderer(scene, pixels, n, timed) for n, timed in ((views, 0), (1, 0), (views, 1))
         )
         whole, floor, gpu, apart, still, still_apart = [], [], [], [], [], []
-        query = self._context.ctx.query(time=True)
+        with self._context.entered("Bench"):
+            query = self._context.ctx.query(time=True)
         stages: dict[str, list[float]] = {}
         for i, pose in enumerate(poses):
             eyes = self._eyes(scene, pixels, i)[:views]
+            if pose_at is not None:
+                pose_at(i / 30)
             pair.render(eyes, pose)
             total = pair.timings["total"]
-            with query:
+            with self._context.entered("Bench"), query:
                 lowest = pair.redraw(eyes)
             two = 0.0
             for eye in eyes:
@@ -83,13 +93,15 @@ class Bench:
                 continue
             whole.append(total)
             floor.append(lowest)
-            gpu.append(query.elapsed / 1e6)
+            with self._context.entered("Bench"):
+                gpu.append(query.elapsed / 1e6)
             apart.append(two)
             still.append(unmoved)
             still_apart.append(unmoved_apart)
             for stage in STAGES:
                 stages.setdefault(stage, []).append(staged.timings.get(stage, 0.0))
-        count, stats, memory = len(splats_of(scene)), pair.stats, pair.nbytes()
+        stats, memory = pair.stats, pair.nbytes()
+        count = stats.splats
         row = {
             "kind": kind,
             "size": list(pixels),
@@ -155,10 +167,10 @@ class Bench:
             total += renderer.timings["total"]
         return total
 
-    def _renderer(self, scene: Splats | Avatar, pixels: tuple[int, int], views: int, timed: int) -> Renderer:
+    def _renderer(self, scene: Shown, pixels: tuple[int, int], views: int, timed: int) -> Renderer:
         return Renderer(scene, size=pixels, views=views, config=self._config, context=self._context, timed=bool(timed))
 
-    def _eyes(self, scene: Splats | Avatar, pixels: tuple[int, int], frame: int) -> list[Camera]:
+    def _eyes(self, scene: Shown, pixels: tuple[int, int], frame: int) -> list[Camera]:
         """The pair of a head that orbits one degree a frame."""
         eye, target = viewing_point(scene, FOV)
         x, y, z = eye - target

@@ -102,6 +102,8 @@ def _recognise(file: BinaryIO, size: int, named_splat: bool) -> str:
         return "glb"
     text = not any(byte < 32 and byte not in b"\t\n\r" for byte in head)  # else a number that begins like a brace
     if text and head.removeprefix(b"\xef\xbb\xbf").lstrip().startswith(b"{"):
+        if b'"items"' in head and b'"asset"' not in head:
+            raise FormatError(f"expected {_READ}, but this is a scene file; see glsplat.making.items.load_scene")
         return "gltf"
     if size % 32 == 0:
         data = sampled(file, 0, size)

@@ -18,7 +18,7 @@ F64 = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Instance:
-    """One splat primitive, shown by one node."""
+    """One primitive, shown by one node."""
 
     primitive: Primitive
     node: Node
@@ -78,8 +78,8 @@ def _local(node: Node) -> F64:
     return out
 
 
-def instances(gltf: Gltf, world: F64, extension: str) -> Iterator[Instance]:
-    """The splat primitives in the default scene, or of all nodes when the file has no scene."""
+def instances(gltf: Gltf, world: F64, extension: str = "") -> Iterator[Instance]:
+    """The primitives in the default scene, or of all nodes when the file has no scene; with ``extension``: of it."""
     pending = list(range(len(gltf.nodes)))[::-1]
     descend = bool(gltf.scenes)
     if descend:
@@ -97,5 +97,5 @@ def instances(gltf: Gltf, world: F64, extension: str) -> Iterator[Instance]:
         if node.mesh is None:
             continue
         for p, primitive in enumerate(item(gltf.meshes, node.mesh, "mesh").primitives):
-            if extension in primitive.extensions:
+            if not extension or extension in primitive.extensions:
                 yield Instance(primitive, node, world[i], f"mesh {node.mesh} primitive {p}")

@@ -7,7 +7,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import re
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -16,10 +17,12 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from glsplat.errors import FormatError, GlsplatError, PoseError
+from glsplat.avatar import Avatar
+from glsplat.errors import FormatError, GlsplatError
 from glsplat.formats import load
-from glsplat.motion.motion import Motion, load_motion
-from glsplat.scene import Content, Item, Scene, similarity
+from glsplat.formats.files import open_regular
+from glsplat.motion.motion import Motion, embedded_motions, load_embedded_motion, load_motion
+from glsplat.scene import Content, Item, Scene, Shown, similarity
 from glsplat.skinning.pose import Pose, load_pose
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.splats import Splats
@@ -64,7 +67,19 @@ class SceneFile:
 
     scene: Scene
     background: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    up: str = "y"  # as the file says; its items are turned already
     motions: dict[str, tuple[Item, Motion]] = field(default_factory=dict)  # by the item's place in the file: "2", "1.0"
+
+    @classmethod
+    def of(cls, thing: Shown) -> SceneFile:
+        """What a file of that one thing would hold."""
+        return cls(Scene.of(thing))
+
+    @property
+    def avatar(self) -> Item | None:
+        """The item whose pose a user or a client may set: the one visible avatar; None of none or several."""
+        avatars = [item for item in self.scene if item.visible and isinstance(item.content, Avatar)]
+        return avatars[0] if len(avatars) == 1 else None
 
     @property
     def duration(self) -> float:
@@ -79,7 +94,9 @@ class SceneFile:
 
 def looks_like_scene_file(data: bytes) -> bool:
     """Whether the start of a file is that of a scene file (JSON with items) and not of another JSON format."""
-    return data.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"{") and b'"items"' in data and b'"asset"' not in data
+    return data.removeprefix(b"\xef\xbb\xbf").lstrip().startswith(b"{") and bool(
+        re.search(rb'"items"\s*:', data) and not re.search(rb'"asset"\s*:', data)
+    )
 
 
 def upright(up: str) -> NDArray[np.float64]:
@@ -95,91 +112,108 @@ def load_scene_file(
     path: str | Path,
     *,
     strict: bool = False,
-    read: Callable[[Path, bool], Content] | None = None,  # of an item's file; default: splats, avatars and meshes
+    read: Callable[[Path, bool], Content] | None = None,  # of an item's file; default: splats and avatars
 ) -> SceneFile:
     """Read a scene file and all it names. Paths are relative to it and stay inside its folder.
 
-    Raises FormatError that names the file and the item: a file that is not there, leads out of the folder or back to a
-    scene file that is being read, numbers that are no transform, more than MOST_ITEMS items. No items are legal.
+    ``glsplat.making.items.load_scene`` reads meshes as well. Raises FormatError that names the file and the item: a
+    file that is not there, leads out of the folder or back to a scene file that is being read, numbers that are no
+    transform, more than MOST_ITEMS items. No items are legal.
     """
-    out = SceneFile(Scene())
-    _read(Path(path), np.eye(4), "", (), out, read or _read_thing, strict)
-    return out
+    reading = _Reading(read or _read_thing, strict)
+    reading.file(Path(path), np.eye(4), "", ())
+    return reading.out
 
 
-def _read(
-    path: Path,
-    place: NDArray[np.float64],
-    prefix: str,
-    trail: tuple[Path, ...],
-    out: SceneFile,
-    read: Callable[[Path, bool], Content],
-    strict: bool,
-) -> None:
-    data = _parsed(path)
-    if len(trail) >= _DEEPEST:
-        raise FormatError(f"{path}: scene files are nested more than {_DEEPEST} deep")
-    if not trail:
-        out.background = data.background
-        if not np.isfinite(data.background).all() or np.abs(data.background).max() > 1e12:
-            raise FormatError(f"{path}: background needs three finite numbers")
-    try:
-        turn = place @ upright(data.up)
-    except GlsplatError as error:
-        raise FormatError(f"{path}: {error}") from None
-    folder, here = path.resolve().parent, path.resolve()
-    loaded: dict[Path, Content] = {}  # one file for several items is read once
-    for index, entry in enumerate(data.items):
-        where = f"{path}: item {index}" + (f" ({entry.name!r:.40})" if entry.name else "")
-        if len(out.scene) >= MOST_ITEMS:
-            raise FormatError(f"{where}: a scene file holds at most {MOST_ITEMS} items, it and those it names")
-        file = _inside(entry.path, folder, where)
+class _Reading:
+    """One scene file and those it names; what several items show, or do, is read once."""
+
+    def __init__(self, read: Callable[[Path, bool], Content], strict: bool) -> None:
+        self.out = SceneFile(Scene())
+        self._read, self._strict = read, strict
+        self._files = 0
+        self._contents: dict[Path, Content] = {}
+        self._motions: dict[tuple[str | Path, int], Motion] = {}  # by file or name, and id() of a kept skeleton
+
+    def file(self, path: Path, place: NDArray[np.float64], prefix: str, trail: tuple[Path, ...]) -> None:
+        """Add the items of one file, placed by ``place``."""
+        data = _parsed(path)
+        if len(trail) >= _DEEPEST:
+            raise FormatError(f"{path}: scene files are nested more than {_DEEPEST} deep")
+        self._files += 1
+        if len(self.out.scene) + len(data.items) > MOST_ITEMS or self._files > MOST_ITEMS:
+            raise FormatError(f"{path}: a scene file holds at most {MOST_ITEMS} items, it and those it names")
+        if not trail:
+            self.out.background, self.out.up = data.background, data.up
+            if not np.isfinite(data.background).all() or np.abs(data.background).max() > 1e12:
+                raise FormatError(f"{path}: background needs three finite numbers")
         try:
-            transform = turn @ similarity(entry.translation, entry.rotation, entry.scale)
-            if _is_scene(file):
-                if file in (*trail, here):
-                    raise FormatError(f"{entry.path} is being read already: no scene file may lead to itself")
-                if entry.pose is not None or entry.motion is not None or not entry.visible:
-                    raise FormatError("a scene file as an item takes a place and nothing else")
-                _read(file, transform, f"{prefix}{index}.", (*trail, here), out, read, strict)
-                continue
-            if file not in loaded:
-                loaded[file] = read(file, strict)
-            item = Item(loaded[file], transform=transform, visible=entry.visible, name=entry.name or file.stem)
-            _move(item, entry, folder, where, out, f"{prefix}{index}")
-            out.scene.add(item)
+            turn = place @ upright(data.up)
         except GlsplatError as error:
-            text = str(error)
-            raise FormatError(text if text.startswith(str(path)) else f"{where}: {text}") from None
+            raise FormatError(f"{path}: {error}") from None
+        here = path.resolve()
+        for index, entry in enumerate(data.items):
+            where = f"{path}: item {index}" + (f" ({entry.name!r:.40})" if entry.name else "")
+            try:
+                file = _inside(entry.path, here.parent)
+                transform = turn @ similarity(entry.translation, entry.rotation, entry.scale)
+                if _is_scene(file):
+                    self._nested(file, entry, transform, f"{prefix}{index}.", (*trail, here))
+                else:
+                    self._item(file, entry, transform, here.parent, f"{prefix}{index}")
+            except GlsplatError as error:
+                raise FormatError(f"{where}: {error}") from None
 
+    def _nested(
+        self, file: Path, entry: _Item, transform: NDArray[np.float64], prefix: str, trail: tuple[Path, ...]
+    ) -> None:
+        if file in trail:
+            raise FormatError(f"{entry.path} is being read already: no scene file may lead to itself")
+        if entry.pose is not None or entry.motion is not None or not entry.visible:
+            raise FormatError("a scene file as an item takes a place and nothing else")
+        self.file(file, transform, prefix, trail)
 
-def _move(item: Item, entry: _Item, folder: Path, where: str, out: SceneFile, key: str) -> None:
-    if entry.pose is None and entry.motion is None:
-        return
-    if entry.pose is not None and entry.motion is not None:
-        raise FormatError("an item has a pose or a motion, not both")
-    if isinstance(item.content, Splats):
-        raise FormatError("splats without a skeleton have no pose and no motion")
-    skeleton: Skeleton = item.content.skeleton
-    if entry.motion is not None:
-        motion = load_motion(_inside(entry.motion, folder, where), skeleton)
-        out.motions[key] = item, motion
-        item.pose = motion.at(0.0)
-    elif isinstance(entry.pose, str):
-        item.pose = load_pose(_inside(entry.pose, folder, where), skeleton)
-    elif isinstance(entry.pose, Mapping):
-        item.pose = Pose.from_json(entry.pose, skeleton)
-    else:
-        raise PoseError("pose is a file or an object of joint rotations")
+    def _item(self, file: Path, entry: _Item, transform: NDArray[np.float64], folder: Path, key: str) -> None:
+        if file not in self._contents:
+            self._contents[file] = self._read(file, self._strict)
+        item = Item(self._contents[file], transform=transform, visible=entry.visible, name=entry.name or file.stem)
+        if entry.pose is not None or entry.motion is not None:
+            self._move(item, entry, folder, key)
+        self.out.scene.add(item)
+
+    def _move(self, item: Item, entry: _Item, folder: Path, key: str) -> None:
+        if entry.pose is not None and entry.motion is not None:
+            raise FormatError("an item has a pose or a motion, not both")
+        if isinstance(item.content, Splats):
+            raise FormatError("splats without a skeleton have no pose and no motion")
+        skeleton: Skeleton = item.content.skeleton
+        if entry.motion is not None:
+            motion = self._motion(entry.motion, folder, skeleton)
+            self.out.motions[key] = item, motion
+            item.pose = motion.at(0.0)
+        elif isinstance(entry.pose, str):
+            item.pose = load_pose(_inside(entry.pose, folder), skeleton)
+        else:
+            item.pose = Pose.from_json(entry.pose, skeleton)
+
+    def _motion(self, name: str, folder: Path, skeleton: Skeleton) -> Motion:
+        """A file in the folder, or an embedded motion where there is none of that name."""
+        embedded = name in embedded_motions() and not (folder / name).exists()
+        source = name if embedded else _inside(name, folder)
+        key = source, id(skeleton)
+        if key not in self._motions:
+            # by its name alone load_motion() would look in the current folder first
+            self._motions[key] = load_embedded_motion(name, skeleton) if embedded else load_motion(source, skeleton)
+        return self._motions[key]
 
 
 def _parsed(path: Path) -> _File:
     try:
-        if path.stat().st_size > _LARGEST:
-            raise FormatError(f"{path}: a scene file has at most {_LARGEST} bytes, this one {path.stat().st_size}")
-        data = _decoder.decode(path.read_text(encoding="utf-8-sig"))
-    except OSError as error:
-        raise FormatError(f"{path}: cannot read the scene file ({error.strerror})") from None
+        with open_regular(path) as (file, size):
+            if size > _LARGEST:
+                raise FormatError(f"{path}: a scene file has at most {_LARGEST} bytes, this one {size}")
+            text = file.read()
+        data = _decoder.decode(text.decode("utf-8-sig"))
     except (msgspec.DecodeError, UnicodeError) as error:
         raise FormatError(f"{path}: no scene file of version {VERSION}: {error}") from None
     except RecursionError:
@@ -189,22 +223,25 @@ def _parsed(path: Path) -> _File:
     return data
 
 
-def _inside(name: str, folder: Path, where: str) -> Path:
+def _inside(name: str, folder: Path) -> Path:
     """The file of that relative name in ``folder``; links that lead out count as out."""
     if not name or "\0" in name or PurePosixPath(name).is_absolute() or Path(name).is_absolute() or "\\" in name:
-        raise FormatError(f"{where}: a path is relative to the scene file, with /, not {name!r:.60}")
-    file = (folder / name).resolve()
-    if not file.is_relative_to(folder):
-        raise FormatError(f"{where}: {name!r:.60} leads out of the scene file's folder")
-    if not file.exists():
-        raise FormatError(f"{where}: {name!r:.60}: no such file")
+        raise FormatError(f"a path is relative to the scene file, with /, not {name!r:.60}")
+    try:
+        file = (folder / name).resolve()
+        if not file.is_relative_to(folder):
+            raise FormatError(f"{name!r:.60} leads out of the scene file's folder")
+        if not file.exists():
+            raise FormatError(f"{name!r:.60}: no such file")
+    except (OSError, ValueError, RuntimeError):  # too long, no text, a circle of links
+        raise FormatError(f"{name!r:.60} is no path of a file") from None
     return file
 
 
 def _is_scene(file: Path) -> bool:
     if file.suffix.lower() != ".json":
         return False
-    with file.open("rb") as source:
+    with open_regular(file) as (source, _):
         return looks_like_scene_file(source.read(65536))
 
 

@@ -1,4 +1,4 @@
-"""Rigged, textured people in glTF 2.0: triangles with a skin and base colours."""
+"""Textured meshes in glTF 2.0: triangles with base colours, rigged by a skin or standing in their nodes' places."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 from glsplat.errors import FormatError
 from glsplat.formats.files import naming, open_regular
 from glsplat.formats.glb import Accessor, Container, Primitive, parse
-from glsplat.formats.nodes import Instance, graph_of
+from glsplat.formats.nodes import Instance, graph_of, instances
 from glsplat.formats.rig import read_skeleton
 from glsplat.making.people import decode_texture
-from glsplat.meshes import MeshPart, RiggedMesh
+from glsplat.meshes import MeshPart, RiggedMesh, standing
 
-__all__ = ["read_gltf_person"]
+__all__ = ["read_gltf_mesh", "read_gltf_person"]
 
 F64 = NDArray[np.float64]
 
@@ -60,6 +60,56 @@ def read_gltf_person(path: str | Path) -> RiggedMesh:
         return _mesh(container, raw, folder, chosen, skeleton, Path(path).name)
 
 
+def read_gltf_mesh(path: str | Path) -> RiggedMesh:
+    """The skinned triangles of a file as ``read_gltf_person`` gives them, or where it has none all it shows, standing.
+
+    Standing triangles are those of the default scene, placed by their nodes, on one joint at the origin. Raises
+    FormatError naming the file.
+    """
+    with naming(path):
+        with open_regular(path) as (file, _):
+            data = file.read()
+        folder = Path(path).parent
+        container = parse(data, folder)
+        gltf = container.gltf
+        graph = graph_of(gltf)
+        shown = [
+            i for i in instances(gltf, graph.world) if i.primitive.mode == 4 and "POSITION" in i.primitive.attributes
+        ]
+        if any(i.node.skin is not None and "JOINTS_0" in i.primitive.attributes for i in shown):
+            return read_gltf_person(path)
+        if not shown:
+            raise FormatError("a mesh needs triangles, this glTF has neither those nor splats (KHR_gaussian_splatting)")
+        raw, vertices, parts, first = _raw(data), [], [], 0
+        for instance in shown:
+            mesh, _, number = instance.name.removeprefix("mesh ").partition(" primitive ")
+            extra = raw["meshes"][int(mesh)]["primitives"][int(number)]
+            points, faces, corner, texture = _triangles(container, raw, folder, instance, extra)
+            with np.errstate(all="ignore"):  # what overflows is refused by RiggedMesh
+                vertices.append(points @ instance.matrix[:3, :3].T + instance.matrix[:3, 3])
+            parts.append(MeshPart(instance.name, (faces + first).astype(np.int32), corner, texture))
+            first += len(points)
+        return standing(np.concatenate(vertices), tuple(parts), Path(path).name)
+
+
+def _triangles(
+    container: Container, raw: Mapping[str, Any], folder: Path, instance: Instance, extra: Mapping[str, Any]
+) -> tuple[F64, NDArray[np.int64], F64, NDArray[np.uint8]]:
+    """Vertices [V, 3], triangles [F, 3], texture coordinates [F, 3, 2] with v up, and the texture of a primitive."""
+    primitive, where = instance.primitive, instance.name
+    points = container.numbers(primitive.attributes["POSITION"], f"{where} POSITION", ("VEC3",)).astype(np.float64)
+    faces = _faces(container, primitive, extra, where, len(points))
+    texture, set_of_uv = _texture(container, raw, folder, extra.get("material"))
+    uv = np.zeros((len(points), 2), np.float32)
+    if f"TEXCOORD_{set_of_uv}" in primitive.attributes:
+        uv = container.numbers(primitive.attributes[f"TEXCOORD_{set_of_uv}"], f"{where} TEXCOORD", ("VEC2",))
+    if len(uv) != len(points):
+        raise FormatError(f"{where}: TEXCOORD needs {len(points)} elements, as POSITION has")
+    corner = uv.astype(np.float64)[faces]
+    corner[..., 1] = 1 - corner[..., 1]  # glTF's v axis points down
+    return points, faces, corner, texture
+
+
 def _mesh(
     container: Container,
     raw: Mapping[str, Any],
@@ -75,23 +125,16 @@ def _mesh(
     first = 0
     for instance, extra in chosen:
         primitive, where = instance.primitive, instance.name
-        points = container.numbers(primitive.attributes["POSITION"], f"{where} POSITION", ("VEC3",)).astype(np.float64)
+        points, faces, corner, texture = _triangles(container, raw, folder, instance, extra)
         sets = [s for s in (0, 1) if f"JOINTS_{s}" in primitive.attributes and f"WEIGHTS_{s}" in primitive.attributes]
         if 0 not in sets:
             raise FormatError(f"{where}: JOINTS_0 needs WEIGHTS_0 beside it")
         ids = [container.read(primitive.attributes[f"JOINTS_{s}"], f"{where} JOINTS_{s}", ("VEC4",)) for s in sets]
         ws = [container.numbers(primitive.attributes[f"WEIGHTS_{s}"], f"{where} WEIGHTS_{s}", ("VEC4",)) for s in sets]
-        faces = _faces(container, primitive, extra, where, len(points))
-        texture, set_of_uv = _texture(container, raw, folder, extra.get("material"))
-        uv = np.zeros((len(points), 2), np.float32)
-        if f"TEXCOORD_{set_of_uv}" in primitive.attributes:
-            uv = container.numbers(primitive.attributes[f"TEXCOORD_{set_of_uv}"], f"{where} TEXCOORD", ("VEC2",))
-        if {len(a) for a in (*ids, *ws, uv)} != {len(points)}:
-            raise FormatError(f"{where}: JOINTS, WEIGHTS and TEXCOORD need {len(points)} elements, as POSITION has")
+        if {len(a) for a in (*ids, *ws)} != {len(points)}:
+            raise FormatError(f"{where}: JOINTS and WEIGHTS need {len(points)} elements, as POSITION has")
         wide = np.zeros((len(points), 8), np.int64), np.zeros((len(points), 8))
         wide[0][:, : 4 * len(sets)], wide[1][:, : 4 * len(sets)] = np.hstack(ids), np.hstack(ws)
-        corner = uv.astype(np.float64)[faces]
-        corner[..., 1] = 1 - corner[..., 1]  # glTF's v axis points down
         parts.append(MeshPart(where, (faces + first).astype(np.int32), corner, texture))
         vertices.append(points)
         joints.append(wide[0])

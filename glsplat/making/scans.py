@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from glsplat.errors import FormatError, PoseError
 from glsplat.making.importers import nearest_weights
-from glsplat.making.people import decode_texture
+from glsplat.making.obj import flat, parse_obj, textures_of
 from glsplat.meshes import MeshPart, RiggedMesh
 from glsplat.skinning.skeleton import Skeleton
 
@@ -64,7 +64,8 @@ def read_obj_person(path: str | Path, body: RiggedMesh) -> RiggedMesh:
     source = Path(path)
     try:
         text = source.read_text(encoding="utf-8", errors="replace")
-        vertices, faces, corner = _parse(text)
+        obj = parse_obj(text)
+        vertices, faces, corner = obj.vertices, obj.faces, obj.uv
     except OSError as error:
         raise FormatError(f"{path}: cannot read the person ({error.strerror})") from None
     except (ValueError, IndexError) as error:
@@ -82,43 +83,8 @@ def read_obj_person(path: str | Path, body: RiggedMesh) -> RiggedMesh:
             f"{path}: the person lies {np.median(distance) * 100:.0f} cm off the body (median); "
             "it needs to stand in a T-pose, y up, facing +z"
         )
-    part = MeshPart(source.stem, faces, corner, _texture(source, text))
+    part = MeshPart(source.stem, faces, corner, _texture(source, obj.library))
     return RiggedMesh(at, fitted.skeleton, joints, weights, (part,), {"source": source.name})
-
-
-def _parse(text: str) -> tuple[NDArray[np.float64], NDArray[np.int32], NDArray[np.float64]]:
-    """Vertices [V, 3], triangles [F, 3] (polygons as fans) and their texture coordinates [F, 3, 2]."""
-    points: list[list[float]] = []
-    coordinates: list[list[float]] = [[0.0, 0.0]]  # index 0: none
-    triangles: list[list[int]] = []
-    mapped: list[list[int]] = []
-    for line in text.splitlines():
-        words = line.split()
-        if not words:
-            continue
-        if words[0] == "v":
-            points.append([float(w) for w in words[1:4]])
-        elif words[0] == "vt":
-            coordinates.append([float(w) for w in words[1:3]])
-        elif words[0] == "f":
-            corners = [word.split("/") for word in words[1:]]
-            at = [_index(c[0], len(points)) - 1 for c in corners]
-            uv = [_index(c[1], len(coordinates) - 1) if len(c) > 1 and c[1] else 0 for c in corners]
-            for k in range(1, len(corners) - 1):
-                triangles.append([at[0], at[k], at[k + 1]])
-                mapped.append([uv[0], uv[k], uv[k + 1]])
-    faces = np.array(triangles, np.int32).reshape(-1, 3)
-    vertices = np.array(points, np.float64).reshape(-1, 3)
-    return vertices, faces, np.array(coordinates, np.float64)[np.array(mapped, np.intp).reshape(-1, 3)]
-
-
-def _index(word: str, count: int) -> int:
-    """An OBJ index from 1, negative from the end."""
-    value = int(word)
-    value = count + 1 + value if value < 0 else value
-    if not 1 <= value <= count:
-        raise ValueError(f"a face names element {word} of {count}")
-    return value
 
 
 def _fitted(body: RiggedMesh, low: NDArray[np.float64], high: NDArray[np.float64]) -> RiggedMesh:
@@ -132,17 +98,11 @@ def _fitted(body: RiggedMesh, low: NDArray[np.float64], high: NDArray[np.float64
     return replace(body, vertices=(own - origin) * scale, skeleton=skeleton)
 
 
-def _texture(source: Path, text: str) -> NDArray[np.uint8]:
-    color = np.array([200, 200, 200, 255], np.uint8)
-    library = next((line.split(None, 1)[1].strip() for line in text.splitlines() if line.startswith("mtllib ")), None)
-    if library is not None and (source.parent / library).is_file():
-        for line in (source.parent / library).read_text(encoding="utf-8", errors="replace").splitlines():
-            words = line.split()
-            if len(words) > 1 and words[0] == "map_Kd":
-                image = (source.parent / words[-1]).resolve()
-                if not image.is_relative_to(source.parent.resolve()) or not image.is_file():
-                    raise FormatError(f"{source}: the texture {words[-1][:60]!r} is not beside it")
-                return decode_texture(image.read_bytes(), f"{source}: {words[-1]}")
-            if len(words) == 4 and words[0] == "Kd":
-                color[:3] = np.rint(np.clip([float(w) for w in words[1:]], 0, 1) * np.float64(255))
-    return np.tile(color, (4, 4, 1))
+def _texture(source: Path, library: str | None) -> NDArray[np.uint8]:
+    """The first image of the material file, else its last colour."""
+    colour = flat()
+    for _, texture, mapped in textures_of(source, library):
+        if mapped:
+            return texture
+        colour = texture
+    return colour

@@ -22,7 +22,7 @@ from glsplat.skinning.pose import Pose
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.smplx import JOINT_NAMES, POSE_KEYS
 
-__all__ = ["Motion", "embedded_motions", "load_motion"]
+__all__ = ["Motion", "embedded_motions", "load_embedded_motion", "load_motion"]
 
 F64 = NDArray[np.float64]
 
@@ -128,10 +128,7 @@ def load_motion(path: str | Path, skeleton: Skeleton, *, forward: bool = False, 
     name = str(path)
     source = Path(path)
     if not source.exists() and re.fullmatch(r"[\w-]+", name):
-        if name not in embedded_motions():
-            raise PoseError(f"{name}: no such file and no such motion; embedded are {', '.join(embedded_motions())}")
-        with resources.as_file(resources.files("glsplat.data").joinpath(f"{name}.json")) as file:
-            return load_motion(file, skeleton, forward=forward, fps=fps)
+        return load_embedded_motion(name, skeleton, forward=forward, fps=fps)
     try:
         motion = _read(source, skeleton, forward)
         label = source.stem
@@ -141,6 +138,14 @@ def load_motion(path: str | Path, skeleton: Skeleton, *, forward: bool = False, 
     except PoseError as error:
         text = str(error)
         raise PoseError(text if text.startswith(f"{path}") else f"{path}: {text}") from None
+
+
+def load_embedded_motion(name: str, skeleton: Skeleton, *, forward: bool = False, fps: float | None = None) -> Motion:
+    """A motion that comes with glsplat, whatever files there are. Raises PoseError for another name."""
+    if name not in embedded_motions():
+        raise PoseError(f"{name}: no such file and no such motion; embedded are {', '.join(embedded_motions())}")
+    with resources.as_file(resources.files("glsplat.data").joinpath(f"{name}.json")) as file:
+        return load_motion(file, skeleton, forward=forward, fps=fps)
 
 
 def _read(path: Path, skeleton: Skeleton, forward: bool) -> Motion:

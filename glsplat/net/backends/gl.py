@@ -5,14 +5,13 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
-from glsplat.avatar import Avatar
 from glsplat.camera import Camera, look_at, pinhole
 from glsplat.config import RenderConfig
 from glsplat.errors import BudgetError, ContextLostError, GlsplatError, PoseError
 from glsplat.net.backend import Rendered
 from glsplat.net.messages import RenderRequest
 from glsplat.passes.frame.budget import Budget
-from glsplat.splats import Splats
+from glsplat.scene import Shown
 
 __all__ = ["MAX_COST", "MAX_TIME", "RendererBackend"]
 
@@ -32,17 +31,19 @@ class RendererBackend:
 
     def __init__(
         self,
-        scene: Splats | Avatar,
+        scene: Shown,
         pixels: tuple[int, int],
         device: str | None = None,
         config: RenderConfig | None = None,
         max_cost: float = MAX_COST,
         max_time: float = MAX_TIME,
+        pose_at: Callable[[float], None] | None = None,  # brings the scene to a time in seconds since open()
     ) -> None:
         self.abandoned: Callable[[], bool] = lambda: False
         self._max_cost, self._max_time = max_cost, max_time
         self._scene, self._pixels, self._device = scene, pixels, device
         self._config = config or RenderConfig()
+        self._pose_at, self._opened = pose_at, 0.0
 
     def open(self) -> str:
         """Make the context, load the scene, and draw once so that no client waits for the shaders."""
@@ -51,6 +52,7 @@ class RendererBackend:
 
         self._context = create_context(self._device)
         self._mark = 0
+        self._opened = time.monotonic()
         try:
             self._renderer = Renderer(
                 self._scene, size=self._pixels, views=2, config=self._config, context=self._context
@@ -73,6 +75,8 @@ class RendererBackend:
         budget = Budget(self._max_cost, self._max_time, self._slice_cost, self.abandoned)
         try:
             renderer.resize(first.width, first.height)
+            if self._pose_at is not None:
+                self._pose_at(time.monotonic() - self._opened)
             images = renderer.render(request.cameras, request.pose, budget=budget)
             if self._context.ctx.error != "GL_NO_ERROR":  # reading it clears it
                 raise GlsplatError(f"{renderer.driver} reports an OpenGL error: the picture is not to be trusted")

@@ -161,7 +161,7 @@ def test_bad_files_are_one_line(tmp_path: Path, text: bytes) -> None:
 
 
 def test_embedded_motions_are_for_their_own_rig() -> None:
-    assert motion_names(limb()) == [] and motion_names(cloud()) == []
+    assert motion_names(limb().skeleton) == [] and motion_names(None) == []
 
 
 def test_a_recording_of_head_and_hands_becomes_a_motion(tmp_path: Path) -> None:

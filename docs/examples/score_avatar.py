@@ -1,0 +1,31 @@
+"""How well an avatar shows the mesh it was made from: python score_avatar.py AVATAR.glb MESH.npz|MESH.glb [POSES]"""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+
+import glsplat
+from glsplat.evaluate.avatar_poses import SCORE_POSES
+from glsplat.evaluate.avatar_score import score
+from glsplat.making.items import load_item
+from glsplat.mesh import MeshConfig, MeshRenderer
+
+if len(sys.argv) < 3:
+    sys.exit(__doc__)
+avatar, mesh = glsplat.load(sys.argv[1]), load_item(Path(sys.argv[2]))
+if not isinstance(avatar, glsplat.Avatar) or not isinstance(mesh, glsplat.RiggedMesh):
+    sys.exit("needs an avatar and the rigged mesh it was made from")
+names = list(SCORE_POSES)[: int(sys.argv[3]) if len(sys.argv) > 3 else 3]
+
+size = (256, 256)
+config = glsplat.RenderConfig(output="float32")
+with (
+    MeshRenderer(mesh, size=size, config=MeshConfig(output="float32")) as truth,
+    glsplat.Renderer(avatar, size=size, config=config, context=truth.context) as renderer,
+):
+    scores = list(score(renderer, truth, avatar, mesh, names, views=2))
+
+for s in scores:
+    print(f"{s.pose:18} from {s.azimuth:3.0f} degrees: body {s.body:5.1f} dB, SSIM {s.ssim:.4f}")
+print(f"worst {min(s.body for s in scores):.1f} dB, mean {np.mean([s.body for s in scores]):.1f} dB")

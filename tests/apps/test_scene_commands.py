@@ -1,0 +1,269 @@
+"""Commands with scene files, meshes, another up axis, depth and alpha."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from apps.cli import main
+from apps.serve import make_server
+from glsplat import reference
+from glsplat.camera import Camera, look_at, pinhole
+from glsplat.data import default_avatar
+from glsplat.errors import PoseError
+from glsplat.formats import load, save
+from glsplat.formats.scene_file import upright
+from glsplat.making.items import load_scene
+from glsplat.net.backends.gl import RendererBackend
+from glsplat.net.messages import RenderRequest
+from glsplat.net.server import ServerConfig
+from glsplat.pictures import straight
+from glsplat.renderer import Renderer
+from glsplat.scene import Item, Scene
+from glsplat.skinning.pose import Pose
+from tests.compare import Difference
+from tests.scene.worlds import reference_of
+from tests.scenes import camera, cloud, eyes, limb
+from tests.skinning.avatars import part
+
+pytestmark = pytest.mark.gl
+
+OBJ = "v -1 -1 -0.5\nv 1 -1 -0.5\nv 0 1 -0.5\nf 1 2 3\n"
+
+
+@pytest.fixture
+def world(tmp_path: Path) -> Path:
+    """A cloud, two arms of which one is hidden, and a triangle behind them."""
+    save(cloud(200, 2), tmp_path / "cloud.ply")
+    save(limb(200), tmp_path / "limb.glb")
+    (tmp_path / "wall.obj").write_text(OBJ)
+    return written(
+        tmp_path,
+        {"path": "cloud.ply", "translation": [0.2, 0, 0], "rotation": [0, 0, 1, 1], "scale": 0.8},
+        {"path": "limb.glb", "pose": {"joints": {limb(1).skeleton.names[1]: [0, 0, 0.5]}}},
+        {"path": "limb.glb", "visible": False},
+        {"path": "wall.obj"},
+        background=[0.1, 0.2, 0.3],
+    )
+
+
+def written(folder: Path, *items: dict[str, Any], **more: Any) -> Path:
+    (folder / "scene.json").write_text(json.dumps({"version": 1, "items": items, **more}))
+    return folder / "scene.json"
+
+
+def run(*arguments: object) -> None:
+    assert main([str(a) for a in arguments]) == 0
+
+
+def refused(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
+    assert main([str(a) for a in arguments]) in (1, 2)
+    return capsys.readouterr().err
+
+
+def test_render_a_scene_file(world: Path, tmp_path: Path) -> None:
+    views = [camera(48, background=(0.1, 0.2, 0.3))]
+    (tmp_path / "camera.json").write_text(json.dumps(views[0].to_json()))
+    out, depth = tmp_path / "out.npy", tmp_path / "depth.npy"
+    run("render", world, "--cameras", tmp_path / "camera.json", "-o", out, "--depth", depth, "--float-target", "32f")
+    images, depths = reference_of(load_scene(world).scene, views)
+    assert Difference.of(np.load(out), images[0]).psnr > 65 and np.load(depth).shape == (48, 48)
+    solid = images[0, ..., 3] > 0.05  # where little is seen, rounding decides what its depth is
+    assert np.abs(np.load(depth) - depths[0])[solid].max() < 1e-3
+
+
+def test_the_scene_file_says_the_background(world: Path, tmp_path: Path) -> None:
+    away = ["--size", "32", "--eye", "0,0,30", "--target", "0,0,60", "-o", tmp_path / "a.png"]
+    run("render", world, *away)
+    assert cv2.imread(str(tmp_path / "a.png"))[0, 0].tolist() == [76, 51, 26]
+    run(
+        "render",
+        world,
+        "--size",
+        "32",
+        "--eye",
+        "0,0,30",
+        "--target",
+        "0,0,60",
+        "-o",
+        tmp_path / "a.png",
+        "--background",
+        "1,0,0",
+    )
+    assert cv2.imread(str(tmp_path / "a.png"))[0, 0].tolist() == [0, 0, 255]
+
+
+@pytest.mark.parametrize("command", ["bench", "inspect"])
+def test_bench_and_inspect(world: Path, capsys: pytest.CaptureFixture[str], command: str) -> None:
+    more = ["--sizes", "32x32", "--frames", "3", "--json"] if command == "bench" else ["--json"]
+    run(command, world, *more)
+    report = json.loads(capsys.readouterr().out)
+    if command == "bench":
+        assert report["settings"][0]["kind"] == "static" and report["settings"][0]["splats"] == 400
+        return
+    assert report["kind"] == "scene" and report["splats"] == 600 and report["background"] == [0.1, 0.2, 0.3]
+    assert [entry["kind"] for entry in report["items"]] == ["splats", "avatar", "avatar", "mesh"]
+    assert report["items"][0]["scale"] == pytest.approx(0.8) and report["items"][1]["posed"]
+    assert not report["items"][2]["visible"] and report["items"][3]["triangles"] == 1
+    run(command, world)
+    text = capsys.readouterr().out
+    assert "4 items, 600 splats" in text and "hidden" in text and "1 triangles" in text
+
+
+def test_inspect_a_mesh(world: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    run("inspect", world.parent / "wall.obj", "--json")
+    report = json.loads(capsys.readouterr().out)
+    assert report["kind"] == "mesh" and report["items"][0]["bounds"]["max"][0] == pytest.approx(0.98, abs=0.03)
+
+
+@pytest.fixture
+def walkers(tmp_path: Path) -> Callable[..., Path]:
+    """Small people of the embedded rig, each with these entries of its own."""
+    save(part(default_avatar(), np.arange(0, 40000, 400)), tmp_path / "body.glb")
+
+    def write(*entries: dict[str, Any]) -> Path:
+        places = [[0.8 * i, 0, 0] for i in range(len(entries))]
+        items = [{"path": "body.glb", "translation": p, **e} for p, e in zip(places, entries, strict=True)]
+        return written(tmp_path, *items)
+
+    return write
+
+
+def test_motions_play(walkers: Callable[..., Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = walkers({"motion": "walk"}, {"motion": "idle"})
+    view = ["--size", "40", "--eye", "0.4,1,4", "--target", "0.4,1,0"]
+    run("render", file, *view, "--frame", "12", "--fps", "24", "-o", tmp_path / "a.npy")
+    scene = load_scene(file)
+    scene.pose_at(0.5)
+    cam = Camera(look_at((0.4, 1, 4), (0.4, 1, 0)), pinhole(40, 40), 40, 40)
+    with Renderer(scene.scene, size=(40, 40)) as renderer:
+        expected = renderer.render([cam])[0] / 255
+    assert np.abs(np.load(tmp_path / "a.npy") - expected).max() < 0.0021
+    run("render", file, *view, "-o", tmp_path / "b.npy")  # one picture: the beginning
+    assert np.abs(np.load(tmp_path / "b.npy") - np.load(tmp_path / "a.npy")).max() > 0.01
+    run("render", file, *view, "--fps", "2", "-o", f"{tmp_path}/clip/")
+    assert len(list((tmp_path / "clip").iterdir())) == round(scene.duration * 2)
+    for option in (["--motion", "idle"], ["--pose", tmp_path / "no.json"]):
+        assert "is for one avatar, this scene has several" in refused(capsys, "render", file, *option, "-o", "x.png")
+    assert "--frame needs 0 to" in refused(capsys, "render", file, "--frame", "99999", "-o", "x.png")
+
+
+def test_a_client_poses_the_one_avatar(walkers: Callable[..., Path]) -> None:
+    cam = Camera(look_at((0.4, 1, 4), (0.4, 1, 0)), pinhole(40, 40), 40, 40)
+
+    def request(pose: Pose | None) -> RenderRequest:
+        return RenderRequest(frame_id=1, cameras=(cam,), pose=pose)
+
+    wave = Pose.from_smplx({"body_pose": np.full((21, 3), 0.3)})
+    file = load_scene(walkers({}, {"visible": False}))
+    assert make_server(file, ServerConfig(port=0), own_process=False)._skeleton is file.scene.items[0].content.skeleton
+    backend = RendererBackend(file.scene, (40, 40))
+    backend.open()
+    try:
+        still, moved = backend.render(request(None)).images, backend.render(request(wave)).images
+        assert (still != moved).any()
+        file.scene.items[0].pose = wave
+        assert (backend.render(request(None)).images == moved).all()
+    finally:
+        backend.close()
+    file = load_scene(walkers({"motion": "walk"}, {}))
+    assert make_server(file, ServerConfig(port=0), own_process=False)._skeleton is None
+    backend = RendererBackend(file.scene, (40, 40), pose_at=lambda _: file.pose_at(0.5))
+    backend.open()
+    try:
+        with pytest.raises(PoseError, match="one pose for 2 avatars"):
+            backend.render(request(wave))
+        backend.render(request(None))
+        expected = file.motions["0"][1].at(0.5).rotations
+        assert np.array_equal(file.scene.items[0].pose.rotations, expected)
+    finally:
+        backend.close()
+
+
+@pytest.mark.parametrize("up", ["-y", "z", "-z"])
+def test_up_is_the_same_drawn_and_converted(tmp_path: Path, up: str) -> None:
+    """Against the float64 twin of the unturned splats seen by a camera that is turned the other way."""
+    splats = cloud(300, 3)
+    save(splats, tmp_path / "a.ply")
+    run("convert", tmp_path / "a.ply", tmp_path / "b.ply", "--up", up)
+    view = camera(48)
+    (tmp_path / "camera.json").write_text(json.dumps(view.to_json()))
+    more = ["--cameras", tmp_path / "camera.json", "--float-target", "32f"]
+    run("render", tmp_path / "a.ply", "--up", up, *more, "-o", tmp_path / "a.npy")
+    run("render", tmp_path / "b.ply", *more, "-o", tmp_path / "b.npy")
+    written(tmp_path, {"path": "a.ply"}, up=up)
+    run("render", tmp_path / "scene.json", *more, "-o", tmp_path / "c.npy")
+    run("render", written(tmp_path, {"path": "a.ply"}), "--up", up, *more, "-o", tmp_path / "d.npy")
+    turned = Camera(view.viewmat @ upright(up), view.K, 48, 48)
+    expected = reference.render(splats, [turned])[0]
+    for name in "abcd":
+        assert Difference.of(np.load(tmp_path / f"{name}.npy"), expected).psnr > 65, name
+    unturned = reference.render(splats, [view])[0]
+    assert Difference.of(unturned, expected).psnr < 40  # it matters
+
+
+def test_an_avatar_is_turned_with_its_rig(tmp_path: Path) -> None:
+    avatar, view = limb(300, degree=2), camera(48)
+    save(avatar, tmp_path / "a.glb")
+    run("convert", tmp_path / "a.glb", tmp_path / "b.glb", "--up", "z")
+    pose = Pose(np.random.default_rng(4).normal(0, 0.4, (4, 3)))
+    with Renderer(Scene([Item(avatar, transform=upright("z"), pose=pose)]), size=(48, 48)) as renderer:
+        expected = renderer.render([view])[0]
+    with Renderer(load(tmp_path / "b.glb"), size=(48, 48)) as renderer:
+        assert np.abs(renderer.render([view], pose)[0].astype(int) - expected).max() <= 1
+        assert (renderer.render([view])[0] != expected).any()
+
+
+@pytest.mark.parametrize("stereo", [False, True])
+def test_depth_and_alpha(world: Path, tmp_path: Path, stereo: bool) -> None:
+    views = list(eyes(48)) if stereo else [camera(48)]
+    data = [view.to_json() for view in views]
+    (tmp_path / "camera.json").write_text(json.dumps(data if stereo else data[0]))
+    common = ["render", world, "--cameras", tmp_path / "camera.json", "--float-target", "32f"]
+    run(*common, "-o", tmp_path / "a.png", "--alpha", "--depth", tmp_path / "mm.png")
+    run(*common, "-o", tmp_path / "a.npy", "--depth", tmp_path / "m.npy")
+    image = np.load(tmp_path / "a.npy").reshape(len(views), 48, 48, 4)
+    picture = cv2.imread(str(tmp_path / "a.png"), cv2.IMREAD_UNCHANGED)[..., [2, 1, 0, 3]]
+    expected = np.rint(np.clip(straight(np.concatenate(list(image), axis=1)), 0, 1) * 255)
+    assert picture.shape == (48, 48 * len(views), 4) and (picture == expected).all()
+    assert 0 < (picture[..., 3] == 0).mean() < 1 and len(np.unique(picture[..., 3])) > 10
+    metres = np.load(tmp_path / "m.npy")
+    assert metres.shape == ((2, 48, 48) if stereo else (48, 48)) and metres.dtype == np.float32
+    grey = cv2.imread(str(tmp_path / "mm.png"), cv2.IMREAD_UNCHANGED)
+    wide = np.concatenate(list(metres.reshape(-1, 48, 48)), axis=1)
+    assert grey.dtype == np.uint16 and np.abs(grey / 1000 - wide).max() < 6e-4 and ((grey == 0) == (wide == 0)).all()
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--alpha", "-o", "a.npy"], "an .npy holds alpha anyway"),
+        (["--alpha", "-o", "a.mp4", "--turntable", "3"], "a clip has no alpha"),
+        (["--alpha", "--background", "1,1,1", "-o", "a.png"], "--alpha or --background"),
+        (["--depth", "d.exr", "-o", "a.png"], "--depth d.exr: expected .npy"),
+        (["--depth", "d.png", "-o", "a.mp4", "--turntable", "3"], "not for a clip"),
+        (["--depth", "a.png", "-o", "a.png"], "the same file"),
+        (["--frame", "3", "-o", "a.png"], "--frame needs --motion, or a scene file with motions"),
+        (["--up", "x", "-o", "a.png"], "invalid choice: 'x'"),
+    ],
+)
+def test_mistakes(
+    world: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, options: list[str], message: str
+) -> None:
+    monkeypatch.chdir(world.parent)
+    try:
+        err = refused(capsys, "render", "cloud.ply", *options)
+    except SystemExit:
+        err = capsys.readouterr().err
+    assert message in err and err.count("\n") == 1
+
+
+def test_an_empty_scene_is_its_background(tmp_path: Path) -> None:
+    run("render", written(tmp_path, background=[0, 0, 1]), "--size", "8", "-o", tmp_path / "a.png")
+    assert (cv2.imread(str(tmp_path / "a.png")) == (255, 0, 0)).all()

@@ -1,0 +1,164 @@
+"""Meshes as items of a scene: rigged and standing glTF, OBJ with materials, person archives."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from glsplat.avatar import Avatar
+from glsplat.camera import Camera, look_at, pinhole
+from glsplat.data import default_avatar
+from glsplat.errors import FormatError
+from glsplat.formats import save
+from glsplat.making.items import load_item, load_scene
+from glsplat.meshes import RiggedMesh
+from glsplat.scene import Item, Scene, similarity
+from glsplat.splats import Splats
+from glsplat.views import viewing_point
+from tests.scenes import cloud
+from tests.skinning.avatars import part
+
+
+def test_splats_and_avatars_stay_what_they_are(tmp_path: Path) -> None:
+    save(cloud(5), tmp_path / "a.ply")
+    save(cloud(5), tmp_path / "a.gltf")
+    save(part(default_avatar(), np.arange(9)), tmp_path / "a.glb")
+    kinds = [type(load_item(tmp_path / name)) for name in ("a.ply", "a.gltf", "a.glb")]
+    assert kinds == [Splats, Splats, Avatar]
+
+
+def corners(mesh: RiggedMesh) -> np.ndarray:
+    """All triangles' corners, in an order that does not depend on the file's."""
+    points = mesh.vertices[mesh.faces].reshape(-1, 3)
+    return points[np.lexsort(points.round(4).T)]
+
+
+@pytest.mark.parametrize("ending", ["glb", "gltf"])
+def test_a_standing_gltf_is_where_its_nodes_put_it(tmp_path: Path, ending: str) -> None:
+    """Written by trimesh, read back by trimesh: two boxes in two places, one tinted."""
+    world = trimesh.Scene()
+    box = trimesh.creation.box((1, 2, 3))
+    box.visual = trimesh.visual.TextureVisuals(
+        material=trimesh.visual.material.PBRMaterial(baseColorFactor=(255, 0, 0, 255))
+    )
+    for x in (0.0, 4.0):
+        place = trimesh.transformations.euler_matrix(0.3, 0.2, x)
+        place[:3, 3] = x, 1, 2
+        world.add_geometry(box, transform=place)
+    file = tmp_path / f"boxes.{ending}"
+    if ending == "glb":
+        file.write_bytes(world.export(file_type="glb"))
+    else:
+        for name, data in world.export(file_type="gltf").items():
+            (tmp_path / name).write_bytes(data)
+        (tmp_path / "model.gltf").rename(file)
+    mesh = load_item(file)
+    assert isinstance(mesh, RiggedMesh) and len(mesh.skeleton) == 1 and len(mesh.faces) == 24
+    expected = trimesh.load(file, force="scene").to_geometry().triangles.reshape(-1, 3)
+    assert np.allclose(corners(mesh), expected[np.lexsort(expected.round(4).T)], atol=1e-5)
+    assert mesh.parts[0].texture[0, 0].tolist() == [255, 0, 0, 255]
+
+
+OBJ = """mtllib room.mtl
+v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0 1
+usemtl red\nf 1 2 3
+usemtl tiles\nf -4/1 -2/3 -1/4\nusemtl unknown\nf 1//1 3//1 4//1\n"""
+
+
+def test_obj_with_materials(tmp_path: Path) -> None:
+    import cv2
+
+    (tmp_path / "room.obj").write_text(OBJ)
+    (tmp_path / "room.mtl").write_text("newmtl red\nKd 1 0 0\nnewmtl tiles\nKd 0 0 0\nmap_Kd tiles.png\nKd 0 0 1\n")
+    cv2.imwrite(str(tmp_path / "tiles.png"), np.full((8, 8, 3), (0, 255, 0), np.uint8))
+    mesh = load_item(tmp_path / "room.obj")
+    assert isinstance(mesh, RiggedMesh) and [p.name for p in mesh.parts] == ["red", "tiles", "unknown"]
+    assert [p.texture[0, 0].tolist()[:3] for p in mesh.parts] == [[255, 0, 0], [0, 255, 0], [200, 200, 200]]
+    assert mesh.parts[1].faces.tolist() == [[0, 2, 3]] and mesh.parts[1].uv[0].tolist() == [[0, 0], [1, 1], [0, 1]]
+    (tmp_path / "room.mtl").write_text("newmtl tiles\nmap_Kd ../tiles.png\n")
+    with pytest.raises(FormatError, match="not beside it"):
+        load_item(tmp_path / "room.obj")
+
+
+@pytest.mark.parametrize(
+    ("name", "data", "message"),
+    [
+        ("a.obj", b"f 1 2 3\n", "not a usable OBJ"),
+        ("a.obj", b"", "at least one triangle"),
+        ("a.obj", b"v nan 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "finite vertices"),
+        ("a.glb", b"glTF", "a.glb: "),
+        ("a.gltf", b'{"asset": {"version": "2.0"}}', "needs triangles"),
+        ("a.npz", b"nothing", "npz archive"),
+        ("a.txt", b"nothing", "none of them"),
+    ],
+)
+def test_no_items(tmp_path: Path, name: str, data: bytes, message: str) -> None:
+    (tmp_path / name).write_bytes(data)
+    with pytest.raises(FormatError, match=message) as caught:
+        load_item(tmp_path / name)
+    assert str(caught.value).startswith(str(tmp_path / name)) and "\n" not in str(caught.value)
+
+
+@pytest.mark.shared
+@pytest.mark.gl
+@pytest.mark.parametrize(
+    ("path", "joints"),
+    [
+        ("people/char_c_registry.npz", 55),
+        ("people/open_body55.npz", 55),
+        ("real/models/cesium_man.glb", 19),
+        ("real/models/kaykit_mage.glb", None),
+        ("real/models/quaternius_knight.glb", None),
+    ],
+)
+def test_real_meshes_in_a_scene(shared_data: Path, renderer_of, path: str, joints: int | None) -> None:
+    mesh = load_item(shared_data / path)
+    assert isinstance(mesh, RiggedMesh) and len(mesh.skeleton) == (joints or len(mesh.skeleton)) > 1
+    scene = Scene([Item(mesh, transform=similarity((0, 1, 0), scale=0.01)), Item(cloud(50))])
+    eye, target = viewing_point(mesh, 40)
+    view = Camera(look_at(eye, target), pinhole(64, 64, 40), 64, 64)
+    alone = renderer_of(mesh).render([view])[0]
+    assert 0.08 < (alone[..., 3] == 1).mean() < 0.9 and alone[..., :3].max() > 0.1  # all of it, and no speck
+    assert renderer_of(scene).render([view])[0].shape == (64, 64, 4)
+
+
+@pytest.mark.shared
+def test_a_real_model_whose_skin_is_dropped_stands(shared_data: Path, tmp_path: Path) -> None:
+    """A rigged file without its skins is a standing mesh with the same triangles, where its nodes put them."""
+    data = (shared_data / "real/models/cesium_man.glb").read_bytes()
+    size = int.from_bytes(data[12:16], "little")
+    gltf = json.loads(data[20 : 20 + size])
+    for node in gltf["nodes"]:
+        node.pop("skin", None)
+    text = json.dumps(gltf).encode()
+    text += b" " * (-len(text) % 4)
+    rest = data[20 + size :]
+    head = b"glTF" + (2).to_bytes(4, "little") + (20 + len(text) + len(rest)).to_bytes(4, "little")
+    (tmp_path / "man.glb").write_bytes(head + len(text).to_bytes(4, "little") + b"JSON" + text + rest)
+    mesh, rigged = load_item(tmp_path / "man.glb"), load_item(shared_data / "real/models/cesium_man.glb")
+    assert isinstance(mesh, RiggedMesh) and isinstance(rigged, RiggedMesh)
+    assert len(mesh.skeleton) == 1 and len(mesh.faces) == len(rigged.faces)
+    expected = trimesh.load(tmp_path / "man.glb", force="scene").to_geometry()
+    assert np.allclose([mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)], expected.bounds, atol=1e-5)
+
+
+def test_a_scene_of_one(tmp_path: Path) -> None:
+    save(cloud(5), tmp_path / "a.ply")
+    read = load_scene(tmp_path / "a.ply")
+    assert len(read.scene) == 1 and read.avatar is None and not read.motions
+
+
+def test_splats_need_no_mesh_readers(tmp_path: Path) -> None:
+    save(cloud(5), tmp_path / "a.ply")
+    (tmp_path / "s.json").write_text('{"version": 1, "items": [{"path": "a.ply"}]}')
+    script = (
+        "import sys; from glsplat.making.items import load_scene; load_scene(sys.argv[1]); "
+        "assert not {'cv2', 'trimesh', 'moderngl'} & set(sys.modules), sorted(sys.modules)"
+    )
+    subprocess.run([sys.executable, "-c", script, str(tmp_path / "s.json")], check=True)
