@@ -10,7 +10,7 @@ import numpy as np
 from glsplat.avatar import Avatar
 from glsplat.data import default_avatar
 from glsplat.errors import FormatError
-from glsplat.formats import load
+from glsplat.formats import load, suffixes
 from glsplat.formats.scene_file import UPS, SceneFile, upright
 from glsplat.formats.transform import transformed
 from glsplat.making.items import is_scene
@@ -42,7 +42,7 @@ __all__ = [
 
 def add_scene(parser: argparse.ArgumentParser) -> None:
     """The positional SCENE, --up and --strict."""
-    what = "PLY, .splat, glTF, a mesh (OBJ, glTF, .npz), or a scene file (JSON); default: the embedded avatar"
+    what = f"a {suffixes()}, a mesh (OBJ, glTF, .npz), or a scene file (JSON); default: the embedded avatar"
     parser.add_argument("scene", nargs="?", metavar="SCENE", help=what)
     add_up(parser)
     parser.add_argument("--strict", action="store_true", help="refuse files with NaN or infinity instead of skipping")
@@ -60,7 +60,7 @@ def load_scene(args: argparse.Namespace) -> Splats | Avatar:
     if args.scene is None:
         return default_avatar()
     if not Path(args.scene).exists():
-        raise FormatError(f"{args.scene}: no such file; give a PLY, .splat or glTF, or nothing for the default avatar")
+        raise FormatError(f"{args.scene}: no such file; give a {suffixes()}, or nothing for the default avatar")
     return load(args.scene, strict=getattr(args, "strict", False))
 
 

@@ -33,7 +33,7 @@ COMMANDS = {
     "tracking": "head and hands to a full-body pose: derive, solve, score, show",
     "report": "error against run time, batching, what is left out, stability: HTML, plots, JSON",
     "inspect": "what is in a scene or avatar file",
-    "convert": "between PLY, .splat and glTF",
+    "convert": "from one format of splats and avatars to another",
 }
 
 MODULES = {name: f"{name}.command" for name in ("avatar", "preview", "replay", "report", "tracking")}

@@ -17,7 +17,7 @@ from tqdm import tqdm
 from glsplat.avatar import Avatar
 from glsplat.data import default_avatar
 from glsplat.errors import FormatError, GlsplatError
-from glsplat.formats import load, save
+from glsplat.formats import FORMATS, load, save, suffixes
 from glsplat.formats.files import replace_file
 from glsplat.making.cones import ConeConfig, with_cones
 from glsplat.making.importers import bind_to_mesh, load_lhm_dump, marked_no_rotate
@@ -61,7 +61,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
     cones = commands.add_parser("cones", help="find out which splats are hidden from where, for --cull-hidden")
     cones.add_argument("scene", type=Path, help="avatar or static splats")
-    cones.add_argument("-o", "--out", type=Path, required=True, help="file to write (.glb, .gltf)")
+    cones.add_argument("-o", "--out", type=Path, required=True, help=f"file to write ({suffixes(rigs=True)})")
     cones.add_argument(
         "--psnr", type=float, default=ConeConfig().psnr, help="dB that test pictures keep (default %(default)g)"
     )
@@ -83,7 +83,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     export.add_argument("avatar", nargs="?", type=Path, help="avatar (.glb); default: the embedded one")
     export.add_argument("--pose", help="pose or motion file, or the name of an embedded motion (default: zero pose)")
     export.add_argument("--at", type=float, default=0.0, help="seconds into a motion (default 0)")
-    export.add_argument("-o", "--out", type=Path, required=True, help="file to write (.ply, .splat, .glb)")
+    export.add_argument("-o", "--out", type=Path, required=True, help=f"file to write ({suffixes()})")
 
     measured = commands.add_parser("score", help="compare an avatar with the textured mesh it was made from")
     score.add_arguments(measured)
@@ -196,8 +196,8 @@ def _person(path: Path) -> RiggedMesh:
 
 
 def _check_name(out: Path) -> None:
-    if out.suffix.lower() not in (".glb", ".gltf"):
-        raise UsageError(f"{out}: an avatar is written as .glb or .gltf; change the name")
+    if not any(out.suffix.lower() in known.suffixes for known in FORMATS if known.rigs):
+        raise UsageError(f"{out}: an avatar is written as {suffixes(rigs=True)}; change the name")
 
 
 def _write(avatar: Avatar, args: argparse.Namespace, began: float) -> int:

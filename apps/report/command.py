@@ -30,6 +30,7 @@ from glsplat.evaluate.stability.frame import frame_cases, judge
 from glsplat.evaluate.stability.skin import skin_cases
 from glsplat.evaluate.stability.tracking import tracking_cases
 from glsplat.evaluate.subjects import PERSON_SPLATS, Subject, check_cameras, subjects_of
+from glsplat.formats import suffixes
 from glsplat.formats.files import replace_file
 from glsplat.gl.context import Context, create_context
 from glsplat.views import splats_of
@@ -59,7 +60,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "scenes",
         nargs="*",
         metavar="SCENE",
-        help="PLY, .splat or glTF besides the default avatar, or a rigged person (.npz), seen as an avatar of "
+        help=f"a {suffixes()} besides the default avatar, or a rigged person (.npz), seen as an avatar of "
         f"{PERSON_SPLATS} splats whose truth has all joints a splat; NAME.camera.json beside NAME.ply is its view",
     )
     parser.add_argument(

@@ -1,4 +1,4 @@
-"""Readers and writers of splat files. ``load`` looks at the content, ``save`` at the suffix.
+"""Readers and writers of splat files. ``load`` looks at the content, ``save`` at the suffix; FORMATS is what there is.
 
 ==========================  ======  ======  ============================================================
 format                      read    write   holds
@@ -11,20 +11,43 @@ glTF (.glb, .gltf)          yes     yes     splats (KHR_gaussian_splatting), ava
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import BinaryIO
 
 from glsplat.avatar import Avatar
 from glsplat.errors import FormatError
-from glsplat.formats.files import Source, checked, folder_of, naming, open_regular, sampled, suffix_of
-from glsplat.formats.gltf import load_gltf, read_gltf, save_gltf
-from glsplat.formats.ply import load_ply, read_ply, save_ply
-from glsplat.formats.splat import load_splat, looks_like_splat, read_splat, save_splat
+from glsplat.formats.files import Source, checked, folder_of, naming, open_regular, suffix_of
+from glsplat.formats.format import Format, Start
+from glsplat.formats.gltf import GLB, GLTF, load_gltf, save_gltf
+from glsplat.formats.ply import PLY, load_ply, save_ply
+from glsplat.formats.splat import SPLAT, load_splat, save_splat
 from glsplat.splats import Splats
+from glsplat.views import splats_of
 
-__all__ = ["load", "load_gltf", "load_ply", "load_splat", "recognise", "save", "save_gltf", "save_ply", "save_splat"]
+__all__ = [
+    "FORMATS",
+    "Format",
+    "load",
+    "load_gltf",
+    "load_ply",
+    "load_splat",
+    "losses",
+    "recognise",
+    "save",
+    "save_gltf",
+    "save_ply",
+    "save_splat",
+    "suffixes",
+]
 
-_READ = "3DGS PLY, glTF/GLB with KHR_gaussian_splatting, or .splat"
-_FORMATS = ("ply", "splat", "glb", "gltf")
+FORMATS: list[Format] = [
+    PLY,
+    SPLAT,
+    GLB,
+    GLTF,
+]
+"""Every format, in the order in which messages name them. A new one is a module and a line here."""
+
 _FOREIGN = {
     b"\x1f\x8b": "gzip, perhaps .spz or .ply.gz",
     b"NGSP": ".spz",
@@ -33,12 +56,12 @@ _FOREIGN = {
 
 
 def recognise(source: Source) -> str:
-    """ "ply", "glb", "gltf" or "splat", by content; FormatError when it is none of them.
+    """The name of the format ("ply", "splat", "glb" or "gltf"), by content; FormatError when it is none of them.
 
     The name helps only where the content does not tell: .splat files have no mark of their own.
     """
     with naming(source), open_regular(source) as (file, size):
-        return _recognise(file, size, suffix_of(source) == ".splat")
+        return _recognised(file, size, suffix_of(source)).name
 
 
 def load(source: Source, *, strict: bool = False, format: str | None = None) -> Splats | Avatar:
@@ -53,14 +76,10 @@ def load(source: Source, *, strict: bool = False, format: str | None = None) -> 
     Avatar(40000 splats, 55 joints, 4 a splat)
     """
     with naming(source), open_regular(source) as (file, size):
-        kind = _recognise(file, size, suffix_of(source) == ".splat") if format is None else _known(format)
+        known = _recognised(file, size, suffix_of(source)) if format is None else _called(format)
         file.seek(0)
-        if kind == "ply":
-            return checked(read_ply(file, size), source, strict)
-        if kind == "splat":
-            return checked(read_splat(file, size), source, strict)
-        scene = read_gltf(file, size, folder_of(source))
-        checked(scene.splats if isinstance(scene, Avatar) else scene, source, strict)
+        scene = known.load(file, size, folder_of(source))
+        checked(splats_of(scene), source, strict)
         return scene
 
 
@@ -77,44 +96,51 @@ def save(scene: Splats | Avatar, target: Source, *, format: str | None = None) -
     40000
     """
     with naming(target):
-        suffix = suffix_of(target)
-        if format is not None:
-            suffix = f".{_known(format)}"
-        elif suffix[1:] not in _FORMATS:
-            raise FormatError(
-                f"the name needs to end in .ply, .splat, .glb or .gltf, not {suffix[:20]!r}; or say which by format="
-            )
-        if suffix in (".glb", ".gltf"):
-            return save_gltf(scene, target, embedded=suffix == ".gltf")
-        splats = scene.splats if isinstance(scene, Avatar) else scene
-        return save_ply(splats, target) if suffix == ".ply" else save_splat(splats, target)
+        (_by_suffix(suffix_of(target)) if format is None else _called(format)).save(scene, target)
 
 
-def _recognise(file: BinaryIO, size: int, named_splat: bool) -> str:
+def losses(scene: Splats | Avatar, target: Source, *, format: str | None = None) -> Iterator[str]:
+    """What ``save`` with the same arguments does not keep of ``scene``, beyond rounding, a sentence each."""
+    with naming(target):
+        known = _by_suffix(suffix_of(target)) if format is None else _called(format)
+    return known.losses(scene)
+
+
+def suffixes(*, last: str = "or", rigs: bool = False) -> str:
+    """What names may end in, as texts say it: ".ply, .splat, .glb or .gltf". ``rigs``: those that hold avatars."""
+    return _either([suffix for known in FORMATS if known.rigs or not rigs for suffix in known.suffixes], f" {last} ")
+
+
+def _recognised(file: BinaryIO, size: int, suffix: str) -> Format:
     head = file.read(512)
+    marked_first = sorted(FORMATS, key=lambda known: not known.marked)
+    expected = _either(list(dict.fromkeys(known.title for known in marked_first)), ", or ")
+    for known in marked_first:
+        if not known.sniff(Start(head, size, suffix in known.suffixes, file)):
+            continue
+        if known is GLTF and b'"items"' in head and b'"asset"' not in head:
+            raise FormatError(f"expected {expected}, but this is a scene file; see glsplat.making.items.load_scene")
+        return known
     if not head:
-        if named_splat:  # no splats
-            return "splat"
-        raise FormatError(f"the file is empty; expected {_READ}")
-    if head.startswith((b"ply\n", b"ply\r", b"ply ")):
-        return "ply"
-    if head.startswith(b"glTF"):
-        return "glb"
-    text = not any(byte < 32 and byte not in b"\t\n\r" for byte in head)  # else a number that begins like a brace
-    if text and head.removeprefix(b"\xef\xbb\xbf").lstrip().startswith(b"{"):
-        if b'"items"' in head and b'"asset"' not in head:
-            raise FormatError(f"expected {_READ}, but this is a scene file; see glsplat.making.items.load_scene")
-        return "gltf"
-    if size % 32 == 0:
-        data = sampled(file, 0, size)
-        if looks_like_splat(data) or (named_splat and looks_like_splat(data, named=True)):
-            return "splat"
+        raise FormatError(f"the file is empty; expected {expected}")
     foreign = next((name for magic, name in _FOREIGN.items() if head.startswith(magic)), None)
-    raise FormatError(f"expected {_READ}, but this is {foreign or 'none of them'}; convert it first")
+    raise FormatError(f"expected {expected}, but this is {foreign or 'none of them'}; convert it first")
 
 
-def _known(format: str) -> str:
-    kind = format.lower().removeprefix(".") if isinstance(format, str) else ""
-    if kind not in _FORMATS:
-        raise FormatError(f"format is one of {', '.join(_FORMATS)}, not {format!r:.40}")
-    return kind
+def _called(name: str) -> Format:
+    wanted = name.lower().removeprefix(".") if isinstance(name, str) else ""
+    for known in FORMATS:
+        if known.name == wanted:
+            return known
+    raise FormatError(f"format is one of {', '.join(known.name for known in FORMATS)}, not {name!r:.40}")
+
+
+def _by_suffix(suffix: str) -> Format:
+    for known in FORMATS:
+        if suffix in known.suffixes:
+            return known
+    raise FormatError(f"the name needs to end in {suffixes()}, not {suffix[:20]!r}; or say which by format")
+
+
+def _either(names: list[str], last: str) -> str:
+    return last.join([*([", ".join(names[:-1])] if len(names) > 1 else []), *names[-1:]])

@@ -18,6 +18,7 @@ from glsplat.arrays import frozen
 from glsplat.avatar import Avatar
 from glsplat.errors import FormatError
 from glsplat.formats.files import Source, checked, folder_of, naming, open_regular, replace_file, suffix_of
+from glsplat.formats.format import Format
 from glsplat.formats.glb import (
     Asset,
     Buffer,
@@ -36,7 +37,7 @@ from glsplat.formats.rig import read_skeleton, read_skin, write_rig
 from glsplat.formats.transform import transformed
 from glsplat.splats import SH_C0, Splats
 
-__all__ = ["EXTENSION", "load_gltf", "read_gltf", "save_gltf"]
+__all__ = ["EXTENSION", "GLB", "GLTF", "load_gltf", "read_gltf", "save_gltf"]
 
 EXTENSION = "KHR_gaussian_splatting"
 _VERSION = 1  # of asset.extras.glsplat
@@ -245,3 +246,29 @@ def _note(container: Container) -> dict[str, Any]:
 
 def _written_by_us(container: Container) -> bool:
     return "version" in _note(container)
+
+
+_TITLE = f"glTF/GLB with {EXTENSION}"
+
+GLB = Format(
+    name="glb",
+    title=_TITLE,
+    suffixes=(".glb",),
+    sniff=lambda start: start.head.startswith(b"glTF"),
+    load=read_gltf,
+    save=lambda scene, target: save_gltf(scene, target, embedded=False),
+    rigs=True,
+    cones=True,
+)
+
+GLTF = Format(
+    name="gltf",
+    title=_TITLE,
+    suffixes=(".gltf",),
+    # text, else it is a number of a .splat that begins like a brace
+    sniff=lambda start: start.text and start.head.removeprefix(b"\xef\xbb\xbf").lstrip().startswith(b"{"),
+    load=read_gltf,
+    save=lambda scene, target: save_gltf(scene, target, embedded=True),
+    rigs=True,
+    cones=True,
+)

@@ -17,11 +17,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.arrays import frozen
+from glsplat.avatar import Avatar
 from glsplat.errors import FormatError
 from glsplat.formats.files import Source, checked, naming, open_regular, replace_file
+from glsplat.formats.format import Format, clamped_opacities
 from glsplat.splats import Splats, normalised
+from glsplat.views import splats_of
 
-__all__ = ["load_ply", "read_ply", "save_ply"]
+__all__ = ["PLY", "load_ply", "read_ply", "save_ply"]
 
 _HEADER_LIMIT = 1 << 16  # bytes; a header of 3DGS has 1.5 kB
 _LINE_LIMIT = 1 << 16  # bytes of a line of ASCII; a splat of degree 3 has 800
@@ -278,3 +281,22 @@ def _empty(count: int, coefficients: int) -> _Columns:
 def _listed(names: list[str]) -> str:
     shown = [name[:40] for name in names]
     return ", ".join(shown[:12]) + (", ..." if len(shown) > 12 else "") or "nothing"
+
+
+def _loses(scene: Splats | Avatar) -> Iterator[str]:
+    yield from clamped_opacities(scene)
+    with np.errstate(invalid="ignore"):
+        negative = int((splats_of(scene).scales < 0).any(axis=1).sum())
+    if negative:
+        yield f"{negative} splats with negative scales are written with positive ones (their shape is the same)"
+
+
+PLY = Format(
+    name="ply",
+    title="3DGS PLY",
+    suffixes=(".ply",),
+    sniff=lambda start: start.head.startswith((b"ply\n", b"ply\r", b"ply ")),
+    load=lambda file, size, _: read_ply(file, size),
+    save=lambda scene, target: save_ply(splats_of(scene), target),
+    loses=_loses,
+)

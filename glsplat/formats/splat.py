@@ -10,11 +10,14 @@ from typing import BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
+from glsplat.avatar import Avatar
 from glsplat.errors import FormatError
 from glsplat.formats.files import Source, checked, naming, open_regular, replace_file, sampled
+from glsplat.formats.format import Format, Start, clamped_opacities
 from glsplat.splats import SH_C0, Splats, normalised
+from glsplat.views import splats_of
 
-__all__ = ["load_splat", "looks_like_splat", "read_splat", "save_splat"]
+__all__ = ["SPLAT", "load_splat", "looks_like_splat", "read_splat", "save_splat"]
 
 _RECORD = np.dtype([("mean", "<f4", 3), ("scale", "<f4", 3), ("rgba", "u1", 4), ("rot", "u1", 4)])
 _CHUNK = 1 << 16  # splats written at a time
@@ -96,3 +99,33 @@ def _packed(splats: Splats) -> Iterator[bytes]:
         quats = np.where(quats[:, :1] < 0, -quats, quats)  # a byte of 128 or more in each splat: it is never text
         rows["rot"] = np.clip(np.rint(quats * 128 + 128), 0, 255)
         yield rows.tobytes()
+
+
+def _sniff(start: Start) -> bool:
+    if not start.head:
+        return start.named  # no splats
+    if start.size % _RECORD.itemsize:
+        return False
+    data = start.spread()
+    return looks_like_splat(data) or (start.named and looks_like_splat(data, named=True))
+
+
+def _loses(scene: Splats | Avatar) -> Iterator[str]:
+    splats = splats_of(scene)
+    if splats.sh_degree:
+        yield f"spherical harmonics of degree {splats.sh_degree} are dropped, the file holds degree 0"
+    if splats.antialias:
+        yield "that the splats want opacity compensation is dropped; draw them with --antialias"
+    yield from clamped_opacities(scene)
+
+
+SPLAT = Format(
+    name="splat",
+    title=".splat",
+    suffixes=(".splat",),
+    sniff=_sniff,
+    load=lambda file, size, _: read_splat(file, size),
+    save=lambda scene, target: save_splat(splats_of(scene), target),
+    loses=_loses,
+    marked=False,
+)

@@ -1,0 +1,79 @@
+"""What a file format is to the rest of the house. Each format's module has one of these; __init__.py lists them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+
+from glsplat.avatar import Avatar
+from glsplat.formats.files import Source, sampled
+from glsplat.splats import Splats
+from glsplat.views import splats_of
+
+__all__ = ["Format", "Start", "clamped_opacities"]
+
+
+@dataclass(frozen=True, eq=False)
+class Start:
+    """What recognising a file goes by."""
+
+    head: bytes  # the first 512 bytes; empty where the file is
+    size: int
+    named: bool  # whether the name ends in one of the format's suffixes
+    file: BinaryIO
+
+    @property
+    def text(self) -> bool:
+        """Whether the head may be text: no control characters but tabs and line ends."""
+        return not any(byte < 32 and byte not in b"\t\n\r" for byte in self.head)
+
+    def spread(self) -> bytes:
+        """The file, or of a large one blocks spread evenly over it (files.sampled)."""
+        return sampled(self.file, 0, self.size)
+
+
+def _nothing(_: Splats | Avatar) -> Iterator[str]:
+    return iter(())
+
+
+@dataclass(frozen=True, eq=False)
+class Format:
+    """One file format: how it is called, recognised, read and written.
+
+    ``load`` gets an open file at its start, its size, and the folder of its other files (None where it has none);
+    ``save`` a scene and where it goes (files.replace_file writes). Both raise FormatError. ``loses`` says, a sentence
+    each, what a saved file does not keep of a scene, rounding apart; that a rig or visibility cones are dropped is
+    said already where ``rigs`` or ``cones`` is False.
+    """
+
+    name: str  # as ``format=`` takes it
+    title: str  # as messages say it
+    suffixes: tuple[str, ...]  # lower case, with the dot; the first is the usual one
+    sniff: Callable[[Start], bool]
+    load: Callable[[BinaryIO, int, Path | None], Splats | Avatar]
+    save: Callable[[Splats | Avatar, Source], None]
+    loses: Callable[[Splats | Avatar], Iterator[str]] = _nothing
+    rigs: bool = False  # holds avatars
+    cones: bool = False  # holds visibility cones
+    marked: bool = True  # begins with a mark of its own; formats without one are tried last
+
+    def losses(self, scene: Splats | Avatar) -> Iterator[str]:
+        """What a file of this format does not keep of ``scene``, beyond rounding, a sentence each."""
+        if isinstance(scene, Avatar) and not self.rigs:
+            yield f"the rig of {len(scene.skeleton)} joints is dropped, the file holds the zero pose"
+        if splats_of(scene).cones is not None and not self.cones:
+            yield "the visibility cones are dropped"
+        yield from self.loses(scene)
+
+
+def clamped_opacities(scene: Splats | Avatar) -> Iterator[str]:
+    """The sentence of a format whose opacities are those between 0 and 1."""
+    opacities = splats_of(scene).opacities
+    with np.errstate(invalid="ignore"):
+        outside = int(((opacities < 0) | (opacities > 1)).sum())
+    if outside:
+        yield f"{outside} opacities outside 0 to 1 are clamped"

@@ -1,0 +1,123 @@
+"""A format is a module and one line: loading, saving, recognising, converting and every text follow from it."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterator
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+import pytest
+
+from apps import cli
+from glsplat import formats
+from glsplat.avatar import Avatar
+from glsplat.errors import FormatError
+from glsplat.formats import Format, load, losses, recognise, save, suffixes
+from glsplat.formats.files import Source, replace_file
+from glsplat.splats import Splats
+from glsplat.views import splats_of
+from tests.formats.scenes import random_avatar, random_splats
+
+
+def load_toy(file: BinaryIO, size: int, folder: Path | None) -> Splats:
+    """Positions as text, a splat a line; all else is made up."""
+    lines = file.read(size).decode().splitlines()[1:]
+    means = np.array([[float(word) for word in line.split()] for line in lines]).reshape(-1, 3)
+    count = len(means)
+    quats = np.tile([1.0, 0, 0, 0], (count, 1))
+    return Splats.create(means, quats, np.full((count, 3), 0.01), np.ones(count), rgb=np.zeros((count, 3)))
+
+
+def save_toy(scene: Splats | Avatar, target: Source) -> None:
+    rows = "\n".join(" ".join(map(str, mean)) for mean in splats_of(scene).means.tolist())
+    replace_file(target, [f"toy\n{rows}\n".encode()])
+
+
+def lost_by_toy(scene: Splats | Avatar) -> Iterator[str]:
+    yield f"the colours of {len(splats_of(scene))} splats are dropped"
+
+
+TOY = Format(
+    "toy", "a toy of points", (".toy", ".points"), lambda start: start.head.startswith(b"toy\n"),
+    load_toy, save_toy, lost_by_toy,
+)  # fmt: skip
+
+
+@pytest.fixture
+def registered(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(formats, "FORMATS", [*formats.FORMATS, TOY])
+
+
+@pytest.mark.usefixtures("registered")
+def test_a_new_format_is_saved_recognised_and_loaded(tmp_path: Path) -> None:
+    splats = random_splats(7)
+    for name in ("a.toy", "b.POINTS"):
+        save(splats, tmp_path / name)
+        assert recognise(tmp_path / name) == "toy"
+    (tmp_path / "a.toy").rename(tmp_path / "a.jpg")  # the content counts
+    again = load(tmp_path / "a.jpg")
+    assert isinstance(again, Splats)
+    np.testing.assert_array_equal(again.means, splats.means)
+    stream = io.BytesIO()
+    save(splats, stream, format="toy")
+    stream.seek(0)
+    assert len(load(stream, format=".TOY")) == 7  # type: ignore[arg-type]
+    broken = splats.means.copy()
+    broken[3] = np.nan
+    save(Splats(broken, splats.quats, splats.scales, splats.opacities, splats.sh), tmp_path / "c.toy")
+    with pytest.raises(FormatError, match="1 of 7 splats hold NaN"):
+        load(tmp_path / "c.toy", strict=True)
+
+
+@pytest.mark.usefixtures("registered")
+def test_every_text_names_a_new_format(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "none").write_bytes(b"hello")
+    with pytest.raises(FormatError, match=r"expected 3DGS PLY, glTF/GLB .*, a toy of points, or \.splat, but"):
+        load(tmp_path / "none")
+    with pytest.raises(FormatError, match=r"needs to end in \.ply, .*\.gltf, \.toy or \.points, not '\.obj'"):
+        save(random_splats(), tmp_path / "a.obj")
+    with pytest.raises(FormatError, match="format is one of ply, splat, glb, gltf, toy, not 'obj'"):
+        save(random_splats(), io.BytesIO(), format="obj")
+    for command in ("convert", "inspect", "render"):
+        with pytest.raises(SystemExit):
+            cli.main([command, "--help"])
+        assert suffixes() in " ".join(capsys.readouterr().out.split()), command
+    assert suffixes().endswith(".toy or .points")
+
+
+@pytest.mark.usefixtures("registered")
+def test_commands_know_a_new_format(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    save(random_avatar(), tmp_path / "me.glb")
+    assert cli.main(["convert", str(tmp_path / "me.glb"), str(tmp_path / "me.toy")]) == 0
+    said = capsys.readouterr().err
+    assert "rig" in said and "colours" in said and "spherical harmonics" not in said
+    assert cli.main(["inspect", str(tmp_path / "me.toy")]) == 0
+    assert "splats, toy, " in capsys.readouterr().out
+    assert cli.main(["avatar", "export", str(tmp_path / "me.glb"), "-o", str(tmp_path / "pose.toy")]) == 0
+    assert recognise(tmp_path / "pose.toy") == "toy"
+
+
+def test_without_it_nothing_knows_it(tmp_path: Path) -> None:
+    (tmp_path / "a.toy").write_bytes(b"toy\n1 2 3\n")
+    with pytest.raises(FormatError, match="none of them"):
+        load(tmp_path / "a.toy")
+    with pytest.raises(FormatError, match="needs to end in"):
+        save(random_splats(), tmp_path / "b.toy")
+
+
+def test_what_formats_lose_is_theirs_to_say(tmp_path: Path) -> None:
+    avatar = random_avatar()
+    assert not list(losses(avatar, "a.glb")) and not list(losses(avatar, io.BytesIO(), format="gltf"))
+    assert any("rig" in line for line in losses(avatar, "a.ply"))
+    with pytest.raises(FormatError, match=r"a\.obj: the name needs to end in"):
+        losses(avatar, "a.obj")
+    assert suffixes(rigs=True) == ".glb or .gltf"
+
+
+def test_names_and_suffixes_are_one_formats_own() -> None:
+    names = [known.name for known in formats.FORMATS]
+    endings = [suffix for known in formats.FORMATS for suffix in known.suffixes]
+    assert len(set(names)) == len(names) and len(set(endings)) == len(endings)
+    assert all(suffix.startswith(".") and suffix == suffix.lower() for suffix in endings)
