@@ -20,6 +20,8 @@ def run_chunk(
     variant: Variant | SkinVariant | None = None,
     frame: NDArray[np.void] | None = None,
     textures: Mapping[str, NDArray[np.float32]] | None = None,  # sampler -> [rows, columns, components]
+    uniforms: Mapping[str, float | tuple[float, ...]] | None = None,
+    vertices: int | None = None,  # where there are no inputs
 ) -> dict[str, NDArray[np.float32]]:
     """[N, floats] of each output."""
     ctx = context.ctx
@@ -31,7 +33,7 @@ def run_chunk(
     program = link(ctx, "chunk under test", {"vertex_shader": source}, tuple(outputs))
     buffers: list[moderngl.Buffer | moderngl.Texture] = []
     content = []
-    count = len(next(iter(inputs.values())))
+    count = len(next(iter(inputs.values()))) if vertices is None else vertices
     for name, array in inputs.items():
         data = np.ascontiguousarray(array)
         width = 1 if data.ndim == 1 else data.shape[1]
@@ -52,6 +54,8 @@ def run_chunk(
         buffers.append(ctx.texture((columns, rows), components, np.ascontiguousarray(texels, np.float32), dtype="f4"))
         buffers[-1].use(unit)
         program[name] = unit
+    for name, value in (uniforms or {}).items():
+        program[name] = value
     context.scratch.use()
     array_object = ctx.vertex_array(program, content)
     array_object.transform(result, moderngl.POINTS, vertices=count)
