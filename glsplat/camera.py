@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from glsplat.arrays import count, number, own, plain, restored
 from glsplat.errors import FormatError
+from glsplat.rotations import FLIP_YZ
 
 __all__ = [
     "Camera",
@@ -31,9 +32,6 @@ __all__ = [
     "sorting_camera",
     "stereo_cameras",
 ]
-
-OPENCV_FROM_OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
-"""Turns the camera by 180 degrees about x: from (x right, y up, -z forward) to (x right, y down, z forward)."""
 
 _NO_ROTATION = "viewmat needs a rotation (or reflection) with the last row 0 0 0 1"
 _LARGEST = 1e12  # of pixels and metres; squares of it still fit into float32
@@ -176,7 +174,7 @@ def look_at(eye: ArrayLike, target: ArrayLike, up: ArrayLike = (0.0, 1.0, 0.0)) 
     if np.linalg.norm(np.cross(forward, above)) < 1e-9 * np.linalg.norm(forward):
         above = np.array([0.0, 0.0, -1.0])
     opengl = pyrr.matrix44.create_look_at(start, end, above, dtype=np.float64).T  # pyrr stores columns as rows
-    return OPENCV_FROM_OPENGL @ np.asarray(opengl)
+    return FLIP_YZ @ np.asarray(opengl)
 
 
 def head_matrix(position: ArrayLike, quat_xyzw: ArrayLike) -> NDArray[np.float64]:
@@ -223,7 +221,7 @@ def stereo_cameras(
         world_from_eye = head.copy()
         world_from_eye[:3, 3] += head[:3, 0] * (sign * half)
         try:
-            viewmat = OPENCV_FROM_OPENGL @ np.linalg.inv(world_from_eye)
+            viewmat = FLIP_YZ @ np.linalg.inv(world_from_eye)
         except np.linalg.LinAlgError:
             raise FormatError("a head pose needs a rotation and a place; this matrix has no inverse") from None
         eyes.append(Camera(viewmat, ks[index], *size, background=background, name=name))

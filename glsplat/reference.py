@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from glsplat.camera import Camera, passes_of, sorting_camera
 from glsplat.config import RenderConfig
 from glsplat.pictures import lifted
-from glsplat.rotations import is_rigid, quaternion_matrices
+from glsplat.rotations import is_rigid, quaternion_matrices, sh_basis
 from glsplat.skinning.skin import Skin
 from glsplat.splats import Splats
 
@@ -148,29 +148,8 @@ def joined(parts: Sequence[tuple[Posed, Splats]]) -> tuple[Posed, Splats, NDArra
 
 def evaluate_sh(sh: F64, directions: F64, degree: int) -> F64:
     """Colour [N, 3] of coefficients [N, K, 3] in unit directions [N, 3], 3DGS basis and signs (sh.glsl)."""
-    x, y, z = directions.T
-    basis = [np.full_like(x, 0.28209479177387814)]
-    if degree > 0:
-        basis += [-0.4886025119029199 * y, 0.4886025119029199 * z, -0.4886025119029199 * x]
-    if degree > 1:
-        basis += [
-            1.0925484305920792 * x * y,
-            -1.0925484305920792 * y * z,
-            0.31539156525252005 * (2 * z * z - x * x - y * y),
-            -1.0925484305920792 * x * z,
-            0.5462742152960396 * (x * x - y * y),
-        ]
-    if degree > 2:
-        basis += [
-            -0.5900435899266435 * y * (3 * x * x - y * y),
-            2.890611442640554 * x * y * z,
-            -0.4570457994644658 * y * (4 * z * z - x * x - y * y),
-            0.3731763325901154 * z * (2 * z * z - 3 * x * x - 3 * y * y),
-            -0.4570457994644658 * x * (4 * z * z - x * x - y * y),
-            1.445305721320277 * z * (x * x - y * y),
-            -0.5900435899266435 * x * (x * x - 3 * y * y),
-        ]
-    return np.maximum(np.einsum("kn,nkc->nc", np.stack(basis), sh[:, : len(basis)]) + 0.5, 0)
+    basis = sh_basis(directions, degree).T
+    return np.maximum(np.einsum("kn,nkc->nc", basis, sh[:, : len(basis)]) + 0.5, 0)
 
 
 def project(

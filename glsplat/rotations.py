@@ -1,13 +1,44 @@
-"""Rotations in float64: quaternions to matrices and back, modified Rodrigues parameters, what is rigid."""
+"""Rotations in float64, once: quaternions (wxyz), matrices, axis-angle, spherical harmonics, flips of axes.
+
+The scalar quaternions of one tracked body are in tracking/solve/quat.py.
+"""
 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["is_rigid", "quaternion_matrices", "quaternion_of", "rodrigues_parameters"]
+__all__ = [
+    "FLIP_X",
+    "FLIP_YZ",
+    "FLIP_Z",
+    "is_rigid",
+    "matrix_quaternions",
+    "nearest_rotations",
+    "quaternion_matrices",
+    "quaternion_of",
+    "quaternion_product",
+    "quaternion_vectors",
+    "rodrigues_parameters",
+    "rotation_matrices",
+    "sh_basis",
+    "sh_rotations",
+    "slerp",
+    "vector_quaternions",
+]
 
 F64 = NDArray[np.float64]
+
+FLIP_X = np.diag([-1.0, 1.0, 1.0, 1.0])
+"""The mirror image: x the other way; with FLIP_Z from Unity's left-handed frames (docs/conventions.md)."""
+
+FLIP_YZ = np.diag([1.0, -1.0, -1.0, 1.0])
+"""Half a turn about x: camera axes of OpenGL and OpenXR to those of OpenCV, and back."""
+
+FLIP_Z = np.diag([1.0, 1.0, -1.0, 1.0])
+"""z the other way."""
+
+_DIRECTIONS = 64
 
 
 def quaternion_matrices(quats: NDArray[np.floating]) -> F64:
@@ -21,22 +52,105 @@ def quaternion_matrices(quats: NDArray[np.floating]) -> F64:
     return np.stack([np.stack(row, -1) for row in rows], -2)
 
 
-def quaternion_of(rotation: F64) -> F64:
-    """[4] wxyz, w >= 0, of a rotation matrix [3, 3]: the top eigenvector of Davenport's matrix, no bad case."""
-    m = rotation
-    xx, yy, zz = m[0, 0], m[1, 1], m[2, 2]
-    wx, wy, wz = m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]
-    xy, xz, yz = m[0, 1] + m[1, 0], m[0, 2] + m[2, 0], m[1, 2] + m[2, 1]
-    matrix = np.array(
+def matrix_quaternions(matrices: F64) -> F64:
+    """[..., 3, 3] rotations to unit [..., 4] wxyz: the row of 4 q q^T with the largest diagonal, so nothing cancels."""
+    m = np.asarray(matrices, np.float64)
+    diagonal = m[..., [0, 1, 2], [0, 1, 2]]
+    trace = diagonal.sum(-1)
+    # 4 w^2, 4 x^2, 4 y^2, 4 z^2
+    squares = np.stack([1 + trace, *(1 - trace + 2 * diagonal[..., i] for i in range(3))], -1)
+    wx, wy, wz = m[..., 2, 1] - m[..., 1, 2], m[..., 0, 2] - m[..., 2, 0], m[..., 1, 0] - m[..., 0, 1]
+    xy, xz, yz = m[..., 1, 0] + m[..., 0, 1], m[..., 2, 0] + m[..., 0, 2], m[..., 2, 1] + m[..., 1, 2]
+    rows = np.stack(
         [
-            [xx + yy + zz, wx, wy, wz],
-            [wx, xx - yy - zz, xy, xz],
-            [wy, xy, yy - xx - zz, yz],
-            [wz, xz, yz, zz - xx - yy],
-        ]
+            np.stack([squares[..., 0], wx, wy, wz], -1),
+            np.stack([wx, squares[..., 1], xy, xz], -1),
+            np.stack([wy, xy, squares[..., 2], yz], -1),
+            np.stack([wz, xz, yz, squares[..., 3]], -1),
+        ],
+        -2,
     )
-    quat: F64 = np.linalg.eigh(matrix)[1][:, -1]
+    best = squares.argmax(-1)
+    quats: F64 = np.take_along_axis(rows, best[..., None, None], -2)[..., 0, :]
+    return quats / np.linalg.norm(quats, axis=-1, keepdims=True)
+
+
+def quaternion_of(rotation: F64) -> F64:
+    """[4] wxyz, w >= 0, of a rotation matrix [3, 3]."""
+    quat = matrix_quaternions(rotation)
     return -quat if quat[0] < 0 else quat
+
+
+def quaternion_product(p: NDArray[np.floating], q: NDArray[np.floating]) -> F64:
+    """[..., 4] Hamilton product p q (first q, then p) of wxyz; a zero quaternion stays zero."""
+    pw, px, py, pz = np.moveaxis(np.asarray(p, np.float64), -1, 0)
+    qw, qx, qy, qz = np.moveaxis(np.asarray(q, np.float64), -1, 0)
+    return np.stack(
+        [
+            pw * qw - px * qx - py * qy - pz * qz,
+            pw * qx + px * qw + py * qz - pz * qy,
+            pw * qy - px * qz + py * qw + pz * qx,
+            pw * qz + px * qy - py * qx + pz * qw,
+        ],
+        -1,
+    )
+
+
+def rotation_matrices(axis_angle: ArrayLike) -> NDArray[np.float64]:
+    """[..., 3] axis-angle in radians to [..., 3, 3]: Rodrigues, exact at zero and finite everywhere."""
+    v = np.asarray(axis_angle, np.float64)
+    angle2 = np.einsum("...i,...i->...", v, v)
+    angle = np.sqrt(angle2)
+    # sin(a)/a and (1 - cos a)/a^2 through sinc: no division by zero and no cancellation at small angles
+    a = np.sinc(angle / np.pi)
+    b = 0.5 * np.sinc(angle / (2 * np.pi)) ** 2
+    out = np.empty((*v.shape[:-1], 3, 3))
+    x, y, z = v[..., 0], v[..., 1], v[..., 2]
+    bx, by, bz = b * x, b * y, b * z
+    ax, ay, az = a * x, a * y, a * z
+    cos = 1 - b * angle2
+    out[..., 0, 0] = cos + bx * x
+    out[..., 1, 1] = cos + by * y
+    out[..., 2, 2] = cos + bz * z
+    out[..., 0, 1] = bx * y - az
+    out[..., 1, 0] = bx * y + az
+    out[..., 0, 2] = bx * z + ay
+    out[..., 2, 0] = bx * z - ay
+    out[..., 1, 2] = by * z - ax
+    out[..., 2, 1] = by * z + ax
+    return out
+
+
+def vector_quaternions(vectors: ArrayLike) -> F64:
+    """[..., 3] axis-angle in radians to unit [..., 4] wxyz; w may be negative beyond half a turn."""
+    v = np.asarray(vectors, np.float64)
+    angle = np.linalg.norm(v, axis=-1, keepdims=True)
+    return np.concatenate([np.cos(angle / 2), v * 0.5 * np.sinc(angle / (2 * np.pi))], -1)
+
+
+def quaternion_vectors(quats: F64) -> F64:
+    """Unit [..., 4] wxyz to axis-angle [..., 3], at most pi long."""
+    q = np.where(quats[..., :1] < 0, -quats, quats)
+    s = np.linalg.norm(q[..., 1:], axis=-1, keepdims=True)
+    angle = 2 * np.arctan2(s, q[..., :1])
+    return q[..., 1:] * np.where(s > 1e-12, angle / np.maximum(s, 1e-12), 2.0)
+
+
+def slerp(first: F64, second: F64, part: ArrayLike) -> F64:
+    """Axis-angle [..., 3] between two [..., 3] at ``part`` (broadcast over ...): the shorter way, evenly."""
+    start = vector_quaternions(first)
+    turn = quaternion_vectors(quaternion_product(start * (1, -1, -1, -1), vector_quaternions(second)))
+    return quaternion_vectors(quaternion_product(start, vector_quaternions(turn * np.asarray(part)[..., None])))
+
+
+def nearest_rotations(matrices: F64) -> F64:
+    """[N, 3, 3] the polar factor of each, never a reflection; jumps where two answers are equally near.
+
+    Continuous through such places is reference.blended_rotations.
+    """
+    u, _, vt = np.linalg.svd(matrices)
+    u[:, :, 2] *= np.sign(np.linalg.det(u @ vt))[:, None]
+    return np.asarray(u @ vt, np.float64)
 
 
 def rodrigues_parameters(rotation: F64) -> F64:
@@ -49,3 +163,43 @@ def is_rigid(bones: F64) -> bool:
     """Whether every bone's 3x3 of [J, 3, 4] is a rotation within 1e-4."""
     gram = np.einsum("jki,jkl->jil", bones[:, :, :3], bones[:, :, :3])
     return bool(np.abs(gram - np.eye(3)).max() < 1e-4 and (np.linalg.det(bones[:, :, :3]) > 0).all())
+
+
+def sh_basis(directions: F64, degree: int) -> F64:
+    """[N, K] real spherical harmonics of unit directions [N, 3], constants and signs of 3DGS (sh.glsl)."""
+    x, y, z = directions.T
+    basis = [np.full_like(x, 0.28209479177387814)]
+    if degree > 0:
+        basis += [-0.4886025119029199 * y, 0.4886025119029199 * z, -0.4886025119029199 * x]
+    if degree > 1:
+        basis += [
+            1.0925484305920792 * x * y,
+            -1.0925484305920792 * y * z,
+            0.31539156525252005 * (2 * z * z - x * x - y * y),
+            -1.0925484305920792 * x * z,
+            0.5462742152960396 * (x * x - y * y),
+        ]
+    if degree > 2:
+        basis += [
+            -0.5900435899266435 * y * (3 * x * x - y * y),
+            2.890611442640554 * x * y * z,
+            -0.4570457994644658 * y * (4 * z * z - x * x - y * y),
+            0.3731763325901154 * z * (2 * z * z - 3 * x * x - 3 * y * y),
+            -0.4570457994644658 * x * (4 * z * z - x * x - y * y),
+            1.445305721320277 * z * (x * x - y * y),
+            -0.5900435899266435 * x * (x * x - 3 * y * y),
+        ]
+    return np.stack(basis, axis=-1)
+
+
+def sh_rotations(turns: F64, degree: int) -> F64:
+    """[..., K, K] D with basis(d) . (D c) = basis(turn^T d) . c for all d; ``turns`` [..., 3, 3], mirrors included.
+
+    Each degree spans a space that rotations and mirrors map to itself, so a fit over directions is exact up to
+    rounding.
+    """
+    directions = np.random.default_rng(0).normal(size=(_DIRECTIONS, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    seen = directions @ turns
+    basis = sh_basis(seen.reshape(-1, 3), degree).reshape(*seen.shape[:-1], -1)
+    return np.asarray(np.linalg.pinv(sh_basis(directions, degree)) @ basis, np.float64)

@@ -8,13 +8,12 @@ from numpy.typing import NDArray
 from glsplat.avatar import Avatar
 from glsplat.camera import Camera, look_at, pinhole, stereo_cameras
 from glsplat.meshes import RiggedMesh
+from glsplat.rotations import FLIP_YZ
 from glsplat.scene import Item, Scene, Shown
 from glsplat.skinning.pose import Pose
 from glsplat.splats import Splats
 
 __all__ = ["box_of", "splats_of", "view_of", "viewing_point"]
-
-OPENGL_FROM_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
 
 
 def splats_of(scene: Splats | Avatar) -> Splats:
@@ -65,5 +64,5 @@ def view_of(
     viewmat = look_at(eye, target)
     if ipd is None:
         return [Camera(viewmat, pinhole(*pixels, fov), *pixels, background=background)]
-    head = np.linalg.inv(OPENGL_FROM_OPENCV @ viewmat)
+    head = np.linalg.inv(FLIP_YZ @ viewmat)
     return list(stereo_cameras(head, ipd, fov, size=pixels, background=background))

@@ -7,9 +7,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from glsplat.camera import OPENCV_FROM_OPENGL, PAPER_FOV, PAPER_IPD, Camera, pinhole, stereo_cameras
+from glsplat.camera import PAPER_FOV, PAPER_IPD, Camera, pinhole, stereo_cameras
 from glsplat.errors import FormatError
 from glsplat.passes.present import Layout, view_size
+from glsplat.rotations import FLIP_YZ
 
 __all__ = ["Options", "View", "cameras_of"]
 
@@ -105,7 +106,7 @@ def cameras_of(
     size = view_size(window, layout)
     K = pinhole(*size, fov)
     if layout == "mono":
-        viewmat = OPENCV_FROM_OPENGL @ np.linalg.inv(view.head)
+        viewmat = FLIP_YZ @ np.linalg.inv(view.head)
         return [Camera(viewmat, K, *size, background=background)]
     ks = np.stack([K, K])
     if layout == "anaglyph":

@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from glsplat.avatar import Avatar
 from glsplat.formats.scene_file import SceneFile
 from glsplat.motion.motion import Motion
+from glsplat.rotations import quaternion_product, quaternion_vectors, vector_quaternions
 from glsplat.scene import Item
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.skeleton import Skeleton
@@ -62,7 +62,7 @@ class Player:
         self.joint: int | None = None  # the one that turn() turns
         self._still: Pose | None = None
         self._time = 0.0
-        self._turns: dict[int, Rotation] = {}
+        self._turns: dict[int, NDArray[np.float64]] = {}  # quaternions wxyz
 
     @property
     def moving(self) -> bool:
@@ -89,7 +89,7 @@ class Player:
     def turned(self) -> float:
         """Degrees by which the selected joint is turned."""
         turn = None if self.joint is None else self._turns.get(self.joint)
-        return 0.0 if turn is None else float(np.degrees(turn.magnitude()))
+        return 0.0 if turn is None else float(np.degrees(np.linalg.norm(quaternion_vectors(turn))))
 
     def play(self, motion: Motion) -> None:
         """Start a motion from its beginning."""
@@ -121,8 +121,9 @@ class Player:
     def turn(self, axis: Sequence[float], degrees: float) -> None:
         """Turn the selected joint about an axis of its own frame (in the zero pose: of the world)."""
         if self.joint is not None:
-            delta = Rotation.from_rotvec(np.radians(degrees) * np.asarray(axis, np.float64))
-            self._turns[self.joint] = self._turns.get(self.joint, Rotation.identity()) * delta
+            delta = vector_quaternions(np.radians(degrees) * np.asarray(axis, np.float64))
+            before = self._turns.get(self.joint, np.array([1.0, 0, 0, 0]))
+            self._turns[self.joint] = quaternion_product(before, delta)
 
     def straighten(self) -> None:
         """Undo the turns of the selected joint; of all joints where none is selected."""
@@ -141,7 +142,7 @@ class Player:
             return pose
         rotations: NDArray[np.float64] = pose.rotations.copy()
         for joint, turn in self._turns.items():
-            rotations[joint] = (Rotation.from_rotvec(rotations[joint]) * turn).as_rotvec()
+            rotations[joint] = quaternion_vectors(quaternion_product(vector_quaternions(rotations[joint]), turn))
         return Pose(rotations, pose.trans, pose.translations)
 
 

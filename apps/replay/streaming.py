@@ -22,13 +22,13 @@ from glsplat.errors import ProtocolError
 from glsplat.net.client import Arrived, Client
 from glsplat.net.reply import Reply
 from glsplat.net.stages import median_p95
+from glsplat.rotations import FLIP_YZ
 from glsplat.skinning.pose import Pose
 
 __all__ = ["POLICIES", "STAGES", "Drive", "Driven", "Result", "observer", "stream"]
 
 POLICIES = ("mailbox", "stop-and-wait", "fifo")
 
-_OPENGL_FROM_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
 _LAST = 3.0  # seconds to wait for the last pictures
 
 STAGES: tuple[tuple[str, str, str], ...] = (
@@ -162,7 +162,7 @@ def observer(seconds: float, root: NDArray[np.float64], size: tuple[int, int]) -
     """
     floor = np.array([root[0], 0.0, root[2]])
     sway = 0.3 * np.sin(0.7 * seconds), 1.35 + 0.05 * np.sin(0.45 * seconds), 2.0 + 0.2 * np.cos(0.3 * seconds)
-    head = np.linalg.inv(_OPENGL_FROM_OPENCV @ look_at(floor + np.array(sway), floor + np.array([0.0, 0.92, 0.0])))
+    head = np.linalg.inv(FLIP_YZ @ look_at(floor + np.array(sway), floor + np.array([0.0, 0.92, 0.0])))
     return stereo_cameras(head, size=size)
 
 

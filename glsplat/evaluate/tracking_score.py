@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.errors import PoseError
-from glsplat.skinning.skeleton import rotation_matrices
+from glsplat.rotations import rotation_matrices
 from glsplat.tracking.solve.body import FEET, WRISTS
 
 __all__ = ["Score", "mean_score", "score"]

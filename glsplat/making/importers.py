@@ -12,11 +12,11 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
-from scipy.spatial.transform import Rotation
 
 from glsplat.avatar import Avatar
 from glsplat.errors import FormatError, PoseError
 from glsplat.meshes import RiggedMesh
+from glsplat.rotations import matrix_quaternions, nearest_rotations, quaternion_product
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.skin import Skin
 from glsplat.skinning.smplx import JOINT_NAMES
@@ -66,7 +66,7 @@ def load_lhm_dump(path: str | Path, influences: int = 4) -> Avatar:
         means = zero + np.einsum("nax,x->na", data["shape_dirs"], data["betas"])
         kept = data["is_constrain_body"] > 0.5
         quats = data["rotation_wxyz"]
-        turned = _turned(_nearest_rotations(blended[:, :3, :3]), quats)
+        turned = quaternion_product(matrix_quaternions(nearest_rotations(blended[:, :3, :3])), quats)
         quats = np.where(kept[:, None], quats, turned)
         floor = float(np.percentile(means[:, 1], 0.1)) if count else 0.0
         up = np.array([0, floor, 0])
@@ -174,17 +174,3 @@ def _nearest_on(surface: trimesh.Trimesh, points: F64) -> tuple[F64, F64, NDArra
 
 
 _CANDIDATES = 8
-
-
-def _nearest_rotations(blended: F64) -> F64:
-    u, _, vt = np.linalg.svd(blended)
-    u[:, :, 2] *= np.sign(np.linalg.det(u @ vt))[:, None]
-    return u @ vt
-
-
-def _turned(rotations: F64, quats: F64) -> F64:
-    """wxyz of rotation times quaternion; zero quaternions stay zero."""
-    usable = np.linalg.norm(quats, axis=1) > 0
-    safe = np.where(usable[:, None], quats, [1.0, 0, 0, 0])
-    out = Rotation.from_matrix(rotations) * Rotation.from_quat(safe[:, [1, 2, 3, 0]])
-    return np.where(usable[:, None], out.as_quat()[:, [3, 0, 1, 2]], 0.0)

@@ -19,6 +19,7 @@ from glsplat.camera import Camera, look_at, pinhole
 from glsplat.making.footprints import footprints
 from glsplat.making.raster import mesh_picture_and_depth
 from glsplat.meshes import RiggedMesh
+from glsplat.rotations import nearest_rotations
 from glsplat.skinning.pose import Pose
 from glsplat.splats import SH_C0, Splats
 
@@ -98,7 +99,7 @@ def refine(
         scales = np.exp(log_start + growth.value)
         alpha = 1 / (1 + np.exp(-logit.value))
         means = np.einsum("nij,nj->ni", bones[:, :, :3], start + shift.value * cell) + bones[:, :, 3]
-        rotations = _nearest_rotations(bones[:, :, :3]) @ rest @ Rotation.from_rotvec(turn.value).as_matrix()
+        rotations = nearest_rotations(bones[:, :, :3]) @ rest @ Rotation.from_rotvec(turn.value).as_matrix()
         prints = footprints(means, rotations, scales, alpha, camera, depth + config.layer)
         by_picture = 2 * (prints.picture(color.value) - target)
         by_picture[..., 3] *= config.alpha_weight
@@ -191,10 +192,3 @@ def _random_camera(mesh: RiggedMesh, vertices: F64, size: int, rng: np.random.Ge
     centre = centre + rng.normal(0, 0.1, 3) * radius
     viewmat = look_at(centre + direction * distance, centre)
     return Camera(viewmat, pinhole(size, size, float(fov)), size, size)
-
-
-def _nearest_rotations(blended: F64) -> F64:
-    """[N, 3, 3] polar factor; blends of mild poses are far from a collapse."""
-    u, _, vt = np.linalg.svd(blended)
-    u[:, :, 2] *= np.sign(np.linalg.det(u @ vt))[:, None]
-    return u @ vt

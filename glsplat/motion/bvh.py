@@ -5,11 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
+from numpy.typing import ArrayLike, NDArray
 
 from glsplat.errors import PoseError
 from glsplat.motion.clip import Clip
+from glsplat.rotations import rotation_matrices
 
 __all__ = ["parse_acclaim", "parse_bvh", "skeleton_file"]
 
@@ -135,8 +135,19 @@ def _euler(order: list[str], degrees: F64) -> F64:
     """[T, 3, 3] R = R_first R_second R_third (intrinsic), any number of axes, repeats allowed."""
     out = np.tile(np.eye(3), (len(degrees), 1, 1))
     for k, axis in enumerate(order):
-        out = out @ Rotation.from_euler(axis, degrees[:, k : k + 1], degrees=True).as_matrix()
+        out = out @ _about(axis, degrees[:, k])
     return out
+
+
+def _about(axis: str, degrees: F64) -> F64:
+    """[..., 3, 3] rotations about a coordinate axis."""
+    return rotation_matrices(np.radians(degrees)[..., None] * np.eye(3)["xyz".index(axis.lower())])
+
+
+def _fixed_axes(degrees: ArrayLike) -> F64:
+    """[..., 3, 3] of [..., 3] angles about x, then y, then z, which stay where they are."""
+    x, y, z = np.moveaxis(np.asarray(degrees, np.float64), -1, 0)
+    return _about("z", z) @ _about("y", y) @ _about("x", x)
 
 
 def parse_acclaim(skeleton: str, motion: str) -> Clip:
@@ -173,8 +184,8 @@ def parse_acclaim(skeleton: str, motion: str) -> Clip:
                 angles[:, "xyz".index(channel[1])] = values[:, k]
             elif channel[0] == "t":
                 positions[:, "xyz".index(channel[1])] = values[:, k]
-        axis = Rotation.from_euler("xyz", bones[name]["axis"], degrees=True).as_matrix()
-        turned = Rotation.from_euler("xyz", angles, degrees=True).as_matrix()
+        axis = _fixed_axes(bones[name]["axis"])
+        turned = _fixed_axes(angles)
         rotations[:, index[name]] = axis @ turned @ axis.T
     return Clip(tuple(order), parents, offsets, rotations, positions, _ACCLAIM_FPS)
 

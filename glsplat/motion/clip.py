@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from glsplat.errors import PoseError
+from glsplat.rotations import matrix_quaternions, quaternion_vectors, rotation_matrices
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.smplx import JOINT_NAMES
 
@@ -129,8 +129,7 @@ def retarget(clip: Clip, skeleton: Skeleton, *, forward: bool = False) -> tuple[
         local[:, 0] = turn @ local[:, 0]
         root = root @ turn.T
     trans = root - root[0] * (1, 0, 1) - joints[0] * (0, 1, 0)
-    rotations = Rotation.from_matrix(local.reshape(-1, 3, 3)).as_rotvec().reshape(len(clip), -1, 3)
-    return rotations, trans
+    return quaternion_vectors(matrix_quaternions(local)), trans
 
 
 def _match(names: tuple[str, ...]) -> dict[str, int]:
@@ -214,8 +213,8 @@ def _between(a: F64, b: F64) -> F64:
             return np.eye(3)
         axis, sin = np.cross(a, np.eye(3)[np.abs(a).argmin()]), 0.0
         axis /= np.linalg.norm(axis)
-        return Rotation.from_rotvec(axis * np.pi).as_matrix()
-    return Rotation.from_rotvec(axis / sin * np.arctan2(sin, cos)).as_matrix()
+        return rotation_matrices(axis * np.pi)
+    return rotation_matrices(axis / sin * np.arctan2(sin, cos))
 
 
 def _leg(points: F64, index: dict[str, int]) -> float:
@@ -231,4 +230,4 @@ def _facing(root: F64) -> F64:
     """[3, 3] turn about y that makes a root rotation face +z."""
     ahead = root[:, 2]
     angle = -np.arctan2(ahead[0], ahead[2])
-    return Rotation.from_rotvec([0, angle, 0]).as_matrix()
+    return rotation_matrices([0, angle, 0])

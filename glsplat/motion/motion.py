@@ -13,11 +13,18 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation, Slerp
 
 from glsplat.errors import PoseError
 from glsplat.motion.bvh import parse_acclaim, parse_bvh, skeleton_file
 from glsplat.motion.clip import retarget
+from glsplat.rotations import (
+    quaternion_of,
+    quaternion_product,
+    quaternion_vectors,
+    rotation_matrices,
+    slerp,
+    vector_quaternions,
+)
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.smplx import JOINT_NAMES, POSE_KEYS
@@ -92,9 +99,7 @@ class Motion:
         part = min(max(at - first, 0.0), 1.0)
         if part == 0 or first == second:
             return self.pose(first)
-        a = Rotation.from_rotvec(self.rotations[first])
-        turn = (a.inv() * Rotation.from_rotvec(self.rotations[second])).as_rotvec()
-        rotations = (a * Rotation.from_rotvec(turn * part)).as_rotvec()
+        rotations = slerp(self.rotations[first], self.rotations[second], part)
         return Pose(rotations, self.trans[first] * (1 - part) + self.trans[second] * part)
 
     def resampled(self, fps: float) -> Motion:
@@ -104,9 +109,10 @@ class Motion:
         if len(self) == 1:
             return Motion(fps, self.rotations, self.trans, self.names, self.label)
         frames = np.arange(len(self))
-        joints = [Slerp(frames, Rotation.from_rotvec(r))(times).as_rotvec() for r in self.rotations.transpose(1, 0, 2)]
+        first = np.minimum(times.astype(np.intp), len(self) - 2)
+        rotations = slerp(self.rotations[first], self.rotations[first + 1], (times - first)[:, None])
         trans = np.stack([np.interp(times, frames, column) for column in self.trans.T], axis=1)
-        return Motion(fps, np.stack(joints, axis=1), trans, self.names, self.label)
+        return Motion(fps, rotations, trans, self.names, self.label)
 
 
 def embedded_motions() -> tuple[str, ...]:
@@ -223,7 +229,8 @@ def _turned(rotations: F64, trans: F64, turn: F64, skeleton: Skeleton) -> tuple[
     """A motion in a turned world: x' = Q x for x = R (v - J0) + J0 + t."""
     root = skeleton.joints[0]
     out = np.array(rotations)
-    out[:, 0] = (Rotation.from_matrix(turn) * Rotation.from_rotvec(rotations[:, 0])).as_rotvec()
+    turned = quaternion_product(quaternion_of(turn), vector_quaternions(rotations[:, 0]))
+    out[:, 0] = quaternion_vectors(turned)
     return out, (trans + root) @ turn.T - root
 
 
@@ -296,8 +303,8 @@ def _amass(path: Path, skeleton: Skeleton, forward: bool) -> Motion:
     z_to_y = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])  # -90 degrees about x
     rotations, trans = _turned(rotations, trans, z_to_y, skeleton)
     if forward:
-        ahead = Rotation.from_rotvec(rotations[0, 0]).apply([0, 0, 1])
-        turn = Rotation.from_rotvec([0, -np.arctan2(ahead[0], ahead[2]), 0]).as_matrix()
+        ahead = rotation_matrices(rotations[0, 0])[:, 2]
+        turn = rotation_matrices([0, -np.arctan2(ahead[0], ahead[2]), 0])
         rotations, trans = _turned(rotations, trans, turn, skeleton)
     return Motion(fps, rotations, _grounded(rotations, trans - trans[0] * (1, 0, 1), skeleton))
 

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from glsplat.camera import PAPER_FOV, PAPER_IPD, Camera, head_matrix, stereo_cameras
 from glsplat.errors import FormatError, PoseError, ProtocolError
 from glsplat.net.duplicates import has_duplicates
+from glsplat.rotations import FLIP_X, FLIP_Z
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.smplx import POSE_KEYS
@@ -43,7 +44,6 @@ MAX_ID = 2**32 - 1
 _ORTHONORMAL = 1e-3  # largest entry of R R^T - I; float32 clients stay below 1e-6
 NEAR, FAR, SH_DEGREE = 0.01, 1e10, 3  # of an eye whose request is silent: Camera's own defaults
 NEAREST = 1e-6  # metres; nearer than any near plane makes sense
-_MIRROR = np.diag([-1.0, 1.0, 1.0, 1.0])
 _SMPLX_LEGACY = ("root_pose", "body_pose", "jaw_pose", "leye_pose", "reye_pose", "lhand_pose", "rhand_pose")
 
 Numbers = list[float | list[float]]  # flat or nested once; the depth is bounded by the type
@@ -296,7 +296,7 @@ class Decoder:
         if not self.options.mirror:
             return cameras
         return tuple(
-            Camera(c.viewmat @ _MIRROR, c.K, c.width, c.height, c.background, c.near, c.far, c.sh_degree, c.name)
+            Camera(c.viewmat @ FLIP_X, c.K, c.width, c.height, c.background, c.near, c.far, c.sh_degree, c.name)
             for c in cameras
         )
 
@@ -354,7 +354,7 @@ def _head(position: Sequence[float], rotation: Sequence[float]) -> NDArray[np.fl
 def _head_from_unity(head: _LegacyCamera) -> NDArray[np.float64]:
     """T_W_H [4, 4] from Unity's left-handed frame: position S_x p, rotation S_x R S_z (docs/conventions.md)."""
     unity = _head((head.pos_x, head.pos_y, head.pos_z), (head.rot_x, head.rot_y, head.rot_z, head.rot_w))
-    return _MIRROR @ unity @ np.diag([1.0, 1.0, -1.0, 1.0])
+    return FLIP_X @ unity @ FLIP_Z
 
 
 def _given(fields: _Pose | _Tracking) -> dict[str, Any]:

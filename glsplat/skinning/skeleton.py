@@ -11,8 +11,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from glsplat.arrays import frozen, own, own_whole, plain
 from glsplat.errors import PoseError
+from glsplat.rotations import rotation_matrices
 
-__all__ = ["Skeleton", "rotation_matrices"]
+__all__ = ["Skeleton"]
 
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
@@ -140,31 +141,6 @@ class Skeleton:
     ) -> NDArray[np.float64]:
         """Skinning matrices [J, 3, 4]: posed joint frame times inverse bind (glTF 2.0, section 3.7.3.3)."""
         return (self.forward(rotations, trans, translations) @ self.inverse_bind)[:, :3, :]
-
-
-def rotation_matrices(axis_angle: ArrayLike) -> NDArray[np.float64]:
-    """[..., 3] axis-angle in radians to [..., 3, 3]: Rodrigues, exact at zero and finite everywhere."""
-    v = np.asarray(axis_angle, np.float64)
-    angle2 = np.einsum("...i,...i->...", v, v)
-    angle = np.sqrt(angle2)
-    # sin(a)/a and (1 - cos a)/a^2 through sinc: no division by zero and no cancellation at small angles
-    a = np.sinc(angle / np.pi)
-    b = 0.5 * np.sinc(angle / (2 * np.pi)) ** 2
-    out = np.empty((*v.shape[:-1], 3, 3))
-    x, y, z = v[..., 0], v[..., 1], v[..., 2]
-    bx, by, bz = b * x, b * y, b * z
-    ax, ay, az = a * x, a * y, a * z
-    cos = 1 - b * angle2
-    out[..., 0, 0] = cos + bx * x
-    out[..., 1, 1] = cos + by * y
-    out[..., 2, 2] = cos + bz * z
-    out[..., 0, 1] = bx * y - az
-    out[..., 1, 0] = bx * y + az
-    out[..., 0, 2] = bx * z + ay
-    out[..., 2, 0] = bx * z - ay
-    out[..., 1, 2] = by * z - ax
-    out[..., 2, 1] = by * z + ax
-    return out
 
 
 def _levels(parents: NDArray[np.int32]) -> list[NDArray[np.intp]]:

@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.errors import PoseError
+from glsplat.rotations import matrix_quaternions, quaternion_product
 from glsplat.skinning.skeleton import Skeleton
-from glsplat.tracking.batch import forward_all, quats_from_matrices, resample
+from glsplat.tracking.batch import forward_all, resample
 from glsplat.tracking.sample import Sample, Transform
 from glsplat.tracking.solve.body import HAND_FRAMES, HEAD, WRISTS, Body
 
@@ -56,12 +57,12 @@ def truth_from_motion(skeleton: Skeleton, rotations: Array, trans: Array, fps: f
 def derive(skeleton: Skeleton, truth: Truth, fingers: bool = True) -> list[Sample]:
     """What an ideal headset would see of the truth: eyes, wrists and (``fingers``) 25 joints a hand."""
     body = Body.of(skeleton)
-    head_quats = _times(quats_from_matrices(truth.frames[:, HEAD]), (0.0, 0.0, 1.0, 0.0))
+    head_quats = quaternion_product(matrix_quaternions(truth.frames[:, HEAD]), np.array([0.0, 0.0, 1.0, 0.0]))
     eyes = truth.positions[:, HEAD] + truth.frames[:, HEAD] @ np.array(body.eye)
     head = _transforms(eyes, head_quats)
     hands = {}
     for side, wrist in zip(("left", "right"), WRISTS, strict=True):
-        quats = _times(quats_from_matrices(truth.frames[:, wrist]), HAND_FRAMES[side])
+        quats = quaternion_product(matrix_quaternions(truth.frames[:, wrist]), np.array(HAND_FRAMES[side]))
         hands[side] = _transforms(truth.positions[:, wrist], quats)
     joints: dict[str, list[tuple[tuple[float, ...], ...]] | list[None]] = {
         side: _hand_joints(body, truth, side) if fingers else [None] * len(head) for side in ("left", "right")
@@ -103,16 +104,9 @@ def _noisy(pose: Transform, rng: np.random.Generator, metres: float, radians: fl
     position = np.array(pose[:3]) + rng.normal(0, metres, 3) if metres else np.array(pose[:3])
     small = np.array([*rng.normal(0, radians / 2, 3), 1.0]) if radians else np.array([0, 0, 0, 1.0])
     x, y, z, w = pose[3:]
-    quat = _times(np.array([[w, x, y, z]]), (small[3], small[0], small[1], small[2]))[0]
+    quat = quaternion_product(np.array([w, x, y, z]), small[[3, 0, 1, 2]])
     quat /= np.linalg.norm(quat)
     return (*position.tolist(), *quat[[1, 2, 3, 0]].tolist())
-
-
-def _times(quats: Array, right: tuple[float, float, float, float]) -> Array:
-    """quats [T, 4] (wxyz) times one quaternion."""
-    w, x, y, z = right
-    columns = np.array([[w, -x, -y, -z], [x, w, z, -y], [y, -z, w, x], [z, y, -x, w]])
-    return quats @ columns.T
 
 
 def _transforms(positions: Array, quats: Array) -> list[Transform]:

@@ -16,7 +16,7 @@ from glsplat.evaluate.avatar_score import DISTANCE, FILL, camera_around, compare
 from glsplat.making.people import read_person
 from glsplat.mesh import MeshConfig, MeshRenderer
 from glsplat.renderer import Renderer
-from glsplat.skinning.skeleton import rotation_matrices
+from glsplat.rotations import rotation_matrices
 
 WHOLE = (slice(None), slice(None))
 

@@ -18,7 +18,8 @@ from glsplat.net.guard.limits import Limits
 from glsplat.net.messages import Decoder
 from glsplat.net.server import ServerConfig
 from glsplat.net.session import SessionConfig
-from glsplat.skinning.skeleton import Skeleton, rotation_matrices
+from glsplat.rotations import rotation_matrices
+from glsplat.skinning.skeleton import Skeleton
 from tests.net.wire import EYE
 
 TEXT = (Path(__file__).parents[2] / "docs" / "protocol.md").read_text(encoding="utf-8")

@@ -13,9 +13,9 @@ from glsplat.config import RenderConfig
 from glsplat.gl.context import Context
 from glsplat.passes.block import FrameBlock, frame_dtype
 from glsplat.passes.item.buffers import ROW
+from glsplat.rotations import rotation_matrices
 from glsplat.shaders import Variant
 from glsplat.shaders.variant import COLOUR_TEXELS
-from glsplat.skinning.skeleton import rotation_matrices
 from glsplat.splats import Splats
 from tests.glsl import run_chunk
 

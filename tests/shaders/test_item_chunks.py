@@ -17,10 +17,9 @@ from glsplat.gl.context import Context
 from glsplat.making.cones import hidden
 from glsplat.passes.block import FrameBlock, frame_dtype
 from glsplat.passes.item.buffers import ROW
-from glsplat.rotations import rodrigues_parameters
+from glsplat.rotations import rodrigues_parameters, rotation_matrices
 from glsplat.scene import similarity
 from glsplat.shaders import SkinVariant, Variant
-from glsplat.skinning.skeleton import rotation_matrices
 from glsplat.skinning.skin import Skin
 from glsplat.splats import Splats
 from tests.glsl import run_chunk

@@ -11,8 +11,9 @@ from glsplat import reference
 from glsplat.avatar import Avatar
 from glsplat.meshes import RiggedMesh
 from glsplat.renderer import Renderer
+from glsplat.rotations import rotation_matrices
 from glsplat.skinning.pose import Pose
-from glsplat.skinning.skeleton import Skeleton, rotation_matrices
+from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.skin import Skin
 from glsplat.splats import Splats
 from tests.scenes import camera

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from glsplat.skinning.skeleton import Skeleton, rotation_matrices
+from glsplat.rotations import rotation_matrices
+from glsplat.skinning.skeleton import Skeleton
 from glsplat.tracking import Sample, Tracker
 from glsplat.tracking.solve.body import HAND_FRAMES, HEAD_FRAME, Body
 from glsplat.tracking.solve.limits import violation

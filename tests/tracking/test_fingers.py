@@ -3,7 +3,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from glsplat.skinning.skeleton import Skeleton, rotation_matrices
+from glsplat.rotations import rotation_matrices
+from glsplat.skinning.skeleton import Skeleton
 from glsplat.tracking import Sample, Tracker, TrackerConfig
 from glsplat.tracking.batch import forward_all
 from glsplat.tracking.derive import Truth, derive

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from glsplat.data import default_avatar
 from glsplat.errors import PoseError
-from glsplat.skinning.skeleton import rotation_matrices
+from glsplat.rotations import rotation_matrices
 from glsplat.tracking.sample import Sample
 from glsplat.tracking.solve.body import Body
 from glsplat.tracking.solve.solver import AnalyticSolver, Solution

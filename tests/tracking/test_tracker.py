@@ -10,7 +10,7 @@ import pytest
 
 from glsplat.data import default_avatar
 from glsplat.errors import FormatError, PoseError
-from glsplat.skinning.skeleton import rotation_matrices
+from glsplat.rotations import rotation_matrices
 from glsplat.tracking.calibration import Calibration
 from glsplat.tracking.sample import Sample
 from glsplat.tracking.tracker import Tracker, TrackerConfig
