@@ -20,7 +20,7 @@ from glsplat.errors import FormatError, GlsplatError
 from glsplat.formats import FORMATS, load, save, suffixes
 from glsplat.formats.files import replace_file
 from glsplat.making.cones import ConeConfig, with_cones
-from glsplat.making.importers import bind_to_mesh, load_lhm_dump, marked_no_rotate
+from glsplat.making.importers import bind_to_mesh, load_lhm_dump
 from glsplat.making.lam import is_lam_zip, load_lam_zip
 from glsplat.making.people import read_person
 from glsplat.making.posed import posed_splats
@@ -162,13 +162,7 @@ def _import(args: argparse.Namespace) -> int:
             raise UsageError(f"{args.dump}: a LAM zip brings its own mesh; leave out --mesh")
         return _write(load_lam_zip(args.dump), args, began)
     if args.mesh is None:
-        avatar = load_lhm_dump(args.dump)
-        held = marked_no_rotate(avatar)
-        if held and not args.json:
-            print(
-                f"note: {held} of {len(avatar.splats)} splats are marked no_rotate by LHM; here they turn with the body"
-            )
-        return _write(avatar, args, began)
+        return _write(load_lhm_dump(args.dump), args, began)
     if not 0 < args.reach < 1000:
         raise UsageError(f"--reach needs centimetres above 0, not {args.reach:g}")
     scene = load(args.dump)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import zipfile
 from collections.abc import Mapping
 from pathlib import Path
@@ -22,7 +21,7 @@ from glsplat.skinning.skin import Skin
 from glsplat.skinning.smplx import JOINT_NAMES
 from glsplat.splats import Splats
 
-__all__ = ["bind_to_mesh", "load_lhm_dump", "marked_no_rotate", "nearest_weights"]
+__all__ = ["bind_to_mesh", "load_lhm_dump", "nearest_weights"]
 
 F64 = NDArray[np.float64]
 
@@ -51,8 +50,8 @@ def load_lhm_dump(path: str | Path, influences: int = 4) -> Avatar:
     betas (10), shape_dirs (N, 3, 10), joints_zero (55, 3), parents (55), is_constrain_body (N).
 
     Means go through linear blend skinning to the zero pose and receive the shape; rotations turn with the blend,
-    except for splats of ``is_constrain_body``, whose rotation LHM never turns. This renderer turns every splat, so
-    those are only marked: ``meta["no_rotate"]`` holds their bits (base64 of numpy.packbits). Feet are put on y = 0.
+    except for splats of ``is_constrain_body``: LHM draws those as they are stored, in every pose. Here they start so
+    and then turn with the body as all others do (docs/avatars.md says why). Feet are put on y = 0.
     Raises FormatError naming the file and the key.
     """
     data = _arrays(path)
@@ -77,15 +76,7 @@ def load_lhm_dump(path: str | Path, influences: int = 4) -> Avatar:
         raise FormatError(f"{path}: {error}") from None
     meta: dict[str, Any] = {"source": f"LHM, {Path(path).name}", "body_model": "SMPL-X (55 joints)"}
     meta["licence"] = "as the picture and LHM's weights (CC BY-NC 4.0) allow"
-    if kept.any():
-        meta["no_rotate"] = base64.b64encode(np.packbits(kept).tobytes()).decode()
     return Avatar(splats, skeleton, skin, meta)
-
-
-def marked_no_rotate(avatar: Avatar) -> int:
-    """How many splats ``meta["no_rotate"]`` marks; 0 for an avatar without marks."""
-    marks = avatar.meta.get("no_rotate")
-    return 0 if marks is None else int(np.unpackbits(np.frombuffer(base64.b64decode(marks), np.uint8)).sum())
 
 
 def _arrays(path: str | Path) -> dict[str, F64]:
