@@ -1,6 +1,6 @@
 """Renderer: a scene, a context and the passes of a frame.
 
-``render()`` is the frame, one commented step a line; what each step is for is in docs/frame.md.
+``render()`` is the frame; what each step is for is in docs/frame.md.
 """
 
 from __future__ import annotations
