@@ -26,7 +26,9 @@ __all__ = [
     "Projected",
     "blended_rotations",
     "depth_order",
+    "dilated_covariances",
     "evaluate_sh",
+    "jacobians",
     "joined",
     "lifted",
     "placed",
@@ -152,6 +154,26 @@ def evaluate_sh(sh: F64, directions: F64, degree: int) -> F64:
     return np.maximum(np.einsum("kn,nkc->nc", basis, sh[:, : len(basis)]) + 0.5, 0)
 
 
+def jacobians(x: F64, y: F64, z: F64, camera: Camera) -> F64:
+    """[N, 2, 3] of the projection at camera coordinates [N], clamped beyond the image as gsplat does (project.glsl)."""
+    fx, fy, cx, cy = camera.K[0, 0], camera.K[1, 1], camera.K[0, 2], camera.K[1, 2]
+    margin_x, margin_y = 0.3 * 0.5 * camera.width / fx, 0.3 * 0.5 * camera.height / fy
+    tx = np.clip(x / z, -cx / fx - margin_x, (camera.width - cx) / fx + margin_x)
+    ty = np.clip(y / z, -cy / fy - margin_y, (camera.height - cy) / fy + margin_y)
+    zero = np.zeros_like(z)
+    return np.stack([np.stack([fx / z, zero, -fx * tx / z], -1), np.stack([zero, fy / z, -fy * ty / z], -1)], -2)
+
+
+def dilated_covariances(T: F64, eps2d: float) -> tuple[F64, F64, F64, F64, F64]:
+    """Of shapes on the screen [N, 2, 3], Sigma2D = T T^T: a, b, c dilated, det before, det after (project.glsl).
+
+    Lagrange: det(T T^T) = |T_0 x T_1|^2, a sum of squares where a c - b^2 would cancel.
+    """
+    a, b, c = (T[:, 0] ** 2).sum(-1), (T[:, 0] * T[:, 1]).sum(-1), (T[:, 1] ** 2).sum(-1)
+    det = (np.cross(T[:, 0], T[:, 1]) ** 2).sum(-1)
+    return a + eps2d, b, c + eps2d, det, det + eps2d * (a + c) + eps2d**2
+
+
 def project(
     posed: Posed,
     splats: Splats,
@@ -167,17 +189,7 @@ def project(
         x, y, z = (posed.means @ R.T + t).T
         fx, fy, cx, cy = camera.K[0, 0], camera.K[1, 1], camera.K[0, 2], camera.K[1, 2]
         width, height = camera.width, camera.height
-        margin_x, margin_y = 0.3 * 0.5 * width / fx, 0.3 * 0.5 * height / fy
-        tx = np.clip(x / z, -cx / fx - margin_x, (width - cx) / fx + margin_x)
-        ty = np.clip(y / z, -cy / fy - margin_y, (height - cy) / fy + margin_y)
-        zero = np.zeros_like(z)
-        J = np.stack([np.stack([fx / z, zero, -fx * tx / z], -1), np.stack([zero, fy / z, -fy * ty / z], -1)], -2)
-        T = J @ R @ posed.shapes  # [N, 2, 3]; Sigma2D = T T^T
-        a, b, c = (T[:, 0] ** 2).sum(-1), (T[:, 0] * T[:, 1]).sum(-1), (T[:, 1] ** 2).sum(-1)
-        # Lagrange: det(T T^T) = |T_0 x T_1|^2, a sum of squares where a c - b^2 would cancel
-        det = (np.cross(T[:, 0], T[:, 1]) ** 2).sum(-1)
-        dilated = det + config.eps2d * (a + c) + config.eps2d**2
-        a, c = a + config.eps2d, c + config.eps2d
+        a, b, c, det, dilated = dilated_covariances(jacobians(x, y, z, camera) @ R @ posed.shapes, config.eps2d)
 
         alphas = np.minimum(splats.opacities.astype(np.float64), 1.0)
         compensation = np.sqrt(np.maximum(det / dilated, AA_FLOOR))

@@ -1,7 +1,7 @@
 """The pixel contract with its derivatives, in numpy: what each splat adds to each pixel, and how to change it.
 
 Vectorised over (splat, pixel) pairs, so a 512x512 picture of 40,000 splats takes a fraction of a second. It serves to
-fit splats to pictures; the oracle of the renderer is another module. Formulas: EWA projection and front-to-back
+fit splats to pictures; the projection is that of reference.py. Formulas: EWA projection and front-to-back
 compositing of 3D Gaussian Splatting (Kerbl et al. 2023), differentiated by hand; the projection's Jacobian counts as
 constant under a moving mean.
 """
@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.camera import Camera
+from glsplat.reference import dilated_covariances, jacobians
 
 __all__ = ["Footprints", "SplatGradients", "footprints"]
 
@@ -126,18 +127,9 @@ def footprints(
     x, y, depth = (means @ view.T + shift).T
     visible = depth > camera.near
     z = np.where(visible, depth, 1.0)
-    margin_x, margin_y = 0.15 * width / fx, 0.15 * height / fy
-    tx = np.clip(x / z, -cx / fx - margin_x, (width - cx) / fx + margin_x)
-    ty = np.clip(y / z, -cy / fy - margin_y, (height - cy) / fy + margin_y)
-    jacobian = np.zeros((len(means), 2, 3))
-    jacobian[:, 0, 0], jacobian[:, 0, 2] = fx / z, -fx * tx / z
-    jacobian[:, 1, 1], jacobian[:, 1, 2] = fy / z, -fy * ty / z
-    to_pixels = jacobian @ view
+    to_pixels = jacobians(x, y, z, camera) @ view
     axes = to_pixels @ rotations
-    shaped = axes * scales[:, None, :]
-    cov = shaped @ shaped.transpose(0, 2, 1)
-    a, b, c = cov[:, 0, 0] + eps2d, cov[:, 0, 1], cov[:, 1, 1] + eps2d
-    det = a * c - b * b
+    a, b, c, _, det = dilated_covariances(axes * scales[:, None, :], eps2d)
     conic = np.stack([c, -b, a], axis=1) / det[:, None]
     u, v = fx * x / z + cx, fy * y / z + cy
     extent = np.minimum(MAX_SIGMA, np.sqrt(2 * np.log(np.maximum(opacities / ALPHA_MIN, 1))))
