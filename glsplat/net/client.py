@@ -115,8 +115,11 @@ class Client:
         tracking: Mapping[str, Any] | None = None,
         quality: int | None = None,
         crop: bool = False,
+        alpha: bool = False,
     ) -> Reply:
         """Ask for one picture and wait for it. Calls at the same time are served one after the other.
+
+        ``crop`` has only the covered part of each picture sent, ``alpha`` its accumulated alpha too (``Reply.rgba``).
 
         Raises ProtocolError with ``code`` "dropped" when a ``send`` of another task went out meanwhile and its picture
         came first: the newest request wins, and the server never answers the one it replaced.
@@ -124,7 +127,7 @@ class Client:
         connection = self._open()
         async with connection.turn:
             connection.take_all()
-            request = self._request(connection, cameras, pose, tracking, quality, crop)
+            request = self._request(connection, cameras, pose, tracking, quality, crop, alpha)
             return (await connection.ask_and_wait(*request, self._timeout)).reply
 
     async def send(
@@ -135,13 +138,14 @@ class Client:
         tracking: Mapping[str, Any] | None = None,
         quality: int | None = None,
         crop: bool = False,
+        alpha: bool = False,
     ) -> int:
         """Send a request without waiting for its picture, which may never come (a newer one replaces it).
 
         The picture comes by ``receive``. Returns the frame_id.
         """
         connection = self._open()
-        request = self._request(connection, cameras, pose, tracking, quality, crop)
+        request = self._request(connection, cameras, pose, tracking, quality, crop, alpha)
         await connection.ask(*request)
         return request[0]
 
@@ -168,12 +172,13 @@ class Client:
         tracking: Mapping[str, Any] | None,
         quality: int | None,
         crop: bool,
+        alpha: bool,
     ) -> tuple[int, str, float]:
         """The next request: its frame_id, its text, and when it was made, in seconds."""
         now = time.perf_counter()
         number = connection.newest + 1
         message = request_message(
-            number, cameras, pose=pose, tracking=tracking, quality=quality, crop=crop, t=now * 1e3
+            number, cameras, pose=pose, tracking=tracking, quality=quality, crop=crop, alpha=alpha, t=now * 1e3
         )
         message["ack"] = connection.taken
         try:
@@ -205,6 +210,7 @@ def request_message(
     tracking: Mapping[str, Any] | None = None,
     quality: int | None = None,
     crop: bool = False,
+    alpha: bool = False,
     t: float | None = None,
 ) -> dict[str, Any]:
     """The native request (docs/protocol.md) as a JSON object. Cameras may be left out where tracking has a head."""
@@ -217,7 +223,8 @@ def request_message(
         if len(pose.rotations) != len(JOINT_NAMES):
             raise ProtocolError('a pose of another rig than SMPL-X is sent as {"joints": {NAME: [x, y, z]}}')
         pose = pose.to_smplx()
-    for key, value in (("pose", pose), ("tracking", tracking), ("quality", quality), ("crop", crop or None)):
+    flags = (("crop", crop or None), ("alpha", alpha or None))
+    for key, value in (("pose", pose), ("tracking", tracking), ("quality", quality), *flags):
         if value is not None:
             message[key] = value
     return message
