@@ -114,7 +114,7 @@ def test_a_renderer_that_crashes_is_started_again(serve, cameras, end):
                 if end == "killed":
                     os.kill(int(before.split()[1]), signal.SIGKILL)
                 else:
-                    client._connection.newest = 89
+                    client._connection.flow.newest = 89
                 with pytest.raises(ProtocolError, match=r"^the picture could not be drawn$"):
                     await client.render(cameras)
                 after = (await client.render(cameras)).info["driver"]
