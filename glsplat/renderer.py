@@ -195,9 +195,7 @@ class Renderer:
             shape, dtype = (len(cameras), self.size[1], self.size[0], 4), np.dtype(np.uint8 if boxed else np.float32)
             out = np.empty(shape, dtype) if out is None else out
             if out.shape != shape or out.dtype != dtype or not (out.flags.c_contiguous and out.flags.writeable):
-                raise GlsplatError(
-                    f"out needs a writeable, contiguous array {shape} of {dtype}, not {out.shape} {out.dtype}"
-                )
+                raise GlsplatError(f"out needs a contiguous array {shape} of {dtype}, not {out.shape} {out.dtype}")
             depths = np.empty(out.shape[:3] if depth else 0, np.float32)
             for ordinal, batch in enumerate(passes_of(cameras, self.config.order == "shared" or order is not None)):
                 views, mine = [cameras[i] for i in batch], slice(batch[0], batch[0] + len(batch))
