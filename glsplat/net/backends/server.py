@@ -32,9 +32,9 @@ def make_server(
 ) -> Server:
     """A server that draws ``scene`` with OpenGL, and solves tracking if its one avatar has SMPL-X's rig.
 
-    The poses of clients are for the one visible avatar; with several a pose is refused, without any it does nothing. The
-    motions of a scene file play on the server's clock. ``own_process`` draws in a process of its own, else in a thread. Nothing is opened before ``await server.start()``
-    or ``await server.run()``::
+    The poses of clients are for the one visible avatar; with several a pose is refused, without any it does nothing.
+    The motions of a scene file play on the server's clock. ``own_process`` draws in a process of its own, else in a
+    thread. Nothing is opened before ``await server.start()`` or ``await server.run()``::
 
         asyncio.run(make_server(glsplat.load("me.glb"), ServerConfig(port=8000)).run())
     """
