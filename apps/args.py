@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,12 +16,14 @@ from glsplat.formats.scene_file import UPS, SceneFile, upright
 from glsplat.formats.transform import transformed
 from glsplat.making.items import is_scene
 from glsplat.making.items import load_scene as load_file
-from glsplat.motion.motion import Motion, embedded_motions, load_motion
 from glsplat.scene import Content
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.splats import Splats
 
 from .usage import UsageError
+
+if TYPE_CHECKING:
+    from glsplat.motion.motion import Motion
 
 __all__ = [
     "add_scene",
@@ -100,6 +103,8 @@ def driven(file: SceneFile, what: str) -> Avatar:
 
 def motion_of(name: str, skeleton: Skeleton, option: str = "--motion") -> Motion:
     """The motion an option names: a file or an embedded one. Raises UsageError where there is neither."""
+    from glsplat.motion.motion import embedded_motions, load_motion  # here: it needs scipy, and a server none of it
+
     if not Path(name).exists() and name not in embedded_motions():
         known = ", ".join(embedded_motions()) or "none"
         raise UsageError(f"{option} {name}: no such file and no such motion; embedded are {known}")

@@ -133,10 +133,10 @@ def running_server(avatar: str | None) -> Iterator[str]:
 
 def _serve(connection: Connection, avatar: str | None) -> None:
     """The child: tells its URL, or one line of what went wrong."""
+    from glsplat.net.backends.server import make_server
     from glsplat.net.server import ServerConfig
 
     from .args import load_scene
-    from .serve import make_server
 
     try:
         scene = load_scene(argparse.Namespace(scene=avatar))

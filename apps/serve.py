@@ -6,31 +6,18 @@ import argparse
 import asyncio
 import json
 import logging
-import sys
-from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
-import numpy as np
-
-from glsplat.avatar import Avatar
-from glsplat.camera import PAPER_FOV, PAPER_IPD, Camera
+from glsplat.camera import PAPER_FOV, PAPER_IPD
 from glsplat.config import RenderConfig
-from glsplat.formats.scene_file import SceneFile
-from glsplat.net.backend import Solved
-from glsplat.net.backends.gl import MAX_COST, MAX_TIME, RendererBackend
-from glsplat.net.backends.process import ProcessBackend
+from glsplat.net.backends.gl import MAX_COST, MAX_TIME
+from glsplat.net.backends.server import make_server
 from glsplat.net.guard.access import Access, is_loopback, read_token
 from glsplat.net.guard.limits import Limits
-from glsplat.net.messages import RenderRequest, WireOptions
-from glsplat.net.server import Server, ServerConfig
+from glsplat.net.messages import WireOptions
+from glsplat.net.server import ServerConfig
 from glsplat.net.session import SessionConfig
-from glsplat.scene import Shown
-from glsplat.skinning.skeleton import Skeleton
-from glsplat.skinning.smplx import JOINT_NAMES
 from glsplat.tracking.calibration import Calibration
-from glsplat.tracking.sample import Sample
-from glsplat.tracking.tracker import Tracker
 
 from .args import add_scene, open_scene, size
 from .logs import add_log_format, start_logging
@@ -42,55 +29,6 @@ HELP = (
     "and requests a second (bursts and the rest: docs/deploying.md, Limits)."
 )
 EXAMPLE = "glsplat serve me.glb --port 8000"
-
-
-_CLOCK = 1e15  # milliseconds; a clock beyond has no room for a frame's time in a double
-
-
-class OneClock:
-    """One time line for samples of which only some carry the client's time; of either kind alone, their own clock.
-
-    Where a sample with a time follows one without, or the other way round, as much time has passed as between their
-    arrivals.
-    """
-
-    def __init__(self) -> None:
-        self._theirs: bool | None = None  # whether the last sample carried a time
-        self._shift = 0.0  # ms from the clock in use to the time line
-        self._last = self._arrived = 0.0  # ms
-
-    def time(self, t: float | None, now: float) -> float:
-        """Milliseconds of a sample that says ``t`` and arrived at ``now``."""
-        theirs = t is not None and abs(t) < _CLOCK
-        stamp = t if t is not None and theirs else now
-        if self._theirs is not None and theirs != self._theirs:
-            self._shift = self._last + (now - self._arrived) - stamp
-        self._theirs, self._arrived, self._last = theirs, now, stamp + self._shift
-        return self._last
-
-
-class TrackingSolver:
-    """Tracking to pose for one user."""
-
-    def __init__(self, skeleton: Skeleton, calibration: Calibration) -> None:
-        self._tracker = Tracker(skeleton, calibration)
-        self._scale = calibration.scale
-        self._moved = calibration.scale != 1 or calibration.floor != 0
-        self._clock = OneClock()
-
-    def solve(self, request: RenderRequest, now: float) -> Solved:
-        """Filter and solve the next sample, bring the cameras to the avatar's scale."""
-        t = self._clock.time(request.t, now)
-        pose = self._tracker.update(Sample.from_json(request.tracking, t / 1e3))
-        cameras = tuple(map(self._camera, request.cameras)) if self._moved else request.cameras
-        return Solved(pose, cameras, self._tracker.flags)
-
-    def _camera(self, camera: Camera) -> Camera:
-        place = np.eye(4)
-        place[:3, 3] = camera.position
-        viewmat = camera.viewmat.copy()
-        viewmat[:3, 3] = -viewmat[:3, :3] @ self._tracker.to_avatar(place)[:3, 3]
-        return replace(camera, viewmat=viewmat, near=camera.near / self._scale, far=camera.far / self._scale)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -216,37 +154,3 @@ def run(args: argparse.Namespace) -> int:
 
     asyncio.run(server.run(started))
     return 0
-
-
-def make_server(
-    scene: Shown | SceneFile,
-    config: ServerConfig,
-    device: str | None = None,
-    calibration: Calibration | None = None,
-    own_process: bool = True,
-    rendering: RenderConfig | None = None,
-    budget: tuple[float, float] = (MAX_COST, MAX_TIME),  # of a picture: covered pixels, seconds
-) -> Server:
-    """A server that draws ``scene`` with OpenGL and solves tracking if its rig is SMPL-X's.
-
-    The poses of clients are for the one visible avatar; with several a pose is refused, without any it does nothing.
-    The motions of a scene file play on the server's clock. ``own_process`` draws in a process of its own,
-    else in a thread.
-    """
-    # threads hand over every 0.5 ms instead of 5: the loop answers in time while the render thread holds the GIL
-    sys.setswitchinterval(0.0005)
-    file = scene if isinstance(scene, SceneFile) else SceneFile.of(scene)
-    item = file.avatar
-    skeleton = item.content.skeleton if item is not None and isinstance(item.content, Avatar) else None
-    base, solver = calibration or Calibration(), None
-    if skeleton is not None and skeleton.names == JOINT_NAMES:
-
-        def solver(height: float | None) -> TrackingSolver:
-            fitted = base if height is None else Calibration.of_height(skeleton, height, base.floor)
-            return TrackingSolver(skeleton, fitted)
-
-    draw = partial(RendererBackend, file.scene, config.wire.size, device, rendering, *budget)
-    if file.motions:  # in one pickle with the scene, so that the items are the same
-        draw = partial(draw, pose_at=file.pose_at)
-    backend = ProcessBackend(draw, config.wire.max_side, budget[1]) if own_process else draw()
-    return Server(backend, config, solver=solver, skeleton=skeleton)

@@ -151,6 +151,7 @@ class Renderer:
         sort_viewmat: ArrayLike | None = ...,
         budget: Budget | None = ...,
         depth: Literal[False] = ...,
+        out: NDArray[Any] | None = ...,
     ) -> NDArray[Any]: ...
 
     @overload
@@ -162,6 +163,7 @@ class Renderer:
         sort_viewmat: ArrayLike | None = ...,
         budget: Budget | None = ...,
         depth: Literal[True],
+        out: NDArray[Any] | None = ...,
     ) -> tuple[NDArray[Any], NDArray[np.float32]]: ...
 
     def render(
@@ -172,15 +174,16 @@ class Renderer:
         sort_viewmat: ArrayLike | None = None,  # [4, 4] orders all views; default: see docs/frame.md
         budget: Budget | None = None,  # what this picture may cost; none: whatever it takes
         depth: bool = False,  # return expected depths beside the images
+        out: NDArray[Any] | None = None,  # [V, H, W, 4] where the images go; default: a new array
     ) -> NDArray[Any] | tuple[NDArray[Any], NDArray[np.float32]]:
         """The images [V, H, W, 4], row 0 at the top: RGB over the background and accumulated alpha.
 
         Colours are multiplied by their alpha already (premultiplied); ``glsplat.straight(image)`` divides it out again,
         for PNG files and image libraries. float32 (unclipped) or uint8 by ``config.output``. With ``depth`` also
         [V, H, W] float32: camera z in metres, the mean of what a pixel shows by its weight in the picture, meshes
-        included; 0 where alpha is 0. The arrays are new with each call. Raises PoseError for a pose that does not fit,
-        GlsplatError for cameras of another size, BudgetError for a picture beyond its budget: the next one is drawn as
-        if it had not been asked for.
+        included; 0 where alpha is 0. The arrays are new with each call, but for ``out``. Raises PoseError for a pose
+        that does not fit, GlsplatError for cameras of another size, BudgetError for a picture beyond its budget: the
+        next one is drawn as if it had not been asked for.
         """
         order = None if sort_viewmat is None else own(sort_viewmat, np.float64, "sort_viewmat", GlsplatError)
         if order is not None and not (order.shape == (4, 4) and np.isfinite(order).all()):
@@ -189,7 +192,10 @@ class Renderer:
         with self._entered("render"):
             self._begin(pose)
             boxed = self.config.output == "uint8"
-            out = np.empty((len(cameras), self.size[1], self.size[0], 4), np.uint8 if boxed else np.float32)
+            shape, dtype = (len(cameras), self.size[1], self.size[0], 4), np.dtype(np.uint8 if boxed else np.float32)
+            out = np.empty(shape, dtype) if out is None else out
+            if out.shape != shape or out.dtype != dtype or not (out.flags.c_contiguous and out.flags.writeable):
+                raise GlsplatError(f"out needs a contiguous array {shape} of {dtype}, not {out.shape} {out.dtype}")
             depths = np.empty(out.shape[:3] if depth else 0, np.float32)
             for ordinal, batch in enumerate(passes_of(cameras, self.config.order == "shared" or order is not None)):
                 views, mine = [cameras[i] for i in batch], slice(batch[0], batch[0] + len(batch))

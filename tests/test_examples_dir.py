@@ -13,10 +13,10 @@ import cv2
 import numpy as np
 import pytest
 
-from apps.serve import make_server
 from glsplat.data import default_avatar
 from glsplat.formats import save
 from glsplat.meshes import MeshPart, RiggedMesh
+from glsplat.net.backends.server import make_server
 from glsplat.net.server import ServerConfig
 from tests.skinning.avatars import part
 

@@ -21,7 +21,8 @@ from numpy.typing import NDArray
 
 from glsplat.camera import Camera
 from glsplat.errors import GlsplatError, ProtocolError
-from glsplat.net.client import Arrived, Client
+from glsplat.net.client import Client
+from glsplat.net.flow import Arrived, Backoff
 from glsplat.skinning.pose import Pose
 
 __all__ = ["PACE", "Feed", "Picture", "Wish"]
@@ -29,7 +30,6 @@ __all__ = ["PACE", "Feed", "Picture", "Wish"]
 PACE = 1 / 72  # seconds from request to request at least
 _TIMEOUT = 5.0  # seconds until a connection or a picture is given up
 _QUIET = 20.0  # seconds without a wish after which the server hears from us: it drops clients that say nothing for 60
-_PAUSES = (0.5, 1.0, 2.0, 4.0, 8.0)  # seconds between attempts to connect again
 _SMALLEST = 1 / 16  # of the window, where the server refuses large pictures
 
 
@@ -138,7 +138,7 @@ class Feed:
     async def _serve(self) -> None:
         """Connect, talk, and when the server goes away begin again."""
         self._main = asyncio.current_task()
-        attempt = 0
+        backoff = Backoff()
         while True:
             try:
                 async with self._connect() as client:
@@ -146,23 +146,21 @@ class Feed:
                         self.reconnects += 1
                         self._say("")
                     self._up.set()
-                    attempt = 0
+                    backoff.connected()
                     await self._talk(client)
             except GlsplatError as error:
                 if not self._up.is_set():
                     self._first = error
                     self._up.set()
                     return
-                pause = _PAUSES[min(attempt, len(_PAUSES) - 1)]
-                attempt += 1
+                pause = backoff.pause()
                 self._say(f"{error}; trying again in {pause:g} s")
                 await asyncio.sleep(pause)
 
     async def _talk(self, client: Client) -> None:
         """Send and receive until the connection ends. Raises ProtocolError then."""
-        numbers: dict[int, int] = {}  # frame_id: wish
         self._scaled_at = 0
-        tasks = [asyncio.create_task(self._send(client, numbers)), asyncio.create_task(self._receive(client, numbers))]
+        tasks = [asyncio.create_task(self._send(client)), asyncio.create_task(self._receive(client))]
         try:
             await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
         finally:
@@ -173,7 +171,7 @@ class Feed:
             if isinstance(end, Exception):
                 raise end
 
-    async def _send(self, client: Client, numbers: dict[int, int]) -> None:
+    async def _send(self, client: Client) -> None:
         self._new.set()  # after a reconnection the last wish still stands
         sent: tuple[int, float] | None = None
         while True:
@@ -188,24 +186,30 @@ class Feed:
                 continue
             number, wish = self._wish
             sent = number, self._scale
-            numbers[client.newest + 1] = number
             cameras = [_scaled(camera, self._scale) for camera in wish.cameras]
-            await client.send(cameras, pose=wish.pose, tracking=wish.tracking, quality=self._quality, crop=True)
+            await client.send(
+                cameras, pose=wish.pose, tracking=wish.tracking, quality=self._quality, crop=True, subject=number
+            )
             await asyncio.sleep(PACE)
 
-    async def _receive(self, client: Client, numbers: dict[int, int]) -> None:
+    async def _receive(self, client: Client) -> None:
         while True:
             try:
                 arrived = await client.receive()
-                self._put(arrived, numbers)
+                self._put(arrived, self._wish_of(client, arrived.reply.frame_id))
             except ProtocolError as error:
                 if error.code == "timeout" and not client.waiting:
                     continue
                 if error.code in ("closed", "timeout", "bad_reply"):
                     raise
-                self._refused(error, client, numbers)
+                self._refused(error, client)
 
-    def _put(self, arrived: Arrived, numbers: dict[int, int]) -> None:
+    def _wish_of(self, client: Client, frame_id: int) -> int:
+        """The number of the wish that a request carried."""
+        number = client.flow.about(frame_id)
+        return number if isinstance(number, int) else self._settled[0]
+
+    def _put(self, arrived: Arrived, number: int) -> None:
         """Decode and lay ready."""
         reply, start = arrived.reply, time.perf_counter()
         decoded = reply.images()
@@ -216,16 +220,13 @@ class Feed:
         picture = Picture(
             images, reply.info, reply.frame_id, reply.nbytes, arrived.requested, arrived.communication_ms, decode_ms
         )
-        number = numbers.pop(reply.frame_id)
-        for old in [frame_id for frame_id in numbers if frame_id < reply.frame_id]:
-            del numbers[old]
         with self._changed:
             self.late += self._picture is not None
             self._picture, self.notice, self._settled = picture, "", (number, "")
             self._changed.notify_all()
         self.wake()
 
-    def _refused(self, error: ProtocolError, client: Client, numbers: dict[int, int]) -> None:
+    def _refused(self, error: ProtocolError, client: Client) -> None:
         """The server did not draw a wish: ask for smaller pictures, or say why."""
         frame_id = error.frame_id or client.newest
         if error.code == "bad_size" and self._scale > _SMALLEST:
@@ -235,7 +236,7 @@ class Feed:
                 self._new.set()
             return
         with self._changed:
-            self._settled = (numbers.pop(frame_id, self._settled[0]), str(error))
+            self._settled = (self._wish_of(client, frame_id), str(error))
             self._changed.notify_all()
         self._say(f"the server says: {error}")
 

@@ -19,15 +19,14 @@ from numpy.typing import NDArray
 
 from glsplat.camera import Camera, look_at, stereo_cameras
 from glsplat.errors import ProtocolError
-from glsplat.net.client import Arrived, Client
+from glsplat.net.client import Client
+from glsplat.net.flow import POLICIES, Arrived
 from glsplat.net.reply import Reply
 from glsplat.net.stages import median_p95
 from glsplat.rotations import FLIP_YZ
 from glsplat.skinning.pose import Pose
 
 __all__ = ["POLICIES", "STAGES", "Drive", "Driven", "Result", "observer", "stream"]
-
-POLICIES = ("mailbox", "stop-and-wait", "fifo")
 
 _LAST = 3.0  # seconds to wait for the last pictures
 
@@ -192,11 +191,11 @@ async def stream(
         driven = drive.at(seconds)
         cameras = observer(seconds, driven.root, size)
         run.result.sent += 1
-        run.asked = await client.send(cameras, pose=driven.pose, tracking=driven.tracking, quality=quality, crop=crop)
+        await client.send(cameras, pose=driven.pose, tracking=driven.tracking, quality=quality, crop=crop)
 
-    async def ask_when_answered(most: int) -> None:
+    async def ask_when_answered() -> None:
         while not over.is_set():
-            if run.asked - (run.newest if most > 1 else run.decoded) < most:
+            if client.flow.may_ask(policy, window, run.decoded):
                 await ask(time.perf_counter() - start)
                 await asyncio.sleep(1 / fps)  # tracking has nothing newer before
             else:
@@ -207,7 +206,7 @@ async def stream(
     start = time.perf_counter()
     tasks = [asyncio.create_task(run.receive()), asyncio.create_task(run.decode())]
     if policy != "mailbox":
-        tasks.append(asyncio.create_task(ask_when_answered(1 if policy == "stop-and-wait" else window)))
+        tasks.append(asyncio.create_task(ask_when_answered()))
     try:
         for index in range(frames):
             await asyncio.sleep(max(0.0, start + index / fps - time.perf_counter()))
@@ -262,14 +261,13 @@ class _Stream:
         self._wake = asyncio.Event()
         self._decoded: Arrived | None = None
         self._on_show: Arrived | None = None
-        # frame_ids of the newest request, answer, and decoded picture
-        self.asked = self.newest = self.decoded = client.newest
+        self.decoded = client.newest  # frame_id of the newest decoded picture
 
     @property
     def finished(self) -> bool:
         """True once the newest request has been answered and shown."""
         pending = self._decoding or self._arrived is not None or self._decoded is not None
-        return self.newest >= self.asked and not pending
+        return not self._client.waiting and not pending
 
     async def receive(self) -> None:
         """Take replies as they come; a reply that replaces an undecoded one makes that late."""
@@ -281,14 +279,12 @@ class _Stream:
                     raise
                 self.result.errors += 1
                 self.result.last_error = str(error)
-                self.newest = self.decoded = max(self.newest, error.frame_id or 0)
                 self.answered.set()
                 continue
             self.result.received += 1
             self.answered.set()
             self.result.nbytes.append(arrived.reply.nbytes)
             self.result.driver = arrived.reply.info.get("driver", "")
-            self.newest = max(self.newest, arrived.reply.frame_id)
             self.result.late += self._arrived is not None
             self._arrived = arrived
             self._wake.set()

@@ -11,7 +11,7 @@ import re
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 import numpy as np
@@ -21,11 +21,13 @@ from glsplat.avatar import Avatar
 from glsplat.errors import FormatError, GlsplatError
 from glsplat.formats import load
 from glsplat.formats.files import open_regular
-from glsplat.motion.motion import Motion, embedded_motions, load_embedded_motion, load_motion
 from glsplat.scene import Content, Item, Scene, Shown, similarity
 from glsplat.skinning.pose import Pose, load_pose
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.splats import Splats
+
+if TYPE_CHECKING:
+    from glsplat.motion.motion import Motion
 
 __all__ = ["MOST_ITEMS", "UPS", "SceneFile", "load_scene_file", "looks_like_scene_file", "upright"]
 
@@ -198,6 +200,9 @@ class _Reading:
 
     def _motion(self, name: str, folder: Path, skeleton: Skeleton) -> Motion:
         """A file in the folder, or an embedded motion where there is none of that name."""
+        # here: it needs scipy, and a server of scenes that stand still none of it
+        from glsplat.motion.motion import embedded_motions, load_embedded_motion, load_motion
+
         embedded = name in embedded_motions() and not (folder / name).exists()
         source = name if embedded else _inside(name, folder)
         key = source, id(skeleton)

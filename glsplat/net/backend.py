@@ -13,7 +13,7 @@ from glsplat.camera import Camera
 from glsplat.net.messages import RenderRequest
 from glsplat.skinning.pose import Pose
 
-__all__ = ["Backend", "Interruptible", "PoseSolver", "Rendered", "Solved"]
+__all__ = ["Backend", "Interruptible", "Placing", "PoseSolver", "Rendered", "Solved"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,6 +66,14 @@ class Interruptible(Protocol):
     def kill(self) -> None:
         """End what draws, hung or not: ``render`` and ``open`` then raise ContextLostError. From any thread."""
         ...
+
+
+@runtime_checkable
+class Placing(Protocol):
+    """A backend that can draw to where its pictures are wanted, which saves a copy."""
+
+    place: NDArray[np.uint8] | None
+    """Set before ``render``: where its images [V, H, W, 4] go, contiguous, with anything in it; None: anywhere."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -17,7 +17,8 @@ import numpy as np
 
 from glsplat.camera import Camera
 from glsplat.errors import GlsplatError, ProtocolError
-from glsplat.net.client_connection import Arrived, Connection
+from glsplat.net.client_connection import Connection
+from glsplat.net.flow import Arrived, Flow
 from glsplat.net.messages import MAX_BYTES, VERSION, eye_fields
 from glsplat.net.reply import Reply
 from glsplat.skinning.pose import Pose
@@ -61,12 +62,17 @@ class Client:
     @property
     def newest(self) -> int:
         """The frame_id of the newest request; 0 before the first."""
-        return 0 if self._connection is None else self._connection.newest
+        return self.flow.newest
 
     @property
     def waiting(self) -> bool:
         """True while the newest request has no answer."""
-        return self._connection is not None and self._connection.waiting
+        return self.flow.waiting
+
+    @property
+    def flow(self) -> Flow:
+        """What is under way on this connection; an empty one before the first."""
+        return Flow() if self._connection is None else self._connection.flow
 
     async def __aenter__(self) -> Client:
         await self.connect()
@@ -115,8 +121,11 @@ class Client:
         tracking: Mapping[str, Any] | None = None,
         quality: int | None = None,
         crop: bool = False,
+        alpha: bool = False,
     ) -> Reply:
         """Ask for one picture and wait for it. Calls at the same time are served one after the other.
+
+        ``crop`` has only the covered part of each picture sent, ``alpha`` its accumulated alpha too (``Reply.rgba``).
 
         Raises ProtocolError with ``code`` "dropped" when a ``send`` of another task went out meanwhile and its picture
         came first: the newest request wins, and the server never answers the one it replaced.
@@ -124,7 +133,7 @@ class Client:
         connection = self._open()
         async with connection.turn:
             connection.take_all()
-            request = self._request(connection, cameras, pose, tracking, quality, crop)
+            request = self._request(connection, cameras, pose, tracking, quality, crop, alpha)
             return (await connection.ask_and_wait(*request, self._timeout)).reply
 
     async def send(
@@ -135,14 +144,17 @@ class Client:
         tracking: Mapping[str, Any] | None = None,
         quality: int | None = None,
         crop: bool = False,
+        alpha: bool = False,
+        subject: object = None,
     ) -> int:
         """Send a request without waiting for its picture, which may never come (a newer one replaces it).
 
-        The picture comes by ``receive``. Returns the frame_id.
+        The picture comes by ``receive``. Returns the frame_id. ``subject`` is not sent: ``flow.about(frame_id)`` gives
+        it back when the answer is there.
         """
         connection = self._open()
-        request = self._request(connection, cameras, pose, tracking, quality, crop)
-        await connection.ask(*request)
+        request = self._request(connection, cameras, pose, tracking, quality, crop, alpha)
+        await connection.ask(*request, subject)
         return request[0]
 
     async def send_text(self, text: str) -> None:
@@ -168,14 +180,15 @@ class Client:
         tracking: Mapping[str, Any] | None,
         quality: int | None,
         crop: bool,
+        alpha: bool,
     ) -> tuple[int, str, float]:
         """The next request: its frame_id, its text, and when it was made, in seconds."""
         now = time.perf_counter()
-        number = connection.newest + 1
+        number = connection.flow.newest + 1
         message = request_message(
-            number, cameras, pose=pose, tracking=tracking, quality=quality, crop=crop, t=now * 1e3
+            number, cameras, pose=pose, tracking=tracking, quality=quality, crop=crop, alpha=alpha, t=now * 1e3
         )
-        message["ack"] = connection.taken
+        message["ack"] = connection.flow.taken
         try:
             data = _encoder.encode(message)
         except (TypeError, ValueError, RecursionError) as error:  # what JSON cannot say
@@ -205,6 +218,7 @@ def request_message(
     tracking: Mapping[str, Any] | None = None,
     quality: int | None = None,
     crop: bool = False,
+    alpha: bool = False,
     t: float | None = None,
 ) -> dict[str, Any]:
     """The native request (docs/protocol.md) as a JSON object. Cameras may be left out where tracking has a head."""
@@ -217,7 +231,8 @@ def request_message(
         if len(pose.rotations) != len(JOINT_NAMES):
             raise ProtocolError('a pose of another rig than SMPL-X is sent as {"joints": {NAME: [x, y, z]}}')
         pose = pose.to_smplx()
-    for key, value in (("pose", pose), ("tracking", tracking), ("quality", quality), ("crop", crop or None)):
+    flags = (("crop", crop or None), ("alpha", alpha or None))
+    for key, value in (("pose", pose), ("tracking", tracking), ("quality", quality), *flags):
         if value is not None:
             message[key] = value
     return message

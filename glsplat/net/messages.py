@@ -74,6 +74,7 @@ class RenderRequest:
     ack: int | None = None  # newest frame_id the client has received
     quality: int = 80
     crop: bool = False
+    alpha: bool = False  # the accumulated alpha too
     form: Form = "native"
     eyes: tuple[int, ...] = (0, 1)  # eye numbers of the cameras: 0 left, 1 right
 
@@ -142,6 +143,7 @@ class _Message(msgspec.Struct):
     size: list[int] | None = None
     quality: int | None = None
     crop: bool = False
+    alpha: bool = False
     pose: _Pose | None = None
     tracking: _Tracking | None = None
 
@@ -156,7 +158,15 @@ class _LegacyMessage(msgspec.Struct):
 
 _decoder = msgspec.json.Decoder(_Message)
 _legacy_decoder = msgspec.json.Decoder(_LegacyMessage)
-_PICTURE = ("eyes", "size", "quality", "crop", "pose", "tracking")  # fields that only a request for a picture has
+_PICTURE = (
+    "eyes",
+    "size",
+    "quality",
+    "crop",
+    "alpha",
+    "pose",
+    "tracking",
+)  # fields that only a request for a picture has
 _encoder = msgspec.json.Encoder()
 
 
@@ -231,6 +241,7 @@ class Decoder:
             ack=m.ack,
             quality=quality,
             crop=m.crop,
+            alpha=m.alpha,
             eyes=tuple(range(len(cameras))),
         )
 

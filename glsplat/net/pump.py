@@ -15,6 +15,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+from glsplat.camera import Camera
 from glsplat.errors import BudgetError, ContextError, ContextLostError, GlsplatError, PoseError
 from glsplat.net.backend import Backend, Interruptible, PoseSolver, Rendered
 from glsplat.net.codec.encode import Encoded, Encoder
@@ -46,6 +47,7 @@ class Frame:
     encoded: Awaitable[Encoded] | None = None  # None: it could not be drawn
     error: tuple[str, str] = ("", "")  # code and message in that case
     notes: tuple[str, ...] | None = None  # of the tracking solver
+    drawn: tuple[Camera, ...] | None = None  # the eyes in the avatar's space, where tracking was solved
     ends: str = ""  # why the connection ends after this answer and its address is held off, if it does
 
 
@@ -186,7 +188,10 @@ class FramePump:
         }
         if frame.notes is not None:
             info["tracking"] = frame.notes
-        return [pack_reply(request.frame_id, request.eyes, encoded.pictures, info)]
+        drawn = None if frame.drawn is None else [eye_fields(camera) for camera in frame.drawn]
+        if drawn is not None and drawn != info["eyes"]:
+            info["drawn"] = drawn
+        return [pack_reply(request.frame_id, request.eyes, encoded.pictures, info, encoded.alphas)]
 
     async def _run(self) -> None:
         while True:
@@ -287,7 +292,7 @@ class FramePump:
                 raise PoseError("this server has no tracking solver: send pose instead of tracking")
             solved, frame.times["ik"] = solution.result()
             request = replace(request, pose=solved.pose, cameras=solved.cameras)
-            frame.notes = solved.notes
+            frame.notes, frame.drawn = solved.notes, solved.cameras
         start = self._clock()
         frame.times["wait"] = (start - frame.arrived) * 1e3 - frame.times.get("ik", 0.0)  # solving is no waiting
         rendered = self._backend.render(request)
@@ -308,7 +313,7 @@ class FramePump:
 
     def _encode(self, rendered: Rendered, request: RenderRequest) -> Encoded:
         """On an encoding thread."""
-        return self._encoder.encode(rendered.images, request.quality, request.crop, rendered.covered)
+        return self._encoder.encode(rendered.images, request.quality, request.crop, rendered.covered, request.alpha)
 
     def _end_threads(self) -> None:
         self._render_thread.shutdown(wait=False)

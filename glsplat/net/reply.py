@@ -1,7 +1,8 @@
 """Replies: the binary message that carries a stereo pair (docs/protocol.md), written and read.
 
-Little endian: "VR", u16 version, u32 frame_id, u8 count; for each eye u8 eye, u32 length, JPEG; then u32 length and
-a JSON object. Readers that know only the first part may stop after the pictures.
+Little endian: "VR", u16 version, u32 frame_id, u8 count; for each eye u8 eye, u32 length, JPEG, and where alpha was
+asked for u32 length, grey JPEG; then u32 length and a JSON object. Readers that know only the first part may stop after
+the pictures.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ __all__ = ["Reply", "decode_picture", "pack_reply", "pack_single", "parse_reply"
 _HEAD = struct.Struct("<2sHIB")
 _EYE = struct.Struct("<BI")
 _LENGTH = struct.Struct("<I")
+_JPEG = b"\xff\xd8"  # how one begins
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -35,6 +37,7 @@ class Reply:
     pictures: dict[int, bytes]
     info: dict[str, Any] = field(default_factory=dict)
     nbytes: int = 0  # of the whole message
+    alphas: dict[int, bytes] = field(default_factory=dict)  # grey JPEGs of the accumulated alpha, if asked for
 
     def __repr__(self) -> str:
         eyes = ", ".join(f"eye {eye}: {len(jpeg)} bytes" for eye, jpeg in sorted(self.pictures.items())) or "no picture"
@@ -42,20 +45,42 @@ class Reply:
 
     def decoders(self) -> list[Callable[[], NDArray[np.uint8]]]:
         """One call an eye, left first, that decodes its picture; they may run in threads side by side."""
-        boxes = dict(zip(sorted(self.pictures), self.info.get("crop") or (), strict=False))
-        size = self.info.get("size")
-        return [partial(decode_picture, self.pictures[eye], boxes.get(eye), size) for eye in sorted(self.pictures)]
+        return self._decoders(self.pictures, "RGB")
 
     def images(self) -> list[NDArray[np.uint8]]:
         """The decoded pictures [H, W, 3], left first; a cropped picture is put back in its place on black."""
         return [decode() for decode in self.decoders()]
 
+    def rgba(self) -> list[NDArray[np.uint8]]:
+        """The decoded pictures with their alpha [H, W, 4], left first; colours are premultiplied (over black).
 
-def pack_reply(frame_id: int, eyes: Sequence[int], pictures: Sequence[bytes], info: Mapping[str, Any]) -> bytes:
+        Put them over a room as colour + (1 - alpha) * room. Raises ProtocolError where alpha was not asked for.
+        """
+        if not self.pictures.keys() <= self.alphas.keys():
+            raise ProtocolError(f"{self!r} has no alpha: ask for it with alpha=True", "bad_reply")
+        greys = [decode() for decode in self._decoders(self.alphas, "GRAY")]
+        return [np.concatenate(pair, axis=2) for pair in zip(self.images(), greys, strict=True)]
+
+    def _decoders(self, jpegs: dict[int, bytes], space: str) -> list[Callable[[], NDArray[np.uint8]]]:
+        eyes = sorted(self.pictures)
+        boxes = dict(zip(eyes, self.info.get("crop") or (), strict=False))
+        size = self.info.get("size")
+        return [partial(decode_picture, jpegs[eye], boxes.get(eye), size, space) for eye in eyes]
+
+
+def pack_reply(
+    frame_id: int,
+    eyes: Sequence[int],
+    pictures: Sequence[bytes],
+    info: Mapping[str, Any],
+    alphas: Sequence[bytes] | None = None,
+) -> bytes:
     """The binary message of one frame, atomic for all its eyes."""
     parts = [_HEAD.pack(b"VR", VERSION, frame_id, len(eyes))]
-    for eye, picture in zip(eyes, pictures, strict=True):
+    for index, (eye, picture) in enumerate(zip(eyes, pictures, strict=True)):
         parts += [_EYE.pack(eye, len(picture)), picture]
+        if alphas is not None:
+            parts += [_LENGTH.pack(len(alphas[index])), alphas[index]]
     text = msgspec.json.encode(info)
     return b"".join([*parts, _LENGTH.pack(len(text)), text])
 
@@ -71,33 +96,41 @@ def parse_reply(data: bytes) -> Reply:
         magic, version, frame_id, count = _HEAD.unpack_from(data)
         if magic != b"VR" or version != VERSION:
             raise ProtocolError(f"expected a reply VR version {VERSION}, not {magic!r} {version}", "bad_reply")
-        offset, pictures = _HEAD.size, {}
+        offset, pictures, alphas = _HEAD.size, {}, {}
         for _ in range(count):
             eye, length = _EYE.unpack_from(data, offset)
             offset += _EYE.size
             pictures[eye] = _take(data, offset, length)
             offset += length
+            # at this place lies the highest byte of the next picture's length (below 2^32), or the "{" of the object
+            if data[offset + 4 : offset + 6] == _JPEG:
+                (length,) = _LENGTH.unpack_from(data, offset)
+                alphas[eye] = _take(data, offset + _LENGTH.size, length)
+                offset += _LENGTH.size + length
         (length,) = _LENGTH.unpack_from(data, offset)
         info = msgspec.json.decode(_take(data, offset + _LENGTH.size, length))
         if not isinstance(info, dict):
             raise ProtocolError("expected a JSON object behind the pictures", "bad_reply")
     except (struct.error, msgspec.MsgspecError, RecursionError):
         raise ProtocolError(f"expected a whole reply, found {len(data)} bytes that end early", "bad_reply") from None
-    return Reply(frame_id, pictures, info, len(data))
+    return Reply(frame_id, pictures, info, len(data), alphas)
 
 
 def decode_picture(
-    jpeg: bytes, box: Sequence[int] | None = None, size: Sequence[int] | None = None
+    jpeg: bytes, box: Sequence[int] | None = None, size: Sequence[int] | None = None, space: str = "RGB"
 ) -> NDArray[np.uint8]:
-    """[H, W, 3] of one JPEG; with ``box`` (x, y, w, h) and ``size`` (W, H) it is placed on a black picture."""
+    """[H, W, 3] of one JPEG, [H, W, 1] with ``space`` GRAY.
+
+    With ``box`` (x, y, w, h) and ``size`` (W, H) it is placed on black.
+    """
     try:
-        image: NDArray[np.uint8] = simplejpeg.decode_jpeg(jpeg, "RGB")
+        image: NDArray[np.uint8] = simplejpeg.decode_jpeg(jpeg, space)
     except ValueError as error:
         raise ProtocolError(f"a picture is not a JPEG ({error})", "bad_reply") from None
     if box is None or size is None:
         return image
     x, y, w, h = box
-    out = np.zeros((size[1], size[0], 3), np.uint8)
+    out = np.zeros((size[1], size[0], image.shape[2]), np.uint8)
     out[y : y + h, x : x + w] = image[:h, :w]
     return out
 

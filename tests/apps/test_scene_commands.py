@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 
 from apps.cli import main
-from apps.serve import make_server
 from glsplat import reference
 from glsplat.camera import Camera, look_at, pinhole
 from glsplat.data import default_avatar
@@ -21,6 +20,7 @@ from glsplat.formats import load, save
 from glsplat.formats.scene_file import upright
 from glsplat.making.items import load_scene
 from glsplat.net.backends.gl import RendererBackend
+from glsplat.net.backends.server import make_server
 from glsplat.net.messages import RenderRequest
 from glsplat.net.server import ServerConfig
 from glsplat.pictures import straight

@@ -26,6 +26,8 @@ from apps import cli, serve
 from glsplat.camera import head_matrix, stereo_cameras
 from glsplat.data import default_avatar
 from glsplat.errors import GlsplatError, PoseError, ProtocolError
+from glsplat.net.backends.server import make_server
+from glsplat.net.backends.tracking import TrackingSolver
 from glsplat.net.client import Client
 from glsplat.net.codec.encode import encode_picture
 from glsplat.net.guard.limits import Limits
@@ -180,7 +182,7 @@ def test_the_whole_pipe_equals_glsplat_render(tmp_path):
     assert direct.shape == (192, 512, 3) and (direct.max(axis=2) > 40).mean() > 0.05
 
     async def main():
-        server = serve.make_server(default_avatar(), ServerConfig(port=0))
+        server = make_server(default_avatar(), ServerConfig(port=0))
         await server.start()
         try:
             async with Client(server.url) as client:
@@ -216,7 +218,7 @@ def test_viewers_get_their_own_pictures():
             return [(await client.render(eyes, pose=pose)).pictures for _ in range(6)]
 
     async def main():
-        server = serve.make_server(default_avatar(), ServerConfig(port=0))
+        server = make_server(default_avatar(), ServerConfig(port=0))
         await server.start()
         try:
             return await asyncio.gather(*(watch(server.url, *viewer) for viewer in viewers))
@@ -355,7 +357,7 @@ def test_tracking_becomes_a_pose_in_the_avatars_space():
 
     skeleton = default_avatar().skeleton
     calibration = Calibration(scale=1.25, floor=0.1)
-    solver, alone = serve.TrackingSolver(skeleton, calibration), Tracker(skeleton, calibration)
+    solver, alone = TrackingSolver(skeleton, calibration), Tracker(skeleton, calibration)
     decoder = Decoder()
     requests = [decoder.decode(json.dumps(tracked(i, i * 0.005))) for i in range(20)]
     for request in requests:
@@ -384,7 +386,7 @@ tracked_fields = {
 @given(st.lists(st.tuples(numbers, st.fixed_dictionaries({}, optional=tracked_fields)), min_size=1, max_size=4))
 def test_any_tracking_gives_a_finite_pose_or_a_protocol_error(messages):
     """Whatever passes the decoder can be solved: what a client sends never fails in the render thread."""
-    solver, decoder = serve.TrackingSolver(default_avatar().skeleton, Calibration()), Decoder()
+    solver, decoder = TrackingSolver(default_avatar().skeleton, Calibration()), Decoder()
     for frame_id, (t, tracking) in enumerate(messages, 1):
         eyes = [eye_fields(eye) for eye in stereo_cameras(np.eye(4), size=(64, 64))]
         text = json.dumps({"v": 1, "frame_id": frame_id, "t": t, "eyes": eyes, "tracking": tracking})
@@ -400,7 +402,7 @@ def test_any_tracking_gives_a_finite_pose_or_a_protocol_error(messages):
 def test_a_recording_of_head_and_hands_moves_the_avatar():
 
     async def main():
-        server = serve.make_server(default_avatar(), ServerConfig(port=0))
+        server = make_server(default_avatar(), ServerConfig(port=0))
         await server.start()
         try:
             async with Client(server.url, height=1.8) as client:

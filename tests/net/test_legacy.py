@@ -15,8 +15,8 @@ import numpy as np
 import pytest
 import simplejpeg
 
-from apps.serve import make_server
 from glsplat.data import default_avatar
+from glsplat.net.backends.server import make_server
 from glsplat.net.messages import WireOptions
 from glsplat.net.server import ServerConfig
 

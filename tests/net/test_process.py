@@ -114,7 +114,7 @@ def test_a_renderer_that_crashes_is_started_again(serve, cameras, end):
                 if end == "killed":
                     os.kill(int(before.split()[1]), signal.SIGKILL)
                 else:
-                    client._connection.newest = 89
+                    client._connection.flow.newest = 89
                 with pytest.raises(ProtocolError, match=r"^the picture could not be drawn$"):
                     await client.render(cameras)
                 after = (await client.render(cameras)).info["driver"]
@@ -146,7 +146,7 @@ def test_the_loop_runs_while_the_renderer_holds_its_lock(serve):
     async def main():
         async with serve(ProcessBackend(Boxed, 64), ServerConfig(port=0)) as server:
             async with Client(server.url) as client:
-                client._connection.newest = 69
+                client._connection.flow.newest = 69
                 await client.send(request().cameras)  # 70: sleeps
                 gaps, last = [], time.perf_counter()
                 while len(gaps) < 100:

@@ -20,6 +20,8 @@ from glsplat.net.server import ServerConfig
 from glsplat.net.session import SessionConfig
 from glsplat.rotations import rotation_matrices
 from glsplat.skinning.skeleton import Skeleton
+from glsplat.skinning.smplx import JOINT_NAMES, PARENTS, POSE_KEYS
+from glsplat.tracking.sample import HAND_JOINTS
 from tests.net.wire import EYE
 
 TEXT = (Path(__file__).parents[2] / "docs" / "protocol.md").read_text(encoding="utf-8")
@@ -117,6 +119,17 @@ def test_the_numbers_of_the_limits():
         assert phrase in TEXT, phrase
     for phrase in (f"{limits.frames:g} frames", f"{limits.control:g} control", f"make {limits.visits:g} connections"):
         assert phrase in HELP, phrase
+
+
+def test_the_joint_orders_of_the_page():
+    """Row by row: number, name, parent; and which pose key holds which."""
+    cells = re.findall(r"(?<=\| )(\d+) \| ([a-z0-9_]+) \| (-?\d+)(?= \|)", TEXT)
+    joints = {int(number): (name, int(parent)) for number, name, parent in cells}
+    assert joints == dict(enumerate(zip(JOINT_NAMES, PARENTS.tolist(), strict=True)))
+    hand = dict(re.findall(r"(?<=\| )(\d+) \| ([a-z]+(?:-[a-z]+)*)(?= \|)", TEXT.split("WebXR's hand joints (")[1]))
+    assert {int(number): name for number, name in hand.items()} == dict(enumerate(HAND_JOINTS))
+    for key, first, last in (("body_pose", 1, 21), ("lhand_pose", 25, 39), ("rhand_pose", 40, 54)):
+        assert re.search(rf"`{key}`\s(is\s)?{first} to\s{last}", TEXT) and POSE_KEYS[key] == slice(first, last + 1)
 
 
 def test_translations_are_in_the_frame_that_the_page_says():

@@ -5,6 +5,9 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
+import numpy as np
+from numpy.typing import NDArray
+
 from glsplat.camera import Camera, look_at, pinhole
 from glsplat.config import RenderConfig
 from glsplat.errors import BudgetError, ContextLostError, GlsplatError, PoseError
@@ -40,6 +43,7 @@ class RendererBackend:
         pose_at: Callable[[float], None] | None = None,  # brings the scene to a time in seconds since open()
     ) -> None:
         self.abandoned: Callable[[], bool] = lambda: False
+        self.place: NDArray[np.uint8] | None = None
         self._max_cost, self._max_time = max_cost, max_time
         self._scene, self._pixels, self._device = scene, pixels, device
         self._config = config or RenderConfig()
@@ -77,7 +81,7 @@ class RendererBackend:
             renderer.resize(first.width, first.height)
             if self._pose_at is not None:
                 self._pose_at(time.monotonic() - self._opened)
-            images = renderer.render(request.cameras, request.pose, budget=budget)
+            images = renderer.render(request.cameras, request.pose, budget=budget, out=self.place)
             if self._context.ctx.error != "GL_NO_ERROR":  # reading it clears it
                 raise GlsplatError(f"{renderer.driver} reports an OpenGL error: the picture is not to be trusted")
         except (PoseError, BudgetError):  # before anything was drawn, or the next picture is drawn over it

@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 
 from glsplat.errors import ContextError, ContextLostError, GlsplatError
-from glsplat.net.backend import Backend, Interruptible, Rendered
+from glsplat.net.backend import Backend, Interruptible, Placing, Rendered
 from glsplat.net.backends.slots import Slots, SlotWriter
 from glsplat.net.messages import RenderRequest
 
@@ -161,6 +161,8 @@ def _work(make: Callable[[], Backend], pipe: Connection, path: str, nbytes: int)
             if isinstance(backend, Interruptible):
                 backend.abandoned = partial(slots.abandoned, number)
             try:
+                if isinstance(backend, Placing):
+                    backend.place = slots.place(slot, shape)
                 rendered = backend.render(request)
                 slots.put(slot, rendered, shape)
                 pipe.send(replace(rendered, images=np.empty(0, np.uint8)))

@@ -121,12 +121,22 @@ class SlotWriter:
         """True once nobody wants picture ``number``."""
         return int(self._abandoned[0]) == number % 2**32
 
+    def place(self, slot: int, shape: tuple[int, ...]) -> NDArray[np.uint8]:
+        """Where the picture goes, for who can draw there."""
+        self._dirty[slot] = place = self._slots[slot, : int(np.prod(shape))].reshape(shape)
+        return place
+
     def put(self, slot: int, rendered: Rendered, shape: tuple[int, ...]) -> None:
-        """Zero what the slot's last picture covered, copy what this one covers. ``shape`` is what was set aside."""
+        """Zero what the slot's last picture covered, copy what this one covers. ``shape`` is what was set aside.
+
+        Nothing of a picture that was drawn in place.
+        """
         images = rendered.images
         _, height, width, _ = images.shape
         if images.shape != shape:
             raise RuntimeError(f"pictures of shape {shape} were asked for, {images.shape} drawn")
+        if images is self._dirty.get(slot):
+            return
         if slot in self._dirty:
             self._dirty[slot].fill(0)
         x, y, w, h = rendered.covered or (0, 0, width, height)

@@ -29,58 +29,75 @@ class Encoded:
     pictures: list[bytes]
     boxes: list[Box] | None  # where each picture lies, if it was cropped
     ms: float  # wall time of the encoding
+    alphas: list[bytes] | None = None  # grey JPEGs of the accumulated alpha, if they were asked for
 
 
 class Encoder:
     """A small pool of encoding threads, shared by all sessions. Close it when done."""
 
-    def __init__(self, threads: int = 2, subsampling: str = "420") -> None:
+    def __init__(self, threads: int = 2) -> None:
         self._pool = ThreadPoolExecutor(threads, thread_name_prefix="encode")
-        self._subsampling = subsampling
 
     def encode(
-        self, images: NDArray[np.uint8], quality: int = 80, crop: bool = False, covered: Box | None = None
+        self,
+        images: NDArray[np.uint8],
+        quality: int = 80,
+        crop: bool = False,
+        covered: Box | None = None,
+        alpha: bool = False,
     ) -> Encoded:
-        """Encode ``images`` [V, H, W, 3|4]; blocks until all are done, so call it off the event loop.
+        """Encode ``images`` [V, H, W, 4]; blocks until all are done, so call it off the event loop.
 
         Outside ``covered`` the images are zero; it is not put through the codec where that saves time.
         With ``crop`` only a box of each picture is encoded: ``covered``, widened to whole blocks, or, where that is
-        unknown, the box of its opaque pixels. The calling thread does the last eye itself: a pair takes one thread of
-        the pool.
+        unknown, the box of its opaque pixels. With ``alpha`` the fourth channel too, of the same box. The calling
+        thread does the last eye itself: a pair takes one thread of the pool.
         """
         start = time.perf_counter()
         height, width = images.shape[1:3]
         box = None
         if covered is not None and covered[2:] != (width, height):
             box = on_blocks(covered, width, height)
-        jobs = [self._pool.submit(self._one, image, quality, crop, box) for image in images[:-1]]
-        last = self._one(images[-1], quality, crop, box)
-        done = [job.result() for job in jobs] + [last]
-        pictures = [picture for picture, _ in done]
-        boxes = [box for _, box in done if box is not None]
-        return Encoded(pictures, boxes or None, (time.perf_counter() - start) * 1e3)
+        jobs = [self._pool.submit(_one, image, quality, crop, box, alpha) for image in images[:-1]]
+        last = _one(images[-1], quality, crop, box, alpha)
+        pictures, boxes, alphas = zip(*[job.result() for job in jobs], last, strict=True)
+        return Encoded(
+            list(pictures),
+            [box for box in boxes if box is not None] or None,
+            (time.perf_counter() - start) * 1e3,
+            [grey for grey in alphas if grey is not None] if alpha else None,
+        )
 
     def close(self) -> None:
         """Wait for running encodings and end the threads."""
         self._pool.shutdown()
 
-    def _one(self, image: NDArray[np.uint8], quality: int, crop: bool, known: Box | None) -> tuple[bytes, Box | None]:
-        if not crop:
-            if known is not None and self._subsampling == "420" and image.shape[2] == 4:
-                picture = encode_covered(image, known, quality)
-                if picture is not None:
-                    return picture, None
-            return encode_picture(image, quality, self._subsampling), None
+
+def _one(
+    image: NDArray[np.uint8], quality: int, crop: bool, known: Box | None, alpha: bool
+) -> tuple[bytes, Box | None, bytes | None]:
+    """JPEG, its box if cropped, and the JPEG of its alpha."""
+    box = None
+    if crop:
         x, y, w, h = box = known or covered_box(image)
-        return encode_picture(image[y : y + h, x : x + w], quality, self._subsampling), box
+        image, known = image[y : y + h, x : x + w], None
+    picture = None if known is None else encode_covered(image, known, quality)
+    # of alpha the whole: one channel takes the codec half the time, and lines of half as many pixels save none of it
+    grey = encode_picture(image[..., 3:], quality) if alpha else None
+    return picture or encode_picture(image, quality), box, grey
 
 
 def encode_picture(image: NDArray[np.uint8], quality: int = 80, subsampling: str = "420") -> bytes:
-    """JPEG of one picture [H, W, 3|4]; alpha is left out (the picture lies on its background already)."""
-    if image.strides[0] < 0 or image.strides[1:] != (image.shape[2], 1):  # the codec reads rows of packed pixels
+    """JPEG of one picture [H, W, 1|3|4].
+
+    Of four channels alpha is left out: the picture lies on its background already.
+    """
+    channels = image.shape[2]
+    if image.strides[0] < 0 or image.strides[1:] != (channels, 1):  # the codec reads rows of packed pixels
         image = np.ascontiguousarray(image)
-    layout = "RGBX" if image.shape[2] == 4 else "RGB"
-    return bytes(simplejpeg.encode_jpeg(image, quality, layout, subsampling))
+    if channels == 1:
+        return bytes(simplejpeg.encode_jpeg(image, quality, "GRAY", "Gray"))
+    return bytes(simplejpeg.encode_jpeg(image, quality, "RGBX" if channels == 4 else "RGB", subsampling))
 
 
 def covered_box(image: NDArray[np.uint8]) -> Box:

@@ -1,86 +1,99 @@
-"""A JPEG of a whole picture of which only the covered part goes through the codec; the black around it is ready-made.
+"""A JPEG of a whole picture of which only the covered part goes through the codec; the black around it is ready.
 
-Restart intervals (ITU-T T.81, B.2.4.4, E.1.4) make it possible: each one starts anew and ends on a whole byte, so the
-intervals of the covered part and copies of one black interval can be put into any order. Any decoder reads them.
+One restart interval a line of blocks (ITU-T T.81, B.2.4.4, E.1.4): each starts anew and ends on a whole byte, so that
+covered lines and copies of a black one go into any order. Inside a line, a black block after a black one always takes
+the same 32 bits (Annex K's tables: no difference, end of block): such words, put in left and right of the covered part,
+widen the line without a look at what lies between.
 """
 
 from __future__ import annotations
 
-import re
-from collections.abc import Iterator
 from functools import lru_cache
-from itertools import cycle
 
-import cv2  # not when first needed: its import changes sys.path for a moment, and a process spawned then inherits that
 import numpy as np
+import simplejpeg
 from numpy.typing import NDArray
 
 __all__ = ["encode_covered"]
 
 _BLOCK = 16  # pixels of a 4:2:0 block (minimum coded unit)
-_LENGTHS = (8, 7, 9, 6, 10, 5, 11, 4, 12)  # blocks an interval may have: short ones fit the box, long ones are fewer
-_WORTH = 0.7  # of the picture's intervals: above that the whole picture is encoded faster at once
+_WORTH = 0.8  # of the picture's blocks: above that the whole picture is encoded faster at once
+_CALL = 15  # blocks that could be encoded in the time that one more call takes
 _SOF0, _SOS = 0xC0, 0xDA
-_RESTART = [bytes((0xFF, 0xD0 + i)) for i in range(8)]
-_BETWEEN = re.compile(rb"\xff[\xd0-\xd7]")
+_BLACK = 0x28A28A00  # luminance 00 (no difference) 1010 (end of block), four times; chrominance 00 00, twice
 _END = b"\xff\xd9"
 
 
 def encode_covered(image: NDArray[np.uint8], box: tuple[int, int, int, int], quality: int) -> bytes | None:
     """Baseline JPEG, 4:2:0, of an RGBX picture [H, W, 4] that is zero outside ``box`` (x, y, width, height).
 
-    The same bytes as encoding all of it with restart intervals. None where that would be no gain, or the width has no
-    fitting intervals.
+    What the codec makes of all of it, coefficient by coefficient. None where that would be no gain.
     """
     height, width = image.shape[:2]
     columns, lines = -(-width // _BLOCK), -(-height // _BLOCK)
-    length = next((n for n in _LENGTHS if columns % n == 0), 0)
-    if not length:
-        return None
-    per_line, step = columns // length, length * _BLOCK
     x, y, w, h = box
-    left, right, top, bottom = x // step, -(-(x + w) // step), y // _BLOCK, -(-(y + h) // _BLOCK)
+    left, right, top, bottom = x // _BLOCK, -(-(x + w) // _BLOCK), y // _BLOCK, -(-(y + h) // _BLOCK)
     if w < 1 or h < 1:
-        right, bottom = left, top
-    if (right - left) * (bottom - top) > _WORTH * per_line * lines:
+        left = right = top = bottom = 0
+    # two black blocks stay on the left, between which the others go, and one on the right
+    first, last = max(0, left - 2), min(columns, right + 1)
+    if (last - first + _CALL) * (bottom - top) > _WORTH * columns * lines:
         return None
-    header, black = _black(length, quality)
-    if right > left and bottom > top:
-        part = image[top * _BLOCK : bottom * _BLOCK, left * step : right * step]
-        _, scan = _encode(part, length, quality)
-        inside = iter(_BETWEEN.split(scan))
-    else:
-        inside = iter(())
-
-    def intervals() -> Iterator[bytes]:
-        for line in range(lines):
-            covered = range(left, right) if top <= line < bottom else range(0)
-            for column in range(per_line):
-                yield next(inside) if column in covered else black
-
-    parts = [piece for pair in zip(intervals(), cycle(_RESTART), strict=False) for piece in pair]
-    parts[-1] = _END
+    header, block = _black(1, quality)
+    blank = _black(columns, quality)[1]
+    inserted = _word(_padding(block)) * first
+    intervals = [blank] * lines
+    for line in range(top, bottom):
+        part = image[line * _BLOCK : (line + 1) * _BLOCK, first * _BLOCK : last * _BLOCK]
+        scan = _encode(part, quality)[len(header) : -len(_END)]
+        if first:
+            scan = scan[: len(block)] + inserted + scan[len(block) :]
+        intervals[line] = _lengthened(scan, columns - last)
     sized = bytearray(header)
-    at = _marker(header, _SOF0) + 5  # behind marker, length and precision: height, width
-    sized[at : at + 4] = height.to_bytes(2, "big") + width.to_bytes(2, "big")
-    return b"".join([sized, *parts])
+    start = _marker(header, _SOF0) + 5  # behind marker, length and precision: height, width
+    sized[start : start + 4] = height.to_bytes(2, "big") + width.to_bytes(2, "big")
+    start = _marker(header, _SOS)
+    sized[start:start] = b"\xff\xdd\0\x04" + columns.to_bytes(2, "big")
+    parts: list[bytes | bytearray] = [sized]
+    for line, interval in enumerate(intervals):
+        parts += [interval, bytes((0xFF, 0xD0 + line % 8))]
+    parts[-1] = _END
+    return b"".join(parts)
 
 
-@lru_cache(maxsize=128)
-def _black(length: int, quality: int) -> tuple[bytes, bytes]:
-    """Header of any picture with such intervals, and a black interval."""
-    return _encode(np.zeros((_BLOCK, length * _BLOCK, 4), np.uint8), length, quality)
-
-
-def _encode(image: NDArray[np.uint8], length: int, quality: int) -> tuple[bytes, bytes]:
-    """Header up to the entropy-coded data, and these data."""
-    options = [cv2.IMWRITE_JPEG_QUALITY, quality, cv2.IMWRITE_JPEG_RST_INTERVAL, length]
-    options += [cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_420]
-    _, encoded = cv2.imencode(".jpg", cv2.cvtColor(image, cv2.COLOR_RGBA2BGR), options)
-    data = encoded.tobytes()
+@lru_cache(maxsize=256)
+def _black(blocks: int, quality: int) -> tuple[bytes, bytes]:
+    """Header of any picture up to the entropy-coded data, and these data of so many black blocks in a row."""
+    data = _encode(np.zeros((_BLOCK, blocks * _BLOCK, 4), np.uint8), quality)
     start = _marker(data, _SOS)
     start += 2 + int.from_bytes(data[start + 2 : start + 4], "big")
     return data[:start], data[start : -len(_END)]
+
+
+def _encode(image: NDArray[np.uint8], quality: int) -> bytes:
+    return bytes(simplejpeg.encode_jpeg(image, quality, "RGBX", "420"))
+
+
+def _padding(scan: bytes) -> int:
+    """Bits of 1 that fill up the last byte: what is encoded ends with a 0."""
+    return (~scan[-1] & (scan[-1] + 1)).bit_length() - 1
+
+
+def _word(by: int) -> bytes:
+    """A black block after a black one, over and over, from bit ``by`` on."""
+    return ((_BLACK << by | _BLACK >> (32 - by)) & 0xFFFFFFFF).to_bytes(4, "big")
+
+
+def _lengthened(scan: bytes, blocks: int) -> bytes:
+    """Data that end with a black block, with ``blocks`` more of them. Nowhere does that make a byte of ones."""
+    if not blocks:
+        return scan
+    padding = _padding(scan)
+    ones = (1 << padding) - 1
+    out = bytearray(scan) + _word(padding) * blocks
+    out[len(scan) - 1] ^= ones ^ (_BLACK >> (32 - padding))  # where it was filled up, it goes on
+    out[-1] |= ones
+    return bytes(out)
 
 
 def _marker(data: bytes, wanted: int) -> int:

@@ -23,7 +23,6 @@ from apps.preview.cameras import Options
 from apps.preview.connect import Watched, read_tracked
 from apps.preview.feed import Feed, Wish
 from apps.preview.viewer import Viewer
-from apps.serve import make_server
 from glsplat.avatar import Avatar
 from glsplat.camera import Camera
 from glsplat.data import default_avatar
@@ -31,6 +30,7 @@ from glsplat.errors import GlsplatError
 from glsplat.formats import save
 from glsplat.gl.context import Context
 from glsplat.net.backend import Rendered
+from glsplat.net.backends.server import make_server
 from glsplat.net.guard.access import Access
 from glsplat.net.messages import WireOptions
 from glsplat.net.server import Server, ServerConfig

@@ -110,7 +110,7 @@ class _Peer:
         self.taken: list[RenderRequest] = []
         self.newest = -1
         self.limit = options.max_side
-        from apps.serve import TrackingSolver
+        from glsplat.net.backends.tracking import TrackingSolver
 
         self.solver = TrackingSolver(self.skeleton, Calibration())
 

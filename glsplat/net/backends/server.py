@@ -1,0 +1,64 @@
+"""A server that works: what this package draws and solves with, behind glsplat.net.server.Server."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+
+from glsplat.avatar import Avatar
+from glsplat.config import RenderConfig
+from glsplat.formats.scene_file import SceneFile
+from glsplat.net.backend import Backend, PoseSolver
+from glsplat.net.backends.gl import MAX_COST, MAX_TIME, RendererBackend
+from glsplat.net.backends.process import ProcessBackend
+from glsplat.net.backends.tracking import TrackingSolver
+from glsplat.net.server import Server, ServerConfig
+from glsplat.scene import Shown
+from glsplat.skinning.skeleton import Skeleton
+from glsplat.skinning.smplx import JOINT_NAMES
+from glsplat.tracking.calibration import Calibration
+
+__all__ = ["make_server", "solver_of"]
+
+
+def make_server(
+    scene: Shown | SceneFile,
+    config: ServerConfig | None = None,
+    device: str | None = None,  # EGL device: index or part of its name
+    calibration: Calibration | None = None,  # of users who do not tell their height
+    own_process: bool = True,
+    rendering: RenderConfig | None = None,
+    budget: tuple[float, float] = (MAX_COST, MAX_TIME),  # of a picture: covered pixels, seconds
+) -> Server:
+    """A server that draws ``scene`` with OpenGL, and solves tracking if its one avatar has SMPL-X's rig.
+
+    The poses of clients are for the one visible avatar; with several a pose is refused, without any it does nothing.
+    The motions of a scene file play on the server's clock. ``own_process`` draws in a process of its own, else in a
+    thread. Nothing is opened before ``await server.start()`` or ``await server.run()``::
+
+        asyncio.run(make_server(glsplat.load("me.glb"), ServerConfig(port=8000)).run())
+    """
+    config = config or ServerConfig()
+    file = scene if isinstance(scene, SceneFile) else SceneFile.of(scene)
+    item = file.avatar
+    skeleton = item.content.skeleton if item is not None and isinstance(item.content, Avatar) else None
+    draw = partial(RendererBackend, file.scene, config.wire.size, device, rendering, *budget)
+    if file.motions:  # in one pickle with the scene, so that the items are the same
+        draw = partial(draw, pose_at=file.pose_at)
+    backend: Backend = ProcessBackend(draw, config.wire.max_side, budget[1]) if own_process else draw()
+    return Server(backend, config, solver=solver_of(skeleton, calibration), skeleton=skeleton)
+
+
+def solver_of(
+    skeleton: Skeleton | None, calibration: Calibration | None = None
+) -> Callable[[float | None], PoseSolver] | None:
+    """What makes a client's solver from its user's height in metres (None: as calibrated); None for other rigs."""
+    if skeleton is None or skeleton.names != JOINT_NAMES:
+        return None
+    base = calibration or Calibration()
+
+    def solver(height: float | None) -> TrackingSolver:
+        fitted = base if height is None else Calibration.of_height(skeleton, height, base.floor)
+        return TrackingSolver(skeleton, fitted)
+
+    return solver

@@ -1,0 +1,65 @@
+"""The solver of this package behind a server: one user's samples, filtered and solved, and the eyes moved along."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from glsplat.camera import Camera
+from glsplat.net.backend import Solved
+from glsplat.net.messages import RenderRequest
+from glsplat.skinning.skeleton import Skeleton
+from glsplat.tracking.calibration import Calibration
+from glsplat.tracking.sample import Sample
+from glsplat.tracking.tracker import Tracker
+
+__all__ = ["OneClock", "TrackingSolver"]
+
+_CLOCK = 1e15  # milliseconds; a clock beyond has no room for a frame's time in a double
+
+
+class OneClock:
+    """One time line for samples of which only some carry the client's time; of either kind alone, their own clock.
+
+    Where a sample with a time follows one without, or the other way round, as much time has passed as between their
+    arrivals.
+    """
+
+    def __init__(self) -> None:
+        self._theirs: bool | None = None  # whether the last sample carried a time
+        self._shift = 0.0  # ms from the clock in use to the time line
+        self._last = self._arrived = 0.0  # ms
+
+    def time(self, t: float | None, now: float) -> float:
+        """Milliseconds of a sample that says ``t`` and arrived at ``now``."""
+        theirs = t is not None and abs(t) < _CLOCK
+        stamp = t if t is not None and theirs else now
+        if self._theirs is not None and theirs != self._theirs:
+            self._shift = self._last + (now - self._arrived) - stamp
+        self._theirs, self._arrived, self._last = theirs, now, stamp + self._shift
+        return self._last
+
+
+class TrackingSolver:
+    """Tracking to pose for one user."""
+
+    def __init__(self, skeleton: Skeleton, calibration: Calibration) -> None:
+        self._tracker = Tracker(skeleton, calibration)
+        self._scale = calibration.scale
+        self._moved = calibration.scale != 1 or calibration.floor != 0
+        self._clock = OneClock()
+
+    def solve(self, request: RenderRequest, now: float) -> Solved:
+        """Filter and solve the next sample, bring the cameras to the avatar's scale."""
+        t = self._clock.time(request.t, now)
+        pose = self._tracker.update(Sample.from_json(request.tracking, t / 1e3))
+        cameras = tuple(map(self._camera, request.cameras)) if self._moved else request.cameras
+        return Solved(pose, cameras, self._tracker.flags)
+
+    def _camera(self, camera: Camera) -> Camera:
+        place = np.eye(4)
+        place[:3, 3] = camera.position
+        viewmat = camera.viewmat.copy()
+        viewmat[:3, 3] = -viewmat[:3, :3] @ self._tracker.to_avatar(place)[:3, 3]
+        return replace(camera, viewmat=viewmat, near=camera.near / self._scale, far=camera.far / self._scale)
