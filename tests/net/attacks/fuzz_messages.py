@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 import psutil
 
-from glsplat.avatar import default_avatar
+from glsplat.data import default_avatar
 from glsplat.errors import GlsplatError
 from glsplat.net.messages import MAX_ID, Decoder, RenderRequest, WireOptions
 from glsplat.net.session import Close, Session, SessionConfig, Warn

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from glsplat.avatar import default_avatar
+from glsplat.data import default_avatar
 from glsplat.formats import save
 from glsplat.skinning.skin import Skin
 

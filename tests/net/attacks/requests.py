@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from glsplat.avatar import default_avatar
+from glsplat.data import default_avatar
 
 __all__ = ["collapsed", "eye", "hands", "legacy", "pair", "request", "stale", "tracking"]
 

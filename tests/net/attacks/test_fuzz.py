@@ -6,7 +6,7 @@ import json
 
 import pytest
 
-from glsplat.avatar import default_avatar
+from glsplat.data import default_avatar
 from glsplat.net.messages import Decoder
 from tests.net.attacks.fuzz_bytes import send
 from tests.net.attacks.fuzz_messages import fuzz, valid
