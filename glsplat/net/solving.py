@@ -2,8 +2,8 @@
 
 A filter wants all samples in their order, whatever the frame rate, so requests that are never drawn are solved too.
 Clients take turns, one sample each. A client beyond its budget has only its newest sample solved, once a picture of it
-is due: the filter sees a coarser, honest series, each sample at its own time. What a sample will cost is spent before it
-is solved, else a client could queue more than its budget while the thread lags behind.
+is due: the filter sees a coarser, honest series, each sample at its own time. What a sample will cost is spent before
+it is solved, else a client could queue more than its budget while the thread lags behind.
 """
 
 from __future__ import annotations
