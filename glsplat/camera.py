@@ -184,7 +184,8 @@ def head_matrix(position: ArrayLike, quat_xyzw: ArrayLike) -> NDArray[np.float64
     if quat.shape != (4,) or not (np.isfinite(quat).all() and norm > 1e-9):
         raise FormatError(f"a head pose needs a finite quaternion of non-zero length, not {quat.tolist()!r:.60}")
     matrix = np.eye(4)
-    matrix[:3, :3] = pyrr.matrix33.create_from_quaternion(quat / norm)  # column vectors, unlike its 4x4 ones
+    # column vectors, unlike its 4x4 ones; unwrapped, as the decorator inspects the function's source at each call
+    matrix[:3, :3] = pyrr.matrix33.create_from_quaternion.__wrapped__(quat / norm)
     matrix[:3, 3] = _vector(position, "a head's position", 3)
     return matrix
 

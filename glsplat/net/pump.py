@@ -20,6 +20,7 @@ from glsplat.errors import BudgetError, ContextError, ContextLostError, GlsplatE
 from glsplat.net.backend import Backend, Interruptible, PoseSolver, Rendered
 from glsplat.net.codec.encode import Encoded, Encoder
 from glsplat.net.guard.blame import Blame
+from glsplat.net.guard.limits import Share
 from glsplat.net.messages import RenderRequest, eye_fields
 from glsplat.net.reply import pack_reply, pack_single
 from glsplat.net.session import Session
@@ -59,7 +60,38 @@ class Channel:
     session: Session
     solving: Solving | None = None  # None: this server solves no tracking
     address: str = ""  # what has a fair share of the renderer's time
+    share: Share | None = None  # of the time for reading and solving; None: no limit
     frames: asyncio.Queue[Frame] = field(default_factory=asyncio.Queue)  # bounded by the session's window
+
+    def ready(self, solved: Callable[[], None]) -> bool:
+        """True while a request can be drawn without waiting for its tracking.
+
+        Where none is solved yet, the newest is from now on, and ``solved`` is called (on any thread) once it is: under
+        a stream of samples that are all newer, waiting for the newest would never end.
+        """
+        session, newest = self.session, self.session.newest
+        if not session.ready():
+            return False
+        if self.solving is None or (newest is not None and self._solved(newest)):
+            return True
+        if session.kept is None:
+            assert newest is not None
+            session.keep()
+            self.solving.begin(newest.frame_id, solved)
+        return self._solved(session.kept)
+
+    def take(self, now: float) -> tuple[RenderRequest, float, Solution | None]:
+        """The newest request that is ready, the seconds it waited, and its solution."""
+        newest = self.session.newest
+        kept = self.solving is not None and (newest is None or not self._solved(newest))
+        taken = self.session.next_request(now, kept)
+        assert taken is not None
+        request, waited = taken
+        return request, waited, None if self.solving is None else self.solving.take(request.frame_id)
+
+    def _solved(self, request: RenderRequest | None) -> bool:
+        solving = self.solving
+        return request is None or request.tracking is None or solving is None or solving.solved(request.frame_id)
 
 
 class FramePump:
@@ -78,6 +110,7 @@ class FramePump:
         self._turns: Turns[Channel] = Turns()
         self._blame = Blame()
         self._wake = asyncio.Event()
+        self._loop: asyncio.AbstractEventLoop
         self._render_thread = ThreadPoolExecutor(1, thread_name_prefix="render")
         self._solve_thread = ThreadPoolExecutor(1, thread_name_prefix="solve")
         self._encode_threads = ThreadPoolExecutor(2, thread_name_prefix="frame")
@@ -105,6 +138,7 @@ class FramePump:
         except BaseException:
             self._end_threads()
             raise
+        self._loop = loop
         self._task = asyncio.create_task(self._run(), name="frame pump")
 
     async def ended(self) -> None:
@@ -196,7 +230,7 @@ class FramePump:
     async def _run(self) -> None:
         while True:
             start = self._clock()
-            channel = self._turns.next(lambda channel: channel.session.ready(), start)
+            channel = self._turns.next(lambda channel: channel.ready(self._solved), start)
             if channel is None:
                 self._wake.clear()
                 with suppress(TimeoutError):
@@ -211,6 +245,11 @@ class FramePump:
             now = self._clock()
             self._turns.charge(channel.address, channel, now - start, now)
 
+    def _solved(self) -> None:
+        """A request can be drawn. On the solving thread."""
+        with suppress(RuntimeError):  # the server has stopped
+            self._loop.call_soon_threadsafe(self._wake.set)
+
     def _abandoned(self) -> bool:
         """Nobody waits for the picture in hand any more. On any thread."""
         drawing = self._drawing
@@ -218,12 +257,9 @@ class FramePump:
 
     async def _draw_one(self, channel: Channel) -> None:
         loop = asyncio.get_running_loop()
-        taken = channel.session.next_request(self._clock())
-        assert taken is not None
-        request, waited = taken
+        request, waited, solution = channel.take(self._clock())
         frame = Frame(request, self._clock() - waited, {"wait": waited * 1e3})
         lost = False
-        solution = channel.solving.take(request.frame_id) if channel.solving is not None else None
         try:
             encoded = await loop.run_in_executor(self._render_thread, self._draw, frame, solution)
             self.failures = 0

@@ -84,8 +84,7 @@ class Server:
         self.pump: FramePump = FramePump(backend)
         self.port: int = self.config.port
         self.door: Door = Door(self.config.access, self.config.limits, self.config.max_clients, clock)
-        self._reading = Budget(self.config.limits.reading, clock())
-        self._solving = Budget(self.config.limits.solving, clock())
+        self._work = Budget(self.config.limits.work, clock())
         self._make_solver = solver
         self._skeleton = skeleton
         self._channels: dict[int, Channel] = {}
@@ -235,6 +234,8 @@ class Server:
             return ws
         except (ConnectionError, TimeoutError):  # it neither reads nor listens
             _cut_off(request)
+            if not ws.prepared:  # gone before its handshake was answered: aiohttp would close what never opened
+                return web.Response(status=400)
             return ws
         finally:
             self._close_channel(channel)
@@ -259,16 +260,16 @@ class Server:
         self._numbers += 1
         session = Session(Decoder(wire, self._skeleton), limits, clock())
         channel = self.pump.open(self._numbers, session, solver, connection_of(request).key)
+        channel.share = self._work.open(clock(), channel.address)
         if channel.solving is not None:
-            channel.solving.share = self._solving.open(clock())
-            channel.solving.samples = purse.samples
+            channel.solving.share, channel.solving.samples = channel.share, purse.samples
         self._channels[channel.number] = channel
         return channel
 
     def _close_channel(self, channel: Channel) -> None:
         self.pump.remove(channel)
-        if channel.solving is not None and channel.solving.share is not None:
-            self._solving.close(channel.solving.share)
+        if channel.share is not None:
+            self._work.close(channel.share)
         self._sockets.pop(channel.number, None)
         del self._channels[channel.number]
         for name, value in asdict(channel.session.counts).items():
@@ -290,13 +291,8 @@ class Server:
 
     async def _read(self, channel: Channel, ws: web.WebSocketResponse) -> None:
         """Messages of one client until it leaves, is too long silent, or breaks the rules too often."""
-        reading = Reading(self._reading.open(clock()))
-        try:
-            await self._read_within(reading, channel, ws)
-        finally:
-            self._reading.close(reading.share)
-
-    async def _read_within(self, reading: Reading, channel: Channel, ws: web.WebSocketResponse) -> None:
+        assert channel.share is not None
+        reading = Reading(channel.share)
         session, count = channel.session, 0
         while True:
             text: str | None = None

@@ -83,6 +83,7 @@ class Session:
         self._decoder = decoder
         self._opened = self._heard = self._noticed = now
         self._pending: dict[int, tuple[RenderRequest, float]] = {}  # by eye for the oldest form, else one
+        self._kept: tuple[RenderRequest, float] | None = None
         self._under_way: set[int] = set()
         self._unacked: deque[int] = deque()
         self._newest = -1  # frame_id accepted
@@ -132,13 +133,36 @@ class Session:
 
     def ready(self) -> bool:
         """True while a request waits and the window has room for its picture."""
-        return bool(self._pending) and len(self._under_way.union(self._unacked)) < self.config.window
+        waits = bool(self._pending) or self._kept is not None
+        return waits and len(self._under_way.union(self._unacked)) < self.config.window
 
-    def next_request(self, now: float) -> tuple[RenderRequest, float] | None:
-        """The newest request and the seconds it waited, or None. It stays under way until ``sent`` or ``failed``."""
-        if not self.ready():
+    @property
+    def newest(self) -> RenderRequest | None:
+        """The request that ``next_request`` gives."""
+        return next(iter(self._pending.values()))[0] if self._pending else None
+
+    @property
+    def kept(self) -> RenderRequest | None:
+        """The request that ``keep`` held back, until it or a newer one is taken."""
+        return None if self._kept is None else self._kept[0]
+
+    def keep(self) -> None:
+        """Hold the newest request back although newer ones may come: what it needs is being made."""
+        self._kept = next(iter(self._pending.values()))
+
+    def next_request(self, now: float, kept: bool = False) -> tuple[RenderRequest, float] | None:
+        """The newest request (or the ``kept`` one) and the seconds it waited, or None.
+
+        It stays under way until ``sent`` or ``failed``.
+        """
+        taken = self._kept if kept else next(iter(self._pending.values()), None)
+        if taken is None or not self.ready():
             return None
-        request, arrived = self._pending.pop(next(iter(self._pending)))
+        request, arrived = taken
+        if not kept and self._kept is not None and self._kept is not taken:
+            self.counts.dropped += 1
+        self._kept = None
+        self._pending = {slot: entry for slot, entry in self._pending.items() if entry is not taken}
         assert request.frame_id is not None
         self._under_way.add(request.frame_id)
         return request, now - arrived
@@ -183,7 +207,7 @@ class Session:
             "window": self.config.window,
             "unacknowledged": len(self._unacked),
             "under_way": len(self._under_way),
-            "waiting": len(self._pending),
+            "waiting": len({id(entry) for entry in (*self._pending.values(), self._kept) if entry is not None}),
         }
 
     def _accept(self, request: RenderRequest, now: float) -> None:
@@ -209,8 +233,7 @@ class Session:
         slot = request.eyes[0] if request.form == "single-legacy" else -1
         keys = [key for key in self._pending if slot == -1 or key in (slot, -1)]
         for key in keys:
-            del self._pending[key]
-        self.counts.dropped += len(keys)
+            self.counts.dropped += self._pending.pop(key) is not self._kept
         self._pending[slot] = (request, now)
         self.accepted = request
 

@@ -2,7 +2,8 @@
 
 A filter wants all samples in their order, whatever the frame rate, so requests that are never drawn are solved too.
 Clients take turns, one sample each. A client beyond its budget has only its newest sample solved, once a picture of it
-is due: the filter sees a coarser, honest series, each sample at its own time.
+is due: the filter sees a coarser, honest series, each sample at its own time. What a sample will cost is spent before
+it is solved, else a client could queue more than its budget while the thread lags behind.
 """
 
 from __future__ import annotations
@@ -20,6 +21,8 @@ from glsplat.net.messages import RenderRequest
 __all__ = ["Solution", "Solving"]
 
 _MOST = 32  # samples that wait to be solved; beyond that the oldest are left out
+_FIRST = 1e-3  # seconds a sample is expected to take before any was solved ...
+_LEARN = 0.2  # ... and how far each one moves that
 
 Solution = Future[tuple[Solved, float]]
 """What a sample comes to, and the milliseconds that took."""
@@ -41,7 +44,9 @@ class Solving:
         self.merged = 0  # samples left out in favour of a newer one, the budget being spent
         self._solver, self._thread, self._clock = solver, thread, clock
         self._solutions: deque[tuple[int | None, Solution]] = deque()  # by frame_id, oldest first
-        self._unsolved: deque[tuple[RenderRequest, float, Solution]] = deque()  # of those, oldest first
+        self._cost = _FIRST  # seconds of work the next sample is expected to take
+        self._unsolved: deque[tuple[RenderRequest, float, Solution, float]] = deque()  # and what was spent
+        self._due: int | None = None  # frame_id of the sample that a picture waits for
         self._put_off: tuple[RenderRequest, float] | None = None  # the newest sample, beyond the budget
         self._lock = Lock()  # over _unsolved and _running
         self._running = False  # a job of ours is with the thread
@@ -57,11 +62,29 @@ class Solving:
         else:
             self._put_off = request, now
 
+    def begin(self, frame_id: int | None, done: Callable[[], None]) -> None:
+        """A picture of this request is due: its sample is solved now, whatever the budget. ``done``: on any thread."""
+        if self._put_off is not None and self._put_off[0].frame_id == frame_id:
+            self._queue(*self._put_off)
+            self._put_off = None
+        self._due = frame_id
+        solution = self._find(frame_id)
+        if solution is not None:
+            solution.add_done_callback(lambda _: done())
+
+    def solved(self, frame_id: int | None) -> bool:
+        """True once there is nothing to wait for in ``take``."""
+        if self._put_off is not None and self._put_off[0].frame_id == frame_id:
+            return False
+        solution = self._find(frame_id)
+        return solution is None or solution.done()
+
     def take(self, frame_id: int | None) -> Solution | None:
         """The solution of a request, done or under way; those of older requests are forgotten."""
         if self._put_off is not None and self._put_off[0].frame_id == frame_id:
             self._queue(*self._put_off)
             self._put_off = None
+        self._due = None
         while self._solutions:
             number, solution = self._solutions.popleft()
             if number == frame_id:
@@ -74,15 +97,26 @@ class Solving:
         while self._solutions:
             self._solutions.popleft()[1].cancel()
 
+    def _spend(self, seconds: float) -> None:
+        if self.share is not None:
+            self.share.spend(seconds)
+
+    def _find(self, frame_id: int | None) -> Solution | None:
+        return next((solution for number, solution in reversed(self._solutions) if number == frame_id), None)
+
     def _queue(self, request: RenderRequest, now: float) -> None:
         solution: Solution = Future()
         self._solutions.append((request.frame_id, solution))
+        cost = self._cost
+        self._spend(cost)
         if len(self._solutions) > _MOST:
-            self._solutions.popleft()[1].cancel()
+            oldest = 1 if self._solutions[0][0] == self._due else 0  # which is to be drawn
+            self._solutions[oldest][1].cancel()
+            del self._solutions[oldest]
         with self._lock:
             while self._unsolved and self._unsolved[0][2].cancelled():
-                self._unsolved.popleft()
-            self._unsolved.append((request, now, solution))
+                self._spend(-self._unsolved.popleft()[3])
+            self._unsolved.append((request, now, solution, cost))
             submit, self._running = not self._running, True
         if submit:
             self._thread.submit(self._solve_next)
@@ -95,9 +129,11 @@ class Solving:
                 if not self._unsolved:
                     self._running = False
                     return
-                request, arrived, oldest = self._unsolved.popleft()
+                request, arrived, oldest, cost = self._unsolved.popleft()
             if oldest.set_running_or_notify_cancel():
                 solution = oldest
+            else:
+                self._spend(-cost)
         start, worked = self._clock(), self._cpu()
         try:
             result = self._solver.solve(request, arrived * 1e3)
@@ -105,8 +141,9 @@ class Solving:
             solution.set_exception(error)
         else:
             solution.set_result((result, (self._clock() - start) * 1e3))
-        if self.share is not None:
-            self.share.spend(self._cpu() - worked)
+        took = self._cpu() - worked
+        self._spend(took - cost)
+        self._cost += _LEARN * (took - self._cost)
         try:
             self._thread.submit(self._solve_next)
         except RuntimeError:  # the server stops

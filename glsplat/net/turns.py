@@ -22,7 +22,7 @@ _LONG = 4.0  # a picture that takes so many times the shortest of the others is 
 _FORGET = 0.8  # a client's longest picture counts this much with each shorter one after it
 _ACTIVE = 1.0  # seconds after its last request until a client of short pictures is not waited for
 _STALL = 0.25  # seconds: after a picture of that length long ones rest as long as it took, and in proportion ...
-_MOST_REST = 3.0  # ... up to so many times as long: then long pictures have a quarter of the time
+_MOST_REST = 5.0  # ... up to so many times as long: then long pictures have a sixth of the time
 _LEAST = 1e-4  # seconds a picture is charged at least
 
 

@@ -100,8 +100,7 @@ def test_the_numbers_of_the_limits():
         f"closes of a client | {limits.control:g} a second | {limits.control_burst:g} |",
         f"bytes of a client | {limits.bytes / mib:g} MiB a second | {limits.bytes_burst / mib:g} MiB |",
         f"messages of a client | {SessionConfig().rate:g} a second | {SessionConfig().burst} |",
-        f"messages of all clients | {limits.reading:g} s a second | {2 * limits.reading:g} s |",
-        f"tracking of all clients | {limits.solving:g} s a second | {2 * limits.solving:g} s |",
+        f"tracking of all clients | {limits.work:g} s a second | {limits.work:g} s |",
         f"samples of a client | {limits.samples:g} a second | {limits.samples_burst:g} |",
         f"of an address | {limits.hold_off:g} s, doubling up to {limits.hold_off_most:g} s | | 429; forgotten after "
         f"{limits.forget:g} s",
@@ -111,8 +110,8 @@ def test_the_numbers_of_the_limits():
     for phrase in (
         f"{limits.frames:g} frames a second ({limits.frames_burst:g} at once), {limits.control:g} control frames",
         f"({limits.control_burst:g}) and {limits.bytes / mib:g} MiB ({limits.bytes_burst / mib:g} MiB)",
-        f"{limits.reading:g} s of each second to read",
-        f"{limits.samples:g} samples a second of a client ({limits.samples_burst:g} at once) and {limits.solving:g} s",
+        f"{limits.work:g} s of each second to read",
+        f"{limits.samples:g} samples a second of a client ({limits.samples_burst:g} at once)",
         f"429 for {limits.hold_off:g} s",
         f"those of up to {reading._SHORT} characters",
     ):

@@ -264,3 +264,27 @@ def test_the_tracking_of_dropped_requests_still_reaches_the_solver():
     assert s.accepted is None
     s.receive(json.dumps({"v": 1, "frame_id": 99, "ack": 0, "t": 2000.0, "tracking": {"head": head}}), 2)
     assert s.accepted is None  # too old: neither drawn nor solved
+
+
+def test_a_request_that_is_kept_can_be_taken_after_newer_ones_came():
+    s = Session(Decoder())
+    s.receive(native(1), 0.0)
+    s.keep()
+    for i in (2, 3):
+        s.receive(native(i), i * 0.1)
+    assert (s.kept.frame_id, s.newest.frame_id, s.counts.dropped, s.status()["waiting"]) == (1, 3, 1, 2)
+    request, waited = s.next_request(0.5, kept=True)
+    assert request.frame_id == 1 and waited == 0.5 and s.kept is None and s.ready()
+    assert s.next_request(0.5)[0].frame_id == 3 and s.newest is None and not s.ready()
+
+
+def test_the_newest_request_takes_the_place_of_the_one_kept():
+    s = Session(Decoder())
+    s.receive(native(1), 0.0)
+    s.keep()
+    s.receive(native(2), 0.1)
+    assert s.next_request(0.2)[0].frame_id == 2 and s.kept is None and not s.ready() and s.counts.dropped == 1
+    s.receive(native(3), 0.3)
+    s.keep()
+    assert s.status()["waiting"] == 1
+    assert s.next_request(0.4)[0].frame_id == 3 and s.kept is None and s.newest is None and s.counts.dropped == 1

@@ -13,7 +13,9 @@ import pytest
 from glsplat.errors import PoseError
 from glsplat.net.backend import Solved
 from glsplat.net.client import Client
+from glsplat.net.guard.limits import Limits
 from glsplat.net.messages import RenderRequest
+from glsplat.net.server import ServerConfig
 from glsplat.net.solving import Solving
 from glsplat.skinning.pose import Pose
 
@@ -80,6 +82,71 @@ def test_a_client_that_left_is_not_solved_for(thread):
     gate.set()
     thread.submit(lambda: None).result(5)
     assert solver.seen in ([], [4])
+
+
+class Gated:
+    """Solves once told, or each sample after a while."""
+
+    def __init__(self, delay=0.0):
+        self.delay, self.gate, self.begun, self.seen = delay, threading.Event(), threading.Event(), []
+
+    def solve(self, request, now):
+        self.begun.set()
+        if self.delay:
+            time.sleep(self.delay)
+        else:
+            self.gate.wait(10)
+        self.seen.append(request.frame_id)
+        return Solved(Pose.zero(), request.cameras)
+
+
+def test_others_are_drawn_while_a_sample_is_solved(serve, fake_backend, cameras):
+    solvers = []
+
+    def make(height):
+        solvers.append(Gated())
+        return solvers[-1]
+
+    async def main():
+        async with serve(fake_backend(), solver=make) as server:
+            async with Client(server.url) as slow, Client(server.url) as other:
+                await slow.send(tracking=HEAD)
+                await asyncio.to_thread(solvers[0].begun.wait, 5)
+                for _ in range(5):
+                    async with asyncio.timeout(2):
+                        await other.render(cameras)
+                solvers[0].gate.set()
+                async with asyncio.timeout(5):
+                    return (await slow.receive()).reply.frame_id
+
+    assert asyncio.run(main()) == 1
+
+
+def test_a_stream_of_samples_that_is_faster_than_the_solver_is_drawn_all_the_same(serve, fake_backend):
+    """The newest sample is never solved when its turn comes, so the one that was newest when a picture was due is."""
+    solver = Gated(delay=0.03)
+
+    async def main():
+        limits = Limits(samples=0.0, samples_burst=1.0)  # all others are put off until their picture is due
+        async with serve(fake_backend(), ServerConfig(port=0, limits=limits), solver=lambda height: solver) as server:
+            async with Client(server.url) as client:
+
+                async def stream():
+                    for i in range(100):
+                        await client.send(tracking={"head": [i / 100, 1.6, 0, 0, 0, 0, 1]})
+                        await asyncio.sleep(0.005)
+
+                sending, arrived = asyncio.create_task(stream()), []
+                while not arrived or arrived[-1] != 100:
+                    async with asyncio.timeout(5):
+                        arrived.append((await client.receive()).reply.frame_id)
+                await sending
+                return arrived, server.stats()["clients"][0]
+
+    arrived, stats = asyncio.run(main())
+    assert len(arrived) >= 5 and arrived == sorted(arrived)
+    assert set(arrived) <= set(solver.seen) and solver.seen == sorted(solver.seen)
+    assert stats["accepted"] == 100 == stats["dropped"] + stats["sent"] and stats["waiting"] == 0
 
 
 def test_dropped_requests_are_solved_while_the_renderer_is_busy(serve, fake_backend):

@@ -101,7 +101,7 @@ class Door:
             return self._refused(
                 web.Response(status=400, text=f"the subprotocol here is {SUBPROTOCOL}: offer it, or none\n")
             )
-        if not ws.can_prepare(request):
+        if not _is_handshake(request, ws):
             text = "this is the address of a WebSocket (RFC 6455, version 13)\n"
             return self._refused(web.Response(status=400, text=text))
         purse = self.addresses.enter(connection.key, self._clock())
@@ -157,6 +157,13 @@ def connection_of(request: web.Request) -> Connection:
     connection = request.protocol
     assert isinstance(connection, Connection)
     return connection
+
+
+def _is_handshake(request: web.Request, ws: web.WebSocketResponse) -> bool:
+    try:
+        return bool(ws.can_prepare(request))
+    except ValueError:  # bytes in a header that are not ASCII, or not UTF-8: aiohttp quotes them, or decodes the key
+        return False
 
 
 def _later(seconds: float, text: str) -> web.Response:

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 
 __all__ = ["Bucket", "Budget", "Limits", "Purse", "Share", "Strikes", "address_key"]
 
-_AHEAD = 2.0  # seconds of its rate that a budget holds
+_AHEAD = 1.0  # seconds of its rate that a budget holds
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -29,8 +29,8 @@ class Limits:
     bytes_burst: float = 24.0 * 2**20
     samples: float = 150.0  # of tracking, solved one by one a second of one client; above it the newest only
     samples_burst: float = 50.0
-    solving: float = 0.25  # seconds of work a second on the tracking of all clients together ...
-    reading: float = 0.25  # ... and on reading their JSON; where it runs out, each client has an equal part
+    work: float = 0.3  # seconds a second on reading all clients' JSON and solving their tracking, which share one
+    # interpreter lock with everything else; where it runs out, each address has an equal part, and each client of it
     per_address: int | None = None  # clients of one address; None: half of max_clients, all of them on loopback
     visits: float = 10.0  # connections and HTTP requests a second of one address
     visits_burst: float = 50.0
@@ -93,37 +93,45 @@ class Purse:
 
 
 class Budget:
-    """Working time, ``rate`` seconds a second for all clients. While it lasts anybody may spend, then each its part."""
+    """Working time, ``rate`` seconds a second. While it lasts anybody may spend; then each address has an equal part.
+
+    The clients of an address have equal parts of that.
+    """
 
     def __init__(self, rate: float, now: float) -> None:
         self.rate = rate
         self.all = Bucket.full(rate, rate * _AHEAD, now)
-        self._shares: list[Share] = []
+        self._shares: dict[str, list[Share]] = {}  # by address
 
-    def open(self, now: float) -> Share:
+    def open(self, now: float, address: str = "") -> Share:
         """A new client's share."""
-        share = Share(self, Bucket.full(self.rate, self.rate * _AHEAD, now))
-        self._shares.append(share)
+        share = Share(self, Bucket.full(self.rate, self.rate * _AHEAD, now), address)
+        self._shares.setdefault(address, []).append(share)
         self._divide()
         return share
 
     def close(self, share: Share) -> None:
         """The client left."""
-        self._shares.remove(share)
+        mine = self._shares[share.address]
+        mine.remove(share)
+        if not mine:
+            del self._shares[share.address]
         self._divide()
 
     def _divide(self) -> None:
-        for share in self._shares:
-            share.part.rate = self.rate / len(self._shares)
-            share.part.capacity = share.part.rate * _AHEAD
+        for shares in self._shares.values():
+            for share in shares:
+                share.part.rate = self.rate / len(self._shares) / len(shares)
+                share.part.capacity = share.part.rate * _AHEAD
 
 
 @dataclass(eq=False, slots=True)
 class Share:
-    """One client's part of a budget. What was spent is charged afterwards, by any thread."""
+    """One client's part of a budget. Any thread may tell what was spent, or will be."""
 
     budget: Budget
     part: Bucket
+    address: str = ""
     _spent: deque[tuple[float, float]] = field(default_factory=deque)
 
     def spend(self, own: float, all_in_all: float | None = None) -> None:

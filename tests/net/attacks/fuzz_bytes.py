@@ -16,6 +16,7 @@ import threading
 import time
 from collections import Counter, deque
 from dataclasses import dataclass, field
+from pathlib import Path
 from random import Random
 
 from tests.net.attacks.fuzz_messages import message
@@ -77,6 +78,7 @@ class Sent:
     streams: int = 0
     answers: Counter[str] = field(default_factory=Counter)  # first bytes of what came back
     probes: list[float] = field(default_factory=list)  # seconds that /healthz took meanwhile
+    faults: list[int] = field(default_factory=list)  # streams that were answered with a fault of the server's own
     dead: bool = False
     seconds: float = 0.0
 
@@ -153,14 +155,15 @@ def send(server: Victim, number: int, seed: int, threads: int = 8, addresses: in
         jobs.put(i)
     lock = threading.Lock()
 
-    def count(answer: str) -> None:
+    def count(i: int, answer: str) -> None:
         with lock:
             sent.streams += 1
             sent.answers[answer] += 1
+            if answer[8:] == " 500":
+                sent.faults.append(i)
 
     def work() -> None:
-        held: deque[socket.socket] = deque()  # sent, and to be read when the server had its time
-        chance = Random(seed)
+        held: deque[tuple[int, socket.socket, Random]] = deque()  # sent, and to be read when the server had its time
         with contextlib.suppress(queue.Empty):
             while not over.is_set():
                 i = jobs.get_nowait()
@@ -168,13 +171,14 @@ def send(server: Victim, number: int, seed: int, threads: int = 8, addresses: in
                 target = server.target.to(f"127.0.{1 + i % addresses // 200}.{1 + i % 200}")
                 begun = begin(target, stream(i, chance, target), chance)
                 if isinstance(begun, str):
-                    count(begun)
+                    count(i, begun)
                 else:
-                    held.append(begun)
+                    held.append((i, begun, chance))
                 if len(held) > HELD:
-                    count(finish(held.popleft(), chance))
-        for sock in held:
-            count(finish(sock, chance))
+                    i, *answering = held.popleft()
+                    count(i, finish(*answering))
+        for i, *answering in held:
+            count(i, finish(*answering))
 
     def probe() -> None:
         while not over.wait(1.0):
@@ -233,6 +237,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("number", type=int, nargs="?", default=5000)
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--log", help="write the server's log to this file")
     args = parser.parse_args()
     with victim("--size", "64x64") as server:
         send(server, args.number // 20, args.seed + 1)  # what is made once is made now
@@ -240,6 +245,8 @@ def main() -> None:
         sent = send(server, args.number, args.seed)
         late = server.rss()
         alive, log = server.alive(), server.log
+    if args.log:
+        Path(args.log).write_text(log)
     print(
         f"{sent.streams} streams in {sent.seconds:.0f} s; alive: {alive and not sent.dead}; "
         f"{log.count('Traceback')} tracebacks and {log.count(chr(10))} lines in the log ({len(log)} bytes); "
@@ -248,6 +255,8 @@ def main() -> None:
         f"{early['all']:.1f} → {late['all']:.1f} MB in all"
     )
     print(", ".join(f"{name!r} {count}" for name, count in sent.answers.most_common(20)))
+    if sent.faults:
+        print(f"the server's own faults: streams {sent.faults[:50]} of seed {args.seed}", file=sys.stderr)
     if "Traceback" in log:
         print(log[log.index("Traceback") - 200 :][:4000], file=sys.stderr)
 

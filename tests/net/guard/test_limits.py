@@ -259,6 +259,25 @@ def test_beyond_its_part_of_the_time_only_the_newest_message_is_read():
     assert greedy.wait(now) > 0 and greedy.take() == "x" * 100 and greedy.wait(now) == float("inf")
 
 
+def test_the_time_is_divided_by_address_and_then_by_client():
+    budget = Budget(0.3, 0.0)
+    mine, others = budget.open(0.0, "a"), [budget.open(0.0, "b") for _ in range(3)]
+    assert mine.part.rate == pytest.approx(0.15) and [s.part.rate for s in others] == pytest.approx([0.05] * 3)
+    spent = dict.fromkeys([mine, *others], 0.0)
+    now = 0.0
+    for _ in range(2000):  # 20 s, in which all want more than there is
+        now += 0.01
+        for share in others + [mine]:
+            if share.left(now):
+                share.spend(0.004)
+                spent[share] += 0.004
+    assert sum(spent.values()) < 0.3 * 20 * 1.15
+    assert spent[mine] > 0.14 * 20 and all(0.04 * 20 < spent[share] < 0.08 * 20 for share in others)
+    for share in others:
+        budget.close(share)
+    assert mine.part.rate == pytest.approx(0.3)
+
+
 # tracking
 
 
@@ -291,7 +310,7 @@ class Timed:
 def clients(rates, cost, seconds, limits=LIMITS):
     """Samples solved of each client, at its own rate, on one thread whose samples take ``cost`` seconds."""
     clock, thread = [0.0], Stepped()
-    budget = Budget(limits.solving, 0.0)
+    budget = Budget(limits.work, 0.0)
     solvers = [Timed(clock, cost) for _ in rates]
     each = []
     for solver in solvers:
@@ -322,10 +341,10 @@ def test_normal_tracking_is_solved_sample_by_sample():
 
 
 def test_six_clients_at_220_samples_a_second_leave_a_good_one_its_own():
-    limits = Limits(solving=0.35)
+    limits = Limits(work=0.35)
     solved, _ = clients([72.0] + [220.0] * 6, cost=0.0006, seconds=20.0, limits=limits)
     busy = sum(solved) * 0.0006
-    assert busy < limits.solving * 1.35  # of the thread, with the 2 s that may be spent at once
+    assert busy < limits.work * 1.1  # of the thread, with what may be spent at once
     assert abs(solved[0] - 72) < 3  # within its seventh: 72 * 0.6 ms = 4.3 % of the time
     assert all(50 < rate < 130 for rate in solved[1:])
 
@@ -333,6 +352,36 @@ def test_six_clients_at_220_samples_a_second_leave_a_good_one_its_own():
 def test_above_the_rate_of_one_client_only_the_newest_is_solved():
     solved, each = clients([500.0], cost=0.0001, seconds=10.0)
     assert 145 < solved[0] < 160 and each[0].merged > 3000
+
+
+def test_what_samples_will_cost_is_spent_before_they_are_solved():
+    """A thread that lags behind leaves nobody room to queue more than the budget; what is not solved costs nothing."""
+    clock, thread = [0.0], Stepped()
+    budget, solver = Budget(0.25, 0.0), Timed(clock, 0.01)
+    solving = Solving(solver, thread, lambda: clock[0], lambda: clock[0])
+    solving.share = budget.open(0.0)
+
+    def sent(first):
+        for frame_id in range(first, first + 30):
+            solving.add(RenderRequest(frame_id=frame_id, cameras=(), tracking={}))
+
+    sent(1)
+    while thread.jobs:
+        thread.step()  # now it knows that a sample takes about 10 ms
+    assert not solving.share.left(clock[0])
+    clock[0] = 10.0
+    before = len(solver.seen)
+    sent(31)
+    while thread.jobs:
+        thread.step()
+    assert 20 <= len(solver.seen) - before <= 27  # a quarter of a second's worth
+    solving.share.left(clock[0])
+    clock[0] = 20.0  # the bucket is full again
+    sent(61)
+    solving.clear()
+    while thread.jobs:
+        thread.step()
+    assert solving.share.left(clock[0]) and budget.all.level == pytest.approx(0.25)
 
 
 def test_what_was_put_off_is_solved_when_its_picture_is_due():
