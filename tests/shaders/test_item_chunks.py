@@ -151,9 +151,11 @@ def test_the_skin_pass_is_the_reference(gl: Context, rng: np.random.Generator, i
         ((-8, 1, 1), (0.6, 0, 0.8, 0), 0.01),  # by 180 degrees: w is 0
     ],
 )
+@pytest.mark.parametrize("numbered", [0, 1])
 def test_the_place_pass_is_the_reference(
     gl: Context,
     rng: np.random.Generator,
+    numbered: int,
     translation: tuple[float, ...],
     rotation: tuple[float, ...],
     size: float,
@@ -163,13 +165,14 @@ def test_the_place_pass_is_the_reference(
     rows[:COUNT, :3], rows[:COUNT, 3] = splats.means, splats.opacities
     rows[:COUNT, 4:8], rows[:COUNT, 8:11] = splats.quats, splats.scales
     turn = transform[:3, :3] / size
-    first, count = 700, 2000  # over the end of a row of the texture
+    first, count = (700, 2000) if numbered else (0, COUNT)  # over the end of a row of the texture
     uniforms = {
         "turn": tuple(turn.T.ravel()), "rodrigues": tuple(rodrigues_parameters(turn)),
-        "offset": tuple(transform[:3, 3]), "size": size, "opacity_sign": 1.0, "first": first,
+        "offset": tuple(transform[:3, 3]), "size": size, "opacity_sign": 1.0,
     }  # fmt: skip
+    numbers = {"number": np.arange(first, first + count, dtype=np.uint32)} if numbered else {}
     out = run_chunk(
-        gl, chunk_text("place.vert.glsl"), {}, POSED, Variant(),
+        gl, chunk_text("place.vert.glsl"), numbers, POSED, Variant(numbered=numbered),
         textures={"splats": rows.reshape(-1, ROW * 3, 4)}, uniforms=uniforms, vertices=count,
     )  # fmt: skip
     means, shapes, rodrigues = posed_of(out)
