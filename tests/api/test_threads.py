@@ -117,7 +117,7 @@ def test_run_in_thread_from_many_threads_and_asyncio() -> None:
     shared.release()
     with pytest.raises(GlsplatError, match="released"):
         shared.render(VIEWS)
-    with pytest.raises(GlsplatError, match="a scene is Splats or an Avatar"):
+    with pytest.raises(GlsplatError, match="an item shows Splats, an Avatar or a RiggedMesh"):
         Renderer.run_in_thread("no scene")  # type: ignore[arg-type]
     assert not [t for t in threading.enumerate() if t.name.startswith("glsplat renderer")]
 
