@@ -26,6 +26,7 @@ from apps import cli, serve
 from glsplat.camera import head_matrix, stereo_cameras
 from glsplat.data import default_avatar
 from glsplat.errors import GlsplatError, PoseError, ProtocolError
+from glsplat.net.backends.gl import RendererBackend
 from glsplat.net.backends.server import make_server
 from glsplat.net.backends.tracking import TrackingSolver
 from glsplat.net.client import Client
@@ -138,7 +139,7 @@ def test_the_mirror_image_is_the_picture_of_the_mirrored_view():
     pose[16, 2], pose[17, 2] = -1.0, 0.4  # arms at different heights
     eyes = stereo_cameras(head_matrix((0, 1.0, 2.2), (0, 0, 0, 1)), size=(128, 128))
     text = json.dumps({"v": 1, "frame_id": 1, "size": [128, 128], "eyes": [eye_fields(eye) for eye in eyes]})
-    backend = serve.RendererBackend(default_avatar(), (128, 128))
+    backend = RendererBackend(default_avatar(), (128, 128))
     backend.open()
     try:
         images = {}
@@ -207,7 +208,7 @@ def psnr(a, b):
 def test_viewers_get_their_own_pictures():
     """Clients of different pose, size and number of eyes in turn: each picture equals the one drawn for it alone."""
     viewers = list(parameters(64))
-    backend = serve.RendererBackend(default_avatar(), (64, 64))
+    backend = RendererBackend(default_avatar(), (64, 64))
     backend.open()
     alone = [backend.render(RenderRequest(frame_id=1, cameras=eyes, pose=pose)).images for eyes, pose in viewers]
     backend.close()
@@ -232,7 +233,7 @@ def test_viewers_get_their_own_pictures():
 
 @pytest.fixture
 def backend():
-    backend = serve.RendererBackend(default_avatar(), (64, 64))
+    backend = RendererBackend(default_avatar(), (64, 64))
     yield backend
     backend.close()
 
