@@ -165,6 +165,8 @@ class Ended(BaseException):
 
 @pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="no timers on this system")
 @pytest.mark.skipif(threading.current_thread() is not threading.main_thread(), reason="signals need the main thread")
+# a handler that raises may be called inside a destructor or a C callback, where Python can only report it
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
 def test_broken_off_by_a_signal(pictures: Callable[[Kind], list[NDArray[Any]]]) -> None:
     rng = np.random.default_rng(43)
     share, broken = max(1, TIMES // (2 * len(INTERRUPTED))), 0
