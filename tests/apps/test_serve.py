@@ -331,18 +331,25 @@ def test_serving_leaves_no_opengl_object_behind(backend):
 
 @pytest.mark.gl
 def test_the_server_is_ready_within_two_seconds():
-    """On the embedded avatar; of several starts, as other programs may be busy."""
-    times = []
+    """On the embedded avatar; of several starts, as other programs may be busy.
+
+    Where the machine itself is slow, five times what its libraries alone take to import (0.4 s where 2 s were set).
+    """
+    libraries = [sys.executable, "-c", "import aiohttp, moderngl, msgspec, numpy, simplejpeg"]
+    times, alone = [], []
     for _ in range(4):
+        start_time = time.perf_counter()
+        subprocess.run(libraries, check=True)
+        alone.append(time.perf_counter() - start_time)
         start_time = time.perf_counter()
         process = start("--port", 0)
         process.stdout.readline()
         times.append(time.perf_counter() - start_time)
         process.send_signal(signal.SIGINT)
         assert process.communicate(timeout=20)[1] == "" and process.returncode == 0
-        if times[-1] <= 2:
+        if times[-1] <= max(2.0, 5 * min(alone)):
             break
-    assert min(times) <= 2.0
+    assert min(times) <= max(2.0, 5 * min(alone)), (times, alone)
 
 
 def tracked(frame_id, x, **more):
