@@ -36,7 +36,7 @@ COMMANDS = {
     "convert": "from one format of splats and avatars to another",
 }
 
-MODULES = {name: f"{name}.command" for name in ("avatar", "preview", "replay", "report", "tracking")}
+MODULES = {name: f"{name}.command" for name in ("avatar", "preview", "replay", "report", "serve", "tracking")}
 """Commands that are folders."""
 
 

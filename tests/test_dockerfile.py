@@ -13,7 +13,7 @@ import urllib.request
 from pathlib import Path
 
 import pytest
-from glsplat_apps import serve
+from glsplat_apps.serve import command as serve
 
 ROOT = Path(__file__).resolve().parents[1]
 TEXT = (ROOT / "Dockerfile").read_text().replace("\\\n", " ")

@@ -11,7 +11,7 @@ import aiohttp
 import numpy as np
 import simplejpeg
 
-from apps.serve import HELP
+from apps.serve.command import HELP
 from glsplat.net import messages, options, pump, server, session
 from glsplat.net.guard import reading
 from glsplat.net.guard.limits import Limits

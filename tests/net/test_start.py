@@ -25,7 +25,7 @@ def test_the_serving_process():
     loaded = loaded_by("""
 import argparse, json
 import numpy as np
-from apps import serve
+from apps.serve import command as serve
 from apps.args import load_scene
 from glsplat.net.backends.server import make_server
 from glsplat.net.codec.encode import Encoder

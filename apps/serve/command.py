@@ -19,9 +19,9 @@ from glsplat.net.server import ServerConfig
 from glsplat.net.session import SessionConfig
 from glsplat.tracking.calibration import Calibration
 
-from .args import add_scene, open_scene, size
-from .logs import add_log_format, start_logging
-from .usage import UsageError
+from ..args import add_scene, open_scene, size
+from ..logs import add_log_format, start_logging
+from ..usage import UsageError
 
 HELP = (
     "Serve pictures of an avatar to headsets and other clients over a WebSocket (docs/protocol.md). "
