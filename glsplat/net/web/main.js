@@ -1,0 +1,218 @@
+// The page of docs/vr.md: makes the parts and ties them together.
+
+import { Page } from './page.js';
+import { Settings } from './settings.js';
+import { Menu, numbers } from './show/menu.js';
+import { Orbit } from './show/orbit.js';
+import { Stage } from './show/stage.js';
+import { Viewer } from './show/viewer.js';
+import { Immersive, support } from './show/xr.js';
+import { Connection } from './stream/connection.js';
+import { Calibration } from './track/calibration.js';
+import { Motion, Recording, Rest, parseRecording } from './track/drivers.js';
+import { Recorder } from './track/recorder.js';
+
+const TOKEN = 'glsplat.token'; // in this tab's storage only
+const NUMBERS = 500; // ms between two looks at the figures
+
+const settings = new Settings();
+const page = new Page(document, settings);
+const canvas = document.getElementById('canvas');
+const gl = canvas.getContext('webgl2', { xrCompatible: true, antialias: false, alpha: false, desynchronized: true });
+const calibration = new Calibration();
+const recorder = new Recorder();
+const connection = new Connection(() => ({
+  avatar: settings.get('avatar'),
+  height: calibration.result?.height ?? settings.get('height'),
+  span: calibration.result?.span,
+}));
+let offer = null; // what GET /session said
+
+if (!gl) {
+  page.xr({ vr: 'this browser has no WebGL 2', ar: 'this browser has no WebGL 2' });
+  page.status('This browser has no WebGL 2, which the page draws with.', 'error');
+  throw new Error('no WebGL 2');
+}
+
+const inWorker = new URLSearchParams(location.search).get('decode') !== 'main';
+const stage = new Stage(gl, connection, settings, { inWorker });
+const orbit = new Orbit();
+const viewer = new Viewer(canvas, stage, orbit, settings);
+const menu = new Menu(settings, stage, recorder, {
+  calibrate: () => calibration.begin(performance.now(), { height: settings.get('height') }),
+  record: () => toggleRecording(),
+  leave: () => immersive.end(),
+});
+const immersive = new Immersive(gl, stage, settings, menu, {
+  calibration,
+  recorder,
+  driven: () => chosenAvatar()?.tracking ?? true,
+  onCalibrated: (result) => {
+    calibration.save();
+    immersive.moveFloor(result.floor);
+    immersive.say(`Calibrated: you are ${result.height.toFixed(2)} m tall`);
+    connection.restart(); // the height is told when connecting
+  },
+  onEnd: () => {
+    if (recorder.recording) toggleRecording();
+    viewer.start();
+    tell();
+  },
+});
+
+function chosenAvatar() {
+  return offer?.avatars.find(({ name }) => name === settings.get('avatar')) ?? offer?.avatars[0];
+}
+
+/** Ask the server what it has, then connect. */
+async function begin() {
+  try {
+    const response = await connection.fetch('/session');
+    if (response.status === 401) {
+      page.askToken(sessionStorage.getItem(TOKEN) ? 'The token is wrong. Which is the right one?' : 'This server wants a token.');
+      sessionStorage.removeItem(TOKEN);
+      connection.token = null;
+      return;
+    }
+    if (response.ok) offered(await response.json());
+  } catch {
+    // it does not answer: the connection says so, and tries again
+  }
+  connection.restart();
+}
+
+function offered(session) {
+  offer = session;
+  const named = (name) => ({ value: name, label: name });
+  settings.setOptions('avatar', session.avatars.map(({ name }) => named(name)));
+  const drivers = [{ value: 'rest', label: 'standing still' }];
+  for (const name of session.motions) drivers.push({ value: `motion:${name}`, label: `motion: ${name}` });
+  if (session.recording) drivers.push({ value: 'recording', label: 'recorded head and hands' });
+  if (ownRecording) drivers.push({ value: 'file', label: 'my recording' });
+  settings.setOptions('driver', drivers);
+  settings.setOptions('size', SIZES.filter((side) => 1.5 * side <= session.max_side).map((side) => ({ value: side, label: `${side}` })));
+  stage.canHide = Boolean(chosenAvatar()?.head);
+}
+
+const SIZES = [512, 768, 1024, 1536];
+let ownRecording = null;
+
+/** The motion or recording that the settings name. */
+async function drive() {
+  const name = settings.get('driver');
+  try {
+    if (name === 'file' && ownRecording) viewer.driver = new Recording(ownRecording);
+    else if (name === 'recording') viewer.driver = new Recording(parseRecording(await text('/recording')));
+    else if (name?.startsWith('motion:')) viewer.driver = new Motion(JSON.parse(await text(`/motions/${name.slice(7)}`)));
+    else viewer.driver = new Rest();
+  } catch (error) {
+    viewer.driver = new Rest();
+    page.status(`It cannot be played: ${error.message}`, 'error');
+  }
+}
+
+async function text(path) {
+  const response = await connection.fetch(path);
+  if (!response.ok) throw new Error(`the server answers ${response.status} for ${path}`);
+  return response.text();
+}
+
+async function enter(mode) {
+  try {
+    viewer.stop();
+    await immersive.enter(mode);
+    tell();
+  } catch (error) {
+    viewer.start();
+    page.status(`The headset does not let this page in: ${error.message}`, 'error');
+  }
+}
+
+function toggleRecording() {
+  if (!recorder.recording) {
+    recorder.start();
+    return;
+  }
+  const link = document.createElement('a');
+  link.href = URL.createObjectURL(recorder.stop());
+  link.download = `glsplat-${new Date().toISOString().slice(0, 19).replaceAll(':', '-')}.jsonl`;
+  link.click();
+  setTimeout(() => URL.revokeObjectURL(link.href), 10_000);
+}
+
+/** The state in words, on the page. */
+function tell() {
+  const words = { off: 'Not connected', connecting: 'Connecting…', open: 'Connected', waiting: 'Not connected' };
+  const where = immersive.mode ? ` In ${immersive.mode.toUpperCase()}.` : '';
+  page.status((stage.notice ? capital(stage.notice) : words[connection.state]) + where, connection.problem ? 'error' : 'info');
+}
+
+const capital = (words) => words.charAt(0).toUpperCase() + words.slice(1);
+
+connection.addEventListener('state', () => {
+  tell();
+  if (connection.problem === 'token') begin();
+  if (connection.state === 'open' && !offer) {
+    connection.fetch('/session').then((response) => (response.ok ? response.json() : null)).then((found) => found && offered(found), () => {});
+  }
+});
+connection.addEventListener('complaint', tell);
+
+page.addEventListener('enter-vr', () => enter('vr'));
+page.addEventListener('enter-ar', () => enter('ar'));
+page.addEventListener('record', toggleRecording);
+page.addEventListener('calibrate', () => menu.press('calibrate'));
+page.addEventListener('fullscreen', () => canvas.requestFullscreen?.());
+page.addEventListener('token', ({ detail }) => {
+  sessionStorage.setItem(TOKEN, detail);
+  connection.token = detail;
+  begin();
+});
+page.addEventListener('file', async ({ detail }) => {
+  try {
+    ownRecording = parseRecording(await detail.text());
+    if (offer) offered(offer);
+    settings.set('driver', 'file');
+    drive();
+  } catch (error) {
+    page.status(`${detail.name}: ${error.message}`, 'error');
+  }
+});
+settings.addEventListener('change', ({ detail: { name } }) => {
+  if (name === 'driver') drive();
+  if (name === 'avatar' || name === 'height') {
+    stage.canHide = Boolean(chosenAvatar()?.head);
+    stage.clear();
+    if (connection.state !== 'off') connection.restart();
+  }
+});
+document.addEventListener('visibilitychange', () => {
+  if (!document.hidden) connection.hurry();
+});
+canvas.addEventListener('webglcontextlost', (event) => event.preventDefault());
+canvas.addEventListener('webglcontextrestored', () => stage.restore(gl));
+
+// a link may bring the token behind "#", which no request carries; it does not stay in the address
+const brought = new URLSearchParams(location.hash.slice(1)).get('token');
+if (brought) {
+  sessionStorage.setItem(TOKEN, brought);
+  history.replaceState(null, '', location.pathname + location.search);
+}
+connection.token = sessionStorage.getItem(TOKEN);
+
+orbit.attach(canvas);
+support().then((found) => page.xr(found));
+navigator.xr?.addEventListener?.('devicechange', () => support().then((found) => page.xr(found)));
+setInterval(() => {
+  if (settings.get('figures')) page.numbers(numbers(stage.stats(performance.now())));
+  if (!connection.problem) tell();
+}, NUMBERS);
+
+window.glsplat = Object.freeze({
+  /** Numbers for programs and tests; docs/vr.md lists them. */
+  stats: () => ({ session: immersive.mode || 'none', view: settings.get('view'), ...stage.stats(performance.now()) }),
+});
+
+begin();
+drive();
+viewer.start();

@@ -1,0 +1,217 @@
+// Everything the page draws with WebGL2: the newest pair, a mirror's frame, a floor, labels. Knows no sessions.
+
+import { buildPrograms } from './shaders.js';
+import { add, axis, invert, multiply, place, scale } from '../space/matrix.js';
+import { pictureQuad } from '../space/picture.js';
+
+const FRAME = 0.03; // metres around a mirror's glass
+const COLOURS = { frame: [0.45, 0.36, 0.22, 1], glass: [0, 0, 0, 1], floor: [0.16, 0.19, 0.24, 0.6] };
+const FLOOR = { half: 5, fade: 5 }; // metres
+
+export class Painter {
+  textures = 0; // alive, for leak tests
+  #gl;
+  #programs;
+  #pair = []; // by eye: {colour, alpha, box, hasAlpha}
+  #asked = null; // what Framing.frame returned for the pair
+  #mesh;
+  #floor;
+  #floorVertices;
+
+  constructor(gl) {
+    this.#gl = gl;
+    this.#programs = buildPrograms(gl);
+    this.#mesh = this.#buffers(2);
+    const lines = floorLines();
+    this.#floor = this.#buffers(1);
+    this.#floorVertices = lines.length / 3;
+    gl.bufferData(gl.ARRAY_BUFFER, new Float32Array(lines), gl.STATIC_DRAW);
+  }
+
+  /** True once there is a pair to show. */
+  get hasPair() {
+    return this.#asked !== null;
+  }
+
+  /** The eyes that the pair was asked for: its {cameras, plane, where}, or null. */
+  get shownAs() {
+    return this.#asked;
+  }
+
+  forget() {
+    this.#asked = null;
+  }
+
+  /** Take over a pair: {pictures: [[colour, alpha | null], ...], info, asked}; its bitmaps may be closed afterwards. */
+  upload({ pictures, info, asked }) {
+    const [width, height] = info.size;
+    pictures.forEach(([colour, alpha], i) => {
+      const eye = (this.#pair[i] ??= { colour: this.texture(), alpha: this.texture() });
+      this.fill(eye.colour, colour);
+      if (alpha) this.fill(eye.alpha, alpha);
+      eye.hasAlpha = alpha !== null;
+      const [x, y, w, h] = info.crop?.[i] ?? [0, 0, width, height];
+      eye.box = [x / width, y / height, w / width, h / height];
+    });
+    this.#asked = asked;
+  }
+
+  texture() {
+    const gl = this.#gl;
+    const texture = gl.createTexture();
+    gl.bindTexture(gl.TEXTURE_2D, texture);
+    for (const name of [gl.TEXTURE_WRAP_S, gl.TEXTURE_WRAP_T]) gl.texParameteri(gl.TEXTURE_2D, name, gl.CLAMP_TO_EDGE);
+    for (const name of [gl.TEXTURE_MIN_FILTER, gl.TEXTURE_MAG_FILTER]) gl.texParameteri(gl.TEXTURE_2D, name, gl.LINEAR);
+    this.textures++;
+    return texture;
+  }
+
+  /** An image (bitmap, canvas) into a texture as it is: no flip, no conversion. */
+  fill(texture, image, premultiply = false) {
+    const gl = this.#gl;
+    gl.bindTexture(gl.TEXTURE_2D, texture);
+    gl.pixelStorei(gl.UNPACK_PREMULTIPLY_ALPHA_WEBGL, premultiply);
+    gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA, gl.RGBA, gl.UNSIGNED_BYTE, image);
+    gl.pixelStorei(gl.UNPACK_PREMULTIPLY_ALPHA_WEBGL, false);
+  }
+
+  /** Bind a framebuffer (null: the canvas) and clear it; see-through where the room is to show. */
+  begin(framebuffer, transparent) {
+    const gl = this.#gl;
+    gl.bindFramebuffer(gl.FRAMEBUFFER, framebuffer);
+    gl.clearColor(0, 0, 0, transparent ? 0 : 1);
+    gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
+    gl.enable(gl.BLEND);
+    gl.blendFunc(gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
+    gl.disable(gl.DEPTH_TEST);
+    gl.disable(gl.CULL_FACE);
+  }
+
+  /** One view {transform, projection, viewport}: index 0 or 1 of the pair. `room`: draw a floor as well. */
+  view({ transform, projection, viewport: { x, y, width, height } }, index, { room, glass, labels = [] }) {
+    const gl = this.#gl;
+    gl.viewport(x, y, width, height);
+    const clip = new Float32Array(multiply(projection, invert(transform)));
+    if (room) this.#drawFloor(clip, transform);
+    if (glass) this.#drawMirror(clip, glass);
+    if (this.#asked) this.#drawPicture(clip, transform, index);
+    for (const label of labels) this.#drawLabel(clip, label);
+  }
+
+  /** How many bytes of GPU memory the pair takes is not known to WebGL; give all of it back. */
+  release() {
+    for (const { colour, alpha } of this.#pair) {
+      this.#gl.deleteTexture(colour);
+      this.#gl.deleteTexture(alpha);
+      this.textures -= 2;
+    }
+    this.#pair = [];
+    this.#asked = null;
+  }
+
+  #drawPicture(clip, transform, index) {
+    const gl = this.#gl;
+    const { cameras, plane, where } = this.#asked;
+    const eye = this.#pair[Math.min(index, cameras.length - 1)];
+    const camera = cameras[Math.min(index, cameras.length - 1)];
+    const { positions, texels } = pictureQuad(camera, plane, where.glass, transform);
+    const { use, at } = this.#programs.picture;
+    use();
+    gl.uniformMatrix4fv(at.clip_from_room, false, clip);
+    gl.uniform4fv(at.box, eye.box);
+    gl.uniform1i(at.has_alpha, eye.hasAlpha ? 1 : 0);
+    gl.uniform1i(at.colour, 0);
+    gl.uniform1i(at.alpha, 1);
+    gl.activeTexture(gl.TEXTURE1);
+    gl.bindTexture(gl.TEXTURE_2D, eye.alpha);
+    gl.activeTexture(gl.TEXTURE0);
+    gl.bindTexture(gl.TEXTURE_2D, eye.colour);
+    this.#drawStrip(positions, texels);
+  }
+
+  #drawMirror(clip, glass) {
+    const [low, right, , left] = glass;
+    const u = along(low, right, FRAME);
+    const v = along(low, left, FRAME);
+    const grown = [[-1, -1], [1, -1], [1, 1], [-1, 1]].map(([a, b], i) => add(glass[i], add(scale(u, a), scale(v, b))));
+    this.#drawFlat(clip, grown, COLOURS.frame);
+    this.#drawFlat(clip, glass, COLOURS.glass);
+  }
+
+  #drawFlat(clip, [a, b, c, d], paint) {
+    const gl = this.#gl;
+    const { use, at } = this.#programs.flat;
+    use();
+    gl.uniformMatrix4fv(at.clip_from_room, false, clip);
+    gl.uniform4fv(at.paint, paint);
+    gl.uniform1f(at.fade, 0);
+    this.#drawStrip([d, c, a, b], [a, a, a, a]);
+  }
+
+  #drawFloor(clip, transform) {
+    const gl = this.#gl;
+    const { use, at } = this.#programs.flat;
+    use();
+    gl.uniformMatrix4fv(at.clip_from_room, false, clip);
+    gl.uniform4fv(at.paint, COLOURS.floor);
+    gl.uniform1f(at.fade, FLOOR.fade);
+    gl.uniform3fv(at.eye, place(transform));
+    gl.bindVertexArray(this.#floor.array);
+    gl.drawArrays(gl.LINES, 0, this.#floorVertices);
+    gl.bindVertexArray(null);
+  }
+
+  /** {texture, transform (room from label, x right, y up), width, height in metres}. */
+  #drawLabel(clip, { texture, transform, width, height }) {
+    const gl = this.#gl;
+    const u = scale(axis(transform, 0), width / 2);
+    const v = scale(axis(transform, 1), height / 2);
+    const at3 = (a, b) => add(place(transform), add(scale(u, a), scale(v, b)));
+    const { use, at } = this.#programs.label;
+    use();
+    gl.uniformMatrix4fv(at.clip_from_room, false, clip);
+    gl.uniform1i(at.colour, 0);
+    gl.activeTexture(gl.TEXTURE0);
+    gl.bindTexture(gl.TEXTURE_2D, texture);
+    this.#drawStrip([at3(-1, 1), at3(1, 1), at3(-1, -1), at3(1, -1)], [[0, 0, 1], [1, 0, 1], [0, 1, 1], [1, 1, 1]]);
+  }
+
+  #drawStrip(positions, texels) {
+    const gl = this.#gl;
+    const data = new Float32Array(positions.flatMap((p, i) => [...p.slice(0, 3), ...texels[i].slice(0, 3)]));
+    gl.bindVertexArray(this.#mesh.array);
+    gl.bindBuffer(gl.ARRAY_BUFFER, this.#mesh.buffer);
+    gl.bufferData(gl.ARRAY_BUFFER, data, gl.STREAM_DRAW);
+    gl.drawArrays(gl.TRIANGLE_STRIP, 0, 4);
+    gl.bindVertexArray(null);
+  }
+
+  /** A vertex array of `count` vec3 side by side in one buffer, which stays bound. */
+  #buffers(count) {
+    const gl = this.#gl;
+    const array = gl.createVertexArray();
+    const buffer = gl.createBuffer();
+    gl.bindVertexArray(array);
+    gl.bindBuffer(gl.ARRAY_BUFFER, buffer);
+    for (let i = 0; i < count; i++) {
+      gl.enableVertexAttribArray(i);
+      gl.vertexAttribPointer(i, 3, gl.FLOAT, false, 12 * count, 12 * i);
+    }
+    gl.bindVertexArray(null);
+    return { array, buffer };
+  }
+}
+
+/** A vector of that length from a towards b. */
+function along(a, b, size) {
+  const d = [b[0] - a[0], b[1] - a[1], b[2] - a[2]];
+  return scale(d, size / Math.hypot(...d));
+}
+
+function floorLines() {
+  const out = [];
+  for (let i = -FLOOR.half; i <= FLOOR.half; i += 0.5) {
+    out.push(i, 0, -FLOOR.half, i, 0, FLOOR.half, -FLOOR.half, 0, i, FLOOR.half, 0, i);
+  }
+  return out;
+}

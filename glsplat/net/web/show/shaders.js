@@ -1,0 +1,98 @@
+// The page's programs, GLSL ES 3.00. Positions are metres in the room; colours are premultiplied.
+
+/** A picture put back into the room: `texel` is projective, so that it is right on any plane seen from anywhere. */
+const PICTURE = {
+  vertex: `#version 300 es
+layout(location = 0) in vec3 position;
+layout(location = 1) in vec3 texel; // picture coordinates times w, and w
+uniform mat4 clip_from_room;
+out vec3 uvw;
+void main() {
+  uvw = texel;
+  gl_Position = clip_from_room * vec4(position, 1.0);
+}`,
+  fragment: `#version 300 es
+precision highp float;
+uniform sampler2D colour;
+uniform sampler2D alpha;
+uniform vec4 box;      // x, y, width, height of what was sent, as parts of the whole picture
+uniform bool has_alpha;
+in vec3 uvw;
+out vec4 result;
+void main() {
+  vec2 at = (uvw.xy / uvw.z - box.xy) / box.zw;
+  if (uvw.z <= 0.0 || any(lessThan(at, vec2(0.0))) || any(greaterThan(at, vec2(1.0)))) discard;
+  vec3 rgb = texture(colour, at).rgb;
+  float a = has_alpha ? texture(alpha, at).r : 1.0;
+  // the codecs of colour and alpha err apart: nothing is brighter than it is opaque
+  result = vec4(min(rgb, vec3(a)), a);
+}`,
+};
+
+const FLAT = {
+  vertex: `#version 300 es
+layout(location = 0) in vec3 position;
+uniform mat4 clip_from_room;
+out float away;
+uniform vec3 eye;
+void main() {
+  away = distance(position, eye);
+  gl_Position = clip_from_room * vec4(position, 1.0);
+}`,
+  fragment: `#version 300 es
+precision highp float;
+uniform vec4 paint;    // premultiplied
+uniform float fade;    // metres at which nothing is left; 0: everywhere alike
+in float away;
+out vec4 result;
+void main() {
+  result = paint * (fade > 0.0 ? clamp(1.0 - away / fade, 0.0, 1.0) : 1.0);
+}`,
+};
+
+const LABEL = {
+  vertex: `#version 300 es
+layout(location = 0) in vec3 position;
+layout(location = 1) in vec3 texel;
+uniform mat4 clip_from_room;
+out vec2 at;
+void main() {
+  at = texel.xy;
+  gl_Position = clip_from_room * vec4(position, 1.0);
+}`,
+  fragment: `#version 300 es
+precision highp float;
+uniform sampler2D colour;
+in vec2 at;
+out vec4 result;
+void main() {
+  result = texture(colour, at);
+}`,
+};
+
+/** {picture, flat, label}: each {use(), at: uniform locations by name}. Throws with the compiler's words. */
+export function buildPrograms(gl) {
+  return { picture: build(gl, PICTURE), flat: build(gl, FLAT), label: build(gl, LABEL) };
+}
+
+function build(gl, { vertex, fragment }) {
+  const program = gl.createProgram();
+  for (const [type, source] of [[gl.VERTEX_SHADER, vertex], [gl.FRAGMENT_SHADER, fragment]]) {
+    const shader = gl.createShader(type);
+    gl.shaderSource(shader, source);
+    gl.compileShader(shader);
+    gl.attachShader(program, shader);
+    gl.deleteShader(shader);
+  }
+  gl.linkProgram(program);
+  if (!gl.getProgramParameter(program, gl.LINK_STATUS) && !gl.isContextLost()) {
+    const logs = gl.getAttachedShaders(program).map((shader) => gl.getShaderInfoLog(shader)).join(' ');
+    throw new Error(`a shader does not compile: ${gl.getProgramInfoLog(program)} ${logs}`);
+  }
+  const at = {};
+  for (let i = gl.getProgramParameter(program, gl.ACTIVE_UNIFORMS) - 1; i >= 0; i--) {
+    const { name } = gl.getActiveUniform(program, i);
+    at[name] = gl.getUniformLocation(program, name);
+  }
+  return { use: () => gl.useProgram(program), at };
+}

@@ -1,0 +1,74 @@
+// The page without a headset: the avatar on the canvas, seen by an eye (or two) that goes around it.
+
+import { IDENTITY } from '../space/matrix.js';
+
+const DENSEST = 2; // canvas pixels a CSS pixel
+const KEEP = 1000; // ms between requests while nothing moves
+
+const HERE = Object.freeze({ view: 'viewer', shown: IDENTITY, mirror: false, glass: null });
+
+export class Viewer {
+  #canvas;
+  #stage;
+  #orbit;
+  #settings;
+  #driver = null;
+  #started = 0; // ms at which the driver began
+  #last = ''; // what was asked last
+  #asked = 0; // ms
+  #handle = 0;
+  onFrame = () => {};
+
+  constructor(canvas, stage, orbit, settings) {
+    this.#canvas = canvas;
+    this.#stage = stage;
+    this.#orbit = orbit;
+    this.#settings = settings;
+  }
+
+  /** Who poses the avatar (track/drivers.js); it begins anew. */
+  set driver(driver) {
+    this.#driver = driver;
+    this.#started = performance.now();
+    this.#stage.framing.forget();
+  }
+
+  start() {
+    this.stop();
+    this.#handle = requestAnimationFrame((now) => this.#frame(now));
+  }
+
+  stop() {
+    cancelAnimationFrame(this.#handle);
+    this.#handle = 0;
+  }
+
+  #frame(now) {
+    this.#handle = requestAnimationFrame((later) => this.#frame(later));
+    const { width, height } = this.#fit();
+    if (!width || !height) return;
+    const views = this.#orbit.views(width, height, { stereo: this.#settings.get('stereo') });
+    const drive = this.#driver?.at((now - this.#started) / 1000) ?? {};
+    const key = drive.tracking || drive.pose ? '' : JSON.stringify(views.map(({ transform }) => transform)) + width + height;
+    const moves = key === '' || key !== this.#last || !this.#stage.painter.hasPair;
+    if (moves || now - this.#asked > KEEP) {
+      if (this.#stage.ask(views, HERE, drive, { alpha: true, now })) [this.#last, this.#asked] = [key, now];
+    }
+    if (this.#stage.advance(now) && this.#stage.info.box) this.#orbit.follow(this.#stage.info.box);
+    this.#stage.painter.begin(null, false);
+    views.forEach((view, i) => this.#stage.painter.view(view, i, { room: true }));
+    this.#stage.drawn();
+    this.onFrame(now);
+  }
+
+  #fit() {
+    const density = Math.min(DENSEST, devicePixelRatio || 1);
+    const width = Math.round(this.#canvas.clientWidth * density);
+    const height = Math.round(this.#canvas.clientHeight * density);
+    if (this.#canvas.width !== width || this.#canvas.height !== height) {
+      this.#canvas.width = width;
+      this.#canvas.height = height;
+    }
+    return { width, height };
+  }
+}

@@ -1,0 +1,206 @@
+// A WebXR session: tracking up, pictures down, three views, a panel. Everything is in the room of `local-floor`.
+
+import { multiply, translation } from '../space/matrix.js';
+import { VIEWS, placing } from '../space/placing.js';
+import { bodyOf, sampleOf } from '../track/xr-sample.js';
+import { Notice, Panel } from './panel.js';
+import { panelPlace, pointers } from './reach.js';
+
+const OPTIONAL = ['local-floor', 'hand-tracking', 'body-tracking'];
+const EYES = 1.6; // metres above the floor, where the device knows no floor and nothing was calibrated
+const NEXT_VIEW = 4; // the gamepad button A or X
+const DOUBLE = 500; // ms between two pinches of the left hand that go to the next view
+
+/** {vr, ar}: true, or in words why not. */
+export async function support() {
+  if (!isSecureContext) return both('this page needs https, or http://localhost');
+  if (!navigator.xr) return both('this browser has no WebXR');
+  const can = async (mode, words) => ((await navigator.xr.isSessionSupported(mode).catch(() => false)) ? true : words);
+  return {
+    vr: await can('immersive-vr', 'no headset here'),
+    ar: await can('immersive-ar', 'no passthrough here'),
+  };
+}
+
+const both = (words) => ({ vr: words, ar: words });
+
+/**
+ * One session at a time. `actions` is what the panel's rows do: {rows(immersive) -> rows, press(id)}; `tools`:
+ * {calibration, recorder, onCalibrated(result), onEnd()}.
+ */
+export class Immersive {
+  mode = ''; // vr, ar, or empty while there is no session
+  panel = new Panel();
+  untracked = []; // sides of hands that are not tracked
+  #gl;
+  #stage;
+  #settings;
+  #actions;
+  #tools;
+  #notice = new Notice();
+  #session = null;
+  #space = null;
+  #base = null; // the space before the floor was moved
+  #where = null;
+  #again = false; // place the view anew
+  #pressed = false;
+  #pinched = 0;
+  #message = { text: '', until: 0 };
+
+  constructor(gl, stage, settings, actions, tools) {
+    this.#gl = gl;
+    this.#stage = stage;
+    this.#settings = settings;
+    this.#actions = actions;
+    this.#tools = tools;
+    settings.addEventListener('change', ({ detail }) => {
+      if (detail.name === 'view') this.#again = true;
+    });
+  }
+
+  /** Enter 'vr' or 'ar'. Rejects with words if the device does not let us. */
+  async enter(mode) {
+    const session = await navigator.xr.requestSession(`immersive-${mode}`, { optionalFeatures: OPTIONAL });
+    try {
+      await this.#gl.makeXRCompatible?.();
+      session.updateRenderState({ baseLayer: new XRWebGLLayer(session, this.#gl), depthNear: 0.05, depthFar: 50 });
+      await this.#findFloor(session);
+    } catch (error) {
+      await session.end().catch(() => {});
+      throw error;
+    }
+    this.#session = session;
+    this.mode = mode;
+    this.#where = null;
+    session.addEventListener('end', () => this.#ended(session));
+    session.addEventListener('select', (event) => this.#selected(event));
+    this.#stage.clear();
+    this.#stage.connection.hurry(); // some browsers drop sockets on the way in
+    session.requestAnimationFrame((now, frame) => this.#frame(now, frame));
+  }
+
+  end() {
+    return this.#session?.end();
+  }
+
+  /** Tell the user for some seconds. */
+  say(text, ms = 3000) {
+    this.#message = { text, until: performance.now() + ms };
+  }
+
+  /** Move the floor: `height` is its y in the device's own space, metres. */
+  moveFloor(height) {
+    this.#space = height
+      ? this.#base.getOffsetReferenceSpace(new XRRigidTransform({ x: 0, y: height, z: 0 }))
+      : this.#base;
+    this.#again = true;
+  }
+
+  async #findFloor(session) {
+    try {
+      this.#base = await session.requestReferenceSpace('local-floor');
+    } catch {
+      const eyes = this.#tools.calibration.result?.eyes ?? EYES;
+      const local = await session.requestReferenceSpace('local');
+      this.#base = local.getOffsetReferenceSpace(new XRRigidTransform({ x: 0, y: -eyes, z: 0 }));
+    }
+    this.#base.addEventListener('reset', () => (this.#again = true)); // the user looks another way from now on
+    this.moveFloor(this.#tools.calibration.result?.floor ?? 0);
+  }
+
+  #ended(session) {
+    if (session !== this.#session) return;
+    this.#session = null;
+    this.mode = '';
+    this.#stage.clear();
+    this.#tools.onEnd();
+  }
+
+  #frame(now, frame) {
+    const { session } = frame;
+    if (session !== this.#session) return;
+    session.requestAnimationFrame((later, next) => this.#frame(later, next));
+    const viewer = frame.getViewerPose(this.#space);
+    if (!viewer) return; // the device is lost: the last picture stays
+    const views = viewer.views.map((view) => ({
+      transform: view.transform.matrix,
+      projection: view.projectionMatrix,
+      viewport: session.renderState.baseLayer.getViewport(view),
+    }));
+    const head = viewer.transform.matrix;
+    if (!this.#where || this.#again) this.#placeView(head);
+    const sample = sampleOf(frame, this.#space, viewer);
+    this.#use(sample, now, frame);
+    const view = this.#where.view;
+    const alpha = this.mode === 'ar' || view !== 'mirror'; // a mirror's glass is black: nothing shows through
+    const drive = this.#tools.driven() ? { tracking: sample, t: now } : {};
+    this.#stage.ask(views, this.#where, drive, { alpha, now });
+    this.#stage.advance(now);
+    const labels = this.#labels(frame, head, sample, now);
+    const layer = session.renderState.baseLayer;
+    this.#stage.painter.begin(layer.framebuffer, this.mode === 'ar');
+    const room = this.mode === 'vr';
+    views.forEach((eye, i) => this.#stage.painter.view(eye, i, { room, glass: this.#where.glass, labels }));
+    this.#stage.drawn();
+  }
+
+  #placeView(head) {
+    this.#again = false;
+    this.#where = placing(this.#settings.get('view'), head);
+    this.#stage.clear();
+  }
+
+  /** What else a sample is for: recording, calibrating, telling that hands are missing, the view's button. */
+  #use(sample, now, frame) {
+    const { recorder, calibration, onCalibrated } = this.#tools;
+    if (recorder.recording) {
+      const body = bodyOf(frame, this.#space);
+      recorder.add(sample, now, body ? { body } : {});
+    }
+    if (calibration.running) {
+      const { progress, result, error } = calibration.add(sample, now);
+      if (progress !== undefined) this.say('Stand straight and look ahead…', 500);
+      if (error) this.say(error);
+      if (result) onCalibrated(result);
+    }
+    this.untracked = ['left', 'right'].filter((side) => !sample[side] && !sample[`${side}_grip`]);
+    const sources = [...frame.session.inputSources];
+    const pressed = sources.some(({ gamepad }) => gamepad?.buttons[NEXT_VIEW]?.pressed);
+    if (pressed && !this.#pressed) this.nextView();
+    this.#pressed = pressed;
+  }
+
+  nextView() {
+    const next = (VIEWS.indexOf(this.#settings.get('view')) + 1) % VIEWS.length;
+    this.#settings.set('view', VIEWS[next]);
+  }
+
+  /** A trigger or a pinch: what the ray points at, or, twice with the left hand and at nothing, the next view. */
+  #selected({ frame, inputSource }) {
+    const [ray] = pointers(frame, this.#space, [inputSource]);
+    const hit = ray && this.panel.hit(ray.origin, ray.direction);
+    if (hit?.row.id) {
+      this.#actions.press(hit.row.id);
+    } else if (!hit && inputSource.hand && inputSource.handedness === 'left') {
+      const now = performance.now();
+      if (now - this.#pinched < DOUBLE) this.nextView();
+      this.#pinched = now;
+    }
+  }
+
+  #labels(frame, head, sample, now) {
+    this.panel.rows = this.#actions.rows(this, now);
+    this.panel.transform = panelPlace(this.#where, head, sample);
+    const hits = pointers(frame, this.#space, frame.session.inputSources)
+      .map(({ origin, direction }) => this.panel.hit(origin, direction))
+      .filter(Boolean);
+    this.panel.hovered = hits.length ? hits[0].index : -1;
+    const labels = [this.panel.label(this.#stage.painter)];
+    this.#notice.text = performance.now() < this.#message.until ? this.#message.text : this.#stage.notice;
+    if (this.#notice.text) {
+      this.#notice.transform = multiply(head, translation([0, -0.12, -1]));
+      labels.push(this.#notice.label(this.#stage.painter));
+    }
+    return labels;
+  }
+}

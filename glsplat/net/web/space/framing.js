@@ -1,0 +1,131 @@
+// What to ask for: for each eye a camera whose picture covers just the avatar as it is shown, with a margin for what
+// moves until the picture is there; and what is needed to put that picture back into the room when it comes.
+
+import { around, aroundQuad, corners, intersection, intrinsics, tangentsOf, widened } from './frustum.js';
+import { add, axis, movePoint, place, subtract, unit, viewmat } from './matrix.js';
+import { plane, serverEye } from './placing.js';
+
+const BODY = [-0.6, -0.05, -0.6, 0.6, 2.0, 0.6]; // metres about the ground under the head, until the server says more
+const HAND = 0.15; // metres around a wrist
+const STILL = 0.04; // metres and
+const LIMBS = 0.6; // metres a second, by which the box is wider than the last one known
+const LATEST = 0.3; // seconds; older pictures are not waited for by wider margins
+const MARGIN = 0.03; // radians beyond what the eye sees, and at most
+const WIDEST = 0.35;
+const SHAPES = [0.5, 1, 2]; // width / height; few of them, because a server keeps targets of few sizes
+const HYSTERESIS = 1.25;
+
+export class Framing {
+  #box = null; // as the server said it
+  #boxHead = null; // where the head was then: [x, y, z], null where nothing was tracked
+  #shape = 1;
+  #direction = null; // of the head in the last frame, for its speed
+  #time = 0;
+  #speed = 0; // radians a second, falling by half in 0.2 s
+
+  /** Learn the box [x0, y0, z0, x1, y1, z1] of the reply to what `frame` returned. */
+  learn(box, asked) {
+    if (Array.isArray(box) && box.length === 6 && box.every(Number.isFinite)) {
+      this.#box = box;
+      this.#boxHead = asked.head;
+    }
+  }
+
+  forget() {
+    this.#box = null;
+  }
+
+  /**
+   * views: [{transform (room from eye), projection}], left first. `where`: a placing. `sample`: the tracking of this
+   * moment or null. `side`: the side of a square picture with as many pixels. `age`: seconds that pictures take.
+   * Returns {eyes, size} for the request and what `Painter.show` needs with its picture; null if nothing is in sight.
+   */
+  frame(views, where, sample, side, age, now) {
+    const late = Math.min(age, LATEST);
+    this.#turn(views[0].transform, now);
+    const head = sample?.head ? sample.head.slice(0, 3) : null;
+    const shown = corners(this.#around(sample, head, late)).map((point) => movePoint(where.shown, point));
+    const margin = Math.min(WIDEST, MARGIN + this.#speed * late);
+    const frusta = views.map(({ transform, projection }) => {
+      let seen = widened(tangentsOf(projection), margin);
+      if (where.glass) seen &&= clip(seen, aroundQuad(where.glass, transform), margin);
+      return seen && clip(seen, around(shown, transform), 0);
+    });
+    if (frusta.every((frustum) => frustum === null)) return null;
+    const whole = frusta.map((frustum, i) => frustum ?? straightAhead(views[i]));
+    const size = this.#size(whole, side);
+    const eyes = views.map(({ transform }, i) => ({
+      viewmat: viewmat(serverEye(where, transform)).map(rounded),
+      K: intrinsics(whole[i], size).map(rounded),
+    }));
+    const cameras = views.map(({ transform }, i) => ({ transform: [...transform], frustum: whole[i] }));
+    const ahead = unit(cameras.map(centralRay).reduce(add, [0, 0, 0]));
+    const on = plane(shown, views.map(({ transform }) => transform), ahead);
+    return { eyes, size, cameras, plane: on, where, head };
+  }
+
+  /** The box of the avatar now: the last one known, moved with the head, and the hands where they are by now. */
+  #around(sample, head, late) {
+    const from = head && this.#boxHead ? subtract(head, this.#boxHead) : [0, 0, 0];
+    const ground = head ? [head[0], 0, head[2]] : [0, 0, 0];
+    const base = this.#box ?? BODY;
+    const by = this.#box ? from : ground;
+    const low = add(base.slice(0, 3), by);
+    const high = add(base.slice(3), by);
+    low[1] = Math.min(low[1], base[1]); // feet stay on the floor when the head goes down or up
+    const grow = STILL + LIMBS * late;
+    const box = [...low.map((v) => v - grow), ...high.map((v) => v + grow)];
+    for (const hand of sample ? [sample.left, sample.right, sample.left_grip, sample.right_grip] : []) {
+      for (let k = 0; hand && k < 3; k++) {
+        box[k] = Math.min(box[k], hand[k] - HAND);
+        box[3 + k] = Math.max(box[3 + k], hand[k] + HAND);
+      }
+    }
+    return box;
+  }
+
+  #turn(transform, now) {
+    const direction = axis(transform, 2);
+    const seconds = (now - this.#time) / 1000;
+    if (this.#direction && seconds > 0 && seconds < 0.5) {
+      const [a, b] = [direction, this.#direction];
+      const angle = Math.acos(Math.min(1, a[0] * b[0] + a[1] * b[1] + a[2] * b[2]));
+      this.#speed = Math.max(angle / seconds, this.#speed * 0.5 ** (seconds / 0.2));
+    }
+    this.#direction = direction;
+    this.#time = now;
+  }
+
+  /** [width, height] of the shape nearest to that of what is to be seen, `side` squared pixels, both eyes alike. */
+  #size(frusta, side) {
+    const aspects = frusta.map((f) => (f.right - f.left) / (f.up - f.down));
+    const aspect = Math.sqrt(aspects.reduce((a, b) => a * b, 1) ** (2 / aspects.length));
+    const off = (shape) => Math.abs(Math.log(aspect / shape));
+    const best = SHAPES.reduce((a, b) => (off(b) < off(a) ? b : a));
+    if (off(best) + Math.log(HYSTERESIS) < off(this.#shape)) this.#shape = best;
+    const block = (length) => Math.max(16, 16 * Math.round(length / 16)); // whole blocks of a JPEG
+    return [block(side * Math.sqrt(this.#shape)), block(side / Math.sqrt(this.#shape))];
+  }
+}
+
+/** A frustum cut by another one, which may be null (nothing of it in sight), widened by an angle. */
+function clip(frustum, other, margin) {
+  return other && intersection(frustum, margin ? widened(other, margin) : other);
+}
+
+/** A narrow frustum for the eye that sees nothing while the other one does. */
+function straightAhead({ projection }) {
+  const { left, right, down, up } = tangentsOf(projection);
+  const [x, y] = [(left + right) / 2, (down + up) / 2];
+  return { left: x - 0.05, right: x + 0.05, down: y - 0.05, up: y + 0.05 };
+}
+
+/** The direction in the room of the middle of a camera's picture. */
+function centralRay({ transform, frustum }) {
+  const x = (frustum.left + frustum.right) / 2;
+  const y = (frustum.down + frustum.up) / 2;
+  const tip = movePoint(transform, [x, y, -1]);
+  return unit(subtract(tip, place(transform)));
+}
+
+const rounded = (value) => Math.round(value * 1e7) / 1e7;

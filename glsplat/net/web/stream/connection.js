@@ -1,0 +1,170 @@
+// The WebSocket of docs/protocol.md with reconnecting, acknowledging, and the reasons in words when it does not open.
+
+import { parseReply } from './reply.js';
+
+const PAUSES = [250, 500, 1000, 2000, 4000]; // ms between attempts
+const MOST_BUFFERED = 128 * 1024; // bytes that may wait in the socket before requests are left out
+const REMEMBERED = 256; // requests whose replies may still come
+
+/**
+ * Events: `state` (its `state` or `reason` changed), `reply` (detail {reply, buffer, asked, ms}), `complaint` (detail
+ * {code, message} of the server's). States: off, connecting, open, waiting.
+ */
+export class Connection extends EventTarget {
+  state = 'off';
+  reason = ''; // in words; empty while all is well
+  problem = ''; // token, full, held-off, refused, lost: for programs
+  sentId = 0;
+  receivedId = 0;
+  received = 0;
+  opened = 0; // times
+  #options;
+  #token = null;
+  #socket = null;
+  #timer = 0;
+  #failures = 0;
+  #asked = new Map(); // by frame_id: what goes with the reply
+  #acknowledged = 0; // frame_id received on this connection; another one knows nothing of it
+
+  /** `options()` gives the query of /ws at each attempt: {avatar, height, span, window}, those that are set. */
+  constructor(options) {
+    super();
+    this.#options = options;
+  }
+
+  set token(token) {
+    this.#token = token || null;
+  }
+
+  /** GET a path of the server with the token. */
+  fetch(path) {
+    const headers = this.#token ? { Authorization: `Bearer ${this.#token}` } : {};
+    return fetch(path, { headers, cache: 'no-store', credentials: 'omit' });
+  }
+
+  /** Connect, or connect anew at once, with the options of now. */
+  restart() {
+    this.stop();
+    this.#connect();
+  }
+
+  /** If it waits for its next attempt, make it now. */
+  hurry() {
+    if (this.state === 'waiting') this.restart();
+  }
+
+  stop() {
+    clearTimeout(this.#timer);
+    const socket = this.#socket;
+    this.#socket = null;
+    this.#asked.clear();
+    socket?.close(1000);
+    this.#become('off', '', '');
+  }
+
+  /** Send a request without v, frame_id and ack; returns its frame_id, 0 if it was left out. `asked`: for the reply. */
+  send(request, asked) {
+    if (this.state !== 'open' || this.#socket.bufferedAmount > MOST_BUFFERED) return 0;
+    const frameId = ++this.sentId;
+    this.#asked.set(frameId, { asked, sent: performance.now() });
+    if (this.#asked.size > REMEMBERED) this.#asked.delete(this.#asked.keys().next().value);
+    this.#socket.send(JSON.stringify({ v: 1, frame_id: frameId, ack: this.#acknowledged, ...request }));
+    return frameId;
+  }
+
+  #connect() {
+    this.#become('connecting', this.#failures ? this.reason : '', this.#failures ? this.problem : '');
+    const url = new URL('/ws', location.href);
+    url.protocol = location.protocol === 'https:' ? 'wss:' : 'ws:';
+    for (const [name, value] of Object.entries(this.#options())) {
+      if (value !== null && value !== undefined && value !== '') url.searchParams.set(name, value);
+    }
+    const protocols = ['glsplat.v1', ...(this.#token ? [`token.${this.#token}`] : [])];
+    const socket = (this.#socket = new WebSocket(url, protocols));
+    socket.binaryType = 'arraybuffer';
+    let wasOpen = false;
+    socket.onopen = () => {
+      if (socket !== this.#socket) return;
+      wasOpen = true;
+      this.#acknowledged = 0;
+      this.opened++;
+      this.#become('open', '', '');
+    };
+    socket.onmessage = ({ data }) => {
+      if (socket === this.#socket) this.#receive(data);
+    };
+    socket.onclose = (event) => {
+      if (socket === this.#socket) this.#closed(event, wasOpen);
+    };
+  }
+
+  #receive(data) {
+    if (typeof data === 'string') {
+      const { error } = JSON.parse(data);
+      if (error) this.dispatchEvent(new CustomEvent('complaint', { detail: error }));
+      return;
+    }
+    let reply;
+    try {
+      reply = parseReply(data);
+    } catch (error) {
+      this.dispatchEvent(new CustomEvent('complaint', { detail: { code: 'bad_reply', message: error.message } }));
+      return;
+    }
+    this.#failures = 0; // not when it opens: a server may accept and drop at once
+    this.received++;
+    this.receivedId = this.#acknowledged = Math.max(this.#acknowledged, reply.id);
+    const found = this.#asked.get(reply.id);
+    for (const id of this.#asked.keys()) {
+      if (id > reply.id) break;
+      this.#asked.delete(id); // once a reply has come, none to an earlier request will
+    }
+    if (!found) return;
+    const detail = { reply, buffer: data, asked: found.asked, sent: found.sent, ms: performance.now() - found.sent };
+    this.dispatchEvent(new CustomEvent('reply', { detail }));
+  }
+
+  async #closed(event, wasOpen) {
+    this.#socket = null;
+    this.#asked.clear();
+    const pause = PAUSES[Math.min(this.#failures++, PAUSES.length - 1)];
+    const [problem, reason, least] = wasOpen ? closing(event) : await this.#refusal();
+    if (this.#socket || this.state === 'off') return; // somebody was faster
+    this.#become('waiting', reason, problem);
+    if (problem === 'token') return; // nothing to try until there is another one
+    this.#timer = setTimeout(() => this.#connect(), Math.max(pause, least ?? 0));
+  }
+
+  /** Why the handshake failed: the browser tells scripts nothing, so the server is asked another way. */
+  async #refusal() {
+    try {
+      const response = await this.fetch('/session');
+      if (response.status === 401) {
+        return ['token', this.#token ? 'the token is wrong' : 'this server wants a token'];
+      }
+      if (response.status === 429) {
+        const seconds = Number(response.headers.get('Retry-After')) || 10;
+        return ['held-off', `the server holds this address off for ${seconds} s`, seconds * 1000];
+      }
+      if (response.ok && (await response.json()).full) return ['full', 'the server is full; trying again', 2000];
+      if (response.ok) return ['refused', 'the server lets nobody in just now; trying again'];
+      return ['refused', `the server refuses (${(await response.text()).trim() || response.status})`];
+    } catch {
+      return ['lost', 'the server does not answer; trying again'];
+    }
+  }
+
+  #become(state, reason, problem) {
+    if (state === this.state && reason === this.reason) return;
+    Object.assign(this, { state, reason, problem });
+    this.dispatchEvent(new Event('state'));
+  }
+}
+
+/** What a close code of section 6 means: [problem, words, ms to wait at least]. */
+function closing({ code, reason }) {
+  const words = reason ? `: ${reason}` : '';
+  if (code === 1001) return ['lost', `the server stops${words}; trying again`];
+  if (code === 1008) return ['refused', `the server ended the connection${words}`, 2000];
+  return ['lost', `the connection is lost${words}; trying again`];
+}

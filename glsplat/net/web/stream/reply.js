@@ -1,0 +1,29 @@
+// The binary reply of docs/protocol.md, section 4, read without copying: where its pictures lie, and its JSON.
+
+const MAGIC = 0x5256; // "VR", little endian
+const JPEG = 0xd8ff; // how one begins: FF D8
+
+/** {id, eyes: [{eye, colour: [offset, length], alpha: [offset, length] | null}], info}. Throws if it is cut short. */
+export function parseReply(buffer) {
+  const view = new DataView(buffer);
+  if (view.getUint16(0, true) !== MAGIC || view.getUint16(2, true) !== 1) throw new Error('no reply of version 1');
+  const id = view.getUint32(4, true);
+  const eyes = [];
+  let offset = 9;
+  const part = () => {
+    const length = view.getUint32(offset, true);
+    const found = [offset + 4, length];
+    offset += 4 + length;
+    if (offset > buffer.byteLength) throw new Error('a reply that ends early');
+    return found;
+  };
+  for (let n = view.getUint8(8); n > 0; n--) {
+    const eye = view.getUint8(offset++);
+    const colour = part();
+    // neither a second picture's length nor a JSON object has these two bytes there
+    const follows = offset + 6 <= buffer.byteLength && view.getUint16(offset + 4, true) === JPEG;
+    eyes.push({ eye, colour, alpha: follows ? part() : null });
+  }
+  const [start, length] = part();
+  return { id, eyes, info: JSON.parse(new TextDecoder().decode(new Uint8Array(buffer, start, length))) };
+}
