@@ -9,11 +9,12 @@ import { Viewer } from './show/viewer.js';
 import { Immersive, support } from './show/xr.js';
 import { Connection } from './stream/connection.js';
 import { Calibration } from './track/calibration.js';
-import { Motion, Recording, Rest, parseRecording } from './track/drivers.js';
+import { Motion, Recording, Rest, parseRecording, readRecording } from './track/drivers.js';
 import { Recorder } from './track/recorder.js';
 
 const TOKEN = 'glsplat.token'; // in this tab's storage only
 const NUMBERS = 500; // ms between two looks at the figures
+const SIZES = [512, 768, 1024, 1536]; // sides of a square picture; others have as many pixels
 
 const settings = new Settings();
 const page = new Page(document, settings);
@@ -23,10 +24,12 @@ const calibration = new Calibration();
 const recorder = new Recorder();
 const connection = new Connection(() => ({
   avatar: settings.get('avatar'),
-  height: calibration.result?.height ?? settings.get('height'),
-  span: calibration.result?.span,
+  height: measured?.height ?? settings.get('height'),
+  span: measured?.span,
 }));
+let measured = calibration.load(); // {height, eyes, span, floor} of the user, in metres, or null
 let offer = null; // what GET /session said
+let ownRecording = null; // samples of the user's file
 
 if (!gl) {
   page.xr({ vr: 'this browser has no WebGL 2', ar: 'this browser has no WebGL 2' });
@@ -47,14 +50,17 @@ const immersive = new Immersive(gl, stage, settings, menu, {
   calibration,
   recorder,
   driven: () => chosenAvatar()?.tracking ?? true,
+  measured: () => measured,
   onCalibrated: (result) => {
-    calibration.save();
+    measured = result;
+    calibration.save(result);
     immersive.moveFloor(result.floor);
     immersive.say(`Calibrated: you are ${result.height.toFixed(2)} m tall`);
     connection.restart(); // the height is told when connecting
   },
   onEnd: () => {
     if (recorder.recording) toggleRecording();
+    page.inside(false);
     viewer.start();
     tell();
   },
@@ -67,7 +73,7 @@ function chosenAvatar() {
 /** Ask the server what it has, then connect. */
 async function begin() {
   try {
-    const response = await connection.fetch('/session');
+    const response = await connection.fetch('session');
     if (response.status === 401) {
       page.askToken(sessionStorage.getItem(TOKEN) ? 'The token is wrong. Which is the right one?' : 'This server wants a token.');
       sessionStorage.removeItem(TOKEN);
@@ -85,25 +91,22 @@ function offered(session) {
   offer = session;
   const named = (name) => ({ value: name, label: name });
   settings.setOptions('avatar', session.avatars.map(({ name }) => named(name)));
-  const drivers = [{ value: 'rest', label: 'standing still' }];
-  for (const name of session.motions) drivers.push({ value: `motion:${name}`, label: `motion: ${name}` });
-  if (session.recording) drivers.push({ value: 'recording', label: 'recorded head and hands' });
-  if (ownRecording) drivers.push({ value: 'file', label: 'my recording' });
-  settings.setOptions('driver', drivers);
+  const drivers = [{ value: 'rest', label: 'Standing still' }];
+  for (const name of session.motions) drivers.push({ value: `motion:${name}`, label: `Motion: ${name}` });
+  if (session.recording) drivers.push({ value: 'recording', label: 'Recorded head and hands' });
+  settings.setOptions('driver', [...drivers, { value: 'file', label: 'My recording…' }]);
   settings.setOptions('size', SIZES.filter((side) => 1.5 * side <= session.max_side).map((side) => ({ value: side, label: `${side}` })));
   stage.canHide = Boolean(chosenAvatar()?.head);
 }
 
-const SIZES = [512, 768, 1024, 1536];
-let ownRecording = null;
 
 /** The motion or recording that the settings name. */
 async function drive() {
   const name = settings.get('driver');
   try {
     if (name === 'file' && ownRecording) viewer.driver = new Recording(ownRecording);
-    else if (name === 'recording') viewer.driver = new Recording(parseRecording(await text('/recording')));
-    else if (name?.startsWith('motion:')) viewer.driver = new Motion(JSON.parse(await text(`/motions/${name.slice(7)}`)));
+    else if (name === 'recording') viewer.driver = new Recording(parseRecording(await text('recording')));
+    else if (name?.startsWith('motion:')) viewer.driver = new Motion(JSON.parse(await text(`motions/${name.slice(7)}`)));
     else viewer.driver = new Rest();
   } catch (error) {
     viewer.driver = new Rest();
@@ -121,6 +124,7 @@ async function enter(mode) {
   try {
     viewer.stop();
     await immersive.enter(mode);
+    page.inside(true);
     tell();
   } catch (error) {
     viewer.start();
@@ -131,8 +135,10 @@ async function enter(mode) {
 function toggleRecording() {
   if (!recorder.recording) {
     recorder.start();
+    page.recording(true);
     return;
   }
+  page.recording(false);
   const link = document.createElement('a');
   link.href = URL.createObjectURL(recorder.stop());
   link.download = `glsplat-${new Date().toISOString().slice(0, 19).replaceAll(':', '-')}.jsonl`;
@@ -153,7 +159,7 @@ connection.addEventListener('state', () => {
   tell();
   if (connection.problem === 'token') begin();
   if (connection.state === 'open' && !offer) {
-    connection.fetch('/session').then((response) => (response.ok ? response.json() : null)).then((found) => found && offered(found), () => {});
+    connection.fetch('session').then((response) => (response.ok ? response.json() : null)).then((found) => found && offered(found), () => {});
   }
 });
 connection.addEventListener('complaint', tell);
@@ -170,12 +176,12 @@ page.addEventListener('token', ({ detail }) => {
 });
 page.addEventListener('file', async ({ detail }) => {
   try {
-    ownRecording = parseRecording(await detail.text());
-    if (offer) offered(offer);
+    ownRecording = await readRecording(detail);
     settings.set('driver', 'file');
     drive();
   } catch (error) {
     page.status(`${detail.name}: ${error.message}`, 'error');
+    ownRecording = null;
   }
 });
 settings.addEventListener('change', ({ detail: { name } }) => {

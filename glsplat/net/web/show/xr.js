@@ -26,7 +26,7 @@ const both = (words) => ({ vr: words, ar: words });
 
 /**
  * One session at a time. `actions` is what the panel's rows do: {rows(immersive) -> rows, press(id)}; `tools`:
- * {calibration, recorder, onCalibrated(result), onEnd()}.
+ * {calibration, recorder, driven(), measured(), onCalibrated(result), onEnd()}.
  */
 export class Immersive {
   mode = ''; // vr, ar, or empty while there is no session
@@ -100,12 +100,12 @@ export class Immersive {
     try {
       this.#base = await session.requestReferenceSpace('local-floor');
     } catch {
-      const eyes = this.#tools.calibration.result?.eyes ?? EYES;
+      const eyes = this.#tools.measured()?.eyes ?? EYES;
       const local = await session.requestReferenceSpace('local');
       this.#base = local.getOffsetReferenceSpace(new XRRigidTransform({ x: 0, y: -eyes, z: 0 }));
     }
     this.#base.addEventListener('reset', () => (this.#again = true)); // the user looks another way from now on
-    this.moveFloor(this.#tools.calibration.result?.floor ?? 0);
+    this.moveFloor(this.#tools.measured()?.floor ?? 0);
   }
 
   #ended(session) {

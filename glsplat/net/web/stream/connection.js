@@ -2,6 +2,7 @@
 
 import { parseReply } from './reply.js';
 
+const SERVER = new URL('..', location.href); // the page is SERVER/vr/, also behind a proxy that moves it
 const PAUSES = [250, 500, 1000, 2000, 4000]; // ms between attempts
 const MOST_BUFFERED = 128 * 1024; // bytes that may wait in the socket before requests are left out
 const REMEMBERED = 256; // requests whose replies may still come
@@ -39,7 +40,7 @@ export class Connection extends EventTarget {
   /** GET a path of the server with the token. */
   fetch(path) {
     const headers = this.#token ? { Authorization: `Bearer ${this.#token}` } : {};
-    return fetch(path, { headers, cache: 'no-store', credentials: 'omit' });
+    return fetch(new URL(path, SERVER), { headers, cache: 'no-store', credentials: 'omit' });
   }
 
   /** Connect, or connect anew at once, with the options of now. */
@@ -74,7 +75,7 @@ export class Connection extends EventTarget {
 
   #connect() {
     this.#become('connecting', this.#failures ? this.reason : '', this.#failures ? this.problem : '');
-    const url = new URL('/ws', location.href);
+    const url = new URL('ws', SERVER);
     url.protocol = location.protocol === 'https:' ? 'wss:' : 'ws:';
     for (const [name, value] of Object.entries(this.#options())) {
       if (value !== null && value !== undefined && value !== '') url.searchParams.set(name, value);
@@ -138,7 +139,7 @@ export class Connection extends EventTarget {
   /** Why the handshake failed: the browser tells scripts nothing, so the server is asked another way. */
   async #refusal() {
     try {
-      const response = await this.fetch('/session');
+      const response = await this.fetch('session');
       if (response.status === 401) {
         return ['token', this.#token ? 'the token is wrong' : 'this server wants a token'];
       }
