@@ -1,6 +1,7 @@
 // What the panel in the room says and does.
 
 const WORDS = { view: 'View', avatar: 'Avatar', size: 'Size', quality: 'Quality' };
+const QUALITIES = [50, 65, 80, 90]; // what the panel offers of a number
 
 /** {rows(immersive, now), press(id)} over the settings and `deeds` {calibrate(), record(), leave()}. */
 export class Menu {
@@ -19,7 +20,7 @@ export class Menu {
 
   rows(immersive, now) {
     const choices = Object.entries(WORDS)
-      .filter(([name]) => this.#settings.options(name).length > 1)
+      .filter(([name]) => this.#values(name).length > 1)
       .map(([name, label]) => ({ id: name, label, value: this.#chosen(name) }));
     const recording = this.#recorder.recording;
     return [
@@ -35,7 +36,7 @@ export class Menu {
 
   press(id) {
     if (id in WORDS) {
-      const values = this.#settings.options(id).map(({ value }) => value);
+      const values = this.#values(id);
       this.#settings.set(id, values[(values.indexOf(this.#settings.get(id)) + 1) % values.length]);
     } else if (id === 'figures') {
       this.#settings.set('figures', !this.#settings.get('figures'));
@@ -44,9 +45,13 @@ export class Menu {
     }
   }
 
+  #values(name) {
+    return this.#settings.options(name)?.map(({ value }) => value) ?? QUALITIES;
+  }
+
   #chosen(name) {
     const value = this.#settings.get(name);
-    return this.#settings.options(name).find((option) => option.value === value)?.label ?? String(value);
+    return this.#settings.options(name)?.find((option) => option.value === value)?.label ?? String(value);
   }
 
   #said({ untracked }) {
