@@ -1,0 +1,161 @@
+// The flat page's controls: they show the settings, change them, and say what the user asked for. Nothing here knows
+// the server or the headset.
+
+const CHOICES = ['view', 'avatar', 'size', 'driver'];
+const FLAGS = ['stereo', 'figures'];
+const BUTTONS = ['enter-vr', 'enter-ar', 'record', 'calibrate', 'fullscreen'];
+const NARROW = '(max-width: 40rem)'; // as in style.css
+
+/** Events: 'enter-vr', 'enter-ar', 'record', 'calibrate', 'fullscreen', 'token' (detail: text), 'file' (detail: File). */
+export class Page extends EventTarget {
+  #document;
+  #settings;
+  #xr = { vr: 'looking for a headset…', ar: 'looking for a headset…' };
+  #inside = false;
+
+  constructor(document, settings) {
+    super();
+    this.#document = document;
+    this.#settings = settings;
+    for (const name of settings.names) this.#show(name);
+    settings.addEventListener('change', (event) => this.#show(event.detail.name));
+    settings.addEventListener('options', (event) => this.#show(event.detail.name));
+    this.#listen();
+    if (document.defaultView.matchMedia(NARROW).matches) this.#get('controls').open = false;
+    this.#get('fullscreen').hidden = !document.fullscreenEnabled;
+  }
+
+  /** Say what is going on; level 'info' or 'error'. Screen readers read it out when it changes. */
+  status(text, level = 'info') {
+    const line = this.#get('status');
+    line.dataset.level = level;
+    if (line.textContent !== text) line.textContent = text;
+  }
+
+  /** The figures: label -> text, in that order. */
+  numbers(figures) {
+    const list = this.#get('numbers');
+    const labels = Object.keys(figures);
+    const terms = [...list.querySelectorAll('dt')];
+    if (labels.length !== terms.length || labels.some((label, i) => label !== terms[i].textContent)) {
+      list.replaceChildren(...labels.flatMap((label) => [this.#element('dt', label), this.#element('dd', '')]));
+    }
+    const values = list.querySelectorAll('dd');
+    labels.forEach((label, i) => {
+      if (values[i].textContent !== String(figures[label])) values[i].textContent = figures[label];
+    });
+  }
+
+  /** Whether VR and AR can be entered: true, or why not, in words for beside the button. */
+  xr({ vr = this.#xr.vr, ar = this.#xr.ar }) {
+    this.#xr = { vr, ar };
+    this.#showHeadset();
+  }
+
+  /** Whether the user is in VR or AR now: only then there is somebody to calibrate. */
+  inside(inside) {
+    this.#inside = inside;
+    this.#showHeadset();
+  }
+
+  /** Whether a recording is running. */
+  recording(running) {
+    this.#get('record').textContent = running ? 'Stop and save' : 'Record';
+  }
+
+  /** Ask for the server's token; `text` says why. The form goes away when one is given. */
+  askToken(text) {
+    this.#get('token-why').textContent = text;
+    this.#get('token-form').hidden = false;
+    this.#get('token').focus();
+  }
+
+  #get(id) {
+    return this.#document.getElementById(id);
+  }
+
+  #element(tag, text) {
+    const element = this.#document.createElement(tag);
+    element.textContent = text;
+    return element;
+  }
+
+  #listen() {
+    const on = (id, type, listener) => this.#get(id).addEventListener(type, listener);
+    for (const name of CHOICES) on(name, 'change', (event) => this.#change(name, event.target.value));
+    for (const name of FLAGS) on(name, 'change', (event) => this.#change(name, event.target.checked));
+    on('quality', 'input', (event) => this.#change('quality', event.target.value));
+    on('height', 'change', (event) => this.#changeHeight(event.target));
+    for (const id of BUTTONS) on(id, 'click', () => this.dispatchEvent(new Event(id)));
+    on('token-form', 'submit', (event) => this.#submitToken(event));
+    on('file', 'change', (event) => {
+      const [file] = event.target.files;
+      if (file) this.dispatchEvent(new CustomEvent('file', { detail: file }));
+    });
+    this.#document.addEventListener('fullscreenchange', () => {
+      this.#get('fullscreen').textContent = this.#document.fullscreenElement ? 'Leave full screen' : 'Full screen';
+    });
+  }
+
+  #change(name, value) {
+    if (!this.#settings.set(name, value)) this.#show(name); // the control goes back to what is in force
+  }
+
+  /** A height that cannot be used stays there to be corrected; the note beside it says what fits. */
+  #changeHeight(input) {
+    const text = input.validity.badInput ? 'no number' : input.value;
+    const right = this.#settings.set('height', text);
+    input.setAttribute('aria-invalid', String(!right));
+    if (!right) this.status('Your height needs 0.5 to 2.8 metres, such as 1.75.', 'error');
+  }
+
+  #submitToken(event) {
+    event.preventDefault();
+    const input = this.#get('token');
+    const detail = input.value.trim();
+    input.value = '';
+    if (!detail) return;
+    this.#get('token-form').hidden = true;
+    this.#get('canvas').focus();
+    this.dispatchEvent(new CustomEvent('token', { detail }));
+  }
+
+  /** Bring a control to what the setting says. */
+  #show(name) {
+    const value = this.#settings.get(name);
+    if (CHOICES.includes(name)) this.#showChoice(this.#get(name), this.#settings.options(name), value);
+    else if (FLAGS.includes(name)) this.#get(name).checked = value;
+    else this.#get(name).value = value ?? '';
+    if (name === 'quality') this.#get('quality-value').textContent = value;
+    if (name === 'height') this.#get('height').setAttribute('aria-invalid', 'false');
+    if (name === 'driver') this.#get('file-row').hidden = value !== 'file';
+    if (name === 'figures') this.#get('figures-box').hidden = !value;
+  }
+
+  #showChoice(select, options, value) {
+    const shown = [...select.options].map((option) => [option.value, option.textContent].join('\n'));
+    const wanted = options.map((option) => [option.value, option.label].join('\n'));
+    if (wanted.join('\n\n') !== shown.join('\n\n')) {
+      const elements = options.map((option) => {
+        const element = this.#element('option', option.label);
+        element.value = option.value;
+        return element;
+      });
+      select.replaceChildren(...elements);
+    }
+    select.value = String(value);
+    select.disabled = options.length === 0;
+  }
+
+  #showHeadset() {
+    for (const kind of ['vr', 'ar']) {
+      const reason = this.#inside ? 'the headset is on' : this.#xr[kind];
+      this.#get(`enter-${kind}`).disabled = reason !== true;
+      this.#get(`${kind}-note`).textContent = reason === true ? '' : reason;
+    }
+    this.#get('calibrate').disabled = !this.#inside;
+    this.#get('calibrate-note').textContent = this.#inside
+      ? 'Stand straight for two seconds and look ahead; stretch your arms sideways to measure them too.'
+      : 'Calibrating needs VR: stand straight there for two seconds.';
+  }
+}

@@ -1,0 +1,121 @@
+// What the user chose: checked against what may be chosen, kept in the browser, announced when it changes.
+
+import { browserStorage, keep, readKept } from './storage.js';
+
+const KEY = 'glsplat.settings';
+
+const choice = (value, options = []) => ({ kind: 'choice', value, options });
+const number = (value, least, most) => ({ kind: 'number', value, least, most });
+const flag = (value) => ({ kind: 'flag', value });
+const plain = (values) => values.map((value) => ({ value, label: String(value) }));
+
+/** Every setting with its default. Options that depend on the server come by setOptions(). */
+function table() {
+  return {
+    view: choice('mirror', [
+      { value: 'mirror', label: 'Mirror' },
+      { value: 'facing', label: 'Facing me' },
+      { value: 'own', label: 'Own body' },
+    ]),
+    avatar: choice(''),
+    size: choice(1024, plain([512, 768, 1024, 1536])), // pixels, both sides of an eye's picture
+    quality: number(80, 50, 95), // JPEG quality
+    driver: choice('motion:idle', [
+      { value: 'rest', label: 'Standing still' },
+      { value: 'file', label: 'My recording…' },
+    ]),
+    stereo: flag(false),
+    height: { ...number(null, 0.5, 2.8), optional: true }, // the user's stature in metres
+    figures: flag(false),
+  };
+}
+
+/** The settings by name. Events: 'change' (detail {name, value}) and 'options' (detail {name}). */
+export class Settings extends EventTarget {
+  #table = table();
+  #wishes = {};
+  #storage;
+
+  constructor(storage = browserStorage()) {
+    super();
+    this.#storage = storage;
+    const kept = readKept(storage, KEY);
+    for (const [name, entry] of Object.entries(this.#table)) {
+      this.#wishes[name] = Object.hasOwn(kept, name) && plausible(entry, kept[name]) ? kept[name] : entry.value;
+    }
+  }
+
+  /** The names of all settings. */
+  get names() {
+    return Object.keys(this.#table);
+  }
+
+  /** The value in force. A choice that is not offered (yet) gives the default, or else the first that is; '' of none. */
+  get(name) {
+    const entry = this.#entry(name);
+    if (entry.kind !== 'choice') return this.#wishes[name];
+    const offered = (value) => entry.options.some((option) => option.value === value);
+    return [this.#wishes[name], entry.value].find(offered) ?? entry.options[0]?.value ?? '';
+  }
+
+  /** Set and keep a value; numbers and flags may come as the text of a control. Returns false for what is not allowed. */
+  set(name, value) {
+    const entry = this.#entry(name);
+    const [right, parsed] = parse(entry, value);
+    if (!right) return false;
+    const before = this.get(name);
+    this.#wishes[name] = parsed;
+    this.#keep();
+    this.#announce(name, before);
+    return true;
+  }
+
+  /** What a choice may be: [{value, label}]; null for numbers and flags. */
+  options(name) {
+    return this.#entry(name).options ?? null;
+  }
+
+  /** Offer other options; a choice made earlier comes back into force when it is among them. */
+  setOptions(name, options) {
+    const entry = this.#entry(name);
+    if (entry.kind !== 'choice') throw new RangeError(`${name} is no choice: it has no options`);
+    const before = this.get(name);
+    entry.options = options.map(({ value, label }) => ({ value, label: label ?? String(value) }));
+    this.dispatchEvent(new CustomEvent('options', { detail: { name } }));
+    this.#announce(name, before);
+  }
+
+  #entry(name) {
+    if (!Object.hasOwn(this.#table, name)) throw new RangeError(`there is no setting ${JSON.stringify(name)}`);
+    return this.#table[name];
+  }
+
+  #announce(name, before) {
+    const value = this.get(name);
+    if (value !== before) this.dispatchEvent(new CustomEvent('change', { detail: { name, value } }));
+  }
+
+  #keep() {
+    const kept = { ...this.#wishes };
+    if (kept.driver === 'file') delete kept.driver; // a page that is loaded again has no file
+    keep(this.#storage, KEY, kept);
+  }
+}
+
+/** Whether a kept value is of the right kind; options are looked at later, they may not be known yet. */
+function plausible(entry, value) {
+  return entry.kind === 'choice' ? ['string', 'number'].includes(typeof value) : parse(entry, value)[0];
+}
+
+/** [allowed, value]: what a program or a control gave, as the setting has it. */
+function parse(entry, value) {
+  if (entry.kind === 'flag') return [typeof value === 'boolean', value];
+  if (entry.kind === 'choice') {
+    const found = entry.options.find((option) => String(option.value) === String(value));
+    return [found !== undefined, found?.value];
+  }
+  const blank = value === null || (typeof value === 'string' && value.trim() === '');
+  if (blank) return [entry.optional === true, null];
+  const parsed = typeof value === 'string' ? Number(value) : value;
+  return [typeof parsed === 'number' && parsed >= entry.least && parsed <= entry.most, parsed];
+}

@@ -1,0 +1,193 @@
+// The camera of the flat page: it circles a point by mouse, touch and keys. Room axes: x right, y up, metres.
+
+const FOV = (40 * Math.PI) / 180; // vertical field of view, radians
+const [NEAR, FAR] = [0.05, 100]; // metres
+const START = { yaw: 0, pitch: 0.06, distance: 3, centre: [0, 0.95, 0] };
+const PITCH = 1.48; // radians up and down at most
+const DISTANCE = [0.3, 30]; // metres
+const PAN = 10; // metres off the avatar at most
+const TURN = (5 * Math.PI) / 180; // radians a key press
+const STEP = 0.05; // a key press moves by this part of the distance
+const ZOOM = 1.1; // a key press changes the distance by this factor
+const SLACK = 0.1; // the avatar may be off the middle by this part of the distance before the camera follows
+const FOLLOWING = 0.5; // seconds in which the camera makes up most of the rest
+
+/** yaw 0 looks from +z, into the face of an avatar; pitch > 0 looks down. Nothing moves on by itself. */
+export class Orbit {
+  yaw = START.yaw;
+  pitch = START.pitch;
+  distance = START.distance;
+  #centre = [...START.centre];
+  #pan = [0, 0, 0];
+  #followed = null; // milliseconds, when follow() was called last
+  #pointers = new Map(); // id -> [x, y], CSS pixels
+  #listening = null;
+
+  /** The point in the middle of the view, [x, y, z]. */
+  get target() {
+    return this.#centre.map((v, i) => v + this.#pan[i]);
+  }
+
+  /** Listen to an element's pointers, wheel and keys (it needs the focus for these). */
+  attach(element) {
+    this.detach();
+    this.#listening = new AbortController();
+    const { signal } = this.#listening;
+    const on = (type, listener, options = {}) => element.addEventListener(type, listener, { ...options, signal });
+    on('pointerdown', (event) => this.#down(event, element));
+    on('pointermove', (event) => this.#move(event, element));
+    for (const type of ['pointerup', 'pointercancel', 'lostpointercapture']) {
+      on(type, (event) => this.#pointers.delete(event.pointerId));
+    }
+    on('contextmenu', (event) => event.preventDefault()); // the right button pans
+    on('wheel', (event) => this.#wheel(event, element), { passive: false });
+    on('keydown', (event) => this.#key(event));
+  }
+
+  /** Stop listening. */
+  detach() {
+    this.#listening?.abort();
+    this.#listening = null;
+    this.#pointers.clear();
+  }
+
+  /** Back to the start: in front of the avatar. */
+  reset() {
+    this.yaw = START.yaw;
+    this.pitch = START.pitch;
+    this.distance = START.distance;
+    this.#pan = [0, 0, 0];
+    this.#followed = null;
+  }
+
+  /** Circle by radians. */
+  turn(yaw, pitch) {
+    this.yaw = (this.yaw + yaw) % (2 * Math.PI);
+    this.pitch = clamp(this.pitch + pitch, -PITCH, PITCH);
+  }
+
+  /** Change the distance by a factor. */
+  zoom(factor) {
+    this.distance = clamp(this.distance * factor, ...DISTANCE);
+  }
+
+  /** Move the target by metres along the camera's right, its up, and level ahead. */
+  pan(right, up, ahead = 0) {
+    const axes = this.#axes();
+    const level = [-Math.sin(this.yaw), 0, -Math.cos(this.yaw)];
+    this.#pan = this.#pan.map((v, i) => clamp(v + right * axes.right[i] + up * axes.up[i] + ahead * level[i], -PAN, PAN));
+  }
+
+  /** Keep an avatar's box [x0, y0, z0, x1, y1, z1] in view: at once the first time, gently from then on. */
+  follow(box, nowMs = performance.now()) {
+    if (!box?.every(Number.isFinite)) return;
+    const off = [0, 1, 2].map((i) => (box[i] + box[i + 3]) / 2 - this.#centre[i]);
+    const far = Math.hypot(...off);
+    const excess = Math.max(far - SLACK * this.distance, 0);
+    const seconds = this.#followed === null ? Infinity : Math.max(nowMs - this.#followed, 0) / 1000;
+    const part = seconds === Infinity ? 1 : ((1 - Math.exp(-seconds / FOLLOWING)) * excess) / (far || 1);
+    this.#centre = this.#centre.map((v, i) => v + part * off[i]);
+    this.#followed = nowMs;
+  }
+
+  /**
+   * The eyes for a canvas of width x height pixels: one, or two side by side with parallel axes, `ipd` metres apart.
+   * [{eye, transform: room from camera, projection, viewport: {x, y, width, height}}], matrices column by column.
+   */
+  views(width, height, { stereo = false, ipd = 0.063 } = {}) {
+    if (!stereo) return [this.#view('none', 0, { x: 0, y: 0, width, height })];
+    const half = Math.max(Math.floor(width / 2), 1);
+    return [
+      this.#view('left', -ipd / 2, { x: 0, y: 0, width: half, height }),
+      this.#view('right', ipd / 2, { x: half, y: 0, width: half, height }),
+    ];
+  }
+
+  #view(eye, aside, viewport) {
+    const { right, up, back } = this.#axes();
+    const place = this.target.map((v, i) => v + this.distance * back[i] + aside * right[i]);
+    const transform = [...right, 0, ...up, 0, ...back, 0, ...place, 1];
+    return { eye, transform, projection: projection(viewport.width / Math.max(viewport.height, 1)), viewport };
+  }
+
+  /** The camera's axes in the room; it looks along -back. */
+  #axes() {
+    const [sy, cy, sp, cp] = [Math.sin(this.yaw), Math.cos(this.yaw), Math.sin(this.pitch), Math.cos(this.pitch)];
+    return { right: [cy, 0, -sy], up: [-sy * sp, cp, -cy * sp], back: [sy * cp, sp, cy * cp] };
+  }
+
+  #down(event, element) {
+    if (this.#pointers.size >= 2) return; // a third finger is none of ours
+    element.focus({ preventScroll: true });
+    element.setPointerCapture(event.pointerId);
+    this.#pointers.set(event.pointerId, [event.clientX, event.clientY]);
+  }
+
+  #move(event, element) {
+    const before = this.#pointers.get(event.pointerId);
+    if (!before) return;
+    const now = [event.clientX, event.clientY];
+    this.#pointers.set(event.pointerId, now);
+    const [dx, dy] = [now[0] - before[0], now[1] - before[1]];
+    const height = Math.max(element.clientHeight, 1);
+    const other = [...this.#pointers].find(([id]) => id !== event.pointerId)?.[1];
+    if (other) {
+      const apart = (a) => Math.max(Math.hypot(a[0] - other[0], a[1] - other[1]), 1);
+      this.zoom(apart(before) / apart(now));
+      this.#drag(dx / 2, dy / 2, height); // the middle of two fingers moves half as far as one of them
+    } else if (event.pointerType === 'mouse' && (event.buttons & 6) !== 0) {
+      this.#drag(dx, dy, height);
+    } else {
+      this.turn((-Math.PI * dx) / height, (Math.PI * dy) / height);
+    }
+  }
+
+  /** Pan so that the target stays under the pointer that was dragged by dx, dy pixels. */
+  #drag(dx, dy, height) {
+    const metres = (2 * this.distance * Math.tan(FOV / 2)) / height;
+    this.pan(-dx * metres, dy * metres);
+  }
+
+  #wheel(event, element) {
+    event.preventDefault();
+    const unit = [1, 16, element.clientHeight][event.deltaMode] ?? 1; // pixels, lines, pages
+    const pixels = clamp(event.deltaY * unit, -200, 200);
+    this.zoom(Math.exp(pixels * (event.ctrlKey ? 0.01 : 0.0015))); // ctrl: a pinch on a touch pad
+  }
+
+  #key(event) {
+    if (event.ctrlKey || event.altKey || event.metaKey) return;
+    const step = STEP * this.distance;
+    const actions = {
+      arrowleft: () => this.turn(-TURN, 0),
+      arrowright: () => this.turn(TURN, 0),
+      arrowup: () => this.turn(0, TURN),
+      arrowdown: () => this.turn(0, -TURN),
+      '+': () => this.zoom(1 / ZOOM),
+      '=': () => this.zoom(1 / ZOOM),
+      '-': () => this.zoom(ZOOM),
+      a: () => this.pan(-step, 0),
+      d: () => this.pan(step, 0),
+      w: () => this.pan(0, 0, step),
+      s: () => this.pan(0, 0, -step),
+      q: () => this.pan(0, -step),
+      e: () => this.pan(0, step),
+      r: () => this.reset(),
+    };
+    const key = event.key.toLowerCase();
+    if (!Object.hasOwn(actions, key)) return;
+    actions[key]();
+    event.preventDefault();
+  }
+}
+
+/** A symmetric OpenGL projection for a picture of this aspect (width / height). */
+function projection(aspect) {
+  const f = 1 / Math.tan(FOV / 2);
+  const [a, b] = [(FAR + NEAR) / (NEAR - FAR), (2 * FAR * NEAR) / (NEAR - FAR)];
+  return [f / aspect, 0, 0, 0, 0, f, 0, 0, 0, 0, a, -1, 0, 0, b, 0];
+}
+
+function clamp(value, least, most) {
+  return Math.min(Math.max(value, least), most);
+}

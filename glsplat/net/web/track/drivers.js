@@ -1,0 +1,251 @@
+// What moves the avatar when nobody wears a headset: nothing, a motion of the server's, or a recording.
+// at(seconds) -> fields for a request: {pose} or {tracking, t}. Seconds are those of one clock that grows; t is the
+// same clock in milliseconds, so that a recording goes on in time when it begins anew.
+
+/** The most that a recording may hold here, bytes. */
+export const MAX_BYTES = 64 * 2 ** 20;
+const MAX_LINE = 2 ** 20; // characters
+const USUAL_STEP = 1 / 72; // seconds a sample lasts where a recording has only one
+
+const POSES = ['head', 'left', 'right', 'left_grip', 'right_grip'];
+const HANDS = ['left_joints', 'right_joints'];
+const NUMBERS = ['left_curl', 'right_curl'];
+const FLAT_JOINTS = new Map([[75, 3], [175, 7], [78, 3], [182, 7]]);
+const FARTHEST = 1e4; // metres; the server refuses what is farther
+const QUATERNION = [1e-9, 1e3]; // lengths that the server takes
+
+/** The rest pose, or what the scene says: a request without a pose. */
+export class Rest {
+  duration = 0;
+  frames = 1;
+
+  at() {
+    return {};
+  }
+}
+
+/** A motion as /motions/NAME gives it ({fps, frames: [pose, ...]}), in a loop: the last frame leads to the first. */
+export class Motion {
+  #fps;
+  #keys;
+
+  constructor({ fps, frames }) {
+    if (!Array.isArray(frames) || !frames.length || !(fps > 0 && fps < Infinity)) {
+      throw new Error('A motion needs a frame rate above zero and at least one frame.');
+    }
+    this.#fps = fps;
+    this.frames = frames.length;
+    this.duration = frames.length / fps;
+    const names = [...new Set(frames.flatMap(Object.keys))];
+    this.#keys = names.map((name) => track(name, frames));
+  }
+
+  /** {pose} at a time in seconds: rotations by slerp, the translation linearly. */
+  at(seconds) {
+    const place = wrapped(seconds * this.#fps, this.frames);
+    const first = Math.min(Math.floor(place), this.frames - 1);
+    const second = (first + 1) % this.frames;
+    const between = place - first;
+    return { pose: Object.fromEntries(this.#keys.map(({ name, at }) => [name, at(first, second, between)])) };
+  }
+}
+
+/** Samples as parseRecording() gives them, in a loop. Between two samples the earlier one holds. */
+export class Recording {
+  #times = []; // seconds from the first sample, growing
+  #tracking = [];
+
+  constructor(samples) {
+    const start = samples[0]?.t;
+    if (start === undefined) throw new Error('A recording needs at least one sample with a time.');
+    for (const { t, ...tracking } of samples) {
+      if (this.#times.length && t - start <= this.#times.at(-1)) continue; // a time that does not grow shows nothing new
+      this.#times.push(t - start);
+      this.#tracking.push(tracking);
+    }
+    const steps = this.#times.slice(1).map((time, i) => time - this.#times[i]);
+    const step = steps.length ? steps.sort((a, b) => a - b)[steps.length >> 1] : USUAL_STEP;
+    this.frames = this.#times.length;
+    this.duration = this.#times.at(-1) + step;
+  }
+
+  /** {tracking, t} at a time in seconds: t is the sample's own time on that clock, in milliseconds. */
+  at(seconds) {
+    const round = Math.floor(seconds / this.duration);
+    const time = wrapped(seconds, this.duration);
+    let [first, after] = [0, this.frames];
+    while (after - first > 1) {
+      const middle = (first + after) >> 1;
+      if (this.#times[middle] <= time) first = middle;
+      else after = middle;
+    }
+    return { tracking: this.#tracking[first], t: 1000 * (round * this.duration + this.#times[first]) };
+  }
+}
+
+/** The samples of a file (a Blob) of JSON Lines. Rejects with one clear line. */
+export async function readRecording(file) {
+  checkSize(file.size);
+  return parseRecording(await file.text());
+}
+
+/**
+ * The samples of a recording's text, [{t in seconds, head, left, ...}]: what glsplat.tracking.recording writes.
+ * A device whose numbers are not finite is not tracked. Throws Error, one line that names the text's line.
+ */
+export function parseRecording(text) {
+  checkSize(text.length);
+  const samples = [];
+  for (let start = 0, number = 1; start < text.length; number++) {
+    const newline = text.indexOf('\n', start);
+    const end = newline < 0 ? text.length : newline;
+    try {
+      const line = lineOf(text, start, end);
+      const sample = line && sampleOf(objectOf(line));
+      if (sample && Number.isFinite(sample.t)) samples.push(sample);
+    } catch (error) {
+      throw new Error(`The recording's line ${number}: ${error.message}`, { cause: error });
+    }
+    start = end + 1;
+  }
+  if (!samples.length) throw new Error('The recording holds no sample with a time.');
+  return samples;
+}
+
+function checkSize(size) {
+  if (size <= MAX_BYTES) return;
+  const [most, found] = [MAX_BYTES, size].map((bytes) => Math.ceil(bytes / 2 ** 20));
+  throw new Error(`A recording may have ${most} MiB here, not ${found}; glsplat replay plays longer ones.`);
+}
+
+function lineOf(text, start, end) {
+  if (end - start > MAX_LINE) throw new Error('a line has at most 1 MiB.');
+  return text.slice(start, end).replace(/^\uFEFF/, '').trim();
+}
+
+/** JSON, and the NaN and Infinity that Python writes and reads: they become infinite. */
+function objectOf(line) {
+  try {
+    return JSON.parse(line);
+  } catch (error) {
+    const finite = line.replace(/"(?:[^"\\]|\\.)*"|-?\b(?:NaN|Infinity)\b/g, (m) => (m[0] === '"' ? m : '1e999'));
+    try {
+      return JSON.parse(finite);
+    } catch {
+      throw new Error(`expected one JSON object (${error.message}).`);
+    }
+  }
+}
+
+/** A line's object as the wire has it. */
+function sampleOf(data) {
+  if (data === null || typeof data !== 'object' || Array.isArray(data)) {
+    throw new Error('expected an object {"t": seconds, "head": [7 numbers], ...}.');
+  }
+  if (data.t === undefined || data.t === null) throw new Error('a sample needs its time, "t" in seconds.');
+  if (!POSES.some((key) => key in data)) throw new Error('a sample needs "head" or a hand.');
+  const sample = { t: numberOf(data.t, 't') };
+  for (const key of POSES) if (key in data) sample[key] = poseOf(data[key], key);
+  for (const key of HANDS) if (key in data) sample[key] = jointsOf(data[key], key);
+  for (const key of NUMBERS) {
+    if (key in data) sample[key] = data[key] === null ? null : finiteOr(numberOf(data[key], key));
+  }
+  return sample;
+}
+
+function numberOf(value, key) {
+  if (typeof value !== 'number') throw new Error(`"${key}" is a number, not ${kind(value)}.`);
+  return value;
+}
+
+function finiteOr(value) {
+  return Number.isFinite(value) ? value : null;
+}
+
+function numbersOf(value, key, counts) {
+  if (!Array.isArray(value) || !counts.includes(value.length)) {
+    const found = Array.isArray(value) ? value.length : kind(value);
+    throw new Error(`"${key}" needs ${counts.join(' or ')} numbers, found ${found}.`);
+  }
+  const bad = value.find((v) => typeof v !== 'number');
+  if (bad !== undefined) throw new Error(`"${key}" needs numbers, found ${kind(bad)}.`);
+  return value;
+}
+
+function poseOf(value, key) {
+  if (value === null) return null;
+  const pose = numbersOf(value, key, [7]);
+  const turn = Math.hypot(...pose.slice(3));
+  const usable = pose.slice(0, 3).every((v) => Math.abs(v) <= FARTHEST) && turn > QUATERNION[0] && turn < QUATERNION[1];
+  return usable ? pose : null;
+}
+
+function jointsOf(value, key) {
+  if (value === null) return null;
+  if (!Array.isArray(value)) throw new Error(`"${key}" is a list of 25 joints, not ${kind(value)}.`);
+  let joints = value;
+  if (typeof value[0] === 'number') {
+    const size = FLAT_JOINTS.get(value.length);
+    if (!size) throw new Error(`"${key}" needs 25 joints of 3 or 7 numbers, found ${value.length} numbers.`);
+    joints = Array.from({ length: value.length / size }, (_, i) => value.slice(i * size, (i + 1) * size));
+  }
+  if (joints.length !== 25 && joints.length !== 26) {
+    throw new Error(`"${key}" needs 25 joints, found ${joints.length}.`);
+  }
+  joints = joints.slice(-25).map((joint) => numbersOf(joint, key, [3, 7])); // OpenXR's 26 begin with the palm
+  return joints.flat().every((v) => Number.isFinite(v)) ? joints : null;
+}
+
+function kind(value) {
+  if (value === null) return 'null';
+  return Array.isArray(value) ? 'a list' : `a ${typeof value}`;
+}
+
+/** value modulo period, 0 <= result < period, also for negative values. */
+function wrapped(value, period) {
+  const rest = ((value % period) + period) % period;
+  return rest < period ? rest : 0;
+}
+
+/** One key of the poses: {name, at(first, second, between) -> list}. Frames that lack it have zeros there. */
+function track(name, frames) {
+  const size = Math.max(...frames.map((frame) => [frame[name] ?? []].flat(2).length));
+  const rows = frames.map((frame) => {
+    const row = [frame[name] ?? []].flat(2);
+    return row.length ? row : new Array(size).fill(0);
+  });
+  if (size % 3 || rows.some((row) => row.length !== size || !row.every(Number.isFinite))) {
+    throw new Error(`The motion's "${name}" needs three finite numbers a joint, alike in every frame.`);
+  }
+  if (!name.endsWith('_pose')) {
+    return { name, at: (a, b, k) => rows[a].map((v, i) => v + k * (rows[b][i] - v)) };
+  }
+  const turns = rows.map((row) => Array.from({ length: size / 3 }, (_, i) => quaternion(row.slice(3 * i, 3 * i + 3))));
+  const at = (a, b, k) => turns[a].map((turn, i) => rotationVector(slerp(turn, turns[b][i], k)));
+  return { name, at };
+}
+
+/** The unit quaternion [x, y, z, w] of a rotation vector (radians). */
+function quaternion([x, y, z]) {
+  const angle = Math.hypot(x, y, z);
+  const k = angle > 1e-9 ? Math.sin(angle / 2) / angle : 0.5;
+  return [k * x, k * y, k * z, Math.cos(angle / 2)];
+}
+
+/** The rotation vector of a unit quaternion, at most pi long. */
+function rotationVector([x, y, z, w]) {
+  const sine = Math.hypot(x, y, z);
+  const k = sine > 1e-9 ? (2 * Math.atan2(sine, Math.abs(w))) / sine : 2;
+  const sign = w < 0 ? -k : k;
+  return [sign * x, sign * y, sign * z];
+}
+
+/** Between two unit quaternions by the short way; k 0..1. */
+function slerp(a, b, k) {
+  const cosine = a[0] * b[0] + a[1] * b[1] + a[2] * b[2] + a[3] * b[3];
+  const sign = cosine < 0 ? -1 : 1;
+  const angle = Math.acos(Math.min(Math.abs(cosine), 1));
+  const sine = Math.sin(angle);
+  const [ka, kb] = sine > 1e-6 ? [Math.sin((1 - k) * angle) / sine, Math.sin(k * angle) / sine] : [1 - k, k];
+  return a.map((v, i) => ka * v + sign * kb * b[i]);
+}
