@@ -5,7 +5,7 @@ import { add, axis, invert, multiply, place, scale } from '../space/matrix.js';
 import { pictureQuad } from '../space/picture.js';
 
 const FRAME = 0.03; // metres around a mirror's glass
-const COLOURS = { frame: [0.45, 0.36, 0.22, 1], glass: [0, 0, 0, 1], floor: [0.3, 0.36, 0.46, 1] };
+const COLOURS = { frame: [0.45, 0.36, 0.22, 1], glass: [0, 0, 0, 1], floor: [0.22, 0.26, 0.33, 1] };
 const FLOOR = { half: 6, fade: 7 }; // metres
 
 export class Painter {

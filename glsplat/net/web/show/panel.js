@@ -3,7 +3,6 @@
 import { axis, dot, place, subtract } from '../space/matrix.js';
 
 const PIXELS = { width: 512, row: 44, text: 24, edge: 16 };
-const METRES = 0.34; // wide
 const INK = { ground: 'rgba(16,20,28,0.92)', text: '#e8edf5', dim: '#9fb0c8', hover: 'rgba(70,110,190,0.75)' };
 
 /** A label for `Painter.view` whose texture follows a canvas. */
@@ -39,6 +38,7 @@ class Board {
 export class Panel {
   rows = [];
   hovered = -1;
+  width = 0.34; // metres
   #board = new Board(PIXELS.width, PIXELS.row * 16 + 2 * PIXELS.edge);
 
   set transform(transform) {
@@ -59,7 +59,7 @@ export class Panel {
     const distance = dot(subtract(place(m), origin), normal) / slope;
     const point = origin.map((v, i) => v + distance * direction[i]);
     const { width, height } = this.#board.canvas;
-    const scale = width / METRES;
+    const scale = width / this.width;
     const x = dot(subtract(point, place(m)), axis(m, 0)) * scale + width / 2;
     const y = height / 2 - dot(subtract(point, place(m)), axis(m, 1)) * scale;
     const index = Math.floor((y - PIXELS.edge) / PIXELS.row);
@@ -69,7 +69,7 @@ export class Panel {
 
   label(painter) {
     const key = JSON.stringify([this.rows, this.hovered]);
-    return this.#board.label(painter, key, (ink, canvas) => this.#paint(ink, canvas), METRES);
+    return this.#board.label(painter, key, (ink, canvas) => this.#paint(ink, canvas), this.width);
   }
 
   #paint(ink, canvas) {

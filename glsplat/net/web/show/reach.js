@@ -1,24 +1,30 @@
 // Where the panel hangs, and what points at it.
 
-import { add, axis, place, scale, subtract, unit } from '../space/matrix.js';
+import { add, axis, fromPose, place, scale, subtract, unit } from '../space/matrix.js';
 import { heading } from '../space/placing.js';
 
-const BESIDE = 0.3; // metres from the glass to the panel's middle
-const OVER = 0.16; // metres above a wrist
+const BESIDE = { width: 0.34, away: 0.3, height: 1.3 }; // metres; from the glass to the panel's middle, over the floor
+const WRIST = { width: 0.18, over: 0.05, back: 0.12 }; // over the wrist, and back along the forearm
+const BEFORE = { width: 0.3, ahead: 0.7, left: 0.45, down: 0.25 };
 
-/** Room from panel: beside the mirror, else over the left wrist, else before the user to the left. */
+/** {transform: room from panel, width}: beside the mirror, else by the left wrist, else before the user to the left. */
 export function panelPlace(where, head, sample) {
   const eye = place(head);
   if (where.glass) {
     const [low, right] = where.glass;
-    const side = unit(subtract(right, low));
-    return facing(add(add(right, scale(side, BESIDE)), [0, 1.3 - right[1], 0]), eye);
+    const beside = add(right, scale(unit(subtract(right, low)), BESIDE.away));
+    return { transform: facing([beside[0], BESIDE.height, beside[2]], eye), width: BESIDE.width };
   }
   const wrist = sample.left ?? sample.left_grip;
-  if (wrist) return facing(add(wrist.slice(0, 3), [0, OVER, 0]), eye);
+  if (wrist) {
+    const back = axis(fromPose(wrist), 2); // a wrist's -z leads to the fingers
+    const point = add(add(wrist.slice(0, 3), scale(back, WRIST.back)), [0, WRIST.over, 0]);
+    return { transform: facing(point, eye), width: WRIST.width };
+  }
   const ahead = heading(head);
   const left = [ahead[2], 0, -ahead[0]];
-  return facing(add(add(eye, scale(ahead, 0.7)), add(scale(left, 0.45), [0, -0.25, 0])), eye);
+  const aside = add(scale(left, BEFORE.left), [0, -BEFORE.down, 0]);
+  return { transform: facing(add(add(eye, scale(ahead, BEFORE.ahead)), aside), eye), width: BEFORE.width };
 }
 
 /** Rays {origin, direction} of input sources, in the room. */

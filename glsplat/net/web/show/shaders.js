@@ -33,20 +33,20 @@ const FLAT = {
   vertex: `#version 300 es
 layout(location = 0) in vec3 position;
 uniform mat4 clip_from_room;
-out float away;
-uniform vec3 eye;
+out vec3 point;
 void main() {
-  away = distance(position, eye);
+  point = position;
   gl_Position = clip_from_room * vec4(position, 1.0);
 }`,
   fragment: `#version 300 es
 precision highp float;
 uniform vec4 paint;    // premultiplied
-uniform float fade;    // metres at which nothing is left; 0: everywhere alike
-in float away;
+uniform vec3 eye;
+uniform float fade;    // metres from the eye at which nothing is left; 0: everywhere alike
+in vec3 point;
 out vec4 result;
 void main() {
-  result = paint * (fade > 0.0 ? clamp(1.0 - away / fade, 0.0, 1.0) : 1.0);
+  result = paint * (fade > 0.0 ? clamp(1.0 - distance(point, eye) / fade, 0.0, 1.0) : 1.0);
 }`,
 };
 

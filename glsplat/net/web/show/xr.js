@@ -190,7 +190,7 @@ export class Immersive {
 
   #labels(frame, head, sample, now) {
     this.panel.rows = this.#actions.rows(this, now);
-    this.panel.transform = panelPlace(this.#where, head, sample);
+    Object.assign(this.panel, panelPlace(this.#where, head, sample));
     const hits = pointers(frame, this.#space, frame.session.inputSources)
       .map(({ origin, direction }) => this.panel.hit(origin, direction))
       .filter(Boolean);
