@@ -27,11 +27,15 @@ def system(tmp_path: Path) -> Run:
     programs.mkdir()
     notes = tmp_path / "apt"
 
-    def run(*words: str, uid: int = 1000, folders: tuple[Path, ...] = ()) -> subprocess.CompletedProcess[str]:
-        for name, text in (("id", f"echo {uid}"), ("apt-get", f'echo "$@" >> {notes}')):
+    def run(
+        *words: str, uid: int = 1000, folders: tuple[Path, ...] = (), fails_on: str = "nothing", **more: str
+    ) -> subprocess.CompletedProcess[str]:
+        take_notes = f'echo "$@" >> {notes}; case "$*" in *{fails_on}*) exit 100;; esac'
+        for name, text in (("id", f"echo {uid}"), ("apt-get", take_notes)):
             (programs / name).write_text(f"#!/bin/sh\n{text}\n")
             (programs / name).chmod(0o755)
         variables = {"PATH": f"{programs}:{os.environ['PATH']}", "HOME": str(tmp_path), "PYTHON": sys.executable}
+        variables |= more
         if folders:
             variables["__EGL_VENDOR_LIBRARY_DIRS"] = ":".join(map(str, folders))
         return subprocess.run(["sh", SCRIPT, *words], env=variables, capture_output=True, text=True, timeout=60)
@@ -67,6 +71,21 @@ def test_root_installs_only_what_is_missing(system: Run, tmp_path: Path) -> None
     assert done.returncode == 0, done.stderr
     *_, install = (tmp_path / "apt").read_text().splitlines()
     assert install == "install -y -qq --no-install-recommends libegl-mesa0"
+
+
+def test_a_browser_is_installed_but_never_insisted_on(system: Run, tmp_path: Path) -> None:
+    missing = {"CHROMIUM": "no-such-browser"}
+    done = system("test", **missing)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+    done = system("test", folders=(tmp_path / "none",), **missing)
+    assert done.returncode == 1 and done.stderr.rstrip().endswith(" libegl-mesa0 chromium")
+    assert system(uid=0, **missing).stdout == "" and not (tmp_path / "apt").exists()
+    done = system("test", uid=0, folders=(tmp_path / "none",), **missing)
+    assert (done.returncode, done.stderr) == (0, ""), done.stderr
+    installed = [line.rpartition(" ")[2] for line in (tmp_path / "apt").read_text().splitlines()]
+    assert installed == ["-qq", "libegl-mesa0", "chromium"]
+    done = system("test", uid=0, fails_on="chromium", **missing)
+    assert done.returncode == 0 and "browser tests will be skipped" in done.stderr
 
 
 def test_an_old_or_missing_python_is_one_line(tmp_path: Path) -> None:

@@ -1,0 +1,134 @@
+"""Chromium for a whole run, pages that fail their test when they complain, and servers in threads."""
+
+from __future__ import annotations
+
+import mimetypes
+import os
+import shutil
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.browser.iwer import EMULATE, iwer_script
+from tests.browser.opened import FAKE_XR, WATCH, Opened
+from tests.browser.served import Served
+
+_WEB = Path(__file__).resolve().parents[2] / "glsplat" / "net" / "web"
+_MODULES = "http://localhost:1/vr/"  # answered from the folder above, by no server
+_NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
+_FLAGS = [
+    "--no-sandbox",  # needs rights that containers do not give, and opens pages of this checkout only
+    "--disable-quic",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+    "--ignore-certificate-errors",
+    "--enable-unsafe-swiftshader",  # WebGL without a GPU
+    "--enable-precise-memory-info",
+    "--js-flags=--expose-gc",
+]
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    for item in items:
+        if Path(__file__).parent in item.path.parents:
+            item.add_marker(pytest.mark.browser)
+
+
+# of this package, not of the session: playwright's loop occupies the main thread for as long as it lives
+@pytest.fixture(scope="package")
+def chromium() -> Iterator[Any]:
+    """Playwright's Browser, headless, software WebGL."""
+    playwright = pytest.importorskip("playwright.sync_api", reason="needs the Python package playwright")
+    wanted = os.environ.get("CHROMIUM")
+    path = next(filter(None, map(shutil.which, [wanted] if wanted else _NAMES)), None)
+    if path is None:
+        pytest.skip("no Chromium to show the page in: apt-get install chromium (or name one in CHROMIUM)")
+    with playwright.sync_playwright() as play:
+        browser = play.chromium.launch(executable_path=path, headless=True, args=_FLAGS)
+        yield browser
+        browser.close()
+
+
+OpenPage = Callable[..., Opened]
+
+
+@pytest.fixture
+def open_page(chromium: Any, request: pytest.FixtureRequest) -> Iterator[OpenPage]:
+    """``open_page(address, xr="fake" | "iwer" | None, allow=[patterns], size=(width, height), **context options)``.
+
+    Each has cookies and storage of its own. ``address`` None: opened by the test. A fault that is not allowed for
+    fails the test.
+    """
+    pages: list[Opened] = []
+    contexts: list[Any] = []
+
+    def open_(
+        address: str | None = None,
+        xr: str | None = "fake",
+        allow: list[str] | None = None,
+        size: tuple[int, int] = (1100, 640),
+        init: str = "",
+        **options: Any,
+    ) -> Opened:
+        scripts = {"fake": FAKE_XR, None: ""}
+        if xr == "iwer":
+            folder = Path(str(request.config.cache.mkdir("iwer")))  # type: ignore[union-attr]
+            scripts["iwer"] = iwer_script(folder) + EMULATE
+        options.setdefault("ignore_https_errors", True)
+        context = chromium.new_context(viewport={"width": size[0], "height": size[1]}, **options)
+        contexts.append(context)
+        context.add_init_script(scripts[xr])
+        context.add_init_script(WATCH)
+        if init:
+            context.add_init_script(init)
+        opened = Opened(context.new_page(), list(allow or []))
+        pages.append(opened)
+        if address is not None:
+            opened.page.goto(address)
+        return opened
+
+    yield open_
+    for context in contexts:
+        context.close()
+    unexpected = [fault for opened in pages for fault in opened.unexpected()]
+    assert not unexpected, "the page complained:\n" + "\n".join(unexpected[:20])
+
+
+@pytest.fixture
+def modules(open_page: OpenPage) -> Opened:
+    """A page of the site's origin without a server, from which ``js("import('/vr/...js').then(...)")`` works."""
+    opened = open_page()
+
+    def answer(route: Any) -> None:
+        path = _WEB / route.request.url.removeprefix(_MODULES).partition("?")[0]
+        if path == _WEB / "modules":
+            route.fulfill(body="<!doctype html><title>modules</title>", content_type="text/html")
+        elif path.is_file() and _WEB in path.resolve().parents:
+            kind = mimetypes.guess_type(path.name)[0] or "application/octet-stream"
+            route.fulfill(body=path.read_bytes(), content_type=kind)
+        else:
+            route.fulfill(status=404, body="no such file")
+
+    opened.page.route(f"{_MODULES}**", answer)
+    opened.page.goto(f"{_MODULES}modules")
+    return opened
+
+
+@pytest.fixture
+def serve() -> Iterator[Callable[..., Served]]:
+    """``serve(backend, config)``: a started server, stopped after the test."""
+    servers: list[Served] = []
+
+    def start(*args: Any, **options: Any) -> Served:
+        served = Served(*args, **options)
+        served.start()
+        servers.append(served)
+        return served
+
+    yield start
+    for served in servers:
+        served.stop()

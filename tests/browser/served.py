@@ -1,0 +1,107 @@
+"""A server in a thread, driven from tests without a loop of their own, restarted on its port at will."""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+from collections.abc import Callable
+from dataclasses import replace
+from types import TracebackType
+from typing import Any, Self
+
+from glsplat.net.backend import Backend
+from glsplat.net.server import Server, ServerConfig
+
+__all__ = ["Served"]
+
+
+class Served:
+    """``with Served(backend) as served``; ``make(config)`` stands for ``Server(backend, config)`` where more is wanted.
+
+    ``port`` stays the same over ``stop()`` and ``start()``.
+    """
+
+    def __init__(
+        self,
+        backend: Backend | None = None,
+        config: ServerConfig | None = None,
+        make: Callable[[ServerConfig], Server] | None = None,
+        **options: Any,  # of Server
+    ) -> None:
+        assert (backend is None) != (make is None)
+        self._config = config or ServerConfig(port=0)
+        self._make = make or (lambda config: Server(backend, config, **options))  # type: ignore[arg-type]
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._thread: threading.Thread | None = None
+        self.server: Server | None = None
+
+    @property
+    def port(self) -> int:
+        return self._config.port
+
+    @property
+    def origin(self) -> str:
+        """What the page's address begins with. localhost, because only that or TLS has WebXR."""
+        return f"{'https' if self._config.tls else 'http'}://localhost:{self.port}"
+
+    @property
+    def page(self) -> str:
+        """The page's address."""
+        return f"{self.origin}/vr"
+
+    def start(self) -> None:
+        """Returns once clients can connect; raises what the server raises."""
+        assert self._thread is None, "it runs"
+        self._loop = asyncio.new_event_loop()
+        self._thread = threading.Thread(target=self._run, args=(self._loop,), name="served", daemon=True)
+        self._thread.start()
+        self.server = self._make(self._config)
+        try:
+            self.call(self.server.start())
+        except BaseException:
+            self._end()
+            raise
+        self._config = replace(self._config, port=self.server.port)
+
+    def stop(self) -> None:
+        """In order, as after a signal: clients hear 1001."""
+        if self.server is not None and self._thread is not None:
+            try:
+                self.call(self.server.stop())
+            finally:
+                self._end()
+
+    def call(self, coroutine: Any, timeout: float = 30.0) -> Any:
+        """The result of a coroutine that ran on the server's loop."""
+        assert self._loop is not None
+        return asyncio.run_coroutine_threadsafe(coroutine, self._loop).result(timeout)
+
+    def stats(self) -> dict[str, Any]:
+        """The numbers of /stats, taken on the server's loop."""
+        assert self.server is not None
+        return self.call(_value(self.server.stats))
+
+    def __enter__(self) -> Self:
+        self.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.stop()
+
+    def _end(self) -> None:
+        assert self._loop is not None and self._thread is not None
+        self._loop.call_soon_threadsafe(self._loop.stop)
+        self._thread.join(10.0)
+        self._thread = self._loop = self.server = None
+
+    @staticmethod
+    def _run(loop: asyncio.AbstractEventLoop) -> None:
+        asyncio.set_event_loop(loop)
+        loop.run_forever()
+        loop.close()
+
+
+async def _value(function: Callable[[], Any]) -> Any:
+    return function()
