@@ -19,7 +19,7 @@ const SIZES = [512, 768, 1024, 1536]; // sides of a square picture; others have 
 const settings = new Settings();
 const page = new Page(document, settings);
 const canvas = document.getElementById('canvas');
-const gl = canvas.getContext('webgl2', { xrCompatible: true, antialias: false, alpha: false, desynchronized: true });
+const gl = canvas.getContext('webgl2', { xrCompatible: true, antialias: false, alpha: false });
 const calibration = new Calibration();
 const recorder = new Recorder();
 const connection = new Connection(() => ({
@@ -192,6 +192,7 @@ settings.addEventListener('change', ({ detail: { name } }) => {
     if (connection.state !== 'off') connection.restart();
   }
 });
+connection.awake = () => !document.hidden || immersive.mode !== ''; // a page in the background asks for nothing
 document.addEventListener('visibilitychange', () => {
   if (!document.hidden) connection.hurry();
 });

@@ -6,7 +6,7 @@ import { pictureQuad } from '../space/picture.js';
 
 const FRAME = 0.03; // metres around a mirror's glass
 const COLOURS = { frame: [0.45, 0.36, 0.22, 1], glass: [0, 0, 0, 1], floor: [0.22, 0.26, 0.33, 1] };
-const FLOOR = { half: 6, fade: 7 }; // metres
+const FLOOR = { half: 6, step: 0.5, fade: 7 }; // metres
 
 export class Painter {
   textures = 0; // alive, for leak tests
@@ -208,10 +208,13 @@ function along(a, b, size) {
   return scale(d, size / Math.hypot(...d));
 }
 
+/** A grid in short pieces: some drivers lose a line that begins behind the eye. */
 function floorLines() {
   const out = [];
-  for (let i = -FLOOR.half; i <= FLOOR.half; i += 0.5) {
-    out.push(i, 0, -FLOOR.half, i, 0, FLOOR.half, -FLOOR.half, 0, i, FLOOR.half, 0, i);
+  for (let i = -FLOOR.half; i <= FLOOR.half; i += FLOOR.step) {
+    for (let k = -FLOOR.half; k < FLOOR.half; k += FLOOR.step) {
+      out.push(i, 0, k, i, 0, k + FLOOR.step, k, 0, i, k + FLOOR.step, 0, i);
+    }
   }
   return out;
 }

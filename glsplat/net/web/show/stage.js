@@ -15,6 +15,7 @@ export class Stage {
   #complaint = { text: '', until: 0 };
   #asked = 0; // when the pair on the screen was asked for
   #seen = true; // whether that pair has been drawn
+  #scene = 0; // counts what `clear` ended: pictures asked for before are of another place
 
   /** `inWorker` false decodes on the page's thread, to compare. */
   constructor(gl, connection, settings, { inWorker = true } = {}) {
@@ -49,6 +50,7 @@ export class Stage {
 
   /** Forget what was shown: another avatar, another place. */
   clear() {
+    this.#scene++;
     this.framing.forget();
     this.painter.forget();
   }
@@ -71,7 +73,10 @@ export class Stage {
       ...(where.mirror ? { mirror: true } : {}),
       ...(where.view === 'own' && this.canHide ? { hide: ['head'] } : {}),
     };
-    if (framed) return this.connection.send({ eyes: framed.eyes, size: framed.size, ...request }, framed);
+    if (framed) {
+      const asked = { ...framed, scene: this.#scene };
+      return this.connection.send({ eyes: framed.eyes, size: framed.size, ...request }, asked);
+    }
     return sample ? this.#keepTracking(views, request) : 0;
   }
 
@@ -135,7 +140,7 @@ export class Stage {
   #received({ reply, buffer, asked, sent, ms }) {
     this.info = reply.info;
     this.figures.reply(reply.info, ms);
-    if (!asked) return; // of nothing in sight
+    if (asked?.scene !== this.#scene) return; // of nothing in sight, or of another place
     this.framing.learn(reply.info.box, asked);
     this.pictures.offer(reply, buffer, { ...asked, sent });
   }

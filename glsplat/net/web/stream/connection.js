@@ -19,6 +19,7 @@ export class Connection extends EventTarget {
   receivedId = 0;
   received = 0;
   opened = 0; // times
+  awake = () => true; // asked before each attempt; while it says no, `hurry` makes the next one
   #options;
   #token = null;
   #socket = null;
@@ -133,7 +134,7 @@ export class Connection extends EventTarget {
     if (this.#socket || this.state === 'off') return; // somebody was faster
     this.#become('waiting', reason, problem);
     if (problem === 'token') return; // nothing to try until there is another one
-    this.#timer = setTimeout(() => this.#connect(), Math.max(pause, least ?? 0));
+    this.#timer = setTimeout(() => this.awake() && this.#connect(), Math.max(pause, least ?? 0));
   }
 
   /** Why the handshake failed: the browser tells scripts nothing, so the server is asked another way. */
