@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from glsplat.camera import Camera
 from glsplat.net.messages import RenderRequest
 from glsplat.skinning.pose import Pose
+from glsplat.skinning.skeleton import Skeleton
 
-__all__ = ["Backend", "Interruptible", "Placing", "PoseSolver", "Rendered", "Solved"]
+__all__ = ["Backend", "Interruptible", "Offered", "Placing", "PoseSolver", "Rendered", "Solved"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -95,3 +96,15 @@ class PoseSolver(Protocol):
         a thread that is neither the event loop's nor the renderer's. May raise PoseError.
         """
         ...
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Offered:
+    """One of the things that clients may choose to see, as requests for it are read and answered."""
+
+    name: str
+    skeleton: Skeleton | None = None  # of its poses; None: the 55 joints of SMPL-X
+    solver: Callable[[float | None, float | None], PoseSolver] | None = None
+    """Makes a client's solver from its user's height and arm span (metres, None: not told); None: solves nothing."""
+    height: float | None = None  # metres: the stature of a user who needs no scaling; None: no one avatar
+    parts: frozenset[str] = frozenset()  # what of it can be left out

@@ -18,6 +18,18 @@ from numpy.typing import NDArray
 from glsplat.camera import PAPER_FOV, PAPER_IPD, Camera, head_matrix, stereo_cameras
 from glsplat.errors import FormatError, PoseError, ProtocolError
 from glsplat.net.duplicates import has_duplicates
+from glsplat.net.fields import (
+    FAR,
+    NEAR,
+    PICTURE,
+    SH_DEGREE,
+    Eye,
+    LegacyCamera,
+    LegacyMessage,
+    Message,
+    PoseFields,
+    Tracking,
+)
 from glsplat.rotations import FLIP_X, FLIP_Z
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.skeleton import Skeleton
@@ -26,6 +38,7 @@ from glsplat.skinning.smplx import POSE_KEYS
 __all__ = [
     "MAX_BYTES",
     "MAX_ID",
+    "PARTS",
     "VERSION",
     "Ack",
     "Decoder",
@@ -41,12 +54,12 @@ MAX_BYTES = 64 * 1024
 
 Form = Literal["native", "bundle-legacy", "single-legacy"]
 MAX_ID = 2**32 - 1
+PARTS = ("head",)
+"""What a request may leave out of an avatar: the splats of the joint of that name and of all that hangs from it."""
+
 _ORTHONORMAL = 1e-3  # largest entry of R R^T - I; float32 clients stay below 1e-6
-NEAR, FAR, SH_DEGREE = 0.01, 1e10, 3  # of an eye whose request is silent: Camera's own defaults
 NEAREST = 1e-6  # metres; nearer than any near plane makes sense
 _SMPLX_LEGACY = ("root_pose", "body_pose", "jaw_pose", "leye_pose", "reye_pose", "lhand_pose", "rhand_pose")
-
-Numbers = list[float | list[float]]  # flat or nested once; the depth is bounded by the type
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -75,6 +88,9 @@ class RenderRequest:
     quality: int = 80
     crop: bool = False
     alpha: bool = False  # the accumulated alpha too
+    avatar: str = ""  # which of those the server offers; empty: its first, or the scene
+    hide: tuple[str, ...] = ()  # parts of the avatar to leave out, each once, sorted
+    box: bool = False  # where the avatar is, too
     form: Form = "native"
     eyes: tuple[int, ...] = (0, 1)  # eye numbers of the cameras: 0 left, 1 right
 
@@ -86,96 +102,27 @@ class Ack:
     frame_id: int
 
 
-class _Eye(msgspec.Struct):
-    viewmat: list[float]
-    K: list[float]
-    near: float = NEAR
-    far: float = FAR
-    sh_degree: int = SH_DEGREE
-
-
-class _Tracking(msgspec.Struct):
-    """The fields of glsplat.tracking.sample; null means not tracked."""
-
-    head: list[float] | None = None
-    left: list[float] | None = None
-    right: list[float] | None = None
-    left_grip: list[float] | None = None
-    right_grip: list[float] | None = None
-    left_joints: Numbers | None = None
-    right_joints: Numbers | None = None
-    left_curl: float | None = None
-    right_curl: float | None = None
-
-
-class _Pose(msgspec.Struct):
-    """Either layout of glsplat.skinning.pose; other keys are ignored."""
-
-    root_pose: Numbers | None = None
-    trans: Numbers | None = None
-    body_pose: Numbers | None = None
-    jaw_pose: Numbers | None = None
-    leye_pose: Numbers | None = None
-    reye_pose: Numbers | None = None
-    lhand_pose: Numbers | None = None
-    rhand_pose: Numbers | None = None
-    joints: dict[str, list[float]] | None = None
-    translations: dict[str, list[float]] | None = None
-
-
-class _LegacyCamera(msgspec.Struct):
-    pos_x: float
-    pos_y: float
-    pos_z: float
-    rot_x: float
-    rot_y: float
-    rot_z: float
-    rot_w: float
-    eye: Literal["left", "right"] = "left"
-
-
-class _Message(msgspec.Struct):
-    v: int | None = None
-    frame_id: int | None = None
-    ack: int | None = None
-    t: float | None = None
-    eyes: list[_Eye] | None = None
-    size: list[int] | None = None
-    quality: int | None = None
-    crop: bool = False
-    alpha: bool = False
-    pose: _Pose | None = None
-    tracking: _Tracking | None = None
-
-
-class _LegacyMessage(msgspec.Struct):
-    """What older clients send; these keys mean nothing in a message that names its version."""
-
-    cameras: list[_LegacyCamera] | None = None
-    camera: _LegacyCamera | None = None
-    smplx: _Pose | None = None
-
-
-_decoder = msgspec.json.Decoder(_Message)
-_legacy_decoder = msgspec.json.Decoder(_LegacyMessage)
-_PICTURE = (
-    "eyes",
-    "size",
-    "quality",
-    "crop",
-    "alpha",
-    "pose",
-    "tracking",
-)  # fields that only a request for a picture has
+_decoder = msgspec.json.Decoder(Message)
+_legacy_decoder = msgspec.json.Decoder(LegacyMessage)
 _encoder = msgspec.json.Encoder()
 
 
 class Decoder:
-    """Turns text into requests for one session. ``skeleton`` None means the 55 joints of SMPL-X."""
+    """Turns text into requests for one session, which shows ``avatar``.
 
-    def __init__(self, options: WireOptions | None = None, skeleton: Skeleton | None = None) -> None:
+    ``skeleton`` None means the 55 joints of SMPL-X; ``parts`` are those of the avatar that can be left out.
+    """
+
+    def __init__(
+        self,
+        options: WireOptions | None = None,
+        skeleton: Skeleton | None = None,
+        avatar: str = "",
+        parts: frozenset[str] = frozenset(),
+    ) -> None:
         self.options: WireOptions = options or WireOptions()
         self.skeleton = skeleton
+        self.avatar, self.parts = avatar, parts
 
     def decode(self, data: str | bytes) -> RenderRequest | Ack:
         """One message. Raises ProtocolError (code, and frame_id where it could be read) for anything malformed."""
@@ -204,13 +151,13 @@ class Decoder:
         except ProtocolError as error:
             raise ProtocolError(_line(str(error)), error.code, _safe_id(message.frame_id)) from None
 
-    def _native(self, m: _Message) -> RenderRequest | Ack:
+    def _native(self, m: Message) -> RenderRequest | Ack:
         _check_ids(m)
         if m.v != VERSION:
             found = "none" if m.v is None else f"{m.v}"[:20]
             raise ProtocolError(f'this server speaks version {VERSION}: send "v": {VERSION}, not {found}', "version")
         if m.frame_id is None:
-            asked = [name for name in _PICTURE if getattr(m, name) not in (None, False)]
+            asked = [name for name in PICTURE if getattr(m, name) not in (None, False)]
             if m.ack is None or asked:
                 raise ProtocolError("a request needs frame_id" + (f" (found {', '.join(asked)})" if asked else ""))
             return Ack(m.ack)
@@ -234,7 +181,7 @@ class Decoder:
             raise ProtocolError('a request needs "eyes": one or two of {"viewmat", "K"}')
         return RenderRequest(
             frame_id=m.frame_id,
-            cameras=self._mirrored(cameras),
+            cameras=_mirrored(cameras) if (o.mirror if m.mirror is None else m.mirror) else cameras,
             pose=None if m.pose is None else self._pose(_given(m.pose)),
             tracking=None if m.tracking is None else _given(m.tracking),
             t=m.t,
@@ -242,10 +189,13 @@ class Decoder:
             quality=quality,
             crop=m.crop,
             alpha=m.alpha,
+            avatar=self.avatar,
+            hide=self._hidden(m.hide or []),
+            box=m.box,
             eyes=tuple(range(len(cameras))),
         )
 
-    def _legacy(self, m: _Message, old: _LegacyMessage) -> RenderRequest:
+    def _legacy(self, m: Message, old: LegacyMessage) -> RenderRequest:
         """Head poses in Unity's frame, both eyes alike; IPD, field of view and size are the server's."""
         _check_ids(m)
         o = self.options
@@ -261,9 +211,10 @@ class Decoder:
         pose = {key: value for key, value in given.items() if key in POSE_KEYS}  # trans is ignored, as in their server
         return RenderRequest(
             frame_id=m.frame_id,
-            cameras=self._mirrored(tuple(cameras)),
+            cameras=_mirrored(cameras) if o.mirror else tuple(cameras),
             pose=Pose.from_smplx(pose) if pose else None,
             quality=o.quality,
+            avatar=self.avatar,
             form="single-legacy" if old.camera is not None else "bundle-legacy",
             eyes=tuple(int(head.eye == "right") for head in heads),
         )
@@ -276,7 +227,7 @@ class Decoder:
             raise ProtocolError(f"size needs [width, height], each from 1 to {limit}", "bad_size")
         return size[0], size[1]
 
-    def _eye(self, eye: _Eye, size: tuple[int, int]) -> Camera:
+    def _eye(self, eye: Eye, size: tuple[int, int]) -> Camera:
         if len(eye.viewmat) != 16 or len(eye.K) != 4:
             raise ProtocolError(f"an eye needs 16 numbers in viewmat and 4 in K, not {len(eye.viewmat)}, {len(eye.K)}")
         viewmat = np.array(eye.viewmat).reshape(4, 4)
@@ -289,7 +240,7 @@ class Decoder:
         if not off <= _ORTHONORMAL:
             raise ProtocolError("viewmat needs an orthonormal rotation (world to camera, row by row)", "bad_camera")
         if np.linalg.det(rotation) < 0:
-            raise ProtocolError("viewmat is a reflection; for a mirror picture connect to /ws?mirror=1", "bad_camera")
+            raise ProtocolError('viewmat is a reflection; for a mirror picture send "mirror": true', "bad_camera")
         if not NEAREST <= eye.near < eye.far <= FAR:
             raise ProtocolError(f"an eye needs {NEAREST:g} <= near < far <= {FAR:g} (metres)", "bad_camera")
         if not 0 <= eye.sh_degree <= SH_DEGREE:
@@ -303,18 +254,19 @@ class Decoder:
             raise ProtocolError(f"an eye needs to be within {limit:g} m of the origin", "bad_camera")
         return camera
 
-    def _mirrored(self, cameras: tuple[Camera, ...]) -> tuple[Camera, ...]:
-        if not self.options.mirror:
-            return cameras
-        return tuple(
-            Camera(c.viewmat @ FLIP_X, c.K, c.width, c.height, c.background, c.near, c.far, c.sh_degree, c.name)
-            for c in cameras
-        )
+    def _hidden(self, parts: Sequence[str]) -> tuple[str, ...]:
+        """Which parts are left out; those of the avatar that is shown, no others."""
+        for part in parts:
+            if part not in PARTS:
+                raise ProtocolError(f"hide knows {', '.join(PARTS)}; found another word")
+            if part not in self.parts:
+                raise ProtocolError(f'"hide": ["{part}"] needs one avatar that has a joint of that name')
+        return tuple(sorted(set(parts)))
 
     def _pose(self, pose: Mapping[str, Any]) -> Pose:
         return Pose.from_smplx(pose) if self.skeleton is None else Pose.from_json(pose, self.skeleton)
 
-    def _check_tracking(self, tracking: _Tracking) -> None:
+    def _check_tracking(self, tracking: Tracking) -> None:
         for name in ("head", "left", "right", "left_grip", "right_grip"):
             value = getattr(tracking, name)
             if value is None:
@@ -325,6 +277,14 @@ class Decoder:
                 raise ProtocolError(f"tracking.{name} needs metres below {self.options.max_distance:g}")
             if not 1e-9 < hypot(*value[3:]) < 1e3:  # no matrix is made of it here: that takes 0.1 ms
                 raise ProtocolError(f"tracking.{name} needs a quaternion of about unit length", "bad_camera")
+
+
+def _mirrored(cameras: Sequence[Camera]) -> tuple[Camera, ...]:
+    """The same eyes in a world reflected in x."""
+    return tuple(
+        Camera(c.viewmat @ FLIP_X, c.K, c.width, c.height, c.background, c.near, c.far, c.sh_degree, c.name)
+        for c in cameras
+    )
 
 
 def eye_fields(camera: Camera) -> dict[str, Any]:
@@ -344,7 +304,7 @@ def eye_fields(camera: Camera) -> dict[str, Any]:
     return fields
 
 
-def _check_ids(m: _Message) -> None:
+def _check_ids(m: Message) -> None:
     for name, value in (("frame_id", m.frame_id), ("ack", m.ack)):
         if value is not None and not 0 <= value <= MAX_ID:
             raise ProtocolError(f"{name} needs a whole number from 0 to {MAX_ID}")
@@ -362,13 +322,13 @@ def _head(position: Sequence[float], rotation: Sequence[float]) -> NDArray[np.fl
     return head_matrix(position, rotation)
 
 
-def _head_from_unity(head: _LegacyCamera) -> NDArray[np.float64]:
+def _head_from_unity(head: LegacyCamera) -> NDArray[np.float64]:
     """T_W_H [4, 4] from Unity's left-handed frame: position S_x p, rotation S_x R S_z (docs/conventions.md)."""
     unity = _head((head.pos_x, head.pos_y, head.pos_z), (head.rot_x, head.rot_y, head.rot_z, head.rot_w))
     return FLIP_X @ unity @ FLIP_Z
 
 
-def _given(fields: _Pose | _Tracking) -> dict[str, Any]:
+def _given(fields: PoseFields | Tracking) -> dict[str, Any]:
     return {key: value for key, value in msgspec.structs.asdict(fields).items() if value is not None}
 
 

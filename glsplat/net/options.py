@@ -1,23 +1,34 @@
-"""What a client asks for in the address it connects to: /ws?mirror=1&window=3&height=1.75."""
+"""What a client asks for in the address it connects to: /ws?avatar=ann&mirror=1&window=3&height=1.75&span=1.4."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 from glsplat.errors import ProtocolError
 from glsplat.net.messages import WireOptions
 from glsplat.net.session import SessionConfig
 
-__all__ = ["MAX_WINDOW", "client_options"]
+__all__ = ["MAX_WINDOW", "Asked", "client_options"]
 
 MAX_WINDOW = 8
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Asked:
+    """The server's options with one client's wishes in them."""
+
+    wire: WireOptions
+    session: SessionConfig
+    avatar: str  # one of those offered
+    height: float | None  # metres, of the user whose tracking is sent; None: not told
+    span: float | None  # metres from wrist to wrist with the arms stretched; None: not told
+
+
 def client_options(
-    query: Mapping[str, str], wire: WireOptions, session: SessionConfig
-) -> tuple[WireOptions, SessionConfig, float | None]:
-    """The server's options with the client's wishes in them, and the user's height in metres if it was given.
+    query: Mapping[str, str], wire: WireOptions, session: SessionConfig, avatars: Sequence[str]
+) -> Asked:
+    """What ``query`` asks for; of ``avatars``, the names offered, the first where it says nothing.
 
     Raises ProtocolError naming the option that has no such value.
     """
@@ -30,16 +41,26 @@ def client_options(
         if window not in map(str, range(1, MAX_WINDOW + 1)):
             raise ProtocolError(f"window needs 1 to {MAX_WINDOW}")
         session = replace(session, window=int(window))
-    return wire, session, _metres(query.get("height"))
+    avatar = query.get("avatar", avatars[0])
+    if avatar not in avatars:
+        raise ProtocolError(f"avatar needs a name of those offered here: {', '.join(avatars)}")
+    return Asked(
+        wire=wire,
+        session=session,
+        avatar=avatar,
+        height=_metres(query, "height", 0.5, 2.8),
+        span=_metres(query, "span", 0.3, 2.5),
+    )
 
 
-def _metres(height: str | None) -> float | None:
-    if height is None:
+def _metres(query: Mapping[str, str], name: str, low: float, high: float) -> float | None:
+    given = query.get(name)
+    if given is None:
         return None
     try:
-        metres = float(height)
+        metres = float(given)
     except ValueError:
         metres = 0.0
-    if not 0.5 <= metres <= 2.8:
-        raise ProtocolError("height needs 0.5 to 2.8 metres")
+    if not low <= metres <= high:
+        raise ProtocolError(f"{name} needs {low:g} to {high:g} metres")
     return metres

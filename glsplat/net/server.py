@@ -1,4 +1,4 @@
-"""The server: aiohttp on one port for the WebSocket (/ws), the status page, /healthz, /stats and /metrics.
+"""The server: aiohttp on one port for the WebSocket (/ws) and the pages (pages/).
 
 Glue only: what a message means is session.py's, who may connect is access.py's, who is drawn next is pump.py's.
 """
@@ -11,7 +11,7 @@ import logging
 import os
 import signal
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -19,7 +19,7 @@ from typing import Any
 from aiohttp import WSMsgType, web
 
 from glsplat.errors import ProtocolError
-from glsplat.net.backend import Backend, PoseSolver
+from glsplat.net.backend import Backend, Offered
 from glsplat.net.guard.access import SUBPROTOCOL, Access, server_tls
 from glsplat.net.guard.door import Door, connection_of
 from glsplat.net.guard.limits import Budget, Limits, Purse
@@ -28,10 +28,9 @@ from glsplat.net.guard.meter import POLICY_VIOLATION, Breach
 from glsplat.net.guard.reading import Reading
 from glsplat.net.messages import MAX_BYTES, Decoder, WireOptions
 from glsplat.net.options import client_options
+from glsplat.net.pages.routes import Pages
 from glsplat.net.pump import Channel, FramePump
 from glsplat.net.session import GOING_AWAY, Close, Counts, Session, SessionConfig, Warn
-from glsplat.net.status import metrics_text, page_html
-from glsplat.skinning.skeleton import Skeleton
 
 __all__ = ["Server", "ServerConfig"]
 
@@ -41,11 +40,10 @@ clock: Callable[[], float] = time.perf_counter  # the pump's clock too
 _HOPELESS = 2.0  # seconds after which a picture is not waited for when the server stops
 _TURN = 8  # messages of one client in a row before others are heard
 _FAREWELL = 0.5  # seconds a client that broke the rules gets to answer the close, while what it sends is thrown away
-_HEADERS = {
+_ALWAYS = {"X-Content-Type-Options": "nosniff", "Server": "glsplat"}
+_UNLESS_SAID = {
     "Content-Security-Policy": "default-src 'none'; style-src 'unsafe-inline'",
-    "X-Content-Type-Options": "nosniff",
     "Cache-Control": "no-store",
-    "Server": "glsplat",
 }
 
 
@@ -67,26 +65,20 @@ class ServerConfig:
 
 
 class Server:
-    """Streams what ``backend`` draws.
-
-    ``solver`` makes the tracking-to-pose state of each new client, from its user's height in metres if it gave one.
-    """
+    """Streams what ``backend`` draws: the first of ``offered``, or the one that a client names in its address."""
 
     def __init__(
         self,
         backend: Backend,
         config: ServerConfig | None = None,
-        *,
-        solver: Callable[[float | None], PoseSolver] | None = None,
-        skeleton: Skeleton | None = None,
+        offered: Sequence[Offered] = (Offered(name="default"),),
     ) -> None:
         self.config: ServerConfig = config or ServerConfig()
         self.pump: FramePump = FramePump(backend)
         self.port: int = self.config.port
         self.door: Door = Door(self.config.access, self.config.limits, self.config.max_clients, clock)
         self._work = Budget(self.config.limits.work, clock())
-        self._make_solver = solver
-        self._skeleton = skeleton
+        self._offered = {one.name: one for one in offered}
         self._channels: dict[int, Channel] = {}
         self._sockets: dict[int, tuple[web.WebSocketResponse, web.Request]] = {}
         self._totals = Counts()
@@ -112,15 +104,8 @@ class Server:
             listening.close()
             raise
         app = web.Application(middlewares=[self.door.guard], client_max_size=MAX_BYTES)
-        app.add_routes(
-            [
-                web.get("/ws", self._websocket),
-                web.get("/", self._page),
-                web.get("/healthz", self._healthz),
-                web.get("/stats", self._stats),
-                web.get("/metrics", self._metrics),
-            ]
-        )
+        pages = Pages(self.stats, self.offer, lambda: self.pump.healthy and not self._draining, tls is not None)
+        app.add_routes([web.get("/ws", self._websocket), *pages.routes()])
         app.on_response_prepare.append(_set_headers)
         self._runner = web.AppRunner(app, access_log=None, shutdown_timeout=self.config.drain_timeout)
         await self._runner.setup()
@@ -196,19 +181,28 @@ class Server:
             "clients": clients,
         }
 
-    async def _healthz(self, request: web.Request) -> web.Response:
-        healthy = self.pump.healthy and not self._draining
-        return web.Response(status=200 if healthy else 503, text="ok\n" if healthy else "not ready\n")
-
-    async def _stats(self, request: web.Request) -> web.Response:
-        return web.json_response(self.stats())
-
-    async def _metrics(self, request: web.Request) -> web.Response:
-        return web.Response(text=metrics_text(self.stats()), content_type="text/plain", charset="utf-8")
-
-    async def _page(self, request: web.Request) -> web.Response:
-        url = f"{'wss' if self.config.tls else 'ws'}://{request.host}/ws"
-        return web.Response(text=page_html(self.stats(), url), content_type="text/html")
+    def offer(self) -> dict[str, Any]:
+        """What /session says of the scene and of the server: all that a client chooses from before it connects."""
+        most, wire = self.config.max_clients, self.config.wire
+        return {
+            "avatars": [
+                {
+                    "name": one.name,
+                    "height": None if one.height is None else round(one.height, 4),
+                    "tracking": one.solver is not None,
+                    "head": "head" in one.parts,
+                }
+                for one in self._offered.values()
+            ],
+            "max_side": wire.max_side,
+            "size": wire.size,
+            "quality": wire.quality,
+            "window": self.config.session.window,
+            "clients": len(self._channels),
+            "max_clients": most,
+            "full": len(self._channels) >= most,
+            "driver": self.pump.driver,
+        }
 
     async def _websocket(self, request: web.Request) -> web.StreamResponse:
         if self._draining or len(self._channels) >= self.config.max_clients:
@@ -254,11 +248,12 @@ class Server:
         )
 
     def _open_channel(self, request: web.Request, purse: Purse) -> Channel:
-        """A new client with the options of its address: /ws?mirror=1&window=3&height=1.75."""
-        wire, limits, metres = client_options(request.query, self.config.wire, self.config.session)
-        solver = None if self._make_solver is None else self._make_solver(metres)
+        """A new client with the options of its address: /ws?avatar=ann&mirror=1&window=3&height=1.75."""
+        asked = client_options(request.query, self.config.wire, self.config.session, tuple(self._offered))
+        one = self._offered[asked.avatar]
+        solver = None if one.solver is None else one.solver(asked.height, asked.span)
         self._numbers += 1
-        session = Session(Decoder(wire, self._skeleton), limits, clock())
+        session = Session(Decoder(asked.wire, one.skeleton, one.name, one.parts), asked.session, clock())
         channel = self.pump.open(self._numbers, session, solver, connection_of(request).key)
         channel.share = self._work.open(clock(), channel.address)
         if channel.solving is not None:
@@ -379,7 +374,9 @@ class Server:
 
 
 async def _set_headers(request: web.Request, response: web.StreamResponse) -> None:
-    response.headers.update(_HEADERS)
+    response.headers.update(_ALWAYS)
+    for name, value in _UNLESS_SAID.items():
+        response.headers.setdefault(name, value)
 
 
 def _cut_off(request: web.Request) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from statistics import median
 from typing import Any
@@ -50,6 +50,16 @@ class Calibration:
         scale = min(max(eyes / Body.of(skeleton).eye_height, SMALLEST), LARGEST)
         return cls(scale=scale, floor=floor, eye_height=eyes)
 
+    def with_span(self, skeleton: Skeleton, span: float) -> Calibration:
+        """The same with a quarter of the scale by the user's arm span, wrist to wrist in metres.
+
+        A span that is far from what the scale says is none of stretched arms: nothing changes.
+        """
+        scale = _with_arms(self.scale, span / Body.of(skeleton).arm_span())
+        if scale is None:
+            return self
+        return replace(self, scale=min(max(scale, SMALLEST), LARGEST), arm_span=span)
+
     def to_json(self) -> dict[str, float | None]:
         """The object that ``save`` writes."""
         return asdict(self)
@@ -83,6 +93,13 @@ def _number(value: Any, key: str) -> float | None:
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         raise ValueError(f"{key} is {type(value).__name__}")
     return float(value)
+
+
+def _with_arms(scale: float, ratio: float) -> float | None:
+    """The scale by eye height and by arm span, ``ratio`` of the avatar's; None: the arms were not stretched."""
+    if not 0.85 * scale <= ratio <= 1.2 * scale:
+        return None
+    return (1 - ARM_WEIGHT) * scale + ARM_WEIGHT * ratio
 
 
 def calibrate(
@@ -121,9 +138,9 @@ def calibrate(
     ]
     if spans:
         widest = sorted(spans)[int(0.9 * (len(spans) - 1))]
-        ratio = widest / body.arm_span()
-        if 0.85 * scale <= ratio <= 1.2 * scale:  # the arms were stretched
-            span, scale = widest, (1 - ARM_WEIGHT) * scale + ARM_WEIGHT * ratio
+        fitted = _with_arms(scale, widest / body.arm_span())
+        if fitted is not None:
+            span, scale = widest, fitted
     return Calibration(
         scale=min(max(scale, SMALLEST), LARGEST),
         floor=floor,

@@ -162,7 +162,8 @@ def test_a_client_poses_the_one_avatar(walkers: Callable[..., Path]) -> None:
 
     wave = Pose.from_smplx({"body_pose": np.full((21, 3), 0.3)})
     file = load_scene(walkers({}, {"visible": False}))
-    assert make_server(file, ServerConfig(port=0), own_process=False)._skeleton is file.scene.items[0].content.skeleton
+    (one,) = make_server(file, ServerConfig(port=0), own_process=False).offer()["avatars"]
+    assert one["tracking"] and one["head"] and one["height"] == pytest.approx(1.85, abs=0.05)
     backend = RendererBackend(file.scene, (40, 40))
     backend.open()
     try:
@@ -173,7 +174,7 @@ def test_a_client_poses_the_one_avatar(walkers: Callable[..., Path]) -> None:
     finally:
         backend.close()
     file = load_scene(walkers({"motion": "walk"}, {}))
-    assert make_server(file, ServerConfig(port=0), own_process=False)._skeleton is None
+    assert make_server(file, ServerConfig(port=0), own_process=False).offer()["avatars"][0]["height"] is None
     backend = RendererBackend(file.scene, (40, 40), pose_at=lambda _: file.pose_at(0.5))
     backend.open()
     try:

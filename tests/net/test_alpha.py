@@ -16,7 +16,7 @@ from glsplat.camera import head_matrix, stereo_cameras
 from glsplat.config import RenderConfig
 from glsplat.data import default_avatar
 from glsplat.errors import ProtocolError
-from glsplat.net.backend import Solved
+from glsplat.net.backend import Offered, Solved
 from glsplat.net.backends.server import make_server
 from glsplat.net.backends.tracking import TrackingSolver
 from glsplat.net.client import Client
@@ -140,11 +140,14 @@ def test_the_eyes_of_a_reply_are_those_asked_for_and_those_drawn(serve, moves, f
     backend, calibration = fake_backend(), Calibration(scale=1.25, floor=0.1)
     skeleton = default_avatar().skeleton
 
-    def solver(height):
+    def solver(height, span):
         return TrackingSolver(skeleton, calibration) if moves else Fixed()
 
     async def main():
-        async with serve(backend, solver=solver) as server, Client(server.url) as client:
+        async with (
+            serve(backend, offered=[Offered(name="default", solver=solver)]) as server,
+            Client(server.url) as client,
+        ):
             cameras = [replace(camera, near=0.5, far=20.0) for camera in PAIR]
             tracked = await client.render(cameras, tracking={"head": [0.1, 1.0, 2.2, 0, 0, 0, 1]})
             return tracked, await client.render(cameras, pose=Pose.zero())

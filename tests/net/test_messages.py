@@ -29,6 +29,8 @@ GOOD = {
     "pose": {"root_pose": [0, 1, 0]},
 }
 
+HEAD = {"pose": None, "tracking": {"head": [0, 1.6, 0, 0, 0, 0, 1]}}
+
 
 def decode(message, options=None, skeleton=None):
     text = message if isinstance(message, (str, bytes)) else json.dumps(message)
@@ -188,6 +190,40 @@ def test_a_nearly_orthonormal_rotation_is_taken():
     view = list(EYE["viewmat"])
     view[0] = 1 + 4e-4
     assert decode(GOOD | {"eyes": [EYE | {"viewmat": view}]}).eyes == (0,)
+
+
+@pytest.mark.parametrize("connection", [False, True])
+@pytest.mark.parametrize("asked", [None, False, True])
+def test_a_request_may_ask_for_the_mirror_image_or_for_none(connection, asked):
+    more = {} if asked is None else {"mirror": asked}
+    shown = connection if asked is None else asked
+    for message in (GOOD, {key: value for key, value in GOOD.items() if key != "eyes"} | HEAD):
+        plain = decode(message).cameras
+        got = decode(message | more, WireOptions(mirror=connection)).cameras
+        for one, other in zip(got, plain, strict=True):
+            np.testing.assert_array_equal(one.viewmat, other.viewmat * (-1 if shown else 1, 1, 1, 1))
+
+
+def test_parts_that_are_left_out():
+    def hide(parts, known=frozenset({"head"})):
+        return Decoder(avatar="ann", parts=known).decode(json.dumps(GOOD | {"hide": parts}))
+
+    assert hide(["head", "head"]).hide == ("head",) and hide([]).hide == () == decode(GOOD).hide
+    assert hide(["head"]).avatar == "ann" and decode(GOOD).avatar == ""
+    for parts, known, words in (
+        (["foot"], {"head"}, "hide knows head; found another word"),
+        (["head"], set(), "needs one avatar that has a joint of that name"),
+    ):
+        with pytest.raises(ProtocolError, match=words) as caught:
+            hide(parts, frozenset(known))
+        assert caught.value.code == "bad_request" and caught.value.frame_id == 7
+    for wrong in ("head", [1], {}, True):
+        assert refused(GOOD | {"hide": wrong}, "bad_field")
+
+
+def test_the_box_is_asked_for():
+    assert decode(GOOD | {"box": True}).box and not decode(GOOD).box
+    assert refused(GOOD | {"box": 1}, "bad_field") and refused(GOOD | {"mirror": "yes"}, "bad_field")
 
 
 def test_the_mirror_reflects_the_world():

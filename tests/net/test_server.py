@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from glsplat.errors import ContextError, GlsplatError, ProtocolError
-from glsplat.net.backend import Solved
+from glsplat.net.backend import Offered, Solved
 from glsplat.net.client import Client
 from glsplat.net.guard.access import Access
 from glsplat.net.messages import WireOptions
@@ -192,7 +192,7 @@ def test_tracking_goes_through_the_sessions_own_solver(serve, fake_backend):
     made = []
 
     class Solver:
-        def __init__(self, height):
+        def __init__(self, height, span):
             self.height, self.calls = height, []
             made.append(self)
 
@@ -203,7 +203,7 @@ def test_tracking_goes_through_the_sessions_own_solver(serve, fake_backend):
     tracking = {"head": [0, 1.6, 0, 0, 0, 0, 1], "left": None, "right": [0.3, 1, 0, 0, 0, 0, 1]}
 
     async def main():
-        async with serve(backend, solver=Solver) as server:
+        async with serve(backend, offered=[Offered(name="default", solver=Solver)]) as server:
             async with Client(server.url) as one, Client(server.url, height=1.8) as two:
                 await one.render(tracking=tracking)
                 await two.render(tracking=tracking)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from glsplat.errors import PoseError
-from glsplat.net.backend import Solved
+from glsplat.net.backend import Offered, Solved
 from glsplat.net.client import Client
 from glsplat.net.guard.limits import Limits
 from glsplat.net.messages import RenderRequest
@@ -103,12 +103,12 @@ class Gated:
 def test_others_are_drawn_while_a_sample_is_solved(serve, fake_backend, cameras):
     solvers = []
 
-    def make(height):
+    def make(height, span):
         solvers.append(Gated())
         return solvers[-1]
 
     async def main():
-        async with serve(fake_backend(), solver=make) as server:
+        async with serve(fake_backend(), offered=[Offered(name="default", solver=make)]) as server:
             async with Client(server.url) as slow, Client(server.url) as other:
                 await slow.send(tracking=HEAD)
                 await asyncio.to_thread(solvers[0].begun.wait, 5)
@@ -128,7 +128,11 @@ def test_a_stream_of_samples_that_is_faster_than_the_solver_is_drawn_all_the_sam
 
     async def main():
         limits = Limits(samples=0.0, samples_burst=1.0)  # all others are put off until their picture is due
-        async with serve(fake_backend(), ServerConfig(port=0, limits=limits), solver=lambda height: solver) as server:
+        async with serve(
+            fake_backend(),
+            ServerConfig(port=0, limits=limits),
+            offered=[Offered(name="default", solver=lambda height, span: solver)],
+        ) as server:
             async with Client(server.url) as client:
 
                 async def stream():
@@ -153,13 +157,16 @@ def test_dropped_requests_are_solved_while_the_renderer_is_busy(serve, fake_back
     """The poses do not depend on what was drawn: the solver sees the same samples in the same order."""
     made = []
 
-    def make(height):
+    def make(height, span):
         made.append(Solver())
         return made[-1]
 
     async def main(delay):
         backend = fake_backend(delay=delay)
-        async with serve(backend, solver=make) as server, Client(server.url) as client:
+        async with (
+            serve(backend, offered=[Offered(name="default", solver=make)]) as server,
+            Client(server.url) as client,
+        ):
             last = 0
             for i in range(24):
                 last = await client.send(tracking={"head": [i / 100, 1.6, 0, 0, 0, 0, 1]})

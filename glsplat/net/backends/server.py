@@ -2,23 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import partial
 
 from glsplat.avatar import Avatar
 from glsplat.config import RenderConfig
+from glsplat.errors import PoseError
 from glsplat.formats.scene_file import SceneFile
-from glsplat.net.backend import Backend, PoseSolver
+from glsplat.net.backend import Backend, Offered
 from glsplat.net.backends.gl import MAX_COST, MAX_TIME, RendererBackend
 from glsplat.net.backends.process import ProcessBackend
 from glsplat.net.backends.tracking import TrackingSolver
+from glsplat.net.messages import PARTS
 from glsplat.net.server import Server, ServerConfig
 from glsplat.scene import Shown
-from glsplat.skinning.skeleton import Skeleton
-from glsplat.skinning.smplx import JOINT_NAMES
-from glsplat.tracking.calibration import Calibration
+from glsplat.tracking.calibration import EYES_OF_STATURE, Calibration
+from glsplat.tracking.solve.body import Body
 
-__all__ = ["make_server", "solver_of"]
+__all__ = ["make_server", "offered"]
 
 
 def make_server(
@@ -41,24 +41,31 @@ def make_server(
     config = config or ServerConfig()
     file = scene if isinstance(scene, SceneFile) else SceneFile.of(scene)
     item = file.avatar
-    skeleton = item.content.skeleton if item is not None and isinstance(item.content, Avatar) else None
+    avatar = item.content if item is not None and isinstance(item.content, Avatar) else None
     draw = partial(RendererBackend, file.scene, config.wire.size, device, rendering, *budget)
     if file.motions:  # in one pickle with the scene, so that the items are the same
         draw = partial(draw, pose_at=file.pose_at)
     backend: Backend = ProcessBackend(draw, config.wire.max_side, budget[1]) if own_process else draw()
-    return Server(backend, config, solver=solver_of(skeleton, calibration), skeleton=skeleton)
+    return Server(backend, config, [offered("default", avatar, calibration)])
 
 
-def solver_of(
-    skeleton: Skeleton | None, calibration: Calibration | None = None
-) -> Callable[[float | None], PoseSolver] | None:
-    """What makes a client's solver from its user's height in metres (None: as calibrated); None for other rigs."""
-    if skeleton is None or skeleton.names != JOINT_NAMES:
-        return None
+def offered(name: str, avatar: Avatar | None, calibration: Calibration | None = None) -> Offered:
+    """What clients may ask of an avatar; None: of a scene without one whose pose they may set.
+
+    ``calibration`` is of users who tell neither height nor arm span. Tracking is solved for SMPL-X's rig.
+    """
+    if avatar is None:
+        return Offered(name=name)
+    skeleton = avatar.skeleton
+    parts = frozenset(part for part in PARTS if part in skeleton.names)
+    try:
+        height = Body.of(skeleton).eye_height / EYES_OF_STATURE
+    except PoseError:  # another rig
+        return Offered(name=name, skeleton=skeleton, parts=parts)
     base = calibration or Calibration()
 
-    def solver(height: float | None) -> TrackingSolver:
+    def solver(height: float | None, span: float | None) -> TrackingSolver:
         fitted = base if height is None else Calibration.of_height(skeleton, height, base.floor)
-        return TrackingSolver(skeleton, fitted)
+        return TrackingSolver(skeleton, fitted if span is None else fitted.with_span(skeleton, span))
 
-    return solver
+    return Offered(name=name, skeleton=skeleton, solver=solver, height=height, parts=parts)

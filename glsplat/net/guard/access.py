@@ -63,11 +63,11 @@ class Access:
                 return None
         return 421, "this server does not go by that name: start it with --allow-host NAME to allow it"
 
-    def refusal(self, headers: Mapping[str, str]) -> tuple[int, str] | None:
-        """None to let a request in, else the HTTP status and one line of text."""
+    def refusal(self, headers: Mapping[str, str], public: bool = False) -> tuple[int, str] | None:
+        """None to let a request in, else the HTTP status and one line of text. ``public``: no token is needed."""
         if not self._origin_allowed(headers.get("Origin"), headers.get("Host", "")):
             return 403, "this page may not use the server: start it with --origin to allow it"
-        if self.token is not None and not self._token_given(headers):
+        if not public and self.token is not None and not self._token_given(headers):
             return 401, "a token is needed: Authorization: Bearer TOKEN, or the subprotocols glsplat.v1, token.TOKEN"
         return None
 

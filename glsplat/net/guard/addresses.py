@@ -38,9 +38,9 @@ class Addresses:
     def __len__(self) -> int:
         return len(self._table)
 
-    def visit(self, key: str, now: float) -> bool:
-        """Count a connection or an HTTP request; False: too many."""
-        return self._at(key, now).visits.take(now)
+    def visit(self, key: str, now: float, part: float = 1.0) -> bool:
+        """Count a connection or an HTTP request, or as ``part`` of one; False: too many."""
+        return self._at(key, now).visits.take(now, part)
 
     def enter(self, key: str, now: float) -> Purse | None:
         """A client's purse, the fullest that is free; None: the address has as many clients as it may."""

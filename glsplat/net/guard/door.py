@@ -137,12 +137,13 @@ class Door:
             return None
         if (seconds := addresses.held_off(key, now)) > 0:
             return _later(seconds, "a client of this address broke a limit (docs/protocol.md, section 5)")
-        if not addresses.visit(key, now):
+        public = _is_page(request)
+        if not addresses.visit(key, now, self.limits.file if public else 1.0):
             return _later(1.0, f"at most {self.limits.visits:g} connections and requests a second from one address")
-        guesses = access.token is not None and access.offers_token(request.headers)
+        guesses = not public and access.token is not None and access.offers_token(request.headers)
         if guesses and (seconds := addresses.no_guess(key, now)) > 0:
             return _later(seconds, "too many wrong tokens from this address")
-        refusal = access.refusal(request.headers)
+        refusal = access.refusal(request.headers, public)
         if refusal is None:
             return None
         if refusal[0] == 401 and guesses:
@@ -157,6 +158,12 @@ def connection_of(request: web.Request) -> Connection:
     connection = request.protocol
     assert isinstance(connection, Connection)
     return connection
+
+
+def _is_page(request: web.Request) -> bool:
+    """Whether a file of the page will answer: by what the address led to, not by how it is spelled."""
+    resource = request.match_info.route.resource
+    return resource is not None and resource.canonical in ("/vr", "/vr/{path}")
 
 
 def _is_handshake(request: web.Request, ws: web.WebSocketResponse) -> bool:

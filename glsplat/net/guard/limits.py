@@ -34,6 +34,7 @@ class Limits:
     per_address: int | None = None  # clients of one address; None: half of max_clients, all of them on loopback
     visits: float = 10.0  # connections and HTTP requests a second of one address
     visits_burst: float = 50.0
+    file: float = 0.1  # of a visit, for a file of the page (/vr), which has a few dozen of them
     waiting: int = 64  # connections of all addresses that are not, or not yet, clients
     head: int = 64 * 1024  # bytes before a request is whole, or between one and the next
     guesses: int = 5  # wrong tokens of one address before the hold-off begins at 1 s

@@ -14,7 +14,7 @@ import pytest
 
 import glsplat
 from glsplat.errors import BudgetError, ContextError, ContextLostError
-from glsplat.net.backend import Rendered
+from glsplat.net.backend import Offered, Rendered
 from glsplat.net.backends.gl import RendererBackend
 from glsplat.net.backends.process import ProcessBackend
 from glsplat.net.client import Client
@@ -119,7 +119,10 @@ def test_a_real_picture_that_costs_too_much(serve):
     backend = RendererBackend(avatar, (64, 64))
 
     async def main():
-        async with serve(backend, skeleton=skeleton) as server, aiohttp.ClientSession() as http:
+        async with (
+            serve(backend, offered=[Offered(name="default", skeleton=skeleton)]) as server,
+            aiohttp.ClientSession() as http,
+        ):
             async with http.ws_connect(server.url) as ws:
                 start = time.perf_counter()
                 code = await ask(ws, 1, eyes=[eye, eye], size=[2048, 2048], pose=pose)

@@ -19,6 +19,7 @@ from glsplat.net.client import Client
 from glsplat.net.guard.access import Access, certificate_names, machine_names, server_tls
 from glsplat.net.guard.connection import Connection
 from glsplat.net.guard.limits import Limits
+from glsplat.net.pages import routes
 from glsplat.net.server import ServerConfig
 from glsplat.net.session import SessionConfig
 from tests.net.wire import UPGRADE, frame, native, raw, still_serves
@@ -378,8 +379,8 @@ def test_a_handshake_followed_by_a_reset_logs_nothing_much(serve, cameras, lines
 def test_a_fault_of_the_server_is_one_line_with_its_place(serve, lines, monkeypatch):
     async def main():
         async with serve() as server:
-            monkeypatch.setattr(server, "stats", lambda: {}[SECRET])
-            return [status(await ask(server.port, get())) for _ in range(5)]
+            monkeypatch.setattr(routes, "page_html", lambda *_: {}[SECRET])
+            return [status(await ask(server.port, get("/"))) for _ in range(5)]
 
     assert asyncio.run(main()) == [500] * 5
     assert len(lines()) == 1 and re.search(r"KeyError at test_door\.py:\d+$", lines()[0])

@@ -64,6 +64,7 @@ td,th{{padding:.15rem .8rem;text-align:right;border-bottom:1px solid #ccc}}</sty
 {stats["totals"]["sent"]} pictures sent, {stats["fps"]:.1f} a second,
 {len(stats["clients"])} of {stats["max_clients"]} clients, {"healthy" if stats["healthy"] else "failing"}.</p>
 <h2>Connect</h2>
+<p>To see it, here or in a headset: <a href="vr/">the viewer</a>.</p>
 <p>The WebSocket is <code>{url}</code>; what it speaks is in docs/protocol.md. To measure it, from a terminal:</p>
 <pre>glsplat replay --url {url}{options}</pre>
 <p>To look at what it draws:</p>

@@ -1,0 +1,72 @@
+"""Every address of the server but the WebSocket's: which answers it, and what it says."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from functools import cache
+from importlib import resources
+from typing import Any
+
+from aiohttp import web
+
+from glsplat.motion.motion import embedded_motions
+from glsplat.net.pages.site import File, Site
+from glsplat.net.pages.status import metrics_text, page_html
+
+__all__ = ["Pages"]
+
+Numbers = Callable[[], Mapping[str, Any]]
+
+_RECORDING = "recording.jsonl"
+
+
+class Pages:
+    """``stats`` gives the numbers of /stats, ``offer`` what /session says; ``healthy`` is asked for /healthz."""
+
+    def __init__(self, stats: Numbers, offer: Numbers, healthy: Callable[[], bool], tls: bool) -> None:
+        self._stats, self._offer, self._healthy, self._tls = stats, offer, healthy, tls
+
+    def routes(self) -> list[web.RouteDef]:
+        """What the application is made of."""
+        return [
+            web.get("/", self._status),
+            web.get("/healthz", self._healthz),
+            web.get("/stats", self._numbers),
+            web.get("/metrics", self._metrics),
+            web.get("/session", self._session),
+            web.get("/motions/{name}", self._motion),
+            web.get("/recording", self._recording),
+            *Site(resources.files("glsplat.net") / "web").routes(),
+        ]
+
+    async def _healthz(self, request: web.Request) -> web.Response:
+        healthy = self._healthy()
+        return web.Response(status=200 if healthy else 503, text="ok\n" if healthy else "not ready\n")
+
+    async def _numbers(self, request: web.Request) -> web.Response:
+        return web.json_response(self._stats())
+
+    async def _metrics(self, request: web.Request) -> web.Response:
+        return web.Response(text=metrics_text(self._stats()), content_type="text/plain", charset="utf-8")
+
+    async def _status(self, request: web.Request) -> web.Response:
+        url = f"{'wss' if self._tls else 'ws'}://{request.host}/ws"
+        return web.Response(text=page_html(self._stats(), url), content_type="text/html")
+
+    async def _session(self, request: web.Request) -> web.Response:
+        embedded = {"motions": embedded_motions(), "recording": True}
+        return web.json_response({"v": 1, **self._offer(), **embedded})
+
+    async def _motion(self, request: web.Request) -> web.Response:
+        name = request.match_info["name"]
+        if name not in embedded_motions():
+            return web.Response(status=404, text=f"the motions here are {', '.join(embedded_motions())}\n")
+        return _embedded(f"{name}.json").answer(request)
+
+    async def _recording(self, request: web.Request) -> web.Response:
+        return _embedded(_RECORDING).answer(request)
+
+
+@cache
+def _embedded(name: str) -> File:
+    return File(resources.files("glsplat.data") / name)

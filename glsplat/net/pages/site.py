@@ -1,0 +1,88 @@
+"""The page for headsets (/vr): the files of glsplat/net/web, read once and served from memory.
+
+They are the same for everybody and say nothing about the scene or the clients, so they need no token.
+"""
+
+from __future__ import annotations
+
+from hashlib import sha256
+from importlib.resources.abc import Traversable
+
+from aiohttp import web
+
+__all__ = ["File", "Site"]
+
+_TYPES = {
+    "html": "text/html",
+    "css": "text/css",
+    "js": "text/javascript",
+    "json": "application/json",
+    "jsonl": "application/jsonl",
+    "svg": "image/svg+xml",
+    "png": "image/png",
+    "jpg": "image/jpeg",
+    "ico": "image/x-icon",
+}
+_TEXT = ("html", "css", "js", "json", "jsonl", "svg")
+
+_HEADERS = {
+    "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; "
+    "worker-src 'self'; img-src 'self' blob:; base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
+    "Cross-Origin-Opener-Policy": "same-origin",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Referrer-Policy": "no-referrer",
+    "Permissions-Policy": "xr-spatial-tracking=(self)",
+}
+
+
+class File:
+    """One file in memory. Browsers keep it and ask each time whether it is still the same (ETag)."""
+
+    def __init__(self, source: Traversable) -> None:
+        suffix = source.name.rpartition(".")[2]
+        self.body: bytes = source.read_bytes()
+        self.etag: str = sha256(self.body).hexdigest()[:32]
+        self._type = _TYPES[suffix] + ("; charset=utf-8" if suffix in _TEXT else "")
+
+    def answer(self, request: web.Request) -> web.Response:
+        """200 with the file, or 304 to a browser that has it."""
+        headers = {"ETag": f'"{self.etag}"', "Cache-Control": "no-cache"}
+        if any(tag.value in (self.etag, "*") for tag in request.if_none_match or ()):
+            return web.Response(status=304, headers=headers)
+        return web.Response(body=self.body, headers={**headers, "Content-Type": self._type})
+
+
+class Site:
+    """A folder and what lies in it, looked up by name: no path of a request ever reaches the disk."""
+
+    def __init__(self, folder: Traversable) -> None:
+        self.files: dict[str, File] = dict(_read(folder, ""))
+
+    def routes(self) -> list[web.RouteDef]:
+        """/vr, /vr/ and what lies under it."""
+        return [web.get("/vr", self._without_slash), web.get("/vr/{path:.*}", self._file)]
+
+    async def _without_slash(self, request: web.Request) -> web.Response:
+        """The page's own addresses are relative, also behind a proxy that serves it under another path."""
+        query = request.rel_url.raw_query_string
+        return web.Response(status=308, headers={"Location": "vr/" + (f"?{query}" if query else "")})
+
+    async def _file(self, request: web.Request) -> web.Response:
+        file = self.files.get(request.match_info["path"] or "index.html")
+        if file is None:
+            response = web.Response(status=404, text="there is no such file\n")
+        else:
+            response = file.answer(request)
+        response.headers.update(_HEADERS)
+        return response
+
+
+def _read(folder: Traversable, prefix: str) -> list[tuple[str, File]]:
+    """The files of known types by their paths in the folder."""
+    found: list[tuple[str, File]] = []
+    for entry in folder.iterdir():
+        if entry.is_dir():
+            found += _read(entry, f"{prefix}{entry.name}/")
+        elif entry.name.rpartition(".")[2] in _TYPES:
+            found.append((prefix + entry.name, File(entry)))
+    return found

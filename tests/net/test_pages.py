@@ -1,0 +1,204 @@
+"""The pages beside the WebSocket: the files of /vr, what /session offers, the embedded motions; who may read them."""
+
+from __future__ import annotations
+
+import asyncio
+import http.client
+import json
+from contextlib import closing
+from importlib import resources
+from pathlib import Path
+
+import pytest
+
+from glsplat.net.backend import Offered
+from glsplat.net.client import Client
+from glsplat.net.guard.access import Access
+from glsplat.net.guard.limits import Limits
+from glsplat.net.messages import WireOptions
+from glsplat.net.pages.site import Site
+from glsplat.net.server import ServerConfig
+
+TOKEN = "0123456789abcdef"
+GUARDED = ServerConfig(port=0, access=Access(token=TOKEN))
+WEB = Path(str(resources.files("glsplat.net") / "web"))
+
+
+def ask(serve, *requests, config=None, **options):
+    """(status, headers, body) of each (method, path, headers), sent byte for byte, one connection."""
+
+    def talk(port):
+        connection = http.client.HTTPConnection("127.0.0.1", port, timeout=5)
+        answers = []
+        for method, path, headers in requests:
+            connection.request(method, path, headers=headers)
+            response = connection.getresponse()
+            answers.append((response.status, response.headers, response.read()))
+        connection.close()
+        return answers
+
+    async def main():
+        async with serve(config=config, **options) as server:
+            return await asyncio.to_thread(talk, server.port)
+
+    return asyncio.run(main())
+
+
+def test_every_file_of_the_page_is_served_without_a_token(serve):
+    paths = sorted(p.relative_to(WEB).as_posix() for p in WEB.rglob("*") if p.is_file())
+    assert "index.html" in paths
+    answers = ask(serve, *(("GET", f"/vr/{path}", {}) for path in ["", *paths]), config=GUARDED)
+    assert answers[0][2] == (WEB / "index.html").read_bytes()
+    types = {"html": "text/html", "css": "text/css", "js": "text/javascript", "svg": "image/svg+xml"}
+    for path, (status, headers, body) in zip(paths, answers[1:], strict=True):
+        assert status == 200 and body == (WEB / path).read_bytes(), path
+        assert headers["Content-Type"].split(";")[0] == types.get(path.rpartition(".")[2], headers["Content-Type"])
+        assert headers["X-Content-Type-Options"] == "nosniff" and headers["Referrer-Policy"] == "no-referrer"
+        assert headers["Cross-Origin-Opener-Policy"] == headers["Cross-Origin-Resource-Policy"] == "same-origin"
+        assert headers["Permissions-Policy"] == "xr-spatial-tracking=(self)"
+        policy = dict(part.strip().split(" ", 1) for part in headers["Content-Security-Policy"].split(";"))
+        assert policy.pop("img-src") == "'self' blob:" and "unsafe" not in str(policy)
+        assert policy.pop("default-src") == policy["base-uri"] == policy["frame-ancestors"] == "'none'"
+        assert policy["script-src"] == policy["connect-src"] == policy["worker-src"] == "'self'"
+
+
+def test_a_browser_that_has_a_file_is_not_sent_it_again(serve):
+    ((_, headers, body),) = ask(serve, ("GET", "/vr/index.html", {}))
+    tag = headers["ETag"]
+    again, other, head, head_again = ask(
+        serve,
+        ("GET", "/vr/index.html", {"If-None-Match": f'"x", {tag}'}),
+        ("GET", "/vr/index.html", {"If-None-Match": '"x"'}),
+        ("HEAD", "/vr/index.html", {}),
+        ("HEAD", "/vr/index.html", {"If-None-Match": tag}),
+    )
+    assert again[0] == head_again[0] == 304 and not again[2] and again[1]["ETag"] == tag
+    assert "Content-Security-Policy" in again[1] and again[1]["Cache-Control"] == "no-cache"
+    assert other[0] == 200 and other[2] == body
+    assert head[0] == 200 and head[2] == b"" and int(head[1]["Content-Length"]) == len(body)
+
+
+def test_the_address_without_a_slash_leads_to_the_page_and_keeps_what_was_asked(serve):
+    plain, asking = ask(serve, ("GET", "/vr", {}), ("GET", "/vr?view=mirror&x=%0d%0aA:b", {}), config=GUARDED)
+    assert plain[0] == asking[0] == 308
+    assert plain[1]["Location"] == "vr/"  # relative: a proxy may serve it under another path
+    assert asking[1]["Location"] == "vr/?view=mirror&x=%0D%0AA:b" or "%0d%0a" in asking[1]["Location"]
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        *("/vr/../stats", "/vr/..%2fstats", "/vr/%2e%2e/stats", "/vr/./../session", "//vr/../stats", "/vr//../stats"),
+        *(
+            "/vr/%2e%2e%2f__init__.py",
+            "/vr/../pump.py",
+            "/vr//etc/passwd",
+            "/vr/index.html%00.js",
+            "/vr/.",
+            "/vr/\\stats",
+        ),
+        *("/motions/../stats", "/motions/..%2fidle", "/motions/idle.json", "/motions/%2e%2e%2fdata%2fidle", "/vrx"),
+    ],
+)
+def test_no_path_leads_out_of_the_page_or_around_the_token(serve, path):
+    ((status, _, body),) = ask(serve, ("GET", path, {}), config=GUARDED)
+    assert status in (400, 401, 404), (status, body)
+    ((status, _, body),) = ask(serve, ("GET", path, {"Authorization": f"Bearer {TOKEN}"}), config=GUARDED)
+    assert status == 404 or (status == 200 and path.endswith(("stats", "session")) and body.startswith(b"{"))
+
+
+def test_other_addresses_want_the_token_and_other_pages_get_nothing(serve):
+    secret = {"Authorization": f"Bearer {TOKEN}"}
+    for path in ("/session", "/motions/idle", "/recording", "/stats"):
+        without, with_token, foreign = ask(
+            serve,
+            ("GET", path, {}),
+            ("GET", path, secret),
+            ("GET", path, secret | {"Origin": "http://evil.example"}),
+            config=GUARDED,
+        )
+        assert (without[0], with_token[0], foreign[0]) == (401, 200, 403)
+    foreign, posted = ask(
+        serve, ("GET", "/vr/", {"Origin": "http://evil.example"}), ("POST", "/vr/", {}), config=GUARDED
+    )
+    assert foreign[0] == 403 and posted[0] == 401
+
+
+def test_wrong_tokens_on_the_page_are_no_guesses(serve):
+    """A browser that asked for the status page sends what it was given to every address."""
+    wrong = {"Authorization": "Bearer wrong-wrong-wrong"}
+    answers = ask(serve, *[("GET", "/vr/", wrong)] * 20, ("GET", "/stats", wrong), config=GUARDED)
+    assert [a[0] for a in answers] == [200] * 20 + [401]
+
+
+def test_a_page_of_many_files_costs_a_few_visits(serve):
+    limits = Limits(visits=0.001, visits_burst=10)
+    answers = ask(serve, *[("GET", "/vr/", {})] * 89, config=ServerConfig(port=0, limits=limits))
+    assert {a[0] for a in answers} == {200}  # the connection itself is one
+    answers = ask(serve, *[("GET", "/session", {})] * 10, config=ServerConfig(port=0, limits=limits))
+    assert [a[0] for a in answers] == [200] * 9 + [429]
+
+
+def test_what_the_server_offers(serve):
+    offered = [
+        Offered(name="ann", solver=lambda height, span: None, height=1.71234567, parts=frozenset({"head"})),
+        Offered(name="a room"),
+    ]
+    config = ServerConfig(port=0, max_clients=1, wire=WireOptions(size=(640, 480), quality=70))
+
+    def session(port):
+        connection = http.client.HTTPConnection("127.0.0.1", port, timeout=5)
+        with closing(connection):
+            connection.request("GET", "/session")
+            return json.loads(connection.getresponse().read())
+
+    async def main():
+        async with serve(config=config, offered=offered) as server:
+            before = await asyncio.to_thread(session, server.port)
+            async with Client(server.url):
+                return before, await asyncio.to_thread(session, server.port)
+
+    before, during = asyncio.run(main())
+    assert before == {
+        "v": 1,
+        "avatars": [
+            {"name": "ann", "height": 1.7123, "tracking": True, "head": True},
+            {"name": "a room", "height": None, "tracking": False, "head": False},
+        ],
+        "motions": ["idle", "walk", "wave-and-turn"],
+        "recording": True,
+        "max_side": 2048,
+        "size": [640, 480],
+        "quality": 70,
+        "window": 2,
+        "clients": 0,
+        "max_clients": 1,
+        "full": False,
+        "driver": "numpy <fake>",
+    }
+    assert during == before | {"clients": 1, "full": True}
+
+
+def test_motions_and_recording_are_the_files_of_the_package(serve):
+    data = resources.files("glsplat.data")
+    names = ["idle", "walk", "wave-and-turn"]
+    *motions, recording, unknown = ask(
+        serve,
+        *(("GET", f"/motions/{name}", {}) for name in names),
+        ("GET", "/recording", {}),
+        ("GET", "/motions/x", {}),
+    )
+    for name, (status, headers, body) in zip(names, motions, strict=True):
+        assert status == 200 and body == (data / f"{name}.json").read_bytes()
+        assert headers["Content-Type"].startswith("application/json")
+        assert json.loads(body)["fps"] > 0 and json.loads(body)["frames"]
+    assert recording[2] == (data / "recording.jsonl").read_bytes()
+    assert recording[1]["Content-Security-Policy"].startswith("default-src 'none'")
+    assert unknown[0] == 404 and b"idle, walk" in unknown[2] and b"/x" not in unknown[2]
+
+
+def test_only_files_of_known_types_are_read(tmp_path):
+    for name in ("index.html", "a/b.js", "notes.md", ".hidden", "a/c"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text("x")
+    assert sorted(Site(tmp_path).files) == ["a/b.js", "index.html"]
