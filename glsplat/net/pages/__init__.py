@@ -1,0 +1,1 @@
+"""What the server says over plain HTTP: the page for headsets, the status page, numbers, what it offers."""
