@@ -7,7 +7,19 @@ import sys
 
 import pytest
 
-HEAVY = ("cv2", "trimesh", "scipy", "matplotlib", "PIL", "aiohttp", "simplejpeg", "glfw", "moderngl")
+HEAVY = (
+    "cv2",
+    "trimesh",
+    "scipy",
+    "matplotlib",
+    "PIL",
+    "aiohttp",
+    "simplejpeg",
+    "glfw",
+    "moderngl",
+    "cryptography",
+    "segno",
+)
 
 NEEDED = {
     "import glsplat": set(),

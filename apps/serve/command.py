@@ -6,13 +6,14 @@ import argparse
 import asyncio
 import json
 import logging
+import sys
 from pathlib import Path
 
 from glsplat.camera import PAPER_FOV, PAPER_IPD
 from glsplat.config import RenderConfig
 from glsplat.net.backends.gl import MAX_COST, MAX_TIME
 from glsplat.net.backends.server import make_server
-from glsplat.net.guard.access import Access, is_loopback, read_token
+from glsplat.net.guard.access import Access
 from glsplat.net.guard.limits import Limits
 from glsplat.net.messages import WireOptions
 from glsplat.net.server import ServerConfig
@@ -22,6 +23,8 @@ from glsplat.tracking.calibration import Calibration
 from ..args import add_scene, open_scene, size
 from ..logs import add_log_format, start_logging
 from ..usage import UsageError
+from .keys import Keys, add_keys, keys_of
+from .ready import Place, add_ready, announce, open_page
 
 HELP = (
     "Serve pictures of an avatar to headsets and other clients over a WebSocket (docs/protocol.md). "
@@ -72,22 +75,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--cull-hidden", action="store_true", help="leave out splats no eye can see: faster, 45 dB")
     parser.add_argument("--calibration", type=Path, metavar="FILE", help="of the users whose tracking is sent")
-    parser.add_argument("--tls-cert", type=Path, metavar="PEM", help="certificate; makes it wss:// and https://")
-    parser.add_argument("--tls-key", type=Path, metavar="PEM", help="its key")
-    parser.add_argument("--token-file", type=Path, metavar="FILE", help="clients need the token in this file")
+    add_keys(parser)
     parser.add_argument("--origin", action="append", default=[], help="web page that may connect; may be repeated")
     parser.add_argument(
         "--allow-host", action="append", default=[], metavar="NAME", help="name it goes by; may be repeated, *.NAME too"
     )
     parser.add_argument("--insecure", action="store_true", help="listen beyond this machine without TLS and token")
     parser.add_argument("--device", help="EGL device: index or part of its name (also GLSPLAT_DEVICE)")
-    parser.add_argument("--json", action="store_true", help="print address and driver as a JSON line once ready")
+    add_ready(parser)
     add_log_format(parser)
     parser.add_argument("--verbose", action="store_true", help="log tracebacks of failed pictures")
 
 
-def server_config(args: argparse.Namespace) -> ServerConfig:
-    """The checked configuration. Raises GlsplatError naming the option that does not fit."""
+def check(args: argparse.Namespace) -> None:
+    """Raises UsageError naming the option that does not fit."""
     limits = {
         "--port": (args.port, 0, 65535),
         "--max-size": (args.max_size, 1, 8192),
@@ -104,28 +105,32 @@ def server_config(args: argparse.Namespace) -> ServerConfig:
         raise UsageError("--max-cost needs a number of pixels above 0 and --max-time 0.1 to 600 s")
     if not 0 <= args.ipd <= 0.2 or not 1 <= args.fov <= 170:
         raise UsageError("--ipd needs 0 to 0.2 m and --fov 1 to 170 degrees")
-    pixels = args.size or (min(1024, args.max_size),) * 2
-    if max(pixels) > args.max_size:
+    if max(_pixels(args)) > args.max_size:
         raise UsageError(f"--size needs at most {args.max_size} a side; raise --max-size to allow more")
-    if (args.tls_cert is None) != (args.tls_key is None):
-        raise UsageError("TLS needs both --tls-cert and --tls-key")
-    tls = None if args.tls_cert is None else (args.tls_cert, args.tls_key)
-    token = None if args.token_file is None else read_token(args.token_file)
+
+
+def server_config(args: argparse.Namespace, keys: Keys | None = None) -> ServerConfig:
+    """The checked configuration, with TLS and token of ``keys``, else those that the arguments name.
+
+    Raises GlsplatError naming the option or the file that does not fit.
+    """
+    check(args)
+    keys = keys_of(args) if keys is None else keys
     access = Access(
         host=args.host,
-        token=token,
-        tls=tls is not None,
+        token=keys.token,
+        tls=keys.tls is not None,
         insecure=args.insecure,
         origins=tuple(args.origin),
         hosts=tuple(args.allow_host),
     )
     wire = WireOptions(
-        size=pixels, max_side=args.max_size, quality=args.quality, ipd=args.ipd, fov=args.fov, mirror=args.mirror
+        size=_pixels(args), max_side=args.max_size, quality=args.quality, ipd=args.ipd, fov=args.fov, mirror=args.mirror
     )
     return ServerConfig(
         access=access,
         port=args.port,
-        tls=tls,
+        tls=keys.tls,
         wire=wire,
         session=SessionConfig(window=args.window),
         limits=Limits(per_address=args.max_per_address, waiting=args.max_waiting),
@@ -134,23 +139,34 @@ def server_config(args: argparse.Namespace) -> ServerConfig:
     )
 
 
+def _pixels(args: argparse.Namespace) -> tuple[int, int]:
+    """Width and height of an eye where requests name none."""
+    return args.size or (min(1024, args.max_size),) * 2
+
+
 def run(args: argparse.Namespace) -> int:
     """Serve until SIGINT or SIGTERM; 0 after an orderly stop."""
-    config = server_config(args)
     start_logging(args.log_format, logging.INFO if args.verbose else logging.WARNING)
+    check(args)
+    keys = keys_of(args)
+    config = server_config(args, keys)
     scene = open_scene(args)
     calibration = Calibration.load(args.calibration) if args.calibration else Calibration()
     rendering, budget = RenderConfig(cull_hidden=args.cull_hidden), (args.max_cost, args.max_time)
     server = make_server(scene, config, args.device, calibration, rendering=rendering, budget=budget)
 
     def started() -> None:
-        if args.insecure and not is_loopback(args.host):
+        place = Place(args.host, server.port, keys)
+        if args.insecure and not place.local:
             logging.getLogger("glsplat.serve").warning("anybody who reaches this port can use it (--insecure)")
         if args.json:
-            print(json.dumps({"url": server.url, "port": server.port, "driver": server.pump.driver}), flush=True)
+            fields = {"url": server.url, "port": server.port, "driver": server.pump.driver}
+            print(json.dumps(fields | {"page": place.page(place.names[0])}), flush=True)
         else:
-            page = server.url.replace("ws", "http", 1).removesuffix("ws")
-            print(f"{config.scene} at {server.url} (status: {page}), drawn by {server.pump.driver}", flush=True)
+            print(f"{config.scene}, drawn by {server.pump.driver}")
+            announce(place, sys.stdout, args.qr)
+        if args.open:
+            open_page(place)
 
     asyncio.run(server.run(started))
     return 0

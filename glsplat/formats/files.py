@@ -90,18 +90,19 @@ def open_regular(source: Source) -> Iterator[tuple[BinaryIO, int]]:
         raise FormatError(f"{name!r}: cannot be read ({error})") from None
 
 
-def replace_file(target: Source, parts: Iterable[bytes | memoryview]) -> None:
+def replace_file(target: Source, parts: Iterable[bytes | memoryview], *, private: bool = False) -> None:
     """Write ``parts`` beside the path ``target`` and rename: the file is complete or, on any failure, as it was.
 
     A link is followed, a file that is there keeps its mode (and owner, where the system allows), a new one gets what
-    the umask says. An open file is written to from where it stands. Raises FormatError when this is refused.
+    the umask says. A ``private`` one is never readable for others, whatever it was. An open file is written to from
+    where it stands. Raises FormatError when this is refused.
     """
     name = name_of(target)
     try:
         if _is_open(target):
             _write_to(target, parts, name)  # type: ignore[arg-type]
         else:
-            _replace(Path(os.path.realpath(path_of(target))), parts)
+            _replace(Path(os.path.realpath(path_of(target))), parts, 0o700 if private else 0o777)
     except OSError as error:
         raise FormatError(f"{name}: cannot be written ({error.strerror or error})") from None
     except ValueError as error:
@@ -206,7 +207,8 @@ def _write_to(file: BinaryIO, parts: Iterable[bytes | memoryview], name: str) ->
             rest = rest[len(rest) if count is None else count :]
 
 
-def _replace(path: Path, parts: Iterable[bytes | memoryview]) -> None:
+def _replace(path: Path, parts: Iterable[bytes | memoryview], most: int) -> None:
+    """``most``: what of a file's mode is granted."""
     try:
         old = os.lstat(path)
     except FileNotFoundError:
@@ -219,14 +221,14 @@ def _replace(path: Path, parts: Iterable[bytes | memoryview]) -> None:
             raise PermissionError(13, "Permission denied")
     partial = path.parent / f".{secrets.token_hex(6)}.partial"
     try:
-        with open(partial, "xb") as file:
+        with open(partial, "xb", opener=lambda name, flags: os.open(name, flags, 0o666 & most)) as file:
             for part in parts:
                 file.write(part)
         if old is not None:
             if hasattr(os, "chown"):
                 with suppress(OSError):  # only root may give a file away
                     os.chown(partial, old.st_uid, old.st_gid)
-            os.chmod(partial, stat.S_IMODE(old.st_mode) & 0o777)
+            os.chmod(partial, stat.S_IMODE(old.st_mode) & most)
         os.replace(partial, path)
     except BaseException:
         partial.unlink(missing_ok=True)

@@ -154,6 +154,20 @@ def test_an_interrupted_write_cleans_up(tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
 
 
+def test_a_private_file_is_never_readable_for_others(tmp_path: Path) -> None:
+    path, seen = tmp_path / "key.pem", []
+
+    def parts():  # type: ignore[no-untyped-def]
+        seen.extend(p.stat().st_mode & 0o777 for p in tmp_path.iterdir() if p.suffix == ".partial")
+        yield b"secret"
+
+    replace_file(path, parts(), private=True)
+    assert path.stat().st_mode & 0o777 == 0o600
+    path.chmod(0o644)
+    replace_file(path, parts(), private=True)
+    assert path.stat().st_mode & 0o777 == 0o600 and seen == [0o600, 0o600]
+
+
 @pytest.mark.shared
 def test_real_scene_through_every_format(tmp_path: Path, shared_data: Path) -> None:
     scene = load(shared_data / "splats" / "demosthenes_10k.splat")

@@ -11,7 +11,6 @@ import base64
 import hmac
 import ipaddress
 import re
-import socket
 import ssl
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -20,7 +19,7 @@ from urllib.parse import urlsplit
 
 from glsplat.errors import GlsplatError
 
-__all__ = ["SUBPROTOCOL", "Access", "certificate_names", "is_loopback", "machine_names", "read_token", "server_tls"]
+__all__ = ["SUBPROTOCOL", "Access", "certificate_names", "is_loopback", "read_token", "server_tls"]
 
 SUBPROTOCOL = "glsplat.v1"
 TOKEN_PREFIX = "token."  # browsers cannot set headers on a WebSocket: they offer "glsplat.v1" and "token.SECRET"
@@ -42,8 +41,8 @@ class Access:
     def __post_init__(self) -> None:
         if not is_loopback(self.host) and not self.insecure and not (self.tls and self.token):
             raise GlsplatError(
-                f"{self.host} can be reached from other machines: give --tls-cert, --tls-key and --token-file, "
-                "or accept the risk with --insecure"
+                f"{self.host} can be reached from other machines: give --self-signed, or --tls-cert, --tls-key and "
+                "--token-file, or accept the risk with --insecure"
             )
 
     def wrong_host(self, given: Sequence[str]) -> tuple[int, str] | None:
@@ -108,12 +107,6 @@ def is_loopback(host: str) -> bool:
         return ipaddress.ip_address(host).is_loopback
     except ValueError:
         return False
-
-
-def machine_names() -> tuple[str, ...]:
-    """What other machines of a local network call this one: its host name, also with .local (mDNS)."""
-    name = socket.gethostname()
-    return (name, f"{name.partition('.')[0]}.local") if name else ()
 
 
 def certificate_names(cert: str | Path, server: ssl.SSLContext) -> tuple[str, ...]:

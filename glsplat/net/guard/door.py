@@ -12,11 +12,12 @@ from pathlib import Path
 
 from aiohttp import web
 
-from glsplat.net.guard.access import SUBPROTOCOL, Access, certificate_names, is_loopback, machine_names
+from glsplat.net.guard.access import SUBPROTOCOL, Access, certificate_names, is_loopback
 from glsplat.net.guard.addresses import Addresses
 from glsplat.net.guard.connection import Connection
 from glsplat.net.guard.limits import Limits, Purse
 from glsplat.net.guard.listener import Listener
+from glsplat.net.guard.machine import machine_names
 from glsplat.net.guard.meter import FrameMeter
 from glsplat.net.guard.notices import Notices
 

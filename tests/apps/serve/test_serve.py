@@ -73,6 +73,10 @@ def test_defaults_are_loopback_and_the_papers_setting():
         (["--size", 4096], "raise --max-size"),
         (["--fov", 180], "--fov 1 to 170"),
         (["--tls-cert", "a.pem"], "TLS needs both --tls-cert and --tls-key"),
+        (
+            ["--self-signed", "--tls-cert", "a.pem", "--tls-key", "b.pem"],
+            "--self-signed makes a certificate",
+        ),
         (["--token-file", "nowhere"], "nowhere: cannot read the token"),
     ],
 )

@@ -16,9 +16,10 @@ import pytest
 from aiohttp import web
 
 from glsplat.net.client import Client
-from glsplat.net.guard.access import Access, certificate_names, machine_names, server_tls
+from glsplat.net.guard.access import Access, certificate_names, server_tls
 from glsplat.net.guard.connection import Connection
 from glsplat.net.guard.limits import Limits
+from glsplat.net.guard.machine import machine_names
 from glsplat.net.pages import routes
 from glsplat.net.server import ServerConfig
 from glsplat.net.session import SessionConfig

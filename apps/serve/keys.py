@@ -1,0 +1,63 @@
+"""What proves the server to its clients and its clients to it: files that the user names, or that are made and kept."""
+
+from __future__ import annotations
+
+import argparse
+import logging
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from glsplat.net.guard.access import is_loopback, read_token
+from glsplat.net.guard.kept import TOKEN, kept_token, state_folder
+from glsplat.net.guard.machine import machine_names, reachable_at
+
+from ..usage import UsageError
+
+__all__ = ["Keys", "add_keys", "keys_of"]
+
+
+@dataclass(frozen=True, slots=True)
+class Keys:
+    """TLS and token of one server, each None where it has none."""
+
+    tls: tuple[Path, Path] | None = None  # certificate and key, PEM
+    token: str | None = field(default=None, repr=False)
+    token_file: Path | None = None
+    fingerprint: str | None = None  # of a certificate made here
+
+
+def add_keys(parser: argparse.ArgumentParser) -> None:
+    """--self-signed, --tls-cert, --tls-key, --token-file."""
+    parser.add_argument(
+        "--self-signed",
+        action="store_true",
+        help="make and keep a certificate for https and wss, and beyond this machine a token "
+        "($XDG_STATE_HOME/glsplat, ~/.local/state/glsplat); browsers ask once whether to trust it",
+    )
+    parser.add_argument("--tls-cert", type=Path, metavar="PEM", help="certificate; makes it wss:// and https://")
+    parser.add_argument("--tls-key", type=Path, metavar="PEM", help="its key")
+    parser.add_argument("--token-file", type=Path, metavar="FILE", help="clients need the token in this file")
+
+
+def keys_of(args: argparse.Namespace) -> Keys:
+    """What the arguments ask for, made where they say so. Raises UsageError, GlsplatError naming the file."""
+    if args.self_signed and (args.tls_cert or args.tls_key):
+        raise UsageError("--self-signed makes a certificate of its own; leave it out, or --tls-cert and --tls-key")
+    if (args.tls_cert is None) != (args.tls_key is None):
+        raise UsageError("TLS needs both --tls-cert and --tls-key")
+    token_file: Path | None = args.token_file
+    token = None if token_file is None else read_token(token_file)
+    if not args.self_signed:
+        return Keys(None if args.tls_cert is None else (args.tls_cert, args.tls_key), token, token_file)
+
+    from glsplat.net.guard.certificate import holds, kept_certificate  # here: it loads what others do not need
+
+    folder = state_folder()
+    names = (*args.allow_host, *filter(holds, machine_names()), *reachable_at(args.host))
+    kept = kept_certificate(folder, names)
+    if kept.remade:
+        log = logging.getLogger("glsplat.serve")
+        log.warning("a new certificate is made (%s): browsers ask once more", kept.remade)
+    if token is None and not is_loopback(args.host) and not args.insecure:
+        token, token_file = kept_token(folder), folder / TOKEN
+    return Keys((kept.path, kept.path), token, token_file, kept.fingerprint)

@@ -1,0 +1,121 @@
+"""What the terminal says once clients can connect: where the page is, how a headset gets there, what to trust."""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import shutil
+import threading
+import webbrowser
+from dataclasses import dataclass, field
+from typing import TextIO
+
+from glsplat.net.guard.access import is_loopback
+from glsplat.net.guard.machine import machine_names, reachable_at
+from glsplat.net.pages import qr
+
+from .keys import Keys
+
+__all__ = ["Place", "add_ready", "announce", "open_page"]
+
+log: logging.Logger = logging.getLogger("glsplat.serve")
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """Where a running server listens."""
+
+    host: str
+    port: int
+    keys: Keys = field(default_factory=Keys)
+
+    @property
+    def local(self) -> bool:
+        """True if only this machine reaches it."""
+        return is_loopback(self.host)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Addresses or names by which a browser reaches it, the best first; never empty."""
+        if self.host in ("127.0.0.1", "localhost"):
+            return ("localhost",)
+        return reachable_at(self.host) or machine_names()[-1:] or ("localhost",)
+
+    @property
+    def here(self) -> str:
+        """Its name for a browser on this machine."""
+        return "localhost" if self.host in ("0.0.0.0", "::") else self.names[0]
+
+    def url(self, name: str, path: str, scheme: str = "http") -> str:
+        """An address under a name; ``scheme`` is http or ws, with TLS https or wss."""
+        secure = "s" if self.keys.tls else ""
+        return f"{scheme}{secure}://{f'[{name}]' if ':' in name else name}:{self.port}{path}"
+
+    def page(self, name: str, *, token: bool = False) -> str:
+        """The page's address under a name; with the token behind ``#``, which browsers keep to themselves."""
+        return self.url(name, "/vr") + (f"#token={self.keys.token}" if token and self.keys.token else "")
+
+
+def add_ready(parser: argparse.ArgumentParser) -> None:
+    """--open, --qr, --json."""
+    parser.add_argument("--open", action="store_true", help="open the page in this machine's browser once ready")
+    parser.add_argument("--qr", action="store_true", help="print the page's address as a QR code (a terminal gets one)")
+    parser.add_argument("--json", action="store_true", help="print addresses and driver as a JSON line once ready")
+
+
+def announce(place: Place, out: TextIO, show_qr: bool) -> None:
+    """Print how to get to the page. The token is shown to people only: on a terminal, or with ``show_qr``."""
+    person = out.isatty()
+    name, *others = place.names
+    address = place.page(name, token=person or show_qr)
+    rows = [("page", address), ("status", place.url(name, "/")), ("WebSocket", place.url(name, "/ws", "ws"))]
+    if others:
+        rows.append(("also at", ", ".join(others)))
+    if place.local:
+        port = place.port
+        rows.append(("by cable", f"adb reverse tcp:{port} tcp:{port}, then the page in the headset's browser"))
+    elif not place.keys.tls:
+        rows.append(("no VR", "browsers offer it on https or localhost alone; --self-signed makes a certificate"))
+    if place.keys.fingerprint:
+        rows.append(("certificate", f"SHA-256 {place.keys.fingerprint}"))
+    if place.keys.token_file and not place.local:
+        rows.append(("token", f"in {place.keys.token_file}"))
+    for label, text in rows:
+        print(f"  {label:<12}{text}", file=out)
+    if person or show_qr:
+        _print_qr(address, out, person)
+    out.flush()
+
+
+def _print_qr(address: str, out: TextIO, person: bool) -> None:
+    lines, columns = qr.terminal(address)
+    if person and shutil.get_terminal_size().columns < columns:
+        print(f"  (no QR code: it needs a terminal of {columns} columns)", file=out)
+        return
+    text = "\n".join(lines)
+    try:
+        text.encode(out.encoding or "utf-8")
+    except UnicodeEncodeError:
+        print(f"  (no QR code: it needs UTF-8, this terminal has {out.encoding})", file=out)
+        return
+    print(text, file=out)
+
+
+def open_page(place: Place) -> threading.Thread:
+    """Open the page in this machine's browser, without waiting for it.
+
+    Without the token: a program's arguments can be read by everybody on the machine. The page asks for it.
+    """
+    address = place.page(place.here)
+
+    def work() -> None:
+        try:
+            opened = webbrowser.open(address)
+        except (webbrowser.Error, OSError):
+            opened = False
+        if not opened:
+            log.warning("--open: no browser could be started here; the page is %s", address)
+
+    thread = threading.Thread(target=work, name="open", daemon=True)
+    thread.start()
+    return thread

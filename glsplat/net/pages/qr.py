@@ -1,0 +1,30 @@
+"""QR codes of addresses: as SVG for the status page, as half blocks for the terminal. ``segno`` is loaded when used."""
+
+from __future__ import annotations
+
+__all__ = ["svg", "terminal"]
+
+_BORDER = 4  # modules of quiet zone, as ISO/IEC 18004 asks
+_BLOCKS = {(True, True): " ", (False, True): "▀", (True, False): "▄", (False, False): "█"}  # of upper and lower: dark?
+# white on black of the palette that no theme changes: light modules light, on every terminal's background
+_COLOURS, _END = "\x1b[38;5;231;48;5;16m", "\x1b[0m"
+
+
+def svg(text: str) -> str:
+    """An <svg> element to stand in HTML, black on white, four pixels a module; ``text`` is its title."""
+    import segno
+
+    code = segno.make(text, micro=False)
+    drawn: str = code.svg_inline(scale=4, border=_BORDER, light="#fff", svgclass=None, lineclass=None, title=text)
+    return drawn.replace("<svg ", '<svg role="img" ', 1)
+
+
+def terminal(text: str) -> tuple[list[str], int]:
+    """Lines for a terminal, two rows of modules each, with escape codes for their colours; and their columns."""
+    import segno
+
+    rows = [[bool(module) for module in row] for row in segno.make(text, micro=False).matrix_iter(border=_BORDER)]
+    rows.append([False] * len(rows[0]))  # their number is odd: half a line more of quiet zone
+    pairs = zip(rows[::2], rows[1::2], strict=True)
+    lines = [_COLOURS + "".join(map(_BLOCKS.__getitem__, zip(*pair, strict=True))) + _END for pair in pairs]
+    return lines, len(rows[0])

@@ -1,0 +1,118 @@
+"""Certificates and tokens that serve makes for itself, or is given."""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from apps.serve import command, keys
+from glsplat.camera import head_matrix, stereo_cameras
+from glsplat.net.client import Client
+from glsplat.net.guard import certificate
+from glsplat.net.guard.access import certificate_names, read_token, server_tls
+
+ROOT = Path(__file__).parents[3]
+BEYOND = ("--host", "0.0.0.0", "--self-signed")
+
+
+def arguments(*words):
+    parser = argparse.ArgumentParser()
+    command.add_arguments(parser)
+    return parser.parse_args([str(word) for word in words])
+
+
+def names_of(path):
+    return certificate_names(path, server_tls(path, path))
+
+
+def test_without_options_there_is_none(state):
+    assert keys.keys_of(arguments()) == keys.Keys()
+    assert not state.exists()
+
+
+def test_on_this_machine_a_certificate_is_made_and_no_token(state):
+    found = keys.keys_of(arguments("--self-signed"))
+    assert found.tls == (state / "glsplat" / certificate.KEY,) * 2
+    assert (found.token, found.token_file) == (None, None) and not (state / "glsplat" / "token").exists()
+    assert "localhost" in names_of(found.tls[0])
+
+
+def test_beyond_it_a_token_too_and_both_stay(state, monkeypatch):
+    monkeypatch.setattr(keys, "machine_names", lambda: ("Box", "box.local", "näme"))
+    monkeypatch.setattr(keys, "reachable_at", lambda host: ("192.0.2.7",) if host == "0.0.0.0" else ())
+    args = arguments(*BEYOND, "--allow-host", "lab.example")
+    found = keys.keys_of(args)
+    assert found.token_file == state / "glsplat" / "token" and found.token == read_token(found.token_file)
+    assert names_of(found.tls[0]) == ("localhost", "lab.example", "box", "box.local")
+    assert keys.keys_of(args) == found
+    assert found.token not in repr(found)
+    config = command.server_config(args)
+    assert (config.access.token, config.access.tls, config.tls) == (found.token, True, found.tls)
+
+
+def test_ones_own_token_is_taken(state, tmp_path):
+    path = tmp_path / "token"
+    path.write_text("correct-horse-battery\n")
+    found = keys.keys_of(arguments(*BEYOND, "--token-file", path))
+    assert (found.token, found.token_file) == ("correct-horse-battery", path)
+    assert not (state / "glsplat" / "token").exists()
+
+
+def test_insecure_means_no_token(state):
+    found = keys.keys_of(arguments(*BEYOND, "--insecure"))
+    assert found.tls is not None and found.token is None
+
+
+def test_nothing_is_made_for_a_command_that_is_wrong(state):
+    with pytest.raises(command.UsageError):
+        command.run(arguments(*BEYOND, "--port", 70000))
+    assert not state.exists()
+
+
+def test_why_a_certificate_is_made_anew_is_said(state, caplog):
+    keys.keys_of(arguments("--self-signed"))
+    assert caplog.messages == []
+    keys.keys_of(arguments("--self-signed", "--allow-host", "lab.example"))
+    assert caplog.messages == [
+        "a new certificate is made (the one that was kept lacks lab.example): browsers ask once more"
+    ]
+
+
+@pytest.mark.gl
+def test_a_server_beyond_this_machine_just_works(state):
+    """As a person would start it: ready, secure, and the token neither on standard output nor in the log."""
+    words = [sys.executable, "-m", "apps.cli", "serve", *BEYOND, "--port", "0", "--json", "--verbose", "--size", "64"]
+    process = subprocess.Popen(words, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    try:
+        line = process.stdout.readline()
+        ready, token = json.loads(line), read_token(state / "glsplat" / "token")
+        eyes = stereo_cameras(head_matrix((0, 1.0, 2.0), (0, 0, 0, 1)), size=(64, 64))
+
+        async def main():
+            url = f"wss://localhost:{ready['port']}/ws"
+            async with Client(url, token, cafile=state / "glsplat" / certificate.CERTIFICATE) as client:
+                return await client.render(eyes)
+
+        assert len(asyncio.run(main()).images()) == 2
+        process.send_signal(signal.SIGINT)
+        out, err = process.communicate(timeout=20)
+    finally:
+        process.kill()
+    assert process.returncode == 0 and token not in line + out + err
+    assert ready["page"].startswith("https://") and ready["page"].endswith(f":{ready['port']}/vr")
+
+
+def test_a_folder_that_cannot_be_written_is_one_line():
+    environment = os.environ | {"XDG_STATE_HOME": "/proc/nowhere"}
+    words = [sys.executable, "-m", "apps.cli", "serve", *BEYOND]
+    done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, timeout=60, env=environment)
+    assert done.returncode == 1 and done.stdout == "" and done.stderr.count("\n") == 1
+    assert done.stderr.startswith("glsplat serve: /proc/nowhere/glsplat: cannot be made (")

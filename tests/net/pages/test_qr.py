@@ -1,0 +1,66 @@
+"""QR codes are read back by OpenCV from a picture of what is shown."""
+
+from __future__ import annotations
+
+import re
+
+import cv2
+import numpy as np
+import pytest
+
+from glsplat.net.pages import qr
+
+TEXTS = (
+    "http://localhost:8000/vr",
+    "https://192.168.178.123:8000/vr#token=abcDEF_-9hijklmnopqrstuv",
+    "https://[2001:db8:1234:5678:9abc:def0:1234:5678]:8000/vr#token=abcDEF_-9hijklmnopqrstuv",
+)
+HALVES = {" ": (0, 0), "▀": (1, 0), "▄": (0, 1), "█": (1, 1)}
+
+
+def read(picture):
+    return cv2.QRCodeDetector().detectAndDecode(picture)[0]
+
+
+def screen(lines, ground):
+    """A terminal's window of 6x12 pixels a character, colours as escape codes say, ``ground`` everywhere else."""
+    colours = re.compile(r"\x1b\[38;5;(\d+);48;5;(\d+)m(.*)\x1b\[0m")
+    grey = {"231": 255, "16": 0}
+    rows = []
+    for line in lines:
+        fore, back, text = colours.fullmatch(line).groups()
+        for half in (0, 1):
+            rows.append([grey[fore] if HALVES[character][half] else grey[back] for character in text])
+    picture = np.kron(np.array(rows, np.uint8), np.ones((6, 6), np.uint8))
+    return np.pad(picture, 40, constant_values=ground)
+
+
+@pytest.mark.parametrize("text", TEXTS)
+@pytest.mark.parametrize("ground", [0, 40, 255])
+def test_a_terminals_code_is_read_on_any_ground(text, ground):
+    lines, columns = qr.terminal(text)
+    picture = screen(lines, ground)
+    assert {len(re.sub(r"\x1b\[[0-9;]*m", "", line)) for line in lines} == {columns}
+    assert read(picture) == text and picture[41, 41] == 255  # dark on light: not every reader takes the inverse
+
+
+@pytest.mark.parametrize("text", TEXTS)
+def test_the_pages_code_is_read(text):
+    """Drawn by hand: a path of moves and horizontal strokes."""
+    drawn = qr.svg(text)
+    assert drawn.startswith('<svg role="img" ') and f"<title>{text}</title>" in drawn and "style" not in drawn
+    size = int(re.search(r'width="(\d+)" height="\1"', drawn)[1]) // 4
+    picture, x, y = np.full((size, size), 255, np.uint8), 0, 0.0
+    path = re.search(r'stroke="#000" d="([^"]+)"', drawn)[1]
+    for command, numbers in re.findall(r"([Mmh])([-\d. ]+)", path):
+        values = [float(number) for number in re.findall(r"-?[\d.]+", numbers)]
+        if command == "h":
+            picture[int(y), int(x) : int(x + values[0])] = 0
+            x += values[0]
+        else:
+            x, y = (values[0], values[1]) if command == "M" else (x + values[0], y + values[1])
+    assert read(np.kron(picture, np.ones((4, 4), np.uint8))) == text
+
+
+def test_what_a_host_may_be_called_is_escaped():
+    assert "<title>&lt;b&gt;&amp;</title>" in qr.svg("<b>&")
