@@ -2,7 +2,7 @@
 
 import { axis, dot, place, subtract } from '../space/matrix.js';
 
-const PIXELS = { width: 512, row: 44, text: 24, edge: 16 };
+const PIXELS = { width: 512, row: 44, rows: 20, text: 24, edge: 16 };
 const INK = { ground: 'rgba(16,20,28,0.92)', text: '#e8edf5', dim: '#9fb0c8', hover: 'rgba(70,110,190,0.75)' };
 
 /** A label for `Painter.view` whose texture follows a canvas. */
@@ -39,7 +39,7 @@ export class Panel {
   rows = [];
   hovered = -1;
   width = 0.34; // metres
-  #board = new Board(PIXELS.width, PIXELS.row * 16 + 2 * PIXELS.edge);
+  #board = new Board(PIXELS.width, PIXELS.row * PIXELS.rows + 2 * PIXELS.edge);
 
   set transform(transform) {
     this.#board.transform = transform;
