@@ -104,7 +104,8 @@ export class Settings extends EventTarget {
 
 /** Whether a kept value is of the right kind; options are looked at later, they may not be known yet. */
 function plausible(entry, value) {
-  return entry.kind === 'choice' ? ['string', 'number'].includes(typeof value) : parse(entry, value)[0];
+  if (entry.kind === 'choice') return ['string', 'number'].includes(typeof value);
+  return typeof value !== 'string' && parse(entry, value)[0];
 }
 
 /** [allowed, value]: what a program or a control gave, as the setting has it. */

@@ -107,7 +107,8 @@ export class Orbit {
     const { right, up, back } = this.#axes();
     const place = this.target.map((v, i) => v + this.distance * back[i] + aside * right[i]);
     const transform = [...right, 0, ...up, 0, ...back, 0, ...place, 1];
-    return { eye, transform, projection: projection(viewport.width / Math.max(viewport.height, 1)), viewport };
+    const aspect = Math.max(viewport.width, 1) / Math.max(viewport.height, 1);
+    return { eye, transform, projection: projection(aspect), viewport };
   }
 
   /** The camera's axes in the room; it looks along -back. */

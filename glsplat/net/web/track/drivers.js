@@ -71,8 +71,8 @@ export class Recording {
 
   /** {tracking, t} at a time in seconds: t is the sample's own time on that clock, in milliseconds. */
   at(seconds) {
-    const round = Math.floor(seconds / this.duration);
     const time = wrapped(seconds, this.duration);
+    const round = Math.round((seconds - time) / this.duration);
     let [first, after] = [0, this.frames];
     while (after - first > 1) {
       const middle = (first + after) >> 1;
@@ -203,8 +203,9 @@ function kind(value) {
 
 /** value modulo period, 0 <= result < period, also for negative values. */
 function wrapped(value, period) {
-  const rest = ((value % period) + period) % period;
-  return rest < period ? rest : 0;
+  const rest = value % period;
+  if (rest >= 0) return rest;
+  return rest + period < period ? rest + period : 0;
 }
 
 /** One key of the poses: {name, at(first, second, between) -> list}. Frames that lack it have zeros there. */

@@ -1,0 +1,238 @@
+"""The flat page: its controls and settings in both directions, by keyboard, and on a phone."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from tests.browser.flat_page import chromium, opened
+
+NAMED = "button, select, input, canvas, summary, a, details, section, aside, form"
+CONTRAST = """() => {
+  const light = (text) => {
+    const [r, g, b] = text.match(/[\\d.]+/g).slice(0, 3).map((v) => v / 255);
+    const linear = (v) => (v <= 0.03928 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4);
+    return 0.2126 * linear(r) + 0.7152 * linear(g) + 0.0722 * linear(b);
+  };
+  const ground = (e) => {
+    for (; e; e = e.parentElement) {
+      const colour = getComputedStyle(e).backgroundColor;
+      if (!colour.endsWith(', 0)')) return colour;
+    }
+  };
+  const out = {};
+  for (const e of document.querySelectorAll('#panel, #panel *')) {
+    const own = [...e.childNodes].some((n) => n.nodeType === 3 && n.textContent.trim());
+    if (!(own || ['SELECT', 'INPUT'].includes(e.tagName)) || e.tagName === 'OPTION' || !e.checkVisibility()) continue;
+    const [a, b] = [light(getComputedStyle(e).color), light(ground(e))];
+    out[`${e.tagName}#${e.id} ${e.textContent.trim().slice(0, 20)}`] =
+      (Math.max(a, b) + 0.05) / (Math.min(a, b) + 0.05);
+  }
+  return out;
+}"""
+
+
+@pytest.fixture(scope="module")
+def browser():
+    with chromium() as browser:
+        yield browser
+
+
+@pytest.fixture(scope="module")
+def loaded(browser):
+    with opened(browser) as page:
+        yield page
+
+
+@pytest.fixture
+def page(loaded):
+    """The page as a new user finds it."""
+    loaded.evaluate("localStorage.clear()")
+    again(loaded)
+    return loaded
+
+
+def again(page):
+    page.reload()
+    page.wait_for_function("window.page !== undefined")
+
+
+def test_controls_and_settings_follow_each_other(page):
+    page.select_option("#view", "own")
+    page.select_option("#size", "512")
+    page.check("#stereo")
+    page.fill("#height", "1.62")
+    page.locator("#height").blur()
+    page.locator("#quality").focus()
+    page.keyboard.press("ArrowRight")
+    got = page.evaluate("Object.fromEntries(settings.names.map((n) => [n, settings.get(n)]))")
+    assert got == {
+        "view": "own", "avatar": "", "size": 512, "quality": 81, "driver": "rest", "stereo": True, "height": 1.62,
+        "figures": False,
+    }  # fmt: skip
+    assert page.text_content("#quality-value") == "81"
+    page.evaluate("settings.set('view', 'facing'); settings.set('figures', true); settings.set('height', null)")
+    assert page.input_value("#view") == "facing" and page.is_checked("#figures") and page.input_value("#height") == ""
+    again(page)
+    assert page.input_value("#view") == "facing" and page.input_value("#size") == "512"
+    assert page.is_checked("#stereo") and page.input_value("#quality") == "81"
+    assert page.is_checked("#figures") and page.get_attribute("#figures-box", "hidden") is None
+
+
+def test_choices_come_from_the_server_and_earlier_ones_come_back(page):
+    assert page.is_disabled("#avatar")
+    page.evaluate("settings.setOptions('avatar', [{value: 'a'}, {value: 'b', label: 'Bea <b>'}])")
+    assert page.input_value("#avatar") == "a"
+    page.select_option("#avatar", "b")
+    assert page.locator("#avatar option:checked").text_content() == "Bea <b>"
+    changes = page.evaluate("""() => {
+      const seen = []; settings.addEventListener('change', (e) => seen.push([e.detail.name, e.detail.value]));
+      settings.setOptions('avatar', [{value: 'c'}]); settings.setOptions('avatar', [{value: 'c'}, {value: 'b'}]);
+      settings.setOptions('driver', [{value: 'rest'}, {value: 'motion:idle', label: 'idle'}]);
+      return seen;
+    }""")
+    assert changes == [["avatar", "c"], ["avatar", "b"], ["driver", "motion:idle"]]
+    assert page.input_value("#avatar") == "b" and page.input_value("#driver") == "motion:idle"
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("view", "above"), ("size", 600), ("quality", 49), ("quality", 96), ("quality", "x"), ("quality", None),
+     ("height", 3), ("height", "tall"), ("height", math.inf), ("stereo", "yes"), ("figures", 1)],
+)  # fmt: skip
+def test_what_no_setting_may_be_is_refused(page, name, value):
+    kept = "([n, v]) => { const before = settings.get(n); return [settings.set(n, v), settings.get(n) === before]; }"
+    assert page.evaluate(kept, [name, value]) == [False, True]
+
+
+def test_a_wrong_height_is_said_in_words(page):
+    page.fill("#height", "175")
+    page.locator("#height").blur()
+    assert page.get_attribute("#height", "aria-invalid") == "true" and "metres" in page.text_content("#status")
+    assert page.evaluate("settings.get('height')") is None
+    page.fill("#height", "1.75")
+    page.locator("#height").blur()
+    assert page.get_attribute("#height", "aria-invalid") == "false" and page.evaluate("settings.get('height')") == 1.75
+
+
+@pytest.mark.parametrize("kept", ["{", "[1]", "null", '{"size": 7, "view": {}, "quality": "80", "stereo": 3}'])
+def test_unreadable_storage_is_no_error(page, kept):
+    page.evaluate("(kept) => localStorage.setItem('glsplat.settings', kept)", kept)
+    again(page)
+    got = page.evaluate("['size', 'view', 'quality', 'stereo'].map((n) => settings.get(n))")
+    assert got == [1024, "mirror", 80, False]
+
+
+def test_a_browser_that_keeps_nothing_is_no_error(page):
+    assert page.evaluate("""() => {
+      const broken = { getItem() { throw new Error('no'); }, setItem() { throw new Error('no'); } };
+      return import('/vr/settings.js').then(({ Settings }) => [broken, null].map((s) => {
+        const settings = new Settings(s); return settings.set('size', 512) && settings.get('size'); }));
+    }""") == [512, 512]
+
+
+def test_the_buttons_ask_and_say_why_they_cannot(page):
+    assert page.is_disabled("#enter-vr") and page.text_content("#vr-note") == "looking for a headset…"
+    page.evaluate("window.page.xr({ vr: true, ar: 'no headset here' })")
+    assert page.text_content("#ar-note") == "no headset here" and page.is_disabled("#enter-ar")
+    for button in ("#enter-vr", "#record", "#fullscreen"):
+        page.click(button)
+    assert page.is_disabled("#calibrate")
+    page.evaluate("window.page.inside(true); window.page.recording(true)")
+    page.click("#calibrate")
+    assert page.is_disabled("#enter-vr") and page.text_content("#record") == "Stop and save"
+    assert page.evaluate("asked") == [["enter-vr", None], ["record", None], ["fullscreen", None], ["calibrate", None]]
+
+
+def test_the_token_is_asked_for_and_handed_over_once(page):
+    assert page.is_hidden("#token-form")
+    page.evaluate("window.page.askToken('The server wants a token.')")
+    assert page.evaluate("document.activeElement.id") == "token"
+    page.keyboard.type(" geheim ")
+    page.keyboard.press("Enter")
+    assert page.evaluate("asked") == [["token", "geheim"]] and page.is_hidden("#token-form")
+    assert page.input_value("#token") == "" and "geheim" not in page.url
+    assert page.evaluate("JSON.stringify(localStorage)").find("geheim") < 0
+
+
+def test_an_own_file_is_handed_over(page):
+    page.select_option("#driver", "file")
+    page.set_input_files("#file", {"name": "mine.jsonl", "mimeType": "text/plain", "buffer": b"{}"})
+    assert page.evaluate("asked") == [["file", "mine.jsonl"]]
+    again(page)
+    assert page.input_value("#driver") == "rest" and page.is_hidden("#file-row")  # the file is gone, so is the choice
+
+
+def test_figures_and_status_change_only_what_changed(page):
+    counted = page.evaluate("""async () => {
+      window.page.numbers({ fps: '30', age: '12 ms' }); window.page.status('Connected.');
+      let count = 0;
+      const watch = new MutationObserver((records) => { count += records.length; });
+      for (const id of ['numbers', 'status']) {
+        watch.observe(document.getElementById(id), { childList: true, subtree: true, characterData: true });
+      }
+      window.page.numbers({ fps: '31', age: '12 ms' }); window.page.status('Connected.');
+      await new Promise((done) => setTimeout(done));
+      return count;
+    }""")
+    assert counted == 1 and page.locator("#numbers dd").all_text_contents() == ["31", "12 ms"]
+    page.evaluate("window.page.numbers({ 'round trip': 5 })")
+    assert page.locator("#numbers dt").all_text_contents() == ["round trip"]
+    page.evaluate("window.page.status('No connection.', 'error')")
+    assert (
+        page.get_attribute("#status", "data-level") == "error"
+        and page.get_attribute("#status", "aria-live") == "polite"
+    )
+
+
+def test_every_control_has_a_name_and_the_keyboard_reaches_it(page):
+    page.evaluate("""window.page.xr({ vr: true, ar: true }); window.page.askToken('why');
+      settings.setOptions('avatar', [{value: 'a'}]); settings.set('driver', 'file');
+      settings.set('figures', true); window.page.numbers({ fps: '30' });
+      document.getElementById('help').open = true;""")
+    wanted = set("canvas token enter-vr enter-ar avatar driver file view size quality".split())
+    wanted |= set("height stereo figures record fullscreen".split())
+    page.evaluate("document.activeElement.blur()")
+    reached = set()
+    for _ in range(40):
+        page.keyboard.press("Tab")
+        reached.add(page.evaluate("document.activeElement.id"))
+        outline = page.evaluate("getComputedStyle(document.activeElement).outlineStyle")
+        assert outline != "none" or page.evaluate("document.activeElement === document.body")
+    assert wanted <= reached
+    nameless = page.evaluate(
+        """(named) => [...document.querySelectorAll(named)].filter((e) => !(e.getAttribute('aria-label') ||
+          e.labels?.length || ['SUMMARY', 'BUTTON', 'A'].includes(e.tagName) && e.textContent.trim() ||
+          e.tagName === 'DETAILS')).map((e) => e.outerHTML)""",
+        NAMED,
+    )
+    assert nameless == []
+    assert page.get_attribute("html", "lang") == "en" and page.title() and page.locator("main, aside").count() == 2
+    ids = page.evaluate("[...document.querySelectorAll('[id]')].map((e) => e.id)")
+    assert len(ids) == len(set(ids))
+
+
+def test_text_stands_out(page):
+    page.evaluate("""window.page.askToken('why'); settings.set('figures', true); window.page.numbers({ fps: '30' });
+      settings.set('driver', 'file'); document.getElementById('help').open = true;""")
+    for level in ("info", "error"):
+        page.evaluate("(level) => window.page.status('Said in words.', level)", level)
+        ratios = page.evaluate(CONTRAST)
+        assert len(ratios) > 30 and {name: ratio for name, ratio in ratios.items() if ratio < 4.5} == {}
+
+
+@pytest.mark.parametrize("width", [320, 360, 412])
+def test_a_phone_shows_avatar_and_controls(browser, width):
+    with opened(browser, viewport={"width": width, "height": 640}, has_touch=True, is_mobile=True) as page:
+        page.wait_for_function("window.page !== undefined")
+        page.evaluate("window.page.xr({ vr: 'needs https or localhost', ar: 'needs https or localhost' })")
+        assert not page.evaluate("document.getElementById('controls').open")
+        box = page.locator("#panel").bounding_box()
+        assert box["y"] >= 320 and box["x"] >= 0 and box["x"] + box["width"] <= width
+        assert page.is_visible("#enter-vr") and page.is_visible("#status")
+        page.click("#controls summary")
+        page.evaluate("document.getElementById('help').open = true")
+        wide = page.evaluate("[document.documentElement.scrollWidth, panel.scrollWidth - panel.clientWidth]")
+        assert wide[0] <= width and wide[1] == 0
+        assert page.locator("#panel").bounding_box()["y"] >= 319

@@ -1,0 +1,313 @@
+"""The page's sources of motion, its recorder and its calibration, beside their twins in Python."""
+
+from __future__ import annotations
+
+import json
+from importlib import resources
+
+import numpy as np
+import pytest
+
+from glsplat.data import default_avatar
+from glsplat.errors import FormatError, PoseError
+from glsplat.motion.motion import load_embedded_motion
+from glsplat.net.messages import Decoder
+from glsplat.rotations import rotation_matrices
+from glsplat.skinning.pose import Pose
+from glsplat.tracking.calibration import EYES_OF_STATURE, calibrate
+from glsplat.tracking.recording import embedded_recording, replay
+from glsplat.tracking.sample import Sample
+from glsplat.tracking.solve.body import Body
+from tests.browser.flat_page import chromium, opened
+
+MAIN = """
+import * as calibration from '/vr/track/calibration.js';
+import * as drivers from '/vr/track/drivers.js';
+import * as recorder from '/vr/track/recorder.js';
+Object.assign(window, { ...drivers, ...recorder, ...calibration });
+"""
+CALIBRATE = """([samples, step, height]) => {
+  const calibration = new Calibration(null);
+  calibration.begin(1000, { height });
+  let now = 1000;
+  for (const sample of samples) {
+    const answer = calibration.add(sample, now);
+    if (!('progress' in answer)) return answer;
+    now += step;
+  }
+  return calibration.add(null, now);
+}"""
+HEAD = [0.01, 1.6, 0.02, 0.0, 0.0, 0.0, 1.0]
+
+
+@pytest.fixture(scope="module")
+def page():
+    with chromium() as browser, opened(browser, MAIN) as page:
+        page.wait_for_function("window.Calibration !== undefined")
+        yield page
+
+
+def data(name: str) -> str:
+    return resources.files("glsplat.data").joinpath(name).read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("name", ["idle", "walk", "wave-and-turn"])
+def test_a_motion_between_its_frames_is_the_programs(page, name):
+    motion = load_embedded_motion(name, default_avatar().skeleton)
+    times = [0.0, 0.011, 1 / 3, motion.duration - 0.004, motion.duration + 0.5, 1234.567, -0.02]
+    poses = page.evaluate(
+        "([text, times]) => { const m = new Motion(JSON.parse(text)); return times.map((t) => m.at(t).pose); }",
+        [data(f"{name}.json"), times],
+    )
+    for time, pose in zip(times, poses, strict=True):
+        shown, expected = Pose.from_smplx(pose), motion.at(time)
+        assert np.abs(rotation_matrices(shown.rotations) - rotation_matrices(expected.rotations)).max() < 1e-6
+        assert np.abs(shown.trans - expected.trans).max() < 1e-9
+
+
+def test_a_motion_turns_the_short_way(page):
+    frames = [{"root_pose": [0, 3.0, 0]}, {"root_pose": [0, -3.0, 0]}]  # 0.28 radians apart over pi
+    pose = page.evaluate("(frames) => new Motion({ fps: 1, frames }).at(0.5).pose", frames)
+    assert abs(abs(pose["root_pose"][0][1]) - np.pi) < 1e-9
+
+
+def test_a_frame_without_a_key_stands_straight_there(page):
+    frames = [{"jaw_pose": [0.4, 0, 0]}, {"trans": [0, 0, 1]}]
+    pose = page.evaluate("(frames) => new Motion({ fps: 1, frames }).at(0.25).pose", frames)
+    assert pose["jaw_pose"][0] == pytest.approx([0.3, 0, 0]) and pose["trans"] == pytest.approx([0, 0, 0.25])
+
+
+@pytest.mark.parametrize("motion", [{"fps": 0, "frames": [{}]}, {"fps": 30, "frames": []}, {"fps": 30}])
+def test_a_motion_without_frames_is_refused(page, motion):
+    said = page.evaluate("(m) => { try { new Motion(m); } catch (e) { return e.message; } }", motion)
+    assert "frame rate above zero" in said
+
+
+def test_the_embedded_recording_plays_on_one_growing_clock(page):
+    samples = embedded_recording()
+    rounds = page.evaluate(
+        """(text) => { const r = new Recording(parseRecording(text)); const out = [];
+          for (let i = 0; i < 2000; i++) out.push(r.at(i / 100)); return [r.frames, r.duration, out]; }""",
+        data("recording.jsonl"),
+    )
+    frames, duration, shown = rounds
+    assert frames == len(samples) and duration == pytest.approx(len(samples) / 72, abs=1e-4)
+    times = np.array([entry["t"] for entry in shown])
+    clock = np.arange(2000) * 10.0
+    assert (np.diff(times) >= 0).all()
+    assert (clock - times >= -1e-6).all() and (clock - times < 1000 / 72 + 0.01).all()
+    decoder = Decoder()
+    for i in (0, 100, 796, 797, 1999):
+        expected = samples[np.searchsorted([s.t for s in samples], (clock[i] / 1000) % duration, "right") - 1]
+        assert Sample.from_json(shown[i]["tracking"]) == Sample.from_json(expected.to_json(), t=0.0)
+        request = decoder.decode(json.dumps({"v": 1, "frame_id": i + 1, **shown[i]}))
+        assert request.tracking is not None and request.t == shown[i]["t"]
+
+
+def line(**keys: object) -> str:
+    return json.dumps({"t": 0.5, "head": HEAD, **keys})
+
+
+HAND = [[0.1 * i, 1.0, 0.2] for i in range(25)]
+READ = [
+    line(),
+    line(left=None, right=HEAD, left_curl=0.25, right_curl=None),
+    line(left_joints=HAND, right_joints=[v for joint in HAND for v in joint]),
+    line(left_joints=[[*joint, 0, 0, 0, 1] for joint in HAND]),
+    line(left_joints=[[9, 9, 9], *HAND]),
+    line(unknown={"a": [1]}, body=[1, 2]),
+    json.dumps({"t": 3, "left_grip": HEAD}),
+    "\n \r\n" + line() + "\r\n\n",
+    "\ufeff" + line(),
+    line(head=[float("nan"), *HEAD[1:]], right=HEAD),
+    line(left=[float("-inf"), *HEAD[1:]]),
+    line().replace("0.01", "1e999"),
+]
+REFUSED = [
+    "{", "[]", "7", '"head"', "null", line() + line(), "{'t': 1}",
+    line(t=None), line(t="0"), line(t=True), json.dumps({"head": HEAD}), json.dumps({"t": 1}),
+    line(head=HEAD[:6]), line(head="abcdefg"), line(head={}), line(head=[*HEAD[:6], "1"]), line(head=[*HEAD[:6], True]),
+    line(head=[*HEAD[:6], None]), line(left_joints=HAND[:24]), line(left_joints=[1.0] * 74), line(left_joints="x" * 25),
+    line(left_joints=[[1, 2]] * 25), line(left_joints=[]), line(left_curl="fist"), line(left_curl=False),
+    line() + " " * (1 << 20),
+]  # fmt: skip
+
+
+def parsed(page, text: str):
+    return page.evaluate("(text) => { try { return parseRecording(text); } catch (e) { return e.message; } }", text)
+
+
+@pytest.mark.parametrize("text", READ)
+def test_what_the_program_reads_the_page_reads(page, tmp_path, text):
+    path = tmp_path / "recording.jsonl"
+    path.write_text(text, encoding="utf-8")
+    expected, found = list(replay(path)), parsed(page, text)
+    assert len(found) == len(expected) > 0
+    for sample, twin in zip(found, expected, strict=True):
+        mine = Sample.from_json(sample)
+        assert mine.t == twin.t and (mine.left_curl, mine.right_curl) == (twin.left_curl, twin.right_curl)
+        for key in ("head", "left", "right", "left_joints", "right_joints"):
+            value = getattr(twin, key)
+            tracked = value is not None and np.isfinite(np.hstack(value)).all()
+            assert getattr(mine, key) == (value if tracked else None)
+
+
+@pytest.mark.parametrize("text", REFUSED)
+def test_what_the_program_refuses_the_page_refuses(page, tmp_path, text):
+    path = tmp_path / "recording.jsonl"
+    path.write_text(f"{line()}\n\n{text}\n", encoding="utf-8")
+    with pytest.raises(FormatError, match="line 3"):
+        list(replay(path))
+    found = parsed(page, path.read_text(encoding="utf-8"))
+    assert isinstance(found, str) and found.startswith("The recording's line 3: ") and "\n" not in found
+
+
+def test_nothing_and_too_much_are_refused_in_words(page):
+    assert parsed(page, "") == parsed(page, "\n\n") == "The recording holds no sample with a time."
+    said = page.evaluate("""async () => {
+      const file = new Blob([new Uint8Array(MAX_READ + 1)]);
+      try { await readRecording(file); } catch (e) { return e.message; }
+    }""".replace("MAX_READ", str(64 << 20)))  # fmt: skip
+    assert "64 MiB" in said and "65" in said
+
+
+def test_times_that_do_not_grow_are_passed_over(page):
+    text = "\n".join(line(t=t) for t in (5.0, 5.1, 5.05, 5.1, 5.2))
+    found = page.evaluate(
+        "(text) => { const r = new Recording(parseRecording(text)); return [r.frames, r.at(0.15).t]; }", text
+    )
+    assert found[0] == 3 and found[1] == pytest.approx(100)
+
+
+def test_a_recording_made_in_the_page_is_read_by_the_program(page, tmp_path):
+    hand = [[0.1234567891 * i, 1.0, -0.2] for i in range(25)]
+    text, count, seconds, took = page.evaluate(
+        """async ([head, hand]) => {
+          const recorder = new Recorder();
+          recorder.add({ head }, 1);
+          recorder.start();
+          const took = [
+            recorder.add({ head, left: null, left_joints: hand, left_curl: 0.1234567 }, 5000, { body: { hips: head } }),
+            recorder.add({ head: [NaN, 0, 0, 0, 0, 0, 1], right: head }, 5011.1111),
+            recorder.add({ head }, 5011.1111),
+            recorder.add({ head }, NaN),
+            recorder.add({ right_grip: new Float32Array(head) }, 5500),
+          ];
+          const blob = recorder.stop();
+          took.push(recorder.add({ head }, 6000));
+          return [await blob.text(), recorder.count, recorder.seconds, took];
+        }""",
+        [HEAD, hand],
+    )
+    assert took == [True, True, False, False, True, False]
+    path = tmp_path / "recording.jsonl"
+    path.write_text(text)
+    samples = list(replay(path))
+    assert [s.t for s in samples] == [0.0, 0.011111, 0.5] and count == 3 and seconds == pytest.approx(0.5)
+    assert samples[0].head == tuple(HEAD) and samples[0].left is None and samples[0].left_curl == 0.123457
+    assert np.abs(np.array(samples[0].left_joints) - hand).max() <= 5.1e-7
+    assert samples[1].head is None and samples[1].right == tuple(HEAD) and samples[2].right is not None
+    assert json.loads(text.splitlines()[0])["body"] == {"hips": HEAD}
+    assert len(parsed(page, text)) == 3
+
+
+def test_a_full_recorder_stops_with_a_word_and_keeps_what_it_has(page):
+    bytes_, word, size, count, more = page.evaluate(
+        """async (head) => {
+          const recorder = new Recorder(10000);
+          recorder.start();
+          let t = 0;
+          while (recorder.add({ head }, (t += 8))) ;
+          const word = recorder.word;
+          const blob = recorder.stop();
+          const lines = (await blob.text()).split('\\n').length - 1;
+          recorder.start();
+          return [blob.size, word, lines, recorder.count, recorder.add({ head }, 1)];
+        }""",
+        HEAD,
+    )
+    assert 9800 < bytes_ <= 10000 and f"{size} samples" in word and count == 0 and more is True
+
+
+def test_half_an_hour_at_120_hz_with_both_hands_fits(page):
+    joints = [[1.234567, -1.345678, 1.456789, 0.123456, -0.123456, 0.123456, -0.123456]] * 25
+    pose = [1.234567, -1.345678, 1.456789, 0.123456, -0.123456, 0.123456, -0.123456]
+    size = page.evaluate(
+        """(sample) => { const r = new Recorder(); r.start(); r.add(sample, 0);
+          r.add(sample, 1799999.123); return r.stop().size / 2; }""",
+        {"head": pose, "left": pose, "right": pose, "left_joints": joints, "right_joints": joints},
+    )
+    most = page.evaluate("import('/vr/track/recorder.js').then((m) => m.MAX_BYTES)")
+    assert size * 120 * 1800 <= most <= 1 << 30  # 1 GiB is what the program reads
+
+
+def standing(rng, seconds=2.2, eyes=1.6, span=None, wobble=0.004):
+    samples = []
+    for _ in range(int(seconds * 72)):
+        place = np.array([0.3, eyes, -0.2]) + rng.normal(0, wobble, 3)
+        sample = {"head": [*place.tolist(), 0.0, 0.0, 0.0, 1.0]}
+        if span is not None:
+            for side, x in (("left", -span / 2), ("right", span / 2)):
+                sample[side] = [0.3 + x, 1.3, -0.2, 0.0, 0.0, 0.0, 1.0]
+        samples.append(sample)
+    return samples
+
+
+@pytest.mark.parametrize(("span", "height"), [(None, None), (1.39, None), (0.7, None), (1.39, 1.8), (None, 1.8)])
+def test_calibration_measures_what_the_program_does(page, rng, span, height):
+    samples = standing(rng, span=span)
+    found = page.evaluate(CALIBRATE, [samples, 1000 / 72, height])["result"]
+    used = samples[:145]  # the samples of two seconds
+    expected = calibrate([Sample.from_json(s, t=0) for s in used], default_avatar().skeleton, height=height)
+    assert found["eyes"] == pytest.approx(expected.eye_height, abs=1e-3)
+    assert found["floor"] == pytest.approx(expected.floor, abs=1e-3)
+    assert found["span"] == (None if expected.arm_span is None else pytest.approx(expected.arm_span))
+    assert found["height"] == pytest.approx(found["eyes"] / EYES_OF_STATURE)
+
+
+def test_the_arm_span_of_the_embedded_body_is_what_the_page_holds_it_for(page):
+    body = Body.of(default_avatar().skeleton)
+    ratio = body.arm_span() / body.eye_height
+    for part, stretched in ((0.86, True), (0.84, False), (1.19, True), (1.21, False)):
+        samples = standing(np.random.default_rng(1), span=part * ratio * 1.6, wobble=0)
+        assert (page.evaluate(CALIBRATE, [samples, 1000 / 72, None])["result"]["span"] is not None) is stretched
+
+
+def test_controllers_tell_the_arm_span_as_well(page):
+    half = 0.5**0.5  # the grips' y points inwards, to the wrists of arms that are stretched sideways
+    left, right = [0.75, 1.3, 0, 0, 0, half, half], [-0.75, 1.3, 0, 0, 0, -half, half]
+    samples = [{"head": HEAD, "left_grip": left, "right_grip": right}] * 150
+    found = page.evaluate(CALIBRATE, [samples, 1000 / 72, None])["result"]
+    expected = calibrate([Sample.from_json(s, t=0) for s in samples], default_avatar().skeleton)
+    assert found["span"] == pytest.approx(expected.arm_span)
+    assert found["span"] == pytest.approx(1.5 - 0.18)
+
+
+@pytest.mark.parametrize("fault", ["moved", "few", "low", "high"])
+def test_calibration_says_why_it_failed(page, rng, fault):
+    samples = {
+        "moved": standing(rng, wobble=0.2),
+        "few": standing(rng)[:9],
+        "low": standing(rng, eyes=0.4),
+        "high": standing(rng, eyes=2.7),
+    }[fault]
+    found = page.evaluate(CALIBRATE, [samples, 1000 / 72 if fault != "few" else 250.0, None])
+    word = {"moved": "moved", "few": "hardly tracked", "low": "0.40 m", "high": "2.70 m"}[fault]
+    assert word in found["error"]
+    with pytest.raises(PoseError):
+        calibrate([Sample.from_json(s, t=0) for s in samples], default_avatar().skeleton)
+
+
+def test_a_kept_calibration_is_checked(page):
+    found = page.evaluate("""() => {
+      const kept = {}; const storage = { getItem: (k) => kept[k] ?? null, setItem: (k, v) => { kept[k] = v; } };
+      const calibration = new Calibration(storage); const out = [calibration.load()];
+      calibration.save({ height: 1.7, eyes: 1.59, span: null, floor: 0.01 }); out.push(calibration.load());
+      for (const wrong of ['{', 'null', '[]', '{"height":"x"}', '{"height":1.7,"eyes":9,"span":null,"floor":0}']) {
+        kept['glsplat.calibration'] = wrong; out.push(calibration.load());
+      }
+      const none = new Calibration(null);
+      return [...out, none.load(), none.save({}), none.add(null, 1).error];
+    }""")
+    assert found[0] is None and found[1] == {"height": 1.7, "eyes": 1.59, "span": None, "floor": 0.01}
+    assert found[2:8] == [None] * 6 and found[8] is False and "begin" in found[9]
