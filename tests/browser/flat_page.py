@@ -1,14 +1,12 @@
-"""The page's own files in a real Chromium, without a server: every request is answered from the folder."""
+"""The page's own files with a main.js of the test's, without a server: requests are answered from the folder."""
 
 from __future__ import annotations
 
-import shutil
+import mimetypes
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
-
-import pytest
 
 WEB = Path(__file__).resolve().parents[2] / "glsplat" / "net" / "web"
 ORIGIN = "http://localhost:8000"
@@ -16,8 +14,6 @@ CSP = (
     "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; worker-src 'self'; "
     "img-src 'self' blob:; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
 )
-TYPES = {".html": "text/html", ".js": "text/javascript", ".css": "text/css"}
-FLAGS = ["--no-sandbox", "--disable-quic", "--no-first-run", "--disable-background-networking", "--disable-sync"]
 
 # the controls alone: what they ask for is kept in window.asked
 MAIN = """
@@ -34,24 +30,9 @@ Object.assign(window, { settings, page, asked });
 
 
 @contextmanager
-def chromium() -> Iterator[Any]:
-    """A headless browser of this system; the test is skipped where there is none."""
-    api = pytest.importorskip("playwright.sync_api", reason="browser tests need the Python package playwright")
-    path = shutil.which("chromium")
-    if path is None:
-        pytest.skip("browser tests need the program chromium")
-    with api.sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=path, headless=True, args=FLAGS)
-        try:
-            yield browser
-        finally:
-            browser.close()
-
-
-@contextmanager
-def opened(browser: Any, main: str = MAIN, **options: Any) -> Iterator[Any]:
+def flat_page(chromium: Any, main: str = MAIN, **options: Any) -> Iterator[Any]:
     """The page with ``main`` as its main.js. What the browser complains about fails the test."""
-    context = browser.new_context(**options)
+    context = chromium.new_context(**options)
     complaints: list[str] = []
 
     def answer(route: Any) -> None:
@@ -61,7 +42,9 @@ def opened(browser: Any, main: str = MAIN, **options: Any) -> Iterator[Any]:
             route.fulfill(body=main, content_type="text/javascript")
         elif path.startswith("/vr/") and file.is_file():
             route.fulfill(
-                body=file.read_bytes(), content_type=TYPES[file.suffix], headers={"Content-Security-Policy": CSP}
+                body=file.read_bytes(),
+                content_type=mimetypes.guess_type(file)[0],
+                headers={"Content-Security-Policy": CSP},
             )
         else:
             complaints.append(f"asked for {route.request.url}")

@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from tests.browser.flat_page import chromium, opened
+from tests.browser.flat_page import flat_page
 
 NAMED = "button, select, input, canvas, summary, a, details, section, aside, form"
 CONTRAST = """() => {
@@ -34,14 +34,8 @@ CONTRAST = """() => {
 
 
 @pytest.fixture(scope="module")
-def browser():
-    with chromium() as browser:
-        yield browser
-
-
-@pytest.fixture(scope="module")
-def loaded(browser):
-    with opened(browser) as page:
+def loaded(chromium):
+    with flat_page(chromium) as page:
         yield page
 
 
@@ -109,11 +103,12 @@ def test_what_no_setting_may_be_is_refused(page, name, value):
 def test_a_wrong_height_is_said_in_words(page):
     page.fill("#height", "175")
     page.locator("#height").blur()
-    assert page.get_attribute("#height", "aria-invalid") == "true" and "metres" in page.text_content("#status")
+    assert page.get_attribute("#height", "aria-invalid") == "true" and "metres" in page.text_content("#height-note")
     assert page.evaluate("settings.get('height')") is None
     page.fill("#height", "1.75")
     page.locator("#height").blur()
-    assert page.get_attribute("#height", "aria-invalid") == "false" and page.evaluate("settings.get('height')") == 1.75
+    assert page.get_attribute("#height", "aria-invalid") == "false" and "Optional" in page.text_content("#height-note")
+    assert page.evaluate("settings.get('height')") == 1.75
 
 
 @pytest.mark.parametrize("kept", ["{", "[1]", "null", '{"size": 7, "view": {}, "quality": "80", "stereo": 3}'])
@@ -223,8 +218,8 @@ def test_text_stands_out(page):
 
 
 @pytest.mark.parametrize("width", [320, 360, 412])
-def test_a_phone_shows_avatar_and_controls(browser, width):
-    with opened(browser, viewport={"width": width, "height": 640}, has_touch=True, is_mobile=True) as page:
+def test_a_phone_shows_avatar_and_controls(chromium, width):
+    with flat_page(chromium, viewport={"width": width, "height": 640}, has_touch=True, is_mobile=True) as page:
         page.wait_for_function("window.page !== undefined")
         page.evaluate("window.page.xr({ vr: 'needs https or localhost', ar: 'needs https or localhost' })")
         assert not page.evaluate("document.getElementById('controls').open")

@@ -18,7 +18,7 @@ from glsplat.tracking.calibration import EYES_OF_STATURE, calibrate
 from glsplat.tracking.recording import embedded_recording, replay
 from glsplat.tracking.sample import Sample
 from glsplat.tracking.solve.body import Body
-from tests.browser.flat_page import chromium, opened
+from tests.browser.flat_page import flat_page
 
 MAIN = """
 import * as calibration from '/vr/track/calibration.js';
@@ -41,8 +41,8 @@ HEAD = [0.01, 1.6, 0.02, 0.0, 0.0, 0.0, 1.0]
 
 
 @pytest.fixture(scope="module")
-def page():
-    with chromium() as browser, opened(browser, MAIN) as page:
+def page(chromium):
+    with flat_page(chromium, MAIN) as page:
         page.wait_for_function("window.Calibration !== undefined")
         yield page
 

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from tests.browser.flat_page import chromium, opened
+from tests.browser.flat_page import flat_page
 
 ORBIT = """
 import { Orbit } from '/vr/show/orbit.js';
@@ -19,14 +19,8 @@ Object.assign(window, { orbit, Orbit });
 
 
 @pytest.fixture(scope="module")
-def browser():
-    with chromium() as browser:
-        yield browser
-
-
-@pytest.fixture(scope="module")
-def canvas(browser):
-    with opened(browser, ORBIT, viewport={"width": 800, "height": 600}) as page:
+def canvas(chromium):
+    with flat_page(chromium, ORBIT, viewport={"width": 800, "height": 600}) as page:
         page.wait_for_function("window.orbit !== undefined")
         yield page
 
@@ -136,8 +130,8 @@ def test_keys_do_what_the_help_says(camera):
     assert camera.evaluate(state) == pytest.approx(start)  # the browser's own keys stay its own
 
 
-def test_fingers_circle_pinch_and_pan(browser):
-    with opened(browser, ORBIT, viewport={"width": 800, "height": 600}, has_touch=True) as page:
+def test_fingers_circle_pinch_and_pan(chromium):
+    with flat_page(chromium, ORBIT, viewport={"width": 800, "height": 600}, has_touch=True) as page:
         page.wait_for_function("window.orbit !== undefined")
         session = page.context.new_cdp_session(page)
 

@@ -6,7 +6,7 @@ const FLAGS = ['stereo', 'figures'];
 const BUTTONS = ['enter-vr', 'enter-ar', 'record', 'calibrate', 'fullscreen'];
 const NARROW = '(max-width: 40rem)'; // as in style.css
 
-/** Events: 'enter-vr', 'enter-ar', 'record', 'calibrate', 'fullscreen', 'token' (detail: text), 'file' (detail: File). */
+/** Events: 'enter-vr', 'enter-ar', 'record', 'calibrate', 'fullscreen'; 'token' (detail: text), 'file' (a File). */
 export class Page extends EventTarget {
   #document;
   #settings;
@@ -101,12 +101,19 @@ export class Page extends EventTarget {
     if (!this.#settings.set(name, value)) this.#show(name); // the control goes back to what is in force
   }
 
-  /** A height that cannot be used stays there to be corrected; the note beside it says what fits. */
+  /** A height that cannot be used stays there to be corrected; the note below it says what fits. */
   #changeHeight(input) {
     const text = input.validity.badInput ? 'no number' : input.value;
-    const right = this.#settings.set('height', text);
-    input.setAttribute('aria-invalid', String(!right));
-    if (!right) this.status('Your height needs 0.5 to 2.8 metres, such as 1.75.', 'error');
+    this.#noteHeight(this.#settings.set('height', text));
+  }
+
+  #noteHeight(right) {
+    this.#get('height').setAttribute('aria-invalid', String(!right));
+    const note = this.#get('height-note');
+    note.textContent = right
+      ? 'Optional; 0.5 to 2.8. Fits the avatar to you in VR.'
+      : 'Not used: metres from 0.5 to 2.8 are needed, such as 1.75.';
+    note.classList.toggle('bad', !right);
   }
 
   #submitToken(event) {
@@ -127,7 +134,7 @@ export class Page extends EventTarget {
     else if (FLAGS.includes(name)) this.#get(name).checked = value;
     else this.#get(name).value = value ?? '';
     if (name === 'quality') this.#get('quality-value').textContent = value;
-    if (name === 'height') this.#get('height').setAttribute('aria-invalid', 'false');
+    if (name === 'height') this.#noteHeight(true);
     if (name === 'driver') this.#get('file-row').hidden = value !== 'file';
     if (name === 'figures') this.#get('figures-box').hidden = !value;
   }

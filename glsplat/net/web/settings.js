@@ -50,7 +50,7 @@ export class Settings extends EventTarget {
     return Object.keys(this.#table);
   }
 
-  /** The value in force. A choice that is not offered (yet) gives the default, or else the first that is; '' of none. */
+  /** The value in force. A choice that is not offered (yet) gives the default, else the first offered; '' of none. */
   get(name) {
     const entry = this.#entry(name);
     if (entry.kind !== 'choice') return this.#wishes[name];
@@ -58,7 +58,7 @@ export class Settings extends EventTarget {
     return [this.#wishes[name], entry.value].find(offered) ?? entry.options[0]?.value ?? '';
   }
 
-  /** Set and keep a value; numbers and flags may come as the text of a control. Returns false for what is not allowed. */
+  /** Set and keep a value; choices and numbers may come as text. Returns false for what is not allowed. */
   set(name, value) {
     const entry = this.#entry(name);
     const [right, parsed] = parse(entry, value);

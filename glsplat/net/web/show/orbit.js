@@ -75,7 +75,8 @@ export class Orbit {
   pan(right, up, ahead = 0) {
     const axes = this.#axes();
     const level = [-Math.sin(this.yaw), 0, -Math.cos(this.yaw)];
-    this.#pan = this.#pan.map((v, i) => clamp(v + right * axes.right[i] + up * axes.up[i] + ahead * level[i], -PAN, PAN));
+    const moved = (i) => this.#pan[i] + right * axes.right[i] + up * axes.up[i] + ahead * level[i];
+    this.#pan = [0, 1, 2].map((i) => clamp(moved(i), -PAN, PAN));
   }
 
   /** Keep an avatar's box [x0, y0, z0, x1, y1, z1] in view: at once the first time, gently from then on. */

@@ -59,7 +59,7 @@ export class Recording {
     const start = samples[0]?.t;
     if (start === undefined) throw new Error('A recording needs at least one sample with a time.');
     for (const { t, ...tracking } of samples) {
-      if (this.#times.length && t - start <= this.#times.at(-1)) continue; // a time that does not grow shows nothing new
+      if (this.#times.length && t - start <= this.#times.at(-1)) continue; // nothing new
       this.#times.push(t - start);
       this.#tracking.push(tracking);
     }
