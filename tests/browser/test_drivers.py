@@ -247,7 +247,8 @@ def standing(rng, seconds=2.2, eyes=1.6, span=None, wobble=0.004):
         place = np.array([0.3, eyes, -0.2]) + rng.normal(0, wobble, 3)
         sample = {"head": [*place.tolist(), 0.0, 0.0, 0.0, 1.0]}
         if span is not None:
-            for side, x in (("left", -span / 2), ("right", span / 2)):
+            width = span * rng.uniform(0.97, 1)
+            for side, x in (("left", -width / 2), ("right", width / 2)):
                 sample[side] = [0.3 + x, 1.3, -0.2, 0.0, 0.0, 0.0, 1.0]
         samples.append(sample)
     return samples
@@ -261,14 +262,14 @@ def test_calibration_measures_what_the_program_does(page, rng, span, height):
     expected = calibrate([Sample.from_json(s, t=0) for s in used], default_avatar().skeleton, height=height)
     assert found["eyes"] == pytest.approx(expected.eye_height, abs=1e-3)
     assert found["floor"] == pytest.approx(expected.floor, abs=1e-3)
-    assert found["span"] == (None if expected.arm_span is None else pytest.approx(expected.arm_span))
+    assert found["span"] == (None if expected.arm_span is None else pytest.approx(expected.arm_span, abs=2e-3))
     assert found["height"] == pytest.approx(found["eyes"] / EYES_OF_STATURE)
 
 
 def test_the_arm_span_of_the_embedded_body_is_what_the_page_holds_it_for(page):
     body = Body.of(default_avatar().skeleton)
     ratio = body.arm_span() / body.eye_height
-    for part, stretched in ((0.86, True), (0.84, False), (1.19, True), (1.21, False)):
+    for part, stretched in ((0.88, True), (0.84, False), (1.19, True), (1.25, False)):
         samples = standing(np.random.default_rng(1), span=part * ratio * 1.6, wobble=0)
         assert (page.evaluate(CALIBRATE, [samples, 1000 / 72, None])["result"]["span"] is not None) is stretched
 
