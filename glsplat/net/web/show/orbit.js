@@ -2,7 +2,7 @@
 
 const FOV = (40 * Math.PI) / 180; // vertical field of view, radians
 const [NEAR, FAR] = [0.05, 100]; // metres
-const START = { yaw: 0, pitch: 0.06, distance: 3, centre: [0, 0.95, 0] };
+const START = { yaw: 0, pitch: 0.06, distance: 3.4, centre: [0, 0.95, 0] };
 const PITCH = 1.48; // radians up and down at most
 const DISTANCE = [0.3, 30]; // metres
 const PAN = 10; // metres off the avatar at most
