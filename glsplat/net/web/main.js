@@ -24,7 +24,7 @@ const calibration = new Calibration();
 const recorder = new Recorder();
 const connection = new Connection(() => ({
   avatar: settings.get('avatar'),
-  height: measured?.height ?? settings.get('height'),
+  height: settings.get('height') ?? measured?.height,
   span: measured?.span,
 }));
 let measured = calibration.load(); // {height, eyes, span, floor} of the user, in metres, or null
@@ -59,7 +59,7 @@ const immersive = new Immersive(gl, stage, settings, menu, {
     connection.restart(); // the height is told when connecting
   },
   onEnd: () => {
-    if (recorder.recording) toggleRecording();
+    if (saves) toggleRecording();
     page.inside(false);
     viewer.start();
     tell();
@@ -100,18 +100,18 @@ function offered(session) {
 }
 
 
-/** The motion or recording that the settings name. */
+/** Let the motion or recording that the settings name move the avatar. */
 async function drive() {
   const name = settings.get('driver');
+  let driver = new Rest();
   try {
-    if (name === 'file' && ownRecording) viewer.driver = new Recording(ownRecording);
-    else if (name === 'recording') viewer.driver = new Recording(parseRecording(await text('recording')));
-    else if (name?.startsWith('motion:')) viewer.driver = new Motion(JSON.parse(await text(`motions/${name.slice(7)}`)));
-    else viewer.driver = new Rest();
+    if (name === 'file' && ownRecording) driver = new Recording(ownRecording);
+    else if (name === 'recording') driver = new Recording(parseRecording(await text('recording')));
+    else if (name.startsWith('motion:')) driver = new Motion(JSON.parse(await text(`motions/${name.slice(7)}`)));
   } catch (error) {
-    viewer.driver = new Rest();
-    page.status(`It cannot be played: ${error.message}`, 'error');
+    complain(`it cannot be played: ${error.message}`);
   }
+  if (name === settings.get('driver')) viewer.driver = driver; // else a later choice was faster
 }
 
 async function text(path) {
@@ -128,17 +128,26 @@ async function enter(mode) {
     tell();
   } catch (error) {
     viewer.start();
-    page.status(`The headset does not let this page in: ${error.message}`, 'error');
+    complain(`the headset does not let this page in: ${error.message}`);
   }
 }
 
+let saves = false; // a recording runs, or has stopped by itself and waits to be saved
+
 function toggleRecording() {
-  if (!recorder.recording) {
+  if (!saves) {
+    if (!immersive.mode && !(viewer.driver instanceof Recording)) {
+      complain('there is nothing to record: no head and no hands move the avatar');
+      return;
+    }
+    saves = true;
     recorder.start();
     page.recording(true);
     return;
   }
+  saves = false;
   page.recording(false);
+  if (recorder.word) complain(recorder.word);
   const link = document.createElement('a');
   link.href = URL.createObjectURL(recorder.stop());
   link.download = `glsplat-${new Date().toISOString().slice(0, 19).replaceAll(':', '-')}.jsonl`;
@@ -150,7 +159,13 @@ function toggleRecording() {
 function tell() {
   const words = { off: 'Not connected', connecting: 'Connecting…', open: 'Connected', waiting: 'Not connected' };
   const where = immersive.mode ? ` In ${immersive.mode.toUpperCase()}.` : '';
-  page.status((stage.notice ? capital(stage.notice) : words[connection.state]) + where, connection.problem ? 'error' : 'info');
+  page.status((stage.notice ? capital(stage.notice) : words[connection.state]) + where, stage.notice ? 'error' : 'info');
+}
+
+/** Tell the user for some seconds, on the page and in the room. */
+function complain(text) {
+  stage.complain(text);
+  tell();
 }
 
 const capital = (words) => words.charAt(0).toUpperCase() + words.slice(1);
@@ -168,7 +183,10 @@ page.addEventListener('enter-vr', () => enter('vr'));
 page.addEventListener('enter-ar', () => enter('ar'));
 page.addEventListener('record', toggleRecording);
 page.addEventListener('calibrate', () => menu.press('calibrate'));
-page.addEventListener('fullscreen', () => canvas.requestFullscreen?.());
+page.addEventListener('fullscreen', () => {
+  const done = document.fullscreenElement ? document.exitFullscreen() : document.documentElement.requestFullscreen();
+  done.catch((error) => complain(`no full screen: ${error.message}`));
+});
 page.addEventListener('token', ({ detail }) => {
   sessionStorage.setItem(TOKEN, detail);
   connection.token = detail;
@@ -180,8 +198,8 @@ page.addEventListener('file', async ({ detail }) => {
     settings.set('driver', 'file');
     drive();
   } catch (error) {
-    page.status(`${detail.name}: ${error.message}`, 'error');
     ownRecording = null;
+    complain(`${detail.name}: ${error.message}`);
   }
 });
 settings.addEventListener('change', ({ detail: { name } }) => {
@@ -208,11 +226,15 @@ if (brought) {
 connection.token = sessionStorage.getItem(TOKEN);
 
 orbit.attach(canvas);
+viewer.onDrive = ({ tracking, t }) => {
+  if (recorder.recording && tracking) recorder.add(tracking, t);
+};
 support().then((found) => page.xr(found));
 navigator.xr?.addEventListener?.('devicechange', () => support().then((found) => page.xr(found)));
 setInterval(() => {
   if (settings.get('figures')) page.numbers(numbers(stage.stats(performance.now())));
-  if (!connection.problem) tell();
+  if (saves && !recorder.recording) toggleRecording(); // it is full
+  tell();
 }, NUMBERS);
 
 window.glsplat = Object.freeze({

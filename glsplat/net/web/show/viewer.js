@@ -13,11 +13,10 @@ export class Viewer {
   #orbit;
   #settings;
   #driver = null;
-  #started = 0; // ms at which the driver began
   #last = ''; // what was asked last
   #asked = 0; // ms
   #handle = 0;
-  onFrame = () => {};
+  onDrive = () => {}; // hears of what moves the avatar, every frame
 
   constructor(canvas, stage, orbit, settings) {
     this.#canvas = canvas;
@@ -26,10 +25,13 @@ export class Viewer {
     this.#settings = settings;
   }
 
-  /** Who poses the avatar (track/drivers.js); it begins anew. */
+  /** Who poses the avatar (track/drivers.js). All go by one clock, so that the server's filters see no leap back. */
+  get driver() {
+    return this.#driver;
+  }
+
   set driver(driver) {
     this.#driver = driver;
-    this.#started = performance.now();
     this.#stage.framing.forget();
   }
 
@@ -48,7 +50,8 @@ export class Viewer {
     const { width, height } = this.#fit();
     if (!width || !height) return;
     const views = this.#orbit.views(width, height, { stereo: this.#settings.get('stereo') });
-    const drive = this.#driver?.at((now - this.#started) / 1000) ?? {};
+    const drive = this.#driver?.at(now / 1000) ?? {};
+    this.onDrive(drive);
     const key = drive.tracking || drive.pose ? '' : JSON.stringify(views.map(({ transform }) => transform)) + width + height;
     const moves = key === '' || key !== this.#last || !this.#stage.painter.hasPair;
     if (moves || now - this.#asked > KEEP) {
@@ -58,7 +61,6 @@ export class Viewer {
     this.#stage.painter.begin(null, false);
     views.forEach((view, i) => this.#stage.painter.view(view, i, { room: true }));
     this.#stage.drawn();
-    this.onFrame(now);
   }
 
   #fit() {
