@@ -2,12 +2,32 @@
 
 from __future__ import annotations
 
-__all__ = ["svg", "terminal"]
+import asyncio
+
+__all__ = ["Codes", "svg", "terminal"]
 
 _BORDER = 4  # modules of quiet zone, as ISO/IEC 18004 asks
 _BLOCKS = {(True, True): " ", (False, True): "▀", (True, False): "▄", (False, False): "█"}  # of upper and lower: dark?
 # white on black of the palette that no theme changes: light modules light, on every terminal's background
 _COLOURS, _END = "\x1b[38;5;231;48;5;16m", "\x1b[0m"
+
+
+class Codes:
+    """SVG codes of the few addresses that a page is asked by; "" for more of them.
+
+    Drawing one takes 10 ms, and strangers may ask under any address: without a bound they had a core of ours.
+    """
+
+    def __init__(self, most: int = 16) -> None:
+        self._most = most
+        self._drawn: dict[str, str] = {}
+
+    async def svg(self, text: str) -> str:
+        """The code, drawn at the first call in another thread; "" meanwhile, for whoever else asks."""
+        if text not in self._drawn and len(self._drawn) < self._most:
+            self._drawn[text] = ""
+            self._drawn[text] = await asyncio.to_thread(svg, text)
+        return self._drawn.get(text, "")
 
 
 def svg(text: str) -> str:

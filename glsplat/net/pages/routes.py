@@ -10,6 +10,7 @@ from typing import Any
 from aiohttp import web
 
 from glsplat.motion.motion import embedded_motions
+from glsplat.net.pages.qr import Codes
 from glsplat.net.pages.site import File, Site
 from glsplat.net.pages.status import metrics_text, page_html
 
@@ -25,6 +26,7 @@ class Pages:
 
     def __init__(self, stats: Numbers, offer: Numbers, healthy: Callable[[], bool], tls: bool) -> None:
         self._stats, self._offer, self._healthy, self._tls = stats, offer, healthy, tls
+        self._codes = Codes()
 
     def routes(self) -> list[web.RouteDef]:
         """What the application is made of."""
@@ -50,8 +52,10 @@ class Pages:
         return web.Response(text=metrics_text(self._stats()), content_type="text/plain", charset="utf-8")
 
     async def _status(self, request: web.Request) -> web.Response:
-        url = f"{'wss' if self._tls else 'ws'}://{request.host}/ws"
-        return web.Response(text=page_html(self._stats(), url), content_type="text/html")
+        secure = "s" if self._tls else ""
+        url, viewer = f"ws{secure}://{request.host}/ws", f"http{secure}://{request.host}/vr"
+        code = await self._codes.svg(viewer)
+        return web.Response(text=page_html(self._stats(), url, viewer, code), content_type="text/html")
 
     async def _session(self, request: web.Request) -> web.Response:
         embedded = {"motions": embedded_motions(), "recording": True}

@@ -45,11 +45,15 @@ def metrics_text(stats: Mapping[str, Any]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def page_html(stats: Mapping[str, Any], url: str) -> str:
-    """A page without scripts and without other resources; it reloads itself. ``url``: the WebSocket's address."""
-    url = html.escape(url)
+def page_html(stats: Mapping[str, Any], url: str, viewer: str, code: str = "") -> str:
+    """A page without scripts and without other resources; it reloads itself.
+
+    ``url`` is the WebSocket's address, ``viewer`` the other page's, ``code`` the latter as a QR code (an element).
+    """
+    url, viewer = html.escape(url), html.escape(viewer)
     options = " --token-file FILE" if stats["token"] else ""
     token = ', token="..."' if stats["token"] else ""
+    asks = " It asks for the token." if stats["token"] else ""
     options += " --tls-ca PEM" if url.startswith("wss:") else ""
     stages = [(name, f"{t['median']:.2f}", f"{t['p95']:.2f}") for name, t in stats["stages"].items()]
     keys = ("id", "form", "size", "sent", "dropped", "stale", "malformed", "failed", "unacknowledged", "window")
@@ -64,7 +68,8 @@ td,th{{padding:.15rem .8rem;text-align:right;border-bottom:1px solid #ccc}}</sty
 {stats["totals"]["sent"]} pictures sent, {stats["fps"]:.1f} a second,
 {len(stats["clients"])} of {stats["max_clients"]} clients, {"healthy" if stats["healthy"] else "failing"}.</p>
 <h2>Connect</h2>
-<p>To see it, here or in a headset: <a href="vr/">the viewer</a>.</p>
+<p>To see it, here or in a headset: <a href="vr/">the viewer</a>, <code>{viewer}</code>.{asks}</p>
+{code}
 <p>The WebSocket is <code>{url}</code>; what it speaks is in docs/protocol.md. To measure it, from a terminal:</p>
 <pre>glsplat replay --url {url}{options}</pre>
 <p>To look at what it draws:</p>

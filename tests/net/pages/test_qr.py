@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import asyncio
 import re
 
+import aiohttp
 import cv2
 import numpy as np
 import pytest
 
+from glsplat.net.guard.access import Access
 from glsplat.net.pages import qr
+from glsplat.net.server import ServerConfig
+from tests.net.conftest import serving
 
 TEXTS = (
     "http://localhost:8000/vr",
@@ -64,3 +69,35 @@ def test_the_pages_code_is_read(text):
 
 def test_what_a_host_may_be_called_is_escaped():
     assert "<title>&lt;b&gt;&amp;</title>" in qr.svg("<b>&")
+
+
+def test_a_page_draws_few_codes_and_each_once(monkeypatch):
+    drawn, codes = [], qr.Codes(most=2)
+    monkeypatch.setattr(qr, "svg", lambda text: drawn.append(text) or f"<svg>{text}</svg>")
+
+    async def main():
+        first = await asyncio.gather(*(codes.svg("a") for _ in range(3)))
+        return first, [await codes.svg(text) for text in "abcab"]
+
+    first, later = asyncio.run(main())
+    assert first == ["<svg>a</svg>", "", ""] and drawn == ["a", "b"]
+    assert later == ["<svg>a</svg>", "<svg>b</svg>", "", "<svg>a</svg>", "<svg>b</svg>"]
+
+
+def test_the_status_page_shows_the_address_it_was_asked_by():
+    token = "correct-horse-battery"
+    config = ServerConfig(port=0, access=Access(token=token, hosts=("lab.example",)))
+
+    async def main():
+        pages = {}
+        async with serving(config=config) as server, aiohttp.ClientSession() as http:
+            for host in ("lab.example:81", f"127.0.0.1:{server.port}"):
+                headers = {"Host": host, "Authorization": f"Bearer {token}"}
+                async with http.get(f"http://127.0.0.1:{server.port}/", headers=headers) as response:
+                    pages[host] = await response.text()
+                    assert "script" not in response.headers["Content-Security-Policy"]
+        return pages
+
+    for host, page in asyncio.run(main()).items():
+        assert qr.svg(f"http://{host}/vr") in page and f"<code>http://{host}/vr</code>. It asks for the token." in page
+        assert token not in page
