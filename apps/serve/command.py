@@ -27,7 +27,8 @@ from .keys import Keys, add_keys, keys_of
 from .ready import Place, add_ready, announce, open_page
 
 HELP = (
-    "Serve pictures of an avatar to headsets and other clients over a WebSocket (docs/protocol.md). "
+    "Serve pictures of an avatar: a page for the browsers of headsets, phones and desktops at /vr (docs/vr.md), and a "
+    "WebSocket for them and other clients (docs/protocol.md). "
     "A client may send 240 messages, 1000 frames, 20 control frames and 2 MiB a second, an address make 10 connections "
     "and requests a second (bursts and the rest: docs/deploying.md, Limits)."
 )

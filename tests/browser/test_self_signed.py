@@ -1,0 +1,55 @@
+"""With a certificate and a token that the server made: the page under TLS, its token, the QR code that leads to it."""
+
+from __future__ import annotations
+
+import re
+
+import cv2
+import numpy as np
+import pytest
+
+from glsplat.net.guard.access import Access
+from glsplat.net.guard.certificate import kept_certificate
+from glsplat.net.guard.kept import kept_token, state_folder
+from glsplat.net.server import ServerConfig
+from tests.browser.stored import StoredPairs
+
+UNASKED = [r"401 \(Unauthorized\)"]  # Chromium reports the answer to a question without a token
+
+
+@pytest.fixture
+def secured(state, serve):
+    """(server, token)."""
+    folder = state_folder()
+    kept, token = kept_certificate(folder, ()), kept_token(folder)
+    config = ServerConfig(port=0, tls=(kept.path, kept.path), access=Access(tls=True, token=token))
+    return serve(StoredPairs(), config), token
+
+
+def test_the_printed_address_is_enough(secured, open_page):
+    served, token = secured
+    opened = open_page(f"{served.page}#token={token}")
+    opened.until("window.glsplat?.stats().shown > 2")
+    assert opened.js("isSecureContext") and token not in opened.page.url
+    assert any(url.startswith(f"wss://localhost:{served.port}/ws") for url in opened.requests)
+    assert not any(token in url for url in opened.requests)
+
+
+def test_without_the_token_the_page_asks(secured, open_page):
+    served, token = secured
+    opened = open_page(served.page, allow=UNASKED)
+    opened.page.wait_for_selector("#token", state="visible")
+    opened.page.fill("#token", token)
+    opened.page.press("#token", "Enter")
+    opened.until("window.glsplat?.stats().shown > 2")
+    assert not any(token in url for url in opened.requests)
+
+
+def test_the_status_pages_code_is_read_from_the_screen(secured, open_page):
+    served, token = secured
+    opened = open_page(f"{served.origin}/", http_credentials={"username": "me", "password": token}, allow=UNASKED)
+    code = opened.page.locator("svg")
+    code.wait_for()
+    picture = cv2.imdecode(np.frombuffer(code.screenshot(), np.uint8), cv2.IMREAD_COLOR)
+    assert cv2.QRCodeDetector().detectAndDecode(picture)[0] == served.page
+    assert re.search(r"script", opened.page.content()) is None
