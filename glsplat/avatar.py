@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from glsplat.errors import FormatError
@@ -41,6 +41,19 @@ class Avatar:
             raise FormatError(f"the skin names joint {self.skin.joints.max()} of {len(self.skeleton)}")
         object.__setattr__(self, "skin", self.skin.anchored(self.skeleton.parents))
         object.__setattr__(self, "meta", dict(self.meta))
+
+    def without(self, joint: str) -> Avatar:
+        """The same without the splats that mostly follow ``joint`` and what hangs from it: for a view from inside.
+
+        Those whose weight there is above one half. Raises PoseError where there is no such joint.
+
+        >>> person = glsplat.default_avatar()
+        >>> person, person.without("head")
+        (Avatar(40000 splats, 55 joints, 4 a splat), Avatar(33087 splats, 55 joints, 4 a splat))
+        """
+        there = self.skeleton.under(joint)[self.skin.joints]
+        keep = (self.skin.weights * there).sum(axis=1) <= 0.5
+        return replace(self, splats=self.splats.take(keep), skin=self.skin.take(keep))
 
     def __repr__(self) -> str:
         return f"Avatar({len(self.splats)} splats, {len(self.skeleton)} joints, {self.skin.influences} a splat)"

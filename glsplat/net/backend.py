@@ -29,6 +29,8 @@ class Rendered:
     driver: str = ""
     covered: tuple[int, int, int, int] | None = None  # x, y, width, height: all outside is background; None: unknown
     done: Callable[[], None] | None = None
+    box: tuple[float, ...] | None = None
+    """Where the one avatar is, if the request asked: x, y, z lowest, then highest, metres in the cameras' world."""
 
 
 class Backend(Protocol):
@@ -42,7 +44,7 @@ class Backend(Protocol):
         ...
 
     def render(self, request: RenderRequest) -> Rendered:
-        """Draw ``request.cameras`` at ``request.pose`` (None: the rest pose).
+        """Draw ``request.cameras`` at ``request.pose`` (None: the rest pose), of ``avatar`` without what it hides.
 
         Raises ContextLostError if the context is lost: the server then calls ``close`` and ``open`` again. BudgetError
         if the picture costs more than it may. Any other error costs this picture only.
@@ -84,6 +86,8 @@ class Solved:
     pose: Pose
     cameras: tuple[Camera, ...]  # of the request, moved from the user's room to the avatar's space
     notes: tuple[str, ...] = ()  # what was out of the ordinary ("left_lost", ...), told to the client
+    scale: float = 1.0  # user metres = avatar metres * scale
+    floor: float = 0.0  # y of the user's floor in metres; 0 in the avatar's space
 
 
 class PoseSolver(Protocol):

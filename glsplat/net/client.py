@@ -32,8 +32,9 @@ _MAX_REPLY = 64 * 1024 * 1024
 class Client:
     """``async with Client("ws://127.0.0.1:8000/ws") as client: reply = await client.render(cameras, pose=pose)``.
 
-    ``window`` asks the server for that many pictures under way; ``mirror`` for the mirror image; ``height``
-    (metres) fits the avatar to the user whose tracking is sent. ``cafile`` is the certificate to trust on wss.
+    ``avatar`` chooses one of those the server offers; ``window`` asks for that many pictures under way, ``mirror`` for
+    the mirror image; ``height`` and arm ``span`` from wrist to wrist (metres) fit the avatar to the user whose
+    tracking is sent. ``cafile`` is the certificate to trust on wss.
     ``timeout`` is in seconds, of connecting and of each picture.
 
     May be connected again after ``close``, or after the server went away: a new session, whose frame_ids begin at 1.
@@ -49,11 +50,14 @@ class Client:
         window: int | None = None,
         mirror: bool = False,
         height: float | None = None,
+        span: float | None = None,
+        avatar: str | None = None,
         cafile: str | Path | None = None,
         timeout: float = 10.0,
     ) -> None:
         self.url: str = _checked_url(url)
-        self._query = {"window": window, "mirror": int(mirror) or None, "height": height}
+        asked = {"avatar": avatar, "window": window, "mirror": int(mirror) or None, "height": height, "span": span}
+        self._query = {key: value for key, value in asked.items() if value is not None}
         self._headers = {"Authorization": f"Bearer {token}"} if token else {}
         self._cafile = cafile
         self._timeout = timeout
@@ -89,7 +93,7 @@ class Client:
             return
         await self.close()
         tls = _client_tls(self._cafile) if self._cafile else True
-        query = urlencode({key: value for key, value in self._query.items() if value is not None})
+        query = urlencode(self._query)
         url = self.url + (("&" if "?" in self.url else "?") + query if query else "")
         http = aiohttp.ClientSession()
         try:
@@ -122,10 +126,15 @@ class Client:
         quality: int | None = None,
         crop: bool = False,
         alpha: bool = False,
+        mirror: bool | None = None,
+        hide: Sequence[str] = (),
+        box: bool = False,
     ) -> Reply:
         """Ask for one picture and wait for it. Calls at the same time are served one after the other.
 
         ``crop`` has only the covered part of each picture sent, ``alpha`` its accumulated alpha too (``Reply.rgba``).
+        ``mirror`` overrules what the connection asked for. ``hide`` leaves parts of the avatar out: ("head",). ``box``
+        has the server say where the avatar is (``Reply.box``).
 
         Raises ProtocolError with ``code`` "dropped" when a ``send`` of another task went out meanwhile and its picture
         came first: the newest request wins, and the server never answers the one it replaced.
@@ -133,7 +142,8 @@ class Client:
         connection = self._open()
         async with connection.turn:
             connection.take_all()
-            request = self._request(connection, cameras, pose, tracking, quality, crop, alpha)
+            flags = {"crop": crop, "alpha": alpha, "mirror": mirror, "hide": hide, "box": box}
+            request = self._request(connection, cameras, pose=pose, tracking=tracking, quality=quality, **flags)
             return (await connection.ask_and_wait(*request, self._timeout)).reply
 
     async def send(
@@ -145,6 +155,9 @@ class Client:
         quality: int | None = None,
         crop: bool = False,
         alpha: bool = False,
+        mirror: bool | None = None,
+        hide: Sequence[str] = (),
+        box: bool = False,
         subject: object = None,
     ) -> int:
         """Send a request without waiting for its picture, which may never come (a newer one replaces it).
@@ -153,7 +166,8 @@ class Client:
         it back when the answer is there.
         """
         connection = self._open()
-        request = self._request(connection, cameras, pose, tracking, quality, crop, alpha)
+        flags = {"crop": crop, "alpha": alpha, "mirror": mirror, "hide": hide, "box": box}
+        request = self._request(connection, cameras, pose=pose, tracking=tracking, quality=quality, **flags)
         await connection.ask(*request, subject)
         return request[0]
 
@@ -173,21 +187,12 @@ class Client:
         return await self._open().next(self._timeout)
 
     def _request(
-        self,
-        connection: Connection,
-        cameras: Sequence[Camera] | None,
-        pose: Pose | Mapping[str, Any] | None,
-        tracking: Mapping[str, Any] | None,
-        quality: int | None,
-        crop: bool,
-        alpha: bool,
+        self, connection: Connection, cameras: Sequence[Camera] | None, **fields: Any
     ) -> tuple[int, str, float]:
         """The next request: its frame_id, its text, and when it was made, in seconds."""
         now = time.perf_counter()
         number = connection.flow.newest + 1
-        message = request_message(
-            number, cameras, pose=pose, tracking=tracking, quality=quality, crop=crop, alpha=alpha, t=now * 1e3
-        )
+        message = request_message(number, cameras, t=now * 1e3, **fields)
         message["ack"] = connection.flow.taken
         try:
             data = _encoder.encode(message)
@@ -219,6 +224,9 @@ def request_message(
     quality: int | None = None,
     crop: bool = False,
     alpha: bool = False,
+    mirror: bool | None = None,
+    hide: Sequence[str] = (),
+    box: bool = False,
     t: float | None = None,
 ) -> dict[str, Any]:
     """The native request (docs/protocol.md) as a JSON object. Cameras may be left out where tracking has a head."""
@@ -231,11 +239,10 @@ def request_message(
         if len(pose.rotations) != len(JOINT_NAMES):
             raise ProtocolError('a pose of another rig than SMPL-X is sent as {"joints": {NAME: [x, y, z]}}')
         pose = pose.to_smplx()
-    flags = (("crop", crop or None), ("alpha", alpha or None))
-    for key, value in (("pose", pose), ("tracking", tracking), ("quality", quality), *flags):
-        if value is not None:
-            message[key] = value
-    return message
+    parts = [hide] if isinstance(hide, str) else list(hide)
+    asked: dict[str, Any] = {"pose": pose, "tracking": tracking, "quality": quality, "mirror": mirror}
+    asked |= {"crop": crop or None, "alpha": alpha or None, "hide": parts or None, "box": box or None}
+    return message | {key: value for key, value in asked.items() if value is not None}
 
 
 def _eyes(cameras: Sequence[Camera]) -> dict[str, Any]:
@@ -250,7 +257,7 @@ def _eyes(cameras: Sequence[Camera]) -> dict[str, Any]:
     if any(tuple(camera.background) != (0, 0, 0) for camera in views):
         raise ProtocolError("a server draws on black: leave background at (0, 0, 0)", "bad_camera")
     if any((np.linalg.det(camera.viewmat[:3, :3])) < 0 for camera in views):
-        raise ProtocolError("a viewmat that reflects is not sent: make the Client with mirror=True", "bad_camera")
+        raise ProtocolError("a viewmat that reflects is not sent: ask for mirror=True", "bad_camera")
     return {"eyes": [eye_fields(camera) for camera in views], "size": list(sizes[0])}
 
 
@@ -320,7 +327,8 @@ async def _speaks_tls(url: str) -> bool:
 
 def _refused(url: str, status: int) -> str:
     reasons = {
-        400: "it does not know an option of the address (mirror is 0 or 1, window 1 to 8, height 0.5 to 2.8)",
+        400: "it does not know an option of the address: avatar is one of its /session, mirror 0 or 1, window 1 to 8, "
+        "height 0.5 to 2.8, span 0.3 to 2.5",
         401: "it wants a token; give it with --token-file",
         403: "it does not serve this origin",
         404: "there is no WebSocket at this path; it is /ws",

@@ -49,6 +49,7 @@ class Frame:
     error: tuple[str, str] = ("", "")  # code and message in that case
     notes: tuple[str, ...] | None = None  # of the tracking solver
     drawn: tuple[Camera, ...] | None = None  # the eyes in the avatar's space, where tracking was solved
+    box: list[float] | None = None  # of the avatar in the client's room, where it was asked for
     ends: str = ""  # why the connection ends after this answer and its address is held off, if it does
 
 
@@ -225,6 +226,8 @@ class FramePump:
         drawn = None if frame.drawn is None else [eye_fields(camera) for camera in frame.drawn]
         if drawn is not None and drawn != info["eyes"]:
             info["drawn"] = drawn
+        if frame.box is not None:
+            info["box"] = frame.box
         return [pack_reply(request.frame_id, request.eyes, encoded.pictures, info, encoded.alphas)]
 
     async def _run(self) -> None:
@@ -322,13 +325,14 @@ class FramePump:
 
     def _draw(self, frame: Frame, solution: Solution | None) -> Future[Encoded]:
         """On the render thread: the pose where tracking was sent, the picture, and its encoding under way."""
-        request = frame.request
+        request, scale, floor = frame.request, 1.0, 0.0
         if request.tracking is not None:
             if solution is None:
                 raise PoseError("this server has no tracking solver: send pose instead of tracking")
             solved, frame.times["ik"] = solution.result()
             request = replace(request, pose=solved.pose, cameras=solved.cameras)
             frame.notes, frame.drawn = solved.notes, solved.cameras
+            scale, floor = solved.scale, solved.floor
         start = self._clock()
         frame.times["wait"] = (start - frame.arrived) * 1e3 - frame.times.get("ik", 0.0)  # solving is no waiting
         rendered = self._backend.render(request)
@@ -337,6 +341,8 @@ class FramePump:
             frame.times["render"] = (self._clock() - start) * 1e3
             if len(rendered.images) != len(frame.request.eyes):
                 raise RuntimeError(f"{len(frame.request.eyes)} pictures were asked for, {len(rendered.images)} drawn")
+            if rendered.box is not None:
+                frame.box = [round(v * scale + floor * (i % 3 == 1), 5) for i, v in enumerate(rendered.box)]
             frame.times |= {name: ms for name, ms in rendered.timings.items() if name not in ("render", "total")}
             # from here: the event loop need not hear of it first
             encoded = self._encode_threads.submit(self._encode, rendered, frame.request)

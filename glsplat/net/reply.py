@@ -43,6 +43,17 @@ class Reply:
         eyes = ", ".join(f"eye {eye}: {len(jpeg)} bytes" for eye, jpeg in sorted(self.pictures.items())) or "no picture"
         return f"Reply(frame {self.frame_id}, {eyes})"
 
+    @property
+    def box(self) -> NDArray[np.float64] | None:
+        """[2, 3] metres, the avatar's lowest and highest corner in the client's room; None where none was sent."""
+        corners = self.info.get("box")
+        if corners is None:
+            return None
+        try:
+            return np.array(corners, np.float64).reshape(2, 3)
+        except (TypeError, ValueError):
+            raise ProtocolError(f"{self!r}: expected a box of six numbers", "bad_reply") from None
+
     def decoders(self) -> list[Callable[[], NDArray[np.uint8]]]:
         """One call an eye, left first, that decodes its picture; they may run in threads side by side."""
         return self._decoders(self.pictures, "RGB")

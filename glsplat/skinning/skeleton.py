@@ -106,6 +106,15 @@ class Skeleton:
         """[J, 3] rest positions in metres."""
         return self.rest[:, :3, 3]
 
+    def under(self, name: str) -> NDArray[np.bool_]:
+        """[J] True for the joint of that name and all that hang from it. Raises PoseError where there is none."""
+        if name not in self.names:
+            raise PoseError(f'this skeleton has no joint "{name:.40}"; it has {", ".join(self.names[:6])}, ...')
+        found = np.arange(len(self)) == self.names.index(name)
+        for ids, parents in self._levels[1:]:  # roots first
+            found[ids] |= found[parents]
+        return found
+
     def forward(
         self,
         rotations: ArrayLike,  # [J, 3] axis-angle (radians), or [J, 3, 3] matrices, in each joint's rest frame

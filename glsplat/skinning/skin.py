@@ -131,6 +131,10 @@ class Skin:
         """Joints a splat, K."""
         return self.joints.shape[1]
 
+    def take(self, index: NDArray[np.bool_] | NDArray[np.integer]) -> Skin:
+        """The rows at ``index``, unchanged."""
+        return replace(self, joints=frozen(self.joints[index]), weights=frozen(self.weights[index]))
+
     def reduced(self, influences: int) -> Skin:
         """The same skin with at most ``influences`` joints a splat."""
         if influences >= self.influences:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
+from glsplat.avatar import Avatar
 from glsplat.camera import Camera, look_at, pinhole
 from glsplat.config import RenderConfig
 from glsplat.errors import BudgetError, ContextLostError, GlsplatError, PoseError
@@ -30,7 +32,10 @@ _SLICE_LEAST = 1e6  # covered pixels
 
 
 class RendererBackend:
-    """Draws one scene. Pictures of different sizes may follow each other, none beyond its budget."""
+    """Draws one scene, or those of ``avatars`` that requests name. Pictures of different sizes may follow each other.
+
+    None is drawn beyond its budget.
+    """
 
     def __init__(
         self,
@@ -41,6 +46,7 @@ class RendererBackend:
         max_cost: float = MAX_COST,
         max_time: float = MAX_TIME,
         pose_at: Callable[[float], None] | None = None,  # brings the scene to a time in seconds since open()
+        avatars: Mapping[str, Avatar] | None = None,  # by RenderRequest.avatar; any other name is the scene
     ) -> None:
         self.abandoned: Callable[[], bool] = lambda: False
         self.place: NDArray[np.uint8] | None = None
@@ -48,39 +54,48 @@ class RendererBackend:
         self._scene, self._pixels, self._device = scene, pixels, device
         self._config = config or RenderConfig()
         self._pose_at, self._opened = pose_at, 0.0
+        self._avatars = dict(avatars or {})
 
     def open(self) -> str:
         """Make the context, load the scene, and draw once so that no client waits for the shaders."""
         from glsplat.gl.context import create_context  # here: the module can be imported without a driver
+        from glsplat.net.backends.shown import Stands
         from glsplat.renderer import Renderer
 
         self._context = create_context(self._device)
         self._mark = 0
         self._opened = time.monotonic()
         try:
-            self._renderer = Renderer(
-                self._scene, size=self._pixels, views=2, config=self._config, context=self._context
-            )
+            make = partial(Renderer, size=self._pixels, views=2, config=self._config, context=self._context)
+            self._stands = Stands(self._scene, self._avatars, make)
+            renderer = self._stands.get().renderer
             view = Camera(look_at((0, 1.2, 2.0), (0, 1, 0)), pinhole(*self._pixels), *self._pixels)
-            self._renderer.render([view, view], budget=Budget())
+            renderer.render([view, view], budget=Budget())
             start = time.perf_counter()
-            self._renderer.render([view, view], budget=Budget())  # nothing is compiled or sorted this time
-            rate = self._renderer.stats.cost / (time.perf_counter() - start)
+            renderer.render([view, view], budget=Budget())  # nothing is compiled or sorted this time
+            rate = renderer.stats.cost / (time.perf_counter() - start)
             self._slice_cost = max(_SLICE_LEAST, rate * _SLICE)
         except BaseException:
             self._context.release()
             del self._context
             raise
-        return self._renderer.driver
+        return renderer.driver
 
     def render(self, request: RenderRequest) -> Rendered:
         """Draw all eyes of a request in one call. Raises ContextLostError, and BudgetError for too much."""
-        renderer, first = self._renderer, request.cameras[0]
+        first = request.cameras[0]
+        try:
+            stand = self._stands.of(request)
+        except Exception:
+            self._check_alive()
+            raise
+        renderer = stand.renderer
         budget = Budget(self._max_cost, self._max_time, self._slice_cost, self.abandoned)
         try:
             renderer.resize(first.width, first.height)
             if self._pose_at is not None:
                 self._pose_at(time.monotonic() - self._opened)
+            stand.follow()
             images = renderer.render(request.cameras, request.pose, budget=budget, out=self.place)
             if self._context.ctx.error != "GL_NO_ERROR":  # reading it clears it
                 raise GlsplatError(f"{renderer.driver} reports an OpenGL error: the picture is not to be trusted")
@@ -88,11 +103,12 @@ class RendererBackend:
             raise
         except Exception:
             self._check_alive()
-            renderer.load(self._scene)  # whatever was half done must not be taken for finished
+            renderer.load(stand.scene)  # whatever was half done must not be taken for finished
             renderer.drop_targets()
             raise
         self._check_alive()
-        return Rendered(images, dict(renderer.timings), renderer.driver, renderer.stats.covered)
+        box = stand.box(request.pose) if request.box else None
+        return Rendered(images, dict(renderer.timings), renderer.driver, renderer.stats.covered, box=box)
 
     def _check_alive(self) -> None:
         """Write a number through the context and read it back.
@@ -105,7 +121,7 @@ class RendererBackend:
         red, green, blue, alpha = (byte / 255 for byte in expected)
         self._context.scratch.clear(red, green, blue, alpha)
         if self._context.scratch.read(components=4) != expected:
-            raise ContextLostError(f"{self._renderer.driver} does nothing any more") from None
+            raise ContextLostError(f"{self._context.driver} does nothing any more") from None
 
     def kill(self) -> None:
         """Nothing: a thread cannot be ended. ProcessBackend can."""
@@ -113,6 +129,6 @@ class RendererBackend:
     def close(self) -> None:
         """Release the renderer and its context."""
         if hasattr(self, "_context"):
-            self._renderer.release()
+            self._stands.release()
             self._context.release()
             del self._context

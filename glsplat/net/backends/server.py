@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import partial
 
 from glsplat.avatar import Avatar
 from glsplat.config import RenderConfig
-from glsplat.errors import PoseError
+from glsplat.errors import GlsplatError, PoseError
 from glsplat.formats.scene_file import SceneFile
 from glsplat.net.backend import Backend, Offered
 from glsplat.net.backends.gl import MAX_COST, MAX_TIME, RendererBackend
@@ -20,6 +21,8 @@ from glsplat.tracking.solve.body import Body
 
 __all__ = ["make_server", "offered"]
 
+_NAME = 64  # characters
+
 
 def make_server(
     scene: Shown | SceneFile,
@@ -29,12 +32,15 @@ def make_server(
     own_process: bool = True,
     rendering: RenderConfig | None = None,
     budget: tuple[float, float] = (MAX_COST, MAX_TIME),  # of a picture: covered pixels, seconds
+    name: str = "default",  # of the scene, among the avatars that clients choose from
+    avatars: Mapping[str, Avatar] | None = None,  # others that clients may choose, by name
 ) -> Server:
     """A server that draws ``scene`` with OpenGL, and solves tracking if its one avatar has SMPL-X's rig.
 
     The poses of clients are for the one visible avatar; with several a pose is refused, without any it does nothing.
-    The motions of a scene file play on the server's clock. ``own_process`` draws in a process of its own, else in a
-    thread. Nothing is opened before ``await server.start()`` or ``await server.run()``::
+    The motions of a scene file play on the server's clock. Clients see the scene, or whom of ``avatars`` they name in
+    their address (/ws?avatar=NAME); each is posed and tracked by its own skeleton. ``own_process`` draws in a process
+    of its own, else in a thread. Nothing is opened before ``await server.start()`` or ``await server.run()``::
 
         asyncio.run(make_server(glsplat.load("me.glb"), ServerConfig(port=8000)).run())
     """
@@ -42,11 +48,12 @@ def make_server(
     file = scene if isinstance(scene, SceneFile) else SceneFile.of(scene)
     item = file.avatar
     avatar = item.content if item is not None and isinstance(item.content, Avatar) else None
-    draw = partial(RendererBackend, file.scene, config.wire.size, device, rendering, *budget)
+    others = _checked(avatars or {}, name, rendering)
+    draw = partial(RendererBackend, file.scene, config.wire.size, device, rendering, *budget, avatars=others)
     if file.motions:  # in one pickle with the scene, so that the items are the same
         draw = partial(draw, pose_at=file.pose_at)
     backend: Backend = ProcessBackend(draw, config.wire.max_side, budget[1]) if own_process else draw()
-    return Server(backend, config, [offered("default", avatar, calibration)])
+    return Server(backend, config, [offered(one, what, calibration) for one, what in [(name, avatar), *others.items()]])
 
 
 def offered(name: str, avatar: Avatar | None, calibration: Calibration | None = None) -> Offered:
@@ -69,3 +76,17 @@ def offered(name: str, avatar: Avatar | None, calibration: Calibration | None = 
         return TrackingSolver(skeleton, fitted if span is None else fitted.with_span(skeleton, span))
 
     return Offered(name=name, skeleton=skeleton, solver=solver, height=height, parts=parts)
+
+
+def _checked(avatars: Mapping[str, Avatar], scene: str, rendering: RenderConfig | None) -> dict[str, Avatar]:
+    """The avatars by names that an address can hold. Raises GlsplatError for what no client could ask for."""
+    for name, avatar in avatars.items():
+        if not (isinstance(name, str) and 0 < len(name) <= _NAME and name.isprintable() and name.strip() == name):
+            raise GlsplatError(f"an avatar's name needs 1 to {_NAME} printable characters, not {name!r:.80}")
+        if name == scene:
+            raise GlsplatError(f'two avatars are called "{name}": clients choose by name, give one another')
+        if not isinstance(avatar, Avatar):
+            raise GlsplatError(f'"{name}": clients choose avatars, not {type(avatar).__name__}')
+        if rendering is not None and rendering.cull_hidden and avatar.splats.cones is None:
+            raise GlsplatError(f'"{name}": cull_hidden needs visibility cones; make them (glsplat avatar cones)')
+    return dict(avatars)

@@ -46,8 +46,8 @@ class TrackingSolver:
 
     def __init__(self, skeleton: Skeleton, calibration: Calibration) -> None:
         self._tracker = Tracker(skeleton, calibration)
-        self._scale = calibration.scale
-        self._moved = calibration.scale != 1 or calibration.floor != 0
+        self._scale, self._floor = calibration.scale, calibration.floor
+        self._moved = self._scale != 1 or self._floor != 0
         self._clock = OneClock()
 
     def solve(self, request: RenderRequest, now: float) -> Solved:
@@ -55,7 +55,7 @@ class TrackingSolver:
         t = self._clock.time(request.t, now)
         pose = self._tracker.update(Sample.from_json(request.tracking, t / 1e3))
         cameras = tuple(map(self._camera, request.cameras)) if self._moved else request.cameras
-        return Solved(pose, cameras, self._tracker.flags)
+        return Solved(pose, cameras, self._tracker.flags, self._scale, self._floor)
 
     def _camera(self, camera: Camera) -> Camera:
         place = np.eye(4)

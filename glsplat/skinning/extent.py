@@ -1,0 +1,76 @@
+"""Extent: the box of a skinned thing in a pose without posing its splats: what each joint carries, bounded once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glsplat.arrays import frozen
+from glsplat.rotations import quaternion_matrices
+from glsplat.skinning.skin import Skin
+from glsplat.splats import Splats
+
+__all__ = ["Extent"]
+
+_SIGMAS = 2.0  # of a splat's size that count
+_DIRECTIONS = np.array(list(product((-1.0, 0.0, 1.0), repeat=3)))  # [27, 3]; the middle one is no direction
+_STEPS = np.array([9, 3, 1])  # of a direction's index in that list, by the sign of x, y, z
+_AXES = np.concatenate([np.eye(3), -np.eye(3)])
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Extent:
+    """How far what each joint carries reaches, in 26 directions of the zero pose.
+
+    A splat belongs to the joint in its first slot (an avatar's anchor). Blended ones lie between the places where two
+    joints would take them, which the boxes of both cover nearly always.
+    """
+
+    joints: NDArray[np.intp]  # [B] those that carry something
+    reach: NDArray[np.float64]  # [B, 27] metres: largest x . d over two standard deviations of the splats
+
+    @classmethod
+    def of(cls, splats: Splats, skin: Skin) -> Extent:
+        """Measure what can be drawn of ``splats``: finite, and not fully transparent."""
+        rows = np.flatnonzero(splats.finite() & (splats.opacities > 0))
+        rows = rows[np.argsort(skin.joints[rows, 0], kind="stable")]
+        means = splats.means[rows].astype(np.float64)
+        shapes = quaternion_matrices(splats.quats[rows]) * splats.scales[rows, None, :]
+        across = shapes.transpose(1, 0, 2).reshape(3, -1)
+        joints, starts = np.unique(skin.joints[rows, 0], return_index=True)
+        reach = np.empty((len(joints), len(_DIRECTIONS)))
+        for index, direction in enumerate(_DIRECTIONS if len(rows) else ()):
+            sizes = np.linalg.norm((direction @ across).reshape(-1, 3), axis=1)
+            reach[:, index] = np.maximum.reduceat(means @ direction + _SIGMAS * sizes, starts)
+        return cls(joints.astype(np.intp), frozen(reach))
+
+    def box(self, bones: NDArray[np.float64]) -> NDArray[np.float64] | None:
+        """[2, 3] metres, lowest and highest corner under skinning matrices [J, 3, 4]; None where there is nothing.
+
+        Never smaller than the box of what is drawn where no splat is blended, and a few per cent larger.
+        """
+        if not len(self.joints):
+            return None
+        carried = bones[self.joints]
+        across = np.einsum("ai,bij->baj", _AXES, carried[:, :, :3])  # [B, 6, 3] the box's axes as each joint sees them
+        reaches = self._reach(across) + np.einsum("ai,bi->ba", _AXES, carried[:, :, 3])
+        most = reaches.max(axis=0)
+        return np.stack([-most[3:], most[:3]])
+
+    def _reach(self, across: NDArray[np.float64]) -> NDArray[np.float64]:
+        """[B, A] upper bounds of the largest x . d for directions d [B, A, 3].
+
+        A support function is sublinear: d is a sum of an axis, a diagonal of a face and one of the cube, with weights
+        that are not negative, and what is reached along d is at most the same sum of what is reached along those.
+        """
+        size = np.abs(across)
+        order = np.argsort(-size, axis=2)
+        size = np.take_along_axis(size, order, axis=2)
+        weights = size - np.concatenate([size[:, :, 1:], np.zeros_like(size[:, :, :1])], axis=2)
+        signs = np.take_along_axis(np.where(across < 0, -1, 1), order, axis=2)
+        indices = 13 + np.cumsum(signs * _STEPS[order], axis=2)  # one, two, then three axes together
+        rows = np.arange(len(across))[:, None, None]
+        return (weights * self.reach[rows, indices]).sum(axis=2)
