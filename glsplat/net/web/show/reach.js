@@ -1,6 +1,6 @@
 // Where the panel hangs, and what points at it.
 
-import { add, axis, fromPose, place, scale, subtract, unit } from '../space/matrix.js';
+import { add, axis, dot, fromPose, place, scale, subtract, unit } from '../space/matrix.js';
 import { heading } from '../space/placing.js';
 
 const BESIDE = { width: 0.34, away: 0.3, height: 1.3 }; // metres; from the glass to the panel's middle, over the floor
@@ -13,18 +13,18 @@ export function panelPlace(where, head, sample) {
   if (where.glass) {
     const [low, right] = where.glass;
     const beside = add(right, scale(unit(subtract(right, low)), BESIDE.away));
-    return { transform: facing([beside[0], BESIDE.height, beside[2]], eye), width: BESIDE.width };
+    return { transform: facing([beside[0], BESIDE.height, beside[2]], head), width: BESIDE.width };
   }
   const wrist = sample.left ?? sample.left_grip;
   if (wrist) {
     const back = axis(fromPose(wrist), 2); // a wrist's -z leads to the fingers
     const point = add(add(wrist.slice(0, 3), scale(back, WRIST.back)), [0, WRIST.over, 0]);
-    return { transform: facing(point, eye), width: WRIST.width };
+    return { transform: facing(point, head), width: WRIST.width };
   }
   const ahead = heading(head);
   const left = [ahead[2], 0, -ahead[0]];
   const aside = add(scale(left, BEFORE.left), [0, -BEFORE.down, 0]);
-  return { transform: facing(add(add(eye, scale(ahead, BEFORE.ahead)), aside), eye), width: BEFORE.width };
+  return { transform: facing(add(add(eye, scale(ahead, BEFORE.ahead)), aside), head), width: BEFORE.width };
 }
 
 /** Rays {origin, direction} of input sources, in the room. */
@@ -39,10 +39,11 @@ export function pointers(frame, space, sources) {
   return rays;
 }
 
-/** An upright pose at `point` whose z axis points to `eye`. */
-function facing(point, eye) {
-  const z = unit(subtract(eye, point));
-  const x = unit([z[2], 0, -z[0]]);
+/** A pose at `point` whose z axis points to the head, and whose x axis is as level as the head's own. */
+function facing(point, head) {
+  const z = unit(subtract(place(head), point));
+  const right = axis(head, 0);
+  const x = unit(subtract(right, scale(z, dot(right, z))));
   const y = [z[1] * x[2] - z[2] * x[1], z[2] * x[0] - z[0] * x[2], z[0] * x[1] - z[1] * x[0]];
   return [...x, 0, ...y, 0, ...z, 0, ...point, 1];
 }
