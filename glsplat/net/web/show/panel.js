@@ -1,6 +1,6 @@
 // A panel in the room: rows of text on a canvas, pressed by a ray from a hand or a controller. And a line of notice.
 
-import { axis, dot, place, subtract } from '../space/matrix.js';
+import { axis, dot, multiply, place, subtract, translation } from '../space/matrix.js';
 
 const PIXELS = { width: 512, row: 44, rows: 20, text: 24, edge: 16 };
 const INK = { ground: 'rgba(16,20,28,0.92)', text: '#e8edf5', dim: '#9fb0c8', hover: 'rgba(70,110,190,0.75)' };
@@ -41,12 +41,20 @@ export class Panel {
   width = 0.34; // metres
   #board = new Board(PIXELS.width, PIXELS.row * PIXELS.rows + 2 * PIXELS.edge);
 
-  set transform(transform) {
-    this.#board.transform = transform;
-  }
-
   get transform() {
     return this.#board.transform;
+  }
+
+  /** Hang it up: room from panel, the middle of its rows at the origin. */
+  hang(transform, width) {
+    this.width = width;
+    const { height } = this.#board.canvas; // rows begin at its upper edge
+    const below = ((height - this.#tall) / 2) * (width / this.#board.canvas.width);
+    this.#board.transform = multiply(transform, translation([0, -below, 0]));
+  }
+
+  get #tall() {
+    return Math.min(this.#board.canvas.height, this.rows.length * PIXELS.row + 2 * PIXELS.edge);
   }
 
   /** The row that a ray (origin, unit direction) meets, with the distance: {index, row, distance, point}, or null. */
@@ -75,7 +83,7 @@ export class Panel {
   #paint(ink, canvas) {
     const { row, edge, text } = PIXELS;
     ink.fillStyle = INK.ground;
-    ink.fillRect(0, 0, canvas.width, Math.min(canvas.height, this.rows.length * row + 2 * edge));
+    ink.fillRect(0, 0, canvas.width, this.#tall);
     ink.font = `${text}px system-ui, sans-serif`;
     ink.textBaseline = 'middle';
     this.rows.forEach(({ id, label, value = '' }, i) => {

@@ -4,7 +4,7 @@ import { add, axis, dot, fromPose, place, scale, subtract, unit } from '../space
 import { heading } from '../space/placing.js';
 
 const BESIDE = { width: 0.34, away: 0.3, height: 1.3 }; // metres; from the glass to the panel's middle, over the floor
-const WRIST = { width: 0.18, over: 0.05, back: 0.12 }; // over the wrist, and back along the forearm
+const WRIST = { width: 0.18, over: 0.05, back: 0.16 }; // over the wrist, and back along the forearm
 const BEFORE = { width: 0.3, ahead: 0.7, left: 0.45, down: 0.25 };
 
 /** {transform: room from panel, width}: beside the mirror, else by the left wrist, else before the user to the left. */

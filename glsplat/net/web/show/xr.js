@@ -190,7 +190,8 @@ export class Immersive {
 
   #labels(frame, head, sample, now) {
     this.panel.rows = this.#actions.rows(this, now);
-    Object.assign(this.panel, panelPlace(this.#where, head, sample));
+    const { transform, width } = panelPlace(this.#where, head, sample);
+    this.panel.hang(transform, width);
     const hits = pointers(frame, this.#space, frame.session.inputSources)
       .map(({ origin, direction }) => this.panel.hit(origin, direction))
       .filter(Boolean);

@@ -1,0 +1,35 @@
+"""Chromium for scripts, as the tests have it."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from playwright.sync_api import sync_playwright
+
+from tests.browser.conftest import _FLAGS, _NAMES
+from tests.browser.opened import FAKE_XR, WATCH, Opened
+
+
+@contextmanager
+def chromium() -> Iterator[Any]:
+    """Playwright's Browser."""
+    path = next(filter(None, map(shutil.which, _NAMES)), None)
+    with sync_playwright() as play:
+        browser = play.chromium.launch(executable_path=path, headless=True, args=_FLAGS)
+        yield browser
+        browser.close()
+
+
+@contextmanager
+def page_of(browser: Any, address: str, init: str, size: tuple[int, int] = (1100, 640), xr: bool = True) -> Iterator[Opened]:
+    """A page with storage of its own, with the fake headset unless ``xr`` is False."""
+    context = browser.new_context(viewport={"width": size[0], "height": size[1]}, ignore_https_errors=True)
+    context.add_init_script((FAKE_XR if xr else "") + WATCH)
+    context.add_init_script(init)
+    opened = Opened(context.new_page())
+    opened.page.goto(address)
+    yield opened
+    context.close()

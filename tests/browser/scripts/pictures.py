@@ -1,0 +1,58 @@
+"""Draws the pictures of docs/vr.md anew: both eyes of a headset in each view, and the flat page.
+
+    python -m tests.browser.scripts.pictures [docs/images]
+
+The avatar is glsplat's own, the headset the fake one with a Quest 3's frusta. Look at every picture.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+import glsplat
+from glsplat.net.backends.server import make_server
+from tests.browser.scripts.browser import chromium, page_of
+from tests.browser.served import Served
+from tests.browser.vr import enter, fresh, hands, pose, see, settings, steer
+
+QUALITY = 88  # JPEG
+
+# view: the head, the left and the right wrist
+DEVICE = {
+    "mirror": (pose([0, 1.68, 0], pitch=-16), pose([-0.32, 0.95, -0.12], pitch=-60), pose([0.34, 1.5, -0.22], pitch=65)),
+    "facing": (pose([0, 1.68, 0], pitch=-14), pose([-0.32, 0.95, -0.12], pitch=-60), pose([0.34, 1.5, -0.22], pitch=65)),
+    "own": (pose([0, 1.68, 0], pitch=-42), pose([-0.2, 1.2, -0.38], pitch=15), pose([0.22, 1.25, -0.4], pitch=25)),
+}
+
+
+def save(folder: Path, name: str, image: Any) -> None:
+    path = folder / f"{name}.jpg"
+    cv2.imwrite(str(path), image[..., 2::-1], [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
+    print(path, image.shape, path.stat().st_size // 1024, "kB")
+
+
+def main(folder: Path) -> None:
+    with Served(make=lambda config: make_server(glsplat.default_avatar(), config)) as served, chromium() as browser:
+        for view, (head, left, right) in DEVICE.items():
+            init = settings(view=view, size=1024, quality=90, driver="rest")
+            with page_of(browser, served.page, init) as page:
+                steer(page, head=head, input="hands", hands=hands(left, right))
+                enter(page, run=False)
+                for _ in range(4):  # the body follows its hands
+                    fresh(page, 60)
+                seen = see(page)
+                save(folder, f"vr-{view}", np.hstack([seen["left"], seen["right"]]))
+        init = settings(size=1024, driver="motion:wave-and-turn", figures=True)
+        with page_of(browser, served.page, init, (1280, 800), xr=False) as page:
+            page.until("window.glsplat.stats().shown > 12", 60)
+            shot = np.frombuffer(page.page.screenshot(), np.uint8)
+            save(folder, "vr-page", cv2.imdecode(shot, cv2.IMREAD_COLOR)[..., ::-1])
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1] if len(sys.argv) > 1 else "docs/images"))
