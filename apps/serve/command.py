@@ -9,8 +9,10 @@ import logging
 import sys
 from pathlib import Path
 
+from glsplat.avatar import Avatar
 from glsplat.camera import PAPER_FOV, PAPER_IPD
 from glsplat.config import RenderConfig
+from glsplat.formats import load
 from glsplat.net.backends.gl import MAX_COST, MAX_TIME
 from glsplat.net.backends.server import make_server
 from glsplat.net.guard.access import Access
@@ -38,6 +40,15 @@ EXAMPLE = "glsplat serve me.glb --port 8000"
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command line."""
     add_scene(parser)
+    parser.add_argument(
+        "--avatar",
+        type=Path,
+        action="append",
+        default=[],
+        metavar="FILE",
+        help="another avatar that clients may choose, by the file's name without its suffix; may be repeated "
+        "(the first and what they see unasked is SCENE, the embedded one is called default)",
+    )
     parser.add_argument("--host", default="127.0.0.1", help="address to listen on (default 127.0.0.1, this machine)")
     parser.add_argument("--port", type=int, default=8000, help="port (default 8000; 0: any free one)")
     parser.add_argument("--size", type=size, help="pixels an eye where requests name none (default 1024x1024)")
@@ -145,6 +156,28 @@ def _pixels(args: argparse.Namespace) -> tuple[int, int]:
     return args.size or (min(1024, args.max_size),) * 2
 
 
+def scene_name(args: argparse.Namespace) -> str:
+    """What clients call the scene among the avatars."""
+    return Path(args.scene).stem if args.scene else "default"
+
+
+def other_avatars(args: argparse.Namespace) -> dict[str, Avatar]:
+    """The avatars of --avatar by the names of their files. Raises UsageError for two of one name and for none."""
+    found: dict[str, Avatar] = {}
+    for path in args.avatar:
+        if path.stem in (scene_name(args), *found):
+            raise UsageError(
+                f'--avatar {path}: there is a "{path.stem}" already, and clients choose by name; rename it'
+            )
+        if not path.exists():
+            raise UsageError(f"--avatar {path}: no such file")
+        avatar = load(path, strict=args.strict)
+        if not isinstance(avatar, Avatar):
+            raise UsageError(f"--avatar {path}: expected an avatar (.glb with a skin), found splats without a skeleton")
+        found[path.stem] = avatar
+    return found
+
+
 def run(args: argparse.Namespace) -> int:
     """Serve until SIGINT or SIGTERM; 0 after an orderly stop."""
     start_logging(args.log_format, logging.INFO if args.verbose else logging.WARNING)
@@ -153,8 +186,16 @@ def run(args: argparse.Namespace) -> int:
     config = server_config(args, keys)
     scene = open_scene(args)
     calibration = Calibration.load(args.calibration) if args.calibration else Calibration()
-    rendering, budget = RenderConfig(cull_hidden=args.cull_hidden), (args.max_cost, args.max_time)
-    server = make_server(scene, config, args.device, calibration, rendering=rendering, budget=budget)
+    server = make_server(
+        scene,
+        config,
+        args.device,
+        calibration,
+        rendering=RenderConfig(cull_hidden=args.cull_hidden),
+        budget=(args.max_cost, args.max_time),
+        name=scene_name(args),
+        avatars=other_avatars(args),
+    )
 
     def started() -> None:
         place = Place(args.host, server.port, keys)

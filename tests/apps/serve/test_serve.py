@@ -252,14 +252,14 @@ def test_an_opengl_error_costs_that_picture_only(backend, caplog):
     async def main():
         server = Server(backend, ServerConfig(port=0))
         await server.start()
-        draw, gl = backend._renderer.render, ctypes.CDLL(ctypes.util.find_library("GL"))
+        draw, gl = backend._stands.get().renderer.render, ctypes.CDLL(ctypes.util.find_library("GL"))
 
         def faulty(cameras, pose, **options):
             if cameras[0].width == 80:
                 gl.glEnable(0x1234)  # GL_INVALID_ENUM
             return draw(cameras, pose, **options)
 
-        backend._renderer.render = faulty
+        backend._stands.get().renderer.render = faulty
         try:
             async with Client(server.url) as good, Client(server.url) as bad:
                 before = await good.render(eyes, pose=pose)
@@ -268,7 +268,7 @@ def test_an_opengl_error_costs_that_picture_only(backend, caplog):
                         await bad.render(wide)
                     after = await good.render(eyes, pose=pose)
                     assert after.pictures == before.pictures
-                backend._renderer.render = draw
+                backend._stands.get().renderer.render = draw
                 assert (await bad.render(wide)).images()[0].shape == (64, 80, 3)
                 return server.stats()
         finally:
