@@ -366,6 +366,7 @@ SAMPLE = {"head": [0, 1.6, 0, 0, 0, 0, 1]}
 
 
 FORGOTTEN = {"tracking": SAMPLE, "pose": {"root_pose": [0, 0, 0]}, "size": [64, 64], "quality": 5, "crop": True}
+FORGOTTEN |= {"mirror": True, "hide": ["head"], "box": True}
 
 
 @pytest.mark.parametrize("more", [{name: value} for name, value in FORGOTTEN.items()])

@@ -17,6 +17,9 @@ from glsplat.net.messages import WireOptions
 from glsplat.net.server import Server, ServerConfig
 from glsplat.skinning.pose import Pose
 
+UPGRADE = {"Connection": "Upgrade", "Upgrade": "websocket", "Sec-WebSocket-Version": "13"}
+UPGRADE |= {"Sec-WebSocket-Key": "dGhlIHNhbXBsZSBub25jZQ=="}
+
 
 def test_a_client_gets_the_pair_it_asked_for(serve, fake_backend, cameras):
     backend = fake_backend()
@@ -292,9 +295,24 @@ def test_options_of_the_address_are_checked(serve):
             for query in ("window=0", "window=9", "window=x", "mirror=yes", "height=9", "height=nan", "height=x"):
                 with pytest.raises(ProtocolError, match="400"):
                     await Client(f"{server.url}?{query}").connect()
+            for query in ("span=0.2", "span=2.6", "span=nan", "avatar=", "avatar=nobody", "avatar=default%20"):
+                with pytest.raises(ProtocolError, match=r"400.*avatar is one of its /session"):
+                    await Client(f"{server.url}?{query}").connect()
             return server.stats()["clients"]
 
     assert asyncio.run(main()) == []
+
+
+def test_an_unknown_avatar_is_answered_with_the_names_there_are(serve):
+    async def main():
+        offered = [Offered(name="ann"), Offered(name="Jürgen B")]
+        async with serve(offered=offered) as server, aiohttp.ClientSession() as http:
+            async with Client(server.url, avatar="Jürgen B"), Client(server.url):
+                answer = await http.get(server.url.replace("ws:", "http:") + "?avatar=eve", headers=UPGRADE)
+                return answer.status, await answer.text()
+
+    status, text = asyncio.run(main())
+    assert status == 400 and text == "avatar needs a name of those offered here: ann, Jürgen B\n"
 
 
 def test_size_and_quality_defaults_come_from_the_server(serve, fake_backend, cameras):

@@ -42,6 +42,19 @@ def test_long_arms_raise_the_scale_a_little(stage: Stage, skeleton: Skeleton) ->
     assert calibrate(standing(stage, 1.1, arms=True), skeleton).scale == pytest.approx(1.1, abs=0.003)
 
 
+@pytest.mark.parametrize("height", [1.5, 1.75])
+def test_a_told_arm_span_counts_as_a_measured_one(stage: Stage, skeleton: Skeleton, height: float) -> None:
+    plain = Calibration.of_height(skeleton, height)
+    samples = standing(stage, plain.scale)
+    for factor in (0.5, 0.86, 1.0, 1.15, 1.4):
+        span = factor * plain.scale * stage.body.arm_span()
+        hands = [(side * span / 2, 1.4, 0, 0, 0, 0, 1) for side in (1, -1)]
+        measured = calibrate([Sample(s.t, s.head, *hands) for s in samples], skeleton)
+        told = plain.with_span(skeleton, span)
+        assert told.scale == pytest.approx(measured.scale, abs=0.003)
+        assert (told.arm_span is None) == (factor in (0.5, 1.4))  # those are no stretched arms
+
+
 def test_floor_and_pitch(stage: Stage, skeleton: Skeleton) -> None:
     samples = standing(stage, 1.0, floor=0.4, pitch=0.15)
     by_floor = calibrate(samples, skeleton, floor=0.4)

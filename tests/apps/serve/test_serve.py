@@ -24,9 +24,11 @@ from hypothesis import strategies as st
 
 from apps import cli
 from apps.serve import command as serve
+from apps.usage import UsageError
 from glsplat.camera import head_matrix, stereo_cameras
 from glsplat.data import default_avatar
 from glsplat.errors import GlsplatError, PoseError, ProtocolError
+from glsplat.formats import save
 from glsplat.net.backends.gl import RendererBackend
 from glsplat.net.backends.server import make_server
 from glsplat.net.backends.tracking import TrackingSolver
@@ -38,6 +40,7 @@ from glsplat.net.reply import decode_picture
 from glsplat.net.server import Server, ServerConfig
 from glsplat.skinning.pose import Pose
 from glsplat.tracking.calibration import Calibration
+from tests.scenes import limb
 
 ROOT = Path(__file__).parents[3]
 
@@ -58,6 +61,23 @@ def test_defaults_are_loopback_and_the_papers_setting():
     words = ("--max-per-address", 3, "--max-waiting", 9, "--allow-host", "a.example", "--allow-host", "*.b.example")
     config = serve.server_config(arguments(*words))
     assert config.limits == Limits(per_address=3, waiting=9) and config.access.hosts == ("a.example", "*.b.example")
+
+
+def test_further_avatars_are_called_like_their_files(tmp_path):
+    for name in ("ann.glb", "ben.glb"):
+        save(limb(20), tmp_path / name)
+    args = arguments("--avatar", tmp_path / "ann.glb", "--avatar", tmp_path / "ben.glb")
+    assert list(serve.other_avatars(args)) == ["ann", "ben"] and serve.scene_name(args) == "default"
+    assert serve.scene_name(arguments(tmp_path / "ben.glb")) == "ben" and serve.other_avatars(arguments()) == {}
+    save(limb(20).splats, tmp_path / "cloud.ply")
+    for words, message in (
+        (["--avatar", tmp_path / "eve.glb"], "eve.glb: no such file"),
+        (["--avatar", tmp_path / "cloud.ply"], "expected an avatar .* found splats without a skeleton"),
+        (["--avatar", tmp_path / "ann.glb"] * 2, 'there is a "ann" already'),
+        ([tmp_path / "ann.glb", "--avatar", tmp_path / "ann.glb"], 'there is a "ann" already'),
+    ):
+        with pytest.raises(UsageError, match=message):
+            serve.other_avatars(arguments(*words))
 
 
 @pytest.mark.parametrize(

@@ -74,7 +74,7 @@ def valid(i: int) -> list[dict[str, Any]]:
     return [
         json.loads(request(i)),
         json.loads(request(i, pose=pose, quality=80, crop=True, t=1.5)),
-        json.loads(request(i, pose=collapsed())),
+        json.loads(request(i, pose=collapsed(), mirror=False, hide=["head"], box=True)),
         json.loads(request(i, eyes=pair(64, 64)[:1], size=[64, 64], ack=None)),
         json.loads(request(i, **full)),
         json.loads(request(i, **full, eyes=None)),
@@ -104,9 +104,10 @@ class _Peer:
 
     def begin(self) -> None:
         skeleton = self.skeleton if self.chance.random() < 0.8 else None
+        parts = frozenset({"head"} if self.chance.random() < 0.8 else ())
         options = WireOptions(mirror=self.chance.random() < 0.2)
         self.window = self.chance.randint(1, 8)
-        self.session = Session(Decoder(options, skeleton), SessionConfig(window=self.window), self.now)
+        self.session = Session(Decoder(options, skeleton, "", parts), SessionConfig(window=self.window), self.now)
         self.taken: list[RenderRequest] = []
         self.newest = -1
         self.limit = options.max_side
@@ -138,6 +139,7 @@ class _Peer:
         assert r.frame_id is not None and self.newest < r.frame_id <= MAX_ID
         self.newest = r.frame_id
         assert 1 <= len(r.cameras) <= 2 and len(r.eyes) == len(r.cameras) and set(r.eyes) <= {0, 1}
+        assert r.hide in ((), ("head",)) and r.avatar == ""
         assert 1 <= r.quality <= 100 and np.isfinite(r.t or 0.0)
         for camera in r.cameras:
             assert 1 <= camera.width <= self.limit and 1 <= camera.height <= self.limit

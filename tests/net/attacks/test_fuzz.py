@@ -7,7 +7,7 @@ import json
 import pytest
 
 from glsplat.data import default_avatar
-from glsplat.net.messages import Decoder
+from glsplat.net.messages import PARTS, Decoder
 from tests.net.attacks.fuzz_bytes import send
 from tests.net.attacks.fuzz_messages import fuzz, valid
 from tests.net.attacks.light import light_avatar
@@ -25,7 +25,7 @@ def test_fuzzed_messages(seed):
 
 
 def test_what_is_mutated_is_valid_before():
-    decoder = Decoder(skeleton=default_avatar().skeleton)
+    decoder = Decoder(skeleton=default_avatar().skeleton, parts=frozenset(PARTS))
     for form in valid(1):
         decoder.decode(json.dumps(form))
 
