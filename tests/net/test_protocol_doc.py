@@ -74,6 +74,23 @@ def test_the_example_client_runs(serve, tmp_path, monkeypatch):
     assert simplejpeg.decode_jpeg(pictures[0].read_bytes()).shape == (512, 512, 3)
 
 
+def test_what_a_server_offers_has_the_keys_of_the_page(serve):
+    """Those of /session, by the example and by the table."""
+    block = json.loads(re.search(r"`/session`:\n\n```json\n(.*?)```", TEXT, re.S).group(1))
+
+    async def main():
+        async with serve() as running, aiohttp.ClientSession() as http:
+            answer = await http.get(running.url.replace("ws:", "http:").replace("/ws", "/session"))
+            return await answer.json()
+
+    offer = asyncio.run(main())
+    assert set(block) == set(offer) and set(block["avatars"][0]) == set(offer["avatars"][0])
+    table = TEXT.split("`/session`:")[1].split("## 9.")[0].split("| key | |")[1]
+    explained = {*offer, *offer["avatars"][0]} - {"v", "name", "driver"}
+    assert not [key for key in explained if f"`{key}`" not in table]
+    assert block["motions"] == offer["motions"]
+
+
 def test_every_error_code_is_in_the_table():
     sources = [Path(module.__file__).read_text() for module in (messages, session, server, pump)]
     codes = set(re.findall(r'ProtocolError\(\s*f?[^()]*?,\s*"([a-z_]+)"', "\n".join(sources), re.S))
@@ -161,6 +178,8 @@ def test_the_numbers_of_the_page():
         f"More than {limits.errors} of them at once",
         f"within {server._FAREWELL:g} s is cut off",
         "`window=1..8`",
+        "`height=0.5..2.8`",
+        "`span=0.3..2.5`",
         f"port {config.port}",
     ):
         assert phrase in TEXT, phrase

@@ -24,7 +24,7 @@ __all__ = ["KEPT", "Stand", "Stands"]
 KEPT = 4
 """Renderers at most: the default avatar with and without its head, and two others."""
 
-_KEPT_BYTES = 2**30  # of the GPU's memory, by those that are not in use
+_KEPT_BYTES = 2**29  # of the GPU's memory, by those that are not in use
 
 Key = tuple[str, tuple[str, ...]]
 
