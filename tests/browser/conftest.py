@@ -57,11 +57,11 @@ OpenPage = Callable[..., Opened]
 
 
 @pytest.fixture
-def open_page(chromium: Any, request: pytest.FixtureRequest) -> Iterator[OpenPage]:
+def open_page(chromium: Any, request: pytest.FixtureRequest, serve: Any) -> Iterator[OpenPage]:
     """``open_page(address, xr="fake" | "iwer" | None, allow=[patterns], size=(width, height), **context options)``.
 
-    Each has cookies and storage of its own. ``address`` None: opened by the test. A fault that is not allowed for
-    fails the test.
+    Each has cookies and storage of its own, and is closed before the servers of ``serve`` stop. ``address`` None:
+    opened by the test. A fault that is not allowed for fails the test.
     """
     pages: list[Opened] = []
     contexts: list[Any] = []

@@ -26,11 +26,11 @@ class Served:
         backend: Backend | None = None,
         config: ServerConfig | None = None,
         make: Callable[[ServerConfig], Server] | None = None,
-        **options: Any,  # of Server
+        offered: Any = None,  # of Server, if not its own
     ) -> None:
         assert (backend is None) != (make is None)
         self._config = config or ServerConfig(port=0)
-        self._make = make or (lambda config: Server(backend, config, **options))  # type: ignore[arg-type]
+        self._make = make or (lambda config: Server(backend, config, *([] if offered is None else [offered])))  # type: ignore[arg-type]
         self._loop: asyncio.AbstractEventLoop | None = None
         self._thread: threading.Thread | None = None
         self.server: Server | None = None

@@ -178,6 +178,7 @@ const fakeXR = {
   motion: null, // (ms, device) => void before each frame
   last: null, // {time, eyes: {left: {matrix, projection}, right}} of the newest frame, room from eye
   running: false,
+  fence: null, // of the newest frame while the GPU draws it
 
   get session() { return current; },
 
@@ -207,6 +208,19 @@ const fakeXR = {
     frame[INNER].close();
     this.frames += 1;
     this.last = { time, eyes, mode: inner.mode };
+    const { gl } = inner.state.baseLayer[INNER];
+    this.fence = { gl, sync: gl.fenceSync(gl.SYNC_GPU_COMMANDS_COMPLETE, 0) };
+    gl.flush();
+    return true;
+  },
+
+  /** Whether the newest frame is drawn. A headset gives no further one before; else they would queue up for seconds. */
+  drawn() {
+    if (!this.fence) return true;
+    const { gl, sync } = this.fence;
+    if (gl.getSyncParameter(sync, gl.SYNC_STATUS) !== gl.SIGNALED && !gl.isContextLost()) return false;
+    gl.deleteSync(sync);
+    this.fence = null;
     return true;
   },
 
@@ -216,7 +230,7 @@ const fakeXR = {
     this.running = true;
     const next = (time) => {
       if (!this.running) return;
-      this.step(time);
+      if (this.drawn()) this.step(time);
       pageFrame(next);
     };
     pageFrame(next);

@@ -1,0 +1,92 @@
+"""A backend that draws blobs at known places of the user's room, exactly, in numpy: geometry without a renderer."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from glsplat.camera import Camera
+from glsplat.net.backend import Offered, Rendered, Solved
+from glsplat.net.messages import RenderRequest
+from glsplat.skinning.pose import Pose
+from tests.browser.stored import stamp
+
+__all__ = ["COLOURS", "Markers", "as_tracked", "draw_blob", "offered"]
+
+COLOURS = {"red": (255, 0, 0), "green": (0, 255, 0), "blue": (0, 0, 255), "white": (255, 255, 255)}
+Places = Mapping[str, ArrayLike]
+
+
+class Markers:
+    """Blobs of ``radius`` metres (a standard deviation) where ``places(request)`` says: {colour: [x, y, z]}.
+
+    Every request is kept in ``requests``; a picture takes ``delay`` seconds.
+    """
+
+    def __init__(
+        self,
+        places: Callable[[RenderRequest], Places],
+        radius: float = 0.015,
+        delay: float = 0.0,
+        stamped: bool = False,
+    ) -> None:
+        self._places = places
+        self._radius = radius
+        self._stamped = stamped
+        self.delay = delay
+        self.requests: dict[int, RenderRequest] = {}
+
+    def open(self) -> str:
+        return "blobs"
+
+    def render(self, request: RenderRequest) -> Rendered:
+        end = time.monotonic() + self.delay
+        self.requests[request.frame_id or 0] = request
+        camera = request.cameras[0]
+        images = np.zeros((len(request.cameras), camera.height, camera.width, 4), np.uint8)
+        for eye, camera in enumerate(request.cameras):
+            for colour, place in self._places(request).items():
+                draw_blob(images[eye], camera, np.asarray(place, float), self._radius, COLOURS[colour])
+            if self._stamped:
+                stamp(images[eye], request.frame_id or 0, eye)
+        time.sleep(max(0.0, end - time.monotonic()))
+        return Rendered(images, {"total": 0.0}, "blobs")
+
+    def close(self) -> None: ...
+
+
+def draw_blob(
+    image: NDArray[np.uint8], camera: Camera, place: NDArray[np.float64], radius: float, colour: tuple[int, int, int]
+) -> None:
+    """Over ``image`` [H, W, 4], premultiplied; nothing where the place is behind the camera or outside."""
+    x, y, z = camera.viewmat[:3, :3] @ place + camera.viewmat[:3, 3]
+    if z < camera.near:
+        return
+    middle = np.array([camera.K[0, 0] * x / z + camera.K[0, 2], camera.K[1, 1] * y / z + camera.K[1, 2]])
+    sigma = radius / z * np.array([camera.K[0, 0], camera.K[1, 1]])
+    limits = (camera.width, camera.height)
+    low = [int(np.clip(np.floor(m - 4 * s), 0, n)) for m, s, n in zip(middle, sigma, limits, strict=True)]
+    high = [int(np.clip(np.ceil(m + 4 * s), 0, n)) for m, s, n in zip(middle, sigma, limits, strict=True)]
+    fall = [np.exp(-0.5 * ((np.arange(a, b) + 0.5 - m) / s) ** 2)
+            for a, b, m, s in zip(low, high, middle, sigma, strict=True)]  # fmt: skip
+    alpha = (fall[1][:, None] * fall[0])[..., None]
+    part = image[low[1] : high[1], low[0] : high[0]]
+    part[:] = np.round(alpha * np.array([*colour, 255]) + (1 - alpha) * part).astype(np.uint8)
+
+
+class _AsTracked:
+    """A solver that leaves cameras where they are."""
+
+    def solve(self, request: RenderRequest, now: float) -> Solved:
+        return Solved(Pose(np.zeros((55, 3))), request.cameras)
+
+
+def as_tracked(height: float | None, span: float | None) -> _AsTracked:
+    return _AsTracked()
+
+
+offered = (Offered(name="markers", solver=as_tracked, height=1.75, parts=frozenset({"head"})),)
+"""What a server of Markers offers: one avatar that can be tracked."""

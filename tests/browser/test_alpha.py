@@ -1,0 +1,121 @@
+"""In passthrough the person's rim shows neither a dark nor a bright fringe: held against compositing in floats."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+import simplejpeg
+from numpy.typing import NDArray
+
+import glsplat
+from glsplat.net.backend import Rendered
+from glsplat.net.backends.gl import RendererBackend
+from glsplat.net.backends.server import offered
+from glsplat.net.codec.encode import covered_box, encode_picture
+from glsplat.net.messages import RenderRequest
+from tests.browser.conftest import OpenPage
+from tests.browser.vr import SIDE, enter, fresh, hands, pose, see, steer, visit
+
+BAND = 3  # pixels to either side of the silhouette
+SQUARE = 8  # pixels of the checkerboard
+MOST = 2.0  # of 255
+LUMA = np.array([0.299, 0.587, 0.114])
+
+
+class Kept(RendererBackend):
+    """Keeps what was drawn: {frame_id: (request, images)}."""
+
+    def __init__(self, avatar: glsplat.Avatar) -> None:
+        super().__init__(avatar, (512, 512))
+        self.kept: dict[int, tuple[RenderRequest, NDArray[np.uint8]]] = {}
+
+    def render(self, request: RenderRequest) -> Rendered:
+        rendered = super().render(request)
+        self.kept = dict(list(self.kept.items())[-8:]) | {request.frame_id or 0: (request, rendered.images.copy())}
+        return rendered
+
+
+def sampled(image: NDArray[Any], u: NDArray[Any], v: NDArray[Any]) -> NDArray[Any]:
+    """``image`` [H, W, 4] in floats between its pixels' middles; transparent outside."""
+    height, width = image.shape[:2]
+    padded = np.pad(image.astype(np.float64), ((1, 2), (1, 2), (0, 0)))
+    x, y = np.clip(u + 0.5, 0, width + 1), np.clip(v + 0.5, 0, height + 1)  # of the padded one, from a pixel's middle
+    i, j = np.floor(x).astype(int), np.floor(y).astype(int)
+    fx, fy = (x - i)[..., None], (y - j)[..., None]
+    upper = padded[j, i] * (1 - fx) + padded[j, i + 1] * fx
+    lower = padded[j + 1, i] * (1 - fx) + padded[j + 1, i + 1] * fx
+    return upper * (1 - fy) + lower * fy
+
+
+def decoded(images: NDArray[np.uint8]) -> NDArray[np.float64]:
+    """[V, H, W, 4] as they come out of the codec, nothing brighter than it is opaque."""
+    out = np.zeros(images.shape)
+    for image, lossy in zip(images, out, strict=True):
+        x, y, width, height = covered_box(image)
+        part = image[y : y + height, x : x + width]
+        lossy = lossy[y : y + height, x : x + width]
+        lossy[..., 3:] = simplejpeg.decode_jpeg(encode_picture(np.ascontiguousarray(part[..., 3:])), "GRAY")
+        lossy[..., :3] = np.minimum(simplejpeg.decode_jpeg(encode_picture(part)), lossy[..., 3:])
+    return out
+
+
+@dataclass
+class Rim:
+    """What is off at the silhouette of both eyes, [N, 3] of 255, before a checkerboard."""
+
+    shown: NDArray[np.float64]  # by the page, from what was drawn
+    added: NDArray[np.float64]  # by the page, from what the codec made of it
+
+
+def rim(open_page: OpenPage, serve: Any, size: int) -> Rim:
+    """A person in passthrough at quality 80, against compositing what was drawn in floats."""
+    avatar = glsplat.default_avatar()
+    backend = Kept(avatar)
+    served = serve(backend, offered=[offered("default", avatar)])
+    page = visit(open_page, served, {"view": "facing", "size": size, "quality": 80})
+    # the panel follows the left wrist: out of sight, behind the back
+    steer(page, head=pose([0, 1.6, 0]), input="hands", hands=hands(pose([-0.3, 0.9, 0.4]), pose([0.25, 1.1, -0.35])))
+    enter(page, "ar", run=False)
+    fresh(page)
+    seen = see(page)
+    request, images = backend.kept[seen["stats"]["shownId"]]
+    lossy = decoded(images)
+    board = 255.0 * (np.add.outer(np.arange(SIDE) // SQUARE, np.arange(SIDE) // SQUARE) % 2)[..., None]
+    ball = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * BAND + 1, 2 * BAND + 1))
+    shown, added = [], []
+    for index, side in enumerate(("left", "right")):
+        _, P = seen["eyes"][side]
+        K = request.cameras[index].K
+        middles = (np.arange(SIDE) + 0.5) / SIDE * 2 - 1
+        u = K[0, 0] * (middles + P[0, 2]) / P[0, 0] + K[0, 2]
+        v = K[1, 1] * (middles - P[1, 2]) / P[1, 1] + K[1, 2]
+        exact, coded = (sampled(image, *np.meshgrid(u, v)) for image in (images[index], lossy[index]))
+        wanted, best, found = (a[..., :3] + (1 - a[..., 3:] / 255) * board for a in (exact, coded, seen[side] * 1.0))
+        inside = (exact[..., 3] > 127.5).astype(np.uint8)
+        band = cv2.dilate(inside, ball) > cv2.erode(inside, ball)
+        assert band.sum() > 3000, "there is no person"
+        shown.append((found - wanted)[band])
+        added.append((found - best)[band])
+    return Rim(np.concatenate(shown), np.concatenate(added))
+
+
+@pytest.mark.gl
+@pytest.mark.parametrize("size", [512, 1024])
+def test_the_rim_has_no_fringe(open_page: OpenPage, serve: Any, size: int) -> None:
+    found = rim(open_page, serve, size)
+    luma = found.shown @ LUMA
+    assert np.abs(luma).mean() <= MOST
+    assert abs(luma.mean()) <= MOST / 3, "a dark or a bright fringe"
+    assert np.abs(found.added).mean() <= 0.6, "the page does something else than compositing"
+
+
+@pytest.mark.gl
+@pytest.mark.xfail(
+    strict=True, reason="the codec's half-sized chroma runs over the silhouette: 3.3 of 255 at quality 80"
+)
+def test_the_rim_has_no_coloured_fringe(open_page: OpenPage, serve: Any) -> None:
+    assert np.abs(rim(open_page, serve, 1024).shown).mean() <= MOST

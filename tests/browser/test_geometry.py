@@ -1,0 +1,172 @@
+"""Where things appear: in the mirror, before the user, as the own body, and while the head turns.
+
+Held against geometry computed here, with nothing of the page's code; places by what docs/vr.md says of the views.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from glsplat.net.messages import RenderRequest
+from tests.browser.conftest import OpenPage
+from tests.browser.markers import Markers, offered
+from tests.browser.opened import Opened
+from tests.browser.vr import angle, centroid, enter, fresh, hands, pose, project, see, steer, visit
+
+MIRROR = 1.2  # metres from the user to the glass
+FACING = 1.8  # metres from the user to the avatar
+HEAD = pose([0.1, 1.65, 0.2], yaw=10)
+LEFT, RIGHT = pose([-0.3, 1.05, -0.25], pitch=10), pose([0.42, 1.2, -0.1], yaw=20)
+SIDES = ("left", "right")
+
+
+def at_hands(request: RenderRequest) -> dict[str, Any]:
+    """Red on the right hand, green on the left."""
+    tracking = request.tracking or {}
+    hands = {"red": tracking.get("right"), "green": tracking.get("left")}
+    return {colour: wrist[:3] for colour, wrist in hands.items() if wrist}
+
+
+def ahead_of(head: list[float]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """The ground under a head that is not pitched, and the level direction it looks in."""
+    yaw = 2 * np.arctan2(head[4], head[6])
+    return np.array([head[0], 0, head[2]]), np.array([-np.sin(yaw), 0, -np.cos(yaw)])
+
+
+def reflected(point: list[float], head: list[float]) -> NDArray[np.float64]:
+    """In a mirror that was put up before ``head``."""
+    ground, ahead = ahead_of(head)
+    foot = ground + MIRROR * ahead
+    p = np.asarray(point[:3])
+    return p - 2 * ((p - foot) @ ahead) * ahead
+
+
+def faced(point: list[float], head: list[float]) -> NDArray[np.float64]:
+    """Of an avatar that was turned about to stand before ``head``."""
+    ground, ahead = ahead_of(head)
+    pivot = ground + FACING / 2 * ahead
+    p = np.asarray(point[:3])
+    return 2 * pivot - p + [0, 2 * p[1], 0]
+
+
+def shown(open_page: OpenPage, serve: Any, view: str, **device: Any) -> Opened:
+    """In VR with hands, seeing red and green blobs at the wrists."""
+    served = serve(Markers(at_hands, radius=0.01), offered=offered)
+    page = visit(open_page, served, {"view": view, "size": 1024, "quality": 90})
+    steer(page, head=HEAD, input="hands", hands=hands(LEFT, RIGHT), **device)
+    enter(page, run=False)
+    fresh(page)
+    return page
+
+
+@pytest.mark.parametrize("cant", [0, 8])
+def test_the_mirror_shows_the_hands_where_a_mirror_would(open_page: OpenPage, serve: Any, cant: float) -> None:
+    page = shown(open_page, serve, "mirror", cant=cant)
+    # the mirror stays where it was put up when the user moves before it
+    for head in (HEAD, pose([-0.1, 1.55, 0.35], yaw=-4, pitch=-8), pose([0.3, 1.7, 0.1], yaw=25, pitch=3)):
+        steer(page, head=head)
+        fresh(page)
+        seen = see(page)
+        for side in SIDES:
+            for colour, wrist in (("red", RIGHT), ("green", LEFT)):
+                expected = project(seen["eyes"][side], reflected(wrist, HEAD))
+                found = centroid(seen[side], colour)
+                assert np.linalg.norm(found - expected) <= 1.5, (side, colour, found, expected)
+        # left and right are reversed as in any mirror: one's own right hand is seen to the right
+        assert centroid(seen["left"], "red")[0] > centroid(seen["left"], "green")[0]
+
+
+@pytest.mark.parametrize(("view", "place", "distance"), [("mirror", reflected, 2 * MIRROR), ("facing", faced, FACING)])
+def test_both_eyes_agree_on_the_distance(
+    open_page: OpenPage, serve: Any, view: str, place: Any, distance: float
+) -> None:
+    page = shown(open_page, serve, view)
+    seen = see(page)
+    for colour, wrist in (("red", RIGHT), ("green", LEFT)):
+        tangents = []
+        for side in SIDES:
+            _, projection = seen["eyes"][side]
+            x = centroid(seen[side], colour)[0] / 512 - 1
+            tangents.append((x + projection[0, 2]) / projection[0, 0])
+        disparity = tangents[0] - tangents[1]
+        assert disparity > 0, "what is before one is farther right for the left eye"
+        depth = -(np.linalg.inv(seen["eyes"]["left"][0]) @ [*place(wrist, HEAD), 1])[2]
+        assert 0.063 / disparity == pytest.approx(depth, rel=0.15)
+        assert depth == pytest.approx(distance, abs=0.6)  # the hands are nearer than the trunk
+
+
+def test_who_faces_one_has_the_right_hand_on_the_left(open_page: OpenPage, serve: Any) -> None:
+    page = shown(open_page, serve, "facing")
+    seen = see(page)
+    for side in SIDES:
+        for colour, wrist in (("red", RIGHT), ("green", LEFT)):
+            expected = project(seen["eyes"][side], faced(wrist, HEAD))
+            assert np.linalg.norm(centroid(seen[side], colour) - expected) <= 1.5, (side, colour)
+        assert centroid(seen[side], "red")[0] < centroid(seen[side], "green")[0]
+
+
+def test_ones_own_hands_are_where_they_are(open_page: OpenPage, serve: Any) -> None:
+    page = shown(open_page, serve, "own")
+    left, right = pose([-0.2, 1.4, -0.35], pitch=10), pose([0.25, 1.3, -0.35], yaw=20)
+    steer(page, head=pose([0.1, 1.65, 0.2], yaw=10, pitch=-25), hands=hands(left, right))
+    fresh(page)
+    seen = see(page)
+    for side in SIDES:
+        for colour, wrist in (("red", right), ("green", left)):
+            eye = seen["eyes"][side]
+            off = np.radians(angle(eye, centroid(seen[side], colour), project(eye, wrist[:3])))
+            assert off * np.linalg.norm(eye[0][:3, 3] - wrist[:3]) <= 0.01, (side, colour)
+
+
+TURN = 90.0  # degrees a second
+LATENCY = 0.1  # seconds
+
+
+def test_a_late_picture_stands_still_while_the_head_turns(open_page: OpenPage, serve: Any) -> None:
+    start, pixels = pose([0, 1.6, 0]), 512
+    place = [0.0, 0.975, 0.0]  # the middle of the avatar
+    backend = Markers(lambda request: {"red": place}, radius=0.03, delay=LATENCY)
+    served = serve(backend, offered=offered)
+    page = visit(open_page, served, {"view": "facing", "size": 512, "quality": 90})
+    steer(page, head=start, input="hands", hands=hands(LEFT, RIGHT), side=pixels)
+    enter(page, run=False)
+    fresh(page)
+    target = faced(place, start)
+    page.js(
+        """(speed) => {
+          const begin = performance.now();
+          fakeXR.motion = (time, device) => {
+            // to and fro between -30 and 30 degrees, always at the same speed
+            const turned = (((time - begin) / 1000) * speed + 30) % 120;
+            const yaw = ((turned < 60 ? turned - 30 : 90 - turned) * Math.PI) / 180;
+            device.head = [0, 1.6, 0, 0, Math.sin(yaw / 2), 0, Math.cos(yaw / 2)];
+          };
+          fakeXR.run();
+        }""",
+        TURN,
+    )
+    page.wait(1.5)
+    locked, unlocked = [], []
+    for _ in range(16):
+        page.wait(0.17)
+        seen = see(page)
+        request = backend.requests[seen["stats"]["shownId"]]
+        for side, camera in zip(SIDES, request.cameras, strict=True):
+            eye = seen["eyes"][side]
+            expected = project(eye, target, pixels)
+            if not ((expected > 40) & (expected < pixels - 40)).all():
+                continue
+            locked.append(angle(eye, centroid(seen[side], "red"), expected, pixels))
+            # the same picture, drawn as if it had been asked for by this eye
+            x, y, z = camera.viewmat[:3, :3] @ place + camera.viewmat[:3, 3]
+            _, P = eye
+            stuck = (np.array([P[0, 0] * x / z - P[0, 2], P[1, 1] * y / z + P[1, 2]]) + 1) * pixels / 2
+            unlocked.append(angle(eye, stuck, expected, pixels))
+    assert len(locked) > 12
+    print(f"off by {np.median(locked):.3f} degrees, at most {max(locked):.3f}; without: {np.median(unlocked):.1f}")
+    assert max(locked) <= 0.3
+    assert np.median(unlocked) >= 8

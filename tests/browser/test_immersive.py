@@ -1,0 +1,257 @@
+"""In VR: pictures are those of the poses sent, in three views, and every mishap ends well and is said in words."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from glsplat.net.backend import Offered
+from glsplat.net.guard.access import Access
+from glsplat.net.server import ServerConfig
+from tests.browser.conftest import OpenPage
+from tests.browser.markers import as_tracked
+from tests.browser.opened import Opened
+from tests.browser.stored import StoredPairs
+from tests.browser.vr import enter, hands, pose, steer, visit
+
+OFFERED = (Offered(name="stored", solver=as_tracked, height=1.75, parts=frozenset({"head"})),)
+SMALL = 256  # pixels of an eye: what is tested here is not in the pixels
+LOST = ["WebSocket connection to", "net::ERR_CONNECTION", "Failed to load resource"]  # what Chromium itself says of it
+
+
+@pytest.fixture
+def stored(serve: Any) -> Any:
+    return serve(StoredPairs(), offered=OFFERED)
+
+
+def inside(open_page: OpenPage, served: Any, mode: str = "vr", **options: Any) -> Opened:
+    """In VR, with moving head and hands, pictures coming."""
+    page = visit(open_page, served, options.pop("values", None), **options)
+    steer(page, input="hands", hands=hands(pose([-0.3, 1, -0.3]), pose([0.3, 1.1, -0.3])), side=SMALL)
+    page.js("""() => { fakeXR.motion = (time, device) => {
+      const turn = 0.1 * Math.sin(time / 400);
+      device.head = [0.05 * Math.sin(time / 700), 1.6, 0, 0, Math.sin(turn), 0, Math.cos(turn)];
+      device.hands.right.joints.forEach((joint) => { joint[1] = 1.1 + 0.1 * Math.sin(time / 300); });
+    }; }""")
+    enter(page, mode)
+    pictures(page)
+    return page
+
+
+def pictures(page: Opened, more: int = 3) -> None:
+    """Wait for some more pictures to be shown."""
+    shown = page.stats()["shown"]
+    page.until(f"window.glsplat.stats().shown >= {shown + more}")
+
+
+NOTE_FRAMES = """() => {
+  // after each XR frame: the id that the page says it shows, and the one that its textures hold
+  window.matches = [];
+  let seen = watch.count;
+  const step = fakeXR.step;
+  fakeXR.step = function spied(...args) {
+    const went = step.apply(this, args);
+    if (watch.count !== seen) {
+      seen = watch.count;
+      const stamps = watch.uploads.filter(({id}) => id !== null);
+      const held = [0, 1].map((eye) => stamps.findLast((upload) => upload.eye === eye)?.id);
+      matches.push([window.glsplat.stats().shownId, ...held]);
+    }
+    return went;
+  };
+}"""
+
+
+@pytest.mark.parametrize("view", ["mirror", "facing", "own"])
+def test_every_picture_is_the_one_that_was_asked_for(open_page: OpenPage, stored: Any, view: str) -> None:
+    page = inside(open_page, stored, values={"view": view})
+    page.js(NOTE_FRAMES)
+    pictures(page, 25)
+    page.js("fakeXR.stop()")
+    matches = page.js("matches")
+    assert len(matches) >= 20
+    assert all(told == left == right for told, left, right in matches), matches
+    assert [told for told, *_ in matches] == sorted(told for told, *_ in matches)
+
+
+def test_what_is_sent_is_what_the_device_says(open_page: OpenPage, serve: Any) -> None:
+    backend = StoredPairs()
+    page = inside(open_page, serve(backend, offered=OFFERED), values={"view": "own"})
+    page.js("() => { fakeXR.motion = null; fakeXR.stop(); }")
+    head = pose([0.12, 1.58, -0.07], yaw=15, pitch=-20)
+    left, right = pose([-0.25, 1.2, -0.4], yaw=5), pose([0.2, 1.3, -0.35], pitch=30)
+    steer(page, head=head, hands=hands(left, right))
+    count = len(backend.requests)
+    page.until(f"(() => {{ fakeXR.step(); return window.glsplat.stats().shown > {count + 1}; }})()")
+    request = backend.requests[-1]
+    assert request.tracking is not None
+    np.testing.assert_allclose(request.tracking["head"], head, atol=2e-6)
+    np.testing.assert_allclose(request.tracking["left"], left, atol=2e-6)
+    np.testing.assert_allclose(request.tracking["right"], right, atol=2e-6)
+    joints = np.reshape(request.tracking["left_joints"], (25, -1))[:, :3]
+    np.testing.assert_allclose(joints, [j[:3] for j in hands(left, None)["left"]["joints"]], atol=2e-6)
+    assert request.hide == ("head",)
+    apart = [camera.position for camera in request.cameras]
+    assert np.linalg.norm(apart[1] - apart[0]) == pytest.approx(0.063, abs=1e-5)
+    for name, camera in zip(("left", "right"), request.cameras, strict=True):
+        eye = np.reshape(page.js(f"fakeXR.last.eyes.{name}.matrix"), (4, 4)).T
+        np.testing.assert_allclose(camera.position, eye[:3, 3], atol=1e-5)
+        # asked for is what the eye can see, and a margin
+        K, width, height = camera.K, camera.width, camera.height
+        across = np.degrees(np.arctan([K[0, 2] / K[0, 0], (width - K[0, 2]) / K[0, 0]]))
+        upright = np.degrees(np.arctan([K[1, 2] / K[1, 1], (height - K[1, 2]) / K[1, 1]]))
+        most = {"left": (54, 40), "right": (40, 54)}[name]
+        assert (across <= np.add(most, 22)).all() and (upright <= np.add((44, 53), 22)).all()
+
+
+def test_a_server_that_comes_back_is_found_again(open_page: OpenPage, stored: Any) -> None:
+    page = inside(open_page, stored, allow=LOST)
+    stored.stop()
+    page.until("window.glsplat.stats().state !== 'open'")
+    page.until("/trying again/.test(document.querySelector('#status').textContent)")
+    frames = page.js("fakeXR.frames")
+    page.until(f"fakeXR.frames > {frames + 5}")  # the headset goes on meanwhile
+    stored.start()
+    page.until("window.glsplat.stats().state === 'open'", 30)
+    pictures(page)
+    assert page.stats()["reconnects"] == 1 and page.stats()["session"] == "vr"
+
+
+def test_a_full_server_is_said_and_waited_for(open_page: OpenPage, serve: Any) -> None:
+    served = serve(StoredPairs(), ServerConfig(port=0, max_clients=1), offered=OFFERED)
+    first = visit(open_page, served)
+    first.until("window.glsplat.stats().shown > 0")
+    second = visit(open_page, served, allow=LOST)
+    second.until("/full/.test(document.querySelector('#status').textContent)")
+    enter(second)  # also in VR
+    assert second.stats()["problem"] == "full"
+    first.page.close()
+    second.until("window.glsplat.stats().shown > 0", 30)
+    assert second.stats()["problem"] == ""
+
+
+def test_a_token_is_asked_for_until_it_is_right(open_page: OpenPage, serve: Any) -> None:
+    served = serve(StoredPairs(), ServerConfig(port=0, access=Access(token="s3cret")), offered=OFFERED)
+    page = visit(open_page, served, allow=LOST)
+    page.until("!document.querySelector('#token-form').hidden")
+    page.page.fill("#token", "wrong")
+    page.page.keyboard.press("Enter")
+    page.until("/wrong/.test(document.querySelector('#token-why').textContent)")
+    page.until("!document.querySelector('#token-form').hidden")
+    page.page.fill("#token", "s3cret")
+    page.page.keyboard.press("Enter")
+    page.until("window.glsplat.stats().shown > 0")
+    page.page.reload()  # this tab knows it from now on
+    page.until("window.glsplat.stats().shown > 0")
+    assert page.js("document.querySelector('#token-form').hidden")
+    assert not [address for address in page.requests if "s3cret" in address]
+
+
+def test_a_token_in_the_link_goes_nowhere_else(open_page: OpenPage, serve: Any) -> None:
+    served = serve(StoredPairs(), ServerConfig(port=0, access=Access(token="s3cret")), offered=OFFERED)
+    page = visit(open_page, served, address=f"{served.page}#token=s3cret")
+    page.until("window.glsplat.stats().shown > 0")
+    assert "s3cret" not in page.page.url
+    assert not [address for address in page.requests if "s3cret" in address.partition("#")[0]]
+    assert "s3cret" not in page.js("JSON.stringify(localStorage)")
+
+
+def test_a_hidden_headset_rests_and_goes_on(open_page: OpenPage, stored: Any) -> None:
+    page = inside(open_page, stored)
+    page.js("fakeXR.visibility('visible-blurred')")  # the system's menu: no hands, but frames
+    frames = page.js("fakeXR.frames")
+    page.until(f"fakeXR.frames > {frames + 3}")
+    page.js("fakeXR.visibility('hidden')")
+    page.wait(0.5)
+    sent = page.stats()["sentId"]
+    page.wait(0.5)
+    assert page.stats()["sentId"] <= sent + 1
+    page.js("fakeXR.visibility('visible')")
+    pictures(page)
+
+
+def test_leaving_goes_back_to_the_flat_page_and_in_again(open_page: OpenPage, stored: Any) -> None:
+    page = inside(open_page, stored)
+    for _ in range(2):
+        page.js("fakeXR.session.end()")  # the headset's own button
+        page.until("window.glsplat.stats().session === 'none'")
+        pictures(page)
+        enter(page)
+        pictures(page)
+    assert page.stats()["reconnects"] == 0 and page.js("fakeXR.sessions") == 3
+
+
+def test_a_refused_session_leaves_the_page_as_it_was(open_page: OpenPage, stored: Any) -> None:
+    page = visit(open_page, stored)
+    page.until("window.glsplat.stats().shown > 0")
+    page.js("fakeXR.device.grants = false")
+    page.page.click("#enter-vr")
+    page.until("/headset/.test(document.querySelector('#status').textContent)")
+    pictures(page)
+    page.js("fakeXR.device.grants = true")
+    enter(page)
+    pictures(page)
+
+
+def test_a_lost_head_and_lost_hands_are_no_end(open_page: OpenPage, stored: Any) -> None:
+    page = inside(open_page, stored)
+    page.js("() => { fakeXR.motion = null; }")
+    for lost in ({"hands": {"left": None, "right": None}}, {"hands": {}}, {"head": None}):
+        steer(page, **lost)
+        frames = page.js("fakeXR.frames")
+        page.until(f"fakeXR.frames > {frames + 3}")
+    steer(page, head=pose([0, 1.6, 0]), input="controllers", controllers={"right": {"grip": pose([0.3, 1, -0.3])}})
+    pictures(page)
+
+
+def test_a_button_and_two_pinches_change_the_view(open_page: OpenPage, stored: Any) -> None:
+    page = inside(open_page, stored, values={"view": "mirror"})
+    page.js("() => { fakeXR.motion = null; }")
+    aside = pose([-0.4, 1.2, -0.2], yaw=120)  # points at nothing
+    steer(page, hands=hands(aside, None))
+    page.js("() => { fakeXR.press('left'); fakeXR.press('left'); }")
+    page.until("window.glsplat.stats().view === 'facing'")
+    steer(page, input="controllers", controllers={"right": {"grip": pose([0.3, 1, -0.3], yaw=-120)}})
+    frames = page.js("fakeXR.frames")
+    page.until(f"fakeXR.frames > {frames + 2}")
+    steer(page, buttons={"left": {}, "right": {"a": 1}})
+    page.until("window.glsplat.stats().view === 'own'")
+    page.wait(0.3)
+    assert page.stats()["view"] == "own", "a held button counts once"
+    steer(page, buttons={"left": {}, "right": {}})
+    pictures(page)
+
+
+MOVE_IWER = """() => {
+  let n = 0;
+  setInterval(() => {
+    n += 1;
+    headset.position.set(0.05 * Math.sin(n / 20), 1.6, 0);
+    headset.quaternion.set(0, Math.sin(0.1 * Math.sin(n / 30)), 0, Math.cos(0.1 * Math.sin(n / 30)));
+    headset.hands.right.position.set(0.25, 1.2 + 0.1 * Math.sin(n / 15), -0.4);
+    headset.hands.left.position.set(-0.25, 1.2, -0.4);
+  }, 16);
+}"""
+
+
+def test_another_emulated_headset_is_served_as_well(open_page: OpenPage, serve: Any) -> None:
+    backend = StoredPairs()
+    served = serve(backend, offered=OFFERED)
+    page = visit(open_page, served, xr="iwer", allow=["iwer", "IWER"])
+    page.js(MOVE_IWER)
+    enter(page, run=False)
+    for view in ("mirror", "facing", "own"):
+        page.page.select_option("#view", view)
+        page.until(f"window.glsplat.stats().view === '{view}'")
+        pictures(page, 5)
+        # the newest picture in the textures is the one that the page says it shows
+        told, held = page.js("""() => {
+          const stamps = watch.uploads.filter(({id}) => id !== null);
+          return [window.glsplat.stats().shownId, [0, 1].map((eye) => stamps.findLast((u) => u.eye === eye).id)];
+        }""")
+        assert held == [told, told]
+    tracking = backend.requests[-1].tracking
+    assert tracking is not None and len(np.ravel(tracking["right_joints"])) in (75, 175)
+    assert np.ptp([r.tracking["right"][1] for r in backend.requests if (r.tracking or {}).get("right")]) > 0.01

@@ -1,0 +1,214 @@
+"""What the page may reach and who may use it: the content policy, TLS, other origins; keyboard and screen readers."""
+
+from __future__ import annotations
+
+import http.server
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, ClassVar
+
+import pytest
+
+from glsplat.net.backend import Offered
+from glsplat.net.guard.access import Access
+from glsplat.net.guard.certificate import kept_certificate
+from glsplat.net.server import ServerConfig
+from tests.browser.conftest import OpenPage
+from tests.browser.markers import as_tracked
+from tests.browser.stored import StoredPairs
+from tests.browser.vr import enter, visit
+
+OFFERED = (Offered(name="stored", solver=as_tracked, height=1.75, parts=frozenset({"head"})),)
+
+
+@pytest.fixture
+def stored(serve: Any) -> Any:
+    return serve(StoredPairs(), offered=OFFERED)
+
+
+class _Elsewhere(http.server.BaseHTTPRequestHandler):
+    asked: ClassVar[list[str]] = []
+
+    def do_GET(self) -> None:
+        self.asked.append(self.path)
+        self.send_response(200)
+        self.send_header("Access-Control-Allow-Origin", "*")
+        self.send_header("Content-Type", "text/html")
+        self.end_headers()
+        self.wfile.write(b"<!doctype html><title>elsewhere</title>")
+
+    def log_message(self, *args: Any) -> None: ...
+
+
+@pytest.fixture
+def elsewhere() -> Iterator[str]:
+    """Another origin on this machine, which notes what it is asked for."""
+    _Elsewhere.asked.clear()
+    server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), _Elsewhere)
+    thread = threading.Thread(target=server.serve_forever, args=(0.05,))
+    thread.start()
+    yield f"http://127.0.0.1:{server.server_port}"
+    server.shutdown()
+    thread.join()
+    server.server_close()
+
+
+REACH = {
+    "fetch": "(u) => fetch(u + '/fetch').then(() => 'reached', () => 'blocked')",
+    "socket": """(u) => new Promise((done) => {
+      try {
+        const socket = new WebSocket(u.replace('http', 'ws') + '/socket');
+        socket.onerror = () => done('blocked');
+        socket.onopen = () => done('reached');
+      } catch { done('blocked'); }
+    })""",
+    "image": """(u) => new Promise((done) => {
+      const image = new Image();
+      image.onload = image.onerror = () => done('blocked');
+      image.src = u + '/image';
+    })""",
+    "script": """(u) => new Promise((done) => {
+      const script = document.createElement('script');
+      script.onload = () => done('reached');
+      script.onerror = () => done('blocked');
+      script.src = u + '/script';
+      document.body.append(script);
+    })""",
+    "frame": """(u) => new Promise((done) => {
+      const frame = document.createElement('iframe');
+      frame.src = u + '/frame';
+      document.body.append(frame);
+      setTimeout(() => done('blocked'), 300);
+    })""",
+    "form": """(u) => new Promise((done) => {
+      const form = document.createElement('form');
+      form.action = u + '/form';
+      document.body.append(form);
+      form.submit();
+      setTimeout(() => done('blocked'), 300);
+    })""",
+    "beacon": "(u) => { navigator.sendBeacon(u + '/beacon'); return 'blocked'; }",
+    "worker": """(u) => new Promise((done) => {
+      try {
+        const worker = new Worker(URL.createObjectURL(new Blob(['postMessage(1)'])));
+        worker.onmessage = () => done('reached');
+        worker.onerror = () => done('blocked');
+      } catch { done('blocked'); }
+    })""",
+    "inline": """(u) => {
+      const script = document.createElement('script');
+      script.textContent = 'window.inlined = true';
+      document.body.append(script);
+      return window.inlined ? 'reached' : 'blocked';
+    }""",
+    "eval": "(u) => { const s = document.createElement('a'); s.setAttribute('onclick', 'window.evil = 1'); s.click();"
+    " return window.evil ? 'reached' : 'blocked'; }",
+}
+
+
+def test_the_page_reaches_nothing_but_its_server(open_page: OpenPage, stored: Any, elsewhere: str) -> None:
+    page = visit(open_page, stored, allow=["Content Security Policy", "Content-Security-Policy", "violates", "blocked"])
+    page.until("window.glsplat.stats().shown > 0")
+    for name, attempt in REACH.items():
+        assert page.js(attempt, elsewhere) == "blocked", name
+    page.wait(0.5)
+    assert _Elsewhere.asked == []
+    violated = {line.split()[0] for line in page.js("watch.violations")}
+    assert {"connect-src", "img-src", "form-action"} <= violated and len(violated) >= 5, violated
+    assert all(address.split("/")[2] == f"localhost:{stored.port}" for address in page.requests
+               if address.startswith(("http", "ws")) and elsewhere not in address and
+               elsewhere.replace("http", "ws") not in address)  # fmt: skip
+
+
+def test_a_page_from_elsewhere_cannot_connect(open_page: OpenPage, stored: Any, elsewhere: str) -> None:
+    page = open_page(f"{elsewhere}/", xr=None, allow=["WebSocket", "CORS", "Failed to load", "ERR_"])
+    ends = page.js(
+        """(address) => new Promise((done) => {
+          const socket = new WebSocket(address, ['glsplat.v1']);
+          socket.onopen = () => done('open');
+          socket.onerror = () => done('refused');
+        })""",
+        f"ws://localhost:{stored.port}/ws",
+    )
+    assert ends == "refused"
+    assert page.js("(u) => fetch(u).then((r) => r.status, () => 'refused')", f"{stored.origin}/session") == "refused"
+    assert stored.stats()["clients"] == []
+
+
+def test_nobody_frames_the_page(open_page: OpenPage, stored: Any, elsewhere: str) -> None:
+    page = open_page(f"{elsewhere}/", xr=None, allow=["frame-ancestors", "Refused to frame", "Framing", "frame"])
+    page.js(
+        """(address) => new Promise((done) => {
+          const frame = document.createElement('iframe');
+          frame.src = address;
+          frame.onload = () => done();
+          document.body.append(frame);
+        })""",
+        stored.page,
+    )
+    assert page.faults, "nothing was refused"
+
+
+def test_vr_works_under_tls(open_page: OpenPage, serve: Any, tmp_path: Path) -> None:
+    kept = kept_certificate(tmp_path, ())
+    config = ServerConfig(port=0, tls=(kept.path, kept.path), access=Access(tls=True))
+    page = visit(open_page, serve(StoredPairs(), config, offered=OFFERED))
+    page.until("window.glsplat.stats().shown > 3")
+    enter(page)
+    page.until("window.glsplat.stats().shown > 6")
+
+
+def test_the_pages_headers_are_strict(open_page: OpenPage, stored: Any) -> None:
+    page = open_page(None, xr=None, allow=["Failed to load"])
+    answer = page.page.goto(f"{stored.page}")
+    assert answer.status == 200
+    headers = answer.headers
+    assert "default-src 'none'" in headers["content-security-policy"]
+    assert "unsafe" not in headers["content-security-policy"]
+    assert headers["x-content-type-options"] == "nosniff"
+    assert headers["referrer-policy"] == "no-referrer"
+
+
+def test_the_keyboard_alone_is_enough(open_page: OpenPage, stored: Any) -> None:
+    page = visit(open_page, stored)
+    page.until("window.glsplat.stats().shown > 0")
+    page.until("!document.querySelector('#enter-vr').disabled")
+    reached = []
+    for _ in range(40):
+        page.page.keyboard.press("Tab")
+        identity = page.js("document.activeElement.id || document.activeElement.tagName")
+        if identity in reached:
+            break
+        reached.append(identity)
+        if identity != "BODY":
+            outline = page.js("(({outlineStyle, outlineWidth, boxShadow}) => [outlineStyle, outlineWidth, boxShadow])"
+                              "(getComputedStyle(document.activeElement))")  # fmt: skip
+            assert outline[0] != "none" or outline[2] != "none", f"{identity} has the focus, and nobody sees it"
+    wanted = {"canvas", "enter-vr", "enter-ar", "avatar", "view", "size", "quality", "driver", "stereo", "figures"}
+    assert wanted <= set(reached), wanted - set(reached)
+    page.page.focus("#enter-vr")
+    page.page.keyboard.press("Enter")
+    page.until("window.glsplat.stats().session === 'vr'")
+
+
+def test_a_screen_reader_hears_what_there_is(open_page: OpenPage, stored: Any) -> None:
+    page = visit(open_page, stored)
+    page.until("window.glsplat.stats().shown > 0")
+    nameless = page.js("""() => [...document.querySelectorAll('button, select, input, canvas, a[href]')]
+      .filter((element) => element.checkVisibility())
+      .filter((element) => !(element.labels?.length || element.ariaLabel || element.textContent.trim()))
+      .map((element) => element.outerHTML)""")
+    assert nameless == []
+    roles = page.page.locator("body").aria_snapshot()
+    for line in ("main", "heading", 'button "Enter VR"', "status", 'combobox "View in VR"'):
+        assert line in roles, f"{line} is missing of\n{roles}"
+    assert page.js("[document.documentElement.lang, document.title.length > 0]") == ["en", True]
+
+
+def test_a_phone_has_room_for_it(open_page: OpenPage, stored: Any) -> None:
+    page = visit(open_page, stored, size=(360, 640), has_touch=True)
+    page.until("window.glsplat.stats().shown > 0")
+    assert page.js("document.documentElement.scrollWidth") <= 360
+    box = page.page.locator("#canvas").bounding_box()
+    assert box["width"] > 300 and box["height"] > 300
