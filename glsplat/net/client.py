@@ -18,6 +18,7 @@ import numpy as np
 from glsplat.camera import Camera
 from glsplat.errors import GlsplatError, ProtocolError
 from glsplat.net.client_connection import Connection
+from glsplat.net.fields import Alpha
 from glsplat.net.flow import Arrived, Flow
 from glsplat.net.messages import MAX_BYTES, VERSION, eye_fields
 from glsplat.net.reply import Reply
@@ -125,14 +126,15 @@ class Client:
         tracking: Mapping[str, Any] | None = None,
         quality: int | None = None,
         crop: bool = False,
-        alpha: bool = False,
+        alpha: Alpha = False,
         mirror: bool | None = None,
         hide: Sequence[str] = (),
         box: bool = False,
     ) -> Reply:
         """Ask for one picture and wait for it. Calls at the same time are served one after the other.
 
-        ``crop`` has only the covered part of each picture sent, ``alpha`` its accumulated alpha too (``Reply.rgba``).
+        ``crop`` has only the covered part of each picture sent, ``alpha`` its accumulated alpha too
+        (``Reply.rgba``; "straight" keeps the silhouette cleaner at the same quality).
         ``mirror`` overrules what the connection asked for. ``hide`` leaves parts of the avatar out: ("head",). ``box``
         has the server say where the avatar is (``Reply.box``).
 
@@ -154,7 +156,7 @@ class Client:
         tracking: Mapping[str, Any] | None = None,
         quality: int | None = None,
         crop: bool = False,
-        alpha: bool = False,
+        alpha: Alpha = False,
         mirror: bool | None = None,
         hide: Sequence[str] = (),
         box: bool = False,
@@ -223,7 +225,7 @@ def request_message(
     tracking: Mapping[str, Any] | None = None,
     quality: int | None = None,
     crop: bool = False,
-    alpha: bool = False,
+    alpha: Alpha = False,
     mirror: bool | None = None,
     hide: Sequence[str] = (),
     box: bool = False,

@@ -14,6 +14,7 @@ __all__ = [
     "NEAR",
     "PICTURE",
     "SH_DEGREE",
+    "Alpha",
     "Eye",
     "LegacyCamera",
     "LegacyMessage",
@@ -25,6 +26,9 @@ __all__ = [
 NEAR, FAR, SH_DEGREE = 0.01, 1e10, 3  # of an eye whose request is silent: Camera's own defaults
 
 Numbers = list[float | list[float]]  # flat or nested once
+
+Alpha = bool | Literal["straight"]
+"""Whether alpha is sent too: with colours over black (premultiplied), or with straight ones (codec/straight.py)."""
 
 
 class Eye(msgspec.Struct):
@@ -90,7 +94,7 @@ class Message(msgspec.Struct):
     size: list[int] | None = None
     quality: int | None = None
     crop: bool = False
-    alpha: bool = False
+    alpha: Alpha = False
     mirror: bool | None = None
     hide: list[str] | None = None
     box: bool = False

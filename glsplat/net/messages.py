@@ -23,6 +23,7 @@ from glsplat.net.fields import (
     NEAR,
     PICTURE,
     SH_DEGREE,
+    Alpha,
     Eye,
     LegacyCamera,
     LegacyMessage,
@@ -87,7 +88,7 @@ class RenderRequest:
     ack: int | None = None  # newest frame_id the client has received
     quality: int = 80
     crop: bool = False
-    alpha: bool = False  # the accumulated alpha too
+    alpha: Alpha = False  # the accumulated alpha too
     avatar: str = ""  # which of those the server offers; empty: its first, or the scene
     hide: tuple[str, ...] = ()  # parts of the avatar to leave out, each once, sorted
     box: bool = False  # where the avatar is, too

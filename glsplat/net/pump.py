@@ -228,6 +228,8 @@ class FramePump:
             info["drawn"] = drawn
         if frame.box is not None:
             info["box"] = frame.box
+        if request.alpha == "straight":
+            info["alpha"] = request.alpha
         return [pack_reply(request.frame_id, request.eyes, encoded.pictures, info, encoded.alphas)]
 
     async def _run(self) -> None:

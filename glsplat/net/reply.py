@@ -70,7 +70,10 @@ class Reply:
         if not self.pictures.keys() <= self.alphas.keys():
             raise ProtocolError(f"{self!r} has no alpha: ask for it with alpha=True", "bad_reply")
         greys = [decode() for decode in self._decoders(self.alphas, "GRAY")]
-        return [np.concatenate(pair, axis=2) for pair in zip(self.images(), greys, strict=True)]
+        images = self.images()
+        if self.info.get("alpha") == "straight":
+            images = [_multiplied(image, grey) for image, grey in zip(images, greys, strict=True)]
+        return [np.concatenate(pair, axis=2) for pair in zip(images, greys, strict=True)]
 
     def _decoders(self, jpegs: dict[int, bytes], space: str) -> list[Callable[[], NDArray[np.uint8]]]:
         eyes = sorted(self.pictures)
@@ -144,6 +147,10 @@ def decode_picture(
     out = np.zeros((size[1], size[0], image.shape[2]), np.uint8)
     out[y : y + h, x : x + w] = image[:h, :w]
     return out
+
+
+def _multiplied(image: NDArray[np.uint8], alpha: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    return ((image.astype(np.uint16) * alpha + 127) // 255).astype(np.uint8)
 
 
 def _take(data: bytes, offset: int, length: int) -> bytes:

@@ -14,12 +14,14 @@ import simplejpeg
 from numpy.typing import NDArray
 
 from glsplat.net.codec.partial import encode_covered
+from glsplat.net.codec.straight import straightened
 
 __all__ = ["Box", "Encoded", "Encoder", "covered_box", "encode_picture"]
 
 Box = tuple[int, int, int, int]  # x, y, width, height in pixels
 
 _BLOCK = 16  # pixels of a 4:2:0 block: boxes on its grid do not bleed
+_FINER = 10  # steps of quality by which an alpha that cuts straight colours is better: all of the edge is in it
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,13 +46,14 @@ class Encoder:
         quality: int = 80,
         crop: bool = False,
         covered: Box | None = None,
-        alpha: bool = False,
+        alpha: bool | str = False,
     ) -> Encoded:
         """Encode ``images`` [V, H, W, 4]; blocks until all are done, so call it off the event loop.
 
         Outside ``covered`` the images are zero; it is not put through the codec where that saves time.
         With ``crop`` only a box of each picture is encoded: ``covered``, widened to whole blocks, or, where that is
-        unknown, the box of its opaque pixels. With ``alpha`` the fourth channel too, of the same box. The calling
+        unknown, the box of its opaque pixels. With ``alpha`` the fourth channel too, of the same box; "straight" has
+        colours that are not multiplied by it, and alpha in finer quality. The calling
         thread does the last eye itself: a pair takes one thread of the pool.
         """
         start = time.perf_counter()
@@ -74,16 +77,19 @@ class Encoder:
 
 
 def _one(
-    image: NDArray[np.uint8], quality: int, crop: bool, known: Box | None, alpha: bool
+    image: NDArray[np.uint8], quality: int, crop: bool, known: Box | None, alpha: bool | str
 ) -> tuple[bytes, Box | None, bytes | None]:
     """JPEG, its box if cropped, and the JPEG of its alpha."""
     box = None
     if crop:
         x, y, w, h = box = known or covered_box(image)
         image, known = image[y : y + h, x : x + w], None
+    finer = 0
+    if alpha == "straight":
+        image, finer = straightened(image), _FINER
     picture = None if known is None else encode_covered(image, known, quality)
     # of alpha the whole: one channel takes the codec half the time, and lines of half as many pixels save none of it
-    grey = encode_picture(image[..., 3:], quality) if alpha else None
+    grey = encode_picture(image[..., 3:], min(quality + finer, 100)) if alpha else None
     return picture or encode_picture(image, quality), box, grey
 
 

@@ -17,6 +17,7 @@ from tests.browser.opened import FAKE_XR, WATCH, Opened
 def chromium() -> Iterator[Any]:
     """Playwright's Browser."""
     path = next(filter(None, map(shutil.which, _NAMES)), None)
+    assert path, "no Chromium found"
     with sync_playwright() as play:
         browser = play.chromium.launch(executable_path=path, headless=True, args=_FLAGS)
         yield browser
@@ -24,7 +25,9 @@ def chromium() -> Iterator[Any]:
 
 
 @contextmanager
-def page_of(browser: Any, address: str, init: str, size: tuple[int, int] = (1100, 640), xr: bool = True) -> Iterator[Opened]:
+def page_of(
+    browser: Any, address: str, init: str, size: tuple[int, int] = (1100, 640), xr: bool = True
+) -> Iterator[Opened]:
     """A page with storage of its own, with the fake headset unless ``xr`` is False."""
     context = browser.new_context(viewport={"width": size[0], "height": size[1]}, ignore_https_errors=True)
     context.add_init_script((FAKE_XR if xr else "") + WATCH)

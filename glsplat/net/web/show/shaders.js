@@ -24,8 +24,7 @@ void main() {
   if (uvw.z <= 0.0 || any(lessThan(at, vec2(0.0))) || any(greaterThan(at, vec2(1.0)))) discard;
   vec3 rgb = texture(colour, at).rgb;
   float a = has_alpha ? texture(alpha, at).r : 1.0;
-  // the codecs of colour and alpha err apart: nothing is brighter than it is opaque
-  result = vec4(min(rgb, vec3(a)), a);
+  result = vec4(rgb * a, a); // colours are sent straight: alpha alone cuts the silhouette
 }`,
 };
 

@@ -69,7 +69,7 @@ export class Stage {
       quality: this.settings.get('quality'),
       crop: true,
       box: true,
-      ...(alpha ? { alpha } : {}),
+      ...(alpha ? { alpha: 'straight' } : {}),
       ...(where.mirror ? { mirror: true } : {}),
       ...(where.view === 'own' && this.canHide ? { hide: ['head'] } : {}),
     };
