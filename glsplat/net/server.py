@@ -18,7 +18,7 @@ from typing import Any
 
 from aiohttp import WSMsgType, web
 
-from glsplat.errors import ProtocolError
+from glsplat.errors import GlsplatError, ProtocolError
 from glsplat.net.backend import Backend, Offered
 from glsplat.net.guard.access import SUBPROTOCOL, Access, server_tls
 from glsplat.net.guard.door import Door, connection_of
@@ -79,6 +79,8 @@ class Server:
         self.door: Door = Door(self.config.access, self.config.limits, self.config.max_clients, clock)
         self._work = Budget(self.config.limits.work, clock())
         self._offered = {one.name: one for one in offered}
+        if not offered or len(self._offered) < len(offered):
+            raise GlsplatError("a server offers one thing or several of different names: clients choose by name")
         self._channels: dict[int, Channel] = {}
         self._sockets: dict[int, tuple[web.WebSocketResponse, web.Request]] = {}
         self._totals = Counts()

@@ -303,6 +303,12 @@ def test_options_of_the_address_are_checked(serve):
     assert asyncio.run(main()) == []
 
 
+@pytest.mark.parametrize("names", [(), ("ann", "ben", "ann")])
+def test_what_is_offered_has_names_of_its_own(names, fake_backend):
+    with pytest.raises(GlsplatError, match="of different names"):
+        Server(fake_backend(), offered=[Offered(name=name) for name in names])
+
+
 def test_an_unknown_avatar_is_answered_with_the_names_there_are(serve):
     async def main():
         offered = [Offered(name="ann"), Offered(name="Jürgen B")]
