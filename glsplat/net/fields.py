@@ -94,7 +94,7 @@ class Message(msgspec.Struct):
     size: list[int] | None = None
     quality: int | None = None
     crop: bool = False
-    alpha: Alpha = False
+    alpha: bool | str = False
     mirror: bool | None = None
     hide: list[str] | None = None
     box: bool = False

@@ -60,7 +60,6 @@ PARTS = ("head",)
 
 _ORTHONORMAL = 1e-3  # largest entry of R R^T - I; float32 clients stay below 1e-6
 NEAREST = 1e-6  # metres; nearer than any near plane makes sense
-_SMPLX_LEGACY = ("root_pose", "body_pose", "jaw_pose", "leye_pose", "reye_pose", "lhand_pose", "rhand_pose")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -189,7 +188,7 @@ class Decoder:
             ack=m.ack,
             quality=quality,
             crop=m.crop,
-            alpha=m.alpha,
+            alpha=_alpha(m.alpha),
             avatar=self.avatar,
             hide=self._hidden(m.hide or []),
             box=m.box,
@@ -303,6 +302,14 @@ def eye_fields(camera: Camera) -> dict[str, Any]:
         if value != default:
             fields[name] = value
     return fields
+
+
+def _alpha(value: bool | str) -> Alpha:
+    if isinstance(value, bool):
+        return value
+    if value == "straight":
+        return "straight"
+    raise ProtocolError(f'alpha needs true, false or "straight", not {value!r:.20}')
 
 
 def _check_ids(m: Message) -> None:

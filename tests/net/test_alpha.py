@@ -47,12 +47,14 @@ def test_alpha_is_that_of_a_direct_render():
             async with Client(server.url) as client:
                 ask = [{"alpha": True}, {"alpha": True, "crop": True}, {"crop": True}, {}]
                 replies = [await client.render(PAIR, quality=95, **more) for more in ask]
-                return replies, await client.render(PAIR[:1], quality=95, alpha=True)
+                single = await client.render(PAIR[:1], quality=95, alpha=True)
+                return replies, single, await client.render(PAIR, quality=95, alpha="straight", crop=True)
         finally:
             await server.stop()
 
-    (whole, cropped, only, plain), single = asyncio.run(main())
-    for reply in (whole, cropped, single):
+    (whole, cropped, only, plain), single, straight = asyncio.run(main())
+    assert straight.info["alpha"] == "straight" and "alpha" not in whole.info
+    for reply in (whole, cropped, single, straight):
         for mine, theirs in zip(reply.rgba(), direct, strict=False):
             assert mine.shape == (SIZE[1], SIZE[0], 4)
             assert np.abs(mine[..., 3] - theirs[..., 3]).mean() < 0.4
@@ -116,10 +118,13 @@ def test_a_reply_with_alpha_is_told_from_one_without():
                 parse_reply(data[:cut])
 
 
-@pytest.mark.parametrize("value", [1, "yes", None, [True]])
-def test_alpha_is_true_or_false(value):
-    with pytest.raises(ProtocolError, match="bool"):
+@pytest.mark.parametrize(
+    ("value", "words"), [(1, "bool"), ("yes", '"straight", not'), (None, "bool"), ([True], "bool")]
+)
+def test_alpha_is_true_false_or_straight(value, words):
+    with pytest.raises(ProtocolError, match=words):
         Decoder().decode(native(1, alpha=value))
+    assert Decoder().decode(native(1, alpha="straight")).alpha == "straight"
 
 
 def test_alpha_without_a_number_is_no_acknowledgement():
