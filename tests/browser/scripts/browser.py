@@ -24,7 +24,9 @@ def chromium() -> Iterator[Any]:
 
 
 @contextmanager
-def page_of(browser: Any, address: str, init: str, size: tuple[int, int] = (1100, 640), xr: bool = True) -> Iterator[Opened]:
+def page_of(
+    browser: Any, address: str, init: str, size: tuple[int, int] = (1100, 640), xr: bool = True
+) -> Iterator[Opened]:
     """A page with storage of its own, with the fake headset unless ``xr`` is False."""
     context = browser.new_context(viewport={"width": size[0], "height": size[1]}, ignore_https_errors=True)
     context.add_init_script((FAKE_XR if xr else "") + WATCH)

@@ -24,8 +24,16 @@ QUALITY = 88  # JPEG
 
 # view: the head, the left and the right wrist
 DEVICE = {
-    "mirror": (pose([0, 1.68, 0], pitch=-16), pose([-0.32, 0.95, -0.12], pitch=-60), pose([0.34, 1.5, -0.22], pitch=65)),
-    "facing": (pose([0, 1.68, 0], pitch=-14), pose([-0.32, 0.95, -0.12], pitch=-60), pose([0.34, 1.5, -0.22], pitch=65)),
+    "mirror": (
+        pose([0, 1.68, 0], pitch=-16),
+        pose([-0.32, 0.95, -0.12], pitch=-60),
+        pose([0.34, 1.5, -0.22], pitch=65),
+    ),
+    "facing": (
+        pose([0, 1.68, 0], pitch=-14),
+        pose([-0.32, 0.95, -0.12], pitch=-60),
+        pose([0.34, 1.5, -0.22], pitch=65),
+    ),
     "own": (pose([0, 1.68, 0], pitch=-42), pose([-0.2, 1.2, -0.38], pitch=15), pose([0.22, 1.25, -0.4], pitch=25)),
 }
 
