@@ -8,13 +8,17 @@ from collections.abc import Callable, Mapping
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from glsplat.avatar import Avatar
 from glsplat.camera import Camera
+from glsplat.data import default_avatar
 from glsplat.net.backend import Offered, Rendered, Solved
 from glsplat.net.messages import RenderRequest
 from glsplat.skinning.pose import Pose
+from glsplat.skinning.skin import Skin
+from glsplat.splats import Splats
 from tests.browser.stored import stamp
 
-__all__ = ["COLOURS", "Markers", "as_tracked", "draw_blob", "offered"]
+__all__ = ["COLOURS", "Markers", "as_tracked", "draw_blob", "marked_avatar", "offered"]
 
 COLOURS = {"red": (255, 0, 0), "green": (0, 255, 0), "blue": (0, 0, 255), "white": (255, 255, 255)}
 Places = Mapping[str, ArrayLike]
@@ -90,3 +94,17 @@ def as_tracked(height: float | None, span: float | None) -> _AsTracked:
 
 offered = (Offered(name="markers", solver=as_tracked, height=1.75, parts=frozenset({"head"})),)
 """What a server of Markers offers: one avatar that can be tracked."""
+
+
+def marked_avatar(radius: float = 0.012) -> Avatar:
+    """The embedded rig with nothing on it but red at the right wrist, green at the left one, and blue on the head."""
+    skeleton = default_avatar().skeleton
+    joints = [skeleton.names.index(name) for name in ("right_wrist", "left_wrist", "head")]
+    splats = Splats.create(
+        skeleton.joints[joints] + [[0, 0, 0], [0, 0, 0], [0, 0.1, 0.05]],
+        [[1, 0, 0, 0]] * 3,
+        np.full((3, 3), radius),
+        [0.99] * 3,
+        rgb=[[1, 0, 0], [0, 1, 0], [0, 0, 1]],
+    )
+    return Avatar(splats, skeleton, Skin([[joint] for joint in joints], [[1.0]] * 3))

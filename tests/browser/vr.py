@@ -38,7 +38,7 @@ def settings(**values: Any) -> str:
     kept = (
         f"localStorage.getItem('glsplat.settings') ?? localStorage.setItem('glsplat.settings', '{json.dumps(values)}')"
     )
-    return f"if (window === window.top) {kept}"  # frames of other origins have no storage
+    return f"if (location.protocol.startsWith('http') && window === window.top) {kept}"  # others have no storage
 
 
 def visit(open_page: Any, served: Served, values: dict[str, Any] | None = None, **options: Any) -> Opened:

@@ -5,8 +5,9 @@ const SQUARE = 16; // pixels of a stamp's square (pictures.py)
 const COLUMNS = 6;
 const ROWS = 4;
 
-/** The last pictures put into textures: {id, eye, width, height, ms}; id null: no stamp in it. */
-const watch = { uploads: [], count: 0, opened: 0, closed: 0, violations: [] };
+/** uploads: the last pictures put into textures, {id, eye, width, height, ms}; id null: no stamp in it. Set reading to
+ * false to measure speed: it makes the page wait for the GPU at every upload. */
+const watch = { reading: true, uploads: [], count: 0, opened: 0, closed: 0, violations: [] };
 
 /** frame_id and eye from a stamp's squares, or null. bits[i] is the green value of square i, row by row. */
 function readStamp(bits) {
@@ -52,7 +53,7 @@ function spy(name, target, at) {
   proto[name] = function spied(...args) {
     original.apply(this, args);
     const source = args.at(-1);
-    if (!isPicture(source)) return;
+    if (!watch.reading || !isPicture(source)) return;
     const { x = 0, y = 0, level = 0, layer = null } = at(args);
     note(this, (where) => {
       const texture = this.getParameter(this[target]);
