@@ -29,7 +29,7 @@ def test_every_pixel_is_its_own_colour_or_its_blocks(rng):
         for left in range(0, 101, BLOCK):
             block = np.s_[top : top + BLOCK, left : left + BLOCK]
             mine, theirs = found[block].astype(float), image[block].astype(float)
-            if not theirs[..., 3].any() or (theirs[..., 3] == 255).all() and theirs.shape[:2] == (BLOCK, BLOCK):
+            if not theirs[..., 3].any() or ((theirs[..., 3] == 255).all() and theirs.shape[:2] == (BLOCK, BLOCK)):
                 assert (mine == theirs).all()
                 continue
             for a in (0, 8):
