@@ -26,7 +26,9 @@ MOVING = """() => { fakeXR.motion = (time, device) => {
   const turn = 0.1 * Math.sin(time / 400);
   device.head = [0.05 * Math.sin(time / 700), 1.65, 0, 0, Math.sin(turn), 0, Math.cos(turn)];
 }; }"""
-HEAD = "| pictures | 2 x | decoding | display frames/s | shown/s | age, median | 95 % | round trip | decode, ms | upload |"
+HEAD = (
+    "| pictures | 2 x | decoding | display frames/s | shown/s | age, median | 95 % | round trip | decode, ms | upload |"
+)
 
 
 def page_row(browser: Any, served: Served, size: int, where: str, seconds: float) -> dict[str, Any]:
