@@ -82,7 +82,7 @@ export function numbers(stats) {
     'Server: encoding': ms(stats.server.encode),
     'Server: solving': ms(stats.server.ik),
     Decoding: ms(stats.decodeMs),
-    'Dropped here / by the server': `${stats.dropped} / ${stats.droppedByServer}`,
+    'Dropped: here / server': `${stats.dropped} / ${stats.droppedByServer}`,
   };
 }
 
