@@ -6,7 +6,7 @@ import { pictureQuad } from '../space/picture.js';
 
 const FRAME = 0.03; // metres around a mirror's glass
 const COLOURS = { frame: [0.45, 0.36, 0.22, 1], glass: [0, 0, 0, 1], floor: [0.22, 0.26, 0.33, 1] };
-const FLOOR = { half: 6, step: 0.5, fade: 7 }; // metres
+const FLOOR = { half: 5, step: 1, fade: 6 }; // metres
 
 export class Painter {
   textures = 0; // alive, for leak tests
@@ -95,6 +95,7 @@ export class Painter {
     if (room) this.#drawFloor(clip, transform);
     if (glass) this.#drawMirror(clip, glass);
     if (this.#asked) this.#drawPicture(clip, transform, index);
+    else if (glass) this.#drawFlat(clip, [glass[3], glass[2], glass[0], glass[1]], COLOURS.glass);
     for (const label of labels) this.#drawLabel(clip, label);
   }
 
@@ -126,7 +127,9 @@ export class Painter {
     gl.bindTexture(gl.TEXTURE_2D, eye.alpha);
     gl.activeTexture(gl.TEXTURE0);
     gl.bindTexture(gl.TEXTURE_2D, eye.colour);
+    if (!eye.hasAlpha) gl.disable(gl.BLEND); // nothing shows through it
     this.#drawStrip(positions, texels);
+    gl.enable(gl.BLEND);
   }
 
   #drawMirror(clip, glass) {
@@ -134,18 +137,19 @@ export class Painter {
     const u = along(low, right, FRAME);
     const v = along(low, left, FRAME);
     const grown = [[-1, -1], [1, -1], [1, 1], [-1, 1]].map(([a, b], i) => add(glass[i], add(scale(u, a), scale(v, b))));
-    this.#drawFlat(clip, grown, COLOURS.frame);
-    this.#drawFlat(clip, glass, COLOURS.glass);
+    // around the glass, not behind it: what is covered is not drawn twice
+    this.#drawFlat(clip, [0, 1, 2, 3, 0].flatMap((i) => [grown[i], glass[i]]), COLOURS.frame);
   }
 
-  #drawFlat(clip, [a, b, c, d], paint) {
+  /** A triangle strip in one colour. */
+  #drawFlat(clip, strip, paint) {
     const gl = this.#gl;
     const { use, at } = this.#programs.flat;
     use();
     gl.uniformMatrix4fv(at.clip_from_room, false, clip);
     gl.uniform4fv(at.paint, paint);
     gl.uniform1f(at.fade, 0);
-    this.#drawStrip([d, c, a, b], [a, a, a, a]);
+    this.#drawStrip(strip, strip);
   }
 
   #drawFloor(clip, transform) {
@@ -182,7 +186,7 @@ export class Painter {
     gl.bindVertexArray(this.#mesh.array);
     gl.bindBuffer(gl.ARRAY_BUFFER, this.#mesh.buffer);
     gl.bufferData(gl.ARRAY_BUFFER, data, gl.STREAM_DRAW);
-    gl.drawArrays(gl.TRIANGLE_STRIP, 0, 4);
+    gl.drawArrays(gl.TRIANGLE_STRIP, 0, positions.length);
     gl.bindVertexArray(null);
   }
 

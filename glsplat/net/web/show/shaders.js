@@ -21,10 +21,10 @@ in vec3 uvw;
 out vec4 result;
 void main() {
   vec2 at = (uvw.xy / uvw.z - box.xy) / box.zw;
-  if (uvw.z <= 0.0 || any(lessThan(at, vec2(0.0))) || any(greaterThan(at, vec2(1.0)))) discard;
-  vec3 rgb = texture(colour, at).rgb;
+  bool inside = uvw.z > 0.0 && all(greaterThanEqual(at, vec2(0.0))) && all(lessThanEqual(at, vec2(1.0)));
+  vec4 nothing = vec4(0.0, 0.0, 0.0, has_alpha ? 0.0 : 1.0); // black, and see-through where anything is
   float a = has_alpha ? texture(alpha, at).r : 1.0;
-  result = vec4(rgb * a, a); // colours are sent straight: alpha alone cuts the silhouette
+  result = inside ? vec4(texture(colour, at).rgb * a, a) : nothing; // colours are straight: alpha alone cuts them
 }`,
 };
 
