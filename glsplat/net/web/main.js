@@ -87,18 +87,29 @@ async function begin() {
   connection.restart();
 }
 
+async function askOffer() {
+  const response = await connection.fetch('session').catch(() => null);
+  if (response?.ok) offered(await response.json());
+}
+
 function offered(session) {
   offer = session;
-  const named = (name) => ({ value: name, label: name });
+  const named = (value) => ({ value, label: `${value}` });
   settings.setOptions('avatar', session.avatars.map(({ name }) => named(name)));
   const drivers = [{ value: 'rest', label: 'Standing still' }];
   for (const name of session.motions) drivers.push({ value: `motion:${name}`, label: `Motion: ${name}` });
   if (session.recording) drivers.push({ value: 'recording', label: 'Recorded head and hands' });
   settings.setOptions('driver', [...drivers, { value: 'file', label: 'My recording…' }]);
-  settings.setOptions('size', SIZES.filter((side) => 1.5 * side <= session.max_side).map((side) => ({ value: side, label: `${side}` })));
+  settings.setOptions('size', sizesUpTo(session.max_side).map(named));
   stage.canHide = Boolean(chosenAvatar()?.head);
 }
 
+
+/** The sides of a square picture for a server's limit: pictures may be 1.5 times as high as a square, or as wide. */
+function sizesUpTo(most) {
+  const fit = SIZES.filter((side) => 1.5 * side <= most);
+  return fit.length ? fit : [Math.max(1, Math.floor(most / 1.5))];
+}
 
 /** Let the motion or recording that the settings name move the avatar. */
 async function drive() {
@@ -173,10 +184,9 @@ const capital = (words) => words.charAt(0).toUpperCase() + words.slice(1);
 connection.addEventListener('state', () => {
   tell();
   if (connection.problem === 'token') begin();
-  if (connection.state === 'open' && !offer) {
-    connection.fetch('session').then((response) => (response.ok ? response.json() : null)).then((found) => found && offered(found), () => {});
-  }
+  if (connection.state === 'open' && (!offer || connection.opened > 1)) askOffer(); // another server, perhaps
 });
+connection.addEventListener('offer', ({ detail }) => offered(detail));
 connection.addEventListener('complaint', tell);
 
 page.addEventListener('enter-vr', () => enter('vr'));

@@ -57,7 +57,8 @@ export class Menu {
   #said({ untracked }) {
     if (this.#stage.notice) return this.#stage.notice;
     if (untracked.length === 2) return 'No hands tracked';
-    return untracked.length ? `The ${untracked[0]} hand is not tracked` : 'Connected';
+    if (untracked.length) return `The ${untracked[0]} hand is not tracked`;
+    return this.#stage.connection.state === 'open' ? 'Connected' : 'Connecting…';
   }
 
   #figures(now) {

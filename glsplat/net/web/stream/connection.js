@@ -5,11 +5,11 @@ import { parseReply } from './reply.js';
 const SERVER = new URL('..', location.href); // the page is SERVER/vr/, also behind a proxy that moves it
 const PAUSES = [250, 500, 1000, 2000, 4000]; // ms between attempts
 const MOST_BUFFERED = 128 * 1024; // bytes that may wait in the socket before requests are left out
-const REMEMBERED = 256; // requests whose replies may still come
+const REMEMBERED = 2048; // requests whose replies may still come: 20 s at 90 Hz
 
 /**
  * Events: `state` (its `state` or `reason` changed), `reply` (detail {reply, buffer, asked, ms}), `complaint` (detail
- * {code, message} of the server's). States: off, connecting, open, waiting.
+ * {code, message} of the server's), `offer` (detail: what GET /session says). States: off, connecting, open, waiting.
  */
 export class Connection extends EventTarget {
   state = 'off';
@@ -148,8 +148,12 @@ export class Connection extends EventTarget {
         const seconds = Number(response.headers.get('Retry-After')) || 10;
         return ['held-off', `the server holds this address off for ${seconds} s`, seconds * 1000];
       }
-      if (response.ok && (await response.json()).full) return ['full', 'the server is full; trying again', 2000];
-      if (response.ok) return ['refused', 'the server lets nobody in just now; trying again'];
+      if (response.ok) {
+        const offer = await response.json();
+        this.dispatchEvent(new CustomEvent('offer', { detail: offer })); // what was asked for may be gone
+        if (offer.full) return ['full', 'the server is full; trying again', 2000];
+        return ['refused', 'the server lets nobody in just now; trying again'];
+      }
       return ['refused', `the server refuses (${(await response.text()).trim() || response.status})`];
     } catch {
       return ['lost', 'the server does not answer; trying again'];
