@@ -97,7 +97,7 @@ offered = (Offered(name="markers", solver=as_tracked, height=1.75, parts=frozens
 
 
 def marked_avatar(radius: float = 0.012) -> Avatar:
-    """The embedded rig with nothing on it but red at the right wrist, green at the left one, and blue before the mouth."""
+    """The embedded rig with nothing on it but red at the right wrist, green at the left one, blue before the mouth."""
     skeleton = default_avatar().skeleton
     joints = [skeleton.names.index(name) for name in ("right_wrist", "left_wrist", "head")]
     splats = Splats.create(

@@ -9,9 +9,9 @@ import pytest
 
 from glsplat.net.backends.server import make_server
 from tests.browser.conftest import OpenPage
+from tests.browser.immersive.test_places import reflected
 from tests.browser.markers import marked_avatar
 from tests.browser.opened import Opened
-from tests.browser.test_geometry import reflected
 from tests.browser.vr import angle, centroid, enter, fresh, hands, pose, project, see, steer, visit
 
 pytestmark = pytest.mark.gl

@@ -22,8 +22,7 @@ from tests.browser.vr import SIDE, enter, fresh, hands, pose, see, steer, visit
 
 BAND = 3  # pixels to either side of the silhouette
 SQUARE = 8  # pixels of the checkerboard
-MOST = 2.0  # of 255
-LUMA = np.array([0.299, 0.587, 0.114])
+MOST = {512: 2.5, 1024: 2.0}  # of 255, by the side of the pictures: at 512 each of their pixels covers several
 
 
 class Kept(RendererBackend):
@@ -106,11 +105,9 @@ def rim(open_page: OpenPage, serve: Any, size: int) -> Rim:
 
 
 @pytest.mark.gl
-@pytest.mark.parametrize("size", [512, 1024])
+@pytest.mark.parametrize("size", MOST)
 def test_the_rim_has_no_fringe(open_page: OpenPage, serve: Any, size: int) -> None:
     found = rim(open_page, serve, size)
-    print(f"{size}: {np.abs(found.shown).mean():.2f} of 255, {found.shown.mean():+.2f}, the page {found.added.mean():+.2f}")
-    assert abs(found.shown.mean()) <= MOST / 4, "a dark or a bright fringe"
+    assert np.abs(found.shown).mean() <= MOST[size]
+    assert abs(found.shown.mean()) <= 0.5, "a dark or a bright fringe"
     assert np.abs(found.added).mean() <= 0.6, "the page does something else than compositing"
-    # half as many pixels are as much coarser as they are larger
-    assert np.abs(found.shown).mean() <= MOST * 1024 / max(size, 724)
