@@ -97,11 +97,11 @@ offered = (Offered(name="markers", solver=as_tracked, height=1.75, parts=frozens
 
 
 def marked_avatar(radius: float = 0.012) -> Avatar:
-    """The embedded rig with nothing on it but red at the right wrist, green at the left one, and blue on the head."""
+    """The embedded rig with nothing on it but red at the right wrist, green at the left one, blue before the mouth."""
     skeleton = default_avatar().skeleton
     joints = [skeleton.names.index(name) for name in ("right_wrist", "left_wrist", "head")]
     splats = Splats.create(
-        skeleton.joints[joints] + [[0, 0, 0], [0, 0, 0], [0, 0.1, 0.05]],
+        skeleton.joints[joints] + [[0, 0, 0], [0, 0, 0], [0, -0.05, 0.25]],
         [[1, 0, 0, 0]] * 3,
         np.full((3, 3), radius),
         [0.99] * 3,

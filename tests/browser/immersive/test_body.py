@@ -9,9 +9,9 @@ import pytest
 
 from glsplat.net.backends.server import make_server
 from tests.browser.conftest import OpenPage
+from tests.browser.immersive.test_places import reflected
 from tests.browser.markers import marked_avatar
 from tests.browser.opened import Opened
-from tests.browser.test_geometry import reflected
 from tests.browser.vr import angle, centroid, enter, fresh, hands, pose, project, see, steer, visit
 
 pytestmark = pytest.mark.gl
@@ -53,7 +53,7 @@ def test_ones_own_hands_are_seen_where_they_are(open_page: OpenPage, serve: Any,
             print(f"{height} m, {side} eye, {hand} hand: {1e3 * off:.1f} mm")
             assert off <= 0.01, (side, hand)
         blue = seen[side][..., 2].astype(int) - seen[side][..., :2].max(2)
-        assert blue.max() < 150, "one sees one's own head"
+        assert blue.max() < 150, "the own head is in the way"
 
 
 def test_the_mirror_shows_the_avatars_hands(open_page: OpenPage, serve: Any) -> None:
