@@ -4,7 +4,7 @@ import { add, axis, dot, fromPose, place, scale, subtract, unit } from '../space
 import { heading } from '../space/placing.js';
 
 const BESIDE = { width: 0.34, away: 0.3, height: 1.3 }; // metres; from the glass to the panel's middle, over the floor
-const WRIST = { width: 0.18, over: 0.05, back: 0.16 }; // over the wrist, and back along the forearm
+const WRIST = { width: 0.18, left: 0.18, back: 0.06 }; // beside the wrist, as its user sees it: it hides no hand
 const BEFORE = { width: 0.3, ahead: 0.7, left: 0.45, down: 0.25 };
 
 /** {transform: room from panel, width}: beside the mirror, else by the left wrist, else before the user to the left. */
@@ -18,7 +18,8 @@ export function panelPlace(where, head, sample) {
   const wrist = sample.left ?? sample.left_grip;
   if (wrist) {
     const back = axis(fromPose(wrist), 2); // a wrist's -z leads to the fingers
-    const point = add(add(wrist.slice(0, 3), scale(back, WRIST.back)), [0, WRIST.over, 0]);
+    const aside = add(scale(axis(head, 0), -WRIST.left), scale(back, WRIST.back));
+    const point = add(wrist.slice(0, 3), aside);
     return { transform: facing(point, head), width: WRIST.width };
   }
   const ahead = heading(head);
