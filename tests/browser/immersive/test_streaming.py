@@ -7,6 +7,7 @@ import subprocess
 import sys
 from typing import Any
 
+import psutil
 import pytest
 
 import glsplat
@@ -23,6 +24,17 @@ WINDOW = (640, 400)  # pixels: a software rasterizer is to spend its time on lit
 FPS = 30.0
 SHARE = 0.6  # of what a client without a browser is shown
 TRIES = 3
+
+
+BUSY = 30.0  # per cent of the machine
+
+
+@pytest.fixture
+def quiet() -> None:
+    """Speed is measured where nothing else runs."""
+    busy = psutil.cpu_percent(1.0)
+    if busy > BUSY:
+        pytest.skip(f"the machine is busy ({busy:.0f} % before the test does anything): no speed is measured")
 
 
 def moving(page: Opened, side: int = 256) -> Opened:
@@ -44,7 +56,7 @@ def rates(page: Opened, seconds: float = 2.5) -> tuple[float, float]:
     return 1e3 * (later - shown) / (ended - began), page.stats()["frameRate"]
 
 
-def test_stored_pictures_are_shown_at_speed(open_page: OpenPage, serve: Any) -> None:
+def test_stored_pictures_are_shown_at_speed(quiet: None, open_page: OpenPage, serve: Any) -> None:
     served = serve(StoredPairs(), offered=OFFERED)
     page = visit(open_page, served, {"view": "facing", "size": 512}, xr="iwer", size=WINDOW)
     page.js("watch.reading = false")
@@ -64,7 +76,7 @@ def test_stored_pictures_are_shown_at_speed(open_page: OpenPage, serve: Any) -> 
 
 @pytest.mark.gl
 @pytest.mark.slow
-def test_the_renderers_pictures_arrive(open_page: OpenPage, serve: Any) -> None:
+def test_the_renderers_pictures_arrive(quiet: None, open_page: OpenPage, serve: Any) -> None:
     served = serve(make=lambda config: make_server(glsplat.default_avatar(), config))
     command = [sys.executable, "-m", "glsplat_apps.cli", "replay", "--json", "--size", "512x512", "--crop"]
     command += ["--url", f"ws://localhost:{served.port}/ws", "--frames", "288"]
@@ -108,13 +120,14 @@ def test_the_figures_are_the_servers(open_page: OpenPage, serve: Any) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(900)
 def test_nothing_piles_up_over_2000_pictures(open_page: OpenPage, serve: Any) -> None:
     page = moving(
         visit(open_page, serve(StoredPairs(), offered=OFFERED), {"view": "mirror", "size": 512}, size=WINDOW), 64
     )
 
     def state(pictures: int) -> dict[str, float]:
-        page.until(f"window.glsplat.stats().shown >= {pictures}", 200, every=0.5)
+        page.until(f"window.glsplat.stats().shown >= {pictures}", 400, every=0.5)
         page.js("fakeXR.stop()")
         page.wait(0.7)
         page.js("() => { fakeXR.step(); fakeXR.step(); gc(); gc(); }")

@@ -240,10 +240,12 @@ const fakeXR = {
 
   /** A whole press: 'select' or 'squeeze' on the side's input source. */
   press(side, what = 'select') {
-    const inputSource = [...current.inputSources].find((source) => source.handedness === side);
+    const session = current;
+    const inputSource = [...session.inputSources].find((source) => source.handedness === side);
     for (const type of [`${what}start`, what, `${what}end`]) {
-      const frame = new XRFrame(current, performance.now(), false);
-      current.dispatchEvent(new XRInputSourceEvent(type, { frame, inputSource }));
+      if (session[INNER].ended) return;
+      const frame = new XRFrame(session, performance.now(), false);
+      session.dispatchEvent(new XRInputSourceEvent(type, { frame, inputSource }));
       frame[INNER].close();
     }
   },
