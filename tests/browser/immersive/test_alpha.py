@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import cv2
@@ -26,15 +26,16 @@ MOST = {512: 2.5, 1024: 2.0}  # of 255, by the side of the pictures: at 512 each
 
 
 class Kept(RendererBackend):
-    """Keeps what was drawn: {frame_id: (request, images)}."""
+    """Keeps what was drawn: {frame_id: (request, what came of it)}."""
 
     def __init__(self, avatar: glsplat.Avatar) -> None:
         super().__init__(avatar, (512, 512))
-        self.kept: dict[int, tuple[RenderRequest, NDArray[np.uint8]]] = {}
+        self.kept: dict[int, tuple[RenderRequest, Rendered]] = {}
 
     def render(self, request: RenderRequest) -> Rendered:
         rendered = super().render(request)
-        self.kept = dict(list(self.kept.items())[-8:]) | {request.frame_id or 0: (request, rendered.images.copy())}
+        kept = replace(rendered, images=rendered.images.copy())
+        self.kept = dict(list(self.kept.items())[-8:]) | {request.frame_id or 0: (request, kept)}
         return rendered
 
 
@@ -50,13 +51,13 @@ def sampled(image: NDArray[Any], u: NDArray[Any], v: NDArray[Any]) -> NDArray[An
     return upper * (1 - fy) + lower * fy
 
 
-def decoded(images: NDArray[np.uint8]) -> NDArray[np.float64]:
+def decoded(drawn: Rendered) -> NDArray[np.float64]:
     """[V, H, W, 4] as they come out of the codec, straight colours made premultiplied."""
     encoder = Encoder()
-    coded = encoder.encode(images, 80, crop=True, alpha="straight")
+    coded = encoder.encode(drawn.images, 80, crop=True, covered=drawn.covered, alpha="straight")
     encoder.close()
     assert coded.boxes is not None and coded.alphas is not None
-    out = np.zeros(images.shape)
+    out = np.zeros(drawn.images.shape)
     for lossy, (x, y, width, height), colour, grey in zip(out, coded.boxes, coded.pictures, coded.alphas, strict=True):
         alpha = simplejpeg.decode_jpeg(grey, "GRAY") / 255
         part = lossy[y : y + height, x : x + width]
@@ -83,8 +84,8 @@ def rim(open_page: OpenPage, serve: Any, size: int) -> Rim:
     enter(page, "ar", run=False)
     fresh(page)
     seen = see(page)
-    request, images = backend.kept[seen["stats"]["shownId"]]
-    lossy = decoded(images)
+    request, drawn = backend.kept[seen["stats"]["shownId"]]
+    lossy = decoded(drawn)
     board = 255.0 * (np.add.outer(np.arange(SIDE) // SQUARE, np.arange(SIDE) // SQUARE) % 2)[..., None]
     ball = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * BAND + 1, 2 * BAND + 1))
     shown, added = [], []
@@ -94,7 +95,7 @@ def rim(open_page: OpenPage, serve: Any, size: int) -> Rim:
         middles = (np.arange(SIDE) + 0.5) / SIDE * 2 - 1
         u = K[0, 0] * (middles + P[0, 2]) / P[0, 0] + K[0, 2]
         v = K[1, 1] * (middles - P[1, 2]) / P[1, 1] + K[1, 2]
-        exact, coded = (sampled(image, *np.meshgrid(u, v)) for image in (images[index], lossy[index]))
+        exact, coded = (sampled(image, *np.meshgrid(u, v)) for image in (drawn.images[index], lossy[index]))
         wanted, best, found = (a[..., :3] + (1 - a[..., 3:] / 255) * board for a in (exact, coded, seen[side] * 1.0))
         inside = (exact[..., 3] > 127.5).astype(np.uint8)
         band = cv2.dilate(inside, ball) > cv2.erode(inside, ball)
