@@ -78,6 +78,22 @@ def test_a_typed_height_finds_the_floor(open_page: OpenPage, serve: Any, told: T
     assert tracking["head"][1] == pytest.approx(0.936 * 1.75, abs=0.002)
 
 
+def test_only_arms_that_the_server_takes_are_told(modules: Opened) -> None:
+    spans = modules.js("""async () => {
+      const { Calibration } = await import('/vr/track/calibration.js');
+      return [2.4, 2.6].map((span) => {
+        const calibration = new Calibration(null);
+        calibration.begin(0);
+        const wrist = (side) => [(side * span) / 2, 2.2, 0, 0, 0, 0, 1];
+        for (let ms = 0; ms <= 2000; ms += 50) {
+          const found = calibration.add({ head: [0, 2.5, 0, 0, 0, 0, 1], left: wrist(-1), right: wrist(1) }, ms);
+          if (found.result) return found.result.span;
+        }
+      });
+    }""")
+    assert spans == [pytest.approx(2.4), None]  # /ws?span= takes 0.3 to 2.5 metres
+
+
 def test_a_recording_is_what_was_tracked(open_page: OpenPage, serve: Any, told: Told, tmp_path: Path) -> None:
     body = {"hips": pose([0, 0.95, 0.02]), "left-foot-ball": pose([-0.1, 0.02, 0])}
     page = inside(open_page, serve, told, {"body": body})

@@ -66,7 +66,8 @@ export class Connection extends EventTarget {
 
   /** Send a request without v, frame_id and ack; returns its frame_id, 0 if it was left out. `asked`: for the reply. */
   send(request, asked) {
-    if (this.state !== 'open' || this.#socket.bufferedAmount > MOST_BUFFERED) return 0;
+    if (this.state !== 'open' || this.#socket.readyState !== WebSocket.OPEN) return 0; // it may be closing already
+    if (this.#socket.bufferedAmount > MOST_BUFFERED) return 0;
     const frameId = ++this.sentId;
     this.#asked.set(frameId, { asked, sent: performance.now() });
     if (this.#asked.size > REMEMBERED) this.#asked.delete(this.#asked.keys().next().value);

@@ -12,7 +12,7 @@ const FARTHEST = 1e4; // metres: beyond it a position is a fault of the device
 const GRIP_TO_WRIST = 0.09; // metres, as glsplat/tracking/sample.py has it
 const SPAN_OF_EYES = 0.874; // arm span wrist to wrist / eye height of the embedded body
 const STRETCHED = [0.85, 1.2]; // of that, where the arms count as stretched sideways
-const RANGES = { height: [0.5, 2.8], eyes: [0.5, 2.6], span: [0.3, 2.8], floor: [-10, 10] }; // metres
+const RANGES = { height: [0.5, 2.8], eyes: [0.5, 2.6], span: [0.3, 2.5], floor: [-10, 10] }; // metres, as /ws takes them
 
 /** Measures a user who stands straight and looks ahead. Times are milliseconds of one growing clock. */
 export class Calibration {
@@ -100,7 +100,7 @@ export class Calibration {
     if (!this.#spans.length) return null;
     const sorted = this.#spans.toSorted((a, b) => a - b);
     const widest = sorted[Math.floor(0.9 * (sorted.length - 1))];
-    return within(widest / (SPAN_OF_EYES * eyes), STRETCHED) ? widest : null;
+    return within(widest / (SPAN_OF_EYES * eyes), STRETCHED) && within(widest, RANGES.span) ? widest : null;
   }
 }
 
