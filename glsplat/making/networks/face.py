@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from .network import Crop, network, sigmoid
 from .person import Body
 
-__all__ = ["Eye", "Face", "eye_of", "find_face"]
+__all__ = ["Eye", "Face", "eye_of", "find_face", "shows_face"]
 
 _FACE, _EYE = 192, 64  # pixels of the networks' inputs
 _ROUNDS = 2
@@ -45,14 +45,10 @@ def find_face(picture: NDArray[np.uint8], body: Body) -> Face:
     """The body's face; ``presence`` says whether it is seen."""
     eyes = body.point("left_eye") - body.point("right_eye")
     middle = (body.point("nose") + (body.point("mouth_left") + body.point("mouth_right")) / 2) / 2
-    corners = body.points[:11]
-    side = max(float(np.ptp(corners, axis=0).max()), 1.0)
+    side = max(float(np.ptp(body.points[:11], axis=0).max()), 1.0)
     crop = Crop(float(middle[0]), float(middle[1]) - 0.1 * side, 2.2 * side, float(np.arctan2(eyes[1], eyes[0])))
-    net = network("face_landmark")
     for step in range(_ROUNDS):
-        values = sorted(net(crop.cut(picture, _FACE)), key=len)  # the outputs' names differ between versions
-        presence = float(sigmoid(values[0])[0])
-        marks = values[1].reshape(468, 3).astype(np.float64)
+        marks, presence = _look(picture, crop)
         flat = crop.to_picture(marks[:, :2], _FACE)
         points = np.column_stack([flat, marks[:, 2] * crop.side / _FACE])
         if presence < 0.2 or step == _ROUNDS - 1:
@@ -61,18 +57,31 @@ def find_face(picture: NDArray[np.uint8], body: Body) -> Face:
     return Face(points, presence, crop)
 
 
+def shows_face(picture: NDArray[np.uint8], body: Body) -> float:
+    """From 0 to 1: that the body's head, taken as upright, shows its face; whatever side its landmarks are on."""
+    head = body.points[:11]
+    middle, neck = head.mean(axis=0), (body.point("left_shoulder") + body.point("right_shoulder")) / 2
+    side = max(float(np.ptp(head, axis=0).max()), 0.55 * float(np.hypot(*(neck - middle))), 1.0)
+    return _look(picture, Crop(float(middle[0]), float(middle[1]), 2 * side))[1]
+
+
 def eye_of(picture: NDArray[np.uint8], face: Face, side: str) -> Eye:
     """The face's own ``left`` or ``right`` eye, wherever it looks; a closed eye gives a guess."""
     outer, inner = face.points[list(_CORNERS[side]), :2]
     middle, width = (outer + inner) / 2, max(float(np.hypot(*(outer - inner))), 1.0)
-    # the network knows left eyes; a right one is shown to it mirrored
-    crop = Crop(float(middle[0]), float(middle[1]), 2.3 * width, face.crop.turn, flipped=side == "right")
+    crop = Crop(float(middle[0]), float(middle[1]), 2.3 * width, face.crop.turn)
     lids, iris = sorted(network("iris_landmark")(crop.cut(picture, _EYE)), key=len, reverse=True)
     return Eye(
         iris=crop.to_picture(iris.reshape(5, 3)[:, :2].astype(np.float64), _EYE),
         lids=crop.to_picture(lids.reshape(71, 3)[:, :2].astype(np.float64), _EYE),
         crop=crop,
     )
+
+
+def _look(picture: NDArray[np.uint8], crop: Crop) -> tuple[NDArray[np.float64], float]:
+    """[468, 3] in the crop's pixels, and whether it shows a face."""
+    values = sorted(network("face_landmark")(crop.cut(picture, _FACE)), key=len)  # names differ between versions
+    return values[1].reshape(468, 3).astype(np.float64), float(sigmoid(values[0])[0])
 
 
 def _around(points: NDArray[np.float64]) -> Crop:

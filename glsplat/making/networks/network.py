@@ -64,8 +64,6 @@ class Crop:
     y: float
     side: float
     turn: float = 0.0
-    flipped: bool = False
-    """The crop shows its square mirrored, left for right."""
 
     def to_picture(self, points: NDArray[np.float64], n: int) -> NDArray[np.float64]:
         """Points [..., 2] in a crop of n x n pixels to points in the picture."""
@@ -95,7 +93,7 @@ class Crop:
     def _matrix(self, n: int) -> NDArray[np.float64]:
         """2x3 from points of the crop to points of the picture."""
         cos, sin = np.cos(self.turn) * self.side / n, np.sin(self.turn) * self.side / n
-        linear = np.array([[cos, -sin], [sin, cos]]) @ np.diag([-1.0 if self.flipped else 1.0, 1.0])
+        linear = np.array([[cos, -sin], [sin, cos]])
         return np.column_stack([linear, (self.x, self.y) - linear @ (n / 2, n / 2)])
 
 
