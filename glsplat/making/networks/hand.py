@@ -44,7 +44,7 @@ def find_hand(picture: NDArray[np.uint8], body: Body, side: str) -> Hand:
     along = fingers - wrist
     reach = max(float(np.hypot(*along)), 1.0)
     middle = wrist + 1.2 * along
-    return hand_in(picture, Crop(*map(float, middle), 3.6 * reach, _turn(along)))
+    return hand_in(picture, Crop(float(middle[0]), float(middle[1]), 3.6 * reach, _turn(along)))
 
 
 def hand_in(picture: NDArray[np.uint8], crop: Crop) -> Hand:

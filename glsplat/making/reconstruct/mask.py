@@ -31,17 +31,17 @@ class MaskConfig:
     """Parts at least this thick lend their middle line to the person's colours, fingers among them."""
     noise: float = 5.0
     """Standard deviation in 8-bit levels by which colours may differ anyway."""
-    net: float = 0.3
+    net: float = 0.8
     """Weight of the network's own belief, as log odds."""
-    trust: float = 1.0
+    trust: float = 0.5
     """Weight of the colours."""
     most: float = 6.0
     """Log odds that one pixel's colour may contribute."""
-    smooth: float = 8.0
+    smooth: float = 30.0
     """Strength of the smoothing along edges."""
-    edge: float = 8.0
+    edge: float = 15.0
     """Difference in 8-bit levels that counts as an edge."""
-    shadow: float = 4.0
+    shadow: float = 2.0
     """Log odds that a shadow of full darkness costs."""
     floor: float = 0.05
     """How far above the ankles shadows of the floor are seen."""
@@ -127,23 +127,28 @@ class _Colours:
                 cv2.boxFilter(values, -1, (side, side), normalize=False, borderType=cv2.BORDER_CONSTANT), np.float32
             )
 
-        centred = colours - colours[members].mean(axis=0) if members.any() else colours  # float32 keeps its digits
-        self._offset = colours - centred if members.any() else np.zeros_like(colours)
+        # sums of squares about the mean of all, so that float32 keeps its digits
+        self._middle: Float = colours[members].mean(axis=0) if members.any() else np.zeros(3, np.float32)
+        centred = colours - self._middle
         self._count = total(weight)
-        products = [centred[..., i] * centred[..., j] * weight for i, j in _PAIRS]
         self._mean = total(centred * weight[..., None])
-        self._products = total(np.dstack(products[:3])), total(np.dstack(products[3:]))
+        self._products = [total(centred[..., i] * centred[..., j] * weight) for i, j in _PAIRS]
         self._noise = noise
 
     def at(self, rows: NDArray[np.intp], columns: NDArray[np.intp]) -> _Local:
-        count = self._count[rows, columns]
-        safe = np.maximum(count, 1)[:, None]
-        mean = self._mean[rows, columns] / safe
-        products = np.hstack([part[rows, columns] for part in self._products]) / safe
-        spread = [products[:, k] - mean[:, i] * mean[:, j] for k, (i, j) in enumerate(_PAIRS)]
-        return _Local(mean + self._offset[rows, columns], spread, np.minimum(count / 30, 1), self._noise)
+        """The distributions at N pixels."""
+        count: Float = self._count[rows, columns]
+        safe: Float = np.maximum(count, np.float32(1))
+        mean: Float = self._mean[rows, columns] / safe[:, None]
+        spread: list[Float] = [
+            product[rows, columns] / safe - mean[:, i] * mean[:, j]
+            for product, (i, j) in zip(self._products, _PAIRS, strict=True)
+        ]
+        known: Float = np.minimum(count / _ENOUGH, np.float32(1))
+        return _Local(mean + self._middle, spread, known, self._noise)
 
 
+_ENOUGH = np.float32(30)  # pixels that make a distribution
 _PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 
 
