@@ -7,6 +7,7 @@ Pictures are RGB uint8 [H, W, 3]. Points in a picture are pixels, x right and y 
 from __future__ import annotations
 
 import logging
+import threading
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import lru_cache
@@ -26,7 +27,7 @@ __all__ = ["Crop", "Network", "network", "sigmoid"]
 class Network:
     """A network by its name in the store; its outputs are flat float32 arrays. Raises GlsplatError where it is absent.
 
-    The same input gives the same output on one machine. One instance serves one thread at a time.
+    The same input gives the same output on one machine. Threads that share one take turns.
     """
 
     def __init__(self, name: str, outputs: Iterable[str] = ()) -> None:
@@ -41,13 +42,16 @@ class Network:
                 f"{path}: OpenCV {cv2.__version__} cannot read this network; "
                 "install opencv-contrib-python-headless 4.10 or newer"
             ) from None
+        self._turn = threading.Lock()
         self.outputs = tuple(outputs) or tuple(self._net.getUnconnectedOutLayersNames())
 
     def __call__(self, picture: NDArray[np.uint8]) -> list[NDArray[np.float32]]:
         """Outputs in the order of ``outputs`` for a square crop, RGB uint8 [n, n, 3]."""
         values = picture.astype(np.float32).transpose(2, 0, 1)[None] / np.float32(255)
-        self._net.setInput(np.ascontiguousarray(values))
-        return [np.asarray(value, np.float32).reshape(-1) for value in self._net.forward(list(self.outputs))]
+        with self._turn:
+            self._net.setInput(np.ascontiguousarray(values))
+            found = self._net.forward(list(self.outputs))
+        return [np.array(value, np.float32).reshape(-1) for value in found]
 
 
 @lru_cache(maxsize=8)

@@ -65,7 +65,7 @@ class Capture:
     findings: tuple[Finding, ...]
     person: Person | None = None
     mask: NDArray[np.bool_] = field(default_factory=lambda: np.zeros((0, 0), bool))
-    """[H, W] the person, with the findings ``nobody``: nothing."""
+    """[H, W] the person; empty where nobody is found."""
 
     @property
     def good(self) -> bool:
