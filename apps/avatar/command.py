@@ -35,7 +35,7 @@ from glsplat.skinning.smplx import JOINT_NAMES
 
 from ..args import motion_of
 from ..usage import UsageError
-from . import score
+from . import guide, score
 
 HELP = "Make avatars from rigged people, import, export and score them, find hidden splats, write the embedded motions."
 EXAMPLE = "glsplat avatar make person.npz -o me.glb --splats 40000"
@@ -88,6 +88,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     measured = commands.add_parser("score", help="compare an avatar with the textured mesh it was made from")
     score.add_arguments(measured)
 
+    drawn = commands.add_parser("guide", help="draw how to take the photograph that an avatar is made from")
+    guide.add_arguments(drawn)
+
     motions = commands.add_parser("motions", help="write the motions that come with glsplat (JSON)")
     motions.add_argument("-o", "--out", type=Path, required=True, help="folder to write to")
 
@@ -108,6 +111,7 @@ def run(args: argparse.Namespace) -> int:
         "score": _score,
         "motions": _motions,
         "cones": _cones,
+        "guide": guide.run,
     }
     return actions[args.action](args)
 

@@ -1,0 +1,70 @@
+"""Captures of the participants beside the checkout, their true masks, and the same people posed and seen otherwise."""
+
+from __future__ import annotations
+
+import json
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from glsplat.camera import Camera
+from glsplat.making.networks import store
+from glsplat.making.people import read_person
+from glsplat.making.raster import mesh_picture, visible_faces
+from glsplat.skinning.pose import Pose
+
+__all__ = ["Capture", "capture", "needs_networks"]
+
+
+def needs_networks() -> None:
+    """Skip where the networks are not on this machine."""
+    missing = [model.name for model in store.MODELS if store.state_of(model) != "here"]
+    if missing:
+        pytest.skip(f"no {missing[0]} in {store.folder()}; glsplat models get")
+
+
+class Capture:
+    """One participant's picture, and what is true of it."""
+
+    def __init__(self, folder: Path, name: str) -> None:
+        self.picture = cv2.cvtColor(cv2.imread(str(folder / "capture" / f"{name}.jpg")), cv2.COLOR_BGR2RGB)
+        facts: dict[str, Any] = json.loads((folder / "capture" / f"{name}.json").read_text())
+        view = facts["camera"]
+        k = [[view["fx"], 0, view["width"] / 2], [0, view["fy"], view["height"] / 2], [0, 0, 1]]
+        self.camera = Camera(view["w2c"], k, view["width"], view["height"])
+        self.mesh = read_person(folder / f"{name}.npz")
+        self.pose, self.trans = np.array(facts["pose"]), np.array(facts["trans"])
+        self.mask = visible_faces(self.mesh, self.mesh.posed(Pose(self.pose, self.trans)), self.camera)[0] >= 0
+
+    def joint(self, name: str) -> np.ndarray:
+        """[2] pixels of a joint."""
+        frames = self.mesh.skeleton.forward(self.pose, self.trans)
+        point = frames[self.mesh.skeleton.names.index(name), :3, 3]
+        x, y, z = self.camera.viewmat[:3, :3] @ point + self.camera.viewmat[:3, 3]
+        return np.array([x / z, y / z]) * self.camera.K[0, 0] + self.camera.K[:2, 2]
+
+    def room(self) -> np.ndarray:
+        """The picture with its person painted over, coarsely."""
+        size = self.picture.shape[1] // 4, self.picture.shape[0] // 4
+        hidden = cv2.dilate(cv2.resize(self.mask.astype(np.uint8), size), np.ones((15, 15), np.uint8))
+        small = cv2.inpaint(cv2.resize(self.picture, size), hidden, 5, cv2.INPAINT_TELEA)
+        return cv2.resize(small, self.picture.shape[1::-1])
+
+    def seen(self, **turns: tuple[float, float, float]) -> np.ndarray:
+        """The person before the room with these joints turned (axis-angle), without light and shadow."""
+        pose = self.pose.copy()
+        for name, turn in turns.items():
+            pose[self.mesh.skeleton.names.index(name)] = turn
+        drawn = mesh_picture(self.mesh, self.mesh.posed(Pose(pose, self.trans)), self.camera, 1)
+        solid = drawn[..., 3:] > 0.5
+        return np.where(solid, drawn[..., :3] * 255, self.room()).astype(np.uint8)
+
+
+@cache
+def capture(folder: Path, name: str) -> Capture:
+    """A participant's capture, made once."""
+    return Capture(folder / "participants", name)

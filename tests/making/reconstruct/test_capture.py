@@ -1,0 +1,120 @@
+"""The check of a capture: good pictures pass, each fault is named; pictures are participants' captures, edited."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import cv2
+import numpy as np
+import pytest
+
+from glsplat.making.reconstruct.capture import check_capture
+from glsplat.making.reconstruct.sharpness import blur_of
+from tests.making.captures import Capture, capture, needs_networks
+
+Edit = Callable[[Capture, Capture], np.ndarray]
+
+
+def rows(person: Capture) -> tuple[int, int]:
+    used = np.flatnonzero(person.mask.any(axis=1))
+    return int(used[0]), int(used[-1])
+
+
+def light(picture: np.ndarray, factor: float) -> np.ndarray:
+    return (255 * np.clip((picture / 255.0) ** 2.2 * factor, 0, 1) ** (1 / 2.2)).astype(np.uint8)
+
+
+def jpeg(picture: np.ndarray, quality: int) -> np.ndarray:
+    _, data = cv2.imencode(".jpg", cv2.cvtColor(picture, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, quality])
+    return cv2.cvtColor(cv2.imdecode(data, cv2.IMREAD_COLOR), cv2.COLOR_BGR2RGB)
+
+
+def small(picture: np.ndarray, factor: float) -> np.ndarray:
+    return cv2.resize(picture, None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA)
+
+
+def arms(degrees: float) -> dict[str, tuple[float, float, float]]:
+    turn = np.radians(degrees)
+    return {"left_shoulder": (0, 0, -turn), "right_shoulder": (0, 0, turn)}
+
+
+GOOD: dict[str, tuple[str, Edit]] = {
+    "as it is": ("front", lambda a, b: a.picture),
+    "small file": ("front", lambda a, b: jpeg(small(a.picture, 0.625), 40)),
+    "light from the side": (
+        "front",
+        lambda a, b: np.clip(a.picture * np.linspace(0.55, 1.25, 1024)[None, :, None], 0, 255).astype(np.uint8),
+    ),
+    "wide room": (
+        "front",
+        lambda a, b: cv2.copyMakeBorder(small(a.picture, 0.6), 60, 30, 350, 350, cv2.BORDER_REPLICATE),
+    ),
+    "back": ("back", lambda a, b: a.seen(pelvis=(0, np.pi, 0))),
+    "left": ("left", lambda a, b: a.seen(pelvis=(0, -np.pi / 2, 0))),
+    "right": ("right", lambda a, b: a.seen(pelvis=(0, np.pi / 2, 0))),
+}
+
+BAD: dict[str, tuple[str, Edit]] = {
+    "an empty room": ("nobody", lambda a, b: a.room()),
+    "nothing": ("nobody", lambda a, b: np.full((900, 700, 3), 128, np.uint8)),
+    "a pixel": ("nobody", lambda a, b: np.zeros((1, 1, 3), np.uint8)),
+    "two people": ("several", lambda a, b: np.hstack([a.picture, b.picture])),
+    "no feet": ("cut_off", lambda a, b: a.picture[: rows(a)[1] - 40]),
+    "no head": ("cut_off", lambda a, b: a.picture[rows(a)[0] + 40 :]),
+    "no hand": ("cut_off", lambda a, b: a.picture[:, np.flatnonzero(a.mask.any(axis=0))[0] + 40 :]),
+    "far away": (
+        "small",
+        lambda a, b: cv2.copyMakeBorder(small(a.picture, 0.2), 300, 200, 250, 250, cv2.BORDER_REPLICATE),
+    ),
+    "on its side": ("lying", lambda a, b: np.ascontiguousarray(np.rot90(a.picture))),
+    "upside down": ("lying", lambda a, b: np.ascontiguousarray(a.picture[::-1, ::-1])),
+    "half turned": ("turned", lambda a, b: a.seen(pelvis=(0, np.radians(40), 0))),
+    "from behind": ("turned", lambda a, b: a.seen(pelvis=(0, np.pi, 0))),
+    "arms down": ("arms", lambda a, b: a.seen(**arms(82))),
+    "blurred": ("blurred", lambda a, b: cv2.GaussianBlur(a.picture, (0, 0), 3)),
+    "shaken": ("blurred", lambda a, b: cv2.blur(a.picture, (17, 1))),
+    "too bright": ("bright", lambda a, b: light(a.picture, 5)),
+    "too dark": ("dark", lambda a, b: light(a.picture, 1 / 30)),
+}
+
+
+@pytest.fixture
+def pair(shared_data) -> tuple[Capture, Capture]:
+    needs_networks()
+    return capture(shared_data, "p01"), capture(shared_data, "p02")
+
+
+@pytest.mark.shared
+@pytest.mark.parametrize("name", GOOD)
+def test_good_pictures_pass(pair, name: str) -> None:
+    view, edit = GOOD[name]
+    found = check_capture(edit(*pair), view)
+    assert found.good and found.person is not None and found.mask.any(), found.findings
+
+
+@pytest.mark.shared
+@pytest.mark.parametrize("name", BAD)
+def test_faults_are_named(pair, name: str) -> None:
+    code, edit = BAD[name]
+    picture = np.ascontiguousarray(edit(*pair))
+    found = check_capture(picture)
+    assert code in [finding.code for finding in found.findings], found.findings
+    assert not found.good and all("\n" not in finding.text for finding in found.findings)
+    if code == "nobody":
+        assert found.person is None and found.mask.shape == picture.shape[:2] and not found.mask.any()
+
+
+@pytest.mark.shared
+def test_another_view_is_named(pair) -> None:
+    finding = check_capture(pair[0].seen(pelvis=(0, np.pi, 0))).findings[0]
+    assert finding.text == "this shows the person's back, not the front; give the picture to its own option"
+
+
+def test_blur_grows_with_blur() -> None:
+    rng = np.random.default_rng(0)
+    sharp = cv2.resize(rng.integers(0, 256, (60, 40, 3), np.uint8), (400, 600), interpolation=cv2.INTER_NEAREST)
+    mask = np.ones((600, 400), bool)
+    values = [blur_of(sharp, mask), *(blur_of(cv2.GaussianBlur(sharp, (0, 0), s), mask) for s in (1, 2, 4))]
+    assert values == sorted(values) and values[0] < 0.3 and values[-1] > 0.6
+    assert blur_of(cv2.blur(sharp, (15, 1)), mask) > 0.6  # one direction is enough
+    assert blur_of(np.full_like(sharp, 9), mask) == 1.0 and blur_of(sharp, ~mask) == 1.0
