@@ -1,0 +1,164 @@
+"""Pictures of a person to the open body in their shape, pose and clothes, and how well that went."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glsplat.errors import FormatError
+from glsplat.making.fit.body import Body, open_body, vertex_normals
+from glsplat.making.fit.kinematics import projected
+from glsplat.making.fit.landmarks import landmarks
+from glsplat.making.fit.offsets import smooth_offsets
+from glsplat.making.fit.outline import Rim, find_rim, overlap, projected_mask
+from glsplat.making.fit.prior import HINGES
+from glsplat.making.fit.solver import Solver
+from glsplat.making.fit.view import View
+from glsplat.skinning.smplx import JOINT_NAMES
+
+__all__ = ["BodyFit", "FittedView", "fit_body"]
+
+F64 = NDArray[np.float64]
+
+_FIGURE = 480.0  # pixels of the person's height that the fit works with
+_ROUNDS = 4  # outlines looked for again, each time the unknowns improved
+_DRESSINGS = 4  # outlines looked for again, each time the surface moved
+_RIM_ROWS = 500
+_RIM_WORTH = 18.0  # as many independent measurements an outline is
+_CLOTH, _INSIDE = 0.008, 0.03  # shares of the figure: beyond it the mask says little, far in it is a mistake
+_REACH = 0.08  # shares of the figure; how far from the body the mask's edge is looked for
+_HEIGHTS = 0.5, 2.5  # metres
+_GOOD = 0.94, 2.5  # least overlap with the mask, most mean distance of landmarks in shares of the figure (%)
+
+_TRUST = {"wrist": 1.0, "elbow": 1.0, "head": 0.35, "neck": 0.35, "jaw": 0.35, "foot": 0.5, "ankle": 0.5}
+_CLOTHED = 0.6
+_FINGERS = ("index", "middle", "pinky", "ring", "thumb")
+
+
+@dataclass(frozen=True, eq=False)
+class FittedView:
+    """The body as one picture shows it; OpenCV camera axes, metres."""
+
+    rotations: F64  # [55, 3] axis-angle, radians; the root's row is zero, its turn is in ``root``
+    root: F64  # [3, 3] the body's axes in the camera's
+    pelvis: F64  # [3] where the pelvis is
+    joints: F64  # [55, 3] where the joints are
+    vertices: F64  # [V, 3] where the dressed surface is
+    pixels: F64  # [V, 2] where the picture has it
+    overlap: float  # intersection over union of the dressed surface and the mask
+    strays: float  # mean distance of the landmarks from where the body has them, in percent of the figure's height
+
+
+@dataclass(frozen=True, eq=False)
+class BodyFit:
+    """What the pictures say of a person. ``problem`` is empty, or one line that says why not to trust it."""
+
+    betas: F64  # [10] shape
+    stature: float  # metres, crown to sole without hair and shoes
+    offsets: F64  # [V] metres along the normals of the zero pose: clothes and hair
+    rest: F64  # [V, 3] the dressed surface in the zero pose
+    joints: F64  # [55, 3] in the zero pose
+    views: tuple[FittedView, ...]
+    problem: str
+
+
+def fit_body(views: Sequence[View], height: float | None = None, body: Body | None = None) -> BodyFit:
+    """Fit the open body to one picture or several of one person; ``height`` in metres where it is known.
+
+    Landmarks first, then the outlines of the bare body, into which clothes pull little and which they push hard; then
+    the surface moves along its normals until its outline meets the masks. Several pictures share the shape and, but
+    for a few degrees a joint, the pose. Raises FormatError; a fit that did not converge says so in ``problem``.
+
+    >>> from glsplat.making.fit.fit import fit_body
+    >>> fit_body([])
+    Traceback (most recent call last):
+    glsplat.errors.FormatError: a fit needs at least one picture
+    """
+    if not views:
+        raise FormatError("a fit needs at least one picture")
+    if height is not None and not _HEIGHTS[0] <= height <= _HEIGHTS[1]:
+        raise FormatError(f"a height needs metres from {_HEIGHTS[0]} to {_HEIGHTS[1]}, not {height:g}")
+    body = body or open_body()
+    small = [view.smaller(_FIGURE) for view in views]
+    solver = Solver(body, landmarks(), small, height)
+    solver.solve(10)
+    solver.weigh_landmarks()
+    solver.solve(5)
+    trust = _trust_of_parts(body)
+    for _ in range(_ROUNDS):
+        for index in range(len(small)):
+            rim, weights = _pulled(_rim(body, solver, small[index], index, None), trust, small[index])
+            solver.pull_to(index, rim, None, weights)
+        solver.solve(2)
+        solver.weigh_landmarks()
+    offsets = _dressed(body, solver, small)
+    return _result(body, solver, views, offsets)
+
+
+def _trust_of_parts(body: Body) -> F64:
+    """[V] how much clothes and hair let an outline say of the body beneath."""
+    parts = dict.fromkeys(_FINGERS, 1.0) | _TRUST
+    of_joint = [next((value for part, value in parts.items() if part in name), _CLOTHED) for name in JOINT_NAMES]
+    return np.asarray(np.array(of_joint)[body.part])
+
+
+def _rim(body: Body, solver: Solver, view: View, index: int, moved: F64 | None) -> Rim:
+    where = solver.posed(index).points(body.points(np.arange(len(body.vertices)), moved))
+    pixels = projected(where, view.focal, view.centre)[0]
+    rim = find_rim(body, where, pixels, view.mask, _REACH * view.figure)[0]
+    found = np.isfinite(rim.gaps)
+    return Rim(rim.vertices[found], rim.pixels[found], rim.normals[found], rim.gaps[found])
+
+
+def _pulled(rim: Rim, trust: F64, view: View) -> tuple[Rim, F64]:
+    """At most _RIM_ROWS of a rim, evenly taken, and how much each counts."""
+    some = np.unique(np.linspace(0, len(rim.vertices) - 1, min(_RIM_ROWS, len(rim.vertices))).astype(np.intp))
+    rim = Rim(rim.vertices[some], rim.pixels[some], rim.normals[some], rim.gaps[some])
+    share = rim.gaps / view.figure
+    outside = trust[rim.vertices] / (1 + (share / _CLOTH) ** 2)
+    weight = np.where(share > 0, outside, 1.2 / (1 + (share / _INSIDE) ** 2))
+    return rim, weight * _RIM_WORTH * 100 / view.figure / np.sqrt(max(len(some), 1))
+
+
+def _dressed(body: Body, solver: Solver, views: Sequence[View]) -> F64:
+    """[V] offsets in metres, all views' outlines at once."""
+    bare = body.shaped(solver.betas)[0]
+    normals = vertex_normals(bare, body.faces)
+    offsets = np.zeros(len(bare))
+    for _ in range(_DRESSINGS):
+        vertices, wanted = [], []
+        for index, view in enumerate(views):
+            rim = _rim(body, solver, view, index, offsets[:, None] * normals)
+            depth = solver.posed(index).joints[0, 2]
+            vertices.append(rim.vertices)
+            wanted.append(offsets[rim.vertices] + rim.gaps * depth / view.focal)
+        known = np.concatenate(vertices)
+        offsets = smooth_offsets(body, known, np.concatenate(wanted), np.ones(len(known)))
+    return offsets
+
+
+def _result(body: Body, solver: Solver, views: Sequence[View], offsets: F64) -> BodyFit:
+    bare, joints = body.shaped(solver.betas)
+    moved = offsets[:, None] * vertex_normals(bare, body.faces)
+    points = body.points(np.arange(len(bare)), moved)
+    fitted, problems = [], []
+    for index, view in enumerate(views):
+        posed = solver.posed(index)
+        where = posed.points(points)
+        pixels = projected(where, view.focal, view.centre)[0]
+        met = overlap(projected_mask(pixels, body.faces, view.mask.shape), view.mask)
+        away = solver.strayed(index, pixels=True) / solver.views[index].figure * 100
+        strays = float(np.linalg.norm(away, axis=1).mean())
+        angles = HINGES.rotations(solver.angles(index))
+        root, place = posed.frames[0], posed.joints
+        fitted.append(FittedView(angles, root, place[0], place, where, pixels, met, strays))
+        if not np.isfinite(where).all() or met < _GOOD[0]:
+            problems.append(f"the body covers {met:.1%} of the person in the {view.side} picture, not {_GOOD[0]:.0%}")
+        elif strays > _GOOD[1]:
+            problems.append(f"the landmarks of the {view.side} picture lie {strays:.1f} % of the height off the body")
+    size, grows = body.stature
+    stature = float(size + grows @ solver.betas)
+    return BodyFit(solver.betas.copy(), stature, offsets, bare + moved, joints, tuple(fitted), "; ".join(problems))

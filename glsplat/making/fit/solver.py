@@ -1,0 +1,211 @@
+"""The unknowns of a fit and their equations: landmarks, outlines and what is known before, all views together."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glsplat.making.fit import prior
+from glsplat.making.fit.body import BETAS, Body, Points
+from glsplat.making.fit.kinematics import PLACE, Posed, projected
+from glsplat.making.fit.landmarks import Landmarks
+from glsplat.making.fit.levenberg import least_squares
+from glsplat.making.fit.outline import Rim
+from glsplat.making.fit.view import SIDES, View
+
+__all__ = ["Solver"]
+
+F64 = NDArray[np.float64]
+
+_SAME_POSE = 0.06  # radians; how much a person moves between two pictures of one session
+_OUTLIER = 3.0  # strays; a landmark this far off counts a quarter
+_LEAST_SURE = 0.1  # a landmark that is not seen still says a little
+_SIDE_DOUBT = {"front": 1.0, "back": 1.5, "left": 3.0, "right": 3.0}  # the offsets were measured on fronts
+_HEIGHT_DOUBT = 0.01  # metres; how well people know their height
+
+
+class Solver:
+    """Shape, and of each view the place and the pose, as one vector: [BETAS], then [6 + D] a view.
+
+    ``height`` is the stature in metres, None where nobody gave one. Residuals are in standard deviations.
+    """
+
+    def __init__(self, body: Body, table: Landmarks, views: Sequence[View], height: float | None) -> None:
+        self.body, self.table, self.views = body, table, tuple(views)
+        self._height = height
+        self._marks = table.points(body)
+        self._block = PLACE + len(prior.MEAN)
+        self._rims: list[tuple[Rim, Points, F64] | None] = [None] * len(views)
+        self._trust = [np.ones(len(table.numbers)) for _ in views]
+        self.x = self._start()
+        self._seen = [self._sided(index) for index in range(len(views))]
+
+    @property
+    def betas(self) -> F64:
+        """[BETAS] the shape."""
+        return self.x[:BETAS]
+
+    def posed(self, view: int, x: F64 | None = None) -> Posed:
+        """The body as a view shows it."""
+        x = self.x if x is None else x
+        block = x[BETAS + view * self._block :][: self._block]
+        facing = SIDES[self.views[view].side]
+        return Posed(self.body, prior.HINGES, facing, x[:BETAS], block[:PLACE], block[PLACE:])
+
+    def angles(self, view: int) -> F64:
+        """[D] the fitted angles of a view in radians."""
+        return self.x[BETAS + view * self._block + PLACE :][: len(prior.MEAN)]
+
+    def weigh_landmarks(self) -> None:
+        """Trust each landmark by how far it is off now, so that a wrong one does not pull for long."""
+        for index in range(len(self.views)):
+            far = np.linalg.norm(self.strayed(index), axis=1)
+            self._trust[index] = 1 / (1 + (far / _OUTLIER) ** 2)
+
+    def strayed(self, view: int, *, pixels: bool = False) -> F64:
+        """[L, 2] how far each landmark is from where the body has it, in strays or pixels."""
+        seen = self.views[view]
+        at = projected(self.posed(view).points(self._marks), seen.focal, seen.centre)[0]
+        away = at - self._seen[view]
+        return away if pixels else away / (self.table.strays * seen.figure * _SIDE_DOUBT[seen.side])[:, None]
+
+    def pull_to(self, view: int, rim: Rim, moved: F64 | None, weights: F64) -> None:
+        """From now on the rim's vertices are drawn to the mask's edge, each along its normal.
+
+        ``weights`` [K] turn pixels into standard deviations; ``moved`` [V, 3] metres is the surface's offset at rest.
+        """
+        self._rims[view] = rim, self.body.points(rim.vertices, moved), weights
+
+    def solve(self, steps: int) -> None:
+        """Improve all unknowns."""
+        self.x = least_squares(self._rows, self.x, steps)
+
+    def _start(self) -> F64:
+        """A person of the height asked for, in the mean pose, where the hips are and as large as the mask."""
+        x = np.zeros(BETAS + self._block * len(self.views))
+        size, grows = self.body.stature
+        height = prior.STATURE[0] if self._height is None else self._height
+        x[0] = np.clip((height - size) / grows[0], -3, 3)
+        for index, view in enumerate(self.views):
+            block = x[BETAS + index * self._block :][: self._block]
+            depth = view.focal * height / view.figure
+            hips = view.landmarks[[23, 24]].mean(axis=0)
+            block[:2] = (hips - view.centre) * depth / view.focal
+            block[2] = depth
+            block[PLACE:] = prior.MEAN
+        return x
+
+    def _sided(self, index: int) -> F64:
+        """[L, 2] the landmarks in use; those that a network which took front for back put on the wrong side, put right.
+
+        The side that a view shows is known, so in fronts and backs left and right are known before anything is fitted.
+        """
+        view = self.views[index]
+        marks = view.landmarks[self.table.numbers].copy()
+        if view.side in ("front", "back"):
+            at = projected(self.posed(index).points(self._marks), view.focal, view.centre)[0]
+            wrong = (at[:, 0] - at[self.table.twins, 0]) * (marks[:, 0] - marks[self.table.twins, 0]) < 0
+            marks[wrong] = marks[self.table.twins[wrong]]
+        return marks
+
+    def _rows(self, x: F64, derive: bool) -> tuple[F64, F64]:
+        """All residuals [R] and, if asked, their derivatives [R, P]."""
+        parts: list[tuple[F64, F64, int | None, F64 | None]] = [(*self._shape_rows(x), None, None)]
+        for index, view in enumerate(self.views):
+            posed = self.posed(index, x)
+            parts.append((*self._landmark_rows(index, view, posed, derive), index, None))
+            parts.append((*self._pose_rows(index, x), index, None))
+            if index:
+                parts.append((*self._tie_rows(index, x), index, self._tie_slope()))
+            parts.append((*self._camera_rows(index, posed, x), index, None))
+            if self._rims[index] is not None:
+                parts.append((*self._rim_rows(index, view, posed, derive), index, None))
+        residual = np.concatenate([row for row, *_ in parts])
+        if not derive:
+            return residual, np.zeros((0, 0))
+        jacobian = np.zeros((len(residual), len(x)))
+        first = 0
+        for row, moves, view_index, ties in parts:
+            rows = slice(first, first + len(row))
+            jacobian[rows, :BETAS] = moves[:, :BETAS]
+            if view_index is not None:
+                start = BETAS + view_index * self._block
+                jacobian[rows, start : start + self._block] = moves[:, BETAS:]
+                if ties is not None:
+                    jacobian[rows, BETAS : BETAS + self._block] = ties
+            first += len(row)
+        return residual, jacobian
+
+    def _shape_rows(self, x: F64) -> tuple[F64, F64]:
+        """The prior of the shape, and the stature."""
+        size, grows = self.body.stature
+        wanted, doubt = prior.STATURE if self._height is None else (self._height, _HEIGHT_DOUBT)
+        residual = np.concatenate([x[1:BETAS] / prior.SHAPE_DOUBT, [(size + grows @ x[:BETAS] - wanted) / doubt]])
+        return residual, np.vstack([np.eye(BETAS)[1:] / prior.SHAPE_DOUBT, grows / doubt])
+
+    def _landmark_rows(self, index: int, view: View, posed: Posed, derive: bool) -> tuple[F64, F64]:
+        sure = view.visibility[self.table.numbers].clip(_LEAST_SURE) * self._trust[index]
+        weight = np.sqrt(sure) / (self.table.strays * view.figure * _SIDE_DOUBT[view.side])
+        if derive:
+            pixels, moves = _pixels_and_moves(posed, self._marks, view)
+        else:
+            pixels, moves = projected(posed.points(self._marks), view.focal, view.centre)
+        residual = (pixels - self._seen[index]) * weight[:, None]
+        return residual.ravel(), (moves * weight[:, None, None]).reshape(residual.size, -1)
+
+    def _rim_rows(self, index: int, view: View, posed: Posed, derive: bool) -> tuple[F64, F64]:
+        pulled = self._rims[index]
+        assert pulled is not None
+        rim, points, weights = pulled
+        if derive:
+            pixels, moves = _pixels_and_moves(posed, points, view)
+        else:
+            pixels, moves = projected(posed.points(points), view.focal, view.centre)
+        residual = (((pixels - rim.pixels) * rim.normals).sum(axis=1) - rim.gaps) * weights
+        return residual, np.einsum("kcp,kc->kp", moves, rim.normals * weights[:, None])
+
+    def _pose_rows(self, index: int, x: F64) -> tuple[F64, F64]:
+        """The prior of the pose."""
+        count = len(prior.MEAN)
+        angles = x[BETAS + index * self._block + PLACE :][:count]
+        moves = np.zeros((count, BETAS + self._block))
+        moves[:, BETAS + PLACE :] = np.diag(1 / prior.SPREAD)
+        return (angles - prior.MEAN) / prior.SPREAD, moves
+
+    def _tie_rows(self, index: int, x: F64) -> tuple[F64, F64]:
+        """A further view's pose is the first one's but for a little."""
+        count = len(prior.MEAN)
+        angles, first = (x[BETAS + view * self._block + PLACE :][:count] for view in (index, 0))
+        moves = np.zeros((count, BETAS + self._block))
+        moves[:, BETAS + PLACE :] = np.eye(count) / _SAME_POSE
+        return (angles - first) / _SAME_POSE, moves
+
+    def _tie_slope(self) -> F64:
+        """[D, 6 + D] the ties' derivatives by the first view's unknowns."""
+        count = len(prior.MEAN)
+        return np.concatenate([np.zeros((count, PLACE)), -np.eye(count) / _SAME_POSE], axis=1)
+
+    def _camera_rows(self, index: int, posed: Posed, x: F64) -> tuple[F64, F64]:
+        """Turn, roll, and the camera's height above the soles as the body's upright has it."""
+        block = x[BETAS + index * self._block :][:PLACE]
+        size, grows = self.body.stature
+        stature = size + grows @ x[:BETAS]
+        mean, doubt = prior.CAMERA_HEIGHT
+        up = posed.frames[0][:, 1]  # the body's upright in camera axes
+        pelvis = self.body.joints[0, 1] - self.body.vertices[:, 1].min()
+        turn, roll = prior.TURN_DOUBT
+        height = pelvis - up @ block[:3]  # the camera is at the origin of its axes
+        residual = np.array([block[4] / turn, block[5] / roll, (height / stature - mean) / doubt])
+        moves = np.zeros((3, BETAS + self._block))
+        moves[0, BETAS + 4], moves[1, BETAS + 5] = 1 / turn, 1 / roll
+        moves[2, :BETAS] = -height / stature**2 * grows / doubt
+        moves[2, BETAS : BETAS + 3] = -up / (stature * doubt)
+        moves[2, BETAS + 3 : BETAS + PLACE] = -(posed.turned(up) @ block[:3]) / (stature * doubt)
+        return residual, moves
+
+
+def _pixels_and_moves(posed: Posed, points: Points, view: View) -> tuple[F64, F64]:
+    where, moves = posed.derivatives(points)
+    return projected(where, view.focal, view.centre, moves)
