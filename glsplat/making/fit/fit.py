@@ -13,7 +13,7 @@ from glsplat.making.fit.body import Body, open_body, vertex_normals
 from glsplat.making.fit.kinematics import projected
 from glsplat.making.fit.landmarks import landmarks
 from glsplat.making.fit.offsets import smooth_offsets
-from glsplat.making.fit.outline import Rim, find_rim, overlap, projected_mask
+from glsplat.making.fit.outline import Rim, find_rim, half_gaps, overlap, projected_mask
 from glsplat.making.fit.prior import HINGES
 from glsplat.making.fit.solver import Solver
 from glsplat.making.fit.view import View
@@ -25,11 +25,12 @@ F64 = NDArray[np.float64]
 
 _FIGURE = 480.0  # pixels of the person's height that the fit works with
 _ROUNDS = 4  # outlines looked for again, each time the unknowns improved
-_DRESSINGS = 4  # outlines looked for again, each time the surface moved
+_DRESSINGS = 5  # outlines looked for again, each time the surface moved
 _RIM_ROWS = 500
 _RIM_WORTH = 18.0  # as many independent measurements an outline is
 _CLOTH, _INSIDE = 0.008, 0.03  # shares of the figure: beyond it the mask says little, far in it is a mistake
-_REACH = 0.08  # shares of the figure; how far from the body the mask's edge is looked for
+_REACH = 0.04  # shares of the figure; how far from the body the mask's edge is looked for
+_FLAT, _FLAT_DRESSED = 0.35, 0.22  # cosines below which a vertex is on the outline; cloth has the sharper one
 _HEIGHTS = 0.5, 2.5  # metres
 _GOOD = 0.94, 2.5  # least overlap with the mask, most mean distance of landmarks in shares of the figure (%)
 
@@ -108,9 +109,13 @@ def _trust_of_parts(body: Body) -> F64:
 def _rim(body: Body, solver: Solver, view: View, index: int, moved: F64 | None) -> Rim:
     where = solver.posed(index).points(body.points(np.arange(len(body.vertices)), moved))
     pixels = projected(where, view.focal, view.centre)[0]
-    rim = find_rim(body, where, pixels, view.mask, _REACH * view.figure)[0]
-    found = np.isfinite(rim.gaps)
-    return Rim(rim.vertices[found], rim.pixels[found], rim.normals[found], rim.gaps[found])
+    reach = _REACH * view.figure
+    rim, drawn = find_rim(body, where, pixels, view.mask, reach, _FLAT if moved is None else _FLAT_DRESSED)
+    gaps = rim.gaps
+    if moved is not None:  # bare legs do not meet
+        gaps = np.where(np.isfinite(gaps), gaps, half_gaps(view.mask, drawn, rim.pixels, rim.normals, reach))
+    found = np.isfinite(gaps)
+    return Rim(rim.vertices[found], rim.pixels[found], rim.normals[found], gaps[found])
 
 
 def _pulled(rim: Rim, trust: F64, view: View) -> tuple[Rim, F64]:

@@ -8,6 +8,7 @@ from scipy.sparse import diags
 from scipy.sparse.linalg import cg
 
 from glsplat.making.fit.body import Body
+from glsplat.skinning.smplx import JOINT_NAMES
 
 __all__ = ["MOST", "smooth_offsets"]
 
@@ -16,17 +17,21 @@ F64 = NDArray[np.float64]
 MOST = -0.03, 0.12
 """Metres; no surface is moved farther in or out."""
 
-_STIFF = 0.5  # how much neighbours agree against how much a vertex on the outline obeys
+_BARE = {"index": 0.006, "middle": 0.006, "pinky": 0.006, "ring": 0.006, "thumb": 0.006, "wrist": 0.012, "foot": 0.03}
+
+_STIFF = 0.12  # how much neighbours agree against how much a vertex on the outline obeys
 _SHY = 2e-3  # how much what no outline shows stays on the body
 
 
 def smooth_offsets(body: Body, vertices: NDArray[np.intp], wanted: F64, weights: F64) -> F64:
     """[V] metres along the normals: close to ``wanted`` [K] at ``vertices`` [K], the smoothest elsewhere."""
+    of_joint = [next((most for part, most in _BARE.items() if part in name), MOST[1]) for name in JOINT_NAMES]
+    most = np.array(of_joint)[body.part]  # hands wear nothing, shoes have soles
     pull, target = np.zeros(len(body.vertices)), np.zeros(len(body.vertices))
     np.add.at(pull, vertices, weights)
-    np.add.at(target, vertices, weights * wanted.clip(*MOST))
+    np.add.at(target, vertices, weights * wanted.clip(MOST[0], most[vertices]))
     degree = np.asarray(body.neighbours.sum(axis=1)).ravel()
     scale = pull + _STIFF * degree + _SHY
     matrix = diags(scale) - _STIFF * body.neighbours
     offsets, _ = cg(matrix, target, rtol=1e-4, maxiter=300, M=diags(1 / scale))
-    return np.asarray(np.where(body.skin, offsets, 0.0).clip(*MOST))
+    return np.asarray(np.where(body.skin, offsets, 0.0).clip(MOST[0], most))

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from glsplat.making.fit.body import Body, vertex_normals
 
-__all__ = ["Rim", "find_rim", "overlap", "projected_mask"]
+__all__ = ["Rim", "edge_distances", "find_rim", "half_gaps", "overlap", "projected_mask"]
 
 F64 = NDArray[np.float64]
 
@@ -62,7 +62,7 @@ class Rim:
 
 
 def find_rim(
-    body: Body, where: F64, pixels: F64, mask: NDArray[np.bool_], reach: float, flat: float = 0.35
+    body: Body, where: F64, pixels: F64, mask: NDArray[np.bool_], reach: float, flat: float
 ) -> tuple[Rim, NDArray[np.bool_]]:
     """The rim of a posed body [V, 3] in camera axes that lies at ``pixels`` [V, 2], and its projected mask [H, W].
 
@@ -95,3 +95,20 @@ def edge_distances(mask: NDArray[np.bool_], start: F64, along: F64, reach: float
     far = np.where(ends, np.abs(middle), np.inf)
     best = far.argmin(axis=1)
     return np.where(np.isfinite(far.min(axis=1)), middle[best], np.nan)
+
+
+def half_gaps(mask: NDArray[np.bool_], drawn: NDArray[np.bool_], start: F64, along: F64, reach: float) -> F64:
+    """[K] half the way from ``start`` along ``along`` through mask that no body covers to the next part of the body.
+
+    So a skirt between two legs and a sleeve in an armpit are met from both sides. NaN where there is no such gap within
+    twice ``reach`` pixels.
+    """
+    steps = np.arange(2.0, 2 * reach, 0.5)  # the first steps are still on the outline itself
+    looked = np.floor(start[:, None] + along[:, None] * steps[:, None]).astype(np.intp)
+    height, width = mask.shape
+    column, row = looked[..., 0].clip(0, width - 1), looked[..., 1].clip(0, height - 1)
+    covered = drawn[row, column]
+    far = covered.argmax(axis=1)
+    bare = np.arange(len(steps)) < far[:, None]
+    bridged = covered.any(axis=1) & ~covered[:, 0] & (mask[row, column] | ~bare).all(axis=1)
+    return np.where(bridged, steps[far] / 2 + 0.5, np.nan)
