@@ -43,8 +43,8 @@ SPREAD: F64 = np.array([spread for _, _, _, spread in _TABLE])
 TURN_DOUBT: tuple[float, float] = 0.25, 0.05
 """Standard deviation in radians of how a person is turned about the vertical, and of how a camera is rolled."""
 
-SHAPE_DOUBT = 1.0
-"""Standard deviation of the numbers of shape (their unit, by the body's making)."""
+SHAPE_DOUBT = 1.3
+"""Standard deviation of the numbers of shape: a little more than by the body's making (measured on known people)."""
 
 STATURE: tuple[float, float] = 1.70, 0.10
 """Mean and standard deviation in metres where no height is given."""
