@@ -117,6 +117,9 @@ export class Connection extends EventTarget {
     this.#failures = 0; // not when it opens: a server may accept and drop at once
     this.received++;
     this.receivedId = this.#acknowledged = Math.max(this.#acknowledged, reply.id);
+    // a request that waits for room in the window is drawn now, not only when the next one brings the news
+    const listens = this.#socket.readyState === WebSocket.OPEN;
+    if (listens && this.sentId > reply.id) this.#socket.send(`{"v":1,"ack":${this.#acknowledged}}`);
     const found = this.#asked.get(reply.id);
     for (const id of this.#asked.keys()) {
       if (id > reply.id) break;
