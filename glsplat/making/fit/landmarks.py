@@ -73,8 +73,8 @@ class Landmarks:
 
 @lru_cache(maxsize=1)
 def landmarks() -> Landmarks:
-    """The embedded table (glsplat/data/landmark_offsets.json), made by calibrate.py."""
-    table = json.loads((resources.files("glsplat.data") / "landmark_offsets.json").read_text(encoding="utf-8"))
+    """The embedded table (landmark_offsets.json beside this file), made by calibrate.py."""
+    table = json.loads((resources.files("glsplat.making.fit") / "landmark_offsets.json").read_text(encoding="utf-8"))
     rows = table["landmarks"]
     return Landmarks(
         numbers=np.array([row["landmark"] for row in rows], np.intp),
