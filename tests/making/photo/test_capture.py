@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 import pytest
 
-from glsplat.making.reconstruct.capture import check_capture
-from glsplat.making.reconstruct.sharpness import blur_of
+from glsplat.making.photo.capture import check_capture
+from glsplat.making.photo.sharpness import blur_of
 from tests.making.captures import Capture, capture, needs_networks
 
 Edit = Callable[[Capture, Capture], np.ndarray]

@@ -8,7 +8,7 @@ import pytest
 
 from glsplat.making.networks.network import Crop
 from glsplat.making.networks.person import Body, bounds
-from glsplat.making.reconstruct.mask import MaskConfig, person_mask
+from glsplat.making.photo.mask import MaskConfig, person_mask
 from tests.making.captures import capture, needs_networks
 
 

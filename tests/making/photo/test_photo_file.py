@@ -14,8 +14,8 @@ import pytest
 from PIL import Image
 
 from glsplat.errors import FormatError
-from glsplat.making.reconstruct import photo_file
-from glsplat.making.reconstruct.photo_file import photo_of, read_photo
+from glsplat.making.photo import photo_file
+from glsplat.making.photo.photo_file import photo_of, read_photo
 
 
 def scene(width: int = 48, height: int = 64) -> np.ndarray:
@@ -185,7 +185,7 @@ from pathlib import Path
 import numpy as np
 warnings.simplefilter("error")
 from glsplat.errors import FormatError
-from glsplat.making.reconstruct.photo_file import photo_of
+from glsplat.making.photo.photo_file import photo_of
 def repaired(data):
     "A PNG file with right check sums, so that its damage gets as far as the decoder."
     data, place = bytearray(data), 8
