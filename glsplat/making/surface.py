@@ -17,7 +17,7 @@ from glsplat.making.cells import Cells, Cloud, SamplerConfig, avatar_of, tessell
 from glsplat.making.visibility import HEAD, Seen, seen_surface
 from glsplat.meshes import MeshPart, RiggedMesh
 
-__all__ = ["SamplerConfig", "allot", "face_zones", "make_avatar"]
+__all__ = ["SamplerConfig", "allot", "face_densities", "face_zones", "make_avatar"]
 
 Progress = Callable[[str, float], None]
 
@@ -65,7 +65,7 @@ def _sample_surface(
 ) -> Cloud | None:
     faces = mesh.faces[chosen]
     surface = trimesh.Trimesh(mesh.vertices, faces, process=False, validate=False)
-    density = _vertex_density(mesh, config)[faces].mean(axis=1)
+    density = face_densities(mesh, config)[chosen]
     share = surface.area_faces * density
     if not share.sum() > 0:
         return None
@@ -123,8 +123,8 @@ def _detail(part: MeshPart) -> MeshPart:
     return replace(part, texture=texture)
 
 
-def _vertex_density(mesh: RiggedMesh, config: SamplerConfig) -> NDArray[np.float64]:
-    """[V] relative density: the front of the head counts more."""
+def face_densities(mesh: RiggedMesh, config: SamplerConfig) -> NDArray[np.float64]:
+    """[F] relative density of splats: the front of the head counts more."""
     names = mesh.skeleton.names
     density = np.ones(len(mesh.vertices))
     if "head" in names:
@@ -133,7 +133,7 @@ def _vertex_density(mesh: RiggedMesh, config: SamplerConfig) -> NDArray[np.float
         amount = (mesh.weights * owns[mesh.joints]).sum(axis=1) / np.maximum(mesh.weights.sum(axis=1), 1e-9)
         front = np.clip((mesh.vertices[:, 2] - head[2]) / 0.06, 0, 1)
         density *= 1 + (config.face_boost - 1) * amount * front
-    return density
+    return np.asarray(density[mesh.faces].mean(axis=1))
 
 
 _HAND = ("wrist", "index", "middle", "pinky", "ring", "thumb")

@@ -62,6 +62,12 @@ class Body:
         return float(self.vertices[top, 1] - self.vertices[sole, 1]), self.shape[top, 1] - self.shape[sole, 1]
 
     @cached_property
+    def hip_height(self) -> tuple[float, F64]:
+        """The pelvis above the sole of the zero shape in metres, and what a unit of each number of shape adds."""
+        sole = int(self.vertices[:, 1].argmin())
+        return float(self.joints[0, 1] - self.vertices[sole, 1]), self.shape_joints[0, 1] - self.shape[sole, 1]
+
+    @cached_property
     def skin(self) -> NDArray[np.bool_]:
         """[V] the vertices of the one closed surface; not the eyes and the mouth's inside, which nothing else holds."""
         label = connected_components(self.neighbours)[1]

@@ -49,5 +49,5 @@ SHAPE_DOUBT = 1.3
 STATURE: tuple[float, float] = 1.70, 0.10
 """Mean and standard deviation in metres where no height is given."""
 
-CAMERA_HEIGHT: tuple[float, float] = 0.68, 0.12
+CAMERA_HEIGHT: tuple[float, float] = 0.68, 0.06
 """Where a camera is held, mean and standard deviation, in shares of the stature above the soles."""

@@ -194,13 +194,13 @@ class Solver:
         stature = size + grows @ x[:BETAS]
         mean, doubt = prior.CAMERA_HEIGHT
         up = posed.frames[0][:, 1]  # the body's upright in camera axes
-        pelvis = self.body.joints[0, 1] - self.body.vertices[:, 1].min()
+        hips, rises = self.body.hip_height
         turn, roll = prior.TURN_DOUBT
-        height = pelvis - up @ block[:3]  # the camera is at the origin of its axes
+        height = hips + rises @ x[:BETAS] - up @ block[:3]  # the camera is at the origin of its axes
         residual = np.array([block[4] / turn, block[5] / roll, (height / stature - mean) / doubt])
         moves = np.zeros((3, BETAS + self._block))
         moves[0, BETAS + 4], moves[1, BETAS + 5] = 1 / turn, 1 / roll
-        moves[2, :BETAS] = -height / stature**2 * grows / doubt
+        moves[2, :BETAS] = (rises / stature - height / stature**2 * grows) / doubt
         moves[2, BETAS : BETAS + 3] = -up / (stature * doubt)
         moves[2, BETAS + 3 : BETAS + PLACE] = -(posed.turned(up) @ block[:3]) / (stature * doubt)
         return residual, moves

@@ -1,0 +1,27 @@
+"""The fitted body as a mesh on its skeleton, standing on the floor."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from glsplat.making.fit.body import Body
+from glsplat.making.fit.fit import BodyFit
+from glsplat.meshes import MeshPart, RiggedMesh
+from glsplat.skinning.skeleton import Skeleton
+from glsplat.skinning.smplx import JOINT_NAMES, PARENTS
+
+__all__ = ["dressed_mesh"]
+
+
+def dressed_mesh(body: Body, fit: BodyFit) -> RiggedMesh:
+    """The dressed surface in the zero pose, soles on y = 0; parts: skin, eyes, and the mouth's inside."""
+    floor = np.array([0.0, fit.rest[body.skin, 1].min(), 0.0])
+    skeleton = Skeleton.from_joints(JOINT_NAMES, list(PARENTS), fit.joints - floor)
+    eye = np.isin(body.part, [JOINT_NAMES.index(f"{side}_eye_smplhf") for side in ("left", "right")])
+    kinds = {"skin": body.skin, "eyes": eye & ~body.skin, "mouth": ~eye & ~body.skin}
+    white = np.full((2, 2, 4), 255, np.uint8)
+    parts = []
+    for name, vertices in kinds.items():
+        mine = vertices[body.faces[:, 0]]
+        parts.append(MeshPart(name, body.faces[mine], body.uv[mine], white))
+    return RiggedMesh(fit.rest - floor, skeleton, body.skin_joints.astype(np.int64), body.skin_weights, tuple(parts))

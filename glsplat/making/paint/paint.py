@@ -1,0 +1,119 @@
+"""The colours of a dressed body's surface from the pictures of it, the unseen sides included."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_matrix, diags
+from scipy.sparse.linalg import cg
+
+from glsplat.making.fit.body import Body
+from glsplat.making.paint.colour import to_srgb
+from glsplat.making.paint.light import Light, find_light
+from glsplat.making.paint.shot import Shot, SurfacePoints
+from glsplat.making.paint.twins import find_twins
+from glsplat.skinning.smplx import JOINT_NAMES
+
+__all__ = ["Paint", "paint"]
+
+F64 = NDArray[np.float64]
+
+_HEAD = ("head", "jaw", "eye")
+_TRUNK = ("pelvis", "spine", "collar")
+_SHY = 1e-4  # how much a vertex nobody saw stays at the mean colour
+_SHADE = 0.3, 1.4  # brightness of an unseen point against the seen one its colour comes from
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Paint:
+    """What is known and guessed of M points."""
+
+    rgb: F64  # [M, 3] sRGB in [0, 1]
+    seen: F64  # [M] from 0, guessed, to 1, seen
+    busy: F64  # [M] from 0, plain, to 1, full of detail
+
+
+def paint(body: Body, shots: Sequence[Shot], points: SurfacePoints) -> Paint:
+    """Colours of ``points`` of the dressed body; ``shots`` begin with the front."""
+    parts = np.array([_part(name) for name in JOINT_NAMES])[body.part]
+    sights = [shot.look(points) for shot in shots]
+    front = shots[0]
+    camera_up = front.view.root[:, 1]
+    light = find_light(
+        points.directions(front.normals), sights[0].linear, sights[0].trust, camera_up, np.array([0.0, 0, -1])
+    )
+    shade = light.shade(points.directions(front.normals))[:, None]
+
+    # smooth colours without light, over the whole surface
+    plain = _smooth_colours(body, shots, light)
+    guess = points.at(plain) * shade
+    # the front at the same place, for all but the head
+    twins = find_twins(front.mesh, parts == 1)
+    colours, facing, trust = twins.colours(front, points)
+    ratio = (shade[:, 0] / light.shade(facing)).clip(*_SHADE)
+    trust = trust * (1 - points.at((parts == 2).astype(float)[:, None])[:, 0])
+    guess += trust[:, None] * (colours * ratio[:, None] - guess)
+    guess = _with_hair(front, points, guess, shade, light, body, parts == 2)
+
+    total = sum((sight.trust**2 for sight in sights), np.zeros(len(guess)))
+    mixed = sum((sight.linear * (sight.trust**2)[:, None] for sight in sights), np.zeros_like(guess))
+    seen = np.max([sight.trust for sight in sights], axis=0)
+    colour = mixed / np.maximum(total, 1e-9)[:, None]
+    busy = np.max([shot.busy(points) * sight.trust for shot, sight in zip(shots, sights, strict=True)], axis=0)
+    return Paint(to_srgb(guess + seen[:, None] * (colour - guess)), seen, busy)
+
+
+def _part(name: str) -> int:
+    if any(word in name for word in _HEAD):
+        return 2
+    return 1 if any(word in name for word in _TRUNK) else 0
+
+
+def _smooth_colours(body: Body, shots: Sequence[Shot], light: Light) -> F64:
+    """[V, 3] linear colours without light: as seen at the vertices, the smoothest between."""
+    count = len(body.vertices)
+    known, target = np.zeros(count), np.zeros((count, 3))
+    first = shots[0]
+    for shot in shots:
+        trust = shot.trust**2 * body.skin
+        # every picture is of the same room: normals are turned back into the first camera's axes
+        shade = light.shade(shot.normals @ (shot.view.root @ first.view.root.T))
+        known += trust
+        target += trust[:, None] * shot.sample(shot.view.pixels) / shade[:, None]
+    mean = target.sum(axis=0) / max(known.sum(), 1e-9)
+    neighbours: csr_matrix = body.neighbours
+    degree = np.asarray(neighbours.sum(axis=1)).ravel()
+    stiff = 0.05
+    scale = known + stiff * degree + _SHY
+    matrix = diags(scale) - stiff * neighbours
+    start = np.where(known[:, None] > 0.2, target / np.maximum(known, 0.2)[:, None], mean)
+    columns = [
+        cg(matrix, target[:, c] + _SHY * mean[c], x0=start[:, c], rtol=1e-4, maxiter=300, M=diags(1 / scale))[0]
+        for c in range(3)
+    ]
+    return np.stack(columns, axis=1).clip(0, 2)
+
+
+def _with_hair(
+    front: Shot, points: SurfacePoints, guess: F64, shade: F64, light: Light, body: Body, head: NDArray[np.bool_]
+) -> F64:
+    """The guess, with hair where a head has it and nobody looked: behind the ears' line, above the neck."""
+    rest = front.mesh.vertices
+    joint = front.mesh.skeleton.joints[JOINT_NAMES.index("head")]
+    mine = head & body.skin
+    low, top = rest[mine, 1].min(), rest[mine, 1].max()
+    crown = mine & (rest[:, 1] > top - 0.12 * (top - low)) & (front.trust > 0.1)
+    if not crown.any():
+        return guess
+    colours = front.sample(front.view.pixels[crown]) / light.shade(front.normals[crown])[:, None]
+    hair = np.median(colours, axis=0)
+    where = points.at(rest)
+    behind = ((joint[2] + 0.02 - where[:, 2]) / 0.02).clip(0, 1) * (
+        (where[:, 1] - low - 0.2 * (top - low)) / 0.02
+    ).clip(0, 1)
+    behind = np.maximum(behind, ((where[:, 1] - top + 0.05) / 0.02).clip(0, 1))
+    behind *= points.at(head.astype(float)[:, None])[:, 0]
+    return np.asarray(guess + behind[:, None] * (hair * shade - guess))

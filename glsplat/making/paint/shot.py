@@ -1,0 +1,148 @@
+"""One picture of the fitted body: which points of the surface it shows, and in which colours."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from glsplat.camera import Camera
+from glsplat.making.fit.body import vertex_normals
+from glsplat.making.fit.fit import FittedView
+from glsplat.making.paint.colour import to_linear
+from glsplat.making.raster import visible_faces
+from glsplat.meshes import RiggedMesh
+
+__all__ = ["Shot", "Sight", "SurfacePoints"]
+
+F64 = NDArray[np.float64]
+
+_COARSE = 2  # pixels of the picture to one of the depth map
+_BEHIND = 0.012  # metres behind the nearest surface that still count as it
+_RIM = 2  # pixels inside the outline whose colours are mixed with the room's
+_PATCH, _BUSY = 7, 0.12  # pixels, and the spread of colour in them that is full of detail
+_GRAZING, _SQUARE = 0.12, 0.42  # cosines: nothing is believed, everything is
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SurfacePoints:
+    """M points on the triangles of a mesh of V vertices."""
+
+    corners: NDArray[np.intp]  # [M, 3] vertices
+    weights: F64  # [M, 3] barycentric
+
+    def at(self, values: F64) -> F64:
+        """[M, C] what a value [V, C] of the vertices is there."""
+        return np.einsum("mk,mkc->mc", self.weights, values[self.corners])
+
+    def directions(self, values: F64) -> F64:
+        """[M, 3] unit vectors between the vertices' [V, 3]."""
+        mixed = self.at(values)
+        return np.asarray(mixed / np.maximum(np.linalg.norm(mixed, axis=1, keepdims=True), 1e-12))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sight:
+    """What a picture shows of M points."""
+
+    linear: F64  # [M, 3] linear light
+    trust: F64  # [M] 0 not seen, 1 seen squarely
+
+
+@dataclass(frozen=True, eq=False)
+class Shot:
+    """A picture with the body that was fitted to it. ``rgb`` [H, W, 3] sRGB uint8, ``mask`` [H, W], focal in pixels."""
+
+    rgb: NDArray[np.uint8]
+    mask: NDArray[np.bool_]
+    focal: float
+    view: FittedView
+    mesh: RiggedMesh  # the dressed body; its vertices are those of ``view``
+
+    @cached_property
+    def normals(self) -> F64:
+        """[V, 3] in the camera's axes."""
+        return vertex_normals(self.view.vertices, self.mesh.faces)
+
+    @cached_property
+    def trust(self) -> F64:
+        """[V] of the vertices themselves."""
+        return self._trust(self.view.vertices, self.normals, self.view.pixels)
+
+    def look(self, points: SurfacePoints) -> Sight:
+        """What is seen of the points."""
+        where = points.at(self.view.vertices)
+        pixels = self._project(where)
+        return Sight(self.sample(pixels), self._trust(where, points.directions(self.normals), pixels))
+
+    def sample(self, pixels: F64) -> F64:
+        """[M, 3] linear light at pixels [M, 2], bilinear; beyond the outline, that of the person's nearest pixel."""
+        side = 256  # OpenCV's remap wants pictures, of less than 32767 pixels a side
+        rows = -(-len(pixels) // side)
+        flat = np.zeros((rows * side, 2), np.float32)
+        flat[: len(pixels)] = pixels - 0.5
+        x, y = (np.ascontiguousarray(flat[:, axis].reshape(rows, side)) for axis in (0, 1))
+        parts = [
+            cv2.remap(
+                self._carried, x[a : a + side], y[a : a + side], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+            )
+            for a in range(0, rows, side)
+        ]
+        return np.concatenate(parts).reshape(-1, 3)[: len(pixels)].astype(np.float64)
+
+    def busy(self, points: SurfacePoints) -> F64:
+        """[M] how much detail the picture has around each point, 0 none to 1."""
+        at = np.floor(self._project(points.at(self.view.vertices))).astype(np.intp)
+        height, width = self.mask.shape
+        return np.asarray(self._detail[at[:, 1].clip(0, height - 1), at[:, 0].clip(0, width - 1)], np.float64)
+
+    @cached_property
+    def _detail(self) -> NDArray[np.float32]:
+        """[H, W] the local spread of colour in the person, as a share of what counts as full of detail."""
+        colour = np.sqrt(self._carried)  # about as eyes see it
+        variance = cv2.blur(colour**2, (_PATCH, _PATCH)) - cv2.blur(colour, (_PATCH, _PATCH)) ** 2
+        return np.minimum(np.sqrt(np.maximum(variance, 0).sum(axis=2)) / _BUSY, 1)
+
+    def _project(self, where: F64) -> F64:
+        height, width = self.mask.shape
+        return np.asarray(where[:, :2] / where[:, 2:] * self.focal + (width / 2, height / 2))
+
+    def _trust(self, where: F64, normals: F64, pixels: F64) -> F64:
+        rows, columns = self._depth.shape
+        at = np.floor(pixels / _COARSE).astype(np.intp)
+        inside = ((at >= 0) & (at < (columns, rows))).all(axis=1)
+        nearest = self._depth[at[:, 1].clip(0, rows - 1), at[:, 0].clip(0, columns - 1)]
+        facing = -(normals * where).sum(axis=1) / np.linalg.norm(where, axis=1)
+        ramp = ((facing - _GRAZING) / (_SQUARE - _GRAZING)).clip(0, 1)
+        return np.where(inside & (where[:, 2] < nearest + _BEHIND), ramp * ramp * (3 - 2 * ramp), 0.0)
+
+    @cached_property
+    def _depth(self) -> F64:
+        """[H / 2, W / 2] camera z of the nearest surface, infinite where there is none."""
+        height, width = (side // _COARSE for side in self.mask.shape)
+        focal = self.focal / _COARSE
+        middle = np.array(self.mask.shape[::-1]) / (2 * _COARSE)
+        camera = Camera(np.eye(4), np.array([[focal, 0, middle[0]], [0, focal, middle[1]], [0, 0, 1]]), width, height)
+        ids, bary = visible_faces(self.mesh, self.view.vertices, camera)
+        depth = np.full(ids.shape, np.inf)
+        hit = ids >= 0
+        depth[hit] = (bary[hit] * self.view.vertices[self.mesh.faces[ids[hit]], 2]).sum(axis=1)
+        return depth
+
+    @cached_property
+    def _carried(self) -> NDArray[np.float32]:
+        """[H, W, 3] linear light, the person's colours carried on beyond the outline."""
+        kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * _RIM + 1,) * 2)
+        inner = cv2.erode(self.mask.astype(np.uint8), kernel)
+        if not inner.any():
+            inner = self.mask.astype(np.uint8)
+        _, labels = cv2.distanceTransformWithLabels(1 - inner, cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL)
+        rows, columns = np.nonzero(inner)
+        source = np.zeros((labels.max() + 1, 2), np.intp)
+        source[labels[rows, columns]] = np.stack([rows, columns], axis=1)
+        from_row, from_column = source[labels].transpose(2, 0, 1)
+        table = to_linear(np.arange(256) / 255).astype(np.float32)
+        return np.asarray(table[self.rgb[from_row, from_column]])

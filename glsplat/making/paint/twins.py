@@ -1,0 +1,94 @@
+"""Where to look for a colour that no picture shows: the front of the person at the same place, seen through the body.
+
+In the zero pose a person is flat enough from front to back that cloth, skin and shoes change at the same places on both
+sides. The middle of a chest is not carried through: ties, buttons and open jackets have no counterpart on a back.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glsplat.camera import Camera, look_at
+from glsplat.making.paint.shot import Shot, SurfacePoints
+from glsplat.making.raster import visible_faces
+from glsplat.meshes import RiggedMesh
+
+__all__ = ["Twins", "find_twins"]
+
+F64 = NDArray[np.float64]
+
+_FAR = 60.0  # metres; from there a view is as good as parallel
+_PIXELS = 1024
+_ASIDE = 0.4  # share of the half width that the middle of a back is taken from
+_SEAM = 0.015  # metres over which the two halves of a back are blended
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Twins:
+    """For each vertex its twin on the front, as a point of the mesh; on a back, one for each half."""
+
+    points: tuple[SurfacePoints, SurfacePoints]  # [V] each: as seen from the person's left half and the right one
+    found: NDArray[np.bool_]  # [V]
+    across: F64  # [V] metres to the person's left in the zero pose
+
+    def colours(self, shot: Shot, points: SurfacePoints) -> tuple[F64, F64, F64]:
+        """Colours [M, 3] in linear light, normals [M, 3] in camera axes and trust [M] of what the twins show."""
+        side = points.at(self.across[:, None])[:, 0]
+        share = (0.5 + side / (2 * _SEAM)).clip(0, 1)
+        halves = []
+        for twin in self.points:
+            pixels = points.at(twin.at(shot.view.pixels))
+            normals = points.at(twin.directions(shot.normals))
+            trust = points.at((twin.at(shot.trust[:, None])[:, 0] * self.found)[:, None])[:, 0]
+            halves.append((shot.sample(pixels), normals, trust))
+        left, right = halves
+        mixed = [
+            share.reshape(-1, *[1] * (a.ndim - 1)) * a + (1 - share).reshape(-1, *[1] * (a.ndim - 1)) * b
+            for a, b in zip(left, right, strict=True)
+        ]
+        length = np.maximum(np.linalg.norm(mixed[1], axis=1, keepdims=True), 1e-9)
+        return mixed[0], mixed[1] / length, mixed[2]
+
+
+def find_twins(mesh: RiggedMesh, trunk: NDArray[np.bool_]) -> Twins:
+    """The twins of all vertices of a body in the zero pose; ``trunk`` [V] marks chest, belly and hips."""
+    vertices = mesh.vertices
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    middle, size = (low + high) / 2, float((high - low)[:2].max()) * 1.02
+    focal = _PIXELS * _FAR / size
+    camera = Camera(
+        look_at(middle + [0, 0, _FAR], middle),
+        np.array([[focal, 0, _PIXELS / 2], [0, focal, _PIXELS / 2], [0, 0, 1]]),
+        _PIXELS,
+        _PIXELS,
+    )
+    ids, bary = visible_faces(mesh, vertices, camera)
+    half = _half_width(vertices, trunk)
+    found = np.zeros(len(vertices), bool)
+    sides = []
+    for sign in (1.0, -1.0):
+        wanted = vertices.copy()
+        wanted[trunk, 0] = sign * _ASIDE * half[trunk] + (1 - _ASIDE) * vertices[trunk, 0]
+        at = wanted @ camera.viewmat[:3, :3].T + camera.viewmat[:3, 3]
+        pixel = np.floor(at[:, :2] / at[:, 2:] * focal + _PIXELS / 2).astype(np.intp).clip(0, _PIXELS - 1)
+        face = ids[pixel[:, 1], pixel[:, 0]]
+        found = face >= 0 if sign > 0 else found & (face >= 0)
+        sides.append(SurfacePoints(mesh.faces[np.maximum(face, 0)].astype(np.intp), bary[pixel[:, 1], pixel[:, 0]]))
+    return Twins(
+        (sides[0], sides[1]),
+        found,
+        np.where(trunk, vertices[:, 0], np.inf * np.sign(vertices[:, 0] + 1e-9)).clip(-1, 1),
+    )
+
+
+def _half_width(vertices: F64, trunk: NDArray[np.bool_]) -> F64:
+    """[V] half the width of the trunk at each vertex's height, metres."""
+    rows = np.round(vertices[:, 1] / 0.03).astype(np.intp)
+    rows -= rows.min()
+    widest = np.zeros(rows.max() + 3)
+    np.maximum.at(widest, rows[trunk] + 1, np.abs(vertices[trunk, 0]))
+    smooth = (widest[:-2] + widest[1:-1] + widest[2:]) / 3
+    return np.asarray(smooth[rows])
