@@ -41,6 +41,7 @@ class SamplerConfig:
     normal_weight: float = 0.6  # cells of unit size a right angle is worth, over sqrt(2)
     sigma: float = 1.85  # standard deviations of the splat over those of its cell
     inset: float = 0.0  # metres inwards
+    round_off: float = 0.0  # samples that a round cell of the same size is worth against those drawn
     probe: int = 512  # pixels of the views that find the visible surface
     reach: float = 0.004  # metres from a seen point within which surface counts as seen
     thickness: float = 0.0004  # metres along the normal, at least
@@ -146,6 +147,11 @@ def _gaussians(cloud: Cloud, label: NDArray[np.intp], count: int, config: Sample
     basis = np.stack([u, np.cross(normal, u)], axis=2)  # [N, 3, 2]
     planar = np.einsum("nia,nij,njb->nab", basis, cov, basis)
     variance, axes = np.linalg.eigh(planar)
+    if config.round_off:  # few samples make a cell look thinner and smaller than it is
+        members = np.bincount(label, minlength=count)[:, None]
+        even = variance.mean(axis=1, keepdims=True)
+        variance = (members * variance + config.round_off * even) / (members + config.round_off)
+        variance *= members / np.maximum(members - 1, 1)
     typical = np.median(variance.sum(axis=1) / 2)
     variance = np.maximum(variance, 0.15 * variance.sum(axis=1, keepdims=True) / 2 + 0.02 * typical)
     tangent = np.einsum("nia,nab->nib", basis, axes)

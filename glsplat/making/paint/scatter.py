@@ -19,7 +19,7 @@ __all__ = ["PHOTO_SAMPLER", "Scatter", "scatter"]
 
 F64 = NDArray[np.float64]
 
-PHOTO_SAMPLER = SamplerConfig(samples=16, candidates=5, rounds=6, sigma=2.0)
+PHOTO_SAMPLER = SamplerConfig(samples=16, candidates=5, rounds=6, sigma=2.0, inset=0.002, round_off=8)
 """Fewer samples and rounds than a textured mesh gets: seconds, and a photograph has less to show."""
 
 

@@ -16,6 +16,7 @@ from glsplat.making.networks.people import Person, find_person
 from glsplat.making.paint.dress import dressed_mesh
 from glsplat.making.paint.paint import paint
 from glsplat.making.paint.scatter import scatter
+from glsplat.making.paint.sharpen import sharpened
 from glsplat.making.paint.shot import Shot
 from glsplat.making.reconstruct.reconstructor import Mask, Options, Picture
 from glsplat.meshes import RiggedMesh
@@ -67,6 +68,9 @@ class Builtin:
         painted = paint(body, shots, strewn.points)
         options.progress("placing splats", 0.6)
         avatar = strewn.avatar(mesh, painted.rgb, painted.busy, rng)
+        if options.steps:
+            options.progress("fitting to the pictures", 0.7)
+            avatar = sharpened(avatar, shots)
         unseen = float(1 - np.average(painted.seen, weights=1 / strewn.density))
         options.progress("placing splats", 1.0)
         return Made(avatar, fit, mesh, unseen, painted.seen, fit.problem)
