@@ -22,6 +22,7 @@ __all__ = ["Paint", "paint"]
 F64 = NDArray[np.float64]
 
 _HEAD = ("head", "jaw", "eye")
+_NO_TWINS = ("neck", "head", "jaw", "left_eye_smplhf", "right_eye_smplhf")  # faces and chins have no counterpart
 _TRUNK = ("pelvis", "spine", "collar")
 _SHY = 1e-4  # how much a vertex nobody saw stays at the mean colour
 _SHADE = 0.3, 1.4  # brightness of an unseen point against the seen one its colour comes from
@@ -54,7 +55,8 @@ def paint(body: Body, shots: Sequence[Shot], points: SurfacePoints) -> Paint:
     twins = find_twins(front.mesh, parts == 1)
     colours, facing, trust = twins.colours(front, points)
     ratio = (shade[:, 0] / light.shade(facing)).clip(*_SHADE)
-    trust = trust * (1 - points.at((parts == 2).astype(float)[:, None])[:, 0])
+    round_parts = np.isin(body.part, [JOINT_NAMES.index(name) for name in _NO_TWINS])
+    trust = trust * (1 - points.at(round_parts.astype(float)[:, None])[:, 0])
     guess += trust[:, None] * (colours * ratio[:, None] - guess)
     guess = _with_hair(front, points, guess, shade, light, body, parts == 2)
 

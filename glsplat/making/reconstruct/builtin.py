@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from glsplat.avatar import Avatar
 from glsplat.errors import FormatError
@@ -24,6 +25,7 @@ from glsplat.meshes import RiggedMesh
 __all__ = ["SIDES", "Builtin", "Made"]
 
 SIDES = ("front", "back", "left", "right")
+_HARDLY = 0.1  # of a point that a picture shows too flatly to be believed
 _PHONE = 1.37  # focal length of a usual phone camera, in heights of an upright picture
 
 
@@ -35,7 +37,7 @@ class Made:
     fit: BodyFit
     mesh: RiggedMesh  # the dressed body in the zero pose
     unseen: float  # share of the surface that no picture shows
-    seen: np.ndarray  # [N] of each splat's nearest point, from 0 guessed to 1 seen
+    seen: NDArray[np.float64]  # [V] of its vertices, from 0 guessed to 1 seen squarely
     problem: str  # one line, or empty
 
 
@@ -71,9 +73,10 @@ class Builtin:
         if options.steps:
             options.progress("fitting to the pictures", 0.7)
             avatar = sharpened(avatar, shots)
-        unseen = float(1 - np.average(painted.seen, weights=1 / strewn.density))
+        unseen = float(np.average(painted.seen < _HARDLY, weights=1 / strewn.density))
+        seen = np.max([shot.trust for shot in shots], axis=0)
         options.progress("placing splats", 1.0)
-        return Made(avatar, fit, mesh, unseen, painted.seen, fit.problem)
+        return Made(avatar, fit, mesh, unseen, seen, fit.problem)
 
 
 def _person(picture: Picture, side: str) -> Person:

@@ -8,36 +8,12 @@ import numpy as np
 import pytest
 
 from glsplat.errors import FormatError
-from glsplat.making.fit import prior
-from glsplat.making.fit.body import BETAS, open_body
+from glsplat.making.fit.body import open_body
 from glsplat.making.fit.fit import BodyFit, fit_body
-from glsplat.making.fit.kinematics import projected
-from glsplat.making.fit.landmarks import LANDMARK_COUNT, landmarks
-from glsplat.making.fit.outline import projected_mask
+from glsplat.making.fit.landmarks import landmarks
 from glsplat.making.fit.solver import Solver
 from glsplat.making.fit.view import View
-
-SIZE, FOCAL = (480, 320), 640.0
-
-
-def made(side: str = "front", *, tilt: float = 0.08, seed: int = 3) -> tuple[View, np.ndarray, float]:
-    """A view of a made-up person from ``tilt`` radians above, their joints in the camera, and their stature."""
-    rng = np.random.default_rng(seed)
-    body = open_body()
-    blank = View(np.ones((480, 320), bool), np.full((LANDMARK_COUNT, 2), 160.0), np.ones(LANDMARK_COUNT), FOCAL)
-    view = View(blank.mask, blank.landmarks, blank.visibility, FOCAL, side=side)
-    solver = Solver(body, landmarks(), [view], 1.7)
-    solver.x[1:BETAS] = rng.normal(0, 0.7, BETAS - 1)
-    place = [0.05, 0.1, 3.0, tilt, 0.1, 0.02]
-    solver.x[BETAS:] = np.concatenate([place, prior.MEAN + rng.normal(0, 0.4, len(prior.MEAN)) * prior.SPREAD])
-    posed = solver.posed(0)
-    pixels = projected(posed.points(body.points(np.arange(len(body.vertices)))), FOCAL, view.centre)[0]
-    marks = np.zeros((LANDMARK_COUNT, 2))
-    table = landmarks()
-    marks[table.numbers] = projected(posed.points(table.points(body)), FOCAL, view.centre)[0]
-    mask = projected_mask(pixels, body.faces, SIZE)
-    size, grows = body.stature
-    return View(mask, marks, np.ones(LANDMARK_COUNT), FOCAL, side=side), posed.joints, size + grows @ solver.betas
+from tests.making.made_up import FOCAL, SIZE, made
 
 
 @lru_cache(maxsize=1)

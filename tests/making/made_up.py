@@ -1,0 +1,43 @@
+"""A made-up person: the open body in a random shape and pose, and what a camera and the networks would say of it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from glsplat.making.fit import prior
+from glsplat.making.fit.body import BETAS, open_body
+from glsplat.making.fit.kinematics import Posed, projected
+from glsplat.making.fit.landmarks import LANDMARK_COUNT, landmarks
+from glsplat.making.fit.outline import projected_mask
+from glsplat.making.fit.solver import Solver
+from glsplat.making.fit.view import View
+
+__all__ = ["FOCAL", "SIZE", "made", "posed_view"]
+
+SIZE, FOCAL = (480, 320), 640.0
+
+
+def made(side: str = "front", *, tilt: float = 0.08, seed: int = 3) -> tuple[View, np.ndarray, float]:
+    """A view of a made-up person from ``tilt`` radians above, their joints in the camera, and their stature."""
+    view, posed, solver = posed_view(side, tilt=tilt, seed=seed)
+    size, grows = open_body().stature
+    return view, posed.joints, float(size + grows @ solver.betas)
+
+
+def posed_view(side: str = "front", *, tilt: float = 0.08, seed: int = 3) -> tuple[View, Posed, Solver]:
+    """The same with the posed body and the solver that holds its numbers."""
+    rng = np.random.default_rng(seed)
+    body = open_body()
+    blank = View(np.ones((480, 320), bool), np.full((LANDMARK_COUNT, 2), 160.0), np.ones(LANDMARK_COUNT), FOCAL)
+    view = View(blank.mask, blank.landmarks, blank.visibility, FOCAL, side=side)
+    solver = Solver(body, landmarks(), [view], 1.7)
+    solver.x[1:BETAS] = rng.normal(0, 0.7, BETAS - 1)
+    place = [0.05, 0.1, 3.0, tilt, 0.1, 0.02]
+    solver.x[BETAS:] = np.concatenate([place, prior.MEAN + rng.normal(0, 0.4, len(prior.MEAN)) * prior.SPREAD])
+    posed = solver.posed(0)
+    pixels = projected(posed.points(body.points(np.arange(len(body.vertices)))), FOCAL, view.centre)[0]
+    marks = np.zeros((LANDMARK_COUNT, 2))
+    table = landmarks()
+    marks[table.numbers] = projected(posed.points(table.points(body)), FOCAL, view.centre)[0]
+    mask = projected_mask(pixels, body.faces, SIZE)
+    return View(mask, marks, np.ones(LANDMARK_COUNT), FOCAL, side=side), posed, solver
