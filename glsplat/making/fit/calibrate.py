@@ -215,7 +215,7 @@ def _equations(picture: KnownPicture, number: int, joint: np.intp, mirror: F64) 
 
 
 def _equation(where: F64, frame: F64, seen: F64, size: float) -> tuple[F64, F64]:
-    """[2, 3] and [2], as of _equations: a joint [3] and its ``frame`` [3, 3], x/z and y/z [2] where a landmark is seen."""
+    """[2, 3] and [2], as of _equations: a joint [3] and its ``frame`` [3, 3], x/z and y/z [2] of a landmark."""
     ratio = where[:2] / where[2]
     return frame[:2] - np.outer(ratio, frame[2]), (seen - ratio) * where[2] / size
 

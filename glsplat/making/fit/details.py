@@ -53,6 +53,8 @@ def fit_details(
             for eye in EYE_SIDES:
                 joints[JOINT_NAMES.index(f"{eye}_eye_smplhf")] += found[1][eyeball(body, eye).vertices[0]]
             break  # one picture shapes the face
+    if all((turns == seen.rotations).all() for turns, seen in zip(rotations, fit.views, strict=True)):
+        return fit  # a face that is believed turns the head at least a little
     poses = [
         fully_posed(body, fit.betas, seen.root, seen.pelvis, turns)
         for seen, turns in zip(fit.views, rotations, strict=True)

@@ -106,7 +106,7 @@ def look_of_eye(picture: NDArray[np.uint8], eye: Eye) -> EyeLook:
     whites = min(float(np.percentile(light[side], 80)) for side in sides)
     if whites < _CONTRAST * max(float(np.percentile(light[dark], 25)), 1.0):
         return hidden
-    bright = white & (light > np.percentile(light[white], _BRIGHTEST))
+    bright = white & (light >= np.percentile(light[white], _BRIGHTEST))
     return EyeLook(True, centre, radius, np.median(colours[ring], axis=0), np.median(colours[bright], axis=0))
 
 
