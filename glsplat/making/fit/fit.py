@@ -12,7 +12,7 @@ from glsplat.errors import FormatError
 from glsplat.making.fit.body import Body, open_body, vertex_normals
 from glsplat.making.fit.kinematics import Posed, projected
 from glsplat.making.fit.landmarks import landmarks
-from glsplat.making.fit.offsets import smooth_offsets
+from glsplat.making.fit.offsets import outward, smooth_offsets
 from glsplat.making.fit.outline import Rim, find_rim, half_gaps, overlap, projected_mask
 from glsplat.making.fit.prior import HINGES
 from glsplat.making.fit.solver import Solver
@@ -31,6 +31,7 @@ _RIM_WORTH = 36.0  # as many independent measurements an outline is
 _CLOTH, _INSIDE = 0.008, 0.03  # shares of the figure: beyond it the mask says little, far in it is a mistake
 _REACH = 0.04  # shares of the figure; how far from the body the mask's edge is looked for
 _FLAT, _FLAT_DRESSED = 0.35, 0.22  # cosines below which a vertex is on the outline; cloth has the sharper one
+_PLAIN = 0.8  # cosine between normal and offset; a vertex below it, in an ear's folds, is moved by its neighbours alone
 _HEIGHTS = 0.5, 2.5  # metres
 _GOOD = 0.94, 2.5  # least overlap with the mask, most mean distance of landmarks in shares of the figure (%)
 
@@ -59,7 +60,7 @@ class BodyFit:
 
     betas: F64  # [10] shape
     stature: float  # metres, crown to sole without hair and shoes
-    offsets: F64  # [V] metres along the normals of the zero pose: clothes and hair
+    offsets: F64  # [V] metres along ``outward`` of the zero pose: clothes and hair
     rest: F64  # [V, 3] the dressed surface in the zero pose
     joints: F64  # [55, 3] in the zero pose
     views: tuple[FittedView, ...]
@@ -136,20 +137,22 @@ def _pulled(rim: Rim, trust: F64, view: View) -> tuple[Rim, F64]:
 
 
 def dressed(body: Body, bare: F64, poses: Sequence[Posed], views: Sequence[View], worn: F64 | None = None) -> F64:
-    """[V] offsets in metres along the normals of ``bare`` [V, 3], by which its outlines meet all masks at once.
+    """[V] offsets in metres along ``outward`` of ``bare`` [V, 3], by which its outlines meet all masks at once.
 
     ``bare`` is of the poses' shape, in the zero pose; ``worn`` [V] are offsets that fitted it but for little.
     """
     small = [view.smaller(_FIGURE) for view in views]
-    normals = vertex_normals(bare, body.faces)
+    directions = outward(body, bare)
+    plain = (vertex_normals(bare, body.faces) * directions).sum(axis=1) > _PLAIN
     offsets = np.zeros(len(bare)) if worn is None else worn
     for _ in range(_DRESSINGS if worn is None else 1):
         vertices, wanted = [], []
         for posed, view in zip(poses, small, strict=True):
-            moved = bare - body.shaped(posed.betas)[0] + offsets[:, None] * normals
+            moved = bare - body.shaped(posed.betas)[0] + offsets[:, None] * directions
             rim = _rim(body, posed, view, moved)
-            vertices.append(rim.vertices)
-            wanted.append(offsets[rim.vertices] + rim.gaps * posed.joints[0, 2] / view.focal)
+            clear = plain[rim.vertices]
+            vertices.append(rim.vertices[clear])
+            wanted.append((offsets[rim.vertices] + rim.gaps * posed.joints[0, 2] / view.focal)[clear])
         known = np.concatenate(vertices)
         offsets = smooth_offsets(body, known, np.concatenate(wanted), np.ones(len(known)))
     return offsets
@@ -167,7 +170,7 @@ def assembled(
 ) -> BodyFit:
     """The fit of a ``bare`` surface [V, 3] with its ``joints`` [55, 3] in the zero pose, and what each view shows."""
     betas = poses[0].betas
-    rest = bare + offsets[:, None] * vertex_normals(bare, body.faces)
+    rest = bare + offsets[:, None] * outward(body, bare)
     points = body.points(np.arange(len(bare)), rest - body.shaped(betas)[0])
     shaped = body.shaped(betas)[1]
     fitted, problems = [], []
