@@ -27,6 +27,11 @@ _HANDS = {
     for side in ("left", "right")
 }  # rows of the fingers' joints
 _HEAD = [JOINT_NAMES.index(name) for name in ("neck", "head")]
+_MOVED = [
+    k
+    for k, name in enumerate(JOINT_NAMES)
+    if k in _HEAD or k > JOINT_NAMES.index("head") or name.endswith(("elbow", "wrist"))
+]  # joints whose skin lies elsewhere afterwards
 
 
 def fit_details(
@@ -35,8 +40,8 @@ def fit_details(
     """The ``fit`` of the ``views`` with hands and face as the networks read them in the same pictures.
 
     Fingers, forearms, neck and head turn; the face's features and the eyes' joints move in ``rest`` and ``joints``;
-    the clothes meet the masks anew. What is not believed stays as it was: a hand that no view shows, a face in a view
-    from behind or under a scarf. Raises FormatError.
+    hair and sleeves meet the masks anew. What is not believed stays as it was: a hand that no view shows, a face in
+    a view from behind or under a scarf. Raises FormatError.
     """
     if not len(fit.views) == len(views) == len(people):
         raise FormatError(f"details need a view and a person each of {len(fit.views)}, not {len(views)}, {len(people)}")
@@ -59,7 +64,8 @@ def fit_details(
         fully_posed(body, fit.betas, seen.root, seen.pelvis, turns)
         for seen, turns in zip(fit.views, rotations, strict=True)
     ]
-    offsets = dressed(body, bare, poses, views, fit.offsets)
+    moved = (body.skin_weights * np.isin(body.skin_joints, _MOVED)).sum(axis=1)
+    offsets = moved * dressed(body, bare, poses, views, fit.offsets) + (1 - moved) * fit.offsets
     return assembled(body, bare, joints, offsets, poses, rotations, views, [seen.strays for seen in fit.views])
 
 

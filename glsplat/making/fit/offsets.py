@@ -44,11 +44,12 @@ def smooth_offsets(body: Body, vertices: NDArray[np.intp], wanted: F64, weights:
     """[V] metres along the normals: close to ``wanted`` [K] at ``vertices`` [K], the smoothest elsewhere."""
     of_joint = [next((most for part, most in _BARE.items() if part in name), MOST[1]) for name in JOINT_NAMES]
     most = np.array(of_joint)[body.part]  # hands wear nothing, shoes have soles
+    least = np.maximum(MOST[0], -most)
     pull, target = np.zeros(len(body.vertices)), np.zeros(len(body.vertices))
     np.add.at(pull, vertices, weights)
-    np.add.at(target, vertices, weights * wanted.clip(MOST[0], most[vertices]))
+    np.add.at(target, vertices, weights * wanted.clip(least[vertices], most[vertices]))
     degree = np.asarray(body.neighbours.sum(axis=1)).ravel()
     scale = pull + _STIFF * degree + _SHY
     matrix = diags(scale) - _STIFF * body.neighbours
     offsets, _ = cg(matrix, target, rtol=1e-4, maxiter=300, M=diags(1 / scale))
-    return np.asarray(np.where(body.skin, offsets, 0.0).clip(MOST[0], most))
+    return np.asarray(np.where(body.skin, offsets, 0.0).clip(least, most))

@@ -32,7 +32,7 @@ def fingers_off(person: Capture, seen: FittedView) -> float:
 def face_off(person: Capture, seen: FittedView) -> float:
     """Mean distance of the face's skin in the picture, in percent of the distance between the eyes."""
     body = open_body()
-    x, y, z = body.vertices.T
+    _x, y, z = body.vertices.T
     front = body.skin & (vertex_normals(body.vertices, body.faces)[:, 2] > 0.3) & (y > 0.76) & (y < 0.93) & (z > 0.07)
     true = person.skin()[front]
     pixels = true[:, :2] / true[:, 2:] * person.camera.K[0, 0] + person.camera.K[:2, 2]
