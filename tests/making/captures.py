@@ -10,8 +10,10 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
 from glsplat.camera import Camera
+from glsplat.making.fit.body import open_body
 from glsplat.making.networks import store
 from glsplat.making.people import read_person
 from glsplat.making.raster import mesh_picture, visible_faces
@@ -46,6 +48,16 @@ class Capture:
         point = frames[self.mesh.skeleton.names.index(name), :3, 3]
         x, y, z = self.camera.viewmat[:3, :3] @ point + self.camera.viewmat[:3, 3]
         return np.array([x / z, y / z]) * self.camera.K[0, 0] + self.camera.K[:2, 2]
+
+    def skin(self) -> np.ndarray:
+        """[V, 3] the open body's vertices in camera axes, metres; NaN where the person's body has no such skin."""
+        body = open_body()
+        part = next(part for part in self.mesh.parts if part.name == "body")
+        owner = cKDTree(body.uv.reshape(-1, 2)).query(part.uv.reshape(-1, 2))[1]  # both have MakeHuman's texture map
+        world = self.mesh.posed(Pose(self.pose, self.trans))[part.faces.ravel()]
+        vertices = np.full(body.vertices.shape, np.nan)
+        vertices[body.faces.ravel()[owner]] = world @ self.camera.viewmat[:3, :3].T + self.camera.viewmat[:3, 3]
+        return vertices
 
     def room(self) -> np.ndarray:
         """The picture with its person painted over, coarsely."""

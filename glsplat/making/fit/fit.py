@@ -10,16 +10,16 @@ from numpy.typing import NDArray
 
 from glsplat.errors import FormatError
 from glsplat.making.fit.body import Body, open_body, vertex_normals
-from glsplat.making.fit.kinematics import projected
+from glsplat.making.fit.kinematics import Posed, projected
 from glsplat.making.fit.landmarks import landmarks
-from glsplat.making.fit.offsets import smooth_offsets
+from glsplat.making.fit.offsets import outward, smooth_offsets
 from glsplat.making.fit.outline import Rim, find_rim, half_gaps, overlap, projected_mask
 from glsplat.making.fit.prior import HINGES
 from glsplat.making.fit.solver import Solver
 from glsplat.making.fit.view import View
 from glsplat.skinning.smplx import JOINT_NAMES
 
-__all__ = ["BodyFit", "FittedView", "fit_body"]
+__all__ = ["BodyFit", "FittedView", "assembled", "dressed", "fit_body"]
 
 F64 = NDArray[np.float64]
 
@@ -31,6 +31,7 @@ _RIM_WORTH = 36.0  # as many independent measurements an outline is
 _CLOTH, _INSIDE = 0.008, 0.03  # shares of the figure: beyond it the mask says little, far in it is a mistake
 _REACH = 0.04  # shares of the figure; how far from the body the mask's edge is looked for
 _FLAT, _FLAT_DRESSED = 0.35, 0.22  # cosines below which a vertex is on the outline; cloth has the sharper one
+_PLAIN = 0.8  # cosine between normal and offset; a vertex below it, in an ear's folds, is moved by its neighbours alone
 _HEIGHTS = 0.5, 2.5  # metres
 _GOOD = 0.94, 2.5  # least overlap with the mask, most mean distance of landmarks in shares of the figure (%)
 
@@ -59,7 +60,7 @@ class BodyFit:
 
     betas: F64  # [10] shape
     stature: float  # metres, crown to sole without hair and shoes
-    offsets: F64  # [V] metres along the normals of the zero pose: clothes and hair
+    offsets: F64  # [V] metres along ``outward`` of the zero pose: clothes and hair
     rest: F64  # [V, 3] the dressed surface in the zero pose
     joints: F64  # [55, 3] in the zero pose
     views: tuple[FittedView, ...]
@@ -91,12 +92,19 @@ def fit_body(views: Sequence[View], height: float | None = None, body: Body | No
     trust = _trust_of_parts(body)
     for _ in range(_ROUNDS):
         for index in range(len(small)):
-            rim, weights = _pulled(_rim(body, solver, small[index], index, None), trust, small[index])
+            rim, weights = _pulled(_rim(body, solver.posed(index), small[index], None), trust, small[index])
             solver.pull_to(index, rim, None, weights)
         solver.solve(2)
         solver.weigh_landmarks()
-    offsets = _dressed(body, solver, small)
-    return _result(body, solver, views, offsets)
+    poses = [solver.posed(index) for index in range(len(views))]
+    rotations = [HINGES.rotations(solver.angles(index)) for index in range(len(views))]
+    strays = []
+    for index, view in enumerate(small):
+        away = solver.strayed(index, pixels=True) / view.figure * 100
+        strays.append(float(np.linalg.norm(away, axis=1).mean()))
+    bare, joints = body.shaped(solver.betas)
+    offsets = dressed(body, bare, poses, views)
+    return assembled(body, bare, joints, offsets, poses, rotations, views, strays)
 
 
 def _trust_of_parts(body: Body) -> F64:
@@ -106,8 +114,8 @@ def _trust_of_parts(body: Body) -> F64:
     return np.asarray(np.array(of_joint)[body.part])
 
 
-def _rim(body: Body, solver: Solver, view: View, index: int, moved: F64 | None) -> Rim:
-    where = solver.posed(index).points(body.points(np.arange(len(body.vertices)), moved))
+def _rim(body: Body, posed: Posed, view: View, moved: F64 | None) -> Rim:
+    where = posed.points(body.points(np.arange(len(body.vertices)), moved))
     pixels = projected(where, view.focal, view.centre)[0]
     reach = _REACH * view.figure
     rim, drawn = find_rim(body, where, pixels, view.mask, reach, _FLAT if moved is None else _FLAT_DRESSED)
@@ -128,42 +136,54 @@ def _pulled(rim: Rim, trust: F64, view: View) -> tuple[Rim, F64]:
     return rim, weight * _RIM_WORTH * 100 / view.figure / np.sqrt(max(len(some), 1))
 
 
-def _dressed(body: Body, solver: Solver, views: Sequence[View]) -> F64:
-    """[V] offsets in metres, all views' outlines at once."""
-    bare = body.shaped(solver.betas)[0]
-    normals = vertex_normals(bare, body.faces)
-    offsets = np.zeros(len(bare))
-    for _ in range(_DRESSINGS):
+def dressed(body: Body, bare: F64, poses: Sequence[Posed], views: Sequence[View], worn: F64 | None = None) -> F64:
+    """[V] offsets in metres along ``outward`` of ``bare`` [V, 3], by which its outlines meet all masks at once.
+
+    ``bare`` is of the poses' shape, in the zero pose; ``worn`` [V] are offsets that fitted it but for little.
+    """
+    small = [view.smaller(_FIGURE) for view in views]
+    directions = outward(body, bare)
+    plain = (vertex_normals(bare, body.faces) * directions).sum(axis=1) > _PLAIN
+    offsets = np.zeros(len(bare)) if worn is None else worn
+    for _ in range(_DRESSINGS if worn is None else 1):
         vertices, wanted = [], []
-        for index, view in enumerate(views):
-            rim = _rim(body, solver, view, index, offsets[:, None] * normals)
-            depth = solver.posed(index).joints[0, 2]
-            vertices.append(rim.vertices)
-            wanted.append(offsets[rim.vertices] + rim.gaps * depth / view.focal)
+        for posed, view in zip(poses, small, strict=True):
+            moved = bare - body.shaped(posed.betas)[0] + offsets[:, None] * directions
+            rim = _rim(body, posed, view, moved)
+            clear = plain[rim.vertices]
+            vertices.append(rim.vertices[clear])
+            wanted.append((offsets[rim.vertices] + rim.gaps * posed.joints[0, 2] / view.focal)[clear])
         known = np.concatenate(vertices)
         offsets = smooth_offsets(body, known, np.concatenate(wanted), np.ones(len(known)))
     return offsets
 
 
-def _result(body: Body, solver: Solver, views: Sequence[View], offsets: F64) -> BodyFit:
-    bare, joints = body.shaped(solver.betas)
-    moved = offsets[:, None] * vertex_normals(bare, body.faces)
-    points = body.points(np.arange(len(bare)), moved)
+def assembled(
+    body: Body,
+    bare: F64,
+    joints: F64,
+    offsets: F64,
+    poses: Sequence[Posed],
+    rotations: Sequence[F64],
+    views: Sequence[View],
+    strays: Sequence[float],
+) -> BodyFit:
+    """The fit of a ``bare`` surface [V, 3] with its ``joints`` [55, 3] in the zero pose, and what each view shows."""
+    betas = poses[0].betas
+    rest = bare + offsets[:, None] * outward(body, bare)
+    points = body.points(np.arange(len(bare)), rest - body.shaped(betas)[0])
+    shaped = body.shaped(betas)[1]
     fitted, problems = [], []
-    for index, view in enumerate(views):
-        posed = solver.posed(index)
+    for posed, angles, view, stray in zip(poses, rotations, views, strays, strict=True):
         where = posed.points(points)
         pixels = projected(where, view.focal, view.centre)[0]
         met = overlap(projected_mask(pixels, body.faces, view.mask.shape), view.mask)
-        away = solver.strayed(index, pixels=True) / solver.views[index].figure * 100
-        strays = float(np.linalg.norm(away, axis=1).mean())
-        angles = HINGES.rotations(solver.angles(index))
-        root, place = posed.frames[0], posed.joints
-        fitted.append(FittedView(angles, root, place[0], place, where, pixels, met, strays))
+        place = posed.joints + np.einsum("jik,jk->ji", posed.frames, joints - shaped)
+        fitted.append(FittedView(angles, posed.frames[0], place[0], place, where, pixels, met, stray))
         if not np.isfinite(where).all() or met < _GOOD[0]:
             problems.append(f"the body covers {met:.1%} of the person in the {view.side} picture, not {_GOOD[0]:.0%}")
-        elif strays > _GOOD[1]:
-            problems.append(f"the landmarks of the {view.side} picture lie {strays:.1f} % of the height off the body")
+        elif stray > _GOOD[1]:
+            problems.append(f"the landmarks of the {view.side} picture lie {stray:.1f} % of the height off the body")
     size, grows = body.stature
-    stature = float(size + grows @ solver.betas)
-    return BodyFit(solver.betas.copy(), stature, offsets, bare + moved, joints, tuple(fitted), "; ".join(problems))
+    stature = float(size + grows @ betas)
+    return BodyFit(betas.copy(), stature, offsets, rest, joints, tuple(fitted), "; ".join(problems))

@@ -12,7 +12,7 @@ from glsplat.making.fit.body import BETAS, Body, Points
 from glsplat.rotations import rotation_matrices
 from glsplat.skinning.smplx import JOINT_NAMES, PARENTS
 
-__all__ = ["PLACE", "Hinges", "Posed", "projected"]
+__all__ = ["PLACE", "Hinges", "Posed", "column", "fully_posed", "projected"]
 
 F64 = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -113,6 +113,19 @@ class Posed:
         rest = points.rest + points.shape @ self.betas
         arm = rest[:, None] - self._rest[points.joints]
         return np.einsum("knij,knj->kni", self.frames[points.joints], arm) + self.joints[points.joints]
+
+
+_ALL = Hinges(tuple((name, axis) for name in JOINT_NAMES[1:] for axis in range(3)))
+
+
+def fully_posed(body: Body, betas: F64, root: F64, pelvis: F64, rotations: F64) -> Posed:
+    """The body in any pose: ``root`` [3, 3] and ``pelvis`` [3] in camera axes, axis-angles [55, 3] of the others."""
+    return Posed(body, _ALL, root, betas, np.concatenate([pelvis, np.zeros(3)]), rotations[1:].ravel())
+
+
+def column(joint: str, axis: int) -> int:
+    """Which of the derivatives of a ``fully_posed`` body is by this number of this joint's axis-angle."""
+    return BETAS + PLACE + 3 * (JOINT_NAMES.index(joint) - 1) + axis
 
 
 def projected(where: F64, focal: float, centre: F64, moves: F64 | None = None) -> tuple[F64, F64]:

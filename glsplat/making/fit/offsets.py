@@ -7,10 +7,10 @@ from numpy.typing import NDArray
 from scipy.sparse import diags
 from scipy.sparse.linalg import cg
 
-from glsplat.making.fit.body import Body
+from glsplat.making.fit.body import Body, vertex_normals
 from glsplat.skinning.smplx import JOINT_NAMES
 
-__all__ = ["MOST", "smooth_offsets"]
+__all__ = ["MOST", "outward", "smooth_offsets"]
 
 F64 = NDArray[np.float64]
 
@@ -22,16 +22,34 @@ _BARE = {"index": 0.006, "middle": 0.006, "pinky": 0.006, "ring": 0.006, "thumb"
 _STIFF = 0.12  # how much neighbours agree against how much a vertex on the outline obeys
 _SHY = 2e-3  # how much what no outline shows stays on the body
 
+_EARS = 0.06  # metres of z in the zero pose, behind which the head's directions are smoothed
+_EVENED = 20  # times
+
+
+def outward(body: Body, bare: F64) -> F64:
+    """[V, 3] unit directions in which clothes and hair lie on the surface ``bare`` [V, 3] of the zero pose.
+
+    They are the normals; on the head behind the face, the skull's, so that ears under hair move as a whole.
+    """
+    normals = vertex_normals(bare, body.faces)
+    head = (body.part == JOINT_NAMES.index("head")) & body.skin & (body.vertices[:, 2] < _EARS)
+    shares = 1 / np.asarray(body.neighbours.sum(axis=1)).ravel()[head]
+    near = diags(shares) @ body.neighbours[head]
+    for _ in range(_EVENED):
+        normals[head] = near @ normals
+    return np.asarray(normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30))
+
 
 def smooth_offsets(body: Body, vertices: NDArray[np.intp], wanted: F64, weights: F64) -> F64:
     """[V] metres along the normals: close to ``wanted`` [K] at ``vertices`` [K], the smoothest elsewhere."""
     of_joint = [next((most for part, most in _BARE.items() if part in name), MOST[1]) for name in JOINT_NAMES]
     most = np.array(of_joint)[body.part]  # hands wear nothing, shoes have soles
+    least = np.maximum(MOST[0], -most)
     pull, target = np.zeros(len(body.vertices)), np.zeros(len(body.vertices))
     np.add.at(pull, vertices, weights)
-    np.add.at(target, vertices, weights * wanted.clip(MOST[0], most[vertices]))
+    np.add.at(target, vertices, weights * wanted.clip(least[vertices], most[vertices]))
     degree = np.asarray(body.neighbours.sum(axis=1)).ravel()
     scale = pull + _STIFF * degree + _SHY
     matrix = diags(scale) - _STIFF * body.neighbours
     offsets, _ = cg(matrix, target, rtol=1e-4, maxiter=300, M=diags(1 / scale))
-    return np.asarray(np.where(body.skin, offsets, 0.0).clip(MOST[0], most))
+    return np.asarray(np.where(body.skin, offsets, 0.0).clip(least, most))

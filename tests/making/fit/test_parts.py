@@ -10,13 +10,26 @@ import pytest
 
 from glsplat.errors import FormatError
 from glsplat.making.fit.body import open_body
-from glsplat.making.fit.calibrate import KnownPicture, calibrate, write_table
+from glsplat.making.fit.calibrate import (
+    KnownFace,
+    KnownHand,
+    KnownPicture,
+    calibrate,
+    calibrate_face,
+    calibrate_hands,
+    write_face_table,
+    write_hand_table,
+    write_table,
+)
+from glsplat.making.fit.face import face_places
+from glsplat.making.fit.hands import CARRIERS, hand_places
 from glsplat.making.fit.landmarks import LANDMARK_COUNT, LANDMARKS, landmarks, twin
 from glsplat.making.fit.levenberg import least_squares
 from glsplat.making.fit.offsets import MOST, smooth_offsets
 from glsplat.making.fit.outline import edge_distances, overlap, projected_mask
-from glsplat.making.fit.view import View
+from glsplat.making.fit.view import SIDES, View
 from glsplat.rotations import rotation_matrices
+from glsplat.skinning.smplx import JOINT_NAMES
 
 MASK = np.zeros((200, 150), bool)
 MASK[40:160, 50:100] = True
@@ -114,3 +127,49 @@ def test_offsets_meet_what_is_known_and_are_smooth_elsewhere() -> None:
     assert abs(np.median(offsets[chest]) - 0.02) < 0.002 and np.abs(offsets[body.vertices[:, 1] < -0.7]).max() < 0.005
     assert offsets.min() >= -1e-9 and offsets.max() <= 0.0205
     assert smooth_offsets(body, chest, np.full(len(chest), 9.0), np.ones(len(chest))).max() <= MOST[1]
+
+
+def test_calibration_finds_the_hands_places_again(rng: np.random.Generator, tmp_path: Path) -> None:
+    table, hands = hand_places(), []
+    for number in range(12):
+        side, mirror = ("left", np.ones(3)) if number % 2 else ("right", np.array([-1.0, 1, 1]))
+        joints, frames = rng.normal(0, 0.3, (55, 3)) + (0, 0, 3), rotation_matrices(rng.normal(0, 0.6, (55, 3)))
+        carriers = [JOINT_NAMES.index(f"{side}_{name}") for name in CARRIERS]
+        at = joints[carriers] + np.einsum("lij,lj->li", frames[carriers], table.offsets * mirror * 0.1)
+        marks = at[:, :2] / at[:, 2:] * 1000 + (300, 400) + (30 if number == 4 else 0)  # one hand's are wrong
+        hands.append(KnownHand(joints, frames, marks, side, 0.1, 1000.0, np.array([300.0, 400.0])))
+    found = calibrate_hands(hands)
+    assert np.abs(found.offsets - table.offsets).max() < 0.03 and found.strays.max() < 0.02
+    write_hand_table(found, tmp_path / "table.json", "made up")
+    assert len(json.loads((tmp_path / "table.json").read_text())["landmarks"]) == 21
+
+
+def test_calibration_finds_the_spots_of_the_face_again(rng: np.random.Generator, tmp_path: Path) -> None:
+    body, table = open_body(), face_places()
+    people = []
+    for number in range(6):
+        turn = rotation_matrices(rng.normal(0, 0.1, 3)) @ SIDES["front"]
+        vertices = body.vertices @ turn.T + (0, 0.5, 3)
+        marks = np.full((468, 2), -100.0)
+        spots = table.of(body, vertices)
+        marks[table.numbers] = spots[:, :2] / spots[:, 2:] * 2000 + (300, 400) + rng.normal(0, 0.3, (len(spots), 2))
+        if number == 2:
+            marks += 8
+        people.append(KnownFace(vertices, marks, 2000.0, np.array([300.0, 400.0])))
+    found = calibrate_face(body, people)
+    both = np.isin(found.numbers, table.numbers)
+    known = np.isin(table.numbers, found.numbers)
+    assert both.all() and known.sum() > 0.8 * len(known)
+    away = found.of(body, body.vertices) - table.of(body, body.vertices)[known]
+    assert np.linalg.norm(away, axis=1).max() < 0.004 and np.linalg.norm(away, axis=1).mean() < 0.0015
+    write_face_table(found, tmp_path / "table.json", "made up")
+    assert len(json.loads((tmp_path / "table.json").read_text())["landmarks"]) == len(found.numbers)
+
+
+def test_tables_of_hands_and_face_are_mirrored_and_whole() -> None:
+    body, table = open_body(), face_places()
+    spots = table.of(body, body.vertices)
+    assert np.allclose(table.weights.sum(axis=1), 1) and (table.weights >= 0).all() and (table.strays > 0).all()
+    near = np.linalg.norm(spots[:, None] * (-1, 1, 1) - spots, axis=2).min(axis=1)
+    assert np.median(near) < 0.002 and body.skin[body.faces[table.faces]].all()
+    assert hand_places().offsets.shape == (21, 3) == (len(CARRIERS), 3)
