@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,7 +11,9 @@ from scipy.sparse import csr_matrix, diags
 from scipy.sparse.linalg import cg
 
 from glsplat.making.fit.body import Body
+from glsplat.making.fit.eyes import EyeLook
 from glsplat.making.paint.colour import to_srgb
+from glsplat.making.paint.eyes import eye_colours
 from glsplat.making.paint.light import Light, find_light
 from glsplat.making.paint.shot import Shot, SurfacePoints
 from glsplat.making.paint.twins import find_twins
@@ -37,8 +39,10 @@ class Paint:
     busy: F64  # [M] from 0, plain, to 1, full of detail
 
 
-def paint(body: Body, shots: Sequence[Shot], points: SurfacePoints) -> Paint:
-    """Colours of ``points`` of the dressed body; ``shots`` begin with the front."""
+def paint(
+    body: Body, shots: Sequence[Shot], points: SurfacePoints, looks: Mapping[str, EyeLook] | None = None
+) -> Paint:
+    """Colours of ``points`` of the dressed body; ``shots`` begin with the front, ``looks`` are the eyes in it."""
     parts = np.array([_part(name) for name in JOINT_NAMES])[body.part]
     sights = [shot.look(points) for shot in shots]
     front = shots[0]
@@ -65,7 +69,11 @@ def paint(body: Body, shots: Sequence[Shot], points: SurfacePoints) -> Paint:
     seen = np.max([sight.trust for sight in sights], axis=0)
     colour = mixed / np.maximum(total, 1e-9)[:, None]
     busy = np.max([shot.busy(points) * sight.trust for shot, sight in zip(shots, sights, strict=True)], axis=0)
-    return Paint(to_srgb(guess + seen[:, None] * (colour - guess)), seen, busy)
+    rgb = to_srgb(guess + seen[:, None] * (colour - guess))
+    if looks:
+        eyes, colours = eye_colours(body, front, looks, points)
+        rgb[eyes] = colours
+    return Paint(rgb, seen, busy)
 
 
 def _part(name: str) -> int:

@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 from glsplat.avatar import Avatar
 from glsplat.errors import FormatError
 from glsplat.making.fit.body import open_body
+from glsplat.making.fit.details import fit_details
+from glsplat.making.fit.eyes import read_eyes
 from glsplat.making.fit.fit import BodyFit, fit_body
 from glsplat.making.fit.view import View
 from glsplat.making.networks.people import Person, find_person
@@ -59,6 +61,7 @@ class Builtin:
         options.progress("fitting the body", 0.15)
         body = open_body()
         fit = fit_body(views, options.height, body)
+        fit = fit_details(fit, views, [people[side] for side in sides], body)
         options.progress("painting", 0.35)
         mesh = dressed_mesh(body, fit)
         shots = [
@@ -67,7 +70,8 @@ class Builtin:
         ]
         rng = np.random.default_rng(options.seed)
         strewn = scatter(mesh, options.splats, rng)
-        painted = paint(body, shots, strewn.points)
+        looks = read_eyes(pictures["front"].rgb, people["front"].face)
+        painted = paint(body, shots, strewn.points, looks)
         options.progress("placing splats", 0.6)
         avatar = strewn.avatar(mesh, painted.rgb, painted.busy, rng)
         if options.steps:
