@@ -73,15 +73,23 @@ class Capture:
         return not self.findings
 
 
-def check_capture(picture: NDArray[np.uint8], view: str = "front", config: CaptureConfig | None = None) -> Capture:
-    """Look at a picture (RGB uint8 [H, W, 3]) of one of VIEWS. A capture without a person ends after that finding."""
+def check_capture(
+    picture: NDArray[np.uint8],
+    view: str = "front",
+    config: CaptureConfig | None = None,
+    given: NDArray[np.bool_] | None = None,
+) -> Capture:
+    """Look at a picture (RGB uint8 [H, W, 3]) of one of VIEWS. A capture without a person ends after that finding.
+
+    ``given`` [H, W] is the person's outline where it is known; else it is found.
+    """
     config = config or CaptureConfig()
     people = people_mask(picture)
     person = find_person(picture, people)
     nothing = np.zeros(picture.shape[:2], bool)
     if person is None or not _is_somebody(picture, person, people, config):
         return Capture((_elsewhere(picture, config),), None, nothing)
-    mask = person_mask(picture, person.body)
+    mask = person_mask(picture, person.body) if given is None else given
     lying = _lying(person, config)
     if lying is not None:  # the networks know upright people only, so nothing else can be believed
         return Capture((lying,), person, mask)
@@ -95,7 +103,7 @@ def check_capture(picture: NDArray[np.uint8], view: str = "front", config: Captu
         _arms(person, view, config),
         _blurred(picture, mask, config) if small is None else None,
         _exposure(picture, person, mask, config),
-        _mask(person, mask) if small is None else None,
+        _mask(person, mask, given is not None) if small is None else None,
     ]
     return Capture(tuple(finding for finding in found if finding is not None), person, mask)
 
@@ -256,7 +264,7 @@ def _exposure(
     return None
 
 
-def _mask(person: Person, mask: NDArray[np.bool_]) -> Finding | None:
+def _mask(person: Person, mask: NDArray[np.bool_], given: bool) -> Finding | None:
     """The outline at full resolution has to be the network's, but for its edge, and hold the landmarks."""
     coarse = person.body.mask > 0.5
     agree = (mask & coarse).sum() / max((mask | coarse).sum(), 1)
@@ -265,4 +273,6 @@ def _mask(person: Person, mask: NDArray[np.bool_]) -> Finding | None:
     inside = _inside(mask, person.body.points, reach)[seen]
     if agree > 0.85 and inside.mean() > 0.85:
         return None
+    if given:
+        return Finding("mask", "the given mask is not the person's outline; make the person white, all else black")
     return Finding("mask", "the person's outline is not found; choose a plain background, or give a mask")
