@@ -181,7 +181,7 @@ def _fitted(shot: Shot, view: Any) -> Image:
     drawn = _painted(frame.points(view.pixels), view.vertices[:, 2], faces, light[:, None] * (255.0, 235.0, 215.0))
     solid = drawn.any(axis=2)
     shown = frame.picture.copy()
-    shown[solid] = (0.35 * shown[solid] + 0.65 * drawn[solid]).astype(np.uint8)
+    shown[solid] = (0.45 * shown[solid] + 0.55 * drawn[solid]).astype(np.uint8)
     contours, _ = cv2.findContours(frame.mask.astype(np.uint8), cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
     cv2.drawContours(shown, contours, -1, _OUTLINE, 1, cv2.LINE_AA)
     return _titled(shown, f"fit: overlap {view.overlap:.1%}, landmarks {view.strays:.2f} %")
@@ -254,7 +254,7 @@ def _result(avatar: Avatar) -> list[Image]:
         rotations[avatar.skeleton.names.index(joint)] = bend
     low, high = np.percentile(avatar.splats.means, (0.1, 99.9), axis=0)
     middle, tall = (low[1] + high[1]) / 2, max(float(high[1] - low[1]), 0.1)
-    distance = 1.25 * tall / 2 / np.tan(np.radians(32.0) / 2)
+    distance = 1.35 * tall / 2 / np.tan(np.radians(32.0) / 2)
     cells = []
     with Renderer(avatar, size=_CELL) as renderer:
         for name, turn in (("front", 0.0), ("left", 90.0), ("back", 180.0), ("right", -90.0)):
