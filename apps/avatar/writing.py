@@ -60,6 +60,8 @@ def check_name(out: Path) -> None:
         raise UsageError(f"{out}: an avatar is written as {suffixes(rigs=True)}; change the name")
     if not out.parent.is_dir():
         raise FormatError(f"{out}: there is no folder {out.parent}; create it first")
+    if out.exists() and not out.is_file():
+        raise FormatError(f"{out}: exists and is not a regular file; give another name")
     if not os.access(out if out.exists() else out.parent, os.W_OK):
         raise FormatError(f"{out}: cannot be written (Permission denied)")
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -11,8 +12,35 @@ from glsplat.avatar import Avatar
 from glsplat.data import default_avatar
 from glsplat.making.fit.fit import fit_body
 from glsplat.making.fit.view import View
+from glsplat.making.photo.capture import Capture, Finding
+from glsplat.making.reconstruct import photos
 
-__all__ = ["Detailed", "Plain", "small_avatar"]
+__all__ = ["Detailed", "Plain", "fitting", "replace_check", "small_avatar"]
+
+
+def replace_check(monkeypatch: Any) -> dict[str, tuple[Finding, ...]]:
+    """The check says what stands in the dictionary for each side, and no network is asked."""
+    findings: dict[str, tuple[Finding, ...]] = {}
+
+    def check(picture: Any, view: str = "front", config: Any = None, given: Any = None) -> Capture:
+        mask = np.ones(picture.shape[:2], bool) if given is None else given
+        nobody = any(finding.code == "nobody" for finding in findings.get(view, ()))
+        return Capture(findings.get(view, ()), None if nobody else Nobody(), mask)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(photos, "check_capture", check)
+    monkeypatch.setattr(photos, "find_person", lambda picture: None)
+    return findings
+
+
+def _marks(count: int, columns: int) -> Any:
+    return SimpleNamespace(points=np.linspace(20, 40, count * columns).reshape(count, columns), presence=0.9)
+
+
+class Nobody:
+    """Stands where a person would: landmarks on a line."""
+
+    body = SimpleNamespace(points=np.linspace(20, 40, 66).reshape(33, 2), visible=np.ones(33))
+    face, left_hand, right_hand = _marks(468, 3), _marks(21, 2), _marks(21, 2)
 
 
 def small_avatar(count: int = 200) -> Avatar:
@@ -20,7 +48,7 @@ def small_avatar(count: int = 200) -> Avatar:
     avatar = default_avatar()
     keep = np.zeros(len(avatar.splats), bool)
     keep[:: len(keep) // count] = True
-    return replace(avatar, splats=avatar.splats.take(keep), skin=avatar.skin.take(keep), meta={})
+    return replace(avatar, splats=replace(avatar.splats.take(keep), cones=None), skin=avatar.skin.take(keep), meta={})
 
 
 @dataclass
@@ -58,7 +86,7 @@ class Detailed(Plain):
 
     def make(self, pictures: Any, masks: Any, options: Any) -> Made:
         self.calls.append((pictures, masks, options))
-        fit = None
+        fit: Any = SimpleNamespace(views=(), stature=1.7)
         if self.fitted:
             views = []
             for side, picture in pictures.items():
@@ -67,3 +95,8 @@ class Detailed(Plain):
                 views.append(View(masks[side], body.points, body.visible, focal, side=side))
             fit = fit_body(views, options.height)
         return Made(self.result, fit, problem=self.problem)
+
+
+def fitting() -> Detailed:
+    """One that fits a real body to the pictures."""
+    return Detailed(fitted=True)

@@ -12,13 +12,13 @@ import pytest
 
 from glsplat.errors import CaptureError, FormatError, GlsplatError
 from glsplat.formats import load, save
-from glsplat.making.photo.capture import Capture, Finding
+from glsplat.making.photo.capture import Finding
 from glsplat.making.photo.photo_file import read_photo
-from glsplat.making.reconstruct import from_photos, photos
+from glsplat.making.reconstruct import from_photos
 from glsplat.making.reconstruct.photos import check_photos, reconstruct, refuse
 from glsplat.making.reconstruct.reconstructor import Options
 from tests.making.captures import needs_networks
-from tests.making.reconstruct.stubs import Detailed, Plain, small_avatar
+from tests.making.reconstruct.stubs import Detailed, Plain, replace_check, small_avatar
 
 ARMS = Finding("arms", "an arm lies against the body")
 DARK = Finding("dark", "the person is underexposed")
@@ -26,17 +26,8 @@ DARK = Finding("dark", "the person is underexposed")
 
 @pytest.fixture
 def seen(monkeypatch) -> dict[str, tuple[Finding, ...]]:
-    """The check is replaced: what it says of each side; it is given the outlines that were asked of it."""
-    findings: dict[str, tuple[Finding, ...]] = {}
-
-    def check(picture, view="front", config=None, given=None):
-        mask = np.ones(picture.shape[:2], bool) if given is None else given
-        nobody = any(finding.code == "nobody" for finding in findings.get(view, ()))
-        return Capture(findings.get(view, ()), None if nobody else object(), mask)
-
-    monkeypatch.setattr(photos, "check_capture", check)
-    monkeypatch.setattr(photos, "find_person", lambda picture: None)
-    return findings
+    """What the check says of each side."""
+    return replace_check(monkeypatch)
 
 
 @pytest.fixture
