@@ -32,7 +32,7 @@ from ..usage import UsageError
 from . import guide, photo, score
 from .writing import add_notes, check_name, progress_bar, write
 
-HELP = "Make avatars from photographs or rigged people, import, export and score them, find hidden splats, write motions."
+HELP = "Make avatars from photographs or rigged people, import, export, score them, find hidden splats, write motions."
 EXAMPLE = "glsplat avatar make person.npz -o me.glb --splats 40000"
 
 

@@ -9,7 +9,6 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from glsplat.avatar import Avatar
 from glsplat.errors import CaptureError, FormatError
 from glsplat.making.cones import with_cones
 from glsplat.making.reconstruct.photos import Reconstruction, Shot, check_photos, reconstruct, refuse
@@ -75,20 +74,23 @@ def run(args: argparse.Namespace) -> int:
         options = _options(args, show)
         named(args.using)  # a name that nobody knows is said before the pictures are looked at
         shots = _shots(args, show)
+        done: Reconstruction | None = None
         try:
             if not args.anyway:
                 refuse(shots)
-            done = reconstruct(shots, options, using=args.using, anyway=args.anyway, meta=notes_of(args))
+            done = reconstruct(shots, options, using=args.using, anyway=True, meta=notes_of(args))
+            if not args.anyway:
+                refuse(shots, done.made)
         except CaptureError as error:
-            _sheet(args, shots)
+            _sheet(args, shots, done)
             if args.json:
                 found = [{"side": side, "code": code, "text": text} for side, code, text in error.findings]
                 print(json.dumps({"out": None, "findings": found}))
-            hint = "" if args.anyway else "; --anyway goes on all the same"
+            hopeless = args.anyway or any(shot.capture.person is None for shot in shots.values())
+            hint = "" if hopeless else "; --anyway goes on all the same"
             raise CaptureError(f"{error}{hint}", error.findings) from None
         avatar = done.avatar if args.no_cones else with_cones(done.avatar, progress=show)
-        show("drawing the sheet", 0.0)
-        _sheet(args, shots, avatar, done.made)
+        _sheet(args, shots, done)
     unseen = avatar.meta.get("unseen")
     words = "" if unseen is None else f"; {unseen:.0%} of the surface is guessed"
     code = write(avatar, args, began, _facts(done), words)
@@ -159,10 +161,11 @@ def _facts(done: Reconstruction) -> dict[str, Any]:
     return facts
 
 
-def _sheet(args: argparse.Namespace, shots: Mapping[str, Shot], avatar: Avatar | None = None, made: Any = None) -> None:
+def _sheet(args: argparse.Namespace, shots: Mapping[str, Shot], done: Reconstruction | None = None) -> None:
     """Draw what there is, where it was asked for."""
     if args.debug is not None:
-        save_png(args.debug / "photo.png", photo_sheet.draw(shots, avatar, made))
+        drawn = photo_sheet.draw(shots) if done is None else photo_sheet.draw(shots, done.avatar, done.made)
+        save_png(args.debug / "photo.png", drawn)
 
 
 def _make_folder(folder: Path) -> None:

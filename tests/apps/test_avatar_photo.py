@@ -123,6 +123,21 @@ def test_a_refusal_leaves_the_sheet_and_no_avatar(seen, front, tmp_path, capsys)
 
 
 @pytest.mark.gl
+def test_a_body_that_does_not_fit_leaves_the_whole_sheet(seen, front, tmp_path, monkeypatch, capsys) -> None:
+    monkeypatch.setitem(registry.OWN, "builtin", f"{STUBS}:misfitting")
+    monkeypatch.setattr("glsplat_apps.avatar.photo_sheet._fitted", lambda shot, view: np.zeros((720, 480, 3), np.uint8))
+    monkeypatch.setattr("glsplat_apps.avatar.photo_sheet._seen", lambda sides, fit: [np.zeros((720, 480, 3), np.uint8)])
+    words = (front, "-o", tmp_path / "me.glb", "--debug", tmp_path / "a")
+    assert photo(*words) == 1
+    error = capsys.readouterr().err
+    assert "the body does not fit the picture (far off); take another one; --anyway goes on" in error
+    assert cv2.imread(str(tmp_path / "a" / "photo.png")).shape[0] == 3 * 720 + 2 * 4
+    assert not (tmp_path / "me.glb").exists()
+    assert photo(*words, "--anyway", "--json") == 0
+    assert json.loads(capsys.readouterr().out)["problem"] == "far off"
+
+
+@pytest.mark.gl
 def test_the_sheet_has_what_there_is(seen, front, tmp_path, monkeypatch) -> None:
     monkeypatch.setitem(registry.OWN, "builtin", f"{STUBS}:Plain")
     assert photo(front, "--back", front, "-o", tmp_path / "me.glb", "--debug", tmp_path / "a") == 0

@@ -94,12 +94,15 @@ def check_photos(
     return shots
 
 
-def refuse(shots: Mapping[str, Shot]) -> None:
-    """Raise CaptureError, one line for all that was found; silent where nothing was."""
-    found = [(shot, finding) for shot in shots.values() for finding in shot.capture.findings]
+def refuse(shots: Mapping[str, Shot], made: Any = None) -> None:
+    """Raise CaptureError, one line for all that the check found and for a body that does not fit; else silent."""
+    found = [(shot, finding.code, finding.text) for shot in shots.values() for finding in shot.capture.findings]
+    if made is not None and made.problem:
+        text = f"the body does not fit the picture ({made.problem}); take another one"
+        found.append((shots["front"], "fit", text))
     if found:
-        lines = "; also ".join(f"{shot.name}: {finding.text}" for shot, finding in found)
-        raise CaptureError(lines, tuple((shot.side, finding.code, finding.text) for shot, finding in found))
+        lines = "; also ".join(f"{shot.name}: {text}" for shot, _, text in found)
+        raise CaptureError(lines, tuple((shot.side, code, text) for shot, code, text in found))
 
 
 def reconstruct(
@@ -141,12 +144,8 @@ def reconstruct(
         raise GlsplatError(f'the reconstructor "{name}" failed: {type(error).__name__}: {said}') from error
     if not isinstance(avatar, Avatar) or avatar.skeleton.names != JOINT_NAMES:
         raise GlsplatError(f'the reconstructor "{name}" gave {avatar!r:.100}, not an avatar on the joints of SMPL-X')
-    if made is not None and made.problem and not anyway:
-        front = shots["front"]
-        raise CaptureError(
-            f"{front.name}: the body does not fit the picture ({made.problem}); take another one",
-            (("front", "fit", made.problem),),
-        )
+    if not anyway:
+        refuse(shots, made)
     notes = dict(avatar.meta)
     notes["source"] = f"{len(shots)} photograph{'s' * (len(shots) > 1)} ({', '.join(shots)})"
     notes["made_by"] = f"glsplat {version('glsplat')}, {name}"

@@ -15,7 +15,7 @@ from glsplat.making.fit.view import View
 from glsplat.making.photo.capture import Capture, Finding
 from glsplat.making.reconstruct import photos
 
-__all__ = ["Detailed", "Plain", "fitting", "replace_check", "small_avatar"]
+__all__ = ["Detailed", "Plain", "fitting", "misfitting", "replace_check", "small_avatar"]
 
 
 def replace_check(monkeypatch: Any) -> dict[str, tuple[Finding, ...]]:
@@ -86,7 +86,7 @@ class Detailed(Plain):
 
     def make(self, pictures: Any, masks: Any, options: Any) -> Made:
         self.calls.append((pictures, masks, options))
-        fit: Any = SimpleNamespace(views=(), stature=1.7)
+        fit: Any = SimpleNamespace(views=[SimpleNamespace(overlap=0.5, strays=9.0)] * len(pictures), stature=1.7)
         if self.fitted:
             views = []
             for side, picture in pictures.items():
@@ -100,3 +100,8 @@ class Detailed(Plain):
 def fitting() -> Detailed:
     """One that fits a real body to the pictures."""
     return Detailed(fitted=True)
+
+
+def misfitting() -> Detailed:
+    """One whose body is far off."""
+    return Detailed(problem="far off")
