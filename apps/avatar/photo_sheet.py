@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from dataclasses import replace
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from glsplat.avatar import Avatar
 from glsplat.camera import Camera, look_at, pinhole
 from glsplat.making.fit.body import open_body, vertex_normals
+from glsplat.making.fit.fit import FittedView
 from glsplat.making.networks.person import LANDMARKS
+from glsplat.making.reconstruct.builtin import Made
 from glsplat.making.reconstruct.photos import Shot
 from glsplat.renderer import Renderer
 from glsplat.skinning.pose import Pose
+from glsplat.splats import SH_C0
 
 from ..output import label, stack
 from .guide import A_POSE
@@ -30,15 +34,17 @@ _OUTLINE, _WRONG = (0, 255, 120), (255, 70, 70)  # RGB
 _LEFT, _RIGHT, _FACE, _TRUNK = (255, 170, 0), (0, 190, 255), (255, 255, 0), (255, 255, 255)
 _GUESSED = (235, 120, 60)
 _SEEN = {"front": (70, 190, 90), "back": (80, 130, 230), "left": (220, 200, 60), "right": (170, 90, 210)}
+_INKS = {"front": "green", "back": "blue", "left": "yellow", "right": "violet"}
 _FACING = 0.15  # cosine to the camera below which a picture says nothing of a surface
 _BEHIND = 0.015  # metres
+_FOV = 32.0  # degrees
 _LIMBS = (
     "shoulder elbow", "elbow wrist", "shoulder hip", "hip knee", "knee ankle", "ankle heel", "heel foot_index"
 )  # fmt: skip
 _FINGERS = [[0, *range(first, first + 4)] for first in (1, 5, 9, 13, 17)]
 
 
-def draw(shots: Mapping[str, Shot], avatar: Avatar | None = None, made: Any = None) -> Image:
+def draw(shots: Mapping[str, Shot], avatar: Avatar | None = None, made: Made | None = None) -> Image:
     """RGB uint8 [H, W, 3]: a row for each picture, then what was seen and the result where there are such."""
     rows = []
     for index, shot in enumerate(shots.values()):
@@ -49,9 +55,10 @@ def draw(shots: Mapping[str, Shot], avatar: Avatar | None = None, made: Any = No
             cells.append(_details(shot))
         rows.append(cells)
     if made is not None:
-        rows.append(_seen(list(shots), made.fit))
+        words = ", ".join(f"{side} {_INKS[side]}" for side in shots)
+        rows.append(_four_sides(_seen(made, list(shots)), f"{words}, guessed orange"))
     if avatar is not None:
-        rows.append(_result(avatar))
+        rows.append(_four_sides(avatar, "the avatar"))
     return stack(rows)
 
 
@@ -174,7 +181,7 @@ def _at(point: F64) -> tuple[int, int]:
     return round(float(point[0])), round(float(point[1]))
 
 
-def _fitted(shot: Shot, view: Any) -> Image:
+def _fitted(shot: Shot, view: FittedView) -> Image:
     frame = _Frame(shot)
     faces = open_body().faces
     light = _shades(view.vertices, faces)
@@ -185,50 +192,6 @@ def _fitted(shot: Shot, view: Any) -> Image:
     contours, _ = cv2.findContours(frame.mask.astype(np.uint8), cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
     cv2.drawContours(shown, contours, -1, _OUTLINE, 1, cv2.LINE_AA)
     return _titled(shown, f"fit: overlap {view.overlap:.1%}, landmarks {view.strays:.2f} %")
-
-
-def _seen(sides: Sequence[str], fit: Any) -> list[Image]:
-    """The fitted body in the first picture's pose from four sides, coloured by the picture that saw it."""
-    faces = open_body().faces
-    colours = np.tile(np.array(_GUESSED, np.float64), (len(fit.rest), 1))
-    for side, view in reversed(list(zip(sides, fit.views, strict=True))):  # the front has the last word
-        colours[_visible(view, faces)] = _SEEN[side]
-    names = ", ".join(f"{side} {_NAMES[side]}" for side in sides)
-    body = (fit.views[0].vertices - fit.views[0].pelvis) @ np.asarray(fit.views[0].root)  # its own axes
-    cells: list[Image] = []
-    for name, turn in (("front", 0.0), ("left", -90.0), ("back", 180.0), ("right", 90.0)):
-        angle = np.radians(turn)
-        around = np.array([[np.cos(angle), 0, np.sin(angle)], [0, 1, 0], [-np.sin(angle), 0, np.cos(angle)]])
-        shown = body @ around.T * (1, -1, -1)  # to a camera before it
-        low, high = shown.min(axis=0), shown.max(axis=0)
-        if not cells:  # one scale for all
-            scale = 0.92 * min(_CELL[0] / (high[0] - low[0]), _CELL[1] / (high[1] - low[1]))
-        pixels = (shown[:, :2] - (low + high)[:2] / 2) * scale + np.array(_CELL) / 2
-        tint = colours[faces].mean(axis=1) * _shades(shown, faces)[:, None]
-        drawn = _painted(pixels, shown[:, 2], faces, tint)
-        drawn[~drawn.any(axis=2)] = 40
-        cells.append(_titled(drawn, f"{name}; seen by: {names}; guessed orange" if not cells else name))
-    return cells
-
-
-_NAMES = {"front": "green", "back": "blue", "left": "yellow", "right": "violet"}
-
-
-def _visible(view: Any, faces: NDArray[np.int32]) -> NDArray[np.bool_]:
-    """[V] whether a picture shows the vertex, and not from the edge."""
-    low, high = view.pixels.min(axis=0), view.pixels.max(axis=0)
-    scale = 1000 / max(float((high - low).max()), 1e-6)
-    pixels = (view.pixels - low) * scale + 2
-    size = np.ceil((high - low) * scale).astype(int) + 5
-    depth = view.vertices[:, 2]
-    nearest = np.full((size[1], size[0]), np.inf, np.float32)
-    corners = np.rint(pixels[faces] * 16).astype(np.int32)
-    for face in np.argsort(-depth[faces].mean(axis=1), kind="stable"):
-        cv2.fillConvexPoly(nearest, corners[face], float(depth[faces[face]].mean()), cv2.LINE_8, 4)
-    at = np.clip(np.floor(pixels).astype(int), 0, size - 1)
-    facing = -(vertex_normals(view.vertices, faces) * view.vertices).sum(axis=1)
-    facing /= np.linalg.norm(view.vertices, axis=1)
-    return np.asarray((depth <= nearest[at[:, 1], at[:, 0]] + _BEHIND) & (facing > _FACING))
 
 
 def _shades(vertices: F64, faces: NDArray[np.int32]) -> F64:
@@ -248,20 +211,50 @@ def _painted(pixels: F64, depth: F64, faces: NDArray[np.int32], colours: F64) ->
     return drawn
 
 
-def _result(avatar: Avatar) -> list[Image]:
+def _seen(made: Made, sides: Sequence[str]) -> Avatar:
+    """The avatar in the colours of the pictures that show its surface, light and dark as it is itself."""
+    splats, faces = made.avatar.splats, open_body().faces
+    colours = np.tile(np.array(_GUESSED, np.float64), (len(made.mesh.vertices), 1))
+    for side, view in reversed(list(zip(sides, made.fit.views, strict=True))):  # the front has the last word
+        colours[_visible(view, faces)] = _SEEN[side]
+    tint = colours[cKDTree(made.mesh.vertices).query(splats.means)[1]] / 255
+    own = np.clip(splats.sh[:, 0] * SH_C0 + 0.5, 0, 1).mean(axis=1, keepdims=True)
+    sh = np.zeros_like(splats.sh)
+    sh[:, 0] = (tint * (0.5 + 0.5 * own) - 0.5) / SH_C0
+    return replace(made.avatar, splats=replace(splats, sh=sh))
+
+
+def _visible(view: FittedView, faces: NDArray[np.int32]) -> NDArray[np.bool_]:
+    """[V] whether a picture shows the vertex, and not from the edge."""
+    low, high = view.pixels.min(axis=0), view.pixels.max(axis=0)
+    scale = 1000 / max(float((high - low).max()), 1e-6)
+    pixels = (view.pixels - low) * scale + 2
+    size = np.ceil((high - low) * scale).astype(int) + 5
+    depth = view.vertices[:, 2]
+    nearest = np.full((size[1], size[0]), np.inf, np.float32)
+    corners = np.rint(pixels[faces] * 16).astype(np.int32)
+    for face in np.argsort(-depth[faces].mean(axis=1), kind="stable"):
+        cv2.fillConvexPoly(nearest, corners[face], float(depth[faces[face]].mean()), cv2.LINE_8, 4)
+    at = np.clip(np.floor(pixels).astype(int), 0, size - 1)
+    facing = -(vertex_normals(view.vertices, faces) * view.vertices).sum(axis=1)
+    facing /= np.linalg.norm(view.vertices, axis=1)
+    return np.asarray((depth <= nearest[at[:, 1], at[:, 0]] + _BEHIND) & (facing > _FACING))
+
+
+def _four_sides(avatar: Avatar, words: str) -> list[Image]:
     rotations = np.zeros((len(avatar.skeleton), 3))
     for joint, bend in A_POSE.items():
         rotations[avatar.skeleton.names.index(joint)] = bend
     low, high = np.percentile(avatar.splats.means, (0.1, 99.9), axis=0)
     middle, tall = (low[1] + high[1]) / 2, max(float(high[1] - low[1]), 0.1)
-    distance = 1.35 * tall / 2 / np.tan(np.radians(32.0) / 2)
+    distance = 1.35 * tall / 2 / np.tan(np.radians(_FOV) / 2)
     cells = []
     with Renderer(avatar, size=_CELL) as renderer:
         for name, turn in (("front", 0.0), ("left", 90.0), ("back", 180.0), ("right", -90.0)):
             angle = np.radians(turn)
             eye = (distance * np.sin(angle), middle, distance * np.cos(angle))
-            camera = Camera(look_at(eye=eye, target=(0, middle, 0)), pinhole(*_CELL, fov=32.0), *_CELL)
+            camera = Camera(look_at(eye=eye, target=(0, middle, 0)), pinhole(*_CELL, fov=_FOV), *_CELL)
             image = renderer.render([camera], Pose(rotations))[0].astype(np.float32)
             shown = image[..., :3] + 96 * (1 - image[..., 3:] / 255)
-            cells.append(_titled(np.clip(shown + 0.5, 0, 255).astype(np.uint8), f"avatar: {name}"))
+            cells.append(_titled(np.clip(shown + 0.5, 0, 255).astype(np.uint8), f"{name}: {words}"))
     return cells

@@ -42,10 +42,14 @@ class CaptureConfig:
     """Share of the person's pixels that are plain white."""
     burnt_face: float = 0.3
     """Share of the face's pixels that have reached the brightest level of some colour."""
+    washed: float = 0.25
+    """Share of the person's pixels that have, where half of the room has."""
     dark: float = 52.0
     """Levels of 255 that the person's brighter parts have to reach."""
     other: float = 0.12
     """Size of a second person, in sizes of the first."""
+    other_presence: float = 0.95
+    """Of the body network, for a second person, whom both networks have to see."""
 
 
 @dataclass(frozen=True)
@@ -147,21 +151,47 @@ def _inside(mask: NDArray[np.bool_], points: NDArray[np.float64], reach: float) 
 def _several(
     picture: NDArray[np.uint8], person: Person, people: NDArray[np.float32], config: CaptureConfig
 ) -> Finding | None:
-    """People beside the first one: what the first network sees and the first person's mask does not cover."""
-    shape = picture.shape[:2]
+    """People beside the first one: what the first network sees and the first person's mask does not cover.
+
+    Who stands farther behind is overlooked beside somebody large, so the first person is painted over as well.
+    """
     own = person.body.mask > 0.5
     reach = max(int(0.03 * person.body.crop.side), 3)
     near = cv2.dilate(own.astype(np.uint8), np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)) > 0
-    rest = (whole(picture).paste(people, shape) > 0.5) & ~near
+    if not _somebody_beside(picture, people, near, own, config):
+        without = _painted_over(picture, near)
+        if not _somebody_beside(without, people_mask(without), near, own, config):
+            return None
+    return Finding("several", "more than one person is in the picture; show one person alone")
+
+
+def _somebody_beside(
+    picture: NDArray[np.uint8],
+    people: NDArray[np.float32],
+    near: NDArray[np.bool_],
+    own: NDArray[np.bool_],
+    config: CaptureConfig,
+) -> bool:
+    rest = (whole(picture).paste(people, picture.shape[:2]) > 0.5) & ~near
     _, labels, stats, _ = cv2.connectedComponentsWithStats(rest.astype(np.uint8))
     for index in np.argsort(-stats[1:, cv2.CC_STAT_AREA], kind="stable")[:3] + 1:
         if stats[index, cv2.CC_STAT_AREA] < config.other * own.sum():
             break
         second = body_in(picture, bounds(labels == index))
         theirs = second.mask > 0.5
-        if second.presence > config.presence and (theirs & ~near).sum() > 0.5 * theirs.sum():
-            return Finding("several", "more than one person is in the picture; show one person alone")
-    return None
+        if second.presence > config.other_presence and (theirs & ~near).sum() > 0.5 * theirs.sum():
+            return True
+    return False
+
+
+def _painted_over(picture: NDArray[np.uint8], area: NDArray[np.bool_]) -> NDArray[np.uint8]:
+    """The picture with the room's colours continued into an area, as coarsely as the networks look."""
+    scale = min(256 / max(picture.shape[:2]), 1.0)
+    size = max(round(picture.shape[1] * scale), 1), max(round(picture.shape[0] * scale), 1)
+    hidden = cv2.resize(area.astype(np.float32), size, interpolation=cv2.INTER_AREA) > 0
+    small = cv2.resize(picture, size, interpolation=cv2.INTER_AREA)
+    filled = cv2.inpaint(small, hidden.astype(np.uint8), 3, cv2.INPAINT_TELEA)
+    return np.where(area[..., None], cv2.resize(filled, picture.shape[1::-1]), picture).astype(np.uint8)
 
 
 def _cut_off(person: Person, mask: NDArray[np.bool_]) -> Finding | None:
@@ -254,7 +284,9 @@ def _exposure(
         cv2.fillConvexPoly(face, cv2.convexHull(person.face.points[:, :2].astype(np.int32)), 1)
         skin = picture[face > 0]
     burnt = len(skin) > 0 and (skin.max(axis=1) >= 253).mean() > config.burnt_face
-    if burnt or (colours.min(axis=1) >= 253).mean() > config.burnt:
+    room = picture[~mask].max(axis=1) >= 253
+    washed = room.mean() > 0.5 and (colours.max(axis=1) >= 253).mean() > config.washed if len(room) else False
+    if burnt or washed or (colours.min(axis=1) >= 253).mean() > config.burnt:
         return Finding(
             "bright", "the person is overexposed, parts are plain white; use less light, no window before you"
         )

@@ -18,6 +18,7 @@ from glsplat.making.photo.mask_file import MaskSource, mask_of
 from glsplat.making.photo.photo_file import Photo, read_photo
 from glsplat.skinning.smplx import JOINT_NAMES
 
+from .builtin import Made
 from .reconstructor import Options, Picture, Progress, Reconstructor
 from .registry import OWN, named
 
@@ -48,7 +49,7 @@ class Reconstruction:
     shots: Mapping[str, Shot]
     made_by: str
     """The reconstructor's name."""
-    made: Any = None
+    made: Made | None = None
     """What the built-in reconstructor can tell beside the avatar; None of others."""
 
 
@@ -94,7 +95,7 @@ def check_photos(
     return shots
 
 
-def refuse(shots: Mapping[str, Shot], made: Any = None) -> None:
+def refuse(shots: Mapping[str, Shot], made: Made | None = None) -> None:
     """Raise CaptureError, one line for all that the check found and for a body that does not fit; else silent."""
     found = [(shot, finding.code, finding.text) for shot in shots.values() for finding in shot.capture.findings]
     if made is not None and made.problem:
@@ -130,7 +131,7 @@ def reconstruct(
         side: Picture(shot.photo.picture, shot.photo.focal, shot.capture.person) for side, shot in shots.items()
     }
     masks = {side: shot.capture.mask for side, shot in shots.items()}
-    made = None
+    made: Made | None = None
     try:
         if callable(getattr(maker, "make", None)):
             made = maker.make(pictures, masks, options)

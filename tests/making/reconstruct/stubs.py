@@ -10,10 +10,13 @@ import numpy as np
 
 from glsplat.avatar import Avatar
 from glsplat.data import default_avatar
+from glsplat.making.fit.body import open_body
 from glsplat.making.fit.fit import fit_body
 from glsplat.making.fit.view import View
+from glsplat.making.paint.dress import dressed_mesh
 from glsplat.making.photo.capture import Capture, Finding
 from glsplat.making.reconstruct import photos
+from glsplat.making.reconstruct.builtin import Made
 
 __all__ = ["Detailed", "Plain", "fitting", "misfitting", "replace_check", "small_avatar"]
 
@@ -67,17 +70,6 @@ class Plain:
 
 
 @dataclass
-class Made:
-    """What the built-in reconstructor tells beside the avatar."""
-
-    avatar: Avatar
-    fit: Any = None
-    mesh: Any = None
-    unseen: float = 0.43
-    problem: str = ""
-
-
-@dataclass
 class Detailed(Plain):
     """Tells more, as the built-in one does; with ``fitted`` from a real fit."""
 
@@ -86,7 +78,7 @@ class Detailed(Plain):
 
     def make(self, pictures: Any, masks: Any, options: Any) -> Made:
         self.calls.append((pictures, masks, options))
-        fit: Any = SimpleNamespace(views=[SimpleNamespace(overlap=0.5, strays=9.0)] * len(pictures), stature=1.7)
+        mesh, fit = None, SimpleNamespace(views=[SimpleNamespace(overlap=0.5, strays=9.0)] * len(pictures), stature=1.7)
         if self.fitted:
             views = []
             for side, picture in pictures.items():
@@ -94,7 +86,8 @@ class Detailed(Plain):
                 focal = picture.focal or 1.2 * max(picture.rgb.shape)
                 views.append(View(masks[side], body.points, body.visible, focal, side=side))
             fit = fit_body(views, options.height)
-        return Made(self.result, fit, problem=self.problem)
+            mesh = dressed_mesh(open_body(), fit)
+        return Made(self.result, fit, mesh, 0.43, np.zeros(0), self.problem)  # type: ignore[arg-type]
 
 
 def fitting() -> Detailed:
