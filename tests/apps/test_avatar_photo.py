@@ -275,4 +275,4 @@ def test_a_capture_with_its_sheet(shared_data, tmp_path, monkeypatch, capsys) ->
     front_view, back_view = sheet[730:1440, :480].astype(int), sheet[730:1440, 968:1448].astype(int)
     green = [(v[..., 1] > v[..., 2] + 20).sum() for v in (front_view, back_view)]
     orange = [(v[..., 2] > v[..., 1] + 20).sum() for v in (front_view, back_view)]
-    assert green[0] > 10 * orange[0] and orange[1] > 10 * green[1]
+    assert green[0] > 2 * orange[0] and orange[1] > 2 * green[1]

@@ -91,8 +91,8 @@ class Detailed(Plain):
 
 
 def fitting() -> Detailed:
-    """One that fits a real body to the pictures."""
-    return Detailed(fitted=True)
+    """One that fits a real body to the pictures, and has a whole avatar."""
+    return Detailed(small_avatar(40_000), fitted=True)
 
 
 def misfitting() -> Detailed:
