@@ -131,7 +131,7 @@ def _is_somebody(
 ) -> bool:
     """The two networks have to agree: one sees bodies in anything, the other people in any foreground."""
     body = person.body
-    seen = whole(picture).paste(people, picture.shape[:2]) > 0.5
+    seen = _seen(picture, people)
     own = body.mask > 0.5
     if body.presence < config.presence or not own.any():
         return False
@@ -158,21 +158,27 @@ def _several(
     own = person.body.mask > 0.5
     reach = max(int(0.03 * person.body.crop.side), 3)
     near = cv2.dilate(own.astype(np.uint8), np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)) > 0
-    if not _somebody_beside(picture, people, near, own, config):
+    beside = _seen(picture, people) & ~near
+    if not _is_second(picture, beside, near, own, config):
         without = _painted_over(picture, near)
-        if not _somebody_beside(without, people_mask(without), near, own, config):
+        if not _is_second(without, _seen(without, people_mask(without)), near, own, config):
             return None
     return Finding("several", "more than one person is in the picture; show one person alone")
 
 
-def _somebody_beside(
+def _seen(picture: NDArray[np.uint8], people: NDArray[np.float32]) -> NDArray[np.bool_]:
+    """[H, W] where the first network sees people."""
+    return whole(picture).paste(people, picture.shape[:2]) > 0.5
+
+
+def _is_second(
     picture: NDArray[np.uint8],
-    people: NDArray[np.float32],
+    rest: NDArray[np.bool_],
     near: NDArray[np.bool_],
     own: NDArray[np.bool_],
     config: CaptureConfig,
 ) -> bool:
-    rest = (whole(picture).paste(people, picture.shape[:2]) > 0.5) & ~near
+    """Whether one of the larger pieces of ``rest`` is a person who stands mostly outside ``near``."""
     _, labels, stats, _ = cv2.connectedComponentsWithStats(rest.astype(np.uint8))
     for index in np.argsort(-stats[1:, cv2.CC_STAT_AREA], kind="stable")[:3] + 1:
         if stats[index, cv2.CC_STAT_AREA] < config.other * own.sum():
