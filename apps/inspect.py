@@ -194,6 +194,13 @@ def _outliers(means: NDArray[np.float32]) -> NDArray[np.bool_]:
     return out
 
 
+def _said(key: str, value: Any) -> str:
+    """One of an avatar's notes in words."""
+    if key == "unseen" and isinstance(value, (int, float)) and 0 <= value <= 1:
+        return f"{value:.0%} of the surface was in no photograph and is guessed"
+    return value if isinstance(value, str) else json.dumps(value)
+
+
 def _text(report: dict[str, Any]) -> str:
     name = report["file"] or "the default avatar"
     lines = [
@@ -224,7 +231,7 @@ def _text(report: dict[str, Any]) -> str:
             rows.append(("rest", f"inverse bind matrices are {rig['rest_offset']:.3g} off the rest pose"))
         parts = ", ".join(f"{joint} {count}" for joint, count in rig["splats_per_joint"].items())
         rows.append(("parts", parts or "none"))
-        rows += [(key, value if isinstance(value, str) else json.dumps(value)) for key, value in rig["meta"].items()]
+        rows += [(key, _said(key, value)) for key, value in ({"consent": "not stated"} | rig["meta"]).items()]
     unusual = [f"{count:,} {name}: {_UNUSUAL[name]}" for name, count in report["unusual"].items()]
     rows += [("unusual", text) for text in unusual] or [("unusual", "nothing")]
     for key, text in rows:

@@ -4,6 +4,7 @@
 
     GlsplatError
     ├── FormatError      a file is not what it should be (names the file, what was expected, what came)
+    │   └── CaptureError     a photograph that no good avatar can be made from; ``findings`` says why
     ├── BudgetError      a picture would cost more, or takes longer, than it may
     ├── ContextError     no OpenGL context, or one that cannot do the work
     │   └── ContextLostError    the context is gone, or does nothing any more
@@ -28,6 +29,17 @@ class GlsplatError(Exception):
 
 class FormatError(GlsplatError):
     """A file or an array does not hold what its format promises."""
+
+
+class CaptureError(FormatError):
+    """Photographs that no good avatar can be made from. ``findings``: (side, code, text), one for each thing wrong.
+
+    Sides are front, back, left and right; codes are those of docs/photo.md.
+    """
+
+    def __init__(self, message: str, findings: tuple[tuple[str, str, str], ...] = ()) -> None:
+        super().__init__(message)
+        self.findings = findings
 
 
 class ContextError(GlsplatError):

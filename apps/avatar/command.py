@@ -6,18 +6,13 @@ import argparse
 import json
 import math
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
-
-from tqdm import tqdm
 
 from glsplat.avatar import Avatar
 from glsplat.data import default_avatar
 from glsplat.errors import FormatError, GlsplatError
-from glsplat.formats import FORMATS, load, save, suffixes
+from glsplat.formats import load, save, suffixes
 from glsplat.formats.files import replace_file
 from glsplat.making.cones import ConeConfig, with_cones
 from glsplat.making.importers import bind_to_mesh, load_lhm_dump
@@ -31,13 +26,13 @@ from glsplat.making.surface import make_avatar
 from glsplat.meshes import RiggedMesh
 from glsplat.motion.library import library, to_json
 from glsplat.skinning.pose import Pose, load_pose
-from glsplat.skinning.smplx import JOINT_NAMES
 
 from ..args import motion_of
 from ..usage import UsageError
-from . import guide, score
+from . import guide, photo, score
+from .writing import add_notes, check_name, progress_bar, write
 
-HELP = "Make avatars from rigged people, import, export and score them, find hidden splats, write the embedded motions."
+HELP = "Make avatars from photographs or rigged people, import, export, score them, find hidden splats, write motions."
 EXAMPLE = "glsplat avatar make person.npz -o me.glb --splats 40000"
 
 
@@ -75,9 +70,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     taken.add_argument("--reach", type=float, default=5.0, help="cm a splat may lie off the mesh (default 5)")
     for command in (make, taken):
         command.add_argument("-o", "--out", type=Path, required=True, help="avatar to write (.glb)")
-        for key, what in _NOTES.items():
-            command.add_argument(f"--{key}", help=f"{what}, kept in the file")
+        add_notes(command)
         command.add_argument("--json", action="store_true", help="print what was made as JSON")
+
+    pictured = commands.add_parser("photo", help="a photograph of a person, or several, to a Gaussian avatar")
+    photo.add_arguments(pictured)
 
     export = commands.add_parser("export", help="the avatar in one pose as a static splat file")
     export.add_argument("avatar", nargs="?", type=Path, help="avatar (.glb); default: the embedded one")
@@ -95,13 +92,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     motions.add_argument("-o", "--out", type=Path, required=True, help="folder to write to")
 
 
-_NOTES = {
-    "source": "where the person comes from",
-    "licence": "terms of use of the person's data",
-    "consent": "who agreed to this likeness, or why nobody needs to",
-}
-
-
 def run(args: argparse.Namespace) -> int:
     """Run the chosen action; 0 on success."""
     actions = {
@@ -112,61 +102,49 @@ def run(args: argparse.Namespace) -> int:
         "motions": _motions,
         "cones": _cones,
         "guide": guide.run,
+        "photo": photo.run,
     }
     return actions[args.action](args)
 
 
 def _make(args: argparse.Namespace) -> int:
-    _check_name(args.out)
+    check_name(args.out)
     if args.steps < 0:
         raise UsageError(f"--steps needs 0 or more, not {args.steps}")
     began = time.perf_counter()
     mesh = _person(args.person) if args.body is None else read_obj_person(args.person, read_body(args.body))
-    with _progress() as show:
+    with progress_bar() as show:
         avatar = make_avatar(mesh, args.splats, args.seed, progress=show)
         if args.steps:
             avatar = refine(avatar, mesh, args.seed, RefineConfig(steps=args.steps), show)
         if not args.no_cones:
             avatar = with_cones(avatar, progress=show)
-    return _write(avatar, args, began)
+    return write(avatar, args, began)
 
 
 def _cones(args: argparse.Namespace) -> int:
-    _check_name(args.out)
+    check_name(args.out)
     if not 0 < args.psnr <= 100:
         raise UsageError(f"--psnr needs decibels above 0 and at most 100, not {args.psnr:g}")
     if not 8 <= args.directions <= 4096:
         raise UsageError(f"--directions needs 8 to 4096, not {args.directions}")
     began = time.perf_counter()
-    with _progress() as show:
+    with progress_bar() as show:
         made = with_cones(load(args.scene), ConeConfig(psnr=args.psnr, directions=args.directions), show)
     save(made, args.out)
     print(f"{args.out}: {args.out.stat().st_size / 1e6:.2f} MB, {time.perf_counter() - began:.1f} s")
     return 0
 
 
-@contextmanager
-def _progress() -> Iterator[Callable[[str, float], None]]:
-    """A bar for (stage, share done); none where nobody watches."""
-    with tqdm(total=100, disable=None, leave=False, bar_format="{desc}: {bar} {n:.0f} %") as bar:
-
-        def show(stage: str, done: float) -> None:
-            bar.set_description(stage)
-            bar.n = 100 * done
-            bar.refresh()
-
-        yield show
-
-
 def _import(args: argparse.Namespace) -> int:
-    _check_name(args.out)
+    check_name(args.out)
     began = time.perf_counter()
     if args.dump.suffix.lower() == ".zip" or is_lam_zip(args.dump):
         if args.mesh is not None:
             raise UsageError(f"{args.dump}: a LAM zip brings its own mesh; leave out --mesh")
-        return _write(load_lam_zip(args.dump), args, began)
+        return write(load_lam_zip(args.dump), args, began)
     if args.mesh is None:
-        return _write(load_lhm_dump(args.dump), args, began)
+        return write(load_lhm_dump(args.dump), args, began)
     if not 0 < args.reach < 1000:
         raise UsageError(f"--reach needs centimetres above 0, not {args.reach:g}")
     scene = load(args.dump)
@@ -176,7 +154,7 @@ def _import(args: argparse.Namespace) -> int:
     except FormatError as error:
         text = str(error)
         raise FormatError(text if text.startswith(str(args.mesh)) else f"{args.dump}: {text}") from None
-    return _write(replace(avatar, meta={**avatar.meta, "source": args.dump.name}), args, began)
+    return write(replace(avatar, meta={**avatar.meta, "source": args.dump.name}), args, began)
 
 
 def _person(path: Path) -> RiggedMesh:
@@ -191,33 +169,6 @@ def _person(path: Path) -> RiggedMesh:
     if path.suffix.lower() == ".obj":
         raise FormatError(f"{path}: an .obj has no rig; name a rigged body with --body")
     return read_person(path)
-
-
-def _check_name(out: Path) -> None:
-    if not any(out.suffix.lower() in known.suffixes for known in FORMATS if known.rigs):
-        raise UsageError(f"{out}: an avatar is written as {suffixes(rigs=True)}; change the name")
-
-
-def _write(avatar: Avatar, args: argparse.Namespace, began: float) -> int:
-    meta: dict[str, Any] = dict(avatar.meta)
-    smplx = avatar.skeleton.names == JOINT_NAMES
-    meta.setdefault("body_model", "SMPL-X joints (55)" if smplx else f"{len(avatar.skeleton)} joints")
-    meta.setdefault("consent", "not stated")
-    meta.update({key: getattr(args, key) for key in _NOTES if getattr(args, key)})
-    save(replace(avatar, meta=meta), args.out)
-    facts = {
-        "out": str(args.out),
-        "splats": len(avatar.splats),
-        "bytes": args.out.stat().st_size,
-        "weight_lost": round(avatar.skin.lost, 6),
-        "weights_repaired": avatar.skin.repaired,
-        "seconds": round(time.perf_counter() - began, 1),
-    }
-    if args.json:
-        print(json.dumps(facts))
-    else:
-        print(f"{args.out}: {facts['splats']} splats, {args.out.stat().st_size / 1e6:.2f} MB, {facts['seconds']} s")
-    return 0
 
 
 def _export(args: argparse.Namespace) -> int:

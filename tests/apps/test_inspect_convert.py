@@ -91,6 +91,22 @@ def test_inspect_an_avatar(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
     assert rig["rest_offset"] < 1e-5
 
 
+def test_inspect_says_what_is_guessed_and_who_agreed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    avatar = random_avatar()
+    notes = {"source": "1 photograph (front)", "unseen": 0.43, "consent": "my own", "date": "2026-11-22"}
+    save(Avatar(avatar.splats, avatar.skeleton, avatar.skin, notes), tmp_path / "a.glb")
+    assert described(capsys, tmp_path / "a.glb")["avatar"]["meta"]["unseen"] == 0.43
+    assert cli.main(["inspect", str(tmp_path / "a.glb")]) == 0
+    text = capsys.readouterr().out
+    assert "unseen       43% of the surface was in no photograph and is guessed" in text
+    assert "consent      my own" in text and "source       1 photograph (front)" in text
+    for odd in ({"unseen": "all"}, {"unseen": 7}, {}):
+        save(Avatar(avatar.splats, avatar.skeleton, avatar.skin, odd), tmp_path / "a.glb")
+        assert cli.main(["inspect", str(tmp_path / "a.glb")]) == 0
+        text = capsys.readouterr().out
+        assert "is guessed" not in text and "consent      not stated" in text
+
+
 def test_inspect_says_it_in_words(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     avatar = random_avatar()
     hostile = Avatar(

@@ -42,10 +42,14 @@ class CaptureConfig:
     """Share of the person's pixels that are plain white."""
     burnt_face: float = 0.3
     """Share of the face's pixels that have reached the brightest level of some colour."""
+    washed: float = 0.25
+    """Share of the person's pixels that have, where half of the room has."""
     dark: float = 52.0
     """Levels of 255 that the person's brighter parts have to reach."""
     other: float = 0.12
     """Size of a second person, in sizes of the first."""
+    other_presence: float = 0.95
+    """Of the body network, for a second person, whom both networks have to see."""
 
 
 @dataclass(frozen=True)
@@ -73,15 +77,23 @@ class Capture:
         return not self.findings
 
 
-def check_capture(picture: NDArray[np.uint8], view: str = "front", config: CaptureConfig | None = None) -> Capture:
-    """Look at a picture (RGB uint8 [H, W, 3]) of one of VIEWS. A capture without a person ends after that finding."""
+def check_capture(
+    picture: NDArray[np.uint8],
+    view: str = "front",
+    config: CaptureConfig | None = None,
+    given: NDArray[np.bool_] | None = None,
+) -> Capture:
+    """Look at a picture (RGB uint8 [H, W, 3]) of one of VIEWS. A capture without a person ends after that finding.
+
+    ``given`` [H, W] is the person's outline where it is known; else it is found.
+    """
     config = config or CaptureConfig()
     people = people_mask(picture)
     person = find_person(picture, people)
     nothing = np.zeros(picture.shape[:2], bool)
     if person is None or not _is_somebody(picture, person, people, config):
         return Capture((_elsewhere(picture, config),), None, nothing)
-    mask = person_mask(picture, person.body)
+    mask = person_mask(picture, person.body) if given is None else given
     lying = _lying(person, config)
     if lying is not None:  # the networks know upright people only, so nothing else can be believed
         return Capture((lying,), person, mask)
@@ -95,7 +107,7 @@ def check_capture(picture: NDArray[np.uint8], view: str = "front", config: Captu
         _arms(person, view, config),
         _blurred(picture, mask, config) if small is None else None,
         _exposure(picture, person, mask, config),
-        _mask(person, mask) if small is None else None,
+        _mask(person, mask, given is not None) if small is None else None,
     ]
     return Capture(tuple(finding for finding in found if finding is not None), person, mask)
 
@@ -119,7 +131,7 @@ def _is_somebody(
 ) -> bool:
     """The two networks have to agree: one sees bodies in anything, the other people in any foreground."""
     body = person.body
-    seen = whole(picture).paste(people, picture.shape[:2]) > 0.5
+    seen = _seen(picture, people)
     own = body.mask > 0.5
     if body.presence < config.presence or not own.any():
         return False
@@ -139,21 +151,53 @@ def _inside(mask: NDArray[np.bool_], points: NDArray[np.float64], reach: float) 
 def _several(
     picture: NDArray[np.uint8], person: Person, people: NDArray[np.float32], config: CaptureConfig
 ) -> Finding | None:
-    """People beside the first one: what the first network sees and the first person's mask does not cover."""
-    shape = picture.shape[:2]
+    """People beside the first one: what the first network sees and the first person's mask does not cover.
+
+    Who stands farther behind is overlooked beside somebody large, so the first person is painted over as well.
+    """
     own = person.body.mask > 0.5
     reach = max(int(0.03 * person.body.crop.side), 3)
     near = cv2.dilate(own.astype(np.uint8), np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)) > 0
-    rest = (whole(picture).paste(people, shape) > 0.5) & ~near
+    beside = _seen(picture, people) & ~near
+    if not _is_second(picture, beside, near, own, config):
+        without = _painted_over(picture, near)
+        if not _is_second(without, _seen(without, people_mask(without)), near, own, config):
+            return None
+    return Finding("several", "more than one person is in the picture; show one person alone")
+
+
+def _seen(picture: NDArray[np.uint8], people: NDArray[np.float32]) -> NDArray[np.bool_]:
+    """[H, W] where the first network sees people."""
+    return whole(picture).paste(people, picture.shape[:2]) > 0.5
+
+
+def _is_second(
+    picture: NDArray[np.uint8],
+    rest: NDArray[np.bool_],
+    near: NDArray[np.bool_],
+    own: NDArray[np.bool_],
+    config: CaptureConfig,
+) -> bool:
+    """Whether one of the larger pieces of ``rest`` is a person who stands mostly outside ``near``."""
     _, labels, stats, _ = cv2.connectedComponentsWithStats(rest.astype(np.uint8))
     for index in np.argsort(-stats[1:, cv2.CC_STAT_AREA], kind="stable")[:3] + 1:
         if stats[index, cv2.CC_STAT_AREA] < config.other * own.sum():
             break
         second = body_in(picture, bounds(labels == index))
         theirs = second.mask > 0.5
-        if second.presence > config.presence and (theirs & ~near).sum() > 0.5 * theirs.sum():
-            return Finding("several", "more than one person is in the picture; show one person alone")
-    return None
+        if second.presence > config.other_presence and (theirs & ~near).sum() > 0.5 * theirs.sum():
+            return True
+    return False
+
+
+def _painted_over(picture: NDArray[np.uint8], area: NDArray[np.bool_]) -> NDArray[np.uint8]:
+    """The picture with the room's colours continued into an area, as coarsely as the networks look."""
+    scale = min(256 / max(picture.shape[:2]), 1.0)
+    size = max(round(picture.shape[1] * scale), 1), max(round(picture.shape[0] * scale), 1)
+    hidden = cv2.resize(area.astype(np.float32), size, interpolation=cv2.INTER_AREA) > 0
+    small = cv2.resize(picture, size, interpolation=cv2.INTER_AREA)
+    filled = cv2.inpaint(small, hidden.astype(np.uint8), 3, cv2.INPAINT_TELEA)
+    return np.where(area[..., None], cv2.resize(filled, picture.shape[1::-1]), picture).astype(np.uint8)
 
 
 def _cut_off(person: Person, mask: NDArray[np.bool_]) -> Finding | None:
@@ -246,7 +290,9 @@ def _exposure(
         cv2.fillConvexPoly(face, cv2.convexHull(person.face.points[:, :2].astype(np.int32)), 1)
         skin = picture[face > 0]
     burnt = len(skin) > 0 and (skin.max(axis=1) >= 253).mean() > config.burnt_face
-    if burnt or (colours.min(axis=1) >= 253).mean() > config.burnt:
+    room = picture[~mask].max(axis=1) >= 253
+    washed = room.mean() > 0.5 and (colours.max(axis=1) >= 253).mean() > config.washed if len(room) else False
+    if burnt or washed or (colours.min(axis=1) >= 253).mean() > config.burnt:
         return Finding(
             "bright", "the person is overexposed, parts are plain white; use less light, no window before you"
         )
@@ -256,7 +302,7 @@ def _exposure(
     return None
 
 
-def _mask(person: Person, mask: NDArray[np.bool_]) -> Finding | None:
+def _mask(person: Person, mask: NDArray[np.bool_], given: bool) -> Finding | None:
     """The outline at full resolution has to be the network's, but for its edge, and hold the landmarks."""
     coarse = person.body.mask > 0.5
     agree = (mask & coarse).sum() / max((mask | coarse).sum(), 1)
@@ -265,4 +311,6 @@ def _mask(person: Person, mask: NDArray[np.bool_]) -> Finding | None:
     inside = _inside(mask, person.body.points, reach)[seen]
     if agree > 0.85 and inside.mean() > 0.85:
         return None
+    if given:
+        return Finding("mask", "the given mask is not the person's outline; make the person white, all else black")
     return Finding("mask", "the person's outline is not found; choose a plain background, or give a mask")

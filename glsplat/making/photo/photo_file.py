@@ -42,6 +42,8 @@ class Photo:
     """Width and height of the file's picture, upright, before it was made smaller."""
     notes: tuple[str, ...] = ()
     """What a user may want to know, in words."""
+    alpha: NDArray[np.uint8] | None = None
+    """[H, W] of a picture that is transparent somewhere: 0 where it is, 255 where it is not."""
 
 
 def read_photo(path: str | os.PathLike[str], side: int = SIDE) -> Photo:
@@ -72,20 +74,23 @@ def photo_of(data: bytes, side: int = SIDE) -> Photo:
         )
     exif = read_exif(header.exif, (width, height)) if header.exif else Exif()
     notes: list[str] = []
-    picture = _jpeg(data, header) if header.kind == "JPEG" else _other(data, header, notes)
+    picture, alpha = (_jpeg(data, header), None) if header.kind == "JPEG" else _other(data, header, notes)
     if picture.shape[:2] != (height, width):
         raise FormatError(f"the {header.kind} file says {width} x {height} pixels and holds others; save it again")
     if header.profile:
         notes.append("the embedded colour profile is not applied: colours may look a little paler")
     picture = _upright(picture, exif.orientation)
+    alpha = None if alpha is None else np.ascontiguousarray(_upright(alpha, exif.orientation))
     size = picture.shape[1], picture.shape[0]
     if max(size) > side:
         scale = side / max(size)
         target = max(round(size[0] * scale), 1), max(round(size[1] * scale), 1)
         picture = np.asarray(cv2.resize(picture, target, interpolation=cv2.INTER_AREA), np.uint8)
+        if alpha is not None:
+            alpha = np.asarray(cv2.resize(alpha, target, interpolation=cv2.INTER_AREA), np.uint8)
         notes.append(f"{size[0]} x {size[1]} pixels were reduced to {target[0]} x {target[1]}")
     focal = None if exif.focal is None else exif.focal * math.hypot(*picture.shape[:2])
-    return Photo(np.ascontiguousarray(picture), focal, size, tuple(notes))
+    return Photo(np.ascontiguousarray(picture), focal, size, tuple(notes), alpha)
 
 
 def _jpeg(data: bytes, header: Header) -> NDArray[np.uint8]:
@@ -105,7 +110,8 @@ def _jpeg(data: bytes, header: Header) -> NDArray[np.uint8]:
     return ((ink[..., :3] * ink[..., 3:] + 127) // 255).astype(np.uint8)
 
 
-def _other(data: bytes, header: Header, notes: list[str]) -> NDArray[np.uint8]:
+def _other(data: bytes, header: Header, notes: list[str]) -> tuple[NDArray[np.uint8], NDArray[np.uint8] | None]:
+    """The colours, and the transparency where there is some."""
     if header.kind == "PNG":
         data = clean_png(data)
     try:
@@ -119,17 +125,15 @@ def _other(data: bytes, header: Header, notes: list[str]) -> NDArray[np.uint8]:
     if pixels.dtype != np.uint8:
         raise FormatError(f"the {header.kind} file holds {pixels.dtype} values; save it with 8 bits a channel")
     if pixels.ndim == 2 or pixels.shape[2] == 1:
-        return np.asarray(cv2.cvtColor(pixels, cv2.COLOR_GRAY2RGB), np.uint8)
+        return np.asarray(cv2.cvtColor(pixels, cv2.COLOR_GRAY2RGB), np.uint8), None
     if pixels.shape[2] == 2:  # grey with transparency
         pixels = pixels[..., [0, 0, 0, 1]]
     colour = pixels[..., 2::-1]
-    if pixels.shape[2] == 3:
-        return np.ascontiguousarray(colour)
+    if pixels.shape[2] == 3 or (pixels[..., 3] == 255).all():
+        return np.ascontiguousarray(colour), None
     alpha = pixels[..., 3:].astype(np.uint16)
-    if (alpha == 255).all():
-        return np.ascontiguousarray(colour)
     notes.append("transparent parts were laid over white")
-    return ((colour * alpha + 255 * (255 - alpha) + 127) // 255).astype(np.uint8)
+    return ((colour * alpha + 255 * (255 - alpha) + 127) // 255).astype(np.uint8), pixels[..., 3]
 
 
 def _upright(picture: NDArray[np.uint8], orientation: int) -> NDArray[np.uint8]:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.avatar import Avatar
+from glsplat.errors import FormatError
 from glsplat.making.networks.people import Person
 
 __all__ = ["Mask", "Options", "Picture", "Progress", "Reconstructor"]
@@ -17,6 +18,10 @@ __all__ = ["Mask", "Options", "Picture", "Progress", "Reconstructor"]
 Mask = NDArray[np.bool_]
 Progress = Callable[[str, float], None]
 """Called with the name of a step and the share of it that is done."""
+
+
+_HEIGHTS = 0.5, 2.5  # metres
+_LEAST_SPLATS, _MOST_SPLATS = 100, 2_000_000
 
 
 def _silent(step: str, done: float) -> None: ...
@@ -33,13 +38,24 @@ class Picture:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Options:
-    """What is wanted of an avatar."""
+    """What is wanted of an avatar. Raises FormatError for what nobody can want."""
 
     height: float | None = None  # metres, without shoes; None where nobody said
     splats: int = 40_000
     seed: int = 0
     steps: int = 60  # of refining on the pictures; 0: none
     progress: Progress = _silent
+
+    def __post_init__(self) -> None:
+        if self.height is not None and not _HEIGHTS[0] <= self.height <= _HEIGHTS[1]:
+            metres = self.height / 100
+            hint = f"; is it {metres:.2f}?" if _HEIGHTS[0] <= metres <= _HEIGHTS[1] else ""
+            raise FormatError(f"a height needs metres, {_HEIGHTS[0]} to {_HEIGHTS[1]}, not {self.height:g}{hint}")
+        if not _LEAST_SPLATS <= self.splats <= _MOST_SPLATS:
+            raise FormatError(f"an avatar needs {_LEAST_SPLATS} to {_MOST_SPLATS} splats, not {self.splats}")
+        if self.steps < 0 or self.seed < 0:
+            name = "steps" if self.steps < 0 else "seed"
+            raise FormatError(f"{name} needs 0 or more, not {getattr(self, name)}")
 
 
 class Reconstructor(Protocol):

@@ -38,6 +38,22 @@ def arms(degrees: float) -> dict[str, tuple[float, float, float]]:
     return {"left_shoulder": (0, 0, -turn), "right_shoulder": (0, 0, turn)}
 
 
+def behind(person: Capture, other: Capture) -> np.ndarray:
+    """The other person 60 % as high, farther back on the right."""
+    used = rows(other)
+    columns = np.flatnonzero(other.mask.any(axis=0))
+    area = slice(used[0], used[1] + 1), slice(columns[0], columns[-1] + 1)
+    theirs = small(other.mask[area].astype(np.uint8) * 255, 0.6) > 127
+    low, high = rows(person)
+    top, left = low + int(0.85 * (high - low)) - len(theirs), int(0.83 * 1024) - theirs.shape[1] // 2
+    width = min(theirs.shape[1], 1024 - left)
+    place = slice(top, top + len(theirs)), slice(left, left + width)
+    out = person.picture.copy()
+    shown = theirs[:, :width] & ~person.mask[place]
+    out[place][shown] = small(other.picture[area], 0.6)[:, :width][shown]
+    return out
+
+
 GOOD: dict[str, tuple[str, Edit]] = {
     "as it is": ("front", lambda a, b: a.picture),
     "small file": ("front", lambda a, b: jpeg(small(a.picture, 0.625), 40)),
@@ -59,6 +75,7 @@ BAD: dict[str, tuple[str, Edit]] = {
     "nothing": ("nobody", lambda a, b: np.full((900, 700, 3), 128, np.uint8)),
     "a pixel": ("nobody", lambda a, b: np.zeros((1, 1, 3), np.uint8)),
     "two people": ("several", lambda a, b: np.hstack([a.picture, b.picture])),
+    "somebody behind": ("several", behind),
     "no feet": ("cut_off", lambda a, b: a.picture[: rows(a)[1] - 40]),
     "no head": ("cut_off", lambda a, b: a.picture[rows(a)[0] + 40 :]),
     "no hand": ("cut_off", lambda a, b: a.picture[:, np.flatnonzero(a.mask.any(axis=0))[0] + 40 :]),

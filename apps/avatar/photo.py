@@ -1,0 +1,175 @@
+"""``glsplat avatar photo``: from photographs of a person to an avatar, or only the check whether they will do."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from glsplat.errors import CaptureError, FormatError
+from glsplat.making.cones import with_cones
+from glsplat.making.reconstruct.photos import Reconstruction, Shot, check_photos, reconstruct, refuse
+from glsplat.making.reconstruct.reconstructor import Options, Progress
+from glsplat.making.reconstruct.registry import named, names
+
+from ..args import natural, positive
+from ..output import save_png
+from ..usage import UsageError
+from . import photo_sheet
+from .writing import add_notes, check_name, notes_of, progress_bar, write
+
+__all__ = ["add_arguments", "run"]
+
+_OTHERS = ("back", "left", "right")
+_DEFAULT = Options()
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The command line."""
+    parser.add_argument("front", type=Path, help="the whole person from the front, arms off the body (.jpg, .png)")
+    for side in _OTHERS:
+        parser.add_argument(f"--{side}", type=Path, help=f"the same person in the same pose, seen from the {side}")
+    parser.add_argument("-o", "--out", type=Path, help="avatar to write (.glb); not needed with --check")
+    parser.add_argument("--height", type=positive, help="the person's height in metres, without shoes (1.74)")
+    parser.add_argument(
+        "--splats", type=natural, default=_DEFAULT.splats, help="number of Gaussians (default %(default)d)"
+    )
+    parser.add_argument("--seed", type=natural, default=_DEFAULT.seed, help="same seed, same bytes (default 0)")
+    parser.add_argument(
+        "--steps", type=natural, default=_DEFAULT.steps, help="refining steps (default %(default)d); 0: none"
+    )
+    parser.add_argument("--mask", type=Path, help="the person in the front picture: white on black, same size")
+    for side in _OTHERS:
+        parser.add_argument(f"--{side}-mask", type=Path, help=f"the same for the {side} picture")
+    parser.add_argument(
+        "--with",
+        dest="using",
+        metavar="NAME",
+        default="builtin",
+        help=f"what makes the avatar: {', '.join(names())} (default %(default)s; docs/photo.md)",
+    )
+    parser.add_argument("--check", action="store_true", help="say whether the pictures will do, and make nothing")
+    parser.add_argument("--anyway", action="store_true", help="go on with pictures in which the check found faults")
+    parser.add_argument("--no-cones", action="store_true", help="make no visibility cones (--cull-hidden needs them)")
+    parser.add_argument("--debug", type=Path, metavar="DIR", help="folder for a sheet that shows each step's result")
+    parser.add_argument("--json", action="store_true", help="print what was found and made as JSON")
+    add_notes(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Make the avatar; with --check 0 for pictures that will do and 1 for others."""
+    began = time.perf_counter()
+    if args.debug is not None:
+        _make_folder(args.debug)
+    if args.check:
+        with progress_bar() as show:
+            return _report(_shots(args, show), args)
+    if args.out is None:
+        raise UsageError("missing: -o/--out")
+    check_name(args.out)
+    with progress_bar() as show:
+        options = _options(args, show)
+        named(args.using)  # a name that nobody knows is said before the pictures are looked at
+        shots = _shots(args, show)
+        done: Reconstruction | None = None
+        try:
+            if not args.anyway:
+                refuse(shots)
+            done = reconstruct(shots, options, using=args.using, anyway=True, meta=notes_of(args))
+            if not args.anyway:
+                refuse(shots, done.made)
+        except CaptureError as error:
+            _sheet(args, shots, done)
+            if args.json:
+                found = [{"side": side, "code": code, "text": text} for side, code, text in error.findings]
+                print(json.dumps({"out": None, "findings": found}))
+            hopeless = args.anyway or any(shot.capture.person is None for shot in shots.values())
+            hint = "" if hopeless else "; --anyway goes on all the same"
+            raise CaptureError(f"{error}{hint}", error.findings) from None
+        avatar = done.avatar if args.no_cones else with_cones(done.avatar, progress=show)
+        _sheet(args, shots, done)
+    unseen = avatar.meta.get("unseen")
+    words = "" if unseen is None else f"; {unseen:.0%} of the surface is guessed"
+    code = write(avatar, args, began, _facts(done), words)
+    if not args.json:
+        _notes(shots)
+    return code
+
+
+def _options(args: argparse.Namespace, show: Progress) -> Options:
+    try:
+        return Options(height=args.height, splats=args.splats, seed=args.seed, steps=args.steps, progress=show)
+    except FormatError as error:
+        raise UsageError(str(error)) from None
+
+
+def _shots(args: argparse.Namespace, show: Progress) -> dict[str, Shot]:
+    given = {"front": args.mask} | {side: getattr(args, f"{side}_mask") for side in _OTHERS}
+    masks = {side: path for side, path in given.items() if path is not None}
+    others = {side: getattr(args, side) for side in _OTHERS}
+    return check_photos(args.front, **others, masks=masks, progress=show)
+
+
+def _report(shots: Mapping[str, Shot], args: argparse.Namespace) -> int:
+    """The check alone: a line for everything found."""
+    good = all(shot.capture.good for shot in shots.values())
+    _sheet(args, shots)
+    if args.json:
+        print(json.dumps({"good": good, "pictures": _pictures(shots)}))
+        return 0 if good else 1
+    for shot in shots.values():
+        for finding in shot.capture.findings:
+            print(f"{shot.name}: {finding.code}: {finding.text}")
+        if shot.capture.good:
+            print(f"{shot.name}: will do as the {shot.side}")
+    _notes(shots)
+    return 0 if good else 1
+
+
+def _notes(shots: Mapping[str, Shot]) -> None:
+    for shot in shots.values():
+        for note in shot.photo.notes:
+            print(f"{shot.name}: {note}")
+
+
+def _pictures(shots: Mapping[str, Shot]) -> list[dict[str, Any]]:
+    return [
+        {
+            "side": shot.side,
+            "file": shot.name,
+            "size": shot.photo.size,
+            "findings": [{"code": finding.code, "text": finding.text} for finding in shot.capture.findings],
+            "notes": shot.photo.notes,
+        }
+        for shot in shots.values()
+    ]
+
+
+def _facts(done: Reconstruction) -> dict[str, Any]:
+    """For --json, beside what all commands say."""
+    facts: dict[str, Any] = {"made_by": done.made_by, "unseen": done.avatar.meta.get("unseen")}
+    facts["pictures"] = _pictures(done.shots)
+    if done.made is not None:
+        views = done.made.fit.views
+        facts["stature"] = round(float(done.made.fit.stature), 4)
+        facts["overlap"] = [round(view.overlap, 4) for view in views]  # with the mask, a picture each
+        facts["strays"] = [round(view.strays, 3) for view in views]  # of landmarks, percent of the height
+        facts["problem"] = done.made.problem
+    return facts
+
+
+def _sheet(args: argparse.Namespace, shots: Mapping[str, Shot], done: Reconstruction | None = None) -> None:
+    """Draw what there is, where it was asked for."""
+    if args.debug is not None:
+        drawn = photo_sheet.draw(shots) if done is None else photo_sheet.draw(shots, done.avatar, done.made)
+        save_png(args.debug / "photo.png", drawn)
+
+
+def _make_folder(folder: Path) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise FormatError(f"{folder}: cannot make the folder ({error.strerror})") from None

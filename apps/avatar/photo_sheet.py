@@ -1,0 +1,260 @@
+"""One picture of how an avatar came out of photographs: outline, landmarks, fitted body, what was seen, the result."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from glsplat.avatar import Avatar
+from glsplat.camera import Camera, look_at, pinhole
+from glsplat.making.fit.body import open_body, vertex_normals
+from glsplat.making.fit.fit import FittedView
+from glsplat.making.networks.person import LANDMARKS
+from glsplat.making.reconstruct.builtin import Made
+from glsplat.making.reconstruct.photos import Shot
+from glsplat.renderer import Renderer
+from glsplat.skinning.pose import Pose
+from glsplat.splats import SH_C0
+
+from ..output import label, stack
+from .guide import A_POSE
+
+__all__ = ["draw"]
+
+Image = NDArray[np.uint8]
+F64 = NDArray[np.float64]
+
+_CELL = 480, 720  # pixels, width and height
+_OUTLINE, _WRONG = (0, 255, 120), (255, 70, 70)  # RGB
+_LEFT, _RIGHT, _FACE, _TRUNK = (255, 170, 0), (0, 190, 255), (255, 255, 0), (255, 255, 255)
+_GUESSED = (235, 120, 60)
+_SEEN = {"front": (70, 190, 90), "back": (80, 130, 230), "left": (220, 200, 60), "right": (170, 90, 210)}
+_INKS = {"front": "green", "back": "blue", "left": "yellow", "right": "violet"}
+_FACING = 0.15  # cosine to the camera below which a picture says nothing of a surface
+_BEHIND = 0.015  # metres
+_FOV = 32.0  # degrees
+_LIMBS = (
+    "shoulder elbow", "elbow wrist", "shoulder hip", "hip knee", "knee ankle", "ankle heel", "heel foot_index"
+)  # fmt: skip
+_FINGERS = [[0, *range(first, first + 4)] for first in (1, 5, 9, 13, 17)]
+
+
+def draw(shots: Mapping[str, Shot], avatar: Avatar | None = None, made: Made | None = None) -> Image:
+    """RGB uint8 [H, W, 3]: a row for each picture, then what was seen and the result where there are such."""
+    rows = []
+    for index, shot in enumerate(shots.values()):
+        cells = [_outline(shot), _landmarks(shot)]
+        if made is not None:
+            cells.append(_fitted(shot, made.fit.views[index]))
+        if shot.capture.person is not None:
+            cells.append(_details(shot))
+        rows.append(cells)
+    if made is not None:
+        words = ", ".join(f"{side} {_INKS[side]}" for side in shots)
+        rows.append(_four_sides(_seen(made, list(shots)), f"{words}, guessed orange"))
+    if avatar is not None:
+        rows.append(_four_sides(avatar, "the avatar"))
+    return stack(rows)
+
+
+class _Frame:
+    """The part of a picture about the person, as one cell shows it."""
+
+    def __init__(self, shot: Shot) -> None:
+        picture, mask = shot.photo.picture, shot.capture.mask
+        shown = mask if mask.any() else np.ones(picture.shape[:2], bool)
+        rows, columns = np.flatnonzero(shown.any(axis=1)), np.flatnonzero(shown.any(axis=0))
+        high, wide = 1.1 * (rows[-1] - rows[0] + 1), 1.1 * (columns[-1] - columns[0] + 1)
+        self.scale = min(_CELL[1] / high, _CELL[0] / wide)
+        self.shift = np.array(_CELL) / 2 - self.scale * np.array([columns[0] + columns[-1], rows[0] + rows[-1]]) / 2
+        self.picture = self._moved(picture)
+        self.mask = self._moved(mask.astype(np.uint8) * 255) > 127 if mask.size else np.zeros(_CELL[::-1], bool)
+
+    def _moved(self, picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        matrix = np.array([[self.scale, 0, self.shift[0]], [0, self.scale, self.shift[1]]])
+        if self.scale < 1:
+            picture = np.asarray(cv2.GaussianBlur(picture, (0, 0), 0.4 / self.scale), np.uint8)
+        return np.asarray(cv2.warpAffine(picture, matrix, _CELL, borderValue=(40, 40, 40)), np.uint8)
+
+    def points(self, points: F64) -> F64:
+        """[N, 2] pixels of the picture to pixels of the cell."""
+        return np.asarray(points[:, :2] * self.scale + self.shift)
+
+
+def _outline(shot: Shot) -> Image:
+    frame = _Frame(shot)
+    shown = frame.picture.copy()
+    if frame.mask.any():
+        shown[~frame.mask] //= 2
+    contours, _ = cv2.findContours(frame.mask.astype(np.uint8), cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
+    cv2.drawContours(shown, contours, -1, _OUTLINE, 2, cv2.LINE_AA)
+    found = [finding.code for finding in shot.capture.findings]
+    shown = _titled(shown, f"{shot.side}: {', '.join(found) or 'nothing wrong found'}")
+    if found:
+        cv2.rectangle(shown, (0, 0), (_CELL[0] - 1, _CELL[1] - 1), _WRONG, 4)
+    return shown
+
+
+def _landmarks(shot: Shot) -> Image:
+    frame, person = _Frame(shot), shot.capture.person
+    shown = (frame.picture // 2).astype(np.uint8)
+    if person is None:
+        return _titled(shown, "no landmarks")
+    where = dict(zip(LANDMARKS, frame.points(person.body.points), strict=True))
+    sure = dict(zip(LANDMARKS, person.body.visible, strict=True))
+    for part in ("shoulder", "hip"):
+        _line(shown, [where[f"left_{part}"], where[f"right_{part}"]], _TRUNK)
+    for side, ink in (("left", _LEFT), ("right", _RIGHT)):
+        for limb in _LIMBS:
+            _line(shown, [where[f"{side}_{end}"] for end in limb.split()], ink)
+    for name, point in where.items():
+        ink = _LEFT if "left" in name else _RIGHT if "right" in name else _TRUNK
+        cv2.circle(shown, _at(point), 4, ink, -1 if sure[name] > 0.5 else 1, cv2.LINE_AA)  # hollow: not believed
+    for hand, ink in ((person.left_hand, _LEFT), (person.right_hand, _RIGHT)):
+        if hand.presence > 0.5:
+            _hand(shown, frame.points(hand.points), ink)
+    if person.face.presence > 0.5:
+        for point in frame.points(person.face.points):
+            shown[tuple(np.clip(_at(point), 0, np.array(_CELL) - 1)[::-1])] = _FACE
+    return _titled(shown, "landmarks (hollow: not believed)")
+
+
+def _details(shot: Shot) -> Image:
+    """The face above, both hands below, as the networks cut them out of the picture."""
+    person = shot.capture.person
+    assert person is not None
+    cell = np.full((*_CELL[::-1], 3), 40, np.uint8)
+    side = _CELL[0]
+    top = _cut(shot, person.face.points, side)
+    cell[:side] = _titled(top, f"face: {person.face.presence:.2f}")
+    half = _CELL[0] // 2
+    # as the picture shows them: the person's right hand stands left in a picture from the front
+    hands = sorted(
+        ((person.left_hand, _LEFT, "left"), (person.right_hand, _RIGHT, "right")),
+        key=lambda entry: float(entry[0].points[:, 0].mean()),
+    )
+    for column, (hand, ink, name) in enumerate(hands):
+        cut = _cut(shot, hand.points, half, ink)
+        cell[side : side + half, column * half : (column + 1) * half] = _titled(cut, f"{name}: {hand.presence:.2f}")
+    return cell
+
+
+def _cut(shot: Shot, points: F64, side: int, ink: tuple[int, int, int] | None = None) -> Image:
+    """A square about the points with the points in it; with ``ink`` as a hand."""
+    low, high = points[:, :2].min(axis=0), points[:, :2].max(axis=0)
+    size = max(1.3 * float((high - low).max()), 4.0)
+    scale, middle = side / size, (low + high) / 2
+    shift = side / 2 - scale * middle
+    matrix = np.array([[scale, 0, shift[0]], [0, scale, shift[1]]])
+    shown = np.asarray(cv2.warpAffine(shot.photo.picture, matrix, (side, side), borderValue=(40, 40, 40)), np.uint8)
+    here = points[:, :2] * scale + shift
+    if ink is not None:
+        _hand(shown, here, ink)
+    else:
+        for point in here:
+            cv2.circle(shown, _at(point), 1, _FACE, -1, cv2.LINE_AA)
+    return shown
+
+
+def _hand(shown: Image, points: F64, ink: tuple[int, int, int]) -> None:
+    for finger in _FINGERS:
+        _line(shown, points[finger], ink)
+
+
+def _titled(shown: Image, text: str) -> Image:
+    """With words in its upper left corner, readable on anything."""
+    shown = np.ascontiguousarray(shown)
+    shown[: 26 if len(shown) > 300 else 22] //= 3
+    return label(shown, text)
+
+
+def _line(shown: Image, points: Sequence[F64] | F64, ink: tuple[int, int, int]) -> None:
+    cv2.polylines(shown, [np.rint(np.asarray(points)).astype(np.int32)], False, ink, 1, cv2.LINE_AA)
+
+
+def _at(point: F64) -> tuple[int, int]:
+    return round(float(point[0])), round(float(point[1]))
+
+
+def _fitted(shot: Shot, view: FittedView) -> Image:
+    frame = _Frame(shot)
+    faces = open_body().faces
+    light = _shades(view.vertices, faces)
+    drawn = _painted(frame.points(view.pixels), view.vertices[:, 2], faces, light[:, None] * (255.0, 235.0, 215.0))
+    solid = drawn.any(axis=2)
+    shown = frame.picture.copy()
+    shown[solid] = (0.45 * shown[solid] + 0.55 * drawn[solid]).astype(np.uint8)
+    contours, _ = cv2.findContours(frame.mask.astype(np.uint8), cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
+    cv2.drawContours(shown, contours, -1, _OUTLINE, 1, cv2.LINE_AA)
+    return _titled(shown, f"fit: overlap {view.overlap:.1%}, landmarks {view.strays:.2f} %")
+
+
+def _shades(vertices: F64, faces: NDArray[np.int32]) -> F64:
+    """[F] from 0.35 to 1: how much a face of the body looks at the camera; camera axes."""
+    corners = vertices[faces]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    length = np.linalg.norm(normal, axis=1)
+    return np.asarray(0.35 + 0.65 * np.abs(normal[:, 2]) / np.where(length > 0, length, 1))
+
+
+def _painted(pixels: F64, depth: F64, faces: NDArray[np.int32], colours: F64) -> Image:
+    """Faces in flat colours [F, 3], the near ones over the far ones; black where there are none."""
+    drawn = np.zeros((*_CELL[::-1], 3), np.uint8)
+    corners = np.rint(pixels[faces] * 16).astype(np.int32)
+    for face in np.argsort(-depth[faces].mean(axis=1), kind="stable"):
+        cv2.fillConvexPoly(drawn, corners[face], colours[face].tolist(), cv2.LINE_8, 4)
+    return drawn
+
+
+def _seen(made: Made, sides: Sequence[str]) -> Avatar:
+    """The avatar in the colours of the pictures that show its surface, light and dark as it is itself."""
+    splats, faces = made.avatar.splats, open_body().faces
+    colours = np.tile(np.array(_GUESSED, np.float64), (len(made.mesh.vertices), 1))
+    for side, view in reversed(list(zip(sides, made.fit.views, strict=True))):  # the front has the last word
+        colours[_visible(view, faces)] = _SEEN[side]
+    tint = colours[cKDTree(made.mesh.vertices).query(splats.means)[1]] / 255
+    own = np.clip(splats.sh[:, 0] * SH_C0 + 0.5, 0, 1).mean(axis=1, keepdims=True)
+    sh = np.zeros_like(splats.sh)
+    sh[:, 0] = (tint * (0.5 + 0.5 * own) - 0.5) / SH_C0
+    return replace(made.avatar, splats=replace(splats, sh=sh))
+
+
+def _visible(view: FittedView, faces: NDArray[np.int32]) -> NDArray[np.bool_]:
+    """[V] whether a picture shows the vertex, and not from the edge."""
+    low, high = view.pixels.min(axis=0), view.pixels.max(axis=0)
+    scale = 1000 / max(float((high - low).max()), 1e-6)
+    pixels = (view.pixels - low) * scale + 2
+    size = np.ceil((high - low) * scale).astype(int) + 5
+    depth = view.vertices[:, 2]
+    nearest = np.full((size[1], size[0]), np.inf, np.float32)
+    corners = np.rint(pixels[faces] * 16).astype(np.int32)
+    for face in np.argsort(-depth[faces].mean(axis=1), kind="stable"):
+        cv2.fillConvexPoly(nearest, corners[face], float(depth[faces[face]].mean()), cv2.LINE_8, 4)
+    at = np.clip(np.floor(pixels).astype(int), 0, size - 1)
+    facing = -(vertex_normals(view.vertices, faces) * view.vertices).sum(axis=1)
+    facing /= np.linalg.norm(view.vertices, axis=1)
+    return np.asarray((depth <= nearest[at[:, 1], at[:, 0]] + _BEHIND) & (facing > _FACING))
+
+
+def _four_sides(avatar: Avatar, words: str) -> list[Image]:
+    rotations = np.zeros((len(avatar.skeleton), 3))
+    for joint, bend in A_POSE.items():
+        rotations[avatar.skeleton.names.index(joint)] = bend
+    low, high = np.percentile(avatar.splats.means, (0.1, 99.9), axis=0)
+    middle, tall = (low[1] + high[1]) / 2, max(float(high[1] - low[1]), 0.1)
+    distance = 1.35 * tall / 2 / np.tan(np.radians(_FOV) / 2)
+    cells = []
+    with Renderer(avatar, size=_CELL) as renderer:
+        for name, turn in (("front", 0.0), ("left", 90.0), ("back", 180.0), ("right", -90.0)):
+            angle = np.radians(turn)
+            eye = (distance * np.sin(angle), middle, distance * np.cos(angle))
+            camera = Camera(look_at(eye=eye, target=(0, middle, 0)), pinhole(*_CELL, fov=_FOV), *_CELL)
+            image = renderer.render([camera], Pose(rotations))[0].astype(np.float32)
+            shown = image[..., :3] + 96 * (1 - image[..., 3:] / 255)
+            cells.append(_titled(np.clip(shown + 0.5, 0, 255).astype(np.uint8), f"{name}: {words}"))
+    return cells

@@ -1,0 +1,91 @@
+"""What the commands that make avatars share: notes kept in the file, the progress bar, the file, what is said."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from tqdm import tqdm
+
+from glsplat.avatar import Avatar
+from glsplat.errors import FormatError
+from glsplat.formats import FORMATS, save, suffixes
+from glsplat.skinning.smplx import JOINT_NAMES
+
+from ..usage import UsageError
+
+__all__ = ["add_notes", "check_name", "notes_of", "progress_bar", "write"]
+
+_NOTES = {
+    "source": "where the person comes from",
+    "licence": "terms of use of the person's data",
+    "consent": "who agreed to this likeness, or why nobody needs to",
+}
+
+
+def add_notes(command: argparse.ArgumentParser) -> None:
+    """--source, --licence, --consent."""
+    for key, what in _NOTES.items():
+        command.add_argument(f"--{key}", help=f"{what}, kept in the file")
+
+
+def notes_of(args: argparse.Namespace) -> dict[str, str]:
+    """What those options say."""
+    return {key: getattr(args, key) for key in _NOTES if getattr(args, key)}
+
+
+@contextmanager
+def progress_bar() -> Iterator[Callable[[str, float], None]]:
+    """A bar for (stage, share done); none where nobody watches."""
+    with tqdm(total=100, disable=None, leave=False, bar_format="{desc}: {bar} {n:.0f} %") as bar:
+
+        def show(stage: str, done: float) -> None:
+            bar.set_description(stage)
+            bar.n = 100 * done
+            bar.refresh()
+
+        yield show
+
+
+def check_name(out: Path) -> None:
+    """Refuse what could not be written before the work starts. Raises UsageError, FormatError for the place."""
+    if not any(out.suffix.lower() in known.suffixes for known in FORMATS if known.rigs):
+        raise UsageError(f"{out}: an avatar is written as {suffixes(rigs=True)}; change the name")
+    if not out.parent.is_dir():
+        raise FormatError(f"{out}: there is no folder {out.parent}; create it first")
+    if out.exists() and not out.is_file():
+        raise FormatError(f"{out}: exists and is not a regular file; give another name")
+    if not os.access(out if out.exists() else out.parent, os.W_OK):
+        raise FormatError(f"{out}: cannot be written (Permission denied)")
+
+
+def write(
+    avatar: Avatar, args: argparse.Namespace, began: float, more: Mapping[str, Any] | None = None, words: str = ""
+) -> int:
+    """Write the avatar to --out with the user's notes, and say so; ``more`` facts for --json, ``words`` for people."""
+    meta: dict[str, Any] = dict(avatar.meta)
+    smplx = avatar.skeleton.names == JOINT_NAMES
+    meta.setdefault("body_model", "SMPL-X joints (55)" if smplx else f"{len(avatar.skeleton)} joints")
+    meta.setdefault("consent", "not stated")
+    save(replace(avatar, meta=meta | notes_of(args)), args.out)
+    facts = {
+        "out": str(args.out),
+        "splats": len(avatar.splats),
+        "bytes": args.out.stat().st_size,
+        "weight_lost": round(avatar.skin.lost, 6),
+        "weights_repaired": avatar.skin.repaired,
+        "seconds": round(time.perf_counter() - began, 1),
+    }
+    if args.json:
+        print(json.dumps(facts | dict(more or {})))
+    else:
+        made = f"{facts['splats']} splats, {args.out.stat().st_size / 1e6:.2f} MB, {facts['seconds']} s"
+        print(f"{args.out}: {made}{words}")
+    return 0

@@ -1,0 +1,203 @@
+"""From files of photographs to an avatar: read, checked, reconstructed, and marked with where it comes from."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from importlib.metadata import version
+from typing import Any
+
+from glsplat.avatar import Avatar
+from glsplat.errors import CaptureError, FormatError, GlsplatError
+from glsplat.making.networks.people import find_person
+from glsplat.making.photo.capture import VIEWS, Capture, check_capture
+from glsplat.making.photo.mask import person_mask
+from glsplat.making.photo.mask_file import MaskSource, mask_of
+from glsplat.making.photo.photo_file import Photo, read_photo
+from glsplat.skinning.smplx import JOINT_NAMES
+
+from .builtin import Made
+from .reconstructor import Options, Picture, Progress, Reconstructor
+from .registry import OWN, named
+
+__all__ = ["PhotoSource", "Reconstruction", "Shot", "check_photos", "from_photos", "reconstruct", "refuse"]
+
+PhotoSource = str | os.PathLike[str] | Photo
+"""A picture file, or what ``read_photo`` or ``photo_of`` made of one."""
+_DEFAULT = Options()
+
+
+@dataclass(frozen=True, eq=False)
+class Shot:
+    """One photograph, read and checked."""
+
+    side: str
+    """Which side of the person it shows: front, back, left or right."""
+    name: str
+    """For messages: the file, or the side."""
+    photo: Photo
+    capture: Capture
+
+
+@dataclass(frozen=True, eq=False)
+class Reconstruction:
+    """An avatar, and what it was made from."""
+
+    avatar: Avatar
+    shots: Mapping[str, Shot]
+    made_by: str
+    """The reconstructor's name."""
+    made: Made | None = None
+    """What the built-in reconstructor can tell beside the avatar; None of others."""
+
+
+def check_photos(
+    front: PhotoSource,
+    *,
+    back: PhotoSource | None = None,
+    left: PhotoSource | None = None,
+    right: PhotoSource | None = None,
+    masks: Mapping[str, MaskSource] | None = None,
+    progress: Progress | None = None,
+) -> dict[str, Shot]:
+    """Read all pictures, then check each; findings are in ``Shot.capture``, nobody is refused yet.
+
+    ``masks`` by side; a picture that is transparent about the person is its own. Where nobody is found, whoever is
+    most like a person is kept beside that finding. Raises FormatError for files that cannot be read or used.
+    """
+    show = progress or _silent
+    given = {"front": front, "back": back, "left": left, "right": right}
+    sources = {side: source for side, source in given.items() if source is not None}
+    for side in masks or {}:
+        if side not in sources:
+            known = "front, back, left or right" if side not in VIEWS else f"give the {side} picture, too"
+            raise FormatError(f'there is a mask for "{side}" and no picture; {known}')
+    photos, outlines = {}, {}
+    for index, (side, source) in enumerate(sources.items()):
+        show("reading the pictures", index / len(sources))
+        photo = photos[side] = source if isinstance(source, Photo) else read_photo(source)
+        if masks is not None and side in masks:
+            outlines[side] = mask_of(masks[side], photo)
+        elif photo.alpha is not None:
+            outlines[side] = photo.alpha > 127
+    shots = {}
+    for index, (side, photo) in enumerate(photos.items()):
+        show(f"checking the {side}", index / len(photos))
+        capture = check_capture(photo.picture, side, given=outlines.get(side))
+        if capture.person is None and (person := find_person(photo.picture)) is not None:
+            mask = outlines[side] if side in outlines else person_mask(photo.picture, person.body)
+            capture = Capture(capture.findings, person, mask)
+        named_by = f"{side} picture" if isinstance(sources[side], Photo) else str(sources[side])
+        shots[side] = Shot(side, named_by, photo, capture)
+    show("checking the pictures", 1.0)
+    return shots
+
+
+def refuse(shots: Mapping[str, Shot], made: Made | None = None) -> None:
+    """Raise CaptureError, one line for all that the check found and for a body that does not fit; else silent."""
+    found = [(shot, finding.code, finding.text) for shot in shots.values() for finding in shot.capture.findings]
+    if made is not None and made.problem:
+        text = f"the body does not fit the picture ({made.problem}); take another one"
+        found.append((shots["front"], "fit", text))
+    if found:
+        lines = "; also ".join(f"{shot.name}: {text}" for shot, _, text in found)
+        raise CaptureError(lines, tuple((shot.side, code, text) for shot, code, text in found))
+
+
+def reconstruct(
+    shots: Mapping[str, Shot],
+    options: Options | None = None,
+    *,
+    using: str | Reconstructor = "builtin",
+    anyway: bool = False,
+    meta: Mapping[str, Any] | None = None,
+) -> Reconstruction:
+    """An avatar from photographs that ``check_photos`` read.
+
+    ``using`` is a reconstructor or its name. ``anyway`` goes on with pictures in which the check found faults, and
+    keeps a body that does not fit them. ``meta`` goes into the avatar's notes, over what is written there: source,
+    made_by, date (SOURCE_DATE_EPOCH's day, else today's, UTC), consent, body_model, unseen; never a picture or a
+    path. Raises CaptureError, and GlsplatError from reconstructors.
+    """
+    options = options or Options()
+    if not anyway or any(shot.capture.person is None for shot in shots.values()):
+        refuse(shots)
+    day = _today()
+    name = using if isinstance(using, str) else type(using).__name__
+    maker: Any = named(using) if isinstance(using, str) else using
+    pictures = {
+        side: Picture(shot.photo.picture, shot.photo.focal, shot.capture.person) for side, shot in shots.items()
+    }
+    masks = {side: shot.capture.mask for side, shot in shots.items()}
+    made: Made | None = None
+    try:
+        if callable(getattr(maker, "make", None)):
+            made = maker.make(pictures, masks, options)
+        avatar = maker.reconstruct(pictures, masks, options) if made is None else made.avatar
+    except GlsplatError:
+        raise
+    except Exception as error:
+        if name in OWN:
+            raise
+        said = " ".join(str(error).split())[:200]
+        raise GlsplatError(f'the reconstructor "{name}" failed: {type(error).__name__}: {said}') from error
+    if not isinstance(avatar, Avatar) or avatar.skeleton.names != JOINT_NAMES:
+        raise GlsplatError(f'the reconstructor "{name}" gave {avatar!r:.100}, not an avatar on the joints of SMPL-X')
+    if not anyway:
+        refuse(shots, made)
+    notes = dict(avatar.meta)
+    notes["source"] = f"{len(shots)} photograph{'s' * (len(shots) > 1)} ({', '.join(shots)})"
+    notes["made_by"] = f"glsplat {version('glsplat')}, {name}"
+    notes["date"] = day
+    notes.setdefault("consent", "not stated")
+    notes.setdefault("body_model", "SMPL-X joints (55)")
+    if made is not None:
+        notes["unseen"] = round(float(made.unseen), 4)
+    return Reconstruction(replace(avatar, meta=notes | dict(meta or {})), dict(shots), name, made)
+
+
+def from_photos(
+    front: PhotoSource,
+    *,
+    back: PhotoSource | None = None,
+    left: PhotoSource | None = None,
+    right: PhotoSource | None = None,
+    masks: Mapping[str, MaskSource] | None = None,
+    height: float | None = None,
+    splats: int = _DEFAULT.splats,
+    seed: int = _DEFAULT.seed,
+    steps: int = _DEFAULT.steps,
+    using: str | Reconstructor = "builtin",
+    anyway: bool = False,
+    meta: Mapping[str, Any] | None = None,
+    progress: Progress | None = None,
+) -> Avatar:
+    """An avatar from one photograph of a person, or several; ``height`` in metres.
+
+    The pictures are checked before any other work: CaptureError says what is wrong with them. ``check_photos`` and
+    ``reconstruct`` are the two halves, for who wants to know more than the avatar.
+
+    >>> from glsplat.making.reconstruct.photos import from_photos
+    >>> from_photos("me.jpg", height=1.74)
+    Traceback (most recent call last):
+    glsplat.errors.FormatError: me.jpg: cannot be read (No such file or directory)
+    """
+    options = Options(height=height, splats=splats, seed=seed, steps=steps, progress=progress or _silent)
+    shots = check_photos(front, back=back, left=left, right=right, masks=masks, progress=progress)
+    return reconstruct(shots, options, using=using, anyway=anyway, meta=meta).avatar
+
+
+def _silent(step: str, done: float) -> None: ...
+
+
+def _today() -> str:
+    """YYYY-MM-DD in UTC; of SOURCE_DATE_EPOCH, where it is set, so that files can be made again byte for byte."""
+    told = os.environ.get("SOURCE_DATE_EPOCH")
+    if told is None:
+        return datetime.now(UTC).date().isoformat()
+    try:
+        return datetime.fromtimestamp(int(told), UTC).date().isoformat()
+    except (ValueError, OverflowError, OSError):
+        raise GlsplatError(f"SOURCE_DATE_EPOCH needs whole seconds since 1970, not {told[:40]!r}") from None

@@ -1,0 +1,278 @@
+"""``glsplat avatar photo``: what it makes, says and refuses; a reconstructor that needs no work stands in."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import cv2
+import glsplat_apps.cli as cli
+import numpy as np
+import pytest
+
+from glsplat.formats import load
+from glsplat.making.networks import store
+from glsplat.making.photo.capture import Finding
+from glsplat.making.reconstruct import photos, registry
+from tests.making.captures import needs_networks
+from tests.making.reconstruct.stubs import replace_check
+
+STUBS = "tests.making.reconstruct.stubs"
+ARMS = Finding("arms", "an arm lies against the body")
+
+
+@pytest.fixture(autouse=True)
+def stand_in(monkeypatch) -> None:
+    monkeypatch.setitem(registry.OWN, "builtin", f"{STUBS}:Detailed")
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", "1700000000")
+
+
+@pytest.fixture
+def seen(monkeypatch) -> dict[str, tuple[Finding, ...]]:
+    return replace_check(monkeypatch)
+
+
+@pytest.fixture
+def front(tmp_path) -> Path:
+    path = tmp_path / "in" / "front.jpg"
+    path.parent.mkdir()
+    cv2.imwrite(str(path), np.full((90, 60, 3), 77, np.uint8))
+    return path
+
+
+def photo(*words: object) -> int:
+    return cli.main(["avatar", "photo", *map(str, words), *([] if "--check" in words else ["--no-cones"])])
+
+
+def test_an_avatar_is_made(seen, front, tmp_path, capsys) -> None:
+    out, notes = tmp_path / "me.glb", ("--consent", "my own", "--licence", "mine")
+    assert photo(front, "--back", front, "-o", out, "--height", "1.74", *notes) == 0
+    said = capsys.readouterr()
+    assert said.out.startswith(f"{out}: 20") and said.out.endswith(" s; 43% of the surface is guessed\n")
+    assert said.err == "" or "%" in said.err
+    made = load(out)
+    assert dict(made.meta) == {
+        "version": 1,
+        "source": "2 photographs (front, back)",
+        "made_by": "glsplat 0.1.0, builtin",
+        "date": "2023-11-14",
+        "consent": "my own",
+        "licence": "mine",
+        "body_model": "SMPL-X joints (55)",
+        "unseen": 0.43,
+    }
+    first = out.read_bytes()
+    assert photo(front, "--back", front, "-o", out, "--height", "1.74", *notes) == 0 and out.read_bytes() == first
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["in", "me.glb"]
+
+
+def test_cones_are_made_unless_they_are_left_out(seen, front, tmp_path) -> None:
+    out = tmp_path / "me.glb"
+    assert photo(front, "-o", out) == 0 and load(out).splats.cones is None
+    assert cli.main(["avatar", "photo", str(front), "-o", str(out)]) == 0 and load(out).splats.cones is not None
+
+
+def test_json(seen, front, tmp_path, capsys, monkeypatch) -> None:
+    monkeypatch.setitem(registry.OWN, "builtin", f"{STUBS}:Plain")
+    out = tmp_path / "me.glb"
+    seen["front"] = (ARMS,)
+    assert photo(front, "-o", out, "--json") == 1
+    said = capsys.readouterr()
+    assert json.loads(said.out) == {
+        "out": None,
+        "findings": [{"side": "front", "code": "arms", "text": ARMS.text}],
+    }
+    assert photo(front, "-o", out, "--json", "--anyway") == 0
+    facts = json.loads(capsys.readouterr().out)
+    assert facts["bytes"] == out.stat().st_size and facts["made_by"] == "builtin" and facts["unseen"] is None
+    assert facts["pictures"] == [
+        {
+            "side": "front",
+            "file": str(front),
+            "size": [60, 90],
+            "findings": [{"code": "arms", "text": ARMS.text}],
+            "notes": [],
+        }
+    ]
+
+
+def test_the_check_alone(seen, front, capsys) -> None:
+    assert photo(front, "--check") == 0
+    assert capsys.readouterr().out == f"{front}: will do as the front\n"
+    seen["back"] = (ARMS, Finding("dark", "too dark"))
+    assert photo(front, "--back", front, "--check") == 1
+    lines = capsys.readouterr().out.splitlines()
+    assert lines == [f"{front}: will do as the front", f"{front}: arms: {ARMS.text}", f"{front}: dark: too dark"]
+    assert photo(front, "--back", front, "--check", "--json") == 1
+    facts = json.loads(capsys.readouterr().out)
+    assert not facts["good"] and [p["side"] for p in facts["pictures"]] == ["front", "back"]
+
+
+def test_a_refusal_leaves_the_sheet_and_no_avatar(seen, front, tmp_path, capsys) -> None:
+    seen["front"] = (ARMS,)
+    assert photo(front, "-o", tmp_path / "me.glb", "--debug", tmp_path / "sheets") == 1
+    assert capsys.readouterr().err == (
+        f"glsplat avatar: {front}: an arm lies against the body; --anyway goes on all the same\n"
+    )
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["in", "sheets"]
+    sheet = cv2.imread(str(tmp_path / "sheets" / "photo.png"))
+    assert sheet.shape == (720, 3 * 480 + 2 * 4, 3)
+    assert (sheet[0:2, 10:470] == (70, 70, 255)).all()  # a red frame says that something is wrong
+
+
+@pytest.mark.gl
+def test_a_body_that_does_not_fit_leaves_the_whole_sheet(seen, front, tmp_path, monkeypatch, capsys) -> None:
+    monkeypatch.setitem(registry.OWN, "builtin", f"{STUBS}:misfitting")
+    monkeypatch.setattr("glsplat_apps.avatar.photo_sheet._fitted", lambda shot, view: np.zeros((720, 480, 3), np.uint8))
+    monkeypatch.setattr("glsplat_apps.avatar.photo_sheet._seen", lambda made, sides: made.avatar)
+    words = (front, "-o", tmp_path / "me.glb", "--debug", tmp_path / "a")
+    assert photo(*words) == 1
+    error = capsys.readouterr().err
+    assert "the body does not fit the picture (far off); take another one; --anyway goes on" in error
+    assert cv2.imread(str(tmp_path / "a" / "photo.png")).shape[0] == 3 * 720 + 2 * 4
+    assert not (tmp_path / "me.glb").exists()
+    assert photo(*words, "--anyway", "--json") == 0
+    assert json.loads(capsys.readouterr().out)["problem"] == "far off"
+
+
+@pytest.mark.gl
+def test_the_sheet_has_what_there_is(seen, front, tmp_path, monkeypatch) -> None:
+    monkeypatch.setitem(registry.OWN, "builtin", f"{STUBS}:Plain")
+    assert photo(front, "--back", front, "-o", tmp_path / "me.glb", "--debug", tmp_path / "a") == 0
+    sheet = cv2.imread(str(tmp_path / "a" / "photo.png"))
+    assert sheet.shape == (3 * 720 + 2 * 4, 4 * 480 + 3 * 4, 3)
+    assert not (sheet[:720, :480] == (70, 70, 255)).all(axis=-1).any()
+    for column in range(4):  # the avatar from four sides
+        assert sheet[2 * 724 + 30 :, 484 * column : 484 * column + 480].std() > 1
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["absent.jpg", "-o", "a.glb"], "absent.jpg: cannot be read (No such file or directory)"),
+        (["{front}", "--back", "absent.jpg", "-o", "a.glb"], "absent.jpg: cannot be read"),
+        (["{front}"], "missing: -o/--out"),
+        (["-o", "a.glb"], "missing: front"),
+        (["{front}", "-o", "a.jpg"], "written as .glb"),
+        (["{front}", "-o", "away/a.glb"], "there is no folder away"),
+        (["{front}", "-o", "."], "written as .glb"),
+        (["{front}", "-o", "a.glb", "--height", "174"], "metres, 0.5 to 2.5, not 174; is it 1.74?"),
+        (["{front}", "-o", "a.glb", "--height", "-1"], "--height"),
+        (["{front}", "-o", "a.glb", "--splats", "7"], "100 to 2000000 splats, not 7"),
+        (["{front}", "-o", "a.glb", "--steps", "-1"], "--steps"),
+        (["{front}", "-o", "a.glb", "--seed", "x"], "--seed"),
+        (["{front}", "-o", "a.glb", "--with", "lmh"], 'no reconstructor is called "lmh"; there are builtin, lhm'),
+        (["{front}", "-o", "a.glb", "--with", "lhm"], "set GLSPLAT_LHM to the folder"),
+        (["{front}", "-o", "a.glb", "--mask", "absent.png"], "absent.png: cannot be read"),
+        (["{front}", "-o", "a.glb", "--mask", "{small}"], "the mask has 30 x 30 pixels, its picture 60 x 90"),
+        (["{front}", "-o", "a.glb", "--mask", "{front}"], "0.0% of the mask are white"),
+        (["{front}", "-o", "a.glb", "--back-mask", "{front}"], "give the back picture, too"),
+        (["{front}", "-o", "a.glb", "--debug", "{front}/x"], "cannot make the folder"),
+        (["{text}", "-o", "a.glb"], "text.jpg: expected a photograph (JPEG, PNG or WebP)"),
+        (["{folder}", "-o", "a.glb"], "cannot be read (Is a directory)"),
+    ],
+)
+def test_mistakes_are_one_line(seen, front, tmp_path, monkeypatch, capsys, words, message) -> None:
+    monkeypatch.delenv("GLSPLAT_LHM", raising=False)
+    small, text = front.parent / "small.png", front.parent / "text.jpg"
+    cv2.imwrite(str(small), np.zeros((30, 30), np.uint8))
+    text.write_text("not a picture")
+    (tmp_path / "here").mkdir()
+    monkeypatch.chdir(tmp_path / "here")
+    places = {"front": front, "small": small, "text": text, "folder": tmp_path}
+    try:
+        code = photo(*(word.format(**places) for word in words))
+    except SystemExit as exit_:
+        code = exit_.code
+    error = capsys.readouterr().err
+    assert code == (2 if error.endswith("--help\n") else 1)
+    assert message in error and error.count("\n") == 1
+    assert not list((tmp_path / "here").iterdir())
+
+
+def test_what_cannot_be_written_is_said_before_the_work(seen, front, tmp_path, monkeypatch, capsys) -> None:
+    monkeypatch.setattr(photos, "check_capture", None)  # nobody gets that far
+    device = tmp_path / "me.glb"
+    device.symlink_to("/dev/full")
+    assert photo(front, "-o", device) == 1
+    assert "me.glb: exists and is not a regular file" in capsys.readouterr().err
+    monkeypatch.setattr("os.access", lambda *words: False)
+    assert photo(front, "-o", tmp_path / "b.glb") == 1
+    assert "b.glb: cannot be written (Permission denied)" in capsys.readouterr().err
+
+
+FULL = f"""
+import resource, sys
+import pytest
+from glsplat_apps.cli import main
+from glsplat.making.reconstruct import registry
+from {STUBS} import replace_check
+registry.OWN["builtin"] = "{STUBS}:Detailed"
+replace_check(pytest.MonkeyPatch())
+resource.setrlimit(resource.RLIMIT_FSIZE, (4000, 4000))
+sys.exit(main(["avatar", "photo", *sys.argv[1:], "--no-cones"]))
+"""
+
+
+def test_a_full_disk_leaves_the_old_avatar_and_one_line(front, tmp_path) -> None:
+    out = tmp_path / "me.glb"
+    out.write_bytes(b"old")
+    words = [sys.executable, "-c", FULL, str(front), "-o", str(out)]
+    done = subprocess.run(words, capture_output=True, text=True, cwd=Path(__file__).parents[2], check=False)
+    assert done.returncode == 1 and done.stderr.startswith(f"glsplat avatar: {out}: cannot be written (File too large)")
+    assert done.stderr.count("\n") == 1 and out.read_bytes() == b"old"
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["in", "me.glb"]
+
+
+def test_missing_networks_are_one_line(front, tmp_path, monkeypatch, capsys) -> None:
+    monkeypatch.setenv("GLSPLAT_MODELS", str(tmp_path / "none"))
+    from glsplat.making.networks.network import network
+
+    network.cache_clear()
+    assert photo(front, "-o", tmp_path / "me.glb") == 1
+    error = capsys.readouterr().err
+    assert "the network is not on this machine; run: glsplat models get" in error and error.count("\n") == 1
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["in"] and store.folder().name == "none"
+
+
+def test_damaged_pictures_are_one_line_each_and_leave_nothing(seen, front, tmp_path, capsys) -> None:
+    rng = np.random.default_rng(5)
+    kept = tmp_path / "kept"
+    kept.mkdir()
+    clean, noisy = front.read_bytes(), rng.integers(0, 256, (90, 60, 3)).astype(np.uint8)
+    seeds = [clean, cv2.imencode(".png", noisy)[1].tobytes(), cv2.imencode(".webp", noisy)[1].tobytes()]
+    made = refused = 0
+    for number in range(60):
+        data = bytearray(seeds[number % 3])
+        for place in rng.integers(0, len(data), rng.integers(1, 20)):
+            data[place] = rng.integers(0, 256)
+        path = tmp_path / "damaged.jpg"
+        path.write_bytes(data[: rng.integers(1, len(data))] if number % 2 else data)
+        code = photo(path, "-o", kept / "me.glb")
+        error = capsys.readouterr().err
+        if code:
+            refused += 1
+            assert code == 1 and error.count("\n") == 1 and str(path) in error and not list(kept.iterdir())
+        else:
+            made += 1
+            (kept / "me.glb").unlink()
+    assert made + refused == 60 and refused > 30
+
+
+@pytest.mark.shared
+@pytest.mark.gl
+def test_a_capture_with_its_sheet(shared_data, tmp_path, monkeypatch, capsys) -> None:
+    needs_networks()
+    monkeypatch.setitem(registry.OWN, "builtin", f"{STUBS}:fitting")
+    front = shared_data / "participants" / "capture" / "p01.jpg"
+    assert photo(front, "-o", tmp_path / "me.glb", "--debug", tmp_path / "a", "--json") == 0
+    facts = json.loads(capsys.readouterr().out)
+    assert facts["overlap"][0] > 0.94 and 1.4 < facts["stature"] < 2 and facts["problem"] == ""
+    sheet = cv2.imread(str(tmp_path / "a" / "photo.png"))
+    assert sheet.shape == (3 * 720 + 2 * 4, 4 * 480 + 3 * 4, 3)
+    front_view, back_view = sheet[730:1440, :480].astype(int), sheet[730:1440, 968:1448].astype(int)
+    green = [(v[..., 1] > v[..., 2] + 20).sum() for v in (front_view, back_view)]
+    orange = [(v[..., 2] > v[..., 1] + 20).sum() for v in (front_view, back_view)]
+    assert green[0] > 2 * orange[0] and orange[1] > 2 * green[1]
