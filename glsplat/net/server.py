@@ -190,6 +190,7 @@ class Server:
             "token": self.config.access.token is not None,
             **self.door.status(),
             "rebuilds": self.pump.rebuilds,
+            "uploads": None if self._uploads is None else self._uploads.counts(),
             "totals": totals,
             "stages": self.pump.stages.summary(),
             "clients": clients,

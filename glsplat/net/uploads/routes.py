@@ -109,7 +109,7 @@ class Uploads:
         return web.Response(status=204)
 
     async def _refused(self, request: web.Request, refusal: RefusedError) -> web.Response:
-        if refusal.status != 429:  # of those there are too many
+        if refusal.status not in (408, 429):  # it sends too little, or too often
             await discard(request, self.config)
         headers = {} if refusal.wait is None else {"Retry-After": str(refusal.wait)}
         response = web.Response(status=refusal.status, text=f"{refusal.text}\n", headers=headers)

@@ -54,7 +54,7 @@ class Workshop:
         if len(open_) > self._config.waiting:
             return f"{len(open_)} avatars are being made or wait, as many as this server takes; try again in a minute"
         if Counter(job.address for job in open_)[address] >= self._config.per_address:
-            return f"{self._config.per_address} avatars at once from one address; wait for one of yours"
+            return f"at most {self._config.per_address} avatars at once from one address; wait for one of yours"
         name = self._shelf.new_name()
         job = self._jobs[name] = Job(name, address)
         return job

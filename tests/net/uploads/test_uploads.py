@@ -138,7 +138,7 @@ def test_one_address_leaves_room_for_others(takes):
         async with takes(per_address=1) as client:
             _, told = await client.post(b"wait")
             status, line = await client.post()
-            assert status == 503 and "1 avatars at once from one address" in line
+            assert status == 503 and "at most 1 avatars at once from one address" in line
             assert (await client.ask("DELETE", f"/avatars/{told['name']}"))[0] == 204
             await client.made()
 
