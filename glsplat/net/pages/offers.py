@@ -43,7 +43,7 @@ class Offers:
                 "height": None if one.height is None else round(one.height, 4),
                 "tracking": one.solver is not None,
                 "head": "head" in one.parts,
-                **({"made": True} if one.made else {}),
+                "made": one.made,
             }
             for one in self._offered.values()
         ]

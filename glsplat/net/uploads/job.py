@@ -19,8 +19,8 @@ VIEWS = ("front", "back", "left", "right")
 _STEPS = 40  # that are told of a job
 _WORDS = 300  # characters of a line that is told
 
-Finding = tuple[str, str]
-"""What is wrong with a picture: a word for programs, and a line for people."""
+Finding = tuple[str, str, str]
+"""What is wrong with a picture: the side of the person that it shows, a word for programs, a line for people."""
 
 Progress = Callable[[str, float], None]
 """Told of each step by its name, and the share of it that is done."""
@@ -95,7 +95,7 @@ class Job:
         """It comes to nothing."""
         self.state, self.order, self.ended = "failed", None, time.monotonic()
         self.error = error[:_WORDS]
-        self.findings = tuple((code[:_WORDS], text[:_WORDS]) for code, text in findings[:_STEPS])
+        self.findings = tuple((side[:_WORDS], code[:_WORDS], text[:_WORDS]) for side, code, text in findings[:_STEPS])
 
     def done(self) -> None:
         """The avatar is offered."""
@@ -110,5 +110,5 @@ class Job:
             "steps": list(self.steps),
             "share": round(self.share, 3),
             "error": self.error or None,
-            "findings": [{"code": code, "text": text} for code, text in self.findings],
+            "findings": [{"side": side, "code": code, "text": text} for side, code, text in self.findings],
         }

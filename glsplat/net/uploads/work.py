@@ -21,7 +21,7 @@ from typing import Any
 
 from glsplat.errors import GlsplatError
 from glsplat.formats import save
-from glsplat.net.uploads.job import DoubtfulError, Make, Order, Progress, UploadConfig
+from glsplat.net.uploads.job import DoubtfulError, Finding, Make, Order, Progress, UploadConfig
 
 __all__ = ["Maker", "MakerFaultError", "UnwantedError"]
 
@@ -127,9 +127,9 @@ def _share(value: object) -> float:
     return float(value) if isinstance(value, (int, float)) else 0.0
 
 
-def _findings(value: object) -> Sequence[tuple[str, str]]:
-    pairs = value if isinstance(value, list) else []
-    return [(str(pair[0]), str(pair[1])) for pair in pairs if isinstance(pair, list) and len(pair) == 2]
+def _findings(value: object) -> Sequence[Finding]:
+    found = value if isinstance(value, list) else []
+    return [(str(one[0]), str(one[1]), str(one[2])) for one in found if isinstance(one, list) and len(one) == 3]
 
 
 def _how(process: SpawnProcess) -> str:

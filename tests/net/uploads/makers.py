@@ -16,6 +16,7 @@ from glsplat.net.uploads.job import DoubtfulError, Order, Progress
 
 __all__ = ["PICTURE", "make"]
 
+_FAULTS = (("front", "small", "Come nearer."), ("back", "dark", "Make more light."))
 PICTURE = b"\xff\xd8 not looked at \xff\xd9"
 
 
@@ -27,6 +28,8 @@ def make(order: Order, progress: Progress) -> Avatar:
         time.sleep(60)
     if "hold" in word:
         time.sleep(1)
+    if "long" in word:
+        time.sleep(4)
     if "crash" in word:
         os.kill(os.getpid(), signal.SIGSEGV)
     if "exit" in word:
@@ -41,7 +44,7 @@ def make(order: Order, progress: Progress) -> Avatar:
     if "refuse" in word:
         raise GlsplatError("the JPEG file is damaged;\n  copy it again")
     if "doubt" in word and not order.anyway:
-        raise DoubtfulError("the picture has two faults", [("small", "Come nearer."), ("dark", "Make more light.")])
+        raise DoubtfulError("the picture has two faults", _FAULTS)
     if "busy" in word:
         for step in range(1000):
             progress(f"step {step}", 2.0)

@@ -35,7 +35,7 @@ def test_a_photograph_becomes_an_avatar_that_is_offered_and_kept(takes):
             assert told["error"] is None and told["findings"] == []
             offered = (await client.ask("GET", "/session"))[1]["avatars"]
             assert [one["name"] for one in offered] == ["default", name]
-            assert offered[1]["made"] is True and "made" not in offered[0]
+            assert [one["made"] for one in offered] == [False, True]
             async with client.http.ws_connect(
                 f"{client.server.url}?avatar={name}", headers={"Authorization": "Bearer 0123456789abcdef"}
             ) as ws:
@@ -67,7 +67,10 @@ def test_what_is_wrong_with_a_picture_is_told_and_it_is_made_anyway(takes):
             _, told = await client.post(b"doubt")
             told = await client.until(told["name"], "failed")
             assert told["error"] == "the picture has two faults"
-            assert told["findings"][0] == {"code": "small", "text": "Come nearer."} and len(told["findings"]) == 2
+            assert (
+                told["findings"][0] == {"side": "front", "code": "small", "text": "Come nearer."}
+                and len(told["findings"]) == 2
+            )
             await client.made(b"doubt", query="?consent=yes&anyway=yes")
 
     asyncio.run(main())
