@@ -60,7 +60,7 @@ class UploadConfig:
     avatar_bytes: int = 100_000_000
     waiting: int = 2  # jobs beside the one that is worked on; those whose pictures still come are among them
     per_address: int = 2  # jobs of one address
-    seconds: float = 300.0  # a job may take, from when it is worked on
+    seconds: float = 600.0  # a job may take, from when it is worked on
     receive: float = 120.0  # seconds that the pictures may take to come
     stall: float = 10.0  # seconds without a byte of them
     nice: int = 10  # of the process that works, so that drawing goes first
