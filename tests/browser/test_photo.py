@@ -9,8 +9,12 @@ import cv2
 import numpy as np
 import pytest
 
+from apps.serve.photos import make_avatar
 from glsplat.avatar import Avatar
+from glsplat.data import default_avatar
+from glsplat.making.networks.store import MODELS, state_of
 from glsplat.net.backend import Offered
+from glsplat.net.backends.server import make_server
 from glsplat.net.server import Server, ServerConfig
 from glsplat.net.uploads.job import UploadConfig
 from glsplat.net.uploads.routes import Uploads
@@ -235,6 +239,28 @@ def test_a_phone_offers_its_camera(open_page: OpenPage, taking: Any) -> None:
     page.page.set_input_files("#photo-front", picture("a"))
     page.page.set_input_files("#photo-take", picture("b"))
     assert page.page.input_value("#photo-front") == ""  # the one taken last counts
+
+
+@pytest.mark.gl
+@pytest.mark.shared
+@pytest.mark.slow
+@pytest.mark.timeout(700)
+def test_a_real_capture_is_worn(open_page: OpenPage, serve: Any, tmp_path: Path, shared_data: Path) -> None:
+    if any(state_of(model) != "here" for model in MODELS):
+        pytest.skip("needs the networks of 'glsplat models get'")
+    uploads = UploadConfig(folder=tmp_path / "avatars", make=make_avatar)
+    served = serve(make=lambda config: make_server(default_avatar(), config, uploads=uploads))
+    page = opened(open_page, served)
+    data = (shared_data / "participants" / "capture" / "p01.jpg").read_bytes()
+    send(page, {"name": "me.jpg", "mimeType": "image/jpeg", "buffer": data})
+    ended = "['#photo-wear', '#photo-again'].some((id) => !document.querySelector(id).hidden)"
+    page.until(ended, timeout=650, every=1)
+    assert page.page.is_visible("#photo-wear"), said(page)
+    page.page.click("#photo-wear")
+    page.until("document.querySelector('#avatar').value.startsWith('photo-')")
+    shown = page.stats()["shown"]
+    page.until(f"window.glsplat.stats().shown > {shown + 2}", timeout=60)
+    assert page.canvas().max() > 60
 
 
 def turned(data: bytes) -> bytes:
