@@ -26,6 +26,7 @@ from ..args import add_scene, open_scene, size
 from ..logs import add_log_format, start_logging
 from ..usage import UsageError
 from .keys import Keys, add_keys, keys_of
+from .photos import add_photos, upload_config
 from .ready import Place, add_ready, announce, open_page
 
 HELP = (
@@ -87,6 +88,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--cull-hidden", action="store_true", help="leave out splats no eye can see: faster, 45 dB")
     parser.add_argument("--calibration", type=Path, metavar="FILE", help="of the users whose tracking is sent")
+    add_photos(parser)
     add_keys(parser)
     parser.add_argument("--origin", action="append", default=[], help="web page that may connect; may be repeated")
     parser.add_argument(
@@ -195,6 +197,7 @@ def run(args: argparse.Namespace) -> int:
         budget=(args.max_cost, args.max_time),
         name=scene_name(args),
         avatars=other_avatars(args),
+        uploads=upload_config(args),
     )
 
     def started() -> None:

@@ -112,3 +112,4 @@ class Offered:
     """Makes a client's solver from its user's height and arm span (metres, None: not told); None: solves nothing."""
     height: float | None = None  # metres: the stature of a user who needs no scaling; None: no one avatar
     parts: frozenset[str] = frozenset()  # what of it can be left out
+    made: bool = False  # of a photograph that a client sent: clients may delete it

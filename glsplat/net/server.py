@@ -12,13 +12,13 @@ import os
 import signal
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from aiohttp import WSMsgType, web
 
-from glsplat.errors import GlsplatError, ProtocolError
+from glsplat.errors import ProtocolError
 from glsplat.net.backend import Backend, Offered
 from glsplat.net.guard.access import SUBPROTOCOL, Access, server_tls
 from glsplat.net.guard.door import Door, connection_of
@@ -28,9 +28,11 @@ from glsplat.net.guard.meter import POLICY_VIOLATION, Breach
 from glsplat.net.guard.reading import Reading
 from glsplat.net.messages import MAX_BYTES, Decoder, WireOptions
 from glsplat.net.options import client_options
+from glsplat.net.pages.offers import Offers
 from glsplat.net.pages.routes import Pages
 from glsplat.net.pump import Channel, FramePump
 from glsplat.net.session import GOING_AWAY, Close, Counts, Session, SessionConfig, Warn
+from glsplat.net.uploads.routes import Uploads
 
 __all__ = ["Server", "ServerConfig"]
 
@@ -65,22 +67,28 @@ class ServerConfig:
 
 
 class Server:
-    """Streams what ``backend`` draws: the first of ``offered``, or the one that a client names in its address."""
+    """Streams what ``backend`` draws: the first of ``offered``, or the one that a client names in its address.
+
+    ``uploads`` lets clients add to those; ``backend`` then has to draw what lies in its folder, too.
+    """
 
     def __init__(
         self,
         backend: Backend,
         config: ServerConfig | None = None,
         offered: Sequence[Offered] = (Offered(name="default"),),
+        uploads: Uploads | None = None,
     ) -> None:
         self.config: ServerConfig = config or ServerConfig()
         self.pump: FramePump = FramePump(backend)
         self.port: int = self.config.port
-        self.door: Door = Door(self.config.access, self.config.limits, self.config.max_clients, clock)
-        self._work = Budget(self.config.limits.work, clock())
-        self._offered = {one.name: one for one in offered}
-        if not offered or len(self._offered) < len(offered):
-            raise GlsplatError("a server offers one thing or several of different names: clients choose by name")
+        limits = self.config.limits
+        if uploads is not None:
+            limits = replace(limits, head=max(limits.head, limits.body))
+        self.door: Door = Door(self.config.access, limits, self.config.max_clients, clock)
+        self._work = Budget(limits.work, clock())
+        self._offers = Offers(offered)
+        self._uploads = uploads
         self._channels: dict[int, Channel] = {}
         self._sockets: dict[int, tuple[web.WebSocketResponse, web.Request]] = {}
         self._totals = Counts()
@@ -108,6 +116,8 @@ class Server:
         app = web.Application(middlewares=[self.door.guard], client_max_size=MAX_BYTES)
         pages = Pages(self.stats, self.offer, lambda: self.pump.healthy and not self._draining, tls is not None)
         app.add_routes([web.get("/ws", self._websocket), *pages.routes()])
+        if self._uploads is not None:
+            app.add_routes(self._uploads.open(self.door, self._offers.add, self._withdraw))
         app.on_response_prepare.append(_set_headers)
         self._runner = web.AppRunner(app, access_log=None, shutdown_timeout=self.config.drain_timeout)
         await self._runner.setup()
@@ -127,6 +137,8 @@ class Server:
         sockets = [ws.close(code=GOING_AWAY, message=b"the server stops") for ws, _ in self._sockets.values()]
         await asyncio.gather(*sockets, return_exceptions=True)
         await self.door.close()
+        if self._uploads is not None:
+            await self._uploads.stop()
         if self._runner is not None:
             await self._runner.cleanup()
         await self.pump.stop()
@@ -178,6 +190,7 @@ class Server:
             "token": self.config.access.token is not None,
             **self.door.status(),
             "rebuilds": self.pump.rebuilds,
+            "uploads": None if self._uploads is None else self._uploads.counts(),
             "totals": totals,
             "stages": self.pump.stages.summary(),
             "clients": clients,
@@ -187,15 +200,8 @@ class Server:
         """What /session says of the scene and of the server: all that a client chooses from before it connects."""
         most, wire = self.config.max_clients, self.config.wire
         return {
-            "avatars": [
-                {
-                    "name": one.name,
-                    "height": None if one.height is None else round(one.height, 4),
-                    "tracking": one.solver is not None,
-                    "head": "head" in one.parts,
-                }
-                for one in self._offered.values()
-            ],
+            "avatars": self._offers.fields(),
+            "upload": None if self._uploads is None else self._uploads.offer(),
             "max_side": wire.max_side,
             "size": wire.size,
             "quality": wire.quality,
@@ -251,8 +257,8 @@ class Server:
 
     def _open_channel(self, request: web.Request, purse: Purse) -> Channel:
         """A new client with the options of its address: /ws?avatar=ann&mirror=1&window=3&height=1.75."""
-        asked = client_options(request.query, self.config.wire, self.config.session, tuple(self._offered))
-        one = self._offered[asked.avatar]
+        asked = client_options(request.query, self.config.wire, self.config.session, self._offers.names)
+        one = self._offers[asked.avatar]
         solver = None if one.solver is None else one.solver(asked.height, asked.span)
         self._numbers += 1
         session = Session(Decoder(asked.wire, one.skeleton, one.name, one.parts), asked.session, clock())
@@ -262,6 +268,14 @@ class Server:
             channel.solving.share, channel.solving.samples = channel.share, purse.samples
         self._channels[channel.number] = channel
         return channel
+
+    async def _withdraw(self, name: str) -> bool:
+        """Offer an avatar no more and end the connections that show it; False where it was not offered."""
+        there = self._offers.remove(name)
+        shown = [ws for ws, request in self._sockets.values() if request.query.get("avatar") == name]
+        closing = (ws.close(code=GOING_AWAY, message=b"this avatar is deleted") for ws in shown)
+        await asyncio.gather(*closing, return_exceptions=True)
+        return there
 
     def _close_channel(self, channel: Channel) -> None:
         self.pump.remove(channel)

@@ -18,6 +18,8 @@ from glsplat.net.guard.limits import Limits
 from glsplat.net.messages import Decoder
 from glsplat.net.server import ServerConfig
 from glsplat.net.session import SessionConfig
+from glsplat.net.uploads import form
+from glsplat.net.uploads.job import VIEWS, Job, UploadConfig
 from glsplat.rotations import rotation_matrices
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.smplx import JOINT_NAMES, PARENTS, POSE_KEYS
@@ -122,6 +124,8 @@ def test_the_numbers_of_the_limits():
         f"of an address | {limits.hold_off:g} s, doubling up to {limits.hold_off_most:g} s | | 429; forgotten after "
         f"{limits.forget:g} s",
         f"addresses remembered | {limits.addresses} |",
+        f"the same with `--allow-upload` | {limits.body // 1024} KiB |",
+        f"to make an avatar, of an address | {limits.uploads:g} a second | {limits.uploads_burst:g} |",
     ):
         assert phrase in deploying, phrase
     for phrase in (
@@ -135,6 +139,38 @@ def test_the_numbers_of_the_limits():
         assert phrase in TEXT, phrase
     for phrase in (f"{limits.frames:g} frames", f"{limits.control:g} control", f"make {limits.visits:g} connections"):
         assert phrase in HELP, phrase
+
+
+def test_the_numbers_of_photographs():
+    """Both pages hold the defaults."""
+    deploying = (Path(__file__).parents[2] / "docs" / "deploying.md").read_text(encoding="utf-8")
+    config, limits = UploadConfig(folder=Path(), make=lambda order, progress: None), Limits()
+    for phrase in (
+        f"{config.stall:g} s without a byte, or {config.receive:g} s in all",
+        f"more than {config.picture_bytes / 1e6:g} MB a picture or {config.body_bytes / 1e6:g} MB in all",
+        f"more than {limits.uploads_burst:g} requests to make an avatar from one address; one more every "
+        f"{1 / limits.uploads:g} s",
+        f"the folder holds {config.most_files} avatars or {config.folder_bytes / 1e9:g} GB",
+        f"in {config.seconds:g} s at most",
+    ):
+        assert phrase in TEXT, phrase
+    assert config.waiting == 2 and "three avatars are being made, wait, or are being sent" in TEXT
+    assert config.per_address == 2 and "or two from this address" in TEXT
+    for phrase in (
+        f"`nice` {config.nice}, which holds",
+        f"ended after {config.seconds:g} s",
+        f"{config.picture_bytes / 1e6:g} MB a picture and {config.body_bytes / 1e6:g} MB in all",
+        f"{config.most_files} avatars and {config.folder_bytes / 1e9:g} GB in DIR",
+    ):
+        assert phrase in deploying, phrase
+
+
+def test_the_object_of_a_job_is_that_of_the_page():
+    job = Job("photo-k3v9xm2p", "")
+    block = json.loads(re.search(r"```json\n(\{\"name\": \"photo-.*?)```", TEXT, re.S).group(1))
+    assert set(block) == set(job.status(0))
+    section = TEXT.split("## 9. Avatars")[1].split("## 10.")[0]
+    assert not [name for name in (*job.status(0), *VIEWS, *form._FIELDS) if f"`{name}`" not in section]
 
 
 def test_the_joint_orders_of_the_page():

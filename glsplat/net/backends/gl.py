@@ -54,7 +54,7 @@ class RendererBackend:
         self._scene, self._pixels, self._device = scene, pixels, device
         self._config = config or RenderConfig()
         self._pose_at, self._opened = pose_at, 0.0
-        self._avatars = dict(avatars or {})
+        self._avatars = {} if avatars is None else avatars  # which may be empty yet
 
     def open(self) -> str:
         """Make the context, load the scene, and draw once so that no client waits for the shaders."""

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
+from dataclasses import replace
 from functools import partial
 
 from glsplat.avatar import Avatar
@@ -13,8 +14,11 @@ from glsplat.net.backend import Backend, Offered
 from glsplat.net.backends.gl import MAX_COST, MAX_TIME, RendererBackend
 from glsplat.net.backends.process import ProcessBackend
 from glsplat.net.backends.tracking import TrackingSolver
+from glsplat.net.backends.wardrobe import Wardrobe
 from glsplat.net.messages import PARTS
 from glsplat.net.server import Server, ServerConfig
+from glsplat.net.uploads.job import UploadConfig
+from glsplat.net.uploads.routes import Uploads
 from glsplat.scene import Shown
 from glsplat.tracking.calibration import EYES_OF_STATURE, Calibration
 from glsplat.tracking.solve.body import Body
@@ -34,13 +38,15 @@ def make_server(
     budget: tuple[float, float] = (MAX_COST, MAX_TIME),  # of a picture: covered pixels, seconds
     name: str = "default",  # of the scene, among the avatars that clients choose from
     avatars: Mapping[str, Avatar] | None = None,  # others that clients may choose, by name
+    uploads: UploadConfig | None = None,  # lets clients have avatars made of photographs; None: they may not
 ) -> Server:
     """A server that draws ``scene`` with OpenGL, and solves tracking if its one avatar has SMPL-X's rig.
 
     The poses of clients are for the one visible avatar; with several a pose is refused, without any it does nothing.
     The motions of a scene file play on the server's clock. Clients see the scene, or whom of ``avatars`` they name in
-    their address (/ws?avatar=NAME); each is posed and tracked by its own skeleton. ``own_process`` draws in a process
-    of its own, else in a thread. Nothing is opened before ``await server.start()`` or ``await server.run()``::
+    their address (/ws?avatar=NAME); each is posed and tracked by its own skeleton. Of ``uploads`` the folder's avatars
+    are offered from the start, those made later as they come. ``own_process`` draws in a process of its own, else in a
+    thread. Nothing else is opened before ``await server.start()`` or ``await server.run()``::
 
         asyncio.run(make_server(glsplat.load("me.glb"), ServerConfig(port=8000)).run())
     """
@@ -49,11 +55,36 @@ def make_server(
     item = file.avatar
     avatar = item.content if item is not None and isinstance(item.content, Avatar) else None
     others = _checked(avatars or {}, name, rendering)
-    draw = partial(RendererBackend, file.scene, config.wire.size, device, rendering, *budget, avatars=others)
+    choices: Mapping[str, Avatar] = others
+    offers = [offered(one, what, calibration) for one, what in [(name, avatar), *others.items()]]
+    takes = None
+    if uploads is not None:
+        choices = Wardrobe(others, uploads.folder, name)
+        takes, kept = _uploads(uploads, rendering, calibration, {name, *others})
+        offers += kept
+    draw = partial(RendererBackend, file.scene, config.wire.size, device, rendering, *budget, avatars=choices)
     if file.motions:  # in one pickle with the scene, so that the items are the same
         draw = partial(draw, pose_at=file.pose_at)
     backend: Backend = ProcessBackend(draw, config.wire.max_side, budget[1]) if own_process else draw()
-    return Server(backend, config, [offered(one, what, calibration) for one, what in [(name, avatar), *others.items()]])
+    return Server(backend, config, offers, takes)
+
+
+def _uploads(
+    config: UploadConfig, rendering: RenderConfig | None, calibration: Calibration | None, taken: Collection[str]
+) -> tuple[Uploads, list[Offered]]:
+    """What makes avatars, and what is offered of its folder; GlsplatError where a name there is ``taken``."""
+
+    def describe(one: str, avatar: Avatar) -> Offered:
+        _checked({one: avatar}, "", rendering)
+        return replace(offered(one, avatar, calibration), made=uploads.shelf.made_here(one))
+
+    uploads = Uploads(config, describe)
+    uploads.shelf.open()
+    found = uploads.shelf.avatars()
+    for one in found:
+        if one in taken:
+            raise GlsplatError(f'{config.folder}: two avatars are called "{one}": clients choose by name, rename one')
+    return uploads, [describe(one, avatar) for one, avatar in found.items()]
 
 
 def offered(name: str, avatar: Avatar | None, calibration: Calibration | None = None) -> Offered:

@@ -88,16 +88,15 @@ class Stands:
 
     def get(self, name: str = "", hide: tuple[str, ...] = ()) -> Stand:
         """One of the avatars by its name, the scene by any other, without the parts ``hide``."""
-        avatar = self._avatars.get(name)
-        key = (name if avatar is not None else "", hide)
-        return self._kept.get(key, lambda: self._stand(avatar, hide))
+        shown = name if name in self._avatars else ""
+        return self._kept.get((shown, hide), lambda: self._stand(shown, hide))
 
     def release(self) -> None:
         """Delete all."""
         self._kept.release()
 
-    def _stand(self, avatar: Avatar | None, hide: tuple[str, ...]) -> Stand:
-        return Stand(self._scene if avatar is None else Scene.of(avatar), hide, self._make)
+    def _stand(self, name: str, hide: tuple[str, ...]) -> Stand:
+        return Stand(Scene.of(self._avatars[name]) if name else self._scene, hide, self._make)
 
 
 def _without(item: Item | None, parts: tuple[str, ...]) -> Item:

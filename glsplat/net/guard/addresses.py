@@ -12,13 +12,14 @@ __all__ = ["Addresses"]
 class _Address:
     """One address. Its purses outlive its connections, so that connecting again brings no fresh budget."""
 
-    __slots__ = ("breaches", "clients", "guesses", "purses", "visits")
+    __slots__ = ("breaches", "clients", "guesses", "purses", "uploads", "visits")
 
     def __init__(self, limits: Limits, now: float) -> None:
         most, forget = limits.hold_off_most, limits.forget
         self.clients = 0
         self.purses: list[Purse] = []  # those that no client holds
         self.visits = Bucket.full(limits.visits, limits.visits_burst, now)
+        self.uploads = Bucket.full(limits.uploads, limits.uploads_burst, now)
         self.breaches = Strikes(0, limits.hold_off, most, forget)
         self.guesses = Strikes(limits.guesses, 1.0, most, forget)
 
@@ -41,6 +42,11 @@ class Addresses:
     def visit(self, key: str, now: float, part: float = 1.0) -> bool:
         """Count a connection or an HTTP request, or as ``part`` of one; False: too many."""
         return self._at(key, now).visits.take(now, part)
+
+    def upload(self, key: str, now: float) -> float:
+        """Count a request to make an avatar; seconds to wait where there were too many, else 0."""
+        uploads = self._at(key, now).uploads
+        return 0.0 if uploads.take(now) else (1 - uploads.level) / uploads.rate
 
     def enter(self, key: str, now: float) -> Purse | None:
         """A client's purse, the fullest that is free; None: the address has as many clients as it may."""

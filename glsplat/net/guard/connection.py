@@ -45,7 +45,7 @@ class _MeteredReader:
 class Connection(web.RequestHandler):
     """``meter`` is set by the server once the connection is a client's, before its handshake is answered."""
 
-    __slots__ = ("_clock", "_gone", "_head", "_head_most", "_notices", "breached", "busy", "key", "meter")
+    __slots__ = ("_body", "_clock", "_gone", "_head", "_head_most", "_notices", "breached", "busy", "key", "meter")
 
     def __init__(
         self,
@@ -69,13 +69,14 @@ class Connection(web.RequestHandler):
         self.breached: asyncio.Future[Breach] = asyncio.get_running_loop().create_future()
         self.busy = False  # while a request of it is answered
         self._head, self._head_most = 0, limits.head
+        self._body = 0  # bytes that are expected beyond that
         self._notices, self._clock, self._gone = notices, clock, gone
 
     def data_received(self, data: bytes) -> None:
         """Bytes from the socket (after TLS)."""
         if self.meter is None:
             self._head += len(data)
-            if self._head > self._head_most:
+            if self._head > self._head_most + self._body:
                 self._notices("head", f"a connection sent {self._head_most} bytes without a request; cut off")
                 self.abort()
                 return
@@ -124,7 +125,11 @@ class Connection(web.RequestHandler):
 
     def request_done(self) -> None:
         """A request was answered: the bytes of the next are counted anew."""
-        self._head = 0
+        self._head = self._body = 0
+
+    def expect(self, nbytes: int) -> None:
+        """The request in hand has a body of at most that many bytes."""
+        self._body = nbytes
 
     def abort(self) -> None:
         """Close at once, whatever is under way."""

@@ -118,6 +118,10 @@ class Door:
         """The client that ``enter`` let in is gone."""
         self.addresses.leave(connection_of(request).key, purse, self._clock())
 
+    def upload(self, request: web.Request) -> float:
+        """Count a request to make an avatar; seconds until its address may ask again, 0 if it may now."""
+        return self.addresses.upload(connection_of(request).key, self._clock())
+
     def breach(self, request: web.Request, reason: str) -> None:
         """A client broke a limit: its address is held off for a while."""
         self.addresses.breach(connection_of(request).key, self._clock())

@@ -37,6 +37,9 @@ class Limits:
     file: float = 0.1  # of a visit, for a file of the page (/vr), which has a few dozen of them
     waiting: int = 64  # connections of all addresses that are not, or not yet, clients
     head: int = 64 * 1024  # bytes before a request is whole, or between one and the next
+    body: int = 512 * 1024  # the same where clients send pictures: what may have come before a request is looked at
+    uploads: float = 0.05  # requests a second to make an avatar, of one address
+    uploads_burst: float = 6.0
     guesses: int = 5  # wrong tokens of one address before the hold-off begins at 1 s
     hold_off: float = 10.0  # seconds an address is held off once a client of it broke a limit
     hold_off_most: float = 300.0  # each further breach (or guess) doubles the hold-off up to this

@@ -1,6 +1,8 @@
 // The page of docs/vr.md: makes the parts and ties them together.
 
 import { Page } from './page.js';
+import { PhotoForm } from './photo/form.js';
+import { Upload } from './photo/upload.js';
 import { Settings } from './settings.js';
 import { Menu, numbers } from './show/menu.js';
 import { Orbit } from './show/orbit.js';
@@ -13,6 +15,7 @@ import { Motion, Recording, Rest, parseRecording, readRecording } from './track/
 import { Recorder } from './track/recorder.js';
 
 const TOKEN = 'glsplat.token'; // in this tab's storage only
+const MAKING = 'glsplat.making'; // the avatar that is being made, in this tab's storage too
 const NUMBERS = 500; // ms between two looks at the figures
 const SIZES = [512, 768, 1024, 1536]; // sides of a square picture; others have as many pixels
 
@@ -66,6 +69,21 @@ const immersive = new Immersive(gl, stage, settings, menu, {
   },
 });
 
+const upload = new Upload(connection);
+const photo = new PhotoForm(document, upload, {
+  async wear(name) {
+    await askOffer();
+    settings.set('avatar', name);
+  },
+  /** Returns why it could not be deleted, or nothing. */
+  async remove(name) {
+    settings.set('avatar', offer.avatars[0].name); // this page need not be put out
+    const response = await connection.fetch(`avatars/${name}`, { method: 'DELETE' }).catch(() => null);
+    await askOffer();
+    return response?.ok ? '' : ((await response?.text()) ?? 'the server does not answer');
+  },
+});
+
 function chosenAvatar() {
   return offer?.avatars.find(({ name }) => name === settings.get('avatar')) ?? offer?.avatars[0];
 }
@@ -102,8 +120,10 @@ function offered(session) {
   settings.setOptions('driver', [...drivers, { value: 'file', label: 'My recording…' }]);
   settings.setOptions('size', sizesUpTo(session.max_side).map(named));
   stage.canHide = Boolean(chosenAvatar()?.head);
+  photo.offered(session.upload, chosenAvatar());
+  const making = sessionStorage.getItem(MAKING);
+  if (making && upload.now.state === 'idle') upload.resume(making);
 }
-
 
 /** The sides of a square picture for a server's limit: pictures may be 1.5 times as high as a square, or as wide. */
 function sizesUpTo(most) {
@@ -216,9 +236,16 @@ settings.addEventListener('change', ({ detail: { name } }) => {
   if (name === 'driver') drive();
   if (name === 'avatar' || name === 'height') {
     stage.canHide = Boolean(chosenAvatar()?.head);
+    photo.wears(chosenAvatar());
+    photo.height = settings.get('height');
     stage.clear();
     if (connection.state !== 'off') connection.restart();
   }
+});
+upload.addEventListener('change', () => {
+  if (upload.busy && upload.now.name) sessionStorage.setItem(MAKING, upload.now.name);
+  else sessionStorage.removeItem(MAKING);
+  if (upload.now.state === 'done') askOffer();
 });
 connection.awake = () => !document.hidden || immersive.mode !== ''; // a page in the background asks for nothing
 document.addEventListener('visibilitychange', () => {
@@ -252,6 +279,7 @@ window.glsplat = Object.freeze({
   stats: () => ({ session: immersive.mode || 'none', view: settings.get('view'), ...stage.stats(performance.now()) }),
 });
 
+photo.height = settings.get('height');
 begin();
 drive();
 viewer.start();

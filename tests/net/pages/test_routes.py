@@ -162,9 +162,10 @@ def test_what_the_server_offers(serve):
     assert before == {
         "v": 1,
         "avatars": [
-            {"name": "ann", "height": 1.7123, "tracking": True, "head": True},
-            {"name": "a room", "height": None, "tracking": False, "head": False},
+            {"name": "ann", "height": 1.7123, "tracking": True, "head": True, "made": False},
+            {"name": "a room", "height": None, "tracking": False, "head": False, "made": False},
         ],
+        "upload": None,
         "motions": ["idle", "walk", "wave-and-turn"],
         "recording": True,
         "max_side": 2048,

@@ -38,10 +38,19 @@ export class Connection extends EventTarget {
     this.#token = token || null;
   }
 
-  /** GET a path of the server with the token. */
-  fetch(path) {
-    const headers = this.#token ? { Authorization: `Bearer ${this.#token}` } : {};
-    return fetch(new URL(path, SERVER), { headers, cache: 'no-store', credentials: 'omit' });
+  /** What goes with each request: the token. */
+  get headers() {
+    return this.#token ? { Authorization: `Bearer ${this.#token}` } : {};
+  }
+
+  /** The address of a path of the server. */
+  address(path) {
+    return new URL(path, SERVER);
+  }
+
+  /** GET a path of the server, or another `method`, with the token. */
+  fetch(path, { method = 'GET' } = {}) {
+    return fetch(this.address(path), { method, headers: this.headers, cache: 'no-store', credentials: 'omit' });
   }
 
   /** Connect, or connect anew at once, with the options of now. */
@@ -77,7 +86,7 @@ export class Connection extends EventTarget {
 
   #connect() {
     this.#become('connecting', this.#failures ? this.reason : '', this.#failures ? this.problem : '');
-    const url = new URL('ws', SERVER);
+    const url = this.address('ws');
     url.protocol = location.protocol === 'https:' ? 'wss:' : 'ws:';
     for (const [name, value] of Object.entries(this.#options())) {
       if (value !== null && value !== undefined && value !== '') url.searchParams.set(name, value);
@@ -174,7 +183,7 @@ export class Connection extends EventTarget {
 /** What a close code of section 6 means: [problem, words, ms to wait at least]. */
 function closing({ code, reason }) {
   const words = reason ? `: ${reason}` : '';
-  if (code === 1001) return ['lost', `the server stops${words}; trying again`];
+  if (code === 1001) return ['lost', `${reason || 'the server stops'}; trying again`];
   if (code === 1008) return ['refused', `the server ended the connection${words}`, 2000];
   return ['lost', `the connection is lost${words}; trying again`];
 }

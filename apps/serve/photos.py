@@ -1,0 +1,72 @@
+"""What makes the avatars of ``--allow-upload``: this package's own reconstructor, in a process of its own."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from glsplat.avatar import Avatar
+from glsplat.errors import FormatError
+from glsplat.net.uploads.job import DoubtfulError, Order, Progress, UploadConfig
+
+from ..usage import UsageError
+
+__all__ = ["add_photos", "make_avatar", "upload_config"]
+
+_CONSENT = "whoever sent the photograph said: this is me, or this person agreed"
+
+
+def add_photos(parser: argparse.ArgumentParser) -> None:
+    """--allow-upload."""
+    parser.add_argument(
+        "--allow-upload",
+        type=Path,
+        metavar="DIR",
+        help="let clients (those with the token, where there is one) send photographs of a person and have avatars "
+        "made of them, which are kept in DIR and offered to all clients; needs the networks of 'glsplat models get'",
+    )
+
+
+def upload_config(args: argparse.Namespace) -> UploadConfig | None:
+    """What clients may send; None: nothing. Raises UsageError, or GlsplatError where a network is missing."""
+    if args.allow_upload is None:
+        return None
+    if args.cull_hidden:
+        raise UsageError("--cull-hidden needs avatars with cones, those of --allow-upload have none: leave one out")
+    from glsplat.making.networks.store import MODELS, path_of  # here: a server without photographs needs none
+
+    for model in MODELS:
+        path_of(model.name)
+    return UploadConfig(folder=args.allow_upload, make=make_avatar)
+
+
+def make_avatar(order: Order, progress: Progress) -> Avatar:
+    """An avatar of the order's pictures. Raises DoubtfulError for what the capture check finds, GlsplatError."""
+    # here, in the process that does the work: the server itself needs none of this
+    from glsplat.errors import CaptureError
+    from glsplat.making.photo.photo_file import Photo, photo_of
+    from glsplat.making.reconstruct import from_photos
+
+    def photo(side: str) -> Photo | None:
+        if side not in order.pictures:
+            return None
+        try:
+            return photo_of(order.pictures[side])
+        except FormatError as error:
+            raise FormatError(f"{side} picture: {error}") from None
+
+    front = photo("front")
+    assert front is not None
+    try:
+        return from_photos(
+            front,
+            back=photo("back"),
+            left=photo("left"),
+            right=photo("right"),
+            height=order.height,
+            anyway=order.anyway,
+            meta={"consent": _CONSENT},
+            progress=progress,
+        )
+    except CaptureError as error:
+        raise DoubtfulError(str(error), error.findings) from None

@@ -1,0 +1,1 @@
+"""Avatars that clients have made of their photographs, where the server allows it (docs/protocol.md, section 9)."""

@@ -1,0 +1,114 @@
+"""One avatar on its way: what it is to be made of, who makes it, and how far that is. Values only."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+from glsplat.avatar import Avatar
+from glsplat.errors import GlsplatError
+
+__all__ = ["VIEWS", "DoubtfulError", "Finding", "Job", "Make", "Order", "Progress", "UploadConfig"]
+
+VIEWS = ("front", "back", "left", "right")
+"""The sides of a person that pictures may show; the first is needed."""
+
+_STEPS = 40  # that are told of a job
+_WORDS = 300  # characters of a line that is told
+
+Finding = tuple[str, str, str]
+"""What is wrong with a picture: the side of the person that it shows, a word for programs, a line for people."""
+
+Progress = Callable[[str, float], None]
+"""Told of each step by its name, and the share of it that is done."""
+
+
+class DoubtfulError(GlsplatError):
+    """The pictures are not what an avatar should be made of; it may be asked for all the same."""
+
+    def __init__(self, message: str, findings: Sequence[Finding] = ()) -> None:
+        super().__init__(message)
+        self.findings = tuple(findings)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, repr=False)
+class Order:
+    """What a client sent. Its pictures are nowhere but in here and in the process that looks at them."""
+
+    pictures: Mapping[str, bytes]  # files as they came, by what of VIEWS they show
+    height: float | None = None  # metres
+    anyway: bool = False  # make it of doubtful pictures, too
+
+
+Make = Callable[[Order, Progress], Avatar]
+"""Makes an avatar, in a process of its own: a picklable function. Raises DoubtfulError, or GlsplatError in one line."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class UploadConfig:
+    """What a server lets its clients make."""
+
+    folder: Path  # where the avatars are kept, as NAME.glb
+    make: Make
+    picture_bytes: int = 20_000_000  # a picture
+    body_bytes: int = 45_000_000  # all pictures of one avatar
+    most_files: int = 50  # avatars in the folder
+    folder_bytes: int = 1_000_000_000
+    avatar_bytes: int = 100_000_000
+    waiting: int = 2  # jobs beside the one that is worked on; those whose pictures still come are among them
+    per_address: int = 2  # jobs of one address
+    seconds: float = 600.0  # a job may take, from when it is worked on
+    receive: float = 120.0  # seconds that the pictures may take to come
+    stall: float = 10.0  # seconds without a byte of them
+    nice: int = 10  # of the process that works, so that drawing goes first
+
+
+State = Literal["receiving", "waiting", "making", "done", "failed"]
+
+
+@dataclass(eq=False, slots=True)
+class Job:
+    """``name`` is the avatar's. The thread that works tells of steps; all else is the event loop's."""
+
+    name: str
+    address: str
+    state: State = "receiving"
+    order: Order | None = None  # until it is worked on
+    steps: list[str] = field(default_factory=list)
+    share: float = 0.0  # of the last step
+    error: str = ""
+    findings: tuple[Finding, ...] = ()
+    ended: float | None = None  # on the clock of time.monotonic()
+    cancelled: bool = False
+
+    def progress(self, step: str, share: float) -> None:
+        """The work is at ``step``, ``share`` of which is done."""
+        step = step[:_WORDS]
+        if (not self.steps or self.steps[-1] != step) and len(self.steps) < _STEPS:
+            self.steps.append(step)
+        self.share = min(1.0, max(0.0, share))
+
+    def fail(self, error: str, findings: Sequence[Finding] = ()) -> None:
+        """It comes to nothing."""
+        self.state, self.order, self.ended = "failed", None, time.monotonic()
+        self.error = error[:_WORDS]
+        self.findings = tuple((side[:_WORDS], code[:_WORDS], text[:_WORDS]) for side, code, text in findings[:_STEPS])
+
+    def done(self) -> None:
+        """The avatar is offered."""
+        self.state, self.share, self.ended = "done", 1.0, time.monotonic()
+
+    def status(self, ahead: int) -> dict[str, Any]:
+        """What clients are told; ``ahead``: jobs that come before this one."""
+        return {
+            "name": self.name,
+            "state": self.state,
+            "ahead": ahead,
+            "steps": list(self.steps),
+            "share": round(self.share, 3),
+            "error": self.error or None,
+            "findings": [{"side": side, "code": code, "text": text} for side, code, text in self.findings],
+        }

@@ -1,0 +1,124 @@
+"""/avatars: ask for an avatar, look how far it is, give it up or delete it. All of it behind the server's token."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable, Mapping
+from typing import Any
+
+from aiohttp import web
+
+from glsplat.avatar import Avatar
+from glsplat.errors import GlsplatError
+from glsplat.net.backend import Offered
+from glsplat.net.guard.door import Door, connection_of
+from glsplat.net.uploads.form import RefusedError, check_head, discard, read_order
+from glsplat.net.uploads.job import VIEWS, Job, UploadConfig
+from glsplat.net.uploads.shelf import NoRoomError, Shelf
+from glsplat.net.uploads.workshop import Workshop
+
+__all__ = ["Uploads"]
+
+_SLACK = 2**20  # bytes of a body beyond its pictures: fields, boundaries, and what is discarded before an answer
+
+
+class Uploads:
+    """``describe(name, avatar)`` says what clients may ask of an avatar; raises GlsplatError if it cannot be shown."""
+
+    def __init__(self, config: UploadConfig, describe: Callable[[str, Avatar], Offered]) -> None:
+        self.config = config
+        self.shelf = Shelf(config.folder, config.most_files, config.folder_bytes)
+        self._describe = describe
+
+    def open(
+        self, door: Door, offer: Callable[[Offered], None], withdraw: Callable[[str], Awaitable[bool]]
+    ) -> list[web.RouteDef]:
+        """The addresses, and work from now on. ``offer`` and ``withdraw`` add to and take from what clients choose."""
+        self._door, self._withdraw = door, withdraw
+        self._workshop = Workshop(self.config, self.shelf, lambda name, avatar: offer(self._describe(name, avatar)))
+        self._workshop.start()
+        return [
+            web.post("/avatars", self._post),
+            web.get("/avatars/{name}", self._get),
+            web.delete("/avatars/{name}", self._delete),
+        ]
+
+    async def stop(self) -> None:
+        """Give up what is being made."""
+        await self._workshop.stop()
+
+    def counts(self) -> Mapping[str, int]:
+        """For /stats."""
+        return self._workshop.counts()
+
+    def offer(self) -> dict[str, Any]:
+        """For /session: that avatars can be made here, and of what."""
+        config = self.config
+        return {"views": VIEWS, "picture_bytes": config.picture_bytes, "body_bytes": config.body_bytes}
+
+    async def _post(self, request: web.Request) -> web.Response:
+        connection = connection_of(request)
+        try:
+            wait = self._door.upload(request)
+            if wait > 0:
+                raise RefusedError(429, f"too many pictures from one address; try again in {wait:.0f} s", round(wait))
+            connection.expect(self.config.body_bytes + _SLACK)
+            check_head(request, self.config)
+            job = await self._book(connection.key)
+            try:
+                self._workshop.begin(job, await read_order(request, self.config))
+            except BaseException:  # also when the client is gone
+                self._workshop.cancel(job)
+                raise
+        except RefusedError as refusal:
+            return await self._refused(request, refusal)
+        except ConnectionError:
+            return web.Response(status=400)  # which nobody reads
+        return _answer(self._status(job), 202, {"Location": f"avatars/{job.name}"})
+
+    async def _book(self, address: str) -> Job:
+        try:
+            await asyncio.to_thread(self.shelf.check)
+        except NoRoomError as full:
+            raise RefusedError(507, str(full)) from None
+        job = self._workshop.book(address)
+        if isinstance(job, str):
+            raise RefusedError(503, job, 20)
+        return job
+
+    async def _get(self, request: web.Request) -> web.Response:
+        job = self._workshop.find(request.match_info["name"])
+        if job is None:
+            return web.Response(status=404, text="there is no such avatar in the making\n")
+        return _answer(self._status(job))
+
+    async def _delete(self, request: web.Request) -> web.Response:
+        name = request.match_info["name"]
+        if not self.shelf.made_here(name):
+            return web.Response(status=403, text="only avatars that were made here can be deleted\n")
+        job = self._workshop.find(name)
+        if job is not None:
+            self._workshop.cancel(job)
+        offered = await self._withdraw(name)  # nobody is shown it any more, whatever the disk says
+        try:
+            removed = await asyncio.to_thread(self.shelf.remove, name)
+        except GlsplatError as error:
+            return web.Response(status=500, text=f"{error}\n")
+        if job is None and not offered and not removed:
+            return web.Response(status=404, text="there is no such avatar\n")
+        return web.Response(status=204)
+
+    async def _refused(self, request: web.Request, refusal: RefusedError) -> web.Response:
+        if refusal.status not in (408, 429):  # it sends too little, or too often
+            await discard(request, self.config)
+        headers = {} if refusal.wait is None else {"Retry-After": str(refusal.wait)}
+        response = web.Response(status=refusal.status, text=f"{refusal.text}\n", headers=headers)
+        response.force_close()
+        return response
+
+    def _status(self, job: Job) -> dict[str, Any]:
+        return job.status(self._workshop.ahead(job))
+
+
+def _answer(fields: Mapping[str, Any], status: int = 200, headers: Mapping[str, str] | None = None) -> web.Response:
+    return web.json_response(fields, status=status, headers=headers)

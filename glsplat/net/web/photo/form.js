@@ -1,0 +1,220 @@
+// "Your photo" on the page: what is chosen, how far the making is, what is wrong with a picture, and the avatar at last.
+
+import { fitted } from './shrink.js';
+
+const VIEWS = ['front', 'back', 'left', 'right'];
+const SIDES = { front: 'From the front', back: 'From behind', left: 'From the left', right: 'From the right' };
+
+/** `deeds`: wear(name), remove(name), both promises. Shown while `offer` has something. */
+export class PhotoForm {
+  #document;
+  #upload;
+  #deeds;
+  #offer = null; // of GET /session: {views, picture_bytes, body_bytes}, or null
+  #sent = null; // {pictures, height}: what is to be made anyway
+  #shown = ''; // the blob address of the picture that is shown
+  #worn = null; // the avatar that is worn, where it can be deleted
+  #sure = false; // the next press deletes
+
+  constructor(document, upload, deeds) {
+    this.#document = document;
+    this.#upload = upload;
+    this.#deeds = deeds;
+    this.#listen();
+    upload.addEventListener('change', () => this.#show());
+    this.#show();
+  }
+
+  /** What the server takes; null: nothing. `worn`: the avatar that is shown, as /session tells of it. */
+  offered(offer, worn) {
+    this.#offer = offer;
+    this.#get('photo').hidden = !offer;
+    this.wears(worn);
+  }
+
+  /** Another avatar is worn. */
+  wears(worn) {
+    this.#worn = worn?.made ? worn.name : null;
+    this.#sure = false;
+    this.#showDelete();
+  }
+
+  /** The height that is written there unless somebody writes another. */
+  set height(metres) {
+    this.#get('photo-height').placeholder = metres === null ? 'not given' : metres.toFixed(2);
+    this.#get('photo-height').dataset.known = metres ?? '';
+  }
+
+  #get(id) {
+    return this.#document.getElementById(id);
+  }
+
+  #listen() {
+    const on = (id, type, listener) => this.#get(id).addEventListener(type, listener);
+    on('photo-form', 'submit', (event) => {
+      event.preventDefault();
+      this.#submit();
+    });
+    for (const id of ['photo-front', 'photo-take']) on(id, 'change', () => this.#chose(id));
+    on('photo-cancel', 'click', () => this.#upload.cancel());
+    on('photo-again', 'click', () => {
+      this.#upload.cancel();
+      this.#get('photo-front').focus();
+    });
+    on('photo-anyway', 'click', () => this.#upload.start(this.#sent.pictures, { ...this.#sent, anyway: true }));
+    on('photo-wear', 'click', () => this.#wear());
+    on('photo-delete', 'click', () => this.#delete());
+  }
+
+  /** One picture from the front: the one chosen last. */
+  #chose(id) {
+    const [file] = this.#get(id).files;
+    const other = this.#get(id === 'photo-front' ? 'photo-take' : 'photo-front');
+    if (file) other.value = '';
+    this.#preview(this.#front());
+    this.#warn('');
+  }
+
+  #front() {
+    return this.#get('photo-front').files[0] ?? this.#get('photo-take').files[0] ?? null;
+  }
+
+  #preview(file) {
+    URL.revokeObjectURL(this.#shown);
+    this.#shown = file ? URL.createObjectURL(file) : '';
+    const image = this.#get('photo-shown');
+    image.hidden = !file;
+    if (file) image.src = this.#shown;
+    else image.removeAttribute('src');
+  }
+
+  async #submit() {
+    if (this.#upload.busy) return;
+    const [height, wrong] = this.#height();
+    if (!this.#front()) return this.#warn('Choose or take a picture from the front first.', 'photo-front');
+    if (wrong) return this.#warn('The height needs metres from 0.5 to 2.8, such as 1.75.', 'photo-height');
+    if (!this.#get('photo-consent').checked) {
+      return this.#warn('Say first that this is you, or that this person agreed.', 'photo-consent');
+    }
+    this.#warn('');
+    const button = this.#get('photo-make');
+    button.disabled = true; // large pictures take a moment to be made smaller
+    try {
+      const pictures = {};
+      const files = VIEWS.map((view) => (view === 'front' ? this.#front() : this.#get(`photo-${view}`).files[0]));
+      const sides = VIEWS.filter((_, i) => files[i]);
+      const most = Math.min(this.#offer.picture_bytes, this.#offer.body_bytes / sides.length);
+      for (const view of sides) pictures[view] = await fitted(files[VIEWS.indexOf(view)], most);
+      this.#sent = { pictures, height };
+      this.#upload.start(pictures, { height });
+    } catch (error) {
+      this.#warn(capital(error.message), 'photo-front');
+    } finally {
+      button.disabled = false;
+    }
+  }
+
+  /** [metres or null, whether what is written is wrong]. */
+  #height() {
+    const input = this.#get('photo-height');
+    const text = input.value.trim() || input.dataset.known || '';
+    const metres = text === '' ? null : Number(text);
+    return [metres, input.validity.badInput || (metres !== null && !(metres >= 0.5 && metres <= 2.8))];
+  }
+
+  #warn(text, id) {
+    const line = this.#get('photo-warning');
+    line.textContent = text;
+    for (const field of ['photo-front', 'photo-height', 'photo-consent']) {
+      this.#get(field).setAttribute('aria-invalid', String(field === id));
+    }
+    if (id) this.#get(id).focus();
+  }
+
+  async #wear() {
+    const { name } = this.#upload.now;
+    await this.#deeds.wear(name);
+    this.#forget();
+    this.#upload.cancel();
+    this.#get('canvas').focus();
+  }
+
+  /** Nothing of the pictures stays on the page. */
+  #forget() {
+    this.#get('photo-form').reset();
+    this.#preview(null);
+    this.#sent = null;
+  }
+
+  async #delete() {
+    if (!this.#sure) {
+      this.#sure = true;
+      this.#showDelete();
+      return;
+    }
+    const error = await this.#deeds.remove(this.#worn);
+    if (error) this.#warn(capital(error));
+  }
+
+  #showDelete() {
+    const button = this.#get('photo-delete');
+    if (!this.#worn && this.#document.activeElement === button) this.#get('avatar').focus();
+    this.#get('photo-delete-row').hidden = !this.#worn;
+    button.textContent = this.#sure ? 'Press again to delete it for good' : `Delete ${this.#worn ?? ''}`;
+  }
+
+  #show() {
+    const { state, share, steps, findings } = this.#upload.now;
+    const { busy } = this.#upload;
+    const moved = this.#document.activeElement?.closest('#photo-form, #photo-work'); // it may be hidden in a moment
+    this.#get('photo-form').hidden = state !== 'idle';
+    this.#get('photo-work').hidden = state === 'idle';
+    const said = this.#get('photo-said');
+    const words = this.#words();
+    if (said.textContent !== words) said.textContent = words;
+    said.classList.toggle('bad', state === 'failed');
+    const bar = this.#get('photo-share');
+    bar.hidden = !busy;
+    if (state === 'waiting') bar.removeAttribute('value');
+    else bar.value = share;
+    this.#list('photo-steps', state === 'failed' ? [] : steps);
+    this.#list('photo-findings', findings.map(({ side, text }) => `${SIDES[side] ?? capital(side)}: ${text}`));
+    this.#get('photo-cancel').hidden = !busy;
+    this.#get('photo-again').hidden = state !== 'failed';
+    this.#get('photo-anyway').hidden = state !== 'failed' || !findings.length || !this.#sent;
+    this.#get('photo-wear').hidden = state !== 'done';
+    if (moved && !moved.checkVisibility()) this.#focus();
+    else if (this.#document.activeElement === this.#document.body && moved) this.#focus();
+  }
+
+  /** To the button that is next: who uses the keyboard is not sent back to the start of the page. */
+  #focus() {
+    const ids = ['photo-wear', 'photo-cancel', 'photo-anyway', 'photo-again', 'photo-front'];
+    this.#get(ids.find((id) => this.#get(id).checkVisibility()) ?? 'avatar').focus();
+  }
+
+  #words() {
+    const { state, share, ahead, steps, error, findings } = this.#upload.now;
+    if (state === 'sending') return `Sending the picture: ${Math.round(100 * share)} %`;
+    if (state === 'waiting') return ahead ? `Waiting for ${ahead} before you` : 'Waiting to begin';
+    if (state === 'making') return `${capital(steps.at(-1) ?? 'beginning')}…`;
+    if (state === 'done') return 'Your avatar is ready.';
+    if (state === 'failed' && findings.length) return 'The picture may not do:';
+    return state === 'failed' ? `It did not work: ${error}` : '';
+  }
+
+  #list(id, lines) {
+    const list = this.#get(id);
+    list.hidden = !lines.length;
+    if (lines.join('\n') === [...list.children].map((item) => item.textContent).join('\n')) return;
+    list.replaceChildren(
+      ...lines.map((line) => {
+        const item = this.#document.createElement('li');
+        item.textContent = line;
+        return item;
+      }),
+    );
+  }
+}
+
+const capital = (words) => words.charAt(0).toUpperCase() + words.slice(1);

@@ -1,0 +1,98 @@
+// Sends photographs and follows the making of an avatar (docs/protocol.md, section 9). Knows nothing of the page.
+
+const PAUSE = 500; // ms between two looks
+const PATIENCE = 60; // looks in a row that nobody answers
+const IDLE = { state: 'idle', name: '', share: 0, ahead: 0, steps: [], error: '', findings: [] };
+
+/** Event `change`. `now.state` is idle, sending, waiting, making, done or failed; `share` of 1 of the step in hand. */
+export class Upload extends EventTarget {
+  now = IDLE;
+  #connection;
+  #request = null;
+  #run = 0; // of start, resume or cancel: what was begun earlier says nothing any more
+
+  constructor(connection) {
+    super();
+    this.#connection = connection;
+  }
+
+  get busy() {
+    return ['sending', 'waiting', 'making'].includes(this.now.state);
+  }
+
+  /** Send `pictures` ({front: Blob, back, left, right}) with what is known: {height, anyway}. */
+  async start(pictures, { height = null, anyway = false } = {}) {
+    const run = ++this.#run;
+    const form = new FormData();
+    form.append('consent', 'yes');
+    if (height !== null) form.append('height', String(height));
+    if (anyway) form.append('anyway', 'yes');
+    for (const [view, picture] of Object.entries(pictures)) form.append(view, picture, view);
+    this.#become({ ...IDLE, state: 'sending' });
+    let answer;
+    try {
+      answer = await this.#send(form, run);
+    } catch {
+      answer = { status: 0, text: 'the server does not answer, or the connection is too slow' };
+    }
+    if (run !== this.#run) return;
+    if (answer.status === 202) this.#follow(JSON.parse(answer.text), run);
+    else this.#become({ state: 'failed', error: answer.text.trim() || `the server answers ${answer.status}` });
+  }
+
+  /** Follow what was begun before the page was loaded again. */
+  resume(name) {
+    this.#follow({ ...IDLE, state: 'waiting', name }, ++this.#run);
+  }
+
+  /** Give it up, or put aside what came of it. */
+  cancel() {
+    this.#run++;
+    this.#request?.abort();
+    if (this.busy && this.now.name) this.#ask('DELETE').catch(() => {}); // it ends by itself otherwise
+    this.#become(IDLE);
+  }
+
+  #ask(method) {
+    return this.#connection.fetch(`avatars/${this.now.name}`, { method });
+  }
+
+  async #follow(told, run) {
+    this.#become(told);
+    let unanswered = 0;
+    while (run === this.#run && this.busy) {
+      await new Promise((done) => setTimeout(done, PAUSE));
+      const response = run === this.#run ? await this.#ask('GET').catch(() => null) : null;
+      const answer = response?.ok ? await response.json().catch(() => null) : null;
+      if (run !== this.#run) return;
+      if (answer) {
+        unanswered = 0;
+        this.#become(answer);
+      } else if (response?.status === 404) {
+        this.#become({ state: 'failed', error: 'the server has forgotten it; send the picture again' });
+      } else if (++unanswered >= PATIENCE) {
+        this.#become({ state: 'failed', error: 'the server does not answer' });
+      }
+    }
+  }
+
+  /** POST by XMLHttpRequest, which tells how much is sent: {status, text}. */
+  #send(form, run) {
+    return new Promise((done, failed) => {
+      const request = (this.#request = new XMLHttpRequest());
+      request.open('POST', this.#connection.address('avatars'));
+      for (const [name, value] of Object.entries(this.#connection.headers)) request.setRequestHeader(name, value);
+      request.upload.onprogress = ({ loaded, total }) => {
+        if (run === this.#run) this.#become({ share: loaded / Math.max(total, 1) });
+      };
+      request.onload = () => done({ status: request.status, text: request.responseText });
+      request.onerror = request.onabort = failed;
+      request.send(form);
+    });
+  }
+
+  #become(change) {
+    this.now = { ...this.now, ...change };
+    this.dispatchEvent(new Event('change'));
+  }
+}

@@ -1,0 +1,107 @@
+"""--allow-upload: what it needs before the server starts, and a real process that takes a photograph."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import signal
+import subprocess
+import sys
+import time
+import urllib.error
+import urllib.request
+from pathlib import Path
+
+import pytest
+
+from apps.serve import command as serve
+from apps.serve.photos import upload_config
+from apps.usage import UsageError
+from glsplat.errors import GlsplatError
+from glsplat.formats import load
+from glsplat.making.networks.store import MODELS, state_of
+
+ROOT = Path(__file__).parents[3]
+needs_networks = pytest.mark.skipif(
+    any(state_of(model) != "here" for model in MODELS), reason="needs the networks of 'glsplat models get'"
+)
+
+
+def arguments(*words: object) -> argparse.Namespace:
+    parser = argparse.ArgumentParser()
+    serve.add_arguments(parser)
+    return parser.parse_args([str(word) for word in words])
+
+
+def test_it_is_off_unless_it_is_asked_for() -> None:
+    assert upload_config(arguments()) is None
+
+
+@needs_networks
+def test_the_folder_is_the_one_that_is_named(tmp_path: Path) -> None:
+    config = upload_config(arguments("--allow-upload", tmp_path))
+    assert config is not None and config.folder == tmp_path
+
+
+def test_without_the_networks_it_does_not_start(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("GLSPLAT_MODELS", str(tmp_path))
+    with pytest.raises(GlsplatError, match="run: glsplat models get"):
+        upload_config(arguments("--allow-upload", tmp_path))
+
+
+def test_not_together_with_cull_hidden(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="--cull-hidden needs avatars with cones"):
+        upload_config(arguments("--allow-upload", tmp_path, "--cull-hidden"))
+
+
+@pytest.mark.gl
+@pytest.mark.slow
+@pytest.mark.shared
+@needs_networks
+def test_a_photograph_becomes_an_avatar(tmp_path: Path, shared_data: Path) -> None:
+    capture = shared_data / "participants" / "capture" / "p01.jpg"
+    folder, token = tmp_path / "avatars", tmp_path / "token"
+    token.write_text("0123456789abcdef")
+    options = ["--port", "0", "--json", "--allow-upload", str(folder), "--token-file", str(token)]
+    process = subprocess.Popen(
+        [sys.executable, "-m", "apps.cli", "serve", *options],
+        cwd=ROOT,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        assert process.stdout is not None
+        origin = f"http://127.0.0.1:{json.loads(process.stdout.readline())['port']}"
+
+        def ask(method: str, path: str, data: bytes | None = None) -> tuple[int, dict]:
+            headers = {"Authorization": "Bearer 0123456789abcdef", "Content-Type": "image/jpeg"}
+            request = urllib.request.Request(f"{origin}{path}", data, headers, method=method)
+            with urllib.request.urlopen(request, timeout=20) as answer:
+                body = answer.read()
+                return answer.status, json.loads(body) if body else {}
+
+        def until_ended(name: str) -> dict:
+            while (told := ask("GET", f"/avatars/{name}")[1])["state"] not in ("done", "failed"):
+                time.sleep(0.3)
+            return told
+
+        told = until_ended(ask("POST", "/avatars?consent=yes", b"\xff\xd8 no picture")[1]["name"])
+        assert told["state"] == "failed" and told["error"].startswith("front picture: "), told
+        told = until_ended(ask("POST", "/avatars?consent=yes&height=1.74", capture.read_bytes())[1]["name"])
+        assert told["state"] == "done", told
+        assert len(told["steps"]) > 2
+        name = told["name"]
+        avatar = load(folder / f"{name}.glb")
+        assert "agreed" in avatar.meta["consent"] and "photograph" in avatar.meta["source"]
+        offered = {one["name"]: one for one in ask("GET", "/session")[1]["avatars"]}
+        assert offered[name]["tracking"] and offered[name]["head"] and abs(offered[name]["height"] - 1.74) < 0.15
+        with pytest.raises(urllib.error.HTTPError):
+            urllib.request.urlopen(f"{origin}/avatars/{name}", timeout=20)  # without the token
+        assert ask("DELETE", f"/avatars/{name}")[0] == 204 and not list(folder.iterdir())
+        process.send_signal(signal.SIGTERM)
+        _, log = process.communicate(timeout=30)
+        assert process.returncode == 0 and not log.strip(), log
+    finally:
+        process.kill()
+        process.wait()

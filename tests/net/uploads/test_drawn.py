@@ -1,0 +1,125 @@
+"""What is made of a photograph is drawn: by a server with a real renderer, at once and after the next start."""
+
+from __future__ import annotations
+
+import asyncio
+from dataclasses import replace
+from pathlib import Path
+
+import aiohttp
+import numpy as np
+import pytest
+
+from glsplat.camera import head_matrix, stereo_cameras
+from glsplat.config import RenderConfig
+from glsplat.data import default_avatar
+from glsplat.errors import GlsplatError, ProtocolError
+from glsplat.formats import save
+from glsplat.net.backends.server import make_server
+from glsplat.net.backends.wardrobe import Wardrobe
+from glsplat.net.client import Client as Streaming
+from glsplat.net.messages import WireOptions
+from glsplat.net.server import ServerConfig
+from glsplat.net.uploads.job import UploadConfig
+from tests.net.test_legacy import thinned
+from tests.net.uploads.conftest import LIMITS, Client
+from tests.net.uploads.makers import PICTURE, make
+from tests.scenes import limb
+
+SIZE = (96, 80)
+PAIR = stereo_cameras(head_matrix((0.1, 1.2, 2.2), (0, 0, 0, 1)), size=SIZE)
+PERSON = thinned(default_avatar(), 40)
+DARK = replace(PERSON, splats=replace(PERSON.splats, sh=PERSON.splats.sh * -1))
+
+
+def server_of(folder: Path, **options):
+    config = ServerConfig(port=0, wire=WireOptions(size=SIZE), limits=LIMITS)
+    return make_server(PERSON, config, uploads=UploadConfig(folder=folder, make=make), **options)
+
+
+async def picture(server, name: str | None = None, **more) -> np.ndarray:
+    async with Streaming(f"{server.url}{f'?avatar={name}' if name else ''}") as client:
+        return (await client.render(PAIR, quality=95, **more)).images()[0].astype(int)
+
+
+@pytest.mark.gl
+def test_an_avatar_is_drawn_as_soon_as_it_is_made_and_after_the_next_start(tmp_path: Path) -> None:
+    folder = tmp_path / "new"
+
+    async def first() -> tuple[str, np.ndarray]:
+        server = server_of(folder)
+        await server.start()
+        try:
+            async with aiohttp.ClientSession() as http:
+                client = Client(http, server, folder)
+                default = await picture(server)
+                name = await client.made(PICTURE)
+                made = await picture(server, name, tracking={"head": [0, 1.6, 0, 0, 0, 0, 1]}, hide="head")
+                assert made.max() > 60 and np.abs(made - default).max() > 30
+                made = await picture(server, name)
+                other = await client.made(PICTURE)
+                assert (await client.ask("DELETE", f"/avatars/{other}"))[0] == 204
+                with pytest.raises(ProtocolError, match="400"):
+                    await picture(server, other)
+                return name, made
+        finally:
+            await server.stop()
+
+    async def second(name: str) -> np.ndarray:
+        server = server_of(folder)
+        await server.start()
+        try:
+            assert [(one["name"], one["made"]) for one in server.offer()["avatars"]] == [
+                ("default", False),
+                (name, True),
+            ]
+            return await picture(server, name)
+        finally:
+            await server.stop()
+
+    name, made = asyncio.run(first())
+    again = asyncio.run(second(name))
+    assert np.abs(made - again).max() <= 2
+    assert folder.stat().st_mode & 0o777 == 0o700
+
+
+def test_what_lies_in_the_folder_is_offered_and_what_is_no_avatar_left_out(tmp_path: Path, caplog) -> None:
+    save(DARK, tmp_path / "mine.glb")
+    save(PERSON.splats, tmp_path / "room.glb")
+    (tmp_path / "photo-abcdefgh.glb").write_bytes(b"glTF, but not really")
+    (tmp_path / "notes.txt").write_text("of somebody")
+    (tmp_path / " x.glb").write_bytes(b"")
+    offered = server_of(tmp_path, own_process=False).offer()["avatars"]
+    assert [(one["name"], one["made"]) for one in offered] == [("default", False), ("mine", False)]
+    assert len(caplog.records) == 3 and all("left out" in record.message for record in caplog.records)
+
+
+@pytest.mark.parametrize("name", ["default", "ann"])
+def test_two_of_one_name_are_refused(tmp_path: Path, name: str) -> None:
+    save(DARK, tmp_path / f"{name}.glb")
+    with pytest.raises(GlsplatError, match=f'two avatars are called "{name}"'):
+        server_of(tmp_path, avatars={"ann": DARK})
+
+
+def test_a_folder_that_cannot_be_used_is_said(tmp_path: Path) -> None:
+    (tmp_path / "file").write_bytes(b"")
+    for folder in (tmp_path / "file", tmp_path / "no" / "where"):
+        with pytest.raises(GlsplatError, match="avatars cannot be kept there"):
+            server_of(folder)
+
+
+def test_avatars_without_cones_are_refused_where_they_are_needed(tmp_path: Path) -> None:
+    save(replace(DARK, splats=replace(DARK.splats, cones=None)), tmp_path / "mine.glb")
+    with pytest.raises(GlsplatError, match='"mine": cull_hidden needs visibility cones'):
+        server_of(tmp_path, rendering=RenderConfig(cull_hidden=True))
+
+
+def test_a_wardrobe_holds_what_is_given_and_what_lies_there_by_now(tmp_path: Path) -> None:
+    rod = limb(20)
+    wardrobe = Wardrobe({"rod": rod}, tmp_path, "default")
+    assert list(wardrobe) == ["rod"] and wardrobe["rod"] is rod and "ann" not in wardrobe
+    save(DARK, tmp_path / "ann.glb")
+    save(DARK, tmp_path / "default.glb")  # the scene's name stays the scene's
+    assert "ann" in wardrobe and "default" not in wardrobe and len(wardrobe["ann"].splats) == len(DARK.splats)
+    (tmp_path / "ann.glb").unlink()
+    assert "ann" not in wardrobe and wardrobe.get("ann") is None
