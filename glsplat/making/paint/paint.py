@@ -26,7 +26,7 @@ F64 = NDArray[np.float64]
 _HEAD = ("head", "jaw", "eye")
 _NO_TWINS = ("neck", "head", "jaw", "left_eye_smplhf", "right_eye_smplhf")  # faces and chins have no counterpart
 _TRUNK = ("pelvis", "spine", "collar")
-_SHY = 1e-4  # how much a vertex nobody saw stays at the mean colour
+_SHY = 1e-6  # how much a vertex nobody saw stays at the mean colour
 _SHADE = 0.3, 1.4  # brightness of an unseen point against the seen one its colour comes from
 
 
@@ -88,7 +88,7 @@ def _smooth_colours(body: Body, shots: Sequence[Shot], light: Light) -> F64:
     known, target = np.zeros(count), np.zeros((count, 3))
     first = shots[0]
     for shot in shots:
-        trust = shot.trust**2 * body.skin
+        trust = shot.trust * body.skin
         # every picture is of the same room: normals are turned back into the first camera's axes
         shade = light.shade(shot.normals @ (shot.view.root @ first.view.root.T))
         known += trust
@@ -96,7 +96,7 @@ def _smooth_colours(body: Body, shots: Sequence[Shot], light: Light) -> F64:
     mean = target.sum(axis=0) / max(known.sum(), 1e-9)
     neighbours: csr_matrix = body.neighbours
     degree = np.asarray(neighbours.sum(axis=1)).ravel()
-    stiff = 0.05
+    stiff = 0.003
     scale = known + stiff * degree + _SHY
     matrix = diags(scale) - stiff * neighbours
     start = np.where(known[:, None] > 0.2, target / np.maximum(known, 0.2)[:, None], mean)

@@ -28,8 +28,8 @@ __all__ = ["sharpened"]
 F64 = NDArray[np.float64]
 
 _FIGURE = 900.0  # pixels of the person's height that are looked at
-_LOYALTY = 0.15  # pixels that a splat's first colour is worth
-_ROUNDS = 12
+_LOYALTY = 0.6  # pixels that a splat's first colour is worth
+_ROUNDS = 8
 _COVERED = 0.6  # a pixel less covered than that is the outline's
 _MOST = 0.25  # how far a colour may go from the first one
 

@@ -24,7 +24,8 @@ _COARSE = 2  # pixels of the picture to one of the depth map
 _BEHIND = 0.012  # metres behind the nearest surface that still count as it
 _RIM = 2  # pixels inside the outline whose colours are mixed with the room's
 _PATCH, _BUSY = 7, 0.12  # pixels, and the spread of colour in them that is full of detail
-_GRAZING, _SQUARE = 0.12, 0.42  # cosines: nothing is believed, everything is
+_BELIEVED = 0.12, 0.42  # cosines: nothing of the colour is believed, everything is
+_TURNED = -0.3, -0.1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -70,13 +71,18 @@ class Shot:
     @cached_property
     def trust(self) -> F64:
         """[V] of the vertices themselves."""
-        return self._trust(self.view.vertices, self.normals, self.view.pixels)
+        return self._trust(self.view.vertices, self.normals, self.view.pixels, *_BELIEVED)
+
+    @cached_property
+    def shown(self) -> F64:
+        """[V] 1 where nothing hides a vertex on or before the outline, else 0."""
+        return self._trust(self.view.vertices, self.normals, self.view.pixels, *_TURNED)
 
     def look(self, points: SurfacePoints) -> Sight:
         """What is seen of the points."""
         where = points.at(self.view.vertices)
         pixels = self._project(where)
-        return Sight(self.sample(pixels), self._trust(where, points.directions(self.normals), pixels))
+        return Sight(self.sample(pixels), self._trust(where, points.directions(self.normals), pixels, *_BELIEVED))
 
     def sample(self, pixels: F64) -> F64:
         """[M, 3] linear light at pixels [M, 2], bilinear; beyond the outline, that of the person's nearest pixel."""
@@ -110,13 +116,13 @@ class Shot:
         height, width = self.mask.shape
         return np.asarray(where[:, :2] / where[:, 2:] * self.focal + (width / 2, height / 2))
 
-    def _trust(self, where: F64, normals: F64, pixels: F64) -> F64:
+    def _trust(self, where: F64, normals: F64, pixels: F64, least: float, most: float) -> F64:
         rows, columns = self._depth.shape
         at = np.floor(pixels / _COARSE).astype(np.intp)
         inside = ((at >= 0) & (at < (columns, rows))).all(axis=1)
         nearest = self._depth[at[:, 1].clip(0, rows - 1), at[:, 0].clip(0, columns - 1)]
         facing = -(normals * where).sum(axis=1) / np.linalg.norm(where, axis=1)
-        ramp = ((facing - _GRAZING) / (_SQUARE - _GRAZING)).clip(0, 1)
+        ramp = ((facing - least) / (most - least)).clip(0, 1)
         return np.where(inside & (where[:, 2] < nearest + _BEHIND), ramp * ramp * (3 - 2 * ramp), 0.0)
 
     @cached_property

@@ -31,7 +31,6 @@ class Twins:
     """For each vertex its twin on the front, as a point of the mesh; on a back, one for each half."""
 
     points: tuple[SurfacePoints, SurfacePoints]  # [V] each: as seen from the person's left half and the right one
-    found: NDArray[np.bool_]  # [V]
     across: F64  # [V] metres to the person's left in the zero pose
 
     def colours(self, shot: Shot, points: SurfacePoints) -> tuple[F64, F64, F64]:
@@ -42,7 +41,7 @@ class Twins:
         for twin in self.points:
             pixels = points.at(twin.at(shot.view.pixels))
             normals = points.at(twin.directions(shot.normals))
-            trust = points.at((twin.at(shot.trust[:, None])[:, 0] * self.found)[:, None])[:, 0]
+            trust = points.at(twin.at(shot.shown[:, None]))[:, 0]
             halves.append((shot.sample(pixels), normals, trust))
         left, right = halves
         mixed = [
@@ -67,7 +66,6 @@ def find_twins(mesh: RiggedMesh, trunk: NDArray[np.bool_]) -> Twins:
     )
     ids, bary = visible_faces(mesh, vertices, camera)
     half = _half_width(vertices, trunk)
-    found = np.zeros(len(vertices), bool)
     sides = []
     for sign in (1.0, -1.0):
         wanted = vertices.copy()
@@ -75,11 +73,12 @@ def find_twins(mesh: RiggedMesh, trunk: NDArray[np.bool_]) -> Twins:
         at = wanted @ camera.viewmat[:3, :3].T + camera.viewmat[:3, 3]
         pixel = np.floor(at[:, :2] / at[:, 2:] * focal + _PIXELS / 2).astype(np.intp).clip(0, _PIXELS - 1)
         face = ids[pixel[:, 1], pixel[:, 0]]
-        found = face >= 0 if sign > 0 else found & (face >= 0)
-        sides.append(SurfacePoints(mesh.faces[np.maximum(face, 0)].astype(np.intp), bary[pixel[:, 1], pixel[:, 0]]))
+        itself = np.repeat(np.arange(len(vertices))[:, None], 3, axis=1)  # the nearest thing on the outline
+        corners = np.where(face[:, None] >= 0, mesh.faces[np.maximum(face, 0)], itself)
+        weights = np.where(face[:, None] >= 0, bary[pixel[:, 1], pixel[:, 0]], 1 / 3)
+        sides.append(SurfacePoints(corners, weights))
     return Twins(
         (sides[0], sides[1]),
-        found,
         np.where(trunk, vertices[:, 0], np.inf * np.sign(vertices[:, 0] + 1e-9)).clip(-1, 1),
     )
 

@@ -26,8 +26,8 @@ def test_the_picture_comes_back() -> None:
 
     sharp = sharpened(avatar, scene.shots)
     assert miss(sharp.splats.sh) < 0.6 * miss(avatar.splats.sh)
-    hidden = np.asarray(matrix.sum(axis=0)).ravel() < 0.03  # pixels
+    hidden = np.asarray(matrix.sum(axis=0)).ravel() < 0.1  # pixels
     change = np.abs(sharp.splats.sh - avatar.splats.sh)[:, 0].max(axis=1) * SH_C0
-    assert hidden.mean() > 0.3
+    assert hidden.mean() > 0.1
     assert change[hidden].max() < 0.1 and change[~hidden].max() > 0.15
     np.testing.assert_array_equal(sharp.splats.means, avatar.splats.means)
