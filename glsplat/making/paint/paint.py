@@ -27,6 +27,7 @@ _HEAD = ("head", "jaw", "eye")
 _NO_TWINS = ("neck", "head", "jaw", "left_eye_smplhf", "right_eye_smplhf")  # faces and chins have no counterpart
 _TRUNK = ("pelvis", "spine", "collar")
 _SHY = 1e-6  # how much a vertex nobody saw stays at the mean colour
+_GUESSED = 0.6  # of the splats that detail is worth, where it is a guess
 _SHADE = 0.3, 1.4  # brightness of an unseen point against the seen one its colour comes from
 
 
@@ -57,18 +58,19 @@ def paint(
     guess = points.at(plain) * shade
     # the front at the same place, for all but the head
     twins = find_twins(front.mesh, parts == 1)
-    colours, facing, trust = twins.colours(front, points)
-    ratio = (shade[:, 0] / light.shade(facing)).clip(*_SHADE)
+    behind = twins.colours(front, points)
+    ratio = (shade[:, 0] / light.shade(behind.normals)).clip(*_SHADE)
     round_parts = np.isin(body.part, [JOINT_NAMES.index(name) for name in _NO_TWINS])
-    trust = trust * (1 - points.at(round_parts.astype(float)[:, None])[:, 0])
-    guess += trust[:, None] * (colours * ratio[:, None] - guess)
+    trust = behind.trust * (1 - points.at(round_parts.astype(float)[:, None])[:, 0])
+    guess += trust[:, None] * (behind.linear * ratio[:, None] - guess)
     guess = _with_hair(front, points, guess, shade, light, body, parts == 2)
 
     total = sum((sight.trust**2 for sight in sights), np.zeros(len(guess)))
     mixed = sum((sight.linear * (sight.trust**2)[:, None] for sight in sights), np.zeros_like(guess))
     seen = np.max([sight.trust for sight in sights], axis=0)
     colour = mixed / np.maximum(total, 1e-9)[:, None]
-    busy = np.max([shot.busy(points) * sight.trust for shot, sight in zip(shots, sights, strict=True)], axis=0)
+    busy = np.max([sight.busy * sight.trust for sight in sights], axis=0)
+    busy = np.maximum(busy, _GUESSED * behind.busy * trust * (1 - seen))
     rgb = to_srgb(guess + seen[:, None] * (colour - guess))
     if looks:
         eyes, colours = eye_colours(body, front, looks, points)

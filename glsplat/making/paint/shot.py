@@ -51,6 +51,7 @@ class Sight:
 
     linear: F64  # [M, 3] linear light
     trust: F64  # [M] 0 not seen, 1 seen squarely
+    busy: F64  # [M] from 0, plain, to 1, full of detail
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +83,8 @@ class Shot:
         """What is seen of the points."""
         where = points.at(self.view.vertices)
         pixels = self._project(where)
-        return Sight(self.sample(pixels), self._trust(where, points.directions(self.normals), pixels, *_BELIEVED))
+        trust = self._trust(where, points.directions(self.normals), pixels, *_BELIEVED)
+        return Sight(self.sample(pixels), trust, self.detail(pixels))
 
     def sample(self, pixels: F64) -> F64:
         """[M, 3] linear light at pixels [M, 2], bilinear; beyond the outline, that of the person's nearest pixel."""
@@ -99,9 +101,9 @@ class Shot:
         ]
         return np.concatenate(parts).reshape(-1, 3)[: len(pixels)].astype(np.float64)
 
-    def busy(self, points: SurfacePoints) -> F64:
-        """[M] how much detail the picture has around each point, 0 none to 1."""
-        at = np.floor(self._project(points.at(self.view.vertices))).astype(np.intp)
+    def detail(self, pixels: F64) -> F64:
+        """[M] how much detail the picture has around each pixel [M, 2], from 0, none, to 1."""
+        at = np.floor(pixels).astype(np.intp)
         height, width = self.mask.shape
         return np.asarray(self._detail[at[:, 1].clip(0, height - 1), at[:, 0].clip(0, width - 1)], np.float64)
 

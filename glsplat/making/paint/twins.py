@@ -16,7 +16,7 @@ from glsplat.making.paint.shot import Shot, SurfacePoints
 from glsplat.making.raster import visible_faces
 from glsplat.meshes import RiggedMesh
 
-__all__ = ["Twins", "find_twins"]
+__all__ = ["Sighted", "Twins", "find_twins"]
 
 F64 = NDArray[np.float64]
 
@@ -33,23 +33,32 @@ class Twins:
     points: tuple[SurfacePoints, SurfacePoints]  # [V] each: as seen from the person's left half and the right one
     across: F64  # [V] metres to the person's left in the zero pose
 
-    def colours(self, shot: Shot, points: SurfacePoints) -> tuple[F64, F64, F64]:
-        """Colours [M, 3] in linear light, normals [M, 3] in camera axes and trust [M] of what the twins show."""
+    def colours(self, shot: Shot, points: SurfacePoints) -> Sighted:
+        """What the twins of the points show."""
         side = points.at(self.across[:, None])[:, 0]
-        share = (0.5 + side / (2 * _SEAM)).clip(0, 1)
-        halves = []
-        for twin in self.points:
-            pixels = points.at(twin.at(shot.view.pixels))
-            normals = points.at(twin.directions(shot.normals))
-            trust = points.at(twin.at(shot.shown[:, None]))[:, 0]
-            halves.append((shot.sample(pixels), normals, trust))
-        left, right = halves
-        mixed = [
-            share.reshape(-1, *[1] * (a.ndim - 1)) * a + (1 - share).reshape(-1, *[1] * (a.ndim - 1)) * b
-            for a, b in zip(left, right, strict=True)
-        ]
-        length = np.maximum(np.linalg.norm(mixed[1], axis=1, keepdims=True), 1e-9)
-        return mixed[0], mixed[1] / length, mixed[2]
+        share = (0.5 + side / (2 * _SEAM)).clip(0, 1)[:, None]
+        left, right = (_half(shot, points, twin) for twin in self.points)
+        mixed = share * left + (1 - share) * right
+        length = np.maximum(np.linalg.norm(mixed[:, 3:6], axis=1, keepdims=True), 1e-9)
+        return Sighted(mixed[:, :3], mixed[:, 3:6] / length, mixed[:, 6], mixed[:, 7])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sighted:
+    """What M twins show."""
+
+    linear: F64  # [M, 3] linear light
+    normals: F64  # [M, 3] in the camera's axes
+    trust: F64  # [M] from 0, hidden, to 1
+    busy: F64  # [M] from 0, plain, to 1, full of detail
+
+
+def _half(shot: Shot, points: SurfacePoints, twin: SurfacePoints) -> F64:
+    """[M, 8] colours, normals, trust and detail."""
+    pixels = points.at(twin.at(shot.view.pixels))
+    normals = points.at(twin.directions(shot.normals))
+    trust = points.at(twin.at(shot.shown[:, None]))
+    return np.hstack([shot.sample(pixels), normals, trust, shot.detail(pixels)[:, None]])
 
 
 def find_twins(mesh: RiggedMesh, trunk: NDArray[np.bool_]) -> Twins:
@@ -77,10 +86,8 @@ def find_twins(mesh: RiggedMesh, trunk: NDArray[np.bool_]) -> Twins:
         corners = np.where(face[:, None] >= 0, mesh.faces[np.maximum(face, 0)], itself)
         weights = np.where(face[:, None] >= 0, bary[pixel[:, 1], pixel[:, 0]], 1 / 3)
         sides.append(SurfacePoints(corners, weights))
-    return Twins(
-        (sides[0], sides[1]),
-        np.where(trunk, vertices[:, 0], np.inf * np.sign(vertices[:, 0] + 1e-9)).clip(-1, 1),
-    )
+    whole = np.where(vertices[:, 0] < 0, -1.0, 1.0)  # limbs are not taken in halves
+    return Twins((sides[0], sides[1]), np.where(trunk, vertices[:, 0], whole))
 
 
 def _half_width(vertices: F64, trunk: NDArray[np.bool_]) -> F64:

@@ -80,7 +80,7 @@ def test_the_back_is_darker_cloth_not_bright_cloth() -> None:
 def paint_without_light(scene: Scene, points: SurfacePoints) -> np.ndarray:
     """The front's colours as they are, at the same place behind."""
     twins = find_twins(scene.mesh, np.zeros(len(scene.mesh.vertices), bool))
-    return to_srgb(twins.colours(scene.shots[0], points)[0])
+    return to_srgb(twins.colours(scene.shots[0], points).linear)
 
 
 def test_a_picture_of_the_back_is_believed() -> None:
