@@ -39,7 +39,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--seed", type=natural, default=_DEFAULT.seed, help="same seed, same bytes (default 0)")
     parser.add_argument(
-        "--steps", type=natural, default=_DEFAULT.steps, help="refining steps (default %(default)d); 0: none"
+        "--steps",
+        type=natural,
+        default=_DEFAULT.steps,
+        help="rounds of matching colours to the pictures (default %(default)d); 0: none",
     )
     parser.add_argument("--mask", type=Path, help="the person in the front picture: white on black, same size")
     for side in _OTHERS:

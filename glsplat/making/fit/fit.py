@@ -33,7 +33,7 @@ _REACH = 0.04  # shares of the figure; how far from the body the mask's edge is 
 _FLAT, _FLAT_DRESSED = 0.35, 0.22  # cosines below which a vertex is on the outline; cloth has the sharper one
 _PLAIN = 0.8  # cosine between normal and offset; a vertex below it, in an ear's folds, is moved by its neighbours alone
 _HEIGHTS = 0.5, 2.5  # metres
-_GOOD = 0.94, 2.5  # least overlap with the mask, most mean distance of landmarks in shares of the figure (%)
+_GOOD = 0.94, 2.0  # least overlap with the mask, most mean distance of landmarks in shares of the figure (%)
 
 _TRUST = {"wrist": 1.0, "elbow": 1.0, "head": 0.35, "neck": 0.35, "jaw": 0.35, "foot": 0.5, "ankle": 0.5}
 _CLOTHED = 0.6

@@ -29,13 +29,12 @@ F64 = NDArray[np.float64]
 
 _FIGURE = 900.0  # pixels of the person's height that are looked at
 _LOYALTY = 0.6  # pixels that a splat's first colour is worth
-_ROUNDS = 8
 _COVERED = 0.6  # a pixel less covered than that is the outline's
 _MOST = 0.25  # how far a colour may go from the first one
 
 
-def sharpened(avatar: Avatar, shots: Sequence[Shot]) -> Avatar:
-    """The avatar with the colours of its seen splats solved for; the rest as it was."""
+def sharpened(avatar: Avatar, shots: Sequence[Shot], rounds: int) -> Avatar:
+    """The avatar with the colours of its seen splats solved for in so many rounds; the rest as it was."""
     splats = avatar.splats
     first = splats.sh[:, 0].astype(np.float64) * SH_C0 + 0.5
     rows, targets = [], []
@@ -43,7 +42,7 @@ def sharpened(avatar: Avatar, shots: Sequence[Shot]) -> Avatar:
         matrix, target = _equations(avatar, shot)
         rows.append(matrix)
         targets.append(target)
-    colours = first + _solve(rows, [t - m @ first for m, t in zip(rows, targets, strict=True)], len(first))
+    colours = first + _solve(rows, [t - m @ first for m, t in zip(rows, targets, strict=True)], len(first), rounds)
     colours = np.clip(colours, first - _MOST, first + _MOST).clip(0, 1)
     made = Splats.create(
         splats.means, splats.quats, splats.scales, splats.opacities, rgb=colours, antialias=splats.antialias
@@ -81,13 +80,13 @@ def _equations(avatar: Avatar, shot: Shot) -> tuple[csr_array, F64]:
     return matrix, small.reshape(-1, 3)[used] / 255
 
 
-def _solve(rows: Sequence[csr_array], misses: Sequence[F64], count: int) -> F64:
+def _solve(rows: Sequence[csr_array], misses: Sequence[F64], count: int, rounds: int) -> F64:
     """[N, 3] the change that makes up for the misses, small where it is not needed; conjugate gradients."""
     change = np.zeros((count, 3))
     rest = sum((matrix.T @ miss for matrix, miss in zip(rows, misses, strict=True)), np.zeros((count, 3)))
     along = rest.copy()
     size = (rest * rest).sum(axis=0)
-    for _ in range(_ROUNDS):
+    for _ in range(rounds):
         moved = sum((matrix.T @ (matrix @ along) for matrix in rows), _LOYALTY * along)
         step = size / np.maximum((along * moved).sum(axis=0), 1e-12)
         change += step * along

@@ -76,7 +76,7 @@ class Builtin:
         avatar = strewn.avatar(mesh, painted.rgb, painted.busy, rng)
         if options.steps:
             options.progress("fitting to the pictures", 0.7)
-            avatar = sharpened(avatar, shots)
+            avatar = sharpened(avatar, shots, options.steps)
         unseen = float(np.average(painted.seen < _HARDLY, weights=1 / strewn.density))
         seen = np.max([shot.trust for shot in shots], axis=0)
         options.progress("placing splats", 1.0)

@@ -43,7 +43,7 @@ class Options:
     height: float | None = None  # metres, without shoes; None where nobody said
     splats: int = 40_000
     seed: int = 0
-    steps: int = 60  # of refining on the pictures; 0: none
+    steps: int = 8  # rounds of matching the colours to the pictures; 0: none
     progress: Progress = _silent
 
     def __post_init__(self) -> None:

@@ -24,7 +24,7 @@ def test_the_picture_comes_back() -> None:
     def miss(colours: np.ndarray) -> float:
         return float(np.sqrt(((matrix @ (colours[:, 0] * SH_C0 + 0.5) - target) ** 2).mean()))
 
-    sharp = sharpened(avatar, scene.shots)
+    sharp = sharpened(avatar, scene.shots, 8)
     assert miss(sharp.splats.sh) < 0.6 * miss(avatar.splats.sh)
     hidden = np.asarray(matrix.sum(axis=0)).ravel() < 0.1  # pixels
     change = np.abs(sharp.splats.sh - avatar.splats.sh)[:, 0].max(axis=1) * SH_C0
