@@ -25,7 +25,7 @@ TILE, CAPTION, COLUMNS = (190, 270), 20, 6
 GOOD = {
     "p03": "as it is",
     "p02": "mirrored",
-    "p06": "busy room",
+    "p05": "busy room",
     "p08": "light from the side",
     "p10": "tilted by 5 degrees",
     "p01": "640 x 960, quality 40",

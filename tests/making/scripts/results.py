@@ -3,8 +3,8 @@
     python -m tests.making.scripts.results OUT [--avatars DIR] [p01 p02 ...]
 
 With --avatars, DIR/p01.glb ... are shown instead of made.
-OUT gets photo-results.jpg (of everybody the photograph, then the avatar from the front, the left and the back, and the
-participant below) and photo-worst.jpg (those that are farthest from the truth); a table is printed. Look at both.
+OUT gets photo-results-1.jpg and -2.jpg (of everybody the photograph, then the avatar from the front, the left and the
+back, and the participant below) and photo-worst.jpg (those that are farthest from the truth); a table is printed.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from tests.making.scripts.lit import lit_picture
 SIZE, CROP = 320, 0.66  # pixels; share of the square's width that the sheets show
 VIEWS = {"front": 0, "left": 90, "back": 180, "right": 270}  # degrees to the person's left
 SHOWN = ("front", "left", "back")
-WORST = 5
+WORST, DOZEN = 5, 12
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,7 +130,8 @@ def main(folder: Path, names: list[str], avatars: Path | None) -> None:
         levels = [one.psnr("front"), one.psnr("left", "right"), one.psnr("back")]
         figures = [*(f"{level:.1f}" for level in levels), *(f"{one.overlap(view):.2f}" for view in SHOWN)]
         print("|", " | ".join([name, *figures]), "|", flush=True)
-    sheet(folder / "photo-results.jpg", results, 4, 0.32)
+    for number, first in enumerate(range(0, len(results), DOZEN), 1):
+        sheet(folder / f"photo-results-{number}.jpg", results[first : first + DOZEN], 4, 0.32)
     sheet(folder / "photo-worst.jpg", sorted(results, key=lambda one: one.psnr(*VIEWS))[:WORST], 2, 0.56)
     for label, views in (("front", ("front",)), ("sides", ("left", "right")), ("back", ("back",))):
         print(label, round(float(np.mean([one.psnr(*views) for one in results])), 2))
