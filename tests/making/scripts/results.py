@@ -1,0 +1,146 @@
+"""Makes an avatar of each participant's capture and holds it against the participant, for docs/photo-results.md.
+
+    python -m tests.making.scripts.results OUT [--avatars DIR] [p01 p02 ...]
+
+With --avatars, DIR/p01.glb ... are shown instead of made.
+OUT gets photo-results-1.jpg and -2.jpg (of everybody the photograph, then the avatar from the front, the left and the
+back, and the participant below) and photo-worst.jpg (those that are farthest from the truth); a table is printed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from glsplat.avatar import Avatar
+from glsplat.camera import Camera, look_at
+from glsplat.formats import load
+from glsplat.making.photo.capture import check_capture
+from glsplat.making.photo.photo_file import read_photo
+from glsplat.making.reconstruct.builtin import Builtin
+from glsplat.making.reconstruct.reconstructor import Options, Picture
+from glsplat.renderer import Renderer
+from glsplat.skinning.pose import Pose
+from tests.conftest import SHARED_DATA
+from tests.making.captures import capture
+from tests.making.scripts.lit import lit_picture
+
+SIZE, CROP = 320, 0.66  # pixels; share of the square's width that the sheets show
+VIEWS = {"front": 0, "left": 90, "back": 180, "right": 270}  # degrees to the person's left
+SHOWN = ("front", "left", "back")
+WORST, DOZEN = 5, 12
+
+
+@dataclass(frozen=True, eq=False)
+class Result:
+    """What one photograph gave; the pictures are RGB in [0, 1] by view."""
+
+    name: str
+    photograph: np.ndarray
+    truth: dict[str, np.ndarray]
+    drawn: dict[str, np.ndarray]
+
+    def psnr(self, *views: str) -> float:
+        """dB, the mean of these views, over the whole squares."""
+        away = [((self.truth[view] - self.drawn[view]) ** 2).mean() for view in views]
+        return float(np.mean(-10 * np.log10(away)))
+
+    def overlap(self, view: str) -> float:
+        """Intersection over union of the two figures."""
+        a, b = (pictures[view].max(axis=2) > 0.02 for pictures in (self.truth, self.drawn))
+        return float((a & b).sum() / (a | b).sum())
+
+
+def views_of(vertices: np.ndarray) -> dict[str, Camera]:
+    """Cameras around the person, who fills 88 % of the height."""
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    middle, extent, focal = (low + high) / 2, float((high - low)[:2].max()), 1.37 * SIZE
+    k = [[focal, 0, SIZE / 2], [0, focal, SIZE / 2], [0, 0, 1]]
+    away = focal * extent / (0.88 * SIZE)
+    turns = {name: np.radians(degrees) for name, degrees in VIEWS.items()}
+    eyes = {name: middle + away * np.array([np.sin(turn), 0, np.cos(turn)]) for name, turn in turns.items()}
+    return {name: Camera(look_at(eye, middle), k, SIZE, SIZE) for name, eye in eyes.items()}
+
+
+def avatar_of(name: str) -> Avatar:
+    folder = SHARED_DATA / "participants"
+    people = json.loads((folder / "participants.json").read_text())["participants"]
+    height = next(float(person["height_m"]) for person in people if person["id"] == name)
+    photo = read_photo(folder / "capture" / f"{name}.jpg")
+    seen = check_capture(photo.picture)
+    if seen.person is None:
+        raise SystemExit(f"{name}: {seen.findings[0].text}")
+    pictures = {"front": Picture(photo.picture, photo.focal, seen.person)}
+    return Builtin().reconstruct(pictures, {"front": seen.mask}, Options(height=height))
+
+
+def result_of(name: str, avatar: Avatar) -> Result:
+    light = json.loads((SHARED_DATA / "participants" / "capture" / f"{name}.json").read_text())["light"]
+    person = capture(SHARED_DATA, name)
+    pose = Pose(person.pose)
+    vertices = person.mesh.posed(pose)
+    cameras = views_of(vertices)
+    with Renderer(avatar, size=(SIZE, SIZE), views=len(cameras)) as renderer:
+        drawn = renderer.render(list(cameras.values()), pose)[..., :3] / 255.0
+    truth = {
+        view: lit_picture(person.mesh, vertices, camera, light["direction_to"], light["colour"])
+        for view, camera in cameras.items()
+    }
+    return Result(name, person.picture / 255.0, truth, dict(zip(cameras, drawn, strict=True)))
+
+
+def block(result: Result) -> np.ndarray:
+    """The photograph, then the views: the avatar above, the participant below."""
+    edge = round(SIZE * (1 - CROP) / 2)
+    rows = [np.hstack([views[view][:, edge:-edge] for view in SHOWN]) for views in (result.drawn, result.truth)]
+    views = np.vstack(rows)
+    scale = len(views) / len(result.photograph)
+    photograph = cv2.resize(result.photograph, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    whole = np.ascontiguousarray(255 * np.hstack([photograph[: len(views)], views])).astype(np.uint8)
+    label = f"{result.name}  {result.psnr(*VIEWS):.1f} dB"
+    cv2.putText(whole, label, (10, 34), cv2.FONT_HERSHEY_SIMPLEX, 1.0, (0, 0, 0), 2, cv2.LINE_AA)
+    return whole
+
+
+def sheet(path: Path, results: list[Result], columns: int, scale: float) -> None:
+    blocks = [block(result) for result in results]
+    width = max(part.shape[1] for part in blocks)
+    blocks = [np.pad(part, ((0, 6), (0, width - part.shape[1] + 6), (0, 0)), constant_values=255) for part in blocks]
+    blocks += [np.full_like(blocks[0], 255)] * (-len(blocks) % columns)
+    rows = [np.hstack(blocks[index : index + columns]) for index in range(0, len(blocks), columns)]
+    small = cv2.resize(np.vstack(rows), None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    cv2.imwrite(str(path), small[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 82])
+    print(path, path.stat().st_size // 1024, "kB")
+
+
+def main(folder: Path, names: list[str], avatars: Path | None) -> None:
+    folder.mkdir(parents=True, exist_ok=True)
+    results = []
+    print("| | front | sides | back | overlap: front | left | back |")
+    for name in names:
+        avatar = load(str(avatars / f"{name}.glb")) if avatars else avatar_of(name)
+        assert isinstance(avatar, Avatar)
+        one = result_of(name, avatar)
+        results.append(one)
+        levels = [one.psnr("front"), one.psnr("left", "right"), one.psnr("back")]
+        figures = [*(f"{level:.1f}" for level in levels), *(f"{one.overlap(view):.2f}" for view in SHOWN)]
+        print("|", " | ".join([name, *figures]), "|", flush=True)
+    for number, first in enumerate(range(0, len(results), DOZEN), 1):
+        sheet(folder / f"photo-results-{number}.jpg", results[first : first + DOZEN], 4, 0.32)
+    sheet(folder / "photo-worst.jpg", sorted(results, key=lambda one: one.psnr(*VIEWS))[:WORST], 2, 0.56)
+    for label, views in (("front", ("front",)), ("sides", ("left", "right")), ("back", ("back",))):
+        print(label, round(float(np.mean([one.psnr(*views) for one in results])), 2))
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser()
+    parser.add_argument("out", type=Path)
+    parser.add_argument("--avatars", type=Path)
+    parser.add_argument("names", nargs="*", default=[f"p{number:02d}" for number in range(1, 25)])
+    given = parser.parse_intermixed_args()
+    main(given.out, given.names, given.avatars)
