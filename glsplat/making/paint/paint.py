@@ -14,6 +14,7 @@ from glsplat.making.fit.body import Body
 from glsplat.making.fit.eyes import EyeLook
 from glsplat.making.paint.colour import to_srgb
 from glsplat.making.paint.eyes import eye_colours
+from glsplat.making.paint.head import with_back_of_head
 from glsplat.making.paint.light import Light, find_light
 from glsplat.making.paint.shot import Shot, SurfacePoints
 from glsplat.making.paint.twins import find_twins
@@ -23,11 +24,12 @@ __all__ = ["Paint", "paint"]
 
 F64 = NDArray[np.float64]
 
-_HEAD = ("head", "jaw", "eye")
 _NO_TWINS = ("neck", "head", "jaw", "left_eye_smplhf", "right_eye_smplhf")  # faces and chins have no counterpart
 _TRUNK = ("pelvis", "spine", "collar")
 _SHY = 1e-6  # how much a vertex nobody saw stays at the mean colour
 _GUESSED = 0.6  # of the splats that detail is worth, where it is a guess
+_EYES = [JOINT_NAMES.index(f"{side}_eye_smplhf") for side in ("left", "right")]
+_MOUTH = (0.30, 0.12, 0.11)  # sRGB of its inside, which pictures of whole people do not show
 _SHADE = 0.3, 1.4  # brightness of an unseen point against the seen one its colour comes from
 
 
@@ -44,7 +46,7 @@ def paint(
     body: Body, shots: Sequence[Shot], points: SurfacePoints, looks: Mapping[str, EyeLook] | None = None
 ) -> Paint:
     """Colours of ``points`` of the dressed body; ``shots`` begin with the front, ``looks`` are the eyes in it."""
-    parts = np.array([_part(name) for name in JOINT_NAMES])[body.part]
+    trunk = np.array([any(word in name for word in _TRUNK) for name in JOINT_NAMES])[body.part]
     sights = [shot.look(points) for shot in shots]
     front = shots[0]
     camera_up = front.view.root[:, 1]
@@ -57,13 +59,13 @@ def paint(
     plain = _smooth_colours(body, shots, light)
     guess = points.at(plain) * shade
     # the front at the same place, for all but the head
-    twins = find_twins(front.mesh, parts == 1)
+    twins = find_twins(front.mesh, trunk)
     behind = twins.colours(front, points)
     ratio = (shade[:, 0] / light.shade(behind.normals)).clip(*_SHADE)
     round_parts = np.isin(body.part, [JOINT_NAMES.index(name) for name in _NO_TWINS])
     trust = behind.trust * (1 - points.at(round_parts.astype(float)[:, None])[:, 0])
     guess += trust[:, None] * (behind.linear * ratio[:, None] - guess)
-    guess = _with_hair(front, points, guess, shade, light, body, parts == 2)
+    guess = with_back_of_head(body, front, light, points, guess, shade)
 
     total = sum((sight.trust**2 for sight in sights), np.zeros(len(guess)))
     mixed = sum((sight.linear * (sight.trust**2)[:, None] for sight in sights), np.zeros_like(guess))
@@ -72,16 +74,12 @@ def paint(
     busy = np.max([sight.busy * sight.trust for sight in sights], axis=0)
     busy = np.maximum(busy, _GUESSED * behind.busy * trust * (1 - seen))
     rgb = to_srgb(guess + seen[:, None] * (colour - guess))
+    mouth = (~body.skin & ~np.isin(body.part, _EYES))[points.corners[:, 0]]
+    rgb[mouth] = _MOUTH
     if looks:
         eyes, colours = eye_colours(body, front, looks, points)
         rgb[eyes] = colours
     return Paint(rgb, seen, busy)
-
-
-def _part(name: str) -> int:
-    if any(word in name for word in _HEAD):
-        return 2
-    return 1 if any(word in name for word in _TRUNK) else 0
 
 
 def _smooth_colours(body: Body, shots: Sequence[Shot], light: Light) -> F64:
@@ -107,25 +105,3 @@ def _smooth_colours(body: Body, shots: Sequence[Shot], light: Light) -> F64:
         for c in range(3)
     ]
     return np.stack(columns, axis=1).clip(0, 2)
-
-
-def _with_hair(
-    front: Shot, points: SurfacePoints, guess: F64, shade: F64, light: Light, body: Body, head: NDArray[np.bool_]
-) -> F64:
-    """The guess, with hair where a head has it and nobody looked: behind the ears' line, above the neck."""
-    rest = front.mesh.vertices
-    joint = front.mesh.skeleton.joints[JOINT_NAMES.index("head")]
-    mine = head & body.skin
-    low, top = rest[mine, 1].min(), rest[mine, 1].max()
-    crown = mine & (rest[:, 1] > top - 0.12 * (top - low)) & (front.trust > 0.1)
-    if not crown.any():
-        return guess
-    colours = front.sample(front.view.pixels[crown]) / light.shade(front.normals[crown])[:, None]
-    hair = np.median(colours, axis=0)
-    where = points.at(rest)
-    behind = ((joint[2] + 0.02 - where[:, 2]) / 0.02).clip(0, 1) * (
-        (where[:, 1] - low - 0.2 * (top - low)) / 0.02
-    ).clip(0, 1)
-    behind = np.maximum(behind, ((where[:, 1] - top + 0.05) / 0.02).clip(0, 1))
-    behind *= points.at(head.astype(float)[:, None])[:, 0]
-    return np.asarray(guess + behind[:, None] * (hair * shade - guess))

@@ -212,7 +212,8 @@ def _cut_off(person: Person, mask: NDArray[np.bool_]) -> Finding | None:
     cut = [name for name, beyond in parts.items() if beyond]
     if not cut:
         return None
-    return Finding("cut_off", f"{' and '.join(cut)} reach out of the picture; leave room on all four sides")
+    reach = "reaches" if len(cut) == 1 and "feet" not in cut[0] else "reach"
+    return Finding("cut_off", f"{' and '.join(cut)} {reach} out of the picture; leave room on all four sides")
 
 
 _SIDES = ("left", "right")
