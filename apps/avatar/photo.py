@@ -56,7 +56,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--check", action="store_true", help="say whether the pictures will do, and make nothing")
     parser.add_argument("--anyway", action="store_true", help="go on with pictures in which the check found faults")
-    parser.add_argument("--no-cones", action="store_true", help="make no visibility cones (--cull-hidden needs them)")
+    parser.add_argument(
+        "--cones", action="store_true", help="make visibility cones, too (minutes; --cull-hidden needs them)"
+    )
     parser.add_argument("--debug", type=Path, metavar="DIR", help="folder for a sheet that shows each step's result")
     parser.add_argument("--json", action="store_true", help="print what was found and made as JSON")
     add_notes(parser)
@@ -92,7 +94,7 @@ def run(args: argparse.Namespace) -> int:
             hopeless = args.anyway or any(shot.capture.person is None for shot in shots.values())
             hint = "" if hopeless else "; --anyway goes on all the same"
             raise CaptureError(f"{error}{hint}", error.findings) from None
-        avatar = done.avatar if args.no_cones else with_cones(done.avatar, progress=show)
+        avatar = with_cones(done.avatar, progress=show) if args.cones else done.avatar
         _sheet(args, shots, done)
     unseen = avatar.meta.get("unseen")
     words = "" if unseen is None else f"; {unseen:.0%} of the surface is guessed"

@@ -43,7 +43,7 @@ def front(tmp_path) -> Path:
 
 
 def photo(*words: object) -> int:
-    return cli.main(["avatar", "photo", *map(str, words), *([] if "--check" in words else ["--no-cones"])])
+    return cli.main(["avatar", "photo", *map(str, words)])
 
 
 def test_an_avatar_is_made(seen, front, tmp_path, capsys) -> None:
@@ -68,10 +68,10 @@ def test_an_avatar_is_made(seen, front, tmp_path, capsys) -> None:
     assert sorted(p.name for p in tmp_path.iterdir()) == ["in", "me.glb"]
 
 
-def test_cones_are_made_unless_they_are_left_out(seen, front, tmp_path) -> None:
+def test_cones_are_made_when_asked_for(seen, front, tmp_path) -> None:
     out = tmp_path / "me.glb"
     assert photo(front, "-o", out) == 0 and load(out).splats.cones is None
-    assert cli.main(["avatar", "photo", str(front), "-o", str(out)]) == 0 and load(out).splats.cones is not None
+    assert photo(front, "-o", out, "--cones") == 0 and load(out).splats.cones is not None
 
 
 def test_json(seen, front, tmp_path, capsys, monkeypatch) -> None:
@@ -212,7 +212,7 @@ from {STUBS} import replace_check
 registry.OWN["builtin"] = "{STUBS}:Detailed"
 replace_check(pytest.MonkeyPatch())
 resource.setrlimit(resource.RLIMIT_FSIZE, (4000, 4000))
-sys.exit(main(["avatar", "photo", *sys.argv[1:], "--no-cones"]))
+sys.exit(main(["avatar", "photo", *sys.argv[1:]]))
 """
 
 
