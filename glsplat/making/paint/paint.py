@@ -27,6 +27,7 @@ F64 = NDArray[np.float64]
 _NO_TWINS = ("neck", "head", "jaw", "left_eye_smplhf", "right_eye_smplhf")  # faces and chins have no counterpart
 _TRUNK = ("pelvis", "spine", "collar")
 _SHY = 1e-6  # how much a vertex nobody saw stays at the mean colour
+_STIFF = 0.003  # how much neighbours agree against how much a vertex obeys what was seen of it
 _GUESSED = 0.6  # of the splats that detail is worth, where it is a guess
 _EYES = [JOINT_NAMES.index(f"{side}_eye_smplhf") for side in ("left", "right")]
 _MOUTH = (0.30, 0.12, 0.11)  # sRGB of its inside, which pictures of whole people do not show
@@ -96,9 +97,8 @@ def _smooth_colours(body: Body, shots: Sequence[Shot], light: Light) -> F64:
     mean = target.sum(axis=0) / max(known.sum(), 1e-9)
     neighbours: csr_matrix = body.neighbours
     degree = np.asarray(neighbours.sum(axis=1)).ravel()
-    stiff = 0.003
-    scale = known + stiff * degree + _SHY
-    matrix = diags(scale) - stiff * neighbours
+    scale = known + _STIFF * degree + _SHY
+    matrix = diags(scale) - _STIFF * neighbours
     start = np.where(known[:, None] > 0.2, target / np.maximum(known, 0.2)[:, None], mean)
     columns = [
         cg(matrix, target[:, c] + _SHY * mean[c], x0=start[:, c], rtol=1e-4, maxiter=300, M=diags(1 / scale))[0]
