@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +25,7 @@ from glsplat.making.paint.shot import Shot
 from glsplat.making.reconstruct.reconstructor import Mask, Options, Picture
 from glsplat.meshes import RiggedMesh
 
-__all__ = ["SIDES", "Builtin", "Made"]
+__all__ = ["SIDES", "Builtin", "Made", "Telling"]
 
 SIDES = ("front", "back", "left", "right")
 _HARDLY = 0.1  # of a point that a picture shows too flatly to be believed
@@ -43,14 +44,23 @@ class Made:
     problem: str  # one line, or empty
 
 
+@runtime_checkable
+class Telling(Protocol):
+    """A reconstructor that can say how its avatar came about."""
+
+    def tell(self, pictures: Mapping[str, Picture], masks: Mapping[str, Mask], options: Options) -> Made:
+        """As ``reconstruct``, with all that led to the avatar."""
+        ...
+
+
 class Builtin:
     """Fits, dresses and paints; needs the networks of ``glsplat models get``."""
 
     def reconstruct(self, pictures: Mapping[str, Picture], masks: Mapping[str, Mask], options: Options) -> Avatar:
         """An avatar; see ``Reconstructor``."""
-        return self.make(pictures, masks, options).avatar
+        return self.tell(pictures, masks, options).avatar
 
-    def make(self, pictures: Mapping[str, Picture], masks: Mapping[str, Mask], options: Options) -> Made:
+    def tell(self, pictures: Mapping[str, Picture], masks: Mapping[str, Mask], options: Options) -> Made:
         """The avatar with all that led to it."""
         if "front" not in pictures:
             raise FormatError("an avatar needs a picture of the front")

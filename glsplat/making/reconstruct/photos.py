@@ -18,9 +18,9 @@ from glsplat.making.photo.mask_file import MaskSource, mask_of
 from glsplat.making.photo.photo_file import Photo, read_photo
 from glsplat.skinning.smplx import JOINT_NAMES
 
-from .builtin import Made
+from .builtin import Made, Telling
 from .reconstructor import Options, Picture, Progress, Reconstructor
-from .registry import OWN, named
+from .registry import OWN, named, one_line
 
 __all__ = ["PhotoSource", "Reconstruction", "Shot", "check_photos", "from_photos", "reconstruct", "refuse"]
 
@@ -126,23 +126,22 @@ def reconstruct(
         refuse(shots)
     day = _today()
     name = using if isinstance(using, str) else type(using).__name__
-    maker: Any = named(using) if isinstance(using, str) else using
+    maker = named(using) if isinstance(using, str) else using
     pictures = {
         side: Picture(shot.photo.picture, shot.photo.focal, shot.capture.person) for side, shot in shots.items()
     }
     masks = {side: shot.capture.mask for side, shot in shots.items()}
     made: Made | None = None
     try:
-        if callable(getattr(maker, "make", None)):
-            made = maker.make(pictures, masks, options)
+        if isinstance(maker, Telling):
+            made = maker.tell(pictures, masks, options)
         avatar = maker.reconstruct(pictures, masks, options) if made is None else made.avatar
     except GlsplatError:
         raise
     except Exception as error:
         if name in OWN:
             raise
-        said = " ".join(str(error).split())[:200]
-        raise GlsplatError(f'the reconstructor "{name}" failed: {type(error).__name__}: {said}') from error
+        raise GlsplatError(f'the reconstructor "{name}" failed: {one_line(error)}') from error
     if not isinstance(avatar, Avatar) or avatar.skeleton.names != JOINT_NAMES:
         raise GlsplatError(f'the reconstructor "{name}" gave {avatar!r:.100}, not an avatar on the joints of SMPL-X')
     if not anyway:

@@ -8,7 +8,7 @@ from glsplat.errors import GlsplatError
 
 from .reconstructor import Reconstructor
 
-__all__ = ["GROUP", "OWN", "named", "names"]
+__all__ = ["GROUP", "OWN", "named", "names", "one_line"]
 
 GROUP = "glsplat.reconstructors"
 """An entry point names a class or function that gives a ``Reconstructor`` when it is called without arguments."""
@@ -35,13 +35,15 @@ def named(name: str) -> Reconstructor:
     except Exception as error:
         if name in OWN:
             raise
-        said = " ".join(str(error).split())[:200]
-        raise GlsplatError(
-            f'the reconstructor "{name}" ({entry.value}) does not load: {type(error).__name__}: {said}'
-        ) from error
+        raise GlsplatError(f'the reconstructor "{name}" ({entry.value}) does not load: {one_line(error)}') from error
     if not callable(getattr(made, "reconstruct", None)):
         raise GlsplatError(f'the reconstructor "{name}" ({entry.value}) has no method "reconstruct"')
     return made
+
+
+def one_line(error: Exception) -> str:
+    """What somebody else's exception says, short enough for one line."""
+    return f"{type(error).__name__}: {' '.join(str(error).split())[:200]}"
 
 
 def _entry(name: str) -> EntryPoint:

@@ -76,7 +76,7 @@ class Detailed(Plain):
     problem: str = ""
     fitted: bool = False
 
-    def make(self, pictures: Any, masks: Any, options: Any) -> Made:
+    def tell(self, pictures: Any, masks: Any, options: Any) -> Made:
         self.calls.append((pictures, masks, options))
         mesh, fit = None, SimpleNamespace(views=[SimpleNamespace(overlap=0.5, strays=9.0)] * len(pictures), stature=1.7)
         if self.fitted:

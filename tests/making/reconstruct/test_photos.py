@@ -206,3 +206,13 @@ def test_an_empty_room_is_refused_a_doll_may_go_on(shared_data, tmp_path) -> Non
 
 def test_small_avatars_are_avatars() -> None:
     assert len(small_avatar().splats) >= 100 and os.sep not in str(small_avatar().meta)
+
+
+def test_a_method_that_happens_to_be_called_make_is_left_alone(seen, front) -> None:
+    class Other(Plain):
+        def make(self, *args: object) -> None:
+            raise AssertionError("nobody asked for it")
+
+    done = reconstruct(check_photos(front), using=Other())
+    assert done.made is None and done.made_by == "Other"
+    assert reconstruct(check_photos(front), using=Detailed()).made is not None

@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 
 from glsplat.camera import Camera, look_at
+from glsplat.making.paint.colour import to_linear, to_srgb
 from glsplat.making.raster import visible_faces
 from glsplat.meshes import RiggedMesh
 
@@ -44,7 +45,7 @@ def lit_picture(
     wrapped = np.clip((normals @ lamp + 0.15) / 1.15, 0, None) * _reached(mesh, vertices, points, lamp)
     ambient = GROUND + (SKY - GROUND) * (0.5 + 0.5 * normals[:, 1:2])
     picture = np.zeros((*ids.shape, 3))
-    picture[hit] = _srgb(_linear(texels[hit]) * (ambient + np.asarray(colour) * wrapped[:, None]))
+    picture[hit] = to_srgb(to_linear(texels[hit]) * (ambient + np.asarray(colour) * wrapped[:, None]))
     return cv2.resize(picture, (camera.width, camera.height), interpolation=cv2.INTER_AREA)
 
 
@@ -76,12 +77,3 @@ def _reached(mesh: RiggedMesh, vertices: np.ndarray, points: np.ndarray, lamp: n
             column = np.clip((x + right).astype(int), 0, SHADOW_SIZE - 1)
             lit += depth[np.clip((y + down).astype(int), 0, SHADOW_SIZE - 1), column] + BIAS > where[:, 2]
     return lit / 9
-
-
-def _linear(colour: np.ndarray) -> np.ndarray:
-    return np.where(colour <= 0.04045, colour / 12.92, ((colour + 0.055) / 1.055) ** 2.4)
-
-
-def _srgb(light: np.ndarray) -> np.ndarray:
-    light = np.clip(light, 0, 1)
-    return np.where(light <= 0.0031308, light * 12.92, 1.055 * light ** (1 / 2.4) - 0.055)
