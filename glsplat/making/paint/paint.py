@@ -31,6 +31,7 @@ _STIFF = 0.003  # how much neighbours agree against how much a vertex obeys what
 _GUESSED = 0.6  # of the splats that detail is worth, where it is a guess
 _EYES = [JOINT_NAMES.index(f"{side}_eye_smplhf") for side in ("left", "right")]
 _MOUTH = (0.30, 0.12, 0.11)  # sRGB of its inside, which pictures of whole people do not show
+_DIGITS = 6  # of a colour; see sharpen.py
 _SHADE = 0.3, 1.4  # brightness of an unseen point against the seen one its colour comes from
 
 
@@ -80,7 +81,7 @@ def paint(
     if looks:
         eyes, colours = eye_colours(body, front, looks, points)
         rgb[eyes] = colours
-    return Paint(rgb, seen, busy)
+    return Paint(np.round(rgb, _DIGITS), seen, np.round(busy, _DIGITS))
 
 
 def _smooth_colours(body: Body, shots: Sequence[Shot], light: Light) -> F64:

@@ -29,6 +29,7 @@ F64 = NDArray[np.float64]
 
 _FIGURE = 900.0  # pixels of the person's height that are looked at
 _LOYALTY = 0.6  # pixels that a splat's first colour is worth
+_DIGITS = 4  # of a colour, a fortieth of a step of 8 bits: the last bits of sums depend on the number of threads
 _COVERED = 0.6  # a pixel less covered than that is the outline's
 _MOST = 0.25  # how far a colour may go from the first one
 
@@ -43,7 +44,7 @@ def sharpened(avatar: Avatar, shots: Sequence[Shot], rounds: int) -> Avatar:
         rows.append(matrix)
         targets.append(target)
     colours = first + _solve(rows, [t - m @ first for m, t in zip(rows, targets, strict=True)], len(first), rounds)
-    colours = np.clip(colours, first - _MOST, first + _MOST).clip(0, 1)
+    colours = np.round(np.clip(colours, first - _MOST, first + _MOST).clip(0, 1), _DIGITS)
     made = Splats.create(
         splats.means, splats.quats, splats.scales, splats.opacities, rgb=colours, antialias=splats.antialias
     )
