@@ -19,8 +19,9 @@ from glsplat.making.photo.photo_file import Photo, read_photo
 from glsplat.skinning.smplx import JOINT_NAMES
 
 from .builtin import Made, Telling
+from .plugins import one_line
 from .reconstructor import Options, Picture, Progress, Reconstructor
-from .registry import OWN, named, one_line
+from .registry import OWN, named
 
 __all__ = ["PhotoSource", "Reconstruction", "Shot", "check_photos", "from_photos", "reconstruct", "refuse"]
 

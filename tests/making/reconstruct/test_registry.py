@@ -7,7 +7,7 @@ from importlib.metadata import EntryPoint, EntryPoints
 import pytest
 
 from glsplat.errors import GlsplatError
-from glsplat.making.reconstruct import registry
+from glsplat.making.reconstruct import plugins, registry
 from tests.making.reconstruct.stubs import Plain
 
 HERE = "tests.making.reconstruct.stubs"
@@ -23,7 +23,7 @@ def installed(monkeypatch):
             for name, several in values.items()
             for value in ([several] if isinstance(several, str) else several)
         )
-        monkeypatch.setattr(registry, "entry_points", lambda **which: entries.select(**which))
+        monkeypatch.setattr(plugins, "entry_points", lambda **which: entries.select(**which))
 
     return install
 

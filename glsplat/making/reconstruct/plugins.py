@@ -1,0 +1,60 @@
+"""Plugins: what this project brings and what other packages add, by name, through entry points."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib.metadata import EntryPoint, entry_points
+from typing import Any
+
+from glsplat.errors import GlsplatError
+
+__all__ = ["Plugins", "one_line"]
+
+
+@dataclass(frozen=True)
+class Plugins:
+    """Makers by name. An entry point of ``group`` names what gives one when it is called without arguments."""
+
+    what: str
+    """For messages: what one of them is called."""
+    group: str
+    method: str
+    """That each must have."""
+    own: Mapping[str, str]
+    """Name -> "module:attribute" of the project's own; these names cannot be taken by other packages."""
+
+    def names(self) -> tuple[str, ...]:
+        """All that ``named`` knows, the project's own first."""
+        return (*self.own, *sorted({entry.name for entry in entry_points(group=self.group)} - set(self.own)))
+
+    def named(self, name: str) -> Any:
+        """Load and make the one of that name. Raises GlsplatError, one line, where there is none or it fails."""
+        entry = self._entry(name)
+        try:
+            made = entry.load()()
+        except GlsplatError:
+            raise
+        except Exception as error:
+            if name in self.own:
+                raise
+            raise GlsplatError(f'the {self.what} "{name}" ({entry.value}) does not load: {one_line(error)}') from error
+        if not callable(getattr(made, self.method, None)):
+            raise GlsplatError(f'the {self.what} "{name}" ({entry.value}) has no method "{self.method}"')
+        return made
+
+    def _entry(self, name: str) -> EntryPoint:
+        if name in self.own:
+            return EntryPoint(name, self.own[name], self.group)
+        found = sorted({entry.value: entry for entry in entry_points(group=self.group, name=name)}.items())
+        if not found:
+            raise GlsplatError(f'no {self.what} is called "{name}"; there are {", ".join(self.names())}')
+        if len(found) > 1:
+            places = ", ".join(value for value, _ in found)
+            raise GlsplatError(f'several packages have a {self.what} "{name}" ({places}); uninstall all but one')
+        return found[0][1]
+
+
+def one_line(error: BaseException) -> str:
+    """What somebody else's exception says, short enough for one line."""
+    return f"{type(error).__name__}: {' '.join(str(error).split())[:200]}"
