@@ -23,6 +23,7 @@ from glsplat.rotations import FLIP_YZ
 
 __all__ = [
     "Camera",
+    "camera_from_json",
     "head_matrix",
     "load_cameras",
     "look_at",
@@ -278,7 +279,7 @@ def read_cameras(path: str | Path) -> tuple[list[Camera], bool]:
     views = data if isinstance(data, list) else [data]
     if not views:
         raise FormatError(f"{path}: expected at least one camera, found an empty list")
-    cameras = [_from_json(view, f"{path}: camera {index}") for index, view in enumerate(views)]
+    cameras = [camera_from_json(view, f"{path}: camera {index}") for index, view in enumerate(views)]
     if len({(c.width, c.height) for c in cameras}) > 1:
         raise FormatError(f"{path}: all cameras of a file need the same width and height")
     return cameras, isinstance(data, list)
@@ -313,7 +314,8 @@ def _vector(value: ArrayLike, what: str, length: int) -> NDArray[np.float64]:
     return vector
 
 
-def _from_json(view: Any, where: str) -> Camera:
+def camera_from_json(view: Any, where: str) -> Camera:
+    """The camera of one object of a camera file. Raises FormatError that begins with ``where``."""
     if not isinstance(view, dict):
         raise FormatError(f"{where}: expected an object, found {type(view).__name__}")
     missing = [key for key in ("width", "height", "fx", "fy", "w2c") if key not in view]

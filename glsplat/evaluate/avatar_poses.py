@@ -10,14 +10,16 @@ import numpy as np
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.skeleton import Skeleton
 
-__all__ = ["SCORE_POSES", "score_pose"]
+__all__ = ["SCORE_POSES", "Rotations", "fist", "pose_of", "score_pose"]
 
 Rotations = dict[str, tuple[float, float, float]]
+"""Axis-angle a joint, radians."""
 
 _FINGERS = ("index", "middle", "ring", "pinky")
 
 
-def _fist(side: str, amount: float) -> Rotations:
+def fist(side: str, amount: float) -> Rotations:
+    """Fingers bent by ``amount`` radians a joint."""
     sign = 1.0 if side == "left" else -1.0
     curl = {f"{side}_{finger}{i}": (0.0, 0.0, -sign * amount) for finger in _FINGERS for i in (1, 2, 3)}
     return {
@@ -82,8 +84,8 @@ SCORE_POSES: dict[str, Rotations] = {
         "left_shoulder": (0, -0.9, -0.6),
         "left_elbow": (0, -1.8, 0),
         "left_hip": (0, 0, 0.3),
-        **_fist("left", 1.3),
-        **_fist("right", 1.3),
+        **fist("left", 1.3),
+        **fist("right", 1.3),
     },
     "squat": {
         "left_hip": (-1.9, 0, 0.35),
@@ -101,9 +103,13 @@ SCORE_POSES: dict[str, Rotations] = {
 
 def score_pose(name: str, skeleton: Skeleton) -> Pose:
     """A pose of SCORE_POSES on any rig; joints the rig lacks are left out."""
+    return pose_of(SCORE_POSES[name], skeleton)
+
+
+def pose_of(given: Rotations, skeleton: Skeleton) -> Pose:
+    """Named rotations on any rig: a left joint without its right twin stands for both."""
     rotations = np.zeros((len(skeleton), 3))
     index = {joint: i for i, joint in enumerate(skeleton.names)}
-    given = SCORE_POSES[name]
     for joint, (x, y, z) in given.items():
         twin = joint.replace("left", "right", 1)
         if joint in index:

@@ -1,0 +1,1 @@
+"""Methods of making avatars, compared over participants under one control: the tables of the paper."""

@@ -1,0 +1,143 @@
+"""Participants: people whose true look is known, and what was captured of them."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from glsplat.camera import Camera, camera_from_json
+from glsplat.errors import FormatError
+from glsplat.formats.files import open_regular
+from glsplat.making.items import load_item
+from glsplat.meshes import RiggedMesh
+from glsplat.skinning.pose import Pose
+
+__all__ = ["Participant", "participants_in"]
+
+_MESHES = (".npz", ".glb", ".gltf")
+_PICTURES = (".jpg", ".jpeg", ".png")
+_VIDEOS = (".mp4", ".webm", ".mov")
+_LARGEST = 1 << 20  # bytes of a note of a capture
+
+
+@dataclass(frozen=True, eq=False)
+class Participant:
+    """One person. Nothing is read before it is asked for, so that a broken file fails where it can be reported."""
+
+    name: str
+    folder: Path
+    height: float | None = None
+    """Metres, where the participant said it."""
+
+    @property
+    def mesh_file(self) -> Path:
+        """The textured, rigged mesh that is the truth."""
+        return _one_of(self.folder / self.name, _MESHES) or self.folder / f"{self.name}.npz"
+
+    @property
+    def photo(self) -> Path:
+        """The photograph that methods may use. Raises FormatError where there is none."""
+        found = _one_of(self._captured, _PICTURES)
+        if found is None:
+            raise FormatError(f"{self._captured}.jpg: no such picture; a participant needs a photograph")
+        return found
+
+    @property
+    def video(self) -> Path | None:
+        """A video of the person turning, where there is one."""
+        return _one_of(self._captured, _VIDEOS)
+
+    @cached_property
+    def mesh(self) -> RiggedMesh:
+        """The truth in its zero pose, soles on y = 0. Raises FormatError."""
+        found = load_item(self.mesh_file, False)
+        if not isinstance(found, RiggedMesh) or len(found.skeleton) < 2:
+            raise FormatError(f"{self.mesh_file}: a participant is a textured mesh with a skeleton, this is none")
+        return found
+
+    @property
+    def camera(self) -> Camera | None:
+        """The photograph's camera, where it is known."""
+        if "camera" not in self._notes:
+            return None
+        return camera_from_json(self._notes["camera"], f"{self._note_file}: camera")
+
+    @property
+    def pose(self) -> Pose | None:
+        """The pose in the photograph, where it is known; of the mesh's skeleton."""
+        if "pose" not in self._notes:
+            return None
+        return Pose(self._notes["pose"], self._notes.get("trans", (0.0, 0.0, 0.0)))
+
+    @property
+    def light(self) -> Mapping[str, Any] | None:
+        """The photograph's light as its note has it, where it is known."""
+        return self._notes.get("light")
+
+    def digest(self) -> str:
+        """Of all files: changes when one of them does."""
+        total = hashlib.sha256(repr(self.height).encode())
+        for file in (self.mesh_file, _one_of(self._captured, _PICTURES), self.video, self._note_file):
+            if file is not None and file.is_file():
+                total.update(file.suffix.encode() + hashlib.sha256(file.read_bytes()).digest())
+        return total.hexdigest()[:16]
+
+    @property
+    def _captured(self) -> Path:
+        return self.folder / "capture" / self.name
+
+    @property
+    def _note_file(self) -> Path:
+        return self.folder / "capture" / f"{self.name}.json"
+
+    @cached_property
+    def _notes(self) -> Mapping[str, Any]:
+        if not self._note_file.is_file():
+            return {}
+        return _object(self._note_file)
+
+
+def participants_in(folder: Path) -> list[Participant]:
+    """All participants of a folder, by name: NAME.npz or .glb is the truth, capture/NAME.jpg or .png the photograph.
+
+    ``capture/NAME.json`` may tell the photograph's camera, pose and light, ``capture/NAME.mp4`` may show the person
+    turning, and ``participants.json`` may give heights in metres ({"participants": [{"id", "height_m"}]}). Raises
+    FormatError where nobody is found.
+    """
+    if not folder.is_dir():
+        raise FormatError(f"{folder}: no such folder; participants are NAME.npz or NAME.glb in a folder")
+    names = sorted({file.stem for file in folder.iterdir() if file.suffix.lower() in _MESHES and file.is_file()})
+    if not names:
+        raise FormatError(f"{folder}: nobody is here; participants are NAME.npz or NAME.glb")
+    heights: dict[str, float] = {}
+    table = folder / "participants.json"
+    if table.is_file():
+        try:
+            for row in _object(table)["participants"]:
+                heights[str(row["id"])] = float(row["height_m"])
+        except (KeyError, TypeError, ValueError):
+            raise FormatError(f'{table}: expected {{"participants": [{{"id": NAME, "height_m": metres}}]}}') from None
+    return [Participant(name, folder, heights.get(name)) for name in names]
+
+
+def _one_of(stem: Path, suffixes: tuple[str, ...]) -> Path | None:
+    return next((file for suffix in suffixes if (file := stem.with_name(stem.name + suffix)).is_file()), None)
+
+
+def _object(path: Path) -> Mapping[str, Any]:
+    with open_regular(path) as (file, size):
+        if size > _LARGEST:
+            raise FormatError(f"{path}: a note has at most {_LARGEST} bytes, this one {size}")
+        text = file.read()
+    try:
+        data = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise FormatError(f"{path}: a note is JSON, but {error}") from None
+    if not isinstance(data, dict):
+        raise FormatError(f"{path}: a note is a JSON object, not {type(data).__name__}")
+    return data
