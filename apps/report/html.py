@@ -2,24 +2,13 @@
 
 from __future__ import annotations
 
-import base64
-import html
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from ..page import document, escaped, image_of, number_of, table_of
 from . import latency as report_latency
 
 __all__ = ["LOADED", "page", "verdict"]
-
-_STYLE = """
-body { font: 15px/1.45 system-ui, sans-serif; margin: 2em auto; max-width: 1200px; padding: 0 1em; color: #222; }
-table { border-collapse: collapse; margin: 1em 0; font-size: 13px; }
-th, td { border-bottom: 1px solid #ddd; padding: 3px 10px; text-align: left; vertical-align: top; }
-td.n { text-align: right; font-variant-numeric: tabular-nums; }
-tr.front { background: #fff4e0; } tr.failed { background: #ffd9d6; font-weight: bold; }
-img { max-width: 100%; } code { background: #f2f2f2; padding: 0 3px; }
-"""
-
 
 _DENSE = (
     "Drawn with at most eight joints a splat; the truth has all joints that the corners of the nearest triangle of the "
@@ -56,7 +45,7 @@ def page(result: Mapping[str, Any], pictures: Mapping[str, bytes]) -> str:
         _agreement(result["agreement"]),
         f"Stability: {len(result['stability']) - len(failed)} of {len(result['stability'])} cases hold",
     ]
-    parts = ["<h1>Error against run time</h1><ul>", *(f"<li>{_text(fact)}</li>" for fact in facts), "</ul>"]
+    parts = ["<h1>Error against run time</h1><ul>", *(f"<li>{escaped(fact)}</li>" for fact in facts), "</ul>"]
     parts.append(
         "<p>Errors are against pictures computed in float64; times are whole frames with 8-bit output, read back. "
         "Timings of one run are comparable; machines are not.</p>"
@@ -71,9 +60,8 @@ def page(result: Mapping[str, Any], pictures: Mapping[str, bytes]) -> str:
     parts += _growth(result["growth"], pictures)
     parts += _hidden(result["hidden"], pictures)
     rows = [[name, why] for name, why in result["not_measured"].items()]
-    parts += ["<h2>8. What this report does not measure</h2>", _table(["what", "why"], rows)]
-    head = f'<html lang="en"><head><meta charset="utf-8"><title>glsplat report</title><style>{_STYLE}</style></head>'
-    return f"<!doctype html>{head}<body>{''.join(parts)}</body></html>\n"
+    parts += ["<h2>8. What this report does not measure</h2>", table_of(["what", "why"], rows)]
+    return document("glsplat report", "".join(parts))
 
 
 def _scene(scene: Mapping[str, Any], pictures: Mapping[str, bytes]) -> list[str]:
@@ -108,12 +96,12 @@ def _scene(scene: Mapping[str, Any], pictures: Mapping[str, bytes]) -> list[str]
         "Pareto",
     ]
     return [
-        f"<h3>{_text(heading)}</h3>",
+        f"<h3>{escaped(heading)}</h3>",
         *([f"<p>{_DENSE}</p>"] if scene["dense_truth"] else []),
-        *(_image(pictures, name) for name in scene["plots"]),
+        *(image_of(pictures, name) for name in scene["plots"]),
         f"<p>The default measured twice differs by {scene['noise_ms']:.3f} ms. "
-        f"As close or closer than the default and faster by more than that: {_text(better)}.</p>",
-        _table(names, rows, classes),
+        f"As close or closer than the default and faster by more than that: {escaped(better)}.</p>",
+        table_of(names, rows, classes),
     ]
 
 
@@ -132,9 +120,9 @@ def _batching(rows: Sequence[Mapping[str, Any]], pictures: Mapping[str, bytes]) 
         "<h2>2. Binocular Batching</h2>",
         "<p>Two renders share nothing; one renderer, eye by eye, shares skinning. The paper's figures are of its "
         "authors' GPU and avatar.</p>",
-        _image(pictures, "batching.png"),
-        _table(names, table),
-        _table(["pixels an eye", "stage", "pair (ms)", "two renders (ms)", "saved (ms)"], stages),
+        image_of(pictures, "batching.png"),
+        table_of(names, table),
+        table_of(["pixels an eye", "stage", "pair (ms)", "two renders (ms)", "saved (ms)"], stages),
     ]
 
 
@@ -164,10 +152,10 @@ def _left_out(result: Mapping[str, Any], pictures: Mapping[str, bytes]) -> list[
     rest.append(["unmoved", still["unmoved_ms"]["median"], " ".join(still["unmoved_passes"])])
     return [
         "<h2>3. What is left out</h2>",
-        _image(pictures, "left_out.png"),
-        _table(names, rows),
-        f"<p>Passes of a frame of {_text(still['scene'])}:</p>",
-        _table(["frame", "ms, median", "passes"], rest),
+        image_of(pictures, "left_out.png"),
+        table_of(names, rows),
+        f"<p>Passes of a frame of {escaped(still['scene'])}:</p>",
+        table_of(["frame", "ms, median", "passes"], rest),
     ]
 
 
@@ -175,13 +163,13 @@ def _stability(cases: Sequence[Mapping[str, Any]]) -> list[str]:
     rows = []
     for case in cases:
         compared = case["error"] is not None or case["unit"]
-        error = f"{_number(case['error'])} {case['unit']}" if compared else ""
+        error = f"{number_of(case['error'])} {case['unit']}" if compared else ""
         rows.append(
             [case["group"], case["case"], case["input"], case["behaviour"], case["seen"], error, case["verdict"]]
         )
     names = ["of", "case", "input", "stated behaviour", "seen", "largest error, or what was measured", "verdict"]
     classes = ["" if case["verdict"] == "holds" else "failed" for case in cases]
-    return ["<h2>4. Stability</h2><p>Every row was run for this report.</p>", _table(names, rows, classes)]
+    return ["<h2>4. Stability</h2><p>Every row was run for this report.</p>", table_of(names, rows, classes)]
 
 
 def _latency(result: Mapping[str, Any]) -> list[str]:
@@ -195,9 +183,9 @@ def _latency(result: Mapping[str, Any]) -> list[str]:
         "<h2>5. Latency</h2>",
         f"<p>A server and a client on this machine; the embedded recording of head and hands at {result['fps']:.0f} "
         "requests a second (ms; the paper's column is its table, on its authors' GPU, headset and network).</p>",
-        _table(head, rows),
+        table_of(head, rows),
         "<ul>",
-        *(f"<li>{_text(line)}</li>" for line in shown),
+        *(f"<li>{escaped(line)}</li>" for line in shown),
         "</ul>",
     ]
 
@@ -226,15 +214,15 @@ def _growth(growth: Mapping[str, Any], pictures: Mapping[str, bytes]) -> list[st
     }
     for name, (line, unit) in named.items():
         if line:
-            constant = f"{_number(line['constant'])} {unit}"
+            constant = f"{number_of(line['constant'])} {unit}"
             lines.append([name, line["slope"], constant, f"{100 * line['largest_relative_error']:.0f} %"])
     return [
         "<h2>6. Growth</h2>",
-        f"<p>{_text(growth['scene'])}, with fewer or more splats of the same area in all. Straight lines of least "
+        f"<p>{escaped(growth['scene'])}, with fewer or more splats of the same area in all. Straight lines of least "
         "relative error through the medians; the last column says how far the worst point lies off.</p>",
-        _image(pictures, "growth.png"),
-        _table(["slope", "value", "constant", "worst point"], lines),
-        _table(
+        image_of(pictures, "growth.png"),
+        table_of(["slope", "value", "constant", "worst point"], lines),
+        table_of(
             ["along", "splats", "views", "ms, median", "ms, p95", "buffers and textures (MB)", "process grew by (MB)"],
             rows,
         ),
@@ -263,9 +251,9 @@ def _hidden(rows: Sequence[Mapping[str, Any]], pictures: Mapping[str, bytes]) ->
         *out,
         "<p>Splats seen from outside their visibility cone are left out. PSNR here is against the complete picture of "
         "the same renderer; the error against run time of several margins is in section 1.</p>",
-        _table(names, table),
-        _table(heads, worst),
-        *(_image(pictures, row["plot"]) for row in rows),
+        table_of(names, table),
+        table_of(heads, worst),
+        *(image_of(pictures, row["plot"]) for row in rows),
     ]
 
 
@@ -280,33 +268,3 @@ def _agreement(rows: Sequence[Mapping[str, Any]]) -> str:
 
 def _bytes(sizes: Mapping[str, int], splats: int) -> str:
     return f"{(sizes['splats'] + sizes['sh'] + sizes['work']) / max(splats, 1):.0f}"
-
-
-def _table(names: Sequence[str], rows: Sequence[Sequence[Any]], classes: Sequence[str] = ()) -> str:
-    lines = ["<table><tr>", *(f"<th>{_text(name)}</th>" for name in names), "</tr>"]
-    for index, row in enumerate(rows):
-        kind = classes[index] if classes else ""
-        lines.append(f'<tr class="{kind}">' if kind else "<tr>")
-        for value in row:
-            number = isinstance(value, (int, float))
-            lines.append(f'<td class="n">{_number(value)}</td>' if number else f"<td>{_text(str(value))}</td>")
-        lines.append("</tr>")
-    return "".join([*lines, "</table>"])
-
-
-def _number(value: float | None) -> str:
-    if value is None:
-        return "not finite"
-    if isinstance(value, int):
-        return f"{value:,}"
-    small = value != 0 and abs(value) < 1e-3
-    return f"{value:.1e}" if small else f"{value:.5g}"
-
-
-def _image(pictures: Mapping[str, bytes], name: str) -> str:
-    data = base64.b64encode(pictures[name]).decode("ascii")
-    return f'<p><img alt="{_text(name)}" src="data:image/png;base64,{data}"></p>'
-
-
-def _text(value: str) -> str:
-    return html.escape(value)
