@@ -1,0 +1,199 @@
+"""``glsplat evaluate``: methods of making avatars, compared over participants; the tables of the paper."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import os
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from tqdm import tqdm
+
+from glsplat.errors import FormatError
+from glsplat.evaluate.comparison.method import OWN, method_of
+from glsplat.evaluate.comparison.participant import Participant, participants_in
+from glsplat.evaluate.comparison.performance import TASKS
+from glsplat.evaluate.comparison.protocol import LIGHTS, MORE, VIEWS, Protocol
+from glsplat.evaluate.comparison.work import Result, Task, finished
+from glsplat.evaluate.comparison.workers import run_tasks
+from glsplat.formats.files import replace_file
+
+from ..usage import UsageError
+from .html import page
+from .outcome import outcome, table_lines
+from .ready import check_ready
+
+HELP = (
+    "Make every method's avatar of every participant, drive all by the same head and hands and by the true pose, "
+    "compare with the participants' own meshes, and write evaluation.html (opens offline) and evaluation.json. What "
+    "the folder holds already is not made again."
+)
+EXAMPLE = "glsplat evaluate --quick -o out/evaluation"
+
+_QUICK_TASKS = ("waving", "turning")
+_QUICK_VIEWS = ("front", "back")
+_QUICK_PEOPLE = 4
+_BAR = "{desc}: {percentage:3.0f}% |{bar}| {elapsed} passed, about {remaining} to go"
+_WORKER = 1.6e9  # bytes that a process takes at most
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The command line."""
+    parser.add_argument(
+        "--participants",
+        type=Path,
+        metavar="DIR",
+        help="NAME.npz or NAME.glb (the truth) and capture/NAME.jpg (docs/evaluation.md); default: four that come along",
+    )
+    parser.add_argument(
+        "--methods",
+        default=",".join(OWN),
+        help="names, with commas between: %(default)s (the default), other packages', or NAME=FOLDER with a "
+        "file (.glb, .ply, ...) a participant",
+    )
+    parser.add_argument("--only", help="participants to take, with commas between (default: all)")
+    parser.add_argument(
+        "--poses", help=f"some of: {', '.join(TASKS)}; or a motion, of which 8 moments are taken (default: all tasks)"
+    )
+    parser.add_argument("--views", help=f"sides that are looked at, some of {', '.join(VIEWS)} (default: all)")
+    parser.add_argument("--size", type=int, default=512, help="pixels a side of an eye's picture (default %(default)s)")
+    parser.add_argument(
+        "--light", choices=LIGHTS, default=LIGHTS[0], help="the truth is lit as in the photograph (default), or not"
+    )
+    parser.add_argument("--measure", help=f"further measures: {', '.join(MORE)}")
+    parser.add_argument("--quick", action="store_true", help="four participants, two poses, two views: a look")
+    parser.add_argument("--seed", type=int, default=0, help="same seed, same table (default 0)")
+    parser.add_argument("--jobs", type=int, help="processes (default: one a core, as memory allows)")
+    parser.add_argument("--no-timing", action="store_true", help="leave out table 2 and the latency table")
+    parser.add_argument("-o", "--output", type=Path, default=Path("out/evaluation"), help="folder (default %(default)s)")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Compare, write, print table 1; 1 where something failed."""
+    methods = dict(method_of(word) for word in _words(args.methods, "--methods"))
+    protocol = _protocol(args)
+    people = _people(args)
+    jobs = _jobs(args)
+    check_ready(tuple(methods), protocol)
+    try:
+        args.output.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise FormatError(f"{args.output}: cannot make the folder ({error.strerror})") from None
+    options = {"seed": args.seed, "quick": args.quick}
+    began = time.perf_counter()
+    results = _results([Task(one, methods, protocol, args.output, options) for one in people], jobs)
+    if not args.no_timing:
+        from .timing import timed
+
+        timing = timed(results, args.output, args.quick)
+    else:
+        timing = {}
+    found = outcome(results, tuple(methods), people, protocol, options, timing)
+    found["seconds"] = round(time.perf_counter() - began, 1)
+    _write(found, args.output)
+    print(*table_lines(found), sep="\n")
+    print(args.output / "evaluation.html")
+    return 1 if found["failures"] else 0
+
+
+def _results(tasks: Sequence[Task], jobs: int) -> list[Result]:
+    """Of all tasks: what lies in the folder, and the rest made now."""
+    kept = [result for task in tasks for result in finished(task)]
+    done = {(result.participant, result.method) for result in kept}
+    left = []
+    for task in tasks:
+        methods = {name: how for name, how in task.methods.items() if (task.participant.name, name) not in done}
+        if methods:
+            left.append(Task(task.participant, methods, task.protocol, task.out, task.options))
+    if kept:
+        print(f"{len(kept)} of {sum(len(task.methods) for task in tasks)} results lie in the folder already")
+    shares = [0.0] * len(left)
+    with tqdm(total=max(len(left), 1), bar_format=_BAR, disable=None) as bar:
+
+        def show(index: int, step: str, done: float) -> None:
+            shares[index] = max(shares[index], done)
+            bar.set_description(step, refresh=False)
+            bar.n = sum(shares)
+            bar.refresh()
+
+        for results in run_tasks(left, min(jobs, len(left)), show):
+            kept += results
+            for result in results:
+                if result.failed:
+                    tqdm.write(f"{result.participant}, {result.method}: {result.failed}", file=sys.stderr)
+            if results:
+                place = [task.participant.name for task in left].index(results[0].participant)
+                show(place, results[0].participant, 1.0)
+    return kept
+
+
+def _protocol(args: argparse.Namespace) -> Protocol:
+    tasks, motion = tuple(TASKS), None
+    views = tuple(_words(args.views, "--views")) if args.views else tuple(VIEWS)
+    if args.quick:
+        tasks, views = _QUICK_TASKS, views if args.views else _QUICK_VIEWS
+    if args.poses:
+        words = tuple(_words(args.poses, "--poses"))
+        if all(word in TASKS for word in words):
+            tasks = words
+        elif len(words) == 1:
+            motion = words[0]
+        else:
+            wrong = next(word for word in words if word not in TASKS)
+            raise UsageError(f"--poses: {wrong!r:.40} is none of {', '.join(TASKS)}")
+    more = tuple(_words(args.measure, "--measure")) if args.measure else ()
+    return Protocol(tasks=tasks, motion=motion, views=views, size=args.size, light=args.light, more=more)
+
+
+def _people(args: argparse.Namespace) -> list[Participant]:
+    people = participants_in(args.participants)
+    if args.only:
+        wanted = _words(args.only, "--only")
+        known = {one.name: one for one in people}
+        missing = [name for name in wanted if name not in known]
+        if missing:
+            raise UsageError(f"--only: no participant {missing[0]!r:.40}; there are {', '.join(known)}")
+        people = [known[name] for name in wanted]
+    return people[:_QUICK_PEOPLE] if args.quick else people
+
+
+def _jobs(args: argparse.Namespace) -> int:
+    if args.jobs is not None:
+        if not 1 <= args.jobs <= 256:
+            raise UsageError(f"--jobs needs 1 to 256 processes, not {args.jobs}")
+        return int(args.jobs)
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return max(1, min(cores, math.floor(_memory() / _WORKER)))
+
+
+def _memory() -> float:
+    """Bytes that processes may still take; all there is where the system does not say."""
+    try:
+        lines = Path("/proc/meminfo").read_text(encoding="ascii").splitlines()
+        return next(float(line.split()[1]) * 1024 for line in lines if line.startswith("MemAvailable:"))
+    except (OSError, StopIteration, ValueError):
+        return math.inf
+
+
+def _words(text: str, option: str) -> list[str]:
+    words = [word.strip() for word in text.split(",") if word.strip()]
+    if not words or len(set(words)) != len(words):
+        raise UsageError(f"{option} needs different names with commas between, not {text!r:.60}")
+    return words
+
+
+def _write(found: Mapping[str, Any], folder: Path) -> None:
+    sheets = {}
+    for row in found["participants"]:
+        name = f"sheets/{row['method']}/{row['participant']}.jpg"
+        if "failed" not in row:
+            sheets[name] = (folder / name).read_bytes()
+    replace_file(folder / "evaluation.json", [json.dumps(found, indent=1, allow_nan=False).encode()])
+    replace_file(folder / "evaluation.html", [page(found, sheets).encode()])
+
+

@@ -1,0 +1,70 @@
+"""The outcome of a comparison as one JSON object, and its first table as text."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from glsplat.evaluate.comparison import tables
+from glsplat.evaluate.comparison.control import CONTROLS
+from glsplat.evaluate.comparison.measure import MEASURES
+from glsplat.evaluate.comparison.participant import Participant
+from glsplat.evaluate.comparison.protocol import Protocol
+from glsplat.evaluate.comparison.work import Result
+from glsplat.evaluate.machine import machine
+
+__all__ = ["LOWER", "outcome", "table_lines"]
+
+LOWER = ("l1", "lpips", "box_l1", "flip", "lpips-vgg")
+"""Measures that are better when they are smaller."""
+
+
+def outcome(
+    results: Sequence[Result],
+    methods: Sequence[str],
+    people: Sequence[Participant],
+    protocol: Protocol,
+    options: Mapping[str, Any],
+    timing: Mapping[str, Any],
+) -> dict[str, Any]:
+    """Everything that the page shows. Numbers of table 1 depend on nothing but files, protocol and options."""
+    drivers = sorted({result.data["driver"] for result in results if not result.failed})
+    return {
+        **machine(),
+        "drivers": drivers,
+        "protocol": protocol.to_json(),
+        "options": dict(options),
+        "methods": list(methods),
+        "people": [one.name for one in people],
+        "table1": tables.summary(results, methods, len(people)),
+        "statistics": tables.compared(results, methods, int(options["seed"])),
+        "views": tables.by_view(results, methods),
+        "parts": tables.by_part(results, methods),
+        "moments": tables.by_moment(results, methods),
+        "participants": tables.by_participant(results, methods),
+        "failures": tables.failures(results),
+        "timing": dict(timing),
+    }
+
+
+def table_lines(found: Mapping[str, Any]) -> list[str]:
+    """Table 1 as lines of text."""
+    lines = []
+    for control in CONTROLS:
+        by = "head and hands" if control == "tracking" else "the true pose"
+        lines.append(f"driven by {by}:")
+        lines.append(f"  {'':14}" + "".join(f"{name + ('  v' if name in LOWER else '  ^'):>18}" for name in MEASURES))
+        for row in found["table1"]:
+            if row["control"] == control:
+                cells = "".join(f"{_cell(row[name], name):>18}" for name in MEASURES)
+                lines.append(f"  {row['method']:14}{cells}   {row['n']} of {row['of']}")
+    lines += [f"failed: {row['participant']}, {row['method']}: {row['why']}" for row in found["failures"]]
+    return lines
+
+
+def _cell(spread: Mapping[str, Any] | None, name: str) -> str:
+    if spread is None:
+        return "-"
+    digits = 2 if name == "psnr" else 4
+    deviation = "" if spread["sd"] is None else f" ({spread['sd']:.{digits}f})"
+    return f"{spread['mean']:.{digits}f}{deviation}"

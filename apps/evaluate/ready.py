@@ -1,0 +1,31 @@
+"""What a comparison needs before its work starts: packages, networks' files."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from glsplat.errors import GlsplatError
+from glsplat.evaluate.comparison.protocol import Protocol
+from glsplat.evaluate.metrics.lpips import Lpips
+from glsplat.models.catalogue import PHOTO
+from glsplat.models.store import state_of
+
+__all__ = ["check_ready"]
+
+_SEEING = ("photo", "mesh-image", "mesh-video")  # methods that find a person in pictures
+
+
+def check_ready(methods: Sequence[str], protocol: Protocol) -> None:
+    """Raise GlsplatError, one line with what to type, for what is missing: better now than after the first avatar."""
+    if any(method in _SEEING for method in methods) and any(state_of(model) != "here" for model in PHOTO.models):
+        raise GlsplatError(f"the networks that read photographs are not on this machine; run: {PHOTO.command}")
+    Lpips("alex")
+    if "lpips-vgg" in protocol.more:
+        Lpips("vgg")
+    try:
+        import matplotlib  # noqa: F401
+
+        if "flip" in protocol.more:
+            import flip_evaluator  # noqa: F401
+    except ImportError as error:
+        raise GlsplatError(f"this needs {error.name}; install it with: pip install 'glsplat[evaluate]'") from None

@@ -1,0 +1,73 @@
+"""Body parts in pictures of a participant: which of them each pixel belongs to."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from glsplat.meshes import MeshPart, RiggedMesh
+
+__all__ = ["PARTS", "labelled_mesh", "labels_of", "regions"]
+
+PARTS = ("face", "head", "hands", "torso", "legs")
+"""The face is the front of the head without hair; ``head`` is the rest of it, ``torso`` has the arms."""
+
+_HEAD = ("head", "jaw", "left_eye", "right_eye")
+_HANDS = tuple(
+    f"{side}_{name}" for side in ("left", "right") for name in ("wrist", "index", "middle", "pinky", "ring", "thumb")
+)
+_LEGS = tuple(f"{side}_{name}" for side in ("left", "right") for name in ("hip", "knee", "ankle", "foot"))
+_HAIR = ("hair",)
+_STEP = 40  # of 255, between the greys of two parts
+
+
+def labelled_mesh(mesh: RiggedMesh) -> RiggedMesh:
+    """The same triangles, each in the grey of its part; for a renderer with one sample a pixel."""
+    kinds = np.concatenate([_kinds(mesh, part) for part in mesh.parts])
+    faces, parts = mesh.faces, []
+    for index, name in enumerate(PARTS):
+        mine = faces[kinds == index]
+        if len(mine):
+            grey = np.full((2, 2, 4), 255, np.uint8)
+            grey[..., :3] = _STEP * (index + 1)
+            parts.append(MeshPart(name, mine, np.zeros((*mine.shape, 2)), grey))
+    return RiggedMesh(mesh.vertices, mesh.skeleton, mesh.joints, mesh.weights, tuple(parts))
+
+
+def labels_of(picture: NDArray[np.uint8]) -> NDArray[np.int8]:
+    """[H, W] the part (place in PARTS) that a picture [H, W, 4] of a labelled mesh shows, -1 for none."""
+    return np.asarray(np.where(picture[..., 3] > 127, np.rint(picture[..., 0] / _STEP).astype(int) - 1, -1), np.int8)
+
+
+def regions(labels: NDArray[np.int8], reach: int) -> NDArray[np.int8]:
+    """[H, W] the same, with each pixel of the background within ``reach`` pixels given to the nearest part.
+
+    What an avatar has wrongly beside its person is a mistake of the part that it stands beside.
+    """
+    empty = labels < 0
+    if empty.all():
+        return labels
+    away, nearest = cv2.distanceTransformWithLabels(
+        empty.astype(np.uint8), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
+    )
+    of = np.full(int(nearest.max()) + 1, -1, np.int8)
+    of[nearest[~empty]] = labels[~empty]
+    return np.where(away <= reach, of[nearest], np.int8(-1))
+
+
+def _kinds(mesh: RiggedMesh, part: MeshPart) -> NDArray[np.intp]:
+    """[F] place in PARTS of each triangle, by the joint that holds most of its first corner."""
+    corner = part.faces[:, 0]
+    strongest = np.take_along_axis(mesh.joints, mesh.weights.argmax(axis=1)[:, None], axis=1)[:, 0][corner]
+    names = mesh.skeleton.names
+    out = np.full(len(corner), PARTS.index("torso"))
+    for kind, starts in (("head", _HEAD), ("hands", _HANDS), ("legs", _LEGS)):
+        out[np.array([name.startswith(starts) for name in names])[strongest]] = PARTS.index(kind)
+    if "head" in names and not part.name.startswith(_HAIR):
+        before = mesh.vertices[part.faces].mean(axis=1)[:, 2] > mesh.skeleton.joints[names.index("head"), 2] + _FRONT
+        out[(out == PARTS.index("head")) & before] = PARTS.index("face")
+    return out
+
+
+_FRONT = 0.03  # metres before the head joint, where ears end and the face begins

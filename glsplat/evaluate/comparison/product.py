@@ -1,0 +1,86 @@
+"""Products: the avatar that a method made of a participant, kept as a file so that it is made once."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from glsplat.avatar import Avatar
+from glsplat.errors import FormatError, GlsplatError
+from glsplat.evaluate.comparison.method import Figure, Folder, method_named
+from glsplat.evaluate.comparison.participant import Participant
+from glsplat.formats import save
+from glsplat.formats.files import replace_file
+from glsplat.making.items import load_item
+from glsplat.making.reconstruct.plugins import one_line
+from glsplat.meshes import RiggedMesh
+
+__all__ = ["Product", "product"]
+
+
+@dataclass(frozen=True, eq=False)
+class Product:
+    """An avatar, and what making it took."""
+
+    figure: Figure
+    facts: Mapping[str, Any]
+    """kind ("splats" or "triangles"), count, bytes of its file, seconds it took to make (None: made elsewhere)."""
+
+
+def product(name: str, source: str | Folder, participant: Participant, out: Path, key: Mapping[str, Any]) -> Product:
+    """The avatar of a participant by the method ``name``, made or taken from ``out``, if it was made under ``key``.
+
+    It is what its file holds either way, so that a run that goes on is as one that was never interrupted. Raises
+    GlsplatError in one line, also for whatever a method of somebody else raises.
+    """
+    if isinstance(source, Folder):
+        figure = source.make(participant)
+        return Product(_checked(figure, name), _facts(figure, None, None))
+    file, note = out / f"{participant.name}.glb", out / f"{participant.name}.json"
+    wanted = {**key, "participant": participant.digest()}
+    kept = _note(note)
+    if not file.is_file() or kept.get("key") != wanted:
+        began = time.perf_counter()
+        made = _made(name, source, participant, key)
+        seconds = round(time.perf_counter() - began, 1)
+        out.mkdir(parents=True, exist_ok=True)
+        save(_checked(made, name), file)
+        kept = {"key": wanted, "seconds": seconds}
+        replace_file(note, [json.dumps(kept).encode()])
+    figure = _checked(load_item(file, False), name)
+    return Product(figure, _facts(figure, file.stat().st_size, kept["seconds"]))
+
+
+def _made(name: str, source: str, participant: Participant, key: Mapping[str, Any]) -> Any:
+    method = method_named(source, key)
+    try:
+        made = method.make(participant)
+        return load_item(made, False) if isinstance(made, Path) else made
+    except GlsplatError:
+        raise
+    except Exception as error:
+        raise GlsplatError(f'the method "{name}" failed on {participant.name}: {one_line(error)}') from error
+
+
+def _checked(figure: Any, name: str) -> Figure:
+    if not isinstance(figure, (Avatar, RiggedMesh)) or len(figure.skeleton) < 2:
+        raise FormatError(f'the method "{name}" gave {figure!r:.80}, not an avatar or a mesh with a skeleton')
+    return figure
+
+
+def _facts(figure: Figure, size: int | None, seconds: float | None) -> dict[str, Any]:
+    splats = isinstance(figure, Avatar)
+    count = len(figure.splats) if isinstance(figure, Avatar) else len(figure.faces)
+    return {"kind": "splats" if splats else "triangles", "count": count, "bytes": size, "seconds": seconds}
+
+
+def _note(path: Path) -> dict[str, Any]:
+    try:
+        data = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return {}
+    return data if isinstance(data, dict) else {}

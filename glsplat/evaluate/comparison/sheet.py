@@ -1,0 +1,39 @@
+"""Contact sheets: an avatar beside its participant, at every moment, from the front and from behind."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["Sheet"]
+
+Picture = NDArray[np.uint8]
+_SIDE = 160  # pixels of a picture on the sheet
+_QUALITY = 85
+
+
+class Sheet:
+    """Small pictures in rows (what) and columns (moments); rows appear in the order in which they are first named."""
+
+    def __init__(self, moments: int) -> None:
+        self._moments = moments
+        self._rows: dict[str, list[Picture | None]] = {}
+
+    def put(self, row: str, moment: int, picture: Picture) -> None:
+        """A picture [H, W, 3 or 4] RGB(A)."""
+        cells = self._rows.setdefault(row, [None] * self._moments)
+        height, width = picture.shape[:2]
+        size = (round(_SIDE * width / height), _SIDE)
+        cells[moment] = cv2.resize(picture[..., :3], size, interpolation=cv2.INTER_AREA)
+
+    def jpeg(self) -> bytes:
+        """The sheet with its rows' names, JPEG."""
+        lines = []
+        for name, cells in self._rows.items():
+            filled = [np.zeros((_SIDE, _SIDE, 3), np.uint8) if cell is None else cell for cell in cells]
+            line = np.ascontiguousarray(np.hstack(filled))
+            cv2.putText(line, name, (4, 12), cv2.FONT_HERSHEY_SIMPLEX, 0.4, (255, 255, 255), 1, cv2.LINE_AA)
+            lines.append(line)
+        data = cv2.imencode(".jpg", np.vstack(lines)[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])[1]
+        return bytes(data.tobytes())

@@ -1,0 +1,142 @@
+"""Tables of a comparison, from the results of all participants: means over participants of their own means."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glsplat.evaluate.comparison.control import CONTROLS
+from glsplat.evaluate.comparison.measure import BOXED, MEASURES, OVERLAP, PARTED
+from glsplat.evaluate.comparison.parts import PARTS
+from glsplat.evaluate.comparison.work import Result
+
+__all__ = ["PAPER", "by_moment", "by_part", "by_participant", "by_view", "failures", "means", "summary"]
+
+F64 = NDArray[np.float64]
+
+PAPER: Mapping[str, Mapping[str, float]] = {
+    "mesh-video": {"l1": 0.042, "lpips": 0.099, "psnr": 16.33, "ssim": 0.927},
+    "mesh-image": {"l1": 0.043, "lpips": 0.103, "psnr": 16.74, "ssim": 0.917},
+    "photo": {"l1": 0.033, "lpips": 0.082, "psnr": 17.92, "ssim": 0.934},
+}
+"""Table 1 of the paper, by the method that has the same role here: photographs of 24 people, other crops and poses."""
+
+
+def means(results: Sequence[Result], method: str, control: str, measure: str) -> dict[str, float]:
+    """Participant -> mean over all moments, views and eyes; those that failed are left out."""
+    return {one.participant: float(np.nanmean(_array(one, control, measure))) for one in _good(results, method)}
+
+
+def summary(results: Sequence[Result], methods: Sequence[str], people: int) -> list[dict[str, Any]]:
+    """Table 1: a row a method and control, each measure as mean and standard deviation over ``n`` of ``people``."""
+    rows = []
+    for control in CONTROLS:
+        for method in methods:
+            good = _good(results, method)
+            row: dict[str, Any] = {"method": method, "control": control, "n": len(good), "of": people}
+            for name in _measures(results):
+                row[name] = _spread(list(means(results, method, control, name).values()))
+            if method in PAPER:
+                row["paper"] = dict(PAPER[method])
+            rows.append(row)
+    return rows
+
+
+def by_participant(results: Sequence[Result], methods: Sequence[str]) -> list[dict[str, Any]]:
+    """A row a participant and method: the paper's measures under both controls, or why there are none."""
+    rows = []
+    order = {method: place for place, method in enumerate(methods)}
+    for one in sorted(results, key=lambda one: (one.participant, order[one.method])):
+        row: dict[str, Any] = {"participant": one.participant, "method": one.method}
+        if one.failed:
+            row["failed"] = one.failed
+        else:
+            row |= {"product": one.data["product"]}
+            row |= {
+                control: {name: _round(np.nanmean(_array(one, control, name))) for name in (*MEASURES, OVERLAP)}
+                for control in CONTROLS
+            }
+        rows.append(row)
+    return rows
+
+
+def by_view(results: Sequence[Result], methods: Sequence[str]) -> list[dict[str, Any]]:
+    """A row a method, control and side of the person that is seen."""
+    return _along(results, methods, "view", "views", lambda array, place: array[:, place])
+
+
+def by_moment(results: Sequence[Result], methods: Sequence[str]) -> list[dict[str, Any]]:
+    """A row a method, control and moment (pose)."""
+    return _along(results, methods, "moment", "moments", lambda array, place: array[place])
+
+
+def by_part(results: Sequence[Result], methods: Sequence[str]) -> list[dict[str, Any]]:
+    """A row a method, control and body part; means over the pictures in which it is seen."""
+    rows = []
+    for control in CONTROLS:
+        for method in methods:
+            good = _good(results, method)
+            for part in PARTS if good else ():
+                row: dict[str, Any] = {"method": method, "control": control, "part": part}
+                for name in PARTED:
+                    arrays = [_numbers(one.data["parts"][control][part][name]) for one in good]
+                    seen = [float(np.nanmean(array)) for array in arrays if np.isfinite(array).any()]
+                    row[name] = _spread(seen)
+                rows.append(row)
+    return rows
+
+
+def failures(results: Sequence[Result]) -> list[dict[str, str]]:
+    """Participant, method and reason of what failed."""
+    return [{"participant": r.participant, "method": r.method, "why": r.failed} for r in results if r.failed]
+
+
+def _along(
+    results: Sequence[Result], methods: Sequence[str], name: str, key: str, take: Callable[[F64, int], F64]
+) -> list[dict[str, Any]]:
+    rows = []
+    for control in CONTROLS:
+        for method in methods:
+            good = _good(results, method)
+            for place, label in enumerate(good[0].data[key] if good else ()):
+                row: dict[str, Any] = {"method": method, "control": control, name: label}
+                for measure in _measures(results):
+                    own = [float(np.nanmean(take(_array(one, control, measure), place))) for one in good]
+                    row[measure] = _spread(own)
+                rows.append(row)
+    return rows
+
+
+def _measures(results: Sequence[Result]) -> list[str]:
+    """Those that were taken, the paper's first."""
+    taken = next((one.data["values"][CONTROLS[0]] for one in results if not one.failed), {})
+    first = [*MEASURES, *BOXED, OVERLAP]
+    return [name for name in (*first, *(set(taken) - set(first))) if name in taken]
+
+
+def _good(results: Sequence[Result], method: str) -> list[Result]:
+    return [one for one in results if one.method == method and not one.failed]
+
+
+def _array(one: Result, control: str, measure: str) -> F64:
+    return _numbers(one.data["values"][control][measure])
+
+
+def _numbers(values: Any) -> F64:
+    """[M, V, 2] of nested lists; null is NaN."""
+    return np.array(values, np.float64)
+
+
+def _spread(values: Sequence[float]) -> dict[str, Any] | None:
+    """Mean and standard deviation over participants (of the sample; none of one), and how many they are."""
+    if not values:
+        return None
+    deviation = _round(np.std(values, ddof=1)) if len(values) > 1 else None
+    return {"mean": _round(np.mean(values)), "sd": deviation, "n": len(values)}
+
+
+def _round(value: Any) -> float:
+    return round(float(value), 6)

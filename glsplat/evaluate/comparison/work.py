@@ -1,0 +1,187 @@
+"""The work of a comparison: a participant at a time, each method's avatar made, driven, drawn and measured.
+
+What is done lies in the output folder and is not done again: ``avatars/METHOD/NAME.glb``, ``results/METHOD/NAME.json``,
+``sheets/METHOD/NAME.jpg``. A result is written whole or not at all, and only once everything in it is known.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from glsplat.errors import GlsplatError
+from glsplat.evaluate.comparison.control import CONTROLS, recorded, tracked, true_poses
+from glsplat.evaluate.comparison.measure import Measuring
+from glsplat.evaluate.comparison.method import Folder
+from glsplat.evaluate.comparison.participant import Participant
+from glsplat.evaluate.comparison.performance import Performance, perform, perform_motion
+from glsplat.evaluate.comparison.product import Product, product
+from glsplat.evaluate.comparison.protocol import Protocol
+from glsplat.evaluate.comparison.sheet import Sheet
+from glsplat.evaluate.comparison.stage import Stage
+from glsplat.formats.files import replace_file
+from glsplat.skinning.pose import Pose
+from glsplat.tracking.sample import Sample
+
+__all__ = ["Result", "Task", "finished", "work"]
+
+Tell = Callable[[str, float], None]
+"""Called with a step's name and the share of the task that is done."""
+
+_MAKING = 0.5  # share of a task that is making avatars, about
+_DIGITS = 6
+_SHEET_VIEWS = ("front", "back")
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """One participant and the methods that have no result yet."""
+
+    participant: Participant
+    methods: Mapping[str, str | Folder]  # name -> what ``product`` makes it by
+    protocol: Protocol
+    out: Path
+    options: Mapping[str, Any] = field(default_factory=dict)  # seed, quick: of the project's own methods
+
+
+@dataclass(frozen=True, eq=False)
+class Result:
+    """One method on one participant: ``failed`` is one line, or empty where there are values."""
+
+    participant: str
+    method: str
+    failed: str = ""
+    data: Mapping[str, Any] = field(default_factory=dict)
+    """product (see Product.facts), moments, views, values {control: {measure: [M][V][2]}}, parts {control: {part:
+    {measure: [M][V][2], null where it is not seen}}}."""
+
+
+def finished(task: Task) -> list[Result]:
+    """Results that lie in the folder and hold for this task's protocol, options and files."""
+    found = []
+    digest = task.participant.digest()
+    for method in task.methods:
+        try:
+            kept = json.loads(_result_file(task, method).read_text(encoding="utf-8"))
+            if kept["key"] == _key(task, digest):
+                found.append(Result(task.participant.name, method, data=kept["data"]))
+        except (OSError, ValueError, KeyError, TypeError):
+            continue
+    return found
+
+
+def work(task: Task, tell: Tell) -> list[Result]:
+    """Do a task; a result a method. What fails is a result that says why, and is tried again in the next run."""
+    name, made, results = task.participant.name, dict[str, Product](), []
+    digest = task.participant.digest()
+    for index, (method, source) in enumerate(task.methods.items()):
+        tell(f"{name}: {method}", _MAKING * index / len(task.methods))
+        try:
+            folder = task.out / "avatars" / method
+            made[method] = product(method, source, task.participant, folder, task.options)
+        except GlsplatError as error:
+            results.append(Result(name, method, str(error)))
+    if not made:
+        return results
+    try:
+        drawn = _drawn(task, made, tell)
+    except GlsplatError as error:
+        return results + [Result(name, method, str(error)) for method in made]
+    for method, (data, sheet) in drawn.items():
+        if isinstance(data, str):
+            results.append(Result(name, method, data))
+            continue
+        _write(task.out / "sheets" / method / f"{name}.jpg", sheet.jpeg())
+        stored = json.dumps({"key": _key(task, digest), "data": data}).encode()
+        _write(_result_file(task, method), stored)
+        results.append(Result(name, method, data=json.loads(stored)["data"]))
+    return results
+
+
+def _drawn(task: Task, made: Mapping[str, Product], tell: Tell) -> dict[str, tuple[dict[str, Any] | str, Sheet]]:
+    """Method -> its values, or why there are none, and its contact sheet."""
+    protocol, mesh = task.protocol, task.participant.mesh
+    performance = perform(mesh, protocol.tasks)
+    if protocol.motion is not None:
+        performance = perform_motion(protocol.motion, mesh.skeleton, protocol.moments)
+    moments = len(performance.moments)
+    samples = recorded(performance, mesh.skeleton)
+    entries: dict[str, _Entry] = {}
+    out: dict[str, tuple[dict[str, Any] | str, Sheet]] = {}
+    with Stage(mesh, performance, protocol, task.participant.light) as stage:
+        for method, one in made.items():
+            try:
+                poses = _poses(one, performance, samples, task)
+                entries[method] = _Entry(stage.add(one.figure), poses, Measuring(protocol, moments), Sheet(moments))
+            except GlsplatError as error:
+                out[method] = str(error), Sheet(moments)
+        measuring = next(iter(entries.values())).measuring if entries else None
+        for moment, view, share in _moments(moments, protocol):
+            tell(f"{task.participant.name}: pictures", _MAKING + (1 - _MAKING) * share)
+            truth = stage.truth(moment, protocol.views[view])
+            known = measuring.known(truth) if measuring else None
+            for entry in entries.values():
+                drawn = {}
+                for control, poses in entry.poses.items():
+                    drawn[control] = stage.draw(entry.figure, truth.cameras, poses[moment])
+                    entry.measuring.add(control, moment, view, known, drawn[control])
+                if protocol.views[view] in _SHEET_VIEWS:
+                    side = protocol.views[view]
+                    entry.sheet.put(f"{side}: participant", moment, truth.pictures[0])
+                    for control, pictures in drawn.items():
+                        entry.sheet.put(f"{side}: by {control}", moment, pictures[0])
+        for method, entry in entries.items():
+            data = {
+                "product": dict(made[method].facts),
+                "driver": stage.driver,
+                "moments": list(performance.names),
+                "views": list(protocol.views),
+                **entry.measuring.to_json(_DIGITS),
+            }
+            out[method] = data, entry.sheet
+    return out
+
+
+@dataclass(frozen=True, eq=False)
+class _Entry:
+    """One avatar on the stage."""
+
+    figure: int
+    poses: Mapping[str, list[Pose]]  # by control
+    measuring: Measuring
+    sheet: Sheet
+
+
+def _poses(made: Product, performance: Performance, samples: list[Sample], task: Task) -> dict[str, list[Pose]]:
+    skeleton = made.figure.skeleton
+    by_control = {
+        "tracking": tracked(samples, performance.moments, skeleton),
+        "pose": true_poses(performance, task.participant.mesh.skeleton, skeleton),
+    }
+    return {control: by_control[control] for control in CONTROLS}
+
+
+def _moments(moments: int, protocol: Protocol) -> Iterator[tuple[int, int, float]]:
+    """Moment, place of the view, and the share that is done before it."""
+    total = moments * len(protocol.views)
+    for index, (moment, view) in enumerate(np.ndindex(moments, len(protocol.views))):
+        yield moment, view, index / total
+
+
+def _key(task: Task, digest: str) -> dict[str, Any]:
+    """What a result depends on, beside the code."""
+    return {"protocol": task.protocol.to_json(), "options": dict(task.options), "participant": digest}
+
+
+def _result_file(task: Task, method: str) -> Path:
+    return task.out / "results" / method / f"{task.participant.name}.json"
+
+
+def _write(path: Path, data: bytes) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    replace_file(path, [data])
