@@ -16,11 +16,11 @@ from glsplat.making.paint.colour import to_srgb
 from glsplat.making.paint.eyes import eye_colours
 from glsplat.making.paint.head import with_back_of_head
 from glsplat.making.paint.light import Light, find_light
-from glsplat.making.paint.shot import Shot, SurfacePoints
-from glsplat.making.paint.twins import find_twins
+from glsplat.making.paint.shot import Shot, Sight, SurfacePoints
+from glsplat.making.paint.twins import Twins, find_twins
 from glsplat.skinning.smplx import JOINT_NAMES
 
-__all__ = ["Paint", "paint"]
+__all__ = ["Paint", "Painter", "paint", "painter_of"]
 
 F64 = NDArray[np.float64]
 
@@ -44,44 +44,87 @@ class Paint:
     busy: F64  # [M] from 0, plain, to 1, full of detail
 
 
+@dataclass(frozen=True, eq=False)
+class Painter:
+    """Gives the colours of any points of a dressed body; ``painter_of`` makes one."""
+
+    body: Body
+    shots: Sequence[Shot]  # the front first
+    looks: Mapping[str, EyeLook]
+    light: Light
+    plain: F64  # [V, 3] smooth linear colours without light
+    twins: Twins
+
+    def paint(self, points: SurfacePoints) -> Paint:
+        """What is known and guessed of the points."""
+        sights = [shot.look(points) for shot in self.shots]
+        seen, colour = _mixed(sights)
+        guess, there = self._guess(points)
+        busy = np.max([sight.busy * sight.trust for sight in sights], axis=0)
+        busy = np.maximum(busy, _GUESSED * there * (1 - seen))
+        rgb = self._inner(points, to_srgb(guess + seen[:, None] * (colour - guess)))
+        return Paint(np.round(rgb, _DIGITS), seen, np.round(busy, _DIGITS))
+
+    def colours(self, points: SurfacePoints) -> F64:
+        """``paint(points).rgb`` alone, which is quicker: what is seen squarely is not guessed."""
+        seen, colour = _mixed([shot.look(points) for shot in self.shots])
+        doubt = np.flatnonzero(seen < 1)
+        guess, _ = self._guess(SurfacePoints(points.corners[doubt], points.weights[doubt]))
+        colour[doubt] = guess + seen[doubt, None] * (colour[doubt] - guess)
+        return np.round(self._inner(points, to_srgb(colour)), _DIGITS)
+
+    def _guess(self, points: SurfacePoints) -> tuple[F64, F64]:
+        """[M, 3] linear colours where nobody looks, and [M] how much detail they have."""
+        body, front = self.body, self.shots[0]
+        shade = self.light.shade(points.directions(front.normals))[:, None]
+        guess = points.at(self.plain) * shade
+        # the front at the same place, for all but the head
+        behind = self.twins.colours(front, points)
+        ratio = (shade[:, 0] / self.light.shade(behind.normals)).clip(*_SHADE)
+        round_parts = np.isin(body.part, [JOINT_NAMES.index(name) for name in _NO_TWINS])
+        trust = behind.trust * (1 - points.at(round_parts.astype(float)[:, None])[:, 0])
+        guess += trust[:, None] * (behind.linear * ratio[:, None] - guess)
+        return with_back_of_head(body, front, self.light, points, guess, shade), behind.busy * trust
+
+    def _inner(self, points: SurfacePoints, rgb: F64) -> F64:
+        """``rgb`` [M, 3] in sRGB with eyes and the mouth's inside, which have colours of their own."""
+        body = self.body
+        mouth = (~body.skin & ~np.isin(body.part, _EYES))[points.corners[:, 0]]
+        rgb[mouth] = _MOUTH
+        if self.looks:
+            eyes, colours = eye_colours(body, self.shots[0], self.looks, points)
+            rgb[eyes] = colours
+        return rgb
+
+
+def painter_of(
+    body: Body, shots: Sequence[Shot], points: SurfacePoints, looks: Mapping[str, EyeLook] | None = None
+) -> Painter:
+    """A painter of the body in ``shots``, the front first; ``looks`` are the eyes in it.
+
+    The light is found on ``points``, which should lie evenly over the surface.
+    """
+    trunk = np.array([any(word in name for word in _TRUNK) for name in JOINT_NAMES])[body.part]
+    front = shots[0]
+    sight = front.look(points)
+    normals, up = points.directions(front.normals), front.view.root[:, 1]
+    light = find_light(normals, sight.linear, sight.trust, up, np.array([0.0, 0, -1]))
+    return Painter(body, shots, looks or {}, light, _smooth_colours(body, shots, light), find_twins(front.mesh, trunk))
+
+
 def paint(
     body: Body, shots: Sequence[Shot], points: SurfacePoints, looks: Mapping[str, EyeLook] | None = None
 ) -> Paint:
     """Colours of ``points`` of the dressed body; ``shots`` begin with the front, ``looks`` are the eyes in it."""
-    trunk = np.array([any(word in name for word in _TRUNK) for name in JOINT_NAMES])[body.part]
-    sights = [shot.look(points) for shot in shots]
-    front = shots[0]
-    camera_up = front.view.root[:, 1]
-    light = find_light(
-        points.directions(front.normals), sights[0].linear, sights[0].trust, camera_up, np.array([0.0, 0, -1])
-    )
-    shade = light.shade(points.directions(front.normals))[:, None]
+    return painter_of(body, shots, points, looks).paint(points)
 
-    # smooth colours without light, over the whole surface
-    plain = _smooth_colours(body, shots, light)
-    guess = points.at(plain) * shade
-    # the front at the same place, for all but the head
-    twins = find_twins(front.mesh, trunk)
-    behind = twins.colours(front, points)
-    ratio = (shade[:, 0] / light.shade(behind.normals)).clip(*_SHADE)
-    round_parts = np.isin(body.part, [JOINT_NAMES.index(name) for name in _NO_TWINS])
-    trust = behind.trust * (1 - points.at(round_parts.astype(float)[:, None])[:, 0])
-    guess += trust[:, None] * (behind.linear * ratio[:, None] - guess)
-    guess = with_back_of_head(body, front, light, points, guess, shade)
 
-    total = sum((sight.trust**2 for sight in sights), np.zeros(len(guess)))
-    mixed = sum((sight.linear * (sight.trust**2)[:, None] for sight in sights), np.zeros_like(guess))
-    seen = np.max([sight.trust for sight in sights], axis=0)
-    colour = mixed / np.maximum(total, 1e-9)[:, None]
-    busy = np.max([sight.busy * sight.trust for sight in sights], axis=0)
-    busy = np.maximum(busy, _GUESSED * behind.busy * trust * (1 - seen))
-    rgb = to_srgb(guess + seen[:, None] * (colour - guess))
-    mouth = (~body.skin & ~np.isin(body.part, _EYES))[points.corners[:, 0]]
-    rgb[mouth] = _MOUTH
-    if looks:
-        eyes, colours = eye_colours(body, front, looks, points)
-        rgb[eyes] = colours
-    return Paint(np.round(rgb, _DIGITS), seen, np.round(busy, _DIGITS))
+def _mixed(sights: Sequence[Sight]) -> tuple[F64, F64]:
+    """[M] how well the points are seen, and their linear colours [M, 3] by all who see them."""
+    count = len(sights[0].trust)
+    total = sum((sight.trust**2 for sight in sights), np.zeros(count))
+    mixed = sum((sight.linear * (sight.trust**2)[:, None] for sight in sights), np.zeros((count, 3)))
+    return np.max([sight.trust for sight in sights], axis=0), mixed / np.maximum(total, 1e-9)[:, None]
 
 
 def _smooth_colours(body: Body, shots: Sequence[Shot], light: Light) -> F64:

@@ -15,7 +15,7 @@ from glsplat.making.paint.shot import SurfacePoints
 from glsplat.making.surface import allot, face_densities, face_zones
 from glsplat.meshes import RiggedMesh
 
-__all__ = ["PHOTO_SAMPLER", "Scatter", "scatter"]
+__all__ = ["PHOTO_SAMPLER", "Scatter", "even_points", "scatter"]
 
 F64 = NDArray[np.float64]
 
@@ -80,8 +80,7 @@ def _eye_densities(mesh: RiggedMesh) -> F64:
 def scatter(mesh: RiggedMesh, splats: int, rng: np.random.Generator) -> Scatter:
     """Points for so many splats, in proportion to area and density; every triangle gets its share."""
     faces = mesh.faces
-    corner = mesh.vertices[faces]
-    area = np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1) / 2
+    area = _areas(mesh)
     density = face_densities(mesh, PHOTO_SAMPLER) * _eye_densities(mesh)
     label = face_zones(mesh)
     chosen, weights, zones, first = [], [], [], 0
@@ -99,3 +98,16 @@ def scatter(mesh: RiggedMesh, splats: int, rng: np.random.Generator) -> Scatter:
     face = np.concatenate(chosen)
     points = SurfacePoints(faces[face].astype(np.intp), np.concatenate(weights))
     return Scatter(points, density[face], tuple(zones))
+
+
+def even_points(mesh: RiggedMesh, count: int) -> SurfacePoints:
+    """So many middles of triangles, as often as the triangle's area says."""
+    total = np.cumsum(_areas(mesh))
+    face = np.searchsorted(total, (np.arange(count) + 0.5) / count * total[-1])
+    return SurfacePoints(mesh.faces[face].astype(np.intp), np.full((count, 3), 1 / 3))
+
+
+def _areas(mesh: RiggedMesh) -> F64:
+    """[F] square metres."""
+    corner = mesh.vertices[mesh.faces]
+    return np.asarray(np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1) / 2)

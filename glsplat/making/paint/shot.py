@@ -8,6 +8,7 @@ from functools import cached_property
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_array
 
 from glsplat.camera import Camera
 from glsplat.making.fit.body import vertex_normals
@@ -37,7 +38,8 @@ class SurfacePoints:
 
     def at(self, values: F64) -> F64:
         """[M, C] what a value [V, C] of the vertices is there."""
-        return np.einsum("mk,mkc->mc", self.weights, values[self.corners])
+        rows = np.arange(len(self.corners) + 1) * 3
+        return csr_array((self.weights.ravel(), self.corners.ravel(), rows), (len(rows) - 1, len(values))) @ values
 
     def directions(self, values: F64) -> F64:
         """[M, 3] unit vectors between the vertices' [V, 3]."""

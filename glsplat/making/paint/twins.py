@@ -55,10 +55,10 @@ class Sighted:
 
 def _half(shot: Shot, points: SurfacePoints, twin: SurfacePoints) -> F64:
     """[M, 8] colours, normals, trust and detail."""
-    pixels = points.at(twin.at(shot.view.pixels))
-    normals = points.at(twin.directions(shot.normals))
-    trust = points.at(twin.at(shot.shown[:, None]))
-    return np.hstack([shot.sample(pixels), normals, trust, shot.detail(pixels)[:, None]])
+    vertices = np.hstack([twin.at(shot.view.pixels), twin.directions(shot.normals), twin.at(shot.shown[:, None])])
+    there = points.at(vertices)
+    pixels = there[:, :2]
+    return np.hstack([shot.sample(pixels), there[:, 2:], shot.detail(pixels)[:, None]])
 
 
 def find_twins(mesh: RiggedMesh, trunk: NDArray[np.bool_]) -> Twins:

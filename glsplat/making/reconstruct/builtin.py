@@ -2,46 +2,54 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.avatar import Avatar
 from glsplat.errors import FormatError
-from glsplat.making.fit.body import open_body
+from glsplat.making.fit.body import Body, open_body
 from glsplat.making.fit.details import fit_details
-from glsplat.making.fit.eyes import read_eyes
+from glsplat.making.fit.eyes import EyeLook, read_eyes
 from glsplat.making.fit.fit import BodyFit, fit_body
 from glsplat.making.fit.view import View
 from glsplat.making.networks.people import Person, find_person
 from glsplat.making.paint.dress import dressed_mesh
-from glsplat.making.paint.paint import paint
-from glsplat.making.paint.scatter import scatter
+from glsplat.making.paint.paint import paint, painter_of
+from glsplat.making.paint.scatter import even_points, scatter
 from glsplat.making.paint.sharpen import sharpened
 from glsplat.making.paint.shot import Shot
 from glsplat.making.reconstruct.reconstructor import Mask, Options, Picture
+from glsplat.making.texture import baked
 from glsplat.meshes import RiggedMesh
 
-__all__ = ["SIDES", "Builtin", "Made", "Telling"]
+__all__ = ["SIDES", "Builtin", "Dressed", "Made", "Meshing", "Telling"]
 
 SIDES = ("front", "back", "left", "right")
 _HARDLY = 0.1  # of a point that a picture shows too flatly to be believed
+_LIT = 20_000  # points that light and unseen share are found on
 _PHONE = 1.37  # focal length of a usual phone camera, in heights of an upright picture
 
 
-@dataclass(frozen=True, eq=False)
-class Made:
-    """An avatar, and how it came about."""
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Dressed:
+    """The fitted body, and how well the pictures show it."""
 
-    avatar: Avatar
     fit: BodyFit
-    mesh: RiggedMesh  # the dressed body in the zero pose
+    mesh: RiggedMesh  # the dressed body in the zero pose; white, unless a mesh was asked for
     unseen: float  # share of the surface that no picture shows
     seen: NDArray[np.float64]  # [V] of its vertices, from 0 guessed to 1 seen squarely
     problem: str  # one line, or empty
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Made(Dressed):
+    """An avatar, and how it came about."""
+
+    avatar: Avatar
 
 
 @runtime_checkable
@@ -50,6 +58,15 @@ class Telling(Protocol):
 
     def tell(self, pictures: Mapping[str, Picture], masks: Mapping[str, Mask], options: Options) -> Made:
         """As ``reconstruct``, with all that led to the avatar."""
+        ...
+
+
+@runtime_checkable
+class Meshing(Protocol):
+    """A reconstructor that can make a textured mesh in place of splats."""
+
+    def mesh(self, pictures: Mapping[str, Picture], masks: Mapping[str, Mask], options: Options) -> Dressed:
+        """As ``reconstruct``; what is asked for is ``Dressed.mesh``."""
         ...
 
 
@@ -62,25 +79,9 @@ class Builtin:
 
     def tell(self, pictures: Mapping[str, Picture], masks: Mapping[str, Mask], options: Options) -> Made:
         """The avatar with all that led to it."""
-        if "front" not in pictures:
-            raise FormatError("an avatar needs a picture of the front")
-        sides = [side for side in SIDES if side in pictures]
-        options.progress("reading landmarks", 0.0)
-        people = {side: pictures[side].person or _person(pictures[side], side) for side in sides}
-        views = [_view(side, pictures[side], masks[side], people[side]) for side in sides]
-        options.progress("fitting the body", 0.15)
-        body = open_body()
-        fit = fit_body(views, options.height, body)
-        fit = fit_details(fit, views, [people[side] for side in sides], body)
-        options.progress("painting", 0.35)
-        mesh = dressed_mesh(body, fit)
-        shots = [
-            Shot(pictures[side].rgb, masks[side], view.focal, fitted, mesh)
-            for side, view, fitted in zip(sides, views, fit.views, strict=True)
-        ]
+        body, fit, mesh, shots, looks = _fitted(pictures, masks, options)
         rng = np.random.default_rng(options.seed)
         strewn = scatter(mesh, options.splats, rng)
-        looks = read_eyes(pictures["front"].rgb, people["front"].face)
         painted = paint(body, shots, strewn.points, looks)
         options.progress("placing splats", 0.6)
         avatar = strewn.avatar(mesh, painted.rgb, painted.busy, rng)
@@ -88,9 +89,53 @@ class Builtin:
             options.progress("fitting to the pictures", 0.7)
             avatar = sharpened(avatar, shots, options.steps)
         unseen = float(np.average(painted.seen < _HARDLY, weights=1 / strewn.density))
-        seen = np.max([shot.trust for shot in shots], axis=0)
         options.progress("placing splats", 1.0)
-        return Made(avatar, fit, mesh, unseen, seen, fit.problem)
+        return Made(avatar=avatar, fit=fit, mesh=mesh, unseen=unseen, seen=_seen(shots), problem=fit.problem)
+
+    def mesh(self, pictures: Mapping[str, Picture], masks: Mapping[str, Mask], options: Options) -> Dressed:
+        """The dressed body with the pictures in its textures."""
+        body, fit, mesh, shots, looks = _fitted(pictures, masks, options)
+        even = even_points(mesh, _LIT)
+        painter = painter_of(body, shots, even, looks)
+        unseen = float((painter.paint(even).seen < _HARDLY).mean())
+        options.progress("painting textures", 0.5)
+        mesh = baked(mesh, painter.colours, options.texture)
+        options.progress("painting textures", 1.0)
+        return Dressed(fit=fit, mesh=mesh, unseen=unseen, seen=_seen(shots), problem=fit.problem)
+
+
+class _Fitted(NamedTuple):
+    """The body in the pictures, and what paints it."""
+
+    body: Body
+    fit: BodyFit
+    mesh: RiggedMesh
+    shots: list[Shot]
+    looks: Mapping[str, EyeLook]
+
+
+def _fitted(pictures: Mapping[str, Picture], masks: Mapping[str, Mask], options: Options) -> _Fitted:
+    if "front" not in pictures:
+        raise FormatError("an avatar needs a picture of the front")
+    sides = [side for side in SIDES if side in pictures]
+    options.progress("reading landmarks", 0.0)
+    people = {side: pictures[side].person or _person(pictures[side], side) for side in sides}
+    views = [_view(side, pictures[side], masks[side], people[side]) for side in sides]
+    options.progress("fitting the body", 0.15)
+    body = open_body()
+    fit = fit_body(views, options.height, body)
+    fit = fit_details(fit, views, [people[side] for side in sides], body)
+    options.progress("painting", 0.35)
+    mesh = dressed_mesh(body, fit)
+    shots = [
+        Shot(pictures[side].rgb, masks[side], view.focal, fitted, mesh)
+        for side, view, fitted in zip(sides, views, fit.views, strict=True)
+    ]
+    return _Fitted(body, fit, mesh, shots, read_eyes(pictures["front"].rgb, people["front"].face))
+
+
+def _seen(shots: Sequence[Shot]) -> NDArray[np.float64]:
+    return np.asarray(np.max([shot.trust for shot in shots], axis=0))
 
 
 def _person(picture: Picture, side: str) -> Person:

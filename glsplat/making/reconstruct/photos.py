@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from importlib.metadata import version
-from typing import Any
+from typing import Any, TypeVar
 
 from glsplat.avatar import Avatar
 from glsplat.errors import CaptureError, FormatError, GlsplatError
@@ -16,14 +16,28 @@ from glsplat.making.photo.capture import VIEWS, Capture, check_capture
 from glsplat.making.photo.mask import person_mask
 from glsplat.making.photo.mask_file import MaskSource, mask_of
 from glsplat.making.photo.photo_file import Photo, read_photo
+from glsplat.meshes import RiggedMesh
 from glsplat.skinning.smplx import JOINT_NAMES
 
-from .builtin import Made, Telling
+from .builtin import Dressed, Made, Meshing, Telling
 from .plugins import one_line
-from .reconstructor import Options, Picture, Progress, Reconstructor
+from .reconstructor import Mask, Options, Picture, Progress, Reconstructor
 from .registry import OWN, named
 
-__all__ = ["PhotoSource", "Reconstruction", "Shot", "check_photos", "from_photos", "reconstruct", "refuse"]
+__all__ = [
+    "MeshReconstruction",
+    "PhotoSource",
+    "Reconstruction",
+    "Shot",
+    "check_photos",
+    "from_photos",
+    "mesh_from_photos",
+    "reconstruct",
+    "reconstruct_mesh",
+    "refuse",
+]
+
+T = TypeVar("T")
 
 PhotoSource = str | os.PathLike[str] | Photo
 """A picture file, or what ``read_photo`` or ``photo_of`` made of one."""
@@ -52,6 +66,17 @@ class Reconstruction:
     """The reconstructor's name."""
     made: Made | None = None
     """What the built-in reconstructor can tell beside the avatar; None of others."""
+
+
+@dataclass(frozen=True, eq=False)
+class MeshReconstruction:
+    """A textured mesh, and what it was made from."""
+
+    mesh: RiggedMesh
+    shots: Mapping[str, Shot]
+    made_by: str
+    """The reconstructor's name."""
+    made: Dressed
 
 
 def check_photos(
@@ -96,7 +121,7 @@ def check_photos(
     return shots
 
 
-def refuse(shots: Mapping[str, Shot], made: Made | None = None) -> None:
+def refuse(shots: Mapping[str, Shot], made: Dressed | None = None) -> None:
     """Raise CaptureError, one line for all that the check found and for a body that does not fit; else silent."""
     found = [(shot, finding.code, finding.text) for shot in shots.values() for finding in shot.capture.findings]
     if made is not None and made.problem:
@@ -122,32 +147,85 @@ def reconstruct(
     made_by, date (SOURCE_DATE_EPOCH's day, else today's, UTC), consent, body_model, unseen; never a picture or a
     path. Raises CaptureError, and GlsplatError from reconstructors.
     """
-    options = options or Options()
+
+    def work(maker: Reconstructor, *asked: Any) -> tuple[Avatar, Made | None]:
+        if isinstance(maker, Telling):
+            made = maker.tell(*asked)
+            return made.avatar, made
+        return maker.reconstruct(*asked), None
+
+    name, day, (avatar, made) = _done(shots, options, using, anyway, work)
+    if not isinstance(avatar, Avatar) or avatar.skeleton.names != JOINT_NAMES:
+        raise GlsplatError(f'the reconstructor "{name}" gave {avatar!r:.100}, not an avatar on the joints of SMPL-X')
+    if not anyway:
+        refuse(shots, made)
+    notes = _notes(avatar.meta, shots, name, day, made) | dict(meta or {})
+    return Reconstruction(replace(avatar, meta=notes), dict(shots), name, made)
+
+
+def reconstruct_mesh(
+    shots: Mapping[str, Shot],
+    options: Options | None = None,
+    *,
+    using: str | Reconstructor = "builtin",
+    anyway: bool = False,
+    meta: Mapping[str, Any] | None = None,
+) -> MeshReconstruction:
+    """As ``reconstruct``, a textured mesh in place of splats: the fitted body with the photographs in its textures.
+
+    Raises GlsplatError, too, where the reconstructor makes no meshes.
+    """
+
+    def work(maker: Reconstructor, *asked: Any) -> Dressed:
+        if not isinstance(maker, Meshing):
+            raise GlsplatError(f'the reconstructor "{_name_of(using)}" makes splats, no meshes; use "builtin"')
+        return maker.mesh(*asked)
+
+    name, day, made = _done(shots, options, using, anyway, work)
+    if not isinstance(made, Dressed) or made.mesh.skeleton.names != JOINT_NAMES:
+        raise GlsplatError(f'the reconstructor "{name}" gave {made!r:.100}, not a mesh on the joints of SMPL-X')
+    if not anyway:
+        refuse(shots, made)
+    notes = _notes(made.mesh.meta, shots, name, day, made) | dict(meta or {})
+    return MeshReconstruction(replace(made.mesh, meta=notes), dict(shots), name, made)
+
+
+def _name_of(using: str | Reconstructor) -> str:
+    return using if isinstance(using, str) else type(using).__name__
+
+
+def _done(
+    shots: Mapping[str, Shot],
+    options: Options | None,
+    using: str | Reconstructor,
+    anyway: bool,
+    work: Callable[[Reconstructor, Mapping[str, Picture], Mapping[str, Mask], Options], T],
+) -> tuple[str, str, T]:
+    """The reconstructor's name, the day, and what came of its ``work``."""
     if not anyway or any(shot.capture.person is None for shot in shots.values()):
         refuse(shots)
     day = _today()
-    name = using if isinstance(using, str) else type(using).__name__
+    name = _name_of(using)
     maker = named(using) if isinstance(using, str) else using
     pictures = {
         side: Picture(shot.photo.picture, shot.photo.focal, shot.capture.person) for side, shot in shots.items()
     }
     masks = {side: shot.capture.mask for side, shot in shots.items()}
-    made: Made | None = None
     try:
-        if isinstance(maker, Telling):
-            made = maker.tell(pictures, masks, options)
-        avatar = maker.reconstruct(pictures, masks, options) if made is None else made.avatar
+        return name, day, work(maker, pictures, masks, options or Options())
     except GlsplatError:
         raise
     except Exception as error:
         if name in OWN:
             raise
         raise GlsplatError(f'the reconstructor "{name}" failed: {one_line(error)}') from error
-    if not isinstance(avatar, Avatar) or avatar.skeleton.names != JOINT_NAMES:
-        raise GlsplatError(f'the reconstructor "{name}" gave {avatar!r:.100}, not an avatar on the joints of SMPL-X')
-    if not anyway:
-        refuse(shots, made)
-    notes = dict(avatar.meta)
+
+
+def _notes(
+    given: Mapping[str, Any], shots: Mapping[str, Shot], name: str, day: str, made: Dressed | None
+) -> dict[str, Any]:
+    """``given`` with where it comes from."""
+    notes = dict(given)
     notes["source"] = f"{len(shots)} photograph{'s' * (len(shots) > 1)} ({', '.join(shots)})"
     notes["made_by"] = f"glsplat {version('glsplat')}, {name}"
     notes["date"] = day
@@ -155,7 +233,7 @@ def reconstruct(
     notes.setdefault("body_model", "SMPL-X joints (55)")
     if made is not None:
         notes["unseen"] = round(float(made.unseen), 4)
-    return Reconstruction(replace(avatar, meta=notes | dict(meta or {})), dict(shots), name, made)
+    return notes
 
 
 def from_photos(
@@ -187,6 +265,26 @@ def from_photos(
     options = Options(height=height, splats=splats, seed=seed, steps=steps, progress=progress or _silent)
     shots = check_photos(front, back=back, left=left, right=right, masks=masks, progress=progress)
     return reconstruct(shots, options, using=using, anyway=anyway, meta=meta).avatar
+
+
+def mesh_from_photos(
+    front: PhotoSource,
+    *,
+    back: PhotoSource | None = None,
+    left: PhotoSource | None = None,
+    right: PhotoSource | None = None,
+    masks: Mapping[str, MaskSource] | None = None,
+    height: float | None = None,
+    texture: int = _DEFAULT.texture,
+    using: str | Reconstructor = "builtin",
+    anyway: bool = False,
+    meta: Mapping[str, Any] | None = None,
+    progress: Progress | None = None,
+) -> RiggedMesh:
+    """As ``from_photos``, a mesh with a texture of ``texture`` texels a side in place of splats."""
+    options = Options(height=height, texture=texture, progress=progress or _silent)
+    shots = check_photos(front, back=back, left=left, right=right, masks=masks, progress=progress)
+    return reconstruct_mesh(shots, options, using=using, anyway=anyway, meta=meta).mesh
 
 
 def _silent(step: str, done: float) -> None: ...

@@ -22,6 +22,7 @@ Progress = Callable[[str, float], None]
 
 _HEIGHTS = 0.5, 2.5  # metres
 _LEAST_SPLATS, _MOST_SPLATS = 100, 2_000_000
+_TEXELS = 256, 8192  # a side
 
 
 def _silent(step: str, done: float) -> None: ...
@@ -44,6 +45,7 @@ class Options:
     splats: int = 40_000
     seed: int = 0
     steps: int = 8  # rounds of matching the colours to the pictures; 0: none
+    texture: int = 2048  # texels a side, where a mesh is made
     progress: Progress = _silent
 
     def __post_init__(self) -> None:
@@ -53,6 +55,8 @@ class Options:
             raise FormatError(f"a height needs metres, {_HEIGHTS[0]} to {_HEIGHTS[1]}, not {self.height:g}{hint}")
         if not _LEAST_SPLATS <= self.splats <= _MOST_SPLATS:
             raise FormatError(f"an avatar needs {_LEAST_SPLATS} to {_MOST_SPLATS} splats, not {self.splats}")
+        if not _TEXELS[0] <= self.texture <= _TEXELS[1]:
+            raise FormatError(f"a texture needs {_TEXELS[0]} to {_TEXELS[1]} texels a side, not {self.texture}")
         if self.steps < 0 or self.seed < 0:
             name = "steps" if self.steps < 0 else "seed"
             raise FormatError(f"{name} needs 0 or more, not {getattr(self, name)}")

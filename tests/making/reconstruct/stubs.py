@@ -87,7 +87,7 @@ class Detailed(Plain):
                 views.append(View(masks[side], body.points, body.visible, focal, side=side))
             fit = fit_body(views, options.height)
             mesh = dressed_mesh(open_body(), fit)
-        return Made(self.result, fit, mesh, 0.43, np.zeros(0), self.problem)  # type: ignore[arg-type]
+        return Made(avatar=self.result, fit=fit, mesh=mesh, unseen=0.43, seen=np.zeros(0), problem=self.problem)  # type: ignore[arg-type]
 
 
 def fitting() -> Detailed:
