@@ -19,11 +19,13 @@ from glsplat.making.fit.solver import Solver
 from glsplat.making.fit.view import View
 from glsplat.skinning.smplx import JOINT_NAMES
 
-__all__ = ["BodyFit", "FittedView", "assembled", "dressed", "fit_body"]
+__all__ = ["FIGURE", "BodyFit", "FittedView", "assembled", "converge", "dressed", "fit_body", "follow_outlines", "strays_of"]
 
 F64 = NDArray[np.float64]
 
-_FIGURE = 480.0  # pixels of the person's height that the fit works with
+FIGURE = 480.0
+"""Pixels of the person's height that the fit works with."""
+
 _ROUNDS = 4  # outlines looked for again, each time the unknowns improved
 _DRESSINGS = 5  # outlines looked for again, each time the surface moved
 _RIM_ROWS = 500
@@ -84,27 +86,45 @@ def fit_body(views: Sequence[View], height: float | None = None, body: Body | No
     if height is not None and not _HEIGHTS[0] <= height <= _HEIGHTS[1]:
         raise FormatError(f"a height needs metres from {_HEIGHTS[0]} to {_HEIGHTS[1]}, not {height:g}")
     body = body or open_body()
-    small = [view.smaller(_FIGURE) for view in views]
+    small = [view.smaller(FIGURE) for view in views]
     solver = Solver(body, landmarks(), small, height)
+    converge(solver)
+    poses = [solver.posed(index) for index in range(len(views))]
+    rotations = [HINGES.rotations(solver.angles(index)) for index in range(len(views))]
+    bare, joints = body.shaped(solver.betas)
+    offsets = dressed(body, bare, poses, views)
+    return assembled(body, bare, joints, offsets, poses, rotations, views, strays_of(solver))
+
+
+def converge(solver: Solver, rounds: int = _ROUNDS) -> None:
+    """Solve for all unknowns of views of at most FIGURE pixels: by landmarks, then by ``follow_outlines``."""
     solver.solve(10)
     solver.weigh_landmarks()
     solver.solve(5)
-    trust = _trust_of_parts(body)
-    for _ in range(_ROUNDS):
-        for index in range(len(small)):
-            rim, weights = _pulled(_rim(body, solver.posed(index), small[index], None), trust, small[index])
-            solver.pull_to(index, rim, None, weights)
+    follow_outlines(solver, rounds)
+
+
+def follow_outlines(solver: Solver, rounds: int, moved: F64 | None = None) -> None:
+    """Improve all unknowns by the masks' outlines, looked for so many times.
+
+    ``moved`` [V, 3] metres is how far the surface lies off the bare body at rest, where that is known.
+    """
+    trust = _trust_of_parts(solver.body) if moved is None else np.ones(len(solver.body.vertices))
+    for _ in range(rounds):
+        for index, view in enumerate(solver.views):
+            rim, weights = _pulled(_rim(solver.body, solver.posed(index), view, moved), trust, view)
+            solver.pull_to(index, rim, moved, weights)
         solver.solve(2)
         solver.weigh_landmarks()
-    poses = [solver.posed(index) for index in range(len(views))]
-    rotations = [HINGES.rotations(solver.angles(index)) for index in range(len(views))]
+
+
+def strays_of(solver: Solver) -> list[float]:
+    """Mean distance of each view's landmarks from where the body has them, in percent of the figure's height."""
     strays = []
-    for index, view in enumerate(small):
+    for index, view in enumerate(solver.views):
         away = solver.strayed(index, pixels=True) / view.figure * 100
         strays.append(float(np.linalg.norm(away, axis=1).mean()))
-    bare, joints = body.shaped(solver.betas)
-    offsets = dressed(body, bare, poses, views)
-    return assembled(body, bare, joints, offsets, poses, rotations, views, strays)
+    return strays
 
 
 def _trust_of_parts(body: Body) -> F64:
@@ -141,7 +161,7 @@ def dressed(body: Body, bare: F64, poses: Sequence[Posed], views: Sequence[View]
 
     ``bare`` is of the poses' shape, in the zero pose; ``worn`` [V] are offsets that fitted it but for little.
     """
-    small = [view.smaller(_FIGURE) for view in views]
+    small = [view.smaller(FIGURE) for view in views]
     directions = outward(body, bare)
     plain = (vertex_normals(bare, body.faces) * directions).sum(axis=1) > _PLAIN
     offsets = np.zeros(len(bare)) if worn is None else worn

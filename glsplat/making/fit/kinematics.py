@@ -58,7 +58,7 @@ class Posed:
     """
 
     def __init__(self, body: Body, hinges: Hinges, facing: F64, betas: F64, place: F64, angles: F64) -> None:
-        self.betas, self.hinges = betas, hinges
+        self.betas, self.place, self.hinges = betas, place, hinges
         self._rest = body.joints + body.shape_joints @ betas
         self._rest_shape = body.shape_joints
         turns = hinges.rotations(angles)

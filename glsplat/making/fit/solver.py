@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,28 +14,43 @@ from glsplat.making.fit.kinematics import PLACE, Posed, projected
 from glsplat.making.fit.landmarks import Landmarks
 from glsplat.making.fit.levenberg import least_squares
 from glsplat.making.fit.outline import Rim
-from glsplat.making.fit.view import SIDES, View
+from glsplat.making.fit.view import View
 
-__all__ = ["Solver"]
+__all__ = ["Known", "Solver"]
 
 F64 = NDArray[np.float64]
 
 _SAME_POSE = 0.06  # radians; how much a person moves between two pictures of one session
 _OUTLIER = 3.0  # strays; a landmark this far off counts a quarter
 _LEAST_SURE = 0.1  # a landmark that is not seen still says a little
-_SIDE_DOUBT = {"front": 1.0, "back": 1.5, "left": 3.0, "right": 3.0}  # the offsets were measured on fronts
+_FRONT_DOUBT, _BACK_DOUBT, _SIDE_DOUBT = 1.0, 1.5, 3.0  # the offsets were measured on fronts
 _HEIGHT_DOUBT = 0.01  # metres; how well people know their height
+_PLAIN_SIDE = 0.8  # cosine of the turn; from there on left and right are where they are in a front or a back
+_SAME_SHAPE = 1e-3  # standard deviations of a shape that is known
+_SAME_CAMERA = 0.01  # shares of the stature that the height of a standing camera may seem to change
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Known:
+    """What other pictures of the same minute have told."""
+
+    betas: F64  # [BETAS] the shape
+    angles: F64  # [D] about the pose, in radians
+    camera_height: float  # above the soles, in shares of the stature
 
 
 class Solver:
     """Shape, and of each view the place and the pose, as one vector: [BETAS], then [6 + D] a view.
 
-    ``height`` is the stature in metres, None where nobody gave one. Residuals are in standard deviations.
+    ``height`` is the stature in metres, None where nobody gave one; ``known`` is what need not be found out, or hardly.
+    Residuals are in standard deviations.
     """
 
-    def __init__(self, body: Body, table: Landmarks, views: Sequence[View], height: float | None) -> None:
+    def __init__(
+        self, body: Body, table: Landmarks, views: Sequence[View], height: float | None, known: Known | None = None
+    ) -> None:
         self.body, self.table, self.views = body, table, tuple(views)
-        self._height = height
+        self._height, self._known = height, known
         self._marks = table.points(body)
         self._block = PLACE + len(prior.MEAN)
         self._rims: list[tuple[Rim, Points, F64] | None] = [None] * len(views)
@@ -51,12 +67,19 @@ class Solver:
         """The body as a view shows it."""
         x = self.x if x is None else x
         block = x[BETAS + view * self._block :][: self._block]
-        facing = SIDES[self.views[view].side]
-        return Posed(self.body, prior.HINGES, facing, x[:BETAS], block[:PLACE], block[PLACE:])
+        return Posed(self.body, prior.HINGES, self.views[view].facing, x[:BETAS], block[:PLACE], block[PLACE:])
 
     def angles(self, view: int) -> F64:
         """[D] the fitted angles of a view in radians."""
         return self.x[BETAS + view * self._block + PLACE :][: len(prior.MEAN)]
+
+    def camera_height(self, view: int) -> float:
+        """Of a view's camera above the soles, in shares of the stature."""
+        posed = self.posed(view)
+        size, grows = self.body.stature
+        hips, rises = self.body.hip_height
+        above = hips + rises @ self.betas - posed.frames[0][:, 1] @ posed.joints[0]
+        return float(above / (size + grows @ self.betas))
 
     def weigh_landmarks(self) -> None:
         """Trust each landmark by how far it is off now, so that a wrong one does not pull for long."""
@@ -69,7 +92,7 @@ class Solver:
         seen = self.views[view]
         at = projected(self.posed(view).points(self._marks), seen.focal, seen.centre)[0]
         away = at - self._seen[view]
-        return away if pixels else away / (self.table.strays * seen.figure * _SIDE_DOUBT[seen.side])[:, None]
+        return away if pixels else away / (self.table.strays * seen.figure * _doubt(seen))[:, None]
 
     def pull_to(self, view: int, rim: Rim, moved: F64 | None, weights: F64) -> None:
         """From now on the rim's vertices are drawn to the mask's edge, each along its normal.
@@ -88,13 +111,16 @@ class Solver:
         size, grows = self.body.stature
         height = prior.STATURE[0] if self._height is None else self._height
         x[0] = np.clip((height - size) / grows[0], -3, 3)
+        if self._known is not None:
+            x[:BETAS] = self._known.betas
+            height = float(size + grows @ x[:BETAS])
         for index, view in enumerate(self.views):
             block = x[BETAS + index * self._block :][: self._block]
             depth = view.focal * height / view.figure
             hips = view.landmarks[[23, 24]].mean(axis=0)
             block[:2] = (hips - view.centre) * depth / view.focal
             block[2] = depth
-            block[PLACE:] = prior.MEAN
+            block[PLACE:] = prior.MEAN if self._known is None else self._known.angles
         return x
 
     def _sided(self, index: int) -> F64:
@@ -104,7 +130,7 @@ class Solver:
         """
         view = self.views[index]
         marks = view.landmarks[self.table.numbers].copy()
-        if view.side in ("front", "back"):
+        if abs(np.cos(np.radians(view.turn))) > _PLAIN_SIDE:
             at = projected(self.posed(index).points(self._marks), view.focal, view.centre)[0]
             wrong = (at[:, 0] - at[self.table.twins, 0]) * (marks[:, 0] - marks[self.table.twins, 0]) < 0
             marks[wrong] = marks[self.table.twins[wrong]]
@@ -140,6 +166,8 @@ class Solver:
 
     def _shape_rows(self, x: F64) -> tuple[F64, F64]:
         """The prior of the shape, and the stature."""
+        if self._known is not None:
+            return (x[:BETAS] - self._known.betas) / _SAME_SHAPE, np.eye(BETAS) / _SAME_SHAPE
         size, grows = self.body.stature
         wanted, doubt = prior.STATURE if self._height is None else (self._height, _HEIGHT_DOUBT)
         residual = np.concatenate([x[1:BETAS] / prior.SHAPE_DOUBT, [(size + grows @ x[:BETAS] - wanted) / doubt]])
@@ -147,7 +175,7 @@ class Solver:
 
     def _landmark_rows(self, index: int, view: View, posed: Posed, derive: bool) -> tuple[F64, F64]:
         sure = view.visibility[self.table.numbers].clip(_LEAST_SURE) * self._trust[index]
-        weight = np.sqrt(sure) / (self.table.strays * view.figure * _SIDE_DOUBT[view.side])
+        weight = np.sqrt(sure) / (self.table.strays * view.figure * _doubt(view))
         if derive:
             pixels, moves = _pixels_and_moves(posed, self._marks, view)
         else:
@@ -171,8 +199,11 @@ class Solver:
         count = len(prior.MEAN)
         angles = x[BETAS + index * self._block + PLACE :][:count]
         moves = np.zeros((count, BETAS + self._block))
-        moves[:, BETAS + PLACE :] = np.diag(1 / prior.SPREAD)
-        return (angles - prior.MEAN) / prior.SPREAD, moves
+        mean, spread = prior.MEAN, prior.SPREAD
+        if self._known is not None:
+            mean, spread = self._known.angles, np.minimum(spread, _SAME_POSE)
+        moves[:, BETAS + PLACE :] = np.diag(1 / spread)
+        return (angles - mean) / spread, moves
 
     def _tie_rows(self, index: int, x: F64) -> tuple[F64, F64]:
         """A further view's pose is the first one's but for a little."""
@@ -192,7 +223,7 @@ class Solver:
         block = x[BETAS + index * self._block :][:PLACE]
         size, grows = self.body.stature
         stature = size + grows @ x[:BETAS]
-        mean, doubt = prior.CAMERA_HEIGHT
+        mean, doubt = prior.CAMERA_HEIGHT if self._known is None else (self._known.camera_height, _SAME_CAMERA)
         up = posed.frames[0][:, 1]  # the body's upright in camera axes
         hips, rises = self.body.hip_height
         turn, roll = prior.TURN_DOUBT
@@ -204,6 +235,13 @@ class Solver:
         moves[2, BETAS : BETAS + 3] = -up / (stature * doubt)
         moves[2, BETAS + 3 : BETAS + PLACE] = -(posed.turned(up) @ block[:3]) / (stature * doubt)
         return residual, moves
+
+
+def _doubt(view: View) -> float:
+    """How much farther landmarks stray than in a picture from the front."""
+    cos = float(np.cos(np.radians(view.turn)))
+    straight = _FRONT_DOUBT if cos > 0 else _BACK_DOUBT
+    return float(_SIDE_DOUBT + (straight - _SIDE_DOUBT) * np.round(cos, 15) ** 2)
 
 
 def _pixels_and_moves(posed: Posed, points: Points, view: View) -> tuple[F64, F64]:

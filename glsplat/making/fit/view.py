@@ -16,13 +16,8 @@ __all__ = ["SIDES", "View"]
 
 F64 = NDArray[np.float64]
 
-SIDES: dict[str, F64] = {  # columns: the body's left, up and front in camera axes (x right, y down, z forward)
-    "front": np.array([[1.0, 0, 0], [0, -1, 0], [0, 0, -1]]),
-    "back": np.array([[-1.0, 0, 0], [0, -1, 0], [0, 0, 1]]),
-    "left": np.array([[0.0, 0, -1], [0, -1, 0], [-1, 0, 0]]),
-    "right": np.array([[0.0, 0, 1], [0, -1, 0], [1, 0, 0]]),
-}
-"""Side of the person that a picture shows -> how they stand in its camera's axes [3, 3]."""
+SIDES: dict[str, float] = {"front": 0.0, "right": 90.0, "back": 180.0, "left": -90.0}
+"""Side of the person that a picture shows -> degrees that they have turned to their own left to show it."""
 
 _LEAST_FIGURE = 64  # pixels
 
@@ -32,7 +27,8 @@ class View:
     """A picture, checked: ``mask`` [H, W] true on the person, ``landmarks`` [33, 2] pixels with ``visibility`` [33].
 
     ``focal`` in pixels, ``centre`` [2] the pixel of the optical axis (default: the picture's middle; pixel centres at
-    +0.5), ``side`` the side of the person that is seen: front, back, left or right. Raises FormatError.
+    +0.5), ``side`` the side of the person that is seen: front, back, left or right; or ``turn``, the degrees about which
+    they have turned to their own left from facing the camera. Raises FormatError.
     """
 
     mask: NDArray[np.bool_] = field(repr=False)
@@ -41,6 +37,7 @@ class View:
     focal: float
     centre: F64
     side: str
+    turn: float  # degrees
     figure: float  # pixels from the mask's top to its bottom
 
     def __init__(
@@ -51,6 +48,7 @@ class View:
         focal: float,
         centre: ArrayLike | None = None,
         side: str = "front",
+        turn: float | None = None,
     ) -> None:
         seen = np.asarray(mask)
         if seen.ndim != 2 or seen.dtype != np.bool_:
@@ -74,6 +72,10 @@ class View:
             raise FormatError(f"a focal length needs pixels above zero, not {focal}")
         if side not in SIDES:
             raise FormatError(f'a view shows {", ".join(SIDES)}, not "{side}"')
+        if turn is not None:
+            if not np.isfinite(turn):
+                raise FormatError(f"a view's turn needs degrees, not {turn}")
+            side = min(SIDES, key=lambda name: abs((turn - SIDES[name] + 180) % 360 - 180))
         keep = object.__setattr__
         keep(self, "mask", seen)
         keep(self, "landmarks", where)
@@ -81,7 +83,14 @@ class View:
         keep(self, "focal", float(focal))
         keep(self, "centre", middle)
         keep(self, "side", side)
+        keep(self, "turn", SIDES[side] if turn is None else float(turn))
         keep(self, "figure", figure)
+
+    @property
+    def facing(self) -> F64:
+        """[3, 3] how the person stands: their left, up and front as columns, in camera axes (x right, y down, z away)."""
+        cos, sin = np.round([np.cos(np.radians(self.turn)), np.sin(np.radians(self.turn))], 15)
+        return np.array([[cos, 0.0, sin], [0.0, -1.0, 0.0], [sin, 0.0, -cos]])
 
     def smaller(self, figure: float) -> View:
         """The same view with the person ``figure`` pixels high; itself where they are smaller already."""
@@ -93,4 +102,5 @@ class View:
         factors = np.array(size) / (width, height)
         mask = cv2.resize(self.mask.astype(np.uint8) * 255, size, interpolation=cv2.INTER_AREA) > 127
         focal = self.focal * float(factors.mean())
-        return View(mask, self.landmarks * factors, self.visibility, focal, self.centre * factors, self.side)
+        marks, centre = self.landmarks * factors, self.centre * factors
+        return View(mask, marks, self.visibility, focal, centre, turn=self.turn)

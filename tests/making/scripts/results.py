@@ -28,7 +28,7 @@ from glsplat.renderer import Renderer
 from glsplat.skinning.pose import Pose
 from tests.conftest import SHARED_DATA
 from tests.making.captures import capture
-from tests.making.scripts.lit import lit_picture
+from glsplat.evaluate.lit import lit_picture
 
 SIZE, CROP = 320, 0.66  # pixels; share of the square's width that the sheets show
 VIEWS = {"front": 0, "left": 90, "back": 180, "right": 270}  # degrees to the person's left

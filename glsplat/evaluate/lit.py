@@ -12,7 +12,7 @@ from glsplat.making.paint.colour import to_linear, to_srgb
 from glsplat.making.raster import visible_faces
 from glsplat.meshes import RiggedMesh
 
-__all__ = ["lit_picture"]
+__all__ = ["lit_picture", "shading"]
 
 SKY, GROUND = np.array([0.52, 0.53, 0.56]), np.array([0.30, 0.28, 0.26])
 FAR, SHADOW_SIZE, BIAS = 60.0, 768, 0.012  # metres, pixels, metres
@@ -26,15 +26,8 @@ def lit_picture(
     ``towards`` the lamp and its ``colour`` in linear light, as the captures' notes have them; ``vertices`` [V, 3].
     """
     large = camera.resized(camera.width * 2, camera.height * 2)
-    lamp = np.asarray(towards, float) / np.linalg.norm(towards)
-    ids, bary = visible_faces(mesh, vertices, large)
+    ids, bary, light = _light(mesh, vertices, large, towards, colour)
     hit = ids >= 0
-    corners = mesh.faces[ids[hit]]
-    points = np.einsum("nk,nkc->nc", bary[hit], vertices[corners])
-    normals = np.einsum("nk,nkc->nc", bary[hit], _normals(mesh, vertices)[corners])
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True) + 1e-12
-    eye = np.linalg.inv(large.viewmat)[:3, 3]
-    normals *= np.where(((eye - points) * normals).sum(axis=1) < 0, -1, 1)[:, None]
     texels = np.zeros((*ids.shape, 3))
     first = 0
     for part in mesh.parts:
@@ -42,11 +35,44 @@ def lit_picture(
         uv = np.einsum("nk,nkc->nc", bary[mine], part.uv[ids[mine] - first])
         texels[mine] = part.sample(uv)[:, :3]
         first += len(part.faces)
+    picture = np.zeros((*ids.shape, 3))
+    picture[hit] = to_srgb(to_linear(texels[hit]) * light[hit])
+    return cv2.resize(picture, (camera.width, camera.height), interpolation=cv2.INTER_AREA)
+
+
+def shading(
+    mesh: RiggedMesh, vertices: np.ndarray, camera: Camera, towards: Sequence[float], colour: Sequence[float]
+) -> np.ndarray:
+    """Float32 [H, W, 3]: what that light makes of linear colours; half as fine, and carried on beyond the outline."""
+    small = camera.resized(max(camera.width // 2, 1), max(camera.height // 2, 1))
+    ids, _, light = _light(mesh, vertices, small, towards, colour)
+    hit = (ids >= 0).astype(np.uint8)
+    if not hit.any():
+        return np.ones((camera.height, camera.width, 3), np.float32)
+    _, labels = cv2.distanceTransformWithLabels(1 - hit, cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL)
+    carried = np.zeros((labels.max() + 1, 3), np.float32)
+    carried[labels[hit > 0]] = light[hit > 0]
+    return np.asarray(cv2.resize(carried[labels], (camera.width, camera.height), interpolation=cv2.INTER_LINEAR))
+
+
+def _light(
+    mesh: RiggedMesh, vertices: np.ndarray, camera: Camera, towards: Sequence[float], colour: Sequence[float]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Face [H, W] and barycentric coordinates of what each pixel sees, and its light [H, W, 3]; zero beside it."""
+    lamp = np.asarray(towards, float) / np.linalg.norm(towards)
+    ids, bary = visible_faces(mesh, vertices, camera)
+    hit = ids >= 0
+    corners = mesh.faces[ids[hit]]
+    points = np.einsum("nk,nkc->nc", bary[hit], vertices[corners])
+    normals = np.einsum("nk,nkc->nc", bary[hit], _normals(mesh, vertices)[corners])
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True) + 1e-12
+    eye = np.linalg.inv(camera.viewmat)[:3, 3]
+    normals *= np.where(((eye - points) * normals).sum(axis=1) < 0, -1, 1)[:, None]
     wrapped = np.clip((normals @ lamp + 0.15) / 1.15, 0, None) * _reached(mesh, vertices, points, lamp)
     ambient = GROUND + (SKY - GROUND) * (0.5 + 0.5 * normals[:, 1:2])
-    picture = np.zeros((*ids.shape, 3))
-    picture[hit] = to_srgb(to_linear(texels[hit]) * (ambient + np.asarray(colour) * wrapped[:, None]))
-    return cv2.resize(picture, (camera.width, camera.height), interpolation=cv2.INTER_AREA)
+    light = np.zeros((*ids.shape, 3))
+    light[hit] = ambient + np.asarray(colour) * wrapped[:, None]
+    return ids, bary, light
 
 
 def _normals(mesh: RiggedMesh, vertices: np.ndarray) -> np.ndarray:
