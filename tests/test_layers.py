@@ -28,7 +28,7 @@ FLOORS = [
     ["glsplat.scene", "glsplat.reference"],
     ["glsplat.motion", "glsplat.views"],
     ["glsplat.formats"],
-    ["glsplat.data"],
+    ["glsplat.data", "glsplat.models"],
     ["glsplat.tracking"],
     ["glsplat.shaders"],
     ["glsplat.gl"],

@@ -7,6 +7,8 @@ from pathlib import Path
 
 from glsplat.avatar import Avatar
 from glsplat.errors import FormatError
+from glsplat.models.catalogue import PHOTO
+from glsplat.models.store import path_of
 from glsplat.net.uploads.job import DoubtfulError, Order, Progress, UploadConfig
 
 from ..usage import UsageError
@@ -33,9 +35,7 @@ def upload_config(args: argparse.Namespace) -> UploadConfig | None:
         return None
     if args.cull_hidden:
         raise UsageError("--cull-hidden needs avatars with cones, those of --allow-upload have none: leave one out")
-    from glsplat.making.networks.store import MODELS, path_of  # here: a server without photographs needs none
-
-    for model in MODELS:
+    for model in PHOTO.models:
         path_of(model.name)
     return UploadConfig(folder=args.allow_upload, make=make_avatar)
 

@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 
 from glsplat.formats import load
-from glsplat.making.networks import store
 from glsplat.making.photo.capture import Finding
 from glsplat.making.reconstruct import photos, registry
+from glsplat.models import store
 from tests.making.captures import needs_networks
 from tests.making.reconstruct.stubs import replace_check
 

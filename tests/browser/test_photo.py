@@ -12,7 +12,8 @@ import pytest
 from apps.serve.photos import make_avatar
 from glsplat.avatar import Avatar
 from glsplat.data import default_avatar
-from glsplat.making.networks.store import MODELS, state_of
+from glsplat.models.catalogue import PHOTO
+from glsplat.models.store import state_of
 from glsplat.net.backend import Offered
 from glsplat.net.backends.server import make_server
 from glsplat.net.server import Server, ServerConfig
@@ -246,7 +247,7 @@ def test_a_phone_offers_its_camera(open_page: OpenPage, taking: Any) -> None:
 @pytest.mark.slow
 @pytest.mark.timeout(700)
 def test_a_real_capture_is_worn(open_page: OpenPage, serve: Any, tmp_path: Path, shared_data: Path) -> None:
-    if any(state_of(model) != "here" for model in MODELS):
+    if any(state_of(model) != "here" for model in PHOTO.models):
         pytest.skip("needs the networks of 'glsplat models get'")
     uploads = UploadConfig(folder=tmp_path / "avatars", make=make_avatar)
     served = serve(make=lambda config: make_server(default_avatar(), config, uploads=uploads))

@@ -14,9 +14,10 @@ from scipy.spatial import cKDTree
 
 from glsplat.camera import Camera
 from glsplat.making.fit.body import open_body
-from glsplat.making.networks import store
 from glsplat.making.people import read_person
 from glsplat.making.raster import mesh_picture, visible_faces
+from glsplat.models import store
+from glsplat.models.catalogue import PHOTO
 from glsplat.skinning.pose import Pose
 
 __all__ = ["Capture", "capture", "needs_networks"]
@@ -24,7 +25,7 @@ __all__ = ["Capture", "capture", "needs_networks"]
 
 def needs_networks() -> None:
     """Skip where the networks are not on this machine."""
-    missing = [model.name for model in store.MODELS if store.state_of(model) != "here"]
+    missing = [model.name for model in PHOTO.models if store.state_of(model) != "here"]
     if missing:
         pytest.skip(f"no {missing[0]} in {store.folder()}; glsplat models get")
 

@@ -18,8 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.errors import GlsplatError
-
-from .store import path_of
+from glsplat.models.store import path_of
 
 __all__ = ["Crop", "Network", "network", "sigmoid"]
 

@@ -19,11 +19,12 @@ from apps.serve.photos import upload_config
 from apps.usage import UsageError
 from glsplat.errors import GlsplatError
 from glsplat.formats import load
-from glsplat.making.networks.store import MODELS, state_of
+from glsplat.models.catalogue import PHOTO
+from glsplat.models.store import state_of
 
 ROOT = Path(__file__).parents[3]
 needs_networks = pytest.mark.skipif(
-    any(state_of(model) != "here" for model in MODELS), reason="needs the networks of 'glsplat models get'"
+    any(state_of(model) != "here" for model in PHOTO.models), reason="needs the networks of 'glsplat models get'"
 )
 
 

@@ -1,0 +1,1 @@
+"""Networks that others trained: fetched on demand from pinned Python packages, checked, listed, removed."""
