@@ -2,9 +2,10 @@
 VENV ?= .venv
 PYTHON ?= python3
 DEMO ?= # more options for `make demo`, such as DEMO='--seconds 2'
+EVALUATE ?= # more options for `make evaluate`, such as EVALUATE=--quick
 BIN := $(VENV)/bin
 
-.PHONY: demo test install style types unit goldens bench report clean
+.PHONY: demo test install style types unit goldens bench report evaluate clean
 
 demo: $(VENV)/.run
 	$(BIN)/glsplat demo -o out/demo $(DEMO)
@@ -45,6 +46,13 @@ $(VENV)/.dev: pyproject.toml .ci/system
 report: $(VENV)/.run
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[report]'
 	$(BIN)/glsplat report -o out/report
+
+# PARTICIPANTS=DIR are people of your own; EVALUATE='--quick' and the like are passed on
+evaluate: $(VENV)/.run
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[evaluate]'
+	$(BIN)/glsplat models get
+	$(BIN)/glsplat models get lpips
+	$(BIN)/glsplat evaluate $(if $(PARTICIPANTS),--participants $(PARTICIPANTS)) -o out/evaluation $(EVALUATE)
 
 clean:
 	rm -rf $(VENV) build dist out *.egg-info

@@ -14,6 +14,7 @@ from typing import Any
 
 from tqdm import tqdm
 
+from glsplat.data import participants_folder
 from glsplat.errors import FormatError
 from glsplat.evaluate.comparison.method import OWN, method_of
 from glsplat.evaluate.comparison.participant import Participant, participants_in
@@ -151,7 +152,7 @@ def _protocol(args: argparse.Namespace) -> Protocol:
 
 
 def _people(args: argparse.Namespace) -> list[Participant]:
-    people = participants_in(args.participants)
+    people = participants_in(participants_folder() if args.participants is None else args.participants)
     if args.only:
         wanted = _words(args.only, "--only")
         known = {one.name: one for one in people}

@@ -6,11 +6,12 @@ from dataclasses import dataclass
 
 from glsplat.avatar import Avatar
 from glsplat.evaluate.comparison.participant import Participant
-from glsplat.making.reconstruct.photos import from_photos
+from glsplat.making.reconstruct.photos import from_photos, mesh_from_photos
 from glsplat.making.refine import RefineConfig, refine
 from glsplat.making.surface import make_avatar
+from glsplat.meshes import RiggedMesh
 
-__all__ = ["Photo", "Scan"]
+__all__ = ["MeshImage", "Photo", "Scan"]
 
 
 @dataclass(frozen=True)
@@ -31,14 +32,24 @@ class Photo(_Own):
 
 
 @dataclass(frozen=True)
+class MeshImage(_Own):
+    """The same photograph to a textured mesh, as ``glsplat avatar photo --as mesh`` makes them."""
+
+    def make(self, participant: Participant) -> RiggedMesh:
+        """Raises CaptureError where the check refuses the photograph."""
+        return mesh_from_photos(participant.photo, height=participant.height)
+
+
+@dataclass(frozen=True)
 class Scan(_Own):
     """The participant's own mesh to splats, as ``glsplat avatar make`` makes them: the most that splats can reach."""
 
     def make(self, participant: Participant) -> Avatar:
         """Raises FormatError for a mesh that cannot be read."""
         mesh = participant.mesh
-        avatar = make_avatar(mesh, 40_000, self.seed)
-        return avatar if self.quick else refine(avatar, mesh, self.seed, RefineConfig(steps=_STEPS))
+        if self.quick:
+            return make_avatar(mesh, 10_000, self.seed)
+        return refine(make_avatar(mesh, 40_000, self.seed), mesh, self.seed, RefineConfig(steps=_STEPS))
 
 
 _STEPS = 60  # of fitting; the command takes 450

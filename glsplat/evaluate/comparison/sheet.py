@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 __all__ = ["Sheet"]
 
 Picture = NDArray[np.uint8]
-_SIDE = 160  # pixels of a picture on the sheet
+_SIDE = 192  # pixels of a picture on the sheet
+_STRIP = 18  # pixels of a row's name, above it
 _QUALITY = 85
 
 
@@ -32,8 +33,9 @@ class Sheet:
         lines = []
         for name, cells in self._rows.items():
             filled = [np.zeros((_SIDE, _SIDE, 3), np.uint8) if cell is None else cell for cell in cells]
-            line = np.ascontiguousarray(np.hstack(filled))
-            cv2.putText(line, name, (4, 12), cv2.FONT_HERSHEY_SIMPLEX, 0.4, (255, 255, 255), 1, cv2.LINE_AA)
-            lines.append(line)
+            line = np.hstack(filled)
+            strip = np.full((_STRIP, line.shape[1], 3), 64, np.uint8)
+            cv2.putText(strip, name, (4, 13), cv2.FONT_HERSHEY_SIMPLEX, 0.42, (255, 255, 255), 1, cv2.LINE_AA)
+            lines += [strip, line]
         data = cv2.imencode(".jpg", np.vstack(lines)[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])[1]
         return bytes(data.tobytes())

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from types import TracebackType
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,7 +40,7 @@ class Truth:
 class Stage:
     """Renderers of one participant and of avatars, on one context; release it on the thread that made it."""
 
-    def __init__(self, mesh: RiggedMesh, performance: Performance, protocol: Protocol) -> None:
+    def __init__(self, mesh: RiggedMesh, performance: Performance, protocol: Protocol, light: Any = None) -> None:
         self._mesh, self._performance, self._protocol = mesh, performance, protocol
         self._used = np.unique(mesh.faces)
         self._size = (protocol.size, protocol.size)

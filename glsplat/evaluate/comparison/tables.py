@@ -45,6 +45,10 @@ def summary(results: Sequence[Result], methods: Sequence[str], people: int) -> l
     return rows
 
 
+def compared(results: Sequence[Result], methods: Sequence[str], seed: int) -> list[dict[str, Any]]:
+    return []
+
+
 def by_participant(results: Sequence[Result], methods: Sequence[str]) -> list[dict[str, Any]]:
     """A row a participant and method: the paper's measures under both controls, or why there are none."""
     rows = []
