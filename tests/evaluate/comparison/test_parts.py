@@ -1,0 +1,56 @@
+"""Body parts in pictures."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from glsplat.evaluate.comparison.participant import Participant
+from glsplat.evaluate.comparison.parts import PARTS, labelled_mesh, labels_of, regions
+from glsplat.evaluate.comparison.performance import perform
+from glsplat.evaluate.comparison.protocol import Protocol, eyes
+from glsplat.evaluate.comparison.stage import Stage
+from glsplat.gl.context import Context
+from glsplat.mesh import MeshConfig, MeshRenderer
+
+
+def test_every_pixel_of_a_person_has_a_part_and_parts_are_where_they_are(
+    people: list[Participant], context: Context
+) -> None:
+    mesh = people[1].mesh
+    done = perform(mesh, ("standing",))
+    protocol = Protocol(size=256)
+    plain = MeshConfig(samples=1, supersample=1)
+    points = mesh.posed(done.pose(0))
+    with MeshRenderer(labelled_mesh(mesh), size=(256, 256), config=plain, context=context) as renderer:
+        pictures = {view: renderer.render(eyes(points, view, protocol), done.pose(0))[0] for view in protocol.views}
+    labels = {view: labels_of(picture) for view, picture in pictures.items()}
+    for view, label in labels.items():
+        assert ((label >= 0) == (pictures[view][..., 3] > 127)).all()
+        rows = {part: np.flatnonzero((label == i).any(axis=1)) for i, part in enumerate(PARTS)}
+        assert rows["head"].mean() < rows["torso"].mean() < rows["legs"].mean()
+        assert len(rows["hands"]) and rows["hands"].min() > rows["torso"].min()
+    face = {view: (label == PARTS.index("face")).sum() for view, label in labels.items()}
+    assert face["front"] > 1.5 * max(face["left"], face["right"]) > 0 == face["back"]
+
+
+def test_the_background_beside_a_part_is_the_part_s() -> None:
+    labels = np.full((20, 20), -1, np.int8)
+    labels[5:10, 5:10], labels[5:10, 12:15] = 0, 3
+    found = regions(labels, 3)
+    assert found[7, 4] == found[7, 2] == 0 and found[7, 1] == -1
+    assert found[7, 10] == 0 and found[7, 11] == 3
+    assert (found[labels >= 0] == labels[labels >= 0]).all()
+    empty = np.full((8, 8), -1, np.int8)
+    assert (regions(empty, 3) == -1).all()
+
+
+def test_the_figure_fills_what_it_should(people: list[Participant]) -> None:
+    mesh = people[3].mesh
+    protocol = Protocol(size=200, tasks=("standing", "arms sideways"), light="none")
+    with Stage(mesh, perform(mesh, protocol.tasks), protocol) as stage:
+        for moment, axis in ((0, 1), (1, 0)):  # its height; its span, which is longer
+            covered = stage.truth(moment, "front").pictures[0, ..., 3] > 127
+            share = np.ptp(np.flatnonzero(covered.any(axis=axis))) / 200
+            assert 0.84 < share < 0.9
+            left, right = stage.truth(moment, "front").cameras
+            assert abs(np.linalg.norm(left.position - right.position) - 0.055) < 1e-12

@@ -1,0 +1,198 @@
+"""Tasks: what is made, kept, made again, and what fails; in this process and in others."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from glsplat.errors import FormatError, GlsplatError
+from glsplat.evaluate.comparison import tables
+from glsplat.evaluate.comparison import work as working
+from glsplat.evaluate.comparison.method import Folder, method_of
+from glsplat.evaluate.comparison.participant import Participant, participants_in
+from glsplat.evaluate.comparison.protocol import Protocol
+from glsplat.evaluate.comparison.work import Result, Task, finished, work
+from glsplat.evaluate.comparison.workers import run_tasks
+from glsplat.formats import load, save
+
+quiet = lambda step, done: None  # noqa: E731
+
+
+def tasks_of(people: list[Participant], protocol: Protocol, out: Path, *methods: str) -> list[Task]:
+    return [Task(one, dict(method_of(name) for name in methods), protocol, out, {"seed": 0}) for one in people]
+
+
+def table(results: list[Result], *methods: str) -> str:
+    return json.dumps(
+        [tables.summary(results, methods, 2), tables.by_view(results, methods), tables.by_part(results, methods)]
+    )
+
+
+@pytest.mark.usefixtures("no_lpips")
+def test_a_perfect_avatar_is_nearly_perfect_and_a_small_one_is_not(people, short, plugged, tmp_path) -> None:
+    plugged(itself="Itself", smaller="Smaller")
+    results = [r for task in tasks_of(people[:2], short, tmp_path, "itself", "smaller") for r in work(task, quiet)]
+    assert not [r.failed for r in results if r.failed]
+    rows = {(row["method"], row["control"]): row for row in tables.summary(results, ("itself", "smaller"), 2)}
+    best = rows["itself", "pose"]
+    assert best["overlap"]["mean"] > 0.95 and best["psnr"]["mean"] > 28 and best["n"] == best["of"] == 2
+    assert rows["itself", "tracking"]["overlap"]["mean"] < best["overlap"]["mean"]
+    assert (
+        rows["smaller", "pose"]["overlap"]["mean"] < 0.9
+        and rows["smaller", "pose"]["l1"]["mean"] > 2 * best["l1"]["mean"]
+    )
+    by_hand = np.mean([r.data["values"]["pose"]["l1"] for r in results if r.method == "smaller"], axis=(1, 2, 3))
+    assert rows["smaller", "pose"]["l1"]["mean"] == pytest.approx(by_hand.mean(), abs=1e-6)
+    assert rows["smaller", "pose"]["l1"]["sd"] == pytest.approx(by_hand.std(ddof=1), abs=1e-6)
+    for method in ("itself", "smaller"):
+        assert (tmp_path / "sheets" / method / "p02.jpg").read_bytes().startswith(b"\xff\xd8")
+
+
+@pytest.mark.usefixtures("no_lpips")
+def test_interrupted_and_gone_on_is_as_one_run(people, short, plugged, tmp_path, monkeypatch) -> None:
+    plugged(itself="Itself", smaller="Smaller")
+    names = ("itself", "smaller")
+    whole = [r for task in tasks_of(people[:2], short, tmp_path / "whole", *names) for r in work(task, quiet)]
+    tasks = tasks_of(people[:2], short, tmp_path / "parts", *names)
+    work(tasks[0], quiet)
+
+    def interrupt(step: str, done: float) -> None:
+        if "pictures" in step and done > 0.7:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        work(tasks[1], interrupt)
+    kept = [r for task in tasks for r in finished(task)]
+    assert {r.participant for r in kept} == {people[0].name} and len(kept) == 2
+    monkeypatch.setattr(working, "product", _only_from_files(working.product))
+    again = kept + work(tasks[1], quiet)
+    assert table(again, *names) == table(whole, *names)
+    assert table([r for task in tasks for r in finished(task)], *names) == table(whole, *names)
+
+
+def _only_from_files(product: Callable) -> Callable:
+    """Avatars that were made before the interruption are not made again."""
+
+    def checked(name, source, participant, out, key):
+        assert (out / f"{participant.name}.glb").is_file()
+        return product(name, source, participant, out, key)
+
+    return checked
+
+
+@pytest.mark.usefixtures("no_lpips")
+def test_results_hold_for_their_files_and_protocol_alone(people, short, plugged, tmp_path) -> None:
+    plugged(itself="Itself")
+    folder = tmp_path / "people"
+    folder.mkdir()
+    shutil.copy(people[1].mesh_file, folder / "one.npz")
+    (task,) = tasks_of(participants_in(folder), short, tmp_path / "out", "itself")
+    assert finished(task) == []
+    work(task, quiet)
+    assert len(finished(task)) == 1
+    other = Protocol(tasks=short.tasks, views=("back",), size=96, light="none")
+    assert finished(tasks_of(participants_in(folder), other, tmp_path / "out", "itself")[0]) == []
+    shutil.copy(people[0].mesh_file, folder / "one.npz")
+    assert finished(tasks_of(participants_in(folder), short, tmp_path / "out", "itself")[0]) == []
+    result = tmp_path / "out" / "results" / "itself" / "one.json"
+    for broken in ("", "{", "[]", '{"key": 1}', '{"key": {}, "data": {}}'):
+        result.write_text(broken)
+        assert finished(task) == []
+
+
+@pytest.mark.usefixtures("no_lpips")
+def test_what_fails_says_why_and_the_others_count(people, short, plugged, tmp_path) -> None:
+    plugged(itself="Itself", raising="Raising", nothing="Nothing")
+    folder = tmp_path / "people"
+    folder.mkdir()
+    shutil.copy(people[1].mesh_file, folder / "good.npz")
+    (folder / "broken.npz").write_bytes(people[1].mesh_file.read_bytes()[:5000])
+    names = ("itself", "raising", "nothing")
+    results = [
+        r for task in tasks_of(participants_in(folder), short, tmp_path / "out", *names) for r in work(task, quiet)
+    ]
+    why = {(r.participant, r.method): r.failed for r in results}
+    assert len(results) == 6 and why["good", "itself"] == ""
+    assert why["good", "raising"] == 'the method "raising" failed on good: ValueError: no idea'
+    assert "not an avatar" in why["good", "nothing"] and "broken.npz" in why["broken", "itself"]
+    assert not any("\n" in line for line in why.values())
+    (row,) = [row for row in tables.summary(results, ("itself",), 2) if row["control"] == "pose"]
+    assert (row["n"], row["of"]) == (1, 2) and row["l1"]["sd"] is None
+    assert {row["method"] for row in tables.failures(results)} == set(names)
+    rows = tables.by_participant(results, names)
+    assert [row.get("failed", "") for row in rows if row["participant"] == "good"] == [
+        "",
+        why["good", "raising"],
+        why["good", "nothing"],
+    ]
+    (empty,) = [row for row in tables.summary(results, ("raising",), 2) if row["control"] == "pose"]
+    assert empty["n"] == 0 and empty["l1"] is None
+
+
+@pytest.mark.usefixtures("no_lpips")
+def test_a_folder_of_files_is_a_method(people, short, tmp_path) -> None:
+    from glsplat.data import default_avatar
+
+    made = tmp_path / "mine"
+    made.mkdir()
+    save(default_avatar(), made / f"{people[0].name}.glb")
+    splats = load(made / f"{people[0].name}.glb").splats
+    save(splats, made / f"{people[1].name}.ply")
+    name, source = method_of(f"mine={made}")
+    assert isinstance(source, Folder)
+    results = [r for one in people[:3] for r in work(Task(one, {name: source}, short, tmp_path / "out"), quiet)]
+    assert results[0].data["product"] == {"kind": "splats", "count": len(splats), "bytes": None, "seconds": None}
+    assert "cm from the mesh" in results[1].failed  # another person's splats
+    assert "no file of p05" in results[2].failed
+
+
+def test_other_processes_report_results_failures_and_their_end(people, short, plugged, tmp_path) -> None:
+    plugged(raising="Raising", dying="Dying")
+    tasks = [
+        Task(people[0], {"raising": "raising"}, short, tmp_path),
+        Task(people[1], {"dying": "dying"}, short, tmp_path),
+        Task(people[2], {"raising": "raising"}, short, tmp_path),
+    ]
+    seen = []
+    results = [r for some in run_tasks(tasks, 2, lambda index, step, done: seen.append((index, step))) for r in some]
+    why = {r.participant: r.failed for r in results}
+    assert len(results) == 3 and "no idea" in why["p01"] and "no idea" in why["p05"]
+    assert why["p02"] == "the process that worked on p02 ended (exit code 7); memory may have run out"
+    assert (2, "p05: raising") in seen
+
+
+def test_words_of_the_command_line(tmp_path) -> None:
+    assert method_of("photo") == ("photo", "photo")
+    assert method_of(f"a-b_1={tmp_path}") == ("a-b_1", Folder(tmp_path))
+    for word, message in (
+        ("nobody", 'no method is called "nobody"'),
+        ("../x=.", "letters, digits"),
+        ("x=/nowhere", "no such folder"),
+    ):
+        with pytest.raises(GlsplatError, match=message):
+            method_of(word)
+
+
+def test_participants_are_found_by_their_files(tmp_path) -> None:
+    with pytest.raises(FormatError, match="no such folder"):
+        participants_in(tmp_path / "none")
+    with pytest.raises(FormatError, match="nobody is here"):
+        participants_in(tmp_path)
+    (tmp_path / "ann.npz").write_bytes(b"PK")
+    (ann,) = participants_in(tmp_path)
+    assert (ann.name, ann.height, ann.camera, ann.pose, ann.light, ann.video) == ("ann", None, None, None, None, None)
+    with pytest.raises(FormatError, match=r"capture/ann\.jpg: no such picture"):
+        ann.photo  # noqa: B018
+    with pytest.raises(FormatError, match=r"ann\.npz"):
+        ann.mesh  # noqa: B018
+    (tmp_path / "participants.json").write_text('{"participants": [{"id": "ann", "height_m": 1.7}]}')
+    assert participants_in(tmp_path)[0].height == 1.7
+    for text in ("[]", "{", '{"participants": [{"id": "ann"}]}', '{"participants": 3}'):
+        (tmp_path / "participants.json").write_text(text)
+        with pytest.raises(FormatError, match=r"participants\.json"):
+            participants_in(tmp_path)
