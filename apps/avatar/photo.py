@@ -1,4 +1,4 @@
-"""``glsplat avatar photo``: from photographs of a person to an avatar, or only the check whether they will do."""
+"""``glsplat avatar photo``: from photographs of a person to an avatar or a mesh, or only the check of them."""
 
 from __future__ import annotations
 
@@ -11,7 +11,16 @@ from typing import Any
 
 from glsplat.errors import CaptureError, FormatError
 from glsplat.making.cones import with_cones
-from glsplat.making.reconstruct.photos import Reconstruction, Shot, check_photos, reconstruct, refuse
+from glsplat.making.reconstruct.builtin import Meshing
+from glsplat.making.reconstruct.photos import (
+    MeshReconstruction,
+    Reconstruction,
+    Shot,
+    check_photos,
+    reconstruct,
+    reconstruct_mesh,
+    refuse,
+)
 from glsplat.making.reconstruct.reconstructor import Options, Progress
 from glsplat.making.reconstruct.registry import named, names
 
@@ -19,11 +28,12 @@ from ..args import natural, positive
 from ..output import save_png
 from ..usage import UsageError
 from . import photo_sheet
-from .writing import add_notes, check_name, notes_of, progress_bar, write
+from .writing import add_notes, check_name, notes_of, progress_bar, write, write_mesh
 
 __all__ = ["add_arguments", "run"]
 
 _OTHERS = ("back", "left", "right")
+_SPLATS_ONLY, _MESH_ONLY = ("splats", "seed", "steps"), ("texture",)
 _DEFAULT = Options()
 
 
@@ -33,16 +43,23 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     for side in _OTHERS:
         parser.add_argument(f"--{side}", type=Path, help=f"the same person in the same pose, seen from the {side}")
     parser.add_argument("-o", "--out", type=Path, help="avatar to write (.glb); not needed with --check")
-    parser.add_argument("--height", type=positive, help="the person's height in metres, without shoes (1.74)")
     parser.add_argument(
-        "--splats", type=natural, default=_DEFAULT.splats, help="number of Gaussians (default %(default)d)"
+        "--as",
+        dest="kind",
+        choices=("splats", "mesh"),
+        default="splats",
+        help="Gaussians, or a textured mesh that other programs open (default %(default)s)",
     )
-    parser.add_argument("--seed", type=natural, default=_DEFAULT.seed, help="same seed, same bytes (default 0)")
+    parser.add_argument("--height", type=positive, help="the person's height in metres, without shoes (1.74)")
+    parser.add_argument("--splats", type=natural, help=f"number of Gaussians (default {_DEFAULT.splats})")
+    parser.add_argument("--seed", type=natural, help=f"same seed, same bytes (default {_DEFAULT.seed})")
     parser.add_argument(
         "--steps",
         type=natural,
-        default=_DEFAULT.steps,
-        help="rounds of matching colours to the pictures (default %(default)d); 0: none",
+        help=f"rounds of matching colours to the pictures (default {_DEFAULT.steps}); 0: none",
+    )
+    parser.add_argument(
+        "--texture", type=natural, help=f"with --as mesh: texels a side of the texture (default {_DEFAULT.texture})"
     )
     parser.add_argument("--mask", type=Path, help="the person in the front picture: white on black, same size")
     for side in _OTHERS:
@@ -75,15 +92,19 @@ def run(args: argparse.Namespace) -> int:
     if args.out is None:
         raise UsageError("missing: -o/--out")
     check_name(args.out)
+    mesh = args.kind == "mesh"
     with progress_bar() as show:
         options = _options(args, show)
-        named(args.using)  # a name that nobody knows is said before the pictures are looked at
+        maker = named(args.using)  # a name that nobody knows is said before the pictures are looked at
+        if mesh and not isinstance(maker, Meshing):
+            raise UsageError(f"--with {args.using} makes splats, no mesh: leave out --as mesh or --with")
         shots = _shots(args, show)
-        done: Reconstruction | None = None
+        done: Reconstruction | MeshReconstruction | None = None
         try:
             if not args.anyway:
                 refuse(shots)
-            done = reconstruct(shots, options, using=args.using, anyway=True, meta=notes_of(args))
+            make = reconstruct_mesh if mesh else reconstruct
+            done = make(shots, options, using=args.using, anyway=True, meta=notes_of(args))
             if not args.anyway:
                 refuse(shots, done.made)
         except CaptureError as error:
@@ -94,19 +115,32 @@ def run(args: argparse.Namespace) -> int:
             hopeless = args.anyway or any(shot.capture.person is None for shot in shots.values())
             hint = "" if hopeless else "; --anyway goes on all the same"
             raise CaptureError(f"{error}{hint}", error.findings) from None
-        avatar = with_cones(done.avatar, progress=show) if args.cones else done.avatar
         _sheet(args, shots, done)
-    unseen = avatar.meta.get("unseen")
-    words = "" if unseen is None else f"; {unseen:.0%} of the surface is guessed"
-    code = write(avatar, args, began, _facts(done), words)
+        if isinstance(done, MeshReconstruction):
+            code = write_mesh(done.mesh, args, began, _facts(done), _guessed(done.mesh.meta))
+        else:
+            avatar = with_cones(done.avatar, progress=show) if args.cones else done.avatar
+            code = write(avatar, args, began, _facts(done), _guessed(avatar.meta))
     if not args.json:
         _notes(shots)
     return code
 
 
+def _guessed(meta: Mapping[str, Any]) -> str:
+    unseen = meta.get("unseen")
+    return "" if unseen is None else f"; {unseen:.0%} of the surface is guessed"
+
+
 def _options(args: argparse.Namespace, show: Progress) -> Options:
+    asked = {name: getattr(args, name) for name in ("height", *_SPLATS_ONLY, *_MESH_ONLY)}
+    senseless = _SPLATS_ONLY if args.kind == "mesh" else _MESH_ONLY
+    for name in senseless:
+        if asked[name] is not None:
+            raise UsageError(f"--{name} has no meaning with --as {args.kind}: leave it out")
+    if args.cones and args.kind == "mesh":
+        raise UsageError("--cones has no meaning with --as mesh: leave it out")
     try:
-        return Options(height=args.height, splats=args.splats, seed=args.seed, steps=args.steps, progress=show)
+        return Options(**{name: value for name, value in asked.items() if value is not None}, progress=show)
     except FormatError as error:
         raise UsageError(str(error)) from None
 
@@ -153,9 +187,10 @@ def _pictures(shots: Mapping[str, Shot]) -> list[dict[str, Any]]:
     ]
 
 
-def _facts(done: Reconstruction) -> dict[str, Any]:
+def _facts(done: Reconstruction | MeshReconstruction) -> dict[str, Any]:
     """For --json, beside what all commands say."""
-    facts: dict[str, Any] = {"made_by": done.made_by, "unseen": done.avatar.meta.get("unseen")}
+    meta = done.mesh.meta if isinstance(done, MeshReconstruction) else done.avatar.meta
+    facts: dict[str, Any] = {"made_by": done.made_by, "unseen": meta.get("unseen")}
     facts["pictures"] = _pictures(done.shots)
     if done.made is not None:
         views = done.made.fit.views
@@ -166,10 +201,13 @@ def _facts(done: Reconstruction) -> dict[str, Any]:
     return facts
 
 
-def _sheet(args: argparse.Namespace, shots: Mapping[str, Shot], done: Reconstruction | None = None) -> None:
+def _sheet(
+    args: argparse.Namespace, shots: Mapping[str, Shot], done: Reconstruction | MeshReconstruction | None = None
+) -> None:
     """Draw what there is, where it was asked for."""
     if args.debug is not None:
-        drawn = photo_sheet.draw(shots) if done is None else photo_sheet.draw(shots, done.avatar, done.made)
+        result = done.mesh if isinstance(done, MeshReconstruction) else None if done is None else done.avatar
+        drawn = photo_sheet.draw(shots, result, None if done is None else done.made)
         save_png(args.debug / "photo.png", drawn)
 
 

@@ -15,8 +15,12 @@ from glsplat.camera import Camera, look_at, pinhole
 from glsplat.making.fit.body import open_body, vertex_normals
 from glsplat.making.fit.fit import FittedView
 from glsplat.making.networks.person import LANDMARKS
-from glsplat.making.reconstruct.builtin import Made
+from glsplat.making.paint.shot import SurfacePoints
+from glsplat.making.reconstruct.builtin import Dressed
 from glsplat.making.reconstruct.photos import Shot
+from glsplat.making.texture.texels import texels_of
+from glsplat.mesh import MeshRenderer
+from glsplat.meshes import MeshPart, RiggedMesh
 from glsplat.renderer import Renderer
 from glsplat.skinning.pose import Pose
 from glsplat.splats import SH_C0
@@ -44,7 +48,7 @@ _LIMBS = (
 _FINGERS = [[0, *range(first, first + 4)] for first in (1, 5, 9, 13, 17)]
 
 
-def draw(shots: Mapping[str, Shot], avatar: Avatar | None = None, made: Made | None = None) -> Image:
+def draw(shots: Mapping[str, Shot], avatar: Avatar | RiggedMesh | None = None, made: Dressed | None = None) -> Image:
     """RGB uint8 [H, W, 3]: a row for each picture, then what was seen and the result where there are such."""
     rows = []
     for index, shot in enumerate(shots.values()):
@@ -54,9 +58,9 @@ def draw(shots: Mapping[str, Shot], avatar: Avatar | None = None, made: Made | N
         if shot.capture.person is not None:
             cells.append(_details(shot))
         rows.append(cells)
-    if made is not None:
+    if made is not None and avatar is not None:
         words = ", ".join(f"{side} {_INKS[side]}" for side in shots)
-        rows.append(_four_sides(_seen(made, list(shots)), f"{words}, guessed orange"))
+        rows.append(_four_sides(_seen(avatar, made, list(shots)), f"{words}, guessed orange"))
     if avatar is not None:
         rows.append(_four_sides(avatar, "the avatar"))
     return stack(rows)
@@ -211,17 +215,29 @@ def _painted(pixels: F64, depth: F64, faces: NDArray[np.int32], colours: F64) ->
     return drawn
 
 
-def _seen(made: Made, sides: Sequence[str]) -> Avatar:
+def _seen(avatar: Avatar | RiggedMesh, made: Dressed, sides: Sequence[str]) -> Avatar | RiggedMesh:
     """The avatar in the colours of the pictures that show its surface, light and dark as it is itself."""
-    splats, faces = made.avatar.splats, open_body().faces
-    colours = np.tile(np.array(_GUESSED, np.float64), (len(made.mesh.vertices), 1))
+    colours = np.tile(np.array(_GUESSED, np.float64), (len(made.mesh.vertices), 1)) / 255
     for side, view in reversed(list(zip(sides, made.fit.views, strict=True))):  # the front has the last word
-        colours[_visible(view, faces)] = _SEEN[side]
-    tint = colours[cKDTree(made.mesh.vertices).query(splats.means)[1]] / 255
+        colours[_visible(view, open_body().faces)] = np.array(_SEEN[side]) / 255
+    if isinstance(avatar, RiggedMesh):
+        return replace(avatar, parts=tuple(_tinted(part, colours) for part in avatar.parts))
+    splats = avatar.splats
+    tint = colours[cKDTree(made.mesh.vertices).query(splats.means)[1]]
     own = np.clip(splats.sh[:, 0] * SH_C0 + 0.5, 0, 1).mean(axis=1, keepdims=True)
     sh = np.zeros_like(splats.sh)
     sh[:, 0] = (tint * (0.5 + 0.5 * own) - 0.5) / SH_C0
-    return replace(made.avatar, splats=replace(splats, sh=sh))
+    return replace(avatar, splats=replace(splats, sh=sh))
+
+
+def _tinted(part: MeshPart, colours: F64) -> MeshPart:
+    """With the colours [V, 3] of its vertices over its texture."""
+    texture = part.texture.copy()
+    texels = texels_of(part.uv, texture.shape[1], texture.shape[0])
+    tint = SurfacePoints(part.faces[texels.face].astype(np.intp), texels.weights).at(colours)
+    shown = texture.reshape(-1, 4)[texels.index, :3].mean(axis=1, keepdims=True)
+    texture.reshape(-1, 4)[texels.index, :3] = tint * (127.5 + 0.5 * shown)
+    return replace(part, texture=texture)
 
 
 def _visible(view: FittedView, faces: NDArray[np.int32]) -> NDArray[np.bool_]:
@@ -241,15 +257,17 @@ def _visible(view: FittedView, faces: NDArray[np.int32]) -> NDArray[np.bool_]:
     return np.asarray((depth <= nearest[at[:, 1], at[:, 0]] + _BEHIND) & (facing > _FACING))
 
 
-def _four_sides(avatar: Avatar, words: str) -> list[Image]:
+def _four_sides(avatar: Avatar | RiggedMesh, words: str) -> list[Image]:
     rotations = np.zeros((len(avatar.skeleton), 3))
     for joint, bend in A_POSE.items():
         rotations[avatar.skeleton.names.index(joint)] = bend
-    low, high = np.percentile(avatar.splats.means, (0.1, 99.9), axis=0)
+    means = avatar.vertices if isinstance(avatar, RiggedMesh) else avatar.splats.means
+    low, high = np.percentile(means, (0.1, 99.9), axis=0)
     middle, tall = (low[1] + high[1]) / 2, max(float(high[1] - low[1]), 0.1)
     distance = 1.35 * tall / 2 / np.tan(np.radians(_FOV) / 2)
     cells = []
-    with Renderer(avatar, size=_CELL) as renderer:
+    drawn = MeshRenderer(avatar, size=_CELL) if isinstance(avatar, RiggedMesh) else Renderer(avatar, size=_CELL)
+    with drawn as renderer:
         for name, turn in (("front", 0.0), ("left", 90.0), ("back", 180.0), ("right", -90.0)):
             angle = np.radians(turn)
             eye = (distance * np.sin(angle), middle, distance * np.cos(angle))

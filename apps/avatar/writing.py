@@ -17,11 +17,13 @@ from tqdm import tqdm
 from glsplat.avatar import Avatar
 from glsplat.errors import FormatError
 from glsplat.formats import FORMATS, save, suffixes
+from glsplat.formats.gltf_mesh import save_gltf_mesh
+from glsplat.meshes import RiggedMesh
 from glsplat.skinning.smplx import JOINT_NAMES
 
 from ..usage import UsageError
 
-__all__ = ["add_notes", "check_name", "notes_of", "progress_bar", "write"]
+__all__ = ["add_notes", "check_name", "notes_of", "progress_bar", "write", "write_mesh"]
 
 _NOTES = {
     "source": "where the person comes from",
@@ -88,4 +90,25 @@ def write(
     else:
         made = f"{facts['splats']} splats, {args.out.stat().st_size / 1e6:.2f} MB, {facts['seconds']} s"
         print(f"{args.out}: {made}{words}")
+    return 0
+
+
+def write_mesh(
+    mesh: RiggedMesh, args: argparse.Namespace, began: float, more: Mapping[str, Any] | None = None, words: str = ""
+) -> int:
+    """As ``write``, a textured mesh."""
+    save_gltf_mesh(replace(mesh, meta=dict(mesh.meta) | notes_of(args)), args.out)
+    texture = max((part.texture for part in mesh.parts), key=lambda texture: texture.size)
+    facts = {
+        "out": str(args.out),
+        "triangles": len(mesh.faces),
+        "texture": [texture.shape[1], texture.shape[0]],
+        "bytes": args.out.stat().st_size,
+        "seconds": round(time.perf_counter() - began, 1),
+    }
+    if args.json:
+        print(json.dumps(facts | dict(more or {})))
+    else:
+        size = f"{texture.shape[1]} x {texture.shape[0]} texels, {facts['bytes'] / 1e6:.2f} MB"
+        print(f"{args.out}: {len(mesh.faces)} triangles, {size}, {facts['seconds']} s{words}")
     return 0

@@ -11,7 +11,6 @@ import base64
 import binascii
 import io
 import struct
-from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, BinaryIO, TypeVar
@@ -37,7 +36,7 @@ __all__ = [
     "Primitive",
     "Scene",
 ]
-__all__ += ["Output", "Skin", "item", "parse", "read_container", "to_glb", "to_json"]
+__all__ += ["Skin", "item", "parse", "read_container"]
 
 T = TypeVar("T")
 Index = Annotated[int, msgspec.Meta(ge=0, le=2**53)]
@@ -49,7 +48,7 @@ _COMPONENTS = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 51
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
 _FULL_SCALE = {"i1": 127.0, "u1": 255.0, "<i2": 32767.0, "<u2": 65535.0}
 _SAMPLED = 1 << 24  # bytes of JSON above which it is looked at for holes first
-_MAGIC, _JSON, _BIN = 0x46546C67, 0x4E4F534A, 0x004E4942
+MAGIC, JSON_CHUNK, BINARY_CHUNK = 0x46546C67, 0x4E4F534A, 0x004E4942  # glTF, JSON, BIN
 
 
 class _Object(msgspec.Struct, rename="camel", omit_defaults=True, kw_only=True):
@@ -99,6 +98,8 @@ class Primitive(_Object):
     """meshes[].primitives[]; mode 4 (triangles) is the default of the specification."""
 
     attributes: dict[str, Index] = {}
+    indices: Index | None = None
+    material: Index | None = None
     mode: int = 4
 
 
@@ -138,7 +139,7 @@ class Scene(_Object):
 
 
 class Gltf(_Object):
-    """The root object, as far as splats need it."""
+    """The root object, as far as splats and meshes need it; what colours surfaces is left as it is written."""
 
     asset: Asset = msgspec.field(default_factory=Asset)
     extensions_used: list[str] = []
@@ -151,6 +152,10 @@ class Gltf(_Object):
     accessors: list[Accessor] = []
     buffer_views: list[BufferView] = []
     buffers: list[Buffer] = []
+    materials: list[Any] = []
+    textures: list[Any] = []
+    images: list[Any] = []
+    samplers: list[Any] = []
 
 
 @dataclass(frozen=True, slots=True)
@@ -236,6 +241,12 @@ class Container:
             values = np.maximum(values / np.float32(_FULL_SCALE[code]), np.float32(-1))
         return values
 
+    def note(self) -> dict[str, Any]:
+        """What ``Output.note`` wrote; empty in the files of others."""
+        extras = self.gltf.asset.extras
+        note = extras.get("glsplat") if isinstance(extras, dict) else None
+        return dict(note) if isinstance(note, dict) else {}
+
     def _buffer(self, index: int) -> Blob:
         buffer = item(self.gltf.buffers, index, "buffer")
         if buffer.uri is None:
@@ -317,7 +328,7 @@ def _chunks(file: BinaryIO, have: int, head: bytes) -> tuple[Blob, Blob | None]:
         raise FormatError(f"truncated: the GLB header declares {length} bytes, the file has {have}")
     found: list[Blob] = []
     at = 12
-    for kind, name in ((_JSON, "JSON"), (_BIN, "BIN")):
+    for kind, name in ((JSON_CHUNK, "JSON"), (BINARY_CHUNK, "BIN")):
         if at + 8 > length:
             break
         size, tag = struct.unpack("<II", Blob(file, at, 8).part(0, 8))
@@ -330,52 +341,3 @@ def _chunks(file: BinaryIO, have: int, head: bytes) -> tuple[Blob, Blob | None]:
     if not found:
         raise FormatError("the first chunk of a GLB needs to be JSON")
     return found[0], found[1] if len(found) > 1 else None
-
-
-def to_glb(gltf: Gltf, blob: bytes) -> Iterable[bytes]:
-    """The parts of a GLB whose buffer 0 is ``blob`` (a multiple of 4 bytes)."""
-    text = _encode(gltf)
-    text += b" " * (-len(text) % 4)
-    yield struct.pack("<III", _MAGIC, 2, 12 + 8 + len(text) + 8 + len(blob))
-    yield struct.pack("<II", len(text), _JSON) + text
-    yield struct.pack("<II", len(blob), _BIN)
-    yield blob
-
-
-def to_json(gltf: Gltf, blob: bytes) -> Iterable[bytes]:
-    """The same as one .gltf file with the buffer embedded as a data URI."""
-    gltf.buffers[0].uri = "data:application/octet-stream;base64," + base64.b64encode(blob).decode()
-    yield msgspec.json.format(_encode(gltf), indent=1)
-
-
-def _encode(gltf: Gltf) -> bytes:
-    try:
-        return msgspec.json.encode(gltf)
-    except (TypeError, ValueError, RecursionError) as error:
-        raise FormatError(f"the metadata of an avatar needs to be JSON ({str(error)[:80]})") from None
-
-
-class Output:
-    """The file being written: collects accessors, each in its own bufferView, aligned to 4 bytes."""
-
-    def __init__(self) -> None:
-        self.gltf: Gltf = Gltf()
-        self.parts: list[bytes] = []
-        self._length = 0
-
-    def add(self, array: NDArray[Any], kind: str, *, bounds: bool = False, vertex: bool = True) -> int:
-        """Index of a new accessor of type ``kind`` for [N, width] float32, int8 (normalised) or uint8, uint16."""
-        code = {"f": 5126, "b": 5120, "B": 5121, "H": 5123}[array.dtype.char]
-        data = array.astype(array.dtype.newbyteorder("<")).tobytes()
-        view = BufferView(buffer=0, byte_offset=self._length, byte_length=len(data), target=34962 if vertex else None)
-        accessor = Accessor(buffer_view=len(self.gltf.buffer_views), component_type=code, count=len(array), type=kind)
-        accessor.normalized = array.dtype.char == "b"
-        finite = array[np.isfinite(array).all(axis=1)]
-        if bounds and len(finite):  # required for POSITION; NaN and infinity are not JSON
-            accessor.min, accessor.max = finite.min(axis=0).tolist(), finite.max(axis=0).tolist()
-        self.gltf.buffer_views.append(view)
-        self.gltf.accessors.append(accessor)
-        padded = data + b"\0" * (-len(data) % 4)
-        self.parts.append(padded)
-        self._length += len(padded)
-        return len(self.gltf.accessors) - 1

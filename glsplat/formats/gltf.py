@@ -17,23 +17,12 @@ from numpy.typing import NDArray
 from glsplat.arrays import frozen
 from glsplat.avatar import Avatar
 from glsplat.errors import FormatError
-from glsplat.formats.files import Source, checked, folder_of, naming, open_regular, replace_file, suffix_of
+from glsplat.formats.files import Source, checked, folder_of, naming, open_regular
 from glsplat.formats.format import Format
-from glsplat.formats.glb import (
-    Asset,
-    Buffer,
-    Container,
-    Mesh,
-    Node,
-    Output,
-    Primitive,
-    Scene,
-    read_container,
-    to_glb,
-    to_json,
-)
+from glsplat.formats.glb import Container, Mesh, Node, Primitive, Scene, read_container
+from glsplat.formats.glb_output import Output
 from glsplat.formats.nodes import Instance, graph_of, instances
-from glsplat.formats.rig import read_skeleton, read_skin, write_rig
+from glsplat.formats.rig import read_skeleton, read_skin, write_influences, write_skeleton
 from glsplat.formats.transform import transformed
 from glsplat.splats import SH_C0, Splats
 
@@ -106,20 +95,17 @@ def save_gltf(scene: Splats | Avatar, target: Source, *, embedded: bool | None =
     gltf.scenes = [Scene(nodes=[0])]
     note: dict[str, Any] = {"version": _VERSION}
     if isinstance(scene, Avatar):
-        write_rig(out, scene, attributes)
+        write_influences(out, scene.skin, len(scene.skeleton), attributes)
+        write_skeleton(out, scene.skeleton)
         note |= dict(scene.meta)
         if scene.skin.lost or scene.skin.repaired:
             note[_WEIGHTS] = {"lost": scene.skin.lost, "repaired": scene.skin.repaired}
     note.pop(_ANTIALIAS, None)  # the splats decide, whatever an avatar's metadata says
     if splats.antialias:
         note[_ANTIALIAS] = True
-    gltf.asset = Asset(version="2.0", generator="glsplat", extras={"glsplat": note})
     gltf.extensions_used = [EXTENSION]
-    blob = b"".join(out.parts)
-    gltf.buffers = [Buffer(byte_length=len(blob))]
-    embedded = suffix_of(target) == ".gltf" if embedded is None else embedded
-    with naming(target):
-        replace_file(target, to_json(gltf, blob) if embedded else to_glb(gltf, blob))
+    out.note(note)
+    out.write(target, embedded=embedded)
 
 
 def _scene(container: Container) -> Splats | Avatar:
@@ -137,7 +123,7 @@ def _scene(container: Container) -> Splats | Avatar:
             raise FormatError(f"an avatar has one splat primitive with a skin, found {len(found)} splat primitives")
         splats = _splats(container, skinned[0].primitive, skinned[0].name)
         skeleton = read_skeleton(container, skinned[0], graph)
-        note = _note(container)
+        note = container.note()
         note.pop(_ANTIALIAS, None)
         stored = note.pop(_WEIGHTS, None)
         stored = stored if isinstance(stored, dict) else {}
@@ -212,7 +198,7 @@ def _splats(container: Container, primitive: Primitive, name: str) -> Splats:
         scales,
         opacities,
         frozen(np.stack(sh, axis=1)),
-        antialias=_note(container).get(_ANTIALIAS) is True,
+        antialias=container.note().get(_ANTIALIAS) is True,
         cones=_cones(container, attributes[_CONE], len(means), name) if _CONE in attributes else None,
     )
 
@@ -238,14 +224,8 @@ def _check_extension(value: Any, name: str) -> None:
         raise FormatError(f"{name}: needs colorSpace srgb_rec709_display, not {str(space)[:40]!r}; convert the colours")
 
 
-def _note(container: Container) -> dict[str, Any]:
-    extras = container.gltf.asset.extras
-    note = extras.get("glsplat") if isinstance(extras, dict) else None
-    return dict(note) if isinstance(note, dict) else {}
-
-
 def _written_by_us(container: Container) -> bool:
-    return "version" in _note(container)
+    return "version" in container.note()
 
 
 _TITLE = f"glTF/GLB with {EXTENSION}"

@@ -1,4 +1,4 @@
-"""The rig of an avatar in glTF: a skin's joint nodes and inverse bind matrices, JOINTS_n and WEIGHTS_n."""
+"""The rig of an avatar or a mesh in glTF: a skin's joint nodes and inverse bind matrices, JOINTS_n and WEIGHTS_n."""
 
 from __future__ import annotations
 
@@ -7,29 +7,32 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from glsplat.avatar import Avatar
 from glsplat.errors import FormatError, PoseError
-from glsplat.formats.glb import Container, Gltf, Node, Output, item
+from glsplat.formats.glb import Container, Gltf, Node, item
 from glsplat.formats.glb import Skin as SkinObject
+from glsplat.formats.glb_output import Output
 from glsplat.formats.nodes import Graph, Instance
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.skin import INFLUENCES, Skin
 
-__all__ = ["read_skeleton", "read_skin", "write_rig"]
+__all__ = ["read_skeleton", "read_skin", "write_influences", "write_skeleton"]
 
 
-def write_rig(out: Output, avatar: Avatar, attributes: dict[str, int]) -> None:
-    """Add joint nodes, the skin of node 0, and the influences to the primitive's ``attributes``."""
-    skeleton, skin = avatar.skeleton, avatar.skin
+def write_influences(out: Output, skin: Skin, joint_count: int, attributes: dict[str, int]) -> None:
+    """Add JOINTS_n and WEIGHTS_n to a primitive's ``attributes``."""
     columns = -(-skin.influences // 4) * 4
     pad = ((0, 0), (0, columns - skin.influences))
-    joints = np.pad(skin.joints.astype(np.uint8 if len(skeleton) <= 256 else np.uint16), pad)
+    joints = np.pad(skin.joints.astype(np.uint8 if joint_count <= 256 else np.uint16), pad)
     weights = np.pad(skin.weights, pad)
     joints[weights == 0] = 0  # the specification's value for an unused influence
     for i in range(columns // 4):
         part = slice(4 * i, 4 * i + 4)
         attributes[f"JOINTS_{i}"] = out.add(np.ascontiguousarray(joints[:, part]), "VEC4")
         attributes[f"WEIGHTS_{i}"] = out.add(np.ascontiguousarray(weights[:, part]), "VEC4")
+
+
+def write_skeleton(out: Output, skeleton: Skeleton) -> None:
+    """Add joint nodes to the scene, and the skin of node 0."""
     inverse = skeleton.inverse_bind.transpose(0, 2, 1).reshape(-1, 16).astype(np.float32)
     gltf = out.gltf
     first = len(gltf.nodes)
@@ -54,7 +57,7 @@ def write_rig(out: Output, avatar: Avatar, attributes: dict[str, int]) -> None:
     gltf.skins = [
         SkinObject(
             joints=list(range(first, first + len(skeleton))),
-            inverse_bind_matrices=out.add(inverse, "MAT4", vertex=False),
+            inverse_bind_matrices=out.add(inverse, "MAT4", target=None),
         )
     ]
     gltf.nodes[0].skin = 0

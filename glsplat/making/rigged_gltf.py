@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -18,6 +17,7 @@ from glsplat.formats.nodes import Instance, graph_of, instances
 from glsplat.formats.rig import read_skeleton
 from glsplat.making.people import decode_texture
 from glsplat.meshes import MeshPart, RiggedMesh, standing
+from glsplat.skinning.skeleton import Skeleton
 
 __all__ = ["read_gltf_mesh", "read_gltf_person"]
 
@@ -36,10 +36,9 @@ def read_gltf_person(path: str | Path) -> RiggedMesh:
         with open_regular(path) as (file, _):
             data = file.read()
         container = parse(data, folder)
-        raw = _raw(data)
         graph = graph_of(container.gltf)
         sized: dict[int, int] = {}
-        found: list[tuple[int, Instance, Mapping[str, Any]]] = []
+        found: list[Instance] = []
         for i, node in enumerate(container.gltf.nodes):
             if node.mesh is None or node.skin is None:
                 continue
@@ -47,17 +46,15 @@ def read_gltf_person(path: str | Path) -> RiggedMesh:
             for p, primitive in enumerate(mesh.primitives if mesh else []):
                 where = f"mesh {node.mesh} primitive {p}"
                 if primitive.mode == 4 and "JOINTS_0" in primitive.attributes and "POSITION" in primitive.attributes:
-                    entry = Instance(primitive, node, graph.world[i], where)
-                    found.append((node.skin, entry, raw["meshes"][node.mesh]["primitives"][p]))
+                    found.append(Instance(primitive, node, graph.world[i], where))
                     accessor = primitive.attributes["POSITION"]
                     count = container.gltf.accessors[accessor].count if accessor < len(container.gltf.accessors) else 0
                     sized[node.skin] = sized.get(node.skin, 0) + count
         if not found:
             raise FormatError("a person needs triangles with a skin (JOINTS_0 and WEIGHTS_0), found none")
         best = max(sized, key=lambda skin: sized[skin])
-        chosen = [(instance, extra) for skin, instance, extra in found if skin == best]
-        skeleton = read_skeleton(container, chosen[0][0], graph)
-        return _mesh(container, raw, folder, chosen, skeleton, Path(path).name)
+        chosen = [instance for instance in found if instance.node.skin == best]
+        return _mesh(container, folder, chosen, read_skeleton(container, chosen[0], graph), Path(path).name)
 
 
 def read_gltf_mesh(path: str | Path) -> RiggedMesh:
@@ -80,26 +77,24 @@ def read_gltf_mesh(path: str | Path) -> RiggedMesh:
             return read_gltf_person(path)
         if not shown:
             raise FormatError("a mesh needs triangles, this glTF has neither those nor splats (KHR_gaussian_splatting)")
-        raw, vertices, parts, first = _raw(data), [], [], 0
+        vertices, parts, first = [], [], 0
         for instance in shown:
-            mesh, _, number = instance.name.removeprefix("mesh ").partition(" primitive ")
-            extra = raw["meshes"][int(mesh)]["primitives"][int(number)]
-            points, faces, corner, texture = _triangles(container, raw, folder, instance, extra)
+            points, faces, corner, texture = _triangles(container, folder, instance)
             with np.errstate(all="ignore"):  # what overflows is refused by RiggedMesh
                 vertices.append(points @ instance.matrix[:3, :3].T + instance.matrix[:3, 3])
-            parts.append(MeshPart(instance.name, (faces + first).astype(np.int32), corner, texture))
+            parts.append(MeshPart(_name(container, instance), (faces + first).astype(np.int32), corner, texture))
             first += len(points)
         return standing(np.concatenate(vertices), tuple(parts), Path(path).name)
 
 
 def _triangles(
-    container: Container, raw: Mapping[str, Any], folder: Path, instance: Instance, extra: Mapping[str, Any]
+    container: Container, folder: Path, instance: Instance
 ) -> tuple[F64, NDArray[np.int64], F64, NDArray[np.uint8]]:
     """Vertices [V, 3], triangles [F, 3], texture coordinates [F, 3, 2] with v up, and the texture of a primitive."""
     primitive, where = instance.primitive, instance.name
     points = container.numbers(primitive.attributes["POSITION"], f"{where} POSITION", ("VEC3",)).astype(np.float64)
-    faces = _faces(container, primitive, extra, where, len(points))
-    texture, set_of_uv = _texture(container, raw, folder, extra.get("material"))
+    faces = _faces(container, primitive, where, len(points))
+    texture, set_of_uv = _texture(container, folder, primitive.material)
     uv = np.zeros((len(points), 2), np.float32)
     if f"TEXCOORD_{set_of_uv}" in primitive.attributes:
         uv = container.numbers(primitive.attributes[f"TEXCOORD_{set_of_uv}"], f"{where} TEXCOORD", ("VEC2",))
@@ -110,22 +105,15 @@ def _triangles(
     return points, faces, corner, texture
 
 
-def _mesh(
-    container: Container,
-    raw: Mapping[str, Any],
-    folder: Path,
-    chosen: list[tuple[Instance, Mapping[str, Any]]],
-    skeleton: Any,
-    name: str,
-) -> RiggedMesh:
+def _mesh(container: Container, folder: Path, chosen: list[Instance], skeleton: Skeleton, name: str) -> RiggedMesh:
     vertices: list[F64] = []
     joints: list[NDArray[np.int64]] = []
     weights: list[F64] = []
     parts: list[MeshPart] = []
     first = 0
-    for instance, extra in chosen:
+    for instance in chosen:
         primitive, where = instance.primitive, instance.name
-        points, faces, corner, texture = _triangles(container, raw, folder, instance, extra)
+        points, faces, corner, texture = _triangles(container, folder, instance)
         sets = [s for s in (0, 1) if f"JOINTS_{s}" in primitive.attributes and f"WEIGHTS_{s}" in primitive.attributes]
         if 0 not in sets:
             raise FormatError(f"{where}: JOINTS_0 needs WEIGHTS_0 beside it")
@@ -135,45 +123,43 @@ def _mesh(
             raise FormatError(f"{where}: JOINTS and WEIGHTS need {len(points)} elements, as POSITION has")
         wide = np.zeros((len(points), 8), np.int64), np.zeros((len(points), 8))
         wide[0][:, : 4 * len(sets)], wide[1][:, : 4 * len(sets)] = np.hstack(ids), np.hstack(ws)
-        parts.append(MeshPart(where, (faces + first).astype(np.int32), corner, texture))
+        parts.append(MeshPart(_name(container, instance), (faces + first).astype(np.int32), corner, texture))
         vertices.append(points)
         joints.append(wide[0])
         weights.append(wide[1])
         first += len(points)
-    meta = {"source": name}
+    meta = {"source": name} | container.note()
+    meta.pop("version", None)
     return RiggedMesh(
         np.concatenate(vertices), skeleton, np.concatenate(joints), np.concatenate(weights), tuple(parts), meta
     )
 
 
-def _raw(data: bytes) -> Any:
-    """The JSON as it is, for what splats do not need: indices, materials, images (already known to be valid)."""
-    if data[:4] == b"glTF":
-        size = int.from_bytes(data[12:16], "little")
-        data = data[20 : 20 + size]
-    return json.loads(data)
+def _name(container: Container, instance: Instance) -> str:
+    """What the material is called, else where the triangles are."""
+    index, materials = instance.primitive.material, container.gltf.materials
+    entry = materials[index] if index is not None and index < len(materials) else None
+    name = entry.get("name") if isinstance(entry, dict) else None
+    return name if isinstance(name, str) and name else instance.name
 
 
-def _faces(
-    container: Container, primitive: Primitive, extra: Mapping[str, Any], where: str, count: int
-) -> NDArray[np.int64]:
-    compressed = [name for name in extra.get("extensions", ()) if "compression" in name]
+def _faces(container: Container, primitive: Primitive, where: str, count: int) -> NDArray[np.int64]:
+    compressed = [name for name in primitive.extensions if "compression" in name]
     if compressed:
         raise FormatError(f"{where}: the geometry is compressed ({compressed[0][:60]}); export it plainly")
     index = np.arange(count)
-    if isinstance(extra.get("indices"), int):
-        index = container.read(extra["indices"], f"{where} indices", ("SCALAR",))[:, 0].astype(np.int64)
+    if primitive.indices is not None:
+        index = container.read(primitive.indices, f"{where} indices", ("SCALAR",))[:, 0].astype(np.int64)
     if len(index) % 3 or (len(index) and index.max() >= count):
         raise FormatError(f"{where}: the indices need whole triangles of {count} vertices")
     return index.reshape(-1, 3)
 
 
-def _texture(
-    container: Container, raw: Mapping[str, Any], folder: Path, material: Any
-) -> tuple[NDArray[np.uint8], int]:
+def _texture(container: Container, folder: Path, material: int | None) -> tuple[NDArray[np.uint8], int]:
     """RGBA of a material's base colour, and which TEXCOORD it uses."""
     try:
-        entry = raw["materials"][material] if isinstance(material, int) else {}
+        gltf = container.gltf
+        entry = gltf.materials[material] if material is not None else {}
         base = entry.get("pbrMetallicRoughness", {})
         factor = np.array(base.get("baseColorFactor", (1, 1, 1, 1)), np.float64)
         factor[:3] = factor[:3] ** (1 / 2.2)  # linear to display, near enough for a flat tint
@@ -181,9 +167,9 @@ def _texture(
         image, uv_set = np.full((4, 4, 4), 255, np.uint8), 0
         if "baseColorTexture" in base:
             uv_set = int(base["baseColorTexture"].get("texCoord", 0))
-            source = raw["textures"][base["baseColorTexture"]["index"]]["source"]
-            image = decode_texture(_image(container, raw["images"][source], folder), f"image {source}")
-    except (KeyError, IndexError, TypeError, ValueError):
+            source = gltf.textures[base["baseColorTexture"]["index"]]["source"]
+            image = decode_texture(_image(container, gltf.images[source], folder), f"image {source}")
+    except (AttributeError, KeyError, IndexError, TypeError, ValueError):
         raise FormatError(f"material {material} is malformed or uses an image format that is not supported") from None
     tinted = np.rint(np.clip(image * factor, 0, 255)).astype(np.uint8)
     if opaque:

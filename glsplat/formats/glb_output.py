@@ -1,0 +1,89 @@
+"""glTF 2.0 as it is written: accessors and bufferViews of one buffer, as a GLB or as JSON with the buffer in it."""
+
+from __future__ import annotations
+
+import base64
+import struct
+from collections.abc import Iterable
+from typing import Any
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from glsplat.errors import FormatError
+from glsplat.formats.files import Source, naming, replace_file, suffix_of
+from glsplat.formats.glb import BINARY_CHUNK, JSON_CHUNK, MAGIC, Accessor, Asset, Buffer, BufferView, Gltf
+
+__all__ = ["INDICES", "VERTICES", "Output"]
+
+VERTICES, INDICES = 34962, 34963
+"""What a bufferView holds: ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER."""
+
+
+class Output:
+    """The file being written: collects accessors, each in its own bufferView, aligned to 4 bytes."""
+
+    def __init__(self) -> None:
+        self.gltf: Gltf = Gltf()
+        self.parts: list[bytes] = []
+        self._length = 0
+
+    def add(self, array: NDArray[Any], kind: str, *, bounds: bool = False, target: int | None = VERTICES) -> int:
+        """Index of a new accessor of type ``kind`` for [N, width] float32, int8 (normalised), uint8, uint16, uint32.
+
+        ``target`` is the bufferView's: ``VERTICES``, ``INDICES``, or None for what is neither.
+        """
+        code = {"f": 5126, "b": 5120, "B": 5121, "H": 5123, "I": 5125}[array.dtype.char]
+        data = array.astype(array.dtype.newbyteorder("<")).tobytes()
+        accessor = Accessor(buffer_view=self.add_bytes(data, target), component_type=code, count=len(array), type=kind)
+        accessor.normalized = array.dtype.char == "b"
+        finite = array[np.isfinite(array).all(axis=1)]
+        if bounds and len(finite):  # required for POSITION; NaN and infinity are not JSON
+            accessor.min, accessor.max = finite.min(axis=0).tolist(), finite.max(axis=0).tolist()
+        self.gltf.accessors.append(accessor)
+        return len(self.gltf.accessors) - 1
+
+    def add_bytes(self, data: bytes, target: int | None = None) -> int:
+        """Index of a new bufferView that holds ``data``: that of an accessor, or an image file."""
+        view = BufferView(buffer=0, byte_offset=self._length, byte_length=len(data), target=target)
+        self.gltf.buffer_views.append(view)
+        padded = data + b"\0" * (-len(data) % 4)
+        self.parts.append(padded)
+        self._length += len(padded)
+        return len(self.gltf.buffer_views) - 1
+
+    def note(self, values: dict[str, Any]) -> None:
+        """What ``Container.note`` is to find."""
+        self.gltf.asset = Asset(version="2.0", generator="glsplat", extras={"glsplat": values})
+
+    def write(self, target: Source, *, embedded: bool | None = None) -> None:
+        """Write a .glb, or where ``target`` ends in .gltf one JSON file with its buffer ``embedded``."""
+        blob = b"".join(self.parts)
+        self.gltf.buffers = [Buffer(byte_length=len(blob))]
+        embedded = suffix_of(target) == ".gltf" if embedded is None else embedded
+        with naming(target):
+            replace_file(target, _json(self.gltf, blob) if embedded else _glb(self.gltf, blob))
+
+
+def _glb(gltf: Gltf, blob: bytes) -> Iterable[bytes]:
+    """The parts of a GLB whose buffer 0 is ``blob`` (a multiple of 4 bytes)."""
+    text = _encode(gltf)
+    text += b" " * (-len(text) % 4)
+    yield struct.pack("<III", MAGIC, 2, 12 + 8 + len(text) + 8 + len(blob))
+    yield struct.pack("<II", len(text), JSON_CHUNK) + text
+    yield struct.pack("<II", len(blob), BINARY_CHUNK)
+    yield blob
+
+
+def _json(gltf: Gltf, blob: bytes) -> Iterable[bytes]:
+    """The same as one .gltf file with the buffer embedded as a data URI."""
+    gltf.buffers[0].uri = "data:application/octet-stream;base64," + base64.b64encode(blob).decode()
+    yield msgspec.json.format(_encode(gltf), indent=1)
+
+
+def _encode(gltf: Gltf) -> bytes:
+    try:
+        return msgspec.json.encode(gltf)
+    except (TypeError, ValueError, RecursionError) as error:
+        raise FormatError(f"the metadata of an avatar needs to be JSON ({str(error)[:80]})") from None

@@ -1,0 +1,109 @@
+"""Textured, skinned meshes as glTF 2.0 that other programs open; ``glsplat.making.rigged_gltf`` reads them back.
+
+Colours are shown as they are (KHR_materials_unlit): a picture's light is in them already. Where a texture has holes
+(alpha below one half) the material is MASK. A texture that is large and whole is a JPEG of quality 95 without chroma
+subsampling: a photograph's 2048 x 2048 texels are 1.4 MB so and 6 MB as PNG. All others are PNG, which loses nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import cv2
+import numpy as np
+
+from glsplat.errors import FormatError
+from glsplat.formats.files import Source
+from glsplat.formats.glb import Mesh, Node, Primitive, Scene
+from glsplat.formats.glb_output import INDICES, Output
+from glsplat.formats.rig import write_influences, write_skeleton
+from glsplat.meshes import MeshPart, RiggedMesh
+from glsplat.skinning.skin import INFLUENCES, Skin
+
+__all__ = ["save_gltf_mesh"]
+
+_VERSION = 1  # of asset.extras.glsplat
+_UNLIT = "KHR_materials_unlit"
+_SMALL = 1024 * 1024  # texels up to which a texture is a PNG
+_JPEG = [cv2.IMWRITE_JPEG_QUALITY, 95, cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444]
+_LINEAR, _MIPMAPS = 9729, 9987
+
+
+def save_gltf_mesh(mesh: RiggedMesh, target: Source, *, embedded: bool | None = None) -> None:
+    """Write a .glb, or where ``target`` ends in .gltf one JSON file with its buffer ``embedded``.
+
+    A primitive and a material for each part, named as it is; the nodes of the joints have the joints' names; ``meta``
+    goes into ``asset.extras``. Positions, weights and texture coordinates are float32, of each vertex's influences
+    the eight strongest. Raises FormatError when ``target`` cannot be written or the notes are not JSON.
+    """
+    out = Output()
+    gltf = out.gltf
+    used = int((mesh.weights > 0).sum(axis=1).max(initial=1))
+    influences = next((k for k in INFLUENCES if k >= used), INFLUENCES[-1])
+    skin = Skin.create(mesh.joints, mesh.weights, len(mesh.skeleton), influences)
+    sources: dict[int, int] = {}  # textures that parts share are written once
+    primitives = []
+    for part in mesh.parts:
+        if not len(part.faces):
+            continue
+        if id(part.texture) not in sources:
+            sources[id(part.texture)] = _add_texture(out, part)
+        gltf.materials.append(_material(part, sources[id(part.texture)]))
+        primitives.append(_primitive(out, mesh, skin, part, len(gltf.materials) - 1))
+    gltf.samplers = [{"magFilter": _LINEAR, "minFilter": _MIPMAPS}]
+    gltf.meshes = [Mesh(primitives=primitives)]
+    gltf.nodes = [Node(name="mesh", mesh=0)]
+    gltf.scene, gltf.scenes = 0, [Scene(nodes=[0])]
+    write_skeleton(out, mesh.skeleton)
+    gltf.extensions_used = [_UNLIT]
+    out.note({"version": _VERSION} | dict(mesh.meta))
+    out.write(target, embedded=embedded)
+
+
+def _primitive(out: Output, mesh: RiggedMesh, skin: Skin, part: MeshPart, material: int) -> Primitive:
+    """The triangles of a part; a vertex for each pair of a place and a texture coordinate."""
+    uv = np.stack([part.uv[..., 0], 1 - part.uv[..., 1]], axis=-1).astype(np.float32).reshape(-1, 2)  # v points down
+    corners = np.empty(len(uv), [("vertex", np.int32), ("uv", np.uint64)])
+    corners["vertex"], corners["uv"] = part.faces.ravel(), uv.view(np.uint64)[:, 0]
+    _, first, index = np.unique(corners, return_index=True, return_inverse=True)
+    vertex = part.faces.ravel()[first]
+    attributes = {
+        "POSITION": out.add(mesh.vertices[vertex].astype(np.float32), "VEC3", bounds=True),
+        "TEXCOORD_0": out.add(uv[first], "VEC2"),
+    }
+    write_influences(out, skin.take(vertex), len(mesh.skeleton), attributes)
+    wide = index.reshape(-1, 1).astype(np.uint16 if len(first) < 0xFFFF else np.uint32)
+    indices = out.add(wide, "SCALAR", target=INDICES)
+    return Primitive(attributes=attributes, indices=indices, material=material)
+
+
+def _material(part: MeshPart, texture: int) -> dict[str, Any]:
+    material: dict[str, Any] = {
+        "name": part.name,
+        "pbrMetallicRoughness": {"baseColorTexture": {"index": texture}, "metallicFactor": 0, "roughnessFactor": 1},
+        "doubleSided": True,
+        "extensions": {_UNLIT: {}},
+    }
+    if not _whole(part):
+        material |= {"alphaMode": "MASK", "alphaCutoff": 0.5}
+    return material
+
+
+def _add_texture(out: Output, part: MeshPart) -> int:
+    """Index of a new texture."""
+    bgra = np.ascontiguousarray(part.texture[..., [2, 1, 0, 3]])
+    picture = np.ascontiguousarray(bgra[..., :3]) if _whole(part) else bgra
+    large = _whole(part) and picture.shape[0] * picture.shape[1] > _SMALL
+    suffix, kind, options = (".jpg", "image/jpeg", _JPEG) if large else (".png", "image/png", [])
+    ok, data = cv2.imencode(suffix, picture, options)
+    if not ok:
+        raise FormatError(f'the texture of part "{part.name}" cannot be encoded')
+    image: Mapping[str, Any] = {"bufferView": out.add_bytes(data.tobytes()), "mimeType": kind}
+    out.gltf.images.append(image)
+    out.gltf.textures.append({"sampler": 0, "source": len(out.gltf.images) - 1})
+    return len(out.gltf.textures) - 1
+
+
+def _whole(part: MeshPart) -> bool:
+    return bool((part.texture[..., 3] == 255).all())
