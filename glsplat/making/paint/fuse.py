@@ -29,7 +29,7 @@ __all__ = ["Fusion", "fusion_of"]
 F64 = NDArray[np.float64]
 
 _EVENED = 12  # times that scores are averaged with the neighbours'
-_SOFT = 0.03  # of the score: what is worse by this much counts a third
+_SOFT = 0.02  # of the score: what is worse by this much counts a third
 _FEW = 0.02  # of the weight; less is left out
 _FACE_FIRST = 0.6  # that a face's score is better in the front than elsewhere
 _BLURRED = 0.3  # that a picture's score is worse for being the least sharp of all

@@ -85,7 +85,8 @@ def check_capture(
 ) -> Capture:
     """Look at a picture (RGB uint8 [H, W, 3]) of one of VIEWS. A capture without a person ends after that finding.
 
-    ``view`` None is any side, of which nothing else is asked. ``given`` [H, W] is the person's outline where it is known; else it is found.
+    ``view`` None is any side, of which nothing is asked. ``given`` [H, W] is the person's outline where it is known;
+    else it is found.
     """
     config = config or CaptureConfig()
     people = people_mask(picture)

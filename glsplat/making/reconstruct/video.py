@@ -23,20 +23,19 @@ from glsplat.making.paint.scatter import scatter
 from glsplat.making.paint.sharpen import sharpened
 from glsplat.making.paint.shot import Shot
 from glsplat.making.texture import baked
-from glsplat.making.video.frames import FEWEST, Frame, FrameSource, check_frames, frames_of
+from glsplat.making.video.frames import FEWEST, Frame, FramePicture, FrameSource, check_frames, frames_of
 from glsplat.meshes import RiggedMesh
 
 from .builtin import PHONE
 from .photos import today
-from .reconstructor import Options, Progress
+from .reconstructor import Options
 
-__all__ = ["FORMS", "FRAMES", "TEXTURE", "Filmed", "from_video", "reconstruct_frames"]
+__all__ = ["FORMS", "FRAMES", "Filmed", "checked_form", "from_pictures", "from_video", "reconstruct_frames"]
 
 FORMS = ("mesh", "splats")
 FRAMES = 30
 """Frames of a video that are used."""
-TEXTURE = 2048
-"""Texels a side of the skin's and the clothes' texture."""
+_MOST_FRAMES = 120
 _HARDLY = 0.1  # of a point that a frame shows too flatly to be believed
 _MET, _GOOD = 0.85, 0.93  # overlap with the mask below which a frame is not used, and least median of all
 _LEAST_USED = 0.7  # share of the frames
@@ -55,7 +54,7 @@ class Filmed:
     left_out: tuple[str, ...] = ()  # a line for each frame that would not do
 
 
-def _checked_form(form: str) -> str:
+def checked_form(form: str) -> str:
     """FormatError for a form that is none of FORMS."""
     if form not in FORMS:
         raise FormatError(f'an avatar of a video is made as {" or ".join(FORMS)}, not "{form}"')
@@ -63,12 +62,13 @@ def _checked_form(form: str) -> str:
 
 
 def reconstruct_frames(
-    frames: Sequence[Frame], options: Options | None = None, *, form: str = "mesh", texture: int = TEXTURE
+    frames: Sequence[Frame], options: Options | None = None, *, form: str = "mesh", anyway: bool = False
 ) -> Filmed:
-    """A mesh with a texture of ``texture`` texels a side, or splats, of frames that ``check_frames`` chose.
+    """A textured mesh or splats of frames that ``check_frames`` chose.
 
-    Raises FormatError; a body that does not fit the frames says so in ``problem``.
+    Raises CaptureError for a body that does not fit them; with ``anyway`` that is in ``problem``.
     """
+    checked_form(form)
     options = options or Options()
     body = open_body()
     views = [
@@ -80,6 +80,8 @@ def reconstruct_frames(
     fit = fit_details(fit, views, [frame.person for frame in frames], body)
     used = [index for index, view in enumerate(fit.views) if index == 0 or view.overlap >= _MET]
     problem = _problem(fit, len(used))
+    if problem and not anyway:
+        raise CaptureError(problem)
     fit = replace(fit, views=tuple(fit.views[index] for index in used), problem=problem)
     frames = tuple(frames[index] for index in used)
     options.progress("painting", 0.75)
@@ -91,9 +93,9 @@ def reconstruct_frames(
     looks = read_eyes(frames[0].picture, frames[0].person.face)
     fusion = fusion_of(body, shots, looks, [frame.blur for frame in frames])
     thing: RiggedMesh | Avatar
-    if _checked_form(form) == "mesh":
+    if form == "mesh":
         options.progress("baking the texture", 0.85)
-        thing = baked(mesh, fusion.colours, texture)
+        thing = baked(mesh, fusion.colours, options.texture)
     else:
         thing = _splats(mesh, fusion, shots, options)
     options.progress("painting", 1.0)
@@ -114,43 +116,52 @@ def _splats(mesh: RiggedMesh, fusion: Fusion, shots: Sequence[Shot], options: Op
 
 def from_video(
     *sources: FrameSource,
+    options: Options | None = None,
     form: str = "mesh",
-    height: float | None = None,
     frames: int = FRAMES,
-    texture: int = TEXTURE,
-    splats: int = Options().splats,
-    steps: int = Options().steps,
-    seed: int = 0,
     anyway: bool = False,
     meta: Mapping[str, Any] | None = None,
-    progress: Progress | None = None,
 ) -> Filmed:
     """A textured mesh, or splats, of one video of somebody who turns on the spot, or of pictures from all around.
 
-    ``height`` in metres, ``frames`` used of a video, ``anyway`` goes on where the check found faults. Raises
-    CaptureError for frames that will not do.
+    ``frames`` of a video are used; ``anyway`` goes on where the check found faults; ``meta`` goes into the notes, over
+    what is written there: source, made_by, date, consent, body_model, unseen. Raises CaptureError for what will not do.
 
     >>> from glsplat.making.reconstruct.video import from_video
-    >>> from_video("turn.mp4", height=1.74)
+    >>> from_video("turn.mp4")
     Traceback (most recent call last):
     glsplat.errors.FormatError: turn.mp4: cannot be read (No such file or directory)
     """
-    options = Options(height=height, splats=splats, seed=seed, steps=steps, progress=progress or _silent)
-    show = options.progress
-    _checked_form(form)
-    show("reading the frames", 0.0)
+    options = options or Options()
+    checked_form(form)
+    if not FEWEST <= frames <= _MOST_FRAMES:
+        raise FormatError(f"a turn needs {FEWEST} to {_MOST_FRAMES} frames, not {frames}")
+    options.progress("reading the frames", 0.0)
     pictures, in_order = frames_of(sources, frames)
-    kept, left_out = check_frames(
+    return from_pictures(pictures, in_order=in_order, options=options, form=form, anyway=anyway, meta=meta)
+
+
+def from_pictures(
+    pictures: Sequence[FramePicture],
+    *,
+    in_order: bool,
+    options: Options | None = None,
+    form: str = "mesh",
+    anyway: bool = False,
+    meta: Mapping[str, Any] | None = None,
+) -> Filmed:
+    """``from_video`` of pictures that are read; ``in_order`` where they follow each other in time."""
+    options = options or Options()
+    show = options.progress
+    frames, left_out = check_frames(
         pictures,
         in_order=in_order,
         anyway=anyway,
         progress=lambda done: show("looking at the frames", 0.05 + 0.35 * done),
     )
-    made = reconstruct_frames(kept, options, form=form, texture=texture)
-    if made.problem and not anyway:
-        raise CaptureError(made.problem)
+    made = reconstruct_frames(frames, options, form=form, anyway=anyway)
     notes = {
-        "source": f"{len(made.frames)} frames of a turn",
+        "source": f"{len(made.frames)} pictures of a turn",
         "made_by": f"glsplat {version('glsplat')}, video",
         "date": today(),
         "consent": "not stated",
@@ -159,9 +170,6 @@ def from_video(
     }
     thing = replace(made.thing, meta=dict(made.thing.meta) | notes | dict(meta or {}))
     return replace(made, thing=thing, left_out=tuple(left_out))
-
-
-def _silent(step: str, done: float) -> None: ...
 
 
 def _focal(frame: Frame) -> float:

@@ -14,16 +14,14 @@ from glsplat.making.networks.people import Person
 from glsplat.making.photo.capture import check_capture
 from glsplat.making.photo.photo_file import read_photo
 from glsplat.making.photo.sharpness import blur_of
-from glsplat.making.video.film import is_video, read_frames
+from glsplat.making.video.film import FEWEST, is_video, read_frames
 from glsplat.making.video.turns import apart, facing_as, facings
 
-__all__ = ["FEWEST", "Frame", "FrameSource", "check_frames", "frames_of"]
+__all__ = ["FEWEST", "Frame", "FramePicture", "FrameSource", "check_frames", "frames_of"]
 
 FrameSource = str | os.PathLike[str]
 """A video, or one of several picture files."""
 
-FEWEST = 8
-"""Frames that have to be left."""
 _WIDEST = 110.0  # degrees; a larger part of the person that no frame shows is a guess
 _FRONT = 35.0  # degrees from the front that the best front may be
 
@@ -47,11 +45,11 @@ class Frame:
     """Degrees that the person has turned to their own left from facing the camera."""
 
 
-Picture = tuple[str, NDArray[np.uint8], float | None]
+FramePicture = tuple[str, NDArray[np.uint8], float | None]
 """Name, RGB, focal length."""
 
 
-def frames_of(sources: Sequence[FrameSource], count: int) -> tuple[list[Picture], bool]:
+def frames_of(sources: Sequence[FrameSource], count: int) -> tuple[list[FramePicture], bool]:
     """The pictures of one video (at most ``count``) or of all the picture files, and whether they are in order.
 
     Raises FormatError, one line that names the file.
@@ -66,7 +64,7 @@ def frames_of(sources: Sequence[FrameSource], count: int) -> tuple[list[Picture]
             f"{sources[0]}: {what} {len(sources)} picture{'s' * (len(sources) > 1)}; give a video "
             f"(.mp4, .mov, .webm, .mkv, .avi), or at least {FEWEST} pictures from all around"
         )
-    pictures: list[Picture] = []
+    pictures: list[FramePicture] = []
     for source in sources:
         if is_video(source):
             raise FormatError(f"{source}: one video alone, or pictures alone, not both")
@@ -76,7 +74,7 @@ def frames_of(sources: Sequence[FrameSource], count: int) -> tuple[list[Picture]
 
 
 def check_frames(
-    pictures: Sequence[Picture],
+    pictures: Sequence[FramePicture],
     *,
     in_order: bool,
     anyway: bool = False,
