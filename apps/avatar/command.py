@@ -29,7 +29,7 @@ from glsplat.skinning.pose import Pose, load_pose
 
 from ..args import motion_of
 from ..usage import UsageError
-from . import guide, photo, score
+from . import guide, photo, score, video
 from .writing import add_notes, check_name, progress_bar, write
 
 HELP = "Make avatars from photographs or rigged people, import, export, score them, find hidden splats, write motions."
@@ -76,6 +76,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     pictured = commands.add_parser("photo", help="a photograph of a person, or several, to a Gaussian avatar")
     photo.add_arguments(pictured)
 
+    filmed = commands.add_parser("video", help="a video of a person who turns, or pictures from around, to a mesh")
+    video.add_arguments(filmed)
+
     export = commands.add_parser("export", help="the avatar in one pose as a static splat file")
     export.add_argument("avatar", nargs="?", type=Path, help="avatar (.glb); default: the embedded one")
     export.add_argument("--pose", help="pose or motion file, or the name of an embedded motion (default: zero pose)")
@@ -103,6 +106,7 @@ def run(args: argparse.Namespace) -> int:
         "cones": _cones,
         "guide": guide.run,
         "photo": photo.run,
+        "video": video.run,
     }
     return actions[args.action](args)
 

@@ -78,7 +78,7 @@ def turntable(
             packed = cv2.imencode(
                 ".jpg", before.clip(0, 255).astype(np.uint8)[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, _QUALITY]
             )[1]
-            rgb = np.ascontiguousarray(cv2.imdecode(packed, cv2.IMREAD_COLOR)[..., ::-1])
+            rgb = np.ascontiguousarray(np.asarray(cv2.imdecode(packed, cv2.IMREAD_COLOR), np.uint8)[..., ::-1])
             yield Turntable(rgb, alpha[..., 0] > 0.5, posed, float(turn))
 
 

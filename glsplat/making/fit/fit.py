@@ -12,14 +12,24 @@ from glsplat.errors import FormatError
 from glsplat.making.fit.body import Body, open_body, vertex_normals
 from glsplat.making.fit.kinematics import Posed, projected
 from glsplat.making.fit.landmarks import landmarks
-from glsplat.making.fit.offsets import outward, smooth_offsets
+from glsplat.making.fit.offsets import face_of, outward, smooth_offsets
 from glsplat.making.fit.outline import Rim, find_rim, half_gaps, overlap, projected_mask
 from glsplat.making.fit.prior import HINGES
 from glsplat.making.fit.solver import Solver
 from glsplat.making.fit.view import View
 from glsplat.skinning.smplx import JOINT_NAMES
 
-__all__ = ["FIGURE", "BodyFit", "FittedView", "assembled", "converge", "dressed", "fit_body", "follow_outlines", "strays_of"]
+__all__ = [
+    "FIGURE",
+    "BodyFit",
+    "FittedView",
+    "assembled",
+    "converge",
+    "dressed",
+    "fit_body",
+    "follow_outlines",
+    "strays_of",
+]
 
 F64 = NDArray[np.float64]
 
@@ -34,6 +44,7 @@ _CLOTH, _INSIDE = 0.008, 0.03  # shares of the figure: beyond it the mask says l
 _REACH = 0.04  # shares of the figure; how far from the body the mask's edge is looked for
 _FLAT, _FLAT_DRESSED = 0.35, 0.22  # cosines below which a vertex is on the outline; cloth has the sharper one
 _PLAIN = 0.8  # cosine between normal and offset; a vertex below it, in an ear's folds, is moved by its neighbours alone
+_FEW = 4  # views whose outlines hardly cross each other
 _HEIGHTS = 0.5, 2.5  # metres
 _GOOD = 0.94, 2.0  # least overlap with the mask, most mean distance of landmarks in shares of the figure (%)
 
@@ -164,6 +175,8 @@ def dressed(body: Body, bare: F64, poses: Sequence[Posed], views: Sequence[View]
     small = [view.smaller(FIGURE) for view in views]
     directions = outward(body, bare)
     plain = (vertex_normals(bare, body.faces) * directions).sum(axis=1) > _PLAIN
+    if len(views) > _FEW:
+        plain &= ~face_of(body)
     offsets = np.zeros(len(bare)) if worn is None else worn
     for _ in range(_DRESSINGS if worn is None else 1):
         vertices, wanted = [], []
@@ -173,9 +186,23 @@ def dressed(body: Body, bare: F64, poses: Sequence[Posed], views: Sequence[View]
             clear = plain[rim.vertices]
             vertices.append(rim.vertices[clear])
             wanted.append((offsets[rim.vertices] + rim.gaps * posed.joints[0, 2] / view.focal)[clear])
-        known = np.concatenate(vertices)
-        offsets = smooth_offsets(body, known, np.concatenate(wanted), np.ones(len(known)))
+        known, far = np.concatenate(vertices), np.concatenate(wanted)
+        if len(views) > _FEW:
+            known, far = _agreed(known, far)
+        offsets = smooth_offsets(body, known, far, np.ones(len(known)))
     return offsets
+
+
+def _agreed(vertices: NDArray[np.intp], wanted: F64) -> tuple[NDArray[np.intp], F64]:
+    """Each of the ``vertices`` [K] once, with the median of what is ``wanted`` [K] of it.
+
+    The outlines of a whole turn pass over every fold, where some of them mistake one edge for another; and a vertex
+    that is asked for ten times would not listen to its neighbours.
+    """
+    order = np.lexsort((wanted, vertices))
+    known, first, count = np.unique(vertices[order], return_index=True, return_counts=True)
+    sorted_by = wanted[order]
+    return known, (sorted_by[first + (count - 1) // 2] + sorted_by[first + count // 2]) / 2
 
 
 def assembled(

@@ -10,7 +10,7 @@ from scipy.sparse.linalg import cg
 from glsplat.making.fit.body import Body, vertex_normals
 from glsplat.skinning.smplx import JOINT_NAMES
 
-__all__ = ["MOST", "outward", "smooth_offsets"]
+__all__ = ["MOST", "face_of", "outward", "smooth_offsets"]
 
 F64 = NDArray[np.float64]
 
@@ -23,6 +23,7 @@ _STIFF = 0.12  # how much neighbours agree against how much a vertex on the outl
 _SHY = 2e-3  # how much what no outline shows stays on the body
 
 _EARS = 0.06  # metres of z in the zero pose, behind which the head's directions are smoothed
+_FACE = 0.08, 0.94  # metres of z and y in the zero pose: before the one and below the other a head is face
 _EVENED = 20  # times
 
 
@@ -38,6 +39,12 @@ def outward(body: Body, bare: F64) -> F64:
     for _ in range(_EVENED):
         normals[head] = near @ normals
     return np.asarray(normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30))
+
+
+def face_of(body: Body) -> NDArray[np.bool_]:
+    """[V] the vertices of the face: it wears nothing, and from the side its outline is full of folds."""
+    head = np.isin(body.part, [JOINT_NAMES.index(name) for name in ("head", "jaw")])
+    return np.asarray(head & (body.vertices[:, 2] > _FACE[0]) & (body.vertices[:, 1] < _FACE[1]))
 
 
 def smooth_offsets(body: Body, vertices: NDArray[np.intp], wanted: F64, weights: F64) -> F64:

@@ -27,7 +27,7 @@ class View:
     """A picture, checked: ``mask`` [H, W] true on the person, ``landmarks`` [33, 2] pixels with ``visibility`` [33].
 
     ``focal`` in pixels, ``centre`` [2] the pixel of the optical axis (default: the picture's middle; pixel centres at
-    +0.5), ``side`` the side of the person that is seen: front, back, left or right; or ``turn``, the degrees about which
+    +0.5), ``side`` the side of the person that is seen: front, back, left or right; or ``turn``, about how many degrees
     they have turned to their own left from facing the camera. Raises FormatError.
     """
 
@@ -88,7 +88,7 @@ class View:
 
     @property
     def facing(self) -> F64:
-        """[3, 3] how the person stands: their left, up and front as columns, in camera axes (x right, y down, z away)."""
+        """[3, 3] how the person stands: their left, up and front as columns, in camera axes (z away)."""
         cos, sin = np.round([np.cos(np.radians(self.turn)), np.sin(np.radians(self.turn))], 15)
         return np.array([[cos, 0.0, sin], [0.0, -1.0, 0.0], [sin, 0.0, -cos]])
 

@@ -7,16 +7,15 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_matrix, diags
-from scipy.sparse.linalg import cg
 
 from glsplat.making.fit.body import Body
 from glsplat.making.fit.eyes import EyeLook
 from glsplat.making.paint.colour import to_srgb
-from glsplat.making.paint.eyes import eye_colours
 from glsplat.making.paint.head import with_back_of_head
+from glsplat.making.paint.inside import with_inside
 from glsplat.making.paint.light import Light, find_light
 from glsplat.making.paint.shot import Shot, Sight, SurfacePoints
+from glsplat.making.paint.smooth import smoothest
 from glsplat.making.paint.twins import Twins, find_twins
 from glsplat.skinning.smplx import JOINT_NAMES
 
@@ -26,11 +25,7 @@ F64 = NDArray[np.float64]
 
 _NO_TWINS = ("neck", "head", "jaw", "left_eye_smplhf", "right_eye_smplhf")  # faces and chins have no counterpart
 _TRUNK = ("pelvis", "spine", "collar")
-_SHY = 1e-6  # how much a vertex nobody saw stays at the mean colour
-_STIFF = 0.003  # how much neighbours agree against how much a vertex obeys what was seen of it
 _GUESSED = 0.6  # of the splats that detail is worth, where it is a guess
-_EYES = [JOINT_NAMES.index(f"{side}_eye_smplhf") for side in ("left", "right")]
-_MOUTH = (0.30, 0.12, 0.11)  # sRGB of its inside, which pictures of whole people do not show
 _DIGITS = 6  # of a colour; see sharpen.py
 _SHADE = 0.3, 1.4  # brightness of an unseen point against the seen one its colour comes from
 
@@ -62,7 +57,9 @@ class Painter:
         guess, there = self._guess(points)
         busy = np.max([sight.busy * sight.trust for sight in sights], axis=0)
         busy = np.maximum(busy, _GUESSED * there * (1 - seen))
-        rgb = self._inner(points, to_srgb(guess + seen[:, None] * (colour - guess)))
+        rgb = with_inside(
+            self.body, self.shots[0], self.looks, points, to_srgb(guess + seen[:, None] * (colour - guess))
+        )
         return Paint(np.round(rgb, _DIGITS), seen, np.round(busy, _DIGITS))
 
     def colours(self, points: SurfacePoints) -> F64:
@@ -71,7 +68,7 @@ class Painter:
         doubt = np.flatnonzero(seen < 1)
         guess, _ = self._guess(SurfacePoints(points.corners[doubt], points.weights[doubt]))
         colour[doubt] = guess + seen[doubt, None] * (colour[doubt] - guess)
-        return np.round(self._inner(points, to_srgb(colour)), _DIGITS)
+        return np.round(with_inside(self.body, self.shots[0], self.looks, points, to_srgb(colour)), _DIGITS)
 
     def _guess(self, points: SurfacePoints) -> tuple[F64, F64]:
         """[M, 3] linear colours where nobody looks, and [M] how much detail they have."""
@@ -85,16 +82,6 @@ class Painter:
         trust = behind.trust * (1 - points.at(round_parts.astype(float)[:, None])[:, 0])
         guess += trust[:, None] * (behind.linear * ratio[:, None] - guess)
         return with_back_of_head(body, front, self.light, points, guess, shade), behind.busy * trust
-
-    def _inner(self, points: SurfacePoints, rgb: F64) -> F64:
-        """``rgb`` [M, 3] in sRGB with eyes and the mouth's inside, which have colours of their own."""
-        body = self.body
-        mouth = (~body.skin & ~np.isin(body.part, _EYES))[points.corners[:, 0]]
-        rgb[mouth] = _MOUTH
-        if self.looks:
-            eyes, colours = eye_colours(body, self.shots[0], self.looks, points)
-            rgb[eyes] = colours
-        return rgb
 
 
 def painter_of(
@@ -138,14 +125,4 @@ def _smooth_colours(body: Body, shots: Sequence[Shot], light: Light) -> F64:
         shade = light.shade(shot.normals @ (shot.view.root @ first.view.root.T))
         known += trust
         target += trust[:, None] * shot.sample(shot.view.pixels) / shade[:, None]
-    mean = target.sum(axis=0) / max(known.sum(), 1e-9)
-    neighbours: csr_matrix = body.neighbours
-    degree = np.asarray(neighbours.sum(axis=1)).ravel()
-    scale = known + _STIFF * degree + _SHY
-    matrix = diags(scale) - _STIFF * neighbours
-    start = np.where(known[:, None] > 0.2, target / np.maximum(known, 0.2)[:, None], mean)
-    columns = [
-        cg(matrix, target[:, c] + _SHY * mean[c], x0=start[:, c], rtol=1e-4, maxiter=300, M=diags(1 / scale))[0]
-        for c in range(3)
-    ]
-    return np.stack(columns, axis=1).clip(0, 2)
+    return smoothest(body, known, target)

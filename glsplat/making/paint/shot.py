@@ -77,6 +77,12 @@ class Shot:
         return self._trust(self.view.vertices, self.normals, self.view.pixels, *_BELIEVED)
 
     @cached_property
+    def squareness(self) -> F64:
+        """[V] cosine between a vertex's normal and the way to the camera, whatever hides it."""
+        where = self.view.vertices
+        return np.asarray(-(self.normals * where).sum(axis=1) / np.linalg.norm(where, axis=1))
+
+    @cached_property
     def shown(self) -> F64:
         """[V] 1 where nothing hides a vertex on or before the outline, else 0."""
         return self._trust(self.view.vertices, self.normals, self.view.pixels, *_TURNED)
@@ -84,7 +90,7 @@ class Shot:
     def look(self, points: SurfacePoints) -> Sight:
         """What is seen of the points."""
         where = points.at(self.view.vertices)
-        pixels = self._project(where)
+        pixels = self.project(where)
         trust = self._trust(where, points.directions(self.normals), pixels, *_BELIEVED)
         return Sight(self.sample(pixels), trust, self.detail(pixels))
 
@@ -116,7 +122,8 @@ class Shot:
         variance = cv2.blur(colour**2, (_PATCH, _PATCH)) - cv2.blur(colour, (_PATCH, _PATCH)) ** 2
         return np.minimum(np.sqrt(np.maximum(variance, 0).sum(axis=2)) / _BUSY, 1)
 
-    def _project(self, where: F64) -> F64:
+    def project(self, where: F64) -> F64:
+        """[M, 2] pixels of points [M, 3] in camera axes."""
         height, width = self.mask.shape
         return np.asarray(where[:, :2] / where[:, 2:] * self.focal + (width / 2, height / 2))
 

@@ -79,13 +79,14 @@ class Capture:
 
 def check_capture(
     picture: NDArray[np.uint8],
-    view: str = "front",
+    view: str | None = "front",
     config: CaptureConfig | None = None,
     given: NDArray[np.bool_] | None = None,
 ) -> Capture:
     """Look at a picture (RGB uint8 [H, W, 3]) of one of VIEWS. A capture without a person ends after that finding.
 
-    ``given`` [H, W] is the person's outline where it is known; else it is found.
+    ``view`` None is any side, of which nothing is asked. ``given`` [H, W] is the person's outline where it is known;
+    else it is found.
     """
     config = config or CaptureConfig()
     people = people_mask(picture)
@@ -102,7 +103,7 @@ def check_capture(
         _several(picture, person, people, config),
         _cut_off(person, mask),
         small,
-        _turned(person, view, config),
+        _turned(person, view, config) if view is not None else None,
         _face(person, view, config),
         _arms(person, view, config),
         _blurred(picture, mask, config) if small is None else None,
@@ -252,13 +253,13 @@ def _turned(person: Person, view: str, config: CaptureConfig) -> Finding | None:
     return Finding("turned", f"the person is turned by {away(view):.0f} degrees; stand straight before the camera")
 
 
-def _face(person: Person, view: str, config: CaptureConfig) -> Finding | None:
+def _face(person: Person, view: str | None, config: CaptureConfig) -> Finding | None:
     if view != "front" or person.face.presence > config.face or person.body.point("nose")[1] < 0:
         return None
     return Finding("face", "no face is found; look into the camera, hair and hat out of the face")
 
 
-def _arms(person: Person, view: str, config: CaptureConfig) -> Finding | None:
+def _arms(person: Person, view: str | None, config: CaptureConfig) -> Finding | None:
     if view not in ("front", "back"):
         return None
     body = person.body

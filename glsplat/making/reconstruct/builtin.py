@@ -26,12 +26,13 @@ from glsplat.making.reconstruct.reconstructor import Mask, Options, Picture
 from glsplat.making.texture import baked
 from glsplat.meshes import RiggedMesh
 
-__all__ = ["SIDES", "Builtin", "Dressed", "Made", "Meshing", "Telling"]
+__all__ = ["PHONE", "SIDES", "Builtin", "Dressed", "Made", "Meshing", "Telling"]
 
 SIDES = ("front", "back", "left", "right")
 _HARDLY = 0.1  # of a point that a picture shows too flatly to be believed
 _LIT = 20_000  # points that light and unseen share are found on
-_PHONE = 1.37  # focal length of a usual phone camera, in heights of an upright picture
+PHONE = 1.37
+"""Focal length of a usual phone camera, in heights of an upright picture."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -146,5 +147,5 @@ def _person(picture: Picture, side: str) -> Person:
 
 
 def _view(side: str, picture: Picture, mask: Mask, person: Person) -> View:
-    focal = picture.focal or _PHONE * max(picture.rgb.shape[:2])
+    focal = picture.focal or PHONE * max(picture.rgb.shape[:2])
     return View(mask, person.body.points, person.body.visible, focal, side=side)

@@ -35,6 +35,7 @@ __all__ = [
     "reconstruct",
     "reconstruct_mesh",
     "refuse",
+    "today",
 ]
 
 T = TypeVar("T")
@@ -204,7 +205,7 @@ def _done(
     """The reconstructor's name, the day, and what came of its ``work``."""
     if not anyway or any(shot.capture.person is None for shot in shots.values()):
         refuse(shots)
-    day = _today()
+    day = today()
     name = _name_of(using)
     maker = named(using) if isinstance(using, str) else using
     pictures = {
@@ -290,7 +291,7 @@ def mesh_from_photos(
 def _silent(step: str, done: float) -> None: ...
 
 
-def _today() -> str:
+def today() -> str:
     """YYYY-MM-DD in UTC; of SOURCE_DATE_EPOCH, where it is set, so that files can be made again byte for byte."""
     told = os.environ.get("SOURCE_DATE_EPOCH")
     if told is None:

@@ -18,7 +18,7 @@ from glsplat.making.photo.photo_file import MOST_PIXELS, SIDE
 __all__ = ["FEWEST", "is_video", "read_frames"]
 
 FEWEST = 8
-"""Frames that a video needs to have."""
+"""Frames that a turn needs."""
 _MOST_BYTES = 4_000_000_000
 _MOST_FRAMES = 20_000  # five minutes at sixty a second
 _LOOKED_AT = 5  # frames of which the sharpest is taken

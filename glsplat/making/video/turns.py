@@ -12,10 +12,12 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from glsplat.making.networks.people import Person
+from glsplat.making.networks.face import find_face
+from glsplat.making.networks.hand import find_hand
+from glsplat.making.networks.people import Person, swapped
 from glsplat.making.networks.person import LANDMARKS
 
-__all__ = ["facings"]
+__all__ = ["apart", "facing_as", "facings"]
 
 F64 = NDArray[np.float64]
 
@@ -25,9 +27,14 @@ _MOST = 16.0  # squared doubts; what is farther off is a mistake of any size
 _BACK_FOR_FRONT = 4.0  # squared doubts that this mistake costs
 _FACE, _FACELESS = 0.9, 0.2  # presence of a face that is seen, and of none
 _SHOWN, _HIDDEN = 110.0, 60.0  # degrees: a face is seen up to the one, and may be missing from the other on
-_AGAINST_FACE = 9.0
+_AGAINST_FACE, _AGAINST_NONE = 9.0, 2.0  # squared doubts; hair hides faces
 _STEPS = np.concatenate([np.arange(-48.0, -2.9, 3.0), np.arange(3.0, 48.1, 3.0)])  # degrees a frame
 _UNEVEN = 0.5, 6.0  # share of a step, and degrees, that steps differ by
+
+
+def apart(first: float, second: float) -> float:
+    """Degrees between two directions, 0 to 180."""
+    return abs((first - second + 180) % 360 - 180)
 
 
 def facings(people: Sequence[Person], *, in_order: bool) -> F64:
@@ -45,6 +52,15 @@ def facings(people: Sequence[Person], *, in_order: bool) -> F64:
     told = np.array([_told(person) for person in people])
     off = (told - grid[best] + 180) % 360 - 180
     return np.asarray((grid[best] + np.clip(off, -_DOUBT, _DOUBT) / 2) % 360)
+
+
+def facing_as(picture: NDArray[np.uint8], person: Person, turn: float) -> Person:
+    """The person as somebody who has turned by so many degrees: left and right put right, and the face found again."""
+    told = _told(person)
+    if apart(told, turn) <= apart(180.0 - told, turn) + _DOUBT:
+        return person
+    body = swapped(person.body)
+    return Person(body, find_face(picture, body), find_hand(picture, body, "left"), find_hand(picture, body, "right"))
 
 
 def _told(person: Person) -> float:
@@ -67,7 +83,7 @@ def _costs(person: Person, grid: F64) -> F64:
     if person.face.presence > _FACE:
         cost = cost + _AGAINST_FACE * (front > _SHOWN)
     elif person.face.presence < _FACELESS:
-        cost = cost + _AGAINST_FACE * (front < _HIDDEN)
+        cost = cost + _AGAINST_NONE * (front < _HIDDEN)
     return np.asarray(cost)
 
 

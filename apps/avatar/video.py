@@ -1,0 +1,120 @@
+"""``glsplat avatar video``: from a video of somebody who turns, or pictures from all around, to a mesh or an avatar."""
+
+from __future__ import annotations
+
+import argparse
+import time
+from pathlib import Path
+from typing import Any
+
+from glsplat.avatar import Avatar
+from glsplat.errors import CaptureError, FormatError
+from glsplat.making.reconstruct.reconstructor import Options, Progress
+from glsplat.making.reconstruct.video import FORMS, FRAMES, Filmed, from_video
+
+from ..args import natural, positive
+from ..usage import UsageError
+from .writing import add_notes, check_name, notes_of, progress_bar, write, write_mesh
+
+__all__ = ["add_arguments", "run"]
+
+_SPLATS_ONLY, _MESH_ONLY = ("splats", "seed", "steps"), ("texture",)
+_DEFAULT = Options()
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The command line."""
+    parser.add_argument(
+        "frames_from",
+        metavar="VIDEO|PICTURE",
+        type=Path,
+        nargs="+",
+        help="one video of a person who turns on the spot (.mp4, .mov, .webm), or pictures from all around",
+    )
+    parser.add_argument("-o", "--out", type=Path, required=True, help="file to write (.glb)")
+    parser.add_argument(
+        "--as",
+        dest="kind",
+        choices=FORMS,
+        default=FORMS[0],
+        help="a textured mesh that other programs open, or Gaussians (default %(default)s)",
+    )
+    parser.add_argument("--height", type=positive, help="the person's height in metres, without shoes (1.74)")
+    parser.add_argument(
+        "--frames", type=natural, default=FRAMES, help="frames of a video that are used (default %(default)d)"
+    )
+    parser.add_argument(
+        "--texture", type=natural, help=f"with --as mesh: texels a side of the texture (default {_DEFAULT.texture})"
+    )
+    parser.add_argument(
+        "--splats", type=natural, help=f"with --as splats: number of Gaussians (default {_DEFAULT.splats})"
+    )
+    parser.add_argument(
+        "--seed", type=natural, help=f"with --as splats: same seed, same bytes (default {_DEFAULT.seed})"
+    )
+    parser.add_argument(
+        "--steps",
+        type=natural,
+        help=f"with --as splats: rounds of matching colours to the frames (default {_DEFAULT.steps}); 0: none",
+    )
+    parser.add_argument("--anyway", action="store_true", help="go on with frames in which the check found faults")
+    parser.add_argument("--json", action="store_true", help="print what was found and made as JSON")
+    add_notes(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Make the mesh or the avatar."""
+    began = time.perf_counter()
+    check_name(args.out)
+    with progress_bar() as show:
+        options = _options(args, show)
+        try:
+            made = from_video(
+                *args.frames_from,
+                options=options,
+                form=args.kind,
+                frames=args.frames,
+                anyway=args.anyway,
+                meta=notes_of(args),
+            )
+        except CaptureError as error:
+            hint = "" if args.anyway else "; --anyway goes on all the same, where it can"
+            raise CaptureError(f"{error}{hint}", error.findings) from None
+    words = f"; {made.unseen:.0%} of the surface is guessed"
+    if isinstance(made.thing, Avatar):
+        code = write(made.thing, args, began, _facts(made), words)
+    else:
+        code = write_mesh(made.thing, args, began, _facts(made), words)
+    if not args.json:
+        for line in made.left_out:
+            print(line)
+        if made.problem:
+            print(made.problem)
+    return code
+
+
+def _options(args: argparse.Namespace, show: Progress) -> Options:
+    if not 8 <= args.frames <= 120:
+        raise UsageError(f"--frames needs 8 to 120, not {args.frames}")
+    asked = {name: getattr(args, name) for name in ("height", *_SPLATS_ONLY, *_MESH_ONLY)}
+    for name in _SPLATS_ONLY if args.kind == "mesh" else _MESH_ONLY:
+        if asked[name] is not None:
+            raise UsageError(f"--{name} has no meaning with --as {args.kind}: leave it out")
+    try:
+        return Options(**{name: value for name, value in asked.items() if value is not None}, progress=show)
+    except FormatError as error:
+        raise UsageError(str(error)) from None
+
+
+def _facts(made: Filmed) -> dict[str, Any]:
+    """For --json, beside what all commands say."""
+    return {
+        "unseen": round(made.unseen, 4),
+        "frames": [
+            {"name": frame.name, "turn": round(frame.turn, 1), "overlap": round(view.overlap, 4)}
+            for frame, view in zip(made.frames, made.fit.views, strict=True)
+        ],
+        "left_out": list(made.left_out),
+        "stature": round(float(made.fit.stature), 4),
+        "problem": made.problem,
+    }
