@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -13,6 +12,8 @@ from glsplat.avatar import Avatar
 from glsplat.camera import Camera, look_at, pinhole
 from glsplat.errors import FormatError
 from glsplat.evaluate.avatar_poses import score_pose
+from glsplat.evaluate.metrics.pixels import Box, decibel, psnr
+from glsplat.evaluate.metrics.structure import ssim
 from glsplat.mesh import MeshRenderer
 from glsplat.meshes import RiggedMesh
 from glsplat.renderer import Renderer
@@ -72,8 +73,8 @@ def score(
             milliseconds = renderer.timings["total"]
             wanted = np.clip(truth.render([camera], pose)[0, ..., :3], 0, 1)
             boxes = [_box(vertices[hand], camera) for hand in hands if len(hand)]
-            body, fingers, ssim = compare(picture, wanted, _box(vertices[used], camera), boxes)
-            yield Score(name, azimuth % 360, body, fingers, ssim, milliseconds, picture, wanted)
+            body, fingers, alike = compare(picture, wanted, _box(vertices[used], camera), boxes)
+            yield Score(name, azimuth % 360, body, fingers, alike, milliseconds, picture, wanted)
 
 
 def camera_around(points: F64, azimuth: float, size: int, grey: float = 0.0) -> Camera:
@@ -88,7 +89,7 @@ def camera_around(points: F64, azimuth: float, size: int, grey: float = 0.0) -> 
     return Camera(viewmat, pinhole(size, size, float(fov)), size, size, background=(grey,) * 3)
 
 
-def _box(points: F64, camera: Camera) -> tuple[slice, slice]:
+def _box(points: F64, camera: Camera) -> Box:
     """Rows and columns that hold ``points`` [N, 3], and two pixels around them for what blurs outwards."""
     seen = points @ camera.viewmat[:3, :3].T + camera.viewmat[:3, 3]
     pixel = (seen @ camera.K.T)[:, :2] / np.maximum(seen[:, 2:], 1e-6)
@@ -100,22 +101,14 @@ def _box(points: F64, camera: Camera) -> tuple[slice, slice]:
 def compare(
     picture: NDArray[np.float32],
     wanted: NDArray[np.float32],
-    body: tuple[slice, slice],
-    hands: list[tuple[slice, slice]],
+    body: Box,
+    hands: list[Box],
 ) -> tuple[float, float | None, float]:
     """PSNR over ``body``, PSNR over ``hands`` taken together, SSIM over ``body``, of pictures [H, W, 3] in [0, 1].
 
-    SSIM as in Wang et al. 2004: Gaussian window of 11 pixels and sigma 1.5, K1 = 0.01, K2 = 0.03, a channel at a time,
-    on the whole picture, then averaged over the box.
+    SSIM without the pixels along the picture's border, as ``metrics.structure`` says.
     """
     square = (picture.astype(np.float64) - wanted) ** 2
-    ssim = cv2.quality.QualitySSIM.create(255 * wanted)  # its constants are those of 8 bits
-    ssim.compute(255 * picture)
-    local = np.asarray(ssim.getQualityMap())
     inside = [square[box].reshape(-1) for box in hands]
-    fingers = _decibel(np.concatenate(inside)) if inside else None
-    return _decibel(square[body]), fingers, float(local[body][..., :3].mean())
-
-
-def _decibel(square: F64) -> float:
-    return float(-10 * np.log10(max(float(square.mean()), 1e-12)))
+    fingers = decibel(float(np.concatenate(inside).mean())) if inside else None
+    return psnr(picture, wanted, body), fingers, ssim(picture, wanted, body)

@@ -14,6 +14,8 @@ from glsplat.avatar import Avatar
 from glsplat.camera import Camera
 from glsplat.config import RenderConfig
 from glsplat.errors import GlsplatError
+from glsplat.evaluate.metrics.flip import flip as mean_flip
+from glsplat.evaluate.metrics.pixels import decibel
 from glsplat.skinning.pose import Pose
 from glsplat.splats import Splats
 from glsplat.views import splats_of
@@ -43,11 +45,11 @@ class Difference:
         error = np.nan_to_num(np.abs(scaled - expected), nan=1e3, posinf=1e3)
         mse = float((error[..., :3] ** 2).mean())
         return cls(
-            psnr=round(min(PSNR_CAP, float(-10 * np.log10(max(mse, 1e-30)))), 3),
+            psnr=round(decibel(mse, most=PSNR_CAP), 3),
             mean=float(error.mean()),
             maximum=float(error.max()),
             beyond=float((error.max(axis=-1) > 1 / 255).mean()),
-            flip=_flip(scaled, expected) if flip else None,
+            flip=round(mean_flip(_shown(scaled), _shown(expected)), 6) if flip else None,
         )
 
     @classmethod
@@ -112,9 +114,6 @@ def require_extra() -> None:
         raise GlsplatError(f"the report needs {error.name}; install it with: pip install 'glsplat[report]'") from None
 
 
-def _flip(image: NDArray[np.float64], expected: NDArray[np.float64]) -> float:
-    """Mean FLIP (Andersson et al. 2020) of the first view, at its default 67 pixels a degree; 0 is equal."""
-    import flip_evaluator
-
-    pair = [np.ascontiguousarray(np.clip(np.nan_to_num(p[0, ..., :3]), 0, 1), np.float32) for p in (expected, image)]
-    return round(float(flip_evaluator.evaluate(*pair, "LDR", applyMagma=False)[1]), 6)
+def _shown(views: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The colours of the first view as a display shows them."""
+    return np.clip(np.nan_to_num(views[0, ..., :3]), 0, 1)

@@ -1,0 +1,27 @@
+"""FLIP (Andersson et al. 2020): what an eye sees when two pictures are shown in turn; NVIDIA's own program."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glsplat.errors import GlsplatError
+
+from .pixels import WHOLE, Box, checked
+
+__all__ = ["flip"]
+
+
+def flip(picture: NDArray[np.floating], truth: NDArray[np.floating], box: Box = WHOLE) -> float:
+    """Mean FLIP over ``box``, for low dynamic range and its default of 67 pixels a degree; 0 is equal.
+
+    Raises GlsplatError where the package flip-evaluator is missing.
+    """
+    picture, truth = checked(picture, truth)
+    try:
+        import flip_evaluator
+    except ImportError:
+        raise GlsplatError("FLIP needs flip-evaluator; install it with: pip install 'glsplat[evaluate]'") from None
+    pair = [np.ascontiguousarray(one, np.float32) for one in (truth, picture)]
+    errors, mean, _ = flip_evaluator.evaluate(*pair, "LDR", applyMagma=False)
+    return float(mean) if box == WHOLE else float(np.asarray(errors)[box].mean())

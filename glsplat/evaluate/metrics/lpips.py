@@ -1,0 +1,75 @@
+"""LPIPS v0.1 (Zhang et al. 2018): how unlike two pictures are to a network that was trained to recognize things."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glsplat.errors import GlsplatError
+from glsplat.models.store import path_of
+
+from .layers import convolved, pooled
+from .pixels import checked
+from .weights import BACKBONES, read_weights
+
+__all__ = ["Lpips"]
+
+F32 = NDArray[np.float32]
+
+_SHIFT = np.array([-0.030, -0.088, -0.188])  # of pictures in [-1, 1], as the networks were trained
+_SCALE = np.array([0.458, 0.448, 0.450])
+
+
+class Lpips:
+    """The distance by AlexNet (``alex``, quick, the usual one) or VGG16 (``vgg``, some twenty times the work).
+
+    ``path`` is the file of the weights; without it that of the store. Raises GlsplatError where it is not there, with
+    the command that fetches it.
+    """
+
+    def __init__(self, kind: Literal["alex", "vgg"], path: Path | None = None) -> None:
+        if kind not in BACKBONES:
+            raise GlsplatError(f"{kind}: no such network of LPIPS; there are {', '.join(BACKBONES)}")
+        self.kind = kind
+        self._backbone = BACKBONES[kind]
+        self._weights = read_weights(path or path_of(self._backbone.model), self._backbone)
+        self._roots = [np.sqrt(head) for head in self._weights.heads]
+
+    def features(self, picture: NDArray[np.floating]) -> list[F32]:
+        """What the network sees of a picture [H, W, 3] in [0, 1], [h, w, C] a layer; see ``distance``.
+
+        Of 512 x 512 pixels these are 8 MB (alex) or 130 MB (vgg).
+        """
+        checked(picture, picture)
+        backbone, least = self._backbone, self._backbone.least
+        if min(picture.shape[:2]) < least:
+            height, width = picture.shape[:2]
+            raise GlsplatError(f"LPIPS ({self.kind}) needs {least} x {least} pixels, not {width} x {height}")
+        values = np.asarray(picture * (2 / _SCALE) - (1 + _SHIFT) / _SCALE, np.float32)
+        seen: list[F32] = []
+        for index, (kernel, bias) in enumerate(zip(self._weights.kernels, self._weights.biases, strict=True)):
+            if index in backbone.pooled:
+                values = pooled(values, backbone.pool)
+            values = convolved(values, kernel, bias, 1 if index else backbone.stride, backbone.padding[index])
+            if index in backbone.seen:
+                length = np.sqrt(np.einsum("hwc,hwc->hw", values, values))[..., None] + np.float32(1e-10)
+                seen.append(values / length * self._roots[len(seen)])
+        return seen
+
+    def distance(self, picture: Sequence[F32], truth: Sequence[F32]) -> float:
+        """LPIPS of two pictures of one size by their features: 0 is equal, 0.5 is another thing.
+
+        Features of one picture can be kept and compared with those of several. Raises GlsplatError for two sizes.
+        """
+        shapes = [[layer.shape for layer in features] for features in (picture, truth)]
+        if shapes[0] != shapes[1]:
+            raise GlsplatError(f"LPIPS compares pictures of one size, not features {shapes[0][0]} and {shapes[1][0]}")
+        total = 0.0
+        for one, other in zip(picture, truth, strict=True):
+            difference = (one - other).ravel()
+            total += float(difference @ difference) / (one.shape[0] * one.shape[1])
+        return total

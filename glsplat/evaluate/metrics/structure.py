@@ -1,0 +1,46 @@
+"""SSIM (Wang et al. 2004): local means, deviations and correlations under a Gaussian window."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from glsplat.errors import GlsplatError
+
+from .pixels import WHOLE, Box, checked
+
+__all__ = ["ssim", "ssim_map"]
+
+_SIGMA, _RADIUS = 1.5, 5  # pixels: the window of 11 x 11 of the publication
+_C1, _C2 = 0.01**2, 0.03**2  # of white
+
+
+def ssim_map(picture: NDArray[np.floating], truth: NDArray[np.floating]) -> NDArray[np.float64]:
+    """SSIM around each pixel, a channel at a time [H, W, 3]; within 5 pixels of the border it is a guess."""
+    x, y = (one.astype(np.float64) for one in checked(picture, truth))
+    mx, my = _blur(x), _blur(y)
+    cross = mx * my
+    squares = mx * mx + my * my
+    top = (2 * cross + _C1) * (2 * (_blur(x * y) - cross) + _C2)
+    return np.asarray(top / ((squares + _C1) * (_blur(x * x) + _blur(y * y) - squares + _C2)))
+
+
+def ssim(picture: NDArray[np.floating], truth: NDArray[np.floating], box: Box = WHOLE) -> float:
+    """The mean of the map over ``box``, without the 5 pixels along the picture's border, whose windows stick out.
+
+    What scikit-image's ``structural_similarity`` gives with gaussian_weights, sigma 1.5, use_sample_covariance False.
+    Raises GlsplatError where nothing is left.
+    """
+    height, width = picture.shape[:2]
+    inside = np.zeros((height, width), bool)
+    inside[box] = True
+    inside[:_RADIUS] = inside[height - _RADIUS :] = inside[:, :_RADIUS] = inside[:, width - _RADIUS :] = False
+    if min(height, width) <= 2 * _RADIUS or not inside.any():
+        raise GlsplatError(f"SSIM needs pixels {_RADIUS} away from the border; this {width}x{height} picture has none")
+    return float(ssim_map(picture, truth)[inside].mean())
+
+
+def _blur(image: NDArray[np.float64]) -> NDArray[np.float64]:
+    side = 2 * _RADIUS + 1
+    return np.asarray(cv2.GaussianBlur(image, (side, side), _SIGMA, borderType=cv2.BORDER_REFLECT))

