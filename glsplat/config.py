@@ -45,6 +45,9 @@ class RenderConfig:
     eps2d: float = 0.3  # px^2 added to the diagonal of the projected covariance
     max_sigma: float = 3.33  # standard deviations at which a quad ends at the latest
 
+    mesh_samples: Literal[1, 4] = 4  # points of a pixel at which meshes are drawn; 1 where the driver has no more
+    mesh_anisotropy: Literal[1, 2, 4, 8, 16] = 16  # texture samples at most along what is seen at a slant
+
     def __post_init__(self) -> None:
         allowed: dict[str, tuple[object, ...]] = {
             "target": ("auto", "8", "16f", "32f"),
@@ -59,6 +62,8 @@ class RenderConfig:
             "sh_degree": (0, 1, 2, 3),
             "antialias": (None, False, True),
             "cull_hidden": (False, True),
+            "mesh_samples": (1, 4),
+            "mesh_anisotropy": (1, 2, 4, 8, 16),
         }
         for name, values in allowed.items():
             value = getattr(self, name)

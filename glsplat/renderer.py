@@ -340,7 +340,7 @@ class Renderer:
         depth: bool = False,
     ) -> tuple[Pipeline, Target]:
         """Steps 1 to 4 for one pass."""
-        ground = self._scene.ground(views, ordinal, self.target_dtype, self.timer)
+        ground = self._scene.ground(views, ordinal, self.target_dtype, self.timer, depth)
         pipeline = self._scene.pipeline(views, ordinal, depth)
         target = self._targets.float_target(self.size, len(views), depth)
         order = sorting_camera(views) if sort_viewmat is None else sort_viewmat

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.gl.context import Context
-from glsplat.shaders import SkinVariant, Variant, flatten, link
+from glsplat.shaders import MeshVariant, SkinVariant, Variant, flatten, link
 
 
 def run_chunk(
@@ -17,7 +17,7 @@ def run_chunk(
     text: str,  # a vertex shader with #include lines, inputs named like ``inputs`` and outputs like ``outputs``
     inputs: Mapping[str, NDArray[np.generic]],  # [N] or [N, k]
     outputs: Mapping[str, int],  # name -> floats
-    variant: Variant | SkinVariant | None = None,
+    variant: Variant | SkinVariant | MeshVariant | None = None,
     frame: NDArray[np.void] | None = None,
     textures: Mapping[str, NDArray[np.float32]] | None = None,  # sampler -> [rows, columns, components]
     uniforms: Mapping[str, float | tuple[float, ...]] | None = None,

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from types import TracebackType
 from typing import Any, Literal
 
@@ -24,6 +24,7 @@ from glsplat.gl.owner import abandon
 from glsplat.meshes import RiggedMesh
 from glsplat.passes.block import FrameBlock
 from glsplat.passes.item.mesh_buffers import INFLUENCES, MeshBuffers
+from glsplat.passes.item.reach import depth_range, fitted, reach_of
 from glsplat.passes.views import checked_pose, checked_views
 from glsplat.shaders import MeshVariant, Programs, Variant
 from glsplat.shaders.slots import UNITS
@@ -32,10 +33,6 @@ from glsplat.skinning.skin import Skin
 from glsplat.timing import StageTimer
 
 __all__ = ["MeshConfig", "MeshRenderer"]
-
-ALPHA_TO_COVERAGE = 0x809E  # GL_SAMPLE_ALPHA_TO_COVERAGE; moderngl has no name for either
-ALPHA_TO_ONE = 0x809F  # GL_SAMPLE_ALPHA_TO_ONE: the target keeps how much is covered, not how much alpha
-BONES, SKIN, LARGE = UNITS["bones"], UNITS["skin_texture"], UNITS["large"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -159,7 +156,7 @@ class MeshRenderer:
             raise ContextError(f"size needs 1 to {limit} pixels a side on {self.driver}, not {size[0]}x{size[1]}")
         self._programs = self._own(Programs(ctx))
         skin = Skin.create(mesh.joints, mesh.weights, len(mesh.skeleton), INFLUENCES)
-        self._reach = _reach(mesh, skin)
+        self._reach = reach_of(mesh, skin)
         self._buffers = self._own(MeshBuffers(ctx, mesh, skin, min(self.config.anisotropy, ctx.max_anisotropy)))
         self._frame = self._own(FrameBlock(ctx, 1))
         self._draw_array, self._resolve_array = self._arrays(ctx, factor)
@@ -183,22 +180,12 @@ class MeshRenderer:
         program = self._programs.draw("mesh", "mesh", MeshVariant(influences=INFLUENCES))
         resolve = self._programs.draw("screen", "mesh_resolve", Variant())
         resolve["factor"] = factor
-        self._lowest = program["lowest"]
         array = ctx.vertex_array(program, [self._buffers.content], index_buffer=self._buffers.faces)
         return self._own(array), self._own(ctx.vertex_array(resolve, []))
 
     def _fitted(self, camera: Camera, bones: NDArray[np.float64], origin: NDArray[np.float64]) -> Camera:
-        """The camera with near and far drawn in to the posed mesh, so that the depth buffer tells layers apart.
-
-        A vertex is a mean of what its joints make of it, so it lies among the balls around the posed joints.
-        """
-        joints = np.einsum("jik,jk->ji", bones[:, :, :3], self.mesh.skeleton.joints) + bones[:, :, 3] + origin
-        depth = joints @ camera.viewmat[2, :3] + camera.viewmat[2, 3]
-        reach = self._reach * np.linalg.norm(bones[:, :, :3], ord=2, axis=(1, 2))
-        used = self._reach >= 0
-        near = max(camera.near, float((depth - reach)[used].min()) * 0.99)
-        far = min(camera.far, float((depth + reach)[used].max()) * 1.01)
-        return replace(camera, near=near, far=max(far, near * 1.001))
+        """The camera with near and far drawn in to the posed mesh, so that the depth buffer tells layers apart."""
+        return fitted(camera, *depth_range(camera, self.mesh.skeleton.joints, self._reach, bones, origin))
 
     def _render(self, cameras: Sequence[Camera], pose: Pose) -> NDArray[Any]:
         self.timer.start()
@@ -239,36 +226,15 @@ class MeshRenderer:
         self._drawn.use()
         self._drawn.clear(0.0, 0.0, 0.0, 0.0, depth=1.0)
         ctx.enable_only(moderngl.DEPTH_TEST)
-        self._buffers.bones.use(BONES)
-        sampled = self._samples > 1
-        if sampled:
-            ctx.enable_direct(ALPHA_TO_COVERAGE)
-            ctx.enable_direct(ALPHA_TO_ONE)
-        for (first, count), texture, cutout in zip(
-            self._buffers.ranges, self._buffers.textures, self._buffers.cutouts, strict=True
-        ):
-            texture.use(SKIN)
-            self._lowest.value = (0.5 / self._samples) * cutout
-            self._draw_array.render(moderngl.TRIANGLES, vertices=count, first=first)
-        if sampled:
-            ctx.disable_direct(ALPHA_TO_COVERAGE)
-            ctx.disable_direct(ALPHA_TO_ONE)
+        self._buffers.draw(ctx, self._draw_array, self._samples)
+        if self._samples > 1:
             ctx.copy_framebuffer(self._averaged, self._drawn)
 
     def _resolve(self) -> None:
         self._final.use()
         self.context.ctx.enable_only(moderngl.NOTHING)
-        self._large.use(LARGE)
+        self._large.use(UNITS["large"])
         self._resolve_array.render(moderngl.TRIANGLES, vertices=3, instances=1)
 
 
 _NO_SPLATS = RenderConfig()  # the frame block has room for what only splats need
-
-
-def _reach(mesh: RiggedMesh, skin: Skin) -> NDArray[np.float64]:
-    """[J] metres from each joint to the farthest vertex that rides it at rest, -1 if none does."""
-    reach = np.full(len(mesh.skeleton), -1.0)
-    for ids, weights in zip(skin.joints.T, skin.weights.T, strict=True):
-        distance = np.linalg.norm(mesh.vertices - mesh.skeleton.joints[ids], axis=1)
-        np.maximum.at(reach, ids, np.where(weights > 0, distance, -1.0))
-    return reach

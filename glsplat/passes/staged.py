@@ -21,7 +21,7 @@ from glsplat.meshes import RiggedMesh
 from glsplat.passes.arena import Arena
 from glsplat.passes.frame.pipeline import Pipeline, view_state
 from glsplat.passes.item.buffers import ItemBuffers, Placement
-from glsplat.passes.item.ground import Ground, MeshItem
+from glsplat.passes.item.ground import Ground, GroundKind, MeshItem
 from glsplat.passes.kept import Kept
 from glsplat.passes.views import checked_pose
 from glsplat.scene import Item, Scene
@@ -57,7 +57,8 @@ class Staged:
         self._meshes: dict[int, tuple[Item, MeshItem]] = {}
         self._standing: list[tuple[MeshItem, Placement]] = []  # the visible meshes of this frame
         self._standing_version = 0
-        self._grounds: Kept[tuple[tuple[int, int], int, int], Ground] = Kept(_PASSES, _KEPT_BYTES)
+        self._grounds: Kept[tuple[tuple[int, int], int, GroundKind, int], Ground] = Kept(_PASSES, _KEPT_BYTES)
+        self._samples = config.mesh_samples if context.ctx.max_samples >= config.mesh_samples else 1
         self._arena: Arena | None = None
         self._pipelines: Kept[Key, Pipeline] = Kept(_KEPT, _KEPT_BYTES)
         self.arenas = 0  # made so far
@@ -106,15 +107,23 @@ class Staged:
         if self.arena.place(places):
             timer.mark("skin")
 
-    def ground(self, views: Sequence[Camera], ordinal: int, dtype: str, timer: StageTimer) -> Ground | None:
+    def ground(
+        self, views: Sequence[Camera], ordinal: int, dtype: str, timer: StageTimer, depth: bool = False
+    ) -> Ground | None:
         """The meshes under these views, drawn; None without any."""
         if not self._standing:
             return None
-        key = ((views[0].width, views[0].height), len(views), min(ordinal, _PASSES - 1))
-        ground = self._grounds.get(key, lambda: Ground(self._context, self._programs, *key[:2], dtype))
+        kind = GroundKind(self._occluded, self._samples, depth and not self._occluded)
+        key = ((views[0].width, views[0].height), len(views), kind, min(ordinal, _PASSES - 1))
+        ground = self._grounds.get(key, lambda: Ground(self._context, self._programs, *key[:3], dtype))
         ground.run(views, self._standing, (self._standing_version, tuple(view_state(view) for view in views)))
         timer.mark("mesh")
         return ground
+
+    @property
+    def _occluded(self) -> bool:
+        """Whether meshes are wanted at the pixel centres: splats are drawn as well, or there are no other samples."""
+        return bool(self._standing) and (self._samples == 1 or any(item.count for item in self.arena.items))
 
     @staticmethod
     def shared(ordinal: int) -> bool:
@@ -133,7 +142,8 @@ class Staged:
             geometry=self._geometry,
             triangle=self._triangle,
             depth=depth,
-            occluded=bool(self._standing),
+            occluded=self._occluded,
+            sampled=self._samples if self._standing and self._samples > 1 else 0,
             numbered=not self._context.vertex_ids,
         )
         key = (variant, (views[0].width, views[0].height), min(ordinal, _PASSES - 1))
@@ -182,7 +192,7 @@ class Staged:
         for item in self.scene:
             if item.visible and isinstance(item.content, RiggedMesh):
                 if id(item) not in self._meshes:
-                    self._meshes[id(item)] = item, MeshItem(self._context, item.content)
+                    self._meshes[id(item)] = item, MeshItem(self._context, item.content, self._config.mesh_anisotropy)
                 standing.append((self._meshes[id(item)][1], self._placement(item, pose)))
         same = len(standing) == len(self._standing) and all(
             mesh is old and place.same(before)

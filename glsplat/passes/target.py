@@ -139,7 +139,8 @@ class Clear:
     def run(self, target: Target, cameras: Sequence[Camera], box: Box) -> None:
         """Fill ``box`` of all layers with each view's background and alpha 0."""
         colours = {camera.background for camera in cameras}
-        if len(colours) == 1 and not self._variant.depth and not self._variant.occluded:
+        variant = self._variant
+        if len(colours) == 1 and not (variant.depth or variant.occluded or variant.sampled):
             target.framebuffer.clear(*colours.pop(), 0.0, viewport=box)
             return
         if self._array is None:

@@ -1,8 +1,7 @@
 // What lies behind the splats: the views' backgrounds where a plain clear cannot tell them apart, and meshes.
 #include "frame.glsl"
-#if OCCLUDED
-uniform sampler2D mesh_colour;  // the views one below the other; alpha 0 where no mesh is
-uniform sampler2D mesh_z;       // metres
+#if OCCLUDED || SAMPLED
+#include "ground.glsl"
 #endif
 
 flat in int layer;
@@ -18,13 +17,24 @@ void main() {
 #endif
 #if OCCLUDED
     ivec2 pixel = ivec2(gl_FragCoord.xy);
-    pixel.y += layer * (textureSize(mesh_z, 0).y / VIEWS);
-    vec4 mesh = texelFetch(mesh_colour, pixel, 0);
+    vec4 mesh = mesh_colour_at(pixel, layer);
     if (mesh.a > 0.0) {
+#if SAMPLED
+        // all or nothing, by the centre: what splats would show through the rest of the pixel is not known here
+        vec4 samples = mesh_samples_at(pixel, layer);
+        if (samples.a > 0.0) mesh.rgb = samples.rgb / samples.a;
+#endif
         fragment = mesh;
 #if DEPTH
-        depth = vec4(texelFetch(mesh_z, pixel, 0).r, 0.0, 0.0, 1.0);
+        depth = vec4(mesh_z_at(pixel, layer), 0.0, 0.0, 1.0);
 #endif
     }
+#elif SAMPLED
+    ivec2 pixel = ivec2(gl_FragCoord.xy);
+    vec4 mesh = mesh_samples_at(pixel, layer);
+    fragment = vec4(mesh.rgb + (1.0 - mesh.a) * fragment.rgb, mesh.a);
+#if DEPTH
+    depth = vec4(mesh_z_at(pixel, layer), 0.0, 0.0, 1.0);
+#endif
 #endif
 }

@@ -13,8 +13,12 @@ UNITS = {
     "splats": 0,  # arena: geometry (splat_input.glsl)
     "colours": 1,  # arena: SH (sh.glsl)
     "bones": 2,  # bone texture of an avatar or a mesh (skin.glsl)
-    "mesh_z": 3,  # camera z of the nearest mesh (splat.frag.glsl)
+    "mesh_z": 3,  # meshes of a scene, a texture a view (ground.glsl)
+    "mesh_z_2": 6,
     "mesh_colour": 4,
+    "mesh_colour_2": 7,
+    "mesh_samples": 8,
+    "mesh_samples_2": 9,
     "skin_texture": 5,  # of a mesh
     "target": 0,  # float layers (resolve.frag.glsl, present.frag.glsl)
     "text": 1,  # over a window (present.frag.glsl)

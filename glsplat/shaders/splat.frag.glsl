@@ -3,7 +3,7 @@
 #include "frame.glsl"
 #endif
 #if OCCLUDED
-uniform sampler2D mesh_z;  // camera z of the nearest mesh, in metres; the views one below the other
+#include "ground.glsl"
 flat in int splat_layer;
 #endif
 flat in vec4 splat_colour;
@@ -25,9 +25,7 @@ void main() {
     alpha = distance2 > frame.knobs.y * frame.knobs.y ? 0.0 : alpha;
 #endif
 #if OCCLUDED
-    ivec2 pixel = ivec2(gl_FragCoord.xy);
-    int rows = textureSize(mesh_z, 0).y / VIEWS;
-    alpha = splat_z > texelFetch(mesh_z, ivec2(pixel.x, pixel.y + splat_layer * rows), 0).r ? 0.0 : alpha;
+    alpha = splat_z > mesh_z_at(ivec2(gl_FragCoord.xy), splat_layer) ? 0.0 : alpha;
 #endif
     fragment = vec4(splat_colour.rgb * alpha, alpha);
 #if DEPTH

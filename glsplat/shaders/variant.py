@@ -31,7 +31,8 @@ class Variant:
     cull_hidden: int = 0  # the key pass looks at visibility cones
     cut: int = 0  # splats end at max_sigma although alpha is still above 1/255 there
     depth: int = 0  # a second target takes weight times camera z
-    occluded: int = 0  # splats are tested against the z of meshes
+    occluded: int = 0  # meshes at pixel centres, and splats are tested against their z
+    sampled: int = 0  # samples a pixel of meshes; without occluded there is nothing else, and coverage is their alpha
     numbered: int = 0  # an attribute numbers the splats where the driver's gl_VertexID does not
 
     def __post_init__(self) -> None:
@@ -84,14 +85,15 @@ class SkinVariant:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MeshVariant:
-    """What draws a textured mesh."""
+    """What draws a textured mesh, one view at a time."""
 
     influences: int = 4  # joints a vertex
-    views: int = 1  # side by side in one draw: one below the other in the target
+    logarithmic: int = 0  # depth of the meshes of a scene by log z: any range, but one depth a pixel and triangle
+    shaded: int = 0  # light a vertex
 
     def defines(self) -> dict[str, int]:
         """Name -> number for the preprocessor."""
-        return _numbers(self)
+        return _numbers(self) | {"VIEWS": 1}
 
 
 def variant_for(
@@ -106,6 +108,7 @@ def variant_for(
     triangle: bool = False,
     depth: bool = False,
     occluded: bool = False,
+    sampled: int = 0,  # samples
     numbered: bool = False,
 ) -> Variant:
     """What a scene needs under a config, and nothing more."""
@@ -124,6 +127,7 @@ def variant_for(
         cut=int(config.max_sigma < 3.33),
         depth=int(depth),
         occluded=int(occluded),
+        sampled=sampled,
         numbered=int(numbered),
     )
 

@@ -37,6 +37,8 @@ def mesh_renderer(context: Context) -> Iterator[Make]:
 
     def make(mesh: RiggedMesh, size: tuple[int, int] = (96, 96), **config: Any) -> MeshRenderer:
         config.setdefault("output", "float32")
+        if config.get("samples", 1) > max(context.ctx.max_samples, 1):
+            pytest.skip("this driver has one sample a pixel")
         made.append(MeshRenderer(mesh, size=size, config=MeshConfig(**config), context=context))
         return made[-1]
 
@@ -134,7 +136,7 @@ def test_quads_and_splats_fall_on_the_same_place(mesh_renderer: Make, renderer_o
     for x, y in ((0.0, 0.0), (-0.12, 0.17), (0.133, -0.241)):
         splat = Splats.create([[x, y, 0]], [[1, 0, 0, 0]], [[0.02] * 3], [0.99], rgb=[[1, 0, 0]])
         square = mesh_of(quad((x - 0.04, y - 0.04), (x + 0.04, y + 0.04)))
-        drawn = mesh_renderer(square, (96, 112), supersample=4).render(eyes)
+        drawn = mesh_renderer(square, (96, 112), samples=4, supersample=4).render(eyes)
         reference = renderer_of(splat, (96, 112), 2).render(eyes)
         for eye in (0, 1):
             assert np.abs(centroid(drawn[eye, ..., 3]) - centroid(reference[eye, ..., 3])).max() < 0.04

@@ -119,7 +119,8 @@ def rows() -> list[Variant]:
                 out.append(Variant(views=views, posed=posed, turned=turned, antialias=1 + posed, **degree))
         for antialias in (0, 1):
             for geometry, triangle in ((0, 1), (1, 0), (1, 1)):
-                for flags in ({}, {"depth": 1}, {"occluded": 1}, {"depth": 1, "occluded": 1, "cut": 1}):
+                meshes = ({"occluded": 1}, {"sampled": 4}, {"occluded": 1, "sampled": 4}, {"depth": 1, "sampled": 4})
+                for flags in ({}, {"depth": 1}, *meshes, {"depth": 1, "occluded": 1, "cut": 1}):
                     out.append(Variant(views=views, antialias=antialias, geometry=geometry, triangle=triangle, **flags))
         out.append(Variant(views=views, cull_hidden=1))
         out.append(Variant(views=views, cull_hidden=1, posed=1, cut=1))
@@ -130,7 +131,7 @@ def rows() -> list[Variant]:
 
 ROWS = rows()
 SKINS = [SkinVariant(influences=k, raw=raw, turned=turned) for k in (1, 2, 4, 8) for raw in (0, 1) for turned in (0, 1)]
-MESHES = [MeshVariant(views=views) for views in (1, 2)]
+MESHES = [MeshVariant(), MeshVariant(logarithmic=1), MeshVariant(shaded=1)]
 
 
 def kept(text: str, defines: dict[str, int]) -> set[tuple[int, bool]]:

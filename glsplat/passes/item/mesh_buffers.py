@@ -9,12 +9,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.meshes import MeshPart, RiggedMesh
+from glsplat.shaders.slots import UNITS
 from glsplat.skinning.skin import Skin
 
 __all__ = ["INFLUENCES", "MeshBuffers", "corners"]
 
 INFLUENCES = 4
 """Joints a vertex, as for splats."""
+
+_ALPHA_TO_COVERAGE = 0x809E  # GL_SAMPLE_ALPHA_TO_COVERAGE; moderngl has no name for either
+_ALPHA_TO_ONE = 0x809F  # GL_SAMPLE_ALPHA_TO_ONE: the target keeps how much is covered, not how much alpha
 
 VERTEX = np.dtype([("vertex", "f4", 3), ("uv", "f4", 2), ("joints", "u2", 4), ("weights", "f4", 4)])
 
@@ -56,6 +60,24 @@ class MeshBuffers:
     def content(self) -> tuple[object, ...]:
         """The vertex buffer as attributes of mesh.vert.glsl and skin.glsl."""
         return (self.vertices, "3f 2f 4u2 4f", "vertex", "uv", "joints0", "weights0")
+
+    def draw(self, ctx: moderngl.Context, array: moderngl.VertexArray, samples: int) -> None:
+        """All parts into the bound framebuffer of so many samples; cut-outs end by alpha to coverage where it has some.
+
+        ``array`` is this mesh's, with a program that includes cutout.glsl; the bone texture is written already.
+        """
+        self.bones.use(UNITS["bones"])
+        switches = (_ALPHA_TO_COVERAGE, _ALPHA_TO_ONE) if samples > 1 else ()
+        for switch in switches:
+            ctx.enable_direct(switch)
+        try:
+            for (first, count), texture, cutout in zip(self.ranges, self.textures, self.cutouts, strict=True):
+                texture.use(UNITS["skin_texture"])
+                array.program["lowest"] = (0.5 / samples) * cutout
+                array.render(moderngl.TRIANGLES, vertices=count, first=first)
+        finally:
+            for switch in switches:
+                ctx.disable_direct(switch)
 
     @property
     def nbytes(self) -> int:
