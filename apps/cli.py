@@ -38,7 +38,9 @@ COMMANDS = {
     "convert": "from one format of splats and avatars to another",
 }
 
-MODULES = {name: f"{name}.command" for name in ("avatar", "evaluate", "preview", "replay", "report", "serve", "tracking")}
+MODULES = {
+    name: f"{name}.command" for name in ("avatar", "evaluate", "preview", "replay", "report", "serve", "tracking")
+}
 """Commands that are folders."""
 
 

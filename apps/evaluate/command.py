@@ -49,7 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--participants",
         type=Path,
         metavar="DIR",
-        help="NAME.npz or NAME.glb (the truth) and capture/NAME.jpg (docs/evaluation.md); default: four that come along",
+        help="NAME.npz or .glb (the truth) and capture/NAME.jpg (docs/evaluation.md); default: four that come along",
     )
     parser.add_argument(
         "--methods",
@@ -71,7 +71,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seed", type=int, default=0, help="same seed, same table (default 0)")
     parser.add_argument("--jobs", type=int, help="processes (default: one a core, as memory allows)")
     parser.add_argument("--no-timing", action="store_true", help="leave out table 2 and the latency table")
-    parser.add_argument("-o", "--output", type=Path, default=Path("out/evaluation"), help="folder (default %(default)s)")
+    parser.add_argument(
+        "-o", "--output", type=Path, default=Path("out/evaluation"), help="folder (default %(default)s)"
+    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -196,5 +198,3 @@ def _write(found: Mapping[str, Any], folder: Path) -> None:
             sheets[name] = (folder / name).read_bytes()
     replace_file(folder / "evaluation.json", [json.dumps(found, indent=1, allow_nan=False).encode()])
     replace_file(folder / "evaluation.html", [page(found, sheets).encode()])
-
-

@@ -45,7 +45,9 @@ def page(found: Mapping[str, Any], pictures: Mapping[str, bytes]) -> str:
 def _facts(found: Mapping[str, Any]) -> list[str]:
     protocol = found["protocol"]
     versions = ", ".join(f"{name} {version}" for name, version in found["versions"].items())
-    what = f"{protocol['moments']} moments of {protocol['motion']}" if protocol["motion"] else ", ".join(protocol["tasks"])
+    what = (
+        f"{protocol['moments']} moments of {protocol['motion']}" if protocol["motion"] else ", ".join(protocol["tasks"])
+    )
     light = "lit as in their photographs" if protocol["light"] == "capture" else "in their textures' own colours"
     facts = [
         f"{len(found['people'])} participants: {', '.join(found['people'])}",
@@ -85,6 +87,28 @@ def _failures(rows: Sequence[Mapping[str, str]]) -> list[str]:
     return ["<h2>What failed</h2>", table_of(["participant", "method", "why"], lines, classes)]
 
 
+def _statistics(rows: Sequence[Mapping[str, Any]]) -> list[str]:
+    heads = ["measure", "first", "second", "n", "difference", "95 % interval", "effect", "p", "p, Holm"]
+    out = ["<h2>Methods in pairs</h2>"]
+    out.append(
+        "<p>Differences (first less second) over participants that both have: mean, its bootstrap interval, the "
+        "matched-pairs rank-biserial correlation, and Wilcoxon's signed-rank test, corrected by Holm for the pairs of a "
+        "measure.</p>"
+    )
+    for control in CONTROLS:
+        lines = []
+        for row in (row for row in rows if row["control"] == control and row["n"]):
+            digits = 2 if row["measure"].endswith("psnr") else 4
+            low, high = row["low"], row["high"]
+            interval = "-" if low is None else f"{low:+.{digits}f} to {high:+.{digits}f}"
+            sure = ["-" if row[key] is None else f"{row[key]:.2g}" for key in ("p", "p_holm")]
+            effect = "-" if row["effect"] is None else f"{row['effect']:+.2f}"
+            names = [_head(row["measure"]), row["first"], row["second"], row["n"]]
+            lines.append([*names, f"{row['mean']:+.{digits}f}", interval, effect, *sure])
+        out += [f"<h3>Driven by {escaped(_BY[control])}</h3>", table_of(heads, lines)]
+    return out
+
+
 def _along(title: str, key: str, rows: Sequence[Mapping[str, Any]]) -> list[str]:
     measures = [*MEASURES, *BOXED, OVERLAP]
     out = [f"<h2>{escaped(title)}</h2>"]
@@ -108,9 +132,48 @@ def _parts(rows: Sequence[Mapping[str, Any]]) -> list[str]:
     return out
 
 
+def _timing(timing: Mapping[str, Any]) -> list[str]:
+    if not timing:
+        return []
+    heads = ["method", "pixels an eye", "both eyes at once (ms)", "two renders (ms)", "gain", "pairs a second"]
+    heads += ["triangles or splats", "GPU memory (MB)", "LPIPS at this size", "paper: batched (ms)", "paper: gain"]
+    lines = []
+    for row in timing["costs"]:
+        paper = row.get("paper", {})
+        lines.append(
+            [
+                row["method"],
+                f"{row['size']} x {row['size']}",
+                row["pair_ms"],
+                row["two_ms"],
+                round(row["two_ms"] / row["pair_ms"], 2),
+                round(1000 / row["pair_ms"], 1),
+                f"{row['count']:,} {row['kind']}",
+                row["bytes"] / 1e6,
+                row["lpips"],
+                paper.get("pair_ms", ""),
+                paper.get("gain", ""),
+            ]
+        )
+    out = [
+        f"<h2>Table 2: rendering time and memory ({escaped(timing['participant'])})</h2>",
+        "<p>Medians of frames that took turns on this driver, read back; LPIPS over the poses from the front, by the "
+        "true pose. The paper's figures are of its authors' GPU.</p>",
+        table_of(heads, lines),
+    ]
+    for latency in timing["latency"]:
+        head, *rows = latency["rows"]
+        out += [f"<h2>Latency, {escaped(latency['method'])} (ms)</h2>", table_of(head, rows)]
+    return out
+
+
 def _people(rows: Sequence[Mapping[str, Any]]) -> list[str]:
     heads = ["participant", "method", "made in (s)", "file (MB)", "of"]
-    heads += [f"{_NAMES[name]}, {'tracked' if control == 'tracking' else 'posed'}" for control in CONTROLS for name in MEASURES]
+    heads += [
+        f"{_NAMES[name]}, {'tracked' if control == 'tracking' else 'posed'}"
+        for control in CONTROLS
+        for name in MEASURES
+    ]
     lines, classes = [], []
     for row in rows:
         classes.append("failed" if "failed" in row else "")
@@ -149,7 +212,3 @@ def _head(name: str) -> str:
 
 def _place(rows: Sequence[Mapping[str, Any]], key: str, value: str) -> int:
     return list(dict.fromkeys(row[key] for row in rows)).index(value)
-
-
-def _statistics(rows): return []
-def _timing(t): return []

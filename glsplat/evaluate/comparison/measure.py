@@ -44,6 +44,13 @@ class Known:
     boxes: tuple[tuple[slice, slice], ...]
     features: tuple[Mapping[str, Any], ...]  # of each eye, by network
 
+    @classmethod
+    def of(cls, truth: Truth, protocol: Protocol) -> Known:
+        """The truth, ready to be compared with."""
+        rgb, networks = _rgb(truth.pictures), _networks(protocol)
+        features = tuple({name: network.features(one) for name, network in networks.items()} for one in rgb)
+        return cls(truth, rgb, tuple(_box(one) for one in truth.pictures), features)
+
 
 class Measuring:
     """The figures of one avatar: filled picture by picture."""
@@ -52,19 +59,11 @@ class Measuring:
         self._more = tuple(name for name in MORE if name in protocol.more)
         shape = (moments, len(protocol.views), 2)
         names = (*MEASURES, *BOXED, OVERLAP, *self._more)
-        self._networks = {"lpips": _network("alex")}
-        if "lpips-vgg" in self._more:
-            self._networks["lpips-vgg"] = _network("vgg")
+        self._networks = _networks(protocol)
         self._values = {control: {name: np.full(shape, np.nan) for name in names} for control in CONTROLS}
         self._parts = {
             control: {part: {name: np.full(shape, np.nan) for name in PARTED} for part in PARTS} for control in CONTROLS
         }
-
-    def known(self, truth: Truth) -> Known:
-        """The truth, ready to be compared with."""
-        rgb = _rgb(truth.pictures)
-        features = tuple({name: network.features(one) for name, network in self._networks.items()} for one in rgb)
-        return Known(truth, rgb, tuple(_box(one) for one in truth.pictures), features)
 
     def add(self, control: str, moment: int, view: int, known: Known, pictures: NDArray[np.uint8]) -> None:
         """Compare what both eyes [2, H, W, 4] see of the avatar."""
@@ -104,6 +103,14 @@ class Measuring:
             for control, by_part in self._parts.items()
         }
         return {"values": values, "parts": parts}
+
+
+def _networks(protocol: Protocol) -> dict[str, Lpips]:
+    """Measure -> the network that takes it."""
+    kinds: dict[str, Literal["alex", "vgg"]] = {"lpips": "alex"}
+    if "lpips-vgg" in protocol.more:
+        kinds["lpips-vgg"] = "vgg"
+    return {name: _network(kind) for name, kind in kinds.items()}
 
 
 @cache

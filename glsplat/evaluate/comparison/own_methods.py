@@ -5,13 +5,19 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from glsplat.avatar import Avatar
+from glsplat.camera import Camera, look_at, pinhole
+from glsplat.evaluate.avatar_poses import pose_of
 from glsplat.evaluate.comparison.participant import Participant
+from glsplat.evaluate.turntable import turntable
 from glsplat.making.reconstruct.photos import from_photos, mesh_from_photos
+from glsplat.making.reconstruct.reconstructor import Options
+from glsplat.making.reconstruct.video import FRAMES, from_pictures, from_video
 from glsplat.making.refine import RefineConfig, refine
 from glsplat.making.surface import make_avatar
+from glsplat.making.video.frames import FramePicture
 from glsplat.meshes import RiggedMesh
 
-__all__ = ["MeshImage", "Photo", "Scan"]
+__all__ = ["MeshImage", "MeshVideo", "Photo", "Scan"]
 
 
 @dataclass(frozen=True)
@@ -41,6 +47,34 @@ class MeshImage(_Own):
 
 
 @dataclass(frozen=True)
+class MeshVideo(_Own):
+    """A video of the person turning to a textured mesh, as ``glsplat avatar video --as mesh`` makes them.
+
+    Where there is none it is drawn: the participant in the photograph's pose, camera and light, turning once.
+    """
+
+    def make(self, participant: Participant) -> RiggedMesh:
+        """Raises CaptureError where the check refuses the frames."""
+        count = _QUICK_FRAMES if self.quick else FRAMES
+        options = Options(height=participant.height, seed=self.seed)
+        if participant.video is not None:
+            made = from_video(participant.video, frames=count, options=options)
+        else:
+            made = from_pictures(self._drawn(participant, count), in_order=True, options=options)
+        assert isinstance(made.thing, RiggedMesh)
+        return made.thing
+
+    def _drawn(self, participant: Participant, count: int) -> list[FramePicture]:
+        mesh = participant.mesh
+        camera = participant.camera or Camera(look_at(*_LOOK), pinhole(1024, 1536, _FOV), 1024, 1536)
+        pose = participant.pose or pose_of(_A_POSE, mesh.skeleton)
+        light = participant.light or _LIGHT
+        shots = turntable(mesh, camera, pose, light["direction_to"], light["colour"], frames=count, seed=self.seed)
+        focal = float(camera.K[1, 1])
+        return [(f"frame {number}", shot.rgb, focal) for number, shot in enumerate(shots, 1)]
+
+
+@dataclass(frozen=True)
 class Scan(_Own):
     """The participant's own mesh to splats, as ``glsplat avatar make`` makes them: the most that splats can reach."""
 
@@ -53,3 +87,10 @@ class Scan(_Own):
 
 
 _STEPS = 60  # of fitting; the command takes 450
+_QUICK_FRAMES = 12
+
+# a usual photograph, where nothing is known of the participant's own
+_LOOK = (0.0, 1.3, 3.2), (0.0, 0.88, 0.0)
+_FOV = 40.0  # degrees, vertical
+_A_POSE = {"left_shoulder": (0.0, 0.0, -0.7), "left_hip": (0.0, 0.0, 0.07)}
+_LIGHT = {"direction_to": (0.45, 0.75, 0.75), "colour": (0.62, 0.60, 0.57)}

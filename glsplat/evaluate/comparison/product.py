@@ -15,6 +15,7 @@ from glsplat.evaluate.comparison.method import Figure, Folder, method_named
 from glsplat.evaluate.comparison.participant import Participant
 from glsplat.formats import save
 from glsplat.formats.files import replace_file
+from glsplat.formats.gltf_mesh import save_gltf_mesh
 from glsplat.making.items import load_item
 from glsplat.making.reconstruct.plugins import one_line
 from glsplat.meshes import RiggedMesh
@@ -48,7 +49,11 @@ def product(name: str, source: str | Folder, participant: Participant, out: Path
         made = _made(name, source, participant, key)
         seconds = round(time.perf_counter() - began, 1)
         out.mkdir(parents=True, exist_ok=True)
-        save(_checked(made, name), file)
+        figure = _checked(made, name)
+        if isinstance(figure, Avatar):
+            save(figure, file)
+        else:
+            save_gltf_mesh(figure, file)
         kept = {"key": wanted, "seconds": seconds}
         replace_file(note, [json.dumps(kept).encode()])
     figure = _checked(load_item(file, False), name)

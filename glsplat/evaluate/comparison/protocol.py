@@ -49,8 +49,8 @@ class Protocol:
             wrong = [word for word in getattr(self, name) if word not in known]
             if wrong or not getattr(self, name):
                 raise GlsplatError(f"{name} are some of {', '.join(known)}, not {wrong[0] if wrong else 'none'!r:.40}")
-        if wrong := set(self.more) - set(MORE):
-            raise GlsplatError(f"further measures are {', '.join(MORE)}, not {min(wrong)!r:.30}")
+        if strange := set(self.more) - set(MORE):
+            raise GlsplatError(f"further measures are {', '.join(MORE)}, not {min(strange)!r:.30}")
         if not 1 <= self.moments <= 100:
             raise GlsplatError(f"a motion is looked at in 1 to 100 moments, not {self.moments}")
 

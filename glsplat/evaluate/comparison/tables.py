@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -12,8 +13,9 @@ from glsplat.evaluate.comparison.control import CONTROLS
 from glsplat.evaluate.comparison.measure import BOXED, MEASURES, OVERLAP, PARTED
 from glsplat.evaluate.comparison.parts import PARTS
 from glsplat.evaluate.comparison.work import Result
+from glsplat.evaluate.statistics import compare
 
-__all__ = ["PAPER", "by_moment", "by_part", "by_participant", "by_view", "failures", "means", "summary"]
+__all__ = ["PAPER", "by_moment", "by_part", "by_participant", "by_view", "compared", "failures", "means", "summary"]
 
 F64 = NDArray[np.float64]
 
@@ -46,7 +48,17 @@ def summary(results: Sequence[Result], methods: Sequence[str], people: int) -> l
 
 
 def compared(results: Sequence[Result], methods: Sequence[str], seed: int) -> list[dict[str, Any]]:
-    return []
+    """A row a control, measure and pair of methods: statistics.Paired; the pairs of one measure are one family."""
+    rows = []
+    for control in CONTROLS:
+        for measure in _measures(results):
+            values = {method: means(results, method, control, measure) for method in methods}
+            for pair in compare(values, seed):
+                found = {
+                    key: _round(value) if isinstance(value, float) else value for key, value in asdict(pair).items()
+                }
+                rows.append({"control": control, "measure": measure, **found, "missing": list(pair.missing)})
+    return rows
 
 
 def by_participant(results: Sequence[Result], methods: Sequence[str]) -> list[dict[str, Any]]:
@@ -116,7 +128,7 @@ def _along(
 
 def _measures(results: Sequence[Result]) -> list[str]:
     """Those that were taken, the paper's first."""
-    taken = next((one.data["values"][CONTROLS[0]] for one in results if not one.failed), {})
+    taken: Mapping[str, Any] = next((one.data["values"][CONTROLS[0]] for one in results if not one.failed), {})
     first = [*MEASURES, *BOXED, OVERLAP]
     return [name for name in (*first, *(set(taken) - set(first))) if name in taken]
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from glsplat.errors import GlsplatError
 from glsplat.evaluate.comparison.control import CONTROLS, recorded, tracked, true_poses
-from glsplat.evaluate.comparison.measure import Measuring
+from glsplat.evaluate.comparison.measure import Known, Measuring
 from glsplat.evaluate.comparison.method import Folder
 from glsplat.evaluate.comparison.participant import Participant
 from glsplat.evaluate.comparison.performance import Performance, perform, perform_motion
@@ -120,21 +120,11 @@ def _drawn(task: Task, made: Mapping[str, Product], tell: Tell) -> dict[str, tup
                 entries[method] = _Entry(stage.add(one.figure), poses, Measuring(protocol, moments), Sheet(moments))
             except GlsplatError as error:
                 out[method] = str(error), Sheet(moments)
-        measuring = next(iter(entries.values())).measuring if entries else None
-        for moment, view, share in _moments(moments, protocol):
+        for moment, view, share in _moments(moments, protocol) if entries else ():
             tell(f"{task.participant.name}: pictures", _MAKING + (1 - _MAKING) * share)
-            truth = stage.truth(moment, protocol.views[view])
-            known = measuring.known(truth) if measuring else None
+            known = Known.of(stage.truth(moment, protocol.views[view]), protocol)
             for entry in entries.values():
-                drawn = {}
-                for control, poses in entry.poses.items():
-                    drawn[control] = stage.draw(entry.figure, truth.cameras, poses[moment])
-                    entry.measuring.add(control, moment, view, known, drawn[control])
-                if protocol.views[view] in _SHEET_VIEWS:
-                    side = protocol.views[view]
-                    entry.sheet.put(f"{side}: participant", moment, truth.pictures[0])
-                    for control, pictures in drawn.items():
-                        entry.sheet.put(f"{side}: by {control}", moment, pictures[0])
+                _compare(entry, stage, known, moment, view, protocol.views[view])
         for method, entry in entries.items():
             data = {
                 "product": dict(made[method].facts),
@@ -145,6 +135,17 @@ def _drawn(task: Task, made: Mapping[str, Product], tell: Tell) -> dict[str, tup
             }
             out[method] = data, entry.sheet
     return out
+
+
+def _compare(entry: _Entry, stage: Stage, known: Known, moment: int, view: int, side: str) -> None:
+    """Draw an avatar under both controls as the truth was drawn, and measure it."""
+    if side in _SHEET_VIEWS:
+        entry.sheet.put(f"{side}: participant", moment, known.truth.pictures[0])
+    for control, poses in entry.poses.items():
+        pictures = stage.draw(entry.figure, known.truth.cameras, poses[moment])
+        entry.measuring.add(control, moment, view, known, pictures)
+        if side in _SHEET_VIEWS:
+            entry.sheet.put(f"{side}: by {control}", moment, pictures[0])
 
 
 @dataclass(frozen=True, eq=False)

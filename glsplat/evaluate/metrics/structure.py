@@ -10,7 +10,7 @@ from glsplat.errors import GlsplatError
 
 from .pixels import WHOLE, Box, checked
 
-__all__ = ["ssim", "ssim_map"]
+__all__ = ["inner_mean", "ssim", "ssim_map"]
 
 _SIGMA, _RADIUS = 1.5, 5  # pixels: the window of 11 x 11 of the publication
 _C1, _C2 = 0.01**2, 0.03**2  # of white
@@ -32,13 +32,20 @@ def ssim(picture: NDArray[np.floating], truth: NDArray[np.floating], box: Box = 
     What scikit-image's ``structural_similarity`` gives with gaussian_weights, sigma 1.5, use_sample_covariance False.
     Raises GlsplatError where nothing is left.
     """
-    height, width = picture.shape[:2]
-    inside = np.zeros((height, width), bool)
-    inside[box] = True
-    inside[:_RADIUS] = inside[height - _RADIUS :] = inside[:, :_RADIUS] = inside[:, width - _RADIUS :] = False
-    if min(height, width) <= 2 * _RADIUS or not inside.any():
+    return inner_mean(ssim_map(picture, truth), box)
+
+
+def inner_mean(local: NDArray[np.float64], box: Box = WHOLE) -> float:
+    """The mean of a map [H, W, 3] of ``ssim_map`` over ``box``; see ``ssim``."""
+    height, width = local.shape[:2]
+    rows, columns = (
+        slice(max(start, _RADIUS), max(min(stop, length - _RADIUS), 0))
+        for length, (start, stop, _) in ((n, part.indices(n)) for n, part in zip((height, width), box, strict=True))
+    )
+    inside = local[rows, columns]
+    if not inside.size:
         raise GlsplatError(f"SSIM needs pixels {_RADIUS} away from the border; this {width}x{height} picture has none")
-    return float(ssim_map(picture, truth)[inside].mean())
+    return float(inside.mean())
 
 
 def _blur(image: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from glsplat.evaluate.comparison.measure import Measuring
+from glsplat.evaluate.comparison.measure import Known, Measuring
 from glsplat.evaluate.comparison.participant import Participant
 from glsplat.evaluate.comparison.parts import PARTS
 from glsplat.evaluate.comparison.performance import perform
@@ -31,7 +31,7 @@ def truths(people: list[Participant]) -> tuple[Truth, Truth]:
 
 def measured(truth: Truth, pictures: np.ndarray) -> dict:
     measuring = Measuring(PROTOCOL, 1)
-    measuring.add("pose", 0, 0, measuring.known(truth), pictures)
+    measuring.add("pose", 0, 0, Known.of(truth, PROTOCOL), pictures)
     return measuring.to_json(9)
 
 
