@@ -23,6 +23,7 @@ from glsplat.evaluate.comparison.protocol import LIGHTS, MORE, VIEWS, Protocol
 from glsplat.evaluate.comparison.work import Result, Task, finished
 from glsplat.evaluate.comparison.workers import run_tasks
 from glsplat.formats.files import replace_file
+from glsplat.motion.motion import embedded_motions
 
 from ..usage import UsageError
 from .html import page
@@ -144,11 +145,11 @@ def _protocol(args: argparse.Namespace) -> Protocol:
         words = tuple(_words(args.poses, "--poses"))
         if all(word in TASKS for word in words):
             tasks = words
-        elif len(words) == 1:
+        elif len(words) == 1 and (words[0] in embedded_motions() or Path(words[0]).exists()):
             motion = words[0]
         else:
             wrong = next(word for word in words if word not in TASKS)
-            raise UsageError(f"--poses: {wrong!r:.40} is none of {', '.join(TASKS)}")
+            raise UsageError(f"--poses: {wrong!r:.40} is no motion and none of {', '.join(TASKS)}")
     more = tuple(_words(args.measure, "--measure")) if args.measure else ()
     return Protocol(tasks=tasks, motion=motion, views=views, size=args.size, light=args.light, more=more)
 

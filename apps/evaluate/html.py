@@ -92,7 +92,7 @@ def _statistics(rows: Sequence[Mapping[str, Any]]) -> list[str]:
     out = ["<h2>Methods in pairs</h2>"]
     out.append(
         "<p>Differences (first less second) over participants that both have: mean, its bootstrap interval, the "
-        "matched-pairs rank-biserial correlation, and Wilcoxon's signed-rank test, corrected by Holm for the pairs of a "
+        "matched-pairs rank-biserial correlation, Wilcoxon's signed-rank test, corrected by Holm for the pairs of a "
         "measure.</p>"
     )
     for control in CONTROLS:
