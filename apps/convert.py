@@ -1,4 +1,4 @@
-"""``glsplat convert``: from one format of splats and avatars to another."""
+"""``glsplat convert``: from one format of splats and avatars to another, and textured meshes to glTF."""
 
 from __future__ import annotations
 
@@ -7,11 +7,13 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
-from glsplat.avatar import Avatar
 from glsplat.errors import FormatError
-from glsplat.formats import load, losses, save, suffixes
+from glsplat.formats import losses, save, suffixes
 from glsplat.formats.scene_file import upright
 from glsplat.formats.transform import transformed
+from glsplat.making.items import load_item
+from glsplat.meshes import RiggedMesh
+from glsplat.scene import Content
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.splats import Splats
 
@@ -21,14 +23,14 @@ __all__ = ["EXAMPLE", "HELP", "add_arguments", "run", "turned"]
 
 HELP = (
     f"Convert between {suffixes(last='and')} (3DGS PLY, KHR_gaussian_splatting); the output's suffix decides. "
-    "With --up the output has y up."
+    "With --up the output has y up. Textured meshes (.glb, .gltf, .obj, a person .npz) become .glb or .gltf."
 )
 EXAMPLE = "glsplat convert scene.ply scene.glb"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command line."""
-    parser.add_argument("input", metavar="IN", help=f"a {suffixes()}, recognised by content")
+    parser.add_argument("input", metavar="IN", help=f"a {suffixes()}, recognised by content, or a mesh")
     parser.add_argument("output", metavar="OUT", help=f"file to write, ending in {suffixes()}")
     add_up(parser)
     parser.add_argument("--strict", action="store_true", help="refuse a file with NaN or infinity")
@@ -38,22 +40,33 @@ def run(args: argparse.Namespace) -> int:
     """Convert one file; what the output's format cannot hold is said on stderr. Raises FormatError."""
     if not Path(args.input).exists():
         raise FormatError(f"{args.input}: no such file; give a {suffixes()}")
-    scene = turned(load(args.input, strict=args.strict), args.up)
+    scene = turned(load_item(Path(args.input), args.strict), args.up)
+    if isinstance(scene, RiggedMesh):
+        _save_mesh(scene, args.output)
+        return 0
     save(scene, args.output)
     for loss in losses(scene, args.output):
         print(f"glsplat convert: {args.output}: {loss}", file=sys.stderr)
     return 0
 
 
-def turned(scene: Splats | Avatar, up: str) -> Splats | Avatar:
+def _save_mesh(mesh: RiggedMesh, output: str) -> None:
+    if Path(output).suffix.lower() not in (".glb", ".gltf"):
+        raise FormatError(f"{output}: a mesh is written as .glb or .gltf; change the name")
+    from glsplat.formats.gltf_mesh import save_gltf_mesh  # here: images need OpenCV
+
+    save_gltf_mesh(mesh, output)
+
+
+def turned(scene: Content, up: str) -> Content:
     """The scene turned for good, so that the axis ``up`` becomes y: means, rotations, colours' directions, the rig."""
     turn = upright(up)
-    if not isinstance(scene, Avatar):
+    if isinstance(scene, Splats):
         return transformed(scene, turn)
-    rig = scene.skeleton
     if up == "y":
         return scene
-    bind = rig.inverse_bind @ turn.T
-    return replace(
-        scene, splats=transformed(scene.splats, turn), skeleton=Skeleton(rig.names, rig.parents, turn @ rig.rest, bind)
-    )
+    rig = scene.skeleton
+    skeleton = Skeleton(rig.names, rig.parents, turn @ rig.rest, rig.inverse_bind @ turn.T)
+    if isinstance(scene, RiggedMesh):
+        return replace(scene, vertices=scene.vertices @ turn[:3, :3].T, skeleton=skeleton)
+    return replace(scene, splats=transformed(scene.splats, turn), skeleton=skeleton)

@@ -58,7 +58,8 @@ def run(args: argparse.Namespace) -> int:
         print(json.dumps(report, indent=1) if args.json else _text(report))
         return 0
     whole = describe_scene(file, args.scene)
-    print(json.dumps(whole, indent=1) if args.json else _scene_text(whole))
+    text = _mesh_text if whole["kind"] == "mesh" else _scene_text
+    print(json.dumps(whole, indent=1) if args.json else text(whole))
     return 0
 
 
@@ -73,6 +74,8 @@ def describe_scene(file: SceneFile, path: str) -> dict[str, Any]:
         entry["bounds"] = None if box is None else {"min": box[0].tolist(), "max": box[1].tolist()}  # of 98 %
         if isinstance(content, RiggedMesh):
             entry |= {"kind": "mesh", "triangles": len(content.faces), "parts": len(content.parts)}
+            entry["textures"] = [[part.name, part.texture.shape[1], part.texture.shape[0]] for part in content.parts]
+            entry["meta"] = dict(content.meta)
         else:
             entry["splats"] = len(splats_of(content))
         if not isinstance(content, Splats):
@@ -84,6 +87,7 @@ def describe_scene(file: SceneFile, path: str) -> dict[str, Any]:
     return {
         "file": path,
         "kind": "scene" if is_scene(path) else "mesh",
+        "file_bytes": Path(path).stat().st_size,
         "up": file.up,
         "background": list(file.background),
         "duration": file.duration,
@@ -109,6 +113,35 @@ def _scene_text(report: dict[str, Any]) -> str:
         words += [] if entry["visible"] else ["hidden"]
         lines.append(f"  {entry['item']:<4} {entry['name'] or '-'}: " + ", ".join(words))
     return "\n".join("".join(c if c.isprintable() else "?" for c in line) for line in lines)
+
+
+def _mesh_text(report: dict[str, Any]) -> str:
+    """A file that is one mesh."""
+    entry = report["items"][0]
+    lines = [
+        f"{report['file']}: mesh, {entry['triangles']:,} triangles, {entry['parts']} parts, {entry['joints']} joints"
+    ]
+    rows = [("size", f"{report['file_bytes'] / 1e6:.2f} MB on disk")]
+    rows.append(("textures", ", ".join(f"{name} {wide} x {high}" for name, wide, high in entry["textures"])))
+    if bounds := entry["bounds"]:
+        rows.append(("bounds", _bounds_said(bounds)))
+    rows += [(key, _said(key, value)) for key, value in entry["meta"].items()]
+    return _wrapped(lines, rows)
+
+
+def _wrapped(lines: list[str], rows: list[tuple[str, str]]) -> str:
+    for key, text in rows:
+        # control characters of a stranger's file stay out of the terminal
+        clean = "".join(c if c.isprintable() else "?" for c in f"  {key:12} {text}")
+        lines += textwrap.wrap(clean, 110, subsequent_indent=" " * 15)
+    return "\n".join(lines)
+
+
+def _bounds_said(bounds: dict[str, list[float]]) -> str:
+    axes = (
+        f"{axis} {low:.4g} to {high:.4g}" for axis, low, high in zip("xyz", bounds["min"], bounds["max"], strict=True)
+    )
+    return ", ".join(axes) + " m"
 
 
 def describe(scene: Splats | Avatar, path: str | Path | None) -> dict[str, Any]:
@@ -212,11 +245,7 @@ def _text(report: dict[str, Any]) -> str:
     cones = "every splat has one" if report["cones"] else "none; --cull-hidden needs them (glsplat avatar cones)"
     rows.append(("cones", cones))
     if bounds := report["bounds"]:
-        axes = (
-            f"{axis} {low:.4g} to {high:.4g}"
-            for axis, low, high in zip("xyz", bounds["min"], bounds["max"], strict=True)
-        )
-        rows.append(("bounds", ", ".join(axes) + " m"))
+        rows.append(("bounds", _bounds_said(bounds)))
     for key, unit in (("scale", " m (longest axis)"), ("opacity", "")):
         if values := report[key]:
             rows.append((key, ", ".join(f"{p} {value:.4g}" for p, value in values.items()) + unit))
@@ -234,8 +263,4 @@ def _text(report: dict[str, Any]) -> str:
         rows += [(key, _said(key, value)) for key, value in ({"consent": "not stated"} | rig["meta"]).items()]
     unusual = [f"{count:,} {name}: {_UNUSUAL[name]}" for name, count in report["unusual"].items()]
     rows += [("unusual", text) for text in unusual] or [("unusual", "nothing")]
-    for key, text in rows:
-        # control characters of a stranger's file stay out of the terminal
-        clean = "".join(c if c.isprintable() else "?" for c in f"  {key:12} {text}")
-        lines += textwrap.wrap(clean, 110, subsequent_indent=" " * 15)
-    return "\n".join(lines)
+    return _wrapped(lines, rows)
