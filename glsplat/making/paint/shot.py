@@ -97,7 +97,7 @@ class Shot:
     def sample(self, pixels: F64) -> F64:
         """[M, 3] linear light at pixels [M, 2], bilinear; beyond the outline, that of the person's nearest pixel."""
         side = 256  # OpenCV's remap wants pictures, of less than 32767 pixels a side
-        rows = -(-len(pixels) // side)
+        rows = max(1, -(-len(pixels) // side))
         flat = np.zeros((rows * side, 2), np.float32)
         flat[: len(pixels)] = pixels - 0.5
         x, y = (np.ascontiguousarray(flat[:, axis].reshape(rows, side)) for axis in (0, 1))

@@ -8,7 +8,7 @@ import pytest
 from glsplat.making.fit.body import vertex_normals
 from glsplat.making.paint.colour import to_linear, to_srgb
 from glsplat.making.paint.light import find_light
-from glsplat.making.paint.paint import paint
+from glsplat.making.paint.paint import paint, painter_of
 from glsplat.making.paint.scatter import scatter
 from glsplat.making.paint.shot import SurfacePoints
 from glsplat.making.paint.twins import find_twins
@@ -61,6 +61,17 @@ def test_seen_points_have_the_pictures_colours() -> None:
     assert 0.1 < seen.mean() < 0.5
     assert np.median(np.abs(painted.rgb - truth(scene, points))[seen].mean(axis=1)) < 0.01
     assert not painted.seen[points.directions(scene.shots[0].normals)[:, 2] > 0.1].any()  # they face away
+
+
+def test_colours_alone_are_those_of_the_whole_paint() -> None:
+    scene = photographed("front")
+    points = some_points(scene)
+    painter = painter_of(scene.body, scene.shots, points)
+    painted = painter.paint(points)
+    assert np.abs(painter.colours(points) - painted.rgb).max() < 1e-5
+    for some in (painted.seen == 1, painted.seen == 0, np.zeros(len(painted.seen), bool)):
+        few = SurfacePoints(points.corners[some], points.weights[some])
+        assert np.abs(painter.colours(few) - painted.rgb[some]).max(initial=0) < 1e-5
 
 
 def test_the_back_is_darker_cloth_not_bright_cloth() -> None:

@@ -16,9 +16,11 @@ from glsplat.making.fit.view import View
 from glsplat.making.paint.dress import dressed_mesh
 from glsplat.making.photo.capture import Capture, Finding
 from glsplat.making.reconstruct import photos
-from glsplat.making.reconstruct.builtin import Made
+from glsplat.making.reconstruct.builtin import Dressed, Made
+from glsplat.making.texture import baked
+from tests.making.paint.scene import photographed
 
-__all__ = ["Detailed", "Plain", "fitting", "misfitting", "replace_check", "small_avatar"]
+__all__ = ["Detailed", "Meshed", "Plain", "fitting", "misfitting", "replace_check", "small_avatar"]
 
 
 def replace_check(monkeypatch: Any) -> dict[str, tuple[Finding, ...]]:
@@ -88,6 +90,19 @@ class Detailed(Plain):
             fit = fit_body(views, options.height)
             mesh = dressed_mesh(open_body(), fit)
         return Made(avatar=self.result, fit=fit, mesh=mesh, unseen=0.43, seen=np.zeros(0), problem=self.problem)  # type: ignore[arg-type]
+
+
+@dataclass
+class Meshed(Detailed):
+    """Makes meshes, too: a made-up body in one colour."""
+
+    def mesh(self, pictures: Any, masks: Any, options: Any) -> Dressed:
+        self.calls.append((pictures, masks, options))
+        person = photographed("front")
+        mesh = baked(person.mesh, lambda points: np.full((len(points.corners), 3), 0.3), options.texture)
+        view = SimpleNamespace(overlap=0.5, strays=9.0)
+        fit: Any = SimpleNamespace(views=[view] * len(pictures), stature=1.7)
+        return Dressed(fit=fit, mesh=mesh, unseen=0.43, seen=np.zeros(0), problem=self.problem)
 
 
 def fitting() -> Detailed:
