@@ -27,9 +27,10 @@ _MARGIN = 2  # texels about a part that has a texture of its own
 
 
 def baked(mesh: RiggedMesh, colours: Colours, size: int = 2048) -> RiggedMesh:
-    """``mesh`` with new textures: ``colours`` gives sRGB [M, 3] in [0, 1] for points of the surface.
+    """``mesh`` with new, opaque textures: ``colours`` gives sRGB [M, 3] in [0, 1] for points of the surface.
 
-    The largest part's texture has ``size`` texels a side and keeps its texture coordinates, which must not overlap.
+    The largest part's texture has ``size`` texels a side and keeps its texture coordinates, which must lie in [0, 1]
+    and not overlap.
     Small parts (eyes, the mouth) are spread over textures of their own, a quarter as long on the longer side: packed
     beside the skin, an iris would have five texels. Around the triangles the nearest colour is carried on to the
     edges, so that no lookup mixes in what nobody painted. Raises FormatError for a size out of bounds.
