@@ -59,10 +59,10 @@ def frames_of(sources: Sequence[FrameSource], count: int) -> tuple[list[FramePic
     if len(sources) == 1 and is_video(sources[0]):
         return [(f"frame {number}", rgb, None) for number, rgb in enumerate(read_frames(sources[0], count), 1)], True
     if len(sources) < FEWEST:
-        what = "neither a video nor" if len(sources) == 1 else "only"
+        few = "neither a video nor several pictures" if len(sources) == 1 else f"only {len(sources)} pictures"
         raise FormatError(
-            f"{sources[0]}: {what} {len(sources)} picture{'s' * (len(sources) > 1)}; give a video "
-            f"(.mp4, .mov, .webm, .mkv, .avi), or at least {FEWEST} pictures from all around"
+            f"{sources[0]}: {few}; give a video (.mp4, .mov, .webm, .mkv, .avi), or at least {FEWEST} pictures "
+            "from all around"
         )
     pictures: list[FramePicture] = []
     for source in sources:

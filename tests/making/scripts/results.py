@@ -19,6 +19,7 @@ import numpy as np
 
 from glsplat.avatar import Avatar
 from glsplat.camera import Camera, look_at
+from glsplat.evaluate.lit import lit_picture
 from glsplat.formats import load
 from glsplat.making.photo.capture import check_capture
 from glsplat.making.photo.photo_file import read_photo
@@ -28,7 +29,6 @@ from glsplat.renderer import Renderer
 from glsplat.skinning.pose import Pose
 from tests.conftest import SHARED_DATA
 from tests.making.captures import capture
-from glsplat.evaluate.lit import lit_picture
 
 SIZE, CROP = 320, 0.66  # pixels; share of the square's width that the sheets show
 VIEWS = {"front": 0, "left": 90, "back": 180, "right": 270}  # degrees to the person's left
