@@ -15,7 +15,7 @@ from glsplat.making.fit.body import open_body
 from glsplat.making.fit.details import fit_details
 from glsplat.making.fit.eyes import read_eyes
 from glsplat.making.fit.fit import BodyFit, FittedView
-from glsplat.making.fit.turning import fit_turning
+from glsplat.making.fit.turning import fit_turning, key_views
 from glsplat.making.fit.view import View
 from glsplat.making.paint.dress import dressed_mesh
 from glsplat.making.paint.fuse import Fusion, fusion_of
@@ -98,12 +98,14 @@ def reconstruct_frames(
         options.progress("baking the texture", 0.85)
         thing = baked(mesh, fusion.colours, options.texture)
     else:
-        thing = _splats(mesh, fusion, shots, options)
+        thing = _splats(mesh, fusion, frames, shots, options)
     options.progress("painting", 1.0)
     return Filmed(thing, fit, mesh, frames, _unseen(mesh, fusion), problem)
 
 
-def _splats(mesh: RiggedMesh, fusion: Fusion, shots: Sequence[Shot], options: Options) -> Avatar:
+def _splats(
+    mesh: RiggedMesh, fusion: Fusion, frames: Sequence[Frame], shots: Sequence[Shot], options: Options
+) -> Avatar:
     rng = np.random.default_rng(options.seed)
     strewn = scatter(mesh, options.splats, rng)
     painted = fusion.paint(strewn.points)
@@ -111,7 +113,8 @@ def _splats(mesh: RiggedMesh, fusion: Fusion, shots: Sequence[Shot], options: Op
     avatar = strewn.avatar(mesh, painted.rgb, painted.busy, rng)
     if options.steps:
         options.progress("fitting to the frames", 0.9)
-        avatar = sharpened(avatar, shots, options.steps)
+        some = key_views([frame.turn for frame in frames])  # all together ask for nearly the same, in gigabytes
+        avatar = sharpened(avatar, [shots[index] for index in some], options.steps)
     return avatar
 
 

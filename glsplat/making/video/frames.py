@@ -10,12 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.errors import CaptureError, FormatError
+from glsplat.making.fit.view import apart
 from glsplat.making.networks.people import Person
 from glsplat.making.photo.capture import check_capture
 from glsplat.making.photo.photo_file import read_photo
 from glsplat.making.photo.sharpness import blur_of
 from glsplat.making.video.film import FEWEST, is_video, read_frames
-from glsplat.making.video.turns import apart, facing_as, facings
+from glsplat.making.video.turns import facing_as, facings
 
 __all__ = ["FEWEST", "Frame", "FramePicture", "FrameSource", "check_frames", "frames_of"]
 

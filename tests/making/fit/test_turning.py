@@ -58,9 +58,8 @@ def test_derivatives_of_what_is_known(rng: np.random.Generator) -> None:
 
 
 def test_keys_look_from_all_around() -> None:
-    views = [blank(turn=float(turn)) for turn in (170, 10, 100, 355, 80, 190, 260)]
-    keys = key_views(views, 4)
-    assert [views[key].turn for key in keys] == [355, 80, 170, 260]
+    turns = [170.0, 10.0, 104.0, 355.0, 80.0, 190.0, 260.0]
+    assert [turns[key] for key in key_views(turns, 4)] == [355, 80, 170, 260]
 
 
 def test_somebody_who_turns_is_found_again() -> None:

@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from glsplat.making.fit.view import apart
 from glsplat.making.networks.person import LANDMARKS
-from glsplat.making.video.turns import apart, facings
+from glsplat.making.video.turns import facings
 
 
 def person(turn: float, face: float | None = None) -> Any:
