@@ -24,12 +24,17 @@ def made(side: str = "front", *, tilt: float = 0.08, seed: int = 3) -> tuple[Vie
     return view, posed.joints, float(size + grows @ solver.betas)
 
 
-def posed_view(side: str = "front", *, tilt: float = 0.08, seed: int = 3) -> tuple[View, Posed, Solver]:
-    """The same with the posed body and the solver that holds its numbers."""
+def posed_view(
+    side: str = "front", *, tilt: float = 0.08, seed: int = 3, turn: float | None = None, told: float | None = None
+) -> tuple[View, Posed, Solver]:
+    """The same with the posed body and the solver that holds its numbers.
+
+    With a ``turn`` in degrees they stand that way, and the view says that it were ``told``.
+    """
     rng = np.random.default_rng(seed)
     body = open_body()
     blank = View(np.ones((480, 320), bool), np.full((LANDMARK_COUNT, 2), 160.0), np.ones(LANDMARK_COUNT), FOCAL)
-    view = View(blank.mask, blank.landmarks, blank.visibility, FOCAL, side=side)
+    view = View(blank.mask, blank.landmarks, blank.visibility, FOCAL, side=side, turn=turn)
     solver = Solver(body, landmarks(), [view], 1.7)
     solver.x[1:BETAS] = rng.normal(0, 0.7, BETAS - 1)
     place = [0.05, 0.1, 3.0, tilt, 0.1, 0.02]
@@ -40,4 +45,5 @@ def posed_view(side: str = "front", *, tilt: float = 0.08, seed: int = 3) -> tup
     table = landmarks()
     marks[table.numbers] = projected(posed.points(table.points(body)), FOCAL, view.centre)[0]
     mask = projected_mask(pixels, body.faces, SIZE)
-    return View(mask, marks, np.ones(LANDMARK_COUNT), FOCAL, side=side), posed, solver
+    seen = View(mask, marks, np.ones(LANDMARK_COUNT), FOCAL, side=side, turn=turn if told is None else told)
+    return seen, posed, solver

@@ -30,14 +30,16 @@ _EVENED = 20  # times
 def outward(body: Body, bare: F64) -> F64:
     """[V, 3] unit directions in which clothes and hair lie on the surface ``bare`` [V, 3] of the zero pose.
 
-    They are the normals; on the head behind the face, the skull's, so that ears under hair move as a whole.
+    They are the normals; on the head behind the face, the skull's, so that ears under hair move as a whole; on toes,
+    the foot's, so that a shoe's cap does not bristle.
     """
     normals = vertex_normals(bare, body.faces)
-    head = (body.part == JOINT_NAMES.index("head")) & body.skin & (body.vertices[:, 2] < _EARS)
-    shares = 1 / np.asarray(body.neighbours.sum(axis=1)).ravel()[head]
-    near = diags(shares) @ body.neighbours[head]
+    folded = (body.part == JOINT_NAMES.index("head")) & body.skin & (body.vertices[:, 2] < _EARS)
+    folded |= np.isin(body.part, [JOINT_NAMES.index(f"{side}_foot") for side in ("left", "right")])
+    shares = 1 / np.asarray(body.neighbours.sum(axis=1)).ravel()[folded]
+    near = diags(shares) @ body.neighbours[folded]
     for _ in range(_EVENED):
-        normals[head] = near @ normals
+        normals[folded] = near @ normals
     return np.asarray(normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30))
 
 

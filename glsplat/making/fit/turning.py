@@ -20,9 +20,9 @@ from glsplat.making.fit.landmarks import landmarks
 from glsplat.making.fit.offsets import outward
 from glsplat.making.fit.prior import HINGES
 from glsplat.making.fit.solver import Known, Solver
-from glsplat.making.fit.view import View
+from glsplat.making.fit.view import View, apart
 
-__all__ = ["apart", "fit_turning", "key_views"]
+__all__ = ["fit_turning", "key_views"]
 
 F64 = NDArray[np.float64]
 
@@ -30,17 +30,11 @@ _KEYS = 8  # views that tell the shape
 _DRESSED = 2  # times that the views are posed to the dressed body and it is dressed anew
 
 
-def apart(first: float, second: float) -> float:
-    """Degrees between two directions, 0 to 180."""
-    return abs((first - second + 180) % 360 - 180)
-
-
-def key_views(views: Sequence[View], count: int = _KEYS) -> list[int]:
-    """Numbers of at most ``count`` views that look from all around; the one nearest to the front is the first."""
-    turns = [view.turn for view in views]
+def key_views(turns: Sequence[float], count: int = _KEYS) -> list[int]:
+    """Numbers of at most ``count`` of the views with these turns in degrees that look from all around, front first."""
     keys: list[int] = []
     for wanted in np.arange(count) * 360.0 / count:
-        best = min(range(len(views)), key=lambda index: (apart(turns[index], float(wanted)), index))
+        best = min(range(len(turns)), key=lambda index: (apart(turns[index], float(wanted)), index))
         if best not in keys:
             keys.append(best)
     return keys
@@ -61,7 +55,7 @@ def fit_turning(
         raise FormatError("a fit of somebody who turns needs at least two pictures")
     body = body or open_body()
     small = [view.smaller(FIGURE) for view in views]
-    keys = key_views(small)
+    keys = key_views([view.turn for view in small])
     first = Solver(body, landmarks(), [small[key] for key in keys], height)
     converge(first)
     progress(0.3)

@@ -12,7 +12,7 @@ from glsplat.arrays import own
 from glsplat.errors import FormatError
 from glsplat.making.fit.landmarks import LANDMARK_COUNT
 
-__all__ = ["SIDES", "View"]
+__all__ = ["SIDES", "View", "apart"]
 
 F64 = NDArray[np.float64]
 
@@ -20,6 +20,11 @@ SIDES: dict[str, float] = {"front": 0.0, "right": 90.0, "back": 180.0, "left": -
 """Side of the person that a picture shows -> degrees that they have turned to their own left to show it."""
 
 _LEAST_FIGURE = 64  # pixels
+
+
+def apart(first: float, second: float) -> float:
+    """Degrees between two directions, 0 to 180."""
+    return abs((first - second + 180) % 360 - 180)
 
 
 @dataclass(frozen=True, eq=False, init=False)
@@ -75,7 +80,7 @@ class View:
         if turn is not None:
             if not np.isfinite(turn):
                 raise FormatError(f"a view's turn needs degrees, not {turn}")
-            side = min(SIDES, key=lambda name: abs((turn - SIDES[name] + 180) % 360 - 180))
+            side = min(SIDES, key=lambda name: apart(turn, SIDES[name]))
         keep = object.__setattr__
         keep(self, "mask", seen)
         keep(self, "landmarks", where)

@@ -32,7 +32,6 @@ _EVENED = 12  # times that scores are averaged with the neighbours'
 _SOFT = 0.02  # of the score: what is worse by this much counts a third
 _FEW = 0.02  # of the weight; less is left out
 _FACE_FIRST = 0.6  # that a face's score is better in the front than elsewhere
-_BLURRED = 0.3  # that a picture's score is worse for being the least sharp of all
 _DIGITS = 6
 
 
@@ -75,9 +74,12 @@ class Fusion:
 
 
 def fusion_of(
-    body: Body, shots: Sequence[Shot], looks: Mapping[str, EyeLook] | None = None, blur: Sequence[float] = ()
+    body: Body, shots: Sequence[Shot], looks: Mapping[str, EyeLook] | None = None, doubts: Sequence[float] = ()
 ) -> Fusion:
-    """Which of the ``shots``, the front first, shows what best; ``blur`` of each from 0 to 1, where it is known."""
+    """Which of the ``shots``, the front first, shows what best; ``doubts`` are what each one's score is worse by.
+
+    A score is the cosine between the surface and the line of sight.
+    """
     near = body.neighbours
     degree = np.maximum(np.asarray(near.sum(axis=1)).ravel(), 1)
     trust = np.stack([shot.trust for shot in shots], axis=1) * (body.skin | _eyes(body))[:, None]  # [V, N]
@@ -86,9 +88,8 @@ def fusion_of(
     hidden = near @ (trust <= 0).astype(float) / degree[:, None]
     clear = trust * (1 - hidden)
     score = square.clip(0, 1) * (clear > 0)
-    if len(blur):
-        worst = np.asarray(blur, float) - min(blur)
-        score = score - _BLURRED * worst
+    if len(doubts):
+        score = score - np.asarray(doubts, float)
     score[face_of(body), 0] += _FACE_FIRST
     for _ in range(_EVENED):
         score = 0.5 * score + 0.5 * (near @ score) / degree[:, None]

@@ -14,8 +14,8 @@ from glsplat.errors import CaptureError, FormatError
 from glsplat.making.fit.body import open_body
 from glsplat.making.fit.details import fit_details
 from glsplat.making.fit.eyes import read_eyes
-from glsplat.making.fit.fit import BodyFit
-from glsplat.making.fit.turning import fit_turning
+from glsplat.making.fit.fit import BodyFit, FittedView
+from glsplat.making.fit.turning import fit_turning, key_views
 from glsplat.making.fit.view import View
 from glsplat.making.paint.dress import dressed_mesh
 from glsplat.making.paint.fuse import Fusion, fusion_of
@@ -38,6 +38,7 @@ FRAMES = 30
 _MOST_FRAMES = 120
 _HARDLY = 0.1  # of a point that a frame shows too flatly to be believed
 _MET, _GOOD = 0.85, 0.93  # overlap with the mask below which a frame is not used, and least median of all
+_BLURRED, _MISSED = 0.3, 1.0  # of the cosine between surface and sight
 _LEAST_USED = 0.7  # share of the frames
 
 
@@ -91,18 +92,20 @@ def reconstruct_frames(
         for frame, view in zip(frames, fit.views, strict=True)
     ]
     looks = read_eyes(frames[0].picture, frames[0].person.face)
-    fusion = fusion_of(body, shots, looks, [frame.blur for frame in frames])
+    fusion = fusion_of(body, shots, looks, [_doubt(frame, view) for frame, view in zip(frames, fit.views, strict=True)])
     thing: RiggedMesh | Avatar
     if form == "mesh":
         options.progress("baking the texture", 0.85)
         thing = baked(mesh, fusion.colours, options.texture)
     else:
-        thing = _splats(mesh, fusion, shots, options)
+        thing = _splats(mesh, fusion, frames, shots, options)
     options.progress("painting", 1.0)
     return Filmed(thing, fit, mesh, frames, _unseen(mesh, fusion), problem)
 
 
-def _splats(mesh: RiggedMesh, fusion: Fusion, shots: Sequence[Shot], options: Options) -> Avatar:
+def _splats(
+    mesh: RiggedMesh, fusion: Fusion, frames: Sequence[Frame], shots: Sequence[Shot], options: Options
+) -> Avatar:
     rng = np.random.default_rng(options.seed)
     strewn = scatter(mesh, options.splats, rng)
     painted = fusion.paint(strewn.points)
@@ -110,7 +113,8 @@ def _splats(mesh: RiggedMesh, fusion: Fusion, shots: Sequence[Shot], options: Op
     avatar = strewn.avatar(mesh, painted.rgb, painted.busy, rng)
     if options.steps:
         options.progress("fitting to the frames", 0.9)
-        avatar = sharpened(avatar, shots, options.steps)
+        some = key_views([frame.turn for frame in frames])  # all together ask for nearly the same, in gigabytes
+        avatar = sharpened(avatar, [shots[index] for index in some], options.steps)
     return avatar
 
 
@@ -174,6 +178,11 @@ def from_pictures(
 
 def _focal(frame: Frame) -> float:
     return frame.focal or PHONE * max(frame.picture.shape[:2])
+
+
+def _doubt(frame: Frame, view: FittedView) -> float:
+    """How much less a frame is worth that is blurred, or that the body does not fit."""
+    return _BLURRED * frame.blur + _MISSED * (1 - view.overlap)
 
 
 def _problem(fit: BodyFit, used: int) -> str:

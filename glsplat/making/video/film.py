@@ -49,7 +49,7 @@ def read_frames(path: str | os.PathLike[str], count: int) -> list[NDArray[np.uin
         told = film.get(cv2.CAP_PROP_FRAME_COUNT)
         if not (np.isfinite(told) and FEWEST <= told <= _MOST_FRAMES):
             told = _counted(film, path)
-            film.open(str(Path(path).absolute()), cv2.CAP_FFMPEG)
+    with _opened(path) as film:
         frames, seen = _chosen(film, path, int(told), count)
     if seen < told - max(2, 0.02 * told):  # the header promised more
         with _opened(path) as film:

@@ -10,12 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.errors import CaptureError, FormatError
+from glsplat.making.fit.view import apart
 from glsplat.making.networks.people import Person
 from glsplat.making.photo.capture import check_capture
 from glsplat.making.photo.photo_file import read_photo
 from glsplat.making.photo.sharpness import blur_of
 from glsplat.making.video.film import FEWEST, is_video, read_frames
-from glsplat.making.video.turns import apart, facing_as, facings
+from glsplat.making.video.turns import facing_as, facings
 
 __all__ = ["FEWEST", "Frame", "FramePicture", "FrameSource", "check_frames", "frames_of"]
 
@@ -59,10 +60,10 @@ def frames_of(sources: Sequence[FrameSource], count: int) -> tuple[list[FramePic
     if len(sources) == 1 and is_video(sources[0]):
         return [(f"frame {number}", rgb, None) for number, rgb in enumerate(read_frames(sources[0], count), 1)], True
     if len(sources) < FEWEST:
-        what = "neither a video nor" if len(sources) == 1 else "only"
+        few = "neither a video nor several pictures" if len(sources) == 1 else f"only {len(sources)} pictures"
         raise FormatError(
-            f"{sources[0]}: {what} {len(sources)} picture{'s' * (len(sources) > 1)}; give a video "
-            f"(.mp4, .mov, .webm, .mkv, .avi), or at least {FEWEST} pictures from all around"
+            f"{sources[0]}: {few}; give a video (.mp4, .mov, .webm, .mkv, .avi), or at least {FEWEST} pictures "
+            "from all around"
         )
     pictures: list[FramePicture] = []
     for source in sources:

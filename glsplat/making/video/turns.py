@@ -12,12 +12,13 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from glsplat.making.fit.view import apart
 from glsplat.making.networks.face import find_face
 from glsplat.making.networks.hand import find_hand
 from glsplat.making.networks.people import Person, swapped
 from glsplat.making.networks.person import LANDMARKS
 
-__all__ = ["apart", "facing_as", "facings"]
+__all__ = ["facing_as", "facings"]
 
 F64 = NDArray[np.float64]
 
@@ -30,11 +31,6 @@ _SHOWN, _HIDDEN = 110.0, 60.0  # degrees: a face is seen up to the one, and may 
 _AGAINST_FACE, _AGAINST_NONE = 9.0, 2.0  # squared doubts; hair hides faces
 _STEPS = np.concatenate([np.arange(-48.0, -2.9, 3.0), np.arange(3.0, 48.1, 3.0)])  # degrees a frame
 _UNEVEN = 0.5, 6.0  # share of a step, and degrees, that steps differ by
-
-
-def apart(first: float, second: float) -> float:
-    """Degrees between two directions, 0 to 180."""
-    return abs((first - second + 180) % 360 - 180)
 
 
 def facings(people: Sequence[Person], *, in_order: bool) -> F64:

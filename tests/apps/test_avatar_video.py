@@ -1,0 +1,129 @@
+"""``glsplat avatar video``: what it makes, says and refuses; a maker that needs no work stands in."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import cv2
+import glsplat_apps.avatar.video as video
+import glsplat_apps.cli as cli
+import numpy as np
+import pytest
+
+from glsplat.data import default_avatar
+from glsplat.errors import CaptureError
+from glsplat.formats import load
+from glsplat.making.fit.body import open_body
+from glsplat.making.rigged_gltf import read_gltf_person
+from glsplat.meshes import MeshPart, RiggedMesh
+from glsplat.skinning.skeleton import Skeleton
+from glsplat.skinning.smplx import JOINT_NAMES, PARENTS
+
+
+def mesh() -> RiggedMesh:
+    body = open_body()
+    part = MeshPart("skin", body.faces[:500], body.uv[:500], np.full((8, 8, 4), 255, np.uint8))
+    skeleton = Skeleton.from_joints(JOINT_NAMES, list(PARENTS), body.joints)
+    return RiggedMesh(body.vertices, skeleton, body.skin_joints.astype(np.int64), body.skin_weights, (part,))
+
+
+@pytest.fixture
+def asked(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
+    """What the maker was asked for."""
+    seen: dict[str, Any] = {}
+
+    def from_video(*sources: Path, **words: Any) -> Any:
+        seen.update(words, sources=sources)
+        words["options"].progress("looking at the frames", 0.5)
+        thing = mesh() if words["form"] == "mesh" else default_avatar()
+        return SimpleNamespace(
+            thing=thing,
+            frames=[SimpleNamespace(name="frame 3", turn=12.34)],
+            fit=SimpleNamespace(views=[SimpleNamespace(overlap=0.971234)], stature=1.7412),
+            unseen=0.0512,
+            problem="",
+            left_out=("frame 9 is left out: nobody is found in the picture",),
+        )
+
+    monkeypatch.setattr(video, "from_video", from_video)
+    return seen
+
+
+def filmed(*words: object) -> int:
+    return cli.main(["avatar", "video", *map(str, words)])
+
+
+def test_a_mesh_is_made(asked: dict[str, Any], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "me.glb"
+    assert filmed("turn.mp4", "-o", out, "--height", "1.74", "--texture", "512", "--consent", "my own") == 0
+    said = capsys.readouterr().out.splitlines()
+    assert said[0].startswith(f"{out}: 500 triangles, 8 x 8 texels") and said[0].endswith(
+        "; 5% of the surface is guessed"
+    )
+    assert said[1:] == ["frame 9 is left out: nobody is found in the picture"]
+    assert asked["form"] == "mesh" and asked["frames"] == 30 and asked["meta"] == {"consent": "my own"}
+    assert asked["options"].height == 1.74 and asked["options"].texture == 512
+    assert len(read_gltf_person(out).faces) == 500
+
+
+def test_splats_are_made(asked: dict[str, Any], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out, pictures = tmp_path / "me.glb", [tmp_path / f"{number}.jpg" for number in range(9)]
+    words = ("--as", "splats", "--splats", "5000", "--steps", "2", "--seed", "3", "--anyway", "--json")
+    assert filmed(*pictures, "-o", out, *words) == 0
+    facts = json.loads(capsys.readouterr().out)
+    assert facts["splats"] == len(load(out).splats) and facts["unseen"] == 0.0512 and facts["stature"] == 1.7412
+    assert facts["frames"] == [{"name": "frame 3", "turn": 12.3, "overlap": 0.9712}] and len(facts["left_out"]) == 1
+    options = asked["options"]
+    assert (options.splats, options.steps, options.seed) == (5000, 2, 3)
+    assert asked["sources"] == tuple(pictures) and asked["anyway"] and asked["form"] == "splats"
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("--as", "mesh", "--splats", "5"), "--splats has no meaning with --as mesh: leave it out"),
+        (("--as", "splats", "--texture", "512"), "--texture has no meaning with --as splats: leave it out"),
+        (("--frames", "5"), "--frames needs 8 to 120, not 5"),
+        (("--height", "174"), "a height needs metres, 0.5 to 2.5, not 174; is it 1.74?"),
+        (("--as", "cloud"), "invalid choice"),
+    ],
+)
+def test_what_nobody_can_want(
+    asked: dict[str, Any], tmp_path: Path, capsys: pytest.CaptureFixture[str], words: tuple[str, ...], said: str
+) -> None:
+    try:
+        code = filmed("turn.mp4", "-o", tmp_path / "me.glb", *words)
+    except SystemExit as leave:
+        code = int(leave.code or 0)
+    assert code == 2 and said in capsys.readouterr().err and not asked
+
+
+def test_the_name_is_looked_at_first(asked: dict[str, Any], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert filmed("turn.mp4", "-o", tmp_path / "me.txt") == 2 and not asked
+    assert filmed("turn.mp4", "-o", tmp_path / "none" / "me.glb") != 0 and not asked
+    capsys.readouterr()
+
+
+def test_frames_that_will_not_do(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: Any) -> None:
+    def refuse(*sources: Path, **words: Any) -> None:
+        raise CaptureError("the person turns by 12 degrees only; let them turn on the spot once, all around")
+
+    monkeypatch.setattr(video, "from_video", refuse)
+    out = tmp_path / "me.glb"
+    assert filmed("turn.mp4", "-o", out) == 1
+    assert capsys.readouterr().err.strip().endswith("all around; --anyway goes on all the same, where it can")
+    assert filmed("turn.mp4", "-o", out, "--anyway") == 1
+    assert capsys.readouterr().err.strip().endswith("all around") and not out.exists()
+
+
+def test_files_that_are_no_video(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out, text, single = tmp_path / "me.glb", tmp_path / "a.mp4", tmp_path / "a.png"
+    text.write_text("no video at all")
+    cv2.imwrite(str(single), np.zeros((9, 9, 3), np.uint8))
+    for path in (text, single, tmp_path / "missing.mp4", tmp_path):
+        assert filmed(path, "-o", out) == 1
+        lines = capsys.readouterr().err.strip().splitlines()
+        assert len(lines) == 1 and str(path) in lines[0] and not out.exists()

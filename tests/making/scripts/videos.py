@@ -1,0 +1,141 @@
+"""Makes a mesh of each participant's turntable, and an avatar of their photograph, and holds both against them.
+
+    python -m tests.making.scripts.videos OUT [p13 p14 ...]
+
+OUT gets p13.png ...: two poses that no frame shows, from the front, the left and the back, of the participant, the mesh
+and the photograph's avatar. A table is printed: PSNR and overlap of eight poses, the frames' overlap, joints.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from glsplat.avatar import Avatar
+from glsplat.camera import Camera
+from glsplat.evaluate.avatar_poses import SCORE_POSES, score_pose
+from glsplat.evaluate.turntable import Turntable, turntable
+from glsplat.making.reconstruct.reconstructor import Options
+from glsplat.making.reconstruct.video import Filmed, from_pictures
+from glsplat.mesh.renderer import MeshConfig, MeshRenderer
+from glsplat.meshes import RiggedMesh
+from glsplat.renderer import Renderer
+from glsplat.skinning.pose import Pose
+from tests.conftest import SHARED_DATA
+from tests.making.captures import Capture, capture
+from tests.making.scripts.results import SIZE, avatar_of, views_of
+
+SHOWN = "T-pose", "stride"
+VIEWS = "front", "left", "back"
+FRAMES = 30
+
+
+@dataclass(frozen=True, eq=False)
+class Filming:
+    """A participant's frames, and what was made of them."""
+
+    person: Capture
+    frames: list[Turntable]
+    made: Filmed
+
+    def joints(self) -> float:
+        """Millimetres between the body's joints in the frames and the truth, the pelvis held."""
+        view, away = self.person.camera.viewmat[:3, :3], []
+        for frame, seen in zip(self.made.frames, self.made.fit.views, strict=True):
+            true = self.frames[int(frame.name.split()[1])].pose
+            posed = self.person.mesh.skeleton.forward(true.rotations, true.trans)[:22, :3, 3] @ view.T
+            away.append(np.linalg.norm((seen.joints[:22] - seen.joints[0]) - (posed - posed[0]), axis=1)[1:].mean())
+        return float(np.mean(away) * 1000)
+
+    def overlap(self) -> float:
+        """Of the fitted body with the true masks."""
+        return float(np.mean([seen.overlap for seen in self.made.fit.views]))
+
+
+def filmed(name: str, frames: int = FRAMES, scale: float = 1.0, **words: Any) -> Filming:
+    """The participant on a turntable, and the mesh of it."""
+    folder = SHARED_DATA / "participants"
+    light = json.loads((folder / "capture" / f"{name}.json").read_text())["light"]
+    people = json.loads((folder / "participants.json").read_text())["participants"]
+    height = next(float(each["height_m"]) for each in people if each["id"] == name)
+    person, number = capture(SHARED_DATA, name), int(name[1:])
+    camera = person.camera.resized(round(person.camera.width * scale), round(person.camera.height * scale))
+    turn = turntable(
+        person.mesh,
+        camera,
+        Pose(person.pose, person.trans),
+        light["direction_to"],
+        light["colour"],
+        frames=frames,
+        turns=1 if number % 3 else -1,
+        seed=number,
+    )
+    shown = list(turn)
+    pictures = [(f"frame {index}", frame.rgb, None) for index, frame in enumerate(shown)]
+    made = from_pictures(pictures, in_order=True, options=Options(height=height, **words), anyway=True)
+    return Filming(person, shown, made)
+
+
+def drawn(thing: RiggedMesh | Avatar, cameras: dict[tuple[str, str], Camera]) -> Iterator[np.ndarray]:
+    """RGBA [H, W, 4] in [0, 1] of every pose and view."""
+    opened: Any = (
+        MeshRenderer(thing, size=(SIZE, SIZE), config=MeshConfig(output="float32"))
+        if isinstance(thing, RiggedMesh)
+        else Renderer(thing, size=(SIZE, SIZE), views=1)
+    )
+    with opened as renderer:
+        for (pose, _), camera in cameras.items():
+            picture = renderer.render([camera], score_pose(pose, thing.skeleton))[0]
+            yield picture / (255.0 if picture.dtype == np.uint8 else 1.0)
+
+
+def compared(truth: list[np.ndarray], pictures: list[np.ndarray]) -> tuple[float, float]:
+    """PSNR in dB over whole squares, and the figures' overlap, the means over all pictures."""
+    level = [-10 * np.log10(((a[..., :3] - b[..., :3]) ** 2).mean()) for a, b in zip(truth, pictures, strict=True)]
+    solid = [(a[..., 3] > 0.5, b[..., 3] > 0.5) for a, b in zip(truth, pictures, strict=True)]
+    return float(np.mean(level)), float(np.mean([(a & b).sum() / (a | b).sum() for a, b in solid]))
+
+
+def cameras_of(mesh: RiggedMesh) -> dict[tuple[str, str], Camera]:
+    used = np.unique(mesh.faces)
+    found = {}
+    for pose in SCORE_POSES:
+        around = views_of(mesh.posed(score_pose(pose, mesh.skeleton))[used])
+        found |= {(pose, view): around[view] for view in VIEWS}
+    return found
+
+
+def main(folder: Path, names: list[str]) -> None:
+    folder.mkdir(parents=True, exist_ok=True)
+    print("| | video: dB front, left, back | overlap | photo: dB front, left, back | overlap | frames | joints mm |")
+    for name in names:
+        filming = filmed(name)
+        cameras = cameras_of(filming.person.mesh)
+        truth, rows, cells = list(drawn(filming.person.mesh, cameras)), [], []
+        for thing in (filming.made.thing, avatar_of(name)):
+            pictures = list(drawn(thing, cameras))
+            rows.append(pictures)
+            levels = []
+            for view in VIEWS:
+                mine = [index for index, key in enumerate(cameras) if key[1] == view]
+                levels.append(compared([truth[index] for index in mine], [pictures[index] for index in mine])[0])
+            cells += [", ".join(f"{level:.1f}" for level in levels), f"{compared(truth, pictures)[1]:.3f}"]
+        print("|", " | ".join([name, *cells, f"{filming.overlap():.3f}", f"{filming.joints():.0f}"]), "|", flush=True)
+        chosen = [index for index, key in enumerate(cameras) if key[0] in SHOWN]
+        sheet = np.vstack([np.hstack([each[index][..., :3] for index in chosen]) for each in (truth, *rows)])
+        cv2.imwrite(str(folder / f"{name}.png"), (255 * sheet.clip(0, 1)).astype(np.uint8)[..., ::-1])
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser()
+    parser.add_argument("out", type=Path)
+    parser.add_argument("names", nargs="*", default=["p13", "p14", "p15", "p16"])
+    given = parser.parse_args()
+    main(given.out, given.names)
