@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter
 from numpy.typing import NDArray
 
 from glsplat.evaluate.difference import PSNR_CAP
+
+from ..figures import png_of
 
 __all__ = ["batching_plot", "error_plot", "growth_plot", "hidden_plot", "knob_plot", "left_out_plot"]
 
@@ -55,7 +55,7 @@ def error_plot(scene: dict[str, Any]) -> bytes:
         axes.grid(alpha=0.3)
     figure.axes[-1].legend(fontsize=8, loc="upper left", bbox_to_anchor=(1.0, 1.0))
     figure.suptitle(_title(scene))
-    return _png(figure)
+    return png_of(figure)
 
 
 def knob_plot(scene: dict[str, Any]) -> bytes:
@@ -85,7 +85,7 @@ def knob_plot(scene: dict[str, Any]) -> bytes:
     figure.supxlabel("ms a frame (median)")
     figure.supylabel("PSNR (dB)")
     figure.suptitle(_title(scene) + "; red: on the Pareto front")
-    return _png(figure)
+    return png_of(figure)
 
 
 def _limits(rows: Sequence[dict[str, Any]]) -> tuple[tuple[float, float], tuple[float, float]]:
@@ -143,7 +143,7 @@ def batching_plot(rows: Sequence[dict[str, Any]]) -> bytes:
     gains.axhline(0, color="0.3", linewidth=0.8)
     gains.set(ylabel="ms saved by drawing both eyes at once", title="Where the gain lies (stages measured apart)")
     gains.legend(fontsize=8)
-    return _png(figure)
+    return png_of(figure)
 
 
 def left_out_plot(rows: Sequence[dict[str, Any]]) -> bytes:
@@ -156,7 +156,7 @@ def left_out_plot(rows: Sequence[dict[str, Any]]) -> bytes:
     axes.bar_label(drawn, fmt="%.2f x", fontsize=8, padding=4, bbox=paper)
     axes.invert_yaxis()
     axes.set(xlabel="frame with the feature present but unused / frame without it")
-    return _png(figure)
+    return png_of(figure)
 
 
 def growth_plot(growth: dict[str, Any]) -> bytes:
@@ -197,7 +197,7 @@ def growth_plot(growth: dict[str, Any]) -> bytes:
         if axes.get_legend_handles_labels()[0]:
             place = {"loc": "upper left", "bbox_to_anchor": (1.0, 1.0)} if axes is splats else {"loc": "upper left"}
             axes.legend(fontsize=8, **place)
-    return _png(figure)
+    return png_of(figure)
 
 
 def hidden_plot(row: dict[str, Any], picture: NDArray[np.float32]) -> bytes:
@@ -211,7 +211,7 @@ def hidden_plot(row: dict[str, Any], picture: NDArray[np.float32]) -> bytes:
         axes.set_title(title, fontsize=10)
         axes.set_axis_off()
     figure.suptitle(f"{row['scene']}, the worst of {row['worst']['pictures']} pictures: {row['worst']['where']}")
-    return _png(figure)
+    return png_of(figure)
 
 
 def _measured(
@@ -234,10 +234,3 @@ def _measured(
 def _title(scene: dict[str, Any]) -> str:
     width, height = scene["size"]
     return f"{scene['scene']}: {scene['splats']:,} splats, {scene['views']} x {width}x{height}"
-
-
-def _png(figure: Figure) -> bytes:
-    FigureCanvasAgg(figure)
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=90)
-    return buffer.getvalue()

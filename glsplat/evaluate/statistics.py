@@ -16,9 +16,20 @@ from numpy.typing import NDArray
 from scipy.special import ndtr, ndtri
 from scipy.stats import rankdata
 
-__all__ = ["Paired", "Summary", "compare", "holm", "interval_of_mean", "rank_biserial", "summarise", "wilcoxon"]
+__all__ = [
+    "Paired",
+    "Summary",
+    "Values",
+    "compare",
+    "holm",
+    "interval_of_mean",
+    "rank_biserial",
+    "summarise",
+    "wilcoxon",
+]
 
 Values = Mapping[str, Mapping[str, float | None]]
+"""Figures of one measure, by method and participant."""
 F64 = NDArray[np.float64]
 
 RESAMPLES = 10_000

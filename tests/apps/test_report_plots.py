@@ -40,7 +40,7 @@ def test_names_do_not_overlap(monkeypatch, rng, case):
         "all equal": {"a": [(5.0, 160.0)] * 6, "b": [(5.0, 20.0)] * 6},
         "random": {f"k{k}": list(zip(rng.uniform(1, 9, 6), rng.uniform(20, 160, 6), strict=True)) for k in range(8)},
     }[case]
-    monkeypatch.setattr(report_plots, "_png", lambda figure: figure)
+    monkeypatch.setattr(report_plots, "png_of", lambda figure: figure)
     figure = report_plots.knob_plot(scene(points))
     FigureCanvasAgg(figure).draw()
     for axes in figure.axes:

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from glsplat.errors import GlsplatError
 from glsplat.models.store import path_of
 
-from .layers import convolved, pooled
+from .layers import Convolution, Layer, Pooling
+from .network import Network
 from .pixels import checked
 from .weights import BACKBONES, read_weights
 
@@ -35,30 +36,38 @@ class Lpips:
         if kind not in BACKBONES:
             raise GlsplatError(f"{kind}: no such network of LPIPS; there are {', '.join(BACKBONES)}")
         self.kind = kind
-        self._backbone = BACKBONES[kind]
-        self._weights = read_weights(path or path_of(self._backbone.model), self._backbone)
-        self._roots = [np.sqrt(head) for head in self._weights.heads]
+        backbone = BACKBONES[kind]
+        self._least = backbone.least
+        weights = read_weights(path or path_of(backbone.model), backbone)
+        layers: list[Layer] = []
+        seen = []
+        for index, (kernel, bias) in enumerate(zip(weights.kernels, weights.biases, strict=True)):
+            if index in backbone.pooled:
+                layers.append(Pooling(backbone.pool, 2, 0))
+            stride = 1 if index else backbone.stride
+            if index in backbone.seen:
+                seen.append(len(layers))
+            layers.append(Convolution(len(kernel), stride, backbone.padding[index], kernel, bias))
+        self._network = Network(layers, seen)
+        self._roots = [np.sqrt(head) for head in weights.heads]
 
     def features(self, picture: NDArray[np.floating]) -> list[F32]:
         """What the network sees of a picture [H, W, 3] in [0, 1], [h, w, C] a layer; see ``distance``.
 
-        Of 512 x 512 pixels these are 8 MB (alex) or 130 MB (vgg).
+        Of 512 x 512 pixels these are 11 MB (alex) or 128 MB (vgg). The more of the picture has the colour of its
+        corner, the quicker.
         """
         checked(picture, picture)
-        backbone, least = self._backbone, self._backbone.least
-        if min(picture.shape[:2]) < least:
-            height, width = picture.shape[:2]
-            raise GlsplatError(f"LPIPS ({self.kind}) needs {least} x {least} pixels, not {width} x {height}")
+        height, width = picture.shape[:2]
+        if min(height, width) < self._least:
+            raise GlsplatError(f"LPIPS ({self.kind}) needs {self._least} pixels each way, not {width} x {height}")
         values = np.asarray(picture * (2 / _SCALE) - (1 + _SHIFT) / _SCALE, np.float32)
-        seen: list[F32] = []
-        for index, (kernel, bias) in enumerate(zip(self._weights.kernels, self._weights.biases, strict=True)):
-            if index in backbone.pooled:
-                values = pooled(values, backbone.pool)
-            values = convolved(values, kernel, bias, 1 if index else backbone.stride, backbone.padding[index])
-            if index in backbone.seen:
-                length = np.sqrt(np.einsum("hwc,hwc->hw", values, values))[..., None] + np.float32(1e-10)
-                seen.append(values / length * self._roots[len(seen)])
-        return seen
+        features = self._network(values)
+        for layer, root in zip(features, self._roots, strict=True):
+            length = np.sqrt(np.einsum("hwc,hwc->hw", layer, layer)) + np.float32(1e-10)
+            layer *= (1 / length)[..., None]
+            layer *= root
+        return features
 
     def distance(self, picture: Sequence[F32], truth: Sequence[F32]) -> float:
         """LPIPS of two pictures of one size by their features: 0 is equal, 0.5 is another thing.

@@ -1,4 +1,4 @@
-"""LPIPS: PyPI's own program on torch says the same; the layers are right without it; weights are not believed."""
+"""LPIPS: PyPI's own program on torch says the same; its formula holds without it; weights are not believed."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ import pytest
 from numpy.lib.stride_tricks import sliding_window_view
 
 from glsplat.errors import FormatError, GlsplatError
-from glsplat.evaluate.metrics.layers import convolved, pooled
 from glsplat.evaluate.metrics.lpips import Lpips
 from glsplat.evaluate.metrics.weights import BACKBONES, Backbone, read_weights
 from glsplat.models.catalogue import LPIPS
 from glsplat.models.store import state_of
+from tests.evaluate.metrics.test_network import correlated
 from tests.evaluate.scripts.lpips_reference import DATA, small_pairs
 
 Tree = dict[str, dict[str, dict[str, Any]]]
@@ -45,32 +45,6 @@ def alex(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("weights") / "alex.ckpt"
     path.write_bytes(pickle.dumps(made_up(BACKBONES["alex"]), protocol=3))
     return path
-
-
-def correlated(picture: np.ndarray, kernel: np.ndarray, bias: np.ndarray, stride: int, padding: int) -> np.ndarray:
-    """A convolution as it is written in books, in float64."""
-    padded = np.pad(picture.astype(np.float64), ((padding,) * 2, (padding,) * 2, (0, 0)))
-    windows = sliding_window_view(padded, kernel.shape[:2], axis=(0, 1))[::stride, ::stride]
-    return np.maximum(np.einsum("hwcij,ijco->hwo", windows, kernel.astype(np.float64), optimize=True) + bias, 0)
-
-
-@pytest.mark.parametrize(("side", "stride", "padding"), [(3, 1, 1), (5, 1, 2), (11, 4, 2), (1, 1, 0)])
-@pytest.mark.parametrize("block", [1 << 20, 2000])
-def test_convolution(rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch, side, stride, padding, block) -> None:
-    monkeypatch.setattr("glsplat.evaluate.metrics.layers._BLOCK", block)  # few rows at a time, then all at once
-    picture = rng.normal(size=(37, 26, 5)).astype(np.float32)
-    kernel, bias = rng.normal(size=(side, side, 5, 7)).astype(np.float32), rng.normal(size=7).astype(np.float32)
-    right = correlated(picture, kernel, bias, stride, padding)
-    found = convolved(picture, kernel, bias, stride, padding)
-    assert found.shape == right.shape and found.dtype == np.float32
-    assert found == pytest.approx(right, abs=2e-4)
-
-
-@pytest.mark.parametrize("side", [2, 3])
-def test_pooling(rng: np.random.Generator, side: int) -> None:
-    picture = rng.normal(size=(11, 8, 4)).astype(np.float32)
-    windows = sliding_window_view(picture, (side, side), axis=(0, 1))[::2, ::2]
-    assert (pooled(picture, side) == windows.max(axis=(3, 4))).all()
 
 
 def test_the_distance_written_out(alex: Path, rng: np.random.Generator) -> None:
@@ -116,7 +90,7 @@ def test_pictures_it_cannot_compare(alex: Path, rng: np.random.Generator) -> Non
     lpips = Lpips("alex", alex)
     small = rng.random((31, 31, 3))
     assert [layer.shape[:2] for layer in lpips.features(small)] == [(7, 7), (3, 3), (1, 1), (1, 1), (1, 1)]
-    with pytest.raises(GlsplatError, match=r"LPIPS \(alex\) needs 31 x 31 pixels, not 31 x 30"):
+    with pytest.raises(GlsplatError, match=r"LPIPS \(alex\) needs 31 pixels each way, not 31 x 30"):
         lpips.features(small[:30])
     with pytest.raises(GlsplatError, match="compares pictures of one size"):
         lpips.distance(lpips.features(small), lpips.features(rng.random((31, 35, 3))))

@@ -1,0 +1,66 @@
+"""The pictures of an evaluation: every participant is a point where it should be, and gaps are gaps."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+pytest.importorskip("matplotlib")
+
+from matplotlib.figure import Figure
+
+from apps.evaluate import plots
+from glsplat.evaluate.statistics import Values, summarise
+
+VALUES: Values = {
+    "photo": {"p01": 1.0, "p02": 2.0, "p03": 4.0},
+    "mesh": {"p01": 2.0, "p02": None, "p03": 3.0},
+    "scan": {},
+}
+
+
+def drawn(monkeypatch: pytest.MonkeyPatch) -> list[Figure]:
+    """The figures that become PNG."""
+    figures: list[Figure] = []
+    real = plots.png_of
+    monkeypatch.setattr(plots, "png_of", lambda figure: (figures.append(figure), real(figure))[1])
+    return figures
+
+
+def picture(data: bytes) -> np.ndarray:
+    image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
+    assert image is not None and image.std() > 5
+    return image
+
+
+def test_methods(monkeypatch: pytest.MonkeyPatch) -> None:
+    figures = drawn(monkeypatch)
+    image = picture(plots.methods_plot({"PSNR (dB)": VALUES, "L1": {"photo": {"p01": 1.0}}}))
+    assert image.shape[1] == 16 * 90
+    axes = figures[0].axes[0]
+    points = [np.asarray(strip.get_offsets()) for strip in axes.collections]
+    assert [sorted(strip[:, 1]) for strip in points] == [[1, 2, 4], [2, 3], []]
+    assert all(np.abs(strip[:, 0] - index).max(initial=0) < 0.2 for index, strip in enumerate(points))
+    assert [label.get_text() for label in axes.get_xticklabels()] == ["photo (3)", "mesh (2)", "scan (0)"]
+    lines = [np.asarray(line.get_ydata(), float) for line in axes.lines if len(line.get_ydata()) == 3]
+    assert np.array_equal(lines[1], [2.0, np.nan, np.nan], equal_nan=True)
+    means = [line.get_ydata()[0] for line in axes.lines if line.get_marker() == "D"]
+    assert means == pytest.approx([7 / 3, 2.5])
+
+
+def test_groups(monkeypatch: pytest.MonkeyPatch) -> None:
+    figures = drawn(monkeypatch)
+    panels = {"by side": {"front": VALUES, "back": {"mesh": {"p01": 5.0}}}, "by part": {"face": VALUES}}
+    picture(plots.groups_plot(panels, "PSNR (dB)"))
+    sides, parts = figures[0].axes
+    assert sorted(bar.get_height() for bar in sides.patches) == pytest.approx([7 / 3, 2.5, 5.0])
+    assert [label.get_text() for label in sides.get_xticklabels()] == ["front", "back"]
+    assert len(parts.patches) == 2 and sides.get_ylabel() == "PSNR (dB)"
+    row = summarise(VALUES)[0]
+    assert any(line.get_ydata() == pytest.approx([row.low, row.high]) for line in sides.lines)
+
+
+def test_nothing_to_draw() -> None:
+    assert plots.methods_plot({}).startswith(b"\x89PNG") and plots.groups_plot({}, "L1").startswith(b"\x89PNG")
+    picture(plots.methods_plot({"L1": {"photo": {}}}))
