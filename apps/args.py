@@ -14,9 +14,9 @@ from glsplat.errors import FormatError
 from glsplat.formats import load, suffixes
 from glsplat.formats.scene_file import UPS, SceneFile, upright
 from glsplat.formats.transform import transformed
-from glsplat.making.items import is_scene
+from glsplat.making.items import is_scene, load_item
 from glsplat.making.items import load_scene as load_file
-from glsplat.scene import Content
+from glsplat.scene import Content, Figure, is_figure
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.splats import Splats
 
@@ -31,6 +31,7 @@ __all__ = [
     "colour",
     "degrees",
     "driven",
+    "load_avatar",
     "load_scene",
     "motion_of",
     "natural",
@@ -91,14 +92,27 @@ def single(file: SceneFile) -> Content | None:
     return items[0].content if alone and np.array_equal(items[0].transform, np.eye(4)) else None
 
 
-def driven(file: SceneFile, what: str) -> Avatar:
+def load_avatar(path: str | Path, option: str, *, strict: bool = False) -> Figure:
+    """What an option names as an avatar: splats with a skin, or a rigged mesh. Raises UsageError for anything else."""
+    if not Path(path).exists():
+        raise UsageError(f"{option} {path}: no such file")
+    if is_scene(path):
+        raise UsageError(f"{option} {path}: expected one avatar, found a scene file")
+    content = load_item(Path(path), strict)
+    if not is_figure(content):
+        found = "splats without a skeleton" if isinstance(content, Splats) else "a mesh without joints to move"
+        raise UsageError(f"{option} {path}: expected an avatar (a .glb with a skin, a rigged mesh), found {found}")
+    return content
+
+
+def driven(file: SceneFile, what: str) -> Figure:
     """The one visible avatar, whose pose an option or a client sets. Raises UsageError where there is not just one."""
     if file.avatar is not None:
-        assert isinstance(file.avatar.content, Avatar)
+        assert is_figure(file.avatar.content)
         return file.avatar.content
-    if any(item.visible and isinstance(item.content, Avatar) for item in file.scene):
+    if file.scene.figures:
         raise UsageError(f"{what} is for one avatar, this scene has several; say in the scene file what each does")
-    raise UsageError(f"this scene has no skeleton; {what} needs an avatar (.glb with a skin)")
+    raise UsageError(f"this scene has no skeleton; {what} needs an avatar (a .glb with a skin, a rigged mesh)")
 
 
 def motion_of(name: str, skeleton: Skeleton, option: str = "--motion") -> Motion:

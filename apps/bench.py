@@ -17,7 +17,7 @@ from glsplat.formats.scene_file import SceneFile
 from glsplat.gl.context import create_context
 from glsplat.meshes import RiggedMesh
 from glsplat.motion.motion import Motion
-from glsplat.scene import Content, Shown
+from glsplat.scene import Content, Shown, is_figure
 from glsplat.skinning.pose import Pose
 
 from .args import add_scene, motion_of, open_scene, single, size
@@ -52,7 +52,7 @@ def run(args: argparse.Namespace) -> int:
         raise UsageError(f"--frames needs at least 3, not {args.frames}")
     file = open_scene(args)
     scene = single(file)
-    motion = motion_of(args.motion, scene.skeleton) if isinstance(scene, Avatar) and not args.static else None
+    motion = motion_of(args.motion, scene.skeleton) if is_figure(scene) and not args.static else None
     context = create_context(args.device)
     try:
         bench = Bench(context, args.frames, RenderConfig(target=args.float_target, sorter=args.sorter))
@@ -79,9 +79,22 @@ def kinds_of(
     bench: Bench, scene: Content | None, motion: Motion | None, file: SceneFile, frames: int
 ) -> list[tuple[str, Shown, list[Pose | None]]]:
     """(name, scene, poses) of what is measured: one thing as ever, a scene of several as it plays."""
-    if scene is None or isinstance(scene, RiggedMesh):
+    if scene is None or (isinstance(scene, RiggedMesh) and not is_figure(scene)):
         return [("in motion" if file.motions else "static", file.scene, [None] * frames)]
     return [*bench.kinds(scene, motion)]
+
+
+def _content(row: dict[str, Any]) -> str:
+    splats = f"{row['splats']} splats, {row['drawn']} drawn, {row['bytes_per_splat']} bytes a splat on the GPU"
+    triangles = f"{row['triangles']} triangles, {row['mesh_bytes'] / 1e6:.1f} MB of meshes on the GPU"
+    return ", ".join(([splats] if row["splats"] or not row["triangles"] else []) + [triangles] * bool(row["triangles"]))
+
+
+def _floor(row: dict[str, Any]) -> str:
+    return (
+        f"  {'draw floor':22}{row['floor_ms']['median']:9.2f} ms   p95 {row['floor_ms']['p95']:9.2f}"
+        f"   frame / floor {row['frame_to_floor']:.3f}, GPU timer {row['gpu_draw_ms']['median']:.2f}"
+    )
 
 
 def table(result: dict[str, Any]) -> str:
@@ -93,12 +106,10 @@ def table(result: dict[str, Any]) -> str:
         width, height = row["size"]
         lines += [
             "",
-            f"{row['kind']}, {row['views']} x {width}x{height}: {row['splats']} splats, {row['drawn']} drawn, "
-            f"{row['bytes_per_splat']} bytes a splat on the GPU, target {row['float_target']}",
+            f"{row['kind']}, {row['views']} x {width}x{height}: {_content(row)}, target {row['float_target']}",
             f"  {'whole frame':22}{row['frame_ms']['median']:9.2f} ms   p95 {row['frame_ms']['p95']:9.2f}"
-            f"   {row['splats_per_second']:,} splats/s",
-            f"  {'draw floor':22}{row['floor_ms']['median']:9.2f} ms   p95 {row['floor_ms']['p95']:9.2f}"
-            f"   frame / floor {row['frame_to_floor']:.3f}, GPU timer {row['gpu_draw_ms']['median']:.2f}",
+            + (f"   {row['splats_per_second']:,} splats/s" if row["splats"] else ""),
+            *([_floor(row)] if row["splats"] else []),
             f"  {'nothing moved':22}{row['unmoved_ms']['median']:9.2f} ms   p95 {row['unmoved_ms']['p95']:9.2f}",
         ]
         if row["views"] > 1:

@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 from tqdm import tqdm
 
+from glsplat.data import default_avatar
 from glsplat.errors import FormatError, GlsplatError
 from glsplat.formats.files import replace_file
 from glsplat.net.client import Client
@@ -136,10 +137,10 @@ def _serve(connection: Connection, avatar: str | None) -> None:
     from glsplat.net.backends.server import make_server
     from glsplat.net.server import ServerConfig
 
-    from .args import load_scene
+    from .args import load_avatar
 
     try:
-        scene = load_scene(argparse.Namespace(scene=avatar))
+        scene = load_avatar(avatar, "--avatar") if avatar else default_avatar()
         server = make_server(scene, ServerConfig(port=0, scene=avatar or "default avatar"))
         asyncio.run(server.run(lambda: connection.send((True, server.url))))
     except GlsplatError as error:

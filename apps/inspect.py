@@ -81,6 +81,7 @@ def describe_scene(file: SceneFile, path: str) -> dict[str, Any]:
         if not isinstance(content, Splats):
             motion = next((motion for other, motion in file.motions.values() if other is item), None)
             entry |= {"joints": len(content.skeleton), "posed": item.pose is not None}
+            entry["driven"] = item is file.avatar  # poses of options and clients are for it
             entry["motion"] = None if motion is None else {"name": motion.label, "seconds": motion.duration}
         items.append(entry | {"item": index})
     different = {id(item.content): item.content for item in file.scene}.values()
@@ -109,6 +110,7 @@ def _scene_text(report: dict[str, Any]) -> str:
         words = [entry["kind"], what, f"at {at}"]
         words += [f"scale {entry['scale']:.4g}"] if abs(entry["scale"] - 1) > 1e-9 else []
         words += [f"{entry['joints']} joints"] if "joints" in entry else []
+        words += ["takes poses"] if entry.get("driven") else []
         words += [f"moves by {entry['motion']['name']}"] if entry.get("motion") else []
         words += [] if entry["visible"] else ["hidden"]
         lines.append(f"  {entry['item']:<4} {entry['name'] or '-'}: " + ", ".join(words))

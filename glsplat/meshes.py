@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from glsplat.errors import FormatError
+from glsplat.errors import FormatError, PoseError
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.skeleton import Skeleton
 
@@ -94,6 +94,20 @@ class RiggedMesh:
     def face_parts(self) -> NDArray[np.intp]:
         """[F] index of each triangle's part."""
         return np.repeat(np.arange(len(self.parts)), [len(part.faces) for part in self.parts])
+
+    def without(self, joint: str) -> RiggedMesh:
+        """The same without the triangles that mostly follow ``joint`` and what hangs from it: for a view from inside.
+
+        Those whose corners have a mean weight there above one half. Raises PoseError where there is no such joint, and
+        where nothing would be left.
+        """
+        share = (self.weights * self.skeleton.under(joint)[self.joints]).sum(axis=1)
+        share = share / np.maximum(self.weights.sum(axis=1), 1e-12)
+        keeps = [(part, share[part.faces].mean(axis=1) <= 0.5) for part in self.parts]
+        parts = tuple(replace(part, faces=part.faces[keep], uv=part.uv[keep]) for part, keep in keeps if keep.any())
+        if not parts:
+            raise PoseError(f'a mesh without "{joint}" has no triangle left')
+        return replace(self, parts=parts)
 
     def posed(self, pose: Pose) -> NDArray[np.float64]:
         """[V, 3] vertices under linear blend skinning."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from typing import TypeGuard
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,13 +15,25 @@ from glsplat.rotations import quaternion_matrices
 from glsplat.skinning.pose import Pose
 from glsplat.splats import Splats
 
-__all__ = ["Content", "Item", "Scene", "Shown", "similarity"]
+__all__ = ["Content", "Figure", "Item", "Scene", "Shown", "is_figure", "similarity"]
 
 Content = Splats | Avatar | RiggedMesh
 """What an item may show."""
 
+Figure = Avatar | RiggedMesh
+"""What a pose may move (``is_figure``), in short an avatar: splats with a skin, or a mesh with joints."""
+
 _LARGEST = 1e6  # metres, and of a scale; beyond it is a mistake of units
 _SMALLEST = 1e-6
+
+
+def is_figure(thing: object) -> TypeGuard[Figure]:
+    """Whether a pose may move it: an Avatar, or a RiggedMesh of more than one joint; on one joint a mesh just stands.
+
+    >>> glsplat.scene.is_figure(glsplat.default_avatar()), glsplat.scene.is_figure(glsplat.default_avatar().splats)
+    (True, False)
+    """
+    return isinstance(thing, Avatar) or (isinstance(thing, RiggedMesh) and len(thing.skeleton) > 1)
 
 
 class Item:
@@ -132,6 +145,11 @@ class Scene:
     def items(self) -> tuple[Item, ...]:
         """In the order in which they were added."""
         return tuple(self._items)
+
+    @property
+    def figures(self) -> tuple[Item, ...]:
+        """The visible items that a pose may move."""
+        return tuple(item for item in self._items if item.visible and is_figure(item.content))
 
     def add(self, item: Item) -> Item:
         """Put an item behind the others; returns it."""

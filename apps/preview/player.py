@@ -9,11 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from glsplat.avatar import Avatar
 from glsplat.formats.scene_file import SceneFile
 from glsplat.motion.motion import Motion
 from glsplat.rotations import quaternion_product, quaternion_vectors, vector_quaternions
-from glsplat.scene import Item
+from glsplat.scene import Item, is_figure
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.skeleton import Skeleton
 
@@ -149,7 +148,7 @@ class Player:
 def players_of(file: SceneFile) -> tuple[Player | None, Others]:
     """A player for the one visible avatar, if there is one, at what the file says of it; and the other motions."""
     item = file.avatar
-    if item is None or not isinstance(item.content, Avatar):
+    if item is None or not is_figure(item.content):
         return None, Others(file)
     player = Player(item.content.skeleton)
     motion = next((motion for other, motion in file.motions.values() if other is item), None)

@@ -19,10 +19,8 @@ from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 from tqdm import tqdm
 
-from glsplat.avatar import Avatar
 from glsplat.data import default_avatar
 from glsplat.errors import FormatError, GlsplatError
-from glsplat.formats import load
 from glsplat.motion.motion import Motion, embedded_motions
 from glsplat.net.client import Client
 from glsplat.net.guard.access import read_token
@@ -33,7 +31,7 @@ from glsplat.tracking.recording import embedded_recording
 from glsplat.tracking.recording import replay as read_samples
 from glsplat.tracking.sample import Sample
 
-from ..args import motion_of, size
+from ..args import load_avatar, motion_of, size
 from ..clip import CLIPS, Clip
 from ..output import label, save_png, side_by_side, stack
 from ..usage import UsageError, output_kind
@@ -208,9 +206,7 @@ def load_drive(
         recording = _recording(read_samples(name), name)
         return recording, recording.seconds
 
-    scene = load(avatar) if avatar else default_avatar()
-    if not isinstance(scene, Avatar):
-        raise GlsplatError(f"{avatar}: this scene has no skeleton to move; give an avatar (.glb with a skin)")
+    scene = load_avatar(avatar, "--avatar") if avatar else default_avatar()
     motion = motion_of(name or default_motion(), scene.skeleton, option)
     if tracking or (name is None and scene.skeleton.names == JOINT_NAMES):
         truth = truth_from_motion(scene.skeleton, motion.rotations, motion.trans, motion.fps, _TRACKING_RATE)

@@ -9,10 +9,8 @@ import logging
 import sys
 from pathlib import Path
 
-from glsplat.avatar import Avatar
 from glsplat.camera import PAPER_FOV, PAPER_IPD
 from glsplat.config import RenderConfig
-from glsplat.formats import load
 from glsplat.net.backends.gl import MAX_COST, MAX_TIME
 from glsplat.net.backends.server import make_server
 from glsplat.net.guard.access import Access
@@ -20,9 +18,10 @@ from glsplat.net.guard.limits import Limits
 from glsplat.net.messages import WireOptions
 from glsplat.net.server import ServerConfig
 from glsplat.net.session import SessionConfig
+from glsplat.scene import Figure
 from glsplat.tracking.calibration import Calibration
 
-from ..args import add_scene, open_scene, size
+from ..args import add_scene, load_avatar, open_scene, size
 from ..logs import add_log_format, start_logging
 from ..usage import UsageError
 from .keys import Keys, add_keys, keys_of
@@ -163,20 +162,15 @@ def scene_name(args: argparse.Namespace) -> str:
     return Path(args.scene).stem if args.scene else "default"
 
 
-def other_avatars(args: argparse.Namespace) -> dict[str, Avatar]:
+def other_avatars(args: argparse.Namespace) -> dict[str, Figure]:
     """The avatars of --avatar by the names of their files. Raises UsageError for two of one name and for none."""
-    found: dict[str, Avatar] = {}
+    found: dict[str, Figure] = {}
     for path in args.avatar:
         if path.stem in (scene_name(args), *found):
             raise UsageError(
                 f'--avatar {path}: there is a "{path.stem}" already, and clients choose by name; rename it'
             )
-        if not path.exists():
-            raise UsageError(f"--avatar {path}: no such file")
-        avatar = load(path, strict=args.strict)
-        if not isinstance(avatar, Avatar):
-            raise UsageError(f"--avatar {path}: expected an avatar (.glb with a skin), found splats without a skeleton")
-        found[path.stem] = avatar
+        found[path.stem] = load_avatar(path, "--avatar", strict=args.strict)
     return found
 
 

@@ -6,16 +6,15 @@ import argparse
 
 import numpy as np
 
-from glsplat.avatar import Avatar
 from glsplat.data import default_avatar
 from glsplat.errors import FormatError
-from glsplat.formats import load
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.tracking.calibration import Calibration
 from glsplat.tracking.recording import embedded_recording, replay
 from glsplat.tracking.sample import Sample
 from glsplat.tracking.tracker import Tracker, TrackerConfig
 
+from ..args import load_avatar
 from ..usage import UsageError
 
 __all__ = ["add_recording", "add_skeleton", "samples_of", "skeleton_of", "tracker_of"]
@@ -23,7 +22,9 @@ __all__ = ["add_recording", "add_skeleton", "samples_of", "skeleton_of", "tracke
 
 def add_skeleton(parser: argparse.ArgumentParser) -> None:
     """--avatar: whose skeleton."""
-    parser.add_argument("--avatar", metavar="FILE", help="avatar (.glb) or body (.npz with joints); default: embedded")
+    parser.add_argument(
+        "--avatar", metavar="FILE", help="avatar (.glb), rigged mesh, or body (.npz with joints); default: embedded"
+    )
 
 
 def add_recording(parser: argparse.ArgumentParser) -> None:
@@ -50,10 +51,7 @@ def skeleton_of(name: str | None) -> Skeleton:
             raise FormatError(f"{name}: cannot read the body ({error.strerror or error})") from None
         except (KeyError, ValueError) as error:
             raise FormatError(f"{name}: a body holds joint_names, parents and joints, but {error}") from None
-    scene = load(name)
-    if not isinstance(scene, Avatar):
-        raise FormatError(f"{name}: this scene has no skeleton; give an avatar (.glb with a skin)")
-    return scene.skeleton
+    return load_avatar(name, "--avatar").skeleton
 
 
 def samples_of(name: str | None) -> list[Sample]:

@@ -13,16 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from glsplat.avatar import Avatar
 from glsplat.camera import Camera, look_at, pinhole
 from glsplat.data import default_avatar
-from glsplat.formats import load
+from glsplat.scene import Figure
 from glsplat.skinning.pose import Pose
 from glsplat.tracking.recording import PoseTrack, read_poses
 from glsplat.tracking.sample import Sample
 from glsplat.tracking.tracker import Tracker
 
-from ..args import positive, size
+from ..args import load_avatar, positive, size
 from ..clip import CLIPS, Clip
 from ..output import label, save_png, stack
 from ..usage import UsageError, output_kind
@@ -109,11 +108,14 @@ class Painter:
         self.renderer: Any = None
 
     @staticmethod
-    def _avatar(name: str | None) -> Avatar | None:
-        if name is not None and name.endswith(".npz"):
-            return None  # a body without splats
-        scene = default_avatar() if name is None else load(name)
-        return scene if isinstance(scene, Avatar) else None
+    def _avatar(name: str | None) -> Figure | None:
+        if name is None:
+            return default_avatar()
+        if name.endswith(".npz"):
+            with np.load(name, allow_pickle=False) as body:
+                if "part_names" not in body:
+                    return None  # a body without textures
+        return load_avatar(name, "--avatar")
 
     def drawing(self) -> Painter:
         """Use as ``with painter.drawing() as draw``."""

@@ -12,18 +12,18 @@ from glsplat.avatar import Avatar
 from glsplat.camera import Camera
 from glsplat.config import RenderConfig
 from glsplat.gl.context import Context
+from glsplat.meshes import RiggedMesh
 from glsplat.motion.motion import Motion
 from glsplat.renderer import Renderer
-from glsplat.scene import Shown
+from glsplat.scene import Content, Scene, Shown, is_figure
 from glsplat.skinning.pose import Pose
-from glsplat.splats import Splats
-from glsplat.views import splats_of, view_of, viewing_point
+from glsplat.views import view_of, viewing_point
 
-__all__ = ["FOV", "STAGES", "WARM_UP", "Bench", "Series"]
+__all__ = ["FOV", "STAGES", "WARM_UP", "Bench", "Series", "triangles_of"]
 
 FOV = 65.0
 WARM_UP = 5
-STAGES = ("pose", "frame", "skin", "key", "sort", "project", "draw", "resolve", "read")
+STAGES = ("pose", "mesh", "frame", "skin", "key", "sort", "project", "draw", "resolve", "read")
 
 
 @dataclass(frozen=True)
@@ -39,6 +39,12 @@ class Series:
         return cls(round(float(np.median(values)), 3), round(float(np.percentile(values, 95)), 3))
 
 
+def triangles_of(scene: Shown) -> int:
+    """Triangles of the visible meshes."""
+    items = (item for item in Scene.of(scene) if item.visible)
+    return sum(len(item.content.faces) for item in items if isinstance(item.content, RiggedMesh))
+
+
 class Bench:
     """Measurements on one context; everything compared is interleaved frame by frame."""
 
@@ -46,13 +52,12 @@ class Bench:
         self._context, self._frames = context, frames
         self._config = config or RenderConfig()
 
-    def kinds(
-        self, scene: Splats | Avatar, motion: Motion | None
-    ) -> list[tuple[str, Splats | Avatar, list[Pose | None]]]:
+    def kinds(self, scene: Content, motion: Motion | None) -> list[tuple[str, Content, list[Pose | None]]]:
         """(name, scene, poses): static, and an avatar in ``motion`` as well."""
         frames = self._frames + WARM_UP
-        out: list[tuple[str, Splats | Avatar, list[Pose | None]]] = [("static", splats_of(scene), [None] * frames)]
-        if isinstance(scene, Avatar) and motion is not None:
+        still = scene.splats if isinstance(scene, Avatar) else scene
+        out: list[tuple[str, Content, list[Pose | None]]] = [("static", still, [None] * frames)]
+        if is_figure(scene) and motion is not None:
             out.append(("in motion", scene, [motion.at(i / 30) for i in range(frames)]))
         return out
 
@@ -108,6 +113,8 @@ class Bench:
             "views": views,
             "splats": count,
             "drawn": stats.drawn,
+            "triangles": triangles_of(scene),
+            "mesh_bytes": memory["meshes"],
             "variant": asdict(pair.variant),
             "float_target": pair.target_dtype,
             "frame_ms": asdict(Series.of(whole)),

@@ -17,7 +17,6 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from glsplat.avatar import Avatar
 from glsplat.errors import FormatError, GlsplatError
 from glsplat.formats import load
 from glsplat.formats.files import open_regular
@@ -79,9 +78,12 @@ class SceneFile:
 
     @property
     def avatar(self) -> Item | None:
-        """The item whose pose a user or a client may set: the one visible avatar; None of none or several."""
-        avatars = [item for item in self.scene if item.visible and isinstance(item.content, Avatar)]
-        return avatars[0] if len(avatars) == 1 else None
+        """The item whose pose a user or a client may set: the one visible avatar (a rigged mesh is one, too).
+
+        None of none or several.
+        """
+        figures = self.scene.figures
+        return figures[0] if len(figures) == 1 else None
 
     @property
     def duration(self) -> float:

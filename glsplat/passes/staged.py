@@ -24,7 +24,7 @@ from glsplat.passes.item.buffers import ItemBuffers, Placement
 from glsplat.passes.item.ground import Ground, GroundKind, MeshItem
 from glsplat.passes.kept import Kept
 from glsplat.passes.views import checked_pose
-from glsplat.scene import Item, Scene
+from glsplat.scene import Item, Scene, is_figure
 from glsplat.shaders import Programs, Variant, variant_for
 from glsplat.skinning.pose import Pose
 from glsplat.splats import Splats
@@ -97,7 +97,7 @@ class Staged:
         """Follow the scene: what came, went, moved. ``pose`` is for the one avatar of a scene, if there is one."""
         items = self._stage()
         if pose is not None:
-            avatars = sum(isinstance(item.content, Avatar) for item in items)
+            avatars = len(self.scene.figures)
             if avatars > 1:
                 raise PoseError(f"render() got one pose for {avatars} avatars; set the pose of each item instead")
         places = [self._placement(item, pose) for item in items]
@@ -235,7 +235,7 @@ class Staged:
         bones = None
         if not isinstance(item.content, Splats):
             skeleton = item.content.skeleton
-            wanted = pose if pose is not None and isinstance(item.content, Avatar) else item.pose
+            wanted = pose if pose is not None and is_figure(item.content) else item.pose
             bones = checked_pose(wanted, len(skeleton), "avatar").bones(skeleton)
         return Placement(linear / size, item.transform[:3, 3], size, bones)
 

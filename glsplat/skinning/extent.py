@@ -25,26 +25,36 @@ _AXES = np.concatenate([np.eye(3), -np.eye(3)])
 class Extent:
     """How far what each joint carries reaches, in 26 directions of the zero pose.
 
-    A splat belongs to the joint in its first slot (an avatar's anchor). Blended ones lie between the places where two
-    joints would take them, which the boxes of both cover nearly always.
+    A splat, or a mesh's vertex, belongs to the joint in its first slot (an avatar's anchor). Blended ones lie between
+    the places where two joints would take them, which the boxes of both cover nearly always.
     """
 
     joints: NDArray[np.intp]  # [B] those that carry something
-    reach: NDArray[np.float64]  # [B, 27] metres: largest x . d over two standard deviations of the splats
+    reach: NDArray[np.float64]  # [B, 27] metres: largest x . d, of splats over two standard deviations
 
     @classmethod
     def of(cls, splats: Splats, skin: Skin) -> Extent:
         """Measure what can be drawn of ``splats``: finite, and not fully transparent."""
         rows = np.flatnonzero(splats.finite() & (splats.opacities > 0))
-        rows = rows[np.argsort(skin.joints[rows, 0], kind="stable")]
-        means = splats.means[rows].astype(np.float64)
         shapes = quaternion_matrices(splats.quats[rows]) * splats.scales[rows, None, :]
+        return cls._of(splats.means[rows].astype(np.float64), skin.joints[rows, 0], _SIGMAS * shapes)
+
+    @classmethod
+    def of_points(cls, points: NDArray[np.float64], skin: Skin) -> Extent:
+        """Measure points [N, 3] without a size."""
+        return cls._of(points, skin.joints[:, 0], np.zeros((len(points), 3, 1)))
+
+    @classmethod
+    def _of(cls, points: NDArray[np.float64], owners: NDArray[np.uint16], shapes: NDArray[np.float64]) -> Extent:
+        """Ellipsoids x + M u, |u| <= 1: ``points`` [N, 3], ``shapes`` M [N, 3, K], each of one joint."""
+        order = np.argsort(owners, kind="stable")
+        points, shapes = points[order], shapes[order]
         across = shapes.transpose(1, 0, 2).reshape(3, -1)
-        joints, starts = np.unique(skin.joints[rows, 0], return_index=True)
+        joints, starts = np.unique(owners[order], return_index=True)
         reach = np.empty((len(joints), len(_DIRECTIONS)))
-        for index, direction in enumerate(_DIRECTIONS if len(rows) else ()):
-            sizes = np.linalg.norm((direction @ across).reshape(-1, 3), axis=1)
-            reach[:, index] = np.maximum.reduceat(means @ direction + _SIGMAS * sizes, starts)
+        for index, direction in enumerate(_DIRECTIONS if len(points) else ()):
+            sizes = np.linalg.norm((direction @ across).reshape(len(points), -1), axis=1)
+            reach[:, index] = np.maximum.reduceat(points @ direction + sizes, starts)
         return cls(joints.astype(np.intp), frozen(reach))
 
     def box(self, bones: NDArray[np.float64]) -> NDArray[np.float64] | None:

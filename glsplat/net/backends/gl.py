@@ -9,14 +9,13 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from glsplat.avatar import Avatar
 from glsplat.camera import Camera, look_at, pinhole
 from glsplat.config import RenderConfig
 from glsplat.errors import BudgetError, ContextLostError, GlsplatError, PoseError
 from glsplat.net.backend import Rendered
 from glsplat.net.messages import RenderRequest
 from glsplat.passes.frame.budget import Budget
-from glsplat.scene import Shown
+from glsplat.scene import Figure, Shown
 
 __all__ = ["MAX_COST", "MAX_TIME", "RendererBackend"]
 
@@ -46,7 +45,7 @@ class RendererBackend:
         max_cost: float = MAX_COST,
         max_time: float = MAX_TIME,
         pose_at: Callable[[float], None] | None = None,  # brings the scene to a time in seconds since open()
-        avatars: Mapping[str, Avatar] | None = None,  # by RenderRequest.avatar; any other name is the scene
+        avatars: Mapping[str, Figure] | None = None,  # by RenderRequest.avatar; any other name is the scene
     ) -> None:
         self.abandoned: Callable[[], bool] = lambda: False
         self.place: NDArray[np.uint8] | None = None

@@ -19,7 +19,7 @@ from glsplat.net.messages import PARTS
 from glsplat.net.server import Server, ServerConfig
 from glsplat.net.uploads.job import UploadConfig
 from glsplat.net.uploads.routes import Uploads
-from glsplat.scene import Shown
+from glsplat.scene import Figure, Shown, is_figure
 from glsplat.tracking.calibration import EYES_OF_STATURE, Calibration
 from glsplat.tracking.solve.body import Body
 
@@ -37,12 +37,13 @@ def make_server(
     rendering: RenderConfig | None = None,
     budget: tuple[float, float] = (MAX_COST, MAX_TIME),  # of a picture: covered pixels, seconds
     name: str = "default",  # of the scene, among the avatars that clients choose from
-    avatars: Mapping[str, Avatar] | None = None,  # others that clients may choose, by name
+    avatars: Mapping[str, Figure] | None = None,  # others that clients may choose, by name
     uploads: UploadConfig | None = None,  # lets clients have avatars made of photographs; None: they may not
 ) -> Server:
     """A server that draws ``scene`` with OpenGL, and solves tracking if its one avatar has SMPL-X's rig.
 
-    The poses of clients are for the one visible avatar; with several a pose is refused, without any it does nothing.
+    The poses of clients are for the one visible avatar, which may be a rigged mesh; with several a pose is refused,
+    without any it does nothing.
     The motions of a scene file play on the server's clock. Clients see the scene, or whom of ``avatars`` they name in
     their address (/ws?avatar=NAME); each is posed and tracked by its own skeleton. Of ``uploads`` the folder's avatars
     are offered from the start, those made later as they come. ``own_process`` draws in a process of its own, else in a
@@ -53,9 +54,9 @@ def make_server(
     config = config or ServerConfig()
     file = scene if isinstance(scene, SceneFile) else SceneFile.of(scene)
     item = file.avatar
-    avatar = item.content if item is not None and isinstance(item.content, Avatar) else None
+    avatar = item.content if item is not None and is_figure(item.content) else None
     others = _checked(avatars or {}, name, rendering)
-    choices: Mapping[str, Avatar] = others
+    choices: Mapping[str, Figure] = others
     offers = [offered(one, what, calibration) for one, what in [(name, avatar), *others.items()]]
     takes = None
     if uploads is not None:
@@ -74,7 +75,7 @@ def _uploads(
 ) -> tuple[Uploads, list[Offered]]:
     """What makes avatars, and what is offered of its folder; GlsplatError where a name there is ``taken``."""
 
-    def describe(one: str, avatar: Avatar) -> Offered:
+    def describe(one: str, avatar: Figure) -> Offered:
         _checked({one: avatar}, "", rendering)
         return replace(offered(one, avatar, calibration), made=uploads.shelf.made_here(one))
 
@@ -87,7 +88,7 @@ def _uploads(
     return uploads, [describe(one, avatar) for one, avatar in found.items()]
 
 
-def offered(name: str, avatar: Avatar | None, calibration: Calibration | None = None) -> Offered:
+def offered(name: str, avatar: Figure | None, calibration: Calibration | None = None) -> Offered:
     """What clients may ask of an avatar; None: of a scene without one whose pose they may set.
 
     ``calibration`` is of users who tell neither height nor arm span. Tracking is solved for SMPL-X's rig.
@@ -109,15 +110,16 @@ def offered(name: str, avatar: Avatar | None, calibration: Calibration | None = 
     return Offered(name=name, skeleton=skeleton, solver=solver, height=height, parts=parts)
 
 
-def _checked(avatars: Mapping[str, Avatar], scene: str, rendering: RenderConfig | None) -> dict[str, Avatar]:
+def _checked(avatars: Mapping[str, Figure], scene: str, rendering: RenderConfig | None) -> dict[str, Figure]:
     """The avatars by names that an address can hold. Raises GlsplatError for what no client could ask for."""
     for name, avatar in avatars.items():
         if not (isinstance(name, str) and 0 < len(name) <= _NAME and name.isprintable() and name.strip() == name):
             raise GlsplatError(f"an avatar's name needs 1 to {_NAME} printable characters, not {name!r:.80}")
         if name == scene:
             raise GlsplatError(f'two avatars are called "{name}": clients choose by name, give one another')
-        if not isinstance(avatar, Avatar):
-            raise GlsplatError(f'"{name}": clients choose avatars, not {type(avatar).__name__}')
-        if rendering is not None and rendering.cull_hidden and avatar.splats.cones is None:
+        if not is_figure(avatar):
+            raise GlsplatError(f'"{name}": clients choose avatars, not {type(avatar).__name__} without joints to move')
+        splats = avatar.splats if isinstance(avatar, Avatar) else None
+        if rendering is not None and rendering.cull_hidden and splats is not None and splats.cones is None:
             raise GlsplatError(f'"{name}": cull_hidden needs visibility cones; make them (glsplat avatar cones)')
     return dict(avatars)

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 
+import numpy as np
+
 from glsplat.avatar import Avatar
 from glsplat.errors import GlsplatError
 from glsplat.formats.scene_file import SceneFile
@@ -15,9 +17,10 @@ from glsplat.net.messages import RenderRequest
 from glsplat.passes.kept import Kept
 from glsplat.passes.views import checked_pose
 from glsplat.renderer import Renderer
-from glsplat.scene import Item, Scene, Shown
+from glsplat.scene import Figure, Item, Scene, Shown, is_figure
 from glsplat.skinning.extent import Extent
 from glsplat.skinning.pose import Pose
+from glsplat.skinning.skin import Skin
 
 __all__ = ["KEPT", "Stand", "Stands"]
 
@@ -58,9 +61,9 @@ class Stand:
         if item is None:
             return None
         avatar = item.content
-        assert isinstance(avatar, Avatar)
+        assert is_figure(avatar)
         if self._extent is None:
-            self._extent = Extent.of(avatar.splats, avatar.skin)
+            self._extent = _extent(avatar)
         posed = checked_pose(item.pose if pose is None else pose, len(avatar.skeleton), "avatar")
         bones = item.transform[:3, :3] @ posed.bones(avatar.skeleton)
         bones[:, :, 3] += item.transform[:3, 3]
@@ -75,7 +78,7 @@ class Stand:
 class Stands:
     """The stand of each request. Those used last are kept; the others are made anew when they are asked for."""
 
-    def __init__(self, scene: Shown, avatars: Mapping[str, Avatar], make: Callable[[Scene], Renderer]) -> None:
+    def __init__(self, scene: Shown, avatars: Mapping[str, Figure], make: Callable[[Scene], Renderer]) -> None:
         self._scene, self._avatars, self._make = Scene.of(scene), avatars, make
         self._kept: Kept[Key, Stand] = Kept(KEPT, _KEPT_BYTES)
 
@@ -100,10 +103,18 @@ class Stands:
 
 
 def _without(item: Item | None, parts: tuple[str, ...]) -> Item:
-    """The same avatar in the same place without the splats of ``parts``, which are names of joints."""
-    if item is None or not isinstance(item.content, Avatar):
+    """The same avatar in the same place without what follows ``parts``, which are names of joints."""
+    if item is None or not is_figure(item.content):
         raise GlsplatError("parts can be left out of one avatar, this scene has none or several")
-    avatar = item.content
+    avatar: Figure = item.content
     for part in parts:
         avatar = avatar.without(part)
     return Item(avatar, pose=item.pose, transform=item.transform, name=item.name)
+
+
+def _extent(figure: Figure) -> Extent:
+    if isinstance(figure, Avatar):
+        return Extent.of(figure.splats, figure.skin)
+    used = np.unique(figure.faces)
+    skin = Skin.create(figure.joints[used], figure.weights[used], len(figure.skeleton))
+    return Extent.of_points(figure.vertices[used], skin)

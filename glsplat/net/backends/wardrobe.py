@@ -8,20 +8,21 @@ from pathlib import Path
 from glsplat.avatar import Avatar
 from glsplat.errors import FormatError
 from glsplat.formats import load
+from glsplat.scene import Figure
 
 __all__ = ["Wardrobe"]
 
 
-class Wardrobe(Mapping[str, Avatar]):
+class Wardrobe(Mapping[str, Figure]):
     """``given`` by name, then NAME.glb of ``folder``, read anew each time; never the name of the ``scene``.
 
     What asks has made sure that a name is of those offered, so none leads out of the folder.
     """
 
-    def __init__(self, given: Mapping[str, Avatar], folder: Path, scene: str) -> None:
+    def __init__(self, given: Mapping[str, Figure], folder: Path, scene: str) -> None:
         self._given, self._folder, self._scene = dict(given), folder, scene
 
-    def __getitem__(self, name: str) -> Avatar:
+    def __getitem__(self, name: str) -> Figure:
         if name in self._given:
             return self._given[name]
         if name not in self:

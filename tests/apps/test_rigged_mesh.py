@@ -1,0 +1,108 @@
+"""A rigged mesh wherever a command takes an avatar, and a standing one where it does not."""
+
+from __future__ import annotations
+
+import json
+from argparse import Namespace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from apps.args import driven, load_avatar
+from apps.cli import main
+from apps.preview.player import players_of
+from apps.replay.command import load_drive
+from apps.serve.command import other_avatars
+from apps.tracking.options import skeleton_of
+from apps.usage import UsageError
+from glsplat.formats import save
+from glsplat.making.items import load_scene
+from tests.scene.people import boxes, save_person
+from tests.scenes import cloud
+
+OBJ = "v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 0 1\nf 1/1 2/2 3/3\n"
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """me.npz, room.obj, cloud.ply, and a scene of the first two."""
+    path = tmp_path_factory.mktemp("people")
+    save_person(boxes(), path / "me.npz")
+    (path / "room.obj").write_text(OBJ)
+    save(cloud(100), path / "cloud.ply")
+    items = [{"path": "room.obj", "translation": [0, 0, -1]}, {"path": "me.npz", "translation": [0.1, 0, 0]}]
+    (path / "both.json").write_text(json.dumps({"version": 1, "items": items}))
+    return path
+
+
+@pytest.mark.gl
+@pytest.mark.parametrize("scene", ["me.npz", "both.json"])
+def test_render(folder: Path, tmp_path: Path, scene: str) -> None:
+    """A pose and a motion find the person, beside a room as well."""
+    pictures = []
+    for more in ([], ["--motion", "walk", "--frame", "20"]):
+        out = tmp_path / f"{len(pictures)}.npy"
+        assert main(["render", str(folder / scene), *more, "--size", "96x96", "-o", str(out)]) == 0
+        pictures.append(np.load(out))
+    assert pictures[0][..., 3].any() and (pictures[0] != pictures[1]).any()
+
+
+def test_players(folder: Path) -> None:
+    """The preview's poses go to the mesh with joints."""
+    for scene in ("me.npz", "both.json"):
+        player, _ = players_of(load_scene(folder / scene))
+        assert player is not None and len(player.skeleton) == 55
+    assert players_of(load_scene(folder / "room.obj"))[0] is None
+    with pytest.raises(UsageError, match=r"needs an avatar \(a .glb with a skin, a rigged mesh\)"):
+        driven(load_scene(folder / "room.obj"), "--pose")
+
+
+def test_what_an_option_takes_for_an_avatar(folder: Path) -> None:
+    me = folder / "me.npz"
+    assert len(load_avatar(me, "--avatar").skeleton) == len(skeleton_of(str(me))) == 55
+    named = other_avatars(Namespace(scene=None, avatar=[me], strict=False))
+    assert list(named) == ["me"]
+    drive, seconds = load_drive("walk", str(me))
+    assert seconds > 0.5 and drive.at(0.1).pose is not None
+    tracked, _ = load_drive("walk", str(me), tracking=True)
+    assert tracked.at(0.1).tracking is not None
+    mistakes = {
+        "room.obj": "a mesh without joints to move",
+        "cloud.ply": "splats without a skeleton",
+        "both.json": "a scene file",
+        "none.glb": "no such file",
+    }
+    for name, found in mistakes.items():
+        with pytest.raises(UsageError, match=f"--avatar .*{name}: .*{found}"):
+            load_avatar(folder / name, "--avatar")
+
+
+@pytest.mark.gl
+def test_bench(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Static and in motion; a frame of a mesh is its mesh pass, and no splat is counted."""
+    arguments = ["bench", str(folder / "me.npz"), "--motion", "walk", "--sizes", "32", "--frames", "3"]
+    assert main([*arguments, "--json"]) == 0
+    rows = json.loads(capsys.readouterr().out)["settings"]
+    assert [row["kind"] for row in rows] == ["static", "in motion"]
+    for row in rows:
+        assert row["triangles"] == len(boxes().faces) and row["splats"] == 0 and row["mesh_bytes"] > 0
+        assert row["stages_ms"]["mesh"]["median"] > 0 and row["batching_gain"] > 0
+    assert main(arguments) == 0
+    text = capsys.readouterr().out
+    assert "440 triangles" in text and "batching gain" in text and "splats" not in text and "floor" not in text
+
+
+def test_inspect(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["inspect", str(folder / "both.json"), "--json"]) == 0
+    room, me = json.loads(capsys.readouterr().out)["items"]
+    assert (room["joints"], room["driven"], me["joints"], me["driven"]) == (1, False, 55, True)
+    assert main(["inspect", str(folder / "me.npz")]) == 0
+    assert "440 triangles" in (text := capsys.readouterr().out) and "55 joints, takes poses" in text
+
+
+@pytest.mark.gl
+def test_tracking_is_shown_on_the_mesh(folder: Path, tmp_path: Path) -> None:
+    sheet = tmp_path / "sheet.png"
+    words = ["tracking", "show", "--avatar", str(folder / "me.npz"), "-o", str(sheet), "--size", "64x64"]
+    assert main(words) == 0 and sheet.stat().st_size > 500

@@ -1,0 +1,138 @@
+"""A rigged mesh behind a server is an avatar: posed, tracked, chosen by name, seen from inside, cut out."""
+
+from __future__ import annotations
+
+import asyncio
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from glsplat.camera import head_matrix, stereo_cameras
+from glsplat.config import RenderConfig
+from glsplat.errors import GlsplatError, PoseError
+from glsplat.net.backends.gl import RendererBackend
+from glsplat.net.backends.process import ProcessBackend
+from glsplat.net.backends.server import make_server
+from glsplat.net.client import Client
+from glsplat.net.messages import RenderRequest
+from glsplat.net.server import ServerConfig
+from glsplat.renderer import Renderer
+from glsplat.scene import Item, Scene, Shown, similarity
+from glsplat.skinning.pose import Pose
+from glsplat.tracking.derive import derive, truth_from_motion
+from tests.scene.people import boxes
+from tests.scene.worlds import upright
+from tests.scenes import limb
+
+pytestmark = pytest.mark.gl
+
+SIZE = (96, 80)
+PAIR = stereo_cameras(head_matrix((0.1, 1.2, 2.2), (0, 0, 0, 1)), size=SIZE)
+BENT = Pose.from_smplx({"body_pose": np.full((21, 3), 0.15), "trans": [0.2, 0, 0]})
+PERSON = boxes()
+ROOM = upright(-0.8, 1.5, (90, 80, 70))  # one joint: it stands
+
+
+def direct(scene: Shown, pose: Pose | None = None) -> NDArray[np.uint8]:
+    with Renderer(scene, size=SIZE, views=2, config=RenderConfig(output="uint8")) as renderer:
+        return renderer.render(PAIR, pose)
+
+
+def request(**more: object) -> RenderRequest:
+    return RenderRequest(frame_id=1, cameras=tuple(PAIR), **more)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("own_process", [False, True])
+def test_poses_parts_and_boxes(own_process: bool) -> None:
+    """In a room of one joint, beside another avatar by name."""
+    scene = Scene([Item(ROOM), Item(PERSON)])
+    make = partial(RendererBackend, scene, SIZE, avatars={"rod": limb(200), "twin": PERSON})
+    backend = ProcessBackend(make, 128) if own_process else make()
+    backend.open()
+    try:
+        for pose in (None, BENT):
+            for hide, mesh in (((), PERSON), (("head",), PERSON.without("head"))):
+                out = backend.render(request(pose=pose, hide=hide, box=True))
+                assert (out.images == direct(Scene([Item(ROOM), Item(mesh)]), pose)).all()
+                vertices = mesh.posed(pose or Pose.zero())[np.unique(mesh.faces)]
+                low, high = np.reshape(out.box, (2, 3))
+                assert (low <= vertices.min(axis=0) + 0.02).all() and (high >= vertices.max(axis=0) - 0.02).all()
+                assert (high - low < 1.25 * np.ptp(vertices, axis=0) + 0.1).all()
+                if out.done is not None:
+                    out.done()
+        for name, thing in (("rod", limb(200)), ("twin", PERSON)):
+            out = backend.render(request(avatar=name))
+            assert (out.images == direct(thing)).all()
+            if out.done is not None:
+                out.done()
+    finally:
+        backend.close()
+
+
+def test_what_may_be_served() -> None:
+    (one,) = make_server(PERSON, ServerConfig(port=0), own_process=False).offer()["avatars"]
+    assert one["head"] and one["tracking"]
+    (room,) = make_server(ROOM, ServerConfig(port=0), own_process=False).offer()["avatars"]
+    assert not room["head"] and not room["tracking"]
+    both = make_server(limb(50), ServerConfig(port=0), own_process=False, avatars={"mesh": PERSON}).offer()["avatars"]
+    assert [entry["name"] for entry in both] == ["default", "mesh"]
+    make_server(PERSON, rendering=RenderConfig(cull_hidden=True), avatars={"mesh": PERSON})  # nothing to cull
+    with pytest.raises(GlsplatError, match='"room": clients choose avatars, not RiggedMesh without joints to move'):
+        make_server(PERSON, avatars={"room": ROOM})
+
+
+def test_tracking_moves_a_mesh_and_alpha_cuts_it_out() -> None:
+    """Over the wire: solved head and hands, and colours that lie over anything by their alpha."""
+    zero = Pose.zero()
+    truth = truth_from_motion(PERSON.skeleton, np.stack([zero.rotations] * 20), np.zeros((20, 3)), 30.0, 30.0)
+    sample = {key: value for key, value in next(iter(derive(PERSON.skeleton, truth))).to_json().items() if key != "t"}
+
+    async def main() -> tuple[NDArray[np.uint8], NDArray[np.uint8], NDArray[np.uint8]]:
+        server = make_server(PERSON, ServerConfig(port=0), own_process=False)
+        await server.start()
+        try:
+            async with Client(server.url) as client:
+                posed = await client.render(PAIR, pose=BENT, alpha=True, quality=95)
+                straight = await client.render(PAIR, pose=BENT, alpha="straight", quality=95)
+                tracked = await client.render(PAIR, tracking=sample, alpha=True)
+                return posed.rgba(), straight.rgba(), tracked.rgba()
+        finally:
+            await server.stop()
+
+    posed, straight, tracked = (np.asarray(pictures) for pictures in asyncio.run(main()))
+    expected = direct(PERSON, BENT)
+    edge = (expected[..., 3] > 0) & (expected[..., 3] < 255)
+    assert edge.sum() > 50  # antialiased
+    for found in (posed, straight):
+        assert np.abs(found[..., 3].astype(int) - expected[..., 3]).max() <= 8
+    inside = expected[..., 3] == 255
+    assert np.abs(posed.astype(float) - expected)[inside].mean() < 12
+    assert tracked[..., 3].any() and (tracked[..., 3] != expected[..., 3]).any()
+
+
+def test_a_mesh_without_its_head() -> None:
+    bare = PERSON.without("head")
+    gone = PERSON.skeleton.under("head")
+    assert len(bare.faces) == len(PERSON.faces) - 8 * gone.sum()  # a box a joint
+    heights = bare.vertices[np.unique(bare.faces), 1].max(), PERSON.vertices[:, 1].max()
+    assert heights[0] < heights[1] - 0.1
+    with pytest.raises(PoseError, match="no joint"):
+        PERSON.without("tail")
+    with pytest.raises(PoseError, match='without "pelvis" has no triangle left'):
+        PERSON.without("pelvis")
+
+
+def test_one_pose_is_for_one_figure(renderer_of) -> None:
+    """Standing meshes and hidden ones are none; a mesh with joints beside an avatar is another."""
+    scene = Scene([Item(ROOM), Item(PERSON, transform=similarity((0.1, 0, 0)))])
+    assert [item.content for item in scene.figures] == [PERSON]
+    renderer = renderer_of(scene, size=SIZE, views=2)
+    assert (renderer.render(PAIR, BENT) != renderer.render(PAIR)).any()
+    other = scene.add(Item(replace(limb(50), meta={})))
+    with pytest.raises(PoseError, match="one pose for 2 avatars"):
+        renderer.render(PAIR, BENT)
+    other.visible = False
+    renderer.render(PAIR, BENT)
