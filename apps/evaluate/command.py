@@ -27,7 +27,7 @@ from glsplat.motion.motion import embedded_motions
 
 from ..usage import UsageError
 from .html import page
-from .outcome import outcome, table_lines
+from .outcome import outcome, plots, table_lines
 from .ready import check_ready
 
 HELP = (
@@ -99,7 +99,7 @@ def run(args: argparse.Namespace) -> int:
         timing = {}
     found = outcome(results, tuple(methods), people, protocol, options, timing)
     found["seconds"] = round(time.perf_counter() - began, 1)
-    _write(found, args.output)
+    _write(found, plots(results, tuple(methods), args.seed), args.output)
     print(*table_lines(found), sep="\n")
     print(args.output / "evaluation.html")
     return 1 if found["failures"] else 0
@@ -191,11 +191,13 @@ def _words(text: str, option: str) -> list[str]:
     return words
 
 
-def _write(found: Mapping[str, Any], folder: Path) -> None:
-    sheets = {}
+def _write(found: Mapping[str, Any], plots: Mapping[str, bytes], folder: Path) -> None:
+    pictures = dict(plots)
     for row in found["participants"]:
         name = f"sheets/{row['method']}/{row['participant']}.jpg"
         if "failed" not in row:
-            sheets[name] = (folder / name).read_bytes()
+            pictures[name] = (folder / name).read_bytes()
+    for name, data in plots.items():
+        replace_file(folder / name, [data])
     replace_file(folder / "evaluation.json", [json.dumps(found, indent=1, allow_nan=False).encode()])
-    replace_file(folder / "evaluation.html", [page(found, sheets).encode()])
+    replace_file(folder / "evaluation.html", [page(found, pictures).encode()])

@@ -9,13 +9,11 @@ from glsplat.evaluate.comparison.control import CONTROLS
 from glsplat.evaluate.comparison.measure import BOXED, MEASURES, OVERLAP, PARTED
 
 from ..page import document, escaped, image_of, table_of
-from .outcome import LOWER
+from .outcome import LOWER, NAMES
 
 __all__ = ["page"]
 
 _BY = {"tracking": "head and hands, through the solver", "pose": "the true pose"}
-_NAMES = {"l1": "L1", "lpips": "LPIPS", "psnr": "PSNR (dB)", "ssim": "SSIM", "flip": "FLIP", "lpips-vgg": "LPIPS, VGG"}
-_NAMES |= {"box_l1": "L1, box", "box_psnr": "PSNR, box (dB)", "box_ssim": "SSIM, box", OVERLAP: "overlap"}
 _ROLES = {
     "photo": "one photograph to splats (the paper's own role)",
     "mesh-image": "one photograph to a textured mesh (the paper's image-based role)",
@@ -65,7 +63,7 @@ def _facts(found: Mapping[str, Any]) -> list[str]:
 def _table1(rows: Sequence[Mapping[str, Any]], found: Mapping[str, Any]) -> str:
     extra = [name for name in ("flip", "lpips-vgg") if any(name in row for row in rows)]
     measures = [*MEASURES, *extra, *BOXED, OVERLAP]
-    heads = ["method", *(_head(name) for name in measures), "participants", *(f"paper: {_NAMES[n]}" for n in MEASURES)]
+    heads = ["method", *(_head(name) for name in measures), "participants", *(f"paper: {NAMES[n]}" for n in MEASURES)]
     lines = []
     for row in rows:
         paper = row.get("paper", {})
@@ -170,9 +168,7 @@ def _timing(timing: Mapping[str, Any]) -> list[str]:
 def _people(rows: Sequence[Mapping[str, Any]]) -> list[str]:
     heads = ["participant", "method", "made in (s)", "file (MB)", "of"]
     heads += [
-        f"{_NAMES[name]}, {'tracked' if control == 'tracking' else 'posed'}"
-        for control in CONTROLS
-        for name in MEASURES
+        f"{NAMES[name]}, {'tracked' if control == 'tracking' else 'posed'}" for control in CONTROLS for name in MEASURES
     ]
     lines, classes = [], []
     for row in rows:
@@ -207,7 +203,7 @@ def spread_text(spread: Mapping[str, Any] | None, name: str) -> str:
 
 
 def _head(name: str) -> str:
-    return f"{_NAMES[name]} {'↓' if name in LOWER else '↑'}"
+    return f"{NAMES[name]} {'↓' if name in LOWER else '↑'}"
 
 
 def _place(rows: Sequence[Mapping[str, Any]], key: str, value: str) -> int:

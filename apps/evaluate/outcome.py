@@ -7,16 +7,20 @@ from typing import Any
 
 from glsplat.evaluate.comparison import tables
 from glsplat.evaluate.comparison.control import CONTROLS
-from glsplat.evaluate.comparison.measure import MEASURES
+from glsplat.evaluate.comparison.measure import MEASURES, OVERLAP
 from glsplat.evaluate.comparison.participant import Participant
 from glsplat.evaluate.comparison.protocol import Protocol
 from glsplat.evaluate.comparison.work import Result
 from glsplat.evaluate.machine import machine
 
-__all__ = ["LOWER", "outcome", "table_lines"]
+__all__ = ["LOWER", "NAMES", "outcome", "plots", "table_lines"]
 
 LOWER = ("l1", "lpips", "box_l1", "flip", "lpips-vgg")
 """Measures that are better when they are smaller."""
+
+NAMES = {"l1": "L1", "lpips": "LPIPS", "psnr": "PSNR (dB)", "ssim": "SSIM", "flip": "FLIP", "lpips-vgg": "LPIPS, VGG"}
+NAMES |= {"box_l1": "L1, box", "box_psnr": "PSNR, box (dB)", "box_ssim": "SSIM, box", OVERLAP: "overlap"}
+"""Measures as people call them."""
 
 
 def outcome(
@@ -45,6 +49,22 @@ def outcome(
         "failures": tables.failures(results),
         "timing": dict(timing),
     }
+
+
+def plots(results: Sequence[Result], methods: Sequence[str], seed: int) -> dict[str, bytes]:
+    """PNG by file name: every measure by method, and L1 by side, pose and body part; a set for each control."""
+    from .plots import groups_plot, methods_plot  # here: matplotlib takes a second
+
+    drawn = {}
+    for control in CONTROLS:
+        panels = {NAMES[name]: {m: tables.means(results, m, control, name) for m in methods} for name in MEASURES}
+        drawn[f"methods-{control}.png"] = methods_plot(panels, seed)
+        groups = {
+            title: tables.grouped(results, methods, control, "l1", key)
+            for title, key in (("by side", "view"), ("by pose", "moment"), ("by body part", "part"))
+        }
+        drawn[f"groups-{control}.png"] = groups_plot(groups, NAMES["l1"], seed)
+    return drawn
 
 
 def table_lines(found: Mapping[str, Any]) -> list[str]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
@@ -13,11 +13,25 @@ from glsplat.evaluate.comparison.control import CONTROLS
 from glsplat.evaluate.comparison.measure import BOXED, MEASURES, OVERLAP, PARTED
 from glsplat.evaluate.comparison.parts import PARTS
 from glsplat.evaluate.comparison.work import Result
-from glsplat.evaluate.statistics import compare
+from glsplat.evaluate.statistics import Values, compare
 
-__all__ = ["PAPER", "by_moment", "by_part", "by_participant", "by_view", "compared", "failures", "means", "summary"]
+__all__ = [
+    "PAPER",
+    "Groups",
+    "by_moment",
+    "by_part",
+    "by_participant",
+    "by_view",
+    "compared",
+    "failures",
+    "grouped",
+    "means",
+    "summary",
+]
 
 F64 = NDArray[np.float64]
+Groups = Mapping[str, Values]
+"""By what the figures are of, then method and participant."""
 
 PAPER: Mapping[str, Mapping[str, float]] = {
     "mesh-video": {"l1": 0.042, "lpips": 0.099, "psnr": 16.33, "ssim": 0.927},
@@ -81,28 +95,28 @@ def by_participant(results: Sequence[Result], methods: Sequence[str]) -> list[di
 
 def by_view(results: Sequence[Result], methods: Sequence[str]) -> list[dict[str, Any]]:
     """A row a method, control and side of the person that is seen."""
-    return _along(results, methods, "view", "views", lambda array, place: array[:, place])
+    return _along(results, methods, "view", _measures(results))
 
 
 def by_moment(results: Sequence[Result], methods: Sequence[str]) -> list[dict[str, Any]]:
     """A row a method, control and moment (pose)."""
-    return _along(results, methods, "moment", "moments", lambda array, place: array[place])
+    return _along(results, methods, "moment", _measures(results))
 
 
 def by_part(results: Sequence[Result], methods: Sequence[str]) -> list[dict[str, Any]]:
     """A row a method, control and body part; means over the pictures in which it is seen."""
-    rows = []
-    for control in CONTROLS:
-        for method in methods:
-            good = _good(results, method)
-            for part in PARTS if good else ():
-                row: dict[str, Any] = {"method": method, "control": control, "part": part}
-                for name in PARTED:
-                    arrays = [_numbers(one.data["parts"][control][part][name]) for one in good]
-                    seen = [float(np.nanmean(array)) for array in arrays if np.isfinite(array).any()]
-                    row[name] = _spread(seen)
-                rows.append(row)
-    return rows
+    return _along(results, methods, "part", PARTED)
+
+
+def grouped(results: Sequence[Result], methods: Sequence[str], control: str, measure: str, key: str) -> Groups:
+    """Figures of one measure by side ("view"), pose ("moment") or body part ("part"), then method and participant."""
+    groups: dict[str, dict[str, dict[str, float]]] = {}
+    for method in methods:
+        for one in _good(results, method):
+            for label, array in _pieces(one, control, measure, key):
+                if np.isfinite(array).any():
+                    groups.setdefault(label, {}).setdefault(method, {})[one.participant] = float(np.nanmean(array))
+    return groups
 
 
 def failures(results: Sequence[Result]) -> list[dict[str, str]]:
@@ -111,19 +125,28 @@ def failures(results: Sequence[Result]) -> list[dict[str, str]]:
 
 
 def _along(
-    results: Sequence[Result], methods: Sequence[str], name: str, key: str, take: Callable[[F64, int], F64]
+    results: Sequence[Result], methods: Sequence[str], key: str, measures: Sequence[str]
 ) -> list[dict[str, Any]]:
     rows = []
     for control in CONTROLS:
+        by_measure = {measure: grouped(results, methods, control, measure, key) for measure in measures}
         for method in methods:
-            good = _good(results, method)
-            for place, label in enumerate(good[0].data[key] if good else ()):
-                row: dict[str, Any] = {"method": method, "control": control, name: label}
-                for measure in _measures(results):
-                    own = [float(np.nanmean(take(_array(one, control, measure), place))) for one in good]
-                    row[measure] = _spread(own)
-                rows.append(row)
+            for label, values in next(iter(by_measure.values()), {}).items():
+                if method in values:
+                    row: dict[str, Any] = {"method": method, "control": control, key: label}
+                    for measure, groups in by_measure.items():
+                        row[measure] = _spread(list(groups[label][method].values()))
+                    rows.append(row)
     return rows
+
+
+def _pieces(one: Result, control: str, measure: str, key: str) -> list[tuple[str, F64]]:
+    """The values of a result by what they are of."""
+    if key == "part":
+        return [(part, _numbers(one.data["parts"][control][part][measure])) for part in PARTS]
+    array = _array(one, control, measure)
+    axis = ("moment", "view").index(key)
+    return [(label, np.asarray(array.take(place, axis=axis))) for place, label in enumerate(one.data[f"{key}s"])]
 
 
 def _measures(results: Sequence[Result]) -> list[str]:
