@@ -29,6 +29,7 @@ from ..usage import UsageError
 from .html import page
 from .outcome import outcome, plots, table_lines
 from .ready import check_ready
+from .timing import timed
 
 HELP = (
     "Make every method's avatar of every participant, drive all by the same head and hands and by the true pose, "
@@ -91,12 +92,7 @@ def run(args: argparse.Namespace) -> int:
     options = {"seed": args.seed, "quick": args.quick}
     began = time.perf_counter()
     results = _results([Task(one, methods, protocol, args.output, options) for one in people], jobs)
-    if not args.no_timing:
-        from .timing import timed
-
-        timing = timed(results, args.output, args.quick)
-    else:
-        timing = {}
+    timing = {} if args.no_timing else timed(results, people, protocol, args.output, args.quick)
     found = outcome(results, tuple(methods), people, protocol, options, timing)
     found["seconds"] = round(time.perf_counter() - began, 1)
     _write(found, plots(results, tuple(methods), args.seed), args.output)

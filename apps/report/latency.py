@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -50,8 +51,10 @@ def frames(quick: bool) -> int:
     return round(_SECONDS[not quick] * _FPS) * (1 if quick else len(_SIZES))
 
 
-def measure(quick: bool = False, progress: Callable[[int], None] = lambda count: None) -> dict[str, Any]:
-    """Stream the embedded recording through a server of the default avatar; ``quick``: 512² only, 3 s.
+def measure(
+    quick: bool = False, progress: Callable[[int], None] = lambda count: None, avatar: Path | None = None
+) -> dict[str, Any]:
+    """Stream the embedded recording through a server of an ``avatar`` (the default one); ``quick``: 512² only, 3 s.
 
     ``progress(1)`` is called ``frames(quick)`` times, once a request: 1000 / 72 ms each. Returns::
 
@@ -65,7 +68,7 @@ def measure(quick: bool = False, progress: Callable[[int], None] = lambda count:
     """
     drive, _ = load_drive(None)
     count = round(_SECONDS[not quick] * _FPS)
-    with running_server(None) as url:
+    with running_server(None if avatar is None else str(avatar)) as url:
         results = [asyncio.run(_run(url, drive, size, count, progress)) for size in _SIZES[: 1 if quick else None]]
     runs = [_values(result, size) for result, size in zip(results, _SIZES, strict=False)]
     return {"driver": results[0].driver, "fps": _FPS, "paper": PAPER, "runs": runs}

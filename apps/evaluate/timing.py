@@ -1,0 +1,89 @@
+"""What the compared avatars cost at run time: table 2 and the latency table of the paper, of one participant."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from tqdm import tqdm
+
+from glsplat.evaluate.comparison.control import true_poses
+from glsplat.evaluate.comparison.method import Figure
+from glsplat.evaluate.comparison.participant import Participant
+from glsplat.evaluate.comparison.performance import perform
+from glsplat.evaluate.comparison.protocol import Protocol
+from glsplat.evaluate.comparison.stage import Stage
+from glsplat.evaluate.comparison.work import Result
+from glsplat.evaluate.metrics.lpips import Lpips
+from glsplat.evaluate.sections.costs import SIZES, costs
+from glsplat.gl.context import create_context
+from glsplat.making.items import load_item
+
+from ..report import latency
+
+__all__ = ["timed"]
+
+_FRAMES = 30, 8  # measured; in a quick run
+_STREAMED = ("photo", "mesh-image")  # methods whose avatars go over the wire for the latency table
+
+
+def timed(
+    results: Sequence[Result], people: Sequence[Participant], protocol: Protocol, folder: Path, quick: bool
+) -> dict[str, Any]:
+    """Costs and latencies of the first participant of whom most methods made an avatar; {} where none did."""
+    files = {one.name: _files(results, one, folder) for one in people}
+    chosen = max(people, key=lambda one: len(files[one.name]))
+    if not files[chosen.name]:
+        return {}
+    figures: dict[str, Figure] = {}
+    for method, file in files[chosen.name].items():
+        loaded = load_item(file, False)
+        figures[method] = loaded  # type: ignore[assignment]  # it was an avatar when it was written
+    sizes = SIZES[:1] if quick else SIZES
+    frames = _FRAMES[quick]
+    with tqdm(total=len(figures) * len(sizes) * frames, desc="timing", leave=False, disable=None) as bar:
+        context = create_context()
+        try:
+            rows = [cost.row() for cost in costs(context, figures, sizes, frames, tick=bar.update)]
+        finally:
+            context.release()
+    for size in sizes:
+        likeness = _likeness(chosen, figures, replace(protocol, size=size, views=("front",)))
+        for row in rows:
+            if row["size"] == size:
+                row["lpips"] = likeness[row["method"]]
+    streamed = []
+    for method in (name for name in _STREAMED if name in figures):
+        found = latency.measure(quick, avatar=files[chosen.name][method])
+        streamed.append({"method": method, **found, "rows": latency.rows(found)})
+    return {"participant": chosen.name, "costs": rows, "latency": streamed}
+
+
+def _files(results: Sequence[Result], one: Participant, folder: Path) -> dict[str, Path]:
+    """Method -> the file of that participant's avatar."""
+    good = [result.method for result in results if result.participant == one.name and not result.failed]
+    files = {method: folder / "avatars" / method / f"{one.name}.glb" for method in good}
+    return {method: file for method, file in files.items() if file.is_file()}
+
+
+def _likeness(one: Participant, figures: Mapping[str, Figure], protocol: Protocol) -> dict[str, float]:
+    """Method -> mean LPIPS over the tasks, from the front, by the true pose, at the protocol's size."""
+    performance = perform(one.mesh, protocol.tasks)
+    network = Lpips("alex")
+    found: dict[str, list[float]] = {method: [] for method in figures}
+    with Stage(one.mesh, performance, protocol, one.light) as stage:
+        places = {method: stage.add(figure) for method, figure in figures.items()}
+        poses = {
+            method: true_poses(performance, one.mesh.skeleton, figure.skeleton) for method, figure in figures.items()
+        }
+        for moment in range(len(performance.moments)):
+            truth = stage.truth(moment, "front")
+            wanted = network.features(truth.pictures[0, ..., :3] / np.float32(255))
+            for method, place in places.items():
+                drawn = stage.draw(place, truth.cameras, poses[method][moment])
+                seen = network.features(drawn[0, ..., :3] / np.float32(255))
+                found[method].append(network.distance(seen, wanted))
+    return {method: round(float(np.mean(values)), 4) for method, values in found.items()}
