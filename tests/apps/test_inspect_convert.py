@@ -14,7 +14,12 @@ from glsplat_apps import args, cli, convert, inspect
 
 from glsplat.avatar import Avatar
 from glsplat.formats import load, save
+from glsplat.formats.gltf_mesh import save_gltf_mesh
+from glsplat.formats.scene_file import upright
+from glsplat.making.rigged_gltf import read_gltf_person
+from glsplat.skinning.pose import Pose
 from glsplat.splats import Splats
+from tests.formats.meshes import bends, chain, corners
 from tests.formats.scenes import assert_equal, awkward_splats, random_avatar, random_splats
 
 
@@ -240,3 +245,21 @@ def test_real_file_from_splat_to_ply(tmp_path: Path, shared_data: Path, capsys: 
     assert cli.main(["convert", str(source), str(tmp_path / "a.ply")]) == 0
     report = described(capsys, tmp_path / "a.ply")
     assert report["splats"] == 10_000 and "not_finite" not in report["unusual"]
+
+
+def test_a_mesh_is_converted_turned_and_described(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    mesh = chain()
+    save_gltf_mesh(mesh, tmp_path / "a.glb")
+    assert cli.main(["convert", str(tmp_path / "a.glb"), str(tmp_path / "b.gltf"), "--up", "z"]) == 0
+    turned = read_gltf_person(tmp_path / "b.gltf")
+    pose = bends(mesh)
+    straight, lying = (corners(m, Pose(pose.rotations)) for m in (mesh, turned))
+    np.testing.assert_allclose(lying, straight @ upright("z")[:3, :3].T, atol=1e-5)
+    report = described(capsys, tmp_path / "b.gltf")
+    assert report["kind"] == "mesh" and report["file_bytes"] == (tmp_path / "b.gltf").stat().st_size
+    (item,) = report["items"]
+    assert item["textures"] == [["whole", 64, 64], ["holes", 32, 16]] and item["meta"]["consent"] == "nobody real"
+    assert (item["triangles"], item["joints"]) == (80, 10)
+    assert cli.main(["convert", str(tmp_path / "a.glb"), str(tmp_path / "c.ply")]) == 1
+    assert "c.ply: a mesh is written as .glb or .gltf" in capsys.readouterr().err
+    assert not (tmp_path / "c.ply").exists()
