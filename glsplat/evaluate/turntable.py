@@ -63,7 +63,7 @@ def turntable(
     shift = _drift(rng, frames, (3,)) * (_SWAY[1], 0.0, _SWAY[1])
     names = mesh.skeleton.names
     pelvis = names.index("pelvis")
-    config = MeshConfig(output="float32")
+    config = MeshConfig(supersample=1, output="float32")  # frames are large enough
     with MeshRenderer(mesh, size=(camera.width, camera.height), config=config) as renderer:
         for index, turn in enumerate(degrees):
             now = pose.rotations + sway[index]

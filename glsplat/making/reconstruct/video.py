@@ -15,7 +15,6 @@ from glsplat.making.fit.body import open_body
 from glsplat.making.fit.details import fit_details
 from glsplat.making.fit.eyes import read_eyes
 from glsplat.making.fit.fit import BodyFit, FittedView
-from glsplat.making.fit.turning import fit_turning, key_views
 from glsplat.making.fit.view import View
 from glsplat.making.paint.dress import dressed_mesh
 from glsplat.making.paint.fuse import Fusion, fusion_of
@@ -23,6 +22,7 @@ from glsplat.making.paint.scatter import scatter
 from glsplat.making.paint.sharpen import sharpened
 from glsplat.making.paint.shot import Shot
 from glsplat.making.texture import baked
+from glsplat.making.video.body import fit_turning, key_views
 from glsplat.making.video.frames import FEWEST, Frame, FramePicture, FrameSource, check_frames, frames_of
 from glsplat.meshes import RiggedMesh
 

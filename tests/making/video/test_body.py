@@ -11,8 +11,8 @@ from glsplat.making.fit.body import BETAS, open_body
 from glsplat.making.fit.fit import dressed
 from glsplat.making.fit.landmarks import LANDMARK_COUNT, landmarks
 from glsplat.making.fit.solver import Known, Solver
-from glsplat.making.fit.turning import fit_turning, key_views
 from glsplat.making.fit.view import View
+from glsplat.making.video.body import fit_turning, key_views
 from tests.making.made_up import posed_view
 
 
