@@ -53,8 +53,8 @@ class Stage:
         self._reach = round(_REACH * protocol.size)
         self._figures: list[Renderer] = []
         self._posed: tuple[int, NDArray[np.float64]] = -1, mesh.vertices
-        lit = light is not None and protocol.light == "capture"
-        self._light = CaptureLight.of_note(light) if lit else None
+        note = light if protocol.light == "capture" else None
+        self._light = None if note is None else CaptureLight.of_note(note)
         self._shade: NDArray[np.float64] | None = None  # of what is posed
         with ExitStack() as stack:
             self._context = create_context()
