@@ -21,13 +21,23 @@ from glsplat.making.importers import nearest_weights
 from glsplat.making.people import read_person
 from glsplat.making.surface import SamplerConfig, make_avatar
 from glsplat.motion.motion import Motion, load_motion
+from glsplat.scene import Content
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.skin import Skin
 from glsplat.splats import Splats
 from glsplat.views import splats_of, view_of, viewing_point
 
-__all__ = ["PERSON_SPLATS", "Subject", "cameras_for", "check_cameras", "dense_person", "orbit", "subjects_of"]
+__all__ = [
+    "PERSON_SPLATS",
+    "Subject",
+    "cameras_for",
+    "check_cameras",
+    "dense_person",
+    "orbit",
+    "pose_of_frame",
+    "subjects_of",
+]
 
 NUDGE = 1e-6
 """Radians a given camera is turned by in every second frame: nothing one can see, but every frame is sorted.
@@ -61,21 +71,25 @@ class Subject:
         return [replace(camera, viewmat=turn @ camera.viewmat) for camera in self.cameras]
 
     def pose(self, frame: int) -> Pose | None:
-        """The pose of a frame: the embedded wave-and-turn, or on a rig that has no such joints a sway of all."""
+        """The pose of a frame (``pose_of_frame``); None of what stands still."""
         if not isinstance(self.scene, Avatar) or not self.moving:
             return None
-        skeleton = self.scene.skeleton
-        motion = _motion(skeleton)
-        if motion is None:
-            return Pose(np.full((len(skeleton), 3), 0.3 * np.sin(0.1 * frame)), np.zeros(3))
-        return motion.at(frame / 30)
+        return pose_of_frame(self.scene.skeleton, frame)
 
     def level(self, share: float) -> Splats | Avatar:
         """The scene with that share of its splats, merged from it (report_levels); 1 is the scene itself."""
         return self.scene if share == 1.0 else _level(self, share)
 
 
-def orbit(scene: Splats | Avatar, frame: int, size: int) -> list[Camera]:
+def pose_of_frame(skeleton: Skeleton, frame: int) -> Pose:
+    """The embedded wave-and-turn at 30 frames a second, or on a rig that has no such joints a sway of all."""
+    motion = _motion(skeleton)
+    if motion is None:
+        return Pose(np.full((len(skeleton), 3), 0.3 * np.sin(0.1 * frame)), np.zeros(3))
+    return motion.at(frame / 30)
+
+
+def orbit(scene: Content, frame: int, size: int) -> list[Camera]:
     """The pair of a head that goes round the scene by a degree a frame, as ``glsplat bench`` has it."""
     eye, target = _viewing_point(scene)
     x, y, z = eye - target
@@ -152,7 +166,7 @@ def dense_person(path: Path, count: int, size: int, config: SamplerConfig | None
 
 
 @lru_cache(maxsize=4)  # asked for every frame, and its percentiles take milliseconds
-def _viewing_point(scene: Splats | Avatar) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _viewing_point(scene: Content) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     return viewing_point(scene, FOV)
 
 

@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.camera import Camera
-from glsplat.evaluate.lit import shading
-from glsplat.making.paint.colour import to_linear, to_srgb
+from glsplat.evaluate.light import CaptureLight, shade_of
 from glsplat.mesh.renderer import MeshConfig, MeshRenderer
 from glsplat.meshes import RiggedMesh
 from glsplat.skinning.pose import Pose
@@ -63,6 +62,7 @@ def turntable(
     shift = _drift(rng, frames, (3,)) * (_SWAY[1], 0.0, _SWAY[1])
     names = mesh.skeleton.names
     pelvis = names.index("pelvis")
+    light = CaptureLight.of_note({"direction_to": towards, "colour": colour})
     config = MeshConfig(supersample=1, output="float32")  # frames are large enough
     with MeshRenderer(mesh, size=(camera.width, camera.height), config=config) as renderer:
         for index, turn in enumerate(degrees):
@@ -70,11 +70,9 @@ def turntable(
             about = cv2.Rodrigues(np.array([0.0, np.radians(turn), 0.0]))[0]
             now[pelvis] = cv2.Rodrigues(about @ cv2.Rodrigues(pose.rotations[pelvis].copy())[0])[0].ravel()
             posed = Pose(now, pose.trans + shift[index])
-            drawn = renderer.render([camera], posed)[0]
-            light = shading(mesh, mesh.posed(posed), camera, towards, colour)
+            drawn = renderer.render([camera], posed, shade=shade_of(mesh, mesh.posed(posed), light))[0]
             alpha = drawn[..., 3:]
-            person = to_srgb(to_linear(drawn[..., :3] / np.maximum(alpha, 1e-3)) * light)
-            before = 255 * person * alpha + room * (1 - alpha) + rng.normal(0, _NOISE, room.shape)
+            before = 255 * drawn[..., :3] + room * (1 - alpha) + rng.normal(0, _NOISE, room.shape)
             packed = cv2.imencode(
                 ".jpg", before.clip(0, 255).astype(np.uint8)[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, _QUALITY]
             )[1]

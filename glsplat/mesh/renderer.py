@@ -14,8 +14,9 @@ from typing import Any, Literal
 
 import moderngl
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from glsplat.arrays import own
 from glsplat.camera import Camera
 from glsplat.config import RenderConfig
 from glsplat.errors import ContextError, GlsplatError
@@ -107,18 +108,29 @@ class MeshRenderer:
         """GPU bytes of vertices, triangles and textures."""
         return self._buffers.nbytes
 
-    def render(self, cameras: Sequence[Camera], pose: Pose | None = None) -> NDArray[Any]:
+    def render(
+        self,
+        cameras: Sequence[Camera],
+        pose: Pose | None = None,
+        *,
+        shade: ArrayLike | None = None,  # [N, 3] factors a vertex of the mesh, in linear light (evaluate/light.py)
+    ) -> NDArray[Any]:
         """The images [V, H, W, 4], row 0 at the top: RGB over the background, and the share of the pixel covered.
 
-        ``config.output`` decides between uint8 and float32 in [0, 1]. Raises PoseError for a pose that does not fit,
-        GlsplatError for cameras of another size.
+        ``config.output`` decides between uint8 and float32 in [0, 1]. Without ``shade`` colours are the textures'; with
+        it what they hold is sRGB, taken to linear light, multiplied and taken back. Raises PoseError for a pose that
+        does not fit, GlsplatError for cameras of another size and for a shade that is not one of three finite factors a
+        vertex.
         """
         cameras = checked_views(cameras, self.size)
         pose = checked_pose(pose, len(self.mesh.skeleton), "mesh")
+        light = None if shade is None else own(shade, np.float32, "shade", GlsplatError)
+        if light is not None and not (light.shape == self.mesh.vertices.shape and np.isfinite(light).all()):
+            raise GlsplatError(f"shade needs {self.mesh.vertices.shape} finite factors, not {light.shape}")
         if self._released:
             raise GlsplatError("this renderer was released; make a new one")
         with self.context.entered("MeshRenderer.render()"):
-            return self._render(cameras, pose)
+            return self._render(cameras, pose, light)
 
     def release(self) -> None:
         """Delete every GL object, and the context if it was made here. May be called twice."""
@@ -159,7 +171,12 @@ class MeshRenderer:
         self._reach = reach_of(mesh, skin)
         self._buffers = self._own(MeshBuffers(ctx, mesh, skin, min(self.config.anisotropy, ctx.max_anisotropy)))
         self._frame = self._own(FrameBlock(ctx, 1))
-        self._draw_array, self._resolve_array = self._arrays(ctx, factor)
+        self._draw_array: moderngl.VertexArray = self._own(self._array(ctx))
+        self._shade: moderngl.Buffer | None = None
+        self._lit_array: moderngl.VertexArray = self._draw_array
+        resolve = self._programs.draw("screen", "mesh_resolve", Variant())
+        resolve["factor"] = factor
+        self._resolve_array = self._own(ctx.vertex_array(resolve, []))
         self._samples = self.config.samples if ctx.max_samples >= self.config.samples else 1
         self._large = self._own(ctx.texture(large, 4, dtype="f1"))
         depth = self._own(ctx.depth_renderbuffer(large, samples=self._samples if self._samples > 1 else 0))
@@ -176,28 +193,35 @@ class MeshRenderer:
         self._stack.callback(item.release)
         return item
 
-    def _arrays(self, ctx: moderngl.Context, factor: int) -> tuple[moderngl.VertexArray, moderngl.VertexArray]:
-        program = self._programs.draw("mesh", "mesh", MeshVariant(influences=INFLUENCES))
-        resolve = self._programs.draw("screen", "mesh_resolve", Variant())
-        resolve["factor"] = factor
-        array = ctx.vertex_array(program, [self._buffers.content], index_buffer=self._buffers.faces)
-        return self._own(array), self._own(ctx.vertex_array(resolve, []))
+    def _array(self, ctx: moderngl.Context, *more: Any, shaded: int = 0) -> moderngl.VertexArray:
+        program = self._programs.draw("mesh", "mesh", MeshVariant(influences=INFLUENCES, shaded=shaded))
+        return ctx.vertex_array(program, [self._buffers.content, *more], index_buffer=self._buffers.faces)
+
+    def _shaded(self, shade: NDArray[np.float32]) -> moderngl.VertexArray:
+        """What draws under this light; made when it is first asked for."""
+        factors = np.ascontiguousarray(shade[self._buffers.indices])
+        if self._shade is None:
+            self._shade = self._own(self.context.ctx.buffer(reserve=factors.nbytes, dynamic=True))
+            self._lit_array = self._own(self._array(self.context.ctx, (self._shade, "3f", "shade"), shaded=1))
+        self._shade.write(factors)
+        return self._lit_array
 
     def _fitted(self, camera: Camera, bones: NDArray[np.float64], origin: NDArray[np.float64]) -> Camera:
         """The camera with near and far drawn in to the posed mesh, so that the depth buffer tells layers apart."""
         return fitted(camera, *depth_range(camera, self.mesh.skeleton.joints, self._reach, bones, origin))
 
-    def _render(self, cameras: Sequence[Camera], pose: Pose) -> NDArray[Any]:
+    def _render(self, cameras: Sequence[Camera], pose: Pose, shade: NDArray[np.float32] | None) -> NDArray[Any]:
         self.timer.start()
         skeleton = self.mesh.skeleton
         bones = pose.bones(skeleton)
         origin = bones[0, :, :3] @ skeleton.joints[0] + bones[0, :, 3]  # far from zero float32 has no bits left
         bones[:, :, 3] -= origin
         self._buffers.bones.write(bones.astype(np.float32))
+        array = self._draw_array if shade is None else self._shaded(shade)
         self.timer.mark("pose")
         out = np.empty((len(cameras), self.size[1], self.size[0], 4), self.config.output)
         for camera, image in zip(cameras, out, strict=True):
-            self._draw(self._fitted(camera, bones, origin), origin)
+            self._draw(array, self._fitted(camera, bones, origin), origin)
             self.timer.mark("draw")
             self._resolve()
             self.timer.mark("resolve")
@@ -219,14 +243,14 @@ class MeshRenderer:
         if self._owns_context:
             self.context.loosen()
 
-    def _draw(self, camera: Camera, origin: NDArray[np.float64]) -> None:
+    def _draw(self, array: moderngl.VertexArray, camera: Camera, origin: NDArray[np.float64]) -> None:
         ctx, factor = self.context.ctx, self.config.supersample
         large = camera.resized(camera.width * factor, camera.height * factor)
         self._frame.write([large], large.viewmat, origin, _NO_SPLATS)
         self._drawn.use()
         self._drawn.clear(0.0, 0.0, 0.0, 0.0, depth=1.0)
         ctx.enable_only(moderngl.DEPTH_TEST)
-        self._buffers.draw(ctx, self._draw_array, self._samples)
+        self._buffers.draw(ctx, array, self._samples)
         if self._samples > 1:
             ctx.copy_framebuffer(self._averaged, self._drawn)
 

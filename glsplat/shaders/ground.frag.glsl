@@ -13,7 +13,7 @@ layout(location = 0) out vec4 colour;
 layout(location = 1) out vec4 z;
 
 void main() {
-    vec4 texel = texture(skin_texture, surface_uv);
+    vec4 texel = texture(skin_texture, bounded(surface_uv, dFdx(surface_uv), dFdy(surface_uv)));
     colour = cut_out(texel, fwidth(texel.a), lowest);
     if (colour.a == 0.0) discard;
     z = vec4(surface_z, 0.0, 0.0, 1.0);

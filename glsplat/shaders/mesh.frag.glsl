@@ -12,7 +12,7 @@ in vec2 surface_uv;
 out vec4 fragment;
 
 void main() {
-    vec4 texel = texture(skin_texture, surface_uv);
+    vec4 texel = texture(skin_texture, bounded(surface_uv, dFdx(surface_uv), dFdy(surface_uv)));
     fragment = cut_out(texel, fwidth(texel.a), lowest);
     if (fragment.a == 0.0) discard;
 #if SHADED

@@ -90,7 +90,7 @@ def test_bench(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
         assert row["stages_ms"]["mesh"]["median"] > 0 and row["batching_gain"] > 0
     assert main(arguments) == 0
     text = capsys.readouterr().out
-    assert "440 triangles" in text and "batching gain" in text and "splats" not in text and "floor" not in text
+    assert "660 triangles" in text and "batching gain" in text and "splats" not in text and "floor" not in text
 
 
 def test_inspect(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -98,7 +98,7 @@ def test_inspect(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     room, me = json.loads(capsys.readouterr().out)["items"]
     assert (room["joints"], room["driven"], me["joints"], me["driven"]) == (1, False, 55, True)
     assert main(["inspect", str(folder / "me.npz")]) == 0
-    assert "440 triangles" in (text := capsys.readouterr().out) and "55 joints, takes poses" in text
+    assert "660 triangles" in (text := capsys.readouterr().out) and "55 joints, takes poses" in text
 
 
 @pytest.mark.gl

@@ -116,7 +116,7 @@ def test_tracking_moves_a_mesh_and_alpha_cuts_it_out() -> None:
 def test_a_mesh_without_its_head() -> None:
     bare = PERSON.without("head")
     gone = PERSON.skeleton.under("head")
-    assert len(bare.faces) == len(PERSON.faces) - 8 * gone.sum()  # a box a joint
+    assert len(bare.faces) == len(PERSON.faces) - 12 * gone.sum()  # a box a joint
     heights = bare.vertices[np.unique(bare.faces), 1].max(), PERSON.vertices[:, 1].max()
     assert heights[0] < heights[1] - 0.1
     with pytest.raises(PoseError, match="no joint"):

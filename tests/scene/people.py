@@ -11,7 +11,8 @@ from glsplat.data import default_avatar
 from glsplat.meshes import MeshPart, RiggedMesh
 
 _CORNERS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], float)
-_FACES = np.array([[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1], [2, 3, 7], [2, 7, 6]])
+_SIDES = [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]]
+_FACES = np.array([[[a, b, c], [a, c, d]] for a, b, c, d in _SIDES]).reshape(-1, 3)
 
 
 def boxes() -> RiggedMesh:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from types import TracebackType
@@ -16,6 +16,7 @@ from glsplat.evaluate.comparison.method import Figure
 from glsplat.evaluate.comparison.parts import labelled_mesh, labels_of, regions
 from glsplat.evaluate.comparison.performance import Performance
 from glsplat.evaluate.comparison.protocol import Protocol, eyes
+from glsplat.evaluate.light import CaptureLight, shade_of
 from glsplat.gl.context import create_context
 from glsplat.mesh import MeshConfig, MeshRenderer
 from glsplat.meshes import RiggedMesh
@@ -38,15 +39,23 @@ class Truth:
 
 
 class Stage:
-    """Renderers of one participant and of avatars, on one context; release it on the thread that made it."""
+    """Renderers of one participant and of avatars, on one context; release it on the thread that made it.
 
-    def __init__(self, mesh: RiggedMesh, performance: Performance, protocol: Protocol, light: Any = None) -> None:
+    ``light`` is the note of the participant's photograph, for a protocol whose truth is lit as that is.
+    """
+
+    def __init__(
+        self, mesh: RiggedMesh, performance: Performance, protocol: Protocol, light: Mapping[str, Any] | None = None
+    ) -> None:
         self._mesh, self._performance, self._protocol = mesh, performance, protocol
         self._used = np.unique(mesh.faces)
         self._size = (protocol.size, protocol.size)
         self._reach = round(_REACH * protocol.size)
         self._figures: list[Renderer] = []
         self._posed: tuple[int, NDArray[np.float64]] = -1, mesh.vertices
+        note = light if protocol.light == "capture" else None
+        self._light = None if note is None else CaptureLight.of_note(note)
+        self._shade: NDArray[np.float64] | None = None  # of what is posed
         with ExitStack() as stack:
             self._context = create_context()
             stack.callback(self._context.release)
@@ -73,9 +82,11 @@ class Stage:
         """The participant at a moment of the performance, from a side."""
         pose = self._performance.pose(moment)
         if self._posed[0] != moment:
-            self._posed = moment, self._mesh.posed(pose)
+            vertices = self._mesh.posed(pose)
+            self._posed = moment, vertices
+            self._shade = None if self._light is None else shade_of(self._mesh, vertices, self._light)
         cameras = eyes(self._posed[1][self._used], view, self._protocol)
-        pictures = self._truth.render(cameras, pose)
+        pictures = self._truth.render(cameras, pose, shade=self._shade)
         labels = self._parts.render(cameras, pose)
         return Truth(cameras, pictures, np.stack([regions(labels_of(one), self._reach) for one in labels]))
 

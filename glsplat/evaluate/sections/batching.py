@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 
 from glsplat.config import RenderConfig
-from glsplat.evaluate.frames import STAGES, WARM_UP, Series
+from glsplat.evaluate.frames import STAGES, WARM_UP, Binocular, Series
 from glsplat.evaluate.sections.measure import Tick
 from glsplat.evaluate.subjects import Subject
 from glsplat.gl.context import Context
 from glsplat.renderer import Renderer
 
-__all__ = ["PAPER", "batching"]
+__all__ = ["PAPER", "batching", "paper_of"]
 
 PAPER = {512: (21.78, 37.47), 768: (23.19, 38.33), 1024: (25.45, 38.80)}
 """Pixels a side -> (with, without) Binocular Batching, ms a frame: the paper's table of rendering performance.
@@ -34,7 +34,7 @@ def batching(context: Context, subject: Subject, frames: int, tick: Tick = lambd
     def make(views: int, timed: bool = False) -> Renderer:
         return Renderer(subject.scene, size=size, views=views, config=RenderConfig(), context=context, timed=timed)
 
-    pair, shared, left, right = make(2), make(1), make(1), make(1)
+    eyes_of = Binocular(make)
     staged_pair, staged_left, staged_right = make(2, True), make(1, True), make(1, True)
     together: list[float] = []
     apart: list[float] = []
@@ -43,21 +43,14 @@ def batching(context: Context, subject: Subject, frames: int, tick: Tick = lambd
     try:
         for frame in range(WARM_UP + frames):
             eyes, pose = subject.views(frame), subject.pose(frame)
-            pair.render(eyes, pose)
-            alone = turns = 0.0
-            for renderer, eye in zip((left, right), eyes, strict=True):
-                renderer.render([eye], pose)
-                alone += renderer.timings["total"]
-            for eye in eyes:
-                shared.render([eye], pose)
-                turns += shared.timings["total"]
+            one_call, alone, turns = eyes_of.frame(eyes, pose)
             staged_pair.render(eyes, pose)
             for renderer, eye in zip((staged_left, staged_right), eyes, strict=True):
                 renderer.render([eye], pose)
             tick(1)
             if frame < WARM_UP:
                 continue
-            together.append(pair.timings["total"])
+            together.append(one_call)
             apart.append(alone)
             in_turn.append(turns)
             for stage in STAGES:
@@ -67,7 +60,8 @@ def batching(context: Context, subject: Subject, frames: int, tick: Tick = lambd
                 both[0].append(one)
                 both[1].append(two)
     finally:
-        for renderer in (pair, shared, left, right, staged_pair, staged_left, staged_right):
+        eyes_of.release()
+        for renderer in (staged_pair, staged_left, staged_right):
             renderer.release()
     rows = []
     for stage, (one_pass, two_renders) in stages.items():
@@ -86,7 +80,13 @@ def batching(context: Context, subject: Subject, frames: int, tick: Tick = lambd
         "two_fps": round(1000 / float(np.median(apart)), 2),
         "stages": rows,
     }
-    if subject.size in PAPER:
-        with_bb, without = PAPER[subject.size]
-        row["paper"] = {"pair_ms": with_bb, "two_ms": without, "gain": round(without / with_bb, 3)}
-    return row
+    paper = paper_of(subject.size)
+    return row if paper is None else row | {"paper": paper}
+
+
+def paper_of(size: int) -> dict[str, float] | None:
+    """The paper's row of that many pixels a side: pair_ms, two_ms, gain; None where it has none."""
+    if size not in PAPER:
+        return None
+    with_bb, without = PAPER[size]
+    return {"pair_ms": with_bb, "two_ms": without, "gain": round(without / with_bb, 3)}

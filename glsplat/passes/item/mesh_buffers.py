@@ -30,6 +30,7 @@ class MeshBuffers:
 
     def __init__(self, ctx: moderngl.Context, mesh: RiggedMesh, skin: Skin, anisotropy: float) -> None:
         vertices, triangles, self.ranges = [], [], []
+        indices = []
         base = first = 0
         for part in mesh.parts:
             index, uv, faces = corners(part)
@@ -37,9 +38,11 @@ class MeshBuffers:
             block["vertex"], block["uv"] = mesh.vertices[index], (0.0, 1.0) + (1.0, -1.0) * uv  # row 0: v = 1
             block["joints"], block["weights"] = skin.joints[index], skin.weights[index]
             vertices.append(block)
+            indices.append(index)
             triangles.append(faces + base)
             self.ranges.append((first, faces.size))  # of the index buffer
             base, first = base + len(block), first + faces.size
+        self.indices: NDArray[np.int32] = np.concatenate(indices)  # [M] each vertex's in the mesh: seams split some
         self.triangles: int = first // 3
         self.cutouts: list[bool] = [part.cutout for part in mesh.parts]
         with ExitStack() as stack:  # releases what was made if a later allocation fails

@@ -19,12 +19,13 @@ import numpy as np
 
 from glsplat.avatar import Avatar
 from glsplat.camera import Camera, look_at
-from glsplat.evaluate.lit import lit_picture
+from glsplat.evaluate.light import CaptureLight, shade_of
 from glsplat.formats import load
 from glsplat.making.photo.capture import check_capture
 from glsplat.making.photo.photo_file import read_photo
 from glsplat.making.reconstruct.builtin import Builtin
 from glsplat.making.reconstruct.reconstructor import Options, Picture
+from glsplat.mesh import MeshRenderer
 from glsplat.renderer import Renderer
 from glsplat.skinning.pose import Pose
 from tests.conftest import SHARED_DATA
@@ -80,18 +81,18 @@ def avatar_of(name: str) -> Avatar:
 
 
 def result_of(name: str, avatar: Avatar) -> Result:
-    light = json.loads((SHARED_DATA / "participants" / "capture" / f"{name}.json").read_text())["light"]
+    note = json.loads((SHARED_DATA / "participants" / "capture" / f"{name}.json").read_text())["light"]
     person = capture(SHARED_DATA, name)
     pose = Pose(person.pose)
     vertices = person.mesh.posed(pose)
     cameras = views_of(vertices)
     with Renderer(avatar, size=(SIZE, SIZE), views=len(cameras)) as renderer:
         drawn = renderer.render(list(cameras.values()), pose)[..., :3] / 255.0
-    truth = {
-        view: lit_picture(person.mesh, vertices, camera, light["direction_to"], light["colour"])
-        for view, camera in cameras.items()
-    }
-    return Result(name, person.picture / 255.0, truth, dict(zip(cameras, drawn, strict=True)))
+    shade = shade_of(person.mesh, vertices, CaptureLight.of_note(note))
+    with MeshRenderer(person.mesh, size=(SIZE, SIZE)) as renderer:
+        truth = renderer.render(list(cameras.values()), pose, shade=shade)[..., :3] / 255.0
+    by_view = [dict(zip(cameras, pictures, strict=True)) for pictures in (truth, drawn)]
+    return Result(name, person.picture / 255.0, *by_view)
 
 
 def block(result: Result) -> np.ndarray:
