@@ -11,7 +11,6 @@ import numpy as np
 from tqdm import tqdm
 
 from glsplat.evaluate.comparison.control import true_poses
-from glsplat.evaluate.comparison.method import Figure
 from glsplat.evaluate.comparison.participant import Participant
 from glsplat.evaluate.comparison.performance import perform
 from glsplat.evaluate.comparison.protocol import Protocol
@@ -21,6 +20,7 @@ from glsplat.evaluate.metrics.lpips import Lpips
 from glsplat.evaluate.sections.costs import SIZES, costs
 from glsplat.gl.context import create_context
 from glsplat.making.items import load_item
+from glsplat.scene import Figure
 
 from ..report import latency
 

@@ -7,19 +7,15 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Protocol
 
-from glsplat.avatar import Avatar
 from glsplat.errors import FormatError, GlsplatError
 from glsplat.evaluate.comparison.participant import Participant
 from glsplat.making.importers import bind_to_mesh
 from glsplat.making.items import load_item
 from glsplat.making.reconstruct.plugins import Plugins
-from glsplat.meshes import RiggedMesh
+from glsplat.scene import Figure
 from glsplat.splats import Splats
 
-__all__ = ["GROUP", "OWN", "Figure", "Folder", "Method", "method_named", "method_of"]
-
-Figure = Avatar | RiggedMesh
-"""What a pose moves and a renderer draws."""
+__all__ = ["GROUP", "OWN", "Folder", "Method", "method_named", "method_of"]
 
 GROUP = "glsplat.methods"
 """Other packages name here, as an entry point, what gives a Method when it is called without arguments."""

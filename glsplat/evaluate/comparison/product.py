@@ -11,14 +11,14 @@ from typing import Any
 
 from glsplat.avatar import Avatar
 from glsplat.errors import FormatError, GlsplatError
-from glsplat.evaluate.comparison.method import Figure, Folder, method_named
+from glsplat.evaluate.comparison.method import Folder, method_named
 from glsplat.evaluate.comparison.participant import Participant
 from glsplat.formats import save
 from glsplat.formats.files import replace_file
 from glsplat.formats.gltf_mesh import save_gltf_mesh
 from glsplat.making.items import load_item
 from glsplat.making.reconstruct.plugins import one_line
-from glsplat.meshes import RiggedMesh
+from glsplat.scene import Figure, is_figure
 
 __all__ = ["Product", "product"]
 
@@ -72,7 +72,7 @@ def _made(name: str, source: str, participant: Participant, key: Mapping[str, An
 
 
 def _checked(figure: Any, name: str) -> Figure:
-    if not isinstance(figure, (Avatar, RiggedMesh)) or len(figure.skeleton) < 2:
+    if not is_figure(figure):
         raise FormatError(f'the method "{name}" gave {figure!r:.80}, not an avatar or a mesh with a skeleton')
     return figure
 

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.camera import Camera
-from glsplat.evaluate.comparison.method import Figure
 from glsplat.evaluate.comparison.parts import labelled_mesh, labels_of, regions
 from glsplat.evaluate.comparison.performance import Performance
 from glsplat.evaluate.comparison.protocol import Protocol, eyes
@@ -21,6 +20,7 @@ from glsplat.gl.context import create_context
 from glsplat.mesh import MeshConfig, MeshRenderer
 from glsplat.meshes import RiggedMesh
 from glsplat.renderer import Renderer
+from glsplat.scene import Figure
 from glsplat.skinning.pose import Pose
 
 __all__ = ["Stage", "Truth"]

@@ -13,7 +13,7 @@ from glsplat.evaluate.comparison.control import CONTROLS
 from glsplat.evaluate.comparison.measure import BOXED, MEASURES, OVERLAP, PARTED
 from glsplat.evaluate.comparison.parts import PARTS
 from glsplat.evaluate.comparison.work import Result
-from glsplat.evaluate.statistics import Values, compare
+from glsplat.evaluate.statistics import compare
 
 __all__ = [
     "PAPER",
@@ -30,7 +30,7 @@ __all__ = [
 ]
 
 F64 = NDArray[np.float64]
-Groups = Mapping[str, Values]
+Groups = dict[str, dict[str, dict[str, float]]]
 """By what the figures are of, then method and participant."""
 
 PAPER: Mapping[str, Mapping[str, float]] = {
@@ -110,7 +110,7 @@ def by_part(results: Sequence[Result], methods: Sequence[str]) -> list[dict[str,
 
 def grouped(results: Sequence[Result], methods: Sequence[str], control: str, measure: str, key: str) -> Groups:
     """Figures of one measure by side ("view"), pose ("moment") or body part ("part"), then method and participant."""
-    groups: dict[str, dict[str, dict[str, float]]] = {}
+    groups: Groups = {}
     for method in methods:
         for one in _good(results, method):
             for label, array in _pieces(one, control, measure, key):
