@@ -10,7 +10,7 @@ from glsplat.making.paint.light import Light
 from glsplat.making.paint.shot import Shot, SurfacePoints
 from glsplat.skinning.smplx import JOINT_NAMES
 
-__all__ = ["with_back_of_head"]
+__all__ = ["back_of_head"]
 
 F64 = NDArray[np.float64]
 
@@ -21,8 +21,11 @@ _SOFT = 0.02  # metres over which one becomes the other
 _SEEN = 0.1
 
 
-def with_back_of_head(body: Body, shot: Shot, light: Light, points: SurfacePoints, guess: F64, shade: F64) -> F64:
-    """``guess`` [M, 3] in linear light with hair and neck where nobody looked; ``shade`` [M, 1], ``shot`` the front."""
+def back_of_head(body: Body, shot: Shot, light: Light, points: SurfacePoints) -> tuple[F64, F64]:
+    """[M] how much of each point is hair or neck that nobody looked at, and its colour [M, 3] in linear light.
+
+    The colour is without light; ``shot`` is the front.
+    """
     rest = shot.mesh.vertices
     joints = shot.mesh.skeleton.joints
     ear, nape = joints[JOINT_NAMES.index("head"), 2] + 0.02, joints[JOINT_NAMES.index("neck"), 2] + 0.02
@@ -33,7 +36,7 @@ def with_back_of_head(body: Body, shot: Shot, light: Light, points: SurfacePoint
     crown = head & (rest[:, 1] > top - _CROWN * (top - low)) & (shot.trust > _SEEN)
     throat = neck & (shot.trust > 0.5)
     if not crown.any() or not throat.any():
-        return guess
+        return np.zeros(len(points.corners)), np.zeros((len(points.corners), 3))
     hair, skin = np.median(plain[crown], axis=0), np.median(plain[throat], axis=0)
     beside = (head | neck) & (rest[:, 2] < ear + 0.02) & (shot.trust > _SEEN)
     ends = _hair_ends(rest[beside, 1], plain[beside], hair, skin, low + _NAPE * (top - low))
@@ -41,10 +44,10 @@ def with_back_of_head(body: Body, shot: Shot, light: Light, points: SurfacePoint
     above = ((where[:, 1] - ends) / _SOFT).clip(0, 1)
     on_head = points.at(head.astype(float)[:, None])[:, 0]
     on_neck = points.at(neck.astype(float)[:, None])[:, 0]
-    behind = np.maximum(_ramp(ear - where[:, 2]) * on_head, _ramp(nape - where[:, 2]) * on_neck)
+    # a sum: between head and neck a point is partly of each
+    behind = _ramp(ear - where[:, 2]) * on_head + _ramp(nape - where[:, 2]) * on_neck
     covered = np.maximum(behind, _ramp(where[:, 1] - top + 0.05) * on_head)
-    colour = above[:, None] * hair + (1 - above[:, None]) * skin
-    return np.asarray(guess + covered[:, None] * (colour * shade - guess))
+    return np.asarray(covered), np.asarray(above[:, None] * hair + (1 - above[:, None]) * skin)
 
 
 def _of(body: Body, *names: str) -> NDArray[np.bool_]:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from glsplat.making.fit.body import Body
 from glsplat.making.fit.eyes import EyeLook
 from glsplat.making.paint.colour import to_srgb
-from glsplat.making.paint.head import with_back_of_head
+from glsplat.making.paint.head import back_of_head
 from glsplat.making.paint.inside import with_inside
 from glsplat.making.paint.light import Light, find_light
 from glsplat.making.paint.shot import Shot, Sight, SurfacePoints
@@ -74,14 +74,16 @@ class Painter:
         """[M, 3] linear colours where nobody looks, and [M] how much detail they have."""
         body, front = self.body, self.shots[0]
         shade = self.light.shade(points.directions(front.normals))[:, None]
-        guess = points.at(self.plain) * shade
         # the front at the same place, for all but the head
         behind = self.twins.colours(front, points)
         ratio = (shade[:, 0] / self.light.shade(behind.normals)).clip(*_SHADE)
         round_parts = np.isin(body.part, [JOINT_NAMES.index(name) for name in _NO_TWINS])
         trust = behind.trust * (1 - points.at(round_parts.astype(float)[:, None])[:, 0])
-        guess += trust[:, None] * (behind.linear * ratio[:, None] - guess)
-        return with_back_of_head(body, front, self.light, points, guess, shade), behind.busy * trust
+        covered, colour = back_of_head(body, front, self.light, points)
+        # side by side, not one over the other: where neck and back meet, no third colour shows between them
+        rest = 1 - trust - covered
+        guess = (rest[:, None] * points.at(self.plain) + covered[:, None] * colour) * shade
+        return guess + (trust * ratio)[:, None] * behind.linear, behind.busy * trust
 
 
 def painter_of(

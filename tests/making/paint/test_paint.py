@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -9,7 +11,7 @@ from glsplat.making.fit.body import vertex_normals
 from glsplat.making.paint.colour import to_linear, to_srgb
 from glsplat.making.paint.light import find_light
 from glsplat.making.paint.paint import paint, painter_of
-from glsplat.making.paint.scatter import scatter
+from glsplat.making.paint.scatter import even_points, scatter
 from glsplat.making.paint.shot import SurfacePoints
 from glsplat.making.paint.twins import find_twins
 from tests.making.paint.scene import Scene, albedo, photographed
@@ -72,6 +74,21 @@ def test_colours_alone_are_those_of_the_whole_paint() -> None:
     for some in (painted.seen == 1, painted.seen == 0, np.zeros(len(painted.seen), bool)):
         few = SurfacePoints(points.corners[some], points.weights[some])
         assert np.abs(painter.colours(few) - painted.rgb[some]).max(initial=0) < 1e-5
+
+
+def test_no_third_colour_shows_between_head_neck_and_back() -> None:
+    scene = photographed("front")
+    points = even_points(scene.mesh, 40_000)
+    where = points.at(scene.mesh.vertices)
+    joints = dict(zip(scene.mesh.skeleton.names, scene.mesh.skeleton.joints, strict=True))
+    behind = points.directions(vertex_normals(scene.mesh.vertices, scene.mesh.faces))[:, 2] < -0.6
+    behind &= (where[:, 1] > joints["neck"][1] - 0.06) & (where[:, 2] < joints["neck"][2] - 0.02)
+    painter = painter_of(scene.body, scene.shots, points)
+    glaring = replace(painter, plain=np.full_like(painter.plain, 9.0))
+    few = SurfacePoints(points.corners[behind], points.weights[behind])
+    assert behind.sum() > 500
+    away = np.abs(glaring.colours(few) - painter.colours(few)).max(axis=1)
+    assert (away > 0.1).mean() < 0.1  # 0.16 with a line at the nape and one at the collar
 
 
 def test_the_back_is_darker_cloth_not_bright_cloth() -> None:
