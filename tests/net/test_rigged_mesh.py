@@ -107,7 +107,7 @@ def test_tracking_moves_a_mesh_and_alpha_cuts_it_out() -> None:
     edge = (expected[..., 3] > 0) & (expected[..., 3] < 255)
     assert edge.sum() > 50  # antialiased
     for found in (posed, straight):
-        assert np.abs(found[..., 3].astype(int) - expected[..., 3]).max() <= 8
+        assert np.abs(found[..., 3].astype(int) - expected[..., 3]).max() <= 16  # a JPEG of its own
     inside = expected[..., 3] == 255
     assert np.abs(posed.astype(float) - expected)[inside].mean() < 12
     assert tracked[..., 3].any() and (tracked[..., 3] != expected[..., 3]).any()

@@ -46,6 +46,21 @@ def test_cutout(gl: Context, rng: np.random.Generator, lowest: float) -> None:
     assert not out[~kept].any()
 
 
+def test_footprints_are_bounded(gl: Context) -> None:
+    """Beyond the whole texture, and where a derivative is no number, there is one place."""
+    slopes = np.array([0.0, 0.3, 1.0, 1.01, 50.0, 1e30, np.inf, np.nan])
+    across = np.concatenate([np.stack([slopes, 0 * np.arange(8)], 1), np.zeros((8, 2))])
+    down = np.concatenate([np.zeros((8, 2)), np.stack([0 * np.arange(8), slopes], 1)])
+    uv = np.tile([3.25, -0.75], (16, 1))
+    text = """
+    #include "cutout.glsl"
+    in vec2 uv; in vec2 across; in vec2 down; out vec2 place;
+    void main() { place = bounded(uv, across, down); gl_Position = vec4(0); }"""
+    found = run_chunk(gl, text, {"uv": uv, "across": across, "down": down}, {"place": 2})["place"]
+    small = np.tile(slopes <= 1, 2)
+    np.testing.assert_array_equal(found, np.where(small[:, None], uv, 0.5))
+
+
 def test_srgb(gl: Context) -> None:
     values = np.linspace(0, 1, 1000)[:, None] * np.ones(3)
     text = """
