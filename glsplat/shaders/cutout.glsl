@@ -4,8 +4,7 @@
 // Where a texture is looked up. A pixel that spans more than all of it (a triangle seen edge on) shows its mean, wherever
 // that is taken: llvmpipe visits every texel of an anisotropic footprint, however large, and would not come to an end.
 vec2 bounded(vec2 uv, vec2 across, vec2 down) {
-    bool small = dot(across, across) <= 1.0 && dot(down, down) <= 1.0;  // false for NaN
-    return small ? uv : vec2(0.5);
+    return max(dot(across, across), dot(down, down)) <= 1.0 ? uv : vec2(0.5);
 }
 
 // ``texel`` premultiplied, ``change`` of its alpha from pixel to pixel; ``lowest`` alpha that is drawn: 0 for no holes,

@@ -47,11 +47,11 @@ def test_cutout(gl: Context, rng: np.random.Generator, lowest: float) -> None:
 
 
 def test_footprints_are_bounded(gl: Context) -> None:
-    """Beyond the whole texture, and where a derivative is no number, there is one place."""
-    slopes = np.array([0.0, 0.3, 1.0, 1.01, 50.0, 1e30, np.inf, np.nan])
-    across = np.concatenate([np.stack([slopes, 0 * np.arange(8)], 1), np.zeros((8, 2))])
-    down = np.concatenate([np.zeros((8, 2)), np.stack([0 * np.arange(8), slopes], 1)])
-    uv = np.tile([3.25, -0.75], (16, 1))
+    """Beyond the whole texture there is one place."""
+    slopes = np.array([0.0, 0.3, 1.0, 1.01, 50.0, 1e30, np.inf])
+    across = np.concatenate([np.stack([slopes, np.zeros(7)], 1), np.zeros((7, 2))])
+    down = np.concatenate([np.zeros((7, 2)), np.stack([np.zeros(7), slopes], 1)])
+    uv = np.tile([3.25, -0.75], (14, 1))
     text = """
     #include "cutout.glsl"
     in vec2 uv; in vec2 across; in vec2 down; out vec2 place;
