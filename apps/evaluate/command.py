@@ -41,6 +41,7 @@ EXAMPLE = "glsplat evaluate --quick -o out/evaluation"
 _QUICK_TASKS = ("waving", "turning")
 _QUICK_VIEWS = ("front", "back")
 _QUICK_PEOPLE = 4
+_QUICK_SIZE = 256
 _BAR = "{desc}: {percentage:3.0f}% |{bar}| {elapsed} passed, about {remaining} to go"
 _WORKER = 1.6e9  # bytes that a process takes at most
 
@@ -64,12 +65,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--poses", help=f"some of: {', '.join(TASKS)}; or a motion, of which 8 moments are taken (default: all tasks)"
     )
     parser.add_argument("--views", help=f"sides that are looked at, some of {', '.join(VIEWS)} (default: all)")
-    parser.add_argument("--size", type=int, default=512, help="pixels a side of an eye's picture (default %(default)s)")
+    parser.add_argument("--size", type=int, help="pixels a side of an eye's picture (default 512; 256 with --quick)")
     parser.add_argument(
         "--light", choices=LIGHTS, default=LIGHTS[0], help="the truth is lit as in the photograph (default), or not"
     )
     parser.add_argument("--measure", help=f"further measures: {', '.join(MORE)}")
-    parser.add_argument("--quick", action="store_true", help="four participants, two poses, two views: a look")
+    parser.add_argument("--quick", action="store_true", help="four participants, two poses, two sides, small: a look")
     parser.add_argument("--seed", type=int, default=0, help="same seed, same table (default 0)")
     parser.add_argument("--jobs", type=int, help="processes (default: one a core, as memory allows)")
     parser.add_argument("--no-timing", action="store_true", help="leave out table 2 and the latency table")
@@ -147,7 +148,8 @@ def _protocol(args: argparse.Namespace) -> Protocol:
             wrong = next(word for word in words if word not in TASKS)
             raise UsageError(f"--poses: {wrong!r:.40} is no motion and none of {', '.join(TASKS)}")
     more = tuple(_words(args.measure, "--measure")) if args.measure else ()
-    return Protocol(tasks=tasks, motion=motion, views=views, size=args.size, light=args.light, more=more)
+    size = (_QUICK_SIZE if args.quick else Protocol().size) if args.size is None else args.size
+    return Protocol(tasks=tasks, motion=motion, views=views, size=size, light=args.light, more=more)
 
 
 def _people(args: argparse.Namespace) -> list[Participant]:

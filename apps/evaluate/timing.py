@@ -26,7 +26,7 @@ from ..report import latency
 
 __all__ = ["timed"]
 
-_FRAMES = 30, 8  # measured; in a quick run
+_FRAMES = 30, 4  # measured; in a quick run
 _STREAMED = ("photo", "mesh-image")  # methods whose avatars go over the wire for the latency table
 
 

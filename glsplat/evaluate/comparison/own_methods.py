@@ -9,6 +9,7 @@ from glsplat.camera import Camera, look_at, pinhole
 from glsplat.evaluate.avatar_poses import pose_of
 from glsplat.evaluate.comparison.participant import Participant
 from glsplat.evaluate.turntable import turntable
+from glsplat.making.cells import SamplerConfig
 from glsplat.making.reconstruct.photos import from_photos, mesh_from_photos
 from glsplat.making.reconstruct.reconstructor import Options
 from glsplat.making.reconstruct.video import FRAMES, from_pictures, from_video
@@ -82,12 +83,12 @@ class Scan(_Own):
         """Raises FormatError for a mesh that cannot be read."""
         mesh = participant.mesh
         if self.quick:
-            return make_avatar(mesh, 10_000, self.seed)
+            return make_avatar(mesh, 10_000, self.seed, SamplerConfig(probe=256))
         return refine(make_avatar(mesh, 40_000, self.seed), mesh, self.seed, RefineConfig(steps=_STEPS))
 
 
 _STEPS = 60  # of fitting; the command takes 450
-_QUICK_FRAMES = 12
+_QUICK_FRAMES = 8
 
 # a usual photograph, where nothing is known of the participant's own
 _LOOK = (0.0, 1.3, 3.2), (0.0, 0.88, 0.0)
