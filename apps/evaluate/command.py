@@ -67,7 +67,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--views", help=f"sides that are looked at, some of {', '.join(VIEWS)} (default: all)")
     parser.add_argument("--size", type=int, help="pixels a side of an eye's picture (default 512; 256 with --quick)")
     parser.add_argument(
-        "--light", choices=LIGHTS, default=LIGHTS[0], help="the truth is lit as in the photograph (default), or not"
+        "--light",
+        choices=LIGHTS,
+        default=LIGHTS[0],
+        help="the truth is in its own colours (default), or lit as in the photograph",
     )
     parser.add_argument("--measure", help=f"further measures: {', '.join(MORE)}")
     parser.add_argument("--quick", action="store_true", help="four participants, two poses, two sides, small: a look")

@@ -21,7 +21,7 @@ VIEWS: Mapping[str, float] = {"front": 0.0, "left": 90.0, "back": 180.0, "right"
 """Side of the person that is seen -> azimuth of the camera in degrees, growing towards the left hand."""
 
 _DISTANCE = 3.0  # metres from the middle of the figure
-LIGHTS = ("capture", "none")
+LIGHTS = ("none", "capture")
 MORE = ("flip", "lpips-vgg")
 """Measures that are taken where they are asked for: they cost more than all others together."""
 
@@ -37,7 +37,7 @@ class Protocol:
     size: int = 512  # pixels a side of an eye
     fill: float = 0.88  # of the picture that the figure takes, in its longer direction
     ipd: float = PAPER_IPD  # metres between the eyes
-    light: str = "capture"  # "capture": the truth is lit as in the photograph; "none": its textures as they are
+    light: str = "none"  # "none": the truth in its textures' own colours; "capture": lit as in the photograph
     more: tuple[str, ...] = ()  # measures beyond those of the paper
 
     def __post_init__(self) -> None:
