@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.camera import Camera
+from glsplat.errors import FormatError
 from glsplat.evaluate.comparison.parts import labelled_mesh, labels_of, regions
 from glsplat.evaluate.comparison.performance import Performance
 from glsplat.evaluate.comparison.protocol import Protocol, eyes
@@ -53,8 +54,10 @@ class Stage:
         self._reach = round(_REACH * protocol.size)
         self._figures: list[Renderer] = []
         self._posed: tuple[int, NDArray[np.float64]] = -1, mesh.vertices
-        note = light if protocol.light == "capture" else None
-        self._light = None if note is None else CaptureLight.of_note(note)
+        lit = protocol.light == "capture"
+        if lit and light is None:
+            raise FormatError('the light of the photograph is not known ("light" in capture/NAME.json); compare unlit')
+        self._light = CaptureLight.of_note(light) if lit and light is not None else None
         self._shade: NDArray[np.float64] | None = None  # of what is posed
         with ExitStack() as stack:
             self._context = create_context()

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
+from glsplat.errors import FormatError
 from glsplat.evaluate.comparison.participant import Participant
 from glsplat.evaluate.comparison.parts import PARTS, labelled_mesh, labels_of, regions
 from glsplat.evaluate.comparison.performance import perform
@@ -54,3 +56,17 @@ def test_the_figure_fills_what_it_should(people: list[Participant]) -> None:
             assert 0.84 < share < 0.9
             left, right = stage.truth(moment, "front").cameras
             assert abs(np.linalg.norm(left.position - right.position) - 0.055) < 1e-12
+
+
+def test_the_truth_is_lit_where_it_is_asked_to_be(people: list[Participant]) -> None:
+    mesh, note = people[0].mesh, people[0].light
+    drawn = {}
+    for light in ("none", "capture"):
+        protocol = Protocol(size=96, tasks=("standing",), light=light)
+        with Stage(mesh, perform(mesh, protocol.tasks), protocol, note) as stage:
+            drawn[light] = stage.truth(0, "back").pictures[0].astype(int)
+    np.testing.assert_array_equal(drawn["none"][..., 3], drawn["capture"][..., 3])
+    inside = drawn["none"][..., 3] == 255
+    assert drawn["capture"][inside, :3].mean() < 0.9 * drawn["none"][inside, :3].mean()  # the lamp is before them
+    with pytest.raises(FormatError, match="light of the photograph is not known"):
+        Stage(mesh, perform(mesh, ("standing",)), Protocol(size=96, light="capture"))
