@@ -61,7 +61,12 @@ def read_frames(path: str | os.PathLike[str], count: int) -> list[NDArray[np.uin
 
 @contextmanager
 def _opened(path: str | os.PathLike[str]) -> Iterator[cv2.VideoCapture]:
-    film = cv2.VideoCapture(str(Path(path).absolute()), cv2.CAP_FFMPEG)
+    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # read once: what is wrong is said by us, in one line
+    level = cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+    try:
+        film = cv2.VideoCapture(str(Path(path).absolute()), cv2.CAP_FFMPEG)
+    finally:
+        cv2.utils.logging.setLogLevel(level)
     try:
         if not film.isOpened():
             raise FormatError(f"{path}: the video is damaged or of an unknown kind; {_SEE}")

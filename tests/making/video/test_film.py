@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import struct
+import subprocess
+import sys
 from pathlib import Path
 
 import cv2
@@ -127,6 +129,22 @@ def test_a_head_and_nothing_else(tmp_path: Path, data: bytes) -> None:
     path.write_bytes(data)
     with pytest.raises(FormatError, match=r"a\.mp4: the video is damaged or of an unknown kind"):
         read_frames(path, 8)
+
+
+def test_ffmpeg_and_opencv_keep_silent(tmp_path: Path) -> None:
+    """In a process of its own: the level is read when the first video is opened."""
+    path = tmp_path / "a.mp4"
+    path.write_bytes(b"\0\0\0\x18ftypisom" + b"\0" * 400)
+    program = f"""
+from glsplat.errors import FormatError
+from glsplat.making.video.film import read_frames
+try:
+    read_frames({str(path)!r}, 8)
+except FormatError:
+    print("refused")
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=250, check=False)
+    assert (done.stdout, done.stderr, done.returncode) == ("refused\n", "", 0)
 
 
 def test_a_video_that_was_cut_off(tmp_path: Path) -> None:
