@@ -49,4 +49,4 @@ def test_a_participant_on_a_turntable(shared_data: Path) -> None:
         form="splats",
         anyway=True,
     )
-    assert len(again.thing.splats) == 2000
+    assert 1980 < len(again.thing.splats) <= 2000
