@@ -12,7 +12,7 @@ from glsplat.errors import FormatError
 from glsplat.making.fit.body import Body, open_body, vertex_normals
 from glsplat.making.fit.kinematics import Posed, projected
 from glsplat.making.fit.landmarks import landmarks
-from glsplat.making.fit.offsets import face_of, outward, smooth_offsets
+from glsplat.making.fit.offsets import face_of, outward, smooth_offsets, soles_of
 from glsplat.making.fit.outline import Rim, find_rim, half_gaps, overlap, projected_mask
 from glsplat.making.fit.prior import HINGES
 from glsplat.making.fit.solver import Solver
@@ -44,6 +44,7 @@ _CLOTH, _INSIDE = 0.008, 0.03  # shares of the figure: beyond it the mask says l
 _REACH = 0.04  # shares of the figure; how far from the body the mask's edge is looked for
 _FLAT, _FLAT_DRESSED = 0.35, 0.22  # cosines below which a vertex is on the outline; cloth has the sharper one
 _PLAIN = 0.8  # cosine between normal and offset; a vertex below it, in an ear's folds, is moved by its neighbours alone
+_SOLE = 0.010  # metres; a thicker one would be height that the body lacks
 _FEW = 4  # views whose outlines hardly cross each other
 _HEIGHTS = 0.5, 2.5  # metres
 _GOOD = 0.94, 2.0  # least overlap with the mask, most mean distance of landmarks in shares of the figure (%)
@@ -175,6 +176,7 @@ def dressed(body: Body, bare: F64, poses: Sequence[Posed], views: Sequence[View]
     small = [view.smaller(FIGURE) for view in views]
     directions = outward(body, bare)
     plain = (vertex_normals(bare, body.faces) * directions).sum(axis=1) > _PLAIN
+    soles = soles_of(body)
     if len(views) > _FEW:
         plain &= ~face_of(body)
     offsets = np.zeros(len(bare)) if worn is None else worn
@@ -190,6 +192,8 @@ def dressed(body: Body, bare: F64, poses: Sequence[Posed], views: Sequence[View]
         if len(views) > _FEW:
             known, far = _agreed(known, far)
         offsets = smooth_offsets(body, known, far, np.ones(len(known)))
+        if len(views) > _FEW:
+            offsets = np.where(soles, np.minimum(offsets, _SOLE), offsets)
     return offsets
 
 

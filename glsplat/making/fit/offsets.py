@@ -10,7 +10,7 @@ from scipy.sparse.linalg import cg
 from glsplat.making.fit.body import Body, vertex_normals
 from glsplat.skinning.smplx import JOINT_NAMES
 
-__all__ = ["MOST", "face_of", "outward", "smooth_offsets"]
+__all__ = ["MOST", "face_of", "outward", "smooth_offsets", "soles_of"]
 
 F64 = NDArray[np.float64]
 
@@ -24,6 +24,7 @@ _SHY = 2e-3  # how much what no outline shows stays on the body
 
 _EARS = 0.06  # metres of z in the zero pose, behind which the head's directions are smoothed
 _FACE = 0.08, 0.94  # metres of z and y in the zero pose: before the one and below the other a head is face
+_DOWN = -0.5  # cosine; a sole turns to the floor
 _EVENED = 20  # times
 
 
@@ -47,6 +48,13 @@ def face_of(body: Body) -> NDArray[np.bool_]:
     """[V] the vertices of the face: it wears nothing, and from the side its outline is full of folds."""
     head = np.isin(body.part, [JOINT_NAMES.index(name) for name in ("head", "jaw")])
     return np.asarray(head & (body.vertices[:, 2] > _FACE[0]) & (body.vertices[:, 1] < _FACE[1]))
+
+
+def soles_of(body: Body) -> NDArray[np.bool_]:
+    """[V] the vertices that somebody stands on."""
+    feet = [JOINT_NAMES.index(f"{side}_{name}") for side in ("left", "right") for name in ("ankle", "foot")]
+    down = vertex_normals(body.vertices, body.faces)[:, 1] < _DOWN
+    return np.asarray(np.isin(body.part, feet) & down)
 
 
 def smooth_offsets(body: Body, vertices: NDArray[np.intp], wanted: F64, weights: F64) -> F64:
