@@ -95,7 +95,8 @@ def _statistics(rows: Sequence[Mapping[str, Any]]) -> list[str]:
     )
     for control in CONTROLS:
         lines = []
-        for row in (row for row in rows if row["control"] == control and row["n"]):
+        shown = (*MEASURES, OVERLAP)  # all of them are in the JSON
+        for row in (row for row in rows if row["control"] == control and row["n"] and row["measure"] in shown):
             digits = 2 if row["measure"].endswith("psnr") else 4
             low, high = row["low"], row["high"]
             interval = "-" if low is None else f"{low:+.{digits}f} to {high:+.{digits}f}"

@@ -12,7 +12,7 @@ from glsplat.arrays import own
 from glsplat.errors import FormatError
 from glsplat.making.fit.landmarks import LANDMARK_COUNT
 
-__all__ = ["SIDES", "View", "apart"]
+__all__ = ["SIDES", "View", "apart", "facing"]
 
 F64 = NDArray[np.float64]
 
@@ -20,6 +20,12 @@ SIDES: dict[str, float] = {"front": 0.0, "right": 90.0, "back": 180.0, "left": -
 """Side of the person that a picture shows -> degrees that they have turned to their own left to show it."""
 
 _LEAST_FIGURE = 64  # pixels
+
+
+def facing(turn: float) -> F64:
+    """[3, 3] left, up and front of somebody who has turned by so many degrees: columns, in camera axes (z away)."""
+    cos, sin = np.round([np.cos(np.radians(turn)), np.sin(np.radians(turn))], 15)
+    return np.array([[cos, 0.0, sin], [0.0, -1.0, 0.0], [sin, 0.0, -cos]])
 
 
 def apart(first: float, second: float) -> float:
@@ -93,9 +99,8 @@ class View:
 
     @property
     def facing(self) -> F64:
-        """[3, 3] how the person stands: their left, up and front as columns, in camera axes (z away)."""
-        cos, sin = np.round([np.cos(np.radians(self.turn)), np.sin(np.radians(self.turn))], 15)
-        return np.array([[cos, 0.0, sin], [0.0, -1.0, 0.0], [sin, 0.0, -cos]])
+        """[3, 3] how the person stands; see ``facing``."""
+        return facing(self.turn)
 
     def smaller(self, figure: float) -> View:
         """The same view with the person ``figure`` pixels high; itself where they are smaller already."""

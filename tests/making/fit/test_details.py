@@ -18,7 +18,7 @@ from glsplat.making.fit.kinematics import Posed, fully_posed, projected
 from glsplat.making.fit.landmarks import LANDMARK_COUNT
 from glsplat.making.fit.outline import projected_mask
 from glsplat.making.fit.prior import HINGES, MEAN
-from glsplat.making.fit.view import SIDES, View
+from glsplat.making.fit.view import SIDES, View, facing
 from glsplat.making.networks.face import Face
 from glsplat.making.networks.hand import Hand
 from glsplat.making.networks.network import Crop
@@ -38,7 +38,7 @@ def body_pose() -> np.ndarray:
 
 
 def posed(rotations: np.ndarray, side: str = "front") -> Posed:
-    return fully_posed(open_body(), BETAS_MADE, SIDES[side], np.array([0.02, 0.05, 3.0]), rotations)
+    return fully_posed(open_body(), BETAS_MADE, facing(SIDES[side]), np.array([0.02, 0.05, 3.0]), rotations)
 
 
 def everywhere(made: Posed, rest: np.ndarray) -> np.ndarray:

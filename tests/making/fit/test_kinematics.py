@@ -6,7 +6,7 @@ import numpy as np
 
 from glsplat.making.fit.body import BETAS, open_body
 from glsplat.making.fit.kinematics import PLACE, Hinges, Posed, projected
-from glsplat.making.fit.view import SIDES
+from glsplat.making.fit.view import SIDES, facing
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.smplx import JOINT_NAMES, PARENTS
 
@@ -20,7 +20,7 @@ def unknowns(rng: np.random.Generator, turn: float = 0.3) -> np.ndarray:
 
 def posed(x: np.ndarray, side: str = "front") -> Posed:
     place, angles = x[BETAS : BETAS + PLACE], x[BETAS + PLACE :]
-    return Posed(open_body(), HINGES, SIDES[side], x[:BETAS], place, angles)
+    return Posed(open_body(), HINGES, facing(SIDES[side]), x[:BETAS], place, angles)
 
 
 def test_vertices_are_those_of_linear_blend_skinning(rng: np.random.Generator) -> None:
@@ -31,7 +31,7 @@ def test_vertices_are_those_of_linear_blend_skinning(rng: np.random.Generator) -
     bones = Skeleton.from_joints(JOINT_NAMES, PARENTS, joints).bone_matrices(HINGES.rotations(x[BETAS + PLACE :]))
     blended = np.einsum("vk,vkij->vij", body.skin_weights, bones[body.skin_joints])
     skinned = np.einsum("vij,vj->vi", blended[..., :3], vertices) + blended[..., 3]
-    want = (skinned - joints[0]) @ SIDES["front"].T + x[BETAS : BETAS + 3]
+    want = (skinned - joints[0]) @ facing(SIDES["front"]).T + x[BETAS : BETAS + 3]
     assert np.abs(mine - want).max() < 1e-9
 
 
@@ -51,10 +51,11 @@ def test_derivatives_match_differences(rng: np.random.Generator) -> None:
 
 def test_sides_are_rotations_that_show_that_side() -> None:
     toward = {"front": (0, 0, 1), "back": (0, 0, -1), "left": (1, 0, 0), "right": (-1, 0, 0)}
-    for side, facing in SIDES.items():
-        assert np.allclose(facing @ facing.T, np.eye(3)) and np.isclose(np.linalg.det(facing), 1)
-        assert np.allclose(facing @ toward[side], (0, 0, -1))  # that side looks at the camera
-        assert np.allclose(facing @ (0, 1, 0), (0, -1, 0))
+    for side, turn in SIDES.items():
+        stands = facing(turn)
+        assert np.allclose(stands @ stands.T, np.eye(3)) and np.isclose(np.linalg.det(stands), 1)
+        assert np.allclose(stands @ toward[side], (0, 0, -1))  # that side looks at the camera
+        assert np.allclose(stands @ (0, 1, 0), (0, -1, 0))
 
 
 def test_the_embedded_body_stands_as_its_licence_says() -> None:

@@ -27,7 +27,7 @@ from glsplat.making.fit.landmarks import LANDMARK_COUNT, LANDMARKS, landmarks, t
 from glsplat.making.fit.levenberg import least_squares
 from glsplat.making.fit.offsets import MOST, smooth_offsets
 from glsplat.making.fit.outline import edge_distances, overlap, projected_mask
-from glsplat.making.fit.view import SIDES, View
+from glsplat.making.fit.view import SIDES, View, facing
 from glsplat.rotations import rotation_matrices
 from glsplat.skinning.smplx import JOINT_NAMES
 
@@ -148,7 +148,7 @@ def test_calibration_finds_the_spots_of_the_face_again(rng: np.random.Generator,
     body, table = open_body(), face_places()
     people = []
     for number in range(6):
-        turn = rotation_matrices(rng.normal(0, 0.1, 3)) @ SIDES["front"]
+        turn = rotation_matrices(rng.normal(0, 0.1, 3)) @ facing(SIDES["front"])
         vertices = body.vertices @ turn.T + (0, 0.5, 3)
         marks = np.full((468, 2), -100.0)
         spots = table.of(body, vertices)
