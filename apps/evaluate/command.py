@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import hashlib
 import json
 import math
 import os
@@ -14,8 +15,8 @@ from typing import Any
 
 from tqdm import tqdm
 
-from glsplat.data import participants_folder
-from glsplat.errors import FormatError
+from glsplat.data import default_avatar, participants_folder
+from glsplat.errors import FormatError, GlsplatError
 from glsplat.evaluate.comparison.method import OWN, method_of
 from glsplat.evaluate.comparison.participant import Participant, participants_in
 from glsplat.evaluate.comparison.performance import TASKS
@@ -23,7 +24,7 @@ from glsplat.evaluate.comparison.protocol import LIGHTS, MORE, VIEWS, Protocol
 from glsplat.evaluate.comparison.work import Result, Task, finished
 from glsplat.evaluate.comparison.workers import run_tasks
 from glsplat.formats.files import replace_file
-from glsplat.motion.motion import embedded_motions
+from glsplat.motion.motion import embedded_motions, load_motion
 
 from ..usage import UsageError
 from .html import page
@@ -84,7 +85,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Compare, write, print table 1; 1 where something failed."""
-    methods = dict(method_of(word) for word in _words(args.methods, "--methods"))
+    named = [method_of(word) for word in _words(args.methods, "--methods")]
+    methods = dict(named)
+    if len(methods) < len(named):
+        raise UsageError("--methods needs different names")
     protocol = _protocol(args)
     people = _people(args)
     jobs = _jobs(args)
@@ -96,11 +100,17 @@ def run(args: argparse.Namespace) -> int:
     options = {"seed": args.seed, "quick": args.quick}
     began = time.perf_counter()
     results = _results([Task(one, methods, protocol, args.output, options) for one in people], jobs)
-    timing = {} if args.no_timing else timed(results, people, protocol, args.output, args.quick)
-    found = outcome(results, tuple(methods), people, protocol, options, timing)
+    drawn = plots(results, tuple(methods), args.seed)
+    found = outcome(results, tuple(methods), people, protocol, options, {})
     found["seconds"] = round(time.perf_counter() - began, 1)
-    _write(found, plots(results, tuple(methods), args.seed), args.output)
-    print(*table_lines(found), sep="\n")
+    _write(found, drawn, args.output)  # before the timing: a table is worth more than no table
+    print(*table_lines(found), sep="\n", flush=True)
+    if not args.no_timing:
+        try:
+            found["timing"] = timed(results, people, protocol, args.output, args.quick)
+            _write(found, drawn, args.output)
+        except GlsplatError as error:
+            print(f"no timing: {error}", file=sys.stderr)
     print(args.output / "evaluation.html")
     return 1 if found["failures"] else 0
 
@@ -125,7 +135,7 @@ def _results(tasks: Sequence[Task], jobs: int) -> list[Result]:
             bar.n = sum(shares)
             bar.refresh()
 
-        for results in run_tasks(left, min(jobs, len(left)), show):
+        for results in run_tasks(left, jobs, show):
             kept += results
             for result in results:
                 if result.failed:
@@ -133,7 +143,9 @@ def _results(tasks: Sequence[Task], jobs: int) -> list[Result]:
             if results:
                 place = [task.participant.name for task in left].index(results[0].participant)
                 show(place, results[0].participant, 1.0)
-    return kept
+    order = {task.participant.name: place for place, task in enumerate(tasks)}
+    columns = list(tasks[0].methods) if tasks else []
+    return sorted(kept, key=lambda result: (order[result.participant], columns.index(result.method)))
 
 
 def _protocol(args: argparse.Namespace) -> Protocol:
@@ -152,7 +164,13 @@ def _protocol(args: argparse.Namespace) -> Protocol:
             raise UsageError(f"--poses: {wrong!r:.40} is no motion and none of {', '.join(TASKS)}")
     more = tuple(_words(args.measure, "--measure")) if args.measure else ()
     size = (_QUICK_SIZE if args.quick else Protocol().size) if args.size is None else args.size
-    return Protocol(tasks=tasks, motion=motion, views=views, size=size, light=args.light, more=more)
+    digest = ""
+    if motion is not None:
+        load_motion(motion, default_avatar().skeleton)  # better refused now than after all avatars are made
+        digest = hashlib.sha256(Path(motion).read_bytes()).hexdigest() if Path(motion).is_file() else ""
+    return Protocol(
+        tasks=tasks, motion=motion, motion_digest=digest, views=views, size=size, light=args.light, more=more
+    )
 
 
 def _people(args: argparse.Namespace) -> list[Participant]:
@@ -196,7 +214,7 @@ def _write(found: Mapping[str, Any], plots: Mapping[str, bytes], folder: Path) -
     pictures = dict(plots)
     for row in found["participants"]:
         name = f"sheets/{row['method']}/{row['participant']}.jpg"
-        if "failed" not in row:
+        if "failed" not in row and (folder / name).is_file():
             pictures[name] = (folder / name).read_bytes()
     for name, data in plots.items():
         replace_file(folder / name, [data])

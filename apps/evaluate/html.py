@@ -18,7 +18,7 @@ _ROLES = {
     "photo": "one photograph to splats (the paper's own role)",
     "mesh-image": "one photograph to a textured mesh (the paper's image-based role)",
     "mesh-video": "a turning video to a textured mesh (the paper's video-based role)",
-    "scan": "the participant's own mesh to splats (the most that splats can reach)",
+    "scan": "the participant's own mesh to splats (no part in the paper)",
 }
 
 
@@ -54,7 +54,7 @@ def _facts(found: Mapping[str, Any]) -> list[str]:
         f"{protocol['fill']:.0%} of the picture, before black; the participants {light}",
         f"Driver: {'; '.join(found['drivers']) or 'none'}",
         f"Machine: {found['machine']}, {found['cores']} cores",
-        f"Versions: {versions}; commit {found['commit'] or 'unknown'}; {found['date']} (UTC)"
+        f"Versions: {versions}; results by glsplat {'; '.join(found['made_by']) or 'none'}; {found['date']} (UTC)"
         + ("; a quick run" if found["options"]["quick"] else ""),
     ]
     return ["<ul>", *(f"<li>{escaped(fact)}</li>" for fact in facts), "</ul>"]
@@ -113,11 +113,11 @@ def _along(title: str, key: str, rows: Sequence[Mapping[str, Any]]) -> list[str]
     out = [f"<h2>{escaped(title)}</h2>"]
     for control in CONTROLS:
         lines = [
-            [row[key], row["method"], *(spread_text(row[name], name) for name in measures)]
+            [row[key], row["method"], row[measures[0]]["n"], *(spread_text(row[name], name) for name in measures)]
             for row in sorted((r for r in rows if r["control"] == control), key=lambda r: _place(rows, key, r[key]))
         ]
         out += [f"<h3>Driven by {escaped(_BY[control])}</h3>"]
-        out.append(table_of([key, "method", *(_head(name) for name in measures)], lines))
+        out.append(table_of([key, "method", "n", *(_head(name) for name in measures)], lines))
     return out
 
 
@@ -125,9 +125,12 @@ def _parts(rows: Sequence[Mapping[str, Any]]) -> list[str]:
     out = ["<h2>By body part</h2><p>Over the pixels that are nearest to it, where it is seen.</p>"]
     for control in CONTROLS:
         mine = sorted((r for r in rows if r["control"] == control), key=lambda r: _place(rows, "part", r["part"]))
-        lines = [[row["part"], row["method"], *(spread_text(row[name], name) for name in PARTED)] for row in mine]
+        lines = [
+            [row["part"], row["method"], row["l1"]["n"], *(spread_text(row[name], name) for name in PARTED)]
+            for row in mine
+        ]
         out += [f"<h3>Driven by {escaped(_BY[control])}</h3>"]
-        out.append(table_of(["part", "method", *(_head(name) for name in PARTED)], lines))
+        out.append(table_of(["part", "method", "n", *(_head(name) for name in PARTED)], lines))
     return out
 
 
@@ -156,8 +159,9 @@ def _timing(timing: Mapping[str, Any]) -> list[str]:
         )
     out = [
         f"<h2>Table 2: rendering time and memory ({escaped(timing['participant'])})</h2>",
-        "<p>Medians of frames that took turns on this driver, read back; LPIPS over the poses from the front, by the "
-        "true pose. The paper's figures are of its authors' GPU.</p>",
+        "<p>Medians of frames that took turns on this driver, read back. The eyes of splats are one draw; those of a "
+        "mesh are drawn in turn within one call. LPIPS is of the left eye over the tasks from the front, by the true "
+        "pose. The paper's figures are of its authors' GPU.</p>",
         table_of(heads, lines),
     ]
     for latency in timing["latency"]:
@@ -190,7 +194,8 @@ def _sheets(rows: Sequence[Mapping[str, Any]], pictures: Mapping[str, bytes]) ->
     for row in rows:
         name = f"sheets/{row['method']}/{row['participant']}.jpg"
         if name in pictures:
-            out += [f"<h3>{escaped(row['participant'])}, {escaped(row['method'])}</h3>", image_of(pictures, name)]
+            title = f"{escaped(row['participant'])}, {escaped(row['method'])}"
+            out.append(f"<details><summary>{title}</summary>{image_of(pictures, name)}</details>")
     return out
 
 

@@ -32,10 +32,11 @@ def outcome(
     timing: Mapping[str, Any],
 ) -> dict[str, Any]:
     """Everything that the page shows. Numbers of table 1 depend on nothing but files, protocol and options."""
-    drivers = sorted({result.data["driver"] for result in results if not result.failed})
+    good = [result for result in results if not result.failed]
     return {
         **machine(),
-        "drivers": drivers,
+        "drivers": sorted({result.data["driver"] for result in good}),
+        "made_by": sorted({result.data["made_by"] for result in good}),
         "protocol": protocol.to_json(),
         "options": dict(options),
         "methods": list(methods),

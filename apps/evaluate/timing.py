@@ -16,6 +16,7 @@ from glsplat.evaluate.comparison.performance import perform
 from glsplat.evaluate.comparison.protocol import Protocol
 from glsplat.evaluate.comparison.stage import Stage
 from glsplat.evaluate.comparison.work import Result
+from glsplat.evaluate.frames import WARM_UP
 from glsplat.evaluate.metrics.lpips import Lpips
 from glsplat.evaluate.sections.costs import SIZES, costs
 from glsplat.gl.context import create_context
@@ -27,7 +28,6 @@ from ..report import latency
 __all__ = ["timed"]
 
 _FRAMES = 30, 4  # measured; in a quick run
-_STREAMED = ("photo", "mesh-image")  # methods whose avatars go over the wire for the latency table
 
 
 def timed(
@@ -44,7 +44,7 @@ def timed(
         figures[method] = loaded  # type: ignore[assignment]  # it was an avatar when it was written
     sizes = SIZES[:1] if quick else SIZES
     frames = _FRAMES[quick]
-    with tqdm(total=len(figures) * len(sizes) * frames, desc="timing", leave=False, disable=None) as bar:
+    with tqdm(total=len(figures) * len(sizes) * (WARM_UP + frames), desc="timing", leave=False, disable=None) as bar:
         context = create_context()
         try:
             rows = [cost.row() for cost in costs(context, figures, sizes, frames, tick=bar.update)]
@@ -56,7 +56,7 @@ def timed(
             if row["size"] == size:
                 row["lpips"] = likeness[row["method"]]
     streamed = []
-    for method in (name for name in _STREAMED if name in figures):
+    for method in figures:
         found = latency.measure(quick, avatar=files[chosen.name][method])
         streamed.append({"method": method, **found, "rows": latency.rows(found)})
     return {"participant": chosen.name, "costs": rows, "latency": streamed}

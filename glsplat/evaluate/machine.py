@@ -10,7 +10,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-__all__ = ["machine"]
+__all__ = ["commit", "machine"]
 
 
 def machine() -> dict[str, Any]:
@@ -23,7 +23,7 @@ def machine() -> dict[str, Any]:
             "python": platform.python_version(),
             **{name: version(name) for name in ("glsplat", "numpy", "moderngl")},
         },
-        "commit": _commit(),
+        "commit": commit(),
     }
 
 
@@ -36,7 +36,8 @@ def _processor() -> str:
     return names[0] if names else platform.machine()
 
 
-def _commit() -> str | None:
+def commit() -> str | None:
+    """Of the checkout that this runs from, abbreviated; None elsewhere."""
     folder = Path(__file__).resolve().parent
     try:
         done = subprocess.run(

@@ -195,8 +195,8 @@ def _corrected(rows: list[Paired]) -> list[Paired]:
 
 
 def _participants(values: Values) -> list[str]:
-    """Everybody whom some method names, in order of appearance."""
-    return list(dict.fromkeys(name for own in values.values() for name in own))
+    """Everybody whom some method names, by name: resampling goes by place."""
+    return sorted({name for own in values.values() for name in own})
 
 
 def _known(value: float | None) -> float | None:

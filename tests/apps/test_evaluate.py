@@ -8,10 +8,11 @@ from pathlib import Path
 
 import pytest
 from glsplat_apps.cli import main
-from glsplat_apps.evaluate import ready
+from glsplat_apps.evaluate import command, ready
 
 from glsplat.data import participants_folder
 from glsplat.evaluate.comparison import measure
+from glsplat.evaluate.comparison.work import work
 from glsplat.evaluate.metrics.lpips import Lpips
 from tests.evaluate.comparison.conftest import Pixels, plugged  # noqa: F401
 
@@ -20,8 +21,11 @@ QUICK = ["--views", "front", "--poses", "standing", "--size", "96", "--light", "
 
 @pytest.fixture(autouse=True)
 def no_networks(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Neither weights nor workers, which would not see what stands in for them."""
     monkeypatch.setattr(measure, "_network", lambda kind: Pixels())
     monkeypatch.setattr(ready, "Lpips", lambda kind: None)
+    here = lambda tasks, jobs, show: [work(task, lambda *said: None) for task in tasks]  # noqa: E731
+    monkeypatch.setattr(command, "run_tasks", here)
 
 
 @pytest.fixture
@@ -69,6 +73,8 @@ def test_a_folder_is_filled_and_a_second_run_changes_no_number(plugged, alone, t
         (["--methods", "nobody"], 'no method is called "nobody"'),
         (["--methods", "photo,photo"], "--methods needs different names"),
         (["--methods", "x=/nowhere"], "no such folder"),
+        (["--methods", "photo=/"], '"photo" is a method of its own'),
+        (["--methods", "x=/,x=/tmp"], "--methods needs different names"),
         (["--only", "zoe"], "--only: no participant 'zoe'; there are ann, bob"),
         (["--poses", "standing,flying"], "--poses: 'flying' is no motion and none of"),
         (["--poses", "flying"], "--poses: 'flying' is no motion and none of"),

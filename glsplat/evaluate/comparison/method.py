@@ -15,7 +15,7 @@ from glsplat.making.reconstruct.plugins import Plugins
 from glsplat.scene import Figure
 from glsplat.splats import Splats
 
-__all__ = ["GROUP", "OWN", "Folder", "Method", "method_named", "method_of"]
+__all__ = ["GROUP", "OWN", "Folder", "Method", "method_named", "method_of", "read_figure"]
 
 GROUP = "glsplat.methods"
 """Other packages name here, as an entry point, what gives a Method when it is called without arguments."""
@@ -34,8 +34,8 @@ PLUGINS = Plugins("method", GROUP, "make", OWN)
 class Method(Protocol):
     """Makes an avatar of a person, from nothing but what was captured of them; ``scan`` alone looks at the truth."""
 
-    def make(self, participant: Participant) -> Figure | Path:
-        """An avatar or a rigged mesh in its zero pose, soles on y = 0, facing +z, metres; or a file of one.
+    def make(self, participant: Participant) -> Figure | str | Path:
+        """An avatar or a rigged mesh in its zero pose, soles on y = 0, facing +z, metres; or the path of one.
 
         Raises GlsplatError in one line where it cannot: that participant's row then says so.
         """
@@ -53,14 +53,21 @@ class Folder:
 
     def make(self, participant: Participant) -> Figure:
         """The file, read. Raises FormatError."""
+        return read_figure(self.file_of(participant), participant)
+
+    def file_of(self, participant: Participant) -> Path:
+        """That participant's file. Raises FormatError where there is none."""
         found = [file for suffix in _SUFFIXES if (file := self.folder / f"{participant.name}{suffix}").is_file()]
         if not found:
             names = ", ".join(_SUFFIXES)
             raise FormatError(f"{self.folder}: no file of {participant.name} (one of {names})")
-        content = load_item(found[0], False)
-        if isinstance(content, Splats):
-            return bind_to_mesh(content, participant.mesh)
-        return content
+        return found[0]
+
+
+def read_figure(file: Path, participant: Participant) -> Figure:
+    """An avatar or mesh of a file; splats without a skeleton are bound to the participant's mesh. FormatError."""
+    content = load_item(file, False)
+    return bind_to_mesh(content, participant.mesh) if isinstance(content, Splats) else content
 
 
 def method_of(word: str) -> tuple[str, str | Folder]:
@@ -71,6 +78,8 @@ def method_of(word: str) -> tuple[str, str | Folder]:
         if name not in PLUGINS.names():
             raise GlsplatError(f'no method is called "{name}"; there are {", ".join(PLUGINS.names())}, or NAME=FOLDER')
         return name, name
+    if name in PLUGINS.names():
+        raise GlsplatError(f'"{name}" is a method of its own; give the folder {folder} another name')
     if not Path(folder).is_dir():
         raise FormatError(f"{folder}: no such folder; a method of your own is NAME=FOLDER with a file a participant")
     return name, Folder(Path(folder).resolve())

@@ -71,13 +71,12 @@ class MeshVideo(_Own):
         pose = participant.pose or pose_of(_A_POSE, mesh.skeleton)
         light = participant.light or _LIGHT
         shots = turntable(mesh, camera, pose, light["direction_to"], light["colour"], frames=count, seed=self.seed)
-        focal = float(camera.K[1, 1])
-        return [(f"frame {number}", shot.rgb, focal) for number, shot in enumerate(shots, 1)]
+        return [(f"frame {number}", shot.rgb, None) for number, shot in enumerate(shots, 1)]  # as of a video
 
 
 @dataclass(frozen=True)
 class Scan(_Own):
-    """The participant's own mesh to splats, as ``glsplat avatar make`` makes them: the most that splats can reach."""
+    """The participant's own mesh to splats, as ``glsplat avatar make`` makes them, with fewer steps of fitting."""
 
     def make(self, participant: Participant) -> Avatar:
         """Raises FormatError for a mesh that cannot be read."""

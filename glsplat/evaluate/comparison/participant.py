@@ -19,9 +19,9 @@ from glsplat.skinning.pose import Pose
 
 __all__ = ["Participant", "participants_in"]
 
-_MESHES = (".npz", ".glb", ".gltf")
+_MESHES = (".npz", ".glb")
 _PICTURES = (".jpg", ".jpeg", ".png")
-_VIDEOS = (".mp4", ".webm", ".mov")
+_VIDEOS = (".mp4", ".webm", ".mov", ".mkv", ".avi")
 _LARGEST = 1 << 20  # bytes of a note of a capture
 
 
@@ -80,11 +80,15 @@ class Participant:
         return self._notes.get("light")
 
     def digest(self) -> str:
-        """Of all files: changes when one of them does."""
+        """Of all files: changes when one of them does. Raises FormatError where one cannot be read."""
         total = hashlib.sha256(repr(self.height).encode())
         for file in (self.mesh_file, _one_of(self._captured, _PICTURES), self.video, self._note_file):
             if file is not None and file.is_file():
-                total.update(file.suffix.encode() + hashlib.sha256(file.read_bytes()).digest())
+                try:
+                    with file.open("rb") as opened:
+                        total.update(file.suffix.encode() + hashlib.file_digest(opened, "sha256").digest())
+                except OSError as error:
+                    raise FormatError(f"{file}: cannot be read ({error.strerror})") from None
         return total.hexdigest()[:16]
 
     @property
@@ -111,7 +115,10 @@ def participants_in(folder: Path) -> list[Participant]:
     """
     if not folder.is_dir():
         raise FormatError(f"{folder}: no such folder; participants are NAME.npz or NAME.glb in a folder")
-    names = sorted({file.stem for file in folder.iterdir() if file.suffix.lower() in _MESHES and file.is_file()})
+    names = sorted({file.stem for file in folder.iterdir() if file.suffix in _MESHES and file.is_file()})
+    for name in names:
+        if not name.isprintable():  # it goes into files, pages and terminals
+            raise FormatError(f"{folder}: a participant's name is printable text, not {name!r:.60}")
     if not names:
         raise FormatError(f"{folder}: nobody is here; participants are NAME.npz or NAME.glb")
     heights: dict[str, float] = {}

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
+import os
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 from glsplat.avatar import Avatar
 from glsplat.errors import FormatError, GlsplatError
-from glsplat.evaluate.comparison.method import Folder, method_named
+from glsplat.evaluate.comparison.method import Folder, method_named, read_figure
 from glsplat.evaluate.comparison.participant import Participant
 from glsplat.formats import save
 from glsplat.formats.files import replace_file
@@ -20,7 +23,7 @@ from glsplat.making.items import load_item
 from glsplat.making.reconstruct.plugins import one_line
 from glsplat.scene import Figure, is_figure
 
-__all__ = ["Product", "product"]
+__all__ = ["Product", "key_of", "product"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,39 +35,46 @@ class Product:
     """kind ("splats" or "triangles"), count, bytes of its file, seconds it took to make (None: made elsewhere)."""
 
 
-def product(name: str, source: str | Folder, participant: Participant, out: Path, key: Mapping[str, Any]) -> Product:
-    """The avatar of a participant by the method ``name``, made or taken from ``out``, if it was made under ``key``.
+def product(
+    name: str, source: str | Folder, participant: Participant, out: Path, options: Mapping[str, Any]
+) -> Product:
+    """The avatar of a participant by the method ``name``, made or taken from ``out``, if it was made alike.
 
     It is what its file holds either way, so that a run that goes on is as one that was never interrupted. Raises
     GlsplatError in one line, also for whatever a method of somebody else raises.
     """
-    if isinstance(source, Folder):
-        figure = source.make(participant)
-        return Product(_checked(figure, name), _facts(figure, None, None))
     file, note = out / f"{participant.name}.glb", out / f"{participant.name}.json"
-    wanted = {**key, "participant": participant.digest()}
+    wanted = {**key_of(source, participant), **options}
     kept = _note(note)
-    if not file.is_file() or kept.get("key") != wanted:
+    if kept.get("key") != wanted or not file.is_file() or kept.get("sha256") != _sha256(file):
         began = time.perf_counter()
-        made = _made(name, source, participant, key)
-        seconds = round(time.perf_counter() - began, 1)
+        made = _made(name, source, participant, options)
+        seconds = None if isinstance(source, Folder) else round(time.perf_counter() - began, 1)
         out.mkdir(parents=True, exist_ok=True)
         figure = _checked(made, name)
         if isinstance(figure, Avatar):
             save(figure, file)
         else:
             save_gltf_mesh(figure, file)
-        kept = {"key": wanted, "seconds": seconds}
+        kept = {"key": wanted, "seconds": seconds, "sha256": _sha256(file)}  # of this file and no other
         replace_file(note, [json.dumps(kept).encode()])
     figure = _checked(load_item(file, False), name)
     return Product(figure, _facts(figure, file.stat().st_size, kept["seconds"]))
 
 
-def _made(name: str, source: str, participant: Participant, key: Mapping[str, Any]) -> Any:
-    method = method_named(source, key)
+def key_of(source: str | Folder, participant: Participant) -> dict[str, Any]:
+    """What an avatar depends on, beside the options and the code. Raises FormatError for files that are not there."""
+    key: dict[str, Any] = {"glsplat": version("glsplat"), "participant": participant.digest()}
+    if isinstance(source, Folder):
+        return {**key, "file": _sha256(source.file_of(participant))}
+    return {**key, "method": source}
+
+
+def _made(name: str, source: str | Folder, participant: Participant, options: Mapping[str, Any]) -> Any:
+    method = source if isinstance(source, Folder) else method_named(source, options)
     try:
         made = method.make(participant)
-        return load_item(made, False) if isinstance(made, Path) else made
+        return read_figure(Path(made), participant) if isinstance(made, (str, os.PathLike)) else made
     except GlsplatError:
         raise
     except Exception as error:
@@ -81,6 +91,14 @@ def _facts(figure: Figure, size: int | None, seconds: float | None) -> dict[str,
     splats = isinstance(figure, Avatar)
     count = len(figure.splats) if isinstance(figure, Avatar) else len(figure.faces)
     return {"kind": "splats" if splats else "triangles", "count": count, "bytes": size, "seconds": seconds}
+
+
+def _sha256(path: Path) -> str:
+    try:
+        with path.open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+    except OSError as error:
+        raise FormatError(f"{path}: cannot be read ({error.strerror})") from None
 
 
 def _note(path: Path) -> dict[str, Any]:

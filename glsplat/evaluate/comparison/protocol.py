@@ -32,6 +32,7 @@ class Protocol:
 
     tasks: tuple[str, ...] = tuple(TASKS)
     motion: str | None = None  # a motion file or name instead of the tasks; ``moments`` of it are drawn
+    motion_digest: str = ""  # of the file, whose name alone says little
     moments: int = 8
     views: tuple[str, ...] = tuple(VIEWS)
     size: int = 512  # pixels a side of an eye
@@ -53,11 +54,6 @@ class Protocol:
             raise GlsplatError(f"further measures are {', '.join(MORE)}, not {min(strange)!r:.30}")
         if not 1 <= self.moments <= 100:
             raise GlsplatError(f"a motion is looked at in 1 to 100 moments, not {self.moments}")
-
-    @property
-    def pairs(self) -> int:
-        """Stereo pairs of one avatar under one control."""
-        return len(self.views) * (self.moments if self.motion else len(self.tasks))
 
     def to_json(self) -> dict[str, Any]:
         """A plain object; two protocols are the same where these are."""

@@ -153,7 +153,7 @@ def _measures(results: Sequence[Result]) -> list[str]:
     """Those that were taken, the paper's first."""
     taken: Mapping[str, Any] = next((one.data["values"][CONTROLS[0]] for one in results if not one.failed), {})
     first = [*MEASURES, *BOXED, OVERLAP]
-    return [name for name in (*first, *(set(taken) - set(first))) if name in taken]
+    return [name for name in (*first, *(name for name in taken if name not in first)) if name in taken]
 
 
 def _good(results: Sequence[Result], method: str) -> list[Result]:

@@ -7,8 +7,10 @@ What is done lies in the output folder and is not done again: ``avatars/METHOD/N
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Mapping
+import logging
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -20,11 +22,13 @@ from glsplat.evaluate.comparison.measure import Known, Measuring
 from glsplat.evaluate.comparison.method import Folder
 from glsplat.evaluate.comparison.participant import Participant
 from glsplat.evaluate.comparison.performance import Performance, perform, perform_motion
-from glsplat.evaluate.comparison.product import Product, product
+from glsplat.evaluate.comparison.product import Product, key_of, product
 from glsplat.evaluate.comparison.protocol import Protocol
 from glsplat.evaluate.comparison.sheet import Sheet
 from glsplat.evaluate.comparison.stage import Stage
+from glsplat.evaluate.machine import commit
 from glsplat.formats.files import replace_file
+from glsplat.making.reconstruct.plugins import one_line
 from glsplat.skinning.pose import Pose
 from glsplat.tracking.sample import Sample
 
@@ -35,7 +39,8 @@ Tell = Callable[[str, float], None]
 
 _MAKING = 0.5  # share of a task that is making avatars, about
 _DIGITS = 6
-_SHEET_VIEWS = ("front", "back")
+
+log = logging.getLogger("glsplat.evaluate")
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,43 +69,54 @@ class Result:
 def finished(task: Task) -> list[Result]:
     """Results that lie in the folder and hold for this task's protocol, options and files."""
     found = []
-    digest = task.participant.digest()
     for method in task.methods:
         try:
             kept = json.loads(_result_file(task, method).read_text(encoding="utf-8"))
-            if kept["key"] == _key(task, digest):
+            if kept["key"] == _key(task, method) and _sheet_file(task, method).is_file():
                 found.append(Result(task.participant.name, method, data=kept["data"]))
-        except (OSError, ValueError, KeyError, TypeError):
-            continue
+        except (GlsplatError, OSError, ValueError, KeyError, TypeError):
+            continue  # it is made anew, and says then what is wrong
     return found
 
 
 def work(task: Task, tell: Tell) -> list[Result]:
     """Do a task; a result a method. What fails is a result that says why, and is tried again in the next run."""
-    name, made, results = task.participant.name, dict[str, Product](), []
-    digest = task.participant.digest()
+    name = task.participant.name
+    made: dict[str, Product] = {}
+    results = []
     for index, (method, source) in enumerate(task.methods.items()):
         tell(f"{name}: {method}", _MAKING * index / len(task.methods))
         try:
             folder = task.out / "avatars" / method
             made[method] = product(method, source, task.participant, folder, task.options)
-        except GlsplatError as error:
-            results.append(Result(name, method, str(error)))
+        except Exception as error:
+            results.append(Result(name, method, _said(error)))
     if not made:
         return results
     try:
         drawn = _drawn(task, made, tell)
-    except GlsplatError as error:
-        return results + [Result(name, method, str(error)) for method in made]
+    except Exception as error:
+        return results + [Result(name, method, _said(error)) for method in made]
     for method, (data, sheet) in drawn.items():
         if isinstance(data, str):
             results.append(Result(name, method, data))
             continue
-        _write(task.out / "sheets" / method / f"{name}.jpg", sheet.jpeg())
-        stored = json.dumps({"key": _key(task, digest), "data": data}).encode()
-        _write(_result_file(task, method), stored)
-        results.append(Result(name, method, data=json.loads(stored)["data"]))
+        try:
+            _write(_sheet_file(task, method), sheet.jpeg())
+            stored = json.dumps({"key": _key(task, method), "data": data}).encode()
+            _write(_result_file(task, method), stored)
+            results.append(Result(name, method, data=json.loads(stored)["data"]))
+        except Exception as error:
+            results.append(Result(name, method, _said(error)))
     return results
+
+
+def _said(error: Exception) -> str:
+    """One line of an error; of one that nobody raised on purpose, the log has the rest."""
+    if isinstance(error, GlsplatError):
+        return str(error)
+    log.error("a comparison failed", exc_info=error)
+    return one_line(error)
 
 
 def _drawn(task: Task, made: Mapping[str, Product], tell: Tell) -> dict[str, tuple[dict[str, Any] | str, Sheet]]:
@@ -118,17 +134,22 @@ def _drawn(task: Task, made: Mapping[str, Product], tell: Tell) -> dict[str, tup
             try:
                 poses = _poses(one, performance, samples, task)
                 entries[method] = _Entry(stage.add(one.figure), poses, Measuring(protocol, moments), Sheet(moments))
-            except GlsplatError as error:
-                out[method] = str(error), Sheet(moments)
+            except Exception as error:
+                out[method] = _said(error), Sheet(moments)
         for moment, view, share in _moments(moments, protocol) if entries else ():
             tell(f"{task.participant.name}: pictures", _MAKING + (1 - _MAKING) * share)
             known = Known.of(stage.truth(moment, protocol.views[view]), protocol)
-            for entry in entries.values():
-                _compare(entry, stage, known, moment, view, protocol.views[view])
+            for method, entry in list(entries.items()):
+                try:
+                    _compare(entry, stage, known, moment, view, protocol.views)
+                except Exception as error:  # of this avatar alone
+                    out[method] = _said(error), entry.sheet
+                    del entries[method]
         for method, entry in entries.items():
             data = {
                 "product": dict(made[method].facts),
                 "driver": stage.driver,
+                "made_by": f"{version('glsplat')}, commit {commit() or 'unknown'}",
                 "moments": list(performance.names),
                 "views": list(protocol.views),
                 **entry.measuring.to_json(_DIGITS),
@@ -137,14 +158,15 @@ def _drawn(task: Task, made: Mapping[str, Product], tell: Tell) -> dict[str, tup
     return out
 
 
-def _compare(entry: _Entry, stage: Stage, known: Known, moment: int, view: int, side: str) -> None:
+def _compare(entry: _Entry, stage: Stage, known: Known, moment: int, view: int, views: Sequence[str]) -> None:
     """Draw an avatar under both controls as the truth was drawn, and measure it."""
-    if side in _SHEET_VIEWS:
+    side, shown = views[view], view in (0, len(views) // 2)  # the front and the back, where all four are looked at
+    if shown:
         entry.sheet.put(f"{side}: participant", moment, known.truth.pictures[0])
     for control, poses in entry.poses.items():
         pictures = stage.draw(entry.figure, known.truth.cameras, poses[moment])
         entry.measuring.add(control, moment, view, known, pictures)
-        if side in _SHEET_VIEWS:
+        if shown:
             entry.sheet.put(f"{side}: by {control}", moment, pictures[0])
 
 
@@ -174,9 +196,14 @@ def _moments(moments: int, protocol: Protocol) -> Iterator[tuple[int, int, float
         yield moment, view, index / total
 
 
-def _key(task: Task, digest: str) -> dict[str, Any]:
-    """What a result depends on, beside the code."""
-    return {"protocol": task.protocol.to_json(), "options": dict(task.options), "participant": digest}
+def _key(task: Task, method: str) -> dict[str, Any]:
+    """What a result depends on, beside the code. Raises GlsplatError for files that are not there."""
+    source = key_of(task.methods[method], task.participant)
+    return {"protocol": task.protocol.to_json(), "options": dict(task.options), **source}
+
+
+def _sheet_file(task: Task, method: str) -> Path:
+    return task.out / "sheets" / method / f"{task.participant.name}.jpg"
 
 
 def _result_file(task: Task, method: str) -> Path:

@@ -1,13 +1,14 @@
-"""Workers: tasks in several processes, their progress and results in one; what a worker dies of is a result."""
+"""Workers: a process a task, their progress and results in one; what a worker dies of is a result."""
 
 from __future__ import annotations
 
 import multiprocessing
 import os
-import queue
 import signal
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from multiprocessing.connection import Connection, wait
+from multiprocessing.process import BaseProcess
 from typing import Any
 
 from glsplat.evaluate.comparison.work import Result, Task, work
@@ -17,55 +18,54 @@ __all__ = ["run_tasks"]
 Show = Callable[[int, str, float], None]
 """Called with a task's place, what is being done of it, and the share of it that is done."""
 
-# a worker is a core: libraries that start threads of their own would share it with the other workers
-_ONE_CORE = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "LP_NUM_THREADS": "1"}
-_POLL = 0.5  # seconds between looks at whether workers live
+# a worker is a core, whatever the user's shell says: sums differ in their last bits with the number of threads
+_ONE_CORE = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1", "LP_NUM_THREADS": "1"}
 
 
 def run_tasks(tasks: Sequence[Task], jobs: int, show: Show) -> Iterator[list[Result]]:
-    """The results of each task, as they come. ``jobs`` processes; with one, everything happens in this one.
+    """The results of each task, as they come, from at most ``jobs`` processes at a time.
 
-    Processes that are left when the caller stops are ended.
+    Each task has a process of its own, also where there is one alone, so that all are worked out alike. Processes that
+    are left when the caller stops are ended.
     """
-    if jobs <= 1:
-        for index, task in enumerate(tasks):
-            yield work(task, lambda step, done, index=index: show(index, step, done))  # type: ignore[misc]
-        return
     context = multiprocessing.get_context("spawn")
-    said: multiprocessing.Queue[Any] = context.Queue()
     waiting = list(range(len(tasks)))
-    running: dict[int, multiprocessing.process.BaseProcess] = {}
+    running: dict[Connection, tuple[int, BaseProcess]] = {}
     try:
         while waiting or running:
             while waiting and len(running) < jobs:
                 index = waiting.pop(0)
+                ours, theirs = context.Pipe(duplex=False)
+                worker: BaseProcess = context.Process(target=_work, args=(tasks[index], theirs))
                 with _environment(_ONE_CORE):
-                    running[index] = context.Process(target=_work, args=(index, tasks[index], said), daemon=True)
-                    running[index].start()
-            try:
-                kind, index, value = said.get(timeout=_POLL)
-            except queue.Empty:
-                for index, process in [(i, p) for i, p in running.items() if not p.is_alive() and said.empty()]:
-                    del running[index]
-                    yield _lost(tasks[index], process.exitcode)
-                continue
-            if index not in running:
-                continue  # said before it was given up
-            if kind == "step":
-                show(index, *value)
-            else:
-                running.pop(index).join()
-                yield value
+                    worker.start()
+                theirs.close()  # so that its end is heard when the process ends
+                running[ours] = index, worker
+            for connection in wait(list(running)):
+                assert isinstance(connection, Connection)
+                index, process = running[connection]
+                try:
+                    said: tuple[str, float] | list[Result] = connection.recv()
+                except (EOFError, OSError):
+                    process.join()
+                    said = _lost(tasks[index], process.exitcode)
+                if isinstance(said, tuple):
+                    show(index, *said)
+                    continue
+                del running[connection]
+                connection.close()
+                process.join()
+                yield said
     finally:
-        for process in running.values():
+        for _, process in running.values():
             process.terminate()
-        for process in running.values():
+        for connection, (_, process) in running.items():
             process.join()
+            connection.close()
 
 
-def _work(index: int, task: Task, said: multiprocessing.Queue[Any]) -> None:
+def _work(task: Task, said: Connection) -> None:
     """A worker's whole life: one task."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent hears it, too, and ends its workers
     import cv2
 
     cv2.setNumThreads(1)
@@ -74,9 +74,9 @@ def _work(index: int, task: Task, said: multiprocessing.Queue[Any]) -> None:
     def tell(step: str, done: float) -> None:
         if parent is not None and not parent.is_alive():
             os._exit(1)  # nobody waits for this any more
-        said.put(("step", index, (step, done)))
+        said.send((step, done))
 
-    said.put(("done", index, work(task, tell)))
+    said.send(work(task, tell))
 
 
 def _lost(task: Task, code: int | None) -> list[Result]:
@@ -87,11 +87,19 @@ def _lost(task: Task, code: int | None) -> list[Result]:
 
 @contextmanager
 def _environment(values: Mapping[str, str]) -> Iterator[None]:
-    """The environment with these values where it has none, for processes that are started within."""
-    added = [name for name in values if name not in os.environ]
-    os.environ.update({name: values[name] for name in added})
+    """These values in the environment, and no ear for Ctrl-C, for processes that are started within.
+
+    This process hears it, too, and ends its workers; they would each say where they were.
+    """
+    before: dict[str, Any] = {name: os.environ.get(name) for name in values}
+    os.environ.update(values)
+    heard = signal.signal(signal.SIGINT, signal.SIG_IGN)  # what is ignored stays so in a new program
     try:
         yield
     finally:
-        for name in added:
-            del os.environ[name]
+        signal.signal(signal.SIGINT, heard)
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value

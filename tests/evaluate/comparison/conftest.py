@@ -34,7 +34,7 @@ class Raising:
 
 class Nothing:
     def make(self, participant):
-        return "an avatar"
+        return 42
 
 class Dying:
     def make(self, participant):

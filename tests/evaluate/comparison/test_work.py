@@ -28,9 +28,8 @@ def tasks_of(people: list[Participant], protocol: Protocol, out: Path, *methods:
 
 
 def table(results: list[Result], *methods: str) -> str:
-    return json.dumps(
-        [tables.summary(results, methods, 2), tables.by_view(results, methods), tables.by_part(results, methods)]
-    )
+    made = [tables.summary(results, methods, 2), tables.by_view(results, methods), tables.by_part(results, methods)]
+    return json.dumps([*made, tables.compared(results, methods, 0)])
 
 
 @pytest.mark.usefixtures("no_lpips")
@@ -78,9 +77,11 @@ def test_interrupted_and_gone_on_is_as_one_run(people, short, plugged, tmp_path,
 def _only_from_files(product: Callable) -> Callable:
     """Avatars that were made before the interruption are not made again."""
 
-    def checked(name, source, participant, out, key):
-        assert (out / f"{participant.name}.glb").is_file()
-        return product(name, source, participant, out, key)
+    def checked(name, source, participant, out, options):
+        before = (out / f"{participant.name}.glb").stat().st_mtime_ns
+        made = product(name, source, participant, out, options)
+        assert (out / f"{participant.name}.glb").stat().st_mtime_ns == before
+        return made
 
     return checked
 
@@ -146,7 +147,8 @@ def test_a_folder_of_files_is_a_method(people, short, tmp_path) -> None:
     name, source = method_of(f"mine={made}")
     assert isinstance(source, Folder)
     results = [r for one in people[:3] for r in work(Task(one, {name: source}, short, tmp_path / "out"), quiet)]
-    assert results[0].data["product"] == {"kind": "splats", "count": len(splats), "bytes": None, "seconds": None}
+    facts = results[0].data["product"]
+    assert (facts["kind"], facts["count"], facts["seconds"]) == ("splats", len(splats), None)
     assert "cm from the mesh" in results[1].failed  # another person's splats
     assert "no file of p05" in results[2].failed
 
@@ -196,3 +198,53 @@ def test_participants_are_found_by_their_files(tmp_path) -> None:
         (tmp_path / "participants.json").write_text(text)
         with pytest.raises(FormatError, match=r"participants\.json"):
             participants_in(tmp_path)
+
+
+@pytest.mark.usefixtures("no_lpips")
+def test_another_file_of_a_method_is_measured_anew(people, short, tmp_path) -> None:
+    made = tmp_path / "mine"
+    made.mkdir()
+    one = people[1]
+    shutil.copy(one.mesh_file, made / "p02.npz")
+    task = Task(one, dict([method_of(f"mine={made}")]), short, tmp_path / "out")
+    (good,) = work(task, quiet)
+    assert not good.failed and len(finished(task)) == 1
+    shutil.copy(people[0].mesh_file, made / "p02.npz")
+    assert finished(task) == []
+    (other,) = work(task, quiet)
+    assert np.mean(other.data["values"]["pose"]["l1"]) > 2 * np.mean(good.data["values"]["pose"]["l1"])
+    (tmp_path / "out" / "sheets" / "mine" / "p02.jpg").unlink()
+    assert finished(task) == []
+    (made / "p02.npz").unlink()
+    assert "no file of p02" in work(task, quiet)[0].failed
+
+
+@pytest.mark.usefixtures("no_lpips")
+def test_an_avatar_of_another_run_does_not_pass(people, plugged, tmp_path) -> None:
+    plugged(itself="Itself", smaller="Smaller")
+    protocol = Protocol(tasks=("standing",), views=("left",), size=96)  # a view that is no front
+    (task,) = tasks_of(people[1:2], protocol, tmp_path, "itself")
+    (other,) = tasks_of(people[1:2], protocol, tmp_path / "other", "smaller")
+    (first,) = work(task, quiet)
+    work(other, quiet)
+    avatar = tmp_path / "avatars" / "itself" / "p02.glb"
+    shutil.copy(tmp_path / "other" / "avatars" / "smaller" / "p02.glb", avatar)  # as if interrupted before the note
+    (tmp_path / "results" / "itself" / "p02.json").unlink()
+    (again,) = work(task, quiet)
+    assert again.data["values"] == first.data["values"] and not first.failed
+
+
+@pytest.mark.usefixtures("no_lpips")
+def test_one_bad_avatar_leaves_its_neighbours_alone(people, short, plugged, tmp_path, monkeypatch) -> None:
+    plugged(itself="Itself", smaller="Smaller")
+    draw = working.Stage.draw
+
+    def failing(stage, figure, cameras, pose):
+        if figure == 0:
+            raise ZeroDivisionError("nothing to see")
+        return draw(stage, figure, cameras, pose)
+
+    monkeypatch.setattr(working.Stage, "draw", failing)
+    (task,) = tasks_of(people[1:2], short, tmp_path, "itself", "smaller")
+    results = {result.method: result.failed for result in work(task, quiet)}
+    assert results == {"itself": "ZeroDivisionError: nothing to see", "smaller": ""}
