@@ -22,6 +22,7 @@ from tests.browser.vr import SIDE, enter, fresh, hands, pose, see, steer, visit
 
 BAND = 3  # pixels to either side of the silhouette
 SQUARE = 8  # pixels of the checkerboard
+PICTURES = 3
 MOST = {512: 2.5, 1024: 2.0}  # of 255, by the side of the pictures: at 512 each of their pixels covers several
 
 
@@ -82,26 +83,30 @@ def rim(open_page: OpenPage, serve: Any, size: int) -> Rim:
     # the panel follows the left wrist: out of sight, behind the back
     steer(page, head=pose([0, 1.6, 0]), input="hands", hands=hands(pose([-0.3, 0.9, 0.4]), pose([0.25, 1.1, -0.35])))
     enter(page, "ar", run=False)
-    fresh(page)
-    seen = see(page)
-    request, drawn = backend.kept[seen["stats"]["shownId"]]
-    lossy = decoded(drawn)
     board = 255.0 * (np.add.outer(np.arange(SIDE) // SQUARE, np.arange(SIDE) // SQUARE) % 2)[..., None]
     ball = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * BAND + 1, 2 * BAND + 1))
     shown, added = [], []
-    for index, side in enumerate(("left", "right")):
-        _, P = seen["eyes"][side]
-        K = request.cameras[index].K
-        middles = (np.arange(SIDE) + 0.5) / SIDE * 2 - 1
-        u = K[0, 0] * (middles + P[0, 2]) / P[0, 0] + K[0, 2]
-        v = K[1, 1] * (middles - P[1, 2]) / P[1, 1] + K[1, 2]
-        exact, coded = (sampled(image, *np.meshgrid(u, v)) for image in (drawn.images[index], lossy[index]))
-        wanted, best, found = (a[..., :3] + (1 - a[..., 3:] / 255) * board for a in (exact, coded, seen[side] * 1.0))
-        inside = (exact[..., 3] > 127.5).astype(np.uint8)
-        band = cv2.dilate(inside, ball) > cv2.erode(inside, ball)
-        assert band.sum() > 3000, "there is no person"
-        shown.append((found - wanted)[band])
-        added.append((found - best)[band])
+    fresh(page)  # while the body finds its stance, its rim is another in every picture
+    for _ in range(PICTURES):  # one alone is off by 0.34 to 0.63, another each time
+        fresh(page)
+        seen = see(page)
+        request, drawn = backend.kept[seen["stats"]["shownId"]]
+        lossy = decoded(drawn)
+        for index, side in enumerate(("left", "right")):
+            _, P = seen["eyes"][side]
+            K = request.cameras[index].K
+            middles = (np.arange(SIDE) + 0.5) / SIDE * 2 - 1
+            u = K[0, 0] * (middles + P[0, 2]) / P[0, 0] + K[0, 2]
+            v = K[1, 1] * (middles - P[1, 2]) / P[1, 1] + K[1, 2]
+            exact, coded = (sampled(image, *np.meshgrid(u, v)) for image in (drawn.images[index], lossy[index]))
+            wanted, best, found = (
+                a[..., :3] + (1 - a[..., 3:] / 255) * board for a in (exact, coded, seen[side] * 1.0)
+            )
+            inside = (exact[..., 3] > 127.5).astype(np.uint8)
+            band = cv2.dilate(inside, ball) > cv2.erode(inside, ball)
+            assert band.sum() > 3000, "there is no person"
+            shown.append((found - wanted)[band])
+            added.append((found - best)[band])
     return Rim(np.concatenate(shown), np.concatenate(added))
 
 
@@ -111,4 +116,5 @@ def test_the_rim_has_no_fringe(open_page: OpenPage, serve: Any, size: int) -> No
     found = rim(open_page, serve, size)
     assert np.abs(found.shown).mean() <= MOST[size]
     assert abs(found.shown.mean()) <= 0.5, "a dark or a bright fringe"
-    assert np.abs(found.added).mean() <= 0.6, "the page does something else than compositing"
+    # sampling a rim before a checkerboard in 8 bits: 0.34 to 0.71 a picture; half a pixel beside is far above
+    assert np.abs(found.added).mean() <= 0.75, "the page does something else than compositing"
