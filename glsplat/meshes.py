@@ -13,7 +13,7 @@ from glsplat.errors import FormatError, PoseError
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.skeleton import Skeleton
 
-__all__ = ["MeshPart", "RiggedMesh", "standing"]
+__all__ = ["MeshPart", "RiggedMesh", "standing", "vertex_normals"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -123,3 +123,14 @@ def standing(vertices: NDArray[np.float64], parts: tuple[MeshPart, ...], source:
     skeleton = Skeleton.from_joints(("root",), [-1], [[0.0, 0.0, 0.0]])
     bound = np.zeros((count, 1), np.int64), np.ones((count, 1))
     return RiggedMesh(vertices, skeleton, *bound, parts, {"source": source})
+
+
+def vertex_normals(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> NDArray[np.float64]:
+    """[V, 3] unit normals, the triangles around weighted by area."""
+    first, second, third = (vertices[faces[:, corner]] for corner in range(3))
+    across = np.cross(second - first, third - first)
+    normals = np.zeros_like(vertices)
+    for corner in range(3):
+        for axis in range(3):
+            normals[:, axis] += np.bincount(faces[:, corner], across[:, axis], len(vertices))
+    return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)

@@ -21,7 +21,7 @@ ROOT = Path(__file__).resolve().parents[1]
 # imports from floors below its own, or from its own room. What stands beside a room on one floor is not seen from it.
 FLOORS = [
     ["glsplat.errors"],
-    ["glsplat.arrays", "glsplat.timing", "glsplat.rotations"],
+    ["glsplat.arrays", "glsplat.timing", "glsplat.rotations", "glsplat.formats.npz"],
     ["glsplat.splats", "glsplat.camera", "glsplat.config", "glsplat.pictures"],
     ["glsplat.skinning"],
     ["glsplat.avatar", "glsplat.meshes", "glsplat.tracking.solve"],

@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 
 from glsplat.avatar import Avatar
 from glsplat.camera import Camera, look_at, pinhole
-from glsplat.making.fit.body import open_body, vertex_normals
+from glsplat.making.fit.body import open_body
 from glsplat.making.fit.fit import FittedView
 from glsplat.making.networks.person import LANDMARKS
 from glsplat.making.paint.shot import SurfacePoints
@@ -20,7 +20,7 @@ from glsplat.making.reconstruct.builtin import Dressed
 from glsplat.making.reconstruct.photos import Shot
 from glsplat.making.texture.texels import texels_of
 from glsplat.mesh import MeshRenderer
-from glsplat.meshes import MeshPart, RiggedMesh
+from glsplat.meshes import MeshPart, RiggedMesh, vertex_normals
 from glsplat.renderer import Renderer
 from glsplat.skinning.pose import Pose
 from glsplat.splats import SH_C0

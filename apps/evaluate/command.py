@@ -17,13 +17,13 @@ from tqdm import tqdm
 
 from glsplat.data import default_avatar, participants_folder
 from glsplat.errors import FormatError, GlsplatError
-from glsplat.evaluate.comparison.method import OWN, method_of
+from glsplat.evaluate.comparison.method import OWN, Folder, method_of
 from glsplat.evaluate.comparison.participant import Participant, participants_in
 from glsplat.evaluate.comparison.performance import TASKS
 from glsplat.evaluate.comparison.protocol import LIGHTS, MORE, VIEWS, Protocol
 from glsplat.evaluate.comparison.work import Result, Task, finished
 from glsplat.evaluate.comparison.workers import run_tasks
-from glsplat.formats.files import replace_file
+from glsplat.formats.files import locked, replace_file
 from glsplat.motion.motion import embedded_motions, load_motion
 
 from ..usage import UsageError
@@ -45,6 +45,8 @@ _QUICK_PEOPLE = 4
 _QUICK_SIZE = 256
 _BAR = "{desc}: {percentage:3.0f}% |{bar}| {elapsed} passed, about {remaining} to go"
 _WORKER = 1.6e9  # bytes that a process takes at most
+# a container's own limit, as it sees it: of cgroups' second version, and of the first
+_LIMITS = "/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.limit_in_bytes"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -97,6 +99,17 @@ def run(args: argparse.Namespace) -> int:
         args.output.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise FormatError(f"{args.output}: cannot make the folder ({error.strerror})") from None
+    with locked(args.output / "lock"):  # of two runs in one folder, each would read what the other half wrote
+        return _run(args, methods, people, protocol, jobs)
+
+
+def _run(
+    args: argparse.Namespace,
+    methods: Mapping[str, str | Folder],
+    people: Sequence[Participant],
+    protocol: Protocol,
+    jobs: int,
+) -> int:
     options = {"seed": args.seed, "quick": args.quick}
     began = time.perf_counter()
     results = _results([Task(one, methods, protocol, args.output, options) for one in people], jobs)
@@ -127,6 +140,7 @@ def _results(tasks: Sequence[Task], jobs: int) -> list[Result]:
     if kept:
         print(f"{len(kept)} of {sum(len(task.methods) for task in tasks)} results lie in the folder already")
     shares = [0.0] * len(left)
+    began, ended = time.monotonic(), 0
     with tqdm(total=max(len(left), 1), bar_format=_BAR, disable=None) as bar:
 
         def show(index: int, step: str, done: float) -> None:
@@ -143,6 +157,12 @@ def _results(tasks: Sequence[Task], jobs: int) -> list[Result]:
             if results:
                 place = [task.participant.name for task in left].index(results[0].participant)
                 show(place, results[0].participant, 1.0)
+            ended += 1
+            if bar.disable:  # no terminal: a line a participant, not a bar
+                passed = time.monotonic() - began
+                left_over = passed / ended * (len(left) - ended)
+                times = f"{passed / 60:.0f} min passed, about {left_over / 60:.0f} to go"
+                print(f"{ended} of {len(left)} participants: {times}", file=sys.stderr, flush=True)
     order = {task.participant.name: place for place, task in enumerate(tasks)}
     columns = list(tasks[0].methods) if tasks else []
     return sorted(kept, key=lambda result: (order[result.participant], columns.index(result.method)))
@@ -195,11 +215,16 @@ def _jobs(args: argparse.Namespace) -> int:
 
 
 def _memory() -> float:
-    """Bytes that processes may still take; all there is where the system does not say."""
+    """Bytes that processes may take: what is free of the machine, at most what the container has; else no bound."""
+    return min(_said("/proc/meminfo", "MemAvailable:") * 1024, *(_said(limit) for limit in _LIMITS))
+
+
+def _said(file: str, name: str = "") -> float:
+    """The number that the system's file has behind ``name``; infinity where there is none."""
     try:
-        lines = Path("/proc/meminfo").read_text(encoding="ascii").splitlines()
-        return next(float(line.split()[1]) * 1024 for line in lines if line.startswith("MemAvailable:"))
-    except (OSError, StopIteration, ValueError):
+        lines = Path(file).read_text(encoding="ascii").splitlines()
+        return next(float(line.removeprefix(name).split()[0]) for line in lines if line.startswith(name))
+    except (OSError, StopIteration, ValueError, IndexError):
         return math.inf
 
 

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import argparse
 
-import numpy as np
-
 from glsplat.data import default_avatar
 from glsplat.errors import FormatError
+from glsplat.making.scans import read_skeleton
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.tracking.calibration import Calibration
 from glsplat.tracking.recording import embedded_recording, replay
@@ -43,14 +42,7 @@ def skeleton_of(name: str | None) -> Skeleton:
     if name is None:
         return default_avatar().skeleton
     if name.endswith(".npz"):
-        try:
-            with np.load(name, allow_pickle=False) as body:
-                names, parents, joints = body["joint_names"], body["parents"], body["joints"]
-                return Skeleton.from_joints(tuple(map(str, names)), parents, joints)
-        except OSError as error:
-            raise FormatError(f"{name}: cannot read the body ({error.strerror or error})") from None
-        except (KeyError, ValueError) as error:
-            raise FormatError(f"{name}: a body holds joint_names, parents and joints, but {error}") from None
+        return read_skeleton(name)
     return load_avatar(name, "--avatar").skeleton
 
 

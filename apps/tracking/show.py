@@ -15,6 +15,8 @@ from tqdm import tqdm
 
 from glsplat.camera import Camera, look_at, pinhole
 from glsplat.data import default_avatar
+from glsplat.formats.files import open_regular
+from glsplat.formats.npz import array_names
 from glsplat.scene import Figure
 from glsplat.skinning.pose import Pose
 from glsplat.tracking.recording import PoseTrack, read_poses
@@ -112,8 +114,8 @@ class Painter:
         if name is None:
             return default_avatar()
         if name.endswith(".npz"):
-            with np.load(name, allow_pickle=False) as body:
-                if "part_names" not in body:
+            with open_regular(name) as (file, _):
+                if "part_names" not in array_names(file):
                     return None  # a body without textures
         return load_avatar(name, "--avatar")
 

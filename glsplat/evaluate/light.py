@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from glsplat.camera import Camera, look_at
 from glsplat.errors import GlsplatError
 from glsplat.making.raster import mesh_picture_and_depth
-from glsplat.meshes import RiggedMesh
+from glsplat.meshes import RiggedMesh, vertex_normals
 
-__all__ = ["CaptureLight", "shade_of", "vertex_normals"]
+__all__ = ["CaptureLight", "shade_of"]
 
 F64 = NDArray[np.float64]
 
@@ -51,22 +51,12 @@ class CaptureLight:
 
 def shade_of(mesh: RiggedMesh, vertices: F64, light: CaptureLight) -> F64:
     """[V, 3] linear-light factors of a mesh whose ``vertices`` [V, 3] are posed, metres, y up."""
-    normals = vertex_normals(mesh, vertices)
+    normals = vertex_normals(vertices, mesh.faces)
     lamp = np.asarray(light.towards, np.float64)
     lamp = lamp / np.linalg.norm(lamp)
     direct = np.maximum((normals @ lamp + _WRAP) / (1 + _WRAP), 0) * _reached(mesh, vertices, lamp)
     sky, ground = np.asarray(light.sky), np.asarray(light.ground)
     return ground + (sky - ground) * (0.5 + 0.5 * normals[:, 1:2]) + direct[:, None] * np.asarray(light.colour)
-
-
-def vertex_normals(mesh: RiggedMesh, vertices: F64) -> F64:
-    """[V, 3] unit normals: of the triangles around a vertex, by their areas; zero where there are none."""
-    faces = mesh.faces
-    a, b, c = (vertices[faces[:, k]] for k in range(3))
-    across = np.cross(b - a, c - a)
-    sums = [sum(np.bincount(faces[:, k], across[:, axis], len(vertices)) for k in range(3)) for axis in range(3)]
-    normals = np.stack(sums, axis=1)
-    return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
 
 
 def _reached(mesh: RiggedMesh, vertices: F64, lamp: F64) -> F64:

@@ -9,6 +9,7 @@ import io
 import os
 import secrets
 import stat
+import time
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -17,7 +18,7 @@ from typing import Any, BinaryIO
 from glsplat.errors import FormatError
 from glsplat.splats import Splats
 
-__all__ = ["Source", "checked", "folder_of", "naming", "open_regular", "replace_file", "sampled", "suffix_of"]
+__all__ = ["Source", "checked", "folder_of", "locked", "naming", "open_regular", "replace_file", "sampled", "suffix_of"]
 
 Source = str | bytes | os.PathLike[Any] | BinaryIO
 """What is read or written. An object is read from where it stands to its end, and stays open."""
@@ -107,6 +108,38 @@ def replace_file(target: Source, parts: Iterable[bytes | memoryview], *, private
         raise FormatError(f"{name}: cannot be written ({error.strerror or error})") from None
     except ValueError as error:
         raise FormatError(f"{name!r}: cannot be written ({error})") from None
+
+
+@contextmanager
+def locked(path: Path, patience: float = 0.0) -> Iterator[None]:
+    """One process at a time: whoever comes while another holds ``path`` waits so many seconds for it.
+
+    Raises FormatError when it is not to be had. Where the system knows no such locks, there is none. The file stays.
+    """
+    try:
+        import fcntl  # not on Windows
+    except ImportError:
+        yield
+        return
+    try:
+        lock = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+    except OSError as error:
+        raise FormatError(f"{path}: cannot be written ({error.strerror or error})") from None
+    try:
+        end = time.monotonic() + patience
+        while True:
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                break
+            except BlockingIOError:
+                if time.monotonic() >= end:
+                    raise FormatError(f"{path}: another process holds it; end it, or try again") from None
+                time.sleep(0.02)
+            except OSError:  # some network file systems have none; each file is still written whole
+                break
+        yield
+    finally:
+        os.close(lock)
 
 
 @contextmanager

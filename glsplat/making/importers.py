@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import zipfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -14,6 +13,8 @@ from scipy.spatial import cKDTree
 
 from glsplat.avatar import Avatar
 from glsplat.errors import FormatError, PoseError
+from glsplat.formats.files import naming, open_regular
+from glsplat.formats.npz import read_arrays
 from glsplat.meshes import RiggedMesh
 from glsplat.rotations import matrix_quaternions, nearest_rotations, quaternion_product
 from glsplat.skinning.skeleton import Skeleton
@@ -80,20 +81,13 @@ def load_lhm_dump(path: str | Path, influences: int = 4) -> Avatar:
 
 
 def _arrays(path: str | Path) -> dict[str, F64]:
-    try:
-        with open(path, "rb") as file:
-            if file.read(2) != b"PK":
-                raise FormatError(f"{path}: an LHM dump is an .npz archive, but this is none")
-            file.seek(0)
-            with np.load(file, allow_pickle=False) as archive:
-                missing = [key for key in _LHM_KEYS if key not in archive]
-                if missing:
-                    raise FormatError(f"{path}: an LHM dump needs {missing[0]}; found {', '.join(archive.files[:6])}")
-                return {key: np.asarray(archive[key], np.float64) for key in _LHM_KEYS}
-    except OSError as error:
-        raise FormatError(f"{path}: cannot read the dump ({error.strerror or error})") from None
-    except (ValueError, TypeError, EOFError, zipfile.BadZipFile) as error:
-        raise FormatError(f"{path}: an LHM dump is an .npz of numbers, but {error}") from None
+    with naming(path):
+        with open_regular(path) as (file, _):
+            data = read_arrays(file, "an LHM dump", tuple(_LHM_KEYS))
+        try:
+            return {key: np.asarray(array, np.float64) for key, array in data.items()}
+        except (TypeError, ValueError) as error:
+            raise FormatError(f"an LHM dump is an .npz of numbers, but {error}") from None
 
 
 def _check(data: Mapping[str, F64]) -> int:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from glsplat.errors import FormatError
 from glsplat.formats import load
 from glsplat.formats.files import naming, open_regular
+from glsplat.formats.npz import array_names
 from glsplat.formats.scene_file import SceneFile, load_scene_file, looks_like_scene_file
 from glsplat.meshes import MeshPart, RiggedMesh, standing
 from glsplat.scene import Content
@@ -86,9 +87,5 @@ def _read_npz(path: Path) -> RiggedMesh:
     from glsplat.making.scans import read_body
 
     with naming(path), open_regular(path) as (file, _):
-        try:
-            with np.load(file, allow_pickle=False) as archive:
-                body = "v_template" in archive.files
-        except Exception:  # no archive; the reader says so
-            body = False
+        body = "v_template" in array_names(file)
     return read_body(path) if body else read_person(path)

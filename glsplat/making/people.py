@@ -2,35 +2,62 @@
 
 from __future__ import annotations
 
-import zipfile
+import struct
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
+import simplejpeg
 from numpy.typing import NDArray
 
 from glsplat.errors import FormatError, PoseError
+from glsplat.formats.files import naming, open_regular
+from glsplat.formats.npz import read_arrays
 from glsplat.meshes import MeshPart, RiggedMesh
 from glsplat.skinning.skeleton import Skeleton
 
 __all__ = ["decode_texture", "read_person"]
 
 _NEEDED = ("vertices", "joints", "parents", "joint_names", "skin_indices", "skin_weights", "part_names")
+_LONGEST = 16_384  # pixels; what GL takes
 
 
 def decode_texture(data: bytes | NDArray[np.uint8], where: str) -> NDArray[np.uint8]:
     """RGBA uint8 [H, W, 4] of a JPEG or PNG; FormatError naming ``where`` if it is neither."""
     buffer = np.frombuffer(data, np.uint8) if isinstance(data, bytes) else data
-    image = cv2.imdecode(buffer, cv2.IMREAD_UNCHANGED) if buffer.size else None
+    if buffer.dtype != np.uint8 or buffer.ndim != 1:
+        raise FormatError(f"{where}: a texture is the bytes of a file, not {buffer.dtype} of shape {buffer.shape}")
+    said = bytes(buffer[:24])
+    width, height = _size(said, buffer)
+    if max(width, height) > _LONGEST:
+        raise FormatError(f"{where}: a texture has at most {_LONGEST} pixels a side, this one {width} x {height}")
+    try:
+        image = cv2.imdecode(buffer, cv2.IMREAD_UNCHANGED) if buffer.size else None
+    except cv2.error:  # more pixels than it takes of any kind of file
+        image = None
     if image is None:
-        raise FormatError(f"{where}: a texture is a JPEG or PNG, found {bytes(buffer[:4])!r}")
+        raise FormatError(f"{where}: a texture is a JPEG or PNG, found {said[:4]!r}")
     if image.dtype != np.uint8:
         image = (image / 257).astype(np.uint8)
     if image.ndim == 2:
         image = cv2.cvtColor(image, cv2.COLOR_GRAY2BGR)
     return cv2.cvtColor(image, cv2.COLOR_BGR2RGBA if image.shape[2] == 3 else cv2.COLOR_BGRA2RGBA)
+
+
+def _size(head: bytes, data: NDArray[np.uint8]) -> tuple[int, int]:
+    """Width and height that a PNG or JPEG claims, before a pixel is unpacked; 0, 0 of other kinds."""
+    if head.startswith(b"\x89PNG") and len(head) == 24:
+        width, height = struct.unpack(">16xII", head)
+        return width, height
+    if head.startswith(b"\xff\xd8"):
+        try:
+            height, width, *_ = simplejpeg.decode_jpeg_header(data, strict=False)
+            return width, height
+        except (ValueError, RuntimeError, KeyError):
+            pass  # the decoder says so
+    return 0, 0
 
 
 def read_person(path: str | Path) -> RiggedMesh:
@@ -40,33 +67,26 @@ def read_person(path: str | Path) -> RiggedMesh:
     joint_names (J,), skin_indices and skin_weights (V, K), part_names (P,), and for part i: faces_i, faces_uv_i (F, 3),
     uv_i (T, 2) with v up, texture_i (bytes of a JPEG or PNG). Raises FormatError naming the file and the key.
     """
-    try:
-        with open(path, "rb") as file:
-            if file.read(2) != b"PK":
-                raise FormatError(f"{path}: a person is an .npz archive, but this is none")
-            file.seek(0)
-            with np.load(file, allow_pickle=False) as archive:
-                data = {key: np.asarray(archive[key]) for key in archive.files}
-    except OSError as error:
-        raise FormatError(f"{path}: cannot read the person ({error.strerror or error})") from None
-    except (ValueError, EOFError, zipfile.BadZipFile) as error:
-        raise FormatError(f"{path}: a person is an .npz archive, but {error}") from None
-    count = len(data.get("part_names", ()))
+    with naming(path):
+        with open_regular(path) as (file, _):
+            data = read_arrays(file, "a person")
+        try:
+            return _person(data, path)
+        except (PoseError, TypeError, ValueError) as error:
+            raise FormatError(str(error)) from None
+
+
+def _person(data: Mapping[str, NDArray[Any]], path: str | Path) -> RiggedMesh:
+    count = np.size(data.get("part_names", ()))
     needed = [*_NEEDED, *(f"{key}_{i}" for i in range(count) for key in ("faces", "faces_uv", "uv", "texture"))]
     missing = [key for key in needed if key not in data]
     if missing:
-        raise FormatError(f"{path}: a person needs the key {missing[0]}; found {', '.join(list(data)[:8])}")
-    try:
-        skeleton = Skeleton.from_joints(tuple(map(str, data["joint_names"])), data["parents"], data["joints"])
-        parts = tuple(_part(data, i, str(name), str(path)) for i, name in enumerate(data["part_names"]))
-        meta = {"source": Path(path).name}
-        indices, weights = data["skin_indices"].astype(np.int64), data["skin_weights"].astype(np.float64)
-        return RiggedMesh(data["vertices"].astype(np.float64), skeleton, indices, weights, parts, meta)
-    except (FormatError, PoseError) as error:
-        message = str(error)
-        raise FormatError(message if message.startswith(str(path)) else f"{path}: {message}") from None
-    except (TypeError, ValueError) as error:
-        raise FormatError(f"{path}: {error}") from None
+        raise FormatError(f"a person needs the key {missing[0]}; found {', '.join(list(data)[:8])}")
+    skeleton = Skeleton.from_joints(tuple(map(str, data["joint_names"])), data["parents"], data["joints"])
+    parts = tuple(_part(data, i, str(name), str(path)) for i, name in enumerate(data["part_names"]))
+    indices, weights = data["skin_indices"].astype(np.int64), data["skin_weights"].astype(np.float64)
+    vertices = data["vertices"].astype(np.float64)
+    return RiggedMesh(vertices, skeleton, indices, weights, parts, {"source": Path(path).name})
 
 
 def _part(data: Mapping[str, NDArray[Any]], i: int, name: str, path: str) -> MeshPart:

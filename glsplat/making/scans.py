@@ -2,20 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.errors import FormatError, PoseError
+from glsplat.formats.files import naming, open_regular
+from glsplat.formats.npz import read_arrays
 from glsplat.making.importers import nearest_weights
 from glsplat.making.obj import flat, parse_obj, textures_of
 from glsplat.meshes import MeshPart, RiggedMesh
 from glsplat.skinning.skeleton import Skeleton
 
-__all__ = ["read_body", "read_obj_person"]
+__all__ = ["read_body", "read_obj_person", "read_skeleton"]
 
+_JOINTS = ("joint_names", "parents", "joints")
+_BODY = ("v_template", "faces", *_JOINTS, "skin_indices", "skin_weights")
 _TYPICAL, _WORST = 0.06, 0.2  # metres a scan may lie off the body: the median, and 95 % of its vertices
 
 
@@ -24,34 +30,36 @@ def read_body(path: str | Path) -> RiggedMesh:
 
     Raises FormatError naming the file and the key.
     """
-    keys = ("v_template", "faces", "joints", "parents", "joint_names", "skin_indices", "skin_weights")
-    try:
-        with open(path, "rb") as file:
-            if file.read(2) != b"PK":
-                raise FormatError(f"{path}: a body is an .npz archive, but this is none")
-            file.seek(0)
-            with np.load(file, allow_pickle=False) as archive:
-                missing = [key for key in keys if key not in archive]
-                if missing:
-                    raise FormatError(f"{path}: a body needs {missing[0]}; found {', '.join(archive.files[:6])}")
-                data = {key: np.asarray(archive[key]) for key in keys}
-        names = tuple(map(str, data["joint_names"]))
-        faces = data["faces"].astype(np.int32)
-        part = MeshPart("body", faces, np.zeros((*faces.shape, 2)), np.full((4, 4, 4), 255, np.uint8))
-        return RiggedMesh(
-            data["v_template"].astype(np.float64),
-            Skeleton.from_joints(names, data["parents"].astype(np.int32), data["joints"]),
-            data["skin_indices"].astype(np.int64),
-            data["skin_weights"].astype(np.float64),
-            (part,),
-        )
-    except OSError as error:
-        raise FormatError(f"{path}: cannot read the body ({error.strerror or error})") from None
-    except (FormatError, PoseError) as error:
-        text = str(error)
-        raise FormatError(text if text.startswith(str(path)) else f"{path}: {text}") from None
-    except Exception as error:  # numpy raises many kinds on broken archives
-        raise FormatError(f"{path}: a body is an .npz of numbers, but {error}") from None
+    with naming(path):
+        with open_regular(path) as (file, _):
+            data = read_arrays(file, "a body", _BODY)
+        try:
+            faces = data["faces"].astype(np.int32)
+            part = MeshPart("body", faces, np.zeros((*faces.shape, 2)), np.full((4, 4, 4), 255, np.uint8))
+            return RiggedMesh(
+                data["v_template"].astype(np.float64),
+                _skeleton(data),
+                data["skin_indices"].astype(np.int64),
+                data["skin_weights"].astype(np.float64),
+                (part,),
+            )
+        except (PoseError, TypeError, ValueError) as error:
+            raise FormatError(str(error)) from None
+
+
+def read_skeleton(path: str | Path) -> Skeleton:
+    """The skeleton of a body or a person archive (.npz). Raises FormatError naming the file and the key."""
+    with naming(path):
+        with open_regular(path) as (file, _):
+            data = read_arrays(file, "a body", _JOINTS)
+        try:
+            return _skeleton(data)
+        except (PoseError, TypeError, ValueError) as error:
+            raise FormatError(str(error)) from None
+
+
+def _skeleton(data: Mapping[str, NDArray[Any]]) -> Skeleton:
+    return Skeleton.from_joints(tuple(map(str, data["joint_names"])), data["parents"], data["joints"])
 
 
 def read_obj_person(path: str | Path, body: RiggedMesh) -> RiggedMesh:

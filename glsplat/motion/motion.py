@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-import zipfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib import resources
@@ -15,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.errors import PoseError
+from glsplat.formats.npz import read_arrays
 from glsplat.motion.bvh import parse_acclaim, parse_bvh, skeleton_file
 from glsplat.motion.clip import retarget
 from glsplat.rotations import (
@@ -251,23 +251,20 @@ def _grounded(rotations: F64, trans: F64, skeleton: Skeleton) -> F64:
     return trans - np.array([0, np.percentile(lowest, _STANDING), 0])
 
 
-_AMASS_X = {
-    "root_orient": "root_pose",
-    "pose_body": "body_pose",
-    "pose_jaw": "jaw_pose",
-    "pose_eye": None,
-    "pose_hand": None,
-}
+_AMASS_KEYS = (
+    *("root_orient", "pose_body", "pose_jaw", "pose_eye", "pose_hand"),  # SMPL-X
+    *("poses", "trans", "mocap_framerate", "mocap_frame_rate"),
+)
 
 
 def _amass(path: Path, skeleton: Skeleton, forward: bool) -> Motion:
     if skeleton.names != JOINT_NAMES:
         raise PoseError("AMASS moves the SMPL-X rig only; this avatar has another one")
     try:
-        with open(path, "rb") as file, np.load(file, allow_pickle=False) as archive:
-            keys = [k for k in (*_AMASS_X, "poses", "trans", "mocap_framerate", "mocap_frame_rate") if k in archive]
-            data = {key: np.asarray(archive[key], np.float64) for key in keys}
-    except (ValueError, TypeError, EOFError, zipfile.BadZipFile, AttributeError) as error:
+        with open(path, "rb") as file:
+            found = read_arrays(file, "an AMASS motion", (), optional=_AMASS_KEYS, error=PoseError)
+        data = {key: np.asarray(array, np.float64) for key, array in found.items()}
+    except (TypeError, ValueError) as error:
         raise PoseError(f"an AMASS motion is an .npz of numbers, but {error}") from None
     if "pose_body" not in data and "poses" not in data:
         raise PoseError("an AMASS motion needs poses, or root_orient and pose_body; found neither")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import json
 import re
 from pathlib import Path
@@ -10,10 +11,12 @@ import pytest
 from glsplat_apps.cli import main
 from glsplat_apps.evaluate import command, ready
 
+from glsplat import data
 from glsplat.data import participants_folder
 from glsplat.evaluate.comparison import measure
 from glsplat.evaluate.comparison.work import work
 from glsplat.evaluate.metrics.lpips import Lpips
+from glsplat.formats.files import locked
 from tests.evaluate.comparison.conftest import Pixels, plugged  # noqa: F401
 
 QUICK = ["--views", "front", "--poses", "standing", "--size", "96", "--light", "none", "--jobs", "1", "--no-timing"]
@@ -65,6 +68,52 @@ def test_a_folder_is_filled_and_a_second_run_changes_no_number(plugged, alone, t
     assert "2 of 4 results lie in the folder already" in capsys.readouterr().out
     for key in ("table1", "views", "parts", "moments", "participants", "statistics", "failures"):
         assert first[key] == again[key], key
+
+
+def test_a_motion_and_further_measures(plugged, alone, tmp_path, capsys, monkeypatch) -> None:  # noqa: F811
+    plugged(itself="Itself", smaller="Smaller")
+    motion = tmp_path / "mine.json"
+    motion.write_text((Path(data.__file__).parent / "walk.json").read_text())
+    out = tmp_path / "out"
+    words = ["evaluate", *alone, "--only", "ann", "--methods", "itself,smaller", *QUICK, "-o", str(out)]
+    words += ["--poses", str(motion), "--measure", "lpips-vgg,flip"]
+    assert main(words) == 0
+    found = json.loads((out / "evaluation.json").read_text())
+    assert len({row["moment"] for row in found["moments"]}) == 8 and found["protocol"]["motion"] == str(motion)
+    rows = {(row["method"], row["control"]): row for row in found["table1"]}
+    for name in ("flip", "lpips-vgg"):
+        assert 0 < rows["itself", "pose"][name]["mean"] < rows["smaller", "pose"][name]["mean"]
+    assert "FLIP" in (out / "evaluation.html").read_text()
+    capsys.readouterr()
+    assert main(words) == 0 and "2 of 2 results lie in the folder already" in capsys.readouterr().out
+    walked = json.loads(motion.read_text())
+    motion.write_text(json.dumps({**walked, "frames": walked["frames"][5:]}))  # another motion under the same name
+    assert main(words) == 0 and "already" not in capsys.readouterr().out
+    assert json.loads((out / "evaluation.json").read_text())["table1"] != found["table1"]
+
+
+def test_one_run_in_a_folder(plugged, alone, tmp_path, capsys) -> None:  # noqa: F811
+    plugged(itself="Itself")
+    out = tmp_path / "out"
+    out.mkdir()
+    words = ["evaluate", *alone, "--methods", "itself", *QUICK, "-o", str(out)]
+    with locked(out / "lock"):
+        assert main(words) == 1
+    said = capsys.readouterr()
+    assert (
+        said.err == f"glsplat evaluate: {out / 'lock'}: another process holds it; end it, or try again\n"
+        and not said.out
+    )
+    assert [file.name for file in out.iterdir()] == ["lock"]
+    assert main(words) == 1 and "1 of 2 participants: 0 min passed" in capsys.readouterr().err  # bob fails
+
+
+def test_processes_as_memory_allows(monkeypatch, tmp_path) -> None:
+    for text, wanted in (("max\n", 3), ("3300000000\n", 2), ("100\n", 1), ("", 3)):
+        (tmp_path / "memory.max").write_text(text)
+        monkeypatch.setattr(command, "_LIMITS", (str(tmp_path / "memory.max"), str(tmp_path / "none")))
+        monkeypatch.setattr(command.os, "sched_getaffinity", lambda pid: {0, 1, 2}, raising=False)
+        assert command._jobs(argparse.Namespace(jobs=None)) == wanted
 
 
 @pytest.mark.parametrize(

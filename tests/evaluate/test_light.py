@@ -12,11 +12,11 @@ from numpy.typing import ArrayLike
 
 from glsplat.camera import Camera, look_at, pinhole
 from glsplat.errors import GlsplatError
-from glsplat.evaluate.light import CaptureLight, shade_of, vertex_normals
+from glsplat.evaluate.light import CaptureLight, shade_of
 from glsplat.gl.context import Context
 from glsplat.making.paint.colour import to_linear, to_srgb
 from glsplat.mesh import MeshConfig, MeshRenderer
-from glsplat.meshes import MeshPart, RiggedMesh, standing
+from glsplat.meshes import MeshPart, RiggedMesh, standing, vertex_normals
 from glsplat.skinning.pose import Pose
 from tests.making.captures import capture
 from tests.scene.people import boxes
@@ -45,7 +45,7 @@ LIGHT = CaptureLight((0.0, 2.0, 0.0), (0.6, 0.5, 0.4))
 def test_the_formula() -> None:
     """Facing up all of the sky and all of the lamp; under a roof the lamp is away, at its edge partly."""
     open_ = sheets(FLOOR)
-    assert np.allclose(vertex_normals(open_, open_.vertices), (0, 1, 0))
+    assert np.allclose(vertex_normals(open_.vertices, open_.faces), (0, 1, 0))
     expected = np.array(LIGHT.sky) + LIGHT.colour
     np.testing.assert_allclose(shade_of(open_, open_.vertices, LIGHT), np.tile(expected, (81, 1)), atol=1e-9)
     both = sheets(FLOOR, ROOF)

@@ -1,7 +1,9 @@
 """The person archive and the mesh it holds."""
 
 import io
+import struct
 import zipfile
+import zlib
 from pathlib import Path
 
 import cv2
@@ -162,6 +164,28 @@ def test_texture_kinds():
     deep = cv2.imencode(".png", np.full((3, 4, 3), 65535, np.uint16))[1]
     assert decode_texture(grey.tobytes(), "x")[0, 0].tolist() == [7, 7, 7, 255]
     assert decode_texture(deep.tobytes(), "x")[0, 0].tolist() == [255, 255, 255, 255]
+
+
+def claiming(width: int, height: int) -> bytes:
+    """A small PNG whose header speaks of another size."""
+    data = bytearray(cv2.imencode(".png", np.zeros((3, 4, 3), np.uint8))[1].tobytes())
+    data[16:24] = struct.pack(">II", width, height)
+    data[29:33] = struct.pack(">I", zlib.crc32(bytes(data[12:29])))
+    return bytes(data)
+
+
+def test_textures_that_no_graphics_card_takes():
+    for width, height in ((40_000, 40_000), (16_385, 1), (1, 30_000), (2**31 - 1, 2**31 - 1)):
+        with pytest.raises(FormatError, match=f"x: a texture has at most 16384 pixels a side, .* {width} x {height}"):
+            decode_texture(claiming(width, height), "x")
+    long = cv2.imencode(".jpg", np.zeros((8, 20_000, 3), np.uint8))[1]
+    with pytest.raises(FormatError, match="16384 pixels a side, this one 20000 x 8"):
+        decode_texture(long.tobytes(), "x")
+    bitmap = bytearray(cv2.imencode(".bmp", np.zeros((2, 2, 3), np.uint8))[1].tobytes())
+    bitmap[18:26] = struct.pack("<ii", 60_000, 60_000)
+    for odd in (bytes(bitmap), np.zeros((3, 3), np.uint8), np.zeros(9, np.float32), b"\xff\xd8", b"\x89PNG"):
+        with pytest.raises(FormatError, match="x: a texture is"):
+            decode_texture(odd, "x")
 
 
 @pytest.mark.shared

@@ -14,7 +14,7 @@ from scipy.sparse.csgraph import connected_components
 from glsplat.arrays import frozen
 from glsplat.skinning.smplx import JOINT_NAMES, PARENTS
 
-__all__ = ["BETAS", "Body", "Points", "open_body", "vertex_normals"]
+__all__ = ["BETAS", "Body", "Points", "open_body"]
 
 F64 = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -104,14 +104,3 @@ def open_body() -> Body:
             skin_joints=frozen(data["skin_indices"].astype(np.intp)),
             skin_weights=frozen(weights / weights.sum(axis=1, keepdims=True)),
         )
-
-
-def vertex_normals(vertices: F64, faces: NDArray[np.int32]) -> F64:
-    """[V, 3] unit normals, the triangles around weighted by area."""
-    first, second, third = (vertices[faces[:, corner]] for corner in range(3))
-    across = np.cross(second - first, third - first)
-    normals = np.zeros_like(vertices)
-    for corner in range(3):
-        for axis in range(3):
-            normals[:, axis] += np.bincount(faces[:, corner], across[:, axis], len(vertices))
-    return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)

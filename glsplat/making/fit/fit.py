@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.errors import FormatError
-from glsplat.making.fit.body import Body, open_body, vertex_normals
+from glsplat.making.fit.body import Body, open_body
 from glsplat.making.fit.kinematics import Posed, projected
 from glsplat.making.fit.landmarks import landmarks
 from glsplat.making.fit.offsets import face_of, outward, smooth_offsets, soles_of
@@ -17,6 +17,7 @@ from glsplat.making.fit.outline import Rim, find_rim, half_gaps, overlap, projec
 from glsplat.making.fit.prior import HINGES
 from glsplat.making.fit.solver import Solver
 from glsplat.making.fit.view import View
+from glsplat.meshes import vertex_normals
 from glsplat.skinning.smplx import JOINT_NAMES
 
 __all__ = [

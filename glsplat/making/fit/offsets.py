@@ -7,7 +7,8 @@ from numpy.typing import NDArray
 from scipy.sparse import diags
 from scipy.sparse.linalg import cg
 
-from glsplat.making.fit.body import Body, vertex_normals
+from glsplat.making.fit.body import Body
+from glsplat.meshes import vertex_normals
 from glsplat.skinning.smplx import JOINT_NAMES
 
 __all__ = ["MOST", "face_of", "outward", "smooth_offsets", "soles_of"]

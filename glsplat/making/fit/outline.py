@@ -8,7 +8,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from glsplat.making.fit.body import Body, vertex_normals
+from glsplat.making.fit.body import Body
+from glsplat.meshes import vertex_normals
 
 __all__ = ["Rim", "edge_distances", "find_rim", "half_gaps", "overlap", "projected_mask"]
 

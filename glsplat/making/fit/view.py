@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import TypeVar
 
 import cv2
 import numpy as np
@@ -15,6 +16,7 @@ from glsplat.making.fit.landmarks import LANDMARK_COUNT
 __all__ = ["SIDES", "View", "apart", "facing"]
 
 F64 = NDArray[np.float64]
+Degrees = TypeVar("Degrees", float, NDArray[np.float64])
 
 SIDES: dict[str, float] = {"front": 0.0, "right": 90.0, "back": 180.0, "left": -90.0}
 """Side of the person that a picture shows -> degrees that they have turned to their own left to show it."""
@@ -28,8 +30,8 @@ def facing(turn: float) -> F64:
     return np.array([[cos, 0.0, sin], [0.0, -1.0, 0.0], [sin, 0.0, -cos]])
 
 
-def apart(first: float, second: float) -> float:
-    """Degrees between two directions, 0 to 180."""
+def apart(first: Degrees, second: float) -> Degrees:
+    """Degrees between two directions, or between each of many and one, 0 to 180."""
     return abs((first - second + 180) % 360 - 180)
 
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from glsplat.making.fit.body import Body, vertex_normals
+from glsplat.making.fit.body import Body
 from glsplat.making.fit.fit import BodyFit
-from glsplat.meshes import MeshPart, RiggedMesh
+from glsplat.meshes import MeshPart, RiggedMesh, vertex_normals
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.smplx import JOINT_NAMES, PARENTS
 

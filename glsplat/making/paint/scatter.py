@@ -10,10 +10,9 @@ from scipy.sparse import csr_array
 
 from glsplat.avatar import Avatar
 from glsplat.making.cells import Cloud, SamplerConfig, avatar_of, tessellate
-from glsplat.making.fit.body import vertex_normals
 from glsplat.making.paint.shot import SurfacePoints
 from glsplat.making.surface import allot, face_densities, face_zones
-from glsplat.meshes import RiggedMesh
+from glsplat.meshes import RiggedMesh, vertex_normals
 
 __all__ = ["PHOTO_SAMPLER", "Scatter", "even_points", "scatter"]
 

@@ -11,11 +11,10 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from glsplat.camera import Camera
-from glsplat.making.fit.body import vertex_normals
 from glsplat.making.fit.fit import FittedView
 from glsplat.making.paint.colour import to_linear
 from glsplat.making.raster import visible_faces
-from glsplat.meshes import RiggedMesh
+from glsplat.meshes import RiggedMesh, vertex_normals
 
 __all__ = ["Shot", "Sight", "SurfacePoints"]
 

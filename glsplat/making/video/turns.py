@@ -72,10 +72,10 @@ def _told(person: Person) -> float:
 def _costs(person: Person, grid: F64) -> F64:
     """[72] squared doubts that the person faces each way."""
     told = _told(person)
-    off = np.minimum((_apart(grid, told) / _DOUBT) ** 2, _MOST)
-    other = np.minimum((_apart(grid, 180.0 - told) / _DOUBT) ** 2, _MOST) + _BACK_FOR_FRONT
+    off = np.minimum((apart(grid, told) / _DOUBT) ** 2, _MOST)
+    other = np.minimum((apart(grid, 180.0 - told) / _DOUBT) ** 2, _MOST) + _BACK_FOR_FRONT
     cost = np.minimum(off, other)
-    front = _apart(grid, 0.0)
+    front = apart(grid, 0.0)
     if person.face.presence > _FACE:
         cost = cost + _AGAINST_FACE * (front > _SHOWN)
     elif person.face.presence < _FACELESS:
@@ -96,7 +96,3 @@ def _way(costs: F64, grid: F64, step: float) -> tuple[float, NDArray[np.intp]]:
     for row in reversed(back):
         way.append(int(row[way[-1]]))
     return float(total.min()), np.array(way[::-1], np.intp)
-
-
-def _apart(first: F64, second: float) -> F64:
-    return np.abs((first - second + 180) % 360 - 180)

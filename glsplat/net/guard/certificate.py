@@ -22,7 +22,7 @@ from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from glsplat.errors import GlsplatError
 from glsplat.formats.files import open_regular, replace_file
-from glsplat.net.guard.kept import locked
+from glsplat.net.guard.kept import lock_of
 
 __all__ = ["CERTIFICATE", "KEY", "Kept", "holds", "kept_certificate"]
 
@@ -55,7 +55,7 @@ def kept_certificate(folder: Path, names: Iterable[str]) -> Kept:
     """
     wanted = tuple(dict.fromkeys(_normal(name) for name in (*_ALWAYS, *names)))
     path = folder / KEY
-    with locked(folder):
+    with lock_of(folder):
         remade = ""
         if path.exists():
             certificate = _read(path)

@@ -5,16 +5,14 @@ from __future__ import annotations
 import os
 import secrets
 import stat
-import time
-from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager
 from pathlib import Path
 
 from glsplat.errors import GlsplatError
-from glsplat.formats.files import replace_file
+from glsplat.formats.files import locked, replace_file
 from glsplat.net.guard.access import read_token
 
-__all__ = ["TOKEN", "kept_token", "locked", "state_folder"]
+__all__ = ["TOKEN", "kept_token", "lock_of", "state_folder"]
 
 TOKEN = "token"
 """The name of the token's file in the folder."""
@@ -48,43 +46,15 @@ def state_folder() -> Path:
     return folder
 
 
-@contextmanager
-def locked(folder: Path) -> Iterator[None]:
-    """One process at a time: of two servers that start together, the second finds what the first made.
-
-    Raises GlsplatError when the lock is not to be had. Where the system knows no such locks, there is none.
-    """
-    try:
-        import fcntl  # not on Windows
-    except ImportError:
-        yield
-        return
-    name = folder / "lock"
-    try:
-        lock = os.open(name, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
-    except OSError as error:
-        raise GlsplatError(f"{name}: cannot be written ({error.strerror or error})") from None
-    try:
-        end = time.monotonic() + _PATIENCE
-        while True:
-            try:
-                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                break
-            except BlockingIOError:
-                if time.monotonic() > end:
-                    raise GlsplatError(f"{name}: another process holds it; end it, or try again") from None
-                time.sleep(0.02)
-            except OSError:  # some network file systems have none; each file is still written whole
-                break
-        yield
-    finally:
-        os.close(lock)
+def lock_of(folder: Path) -> AbstractContextManager[None]:
+    """One process at a time: of two servers that start together, the second finds what the first made."""
+    return locked(folder / "lock", _PATIENCE)
 
 
 def kept_token(folder: Path) -> str:
     """The token in the folder, made at the first call. Raises GlsplatError naming the file."""
     path = folder / TOKEN
-    with locked(folder):
+    with lock_of(folder):
         if not path.exists():
             replace_file(path, [secrets.token_urlsafe(_BYTES).encode() + b"\n"], private=True)
         try:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from glsplat.making.fit.body import open_body, vertex_normals
+from glsplat.making.fit.body import open_body
 from glsplat.making.fit.details import fit_details
 from glsplat.making.fit.eyes import read_eyes
 from glsplat.making.fit.fit import FittedView, fit_body
@@ -13,6 +13,7 @@ from glsplat.making.fit.hands import hand_size
 from glsplat.making.fit.view import View
 from glsplat.making.networks.people import find_person
 from glsplat.making.photo.mask import person_mask
+from glsplat.meshes import vertex_normals
 from glsplat.skinning.smplx import JOINT_NAMES
 from tests.making.captures import Capture, capture, needs_networks
 

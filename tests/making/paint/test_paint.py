@@ -7,13 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from glsplat.making.fit.body import vertex_normals
 from glsplat.making.paint.colour import to_linear, to_srgb
 from glsplat.making.paint.light import find_light
 from glsplat.making.paint.paint import paint, painter_of
 from glsplat.making.paint.scatter import even_points, scatter
 from glsplat.making.paint.shot import SurfacePoints
 from glsplat.making.paint.twins import find_twins
+from glsplat.meshes import vertex_normals
 from tests.making.paint.scene import Scene, albedo, photographed
 
 

@@ -14,7 +14,7 @@ import pytest
 from glsplat.errors import GlsplatError
 from glsplat.net.guard import kept
 from glsplat.net.guard.access import read_token
-from glsplat.net.guard.kept import kept_token, locked, state_folder
+from glsplat.net.guard.kept import kept_token, lock_of, state_folder
 
 ROOT = Path(__file__).parents[3]
 
@@ -88,10 +88,10 @@ def test_a_full_disk_leaves_nothing_behind(state):
 def test_a_lock_that_is_held_is_waited_for_and_then_said(state, monkeypatch):
     folder = state_folder()
     monkeypatch.setattr(kept, "_PATIENCE", 0.1)
-    with locked(folder):
+    with lock_of(folder):
         start = time.monotonic()
-        with pytest.raises(GlsplatError, match="lock: another process holds it"), locked(folder):
+        with pytest.raises(GlsplatError, match="lock: another process holds it"), lock_of(folder):
             pass
         assert time.monotonic() - start >= 0.1
-    with locked(folder):
+    with lock_of(folder):
         pass
