@@ -62,7 +62,9 @@ def main() -> None:
     file = Path(sys.argv[1])
     if len(sys.argv) < 3:
         made = pairs()
-        np.savez(file, **{f"{key}-{letter}": one for key, pair in made.items() for letter, one in zip("ab", pair, strict=False)})
+        np.savez(
+            file, **{f"{key}-a": one for key, (one, _) in made.items()}, **{f"{k}-b": b for k, (_, b) in made.items()}
+        )
         print(f"{len(made)} pairs")
         return
     torch = json.loads(Path(sys.argv[2]).read_text())
