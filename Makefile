@@ -50,8 +50,7 @@ report: $(VENV)/.run
 # PARTICIPANTS=DIR are people of your own; EVALUATE='--quick' and the like are passed on
 evaluate: $(VENV)/.run
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[evaluate]'
-	$(BIN)/glsplat models get
-	$(BIN)/glsplat models get lpips
+	$(BIN)/glsplat models get --all
 	$(BIN)/glsplat evaluate $(if $(PARTICIPANTS),--participants $(PARTICIPANTS)) -o out/evaluation $(EVALUATE)
 
 clean:

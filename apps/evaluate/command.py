@@ -20,7 +20,7 @@ from glsplat.errors import FormatError, GlsplatError
 from glsplat.evaluate.comparison.method import OWN, Folder, method_of
 from glsplat.evaluate.comparison.participant import Participant, participants_in
 from glsplat.evaluate.comparison.performance import TASKS
-from glsplat.evaluate.comparison.protocol import LIGHTS, MORE, VIEWS, Protocol
+from glsplat.evaluate.comparison.protocol import EXTRA_MEASURES, LIGHTS, VIEWS, Protocol
 from glsplat.evaluate.comparison.work import Result, Task, finished
 from glsplat.evaluate.comparison.workers import run_tasks
 from glsplat.formats.files import locked, replace_file
@@ -75,7 +75,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=LIGHTS[0],
         help="the truth is in its own colours (default), or lit as in the photograph",
     )
-    parser.add_argument("--measure", help=f"further measures: {', '.join(MORE)}")
+    parser.add_argument("--measure", help=f"further measures: {', '.join(EXTRA_MEASURES)}")
     parser.add_argument("--quick", action="store_true", help="four participants, two poses, two sides, small: a look")
     parser.add_argument("--seed", type=int, default=0, help="same seed, same table (default 0)")
     parser.add_argument("--jobs", type=int, help="processes (default: one a core, as memory allows)")
@@ -182,14 +182,14 @@ def _protocol(args: argparse.Namespace) -> Protocol:
         else:
             wrong = next(word for word in words if word not in TASKS)
             raise UsageError(f"--poses: {wrong!r:.40} is no motion and none of {', '.join(TASKS)}")
-    more = tuple(_words(args.measure, "--measure")) if args.measure else ()
+    extra = tuple(_words(args.measure, "--measure")) if args.measure else ()
     size = (_QUICK_SIZE if args.quick else Protocol().size) if args.size is None else args.size
     digest = ""
     if motion is not None:
         load_motion(motion, default_avatar().skeleton)  # better refused now than after all avatars are made
         digest = hashlib.sha256(Path(motion).read_bytes()).hexdigest() if Path(motion).is_file() else ""
     return Protocol(
-        tasks=tasks, motion=motion, motion_digest=digest, views=views, size=size, light=args.light, more=more
+        tasks=tasks, motion=motion, motion_digest=digest, views=views, size=size, light=args.light, extra_measures=extra
     )
 
 

@@ -20,12 +20,12 @@ def check_ready(methods: Sequence[str], protocol: Protocol) -> None:
     if any(method in _SEEING for method in methods) and any(state_of(model) != "here" for model in PHOTO.models):
         raise GlsplatError(f"the networks that read photographs are not on this machine; run: {PHOTO.command}")
     Lpips("alex")
-    if "lpips-vgg" in protocol.more:
+    if "lpips-vgg" in protocol.extra_measures:
         Lpips("vgg")
     try:
         import matplotlib  # noqa: F401
 
-        if "flip" in protocol.more:
+        if "flip" in protocol.extra_measures:
             import flip_evaluator  # noqa: F401
     except ImportError as error:
         raise GlsplatError(f"this needs {error.name}; install it with: pip install 'glsplat[evaluate]'") from None

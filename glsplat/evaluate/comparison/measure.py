@@ -12,14 +12,14 @@ from numpy.typing import NDArray
 
 from glsplat.evaluate.comparison.control import CONTROLS
 from glsplat.evaluate.comparison.parts import PARTS
-from glsplat.evaluate.comparison.protocol import MORE, Protocol
+from glsplat.evaluate.comparison.protocol import EXTRA_MEASURES, Protocol
 from glsplat.evaluate.comparison.stage import Truth
 from glsplat.evaluate.metrics.flip import flip
 from glsplat.evaluate.metrics.lpips import Lpips
 from glsplat.evaluate.metrics.pixels import WHOLE, decibel
 from glsplat.evaluate.metrics.structure import inner_mean, ssim_map
 
-__all__ = ["BOXED", "MEASURES", "PARTED", "Known", "Measuring"]
+__all__ = ["BOXED", "MEASURES", "PARTED", "Reference", "Scores"]
 
 F64 = NDArray[np.float64]
 
@@ -36,7 +36,7 @@ _FEWEST = 30  # pixels of a part that is worth a figure
 
 
 @dataclass(frozen=True, eq=False)
-class Known:
+class Reference:
     """What is worked out once of the truth, for all avatars."""
 
     truth: Truth
@@ -45,45 +45,45 @@ class Known:
     features: tuple[Mapping[str, Any], ...]  # of each eye, by network
 
     @classmethod
-    def of(cls, truth: Truth, protocol: Protocol) -> Known:
+    def of(cls, truth: Truth, protocol: Protocol) -> Reference:
         """The truth, ready to be compared with."""
         rgb, networks = _rgb(truth.pictures), _networks(protocol)
         features = tuple({name: network.features(one) for name, network in networks.items()} for one in rgb)
         return cls(truth, rgb, tuple(_box(one) for one in truth.pictures), features)
 
 
-class Measuring:
+class Scores:
     """The figures of one avatar: filled picture by picture."""
 
     def __init__(self, protocol: Protocol, moments: int) -> None:
-        self._more = tuple(name for name in MORE if name in protocol.more)
+        self._extra = tuple(name for name in EXTRA_MEASURES if name in protocol.extra_measures)
         shape = (moments, len(protocol.views), 2)
-        names = (*MEASURES, *BOXED, OVERLAP, *self._more)
+        names = (*MEASURES, *BOXED, OVERLAP, *self._extra)
         self._networks = _networks(protocol)
         self._values = {control: {name: np.full(shape, np.nan) for name in names} for control in CONTROLS}
         self._parts = {
             control: {part: {name: np.full(shape, np.nan) for name in PARTED} for part in PARTS} for control in CONTROLS
         }
 
-    def add(self, control: str, moment: int, view: int, known: Known, pictures: NDArray[np.uint8]) -> None:
+    def add(self, control: str, moment: int, view: int, reference: Reference, pictures: NDArray[np.uint8]) -> None:
         """Compare what both eyes [2, H, W, 4] see of the avatar."""
         values, parts = self._values[control], self._parts[control]
-        for eye, (picture, wanted) in enumerate(zip(_rgb(pictures), known.rgb, strict=True)):
+        for eye, (picture, wanted) in enumerate(zip(_rgb(pictures), reference.rgb, strict=True)):
             at = moment, view, eye
             apart = picture.astype(np.float64) - wanted
             local = ssim_map(picture, wanted)
-            places: dict[str, Any] = {"": WHOLE, "box_": known.boxes[eye]}
+            places: dict[str, Any] = {"": WHOLE, "box_": reference.boxes[eye]}
             for prefix, box in places.items():
                 found = _three(apart[box], inner_mean(local, box))
                 for name in PARTED:
                     values[prefix + name][at] = found[name]
             for name, network in self._networks.items():
-                values[name][at] = network.distance(network.features(picture), known.features[eye][name])
-            if "flip" in self._more:
+                values[name][at] = network.distance(network.features(picture), reference.features[eye][name])
+            if "flip" in self._extra:
                 values["flip"][at] = flip(picture, wanted)
-            values[OVERLAP][at] = _overlap(pictures[eye, ..., 3], known.truth.pictures[eye, ..., 3])
+            values[OVERLAP][at] = _overlap(pictures[eye, ..., 3], reference.truth.pictures[eye, ..., 3])
             for index, part in enumerate(PARTS):
-                mine = known.truth.regions[eye] == index
+                mine = reference.truth.regions[eye] == index
                 if mine.sum() >= _FEWEST:
                     found = _three(apart[mine], float(local[mine].mean()))
                     for name in PARTED:
@@ -108,7 +108,7 @@ class Measuring:
 def _networks(protocol: Protocol) -> dict[str, Lpips]:
     """Measure -> the network that takes it."""
     kinds: dict[str, Literal["alex", "vgg"]] = {"lpips": "alex"}
-    if "lpips-vgg" in protocol.more:
+    if "lpips-vgg" in protocol.extra_measures:
         kinds["lpips-vgg"] = "vgg"
     return {name: _network(kind) for name, kind in kinds.items()}
 

@@ -13,7 +13,7 @@ from glsplat.camera import PAPER_IPD, Camera, look_at, pinhole, stereo_cameras
 from glsplat.errors import GlsplatError
 from glsplat.evaluate.comparison.performance import TASKS
 
-__all__ = ["LIGHTS", "MORE", "VIEWS", "Protocol", "eyes"]
+__all__ = ["EXTRA_MEASURES", "LIGHTS", "VIEWS", "Protocol", "eyes"]
 
 F64 = NDArray[np.float64]
 
@@ -22,7 +22,7 @@ VIEWS: Mapping[str, float] = {"front": 0.0, "left": 90.0, "back": 180.0, "right"
 
 _DISTANCE = 3.0  # metres from the middle of the figure
 LIGHTS = ("none", "capture")
-MORE = ("flip", "lpips-vgg")
+EXTRA_MEASURES = ("flip", "lpips-vgg")
 """Measures that are taken where they are asked for: they cost more than all others together."""
 
 
@@ -39,7 +39,7 @@ class Protocol:
     fill: float = 0.88  # of the picture that the figure takes, in its longer direction
     ipd: float = PAPER_IPD  # metres between the eyes
     light: str = "none"  # "none": the truth in its textures' own colours; "capture": lit as in the photograph
-    more: tuple[str, ...] = ()  # measures beyond those of the paper
+    extra_measures: tuple[str, ...] = ()  # measures beyond those of the paper
 
     def __post_init__(self) -> None:
         if not 64 <= self.size <= 2048:
@@ -50,8 +50,8 @@ class Protocol:
             wrong = [word for word in getattr(self, name) if word not in known]
             if wrong or not getattr(self, name):
                 raise GlsplatError(f"{name} are some of {', '.join(known)}, not {wrong[0] if wrong else 'none'!r:.40}")
-        if strange := set(self.more) - set(MORE):
-            raise GlsplatError(f"further measures are {', '.join(MORE)}, not {min(strange)!r:.30}")
+        if strange := set(self.extra_measures) - set(EXTRA_MEASURES):
+            raise GlsplatError(f"further measures are {', '.join(EXTRA_MEASURES)}, not {min(strange)!r:.30}")
         if not 1 <= self.moments <= 100:
             raise GlsplatError(f"a motion is looked at in 1 to 100 moments, not {self.moments}")
 

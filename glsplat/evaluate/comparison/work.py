@@ -18,7 +18,7 @@ import numpy as np
 
 from glsplat.errors import GlsplatError
 from glsplat.evaluate.comparison.control import CONTROLS, recorded, tracked, true_poses
-from glsplat.evaluate.comparison.measure import Known, Measuring
+from glsplat.evaluate.comparison.measure import Reference, Scores
 from glsplat.evaluate.comparison.method import Folder
 from glsplat.evaluate.comparison.participant import Participant
 from glsplat.evaluate.comparison.performance import Performance, perform, perform_motion
@@ -133,15 +133,15 @@ def _drawn(task: Task, made: Mapping[str, Product], tell: Tell) -> dict[str, tup
         for method, one in made.items():
             try:
                 poses = _poses(one, performance, samples, task)
-                entries[method] = _Entry(stage.add(one.figure), poses, Measuring(protocol, moments), Sheet(moments))
+                entries[method] = _Entry(stage.add(one.figure), poses, Scores(protocol, moments), Sheet(moments))
             except Exception as error:
                 out[method] = _said(error), Sheet(moments)
         for moment, view, share in _moments(moments, protocol) if entries else ():
             tell(f"{task.participant.name}: pictures", _MAKING + (1 - _MAKING) * share)
-            known = Known.of(stage.truth(moment, protocol.views[view]), protocol)
+            reference = Reference.of(stage.truth(moment, protocol.views[view]), protocol)
             for method, entry in list(entries.items()):
                 try:
-                    _compare(entry, stage, known, moment, view, protocol.views)
+                    _compare(entry, stage, reference, moment, view, protocol.views)
                 except Exception as error:  # of this avatar alone
                     out[method] = _said(error), entry.sheet
                     del entries[method]
@@ -152,20 +152,20 @@ def _drawn(task: Task, made: Mapping[str, Product], tell: Tell) -> dict[str, tup
                 "made_by": f"{version('glsplat')}, commit {commit() or 'unknown'}",
                 "moments": list(performance.names),
                 "views": list(protocol.views),
-                **entry.measuring.to_json(_DIGITS),
+                **entry.scores.to_json(_DIGITS),
             }
             out[method] = data, entry.sheet
     return out
 
 
-def _compare(entry: _Entry, stage: Stage, known: Known, moment: int, view: int, views: Sequence[str]) -> None:
+def _compare(entry: _Entry, stage: Stage, reference: Reference, moment: int, view: int, views: Sequence[str]) -> None:
     """Draw an avatar under both controls as the truth was drawn, and measure it."""
     side, shown = views[view], view in (0, len(views) // 2)  # the front and the back, where all four are looked at
     if shown:
-        entry.sheet.put(f"{side}: participant", moment, known.truth.pictures[0])
+        entry.sheet.put(f"{side}: participant", moment, reference.truth.pictures[0])
     for control, poses in entry.poses.items():
-        pictures = stage.draw(entry.figure, known.truth.cameras, poses[moment])
-        entry.measuring.add(control, moment, view, known, pictures)
+        pictures = stage.draw(entry.figure, reference.truth.cameras, poses[moment])
+        entry.scores.add(control, moment, view, reference, pictures)
         if shown:
             entry.sheet.put(f"{side}: by {control}", moment, pictures[0])
 
@@ -176,7 +176,7 @@ class _Entry:
 
     figure: int
     poses: Mapping[str, list[Pose]]  # by control
-    measuring: Measuring
+    scores: Scores
     sheet: Sheet
 
 

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from glsplat.evaluate.comparison.measure import Known, Measuring
+from glsplat.evaluate.comparison.measure import Reference, Scores
 from glsplat.evaluate.comparison.participant import Participant
 from glsplat.evaluate.comparison.parts import PARTS
 from glsplat.evaluate.comparison.performance import perform
@@ -30,9 +30,9 @@ def truths(people: list[Participant]) -> tuple[Truth, Truth]:
 
 
 def measured(truth: Truth, pictures: np.ndarray) -> dict:
-    measuring = Measuring(PROTOCOL, 1)
-    measuring.add("pose", 0, 0, Known.of(truth, PROTOCOL), pictures)
-    return measuring.to_json(9)
+    scores = Scores(PROTOCOL, 1)
+    scores.add("pose", 0, 0, Reference.of(truth, PROTOCOL), pictures)
+    return scores.to_json(9)
 
 
 CHANGES: dict[str, Change] = {
