@@ -53,7 +53,7 @@ def run(args: argparse.Namespace) -> int:
 def _save_mesh(mesh: RiggedMesh, output: str) -> None:
     if Path(output).suffix.lower() not in (".glb", ".gltf"):
         raise FormatError(f"{output}: a mesh is written as .glb or .gltf; change the name")
-    from glsplat.formats.gltf_mesh import save_gltf_mesh  # here: images need OpenCV
+    from glsplat.formats.gltf.mesh import save_gltf_mesh  # here: images need OpenCV
 
     save_gltf_mesh(mesh, output)
 

@@ -144,7 +144,7 @@ PLANTED = [
     ("glsplat.camera", "import glsplat.renderer as r"),
     ("glsplat.camera", "from . import renderer"),
     ("glsplat.skinning.skin", "from ..passes.frame import key"),
-    ("glsplat.skinning.skin", "def f():\n    from glsplat.formats.gltf import load_gltf"),  # in a function
+    ("glsplat.skinning.skin", "def f():\n    from glsplat.formats.gltf.splats import load_gltf"),  # in a function
     ("glsplat.net.session", "class A:\n    def f(self):\n        import moderngl"),
     ("glsplat.net.session", "if False:\n    from glsplat.evaluate.machine import machine"),
     ("glsplat.tracking.sample", "import cv2.aruco"),

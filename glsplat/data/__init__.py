@@ -8,7 +8,7 @@ from pathlib import Path
 
 from glsplat.avatar import Avatar
 from glsplat.errors import FormatError
-from glsplat.formats.gltf import load_gltf
+from glsplat.formats.gltf.splats import load_gltf
 
 __all__ = ["default_avatar", "participants_folder"]
 

@@ -18,7 +18,7 @@ from glsplat.avatar import Avatar
 from glsplat.errors import FormatError
 from glsplat.formats.files import Source, checked, folder_of, naming, open_regular, suffix_of
 from glsplat.formats.format import Format, Start
-from glsplat.formats.gltf import GLB, GLTF, load_gltf, save_gltf
+from glsplat.formats.gltf.splats import GLB, GLTF, load_gltf, save_gltf
 from glsplat.formats.ply import PLY, load_ply, save_ply
 from glsplat.formats.splat import SPLAT, load_splat, save_splat
 from glsplat.splats import Splats

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from glsplat.errors import FormatError
 from glsplat.formats.files import naming, open_regular
-from glsplat.formats.glb import Accessor, Container, Primitive, parse
-from glsplat.formats.nodes import Instance, graph_of, instances
-from glsplat.formats.rig import read_skeleton
+from glsplat.formats.gltf.container import Accessor, Container, Primitive, parse
+from glsplat.formats.gltf.nodes import Instance, graph_of, instances
+from glsplat.formats.gltf.rig import read_skeleton
 from glsplat.making.people import decode_texture
 from glsplat.meshes import MeshPart, RiggedMesh, standing
 from glsplat.skinning.skeleton import Skeleton

@@ -12,7 +12,7 @@ import pytest
 
 from glsplat.errors import CaptureError, GlsplatError
 from glsplat.formats import load
-from glsplat.formats.gltf_mesh import save_gltf_mesh
+from glsplat.formats.gltf.mesh import save_gltf_mesh
 from glsplat.making.items import load_item
 from glsplat.making.photo.capture import Finding
 from glsplat.making.reconstruct import mesh_from_photos, registry

@@ -14,7 +14,7 @@ from glsplat_apps import args, cli, convert, inspect
 
 from glsplat.avatar import Avatar
 from glsplat.formats import load, save
-from glsplat.formats.gltf_mesh import save_gltf_mesh
+from glsplat.formats.gltf.mesh import save_gltf_mesh
 from glsplat.formats.scene_file import upright
 from glsplat.making.rigged_gltf import read_gltf_person
 from glsplat.skinning.pose import Pose

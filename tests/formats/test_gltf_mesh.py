@@ -14,7 +14,7 @@ import trimesh
 
 from glsplat.camera import Camera, look_at, pinhole
 from glsplat.errors import FormatError
-from glsplat.formats.gltf_mesh import save_gltf_mesh
+from glsplat.formats.gltf.mesh import save_gltf_mesh
 from glsplat.making.items import load_item
 from glsplat.making.people import read_person
 from glsplat.making.rigged_gltf import read_gltf_person

@@ -18,7 +18,7 @@ from glsplat.evaluate.comparison.method import Folder, method_named, read_figure
 from glsplat.evaluate.comparison.participant import Participant
 from glsplat.formats import save
 from glsplat.formats.files import replace_file
-from glsplat.formats.gltf_mesh import save_gltf_mesh
+from glsplat.formats.gltf.mesh import save_gltf_mesh
 from glsplat.making.items import load_item
 from glsplat.making.reconstruct.plugins import one_line
 from glsplat.scene import Figure, is_figure

@@ -19,10 +19,10 @@ from glsplat.avatar import Avatar
 from glsplat.errors import FormatError
 from glsplat.formats.files import Source, checked, folder_of, naming, open_regular
 from glsplat.formats.format import Format
-from glsplat.formats.glb import Container, Mesh, Node, Primitive, Scene, read_container
-from glsplat.formats.glb_output import Output
-from glsplat.formats.nodes import Instance, graph_of, instances
-from glsplat.formats.rig import read_skeleton, read_skin, write_influences, write_skeleton
+from glsplat.formats.gltf.container import Container, Mesh, Node, Primitive, Scene, read_container
+from glsplat.formats.gltf.nodes import Instance, graph_of, instances
+from glsplat.formats.gltf.output import Output
+from glsplat.formats.gltf.rig import read_skeleton, read_skin, write_influences, write_skeleton
 from glsplat.formats.transform import transformed
 from glsplat.splats import SH_C0, Splats
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from glsplat.errors import FormatError
 from glsplat.formats.files import Source, naming, replace_file, suffix_of
-from glsplat.formats.glb import BINARY_CHUNK, JSON_CHUNK, MAGIC, Accessor, Asset, Buffer, BufferView, Gltf
+from glsplat.formats.gltf.container import BINARY_CHUNK, JSON_CHUNK, MAGIC, Accessor, Asset, Buffer, BufferView, Gltf
 
 __all__ = ["INDICES", "VERTICES", "Output"]
 

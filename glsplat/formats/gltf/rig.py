@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.errors import FormatError, PoseError
-from glsplat.formats.glb import Container, Gltf, Node, item
-from glsplat.formats.glb import Skin as SkinObject
-from glsplat.formats.glb_output import Output
-from glsplat.formats.nodes import Graph, Instance
+from glsplat.formats.gltf.container import Container, Gltf, Node, item
+from glsplat.formats.gltf.container import Skin as SkinObject
+from glsplat.formats.gltf.nodes import Graph, Instance
+from glsplat.formats.gltf.output import Output
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.skin import INFLUENCES, Skin
 

@@ -15,9 +15,9 @@ import numpy as np
 
 from glsplat.errors import FormatError
 from glsplat.formats.files import Source
-from glsplat.formats.glb import Mesh, Node, Primitive, Scene
-from glsplat.formats.glb_output import INDICES, Output
-from glsplat.formats.rig import write_influences, write_skeleton
+from glsplat.formats.gltf.container import Mesh, Node, Primitive, Scene
+from glsplat.formats.gltf.output import INDICES, Output
+from glsplat.formats.gltf.rig import write_influences, write_skeleton
 from glsplat.meshes import MeshPart, RiggedMesh
 from glsplat.skinning.skin import INFLUENCES, Skin
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.errors import FormatError
-from glsplat.formats.glb import Gltf, Node, Primitive, item
+from glsplat.formats.gltf.container import Gltf, Node, Primitive, item
 
 __all__ = ["Graph", "Instance", "graph_of", "instances"]
 
