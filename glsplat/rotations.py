@@ -20,6 +20,7 @@ __all__ = [
     "quaternion_product",
     "quaternion_vectors",
     "rodrigues_parameters",
+    "rotation_between",
     "rotation_matrices",
     "sh_basis",
     "sh_rotations",
@@ -119,6 +120,20 @@ def rotation_matrices(axis_angle: ArrayLike) -> NDArray[np.float64]:
     out[..., 1, 2] = by * z - ax
     out[..., 2, 1] = by * z + ax
     return out
+
+
+def rotation_between(first: ArrayLike, second: ArrayLike) -> F64:
+    """[3, 3] the smallest rotation that turns one direction [3] into another; opposite ones about any axis across."""
+    a, b = (np.asarray(v, np.float64) for v in (first, second))
+    a, b = (v / max(float(np.linalg.norm(v)), 1e-12) for v in (a, b))
+    axis, cos = np.cross(a, b), float(a @ b)
+    sin = float(np.linalg.norm(axis))
+    if sin < 1e-9:
+        if cos > 0 or not np.isfinite(cos):
+            return np.eye(3)
+        axis = np.cross(a, np.eye(3)[np.abs(a).argmin()])
+        return rotation_matrices(axis / np.linalg.norm(axis) * np.pi)
+    return rotation_matrices(axis / sin * np.arctan2(sin, cos))
 
 
 def vector_quaternions(vectors: ArrayLike) -> F64:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.errors import PoseError
-from glsplat.rotations import matrix_quaternions, quaternion_vectors, rotation_matrices
+from glsplat.rotations import matrix_quaternions, quaternion_vectors, rotation_between, rotation_matrices
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.smplx import JOINT_NAMES
 
@@ -187,7 +187,7 @@ def _corrections(rest: F64, joints: F64, found: dict[str, int], index: dict[str,
             if a in found and b in found:
                 ours = joints[index[b]] - joints[index[a]]
                 theirs = rest[found[b]] - rest[found[a]]
-                out[a] = _between(ours, theirs)
+                out[a] = rotation_between(ours, theirs)
         for joint, model in _FOLLOWS.items():
             if f"{side}_{model}" in out:
                 out[f"{side}_{joint}"] = out[f"{side}_{model}"]
@@ -195,26 +195,12 @@ def _corrections(rest: F64, joints: F64, found: dict[str, int], index: dict[str,
         knee, ankle = f"{side}_knee", f"{side}_ankle"
         if knee in found and ankle in found:
             theirs = (rest[found[ankle]] - rest[found[knee]]) * (1, 1, 0)
-            out[ankle] = out[f"{side}_foot"] = _between(np.array([0.0, -1.0, 0.0]), theirs)
+            out[ankle] = out[f"{side}_foot"] = rotation_between(np.array([0.0, -1.0, 0.0]), theirs)
         for finger in ("index", "middle", "ring", "pinky", "thumb"):
             for i in (1, 2, 3):
                 if f"{side}_wrist" in out:
                     out[f"{side}_{finger}{i}"] = out[f"{side}_wrist"]
     return out
-
-
-def _between(a: F64, b: F64) -> F64:
-    """[3, 3] the smallest rotation that turns direction a into b."""
-    a, b = (v / max(float(np.linalg.norm(v)), 1e-12) for v in (a, b))
-    axis, cos = np.cross(a, b), float(a @ b)
-    sin = float(np.linalg.norm(axis))
-    if sin < 1e-9:
-        if cos > 0 or not np.isfinite(cos):
-            return np.eye(3)
-        axis, sin = np.cross(a, np.eye(3)[np.abs(a).argmin()]), 0.0
-        axis /= np.linalg.norm(axis)
-        return rotation_matrices(axis * np.pi)
-    return rotation_matrices(axis / sin * np.arctan2(sin, cos))
 
 
 def _leg(points: F64, index: dict[str, int]) -> float:

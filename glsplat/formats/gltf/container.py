@@ -101,12 +101,14 @@ class Primitive(_Object):
     indices: Index | None = None
     material: Index | None = None
     mode: int = 4
+    targets: list[dict[str, Index]] = []
 
 
 class Mesh(_Object):
     """meshes[]."""
 
     primitives: list[Primitive] = []
+    weights: list[float] = []
     name: str | None = None
 
 
@@ -121,6 +123,7 @@ class Node(_Object):
     translation: Vec3 | None = None
     rotation: Vec4 | None = None
     scale: Vec3 | None = None
+    weights: list[float] = []
 
 
 class Skin(_Object):

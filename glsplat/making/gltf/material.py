@@ -1,0 +1,114 @@
+"""Base colours of glTF materials: factor, texture, its transform, and what of it is cut out."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glsplat.errors import FormatError
+from glsplat.formats.files import open_regular
+from glsplat.formats.gltf.container import Accessor, Container
+from glsplat.making.paint.colour import to_linear, to_srgb
+from glsplat.making.people import decode_texture
+
+__all__ = ["Material", "material_of"]
+
+_PLAIN = 4  # texels a side of a texture of one colour
+_WEBP, _TRANSFORM, _BASIS = "EXT_texture_webp", "KHR_texture_transform", "KHR_texture_basisu"
+
+
+@dataclass(frozen=True, eq=False)
+class Material:
+    """What colours a surface, lights apart."""
+
+    texture: NDArray[np.uint8]  # [H, W, 4]; alpha below 128 is cut out
+    coordinates: int  # TEXCOORD_n
+    turn: NDArray[np.float64]  # [2, 3] of glTF's texture coordinates (KHR_texture_transform)
+    name: str
+
+
+def material_of(container: Container, folder: Path, index: int | None) -> Material:
+    """The base colour of a material; white without one. Raises FormatError naming the material."""
+    gltf = container.gltf
+    try:
+        entry: Any = gltf.materials[index] if index is not None else {}
+        base = entry.get("pbrMetallicRoughness", {})
+        factor = np.array(base.get("baseColorFactor", (1, 1, 1, 1)), np.float64)
+        if factor.shape != (4,) or not np.isfinite(factor).all():
+            raise ValueError
+        image, coordinates, turn = np.full((_PLAIN, _PLAIN, 4), 255, np.uint8), 0, np.eye(2, 3)
+        if "baseColorTexture" in base:
+            used = base["baseColorTexture"]
+            turn, coordinates = _transform(used.get("extensions", {}).get(_TRANSFORM, {}), int(used.get("texCoord", 0)))
+            image = _image(container, folder, gltf.textures[used["index"]])
+        return Material(_tinted(image, factor, entry), coordinates, turn, str(entry.get("name") or ""))
+    except (AttributeError, KeyError, IndexError, TypeError, ValueError):
+        raise FormatError(f"material {index} is malformed") from None
+
+
+def _tinted(image: NDArray[np.uint8], factor: NDArray[np.float64], entry: Mapping[str, Any]) -> NDArray[np.uint8]:
+    """The image times the factor, which is linear; alpha so that its cut-off is at one half."""
+    out = image
+    if (factor[:3] != 1).any():
+        table = to_linear(np.arange(256) / 255.0)
+        out = image.copy()
+        for channel in range(3):
+            values = to_srgb(np.clip(table * factor[channel], 0, 1))
+            out[..., channel] = np.rint(values * 255).astype(np.uint8)[image[..., channel]]
+    mode = entry.get("alphaMode", "OPAQUE")
+    alpha = np.full(256, 255.0)
+    if mode != "OPAQUE":
+        alpha = np.arange(256) * float(factor[3])
+        if mode == "MASK":
+            cut = float(entry.get("alphaCutoff", 0.5)) * 255
+            alpha = np.clip(128 + (alpha - cut), 0, 255)
+    mapped = np.rint(np.clip(alpha, 0, 255)).astype(np.uint8)
+    return np.concatenate([out[..., :3], mapped[image[..., 3:]]], axis=-1)
+
+
+def _transform(entry: Mapping[str, Any], coordinates: int) -> tuple[NDArray[np.float64], int]:
+    """KHR_texture_transform: offset, rotation (counter-clockwise), scale; and the set of coordinates it may name."""
+    angle = float(entry.get("rotation", 0.0))
+    offset, scale = (
+        np.array(entry.get(name, default), np.float64) for name, default in (("offset", (0, 0)), ("scale", (1, 1)))
+    )
+    cos, sin = np.cos(angle), np.sin(angle)
+    turn = np.array([[cos, sin], [-sin, cos]]) * scale  # columns are scaled: scale first
+    if offset.shape != (2,) or not np.isfinite(turn).all() or not np.isfinite(offset).all():
+        raise ValueError
+    return np.column_stack([turn, offset]), int(entry.get("texCoord", coordinates))
+
+
+def _image(container: Container, folder: Path, texture: Mapping[str, Any]) -> NDArray[np.uint8]:
+    more = texture.get("extensions", {})
+    source = more[_WEBP]["source"] if _WEBP in more else texture.get("source")
+    if source is None:
+        kind = f" ({_BASIS})" if _BASIS in more else ""
+        raise FormatError(
+            f"a texture is in a format of graphics cards{kind}; unpack it: npx @gltf-transform/cli copy IN.glb OUT.glb"
+        )
+    return decode_texture(_bytes_of(container, container.gltf.images[source], folder), f"image {source}")
+
+
+def _bytes_of(container: Container, image: Mapping[str, Any], folder: Path) -> bytes:
+    if "bufferView" in image:
+        view = container.gltf.buffer_views[image["bufferView"]]
+        # read through an accessor of bytes, so that the bounds are checked in one place
+        container.gltf.accessors.append(
+            Accessor(component_type=5121, count=view.byte_length, type="SCALAR", buffer_view=image["bufferView"])
+        )
+        return container.read(len(container.gltf.accessors) - 1, "image", ("SCALAR",)).tobytes()
+    uri = str(image["uri"])
+    if uri.startswith("data:"):
+        return base64.b64decode(uri.partition(",")[2])
+    target = (folder / uri).resolve()
+    if not target.is_relative_to(folder.resolve()):
+        raise FormatError(f"image {uri[:60]!r} lies outside the file's own folder")
+    with open_regular(target) as (file, _):
+        return file.read()

@@ -1,0 +1,289 @@
+"""Textured, rigged meshes from glTF 2.0 and VRM of any maker: people on SMPL-X's joints, all else as it is."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glsplat.errors import FormatError
+from glsplat.formats.files import naming, open_regular
+from glsplat.formats.gltf.container import Container, parse
+from glsplat.formats.gltf.nodes import Graph, Instance, graph_of, instances
+from glsplat.formats.gltf.rig import read_skeleton
+from glsplat.making.fit.body import open_body
+from glsplat.making.gltf.rig import Rig, inverse_binds, rig_of
+from glsplat.making.gltf.surfaces import Surface, surface_of
+from glsplat.making.gltf.vrm import human_bones
+from glsplat.meshes import MeshPart, RiggedMesh, standing
+from glsplat.skinning.skeleton import Skeleton
+from glsplat.skinning.smplx import JOINT_NAMES
+
+__all__ = ["read_gltf_mesh", "read_gltf_person"]
+
+F64 = NDArray[np.float64]
+
+_TRIANGLES = (4, 5, 6)
+_KEPT = 8  # joints a vertex
+_ALIKE = 1e-9  # of the largest number: placements that are one
+
+
+@dataclass(eq=False)
+class _Left:
+    """What a file has and an avatar has not, by what it is called."""
+
+    counts: dict[str, int] = field(default_factory=dict)
+
+    def add(self, what: str, count: int = 1) -> None:
+        if count:
+            self.counts[what] = self.counts.get(what, 0) + count
+
+    def lines(self) -> list[str]:
+        return [f"{count} {what}" for what, count in self.counts.items()]
+
+
+def read_gltf_person(
+    path: str | Path,
+    *,
+    own_joints: bool = False,  # keep the file's skeleton, also of a person
+    rig_map: Mapping[str, str | None] | None = None,  # SMPL-X joint -> name of a node; None: the rig has none
+    scale: float = 1.0,
+) -> RiggedMesh:
+    """Everything that a .glb, .gltf or .vrm shows and that a rig moves: all skins, and meshes that hang from joints.
+
+    A rig whose joints can be told (skinning/rigs) gets the 55 joints of SMPL-X, its zero pose is the T-pose and it
+    stands on y = 0; ``meta["rig"]`` has the map. Any other rig keeps its joints, and its zero pose is the file's rest
+    pose. ``meta["left_out"]`` lists what is not taken. Raises FormatError naming the file: nothing with a rig,
+    compressed geometry, a texture that is no picture.
+    """
+    with naming(path):
+        container, folder, graph = _opened(path)
+        shown = _shown(container, graph)
+        moved = [i for i in shown if _skinned(i)]
+        if not moved:
+            raise FormatError("a person needs triangles with a skin (JOINTS_0 and WEIGHTS_0), found none")
+        return _rigged(container, folder, graph, shown, Path(path).name, own_joints, rig_map or {}, scale)
+
+
+def read_gltf_mesh(path: str | Path, **how: Any) -> RiggedMesh:
+    """As ``read_gltf_person``, and where nothing has a skin all that is shown, standing on one joint at the origin."""
+    with naming(path):
+        container, folder, graph = _opened(path)
+        shown = _shown(container, graph)
+        if not shown:
+            raise FormatError("a mesh needs triangles, this glTF has neither those nor splats (KHR_gaussian_splatting)")
+        if any(_skinned(i) for i in shown):
+            return read_gltf_person(path, **how)
+        vertices, parts, first = [], [], 0
+        for instance in shown:
+            surface = surface_of(container, folder, instance, _weights(container, instance))
+            with np.errstate(all="ignore"):  # what overflows is refused by RiggedMesh
+                vertices.append(surface.points @ instance.matrix[:3, :3].T + instance.matrix[:3, 3])
+            parts.append(_part(surface, first))
+            first += len(surface.points)
+        return standing(np.concatenate(vertices), tuple(parts), Path(path).name)
+
+
+def _opened(path: str | Path) -> tuple[Container, Path, Graph]:
+    folder = Path(path).parent
+    with open_regular(path) as (file, _):
+        data = file.read()
+    container = parse(data, folder)
+    return container, folder, graph_of(container.gltf)
+
+
+def _shown(container: Container, graph: Graph) -> list[Instance]:
+    return [
+        i
+        for i in instances(container.gltf, graph.world)
+        if i.primitive.mode in _TRIANGLES and "POSITION" in i.primitive.attributes
+    ]
+
+
+def _skinned(instance: Instance) -> bool:
+    return instance.node.skin is not None and "JOINTS_0" in instance.primitive.attributes
+
+
+def _weights(container: Container, instance: Instance) -> Sequence[float]:
+    """Of the morph targets: the node's, else the mesh's (glTF 2.0, 3.7.2.2)."""
+    mesh = instance.node.mesh
+    return instance.node.weights or (container.gltf.meshes[mesh].weights if mesh is not None else [])
+
+
+def _rigged(
+    container: Container,
+    folder: Path,
+    graph: Graph,
+    shown: Sequence[Instance],
+    source: str,
+    own_joints: bool,
+    rig_map: Mapping[str, str | None],
+    scale: float,
+) -> RiggedMesh:
+    gltf = container.gltf
+    node_of = {id(node): index for index, node in enumerate(gltf.nodes)}
+    sizes: dict[int, int] = {}
+    for instance in shown:
+        if _skinned(instance):
+            accessor = instance.primitive.attributes["POSITION"]
+            count = gltf.accessors[accessor].count if accessor < len(gltf.accessors) else 0
+            sizes[instance.node.skin or 0] = sizes.get(instance.node.skin or 0, 0) + count
+    skins = sorted(sizes, key=lambda skin: (-sizes[skin], skin))
+    ready = read_skeleton(container, next(i for i in shown if i.node.skin == skins[0] and _skinned(i)), graph)
+    if len(skins) == 1 and ready.names == JOINT_NAMES:  # one of our own, or one made for SMPL-X: it is taken to the bit
+        return _plain(container, folder, shown, skins[0], ready, source)
+    rigid = [node_of[id(i.node)] for i in shown if not _skinned(i)]
+    given = _given(container, rig_map)
+    known = {} if own_joints else given
+    rig = rig_of(container, graph, skins, rigid, known, open_body().joints, scale, own_joints=own_joints)
+    left = _Left()
+    vertices, joints, weights, parts, first = [], [], [], [], 0
+    for instance in shown:
+        surface = surface_of(container, folder, instance, _weights(container, instance))
+        points, moved, shares = _bound(container, instance, node_of[id(instance.node)], surface, rig)
+        vertices.append(points)
+        joints.append(moved)
+        weights.append(shares)
+        parts.append(_part(surface, first))
+        first += len(points)
+        left.add("morph targets stay at their default weights", len(instance.primitive.targets))
+    at, skeleton = np.concatenate(vertices), rig.skeleton
+    all_joints, all_weights = _wide(joints), _wide(weights)
+    if rig.map is not None:
+        skeleton, at = _on_the_floor(skeleton, at, all_joints, all_weights)
+    meta: dict[str, Any] = {"source": source} | container.note()
+    meta.pop("version", None)
+    names = [node.name or f"node {index}" for index, node in enumerate(gltf.nodes)]
+    if rig.map is not None:
+        meta["rig"] = {name: names[node] for name, node in rig.map.joints.items()}
+    elif rig.why:
+        meta["no_map"] = rig.why
+    if left.counts:
+        meta["left_out"] = left.lines()
+    return RiggedMesh(at, skeleton, all_joints, all_weights, tuple(parts), meta)
+
+
+def _wide(parts: Sequence[NDArray[Any]]) -> NDArray[Any]:
+    """[V, K] of parts of different widths; what is added is zero."""
+    width = max(part.shape[1] for part in parts)
+    return np.concatenate([np.pad(part, ((0, 0), (0, width - part.shape[1]))) for part in parts])
+
+
+def _given(container: Container, rig_map: Mapping[str, str | None]) -> dict[str, int | None]:
+    """What the file says, mended by what the user says; by node indices."""
+    given: dict[str, int | None] = dict(human_bones(container.gltf))
+    names = [node.name for node in container.gltf.nodes]
+    for joint, name in rig_map.items():
+        if joint not in JOINT_NAMES:
+            raise FormatError(f'a rig map names joints of SMPL-X (left_hip, ...), not "{joint:.40}"')
+        if name is not None and name not in names:
+            raise FormatError(f'the rig map gives {joint} the node "{name:.40}", which the file does not have')
+        given[joint] = None if name is None else names.index(name)
+    return given
+
+
+def _bound(
+    container: Container, instance: Instance, node: int, surface: Surface, rig: Rig
+) -> tuple[F64, NDArray[np.int64], F64]:
+    """Points [V, 3] as they were bound, and joints and weights [V, K] of the rig."""
+    points = np.column_stack([surface.points, np.ones(len(surface.points))])
+    if not _skinned(instance):
+        place = rig.place(np.array([node]), np.eye(4)[None])[0]
+        joints = np.full((len(points), 1), rig.joint[node])
+        return (points @ place.T)[:, :3], joints, np.ones((len(points), 1))
+    skin = instance.node.skin or 0
+    nodes = np.array(container.gltf.skins[skin].joints)
+    ids, weights = _influences(container, instance, len(points), len(nodes))
+    places = rig.place(nodes, inverse_binds(container, skin))
+    used = np.unique(ids[weights > 0])
+    if len(used) == 0:
+        raise FormatError(f"{instance.name}: no vertex has a weight")
+    first = places[used[0]]
+    if np.abs(places[used] - first).max() <= _ALIKE * np.abs(places[used]).max():
+        at = points @ first.T
+    else:
+        at = np.zeros_like(points)
+        for column in range(ids.shape[1]):
+            at += weights[:, column, None] * np.einsum("vij,vj->vi", places[ids[:, column]], points)
+    joints, shares = _merged(rig.joint[nodes][ids], weights)
+    return at[:, :3], joints, shares
+
+
+def _influences(container: Container, instance: Instance, count: int, joints: int) -> tuple[NDArray[np.int64], F64]:
+    """Indices into the skin's joints and weights [V, 4 or 8], which sum to one."""
+    attributes, where = instance.primitive.attributes, instance.name
+    sets = [s for s in (0, 1) if f"JOINTS_{s}" in attributes and f"WEIGHTS_{s}" in attributes]
+    if 0 not in sets:
+        raise FormatError(f"{where}: JOINTS_0 needs WEIGHTS_0 beside it")
+    ids = [container.read(attributes[f"JOINTS_{s}"], f"{where} JOINTS_{s}", ("VEC4",)) for s in sets]
+    weights = [container.numbers(attributes[f"WEIGHTS_{s}"], f"{where} WEIGHTS_{s}", ("VEC4",)) for s in sets]
+    if {len(a) for a in (*ids, *weights)} != {count} or any(a.dtype.kind != "u" for a in ids):
+        raise FormatError(f"{where}: JOINTS and WEIGHTS need {count} elements of whole numbers, as POSITION has")
+    wide, shares = np.hstack(ids).astype(np.int64), np.hstack(weights).astype(np.float64)
+    if wide.size and wide[shares > 0].max(initial=0) >= joints:
+        raise FormatError(f"{where}: a vertex is bound to joint {wide[shares > 0].max()} of {joints}")
+    if not np.isfinite(shares).all() or (shares < 0).any():
+        raise FormatError(f"{where}: weights need finite numbers from 0 on")
+    wide[shares <= 0] = 0
+    shares[shares.sum(axis=1) <= 0, 0] = 1  # bound to nothing: the specification leaves it open, viewers take the first
+    return wide, shares / shares.sum(axis=1, keepdims=True)
+
+
+def _merged(joints: NDArray[np.intp], weights: F64) -> tuple[NDArray[np.int64], F64]:
+    """Each joint once a vertex, the heaviest first, at most eight."""
+    order = np.argsort(joints, axis=1, kind="stable")
+    ids, shares = np.take_along_axis(joints, order, 1), np.take_along_axis(weights, order, 1).copy()
+    for column in range(ids.shape[1] - 1, 0, -1):  # equal neighbours: into the left one
+        same = ids[:, column] == ids[:, column - 1]
+        shares[same, column - 1] += shares[same, column]
+        shares[same, column] = 0
+    heaviest = np.argsort(-shares, axis=1, kind="stable")[:, :_KEPT]
+    ids, shares = np.take_along_axis(ids, heaviest, 1), np.take_along_axis(shares, heaviest, 1)
+    ids = np.where(shares > 0, ids, ids[:, :1])
+    return ids.astype(np.int64), shares / shares.sum(axis=1, keepdims=True)
+
+
+def _on_the_floor(skeleton: Skeleton, vertices: F64, joints: NDArray[np.int64], weights: F64) -> tuple[Skeleton, F64]:
+    """Skeleton and vertices moved alike: the soles of the T-pose on y = 0, the pelvis over the origin."""
+    bones = skeleton.bone_matrices(np.zeros((len(skeleton), 3)))
+    y = np.zeros(len(vertices))
+    for column in range(joints.shape[1]):
+        rows = bones[joints[:, column], 1]
+        y += weights[:, column] * (np.einsum("vi,vi->v", rows[:, :3], vertices) + rows[:, 3])
+    shift = np.array([-skeleton.joints[0, 0], -y.min(), -skeleton.joints[0, 2]])
+    rest, inverse = skeleton.rest.copy(), skeleton.inverse_bind.copy()
+    rest[:, :3, 3] += shift
+    inverse[:, :3, 3] -= inverse[:, :3, :3] @ shift
+    return Skeleton(skeleton.names, skeleton.parents, rest, inverse), vertices + shift
+
+
+def _plain(
+    container: Container, folder: Path, shown: Sequence[Instance], skin: int, skeleton: Skeleton, source: str
+) -> RiggedMesh:
+    """A person on the joints of SMPL-X already: stored points, as the file has them."""
+    vertices, joints, weights, parts, first = [], [], [], [], 0
+    for instance in shown:
+        if not _skinned(instance) or instance.node.skin != skin:
+            continue
+        surface = surface_of(container, folder, instance, _weights(container, instance))
+        ids, shares = _influences(container, instance, len(surface.points), len(skeleton))
+        wide = np.zeros((len(ids), 8), np.int64), np.zeros((len(ids), 8))
+        wide[0][:, : ids.shape[1]], wide[1][:, : ids.shape[1]] = ids, shares
+        parts.append(_part(surface, first))
+        vertices.append(surface.points)
+        joints.append(wide[0])
+        weights.append(wide[1])
+        first += len(surface.points)
+    meta = {"source": source} | container.note()
+    meta.pop("version", None)
+    return RiggedMesh(
+        np.concatenate(vertices), skeleton, np.concatenate(joints), np.concatenate(weights), tuple(parts), meta
+    )
+
+
+def _part(surface: Surface, first: int) -> MeshPart:
+    return MeshPart(surface.name, (surface.faces + first).astype(np.int32), surface.uv, surface.texture)

@@ -1,0 +1,103 @@
+"""Triangles of a glTF primitive: points at the default weights of their morph targets, and what colours them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glsplat.errors import FormatError
+from glsplat.formats.gltf.container import Container, Primitive
+from glsplat.formats.gltf.nodes import Instance
+from glsplat.making.gltf.material import Material, material_of
+from glsplat.making.gltf.vertex_colours import painted
+
+__all__ = ["Surface", "surface_of"]
+
+F64 = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Surface:
+    """A primitive's triangles, in the space in which they are stored."""
+
+    points: F64  # [V, 3]
+    faces: NDArray[np.int64]  # [F, 3]
+    uv: F64  # [F, 3, 2] v up
+    texture: NDArray[np.uint8]  # [H, W, 4]
+    name: str
+
+
+def surface_of(container: Container, folder: Path, instance: Instance, weights: Sequence[float]) -> Surface:
+    """Triangles of an instance of mode TRIANGLES; ``weights`` of its morph targets. Raises FormatError."""
+    primitive, where = instance.primitive, instance.name
+    compressed = [name for name in primitive.extensions if "compression" in name]
+    if compressed:
+        raise FormatError(
+            f"{where}: the geometry is compressed ({compressed[0][:60]}); "
+            "unpack it: npx @gltf-transform/cli copy IN.glb OUT.glb"
+        )
+    points = container.numbers(primitive.attributes["POSITION"], f"{where} POSITION", ("VEC3",)).astype(np.float64)
+    for target, weight in zip(primitive.targets, weights, strict=False):
+        if weight and "POSITION" in target:
+            moved = container.numbers(target["POSITION"], f"{where} morph target", ("VEC3",))
+            if moved.shape != points.shape:
+                raise FormatError(f"{where}: a morph target needs {len(points)} elements, as POSITION has")
+            points = points + weight * moved.astype(np.float64)
+    faces = _faces(container, primitive, where, len(points))
+    material = material_of(container, folder, primitive.material)
+    uv = _corners(container, primitive, where, material, faces, len(points))
+    texture = material.texture
+    colours = _vertex_colours(container, primitive, where, len(points))
+    if colours is not None and len(faces):
+        uv, texture = painted(faces, colours, uv, texture)
+    return Surface(points, faces, uv, texture, material.name or where)
+
+
+def _faces(container: Container, primitive: Primitive, where: str, count: int) -> NDArray[np.int64]:
+    index = np.arange(count)
+    if primitive.indices is not None:
+        index = container.read(primitive.indices, f"{where} indices", ("SCALAR",))[:, 0].astype(np.int64)
+    if len(index) and index.max() >= count:
+        raise FormatError(f"{where}: the indices need {count} vertices, and name {index.max()}")
+    if primitive.mode == 4:
+        if len(index) % 3:
+            raise FormatError(f"{where}: the indices need whole triangles, not {len(index)}")
+        return index.reshape(-1, 3)
+    around = np.stack([index[:-2], index[1:-1], index[2:]], axis=1) if len(index) > 2 else np.empty((0, 3), np.int64)
+    if primitive.mode == 5:  # a strip: every second one is turned about
+        around[1::2] = around[1::2, [1, 0, 2]]
+    else:  # a fan
+        around[:, 0] = index[0] if len(index) else 0
+    return around
+
+
+def _corners(
+    container: Container, primitive: Primitive, where: str, material: Material, faces: NDArray[np.int64], count: int
+) -> F64:
+    """[F, 3, 2] texture coordinates with v up, as the material turns them."""
+    uv = np.zeros((count, 2))
+    if f"TEXCOORD_{material.coordinates}" in primitive.attributes:
+        name = f"TEXCOORD_{material.coordinates}"
+        uv = container.numbers(primitive.attributes[name], f"{where} {name}", ("VEC2",)).astype(np.float64)
+        if len(uv) != count:
+            raise FormatError(f"{where}: {name} needs {count} elements, as POSITION has")
+        uv = uv @ material.turn[:, :2].T + material.turn[:, 2]
+    corner = uv[faces]
+    corner[..., 1] = 1 - corner[..., 1]  # glTF's v axis points down
+    return corner
+
+
+def _vertex_colours(container: Container, primitive: Primitive, where: str, count: int) -> F64 | None:
+    """[V, 4] linear factors; None where all are white."""
+    if "COLOR_0" not in primitive.attributes:
+        return None
+    values = container.numbers(primitive.attributes["COLOR_0"], f"{where} COLOR_0", ("VEC3", "VEC4")).astype(np.float64)
+    if len(values) != count or not np.isfinite(values).all():
+        raise FormatError(f"{where}: COLOR_0 needs {count} finite elements, as POSITION has")
+    colours = np.ones((count, 4))
+    colours[:, : values.shape[1]] = np.clip(values, 0, 1)
+    return None if (colours == 1).all() else colours

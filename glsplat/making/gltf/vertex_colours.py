@@ -1,0 +1,58 @@
+"""Colours of vertices as a texture: a small square of texels a triangle, whose corners are the vertices' colours."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glsplat.making.paint.colour import to_linear, to_srgb
+from glsplat.meshes import MeshPart
+
+__all__ = ["painted"]
+
+F64 = NDArray[np.float64]
+
+_LEAST, _MOST = 3, 24  # texels a side of a square; three hold what three corners say
+_SIDE = 8192  # texels a side of all
+
+
+def painted(
+    faces: NDArray[np.int64],  # [F, 3]
+    colours: F64,  # [V, 4] linear factors
+    uv: F64,  # [F, 3, 2] of the texture, v up
+    texture: NDArray[np.uint8],  # [H, W, 4]
+) -> tuple[F64, NDArray[np.uint8]]:
+    """Coordinates [F, 3, 2] into a new texture that holds ``texture`` times the colours, interpolated linearly."""
+    count = len(faces)
+    side = _texels(uv, texture, count)
+    across = int(np.ceil(np.sqrt(count)))
+    down = -(-count // across)
+    steps = np.arange(side) / (side - 1)
+    b, c = np.meshgrid(steps, steps)  # of the second and the third corner; beyond the triangle it goes on evenly
+    weights = np.stack([1 - b - c, b, c], axis=-1)  # [S, S, 3]
+    out = np.empty((down, side, across, side, 4), np.uint8)
+    part = MeshPart("", faces.astype(np.int32), uv, texture)
+    plain = bool((texture == texture[:1, :1]).all())
+    for row in range(down):
+        mine = slice(row * across, min((row + 1) * across, count))
+        factor = np.clip(np.einsum("ijk,fkc->fijc", weights, colours[faces[mine]]), 0, 1)
+        seen = texture[0, 0] / 255.0 if plain else part.sample(np.einsum("ijk,fkc->fijc", weights, uv[mine]))
+        seen = np.broadcast_to(seen, factor.shape)
+        values = np.concatenate(
+            [to_srgb(to_linear(seen[..., :3]) * factor[..., :3]), seen[..., 3:] * factor[..., 3:]], axis=-1
+        )
+        out[row] = 255
+        out[row, :, : len(values)] = np.rint(values * 255).astype(np.uint8).transpose(1, 0, 2, 3)
+    column, line = np.arange(count) % across, np.arange(count) // across
+    corner = np.stack([column, line], axis=1)[:, None] * side + 0.5 + np.array([[0, 0], [1, 0], [0, 1]]) * (side - 1)
+    corner = corner / (across * side, down * side)
+    corner[..., 1] = 1 - corner[..., 1]
+    return corner, out.reshape(down * side, across * side, 4)
+
+
+def _texels(uv: F64, texture: NDArray[np.uint8], count: int) -> int:
+    """A side of a square: about what the triangles have of the texture already."""
+    size = np.array(texture.shape[1::-1])
+    edges = np.linalg.norm((uv - np.roll(uv, 1, axis=1)) * size, axis=-1)
+    wanted = int(np.clip(np.ceil(np.percentile(edges, 90)) + 1, _LEAST, _MOST)) if texture.shape[0] > 4 else _LEAST
+    return max(_LEAST, min(wanted, _SIDE // max(int(np.ceil(np.sqrt(count))), 1)))

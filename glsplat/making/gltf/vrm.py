@@ -1,0 +1,56 @@
+"""VRM 0.x and 1.0: which node is which bone of a human, as the file itself says."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from glsplat.errors import FormatError
+from glsplat.formats.gltf.container import Gltf
+from glsplat.skinning.rigs.match import spine_of
+
+__all__ = ["human_bones"]
+
+_BONES = {"hips": "pelvis", "neck": "neck", "head": "head", "jaw": "jaw"}
+_LIMBS = {
+    "UpperLeg": "hip", "LowerLeg": "knee", "Foot": "ankle", "Toes": "foot", "Shoulder": "collar",
+    "UpperArm": "shoulder", "LowerArm": "elbow", "Hand": "wrist", "Eye": "eye_smplhf",
+}  # fmt: skip
+_FINGERS = {"Thumb": "thumb", "Index": "index", "Middle": "middle", "Ring": "ring", "Little": "pinky"}
+_SPINE = ("spine", "chest", "upperChest")
+
+
+def human_bones(gltf: Gltf) -> dict[str, int]:
+    """SMPL-X joint -> node; empty for a file that is no VRM. Raises FormatError for a malformed map."""
+    try:
+        entries = _entries(gltf.extensions)
+    except (AttributeError, KeyError, TypeError, ValueError):
+        raise FormatError("the humanoid map of the VRM is malformed") from None
+    for bone, node in entries.items():
+        if not 0 <= node < len(gltf.nodes):
+            raise FormatError(
+                f"the humanoid map of the VRM names node {node} as {bone[:30]}, the file has {len(gltf.nodes)}"
+            )
+    out = {ours: entries[theirs] for theirs, ours in _BONES.items() if theirs in entries}
+    out |= spine_of([entries[name] for name in _SPINE if name in entries])
+    for side in ("left", "right"):
+        out |= {f"{side}_{ours}": entries[side + theirs] for theirs, ours in _LIMBS.items() if side + theirs in entries}
+        for theirs, ours in _FINGERS.items():
+            # 0.x calls a thumb's bones as those of the other fingers, 1.0 begins with its metacarpal
+            names = ("Metacarpal", "Proximal", "Intermediate", "Distal")
+            bones = [entries[side + theirs + name] for name in names if side + theirs + name in entries]
+            out |= {f"{side}_{ours}{place}": node for place, node in enumerate(bones[:3], 1)}
+    return out
+
+
+def _entries(extensions: dict[str, Any]) -> dict[str, int]:
+    """Bone -> node."""
+    if "VRMC_vrm" in extensions:
+        bones = extensions["VRMC_vrm"]["humanoid"]["humanBones"]
+        return {str(name): int(entry["node"]) for name, entry in bones.items()}
+    if "VRM" in extensions:
+        return {
+            str(e["bone"]): int(e["node"])
+            for e in extensions["VRM"]["humanoid"]["humanBones"]
+            if e.get("node", -1) >= 0
+        }
+    return {}

@@ -1,0 +1,187 @@
+"""Which of a rig's joints is which of the 55 joints of SMPL-X: by what they are called, and by where they are."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from glsplat.errors import PoseError
+from glsplat.skinning.rigs.words import FINGERS, Word, word_of
+from glsplat.skinning.smplx import JOINT_NAMES
+
+__all__ = ["NEEDED", "RigMap", "match_rig", "spine_of"]
+
+F64 = NDArray[np.float64]
+
+_SIDES = ("left", "right")
+NEEDED = ("head", *(f"{side}_{part}" for part in ("hip", "knee", "shoulder", "elbow") for side in _SIDES))
+"""Joints without which nobody can be driven; all others are placed where they would be."""
+
+_LEG, _ARM = ("hip", "knee", "ankle", "foot"), ("shoulder", "elbow", "wrist")
+_PELVIS = 0.25  # of the way from hips to shoulders; a spine's lowest joint below it is the pelvis
+_ABOVE, _BELOW = 0.03, 1.1  # of that way: where a spine's joints are
+
+
+@dataclass(frozen=True)
+class RigMap:
+    """SMPL-X joint -> index in the rig, in SMPL-X's order."""
+
+    joints: Mapping[str, int]
+    missing: tuple[str, ...]
+    """Of NEEDED: with any, the rig cannot be driven."""
+
+    def __len__(self) -> int:
+        return len(self.joints)
+
+
+def match_rig(
+    names: Sequence[str],
+    parents: ArrayLike,  # [J] -1 for a root
+    positions: ArrayLike,  # [J, 3] at rest, in any unit and axes
+    given: Mapping[str, int | None]
+    | None = None,  # SMPL-X joint -> index, or None for "it has none"; these count first
+) -> RigMap:
+    """The map of a rig. What is ``given`` (a VRM's own map, a user's file) is taken as it is."""
+    known = dict(given or {})
+    unknown = sorted(set(known) - set(JOINT_NAMES))
+    if unknown:
+        raise PoseError(f'a rig map names joints of SMPL-X (left_hip, ...), not "{unknown[0]:.40}"')
+    rig = _Rig(names, np.asarray(parents, np.intp), np.asarray(positions, np.float64))
+    found: dict[str, int] = {name: index for name, index in known.items() if index is not None}
+    for side in _SIDES:
+        _take(found, known, _limbs(rig, side))
+    _take(found, known, _middle(rig, found))
+    for side in _SIDES:
+        _take(found, known, _fingers(rig, side, found))
+    taken = set(found.values())
+    if len(taken) < len(found):
+        double = next(name for name, index in found.items() if list(found.values()).count(index) > 1)
+        raise PoseError(f"a rig map gives the joint {names[found[double]]!r:.60} twice, once as {double}")
+    ordered = {name: found[name] for name in JOINT_NAMES if name in found}
+    return RigMap(ordered, tuple(name for name in NEEDED if name not in ordered))
+
+
+class _Rig:
+    """Words, depths and ancestors of a rig's joints."""
+
+    def __init__(self, names: Sequence[str], parents: NDArray[np.intp], positions: F64) -> None:
+        self.parents, self.positions = parents, positions
+        words = [word_of(name) for name in names]
+        if any(word.deforms for word in words):  # Rigify: only these hold the skin, others have the same names
+            words = [word if word.deforms else Word(word.side, (), "", None, False) for word in words]
+        self.words = words
+        self.above = [self._above(index) for index in range(len(names))]
+
+    def _above(self, index: int) -> list[int]:
+        out: list[int] = []
+        at = int(self.parents[index])
+        while at >= 0 and len(out) <= len(self.parents):
+            out.append(at)
+            at = int(self.parents[at])
+        return out
+
+    def called(self, part: str, side: str = "") -> list[int]:
+        """Joints that may be this part, the best first: by the word, then the nearest to the root."""
+        found = [i for i, word in enumerate(self.words) if part in word.parts and word.side == side]
+        return sorted(found, key=lambda i: (self.words[i].rank(part), len(self.above[i]), i))
+
+
+def _take(found: dict[str, int], known: Mapping[str, int | None], more: Mapping[str, int]) -> None:
+    """What is new: neither said before nor of a joint that is something else already."""
+    used = set(found.values())
+    for name, index in more.items():
+        if name not in found and name not in known and index not in used:
+            found[name] = index
+            used.add(index)
+
+
+def _limbs(rig: _Rig, side: str) -> dict[str, int]:
+    """Leg, arm, collar and eye of a side."""
+    best = {part: cands[0] for part in (*_LEG, *_ARM) if (cands := rig.called(part, side))}
+    for chain, stem in ((_LEG, "knee"), (_ARM, "shoulder")):  # "leg_joint_1", "leg_joint_2", ...: one word for all
+        alike = sorted(rig.called(stem, side), key=lambda i: len(rig.above[i]))
+        if not {chain[0], chain[1]} <= set(best) and len(alike) >= 2:
+            best |= {part: i for part, i in zip(chain, alike, strict=False) if part in chain[:2] or part not in best}
+    collars = [i for i in rig.called("collar", side) if i != best.get("shoulder")]
+    if collars:
+        best["collar"] = collars[0]
+    if eyes := rig.called("eye", side):
+        best["eye_smplhf"] = eyes[0]
+    return {f"{side}_{part}": index for part, index in best.items()}
+
+
+def _middle(rig: _Rig, found: Mapping[str, int]) -> dict[str, int]:
+    """Pelvis, spine, neck, head and jaw."""
+    if not {f"{side}_{part}" for side in _SIDES for part in ("hip", "shoulder")} <= set(found):
+        return {}
+    hips, shoulders = (
+        np.mean([rig.positions[found[f"{side}_{part}"]] for side in _SIDES], axis=0) for part in ("hip", "shoulder")
+    )
+    trunk = shoulders - hips
+    height = (rig.positions - hips) @ trunk / max(float(trunk @ trunk), 1e-12)
+    out: dict[str, int] = {}
+    spine = sorted(rig.called("spine"), key=lambda i: (height[i], len(rig.above[i])))
+    if pelvis := rig.called("pelvis"):
+        out["pelvis"] = pelvis[0]
+    elif spine and height[spine[0]] < _PELVIS:
+        out["pelvis"] = spine[0]
+    else:
+        out["pelvis"] = _common(rig, [found[f"{side}_hip"] for side in _SIDES])
+    column = {*rig.called("neck"), *spine, out["pelvis"]}
+    heads = sorted(rig.called("head"), key=lambda i: (not column & set(rig.above[i]), rig.words[i].rank("head")))
+    if heads:
+        out["head"] = heads[0]
+    necks = sorted(rig.called("neck"), key=lambda i: (height[i], len(rig.above[i])))
+    if necks:
+        out["neck"] = necks[0]
+        if len(necks) > 1 and not heads:
+            out["head"] = necks[-1]
+    if jaws := rig.called("jaw"):
+        out["jaw"] = jaws[0]
+    bones = [i for i in spine if i != out["pelvis"] and _ABOVE < height[i] < _BELOW]
+    if not bones:  # nobody calls them anything: what leads from the arms to the pelvis
+        way = rig.above[found["left_shoulder"]]
+        limbs = set(found.values())
+        bones = [i for i in way if i not in limbs and i != out["pelvis"] and _ABOVE < height[i] < _BELOW][::-1]
+    return out | spine_of(bones)
+
+
+def spine_of(bones: Sequence[int]) -> dict[str, int]:
+    """SMPL-X's three of any number, from below. One alone turns as the chest does, two as its first and its last."""
+    if not bones:
+        return {}
+    if len(bones) == 1:
+        return {"spine3": bones[0]}
+    out = {"spine1": bones[0], "spine3": bones[-1]}
+    if len(bones) > 2:
+        out["spine2"] = bones[len(bones) // 2]
+    return out
+
+
+def _common(rig: _Rig, joints: Sequence[int]) -> int:
+    """The nearest joint that all of them hang from; the first one's root where there is none."""
+    shared = set.intersection(*(set(rig.above[i]) for i in joints))
+    way = rig.above[joints[0]]
+    return next((i for i in way if i in shared), way[-1] if way else joints[0])
+
+
+def _fingers(rig: _Rig, side: str, found: Mapping[str, int]) -> dict[str, int]:
+    """Up to three bones a finger, from the palm outwards; on whose arm they are counts more than what they are called."""
+    out: dict[str, int] = {}
+    arms = {
+        s: {found[f"{s}_{part}"] for part in ("wrist", "elbow", "shoulder") if f"{s}_{part}" in found} for s in _SIDES
+    }
+    for finger in FINGERS:
+        bones = []
+        for i, word in enumerate(rig.words):
+            if finger not in word.parts or word.number == 0:  # 0 is a bone within the palm
+                continue
+            on = next((s for s in _SIDES if arms[s] & set(rig.above[i])), word.side)
+            if on == side:
+                bones.append(i)
+        bones.sort(key=lambda i: (len(rig.above[i]), rig.words[i].number or 0))
+        out |= {f"{side}_{finger}{place}": i for place, i in enumerate(bones[:3], 1)}
+    return out
