@@ -20,7 +20,7 @@ from glsplat.making.lam import is_lam_zip, load_lam_zip
 from glsplat.making.people import read_person
 from glsplat.making.posed import posed_splats
 from glsplat.making.refine import RefineConfig, refine
-from glsplat.making.rigged_gltf import read_gltf_person
+from glsplat.making.gltf.reader import read_gltf_person
 from glsplat.making.scans import read_body, read_obj_person
 from glsplat.making.surface import make_avatar
 from glsplat.meshes import RiggedMesh

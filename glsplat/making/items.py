@@ -53,7 +53,7 @@ def load_item(path: Path, strict: bool = False) -> Content:
             text = b"KHR_gaussian_splatting"  # no glTF: whatever load() makes of it
     if b"KHR_gaussian_splatting" in text:
         return load(path, strict=strict)
-    from glsplat.making.rigged_gltf import read_gltf_mesh  # here: images need OpenCV
+    from glsplat.making.gltf.reader import read_gltf_mesh  # here: images need OpenCV
 
     return read_gltf_mesh(path)
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from glsplat.avatar import Avatar
 from glsplat.errors import FormatError
 from glsplat.formats.ply import load_ply
-from glsplat.making.rigged_gltf import read_gltf_person
+from glsplat.making.gltf.reader import read_gltf_person
 from glsplat.meshes import RiggedMesh
 from glsplat.skinning.skin import Skin
 from glsplat.splats import Splats
@@ -90,7 +90,7 @@ def _find(archive: zipfile.ZipFile) -> dict[str, zipfile.ZipInfo]:
 
 
 def _avatar(folder: Path, ordered: bool, source: str, influences: int) -> Avatar:
-    splats, mesh = load_ply(folder / "offset.ply"), read_gltf_person(folder / "skin.glb")
+    splats, mesh = load_ply(folder / "offset.ply"), read_gltf_person(folder / "skin.glb", own_joints=True)
     count = len(splats)
     if len(mesh.vertices) != count:
         raise FormatError(

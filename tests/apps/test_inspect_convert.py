@@ -16,7 +16,7 @@ from glsplat.avatar import Avatar
 from glsplat.formats import load, save
 from glsplat.formats.gltf.mesh import save_gltf_mesh
 from glsplat.formats.scene_file import upright
-from glsplat.making.rigged_gltf import read_gltf_person
+from glsplat.making.gltf.reader import read_gltf_person
 from glsplat.skinning.pose import Pose
 from glsplat.splats import Splats
 from tests.formats.meshes import bends, chain, corners

@@ -14,7 +14,7 @@ from glsplat.camera import Camera, look_at, pinhole
 from glsplat.errors import FormatError
 from glsplat.making.importers import bind_to_mesh, load_lhm_dump
 from glsplat.making.posed import posed_splats
-from glsplat.making.rigged_gltf import read_gltf_person
+from glsplat.making.gltf.reader import read_gltf_person
 from glsplat.meshes import MeshPart, RiggedMesh
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.skeleton import Skeleton

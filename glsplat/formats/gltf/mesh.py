@@ -1,4 +1,4 @@
-"""Textured, skinned meshes as glTF 2.0 that other programs open; ``glsplat.making.rigged_gltf`` reads them back.
+"""Textured, skinned meshes as glTF 2.0 that other programs open; ``glsplat.making.gltf.reader`` reads them back.
 
 Colours are shown as they are (KHR_materials_unlit): a picture's light is in them already. Where a texture has holes
 (alpha below one half) the material is MASK. A texture that is large and whole is a JPEG of quality 95 without chroma

@@ -3,7 +3,7 @@
 A file has two poses. In one the skin was bound (the inverse of the inverse bind matrices); in the other the nodes
 rest, which may be any frame of an animation. People are taken as they were bound, upright and in metres, with the 55
 joints of SMPL-X (skinning/rigs); everything else as the nodes rest, with its own joints. Either way a vertex moves exactly as
-glTF 2.0 (3.7.3.3) has it: joints that are no part of the map stay as they are under the joint that they hang from.
+glTF 2.0 (3.7.3.3) has it: joints that are no part of the map stay as they were bound under the one they hang from.
 """
 
 from __future__ import annotations
@@ -157,12 +157,7 @@ def _person(graph: Graph, bound: _Bound, found: RigMap, reference: F64, scale: f
     rest = np.tile(np.eye(4), (len(JOINT_NAMES), 1, 1))
     rest[:, :3, 3] = person.joints
     skeleton = Skeleton(JOINT_NAMES, PARENTS, rest, np.linalg.inv(person.frames))
-    node_of = {JOINT_NAMES.index(name): node for name, node in found.joints.items()}
-    anchor = np.array([node_of[int(joint)] for joint in person.of])
-    before = turn @ bound.frames[anchor] @ np.linalg.inv(graph.world[anchor]) @ graph.world
-    own = anchor == np.arange(len(anchor))
-    before[own] = turn @ bound.frames[own]
-    return Rig(skeleton, person.of, before, found, "")
+    return Rig(skeleton, person.of, turn @ bound.frames, found, "")
 
 
 def _thing(

@@ -101,6 +101,10 @@ def _take(found: dict[str, int], known: Mapping[str, int | None], more: Mapping[
 def _limbs(rig: _Rig, side: str) -> dict[str, int]:
     """Leg, arm, collar and eye of a side."""
     best = {part: cands[0] for part in (*_LEG, *_ARM) if (cands := rig.called(part, side))}
+    feet = sorted(rig.called("ankle", side), key=lambda i: len(rig.above[i]))
+    if len(feet) > 1 and feet[0] in rig.above[feet[1]]:  # SMPL's "ankle" and "foot": the lower one is the toes
+        best["ankle"] = feet[0]
+        best.setdefault("foot", feet[1])
     for chain, stem in ((_LEG, "knee"), (_ARM, "shoulder")):  # "leg_joint_1", "leg_joint_2", ...: one word for all
         alike = sorted(rig.called(stem, side), key=lambda i: len(rig.above[i]))
         if not {chain[0], chain[1]} <= set(best) and len(alike) >= 2:

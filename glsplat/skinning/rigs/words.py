@@ -94,13 +94,14 @@ def word_of(name: str) -> Word:
             number = _PHALANX[word]
         else:
             kept.append(word)
-    if any(word in _HELPERS for word in kept):
-        return Word(side, (), "", number, deforms)
+    helper = any(word in _HELPERS for word in kept)
     while len(kept) > 1 and kept[0] in _PREFIXES:
         kept.pop(0)
     while len(kept) > 1 and kept[-1] in _PREFIXES:
         kept.pop()
     stem = "".join(kept)
+    if helper and stem not in _KNOWN:  # a "NeckTwist" is a neck, an "UpperArmTwist" a helper
+        return Word(side, (), "", number, deforms)
     if stem == "finger":
         stem, number = _numbered_finger([word for word in words if word.isdigit()])
     if stem not in _KNOWN and not side and stem[1:] in _KNOWN and stem[:1] in ("l", "r"):  # "lfemur"
