@@ -15,12 +15,12 @@ from glsplat.errors import FormatError, GlsplatError
 from glsplat.formats import load, save, suffixes
 from glsplat.formats.files import replace_file
 from glsplat.making.cones import ConeConfig, with_cones
+from glsplat.making.gltf.reader import read_gltf_person
 from glsplat.making.importers import bind_to_mesh, load_lhm_dump
 from glsplat.making.lam import is_lam_zip, load_lam_zip
 from glsplat.making.people import read_person
 from glsplat.making.posed import posed_splats
 from glsplat.making.refine import RefineConfig, refine
-from glsplat.making.gltf.reader import read_gltf_person
 from glsplat.making.scans import read_body, read_obj_person
 from glsplat.making.surface import make_avatar
 from glsplat.meshes import RiggedMesh

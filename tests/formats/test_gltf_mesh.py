@@ -15,9 +15,9 @@ import trimesh
 from glsplat.camera import Camera, look_at, pinhole
 from glsplat.errors import FormatError
 from glsplat.formats.gltf.mesh import save_gltf_mesh
+from glsplat.making.gltf.reader import read_gltf_person
 from glsplat.making.items import load_item
 from glsplat.making.people import read_person
-from glsplat.making.gltf.reader import read_gltf_person
 from glsplat.mesh import MeshRenderer
 from glsplat.meshes import RiggedMesh
 from glsplat.skinning.pose import Pose

@@ -112,7 +112,8 @@ def test_no_items(tmp_path: Path, name: str, data: bytes, message: str) -> None:
     [
         ("people/char_c_registry.npz", 55),
         ("people/open_body55.npz", 55),
-        ("real/models/cesium_man.glb", 19),
+        ("real/models/cesium_man.glb", 55),
+        ("real/models/fox.glb", 24),
         ("real/models/kaykit_mage.glb", None),
         ("real/models/quaternius_knight.glb", None),
     ],

@@ -67,7 +67,7 @@ def _tinted(image: NDArray[np.uint8], factor: NDArray[np.float64], entry: Mappin
         alpha = np.arange(256) * float(factor[3])
         if mode == "MASK":
             cut = float(entry.get("alphaCutoff", 0.5)) * 255
-            alpha = np.clip(128 + (alpha - cut), 0, 255)
+            alpha = np.clip(127.5 + (alpha - cut), 0, 255)
     mapped = np.rint(np.clip(alpha, 0, 255)).astype(np.uint8)
     return np.concatenate([out[..., :3], mapped[image[..., 3:]]], axis=-1)
 

@@ -134,7 +134,7 @@ def _rigged(
             sizes[instance.node.skin or 0] = sizes.get(instance.node.skin or 0, 0) + count
     skins = sorted(sizes, key=lambda skin: (-sizes[skin], skin))
     ready = read_skeleton(container, next(i for i in shown if i.node.skin == skins[0] and _skinned(i)), graph)
-    if len(skins) == 1 and ready.names == JOINT_NAMES:  # one of our own, or one made for SMPL-X: it is taken to the bit
+    if len(skins) == 1 and (container.note() or ready.names == JOINT_NAMES):  # our own is taken to the bit
         return _plain(container, folder, shown, skins[0], ready, source)
     rigid = [node_of[id(i.node)] for i in shown if not _skinned(i)]
     given = _given(container, rig_map)

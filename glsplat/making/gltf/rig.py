@@ -2,7 +2,7 @@
 
 A file has two poses. In one the skin was bound (the inverse of the inverse bind matrices); in the other the nodes
 rest, which may be any frame of an animation. People are taken as they were bound, upright and in metres, with the 55
-joints of SMPL-X (skinning/rigs); everything else as the nodes rest, with its own joints. Either way a vertex moves exactly as
+joints of SMPL-X (skinning/rigs); everything else as the nodes rest, with its own joints. Either way a vertex moves as
 glTF 2.0 (3.7.3.3) has it: joints that are no part of the map stay as they were bound under the one they hang from.
 """
 

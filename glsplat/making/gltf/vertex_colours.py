@@ -12,7 +12,8 @@ __all__ = ["painted"]
 
 F64 = NDArray[np.float64]
 
-_LEAST, _MOST = 3, 24  # texels a side of a square; three hold what three corners say
+_LEAST, _UNEVEN, _MOST = 3, 9, 24  # texels a side of a square; three hold what three corners say
+_EVEN = 0.15  # of a factor; within a triangle of less, three do
 _SIDE = 8192  # texels a side of all
 
 
@@ -24,7 +25,7 @@ def painted(
 ) -> tuple[F64, NDArray[np.uint8]]:
     """Coordinates [F, 3, 2] into a new texture that holds ``texture`` times the colours, interpolated linearly."""
     count = len(faces)
-    side = _texels(uv, texture, count)
+    side = _texels(uv, texture, colours[faces])
     across = int(np.ceil(np.sqrt(count)))
     down = -(-count // across)
     steps = np.arange(side) / (side - 1)
@@ -50,9 +51,15 @@ def painted(
     return corner, out.reshape(down * side, across * side, 4)
 
 
-def _texels(uv: F64, texture: NDArray[np.uint8], count: int) -> int:
-    """A side of a square: about what the triangles have of the texture already."""
+def _texels(uv: F64, texture: NDArray[np.uint8], corners: F64) -> int:
+    """A side of a square: about what the triangles have of the texture already, and what their colours need.
+
+    Between texels colours are mixed as they are stored (sRGB), not as they are added (linear).
+    """
+    spread = float(np.percentile(np.ptp(corners, axis=1).max(axis=1), 95))
+    least = _LEAST if spread < _EVEN else _UNEVEN
+    count = len(corners)
     size = np.array(texture.shape[1::-1])
     edges = np.linalg.norm((uv - np.roll(uv, 1, axis=1)) * size, axis=-1)
-    wanted = int(np.clip(np.ceil(np.percentile(edges, 90)) + 1, _LEAST, _MOST)) if texture.shape[0] > 4 else _LEAST
+    wanted = int(np.clip(np.ceil(np.percentile(edges, 90)) + 1, least, _MOST)) if texture.shape[0] > 4 else least
     return max(_LEAST, min(wanted, _SIDE // max(int(np.ceil(np.sqrt(count))), 1)))

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -106,7 +107,7 @@ def _turns(rest: Mapping[str, F64], body: Mapping[str, F64]) -> dict[str, F64]:
         if chain[0].endswith("1"):  # a finger begins as its hand is turned
             for name in chain:
                 turns[name] = turns[f"{side}_wrist"]
-        for name, toward in zip(chain, chain[1:], strict=False):
+        for name, toward in pairwise(chain):
             if name not in rest or toward not in rest:
                 break
             bone = turns[name] @ (rest[toward] - rest[name])

@@ -173,7 +173,7 @@ def _common(rig: _Rig, joints: Sequence[int]) -> int:
 
 
 def _fingers(rig: _Rig, side: str, found: Mapping[str, int]) -> dict[str, int]:
-    """Up to three bones a finger, from the palm outwards; on whose arm they are counts more than what they are called."""
+    """Up to three bones a finger, from the palm outwards. On whose arm they are counts more than their names."""
     out: dict[str, int] = {}
     arms = {
         s: {found[f"{s}_{part}"] for part in ("wrist", "elbow", "shoulder") if f"{s}_{part}" in found} for s in _SIDES

@@ -48,7 +48,11 @@ def sided(**parts: str) -> dict[str, str]:
 
 def fingers(pattern: str, names: Mapping[str, str]) -> dict[str, str]:
     """SMPL-X finger joint -> name; "{f}" is the finger's name, "{n}" the bone's number, sides as in ``sided``."""
-    parts = {f"{finger}{n}": pattern.replace("{f}", word).replace("{n}", str(n)) for finger, word in names.items() for n in (1, 2, 3)}
+    parts = {
+        f"{finger}{n}": pattern.replace("{f}", word).replace("{n}", str(n))
+        for finger, word in names.items()
+        for n in (1, 2, 3)
+    }
     return sided(**parts)
 
 
@@ -83,7 +87,14 @@ _RIGIFY = {
     **fingers("DEF-{f}.0{n}.{L}", {finger: finger if finger == "thumb" else f"f_{finger}" for finger in FINGERS}),
 }
 _MAKEHUMAN = {
-    **{"pelvis": "root", "spine1": "spine05", "spine2": "spine03", "spine3": "spine01", "neck": "neck01", "head": "head"},
+    **{
+        "pelvis": "root",
+        "spine1": "spine05",
+        "spine2": "spine03",
+        "spine3": "spine01",
+        "neck": "neck01",
+        "head": "head",
+    },
     **{"jaw": "jaw"},
     **sided(hip="upperleg01.{L}", knee="lowerleg01.{L}", ankle="foot.{L}", foot="toe1-1.{L}", collar="clavicle.{L}"),
     **sided(shoulder="upperarm01.{L}", elbow="lowerarm01.{L}", wrist="wrist.{L}", eye_smplhf="eye.{L}"),
@@ -139,7 +150,9 @@ FAMILIES = {
         twists=("left_hip", "right_elbow", "left_shoulder"),
         more={"ik_foot_l": "pelvis", "index_metacarpal_l": "left_wrist"},
     ),
-    "Rigify": Family(_RIGIFY, arms=30.0, z_up=True, along=True, more={"ORG-spine": "pelvis", "MCH-thigh.L": "left_hip"}),
+    "Rigify": Family(
+        _RIGIFY, arms=30.0, z_up=True, along=True, more={"ORG-spine": "pelvis", "MCH-thigh.L": "left_hip"}
+    ),
     "MakeHuman": Family(_MAKEHUMAN, arms=45.0, more={"upperleg02.L": "left_hip", "spine04": "spine1"}),
     "3ds Max Biped": Family(_BIPED, unit=0.0254, along=True, z_up=True, more={"Bip01": "pelvis"}),
     "Daz": Family(_DAZ, unit=0.01, arms=20.0, twists=("left_hip", "right_hip", "left_shoulder", "right_elbow")),
@@ -271,13 +284,22 @@ def _file(family: Family, nodes: list[tuple[str, str | None, np.ndarray]]) -> Bu
     text = json.dumps(gltf).encode()
     text += b" " * (-len(text) % 4)
     chunks = struct.pack("<II", len(text), 0x4E4F534A) + text + struct.pack("<II", len(blob), 0x004E4942) + blob
-    return Built(struct.pack("<III", 0x46546C67, 2, 12 + len(chunks)) + chunks, [str(n["name"]) for n in out], joint_nodes)
+    return Built(
+        struct.pack("<III", 0x46546C67, 2, 12 + len(chunks)) + chunks, [str(n["name"]) for n in out], joint_nodes
+    )
 
 
 def _vrm(version: int, nodes: Mapping[str, int]) -> dict[str, object]:
     words = {"hip": "UpperLeg", "knee": "LowerLeg", "ankle": "Foot", "foot": "Toes", "collar": "Shoulder"}
     words |= {"shoulder": "UpperArm", "elbow": "LowerArm", "wrist": "Hand", "eye_smplhf": "Eye"}
-    middle = {"pelvis": "hips", "spine1": "spine", "spine2": "chest", "spine3": "upperChest", "neck": "neck", "head": "head"}
+    middle = {
+        "pelvis": "hips",
+        "spine1": "spine",
+        "spine2": "chest",
+        "spine3": "upperChest",
+        "neck": "neck",
+        "head": "head",
+    }
     bones = {}
     for joint, node in nodes.items():
         side, _, part = joint.partition("_")
@@ -292,5 +314,7 @@ def _vrm(version: int, nodes: Mapping[str, int]) -> dict[str, object]:
                 segments = ("Metacarpal", "Proximal", "Distal")
             bones[side + finger + segments[int(part[-1]) - 1]] = node
     if version == 1:
-        return {"VRMC_vrm": {"specVersion": "1.0", "humanoid": {"humanBones": {b: {"node": n} for b, n in bones.items()}}}}
+        return {
+            "VRMC_vrm": {"specVersion": "1.0", "humanoid": {"humanBones": {b: {"node": n} for b, n in bones.items()}}}
+        }
     return {"VRM": {"humanoid": {"humanBones": [{"bone": b, "node": n} for b, n in bones.items()]}}}

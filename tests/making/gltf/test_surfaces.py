@@ -1,0 +1,189 @@
+"""What colours a surface: factors, textures turned and cut, colours of vertices; strips, fans and morph targets."""
+
+from __future__ import annotations
+
+import base64
+import json
+import struct
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from glsplat.errors import FormatError
+from glsplat.making.gltf.reader import read_gltf_mesh
+from glsplat.making.paint.colour import to_linear, to_srgb
+from glsplat.meshes import RiggedMesh
+
+CORNERS = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], "<f4")
+UV = np.array([[0, 1], [1, 1], [1, 0], [0, 0]], "<f4")  # v down: the picture upright
+RNG = np.random.default_rng(2)
+PICTURE = RNG.integers(0, 256, (8, 8, 4)).astype(np.uint8)
+
+
+def square(
+    tmp_path: Path,
+    material: dict[str, Any] | None = None,
+    mode: int = 4,
+    indices: tuple[int, ...] = (0, 1, 2, 0, 2, 3),
+    texture: dict[str, Any] | None = None,
+    kind: str = ".png",
+    mesh: dict[str, Any] | None = None,
+    **attributes: np.ndarray,
+) -> RiggedMesh:
+    """A square of two triangles in a file, read."""
+    arrays = {"POSITION": CORNERS, "TEXCOORD_0": UV, **attributes}
+    blob, views, accessors, named = b"", [], [], {}
+    for name, array in [*arrays.items(), ("indices", np.array(indices, "<u2")[:, None])]:
+        raw = array.tobytes()
+        views.append({"buffer": 0, "byteOffset": len(blob), "byteLength": len(raw)})
+        codes = {"<f4": 5126, "<u2": 5123, "|u1": 5121}
+        types = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4"}
+        accessor: dict[str, Any] = {"bufferView": len(views) - 1, "componentType": codes[array.dtype.str]}
+        accessor |= {"count": len(array), "type": types[array.shape[1]], "normalized": array.dtype.kind == "u"}
+        accessors.append(accessor)
+        named[name] = len(accessors) - 1
+        blob += raw + bytes(-len(raw) % 4)
+    accessors[named["indices"]]["normalized"] = False
+    primitive: dict[str, Any] = {"indices": named.pop("indices"), "mode": mode, "material": 0}
+    targets = [{"POSITION": named.pop(name)} for name in list(named) if name.startswith("target")]
+    if targets:
+        primitive["targets"] = targets
+    image = cv2.imencode(
+        kind, cv2.cvtColor(PICTURE, cv2.COLOR_RGBA2BGRA), [cv2.IMWRITE_WEBP_QUALITY, 101] if kind == ".webp" else []
+    )[1].tobytes()
+    document = {
+        "asset": {"version": "2.0"},
+        "scene": 0,
+        "scenes": [{"nodes": [0]}],
+        "nodes": [{"mesh": 0}],
+        "meshes": [{"primitives": [primitive | {"attributes": named}], **(mesh or {})}],
+        "materials": [material or {}],
+        "textures": [{"source": 0} if texture is None else texture],
+        "images": [{"uri": "data:image/png;base64," + base64.b64encode(image).decode()}],
+        "accessors": accessors,
+        "bufferViews": views,
+        "buffers": [{"byteLength": len(blob)}],
+    }
+    text = json.dumps(document).encode()
+    text += b" " * (-len(text) % 4)
+    chunks = struct.pack("<II", len(text), 0x4E4F534A) + text + struct.pack("<II", len(blob), 0x004E4942) + blob
+    path = tmp_path / "square.glb"
+    path.write_bytes(struct.pack("<III", 0x46546C67, 2, 12 + len(chunks)) + chunks)
+    return read_gltf_mesh(path)
+
+
+def seen(mesh: RiggedMesh, x: float, y: float) -> np.ndarray:
+    """RGBA in [0, 1] at a point of the square."""
+    part = mesh.parts[0]
+    for face, uv in zip(part.faces, part.uv, strict=True):
+        corners = mesh.vertices[face][:, :2]
+        shares = np.linalg.solve(np.vstack([corners.T, np.ones(3)]), [x, y, 1])
+        if shares.min() > -1e-9:
+            return part.sample(shares @ uv)
+    raise AssertionError("no triangle is there")
+
+
+TEXTURED = {"pbrMetallicRoughness": {"baseColorTexture": {"index": 0}}}
+TEXELS = [(0.3125, 0.8125), (0.8125, 0.4375), (0.4375, 0.1875)]  # centres of texels
+
+
+def texel(x: float, y: float) -> np.ndarray:
+    return PICTURE[int((1 - y) * 8), int(x * 8)] / 255
+
+
+@pytest.mark.parametrize(
+    ("kind", "texture"), [(".png", None), (".webp", {"extensions": {"EXT_texture_webp": {"source": 0}}})]
+)
+def test_a_picture_stands_upright(tmp_path: Path, kind: str, texture: dict[str, Any] | None) -> None:
+    mesh = square(tmp_path, TEXTURED, kind=kind, texture=texture)
+    for x, y in TEXELS:
+        assert seen(mesh, x, y)[:3] == pytest.approx(texel(x, y)[:3], abs=1e-9)
+        assert seen(mesh, x, y)[3] == 1  # opaque, whatever the picture's alpha
+
+
+def test_a_factor_is_linear(tmp_path: Path) -> None:
+    factor = [0.5, 0.25, 1.0, 1.0]
+    base = {"baseColorTexture": {"index": 0}, "baseColorFactor": factor}
+    mesh = square(tmp_path, {"pbrMetallicRoughness": base})
+    for x, y in TEXELS:
+        wanted = to_srgb(to_linear(texel(x, y)[:3]) * factor[:3])
+        assert seen(mesh, x, y)[:3] == pytest.approx(wanted, abs=0.003)
+    plain = square(tmp_path, {"pbrMetallicRoughness": {"baseColorFactor": factor}})
+    assert seen(plain, 0.4, 0.6)[:3] == pytest.approx(to_srgb(np.array(factor[:3])), abs=0.003)
+
+
+@pytest.mark.parametrize("cut", [0.25, 0.5, 0.9])
+def test_a_mask_is_cut_where_it_says(tmp_path: Path, cut: float) -> None:
+    mesh = square(tmp_path, TEXTURED | {"alphaMode": "MASK", "alphaCutoff": cut})
+    for x, y in [(i / 8 + 1 / 16, j / 8 + 1 / 16) for i in range(8) for j in range(8)]:
+        if x > y:  # of the first triangle
+            assert (seen(mesh, x, y)[3] >= 0.5) == (texel(x, y)[3] >= cut), (x, y)
+
+
+def test_a_texture_is_turned_as_the_extension_says(tmp_path: Path) -> None:
+    """Offset, then a quarter counter-clockwise, then scale: uv' = T R S uv, v down (KHR_texture_transform)."""
+    turn = {"offset": [0.25, 0.5], "rotation": np.pi / 2, "scale": [0.5, 1.0]}
+    used = {"index": 0, "extensions": {"KHR_texture_transform": turn}}
+    mesh = square(tmp_path, {"pbrMetallicRoughness": {"baseColorTexture": used}})
+    for x, y in TEXELS:
+        u, v = 0.5 * x, 1 - y
+        u, v = v + 0.25, -u + 0.5  # (u, v) -> (cos u + sin v, -sin u + cos v)
+        row, column = np.floor(np.array([v, u]) % 1 * 8 + 1e-9).astype(int)
+        got, near = seen(mesh, x, y)[:3], PICTURE[row % 8, column % 8, :3] / 255
+        inside = abs((u * 8) % 1 - 0.5) < 1e-6 and abs((v * 8) % 1 - 0.5) < 1e-6
+        assert not inside or got == pytest.approx(near, abs=1e-9)
+        part = mesh.parts[0]
+        assert got == pytest.approx(part.sample(np.array([u, 1 - v]))[:3], abs=1e-9)
+
+
+@pytest.mark.parametrize("textured", [False, True])
+def test_colours_of_vertices(tmp_path: Path, textured: bool) -> None:
+    colours = np.array([[255, 0, 0, 255], [0, 255, 0, 255], [0, 0, 255, 255], [255, 255, 255, 255]], np.uint8)
+    mesh = square(tmp_path, TEXTURED if textured else None, COLOR_0=colours)
+    for x, y, shares in ((0.6, 0.3, (0.4, 0.3, 0.3, 0)), (0.2, 0.7, (0.3, 0, 0.2, 0.5)), (1.0, 0.0, (0, 1, 0, 0))):
+        linear = np.array(shares) @ colours[:, :3] / 255
+        if not textured:
+            assert seen(mesh, x, y)[:3] == pytest.approx(to_srgb(linear), abs=0.03)
+    if textured:
+        assert seen(mesh, 1.0, 0.0)[[0, 2]] == pytest.approx([0, 0], abs=0.05)  # green takes the others away
+        assert mesh.parts[0].texture.shape[0] > 8
+    corners = [seen(mesh, *CORNERS[i, :2])[:3] for i in range(4)]
+    if not textured:
+        assert np.array(corners) == pytest.approx(colours[:, :3] / 255, abs=0.003)
+
+
+@pytest.mark.parametrize(("mode", "indices"), [(5, (0, 1, 3, 2)), (6, (0, 1, 2, 3))])
+def test_strips_and_fans(tmp_path: Path, mode: int, indices: tuple[int, ...]) -> None:
+    mesh = square(tmp_path, mode=mode, indices=indices)
+    a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in range(3))
+    assert np.cross(b - a, c - a)[:, 2] == pytest.approx([1, 1])  # both face the same way and cover the square
+
+
+def test_morph_targets_at_their_default_weights(tmp_path: Path) -> None:
+    target = np.array([[0, 0, 1], [0, 0, 2], [0, 0, 3], [0, 0, 4]], "<f4")
+    still = square(tmp_path, target_0=target)
+    assert still.vertices == pytest.approx(CORNERS)
+    moved = square(tmp_path, target_0=target, target_1=10 * target, mesh={"weights": [0.5, 0.1]})
+    assert moved.vertices == pytest.approx(CORNERS + 1.5 * target)
+
+
+@pytest.mark.parametrize(
+    ("how", "words"),
+    [
+        ({"material": TEXTURED, "texture": {"extensions": {"KHR_texture_basisu": {"source": 0}}}}, "gltf-transform"),
+        ({"material": {"pbrMetallicRoughness": {"baseColorFactor": [1, 2]}}}, "material 0 is malformed"),
+        ({"material": {"pbrMetallicRoughness": 3}}, "material 0 is malformed"),
+        ({"indices": (0, 1, 9)}, "name 9"),
+        ({"indices": (0, 1)}, "whole triangles"),
+        ({"COLOR_0": np.full((3, 4), 255, np.uint8)}, "COLOR_0 needs 4"),
+        ({"target_0": np.zeros((3, 3), "<f4"), "mesh": {"weights": [1.0]}}, "morph target needs 4"),
+        ({"TEXCOORD_0": UV[:3]}, "TEXCOORD_0 needs 4"),
+    ],
+)
+def test_what_is_refused(tmp_path: Path, how: dict[str, Any], words: str) -> None:
+    with pytest.raises(FormatError, match=words) as caught:
+        square(tmp_path, **how)
+    assert "\n" not in str(caught.value) and "square.glb" in str(caught.value)
