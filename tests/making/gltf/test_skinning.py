@@ -15,7 +15,11 @@ from glsplat.skinning.smplx import JOINT_NAMES, PARENTS
 from tests.making.gltf.built import FAMILIES, build
 from tests.making.gltf.independent import File
 
-REAL = ("babylon_25skins.glb", "cesium_man.glb", "cool_loops.vrm", "mannequiny_gdquest.glb", "rpm_template_xr.glb")
+# files of several skins hold a joint's bind once a skin, in float32: that is how far apart these are
+REAL = {
+    **dict.fromkeys(("cesium_man.glb", "cool_loops.vrm", "godette.vrm", "kaykit_mage.glb"), 1e-6),
+    **{"mannequiny_gdquest.glb": 1e-6, "rpm_template_xr.glb": 3e-6, "babylon_25skins.glb": 3e-5},
+}
 
 
 def turned(file: File, mesh: RiggedMesh, seed: int) -> tuple[np.ndarray, np.ndarray]:
@@ -124,4 +128,4 @@ def test_built_people(tmp_path: Path, name: str) -> None:
 @pytest.mark.parametrize("name", REAL)
 def test_real_people(shared_data: Path, name: str) -> None:
     for seed in range(3):
-        assert compare(shared_data / "real" / "models" / name, seed) < 1e-6
+        assert compare(shared_data / "real" / "models" / name, seed) < REAL[name]
