@@ -6,6 +6,7 @@ format                      read    write   holds
 3DGS PLY (.ply)             yes     yes     splats, SH degree 0 to 3
 compressed PLY              yes     yes     splats, SH degree 0 to 3, 16 bytes and up to 45 more a splat
 .splat (32 bytes a splat)   yes     yes     splats, 8-bit colour and rotation
+KSPLAT (.ksplat)            yes     no      splats, SH degree 0 to 2
 glTF (.glb, .gltf)          yes     yes     splats (KHR_gaussian_splatting), avatars (with a skin)
 ==========================  ======  ======  ============================================================
 """
@@ -21,6 +22,7 @@ from glsplat.formats.compressed_ply import COMPRESSED_PLY
 from glsplat.formats.files import Source, checked, folder_of, naming, open_regular, suffixes_of
 from glsplat.formats.format import Format, Start
 from glsplat.formats.gltf.splats import GLB, GLTF, load_gltf, save_gltf
+from glsplat.formats.ksplat import KSPLAT
 from glsplat.formats.ply import PLY, load_ply, save_ply
 from glsplat.formats.splat import SPLAT, load_splat, save_splat
 from glsplat.splats import Splats
@@ -46,6 +48,7 @@ FORMATS: list[Format] = [
     PLY,
     COMPRESSED_PLY,
     SPLAT,
+    KSPLAT,
     GLB,
     GLTF,
 ]
