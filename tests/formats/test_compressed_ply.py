@@ -78,6 +78,19 @@ def test_words_packed_by_hand(tmp_path: Path, order: str) -> None:
     assert recognise(tmp_path / "a") == "compressed-ply" and not splats.antialias
 
 
+def test_each_component_can_be_the_largest(tmp_path: Path) -> None:
+    others = [(code / 1023 - 0.5) * 2**0.5 for code in (700, 300, 600)]  # 0.26, -0.29, 0.12
+    largest = (1 - sum(value**2 for value in others)) ** 0.5
+    for which in range(4):
+        word = which << 30 | 700 << 20 | 300 << 10 | 600
+        words = np.array([*FIRST[:1], word, *FIRST[2:], *SECOND], "<u4").tobytes()
+        splats = read(tmp_path, header(1, 2) + np.array(BOUNDS, "<f4").tobytes() + words)
+        expected = [*others[:which], largest, *others[which:]]
+        np.testing.assert_allclose(splats.quats[0], expected, atol=1e-6)
+        save(splats.take([0]), tmp_path / "b.compressed.ply")
+        assert (tmp_path / "b.compressed.ply").read_bytes()[-12:-8] == word.to_bytes(4, "little")
+
+
 def test_without_bounds_colours_lie_in_0_to_1(tmp_path: Path) -> None:
     splats = read(tmp_path, by_hand(BOUNDS[:12]))
     np.testing.assert_allclose(splats.sh[:, 0] * C0 + 0.5, np.array([[0, 128, 255], [1, 2, 3]]) / 255, atol=1e-6)
@@ -299,6 +312,10 @@ def test_morton_order_by_hand() -> None:
     flat = np.zeros((5, 3), np.float32)
     flat[:, 1] = (3, 1, 2, 1, 0)
     assert morton_order(flat).tolist() == [4, 1, 3, 2, 0]  # equal ones stay as they came
+    places = np.zeros((400, 3), np.float32)
+    places[:, 2] = np.random.default_rng(3).integers(0, 20, 400)
+    order = morton_order(places)
+    assert np.array_equal(order, np.argsort(places[:, 2], kind="stable"))
     assert morton_order(flat[:0]).tolist() == [] and morton_order(flat[:1]).tolist() == [0]
 
 
