@@ -6,7 +6,7 @@ colours lie in 0 to 1. Element ``vertex`` has four words of 32 bits, the first c
 - packed_position, packed_scale: 11, 10 and 11 bits between the chunk's bounds: steps of 1/2047, 1/1023 and 1/2047 of
   its extent, so errors of at most half of that
 - packed_rotation: 2 bits for the largest of w x y z, which is positive, then the other three in that order, 10 bits
-  each between -+sqrt(1/2): steps of 0.0014
+  each between -+sqrt(1/2): steps of 0.0014, turned by at most 0.28 degrees
 - packed_color: 8 bits each for r g b between the bounds (rgb = 0.5 + SH_C0 f_dc) and for the opacity, 0 to 1
 
 Element ``sh``, where it is, has f_rest_0..(9|24|45) channel-major as bytes: 0 is -4, 255 is 4, else the middle of one
@@ -177,9 +177,13 @@ def save_compressed_ply(splats: Splats, target: Source) -> None:
     negative scale is written as its magnitude. Visibility cones are left out. Raises FormatError when ``target``
     cannot be written.
     """
+    replace_file(target, _packed(splats, _order(splats)))
+
+
+def _order(splats: Splats) -> NDArray[np.intp]:
+    """Which splats a file has, in the order it has them in."""
     kept = np.flatnonzero(_drawable(splats))
-    order = kept[morton_order(splats.means[kept])]
-    replace_file(target, _packed(splats, order))
+    return kept[morton_order(splats.means[kept])]
 
 
 def _drawable(splats: Splats) -> NDArray[np.bool_]:

@@ -7,7 +7,8 @@ Prints, for each scene, the largest differences in steps of the format's quantis
 the text of glsplat/formats/compressed_ply.py and ksplat.py):
 
 - read: a compressed PLY of splat-transform as read here, against splat-transform's own reading of it
-- written: a compressed PLY written here as splat-transform reads it, against the scene (half a step is rounding),
+- written: a compressed PLY written here as splat-transform reads it, against the scene: half a step is rounding, but
+  the largest component of a rotation follows from the other three and may be off by one and a half;
   and how many bytes behind the header differ from the file that splat-transform writes
 - ksplat 0, 1, 2: a KSPLAT of GaussianSplats3D as read here, against its getters, and against splat-transform
 """
