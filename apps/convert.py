@@ -22,8 +22,9 @@ from .args import add_up
 __all__ = ["EXAMPLE", "HELP", "add_arguments", "run", "turned"]
 
 HELP = (
-    f"Convert between {suffixes(last='and')} (3DGS PLY, KHR_gaussian_splatting); the output's suffix decides. "
-    "With --up the output has y up. Textured meshes (.glb, .gltf, .obj, a person .npz) become .glb or .gltf."
+    f"Convert between {suffixes(last='and', written=True)} (3DGS PLY, KHR_gaussian_splatting); "
+    "the output's suffix decides. With --up the output has y up. "
+    "Textured meshes (.glb, .gltf, .obj, a person .npz) become .glb or .gltf."
 )
 EXAMPLE = "glsplat convert scene.ply scene.glb"
 
@@ -31,7 +32,7 @@ EXAMPLE = "glsplat convert scene.ply scene.glb"
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command line."""
     parser.add_argument("input", metavar="IN", help=f"a {suffixes()}, recognised by content, or a mesh")
-    parser.add_argument("output", metavar="OUT", help=f"file to write, ending in {suffixes()}")
+    parser.add_argument("output", metavar="OUT", help=f"file to write, ending in {suffixes(written=True)}")
     add_up(parser)
     parser.add_argument("--strict", action="store_true", help="refuse a file with NaN or infinity")
 

@@ -83,7 +83,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     export.add_argument("avatar", nargs="?", type=Path, help="avatar (.glb); default: the embedded one")
     export.add_argument("--pose", help="pose or motion file, or the name of an embedded motion (default: zero pose)")
     export.add_argument("--at", type=float, default=0.0, help="seconds into a motion (default 0)")
-    export.add_argument("-o", "--out", type=Path, required=True, help=f"file to write ({suffixes()})")
+    export.add_argument("-o", "--out", type=Path, required=True, help=f"file to write ({suffixes(written=True)})")
 
     measured = commands.add_parser("score", help="compare an avatar with the textured mesh it was made from")
     score.add_arguments(measured)

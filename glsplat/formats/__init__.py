@@ -4,21 +4,25 @@
 format                      read    write   holds
 ==========================  ======  ======  ============================================================
 3DGS PLY (.ply)             yes     yes     splats, SH degree 0 to 3
+compressed PLY              yes     yes     splats, SH degree 0 to 3, 16 bytes and up to 45 more a splat
 .splat (32 bytes a splat)   yes     yes     splats, 8-bit colour and rotation
+KSPLAT (.ksplat)            yes     no      splats, SH degree 0 to 2
 glTF (.glb, .gltf)          yes     yes     splats (KHR_gaussian_splatting), avatars (with a skin)
 ==========================  ======  ======  ============================================================
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import BinaryIO
 
 from glsplat.avatar import Avatar
 from glsplat.errors import FormatError
-from glsplat.formats.files import Source, checked, folder_of, naming, open_regular, suffix_of
+from glsplat.formats.compressed_ply import COMPRESSED_PLY
+from glsplat.formats.files import Source, checked, folder_of, naming, open_regular, suffixes_of
 from glsplat.formats.format import Format, Start
 from glsplat.formats.gltf.splats import GLB, GLTF, load_gltf, save_gltf
+from glsplat.formats.ksplat import KSPLAT
 from glsplat.formats.ply import PLY, load_ply, save_ply
 from glsplat.formats.splat import SPLAT, load_splat, save_splat
 from glsplat.splats import Splats
@@ -42,7 +46,9 @@ __all__ = [
 
 FORMATS: list[Format] = [
     PLY,
+    COMPRESSED_PLY,
     SPLAT,
+    KSPLAT,
     GLB,
     GLTF,
 ]
@@ -56,19 +62,19 @@ _FOREIGN = {
 
 
 def recognise(source: Source) -> str:
-    """The name of the format ("ply", "splat", "glb" or "gltf"), by content; FormatError when it is none of them.
+    """The name of the format (one of FORMATS), by content; FormatError when it is none of them.
 
     The name helps only where the content does not tell: .splat files have no mark of their own.
     """
     with naming(source), open_regular(source) as (file, size):
-        return _recognised(file, size, suffix_of(source)).name
+        return _recognised(file, size, suffixes_of(source)).name
 
 
 def load(source: Source, *, strict: bool = False, format: str | None = None) -> Splats | Avatar:
     """Read a scene or an avatar from a path or from a file that is open in binary mode.
 
-    The format is recognised by content, whatever the file's name, unless ``format`` says it: "ply", "splat", "glb" or
-    "gltf". An open file is read from where it stands and stays open. With ``strict``, NaN and infinity are refused
+    The format is recognised by content, whatever the file's name, unless ``format`` says it, "ply" or another name
+    in FORMATS. An open file is read from where it stands and stays open. With ``strict``, NaN and infinity are refused
     instead of kept. Raises FormatError, one line that names the file.
 
     >>> glsplat.save(glsplat.default_avatar(), "me.glb")
@@ -76,7 +82,7 @@ def load(source: Source, *, strict: bool = False, format: str | None = None) -> 
     Avatar(40000 splats, 55 joints, 4 a splat)
     """
     with naming(source), open_regular(source) as (file, size):
-        known = _recognised(file, size, suffix_of(source)) if format is None else _called(format)
+        known = _recognised(file, size, suffixes_of(source)) if format is None else _called(format)
         file.seek(0)
         scene = known.load(file, size, folder_of(source))
         checked(splats_of(scene), source, strict)
@@ -84,7 +90,7 @@ def load(source: Source, *, strict: bool = False, format: str | None = None) -> 
 
 
 def save(scene: Splats | Avatar, target: Source, *, format: str | None = None) -> None:
-    """Write ``scene`` in the format of the suffix, .ply, .splat, .glb or .gltf, or of ``format``, the same without dot.
+    """Write ``scene`` in the format of the suffix, .ply or another one in FORMATS, or of ``format``, "ply" and so on.
 
     ``target`` is a path, or a file open in binary mode, which is written to from where it stands. At a path the new
     file is complete or, on any failure, the old one as it was; a link is followed, an old file keeps its mode. An
@@ -96,27 +102,32 @@ def save(scene: Splats | Avatar, target: Source, *, format: str | None = None) -
     40000
     """
     with naming(target):
-        (_by_suffix(suffix_of(target)) if format is None else _called(format)).save(scene, target)
+        _, write = _writer(target, format)
+        write(scene, target)
 
 
 def losses(scene: Splats | Avatar, target: Source, *, format: str | None = None) -> Iterator[str]:
     """What ``save`` with the same arguments does not keep of ``scene``, beyond rounding, a sentence each."""
     with naming(target):
-        known = _by_suffix(suffix_of(target)) if format is None else _called(format)
+        known, _ = _writer(target, format)
     return known.losses(scene)
 
 
-def suffixes(*, last: str = "or", rigs: bool = False) -> str:
-    """What names may end in, as texts say it: ".ply, .splat, .glb or .gltf". ``rigs``: those that hold avatars."""
-    return _either([suffix for known in FORMATS if known.rigs or not rigs for suffix in known.suffixes], f" {last} ")
+def suffixes(*, last: str = "or", rigs: bool = False, written: bool = False) -> str:
+    """What names may end in, as texts say it: ".ply, .splat, .glb or .gltf".
+
+    ``rigs``: those that hold avatars; ``written``: without those that are only read.
+    """
+    those = [known for known in FORMATS if (known.rigs or not rigs) and (known.save or not written)]
+    return _either([suffix for known in those for suffix in known.suffixes], f" {last} ")
 
 
-def _recognised(file: BinaryIO, size: int, suffix: str) -> Format:
+def _recognised(file: BinaryIO, size: int, endings: list[str]) -> Format:
     head = file.read(512)
     marked_first = sorted(FORMATS, key=lambda known: not known.marked)
     expected = _either(list(dict.fromkeys(known.title for known in marked_first)), ", or ")
     for known in marked_first:
-        if not known.sniff(Start(head, size, suffix in known.suffixes, file)):
+        if not known.sniff(Start(head, size, any(ending in known.suffixes for ending in endings), file)):
             continue
         if known is GLTF and b'"items"' in head and b'"asset"' not in head:
             raise FormatError(f"expected {expected}, but this is a scene file; see glsplat.making.items.load_scene")
@@ -130,16 +141,26 @@ def _recognised(file: BinaryIO, size: int, suffix: str) -> Format:
 def _called(name: str) -> Format:
     wanted = name.lower().removeprefix(".") if isinstance(name, str) else ""
     for known in FORMATS:
-        if known.name == wanted:
+        if known.name == wanted or f".{wanted}" in known.suffixes:
             return known
     raise FormatError(f"format is one of {', '.join(known.name for known in FORMATS)}, not {name!r:.40}")
 
 
-def _by_suffix(suffix: str) -> Format:
-    for known in FORMATS:
-        if suffix in known.suffixes:
-            return known
-    raise FormatError(f"the name needs to end in {suffixes()}, not {suffix[:20]!r}; or say which by format")
+def _writer(target: Source, name: str | None) -> tuple[Format, Callable[[Splats | Avatar, Source], None]]:
+    """The format that ``target`` is written in, and how."""
+    known = _by_suffixes(suffixes_of(target)) if name is None else _called(name)
+    if known.save is None:
+        raise FormatError(f"{known.title} is read, not written; choose {suffixes(written=True)}")
+    return known, known.save
+
+
+def _by_suffixes(endings: list[str]) -> Format:
+    for ending in endings:
+        for known in FORMATS:
+            if ending in known.suffixes:
+                return known
+    found = endings[-1][:20]
+    raise FormatError(f"the name needs to end in {suffixes(written=True)}, not {found!r}; or say which by format")
 
 
 def _either(names: list[str], last: str) -> str:

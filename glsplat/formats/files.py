@@ -18,7 +18,18 @@ from typing import Any, BinaryIO
 from glsplat.errors import FormatError
 from glsplat.splats import Splats
 
-__all__ = ["Source", "checked", "folder_of", "locked", "naming", "open_regular", "replace_file", "sampled", "suffix_of"]
+__all__ = [
+    "Source",
+    "checked",
+    "folder_of",
+    "locked",
+    "naming",
+    "open_regular",
+    "replace_file",
+    "sampled",
+    "suffix_of",
+    "suffixes_of",
+]
 
 Source = str | bytes | os.PathLike[Any] | BinaryIO
 """What is read or written. An object is read from where it stands to its end, and stays open."""
@@ -38,8 +49,14 @@ def path_of(source: Source) -> str:
 
 def suffix_of(source: Source) -> str:
     """The suffix of a path, or of the name that an open file has; "" where there is none. Lower case, with its dot."""
+    return suffixes_of(source)[-1]
+
+
+def suffixes_of(source: Source) -> list[str]:
+    """All that may be called so, the longest first: ".compressed.ply", ".ply"; [""] where there is none."""
     name = getattr(source, "name", "") if _is_open(source) else path_of(source)
-    return Path(os.fsdecode(name)).suffix.lower() if isinstance(name, (str, bytes)) else ""
+    parts = Path(os.fsdecode(name)).suffixes if isinstance(name, (str, bytes)) else []
+    return ["".join(parts[at:]).lower() for at in range(len(parts))] or [""]
 
 
 def folder_of(source: Source) -> Path | None:

@@ -14,7 +14,7 @@ from glsplat.formats.files import Source, sampled
 from glsplat.splats import Splats
 from glsplat.views import splats_of
 
-__all__ = ["Format", "Start", "clamped_opacities"]
+__all__ = ["Format", "Start", "clamped_opacities", "positive_scales"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,17 +45,17 @@ class Format:
     """One file format: how it is called, recognised, read and written.
 
     ``load`` gets an open file at its start, its size, and the folder of its other files (None where it has none);
-    ``save`` a scene and where it goes (files.replace_file writes). Both raise FormatError. ``loses`` says, a sentence
-    each, what a saved file does not keep of a scene, rounding apart; that a rig or visibility cones are dropped is
-    said already where ``rigs`` or ``cones`` is False.
+    ``save`` a scene and where it goes (files.replace_file writes), and is None where a format is read only. Both raise
+    FormatError. ``loses`` says, a sentence each, what a saved file does not keep of a scene, rounding apart; that a
+    rig or visibility cones are dropped is said already where ``rigs`` or ``cones`` is False.
     """
 
     name: str  # as ``format=`` takes it
     title: str  # as messages say it
-    suffixes: tuple[str, ...]  # lower case, with the dot; the first is the usual one
+    suffixes: tuple[str, ...]  # lower case, with the dot; the first is the usual one; the longest that fits counts
     sniff: Callable[[Start], bool]
     load: Callable[[BinaryIO, int, Path | None], Splats | Avatar]
-    save: Callable[[Splats | Avatar, Source], None]
+    save: Callable[[Splats | Avatar, Source], None] | None
     loses: Callable[[Splats | Avatar], Iterator[str]] = _nothing
     rigs: bool = False  # holds avatars
     cones: bool = False  # holds visibility cones
@@ -77,3 +77,11 @@ def clamped_opacities(scene: Splats | Avatar) -> Iterator[str]:
         outside = int(((opacities < 0) | (opacities > 1)).sum())
     if outside:
         yield f"{outside} opacities outside 0 to 1 are clamped"
+
+
+def positive_scales(scene: Splats | Avatar) -> Iterator[str]:
+    """The sentence of a format whose scales have no sign."""
+    with np.errstate(invalid="ignore"):
+        negative = int((splats_of(scene).scales < 0).any(axis=1).sum())
+    if negative:
+        yield f"{negative} splats with negative scales are written with positive ones (their shape is the same)"

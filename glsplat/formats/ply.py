@@ -1,15 +1,15 @@
 """3DGS PLY: the files of INRIA's 3D Gaussian splatting and its many descendants, binary or ASCII.
 
 A splat is a ``vertex`` with x y z, f_dc_0..2, f_rest_0..(0|9|24|45) channel-major (all red, all green, all blue),
-opacity (logit), scale_0..2 (log) and rot_0..3 (wxyz), in any order and of any scalar type. Normals, unknown
-properties and further elements are ignored.
+opacity (logit), scale_0..2 (log) and rot_0..3 (wxyz), in any order and of any scalar type. Without scale_2 (2D
+Gaussian splatting) they are flat; without f_dc, red green blue (bytes, or floats from 0 to 1) are their colours.
+Normals, unknown properties and further elements are ignored.
 """
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from itertools import islice
 from typing import BinaryIO
 
@@ -20,44 +20,33 @@ from glsplat.arrays import frozen
 from glsplat.avatar import Avatar
 from glsplat.errors import FormatError
 from glsplat.formats.files import Source, checked, naming, open_regular, replace_file
-from glsplat.formats.format import Format, clamped_opacities
-from glsplat.splats import Splats, normalised
+from glsplat.formats.format import Format, clamped_opacities, positive_scales
+from glsplat.formats.ply_header import (
+    ANTIALIAS,
+    PACKED,
+    Element,
+    Header,
+    is_compressed,
+    is_ply,
+    listed,
+    read_header,
+    sh_degree,
+)
+from glsplat.splats import SH_C0, Splats, normalised
 from glsplat.views import splats_of
 
 __all__ = ["PLY", "load_ply", "read_ply", "save_ply"]
 
-_HEADER_LIMIT = 1 << 16  # bytes; a header of 3DGS has 1.5 kB
 _LINE_LIMIT = 1 << 16  # bytes of a line of ASCII; a splat of degree 3 has 800
 _CHUNK = 1 << 15  # splats converted at a time: fits the cache and keeps the peak memory near the result's
-_ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">", "ascii": ""}
-_TYPES = {
-    **{"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4"},
-    **{"float": "f4", "double": "f8", "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2"},
-    **{"int32": "i4", "uint32": "u4", "float32": "f4", "float64": "f8"},
-}
 _MEANS = ("x", "y", "z")
 _QUATS = ("rot_0", "rot_1", "rot_2", "rot_3")
 _SCALES = ("scale_0", "scale_1", "scale_2")
 _DC = ("f_dc_0", "f_dc_1", "f_dc_2")
+_RGB = ("red", "green", "blue")
 _REQUIRED = (*_MEANS, *_DC, "opacity", *_SCALES, *_QUATS)
 _LOGIT_LIMIT = 100.0  # sigmoid is 0 or 1 in float32 here
-_ANTIALIAS = "comment glsplat antialias"  # Splats.antialias; no convention of 3DGS has a place for it
 _LOG_ZERO = -120.0  # exp is 0 in float32 here
-
-
-@dataclass
-class _Element:
-    name: str
-    count: int
-    properties: dict[str, str] = field(default_factory=dict)  # name -> numpy type code
-    lists: bool = False  # has a property of variable length
-
-    @property
-    def names(self) -> list[str]:
-        return list(self.properties)
-
-    def dtype(self, order: str) -> np.dtype[np.void]:
-        return np.dtype([(name, order + code) for name, code in self.properties.items()])
 
 
 def load_ply(source: Source, *, strict: bool = False) -> Splats:
@@ -73,23 +62,16 @@ def load_ply(source: Source, *, strict: bool = False) -> Splats:
 
 def read_ply(file: BinaryIO, size: int) -> Splats:
     """The splats of an open file of ``size`` bytes."""
-    head = file.read(_HEADER_LIMIT)
-    order, elements, start = _header(head)
-    antialias = _ANTIALIAS.encode() in head[:start].splitlines()
-    vertex = next((e for e in elements if e.name == "vertex"), None)
+    header = read_header(file)
+    vertex = header.element("vertex")
     if vertex is None:
-        raise FormatError(f"a splat PLY needs an element vertex, found {_listed([e.name for e in elements])}")
+        raise FormatError(f"a splat PLY needs an element vertex, found {listed([e.name for e in header.elements])}")
     degree = _check_properties(vertex)
-    before = elements[: elements.index(vertex)]
-    if any(e.lists for e in before):
+    if header.order and any(e.lists for e in header.before(vertex)):
         raise FormatError("an element with list properties before the vertices is not supported; put it behind them")
-    last = elements[-1] is vertex
-    file.seek(start)
-    if order:
-        chunks = _binary(file, size - start, before, vertex, order, last)
-    else:
-        chunks = _ascii(file, size - start, before, vertex, last)
-    return replace(_activate(chunks, vertex.count, degree), antialias=antialias)
+    file.seek(header.start)
+    chunks = (_binary if header.order else _ascii)(file, size - header.start, header, vertex)
+    return replace(_activate(chunks, vertex, degree), antialias=header.antialias)
 
 
 def save_ply(splats: Splats, target: Source) -> None:
@@ -102,7 +84,7 @@ def save_ply(splats: Splats, target: Source) -> None:
     rest = 3 * (splats.sh.shape[1] - 1)
     names = [*_MEANS, *_DC, *(f"f_rest_{i}" for i in range(rest)), "opacity", *_SCALES, *_QUATS]
     header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(splats)}"]
-    header[2:2] = [_ANTIALIAS] if splats.antialias else []
+    header[2:2] = [ANTIALIAS] if splats.antialias else []
     header += [f"property float {name}" for name in names] + ["end_header", ""]
     replace_file(target, _packed("\n".join(header).encode(), splats))
 
@@ -121,64 +103,32 @@ def _packed(header: bytes, splats: Splats) -> Iterator[bytes | memoryview]:
             yield rows.astype("<f4").tobytes()
 
 
-def _header(head: bytes) -> tuple[str, list[_Element], int]:
-    """Byte order ("" for ASCII), the elements, and where the data starts."""
-    if not re.match(rb"ply[ \t]*\r?\n", head):
-        raise FormatError('not a PLY file (it does not start with the line "ply")')
-    end = re.search(rb"\nend_header[ \t]*\r?\n", head)
-    if end is None:
-        raise FormatError(f'the PLY header has no line "end_header" in its first {min(len(head), _HEADER_LIMIT)} bytes')
-    order: str | None = None
-    elements: list[_Element] = []
-    # comments may hold any bytes, and latin-1 never fails
-    for line in head[: end.start()].decode("latin-1").split("\n")[1:]:
-        words = line.split()
-        if not words or words[0] in ("comment", "obj_info"):
-            continue
-        if words[0] == "format" and len(words) == 3 and words[1] in _ORDERS:
-            order = _ORDERS[words[1]]
-        elif words[0] == "element" and len(words) == 3 and re.fullmatch("[0-9]{1,18}", words[2]):
-            elements.append(_Element(words[1], int(words[2])))
-        elif words[0] == "property" and elements and len(words) == 3 and words[1] in _TYPES:
-            if words[2] in elements[-1].properties:
-                raise FormatError(f"the PLY header declares {words[2][:40]!r} twice")
-            elements[-1].properties[words[2]] = _TYPES[words[1]]
-        elif words[:2] == ["property", "list"] and elements and len(words) == 5:
-            elements[-1].lists = True
-        else:
-            raise FormatError(f"the PLY header has a line that cannot be understood: {line[:60]!r}")
-    if order is None:
-        raise FormatError("the PLY header has no format line (binary_little_endian, binary_big_endian or ascii)")
-    return order, elements, end.end()
-
-
-def _check_properties(vertex: _Element) -> int:
+def _check_properties(vertex: Element) -> int:
     """SH degree of the vertices; FormatError when they are not splats."""
     have = vertex.properties
+    if PACKED in have:
+        raise FormatError(f"this is a compressed PLY ({PACKED}), another format; glsplat.load reads it")
+    coloured = not any(name in have for name in _DC) and all(have.get(name) in ("u1", "f4", "f8") for name in _RGB)
+    optional = (*(_DC if coloured else ()), _SCALES[2])
     missing = [name for name in _REQUIRED if name not in have]
-    if "packed_position" in have:
-        raise FormatError("this is a compressed PLY (packed_position); convert it to a plain 3DGS PLY first")
-    if missing:
-        raise FormatError(f"a PLY, but not of Gaussian splats: its vertices lack {_listed(missing)}")
+    if any(name not in optional for name in missing):
+        raise FormatError(f"a PLY, but not of Gaussian splats: its vertices lack {listed(missing)}")
     if vertex.lists:
         raise FormatError("the vertices have a list property, which splats cannot have")
-    rest = sum(re.fullmatch("f_rest_[0-9]+", name) is not None for name in have)
-    if rest not in (0, 9, 24, 45) or any(f"f_rest_{i}" not in have for i in range(rest)):
-        raise FormatError(f"a splat PLY needs 0, 9, 24 or 45 properties f_rest_0, f_rest_1, ...; found {rest}")
-    return (0, 9, 24, 45).index(rest)
+    return sh_degree(vertex)
 
 
 def _binary(
-    file: BinaryIO, available: int, before: list[_Element], vertex: _Element, order: str, last: bool
+    file: BinaryIO, available: int, header: Header, vertex: Element
 ) -> Iterator[dict[str, NDArray[np.generic]]]:
     """Columns of the vertices, a chunk at a time. Reading costs less memory than mapping, and a file that shrinks
     meanwhile is an error here, not a bus error."""
-    dtype = vertex.dtype(order)
-    available -= (skip := sum(e.count * e.dtype(order).itemsize for e in before))
+    dtype = vertex.dtype(header.order)
+    available -= (skip := sum(e.count * e.dtype(header.order).itemsize for e in header.before(vertex)))
     if vertex.count * dtype.itemsize > max(available, 0):
         held = max(available, 0) // dtype.itemsize
         raise FormatError(f"truncated: the header declares {vertex.count} splats, the file holds {held}")
-    if last and available - vertex.count * dtype.itemsize >= dtype.itemsize:
+    if header.elements[-1] is vertex and available - vertex.count * dtype.itemsize >= dtype.itemsize:
         held = available // dtype.itemsize
         raise FormatError(f"the header declares {vertex.count} splats, but the file holds {held}")
     file.seek(skip, 1)
@@ -189,9 +139,7 @@ def _binary(
         yield {name: rows[name] for name in vertex.names}
 
 
-def _ascii(
-    file: BinaryIO, available: int, before: list[_Element], vertex: _Element, last: bool
-) -> Iterator[dict[str, NDArray[np.generic]]]:
+def _ascii(file: BinaryIO, available: int, header: Header, vertex: Element) -> Iterator[dict[str, NDArray[np.generic]]]:
     width = len(vertex.properties)
     # a value takes at least a digit and a separator
     if 2 * width * vertex.count > available + 1:
@@ -199,7 +147,7 @@ def _ascii(
             f"truncated: the header declares {vertex.count} splats, the file has {available} bytes for them"
         )
     lines = _lines(file)
-    for element in before:
+    for element in header.before(vertex):
         if element.count > available or sum(1 for _ in islice(lines, element.count)) != element.count:
             raise FormatError(f"truncated: fewer than {element.count} lines of element {element.name[:40]!r}")
     for at in range(0, vertex.count, _CHUNK):
@@ -215,7 +163,7 @@ def _ascii(
         except ValueError as error:
             raise FormatError(f"splats {at} to {at + count - 1}: {str(error)[:80]}") from None
         yield dict(zip(vertex.names, table.reshape(count, width).T, strict=True))
-    if last and next(lines, None) is not None:
+    if header.elements[-1] is vertex and next(lines, None) is not None:
         raise FormatError(f"the header declares {vertex.count} splats, but the file holds more")
 
 
@@ -228,25 +176,32 @@ def _lines(file: BinaryIO) -> Iterator[bytes]:
             yield line
 
 
-def _activate(chunks: Iterator[dict[str, NDArray[np.generic]]], count: int, degree: int) -> Splats:
+def _activate(chunks: Iterator[dict[str, NDArray[np.generic]]], vertex: Element, degree: int) -> Splats:
     coefficients = (degree + 1) ** 2
     out: _Columns | None = None
     at = 0
     for columns in chunks:  # the first chunk has been checked against the file, so the arrays may be allocated
         if out is None:
-            out = _empty(count, coefficients)
+            out = _empty(vertex.count, coefficients)
         part = slice(at, at := at + len(columns["x"]))
         with np.errstate(over="ignore", invalid="ignore"):
             _gather(out.means[part], columns, _MEANS)
             quats = np.empty_like(out.quats[part])
             _gather(quats, columns, _QUATS)
             out.quats[part] = normalised(quats)
-            _gather(out.scales[part], columns, _SCALES)
-            np.exp(out.scales[part], out=out.scales[part])
+            scales = out.scales[part]
+            scales[:, 2] = -np.inf  # flat, where there is no third
+            _gather(scales, columns, [name for name in _SCALES if name in columns])
+            np.exp(scales, out=scales)
             opacity = out.opacities[part]
             np.exp(-columns["opacity"].astype(np.float32), out=opacity)
             np.divide(1, 1 + opacity, out=opacity)  # exp(1e4) = inf gives 0, not NaN
-            _gather(out.sh[part, 0], columns, _DC)
+            if _DC[0] in columns:
+                _gather(out.sh[part, 0], columns, _DC)
+            else:
+                _gather(out.sh[part, 0], columns, _RGB)
+                out.sh[part, 0] /= [255 if vertex.properties[name] == "u1" else 1 for name in _RGB]
+                out.sh[part, 0] = (out.sh[part, 0] - np.float32(0.5)) / np.float32(SH_C0)
             for channel in range(3):
                 base = channel * (coefficients - 1)
                 rest = [f"f_rest_{base + i}" for i in range(coefficients - 1)]
@@ -278,24 +233,16 @@ def _empty(count: int, coefficients: int) -> _Columns:
     return _Columns(means, quats, scales, np.empty(count, np.float32), np.empty((count, coefficients, 3), np.float32))
 
 
-def _listed(names: list[str]) -> str:
-    shown = [name[:40] for name in names]
-    return ", ".join(shown[:12]) + (", ..." if len(shown) > 12 else "") or "nothing"
-
-
 def _loses(scene: Splats | Avatar) -> Iterator[str]:
     yield from clamped_opacities(scene)
-    with np.errstate(invalid="ignore"):
-        negative = int((splats_of(scene).scales < 0).any(axis=1).sum())
-    if negative:
-        yield f"{negative} splats with negative scales are written with positive ones (their shape is the same)"
+    yield from positive_scales(scene)
 
 
 PLY = Format(
     name="ply",
     title="3DGS PLY",
     suffixes=(".ply",),
-    sniff=lambda start: start.head.startswith((b"ply\n", b"ply\r", b"ply ")),
+    sniff=lambda start: is_ply(start) and not is_compressed(start),
     load=lambda file, size, _: read_ply(file, size),
     save=lambda scene, target: save_ply(splats_of(scene), target),
     loses=_loses,

@@ -19,6 +19,7 @@ from glsplat.avatar import Avatar
 from glsplat.errors import FormatError
 from glsplat.formats import load, load_gltf, load_ply, load_splat, save
 from glsplat.splats import Splats
+from tests.formats.ksplats import ksplat
 from tests.formats.scenes import SHARED_DATA, awkward_splats, glb_parts, random_avatar, random_splats, write_glb
 from tests.formats.test_ply import columns, ply
 
@@ -50,9 +51,14 @@ def seeds() -> list[bytes]:
             "c.gltf": random_avatar(8, influences=8),
             "d.splat": random_splats(8),
             "e.ply": awkward_splats(),
+            "f.compressed.ply": random_splats(6, 1),
+            "g.compressed.ply": random_splats(6),
         }.items():
             save(scene, Path(folder) / name)
             out.append((Path(folder) / name).read_bytes())
+    out += [
+        ksplat([random_splats(6, degree), random_splats(3)], level)[0] for degree, level in ((1, 0), (0, 1), (2, 2))
+    ]
     out += [(SHARED_DATA / name).read_bytes() for name in REAL if (SHARED_DATA / name).is_file()]
     return out
 
@@ -86,6 +92,7 @@ def test_mutated_bytes(tmp_path: Path, data: st.DataObject) -> None:
     for _ in range(data.draw(st.integers(1, 6))):
         kind = data.draw(st.sampled_from(["set", "set", "cut", "insert", "delete", "copy"]))
         at = data.draw(st.integers(0, min(len(content), 3000)))
+        at = data.draw(st.sampled_from([at, min(len(content), 4096 + at)]))  # KSPLAT has its sections there
         some = data.draw(st.binary(min_size=1, max_size=8))
         length = data.draw(st.integers(1, 64))
         if kind == "set":
@@ -173,6 +180,19 @@ def test_random_rig_values(tmp_path: Path, data: st.DataObject) -> None:
         values[at] = data.draw(st.floats(width=32))
     path = tmp_path / "fuzz.glb"
     write_glb(path, document, values.tobytes())
+    only_format_errors(path, load)
+
+
+@fuzz
+@given(data=st.data())
+def test_lying_ksplat_headers(tmp_path: Path, data: st.DataObject) -> None:
+    content = bytearray(data.draw(st.sampled_from([s for s in seeds() if s.startswith(b"\0\1\0\0")])))
+    for _ in range(data.draw(st.integers(1, 5))):
+        at = data.draw(st.sampled_from([0, 4096, 5120])) + 4 * data.draw(st.integers(0, 10))
+        number = data.draw(st.sampled_from([0, 1, 2, 3, 4, 12, 255, 2**16, 2**24, 2**31, 2**32 - 1]))
+        content[at : at + 4] = number.to_bytes(4, "little")
+    path = tmp_path / "fuzz.ksplat"
+    path.write_bytes(content)
     only_format_errors(path, load)
 
 

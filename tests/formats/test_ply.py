@@ -5,6 +5,7 @@ from __future__ import annotations
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -120,6 +121,81 @@ def test_other_elements_are_passed_over(tmp_path: Path, order: str) -> None:
     close(load_ply(tmp_path / "a.ply"), splats)
 
 
+def test_windows_line_ends_and_a_list_before_the_vertices_in_ascii(tmp_path: Path) -> None:
+    splats = random_splats(4)
+    head, body = ply(columns(splats), "").split(b"end_header\n")
+    head = head.replace(b"element vertex", b"element face 2\nproperty list uchar int vertex_indices\nelement vertex")
+    data = head + b"end_header\n3 0 1 2\n4 0 1 2 3\n" + body
+    (tmp_path / "a.ply").write_bytes(data.replace(b"\n", b"\r\n"))
+    close(load_ply(tmp_path / "a.ply"), splats)
+
+
+@pytest.mark.parametrize("order", ["<", ">", ""])
+def test_two_scales_are_flat_splats(tmp_path: Path, order: str) -> None:
+    splats = random_splats(4, 1)
+    values = columns(splats)
+    del values["scale_2"]
+    (tmp_path / "a.ply").write_bytes(ply(values, order))
+    again = load_ply(tmp_path / "a.ply")
+    np.testing.assert_allclose(again.scales[:, :2], splats.scales[:, :2], rtol=3e-6)
+    assert not again.scales[:, 2].any()
+
+
+@pytest.mark.parametrize("order", ["<", ""])
+def test_colours_of_bytes_or_floats_where_there_are_no_coefficients(tmp_path: Path, order: str) -> None:
+    values = columns(random_splats(3))
+    for name in ("f_dc_0", "f_dc_1", "f_dc_2"):
+        del values[name]
+    bare = dict(values)
+    values |= {"red": np.array([0, 0.5, 1]), "green": np.array([0.2, 0.4, 0.6]), "blue": np.array([1.0, 1, 1])}
+    (tmp_path / "a.ply").write_bytes(ply(values, order))
+    expected = np.array([[0, 0.2, 1], [0.5, 0.4, 1], [1, 0.6, 1]])
+    shown = load_ply(tmp_path / "a.ply").sh[:, 0] * 0.28209479177387814 + 0.5
+    np.testing.assert_allclose(shown, expected, atol=1e-6)
+    head, _ = ply(bare, order).split(b"end_header\n")
+    head += b"".join(b"property uchar %b\n" % name for name in (b"red", b"green", b"blue")) + b"end_header\n"
+    rows = [list(row) for row in np.stack(list(bare.values()), axis=1)]
+    ends = [(0, 51, 255), (255, 102, 0), (1, 2, 3)]
+    if order:
+        body = b"".join(np.array(row, "<f4").tobytes() + bytes(end) for row, end in zip(rows, ends, strict=True))
+    else:
+        body = "".join(
+            " ".join(map(repr, [*map(float, row), *end])) + "\n" for row, end in zip(rows, ends, strict=True)
+        )
+        body = body.encode()
+    (tmp_path / "b.ply").write_bytes(head + body)
+    shown = load_ply(tmp_path / "b.ply").sh[:, 0] * 0.28209479177387814 + 0.5
+    np.testing.assert_allclose(shown, np.array(ends) / 255, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("comments", "expected"),
+    [
+        ([], False),
+        (["SplatRenderMode: mip"], True),
+        (["splatrendermode:  MIP "], True),
+        (["SplatRenderMode: default"], False),
+        (["SplatRenderMode: 2dgs"], False),
+        (["antialiased 1"], True),
+        (["antialiased 0"], False),
+        (["glsplat antialias"], True),
+        (["antialiased 1", "SplatRenderMode: default"], False),  # the last one counts
+        (["SplatRenderMode: default", "antialiased 1", "by somebody"], True),
+        (["antialiased images of a garden"], False),
+    ],
+)
+def test_comments_that_ask_for_opacity_compensation(tmp_path: Path, comments: list[str], expected: bool) -> None:
+    said = "".join(f"comment {comment}\n" for comment in comments).encode()
+    (tmp_path / "a.ply").write_bytes(GOOD.replace(b"comment made by a test\n", said))
+    assert load_ply(tmp_path / "a.ply").antialias == expected
+
+
+def test_antialias_is_written_so_that_others_read_it(tmp_path: Path) -> None:
+    save_ply(replace(random_splats(), antialias=True), tmp_path / "a.ply")
+    assert b"\ncomment SplatRenderMode: mip\n" in (tmp_path / "a.ply").read_bytes()
+    assert load_ply(tmp_path / "a.ply").antialias
+
+
 def test_list_element_before_the_vertices_is_refused(tmp_path: Path) -> None:
     data = ply(columns(random_splats(4)))
     data = data.replace(b"element vertex", b"element face 1\nproperty list uchar int vertex_indices\nelement vertex")
@@ -184,8 +260,10 @@ ASCII = ply(columns(random_splats(6)), "")
         (b"ply\n" + b"comment " + b"x" * 200_000 + GOOD[4:], "no line \"end_header\" in its first 65536 bytes"),
         (MESH, "not of Gaussian splats: its vertices lack f_dc_0, f_dc_1, f_dc_2, opacity, scale_0"),
         (b"ply\nformat ascii 1.0\nelement face 0\nend_header\n", "needs an element vertex, found face"),
-        (header(0, ["packed_position"]), "compressed PLY"),
+        (header(0, ["packed_position"]), "compressed PLY .*, another format; glsplat.load reads it"),
         (header(0, [n for n in BASE if n != "rot_3"]), "lack rot_3"),
+        (header(0, [n for n in BASE if n != "scale_1"]), "lack scale_1"),
+        (header(0, [*(n for n in BASE if n != "f_dc_2"), "red", "green", "blue"]), "lack f_dc_2"),
         (header(0, [*BASE, "f_rest_0"]), "0, 9, 24 or 45 properties"),
         (header(0, [*BASE, *(f"f_rest_{i + 1}" for i in range(9))]), "0, 9, 24 or 45 properties"),
         (header(0, [*BASE, "x"]), "declares 'x' twice"),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import BinaryIO
 
@@ -74,17 +75,51 @@ def test_a_new_format_is_saved_recognised_and_loaded(tmp_path: Path) -> None:
 @pytest.mark.usefixtures("registered")
 def test_every_text_names_a_new_format(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "none").write_bytes(b"hello")
-    with pytest.raises(FormatError, match=r"expected 3DGS PLY, glTF/GLB .*, a toy of points, or \.splat, but"):
+    with pytest.raises(FormatError, match=r"expected 3DGS PLY, .*glTF/GLB .*, a toy of points, or \.splat, but"):
         load(tmp_path / "none")
     with pytest.raises(FormatError, match=r"needs to end in \.ply, .*\.gltf, \.toy or \.points, not '\.obj'"):
         save(random_splats(), tmp_path / "a.obj")
-    with pytest.raises(FormatError, match="format is one of ply, splat, glb, gltf, toy, not 'obj'"):
+    with pytest.raises(FormatError, match=r"format is one of ply, .*glb, gltf, toy, not 'obj'"):
         save(random_splats(), io.BytesIO(), format="obj")
     for command in ("convert", "inspect", "render"):
         with pytest.raises(SystemExit):
             cli.main([command, "--help"])
         assert suffixes() in " ".join(capsys.readouterr().out.split()), command
     assert suffixes().endswith(".toy or .points")
+
+
+@pytest.mark.usefixtures("registered")
+def test_a_format_that_is_only_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    save(random_splats(3), tmp_path / "a.toy")
+    monkeypatch.setattr(formats, "FORMATS", [*formats.FORMATS[:-1], replace(TOY, save=None)])
+    assert ".toy" in suffixes() and ".toy" not in suffixes(written=True) and ".ply" in suffixes(written=True)
+    assert len(load(tmp_path / "a.toy")) == 3  # type: ignore[arg-type]
+    with pytest.raises(FormatError, match=r"b\.toy: a toy of points is read, not written; choose \.ply, .*\.gltf$"):
+        save(random_splats(), tmp_path / "b.toy")
+    with pytest.raises(FormatError, match="is read, not written"):
+        losses(random_splats(), "b.toy")
+    assert cli.main(["convert", str(tmp_path / "a.toy"), str(tmp_path / "b.toy")]) == 1
+    assert "is read, not written" in capsys.readouterr().err and not (tmp_path / "b.toy").exists()
+    with pytest.raises(SystemExit):
+        cli.main(["convert", "--help"])
+    said = " ".join(capsys.readouterr().out.split())
+    assert suffixes() in said and suffixes(written=True) in said
+
+
+@pytest.mark.usefixtures("registered")
+def test_the_longest_suffix_counts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(formats, "FORMATS", [*formats.FORMATS[:-1], replace(TOY, suffixes=(".toy", ".toy.ply"))])
+    for name, expected in {
+        "a.ply": "ply", "a.toy.ply": "toy", "a.TOY.Ply": "toy", "v1.2.toy.ply": "toy", "a.toy.b.ply": "ply",
+        ".toy.ply": "ply", "toy.ply": "ply",
+    }.items():  # fmt: skip
+        save(random_splats(), tmp_path / name)
+        assert recognise(tmp_path / name) == expected, name
+    stream = io.BytesIO()
+    save(random_splats(), stream, format="toy.ply")
+    assert stream.getvalue().startswith(b"toy")
 
 
 @pytest.mark.usefixtures("registered")
