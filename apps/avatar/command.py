@@ -17,7 +17,7 @@ from glsplat.formats.files import replace_file
 from glsplat.making.cones import ConeConfig, with_cones
 from glsplat.making.gltf.reader import read_gltf_person
 from glsplat.making.importers import bind_to_mesh, load_lhm_dump
-from glsplat.making.lam import is_lam_zip, load_lam_zip
+from glsplat.making.lam import FOLLOW, is_lam_zip, load_lam_zip
 from glsplat.making.people import read_person
 from glsplat.making.posed import posed_splats
 from glsplat.making.refine import RefineConfig, refine
@@ -67,6 +67,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     taken = commands.add_parser("import", help="an LHM dump (.npz), a LAM zip, or splats bound to a rigged mesh")
     taken.add_argument("dump", type=Path, help="lhm_dump.npz, a LAM .zip, or a splat file (PLY, .splat) with --mesh")
     taken.add_argument("--mesh", type=Path, help="rigged mesh in the same pose and place (.npz, .glb), for its weights")
+    taken.add_argument(
+        "--follow",
+        choices=FOLLOW,
+        help="what moves a LAM zip's splats: their vertices' weights (default), or all the head, as LAM's own viewer",
+    )
     taken.add_argument("--reach", type=float, default=5.0, help="cm a splat may lie off the mesh (default 5)")
     for command in (make, taken):
         command.add_argument("-o", "--out", type=Path, required=True, help="avatar to write (.glb)")
@@ -146,7 +151,9 @@ def _import(args: argparse.Namespace) -> int:
     if args.dump.suffix.lower() == ".zip" or is_lam_zip(args.dump):
         if args.mesh is not None:
             raise UsageError(f"{args.dump}: a LAM zip brings its own mesh; leave out --mesh")
-        return write(load_lam_zip(args.dump), args, began)
+        return write(load_lam_zip(args.dump, follow=args.follow or FOLLOW[0]), args, began)
+    if args.follow is not None:
+        raise UsageError(f"{args.dump}: --follow is for LAM zips; leave it out")
     if args.mesh is None:
         return write(load_lhm_dump(args.dump), args, began)
     if not 0 < args.reach < 1000:
