@@ -14,6 +14,8 @@ from glsplat.data import default_avatar
 from glsplat.errors import FormatError, GlsplatError
 from glsplat.formats import load, save, suffixes
 from glsplat.formats.files import replace_file
+from glsplat.formats.scene_file import upright
+from glsplat.formats.transform import transformed
 from glsplat.making.cones import ConeConfig, with_cones
 from glsplat.making.gltf.reader import read_gltf_person
 from glsplat.making.importers import bind_to_mesh, load_lhm_dump
@@ -27,7 +29,8 @@ from glsplat.meshes import RiggedMesh
 from glsplat.motion.library import library, to_json
 from glsplat.skinning.pose import Pose, load_pose
 
-from ..args import motion_of
+from ..args import add_up, motion_of
+from ..convert import add_quiet, save_and_say
 from ..usage import UsageError
 from . import guide, photo, score, video
 from .writing import add_notes, check_name, progress_bar, write
@@ -89,6 +92,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     export.add_argument("--pose", help="pose or motion file, or the name of an embedded motion (default: zero pose)")
     export.add_argument("--at", type=float, default=0.0, help="seconds into a motion (default 0)")
     export.add_argument("-o", "--out", type=Path, required=True, help=f"file to write ({suffixes()})")
+    add_up(export, "the axis that points up in the written file; viewers differ")
+    add_quiet(export)
 
     measured = commands.add_parser("score", help="compare an avatar with the textured mesh it was made from")
     score.add_arguments(measured)
@@ -194,7 +199,8 @@ def _export(args: argparse.Namespace) -> int:
             pose = load_pose(args.pose, scene.skeleton)
         else:
             pose = motion_of(args.pose, scene.skeleton, "--pose").at(args.at)
-    save(posed_splats(scene, pose), args.out)
+    splats = transformed(posed_splats(scene, pose), upright(args.up).T)  # from y up to the file's axis
+    save_and_say(splats, args.out, "glsplat avatar export", args.quiet)
     print(f"{args.out}: {len(scene.splats)} splats")
     return 0
 
