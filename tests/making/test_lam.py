@@ -2,18 +2,22 @@
 
 import json
 import struct
+import tracemalloc
 import zipfile
 
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
 from glsplat.errors import FormatError
 from glsplat.formats.gltf import morphs
 from glsplat.formats.ply import save_ply
 from glsplat.making import lam
-from glsplat.making.lam import is_lam_zip, load_lam_zip, read_lam_zip
+from glsplat.making.lam import FOLLOW, is_lam_zip, load_lam_zip, read_lam_zip
 from glsplat.making.gltf.reader import read_gltf_person
 from glsplat.splats import SH_C0, Splats
+from tests.formats.test_fuzz import json_values, places
 
 VERTICES = np.array([[0, 0, 0], [1, 0, 0], [1, 2, 0], [0, 2, 0.5]])
 WEIGHTS = np.array([[1, 0], [0.75, 0.25], [0.25, 0.75], [0, 1.0]])
@@ -265,6 +269,46 @@ def test_hostile_zips(packed, tmp_path, monkeypatch):
     refused(tmp_path / "absent.zip", "cannot read")
     refused(tmp_path, "cannot read")
     assert not is_lam_zip(tmp_path / "absent.zip")
+
+
+@settings(
+    max_examples=100,
+    deadline=None,
+    database=None,
+    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
+)
+@given(data=st.data())
+def test_mutated_members(packed, data):
+    """Any bytes, any JSON: an avatar, or one line that names the zip."""
+    skin, changes = skin_glb(), {}
+    if data.draw(st.booleans(), "the JSON"):
+
+        def change(document):
+            for _ in range(data.draw(st.integers(1, 3))):
+                *steps, last = data.draw(st.sampled_from(places(document)))
+                target = document
+                for step in steps:
+                    target = target[step]
+                target[last] = data.draw(json_values)
+
+        skin = skin_glb(change)
+    for name, content in (("skin.glb", skin), ("offset.ply", None)):
+        content = bytearray(content or zipfile.ZipFile(packed()).read("offset.ply"))
+        for _ in range(data.draw(st.integers(0, 3), name)):
+            at = data.draw(st.integers(0, len(content)))
+            content[at : at + data.draw(st.integers(0, 8))] = data.draw(st.binary(max_size=8))
+        changes[name] = bytes(content)
+    path = packed(changes)
+    tracemalloc.start()
+    try:
+        head = read_lam_zip(path, follow=data.draw(st.sampled_from(FOLLOW)))
+        assert int(head.morphs.vertices.max(initial=0)) < max(len(head.avatar.splats), 1)
+    except FormatError as error:
+        assert str(error).startswith(f"{path}: ") and "\n" not in str(error) and "glsplat-" not in str(error)
+    finally:
+        peak = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+    assert peak < 8_000_000
 
 
 REAL = "real/avatars/lam_status.zip"  # a head of 20,018 splats, with all five members
