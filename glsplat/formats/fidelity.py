@@ -19,7 +19,7 @@ __all__ = ["Error", "Fidelity", "fidelity", "read_back"]
 
 F64 = NDArray[np.float64]
 
-_CHUNK = 1 << 16  # splats compared at a time
+_CHUNK = 1 << 14  # splats compared at a time
 
 
 @dataclass(frozen=True)

@@ -15,11 +15,12 @@ from numpy.typing import NDArray
 from glsplat.avatar import Avatar
 from glsplat.errors import FormatError
 from glsplat.formats.files import naming
-from glsplat.formats.gltf.container import parse
+from glsplat.formats.gltf.container import Container, Mesh, item, parse
 from glsplat.formats.gltf.morphs import Morphs, read_morphs
+from glsplat.formats.gltf.nodes import Graph, Instance, graph_of
+from glsplat.formats.gltf.rig import read_skeleton, read_skin
 from glsplat.formats.ply import load_ply
-from glsplat.making.gltf.reader import read_gltf_person
-from glsplat.meshes import RiggedMesh
+from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.skin import Skin
 from glsplat.splats import Splats
 
@@ -69,8 +70,7 @@ def read_lam_zip(path: str | Path, influences: int = 4, follow: Follow = "weight
     ``follow`` "weights": splats move and turn with the joints of their vertices, so that neck and shoulders stay
     where they are when the head turns. "head": all follow the joint called head, as in the public renderer
     (gaussian-splat-renderer-for-lam 0.0.8), which does so because splats far from their vertices, hair above all, are
-    pulled apart where weights change. Morph targets are kept beside the avatar and do not move it yet; they are empty
-    where skin.glb has several primitives.
+    pulled apart where weights change. Morph targets are kept beside the avatar and do not move it yet.
 
     Raises FormatError naming the zip and the member. Nothing is unpacked before the directory's sizes are checked,
     and nothing under a name from the zip.
@@ -116,9 +116,19 @@ def _find(archive: zipfile.ZipFile) -> dict[str, zipfile.ZipInfo]:
     return found
 
 
+@dataclass(frozen=True, eq=False)
+class _Mesh:
+    """What splats ride, vertex by vertex: textures and triangles do not matter."""
+
+    vertices: NDArray[np.float64]
+    skeleton: Skeleton
+    skin: Skin
+    morphs: Morphs
+
+
 def _head(folder: Path, source: str, influences: int, follow: Follow) -> LamHead:
-    splats, mesh = load_ply(folder / "offset.ply"), read_gltf_person(folder / "skin.glb", own_joints=True)
-    count = len(splats)
+    splats, mesh = load_ply(folder / "offset.ply"), _mesh(folder / "skin.glb")
+    count, names = len(splats), mesh.skeleton.names
     if len(mesh.vertices) != count:
         raise FormatError(
             f"offset.ply has {count} splats, skin.glb {len(mesh.vertices)} vertices; each splat rides one"
@@ -126,46 +136,63 @@ def _head(folder: Path, source: str, influences: int, follow: Follow) -> LamHead
     rgb = splats.sh[:, 0].astype(np.float64)
     usable = splats.finite()
     if usable.any():
-        _check(splats.means[usable], rgb[usable], mesh)
+        _check(splats.means[usable], rgb[usable], mesh.vertices)
     at = mesh.vertices + splats.means
     placed = Splats.create(at, splats.quats, splats.scales, splats.opacities, rgb=rgb)
-    names = mesh.skeleton.names
     if follow == "head":
         if _HEAD not in names:
             raise FormatError(f'skin.glb has no joint called "{_HEAD}" that all splats could follow')
         skin = Skin.create(np.full((count, 1), names.index(_HEAD)), np.ones((count, 1)), len(names), 1)
     else:
-        skin = Skin.create(mesh.joints, mesh.weights, len(names), influences)
+        skin = Skin.create(mesh.skin.joints, mesh.skin.weights, len(names), influences)
     meta: dict[str, Any] = {
         "source": f"LAM, {source}",
         "body_model": f"{len(names)} joints of skin.glb",
         "licence": "as the picture and LAM's weights (CC BY-NC 4.0) allow",
     }
-    return LamHead(Avatar(placed, mesh.skeleton, skin, meta), _morphs(folder / "skin.glb"))
+    return LamHead(Avatar(placed, mesh.skeleton, skin, meta), mesh.morphs)
 
 
-def _morphs(path: Path) -> Morphs:
+def _mesh(path: Path) -> _Mesh:
     with naming(path):
         container = parse(path.read_bytes(), path.parent)
-        skinned = [
-            (mesh, primitive)
-            for mesh in container.gltf.meshes
-            for primitive in mesh.primitives
-            if primitive.mode == 4 and "JOINTS_0" in primitive.attributes and "POSITION" in primitive.attributes
-        ]
-        if len(skinned) == 1:
-            return read_morphs(container, *skinned[0])
-        return Morphs((), np.zeros(1, np.int64), np.empty(0, np.uint32), np.empty((0, 3), np.float32))
+        graph = graph_of(container.gltf)
+        mesh, instance = _skinned(container, graph)
+        vertices = container.numbers(instance.primitive.attributes["POSITION"], "POSITION", ("VEC3",))
+        if not np.isfinite(vertices).all():
+            raise FormatError("POSITION needs finite numbers, found NaN or infinity")
+        skeleton = read_skeleton(container, instance, graph)
+        skin = read_skin(container, instance, len(skeleton), len(vertices), {})
+        morphs = read_morphs(container, mesh, instance.primitive)
+        return _Mesh(vertices.astype(np.float64), skeleton, skin, morphs)
 
 
-def _check(offsets: NDArray[np.float32], rgb: NDArray[np.float64], mesh: RiggedMesh) -> None:
+def _skinned(container: Container, graph: Graph) -> tuple[Mesh, Instance]:
+    """The one primitive with a skin; of several, that with the most vertices."""
+    gltf = container.gltf
+    found: list[tuple[int, Mesh, Instance]] = []
+    for number, node in enumerate(gltf.nodes):
+        if node.mesh is None or node.skin is None:
+            continue
+        mesh = item(gltf.meshes, node.mesh, "mesh")
+        for primitive in mesh.primitives:
+            if primitive.mode == 4 and {"JOINTS_0", "POSITION"} <= primitive.attributes.keys():
+                count = item(gltf.accessors, primitive.attributes["POSITION"], "accessor of POSITION").count
+                found.append((count, mesh, Instance(primitive, node, graph.world[number], f"mesh {node.mesh}")))
+    if not found:
+        raise FormatError("splats ride triangles with a skin (JOINTS_0 and WEIGHTS_0), found none")
+    _, mesh, instance = max(found, key=lambda entry: entry[0])
+    return mesh, instance
+
+
+def _check(offsets: NDArray[np.float32], rgb: NDArray[np.float64], vertices: NDArray[np.float64]) -> None:
     if rgb.min() < -0.02 or rgb.max() > 1.02:
         raise FormatError(
             f"offset.ply needs RGB in [0, 1] in f_dc, as LAM writes it, found {rgb.min():.2f} to {rgb.max():.2f}; "
             "for spherical harmonics and positions, bind the PLY to the mesh with --mesh"
         )
     typical = float(np.median(np.linalg.norm(offsets, axis=1)))
-    extent = float(np.linalg.norm(np.ptp(mesh.vertices, axis=0)))
+    extent = float(np.linalg.norm(np.ptp(vertices, axis=0)))
     if typical > 0.1 * extent:
         raise FormatError(
             f"offset.ply needs offsets from the mesh, found {typical:.3g} m in the median on a mesh of {extent:.3g} m; "

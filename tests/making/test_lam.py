@@ -5,17 +5,19 @@ import struct
 import tracemalloc
 import zipfile
 
+import glsplat_apps.cli as cli
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from glsplat.errors import FormatError
+from glsplat.formats import load
 from glsplat.formats.gltf import morphs
+from glsplat.formats.gltf.container import parse
 from glsplat.formats.ply import save_ply
 from glsplat.making import lam
 from glsplat.making.lam import FOLLOW, is_lam_zip, load_lam_zip, read_lam_zip
-from glsplat.making.gltf.reader import read_gltf_person
 from glsplat.splats import SH_C0, Splats
 from tests.formats.test_fuzz import json_values, places
 
@@ -139,6 +141,14 @@ def test_all_splats_follow_the_head_where_asked(packed, offsets):
     refused(packed({"skin.glb": skin}), 'no joint called "head"', follow="head")
 
 
+def test_the_command_imports_it(packed, tmp_path, offsets):
+    path, out = packed(folder="arkitWithBSData/"), tmp_path / "me.glb"
+    for words, expected in (([], WEIGHTS), (["--follow", "head"], [[0, 1]] * 4)):
+        assert cli.main(["avatar", "import", str(path), "-o", str(out), *words]) == 0
+        assert load(out).skin.dense(2) == pytest.approx(np.array(expected), abs=1e-6)
+        assert load(out).splats.means == pytest.approx(VERTICES + offsets.means, abs=1e-6)
+
+
 def test_morph_targets_are_kept(packed):
     morphs = read_lam_zip(packed()).morphs
     assert morphs.names == ("mouthSmileLeft", "eyeBlinkLeft") and len(morphs) == 2
@@ -207,6 +217,9 @@ def test_shared_offsets_stay_bounded(packed, monkeypatch):
         ({"skin.glb": None}, ["needs the member skin.glb"]),
         ({"offset.ply": b"hello"}, ["offset.ply: not a PLY"]),
         ({"skin.glb": b"glTF nonsense"}, ["skin.glb: "]),
+        ({"skin.glb": skin_glb(lambda d: d["nodes"][0].pop("skin"))}, ["skin.glb: splats ride triangles with a skin"]),
+        ({"skin.glb": skin_glb(lambda d: d["nodes"][0].update(mesh=7))}, ["skin.glb: the file refers to mesh 7"]),
+        ({"skin.glb": skin_glb().replace(b"\0\0\x80\x3f", b"\0\0\xc0\x7f", 1)}, ["POSITION needs finite numbers"]),
     ],
 )
 def test_wrong_members(packed, changes, words):
@@ -321,24 +334,26 @@ def neighbours(colours, faces):
 
 
 @pytest.mark.shared
-def test_neighbours_of_a_real_head_have_like_colours(shared_data, tmp_path):
+def test_neighbours_of_a_real_head_have_like_colours(shared_data):
     """What settles who rides what: 0.25 in the file's own order, 0.74 and 0.80 by vertex_order.json, either way."""
     path = shared_data / REAL
     if not path.is_file():
         pytest.skip(f"no {path}")
     with zipfile.ZipFile(path) as archive:
-        (tmp_path / "skin.glb").write_bytes(archive.read("arkitWithBSData/skin.glb"))
+        skin = parse(archive.read("arkitWithBSData/skin.glb"), path.parent)
         order = np.array(json.loads(archive.read("arkitWithBSData/vertex_order.json")))
+    (primitive,) = skin.gltf.meshes[0].primitives
+    vertices = skin.numbers(primitive.attributes["POSITION"], "POSITION", ("VEC3",))
+    faces = skin.read(primitive.indices, "indices", ("SCALAR",)).reshape(-1, 3)
     head = read_lam_zip(path)
-    mesh = read_gltf_person(tmp_path / "skin.glb")
     colours = head.avatar.splats.sh[:, 0] * SH_C0 + 0.5
-    away = np.linalg.norm(head.avatar.splats.means - mesh.vertices, axis=1)
+    away = np.linalg.norm(head.avatar.splats.means - vertices, axis=1)
     assert np.median(away) == pytest.approx(0.01127, abs=1e-4)  # metres: each is at its own vertex
-    own = neighbours(colours, mesh.faces)
+    own = neighbours(colours, faces)
     assert own == pytest.approx(0.2468, abs=1e-3)
     assert sorted(order.tolist()) == list(range(len(colours)))
-    assert min(neighbours(colours[order], mesh.faces), neighbours(colours[np.argsort(order)], mesh.faces)) > 2.9 * own
-    heights = mesh.vertices[order, 1]
+    assert min(neighbours(colours[order], faces), neighbours(colours[np.argsort(order)], faces)) > 2.9 * own
+    heights = vertices[order, 1]
     assert np.corrcoef(np.arange(len(order)), heights)[0, 1] > 0.85  # an order from low to high, roughly
 
 

@@ -26,7 +26,7 @@ from glsplat.data import default_avatar
 from glsplat.formats import load, save
 from glsplat.formats.gltf.mesh import save_gltf_mesh
 from glsplat.formats.gltf.splats import EXTENSION
-from glsplat.making.rigged_gltf import read_gltf_person
+from glsplat.making.gltf.reader import read_gltf_person
 from glsplat.skinning.pose import Pose
 from glsplat.views import splats_of
 from tests.formats.meshes import chain
