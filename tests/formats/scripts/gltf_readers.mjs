@@ -31,7 +31,8 @@ function shown(object) {
     out.inverse = object.skeleton.boneInverses.map((matrix) => matrix.elements);
     out.skinned = [];
     const at = new (object.position.constructor)();
-    for (let i = 0; i < attributes.position.count; i++) out.skinned.push(object.getVertexPosition(i, at).toArray());
+    const { index } = object.geometry; // corner by corner
+    for (let i = 0; i < index.count; i++) out.skinned.push(object.getVertexPosition(index.getX(i), at).toArray());
   }
   return out;
 }
