@@ -52,11 +52,9 @@ def add_scene(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--strict", action="store_true", help="refuse files with NaN or infinity instead of skipping")
 
 
-def add_up(parser: argparse.ArgumentParser) -> None:
+def add_up(parser: argparse.ArgumentParser, what: str = "the file's axis that points up") -> None:
     """--up."""
-    parser.add_argument(
-        "--up", choices=UPS, default="y", help="the file's axis that points up (default y; most 3DGS captures: -y)"
-    )
+    parser.add_argument("--up", choices=UPS, default="y", help=f"{what} (default y; most 3DGS captures: -y)")
 
 
 def load_scene(args: argparse.Namespace) -> Splats | Avatar:

@@ -7,8 +7,10 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
+from glsplat.avatar import Avatar
 from glsplat.errors import FormatError
 from glsplat.formats import losses, save, suffixes
+from glsplat.formats.fidelity import read_back
 from glsplat.formats.scene_file import upright
 from glsplat.formats.transform import transformed
 from glsplat.making.items import load_item
@@ -19,7 +21,7 @@ from glsplat.splats import Splats
 
 from .args import add_up
 
-__all__ = ["EXAMPLE", "HELP", "add_arguments", "run", "turned"]
+__all__ = ["EXAMPLE", "HELP", "add_arguments", "add_quiet", "run", "save_and_say", "turned"]
 
 HELP = (
     f"Convert between {suffixes(last='and', written=True)} (3DGS PLY, KHR_gaussian_splatting); "
@@ -35,20 +37,37 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("output", metavar="OUT", help=f"file to write, ending in {suffixes(written=True)}")
     add_up(parser)
     parser.add_argument("--strict", action="store_true", help="refuse a file with NaN or infinity")
+    add_quiet(parser)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Convert one file; what the output's format cannot hold is said on stderr. Raises FormatError."""
+    """Convert one file; what the output does not hold is said on stderr, in numbers. Raises FormatError."""
     if not Path(args.input).exists():
         raise FormatError(f"{args.input}: no such file; give a {suffixes()}")
     scene = turned(load_item(Path(args.input), args.strict), args.up)
     if isinstance(scene, RiggedMesh):
         _save_mesh(scene, args.output)
         return 0
-    save(scene, args.output)
-    for loss in losses(scene, args.output):
-        print(f"glsplat convert: {args.output}: {loss}", file=sys.stderr)
+    save_and_say(scene, args.output, "glsplat convert", args.quiet)
     return 0
+
+
+def add_quiet(parser: argparse.ArgumentParser) -> None:
+    """--quiet."""
+    parser.add_argument("--quiet", action="store_true", help="do not say what the file loses, nor read it back")
+
+
+def save_and_say(scene: Splats | Avatar, output: str | Path, command: str, quiet: bool = False) -> None:
+    """Save by the suffix. Losses are said first, then, the file read back, what differs by more than float32 does.
+
+    "largest (mean)" over all splats; nothing is said where nothing is lost. Raises FormatError.
+    """
+    if not quiet:
+        for loss in losses(scene, output):
+            print(f"{command}: {output}: {loss}", file=sys.stderr)
+    save(scene, output)
+    if not quiet and (words := ", ".join(read_back(scene, output).words())):
+        print(f"{command}: {output}: read back, off by at most (mean): {words}", file=sys.stderr)
 
 
 def _save_mesh(mesh: RiggedMesh, output: str) -> None:

@@ -14,10 +14,12 @@ from glsplat.data import default_avatar
 from glsplat.errors import FormatError, GlsplatError
 from glsplat.formats import load, save, suffixes
 from glsplat.formats.files import replace_file
+from glsplat.formats.scene_file import upright
+from glsplat.formats.transform import transformed
 from glsplat.making.cones import ConeConfig, with_cones
 from glsplat.making.gltf.reader import read_gltf_person
 from glsplat.making.importers import bind_to_mesh, load_lhm_dump
-from glsplat.making.lam import is_lam_zip, load_lam_zip
+from glsplat.making.lam import FOLLOW, is_lam_zip, load_lam_zip
 from glsplat.making.people import read_person
 from glsplat.making.posed import posed_splats
 from glsplat.making.refine import RefineConfig, refine
@@ -27,7 +29,8 @@ from glsplat.meshes import RiggedMesh
 from glsplat.motion.library import library, to_json
 from glsplat.skinning.pose import Pose, load_pose
 
-from ..args import motion_of
+from ..args import add_up, motion_of
+from ..convert import add_quiet, save_and_say
 from ..usage import UsageError
 from . import guide, photo, score, video
 from .writing import add_notes, check_name, progress_bar, write
@@ -67,6 +70,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     taken = commands.add_parser("import", help="an LHM dump (.npz), a LAM zip, or splats bound to a rigged mesh")
     taken.add_argument("dump", type=Path, help="lhm_dump.npz, a LAM .zip, or a splat file (PLY, .splat) with --mesh")
     taken.add_argument("--mesh", type=Path, help="rigged mesh in the same pose and place (.npz, .glb), for its weights")
+    taken.add_argument(
+        "--follow",
+        choices=FOLLOW,
+        help="what moves a LAM zip's splats: their vertices' weights (default), or all the head, as LAM's own viewer",
+    )
     taken.add_argument("--reach", type=float, default=5.0, help="cm a splat may lie off the mesh (default 5)")
     for command in (make, taken):
         command.add_argument("-o", "--out", type=Path, required=True, help="avatar to write (.glb)")
@@ -84,6 +92,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     export.add_argument("--pose", help="pose or motion file, or the name of an embedded motion (default: zero pose)")
     export.add_argument("--at", type=float, default=0.0, help="seconds into a motion (default 0)")
     export.add_argument("-o", "--out", type=Path, required=True, help=f"file to write ({suffixes(written=True)})")
+    add_up(export, "the axis that points up in the written file; viewers differ")
+    add_quiet(export)
 
     measured = commands.add_parser("score", help="compare an avatar with the textured mesh it was made from")
     score.add_arguments(measured)
@@ -146,7 +156,9 @@ def _import(args: argparse.Namespace) -> int:
     if args.dump.suffix.lower() == ".zip" or is_lam_zip(args.dump):
         if args.mesh is not None:
             raise UsageError(f"{args.dump}: a LAM zip brings its own mesh; leave out --mesh")
-        return write(load_lam_zip(args.dump), args, began)
+        return write(load_lam_zip(args.dump, follow=args.follow or FOLLOW[0]), args, began)
+    if args.follow is not None:
+        raise UsageError(f"{args.dump}: --follow is for LAM zips; leave it out")
     if args.mesh is None:
         return write(load_lhm_dump(args.dump), args, began)
     if not 0 < args.reach < 1000:
@@ -187,7 +199,8 @@ def _export(args: argparse.Namespace) -> int:
             pose = load_pose(args.pose, scene.skeleton)
         else:
             pose = motion_of(args.pose, scene.skeleton, "--pose").at(args.at)
-    save(posed_splats(scene, pose), args.out)
+    splats = transformed(posed_splats(scene, pose), upright(args.up).T)  # from y up to the file's axis
+    save_and_say(splats, args.out, "glsplat avatar export", args.quiet)
     print(f"{args.out}: {len(scene.splats)} splats")
     return 0
 

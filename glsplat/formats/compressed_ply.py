@@ -277,4 +277,5 @@ COMPRESSED_PLY = Format(
     load=lambda file, size, _: read_compressed_ply(file, size),
     save=lambda scene, target: save_compressed_ply(splats_of(scene), target),
     loses=_loses,
+    order=_order,
 )

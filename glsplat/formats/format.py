@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 import numpy as np
+from numpy.typing import NDArray
 
 from glsplat.avatar import Avatar
 from glsplat.formats.files import Source, sampled
@@ -47,7 +48,8 @@ class Format:
     ``load`` gets an open file at its start, its size, and the folder of its other files (None where it has none);
     ``save`` a scene and where it goes (files.replace_file writes), and is None where a format is read only. Both raise
     FormatError. ``loses`` says, a sentence each, what a saved file does not keep of a scene, rounding apart; that a
-    rig or visibility cones are dropped is said already where ``rigs`` or ``cones`` is False.
+    rig or visibility cones are dropped is said already where ``rigs`` or ``cones`` is False. ``order`` says which
+    splats of a scene a file has, in the order it has them in, for a format that does not have all as they come.
     """
 
     name: str  # as ``format=`` takes it
@@ -59,6 +61,7 @@ class Format:
     loses: Callable[[Splats | Avatar], Iterator[str]] = _nothing
     rigs: bool = False  # holds avatars
     cones: bool = False  # holds visibility cones
+    order: Callable[[Splats], NDArray[np.intp]] | None = None
     marked: bool = True  # begins with a mark of its own; formats without one are tried last
 
     def losses(self, scene: Splats | Avatar) -> Iterator[str]:

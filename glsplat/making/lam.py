@@ -2,29 +2,46 @@
 
 from __future__ import annotations
 
-import json
 import tempfile
 import zipfile
 import zlib
+from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.avatar import Avatar
 from glsplat.errors import FormatError
+from glsplat.formats.files import naming
+from glsplat.formats.gltf.container import Container, Mesh, item, parse
+from glsplat.formats.gltf.morphs import Morphs, read_morphs
+from glsplat.formats.gltf.nodes import Graph, Instance, graph_of
+from glsplat.formats.gltf.rig import read_skeleton, read_skin
 from glsplat.formats.ply import load_ply
-from glsplat.making.gltf.reader import read_gltf_person
-from glsplat.meshes import RiggedMesh
+from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.skin import Skin
 from glsplat.splats import Splats
 
-__all__ = ["is_lam_zip", "load_lam_zip"]
+__all__ = ["FOLLOW", "Follow", "LamHead", "is_lam_zip", "load_lam_zip", "read_lam_zip"]
 
-_MEMBERS = {"offset.ply": 1 << 29, "skin.glb": 1 << 29, "vertex_order.json": 1 << 26}
+Follow = Literal["weights", "head"]
+FOLLOW: tuple[Follow, ...] = ("weights", "head")
+"""What moves a splat: the weights of its vertex, or the joint called head alone, as the public renderer has it."""
+
+_MEMBERS = {"offset.ply": 1 << 29, "skin.glb": 1 << 29}
 """What is read, and how many bytes each may unpack to."""
 _ENTRIES = 10_000  # in the directory of the zip
+_HEAD = "head"
+
+
+@dataclass(frozen=True, eq=False)
+class LamHead:
+    """What a LAM export holds: the avatar, and how far its expressions move each splat (vertex i is splat i)."""
+
+    avatar: Avatar
+    morphs: Morphs
 
 
 def is_lam_zip(path: str | Path) -> bool:
@@ -36,15 +53,25 @@ def is_lam_zip(path: str | Path) -> bool:
         return False
 
 
-def load_lam_zip(path: str | Path, influences: int = 4) -> Avatar:
-    """An avatar from a zip as LAM exports it, in the rest pose of its mesh.
+def load_lam_zip(path: str | Path, influences: int = 4, follow: Follow = "weights") -> Avatar:
+    """The avatar of ``read_lam_zip``, without the expressions."""
+    return read_lam_zip(path, influences, follow).avatar
+
+
+def read_lam_zip(path: str | Path, influences: int = 4, follow: Follow = "weights") -> LamHead:
+    """An avatar from a zip as LAM exports it, in the rest pose of its mesh, and its morph targets.
 
     Members, in the zip's root or in one folder: ``offset.ply``, a 3DGS PLY whose x y z is the offset of each splat
-    from its mesh vertex and whose f_dc is plain RGB in [0, 1]; ``skin.glb``, the skinned mesh; ``vertex_order.json``,
-    a list that is a permutation: splat ``order[i]`` belongs to vertex i of the GLB (without the file, splat i does).
-    Morph targets, animations and all other members are ignored: expressions do not move the splats.
+    from its mesh vertex and whose f_dc is plain RGB in [0, 1]; ``skin.glb``, the skinned mesh with morph targets.
+    Splat i rides vertex i. ``vertex_order.json`` is no such assignment, though it is a permutation: it lists the
+    vertices roughly from low to high, an order for drawing, and is not read; nor are ``animation.glb`` and
+    ``bsData.json``, a recorded motion.
 
-    Written from the description of the format; no public sample was at hand to check it against.
+    ``follow`` "weights": splats move and turn with the joints of their vertices, so that neck and shoulders stay
+    where they are when the head turns. "head": all follow the joint called head, as in the public renderer
+    (gaussian-splat-renderer-for-lam 0.0.8), which does so because splats far from their vertices, hair above all, are
+    pulled apart where weights change. Morph targets are kept beside the avatar and do not move it yet.
+
     Raises FormatError naming the zip and the member. Nothing is unpacked before the directory's sizes are checked,
     and nothing under a name from the zip.
     """
@@ -54,7 +81,7 @@ def load_lam_zip(path: str | Path, influences: int = 4) -> Avatar:
             for name, info in found.items():
                 (Path(folder) / name).write_bytes(archive.read(info))
             try:
-                return _avatar(Path(folder), "vertex_order.json" in found, Path(path).name, influences)
+                return _head(Path(folder), Path(path).name, influences, follow)
             except FormatError as error:
                 raise FormatError(str(error).replace(f"{folder}/", "").replace(f"{folder}\\", "")) from None
     except FormatError as error:
@@ -89,50 +116,83 @@ def _find(archive: zipfile.ZipFile) -> dict[str, zipfile.ZipInfo]:
     return found
 
 
-def _avatar(folder: Path, ordered: bool, source: str, influences: int) -> Avatar:
-    splats, mesh = load_ply(folder / "offset.ply"), read_gltf_person(folder / "skin.glb", own_joints=True)
-    count = len(splats)
+@dataclass(frozen=True, eq=False)
+class _Mesh:
+    """What splats ride, vertex by vertex: textures and triangles do not matter."""
+
+    vertices: NDArray[np.float64]
+    skeleton: Skeleton
+    skin: Skin
+    morphs: Morphs
+
+
+def _head(folder: Path, source: str, influences: int, follow: Follow) -> LamHead:
+    splats, mesh = load_ply(folder / "offset.ply"), _mesh(folder / "skin.glb")
+    count, names = len(splats), mesh.skeleton.names
     if len(mesh.vertices) != count:
         raise FormatError(
             f"offset.ply has {count} splats, skin.glb {len(mesh.vertices)} vertices; each splat rides one"
         )
-    vertex = np.empty(count, np.int64)
-    vertex[_order(folder / "vertex_order.json", count) if ordered else np.arange(count)] = np.arange(count)
     rgb = splats.sh[:, 0].astype(np.float64)
     usable = splats.finite()
     if usable.any():
-        _check(splats.means[usable], rgb[usable], mesh)
-    at = mesh.vertices[vertex] + splats.means
+        _check(splats.means[usable], rgb[usable], mesh.vertices)
+    at = mesh.vertices + splats.means
     placed = Splats.create(at, splats.quats, splats.scales, splats.opacities, rgb=rgb)
-    skin = Skin.create(mesh.joints[vertex], mesh.weights[vertex], len(mesh.skeleton), influences)
+    if follow == "head":
+        if _HEAD not in names:
+            raise FormatError(f'skin.glb has no joint called "{_HEAD}" that all splats could follow')
+        skin = Skin.create(np.full((count, 1), names.index(_HEAD)), np.ones((count, 1)), len(names), 1)
+    else:
+        skin = Skin.create(mesh.skin.joints, mesh.skin.weights, len(names), influences)
     meta: dict[str, Any] = {
         "source": f"LAM, {source}",
-        "body_model": f"{len(mesh.skeleton)} joints of skin.glb",
+        "body_model": f"{len(names)} joints of skin.glb",
         "licence": "as the picture and LAM's weights (CC BY-NC 4.0) allow",
     }
-    return Avatar(placed, mesh.skeleton, skin, meta)
+    return LamHead(Avatar(placed, mesh.skeleton, skin, meta), mesh.morphs)
 
 
-def _order(path: Path, count: int) -> NDArray[np.int64]:
-    try:
-        data = json.loads(path.read_bytes())
-    except (ValueError, RecursionError) as error:
-        raise FormatError(f"vertex_order.json: expected a JSON list, but {str(error)[:100]}") from None
-    whole = isinstance(data, list) and all(type(value) is int and 0 <= value < count for value in data)
-    if not whole or len(data) != count or len(set(data)) != count:
-        what = f"a list of {len(data)}" if isinstance(data, list) else type(data).__name__
-        raise FormatError(f"vertex_order.json needs every number from 0 to {count - 1} once, found {what}")
-    return np.array(data, np.int64)
+def _mesh(path: Path) -> _Mesh:
+    with naming(path):
+        container = parse(path.read_bytes(), path.parent)
+        graph = graph_of(container.gltf)
+        mesh, instance = _skinned(container, graph)
+        vertices = container.numbers(instance.primitive.attributes["POSITION"], "POSITION", ("VEC3",))
+        if not np.isfinite(vertices).all():
+            raise FormatError("POSITION needs finite numbers, found NaN or infinity")
+        skeleton = read_skeleton(container, instance, graph)
+        skin = read_skin(container, instance, len(skeleton), len(vertices), {})
+        morphs = read_morphs(container, mesh, instance.primitive)
+        return _Mesh(vertices.astype(np.float64), skeleton, skin, morphs)
 
 
-def _check(offsets: NDArray[np.float32], rgb: NDArray[np.float64], mesh: RiggedMesh) -> None:
+def _skinned(container: Container, graph: Graph) -> tuple[Mesh, Instance]:
+    """The one primitive with a skin; of several, that with the most vertices."""
+    gltf = container.gltf
+    found: list[tuple[int, Mesh, Instance]] = []
+    for number, node in enumerate(gltf.nodes):
+        if node.mesh is None or node.skin is None:
+            continue
+        mesh = item(gltf.meshes, node.mesh, "mesh")
+        for primitive in mesh.primitives:
+            if primitive.mode == 4 and {"JOINTS_0", "POSITION"} <= primitive.attributes.keys():
+                count = item(gltf.accessors, primitive.attributes["POSITION"], "accessor of POSITION").count
+                found.append((count, mesh, Instance(primitive, node, graph.world[number], f"mesh {node.mesh}")))
+    if not found:
+        raise FormatError("splats ride triangles with a skin (JOINTS_0 and WEIGHTS_0), found none")
+    _, mesh, instance = max(found, key=lambda entry: entry[0])
+    return mesh, instance
+
+
+def _check(offsets: NDArray[np.float32], rgb: NDArray[np.float64], vertices: NDArray[np.float64]) -> None:
     if rgb.min() < -0.02 or rgb.max() > 1.02:
         raise FormatError(
             f"offset.ply needs RGB in [0, 1] in f_dc, as LAM writes it, found {rgb.min():.2f} to {rgb.max():.2f}; "
             "for spherical harmonics and positions, bind the PLY to the mesh with --mesh"
         )
     typical = float(np.median(np.linalg.norm(offsets, axis=1)))
-    extent = float(np.linalg.norm(np.ptp(mesh.vertices, axis=0)))
+    extent = float(np.linalg.norm(np.ptp(vertices, axis=0)))
     if typical > 0.1 * extent:
         raise FormatError(
             f"offset.ply needs offsets from the mesh, found {typical:.3g} m in the median on a mesh of {extent:.3g} m; "

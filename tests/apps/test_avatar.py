@@ -10,8 +10,9 @@ import pytest
 
 from glsplat.avatar import Avatar
 from glsplat.data import default_avatar
-from glsplat.formats import load
+from glsplat.formats import FORMATS, load, save
 from glsplat.making.surface import SamplerConfig
+from tests.formats.scenes import random_avatar
 
 DATA = Path(cli.__file__).parents[1] / "glsplat" / "data"
 
@@ -120,6 +121,7 @@ def test_motions(tmp_path, capsys):
         (["import", "{person}", "-o", "a.glb"], "an LHM dump needs query_points"),
         (["import", "{person}", "--mesh", "{person}", "-o", "a.glb"], "box.npz"),
         (["import", "absent.zip", "-o", "a.glb"], "absent.zip: cannot read"),
+        (["import", "{person}", "--follow", "head", "-o", "a.glb"], "--follow is for LAM zips"),
         (["import", "absent.zip", "--mesh", "{person}", "-o", "a.glb"], "leave out --mesh"),
         (["score", "--mesh", "absent.npz"], "absent.npz: cannot read"),
         (["score", "{person}", "--mesh", "{person}"], "box.npz"),
@@ -147,3 +149,25 @@ def test_mistakes_are_one_line(person, tmp_path, monkeypatch, capsys, words, mes
 def test_export_of_the_embedded_avatar(tmp_path, capsys):
     assert cli.main(["avatar", "export", "--pose", "walk", "-o", str(tmp_path / "a.ply")]) == 0
     assert len(load(tmp_path / "a.ply")) == len(default_avatar().splats)
+
+
+@pytest.mark.parametrize("suffix", [suffix for known in FORMATS if known.save for suffix in known.suffixes])
+def test_export_stands_upright_in_every_format(tmp_path, capsys, suffix):
+    avatar = random_avatar(degree=1)
+    save(avatar, tmp_path / "me.glb")
+    (tmp_path / "pose.json").write_text('{"joints": {"bone 1": [0, 0, 0.4]}, "trans": [0.1, 0.2, 0.3]}')
+    words = ["avatar", "export", str(tmp_path / "me.glb"), "--pose", str(tmp_path / "pose.json"), "-o"]
+    assert cli.main([*words, str(tmp_path / "y.glb")]) == 0
+    upright = load(tmp_path / "y.glb").means
+    # by hand: the old x y z, y up, where the written file has z, -z or -y up
+    x, y, z = upright.T
+    for up, expected in {"z": (x, -z, y), "-z": (x, z, -y), "-y": (x, -y, -z)}.items():
+        path = tmp_path / f"out{suffix}"
+        assert cli.main([*words, str(path), f"--up={up}", "--quiet"]) == 0
+        assert capsys.readouterr().err == ""
+        written = load(path)
+        if len(written) == len(avatar.splats) and next(k for k in FORMATS if suffix in k.suffixes).order is None:
+            np.testing.assert_allclose(written.means, np.stack(expected, axis=1), atol=2e-3)
+        back = tmp_path / "back.glb"
+        assert cli.main(["convert", str(path), str(back), f"--up={up}"]) == 0
+        assert np.abs(load(back).means.mean(axis=0) - upright.mean(axis=0)).max() < 2e-3

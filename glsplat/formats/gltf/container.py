@@ -36,7 +36,7 @@ __all__ = [
     "Primitive",
     "Scene",
 ]
-__all__ += ["Skin", "item", "parse", "read_container"]
+__all__ += ["Index", "Skin", "item", "parse", "read_container"]
 
 T = TypeVar("T")
 Index = Annotated[int, msgspec.Meta(ge=0, le=2**53)]
@@ -110,6 +110,7 @@ class Mesh(_Object):
     primitives: list[Primitive] = []
     weights: list[float] = []
     name: str | None = None
+    extras: Any = None
 
 
 class Node(_Object):

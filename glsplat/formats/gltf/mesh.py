@@ -16,6 +16,7 @@ import numpy as np
 from glsplat.errors import FormatError
 from glsplat.formats.files import Source
 from glsplat.formats.gltf.container import Mesh, Node, Primitive, Scene
+from glsplat.formats.gltf.fallback import UNLIT, unlit_material
 from glsplat.formats.gltf.output import INDICES, Output
 from glsplat.formats.gltf.rig import write_influences, write_skeleton
 from glsplat.meshes import MeshPart, RiggedMesh
@@ -24,7 +25,6 @@ from glsplat.skinning.skin import INFLUENCES, Skin
 __all__ = ["save_gltf_mesh"]
 
 _VERSION = 1  # of asset.extras.glsplat
-_UNLIT = "KHR_materials_unlit"
 _SMALL = 640 * 640  # texels up to which a texture is a PNG
 _JPEG = [cv2.IMWRITE_JPEG_QUALITY, 95, cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444]
 _LINEAR, _MIPMAPS = 9729, 9987
@@ -56,7 +56,7 @@ def save_gltf_mesh(mesh: RiggedMesh, target: Source, *, embedded: bool | None = 
     gltf.nodes = [Node(name="mesh", mesh=0)]
     gltf.scene, gltf.scenes = 0, [Scene(nodes=[0])]
     write_skeleton(out, mesh.skeleton)
-    gltf.extensions_used = [_UNLIT]
+    gltf.extensions_used = [UNLIT]
     out.note({"version": _VERSION} | dict(mesh.meta))
     out.write(target, embedded=embedded)
 
@@ -79,12 +79,8 @@ def _primitive(out: Output, mesh: RiggedMesh, skin: Skin, part: MeshPart, materi
 
 
 def _material(part: MeshPart, texture: int) -> dict[str, Any]:
-    material: dict[str, Any] = {
-        "name": part.name,
-        "pbrMetallicRoughness": {"baseColorTexture": {"index": texture}, "metallicFactor": 0, "roughnessFactor": 1},
-        "doubleSided": True,
-        "extensions": {_UNLIT: {}},
-    }
+    material = unlit_material(part.name) | {"doubleSided": True}
+    material["pbrMetallicRoughness"]["baseColorTexture"] = {"index": texture}
     if not _whole(part):
         material |= {"alphaMode": "MASK", "alphaCutoff": 0.5}
     return material

@@ -29,15 +29,24 @@ class Output:
         self.parts: list[bytes] = []
         self._length = 0
 
-    def add(self, array: NDArray[Any], kind: str, *, bounds: bool = False, target: int | None = VERTICES) -> int:
-        """Index of a new accessor of type ``kind`` for [N, width] float32, int8 (normalised), uint8, uint16, uint32.
+    def add(
+        self,
+        array: NDArray[Any],
+        kind: str,
+        *,
+        bounds: bool = False,
+        normalized: bool = False,
+        target: int | None = VERTICES,
+    ) -> int:
+        """Index of a new accessor of type ``kind`` for [N, width] float32, int8, uint8, uint16 or uint32.
 
-        ``target`` is the bufferView's: ``VERTICES``, ``INDICES``, or None for what is neither.
+        ``normalized`` integers stand for -1 to 1 or 0 to 1. ``target`` is the bufferView's: ``VERTICES``, ``INDICES``,
+        or None for what is neither.
         """
         code = {"f": 5126, "b": 5120, "B": 5121, "H": 5123, "I": 5125}[array.dtype.char]
         data = array.astype(array.dtype.newbyteorder("<")).tobytes()
         accessor = Accessor(buffer_view=self.add_bytes(data, target), component_type=code, count=len(array), type=kind)
-        accessor.normalized = array.dtype.char == "b"
+        accessor.normalized = normalized
         finite = array[np.isfinite(array).all(axis=1)]
         if bounds and len(finite):  # required for POSITION; NaN and infinity are not JSON
             accessor.min, accessor.max = finite.min(axis=0).tolist(), finite.max(axis=0).tolist()

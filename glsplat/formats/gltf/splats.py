@@ -2,8 +2,9 @@
 
 Read: the ratified attribute names (KHR_gaussian_splatting:ROTATION, :SCALE, :OPACITY, :SH_DEGREE_l_COEF_n) and the
 older drafts' (_ROTATION, _SCALE, colour and opacity in COLOR_0). Written: the ratified ones as float32, so that a
-round trip is exact. The specification gives skinned splats no meaning; ours is plain glTF skinning of the Gaussians,
-which a viewer that knows only the extension shows in the zero pose.
+round trip is exact, and a COLOR_0 for viewers that know no splats (fallback.py). The specification gives skinned
+splats no meaning; ours is plain glTF skinning of the Gaussians, which a viewer that knows only the extension shows in
+the zero pose.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from glsplat.errors import FormatError
 from glsplat.formats.files import Source, checked, folder_of, naming, open_regular
 from glsplat.formats.format import Format
 from glsplat.formats.gltf.container import Container, Mesh, Node, Primitive, Scene, read_container
+from glsplat.formats.gltf.fallback import UNLIT, unlit_material, write_fallback
 from glsplat.formats.gltf.nodes import Instance, graph_of, instances
 from glsplat.formats.gltf.output import Output
 from glsplat.formats.gltf.rig import read_skeleton, read_skin, write_influences, write_skeleton
@@ -66,7 +68,8 @@ def read_gltf(file: BinaryIO, size: int, folder: Path | None) -> Splats | Avatar
 def save_gltf(scene: Splats | Avatar, target: Source, *, embedded: bool | None = None) -> None:
     """Write a .glb, or where ``target`` ends in .gltf one JSON file with its buffer ``embedded``.
 
-    Attributes are stored as float32 exactly as they are, joints as the smallest unsigned integer that fits.
+    Attributes are stored as float32 exactly as they are, joints as the smallest unsigned integer that fits: 56 bytes a
+    splat, 12 for each further coefficient, and 8 for the points that other viewers show.
     Raises FormatError when ``target`` cannot be written or an avatar's metadata is not JSON.
     """
     out = Output()
@@ -78,7 +81,8 @@ def save_gltf(scene: Splats | Avatar, target: Source, *, embedded: bool | None =
     for k, (degree, n) in enumerate(_SH_NAMES[: splats.sh.shape[1]]):
         attributes[f"{EXTENSION}:SH_DEGREE_{degree}_COEF_{n}"] = out.add(splats.sh[:, k], "VEC3")
     if splats.cones is not None:
-        attributes[_CONE] = out.add(splats.cones, "VEC4")
+        attributes[_CONE] = out.add(splats.cones, "VEC4", normalized=True)
+    attributes["COLOR_0"] = write_fallback(out, splats)
     gltf = out.gltf
     gltf.meshes = [
         Mesh(
@@ -86,13 +90,15 @@ def save_gltf(scene: Splats | Avatar, target: Source, *, embedded: bool | None =
                 Primitive(
                     attributes=attributes,
                     mode=0,
+                    material=0,
                     extensions={EXTENSION: {"kernel": "ellipse", "colorSpace": "srgb_rec709_display"}},
                 )
             ]
         )
     ]
+    gltf.materials = [unlit_material("splats")]
     gltf.nodes = [Node(name="splats", mesh=0)]
-    gltf.scenes = [Scene(nodes=[0])]
+    gltf.scene, gltf.scenes = 0, [Scene(nodes=[0])]
     note: dict[str, Any] = {"version": _VERSION}
     if isinstance(scene, Avatar):
         write_influences(out, scene.skin, len(scene.skeleton), attributes)
@@ -103,7 +109,7 @@ def save_gltf(scene: Splats | Avatar, target: Source, *, embedded: bool | None =
     note.pop(_ANTIALIAS, None)  # the splats decide, whatever an avatar's metadata says
     if splats.antialias:
         note[_ANTIALIAS] = True
-    gltf.extensions_used = [EXTENSION]
+    gltf.extensions_used = [EXTENSION, UNLIT]
     out.note(note)
     out.write(target, embedded=embedded)
 
@@ -219,8 +225,8 @@ def _check_extension(value: Any, name: str) -> None:
     nested = extension.get("extensions")
     if isinstance(nested, dict) and any("compression" in key for key in nested):
         raise FormatError(f"{name}: the splats are compressed ({next(iter(nested))[:60]}); export them uncompressed")
-    space = extension.get("colorSpace", "srgb_rec709_display")  # drafts made it optional and named it BT.709
-    if space != "srgb_rec709_display" and not str(space).startswith("BT.709"):
+    space = extension.get("colorSpace", "srgb_rec709_display")  # drafts made it optional, and had other names for it
+    if space not in ("srgb_rec709_display", "BT.709", "BT.709-sRGB", "BT.709-srgb"):
         raise FormatError(f"{name}: needs colorSpace srgb_rec709_display, not {str(space)[:40]!r}; convert the colours")
 
 

@@ -1,0 +1,147 @@
+"""How far a file is from what was saved in it: what rounding, clamping and leaving out did, as numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+import glsplat.formats as formats
+from glsplat.avatar import Avatar
+from glsplat.errors import FormatError
+from glsplat.formats.files import Source
+from glsplat.splats import SH_C0, Splats
+from glsplat.views import splats_of
+
+__all__ = ["Error", "Fidelity", "fidelity", "read_back"]
+
+F64 = NDArray[np.float64]
+
+_CHUNK = 1 << 14  # splats compared at a time
+
+
+@dataclass(frozen=True)
+class Error:
+    """The largest and the mean difference of one attribute, over all splats that could be compared."""
+
+    largest: float
+    mean: float
+
+    def __str__(self) -> str:
+        return f"{self.largest:.2g} ({self.mean:.2g})"
+
+
+@dataclass(frozen=True)
+class Fidelity:
+    """What became of the splats of a scene in a file.
+
+    Compared are splats that are finite and no longer than 0 in rotation on both sides. ``saved`` and ``found`` are how
+    many there were and are.
+    """
+
+    saved: int
+    found: int
+    extent: float  # metres: diagonal of the box around the saved means
+    positions: Error  # metres
+    scales: Error  # percent of the largest of the splat's three; a sign does not count
+    rotations: Error  # degrees of the turn between them
+    colours: Error  # of 255 levels: the colour of SH degree 0, the worst channel, negative ones drawn as 0
+    view: Error  # of 255 levels: what changes with the view (degree 1 and above), RMS over directions, worst channel
+    opacities: Error  # in [0, 1], clamped
+
+    def words(self) -> Iterator[str]:
+        """What is worse than rounding to float32, a phrase each; nothing for a file that holds what was saved."""
+        if self.found != self.saved:
+            yield f"{self.saved - self.found} of {self.saved} splats are not there"
+        for name, unit, error, rounding in (
+            ("positions", "m", self.positions, 1e-6 * max(self.extent, 1e-30)),
+            ("scales", "%", self.scales, 1e-3),
+            ("rotations", "degrees", self.rotations, 1e-3),
+            ("colours", "levels of 255", self.colours, 1e-2),
+            ("view-dependent colours", "levels", self.view, 1e-2),
+            ("opacities", "", self.opacities, 1e-5),
+        ):
+            if error.largest > rounding:
+                yield f"{name} {error} {unit}".rstrip()
+
+
+def read_back(scene: Splats | Avatar, path: Source) -> Fidelity:
+    """What the file at ``path``, which ``scene`` was saved in, holds of its splats. Raises FormatError."""
+    name = formats.recognise(path)
+    order = next(known.order for known in formats.FORMATS if known.name == name)
+    saved = splats_of(scene)
+    return fidelity(saved, splats_of(formats.load(path, format=name)), None if order is None else order(saved))
+
+
+def fidelity(saved: Splats, found: Splats, order: NDArray[np.intp] | None = None) -> Fidelity:
+    """The differences between ``saved`` and what is ``found`` in its file.
+
+    Splat i of the file is splat ``order[i]`` of those saved (Format.order), or splat i without an order. Raises
+    FormatError where the numbers do not fit: 1,000 splats of which the file has 999, and no order says which.
+    """
+    if len(found) != (len(saved) if order is None else len(order)):
+        expected = len(saved) if order is None else len(order)
+        raise FormatError(f"{len(found)} splats were read back, not the {expected} that were written")
+    sums: dict[str, list[tuple[float, float, int]]] = {name: [] for name in _MEASURES}
+    for at in range(0, len(found), _CHUNK):
+        rows = np.arange(at, min(at + _CHUNK, len(found)))
+        a, b = saved.take(rows if order is None else order[rows]), found.take(rows)
+        usable = a.finite() & b.finite() & a.quats.any(axis=1) & b.quats.any(axis=1)
+        a, b = a.take(usable), b.take(usable)
+        for name, measure in _MEASURES.items():
+            off = measure(a, b)
+            sums[name].append((float(off.max(initial=0)), float(off.sum()), len(off)))
+    errors = {}
+    for name, parts in sums.items():
+        count = sum(part[2] for part in parts)
+        total = sum(part[1] for part in parts)
+        errors[name] = Error(max((part[0] for part in parts), default=0.0), total / count if count else 0.0)
+    means = saved.means[saved.finite()].astype(np.float64)
+    extent = float(np.linalg.norm(np.ptp(means, axis=0))) if len(means) else 0.0
+    return Fidelity(len(saved), len(found), extent, **errors)
+
+
+def _positions(a: Splats, b: Splats) -> F64:
+    return np.linalg.norm(b.means.astype(np.float64) - a.means, axis=1)
+
+
+def _scales(a: Splats, b: Splats) -> F64:
+    before, after = np.abs(a.scales.astype(np.float64)), np.abs(b.scales.astype(np.float64))
+    off, largest = np.abs(after - before).max(axis=1, initial=0), before.max(axis=1, initial=0)
+    return 100 * np.divide(off, largest, out=np.zeros_like(off), where=largest > 0)
+
+
+def _rotations(a: Splats, b: Splats) -> F64:
+    before, after = a.quats.astype(np.float64), b.quats.astype(np.float64)
+    apart = np.minimum(np.linalg.norm(after - before, axis=1), np.linalg.norm(after + before, axis=1))
+    return np.degrees(4 * np.arcsin(np.minimum(apart / 2, 1)))  # exact for small angles, where a cosine is not
+
+
+def _colours(a: Splats, b: Splats) -> F64:
+    before, after = (np.maximum(s.sh[:, 0].astype(np.float64) * SH_C0 + 0.5, 0) for s in (a, b))
+    return 255 * np.abs(after - before).max(axis=1, initial=0)
+
+
+def _view(a: Splats, b: Splats) -> F64:
+    coefficients = max(a.sh.shape[1], b.sh.shape[1])
+    before, after = (np.zeros((len(a), coefficients, 3)) for _ in range(2))
+    before[:, : a.sh.shape[1]], after[:, : b.sh.shape[1]] = a.sh, b.sh
+    # the basis is orthonormal over the sphere, whose area is 4 pi
+    power = ((after - before)[:, 1:] ** 2).sum(axis=1) / (4 * np.pi)
+    return 255 * np.sqrt(power).max(axis=1, initial=0)
+
+
+def _opacities(a: Splats, b: Splats) -> F64:
+    return np.abs(np.clip(b.opacities.astype(np.float64), 0, 1) - np.clip(a.opacities, 0, 1))
+
+
+_MEASURES: dict[str, Callable[[Splats, Splats], F64]] = {
+    "positions": _positions,
+    "scales": _scales,
+    "rotations": _rotations,
+    "colours": _colours,
+    "view": _view,
+    "opacities": _opacities,
+}

@@ -1,0 +1,122 @@
+"""Holds glTF files as glsplat writes them against the Khronos validator and three.js, both in node.
+
+    npm install gltf-validator three        (in a folder of its own, FOLDER)
+    python -m tests.formats.scripts.gltf_readers FOLDER
+
+A static scene, an avatar, an avatar with cones and the embedded one, and a textured skinned mesh, as .glb and .gltf.
+The validator may say only that it does not know KHR_gaussian_splatting and its attributes. three.js has to find the
+same counts, positions, colours, joints and weights, and for the mesh the same places by its own skinning, also where
+the nodes stand in another pose than the one of binding.
+"""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import tempfile
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from glsplat.avatar import Avatar
+from glsplat.data import default_avatar
+from glsplat.formats import load, save
+from glsplat.formats.gltf.mesh import save_gltf_mesh
+from glsplat.formats.gltf.splats import EXTENSION
+from glsplat.skinning.pose import Pose
+from glsplat.views import splats_of
+from tests.formats.meshes import chain
+from tests.formats.scenes import edit_glb, random_avatar, random_splats
+
+BENT, BEND = 3, [0.5, 0.5, 0.5, 0.5]  # a joint, and xyzw of its node: a third of a turn about (1, 1, 1)
+
+
+def written(folder: Path) -> list[Path]:
+    """The files."""
+    avatar = random_avatar(200, degree=1)
+    cones = np.random.default_rng(1).integers(-128, 128, (200, 4)).astype(np.int8)
+    scenes = {"static": random_splats(100, 3), "avatar": avatar, "default": default_avatar()}
+    scenes["cones"] = replace(avatar, splats=replace(avatar.splats, cones=cones, antialias=True))
+    paths = []
+    for suffix in (".glb", ".gltf"):
+        for name, scene in scenes.items():
+            paths.append(folder / f"{name}{suffix}")
+            save(scene, paths[-1])
+        paths.append(folder / f"mesh{suffix}")
+        save_gltf_mesh(chain(), paths[-1])
+    paths.append(folder / "bent.glb")
+    save_gltf_mesh(chain(), paths[-1])
+    edit_glb(paths[-1], lambda document: document["nodes"][1 + BENT].update(rotation=BEND))
+    return paths
+
+
+def complaint(issue: dict[str, Any]) -> str | None:
+    """What is wrong, None for what is to be expected."""
+    if issue["code"] == "UNSUPPORTED_EXTENSION" and EXTENSION in issue["message"]:
+        return None
+    if issue["code"] == "MESH_PRIMITIVE_INVALID_ATTRIBUTE" and f"/{EXTENSION}:" in issue["pointer"]:
+        return None
+    return f"{issue['code']} {issue.get('pointer')}"
+
+
+def values(shown: dict[str, Any], name: str) -> np.ndarray:
+    found = shown["attributes"][name]
+    return np.array(found["values"]).reshape(found["count"], found["width"])
+
+
+def check_splats(path: Path, objects: list[dict[str, Any]]) -> str:
+    (shown,) = objects
+    scene = load(path)
+    splats = splats_of(scene)
+    assert shown["kind"] == "Points" and shown["vertexColors"]
+    assert np.array_equal(values(shown, "position"), splats.means)
+    assert np.array_equal(values(shown, f"{EXTENSION}:rotation".lower()), splats.quats[:, [1, 2, 3, 0]])
+    colour = values(shown, "color")
+    display = np.where(colour <= 0.0031308, colour * 12.92, 1.055 * colour ** (1 / 2.4) - 0.055)[:, :3]
+    levels = np.abs(display - np.clip(splats.sh[:, 0] * 0.28209479 + 0.5, 0, 1)).max() * 255
+    assert levels < 0.1 and np.abs(colour[:, 3] - splats.opacities).max() < 1e-5
+    if isinstance(scene, Avatar):
+        joints, weights = values(shown, "skinIndex").astype(int), values(shown, "skinWeight")
+        dense = np.zeros((len(splats), len(scene.skeleton)))
+        np.add.at(dense, (np.arange(len(splats))[:, None], joints), weights)
+        assert np.abs(dense - scene.skin.dense(len(scene.skeleton))).max() < 1e-6
+    return f"{len(splats)} splats, colours within {levels:.3f} levels"
+
+
+def check_mesh(path: Path, objects: list[dict[str, Any]]) -> str:
+    mesh = chain()
+    assert all(shown["kind"] == "SkinnedMesh" and shown["map"] for shown in objects)
+    names = [name.replace(" ", "_") for name in mesh.skeleton.names]  # as three.js spells them
+    assert all(shown["bones"] == names for shown in objects)
+    inverse = np.array(objects[0]["inverse"]).reshape(-1, 4, 4).transpose(0, 2, 1)
+    assert np.abs(inverse - mesh.skeleton.inverse_bind).max() < 1e-6
+    turns = np.zeros((len(mesh.skeleton), 3))
+    if path.stem == "bent":
+        turns[BENT] = 2 * np.pi / 3 / np.sqrt(3)
+    expected = mesh.posed(Pose(turns))[mesh.faces].reshape(-1, 3)
+    found = np.concatenate([shown["skinned"] for shown in objects])
+    away = np.abs(found - expected).max()
+    assert away < 1e-6, f"{path}: three.js skins {away} m away"
+    return f"{len(found)} corners, skinned within {away:.1e} m"
+
+
+def main() -> int:
+    """0 where all agree."""
+    wrong = 0
+    with tempfile.TemporaryDirectory() as folder:
+        paths = written(Path(folder))
+        script = Path(__file__).with_suffix(".mjs")
+        done = subprocess.run(["node", script, *paths], cwd=sys.argv[1], capture_output=True, check=True)
+        for path, said in ((Path(name), said) for name, said in json.loads(done.stdout).items()):
+            bad = [text for issue in said["issues"] if (text := complaint(issue))]
+            wrong += len(bad)
+            check = check_mesh if path.stem in ("mesh", "bent") else check_splats
+            print(f"{path.name}: {check(path, said['objects'])}; the validator: {', '.join(bad) or 'nothing else'}")
+    return bool(wrong)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
