@@ -5,7 +5,9 @@ from __future__ import annotations
 import argparse
 import json
 import math
+import sys
 import time
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,19 +15,16 @@ from glsplat.avatar import Avatar
 from glsplat.data import default_avatar
 from glsplat.errors import FormatError, GlsplatError
 from glsplat.formats import load, save, suffixes
-from glsplat.formats.files import replace_file
+from glsplat.formats.files import naming, replace_file
 from glsplat.formats.scene_file import upright
 from glsplat.formats.transform import transformed
 from glsplat.making.cones import ConeConfig, with_cones
-from glsplat.making.gltf.reader import read_gltf_person
 from glsplat.making.importers import bind_to_mesh, load_lhm_dump
 from glsplat.making.lam import FOLLOW, is_lam_zip, load_lam_zip
-from glsplat.making.people import read_person
 from glsplat.making.posed import posed_splats
 from glsplat.making.refine import RefineConfig, refine
 from glsplat.making.scans import read_body, read_obj_person
 from glsplat.making.surface import make_avatar
-from glsplat.meshes import RiggedMesh
 from glsplat.motion.library import library, to_json
 from glsplat.skinning.pose import Pose, load_pose
 
@@ -33,6 +32,7 @@ from ..args import add_up, motion_of
 from ..convert import add_quiet, save_and_say
 from ..usage import UsageError
 from . import guide, photo, score, video
+from .person import add_rig, doubts, read_any_person
 from .writing import add_notes, check_name, progress_bar, write
 
 HELP = "Make avatars from photographs or rigged people, import, export, score them, find hidden splats, write motions."
@@ -47,6 +47,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "person", type=Path, help="rigged, textured mesh: person archive (.npz), .glb, .gltf, or .obj with --body"
     )
     make.add_argument("--body", type=Path, help="rigged body (.npz) that lends joints and weights to an .obj in T-pose")
+    add_rig(make)
     make.add_argument("--splats", type=int, default=40_000, help="number of Gaussians (default 40000)")
     make.add_argument("--seed", type=int, default=0, help="same seed, same bytes (default 0)")
     make.add_argument(
@@ -126,14 +127,26 @@ def _make(args: argparse.Namespace) -> int:
     if args.steps < 0:
         raise UsageError(f"--steps needs 0 or more, not {args.steps}")
     began = time.perf_counter()
-    mesh = _person(args.person) if args.body is None else read_obj_person(args.person, read_body(args.body))
+    if args.body is None:
+        mesh = read_any_person(args.person, args)
+    else:
+        mesh = read_obj_person(args.person, read_body(args.body))
+    _say(args.person, doubts(mesh))  # before the minutes, so that they can be saved
     with progress_bar() as show:
         avatar = make_avatar(mesh, args.splats, args.seed, progress=show)
         if args.steps:
             avatar = refine(avatar, mesh, args.seed, RefineConfig(steps=args.steps), show)
         if not args.no_cones:
             avatar = with_cones(avatar, progress=show)
+    told = set(doubts(mesh))
+    _say(args.person, (line for line in doubts(mesh, avatar, args.splats) if line not in told))
     return write(avatar, args, began)
+
+
+def _say(path: Path, lines: Iterable[str]) -> None:
+    with naming(path):
+        for line in lines:
+            print(f"glsplat avatar: {path}: {line}", file=sys.stderr)
 
 
 def _cones(args: argparse.Namespace) -> int:
@@ -166,25 +179,11 @@ def _import(args: argparse.Namespace) -> int:
     scene = load(args.dump)
     splats = scene.splats if isinstance(scene, Avatar) else scene
     try:
-        avatar = bind_to_mesh(splats, _person(args.mesh), args.reach / 100)
+        avatar = bind_to_mesh(splats, read_any_person(args.mesh), args.reach / 100)
     except FormatError as error:
         text = str(error)
         raise FormatError(text if text.startswith(str(args.mesh)) else f"{args.dump}: {text}") from None
     return write(replace(avatar, meta={**avatar.meta, "source": args.dump.name}), args, began)
-
-
-def _person(path: Path) -> RiggedMesh:
-    """A rigged mesh by content."""
-    try:
-        with open(path, "rb") as file:
-            head = file.read(64)
-    except OSError as error:
-        raise FormatError(f"{path}: cannot read the person ({error.strerror})") from None
-    if head.startswith(b"glTF") or head.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"{"):
-        return read_gltf_person(path)
-    if path.suffix.lower() == ".obj":
-        raise FormatError(f"{path}: an .obj has no rig; name a rigged body with --body")
-    return read_person(path)
 
 
 def _export(args: argparse.Namespace) -> int:
@@ -218,7 +217,7 @@ def _score(args: argparse.Namespace) -> int:
     scene = default_avatar() if args.avatar is None else load(args.avatar)
     if not isinstance(scene, Avatar):
         raise FormatError(f"{args.avatar}: has no skeleton to pose; give an avatar (.glb with a skin)")
-    return score.report(args, scene, _person(args.mesh))
+    return score.report(args, scene, read_any_person(args.mesh))
 
 
 def _motions(args: argparse.Namespace) -> int:
