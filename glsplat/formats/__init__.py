@@ -5,6 +5,7 @@ format                      read    write   holds
 ==========================  ======  ======  ============================================================
 3DGS PLY (.ply)             yes     yes     splats, SH degree 0 to 3
 .splat (32 bytes a splat)   yes     yes     splats, 8-bit colour and rotation
+SPZ 1 to 4 (.spz)           yes     2, 3    splats, SH degree 0 to 3 of 5 and 4 bits, 24-bit positions
 glTF (.glb, .gltf)          yes     yes     splats (KHR_gaussian_splatting), avatars (with a skin)
 ==========================  ======  ======  ============================================================
 """
@@ -21,6 +22,7 @@ from glsplat.formats.format import Format, Start
 from glsplat.formats.gltf.splats import GLB, GLTF, load_gltf, save_gltf
 from glsplat.formats.ply import PLY, load_ply, save_ply
 from glsplat.formats.splat import SPLAT, load_splat, save_splat
+from glsplat.formats.spz import SPZ
 from glsplat.splats import Splats
 from glsplat.views import splats_of
 
@@ -43,6 +45,7 @@ __all__ = [
 FORMATS: list[Format] = [
     PLY,
     SPLAT,
+    SPZ,
     GLB,
     GLTF,
 ]

@@ -74,11 +74,11 @@ def test_a_new_format_is_saved_recognised_and_loaded(tmp_path: Path) -> None:
 @pytest.mark.usefixtures("registered")
 def test_every_text_names_a_new_format(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "none").write_bytes(b"hello")
-    with pytest.raises(FormatError, match=r"expected 3DGS PLY, glTF/GLB .*, a toy of points, or \.splat, but"):
+    with pytest.raises(FormatError, match=r"expected 3DGS PLY, .*glTF/GLB .*, a toy of points, or \.splat, but"):
         load(tmp_path / "none")
     with pytest.raises(FormatError, match=r"needs to end in \.ply, .*\.gltf, \.toy or \.points, not '\.obj'"):
         save(random_splats(), tmp_path / "a.obj")
-    with pytest.raises(FormatError, match="format is one of ply, splat, glb, gltf, toy, not 'obj'"):
+    with pytest.raises(FormatError, match=r"format is one of ply, splat, .*glb, gltf, toy, not 'obj'"):
         save(random_splats(), io.BytesIO(), format="obj")
     for command in ("convert", "inspect", "render"):
         with pytest.raises(SystemExit):
