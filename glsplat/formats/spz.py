@@ -35,7 +35,8 @@ _HEADER = struct.Struct("<4sIIBBBB")
 _ANTIALIAS, _EXTENDED, _TREE = 1, 2, 0x80  # flags
 _EXTENSIONS = 1 << 16  # bytes of all vendors' extensions that are looked at
 _AXES = 0xADBE0003  # the extension SPZ_ADOBE_coordinate_system: one of
-_SYSTEMS = ("", *"LDB RDB LUB RUB LDF RDF LUF RUF LFD RFD LFU RFU LBD RBD LBU RBU".split())
+_SYSTEMS = ("RUB", *"LDB RDB LUB RUB LDF RDF LUF RUF LFD RFD LFU RFU LBD RBD LBU RBU".split())
+_AMBIGUOUS = ("LFD", "RFD", "LBU", "RBU")  # Niantic's library stores them turned half around x from what they say
 _DIRECTIONS = {"R": (1, 0, 0), "L": (-1, 0, 0), "D": (0, 1, 0), "U": (0, -1, 0), "F": (0, 0, 1), "B": (0, 0, -1)}
 _BLOCK = 1 << 20
 _DEFLATED = 1032  # no deflate stream packs more bytes into one
@@ -223,8 +224,7 @@ def _header(data: Bytes, newest: int) -> tuple[Header, int]:
 
 def _turned(splats: Splats, extensions: Bytes, turn: bool) -> Splats:
     """``splats``, read as if they had the axes of SPZ, from the axes that an extension names."""
-    system = ""
-    at = 0
+    system, at = "RUB", 0
     while at + 8 <= len(extensions):
         kind, length = struct.unpack_from("<II", extensions, at)
         if kind == _AXES and length == 4 and at + 12 <= len(extensions):
@@ -232,8 +232,10 @@ def _turned(splats: Splats, extensions: Bytes, turn: bool) -> Splats:
             if code >= len(_SYSTEMS):
                 raise FormatError(f"its extension for axes names system {code}, but there are 1 to 16")
             system = _SYSTEMS[code]
+            if system in _AMBIGUOUS:
+                raise FormatError(f"its extension names the axes {system}, which mean two things; export it as RUB")
         at += 8 + length
-    if system in ("", "RUB"):
+    if system == "RUB":
         return splats
     matrix = np.eye(4)
     matrix[:3, :3] = HALF_TURN @ np.transpose([_DIRECTIONS[letter] for letter in system])  # to x right, y up, z back

@@ -7,8 +7,8 @@ position        9      2^-bits m; we write 12 bits (0.24 mm), fewer in a larger 
 opacity         1      1/255                                                               0 to 1
 colour          3      0.0261 of the coefficient, 0.0074 of the colour                     colours -0.44 to 1.44
 scale           3      a factor of exp(1/16) = 1.064                                       exp(-10) m to 379 m
-rotation        4      0.00138 of each of the three smaller components (0.2 degrees)        all
-rotation, v1-2  3      0.0078 of x, y and z, where w >= 0                                  all
+rotation        4      0.00138 of each of the three smaller components (0.28 degrees)       all
+rotation, v1-2  3      0.0078 of x, y and z, where w >= 0 (14 degrees where w is 0)        all
 SH coefficient  1      1/128; written in steps of 1/16 (degree 1) and 1/8, as others do    -1 to 0.992
 ==============  =====  ==================================================================  ========================
 
