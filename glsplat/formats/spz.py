@@ -74,7 +74,7 @@ def read_spz(file: BinaryIO, size: int, *, turn: bool = True) -> Splats:
         header, attributes, extensions = _single(file.read, size)
     if header.degree > 3:
         log.warning("spherical harmonics of degree %d are cut to degree 3 (%d splats)", header.degree, header.count)
-    return _turned(unpacked(header, attributes, turn=turn), extensions, turn)
+    return _turned(unpacked(header, attributes, turn=turn), extensions)
 
 
 def spz_splats(data: bytes) -> Splats:
@@ -119,13 +119,12 @@ class _Inflated:
         out = bytearray()
         while len(out) < count and not self._unpack.eof:
             block = self._unpack.unconsumed_tail or self._file.read(_BLOCK)
+            if not block:
+                raise FormatError("truncated: the gzip stream has no end")
             try:
-                part = self._unpack.decompress(block, count - len(out))
+                out += self._unpack.decompress(block, count - len(out))
             except zlib.error as error:
                 raise FormatError(f"the gzip stream is broken ({str(error)[:80]})") from None
-            if not block and not part:
-                raise FormatError("truncated: the gzip stream has no end")
-            out += part
         return out
 
     def end(self) -> None:
@@ -222,7 +221,7 @@ def _header(data: Bytes, newest: int) -> tuple[Header, int]:
     return Header(version, count, degree, bits, bool(flags & _ANTIALIAS)), flags
 
 
-def _turned(splats: Splats, extensions: Bytes, turn: bool) -> Splats:
+def _turned(splats: Splats, extensions: Bytes) -> Splats:
     """``splats``, read as if they had the axes of SPZ, from the axes that an extension names."""
     system, at = "RUB", 0
     while at + 8 <= len(extensions):
@@ -238,9 +237,10 @@ def _turned(splats: Splats, extensions: Bytes, turn: bool) -> Splats:
     if system == "RUB":
         return splats
     matrix = np.eye(4)
-    matrix[:3, :3] = HALF_TURN @ np.transpose([_DIRECTIONS[letter] for letter in system])  # to x right, y up, z back
-    if turn:
-        matrix[:3, :3] = HALF_TURN @ matrix[:3, :3] @ HALF_TURN
+    matrix[:3, :3] = HALF_TURN @ np.transpose(
+        [_DIRECTIONS[letter] for letter in system]
+    )  # to x right, y up, z back; it
+    # commutes with the half turn, so that it may come after it
     return transformed(splats, matrix)
 
 

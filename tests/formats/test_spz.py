@@ -358,6 +358,20 @@ def test_a_bomb_unpacks_no_further_than_its_header_says(tmp_path: Path, count: i
         tracemalloc.stop()
 
 
+@needs_zstd
+def test_a_bomb_of_zstd_neither(tmp_path: Path) -> None:
+    frame = _zstd.compress(bytes(10**8))
+    data = spz_streams(gzip.compress(PAYLOAD))
+    old, table = struct.unpack_from("<Q", data, 32)[0], 32 + 16 * 6
+    bomb = data[:32] + struct.pack("<Q", len(frame)) + data[40:table] + frame + data[table + old :]
+    tracemalloc.start()
+    try:
+        refused(tmp_path, bomb, "needs to hold 18 bytes")
+        assert tracemalloc.get_traced_memory()[1] < 2_000_000
+    finally:
+        tracemalloc.stop()
+
+
 @pytest.mark.parametrize("count", [4_000_000, 2**32 - 1])
 def test_a_lying_count_allocates_nothing(tmp_path: Path, count: int) -> None:
     lie = gzip.compress(header(count=count, degree=0) + bytes(10**6))
