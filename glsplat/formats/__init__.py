@@ -7,6 +7,7 @@ format                      read    write   holds
 compressed PLY              yes     yes     splats, SH degree 0 to 3, 16 bytes and up to 45 more a splat
 .splat (32 bytes a splat)   yes     yes     splats, 8-bit colour and rotation
 KSPLAT (.ksplat)            yes     no      splats, SH degree 0 to 2
+SPZ 1 to 4 (.spz)           yes     2, 3    splats, SH degree 0 to 3 of 5 and 4 bits, 24-bit positions
 glTF (.glb, .gltf)          yes     yes     splats (KHR_gaussian_splatting), avatars (with a skin)
 ==========================  ======  ======  ============================================================
 """
@@ -25,6 +26,7 @@ from glsplat.formats.gltf.splats import GLB, GLTF, load_gltf, save_gltf
 from glsplat.formats.ksplat import KSPLAT
 from glsplat.formats.ply import PLY, load_ply, save_ply
 from glsplat.formats.splat import SPLAT, load_splat, save_splat
+from glsplat.formats.spz import SPZ
 from glsplat.splats import Splats
 from glsplat.views import splats_of
 
@@ -49,6 +51,7 @@ FORMATS: list[Format] = [
     COMPRESSED_PLY,
     SPLAT,
     KSPLAT,
+    SPZ,
     GLB,
     GLTF,
 ]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import gzip
 import json
 import tracemalloc
 from dataclasses import replace
@@ -18,14 +19,25 @@ from hypothesis import strategies as st
 from glsplat.avatar import Avatar
 from glsplat.errors import FormatError
 from glsplat.formats import load, load_gltf, load_ply, load_splat, save
+from glsplat.formats.spz import load_spz
 from glsplat.splats import Splats
 from tests.formats.ksplats import ksplat
-from tests.formats.scenes import SHARED_DATA, awkward_splats, glb_parts, random_avatar, random_splats, write_glb
+from tests.formats.scenes import (
+    SHARED_DATA,
+    awkward_splats,
+    glb_parts,
+    random_avatar,
+    random_splats,
+    spz_streams,
+    write_glb,
+)
 from tests.formats.test_ply import columns, ply
 
 EXAMPLES = 120
 LIMIT = 8_000_000  # bytes a load of a file of a few kB may allocate
-REAL = ("splats/splatapult_sh3_16.ply", "splats/unit_cube_ascii.ply", "formats/splat-transform/minimal.splat")
+REAL = ("splats/splatapult_sh3_16.ply", "splats/unit_cube_ascii.ply", "formats/splat-transform/minimal.splat",
+        "formats/splat-transform/minimal-raw.spz", "formats/splat-transform/minimal-v2.spz",
+        "formats/splat-transform/minimal-v4.spz", "real/splats/khr_spz2_basic.glb")  # fmt: skip
 fuzz = settings(
     max_examples=EXAMPLES,
     deadline=None,  # a busy machine is not a slow reader; a hang meets the suite's own timeout
@@ -53,9 +65,11 @@ def seeds() -> list[bytes]:
             "e.ply": awkward_splats(),
             "f.compressed.ply": random_splats(6, 1),
             "g.compressed.ply": random_splats(6),
+            "h.spz": replace(random_splats(8, 3), antialias=True),
         }.items():
             save(scene, Path(folder) / name)
             out.append((Path(folder) / name).read_bytes())
+    out += [gzip.decompress(out[-1]), spz_streams(out[-1])]  # SPZ without its gzip, and in version 4
     out += [
         ksplat([random_splats(6, degree), random_splats(3)], level)[0] for degree, level in ((1, 0), (0, 1), (2, 2))
     ]
@@ -107,7 +121,7 @@ def test_mutated_bytes(tmp_path: Path, data: st.DataObject) -> None:
             content[at:at] = content[at : at + length] * 3
     path = tmp_path / "fuzz"
     path.write_bytes(content)
-    for reader in (load, load_ply, load_splat, load_gltf):
+    for reader in (load, load_ply, load_splat, load_spz, load_gltf):
         only_format_errors(path, reader)
 
 
@@ -135,6 +149,24 @@ def test_mutated_ply_header(tmp_path: Path, data: st.DataObject) -> None:
     path = tmp_path / "fuzz.ply"
     path.write_bytes("\n".join([*lines, "end_header\n"]).encode("latin-1") + body)
     only_format_errors(path, load)
+
+
+@fuzz
+@given(data=st.data())
+def test_mutated_spz(tmp_path: Path, data: st.DataObject) -> None:
+    """Headers and tables above all, and what is inside the gzip stream."""
+    whole, streams = (next(s for s in seeds() if s[:4] == b"NGSP" and s[4] == version) for version in (3, 4))
+    content = bytearray(data.draw(st.sampled_from([whole, streams])))
+    for _ in range(data.draw(st.integers(1, 4))):
+        at = data.draw(st.integers(4, 140))
+        some = data.draw(st.sampled_from([b"\0", b"\1", b"\4", b"\x7f", b"\xff", b"\xff\xff\xff", b"\0\0\0\x01"]))
+        content[at : at + len(some)] = some
+    del content[data.draw(st.integers(0, len(content))) if data.draw(st.booleans()) else len(content) :]
+    content += bytes(data.draw(st.sampled_from([0, 0, 1, 5000])))
+    for packed in (content, gzip.compress(content), gzip.compress(content) + bytes(3), gzip.compress(content)[:-5]):
+        (tmp_path / "fuzz.spz").write_bytes(packed)
+        only_format_errors(tmp_path / "fuzz.spz", load)
+        only_format_errors(tmp_path / "fuzz.spz", load_spz)
 
 
 def places(value: Any, path: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:

@@ -64,7 +64,7 @@ def test_an_avatar_keeps_its_rig_only_in_gltf(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        (b"", "is empty; expected 3DGS PLY, .*glTF/GLB with KHR_gaussian_splatting, or .splat"),
+        (b"", r"is empty; expected 3DGS PLY, .*glTF/GLB with KHR_gaussian_splatting, or \.splat"),
         (b"hello", "none of them"),
         (b"\x1f\x8b" + bytes(30), "gzip"),
         (b"PK\x03\x04" + bytes(28), "ZIP"),

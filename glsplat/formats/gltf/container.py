@@ -198,6 +198,7 @@ class Container:
         self._blob = blob
         self._folder = folder
         self._uris: dict[str, Blob] = {}
+        self._taken: dict[int, int] = {}  # buffer -> bytes of it that ``view`` gave
 
     def read(self, index: int, what: str, types: tuple[str, ...]) -> NDArray[np.generic]:
         """The elements of an accessor [count, width], raw component type.
@@ -234,6 +235,21 @@ class Container:
         offset = view.byte_offset + accessor.byte_offset
         part = data.part(offset, stride * (accessor.count - 1) + size)
         return np.ndarray((accessor.count, width), dtype, part, 0, (stride, dtype.itemsize))
+
+    def view(self, index: int, what: str) -> bytes:
+        """The bytes of a bufferView, for an extension that knows what they are.
+
+        Raises FormatError when it leaves its buffer, and when those asked for take more bytes than there are: bytes
+        that unpack to a thousand times as many are not to be had again and again.
+        """
+        view = item(self.gltf.buffer_views, index, f"bufferView of {what}")
+        data = self._buffer(view.buffer)
+        if view.byte_offset + view.byte_length > len(data):
+            raise FormatError(f"truncated: {what} needs {view.byte_length} bytes, its buffer ends before")
+        taken = self._taken[view.buffer] = self._taken.get(view.buffer, 0) + view.byte_length
+        if taken > len(data):
+            raise FormatError(f"{what}: the bufferViews of packed splats overlap; give each its own bytes")
+        return data.part(view.byte_offset, view.byte_length)
 
     def numbers(self, index: int, what: str, types: tuple[str, ...]) -> NDArray[np.float32]:
         """The elements of an accessor [count, width] as float32, normalised integers decoded (glTF 2.0, 3.11)."""

@@ -20,6 +20,7 @@ from glsplat.avatar import Avatar
 from glsplat.errors import FormatError
 from glsplat.formats.files import Source, checked, folder_of, naming, open_regular
 from glsplat.formats.format import Format
+from glsplat.formats.gltf.compressed import SPZ_EXTENSION, packed_splats, packed_view
 from glsplat.formats.gltf.container import Container, Mesh, Node, Primitive, Scene, read_container
 from glsplat.formats.gltf.fallback import UNLIT, unlit_material, write_fallback
 from glsplat.formats.gltf.nodes import Instance, graph_of, instances
@@ -37,8 +38,9 @@ _CONE = (
     "_VISIBILITY_CONE"  # Splats.cones; an attribute of an application's own starts with an underscore (glTF 2.0, 3.7.2)
 )
 _WEIGHTS = "skin_weights"  # in it: what Skin.lost and Skin.repaired were
-# POSITION may be stored as integers by KHR_mesh_quantization; other extensions that change the data are refused
-_KNOWN = {EXTENSION, "KHR_mesh_quantization"}
+# POSITION may be stored as integers by KHR_mesh_quantization, a material means nothing to splats; other extensions that
+# change the data are refused
+_KNOWN = {EXTENSION, SPZ_EXTENSION, "KHR_mesh_quantization", "KHR_materials_unlit"}
 _INSTANCES = 64  # times the splats stored, that nodes may show them: a small file must not become a huge scene
 _SH_NAMES = [(degree, n) for degree in range(4) for n in range(2 * degree + 1)]
 
@@ -52,7 +54,7 @@ def load_gltf(source: Source, *, strict: bool = False) -> Splats | Avatar:
     names, are recognised by being mostly negative. Non-finite values are kept, or with ``strict`` refused.
 
     Raises FormatError: no glTF, no splats in it, an attribute missing, truncated or of another kind, a colour space
-    other than display sRGB, compressed splats, or an external buffer outside the file's own folder.
+    other than display sRGB, splats compressed by anything but SPZ, or an external buffer outside the file's own folder.
     """
     with naming(source), open_regular(source) as (file, size):
         scene = read_gltf(file, size, folder_of(source))
@@ -138,10 +140,11 @@ def _scene(container: Container) -> Splats | Avatar:
 
 
 def _merged(container: Container, found: list[Instance]) -> Splats:
-    read: dict[int, Splats] = {}
+    read: dict[tuple[bool, int], Splats] = {}
     parts: list[Splats] = []
     for instance in found:
-        key = id(instance.primitive)
+        view = packed_view(instance.primitive.extensions[EXTENSION], instance.name)
+        key = (True, id(instance.primitive)) if view is None else (False, view)
         if key not in read:
             read[key] = _splats(container, instance.primitive, instance.name)
         parts.append(read[key])
@@ -168,6 +171,9 @@ def _splats(container: Container, primitive: Primitive, name: str) -> Splats:
     if primitive.mode != 0:
         raise FormatError(f"{name}: splats need a POINTS primitive (mode 0), not mode {primitive.mode}")
     _check_extension(primitive.extensions[EXTENSION], name)
+    view = packed_view(primitive.extensions[EXTENSION], name)
+    if view is not None:
+        return packed_splats(container, primitive, view, name)
     attributes = {key.replace(f"{EXTENSION}:", "_", 1): index for key, index in primitive.attributes.items()}
 
     def read(key: str, *types: str) -> NDArray[np.float32] | None:
@@ -222,9 +228,6 @@ def _logarithmic(scales: NDArray[np.float32]) -> bool:
 
 def _check_extension(value: Any, name: str) -> None:
     extension = value if isinstance(value, dict) else {}
-    nested = extension.get("extensions")
-    if isinstance(nested, dict) and any("compression" in key for key in nested):
-        raise FormatError(f"{name}: the splats are compressed ({next(iter(nested))[:60]}); export them uncompressed")
     space = extension.get("colorSpace", "srgb_rec709_display")  # drafts made it optional, and had other names for it
     if space not in ("srgb_rec709_display", "BT.709", "BT.709-sRGB", "BT.709-srgb"):
         raise FormatError(f"{name}: needs colorSpace srgb_rec709_display, not {str(space)[:40]!r}; convert the colours")
