@@ -1,0 +1,134 @@
+"""glsplat avatar make on other people's rigs: driven at first try, mended by a map, or told why not."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from glsplat_apps.cli import main
+
+from glsplat.avatar import Avatar
+from glsplat.formats import load
+from glsplat.making.gltf.reader import read_gltf_person
+from glsplat.motion.motion import load_motion
+from glsplat.skinning.pose import Pose
+from glsplat.skinning.smplx import JOINT_NAMES
+from tests.making.gltf.built import FAMILIES, Family, build
+
+pytestmark = pytest.mark.gl
+
+QUICK = ["--splats", "600", "--steps", "0", "--no-cones"]
+SILENT = replace(FAMILIES["Unreal"], names={joint: f"b{n:02d}" for n, joint in enumerate(FAMILIES["Unreal"].names)})
+
+
+def written(tmp_path: Path, family: Family) -> Path:
+    path = tmp_path / "person.glb"
+    path.write_bytes(build(replace(family, twists=(), more={})).data)
+    return path
+
+
+def made(tmp_path: Path, person: Path, *more: str) -> Avatar:
+    assert main(["avatar", "make", str(person), "-o", str(tmp_path / "me.glb"), *QUICK, *more]) == 0
+    avatar = load(tmp_path / "me.glb")
+    assert isinstance(avatar, Avatar)
+    return avatar
+
+
+@pytest.mark.parametrize("name", ["Unreal", "VRM 0.x", "Mixamo, centimetres"])
+def test_an_avatar_walks_as_its_mesh_does(tmp_path, capsys, name) -> None:
+    person = written(tmp_path, FAMILIES[name])
+    avatar, mesh = made(tmp_path, person), read_gltf_person(person)
+    assert capsys.readouterr().err == ""
+    assert avatar.skeleton.names == JOINT_NAMES
+    assert avatar.meta["rig"] == mesh.meta["rig"] and len(avatar.meta["rig"]) > 50
+    motion = load_motion("walk", avatar.skeleton)
+    for frame in (0, len(motion) // 2):
+        bones = motion.pose(frame).bones(avatar.skeleton)
+        blended = np.einsum("nk,nkij->nij", avatar.skin.weights, bones[avatar.skin.joints])
+        means = np.einsum("nij,nj->ni", blended[:, :, :3], avatar.splats.means) + blended[:, :, 3]
+        vertices = mesh.posed(motion.pose(frame))
+        for axis in range(3):
+            assert abs(means[:, axis].min() - vertices[:, axis].min()) < 0.02
+            assert abs(means[:, axis].max() - vertices[:, axis].max()) < 0.02
+
+
+def test_a_rig_that_says_nothing_and_a_map_that_does(tmp_path, capsys) -> None:
+    person = written(tmp_path, SILENT)
+    avatar = made(tmp_path, person)
+    said = capsys.readouterr().err
+    assert "cannot be driven by motions or a headset: no joint has a name that says what it is" in said
+    assert avatar.skeleton.names[0] == "b00" and "rig" not in avatar.meta
+    assert main(["render", str(tmp_path / "me.glb"), "--motion", "walk", "-o", str(tmp_path / "x.png")]) == 1
+    refused = capsys.readouterr().err
+    assert refused.count("\n") == 1 and "SMPL-X" in refused
+    names = tmp_path / "map.json"
+    names.write_text(json.dumps(SILENT.names))
+    driven = made(tmp_path, person, "--rig-map", str(names))
+    assert capsys.readouterr().err == "" and driven.skeleton.names == JOINT_NAMES
+    assert driven.meta["rig"] == dict(SILENT.names)
+
+
+def test_a_map_mends_one_joint(tmp_path) -> None:
+    """What it leaves out is still told by names; null is a joint that the rig does not have."""
+    person = written(tmp_path, FAMILIES["Unreal"])
+    names = tmp_path / "map.json"
+    names.write_text(json.dumps({"spine1": "spine_02", "spine2": None, "left_thumb3": None}))
+    rig = made(tmp_path, person, "--rig-map", str(names)).meta["rig"]
+    assert rig["spine1"] == "spine_02" and "spine2" not in rig and "left_thumb3" not in rig
+    assert rig["left_thumb2"] == "thumb_02_l" and rig["head"] == "head"
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("{", "map.json: a rig map is JSON"),
+        ("[]", "map.json: a rig map is an object of names"),
+        ('{"left_leg": "thigh_l"}', 'map.json: a rig map names joints of SMPL-X .* not "left_leg"'),
+        ('{"left_hip": 3}', "map.json: left_hip needs the name of a node"),
+        ('{"left_hip": "nobody"}', 'left_hip the node "nobody", which the file does not have'),
+        ('{"left_hip": "head"}', "gives the joint 'head' twice"),
+        ('{"head": null}', "head"),
+    ],
+)
+def test_wrong_maps_are_one_line(tmp_path, capsys, text, words) -> None:
+    person = written(tmp_path, FAMILIES["Unreal"])
+    (tmp_path / "map.json").write_text(text)
+    code = main(
+        ["avatar", "make", str(person), "-o", str(tmp_path / "me.glb"), *QUICK, "--rig-map", str(tmp_path / "map.json")]
+    )
+    said = capsys.readouterr().err
+    if text == '{"head": null}':  # a person without a head is made, and cannot be driven
+        assert code == 0 and "no joint for head" in said
+        return
+    assert code == 1 and said.count("\n") == 1 and not (tmp_path / "me.glb").exists()
+    import re
+
+    assert re.search(words, said), said
+
+
+def test_sizes(tmp_path, capsys) -> None:
+    person = written(tmp_path, replace(FAMILIES["Unreal"], unit=1.0, names=FAMILIES["SMPL"].names))
+    data = person.read_bytes()
+    assert b'"matrix"' in data
+    huge = tmp_path / "huge.glb"
+    huge.write_bytes(data)
+    avatar = made(tmp_path, huge, "--extra-scale", "2.5")
+    said = capsys.readouterr().err
+    assert "m tall; --extra-scale" in said and said.count("\n") == 1
+    high = np.ptp(avatar.skeleton.joints[:, 1])
+    smaller = made(tmp_path, huge, "--extra-scale", "0.5")
+    assert capsys.readouterr().err == ""
+    assert np.ptp(smaller.skeleton.joints[:, 1]) == pytest.approx(high / 5)
+    assert main(["avatar", "make", str(huge), "-o", str(tmp_path / "x.glb"), "--extra-scale", "0"]) == 2
+    assert "--extra-scale needs a number above 0" in capsys.readouterr().err
+
+
+@pytest.mark.shared
+@pytest.mark.parametrize("name", ["mannequiny_gdquest.glb", "robot_expressive.glb", "cool_loops.vrm"])
+def test_real_files(shared_data: Path, tmp_path, name) -> None:
+    avatar = made(tmp_path, shared_data / "real" / "models" / name)
+    assert avatar.skeleton.names == JOINT_NAMES and len(avatar.splats) >= 500
+    assert np.isfinite(Pose.zero().bones(avatar.skeleton)).all()
