@@ -105,10 +105,12 @@ def open_regular(source: Source) -> Iterator[tuple[BinaryIO, int]]:
             info = os.fstat(descriptor)
             if not stat.S_ISREG(info.st_mode):
                 kind = "a directory" if stat.S_ISDIR(info.st_mode) else "not a regular file"
-                if os.path.isfile(os.path.join(path_of(source), "meta.json")):
-                    kind += "; of an unpacked SOG, name its meta.json"
                 raise FormatError(f"{name}: expected a file, but this is {kind}")
             yield file, info.st_size
+    except IsADirectoryError:
+        sog = not _is_open(source) and os.path.isfile(os.path.join(path_of(source), "meta.json"))
+        more = "; of an unpacked SOG, name its meta.json" if sog else ""
+        raise FormatError(f"{name}: expected a file, but this is a directory{more}") from None
     except OSError as error:
         raise FormatError(f"{name}: cannot be read ({error.strerror or error})") from None
     except ValueError as error:  # a path with a NUL byte, a file that was closed
