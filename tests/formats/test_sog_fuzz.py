@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 
 from glsplat.formats import load, load_sog, save
 from tests.formats.scenes import SHARED_DATA, random_splats
+from tests.formats.sog_files import by_hand, pack, zipped
 from tests.formats.test_fuzz import fuzz, json_values, only_format_errors, places
-from tests.formats.test_sog import by_hand, pack
 
 REAL = SHARED_DATA / "real" / "splats" / "playbot_5_sog"
 
@@ -33,14 +33,6 @@ def seeds() -> list[dict[str, bytes]]:
     if REAL.is_dir():
         out.append({path.name: path.read_bytes() for path in sorted(REAL.iterdir())})
     return out
-
-
-def zipped(files: dict[str, bytes], method: int) -> bytes:
-    out = BytesIO()
-    with zipfile.ZipFile(out, "w", method) as archive:
-        for name, data in files.items():
-            archive.writestr(name, data)
-    return out.getvalue()
 
 
 def tried(folder: Path, files: dict[str, bytes], method: int = zipfile.ZIP_STORED) -> None:

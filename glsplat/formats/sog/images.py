@@ -37,11 +37,14 @@ def decoded(package: Package, name: str, least: int, most: int) -> NDArray[np.ui
         if size > 5 * width * height + (1 << 16):
             raise FormatError(f"{name:.60} has {size} bytes, more than an image of {width} x {height} pixels can need")
         data = head + file.read(max(size - len(head), 0))
+    level = cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)  # the one line is ours
     try:
         # IMREAD_UNCHANGED: alpha is kept, colours are not touched where it is 0
         image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     except cv2.error:
         image = None
+    finally:
+        cv2.utils.logging.setLogLevel(level)
     if image is None or image.dtype != np.uint8 or image.shape not in ((height, width, 3), (height, width, 4)):
         raise FormatError(f"{name:.60} cannot be decoded (damaged?)")
     turned = cv2.cvtColor(image, cv2.COLOR_BGRA2RGBA if image.shape[2] == 4 else cv2.COLOR_BGR2RGBA)
