@@ -140,7 +140,9 @@ def test_zips_that_are_not_as_they_should_be(tmp_path: Path) -> None:
     flipped[good.index(b"VP8L") + 14] ^= 0xFF
     many = zipped({"meta.json": text, **files, **{f"{index}": b"" for index in range(1200)}})
     bomb = zipped({"meta.json": b" " * (2 << 20)}, zipfile.ZIP_DEFLATED)
+    nameless = good.replace(b"meta.json", b"\0eta.json")
     cases = {
+        nameless: "a zip that holds meta.json, this one holds",
         bytes(locked): "quats.webp is encrypted",
         twice.getvalue(): "2 files of the zip are called 'quats.webp'",
         bytes(flipped): "cannot be unpacked: Bad CRC",

@@ -90,7 +90,8 @@ class Zip:
             self._zip = zipfile.ZipFile(file)
         except _BROKEN as error:
             raise FormatError(f"a .sog is a zip, but {_line(error)}") from None
-        entries = [info for info in self._zip.infolist() if not info.is_dir() and "__MACOSX" not in info.filename]
+        # not is_dir(), which wants a name to have a letter
+        entries = [i for i in self._zip.infolist() if not i.filename.endswith("/") and "__MACOSX" not in i.filename]
         if len(entries) > _ENTRIES:
             raise FormatError(f"a .sog has a handful of files, this zip {len(entries)}")
         self._size = size
