@@ -8,6 +8,7 @@ compressed PLY              yes     yes     splats, SH degree 0 to 3, 16 bytes a
 .splat (32 bytes a splat)   yes     yes     splats, 8-bit colour and rotation
 KSPLAT (.ksplat)            yes     no      splats, SH degree 0 to 2
 SPZ 1 to 4 (.spz)           yes     2, 3    splats, SH degree 0 to 3 of 5 and 4 bits, 24-bit positions
+SOG (.sog, meta.json)       yes     yes     splats, SH degree 0 to 3 from tables
 glTF (.glb, .gltf)          yes     yes     splats (KHR_gaussian_splatting), avatars (with a skin)
 ==========================  ======  ======  ============================================================
 """
@@ -25,6 +26,7 @@ from glsplat.formats.format import Format, Start
 from glsplat.formats.gltf.splats import GLB, GLTF, load_gltf, save_gltf
 from glsplat.formats.ksplat import KSPLAT
 from glsplat.formats.ply import PLY, load_ply, save_ply
+from glsplat.formats.sog.sog import SOG, load_sog, save_sog
 from glsplat.formats.splat import SPLAT, load_splat, save_splat
 from glsplat.formats.spz import SPZ
 from glsplat.splats import Splats
@@ -36,12 +38,14 @@ __all__ = [
     "load",
     "load_gltf",
     "load_ply",
+    "load_sog",
     "load_splat",
     "losses",
     "recognise",
     "save",
     "save_gltf",
     "save_ply",
+    "save_sog",
     "save_splat",
     "suffixes",
 ]
@@ -52,6 +56,7 @@ FORMATS: list[Format] = [
     SPLAT,
     KSPLAT,
     SPZ,
+    SOG,
     GLB,
     GLTF,
 ]
@@ -60,7 +65,7 @@ FORMATS: list[Format] = [
 _FOREIGN = {
     b"\x1f\x8b": "gzip, perhaps .spz or .ply.gz",
     b"NGSP": ".spz",
-    b"PK": "a ZIP archive, perhaps .sog",
+    b"PK": "a ZIP archive without the meta.json of a .sog",
 }
 
 

@@ -53,10 +53,15 @@ def suffix_of(source: Source) -> str:
 
 
 def suffixes_of(source: Source) -> list[str]:
-    """All that may be called so, the longest first: ".compressed.ply", ".ply"; [""] where there is none."""
+    """All that may be called so, the longest first: ".compressed.ply", ".ply"; [""] where there is none.
+
+    A file called meta.json, whose kind is said by no less than that, begins with its whole name.
+    """
     name = getattr(source, "name", "") if _is_open(source) else path_of(source)
-    parts = Path(os.fsdecode(name)).suffixes if isinstance(name, (str, bytes)) else []
-    return ["".join(parts[at:]).lower() for at in range(len(parts))] or [""]
+    path = Path(os.fsdecode(name)) if isinstance(name, (str, bytes)) else Path()
+    parts = path.suffixes
+    whole = [path.name] if path.name == "meta.json" else []
+    return whole + ["".join(parts[at:]).lower() for at in range(len(parts))] or [""]
 
 
 def folder_of(source: Source) -> Path | None:
@@ -102,6 +107,10 @@ def open_regular(source: Source) -> Iterator[tuple[BinaryIO, int]]:
                 kind = "a directory" if stat.S_ISDIR(info.st_mode) else "not a regular file"
                 raise FormatError(f"{name}: expected a file, but this is {kind}")
             yield file, info.st_size
+    except IsADirectoryError:
+        sog = not _is_open(source) and os.path.isfile(os.path.join(path_of(source), "meta.json"))
+        more = "; of an unpacked SOG, name its meta.json" if sog else ""
+        raise FormatError(f"{name}: expected a file, but this is a directory{more}") from None
     except OSError as error:
         raise FormatError(f"{name}: cannot be read ({error.strerror or error})") from None
     except ValueError as error:  # a path with a NUL byte, a file that was closed

@@ -54,7 +54,7 @@ class Format:
 
     name: str  # as ``format=`` takes it
     title: str  # as messages say it
-    suffixes: tuple[str, ...]  # lower case, with the dot; the first is the usual one; the longest that fits counts
+    suffixes: tuple[str, ...]  # lower case, with the dot, or "meta.json"; the first is the usual, the longest counts
     sniff: Callable[[Start], bool]
     load: Callable[[BinaryIO, int, Path | None], Splats | Avatar]
     save: Callable[[Splats | Avatar, Source], None] | None

@@ -66,6 +66,7 @@ def seeds() -> list[bytes]:
             "f.compressed.ply": random_splats(6, 1),
             "g.compressed.ply": random_splats(6),
             "h.spz": replace(random_splats(8, 3), antialias=True),
+            "h.sog": random_splats(8, 1),
         }.items():
             save(scene, Path(folder) / name)
             out.append((Path(folder) / name).read_bytes())

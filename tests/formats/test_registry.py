@@ -155,4 +155,4 @@ def test_names_and_suffixes_are_one_formats_own() -> None:
     names = [known.name for known in formats.FORMATS]
     endings = [suffix for known in formats.FORMATS for suffix in known.suffixes]
     assert len(set(names)) == len(names) and len(set(endings)) == len(endings)
-    assert all(suffix.startswith(".") and suffix == suffix.lower() for suffix in endings)
+    assert all((suffix[0] == "." or suffix == "meta.json") and suffix == suffix.lower() for suffix in endings)

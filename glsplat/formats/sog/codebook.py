@@ -1,0 +1,74 @@
+"""Which 256 numbers stand for many: a k-means in one dimension, on a histogram, the same at every run."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["SIZE", "codebook"]
+
+SIZE = 256
+_BINS = 1 << 14
+_EVEN = 0.25  # of the codes at the start: spread evenly over the range, whatever lies there
+_ROUNDS = 10
+
+
+def codebook(values: NDArray[np.floating]) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
+    """256 numbers in ascending order, and for each of the finite ``values`` the index of the nearest.
+
+    Up to 256 different values (as float32) are kept as they are. Of more, none is off by more than 1/60 of the
+    distance between the smallest and the largest, and where values are dense, by much less.
+    """
+    flat = np.ascontiguousarray(values, np.float32).ravel()
+    book = np.full(SIZE, flat[0] if flat.size else 0, np.float32)
+    few = _distinct(flat)
+    if few is not None:
+        book[: len(few)] = few
+        book[len(few) :] = few[-1] if len(few) else 0
+    elif flat.size:
+        book = _means(flat)
+    index = np.searchsorted((book[1:].astype(np.float64) + book[:-1]) / 2, flat).astype(np.uint8)
+    return book, index.reshape(values.shape)
+
+
+def _distinct(flat: NDArray[np.float32]) -> NDArray[np.float32] | None:
+    """The different values in order; None when they are more than a codebook has."""
+    if len(np.unique(flat[: 16 * SIZE])) > SIZE:
+        return None
+    few = np.unique(flat)
+    return few if len(few) <= SIZE else None
+
+
+def _means(flat: NDArray[np.float32]) -> NDArray[np.float32]:
+    low, high = float(flat.min()), float(flat.max())
+    bins = ((flat.astype(np.float64) - low) * ((_BINS - 1) / (high - low))).astype(np.int32)
+    counts = np.bincount(bins, minlength=_BINS).astype(np.float64)
+    sums = np.bincount(bins, flat, _BINS).astype(np.float64)
+    # the cube root of the density: what errors of least squares ask for in the limit of many codes
+    share = np.cbrt(counts)
+    share = (1 - _EVEN) * share / share.sum() + _EVEN / _BINS
+    cells = np.minimum((np.cumsum(share) - share / 2) * SIZE, SIZE - 1).astype(np.int64)
+    start = _centres(cells, counts, sums, np.linspace(low, high, SIZE))
+    used = counts > 0
+    counts, sums = counts[used], sums[used]
+    at = sums / counts
+    book = start
+    for _ in range(_ROUNDS):
+        nearest = np.searchsorted((book[1:] + book[:-1]) / 2, at)
+        book = _centres(nearest, counts, sums, book)
+    # rounds of k-means serve the many; where they would leave the few further off than promised, the start stays
+    if _worst(book, at) > _worst(start, at) and _worst(book, at) > (high - low) / 64:
+        book = start
+    return np.sort(book).astype(np.float32)
+
+
+def _centres(
+    cells: NDArray[np.int64], counts: NDArray[np.float64], sums: NDArray[np.float64], old: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """The mean of what fell into each cell; the old centre of an empty one."""
+    number = np.bincount(cells, counts, SIZE)
+    return np.sort(np.where(number > 0, np.bincount(cells, sums, SIZE) / np.maximum(number, 1), old))
+
+
+def _worst(book: NDArray[np.float64], at: NDArray[np.float64]) -> float:
+    return float(np.abs(book[np.searchsorted((book[1:] + book[:-1]) / 2, at)] - at).max())

@@ -1,0 +1,186 @@
+"""meta.json of a SOG: version 2, whose values are looked up in tables, and version 1, whose ranges become tables."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Any
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from glsplat.errors import FormatError
+
+__all__ = ["BANDS", "MOST_SPLATS", "Meta", "parse"]
+
+BANDS = {1: 3, 2: 8, 3: 15}
+"""Coefficients beyond the first of the spherical harmonics of a degree."""
+
+MOST_SPLATS = 1 << 25
+"""Splats in one file: more than any known one has, as images of them decode from next to nothing."""
+
+_BITS16 = np.arange(65536) / 65535
+_BITS8 = np.arange(256) / 255
+
+Vec3 = Annotated[list[float], msgspec.Meta(min_length=3, max_length=3)]
+Book = Annotated[list[float | None], msgspec.Meta(min_length=1, max_length=256)]
+Names = Annotated[list[str], msgspec.Meta(min_length=1, max_length=8)]
+Pair = Annotated[list[str], msgspec.Meta(min_length=2, max_length=8)]
+
+
+class _Means(msgspec.Struct):
+    mins: Vec3
+    maxs: Vec3
+    files: Pair
+    shape: list[int] = []
+
+
+class _Values(msgspec.Struct):
+    files: Names
+    codebook: Book | None = None
+    mins: list[float] = []
+    maxs: list[float] = []
+
+
+class _Quats(msgspec.Struct):
+    files: Names
+
+
+class _Rest(msgspec.Struct):
+    files: Pair
+    codebook: Book | None = None
+    mins: float | None = None
+    maxs: float | None = None
+    bands: int | None = None
+    count: int | None = None
+
+
+class _File(msgspec.Struct):
+    means: _Means
+    scales: _Values
+    quats: _Quats
+    sh0: _Values
+    shN: _Rest | None = None  # noqa: N815
+    version: Any = 1
+    count: int | None = None
+    antialias: Any = False
+    model: Any = None
+
+
+@dataclass(frozen=True, eq=False)
+class Meta:
+    """What the pixels of the images mean, as tables by the value of a channel, and what the images are called."""
+
+    count: int
+    antialias: bool
+    means: NDArray[np.float32]  # [3, 65536] metres, by axis and the 16 bits of two images
+    scales: NDArray[np.float32]  # [3, 256] standard deviations in metres, by axis
+    colours: NDArray[np.float32]  # [3, 256] the first SH coefficient, by channel
+    opacities: NDArray[np.float32]  # [256]
+    rest: NDArray[np.float32] | None  # [256] the further SH coefficients, of all channels; None without them
+    bands: int | None  # degree of those; None where the width of their image has to tell
+    palette: int  # sets of further coefficients that labels may name
+    files: dict[str, str]  # "means_l", "means_u", "quats", "scales", "sh0", "centroids", "labels"
+
+
+def parse(text: bytes) -> Meta:
+    """The tables that a meta.json speaks of. Raises FormatError, one line, for what is no such thing."""
+    try:
+        file = msgspec.json.decode(text.removeprefix(b"\xef\xbb\xbf"), type=_File)
+    except (msgspec.MsgspecError, RecursionError, UnicodeDecodeError) as error:
+        raise FormatError(f"meta.json is not that of a SOG: {str(error)[:160]}") from None
+    if file.version not in (1, 2) or isinstance(file.version, bool):
+        raise FormatError(f"SOG of version 1 and 2 are read, this one is of version {str(file.version)[:16]!r}")
+    count = file.count if file.version == 2 else next(iter(file.means.shape), None)
+    if count is None:
+        raise FormatError("meta.json does not say how many splats there are")
+    if not 0 <= count <= MOST_SPLATS:
+        raise FormatError(f"meta.json claims {count} splats; a SOG has {MOST_SPLATS} at most")
+    with np.errstate(over="ignore", invalid="ignore"):  # whatever becomes infinite has a fate of its own
+        return (_version_2 if file.version == 2 else _version_1)(file, count)
+
+
+def _version_2(file: _File, count: int) -> Meta:
+    scales = np.exp(_book(file.scales.codebook, "scales"))
+    colours = _book(file.sh0.codebook, "sh0")
+    rest = None
+    bands = file.shN.bands if file.shN else None
+    if file.shN and bands != 0:
+        if bands not in (None, *BANDS):
+            raise FormatError(f"shN.bands of meta.json is 1, 2 or 3, not {bands}")
+        book = _book(file.shN.codebook, "shN")
+        rest = np.where(np.isnan(book), 0, book).astype(np.float32)  # a coefficient without a value is none
+    return _meta(
+        file, count, np.tile(scales, (3, 1)), np.tile(colours, (3, 1)), _BITS8, rest, bands,
+        antialias=file.antialias is True or file.model == "antialiased",
+    )  # fmt: skip
+
+
+def _version_1(file: _File, count: int) -> Meta:
+    scales = np.exp(_ranges(file.scales, 3, "scales"))
+    colours = _ranges(file.sh0, 4, "sh0")
+    rest = None
+    if file.shN:
+        if file.shN.mins is None or file.shN.maxs is None:
+            raise FormatError("shN of meta.json needs mins and maxs in version 1")
+        rest = _between(file.shN.mins, file.shN.maxs, _BITS8).astype(np.float32)
+    opacities = 1 / (1 + np.exp(-colours[3]))
+    return _meta(file, count, scales, colours[:3], opacities, rest, None, antialias=file.antialias is True)
+
+
+def _meta(
+    file: _File,
+    count: int,
+    scales: NDArray[np.float64],
+    colours: NDArray[np.float64],
+    opacities: NDArray[np.float64],
+    rest: NDArray[np.float32] | None,
+    bands: int | None,
+    *,
+    antialias: bool,
+) -> Meta:
+    logs = np.stack([_between(low, high, _BITS16) for low, high in zip(file.means.mins, file.means.maxs, strict=True)])
+    files = {
+        "means_l": file.means.files[0],
+        "means_u": file.means.files[1],
+        "quats": file.quats.files[0],
+        "scales": file.scales.files[0],
+        "sh0": file.sh0.files[0],
+    }
+    palette = 0
+    if file.shN and rest is not None:
+        files |= {"centroids": file.shN.files[0], "labels": file.shN.files[1]}
+        palette = 65536 if file.shN.count is None else min(max(file.shN.count, 0), 65536)
+    return Meta(
+        count,
+        antialias,
+        (np.sign(logs) * np.expm1(np.abs(logs))).astype(np.float32),
+        scales.astype(np.float32),
+        colours.astype(np.float32),
+        opacities.astype(np.float32),
+        rest,
+        bands,
+        palette,
+        files,
+    )
+
+
+def _book(values: list[float | None] | None, what: str) -> NDArray[np.float64]:
+    """[256] of a codebook; NaN beyond its end and where it holds null, which JSON has for NaN and infinity."""
+    if values is None:
+        raise FormatError(f"{what} of meta.json needs a codebook in version 2")
+    book = np.full(256, np.nan)
+    book[: len(values)] = [np.nan if value is None else value for value in values]
+    if values[0] is None:  # some writers lost an infinity at the low end: read as PlayCanvas's engine does
+        book[0] = book[1] + (book[1] - book[255]) / 255
+    return book
+
+
+def _ranges(values: _Values, channels: int, what: str) -> NDArray[np.float64]:
+    if len(values.mins) != channels or len(values.maxs) != channels:
+        raise FormatError(f"{what} of meta.json needs {channels} mins and {channels} maxs in version 1")
+    return np.stack([_between(low, high, _BITS8) for low, high in zip(values.mins, values.maxs, strict=True)])
+
+
+def _between(low: float, high: float, at: NDArray[np.float64]) -> NDArray[np.float64]:
+    return low + (high - low) * at

@@ -1,0 +1,180 @@
+"""Where the files of a SOG lie: in a zip, read within bounds and never unpacked to disk, or beside its meta.json."""
+
+from __future__ import annotations
+
+import struct
+import zipfile
+import zlib
+from collections.abc import Iterable, Iterator
+from contextlib import AbstractContextManager, contextmanager
+from pathlib import Path, PurePosixPath
+from typing import BinaryIO, Protocol
+
+from glsplat.errors import FormatError
+from glsplat.formats.files import open_regular
+
+__all__ = ["META", "Folder", "Package", "Zip", "is_zip"]
+
+META = "meta.json"
+_META_SIZE = 1 << 20  # bytes; those of other makers have 2 to 20 kB
+_ENTRIES = 1000  # in the directory of the zip; a SOG has 6 to 9
+_DIRECTORY = 1 << 18  # bytes of it
+_END = struct.Struct("<4s4H2LH")  # the end record: mark, disks, entries, size and place of the directory, comment
+_COMMENT = 0xFFFF
+_BROKEN = (
+    zipfile.BadZipFile,
+    zlib.error,
+    struct.error,
+    EOFError,
+    NotImplementedError,
+    OverflowError,
+    RuntimeError,
+    ValueError,
+)
+
+
+class Package(Protocol):
+    """The files of a SOG by the names that meta.json gives them."""
+
+    def meta(self) -> bytes:
+        """The bytes of meta.json."""
+
+    def open(self, name: str) -> AbstractContextManager[tuple[BinaryIO, int]]:
+        """The file ``name``, open at its start, and the bytes that it claims to have."""
+
+    def size(self, names: Iterable[str]) -> int:
+        """Bytes on disk of meta.json and the files ``names``, or of all there is."""
+
+
+class Folder:
+    """A meta.json that is open, and the images in its folder."""
+
+    def __init__(self, file: BinaryIO, size: int, folder: Path | None) -> None:
+        self._file, self._size, self._folder = file, size, folder
+
+    def meta(self) -> bytes:
+        """The bytes of meta.json. FormatError when there are too many."""
+        self._file.seek(0)
+        return self._file.read(_fitting(self._size))
+
+    @contextmanager
+    def open(self, name: str) -> Iterator[tuple[BinaryIO, int]]:
+        """The image ``name``; FormatError for one outside the folder, links that lead out among them."""
+        if self._folder is None:
+            raise FormatError("the images lie beside the meta.json, and an open file has no folder; give its path")
+        folder = self._folder.resolve()
+        try:
+            path = (folder / _inside(name)).resolve()
+        except (OSError, ValueError, RuntimeError):
+            raise FormatError(f"the image {name!r:.60} is no path of a file") from None
+        if not path.is_relative_to(folder):
+            raise FormatError(f"the image {name!r:.60} lies outside the folder of the meta.json")
+        with open_regular(path) as (file, size):
+            yield file, size
+
+    def size(self, names: Iterable[str]) -> int:
+        """Bytes of meta.json and of the images ``names``."""
+        total = self._size
+        for name in names:
+            with self.open(name) as (_, size):
+                total += size
+        return total
+
+
+class Zip:
+    """A zip that is open, after a look at its directory."""
+
+    def __init__(self, file: BinaryIO, size: int) -> None:
+        try:
+            _check_directory(file, size)
+            self._zip = zipfile.ZipFile(file)
+        except _BROKEN as error:
+            raise FormatError(f"a .sog is a zip, but {_line(error)}") from None
+        # not is_dir(), which wants a name to have a letter
+        entries = [i for i in self._zip.infolist() if not i.filename.endswith("/") and "__MACOSX" not in i.filename]
+        if len(entries) > _ENTRIES:
+            raise FormatError(f"a .sog has a handful of files, this zip {len(entries)}")
+        self._size = size
+        self._names: dict[str, list[zipfile.ZipInfo]] = {}
+        for info in entries:
+            self._names.setdefault(info.filename, []).append(info)
+        # at the root, or as archivers of folders put it, in the one folder
+        found = [name for name in self._names if PurePosixPath(name).name == META and name.count("/") <= 1]
+        if not found:
+            inside = ", ".join(name[:40] for name in list(self._names)[:6]) or "nothing"
+            raise FormatError(f"a .sog is a zip that holds {META}, this one holds {inside}")
+        if len(found) > 1 and META not in found:
+            raise FormatError(f"{len(found)} folders of the zip hold a {META}; pack each of them alone")
+        self._root = "" if META in found else found[0].removesuffix(META)
+
+    def meta(self) -> bytes:
+        """The bytes of meta.json. FormatError when there are too many."""
+        with self.open(META) as (file, size):
+            return file.read(_fitting(size))
+
+    @contextmanager
+    def open(self, name: str) -> Iterator[tuple[BinaryIO, int]]:
+        """The member ``name``, unpacked as it is read, and its size as the directory claims it."""
+        found = self._names.get(self._root + _inside(name), [])
+        if not found:
+            raise FormatError(f"{META} names {name!r:.60}, which the zip does not hold")
+        info = found[0]
+        if len(found) > 1:
+            raise FormatError(f"{len(found)} files of the zip are called {name!r:.60}")
+        if info.flag_bits & 1:
+            raise FormatError(f"{name:.60} is encrypted; unpack the zip and pack it without a password")
+        if info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+            raise FormatError(f"{name:.60} is packed by method {info.compress_type}; use store or deflate")
+        if info.compress_size > self._size:
+            raise FormatError(f"truncated: {name:.60} claims {info.compress_size} bytes, the zip has {self._size}")
+        try:
+            with self._zip.open(info) as file:
+                yield file, info.file_size  # type: ignore[misc]
+        except _BROKEN as error:
+            raise FormatError(f"{name:.60} cannot be unpacked: {_line(error)}") from None
+
+    def size(self, _: Iterable[str]) -> int:
+        """Bytes of the zip."""
+        return self._size
+
+
+def is_zip(file: BinaryIO, size: int) -> bool:
+    """Whether an open file is a zip that holds a meta.json."""
+    try:
+        Zip(file, size)
+    except FormatError:
+        return False
+    return True
+
+
+def _check_directory(file: BinaryIO, size: int) -> None:
+    """Look at the end record as zipfile does, before zipfile reads what it speaks of."""
+    file.seek(max(size - _END.size - _COMMENT, 0))
+    tail = file.read(_END.size + _COMMENT)
+    at = len(tail) - _END.size
+    if at < 0 or tail[at : at + 4] != b"PK\5\6" or tail[-2:] != b"\0\0":
+        at = tail.rfind(b"PK\5\6")
+    if at < 0 or at + _END.size > len(tail):
+        raise zipfile.BadZipFile("it has no end record (truncated?)")
+    _, _, _, _, entries, directory, _, _ = _END.unpack_from(tail, at)
+    if b"PK\6\7" in tail[max(at - 20, 0) : at]:
+        raise zipfile.BadZipFile("it is of the kind for more than 4 GB (ZIP64); pack it without")
+    if entries > _ENTRIES or directory > _DIRECTORY:
+        raise zipfile.BadZipFile(f"its directory has {entries} entries in {directory} bytes, a .sog a handful")
+
+
+def _inside(name: str) -> str:
+    """``name`` where it is relative and leads nowhere else."""
+    if not name or "\\" in name or ":" in name or "\0" in name or {"", ".", ".."} & set(name.split("/")):
+        raise FormatError(f"{META} names its images relative to itself, not {name!r:.60}")
+    return name
+
+
+def _fitting(size: int) -> int:
+    if size > _META_SIZE:
+        raise FormatError(f"{META} has {_META_SIZE} bytes at most, this one {size}")
+    return size
+
+
+def _line(error: Exception) -> str:
+    return " ".join(str(error).split())[:120] or type(error).__name__

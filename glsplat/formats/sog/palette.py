@@ -1,0 +1,104 @@
+"""Which few sets of coefficients stand for many: a k-means in many dimensions, in bounded time."""
+
+from __future__ import annotations
+
+import heapq
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["palette", "palette_size"]
+
+_ROUNDS = 2
+_GROUP = 256  # sets that lie together
+_NEAR = 8  # groups that a row is compared with
+_CHUNK = 4096  # rows compared at a time
+
+Rows = NDArray[np.float32]
+
+
+def palette_size(count: int) -> int:
+    """Sets for ``count`` splats: the largest power of two that is not above it, 65536 at most (as splat-transform)."""
+    return min(1 << 16, 1 << max(count.bit_length() - 1, 0)) if count else 0
+
+
+def palette(rows: Rows, size: int) -> tuple[Rows, NDArray[np.int64]]:
+    """At most ``size`` rows [P, D] that stand for all [N, D], and for each the index of its one; every one is in use.
+
+    Rows are halved at the mean of their widest dimension, those with the largest squared error first, until there
+    are enough parts; then two rounds of k-means compare each row with the sets of the eight groups of 256 next to
+    its own (2048 sets: all, in a small palette). Up to ``size`` different rows are kept as they are. The time grows
+    with N D (log P + 3 x 2048), never with N P; the same rows give the same result.
+    """
+    order, starts = _halved(rows, size)
+    grouped = rows[order]
+    lengths = np.diff([*starts, len(rows)])
+    centres = np.add.reduceat(grouped.astype(np.float64), starts, axis=0) / lengths[:, None]
+    labels = np.repeat(np.arange(len(starts)), lengths)
+    firsts = starts[::_GROUP]
+    for _ in range(_ROUNDS if len(starts) == size else 0):
+        labels, errors = _nearest(grouped, firsts, centres.astype(np.float32))
+        counts = np.bincount(labels, minlength=len(centres))
+        for axis in range(rows.shape[1]):
+            sums = np.bincount(labels, grouped[:, axis], len(centres))
+            centres[:, axis] = np.where(counts > 0, sums / np.maximum(counts, 1), centres[:, axis])
+        empty = np.flatnonzero(counts == 0)  # each takes one of the rows that fit worst
+        centres[empty] = grouped[np.argsort(-errors, kind="stable")[: len(empty)]]
+    if len(starts) == size:
+        labels, _ = _nearest(grouped, firsts, centres.astype(np.float32))
+    used, labels = np.unique(labels, return_inverse=True)
+    found = np.empty(len(rows), np.int64)
+    found[order] = labels
+    return centres[used].astype(np.float32), found
+
+
+def _halved(rows: Rows, size: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """An order of the rows in which ``size`` parts are contiguous, and where each begins; fewer where rows repeat."""
+    order = np.arange(len(rows))
+    waiting: list[tuple[float, int, int]] = []
+    starts = {0}
+
+    def wait(start: int, stop: int) -> None:
+        if stop - start > 1:
+            part = rows[order[start:stop]]
+            error = float(part.var(axis=0, dtype=np.float64).sum()) * (stop - start)
+            # halves of equal rows have an error of rounding
+            if error > 0 and (part != part[0]).any():
+                heapq.heappush(waiting, (-error, start, stop))
+
+    wait(0, len(rows))
+    while waiting and len(starts) < size:
+        _, start, stop = heapq.heappop(waiting)
+        part = rows[order[start:stop]]
+        widest = part[:, int(part.var(axis=0, dtype=np.float64).argmax())]
+        above = widest > widest.mean(dtype=np.float64)
+        mine = order[start:stop]
+        middle = stop - int(above.sum())
+        order[start:stop] = np.concatenate([mine[~above], mine[above]])
+        starts.add(middle)
+        wait(start, middle)
+        wait(middle, stop)
+    return order, np.array(sorted(starts))
+
+
+def _nearest(rows: Rows, firsts: NDArray[np.int64], centres: Rows) -> tuple[NDArray[np.int64], Rows]:
+    """For each row the nearest centre of the groups next to its own, and the squared distance."""
+    groups = len(firsts)
+    edges = np.minimum(np.arange(groups + 1) * _GROUP, len(centres))
+    middles = np.add.reduceat(centres, edges[:-1], axis=0) / np.diff(edges)[:, None]
+    apart = (middles**2).sum(1)[:, None] + (middles**2).sum(1) - 2 * middles @ middles.T
+    np.fill_diagonal(apart, -1)
+    labels, errors = np.empty(len(rows), np.int64), np.empty(len(rows), np.float32)
+    squares = (centres * centres).sum(axis=1)
+    stops = [*firsts[1:], len(rows)]
+    for group in range(groups):
+        near = np.sort(np.argsort(apart[group], kind="stable")[:_NEAR])
+        mine = np.concatenate([np.arange(edges[one], edges[one + 1]) for one in near])
+        theirs, lengths = centres[mine].T, squares[mine]
+        for at in range(int(firsts[group]), int(stops[group]), _CHUNK):
+            part = rows[at : min(at + _CHUNK, int(stops[group]))]
+            far = lengths - 2 * (part @ theirs)
+            best = far.argmin(axis=1)
+            labels[at : at + len(part)] = mine[best]
+            errors[at : at + len(part)] = far[np.arange(len(part)), best] + (part * part).sum(axis=1)
+    return labels, errors
