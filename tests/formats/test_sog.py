@@ -18,7 +18,7 @@ from glsplat.errors import FormatError
 from glsplat.formats import load, load_sog, losses, recognise, save, save_sog
 from glsplat.formats.sog.codebook import codebook
 from glsplat.formats.sog.palette import palette, palette_size
-from glsplat.formats.sog.write import morton_order
+from glsplat.formats.sog.write import stored_order
 from glsplat.splats import Splats
 from tests.formats.scenes import assert_equal, awkward_splats, random_avatar, random_splats
 from tests.formats.sog_files import by_hand, pack, webp, zipped
@@ -121,9 +121,8 @@ def logs(means: Any) -> Any:
 
 
 def in_order(splats: Splats) -> Splats:
-    """As a file has them: 16 bits of each axis along the curve."""
-    low, high = logs(splats.means).min(axis=0), logs(splats.means).max(axis=0)
-    return splats.take(morton_order(np.rint((logs(splats.means) - low) / (high - low) * 65535).astype(np.uint16)))
+    """As a file has them."""
+    return splats.take(stored_order(splats))
 
 
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
@@ -258,18 +257,6 @@ def test_palette(rng: np.random.Generator) -> None:
     mine = ((sets[labels] - rows) ** 2).sum()
     best = sum(((sets[None] - part[:, None]) ** 2).sum(axis=2).min(axis=1).sum() for part in np.array_split(rows, 90))
     assert best <= mine < 1.005 * best and len(np.unique(labels)) == len(sets)
-
-
-def test_morton_order() -> None:
-    corners = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], np.uint16)
-    expected = [[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0], [0, 0, 1], [1, 0, 1], [0, 1, 1], [1, 1, 1]]
-    assert corners[morton_order(corners)].tolist() == expected
-    rng = np.random.default_rng(1)
-    steps = rng.integers(0, 65536, (500, 3)).astype(np.uint16)
-    code = [
-        sum((int(row[axis]) >> bit & 1) << 3 * bit + axis for bit in range(16) for axis in range(3)) for row in steps
-    ]
-    assert morton_order(steps).tolist() == np.argsort(code, kind="stable").tolist()
 
 
 # --- files of other makers ---

@@ -15,7 +15,7 @@ from glsplat.formats.sog.output import write_folder, write_zip
 from glsplat.formats.sog.package import META, is_zip
 from glsplat.formats.sog.palette import palette_size
 from glsplat.formats.sog.read import read_sog
-from glsplat.formats.sog.write import drawn, packed
+from glsplat.formats.sog.write import drawn, packed, stored_order
 from glsplat.splats import Splats
 from glsplat.views import splats_of
 
@@ -106,4 +106,5 @@ SOG = Format(
     load=read_sog,
     save=lambda scene, target: save_sog(splats_of(scene), target),
     loses=_loses,
+    order=stored_order,
 )

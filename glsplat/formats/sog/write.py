@@ -10,13 +10,14 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from glsplat.formats.morton import morton_order
 from glsplat.formats.sog.codebook import codebook
 from glsplat.formats.sog.images import encoded
 from glsplat.formats.sog.package import META
 from glsplat.formats.sog.palette import palette, palette_size
 from glsplat.splats import Splats
 
-__all__ = ["SMALLEST", "drawn", "morton_order", "packed"]
+__all__ = ["SMALLEST", "drawn", "packed", "stored_order"]
 
 SMALLEST = 1e-9
 """The smallest standard deviation that is written, in metres: a scale of zero has no logarithm."""
@@ -34,11 +35,17 @@ def drawn(splats: Splats) -> Splats:
     return splats if kept.all() else splats.take(kept)
 
 
+def stored_order(splats: Splats) -> NDArray[np.intp]:
+    """Which of the splats a SOG has, in the order it has them in."""
+    kept = np.flatnonzero(splats.finite() & splats.quats.any(axis=1))
+    return kept[morton_order(splats.means[kept])]
+
+
 def packed(splats: Splats) -> Iterator[tuple[str, bytes]]:
     """The files by their names, meta.json last; of ``drawn`` splats, at most 16380 squared."""
     count = len(splats)
     low, high, steps = _steps(splats.means)
-    order = morton_order(steps)
+    order = morton_order(splats.means)
     width = max(4, math.ceil(math.sqrt(count) / 4) * 4)
     shape = max(4, math.ceil(count / width / 4) * 4), width
     meta: dict[str, Any] = {"version": 2, "asset": {"generator": "glsplat"}, "count": count}
@@ -68,21 +75,6 @@ def packed(splats: Splats) -> Iterator[tuple[str, bytes]]:
         yield names[0], _image(index.reshape(-1, 3), (lines, _ROW * (rows.shape[1] // 3)))
         yield names[1], _image(np.column_stack([labels & 255, labels >> 8]).astype(np.uint8), shape)
     yield META, msgspec.json.encode(meta)
-
-
-def morton_order(steps: NDArray[np.uint16]) -> NDArray[np.int64]:
-    """The order of positions [N, 3] along a Morton curve, z in the highest bit of three; of equal ones as they come."""
-    code = np.zeros(len(steps), np.uint64)
-    for axis in range(3):
-        code |= _spread(steps[:, axis].astype(np.uint64)) << np.uint64(axis)
-    return np.argsort(code, kind="stable")
-
-
-def _spread(bits: NDArray[np.uint64]) -> NDArray[np.uint64]:
-    """16 bits with two zeros between one and the next."""
-    for shift, mask in ((16, 0xFF0000FF), (8, 0xF00F00F00F), (4, 0xC30C30C30C3), (2, 0x249249249249)):
-        bits = (bits | bits << np.uint64(shift)) & np.uint64(mask)
-    return bits
 
 
 def _steps(means: NDArray[np.float32]) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.uint16]]:
