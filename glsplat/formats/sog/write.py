@@ -38,14 +38,19 @@ def drawn(splats: Splats) -> Splats:
 def stored_order(splats: Splats) -> NDArray[np.intp]:
     """Which of the splats a SOG has, in the order it has them in."""
     kept = np.flatnonzero(splats.finite() & splats.quats.any(axis=1))
-    return kept[morton_order(splats.means[kept])]
+    return kept[_along(_steps(splats.means[kept])[2])]
+
+
+def _along(steps: NDArray[np.uint16]) -> NDArray[np.intp]:
+    """By what is stored, so that a file that was read is written as it was."""
+    return morton_order(steps.astype(np.float32))
 
 
 def packed(splats: Splats) -> Iterator[tuple[str, bytes]]:
     """The files by their names, meta.json last; of ``drawn`` splats, at most 16380 squared."""
     count = len(splats)
     low, high, steps = _steps(splats.means)
-    order = morton_order(splats.means)
+    order = _along(steps)
     width = max(4, math.ceil(math.sqrt(count) / 4) * 4)
     shape = max(4, math.ceil(count / width / 4) * 4), width
     meta: dict[str, Any] = {"version": 2, "asset": {"generator": "glsplat"}, "count": count}
