@@ -73,9 +73,10 @@ def main() -> None:
     page = np.vstack([np.hstack([small, rows[0]]), np.hstack([empty, rows[1]])])
     words = ["photograph", "participant", *(f"{word} {psnr[method]:.1f} dB" for method, word in METHODS.items())]
     at = [4, *(small.shape[1] + 4 + 300 * place for place in range(len(METHODS) + 1))]
+    band = np.full((24, page.shape[1], 3), 40, np.uint8)
     for word, x in zip(words, at, strict=True):
-        cv2.putText(page, word, (x, 18), cv2.FONT_HERSHEY_SIMPLEX, 0.55, (255, 255, 255), 3, cv2.LINE_AA)
-        cv2.putText(page, word, (x, 18), cv2.FONT_HERSHEY_SIMPLEX, 0.55, (0, 0, 0), 1, cv2.LINE_AA)
+        cv2.putText(band, word, (x, 17), cv2.FONT_HERSHEY_SIMPLEX, 0.55, (255, 255, 255), 1, cv2.LINE_AA)
+    page = np.vstack([band, page])
     target = ROOT / "docs" / "images" / "evaluation.jpg"
     cv2.imwrite(str(target), page, [cv2.IMWRITE_JPEG_QUALITY, 85])
     print(f"{target}: {name}, {page.shape[1]} x {page.shape[0]}")
