@@ -21,7 +21,7 @@ from glsplat.evaluate.metrics.lpips import Lpips
 from glsplat.evaluate.sections.costs import SIZES, costs
 from glsplat.gl.context import create_context
 from glsplat.making.items import load_item
-from glsplat.scene import Figure
+from glsplat.scene import Figure, is_figure
 
 from ..report import latency
 
@@ -41,7 +41,8 @@ def timed(
     figures: dict[str, Figure] = {}
     for method, file in files[chosen.name].items():
         loaded = load_item(file, False)
-        figures[method] = loaded  # type: ignore[assignment]  # it was an avatar when it was written
+        if is_figure(loaded):  # as it was when it was written
+            figures[method] = loaded
     sizes = SIZES[:1] if quick else SIZES
     frames = _FRAMES[quick]
     with tqdm(total=len(figures) * len(sizes) * (WARM_UP + frames), desc="timing", leave=False, disable=None) as bar:

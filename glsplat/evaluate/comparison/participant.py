@@ -17,7 +17,7 @@ from glsplat.making.items import load_item
 from glsplat.meshes import RiggedMesh
 from glsplat.skinning.pose import Pose
 
-__all__ = ["Participant", "participants_in"]
+__all__ = ["Participant", "digest_of", "participants_in"]
 
 _MESHES = (".npz", ".glb")
 _PICTURES = (".jpg", ".jpeg", ".png")
@@ -84,11 +84,7 @@ class Participant:
         total = hashlib.sha256(repr(self.height).encode())
         for file in (self.mesh_file, _one_of(self._captured, _PICTURES), self.video, self._note_file):
             if file is not None and file.is_file():
-                try:
-                    with file.open("rb") as opened:
-                        total.update(file.suffix.encode() + hashlib.file_digest(opened, "sha256").digest())
-                except OSError as error:
-                    raise FormatError(f"{file}: cannot be read ({error.strerror})") from None
+                total.update(f"{file.suffix} {digest_of(file)}".encode())
         return total.hexdigest()[:16]
 
     @property
@@ -130,6 +126,15 @@ def participants_in(folder: Path) -> list[Participant]:
         except (KeyError, TypeError, ValueError):
             raise FormatError(f'{table}: expected {{"participants": [{{"id": NAME, "height_m": metres}}]}}') from None
     return [Participant(name, folder, heights.get(name)) for name in names]
+
+
+def digest_of(file: Path) -> str:
+    """SHA-256 of a file, whatever its size, in hexadecimal. Raises FormatError where it cannot be read."""
+    try:
+        with file.open("rb") as opened:
+            return hashlib.file_digest(opened, "sha256").hexdigest()
+    except OSError as error:
+        raise FormatError(f"{file}: cannot be read ({error.strerror})") from None
 
 
 def _one_of(stem: Path, suffixes: tuple[str, ...]) -> Path | None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
 import time
@@ -15,7 +14,7 @@ from typing import Any
 from glsplat.avatar import Avatar
 from glsplat.errors import FormatError, GlsplatError
 from glsplat.evaluate.comparison.method import Folder, method_named, read_figure
-from glsplat.evaluate.comparison.participant import Participant
+from glsplat.evaluate.comparison.participant import Participant, digest_of
 from glsplat.formats import save
 from glsplat.formats.files import replace_file
 from glsplat.formats.gltf.mesh import save_gltf_mesh
@@ -46,7 +45,7 @@ def product(
     file, note = out / f"{participant.name}.glb", out / f"{participant.name}.json"
     wanted = {**key_of(source, participant), **options}
     kept = _note(note)
-    if kept.get("key") != wanted or not file.is_file() or kept.get("sha256") != _sha256(file):
+    if kept.get("key") != wanted or not file.is_file() or kept.get("sha256") != digest_of(file):
         began = time.perf_counter()
         made = _made(name, source, participant, options)
         seconds = None if isinstance(source, Folder) else round(time.perf_counter() - began, 1)
@@ -56,7 +55,7 @@ def product(
             save(figure, file)
         else:
             save_gltf_mesh(figure, file)
-        kept = {"key": wanted, "seconds": seconds, "sha256": _sha256(file)}  # of this file and no other
+        kept = {"key": wanted, "seconds": seconds, "sha256": digest_of(file)}  # of this file and no other
         replace_file(note, [json.dumps(kept).encode()])
     figure = _checked(load_item(file, False), name)
     return Product(figure, _facts(figure, file.stat().st_size, kept["seconds"]))
@@ -66,7 +65,7 @@ def key_of(source: str | Folder, participant: Participant) -> dict[str, Any]:
     """What an avatar depends on, beside the options and the code. Raises FormatError for files that are not there."""
     key: dict[str, Any] = {"glsplat": version("glsplat"), "participant": participant.digest()}
     if isinstance(source, Folder):
-        return {**key, "file": _sha256(source.file_of(participant))}
+        return {**key, "file": digest_of(source.file_of(participant))}
     return {**key, "method": source}
 
 
@@ -91,14 +90,6 @@ def _facts(figure: Figure, size: int | None, seconds: float | None) -> dict[str,
     splats = isinstance(figure, Avatar)
     count = len(figure.splats) if isinstance(figure, Avatar) else len(figure.faces)
     return {"kind": "splats" if splats else "triangles", "count": count, "bytes": size, "seconds": seconds}
-
-
-def _sha256(path: Path) -> str:
-    try:
-        with path.open("rb") as file:
-            return hashlib.file_digest(file, "sha256").hexdigest()
-    except OSError as error:
-        raise FormatError(f"{path}: cannot be read ({error.strerror})") from None
 
 
 def _note(path: Path) -> dict[str, Any]:

@@ -1,0 +1,137 @@
+"""Prints the tables of docs/evaluation.md ("Results") and of the README from an evaluation of 24 people.
+
+glsplat evaluate --participants DIR -o OUT
+python -m tests.evaluate.scripts.results OUT
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+MEASURES = {"l1": "L1", "lpips": "LPIPS", "psnr": "PSNR", "ssim": "SSIM"}
+CONTROLS = {"tracking": "head and hands", "pose": "the true pose"}
+
+
+def text(spread: Mapping[str, Any], name: str, deviation: bool = True) -> str:
+    """A mean and its deviation, as tables have them."""
+    digits = 1 if name == "psnr" else 3
+    mean = f"{spread['mean']:.{digits}f}"
+    return f"{mean} ({spread['sd']:.{digits}f})" if deviation and spread["sd"] is not None else mean
+
+
+def table(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """Markdown: the first column to the left, the others to the right."""
+    lines = [heads, ["---", *["--:"] * (len(heads) - 1)], *rows]
+    return "\n".join("| " + " | ".join(line) + " |" for line in lines) + "\n"
+
+
+def first(found: Mapping[str, Any]) -> str:
+    """Table 1 under both controls, and the paper's."""
+    rows = []
+    for row in found["table1"]:
+        cells = [text(row[name], name) for name in MEASURES]
+        rows.append(
+            [f"`{row['method']}`", CONTROLS[row["control"]], *cells, f"{row['overlap']['mean']:.2f}", str(row["n"])]
+        )
+    for row in found["table1"]:
+        if row["control"] == "tracking" and "paper" in row:
+            cells = [str(row["paper"][name]) for name in MEASURES]
+            rows.append([f"the paper's {row['method']}", "head and hands", *cells, "", "24"])
+    return table(["method", "driven by", *MEASURES.values(), "overlap", "people"], rows)
+
+
+def along(found: Mapping[str, Any], key: str, rows_of: str, names: Sequence[str]) -> str:
+    """Means by side or part, under the true pose."""
+    rows = [row for row in found[rows_of] if row["control"] == "pose"]
+    labels = list(dict.fromkeys(row[key] for row in rows))
+    by = {(row["method"], row[key]): row for row in rows}
+    lines = [
+        [f"`{method}`", *(" / ".join(text(by[method, label][name], name, False) for name in names) for label in labels)]
+        for method in found["methods"]
+    ]
+    return table(["method", *labels], lines)
+
+
+def pairs(found: Mapping[str, Any]) -> str:
+    """Neighbours in the expected order, compared over people, under the true pose."""
+    wanted = [("photo", "mesh-image"), ("mesh-video", "photo"), ("scan", "mesh-video")]
+    rows = []
+    for first_, second in wanted:
+        for name in MEASURES:
+            for row in found["statistics"]:
+                names = {row["first"], row["second"]}
+                if row["control"] == "pose" and row["measure"] == name and names == {first_, second}:
+                    sign = 1 if row["first"] == first_ else -1
+                    digits = 2 if name == "psnr" else 4
+                    low, high = sorted((sign * row["low"], sign * row["high"]))
+                    cells = [f"{sign * row['mean']:+.{digits}f}", f"{low:+.{digits}f} to {high:+.{digits}f}"]
+                    rows.append(
+                        [
+                            f"`{first_}` less `{second}`",
+                            MEASURES[name],
+                            *cells,
+                            f"{sign * row['effect']:+.2f}",
+                            f"{row['p_holm']:.1g}",
+                        ]
+                    )
+    return table(["pair", "measure", "difference", "95 % interval", "effect", "p (Holm)"], rows)
+
+
+def costs(found: Mapping[str, Any]) -> str:
+    """Table 2."""
+    rows = []
+    for row in found["timing"]["costs"]:
+        paper = row.get("paper", {})
+        count = f"{row['count']:,} {row['kind']}"
+        cells = [f"{row['pair_ms']:.0f}", f"{row['two_ms']:.0f}", f"{row['two_ms'] / row['pair_ms']:.2f}"]
+        memory = f"{row['bytes'] / 1e6:.1f}"
+        papers = f"{paper['pair_ms']} ({paper['gain']}x)" if paper else ""
+        rows.append(
+            [f"`{row['method']}`", f"2 x {row['size']}^2", count, *cells, memory, f"{row['lpips']:.3f}", papers]
+        )
+    heads = ["method", "pixels", "of", "both at once (ms)", "two renders (ms)", "gain", "GPU memory (MB)", "LPIPS"]
+    return table([*heads, "the paper's (GPU)"], rows)
+
+
+def made(found: Mapping[str, Any]) -> str:
+    """Seconds and megabytes an avatar, medians."""
+    rows = []
+    for method in found["methods"]:
+        mine = [row["product"] for row in found["participants"] if row["method"] == method and "product" in row]
+        seconds, size = (sorted(one[key] for one in mine)[len(mine) // 2] for key in ("seconds", "bytes"))
+        rows.append([f"`{method}`", f"{seconds:.0f}", f"{size / 1e6:.1f}"])
+    return table(["method", "made in (s)", "file (MB)"], rows)
+
+
+def poses(found: Mapping[str, Any]) -> str:
+    """How much of the error is the pose: what the true pose takes off it."""
+    by = {(row["method"], row["control"]): row for row in found["table1"]}
+    rows = []
+    for method in found["methods"]:
+        cells = []
+        for name in ("l1", "lpips"):
+            tracked, posed = (by[method, control][name]["mean"] for control in CONTROLS)
+            cells.append(f"{1 - posed / tracked:.0%}")
+        gain = by[method, "pose"]["psnr"]["mean"] - by[method, "tracking"]["psnr"]["mean"]
+        rows.append([f"`{method}`", *cells, f"{gain:+.1f} dB"])
+    return table(["method", "of L1", "of LPIPS", "PSNR"], rows)
+
+
+def main() -> None:
+    """Print."""
+    found = json.loads((Path(sys.argv[1]) / "evaluation.json").read_text())
+    print(first(found), poses(found), along(found, "view", "views", ("psnr", "lpips")), sep="\n")
+    print(along(found, "part", "parts", ("psnr", "ssim")), pairs(found), made(found), sep="\n")
+    if found["timing"]:
+        print(costs(found))
+        for one in found["timing"]["latency"]:
+            print(one["method"], *("; ".join(map(str, row)) for row in one["rows"]), sep="\n  ")
+    print(found["drivers"], found["machine"], found["date"], found["made_by"], found["failures"], sep="\n")
+
+
+if __name__ == "__main__":
+    main()
