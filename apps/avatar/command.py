@@ -225,8 +225,9 @@ def _motions(args: argparse.Namespace) -> int:
         args.out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise GlsplatError(f"{args.out}: cannot make the folder ({error.strerror})") from None
-    for name, motion in library(default_avatar().skeleton).items():
+    skeleton = default_avatar().skeleton
+    for name, motion in library(skeleton).items():
         file = args.out / f"{name}.json"
-        replace_file(file, [to_json(motion).encode()])
+        replace_file(file, [to_json(motion, skeleton).encode()])
         print(f"{file}: {len(motion)} frames, {motion.duration:.1f} s")
     return 0

@@ -32,8 +32,8 @@ def library(skeleton: Skeleton) -> dict[str, Motion]:
     return {"idle": _idle(), "walk": _walk(skeleton), "wave-and-turn": _wave_and_turn()}
 
 
-def to_json(motion: Motion) -> str:
-    """{"fps", "frames"}: pose objects without the keys that stay zero, angles to 1e-4."""
+def to_json(motion: Motion, skeleton: Skeleton) -> str:
+    """{"fps", "joints", "frames"}: the body it was made for; poses without the keys that stay zero, angles to 1e-4."""
     moving = {key: joints for key, joints in POSE_KEYS.items() if np.abs(motion.rotations[:, joints]).max() > 5e-5}
     frames = []
     for rotations, trans in zip(motion.rotations, motion.trans, strict=True):
@@ -43,6 +43,7 @@ def to_json(motion: Motion) -> str:
             frame[key] = _rounded(value[0]) if len(value) == 1 else [_rounded(v) for v in value]
         frames.append(frame)
     note = {"licence": "CC0-1.0", "source": "glsplat, made from joint-angle curves", "fps": motion.fps}
+    note["joints"] = [_rounded(place) for place in skeleton.joints]
     return json.dumps({**note, "frames": frames}, separators=(",", ":")) + "\n"
 
 

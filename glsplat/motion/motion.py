@@ -17,6 +17,7 @@ from glsplat.errors import PoseError
 from glsplat.formats.npz import read_arrays
 from glsplat.motion.bvh import parse_acclaim, parse_bvh, skeleton_file
 from glsplat.motion.clip import retarget
+from glsplat.motion.fitted import body_of, fitted
 from glsplat.rotations import (
     quaternion_of,
     quaternion_product,
@@ -125,9 +126,10 @@ def load_motion(path: str | Path, skeleton: Skeleton, *, forward: bool = False, 
     """Read a motion; the format is recognised by content.
 
     Embedded names ("idle", "walk", ...); a folder of one JSON pose a frame (LHM's layout), one JSON pose, a JSON list
-    of poses or {"fps", "frames"}; AMASS .npz (SMPL-H ``poses`` or SMPL-X keys; z up is turned to y up); BVH; .amc with
-    its .asf beside it. Motion capture of another body is retargeted (clip.py), begins above the origin and has its
-    lowest foot on the floor; ``forward`` also turns it to face +z. ``fps`` overrides what the file says.
+    of poses or {"fps", "frames"}, which is fitted to other bodies (fitted.py) where it also has the "joints" [55, 3] of
+    the one it was made for; AMASS .npz (SMPL-H ``poses`` or SMPL-X keys; z up is turned to y up); BVH; .amc with its
+    .asf beside it. Motion capture of another body is retargeted (clip.py), begins above the origin and has its lowest
+    foot on the floor; ``forward`` also turns it to face +z. ``fps`` overrides what the file says.
 
     Raises PoseError, one line that names the file.
     """
@@ -189,8 +191,10 @@ def _json(path: Path) -> Any:
 
 def _of_json(data: Any, skeleton: Skeleton) -> Motion:
     fps = DEFAULT_FPS
-    frames = data
+    frames, made_for = data, None
     if isinstance(data, Mapping):
+        if "joints" in data:
+            made_for = body_of(data["joints"])
         if "frames" in data:
             frames = data["frames"]
             try:
@@ -201,7 +205,10 @@ def _of_json(data: Any, skeleton: Skeleton) -> Motion:
             frames = [data]
     if not isinstance(frames, list):
         raise PoseError(f'"frames" is a list of poses, not {type(frames).__name__}')
-    return _of_frames(frames, fps, skeleton, [f"frame {i}" for i in range(len(frames))])
+    motion = _of_frames(frames, fps, skeleton, [f"frame {i}" for i in range(len(frames))])
+    if made_for is None or skeleton.names != JOINT_NAMES:
+        return motion
+    return Motion(fps, motion.rotations, fitted(motion.rotations, motion.trans, made_for, skeleton))
 
 
 def _of_frames(frames: Sequence[Any], fps: float, skeleton: Skeleton, where: Sequence[str]) -> Motion:

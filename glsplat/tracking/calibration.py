@@ -23,6 +23,7 @@ SMALLEST, LARGEST = 0.5, 2.0  # limits of the avatar's scale
 STILL = 0.05  # metres the head may move while it is measured
 EYES_OF_STATURE = 0.936  # eye height / stature (Drillis & Contini 1966)
 ARM_WEIGHT = 0.25  # of the arm span against the eye height in the scale
+SHOULDERS = 0.65, 1.05  # of the eye height; hands of arms that are stretched sideways are between
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,7 +135,11 @@ def calibrate(
     spans = [
         length(sub((s.left[0], s.left[1], s.left[2]), (s.right[0], s.right[1], s.right[2])))
         for s in samples
-        if s.left is not None and s.right is not None and all(abs(v) < 1e4 for v in (*s.left, *s.right))
+        if s.left is not None
+        and s.right is not None
+        and all(abs(v) < 1e4 for v in (*s.left, *s.right))
+        # one hand that waves while the other hangs is as far from it as stretched arms of somebody smaller
+        and all(SHOULDERS[0] * eyes <= hand[1] - floor <= SHOULDERS[1] * eyes for hand in (s.left, s.right))
     ]
     if spans:
         widest = sorted(spans)[int(0.9 * (len(spans) - 1))]

@@ -42,6 +42,17 @@ def test_long_arms_raise_the_scale_a_little(stage: Stage, skeleton: Skeleton) ->
     assert calibrate(standing(stage, 1.1, arms=True), skeleton).scale == pytest.approx(1.1, abs=0.003)
 
 
+def test_a_hand_that_waves_while_the_other_hangs_is_no_arm_span(stage: Stage, skeleton: Skeleton) -> None:
+    """Both are as far apart as stretched arms; avatars with short arms once stood on tiptoe because of it."""
+    samples = standing(stage, 1.0)
+    far = 0.95 * stage.body.arm_span()
+    down, up = 0.55 * stage.body.eye_height, 1.03 * stage.body.eye_height
+    across = float(np.sqrt(far**2 - (up - down) ** 2)) / 2
+    hands = (across, down, 0, 0, 0, 0, 1), (-across, up, 0, 0, 0, 0, 1)
+    found = calibrate([Sample(s.t, s.head, *hands) for s in samples], skeleton)
+    assert found.arm_span is None and found.scale == pytest.approx(1, abs=0.003)
+
+
 @pytest.mark.parametrize("height", [1.5, 1.75])
 def test_a_told_arm_span_counts_as_a_measured_one(stage: Stage, skeleton: Skeleton, height: float) -> None:
     plain = Calibration.of_height(skeleton, height)

@@ -16,6 +16,7 @@ from glsplat.formats.gltf.container import Container, parse
 from glsplat.formats.gltf.nodes import Graph, Instance, graph_of, instances
 from glsplat.formats.gltf.rig import read_skeleton
 from glsplat.making.fit.body import open_body
+from glsplat.making.gltf.ground import faces_back, on_the_floor
 from glsplat.making.gltf.rig import Rig, inverse_binds, rig_of
 from glsplat.making.gltf.surfaces import Surface, surface_of
 from glsplat.making.gltf.vrm import human_bones
@@ -123,6 +124,7 @@ def _rigged(
     own_joints: bool,
     rig_map: Mapping[str, str | None],
     scale: float,
+    turned: Mapping[str, int | None] | None = None,  # the map, once it is known that left and right are exchanged
 ) -> RiggedMesh:
     gltf = container.gltf
     node_of = {id(node): index for index, node in enumerate(gltf.nodes)}
@@ -138,7 +140,7 @@ def _rigged(
         return _plain(container, folder, shown, skins[0], ready, source)
     rigid = [node_of[id(i.node)] for i in shown if not _skinned(i)]
     given = _given(container, rig_map)
-    known = {} if own_joints else given
+    known = {} if own_joints else turned or given
     rig = rig_of(container, graph, skins, rigid, known, open_body().joints, scale, own_joints=own_joints)
     left = _Left()
     vertices, joints, weights, parts, first = [], [], [], [], 0
@@ -154,12 +156,17 @@ def _rigged(
     at, skeleton = np.concatenate(vertices), rig.skeleton
     all_joints, all_weights = _wide(joints), _wide(weights)
     if rig.map is not None:
-        skeleton, at = _on_the_floor(skeleton, at, all_joints, all_weights)
+        skeleton, at = on_the_floor(skeleton, at, all_joints, all_weights, rig.map.joints)
+        if not known and faces_back(skeleton, at, all_joints, all_weights, rig.map.joints):
+            other = {_mirrored(name): node for name, node in rig.map.joints.items()}
+            return _rigged(container, folder, graph, shown, source, own_joints, rig_map, scale, other)
     meta: dict[str, Any] = {"source": source} | container.note()
     meta.pop("version", None)
     names = [node.name or f"node {index}" for index, node in enumerate(gltf.nodes)]
     if rig.map is not None:
         meta["rig"] = {name: names[node] for name, node in rig.map.joints.items()}
+        if turned:
+            left.add("person whose left is called right: taken by where the feet point")
     elif rig.why:
         meta["no_map"] = rig.why
     if left.counts:
@@ -171,6 +178,12 @@ def _wide(parts: Sequence[NDArray[Any]]) -> NDArray[Any]:
     """[V, K] of parts of different widths; what is added is zero."""
     width = max(part.shape[1] for part in parts)
     return np.concatenate([np.pad(part, ((0, 0), (0, width - part.shape[1]))) for part in parts])
+
+
+def _mirrored(joint: str) -> str:
+    """The same joint of the other side."""
+    side, _, part = joint.partition("_")
+    return {"left": f"right_{part}", "right": f"left_{part}"}.get(side, joint)
 
 
 def _given(container: Container, rig_map: Mapping[str, str | None]) -> dict[str, int | None]:
@@ -245,20 +258,6 @@ def _merged(joints: NDArray[np.intp], weights: F64) -> tuple[NDArray[np.int64], 
     ids, shares = np.take_along_axis(ids, heaviest, 1), np.take_along_axis(shares, heaviest, 1)
     ids = np.where(shares > 0, ids, ids[:, :1])
     return ids.astype(np.int64), shares / shares.sum(axis=1, keepdims=True)
-
-
-def _on_the_floor(skeleton: Skeleton, vertices: F64, joints: NDArray[np.int64], weights: F64) -> tuple[Skeleton, F64]:
-    """Skeleton and vertices moved alike: the soles of the T-pose on y = 0, the pelvis over the origin."""
-    bones = skeleton.bone_matrices(np.zeros((len(skeleton), 3)))
-    y = np.zeros(len(vertices))
-    for column in range(joints.shape[1]):
-        rows = bones[joints[:, column], 1]
-        y += weights[:, column] * (np.einsum("vi,vi->v", rows[:, :3], vertices) + rows[:, 3])
-    shift = np.array([-skeleton.joints[0, 0], -y.min(), -skeleton.joints[0, 2]])
-    rest, inverse = skeleton.rest.copy(), skeleton.inverse_bind.copy()
-    rest[:, :3, 3] += shift
-    inverse[:, :3, 3] -= inverse[:, :3, :3] @ shift
-    return Skeleton(skeleton.names, skeleton.parents, rest, inverse), vertices + shift
 
 
 def _plain(

@@ -38,6 +38,8 @@ _CHAINS = [
 ]
 _PALM = ("index1", "middle1", "ring1", "pinky1")
 _STANDING = 0.5  # cosine between trunk and legs; four-legged animals have less
+_ASKEW = 0.924  # cosine of 22.5 degrees
+_AWAY = 0.5  # of the way from hips to shoulders: a pelvis farther away than that from the hips is none
 _FEW = 3  # knuckles that tell how a hand is turned
 
 
@@ -51,8 +53,9 @@ class Humanoid:
 
 
 def upright(rig: RigMap, positions: ArrayLike) -> F64:
-    """[3, 3] the turn by right angles that makes y up, x the person's left and z their front.
+    """[3, 3] the turn that makes y up, x the person's left and z their front: by right angles, as files have axes.
 
+    Somebody who lies askew in the file's axes by more than 22.5 degrees is turned by what it takes.
     Raises PoseError for a rig whose trunk is not above its legs: an animal on four legs.
     """
     points = np.asarray(positions, np.float64)
@@ -64,10 +67,16 @@ def upright(rig: RigMap, positions: ArrayLike) -> F64:
         raise PoseError("the rig has no size: hips, knees and shoulders coincide")
     if float(trunk @ legs) / size < _STANDING:
         raise PoseError("the trunk is not above the legs: this is no person who stands")
-    y = _axis(trunk / np.linalg.norm(trunk) + legs / np.linalg.norm(legs))
+    up = trunk / np.linalg.norm(trunk) + legs / np.linalg.norm(legs)
+    y = _axis(up)
     across = at["left_hip"] - at["right_hip"] + at["left_shoulder"] - at["right_shoulder"]
-    x = _axis(across - y * (across @ y))
-    if abs(float(x @ y)) > 0:
+    if float(up @ y) < _ASKEW * float(np.linalg.norm(up)):
+        y = trunk / np.linalg.norm(trunk)  # not the legs: these may be bent
+        x = across - y * (across @ y)
+        x = x / max(float(np.linalg.norm(x)), 1e-12)
+    else:
+        x = _axis(across - y * (across @ y))
+    if abs(float(x @ y)) > 1e-6:
         raise PoseError("left and right hip are above each other: this is no person who stands")
     return np.stack([x, y, np.cross(x, y)])
 
@@ -83,6 +92,7 @@ def humanoid(
         raise PoseError(f"nobody can be driven without {', '.join(rig.missing)}; name them in a rig map")
     points, body = np.asarray(positions, np.float64), np.asarray(reference, np.float64)
     rest = {name: points[index] for name, index in rig.joints.items()}
+    rest["pelvis"] = _pelvis(rest, body)
     turns = _turns(rest, {name: body[_AT[name]] for name in JOINT_NAMES})
     joints = _t_pose(rest, turns, body)
     frames = np.tile(np.eye(4), (len(JOINT_NAMES), 1, 1))
@@ -95,6 +105,20 @@ def humanoid(
             turn = frames[parent, :3, :3]
             frames[index, :3, 3] = frames[parent, :3, 3] + turn @ (joints[index] - joints[parent])
     return Humanoid(joints, frames, _moved_by(rig, np.asarray(parents, np.intp), points))
+
+
+def _pelvis(rest: Mapping[str, F64], body: F64) -> F64:
+    """[3] where the body turns about: the rig's own joint, or between the hips if that one is far from them.
+
+    Some rigs have it on the floor. Pelvis and hips are one piece, so any point of it will do.
+    """
+    hips, shoulders = ((rest[f"left_{part}"] + rest[f"right_{part}"]) / 2 for part in ("hip", "shoulder"))
+    at = rest.get("pelvis", hips)
+    if np.linalg.norm(at - hips) <= _AWAY * np.linalg.norm(shoulders - hips):
+        return np.asarray(at)
+    size = _leg(rest) / _leg({name: body[_AT[name]] for name in JOINT_NAMES})
+    ours = body[0] - (body[_AT["left_hip"]] + body[_AT["right_hip"]]) / 2
+    return np.asarray(hips + size * ours)
 
 
 def _turns(rest: Mapping[str, F64], body: Mapping[str, F64]) -> dict[str, F64]:

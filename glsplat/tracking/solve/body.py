@@ -59,7 +59,7 @@ class Body:
         if not span > 0.1:
             raise PoseError(f"tracking needs a standing rest pose; the eyes are {span:.2f} m above the feet")
         if sole is None:
-            sole = foot if 0.003 * span < foot < 0.05 * span else 0.0175 * span
+            sole = foot if 0.001 * span < foot < 0.05 * span else 0.0175 * span
         joints = tuple([(float(x), float(y), float(z)) for x, y, z in rest])
         parents = skeleton.parents
         offsets = tuple(

@@ -128,6 +128,13 @@ _REALLUSION = {
     **sided(wrist="CC_Base_{L}_Hand", eye_smplhf="CC_Base_{L}_Eye"),
     **fingers("CC_Base_{L}_{f}{n}", {**TITLE, "middle": "Mid"}),
 }
+
+
+def _other(joint: str) -> str:
+    side, _, part = joint.partition("_")
+    return {"left": "right_", "right": "left_"}.get(side, side) + part
+
+
 _SMPL = {name: name for name in JOINT_NAMES[:22]}
 _FEW = {
     **{"pelvis": "Hips", "spine3": "Chest", "head": "Head"},
@@ -158,6 +165,9 @@ FAMILIES = {
     "Daz": Family(_DAZ, unit=0.01, arms=20.0, twists=("left_hip", "right_hip", "left_shoulder", "right_elbow")),
     "Reallusion": Family(_REALLUSION, unit=0.01, arms=35.0, more={"CC_Base_BoneRoot": "pelvis"}),
     "SMPL": Family(_SMPL, along=True),
+    "left called right": Family(
+        {_other(joint): name for joint, name in _UNREAL.items()}, more={"thigh_twist_01_r": "left_hip"}
+    ),
     "a toy of nine joints": Family(_FEW, arms=60.0, unit=3.0),
 }
 

@@ -7,9 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from glsplat.data import default_avatar
 from glsplat.making.fit.body import open_body
 from glsplat.making.gltf.reader import read_gltf_person
 from glsplat.meshes import RiggedMesh
+from glsplat.motion.fitted import leg_length
 from glsplat.motion.motion import load_motion
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.skeleton import Skeleton
@@ -19,9 +21,10 @@ from glsplat.tracking.recording import embedded_recording
 from glsplat.tracking.tracker import Tracker, TrackerConfig
 from tests.making.gltf.built import FAMILIES, build
 
+SIDES = ("left", "right")
 LIMBS = [
     (f"{side}_{a}", f"{side}_{b}")
-    for side in ("left", "right")
+    for side in SIDES
     for a, b in (
         ("hip", "knee"),
         ("knee", "ankle"),
@@ -94,6 +97,21 @@ def test_they_stand_on_the_floor_and_face_forward(person) -> None:
     if "left_foot" in at and "left_ankle" in at:
         assert at["left_foot"][2] > at["left_ankle"][2] + 0.02
     assert np.abs(mesh.skeleton.joints[0, [0, 2]]).max() < 1e-6
+
+
+@pytest.mark.parametrize("name", ["walk", "wave-and-turn"])
+def test_feet_stand_where_those_of_the_body_stand(person, name: str) -> None:
+    """In leg lengths above where they rest: at every frame to a tenth of a millimetre."""
+    mesh, _ = person
+    first, feet = default_avatar().skeleton, [JOINT_NAMES.index(f"{s}_{p}") for s in SIDES for p in ("ankle", "foot")]
+    theirs, ours = load_motion(name, first), load_motion(name, mesh.skeleton)
+    scale = leg_length(mesh.skeleton.joints) / leg_length(first.joints)
+    for frame in range(0, len(theirs), 7):
+        heights = [
+            float((skeleton.forward(pose.rotations, pose.trans)[feet, 1, 3] - skeleton.joints[feet, 1]).min())
+            for skeleton, pose in ((first, theirs.pose(frame)), (mesh.skeleton, ours.pose(frame)))
+        ]
+        assert heights[1] == pytest.approx(scale * heights[0], abs=1e-4)
 
 
 def test_a_headset_moves_the_hands_to_where_they_are(person) -> None:

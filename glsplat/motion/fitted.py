@@ -1,0 +1,57 @@
+"""A motion that was made for one body, on another: strides as long as its legs, feet as high above its floor."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glsplat.errors import PoseError
+from glsplat.skinning.skeleton import Skeleton
+from glsplat.skinning.smplx import JOINT_NAMES, PARENTS
+
+__all__ = ["body_of", "fitted", "leg_length"]
+
+F64 = NDArray[np.float64]
+
+_AT = {name: index for index, name in enumerate(JOINT_NAMES)}
+_SIDES = ("left", "right")
+_FEET = [_AT[f"{side}_{part}"] for side in _SIDES for part in ("ankle", "foot")]
+_SAME = 2e-4  # metres; bodies whose joints lie nearer than that are one, as motions are rounded
+
+
+def body_of(joints: object) -> Skeleton:
+    """The skeleton of "joints" [55, 3] in a motion file: rest positions, metres, in SMPL-X's order."""
+    try:
+        points = np.asarray(joints, np.float64)
+    except (TypeError, ValueError, OverflowError):
+        points = np.zeros(0)
+    if points.shape != (len(JOINT_NAMES), 3):
+        raise PoseError(f'"joints" of a motion are {len(JOINT_NAMES)} rest positions x y z, found {points.shape}')
+    return Skeleton.from_joints(JOINT_NAMES, PARENTS, points)
+
+
+def leg_length(joints: F64) -> float:
+    """Metres from hip over knee to ankle, the mean of both legs; of [55, 3] rest positions."""
+    chains = [[joints[_AT[f"{side}_{part}"]] for part in ("hip", "knee", "ankle")] for side in _SIDES]
+    return float(np.mean([np.linalg.norm(np.diff(chain, axis=0), axis=1).sum() for chain in chains]))
+
+
+def fitted(rotations: F64, trans: F64, made_for: Skeleton, skeleton: Skeleton) -> F64:
+    """[T, 3] translations for ``skeleton`` of a motion [T, 55, 3], [T, 3] that was made for another body.
+
+    All ways are scaled by the lengths of the legs. Then each frame's lowest foot joint is as high above where it rests
+    as it is on the first body, in leg lengths: what stood, stands, and what jumped, jumps.
+    """
+    if np.abs(made_for.joints - skeleton.joints).max() < _SAME:
+        return trans
+    scale = leg_length(skeleton.joints) / max(leg_length(made_for.joints), 1e-9)
+    out = trans * scale
+    for frame, turns in enumerate(rotations):
+        wanted = _clearance(made_for, turns) + trans[frame, 1]
+        out[frame, 1] = scale * wanted - _clearance(skeleton, turns)
+    return out
+
+
+def _clearance(skeleton: Skeleton, rotations: F64) -> float:
+    """Metres from where it rests up to the lowest foot joint, without a translation."""
+    return float((skeleton.forward(rotations)[_FEET, 1, 3] - skeleton.joints[_FEET, 1]).min())
