@@ -16,7 +16,7 @@ from glsplat.making.gltf.rig_map import read_rig_map
 from glsplat.making.people import read_person
 from glsplat.meshes import RiggedMesh
 from glsplat.skinning.pose import Pose
-from glsplat.skinning.smplx import JOINT_NAMES
+from glsplat.skinning.rigs.driven import why_not_driven
 
 from ..usage import UsageError
 
@@ -61,9 +61,10 @@ def doubts(mesh: RiggedMesh, avatar: Avatar | None = None, asked: int = 0) -> It
     height = float(np.ptp(vertices[:, 1]))
     if not np.isfinite(vertices).all() or np.ptp(vertices, axis=0).max() < 1e-4:
         raise FormatError("nobody would see this person: less than a tenth of a millimetre; try --extra-scale")
-    drives = mesh.skeleton.names == JOINT_NAMES
+    why = why_not_driven(mesh.skeleton)
+    drives = not why
     if not drives:
-        why = mesh.meta.get("no_map") or "its joints are its own"
+        why = mesh.meta.get("no_map") or why
         yield f"cannot be driven by motions or a headset: {why}; a --rig-map may help"
     if drives and not _SIZES[0] <= height <= _SIZES[1]:
         yield f"{height:.3g} m tall; --extra-scale {1.7 / height:.2g} would make it 1.7 m"

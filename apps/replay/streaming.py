@@ -277,6 +277,8 @@ class _Stream:
             except ProtocolError as error:
                 if error.code in ("closed", "timeout", "bad_reply"):
                     raise
+                if error.code == "bad_pose" and (error.frame_id is None or not self.result.received):
+                    raise  # figures would be of what stands still
                 self.result.errors += 1
                 self.result.last_error = str(error)
                 self.answered.set()

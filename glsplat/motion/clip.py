@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from glsplat.errors import PoseError
 from glsplat.rotations import matrix_quaternions, quaternion_vectors, rotation_between, rotation_matrices
+from glsplat.skinning.rigs.driven import why_not_driven
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.smplx import JOINT_NAMES
 
@@ -100,8 +101,8 @@ def retarget(clip: Clip, skeleton: Skeleton, *, forward: bool = False) -> tuple[
     the clip begins above the origin and its lowest foot is on the floor. ``forward`` turns it to face +z at frame 0.
     Joints the file does not have stay at rest. Raises PoseError when needed joints are not found.
     """
-    if skeleton.names != JOINT_NAMES:
-        raise PoseError("motion capture can be retargeted to the SMPL-X rig only; this avatar has another one")
+    if why := why_not_driven(skeleton):
+        raise PoseError(f"motion capture cannot drive this avatar: {why}")
     found = _match(clip.names)
     missing = [name for name in _NEEDED if name not in found]
     if missing:

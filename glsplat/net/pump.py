@@ -50,6 +50,7 @@ class Frame:
     notes: tuple[str, ...] | None = None  # of the tracking solver
     drawn: tuple[Camera, ...] | None = None  # the eyes in the avatar's space, where tracking was solved
     box: list[float] | None = None  # of the avatar in the client's room, where it was asked for
+    untracked: str = ": send pose instead of tracking"  # what is said where tracking is not solved
     ends: str = ""  # why the connection ends after this answer and its address is held off, if it does
 
 
@@ -61,6 +62,7 @@ class Channel:
     session: Session
     solving: Solving | None = None  # None: this server solves no tracking
     address: str = ""  # what has a fair share of the renderer's time
+    untracked: str = ""  # why it solves none
     share: Share | None = None  # of the time for reading and solving; None: no limit
     frames: asyncio.Queue[Frame] = field(default_factory=asyncio.Queue)  # bounded by the session's window
 
@@ -168,10 +170,12 @@ class FramePump:
         finally:
             self._end_threads()
 
-    def open(self, number: int, session: Session, solver: PoseSolver | None = None, address: str = "") -> Channel:
-        """A client, with what solves its tracking; it takes part once it is added."""
+    def open(
+        self, number: int, session: Session, solver: PoseSolver | None = None, address: str = "", untracked: str = ""
+    ) -> Channel:
+        """A client, with what solves its tracking, or why nothing does; it takes part once it is added."""
         solving = None if solver is None else Solving(solver, self._solve_thread, self._clock)
-        return Channel(number, session, solving, address)
+        return Channel(number, session, solving, address, untracked)
 
     def add(self, channel: Channel) -> None:
         """Let a client take part."""
@@ -264,6 +268,7 @@ class FramePump:
         loop = asyncio.get_running_loop()
         request, waited, solution = channel.take(self._clock())
         frame = Frame(request, self._clock() - waited, {"wait": waited * 1e3})
+        frame.untracked = f" for what it shows: {channel.untracked}" if channel.untracked else frame.untracked
         lost = False
         try:
             encoded = await loop.run_in_executor(self._render_thread, self._draw, frame, solution)
@@ -330,7 +335,7 @@ class FramePump:
         request, scale, floor = frame.request, 1.0, 0.0
         if request.tracking is not None:
             if solution is None:
-                raise PoseError("this server has no tracking solver: send pose instead of tracking")
+                raise PoseError(f"this server has no tracking solver{frame.untracked}")
             solved, frame.times["ik"] = solution.result()
             request = replace(request, pose=solved.pose, cameras=solved.cameras)
             frame.notes, frame.drawn = solved.notes, solved.cameras

@@ -21,6 +21,7 @@ NEEDED = ("head", *(f"{side}_{part}" for part in ("hip", "knee", "shoulder", "el
 """Joints without which nobody can be driven; all others are placed where they would be."""
 
 _LEG, _ARM = ("hip", "knee", "ankle", "foot"), ("shoulder", "elbow", "wrist")
+_DEEPEST = 256  # joints from a fingertip to the root; bounds what a hostile file takes
 _PELVIS = 0.25  # of the way from hips to shoulders; a spine's lowest joint below it is the pelvis
 _ABOVE, _BELOW = 0.03, 1.1  # of that way: where a spine's joints are
 
@@ -73,20 +74,28 @@ class _Rig:
         if any(word.deforms for word in words):  # Rigify: only these hold the skin, others have the same names
             words = [word if word.deforms else Word(word.side, (), "", None, False) for word in words]
         self.words = words
-        self.above = [self._above(index) for index in range(len(names))]
-
-    def _above(self, index: int) -> list[int]:
-        out: list[int] = []
-        at = int(self.parents[index])
-        while at >= 0 and len(out) <= len(self.parents):
-            out.append(at)
-            at = int(self.parents[at])
-        return out
+        self.above = _Above(self.parents)
 
     def called(self, part: str, side: str = "") -> list[int]:
         """Joints that may be this part, the best first: by the word, then the nearest to the root."""
         found = [i for i, word in enumerate(self.words) if part in word.parts and word.side == side]
         return sorted(found, key=lambda i: (self.words[i].rank(part), len(self.above[i]), i))
+
+
+class _Above(dict[int, list[int]]):
+    """Joint -> all that it hangs from, the nearest first; of a chain that no body has, the first ones."""
+
+    def __init__(self, parents: NDArray[np.intp]) -> None:
+        self._parents = parents
+
+    def __missing__(self, index: int) -> list[int]:
+        out: list[int] = []
+        at = int(self._parents[index])
+        while at >= 0 and len(out) < _DEEPEST:
+            out.append(at)
+            at = int(self._parents[at])
+        self[index] = out
+        return out
 
 
 def _take(found: dict[str, int], known: Mapping[str, int | None], more: Mapping[str, int]) -> None:
@@ -120,7 +129,7 @@ def _limbs(rig: _Rig, side: str) -> dict[str, int]:
 def _middle(rig: _Rig, found: Mapping[str, int]) -> dict[str, int]:
     """Pelvis, spine, neck, head and jaw."""
     if not {f"{side}_{part}" for side in _SIDES for part in ("hip", "shoulder")} <= set(found):
-        return {}
+        return {"head": named[0]} if (named := rig.called("head")) else {}  # so that it is not said to be missing
     hips, shoulders = (
         np.mean([rig.positions[found[f"{side}_{part}"]] for side in _SIDES], axis=0) for part in ("hip", "shoulder")
     )
