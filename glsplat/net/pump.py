@@ -17,7 +17,7 @@ from typing import Any
 
 from glsplat.camera import Camera
 from glsplat.errors import BudgetError, ContextError, ContextLostError, GlsplatError, PoseError
-from glsplat.net.backend import Backend, Interruptible, PoseSolver, Rendered
+from glsplat.net.backend import Backend, Interruptible, Offered, PoseSolver, Rendered
 from glsplat.net.codec.encode import Encoded, Encoder
 from glsplat.net.guard.blame import Blame
 from glsplat.net.guard.limits import Share
@@ -35,6 +35,7 @@ log: logging.Logger = logging.getLogger("glsplat.net")
 _SICK = 3  # pictures in a row that failed before /healthz says so
 _STUCK = 10.0  # seconds a picture may take before /healthz says so
 _PAUSES = (0.0, 0.5, 1.0)  # seconds before each attempt to make a new context; then the pump gives up
+_ANYTHING = Offered(name="")
 _GRACE = 0.5  # seconds the picture in hand gets when the server stops
 
 
@@ -62,7 +63,7 @@ class Channel:
     session: Session
     solving: Solving | None = None  # None: this server solves no tracking
     address: str = ""  # what has a fair share of the renderer's time
-    untracked: str = ""  # why it solves none
+    shown: Offered = _ANYTHING
     share: Share | None = None  # of the time for reading and solving; None: no limit
     frames: asyncio.Queue[Frame] = field(default_factory=asyncio.Queue)  # bounded by the session's window
 
@@ -171,11 +172,16 @@ class FramePump:
             self._end_threads()
 
     def open(
-        self, number: int, session: Session, solver: PoseSolver | None = None, address: str = "", untracked: str = ""
+        self,
+        number: int,
+        session: Session,
+        solver: PoseSolver | None = None,
+        address: str = "",
+        shown: Offered = _ANYTHING,
     ) -> Channel:
-        """A client, with what solves its tracking, or why nothing does; it takes part once it is added."""
+        """A client who is ``shown`` that, with what solves its tracking; it takes part once it is added."""
         solving = None if solver is None else Solving(solver, self._solve_thread, self._clock)
-        return Channel(number, session, solving, address, untracked)
+        return Channel(number, session, solving, address, shown)
 
     def add(self, channel: Channel) -> None:
         """Let a client take part."""
@@ -230,6 +236,8 @@ class FramePump:
         drawn = None if frame.drawn is None else [eye_fields(camera) for camera in frame.drawn]
         if drawn is not None and drawn != info["eyes"]:
             info["drawn"] = drawn
+        if channel.shown.still and request.pose is not None:
+            info["still"] = channel.shown.still
         if frame.box is not None:
             info["box"] = frame.box
         if request.alpha == "straight":
@@ -268,7 +276,8 @@ class FramePump:
         loop = asyncio.get_running_loop()
         request, waited, solution = channel.take(self._clock())
         frame = Frame(request, self._clock() - waited, {"wait": waited * 1e3})
-        frame.untracked = f" for what it shows: {channel.untracked}" if channel.untracked else frame.untracked
+        if why := channel.shown.untracked:
+            frame.untracked = f" for what it shows: {why}"
         lost = False
         try:
             encoded = await loop.run_in_executor(self._render_thread, self._draw, frame, solution)

@@ -261,8 +261,8 @@ class Server:
         one = self._offers[asked.avatar]
         solver = None if one.solver is None else one.solver(asked.height, asked.span)
         self._numbers += 1
-        session = Session(Decoder(asked.wire, one.skeleton, one.name, one.parts), asked.session, clock(), one.still)
-        channel = self.pump.open(self._numbers, session, solver, connection_of(request).key, one.untracked)
+        session = Session(Decoder(asked.wire, one.skeleton, one.name, one.parts), asked.session, clock())
+        channel = self.pump.open(self._numbers, session, solver, connection_of(request).key, one)
         channel.share = self._work.open(clock(), channel.address)
         if channel.solving is not None:
             channel.solving.share, channel.solving.samples = channel.share, purse.samples
@@ -333,12 +333,12 @@ class Server:
                 # waiting for other threads is not the client's fault, but the loop stands still meanwhile
                 reading.share.spend(time.thread_time() - worked, clock() - now)
             session.counts.unread = reading.left_out
-            if isinstance(outcome, Close):
-                await self._farewell(channel, ws, outcome)
-                return
             if isinstance(outcome, Warn):
                 await self._send(ws, outcome.text)
-            if text is not None:
+            elif isinstance(outcome, Close):
+                await self._farewell(channel, ws, outcome)
+                return
+            elif text is not None:
                 self.pump.received(channel)
             count += 1
             if count % _TURN == 0:  # receive() does not give way while more has arrived

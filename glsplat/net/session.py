@@ -74,20 +74,13 @@ class Session:
     reports ``sending`` and ``sent``, or ``failed``, for each request it took.
     """
 
-    def __init__(
-        self,
-        decoder: Decoder,
-        config: SessionConfig | None = None,
-        now: float = 0.0,
-        still: str = "",  # why poses do nothing, told once to a client that sends one; "" where they do something
-    ) -> None:
+    def __init__(self, decoder: Decoder, config: SessionConfig | None = None, now: float = 0.0) -> None:
         self.config: SessionConfig = config or SessionConfig()
         self.counts: Counts = Counts()
         self.accepted: RenderRequest | None = None  # what the last message brought, if it asked for a picture
         self.last_form: str = ""  # of the newest request, for /stats
         self.last_size: tuple[int, int] = (0, 0)
         self._decoder = decoder
-        self._untold = still
         self._opened = self._heard = self._noticed = now
         self._pending: dict[int, tuple[RenderRequest, float]] = {}  # by eye for the oldest form, else one
         self._kept: tuple[RenderRequest, float] | None = None
@@ -114,7 +107,7 @@ class Session:
                 self._accept(message, now)
         except ProtocolError as error:
             return self.malformed(error, now)
-        return self._told()
+        return None
 
     def malformed(self, error: ProtocolError, now: float) -> Warn | Close:
         """Count a message that could not be used; repeated ones end the connection."""
@@ -243,14 +236,6 @@ class Session:
             self.counts.dropped += self._pending.pop(key) is not self._kept
         self._pending[slot] = (request, now)
         self.accepted = request
-
-    def _told(self) -> Warn | None:
-        """That poses do nothing here, once; older clients send them whatever is shown and know no such message."""
-        request, why = self.accepted, self._untold
-        if not why or request is None or request.pose is None or request.form != "native":
-            return None
-        self._untold = ""
-        return Warn(error_text("bad_pose", f"poses are not applied: {why}; the pictures are of what stands still"))
 
     def _acknowledge(self, frame_id: int) -> None:
         """Free the window up to ``frame_id``. Clients that received nothing yet send 0, which is always legal."""

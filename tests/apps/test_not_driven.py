@@ -176,7 +176,7 @@ def test_replay_prints_no_figures_of_what_stands_still(
     """Poses to a scene without a skeleton, tracking to another rig: told before any table, and once."""
     with running(Stripes(), still="it has no skeleton", untracked="it has no skeleton") as url:
         for drive, text in (
-            (["walk"], "poses are not applied: it has no skeleton"),
+            (["walk"], "the server does not apply poses: it has no skeleton"),
             ([], "tracking solver for what it"),
         ):
             assert main(["replay", *drive, "--url", url, "--frames", "30", "--size", "64"]) == 1

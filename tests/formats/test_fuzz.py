@@ -229,6 +229,30 @@ def test_lying_ksplat_headers(tmp_path: Path, data: st.DataObject) -> None:
     only_format_errors(path, load)
 
 
+@pytest.mark.filterwarnings("error")
+def test_nans_that_signal(tmp_path: Path) -> None:
+    """Casting one to float64 warns; files may hold them wherever they hold floats, and they may be saved again."""
+    signals = b"\1\0\x80\x7f"
+    save(random_splats(6, 1), tmp_path / "a.compressed.ply")
+    head, body = (tmp_path / "a.compressed.ply").read_bytes().split(b"end_header\n")
+    (tmp_path / "a.compressed.ply").write_bytes(head + b"end_header\n" + signals * 18 + body[72:])
+    only_format_errors(tmp_path / "a.compressed.ply", load)
+    save(random_avatar(8), tmp_path / "a.glb")
+    document, blob = glb_parts((tmp_path / "a.glb").read_bytes())
+    view = document["bufferViews"][document["accessors"][document["skins"][0]["inverseBindMatrices"]]["bufferView"]]
+    start = view.get("byteOffset", 0)
+    write_glb(tmp_path / "a.glb", document, blob[:start] + signals + blob[start + 4 :])
+    only_format_errors(tmp_path / "a.glb", load)
+    value = np.frombuffer(signals, "<f4")[0:1]
+    base = random_splats(8, 1)
+    means, scales, sh = base.means.copy(), base.scales.copy(), base.sh.copy()
+    means.view("<u4")[0], scales.view("<u4")[1], sh.view("<u4")[2] = (value.view("<u4")[0],) * 3
+    sh[3] = 3e38  # has no square
+    for suffix in (".ply", ".splat", ".glb", ".compressed.ply", ".spz", ".sog"):
+        save(replace(base, means=means, scales=scales, sh=sh), tmp_path / f"b{suffix}")
+        load(tmp_path / f"b{suffix}")
+
+
 @pytest.mark.parametrize("size", [1, 31, 32, 64, 1000, 3200])
 def test_random_files(tmp_path: Path, rng: np.random.Generator, size: int) -> None:
     for start in (b"", b"ply\n", b"glTF", b"{"):

@@ -61,7 +61,7 @@ def read_gltf_person(
     pose. ``meta["left_out"]`` lists what is not taken. Raises FormatError naming the file: nothing with a rig,
     compressed geometry, a texture that is no picture.
     """
-    with naming(path):
+    with naming(path), np.errstate(all="ignore"):  # what overflows or is no number is refused by RiggedMesh
         container, folder, graph = _opened(path)
         shown = _shown(container, graph)
         moved = [i for i in shown if _skinned(i)]
@@ -72,7 +72,7 @@ def read_gltf_person(
 
 def read_gltf_mesh(path: str | Path, **how: Any) -> RiggedMesh:
     """As ``read_gltf_person``, and where nothing has a skin all that is shown, standing on one joint at the origin."""
-    with naming(path):
+    with naming(path), np.errstate(all="ignore"):
         container, folder, graph = _opened(path)
         shown = _shown(container, graph)
         if not shown:
@@ -82,8 +82,7 @@ def read_gltf_mesh(path: str | Path, **how: Any) -> RiggedMesh:
         vertices, parts, first = [], [], 0
         for instance in shown:
             surface = surface_of(container, folder, instance, _weights(container, instance))
-            with np.errstate(all="ignore"):  # what overflows is refused by RiggedMesh
-                vertices.append(surface.points @ instance.matrix[:3, :3].T + instance.matrix[:3, 3])
+            vertices.append(surface.points @ instance.matrix[:3, :3].T + instance.matrix[:3, 3])
             parts.append(_part(surface, first))
             first += len(surface.points)
         return standing(np.concatenate(vertices), tuple(parts), Path(path).name)
