@@ -23,6 +23,7 @@ __all__ = ["decode_texture", "read_person"]
 
 _NEEDED = ("vertices", "joints", "parents", "joint_names", "skin_indices", "skin_weights", "part_names")
 _LONGEST = 16_384  # pixels; what GL takes
+_MOST = 1 << 26  # pixels: a small file may claim more than there is memory
 
 
 def decode_texture(data: bytes | NDArray[np.uint8], where: str) -> NDArray[np.uint8]:
@@ -34,6 +35,8 @@ def decode_texture(data: bytes | NDArray[np.uint8], where: str) -> NDArray[np.ui
     width, height = _size(said, buffer)
     if not (width and height):
         raise FormatError(f"{where}: a texture is a JPEG, PNG or WebP, found {said[:4]!r}")
+    if width * height > _MOST and max(width, height) <= _LONGEST:
+        raise FormatError(f"{where}: a texture has at most {_MOST >> 20} Mi pixels, this one {width} x {height}")
     if max(width, height) > _LONGEST:
         raise FormatError(f"{where}: a texture has at most {_LONGEST} pixels a side, this one {width} x {height}")
     try:

@@ -48,7 +48,7 @@ def material_of(container: Container, folder: Path, index: int | None) -> Materi
             turn, coordinates = _transform(used.get("extensions", {}).get(_TRANSFORM, {}), int(used.get("texCoord", 0)))
             image = _image(container, folder, gltf.textures[used["index"]])
         return Material(_tinted(image, factor, entry), coordinates, turn, str(entry.get("name") or ""))
-    except (AttributeError, KeyError, IndexError, TypeError, ValueError):
+    except (AttributeError, KeyError, IndexError, OverflowError, TypeError, ValueError):
         raise FormatError(f"material {index} is malformed") from None
 
 

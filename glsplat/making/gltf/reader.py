@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from glsplat.errors import FormatError
 from glsplat.formats.files import naming, open_regular
-from glsplat.formats.gltf.container import Container, parse
+from glsplat.formats.gltf.container import Container, item, parse
 from glsplat.formats.gltf.nodes import Graph, Instance, graph_of, instances
 from glsplat.formats.gltf.rig import read_skeleton
 from glsplat.making.fit.body import open_body
@@ -134,6 +134,8 @@ def _rigged(
             count = gltf.accessors[accessor].count if accessor < len(gltf.accessors) else 0
             sizes[instance.node.skin or 0] = sizes.get(instance.node.skin or 0, 0) + count
     skins = sorted(sizes, key=lambda skin: (-sizes[skin], skin))
+    for skin in skins:
+        item(gltf.skins, skin, "skin")
     ready = read_skeleton(container, next(i for i in shown if i.node.skin == skins[0] and _skinned(i)), graph)
     if len(skins) == 1 and (container.note() or ready.names == JOINT_NAMES):  # our own is taken to the bit
         return _plain(container, folder, shown, skins[0], ready, source)
