@@ -70,7 +70,8 @@ def seeds() -> list[bytes]:
         }.items():
             save(scene, Path(folder) / name)
             out.append((Path(folder) / name).read_bytes())
-    out += [gzip.decompress(out[-1]), spz_streams(out[-1])]  # SPZ without its gzip, and in version 4
+    packed = next(data for data in out if data.startswith(b"\x1f\x8b"))
+    out += [gzip.decompress(packed), spz_streams(packed)]  # SPZ without its gzip, and in version 4
     out += [
         ksplat([random_splats(6, degree), random_splats(3)], level)[0] for degree, level in ((1, 0), (0, 1), (2, 2))
     ]

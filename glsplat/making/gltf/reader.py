@@ -18,7 +18,7 @@ from glsplat.formats.gltf.rig import read_skeleton
 from glsplat.making.fit.body import open_body
 from glsplat.making.gltf.ground import faces_back, on_the_floor
 from glsplat.making.gltf.rig import Rig, inverse_binds, rig_of
-from glsplat.making.gltf.surfaces import Surface, surface_of
+from glsplat.making.gltf.surfaces import Materials, Surface, surface_of
 from glsplat.making.gltf.vrm import human_bones
 from glsplat.meshes import MeshPart, RiggedMesh, standing
 from glsplat.skinning.skeleton import Skeleton
@@ -29,6 +29,7 @@ __all__ = ["read_gltf_mesh", "read_gltf_person"]
 F64 = NDArray[np.float64]
 
 _TRIANGLES = (4, 5, 6)
+_MOST = 1 << 25  # vertices and corners of triangles
 _KEPT = 8  # joints a vertex
 _ALIKE = 1e-9  # of the largest number: placements that are one
 
@@ -80,8 +81,9 @@ def read_gltf_mesh(path: str | Path, **how: Any) -> RiggedMesh:
         if any(_skinned(i) for i in shown):
             return read_gltf_person(path, **how)
         vertices, parts, first = [], [], 0
+        materials: Materials = {}
         for instance in shown:
-            surface = surface_of(container, folder, instance, _weights(container, instance))
+            surface = surface_of(container, folder, instance, _weights(container, instance), materials)
             vertices.append(surface.points @ instance.matrix[:3, :3].T + instance.matrix[:3, 3])
             parts.append(_part(surface, first))
             first += len(surface.points)
@@ -97,11 +99,18 @@ def _opened(path: str | Path) -> tuple[Container, Path, Graph]:
 
 
 def _shown(container: Container, graph: Graph) -> list[Instance]:
-    return [
+    """Raises FormatError where the nodes of a small file show its meshes more often than memory bears."""
+    found = [
         i
         for i in instances(container.gltf, graph.world)
         if i.primitive.mode in _TRIANGLES and "POSITION" in i.primitive.attributes
     ]
+    accessors = container.gltf.accessors
+    used = [index for i in found for index in (i.primitive.attributes["POSITION"], i.primitive.indices)]
+    total = sum(accessors[index].count for index in used if index is not None and index < len(accessors))
+    if total > _MOST:
+        raise FormatError(f"the nodes show {total} vertices and corners in all; {_MOST} are read at most")
+    return found
 
 
 def _skinned(instance: Instance) -> bool:
@@ -145,8 +154,9 @@ def _rigged(
     rig = rig_of(container, graph, skins, rigid, known, open_body().joints, scale, own_joints=own_joints)
     left = _Left()
     vertices, joints, weights, parts, first = [], [], [], [], 0
+    materials: Materials = {}
     for instance in shown:
-        surface = surface_of(container, folder, instance, _weights(container, instance))
+        surface = surface_of(container, folder, instance, _weights(container, instance), materials)
         points, moved, shares = _bound(container, instance, node_of[id(instance.node)], surface, rig)
         vertices.append(points)
         joints.append(moved)
@@ -266,10 +276,11 @@ def _plain(
 ) -> RiggedMesh:
     """A person on the joints of SMPL-X already: stored points, as the file has them."""
     vertices, joints, weights, parts, first = [], [], [], [], 0
+    materials: Materials = {}
     for instance in shown:
         if not _skinned(instance) or instance.node.skin != skin:
             continue
-        surface = surface_of(container, folder, instance, _weights(container, instance))
+        surface = surface_of(container, folder, instance, _weights(container, instance), materials)
         ids, shares = _influences(container, instance, len(surface.points), len(skeleton))
         wide = np.zeros((len(ids), 8), np.int64), np.zeros((len(ids), 8))
         wide[0][:, : ids.shape[1]], wide[1][:, : ids.shape[1]] = ids, shares

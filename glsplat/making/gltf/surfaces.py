@@ -15,9 +15,13 @@ from glsplat.formats.gltf.nodes import Instance
 from glsplat.making.gltf.material import Material, material_of
 from glsplat.making.gltf.vertex_colours import painted
 
-__all__ = ["Surface", "surface_of"]
+__all__ = ["Materials", "Surface", "surface_of"]
 
 F64 = NDArray[np.float64]
+
+
+Materials = dict[int | None, Material]
+"""Those of a file that were read, by their index."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,7 +35,9 @@ class Surface:
     name: str
 
 
-def surface_of(container: Container, folder: Path, instance: Instance, weights: Sequence[float]) -> Surface:
+def surface_of(
+    container: Container, folder: Path, instance: Instance, weights: Sequence[float], materials: Materials
+) -> Surface:
     """Triangles of an instance of mode TRIANGLES; ``weights`` of its morph targets. Raises FormatError."""
     primitive, where = instance.primitive, instance.name
     compressed = [name for name in primitive.extensions if "compression" in name]
@@ -48,7 +54,9 @@ def surface_of(container: Container, folder: Path, instance: Instance, weights: 
                 raise FormatError(f"{where}: a morph target needs {len(points)} elements, as POSITION has")
             points = points + weight * moved.astype(np.float64)
     faces = _faces(container, primitive, where, len(points))
-    material = material_of(container, folder, primitive.material)
+    if primitive.material not in materials:  # a picture is decoded once, and held once
+        materials[primitive.material] = material_of(container, folder, primitive.material)
+    material = materials[primitive.material]
     uv = _corners(container, primitive, where, material, faces, len(points))
     texture = material.texture
     colours = _vertex_colours(container, primitive, where, len(points))
