@@ -230,6 +230,15 @@ def test_lying_ksplat_headers(tmp_path: Path, data: st.DataObject) -> None:
     only_format_errors(path, load)
 
 
+def test_names_of_a_file_do_not_steer_the_terminal(tmp_path: Path) -> None:
+    (tmp_path / "a.ply").write_bytes(
+        b"ply\nformat ascii 1.0\nelement v\x80\x1b[2Jx 1\nproperty float x\nend_header\n0\n"
+    )
+    with pytest.raises(FormatError) as caught:
+        load(tmp_path / "a.ply")
+    assert str(caught.value).isprintable() and "found v??[2Jx" in str(caught.value)
+
+
 @pytest.mark.filterwarnings("error")
 def test_nans_that_signal(tmp_path: Path) -> None:
     """Casting one to float64 warns; files may hold them wherever they hold floats, and they may be saved again."""
