@@ -26,7 +26,7 @@ from glsplat.making.on_smplx import on_smplx
 from glsplat.making.posed import posed_splats
 from glsplat.making.refine import RefineConfig, refine
 from glsplat.making.scans import read_body, read_obj_person
-from glsplat.making.surface import make_avatar
+from glsplat.making.surface import FEWEST, make_avatar
 from glsplat.motion.library import library, to_json
 from glsplat.skinning.pose import Pose, load_pose
 from glsplat.skinning.rigs.driven import why_not_driven
@@ -137,27 +137,32 @@ def _make(args: argparse.Namespace) -> int:
     check_name(args.out)
     if args.steps < 0:
         raise UsageError(f"--steps needs 0 or more, not {args.steps}")
+    if args.splats < FEWEST:
+        raise FormatError(f"an avatar needs at least {FEWEST} splats, not {args.splats}")
     began = time.perf_counter()
     if args.body is None:
         mesh = read_any_person(args.person, args)
     else:
         mesh = read_obj_person(args.person, read_body(args.body))
-    _say(args.person, doubts(mesh))  # before the minutes, so that they can be saved
+    told: list[str] = []
+    _say(args.person, doubts(mesh, scale=args.extra_scale), told)  # before the minutes, so that they can be saved
     with progress_bar() as show:
         avatar = make_avatar(mesh, args.splats, args.seed, progress=show)
         if args.steps:
             avatar = refine(avatar, mesh, args.seed, RefineConfig(steps=args.steps), show)
         if not args.no_cones:
             avatar = with_cones(avatar, progress=show)
-    told = set(doubts(mesh))
-    _say(args.person, (line for line in doubts(mesh, avatar, args.splats) if line not in told))
+    _say(args.person, doubts(mesh, avatar, args.splats, args.extra_scale), told)
     return write(avatar, args, began)
 
 
-def _say(path: Path, lines: Iterable[str]) -> None:
+def _say(path: Path, lines: Iterable[str], told: list[str]) -> None:
+    """What was not ``told`` yet."""
     with naming(path):
         for line in lines:
-            print(f"glsplat avatar: {path}: {line}", file=sys.stderr)
+            if line not in told:
+                print(f"glsplat avatar: {path}: {line}", file=sys.stderr)
+                told.append(line)
 
 
 def _cones(args: argparse.Namespace) -> int:

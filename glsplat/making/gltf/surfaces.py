@@ -40,12 +40,6 @@ def surface_of(
 ) -> Surface:
     """Triangles of an instance of mode TRIANGLES; ``weights`` of its morph targets. Raises FormatError."""
     primitive, where = instance.primitive, instance.name
-    compressed = [name for name in primitive.extensions if "compression" in name]
-    if compressed:
-        raise FormatError(
-            f"{where}: the geometry is compressed ({compressed[0][:60]}); "
-            "unpack it: npx @gltf-transform/cli copy IN.glb OUT.glb"
-        )
     points = container.numbers(primitive.attributes["POSITION"], f"{where} POSITION", ("VEC3",)).astype(np.float64)
     for target, weight in zip(primitive.targets, weights, strict=False):
         if weight and "POSITION" in target:
