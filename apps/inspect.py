@@ -16,7 +16,7 @@ from glsplat.formats import recognise
 from glsplat.formats.scene_file import SceneFile
 from glsplat.making.items import is_scene
 from glsplat.meshes import RiggedMesh
-from glsplat.skinning.rigs.driven import why_not_driven
+from glsplat.skinning.rigs.driven import why_not_driven, why_not_tracked
 from glsplat.splats import Splats
 from glsplat.views import box_of, splats_of
 
@@ -184,6 +184,7 @@ def _rig(avatar: Avatar) -> dict[str, Any]:
         "weight_lost": skin.lost,
         "weights_repaired": skin.repaired,
         "not_driven": why_not_driven(skeleton),  # "": motions move it
+        "not_tracked": why_not_tracked(skeleton),  # "": a headset does
         "rest_offset": float(np.abs(offset).max()),  # 0: the zero pose shows the splats as they are stored
         "splats_per_joint": {name: int(n) for name, n in zip(skeleton.names, strongest, strict=True) if n},
         "meta": dict(avatar.meta),
@@ -260,7 +261,7 @@ def _text(report: dict[str, Any]) -> str:
         rows.append(
             ("weights", f"{rig['weight_lost']:.3g} lost by truncation, {rig['weights_repaired']} splats repaired")
         )
-        rows.append(("driven", f"by no motion: {rig['not_driven']}" if rig["not_driven"] else "by motions"))
+        rows.append(("driven", _driven(rig["not_driven"], rig["not_tracked"])))
         if rig["rest_offset"] > 1e-4:
             rows.append(("rest", f"inverse bind matrices are {rig['rest_offset']:.3g} off the rest pose"))
         parts = ", ".join(f"{joint} {count}" for joint, count in rig["splats_per_joint"].items())
@@ -269,3 +270,9 @@ def _text(report: dict[str, Any]) -> str:
     unusual = [f"{count:,} {name}: {_UNUSUAL[name]}" for name, count in report["unusual"].items()]
     rows += [("unusual", text) for text in unusual] or [("unusual", "nothing")]
     return _wrapped(lines, rows)
+
+
+def _driven(not_driven: str, not_tracked: str) -> str:
+    if not_driven:
+        return f"by no motion: {not_driven}"
+    return f"by motions, by no headset: {not_tracked}" if not_tracked else "by motions and headsets"
