@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from glsplat.errors import PoseError
 from glsplat.formats.npz import read_arrays
 from glsplat.motion.bvh import parse_acclaim, parse_bvh, skeleton_file
-from glsplat.motion.clip import retarget
 from glsplat.motion.fitted import body_of, fitted
+from glsplat.motion.retarget import retarget
 from glsplat.rotations import (
     quaternion_of,
     quaternion_product,

@@ -9,8 +9,8 @@ from scipy.spatial.transform import Rotation
 from glsplat.errors import PoseError
 from glsplat.making.people import read_person
 from glsplat.motion.bvh import parse_acclaim, parse_bvh
-from glsplat.motion.clip import retarget
 from glsplat.motion.motion import load_motion
+from glsplat.motion.retarget import retarget
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.smplx import JOINT_NAMES, PARENTS
 
@@ -167,7 +167,7 @@ def test_joint_names_of_several_makers(skeleton, rename):
 @pytest.mark.parametrize("unit", [1.0, 100.0, 39.37])
 def test_units_follow_from_the_legs(skeleton, unit):
     clip = parse_bvh(bvh({}, unit=unit, root=(3.0, 0.95, 4.0)))
-    object.__setattr__(clip, "positions", clip.positions + [[0, 0, 0], [0, 0, unit]])
+    clip.places[1] += [0, 0, unit]
     _, trans = retarget(clip, skeleton)
     leg = 0.7 / 0.82
     assert trans[0, [0, 2]] == pytest.approx([0, 0], abs=1e-9)
@@ -186,9 +186,7 @@ def test_other_axes(skeleton):
 
 def test_forward_turns_to_z(skeleton):
     clip = parse_bvh(bvh({"Hips": (0, 130, 0)}))
-    object.__setattr__(
-        clip, "positions", clip.positions + [[0, 0, 0], [np.sin(np.radians(130)), 0, np.cos(np.radians(130))]]
-    )
+    clip.places[1] += [np.sin(np.radians(130)), 0, np.cos(np.radians(130))]
     kept, ahead = retarget(clip, skeleton), retarget(clip, skeleton, forward=True)
     assert kept[0][0, 0] == pytest.approx([0, np.radians(130), 0], abs=1e-6)
     assert ahead[0][0, 0] == pytest.approx([0, 0, 0], abs=1e-6)
@@ -265,12 +263,13 @@ ASF = """:version 1.10
 def test_acclaim_axes_and_tips():
     clip = parse_acclaim(ASF, ":FULLY-SPECIFIED\n:DEGREES\n1\nroot 1 2 3 0 90 0\nlfemur 10 20\nltibia 30\n")
     assert clip.names == ("root", "lfemur", "ltibia") and clip.fps == 120
-    assert clip.positions[0].tolist() == [1, 2, 3]
+    assert clip.places[0, 0].tolist() == [1, 2, 3]
     assert clip.rest[2].tolist() == [0, -2, 0]  # our joint is the near end of the bone
     axis = Rotation.from_euler("xyz", [0, 0, 20], degrees=True)
     turn = Rotation.from_euler("xyz", [10, 0, 20], degrees=True)
-    assert clip.rotations[0, 1] == pytest.approx((axis * turn * axis.inv()).as_matrix())
-    assert clip.rotations[0, 2] == pytest.approx(Rotation.from_euler("z", -30, degrees=True).as_matrix())
+    root, femur, tibia = clip.turns[0]
+    assert root.T @ femur == pytest.approx((axis * turn * axis.inv()).as_matrix())
+    assert femur.T @ tibia == pytest.approx(Rotation.from_euler("z", -30, degrees=True).as_matrix())
 
 
 @pytest.mark.parametrize(

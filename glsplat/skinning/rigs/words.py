@@ -18,7 +18,7 @@ _PARTS: dict[str, tuple[str, ...]] = {
     "hip": ("thigh", "upleg", "upperleg", "thighbend", "legupper", "femur", "hip"),
     "knee": ("shin", "calf", "lowerleg", "lowleg", "leglower", "leg", "knee", "tibia"),
     "ankle": ("foot", "ankle"),
-    "foot": ("toebase", "toe", "toes", "ball", "foottoe"),
+    "foot": ("toebase", "toe", "toes", "ball", "foottoe", "forefoot"),
     "collar": ("clavicle", "collar", "collarbone", "clav", "shoulder"),
     "shoulder": ("upperarm", "uparm", "armupper", "arm", "humerus", "shldrbend", "shldr", "shoulder"),
     "elbow": ("forearm", "lowerarm", "lowarm", "armlower", "elbow", "radius", "forearmbend"),
