@@ -29,7 +29,8 @@ class Clip:
     fps: float
     given: Mapping[str, int | None] = field(default_factory=dict)
     """SMPL-X joint -> index, where the file itself says so (VRM)."""
-    label: str = ""
+    label: str = ""  # of several in a file: "#Walk"
+    note: str = ""  # and what else there is
 
     def __len__(self) -> int:
         return len(self.turns)

@@ -46,7 +46,7 @@ def standing(clip: Clip) -> Standing:
     except PoseError as error:
         clip, found, turn = _by_a_frame(clip, found, error)
         return Standing(clip, found, turn, turn)
-    return Standing(clip, found, turn, turn @ _up_as_it_moves(clip, found, turn[1]))
+    return Standing(clip, found, turn, turn @ _up_as_it_moves(clip, found, turn[1], turn[0]))
 
 
 def _matched(clip: Clip) -> RigMap:
@@ -100,7 +100,7 @@ def _straight(points: F64, found: RigMap) -> float:
     return float(np.mean(np.maximum(marks, 0)))
 
 
-def _up_as_it_moves(clip: Clip, found: RigMap, up: F64) -> F64:
+def _up_as_it_moves(clip: Clip, found: RigMap, up: F64, left: F64) -> F64:
     """[3, 3] turns what is up as they move to what was at rest: some files rest with y up and move with z up.
 
     Who lies down in a file of one axis is told apart by the floor: along the other axis, soles would not be at 0.
@@ -118,7 +118,10 @@ def _up_as_it_moves(clip: Clip, found: RigMap, up: F64) -> F64:
     ]
     if not feet or abs(float(np.min(feet))) > _LOW * leg or float(np.median(hips @ other)) < _HIGH * leg:
         return np.eye(3)
-    return rotation_between(other, up)
+    turn = rotation_between(other, up)
+    across = turn @ (places["left_hip"][0] - places["right_hip"][0])
+    about = 2 * np.outer(up, up) - np.eye(3)  # half a turn: that they look ahead at first, as most files have it
+    return turn if across @ left > 0 else about @ turn
 
 
 def flat_soles(

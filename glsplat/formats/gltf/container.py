@@ -143,7 +143,7 @@ class Scene(_Object):
 
 
 class Gltf(_Object):
-    """The root object, as far as splats and meshes need it; what colours surfaces is left as it is written."""
+    """The root object, as far as splats and meshes need it; what colours or moves them is left as it is written."""
 
     asset: Asset = msgspec.field(default_factory=Asset)
     extensions_used: list[str] = []
@@ -160,6 +160,7 @@ class Gltf(_Object):
     textures: list[Any] = []
     images: list[Any] = []
     samplers: list[Any] = []
+    animations: list[Any] = []
 
 
 @dataclass(frozen=True, slots=True)

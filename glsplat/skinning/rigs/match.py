@@ -87,11 +87,11 @@ class _Rig:
     def called(self, part: str, side: str = "") -> list[int]:
         """Joints that may be this part, the best first: by the word, then the nearest to the root, then the big toe."""
         found = [i for i, word in enumerate(self.words) if part in word.parts and word.side == side]
-        found = [i for i in found if not self._holds(i, found)]
+        found = [i for i in found if not self._on_its_parent(i, found)]
         toe = [word.number or 0 if part == "foot" else 0 for word in self.words]
         return sorted(found, key=lambda i: (self.words[i].rank(part), len(self.above[i]), toe[i], i))
 
-    def _holds(self, joint: int, found: Sequence[int]) -> bool:
+    def _on_its_parent(self, joint: int, found: Sequence[int]) -> bool:
         """Whether a joint lies on its own parent, to hold another of ``found`` by the same word (CMU's LHipJoint)."""
         parent, stem = int(self.parents[joint]), self.words[joint].stem
         if parent < 0 or not any(joint in self.above[i] and self.words[i].stem == stem for i in found):
