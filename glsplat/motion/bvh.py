@@ -17,6 +17,7 @@ F64 = NDArray[np.float64]
 _Bone = dict[str, NDArray[np.float64] | list[str]]
 _ACCLAIM_FPS = 120.0  # the file does not say; CMU's captures
 _MAX_JOINTS = 1024
+_LONGEST = 8  # words of a name
 _BLOCK = 1 << 20  # characters of numbers that are split at a time
 
 
@@ -84,12 +85,16 @@ def _hierarchy(words: list[str]) -> tuple[list[str], list[int], list[list[float]
                 parent = stack[-1] if stack else -1
                 if parent == -2 or (parent == -1 and names):
                     raise PoseError(f"joint {words[i + 1]!r} has no parent; a BVH hierarchy has one root")
-                names.append(words[i + 1])
+                name, end = [words[i + 1]], i + 2
+                while words[end] != "{" and len(name) < _LONGEST:  # "Bip001 L Thigh"
+                    name.append(words[end])
+                    end += 1
+                names.append(" ".join(name))
                 parents.append(parent)
                 offsets.append([0.0, 0.0, 0.0])
                 channels.append([])
                 pending = len(names) - 1
-                i += 2
+                i = end
             elif word == "END":
                 pending = -2
                 i += 2

@@ -15,6 +15,7 @@ __all__ = ["Clip", "chained", "check_size"]
 F64 = NDArray[np.float64]
 
 _MOST = 1 << 22  # joints times frames; 96 bytes each
+_FARTHEST = 1e12  # in any unit
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -31,6 +32,11 @@ class Clip:
     """SMPL-X joint -> index, where the file itself says so (VRM)."""
     label: str = ""  # of several in a file: "#Walk"
     note: str = ""  # and what else there is
+
+    def __post_init__(self) -> None:
+        for values in (self.rest, self.turns, self.places):
+            if not np.abs(values).max(initial=0) < _FARTHEST:  # NaN is not less either
+                raise PoseError("a motion needs finite numbers of some size, found NaN, infinity or far too large ones")
 
     def __len__(self) -> int:
         return len(self.turns)

@@ -85,8 +85,6 @@ def _clip(container: Container, graph: Graph, animations: list[Animation], choic
     bound = bound_of(container, graph, skins)
     rest = bound.shown @ bound.frames[tracks.nodes]
     turns, places = _moved(tracks, rest, frames, fps)
-    if not (np.isfinite(rest).all() and np.isfinite(turns).all() and np.isfinite(places).all()):
-        raise PoseError("the animation or its rest pose leads to numbers that are not finite")
     index = {node: k for k, node in enumerate(tracks.nodes)}
     parents = np.array([index.get(int(graph.parents[node]), -1) for node in tracks.nodes], np.int32)
     given: dict[str, int | None] = {name: index[node] for name, node in bones.items()}

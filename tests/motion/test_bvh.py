@@ -71,6 +71,63 @@ MAKEHUMAN |= {
 }
 
 
+_LIMBS = ("UpLeg", "Leg", "Foot", "ToeBase", "Shoulder", "Arm", "ForeArm", "Hand")
+
+
+def family(trunk: str, limbs: str, left: str = "L", right: str = "R") -> dict[str, str]:
+    """Names of a maker: of hips, two of the spine, neck and head; of a limb's joints with # for the side."""
+    names = dict(zip(("Hips", "Spine", "Spine1", "Neck", "Head"), trunk.split(","), strict=True))
+    for side, mark in (("Left", left), ("Right", right)):
+        names |= {f"{side}{part}": name.replace("#", mark) for part, name in zip(_LIMBS, limbs.split(","), strict=True)}
+    return names
+
+
+FAMILIES = {
+    "mixamo": {name: f"mixamorig:{name}" for name, _, _ in HANGING},
+    "cmu": family(
+        "Hips,Chest,Chest2,Neck,Head", "#Hip,#Knee,#Ankle,#Toe,#Collar,#Shoulder,#Elbow,#Wrist", "Left", "Right"
+    ),
+    "acclaim": family(
+        "root,lowerback,thorax,upperneck,head",
+        "#femur,#tibia,#foot,#toes,#clavicle,#humerus,#radius,#wrist",
+        "l",
+        "r",
+    ),
+    "unreal": family(
+        "pelvis,spine_01,spine_02,neck_01,head",
+        "thigh_#,calf_#,foot_#,ball_#,clavicle_#,upperarm_#,lowerarm_#,hand_#",
+        "l",
+        "r",
+    ),
+    "vroid": family(
+        "J_Bip_C_Hips,J_Bip_C_Spine,J_Bip_C_Chest,J_Bip_C_Neck,J_Bip_C_Head",
+        ",".join(
+            f"J_Bip_#_{part}"
+            for part in ("UpperLeg", "LowerLeg", "Foot", "ToeBase", "Shoulder", "UpperArm", "LowerArm", "Hand")
+        ),
+    ),
+    "biped": family(
+        "Bip001 Pelvis,Bip001 Spine,Bip001 Spine1,Bip001 Neck,Bip001 Head",
+        ",".join(
+            f"Bip001 # {part}" for part in ("Thigh", "Calf", "Foot", "Toe0", "Clavicle", "UpperArm", "Forearm", "Hand")
+        ),
+    ),
+    "xsens": family(
+        "Pelvis,L5,T8,Neck,Head",
+        "#UpperLeg,#LowerLeg,#Foot,#Toe,#Shoulder,#UpperArm,#ForeArm,#Hand",
+        "Left",
+        "Right",
+    ),
+    "optitrack": family("Hip,Ab,Chest,Neck,Head", "#Thigh,#Shin,#Foot,#Toe,#Shoulder,#UArm,#FArm,#Hand"),
+    "rigify": family(
+        "DEF-spine,DEF-spine.001,DEF-spine.003,DEF-spine.004,DEF-head",
+        ",".join(
+            f"DEF-{part}.#" for part in ("thigh", "shin", "foot", "toe", "shoulder", "upper_arm", "forearm", "hand")
+        ),
+    ),
+}
+
+
 def bvh(angles, *, rename=None, unit=1.0, turn=None, frames=2, root=(0.0, 0.95, 0.0)):
     """A BVH text of the hanging figure. ``angles``: joint -> (z, y, x) degrees; ``turn``: change of axes [3, 3]."""
     turn = np.eye(3) if turn is None else turn
@@ -152,7 +209,9 @@ def test_bending_the_right_way(skeleton):
     assert rotations[0, NAMES["head"]] == pytest.approx([0, np.radians(30), 0], abs=1e-6)
 
 
-@pytest.mark.parametrize("rename", [{}, BANDAI, MAKEHUMAN, {n: f"mixamorig:{n}" for n, _, _ in HANGING}])
+@pytest.mark.parametrize(
+    "rename", [{}, BANDAI, MAKEHUMAN, *FAMILIES.values()], ids=["", "bandai", "makehuman", *FAMILIES]
+)
 def test_joint_names_of_several_makers(skeleton, rename):
     angles = {"LeftLeg": (0, 0, 50), "RightArm": (-70, 0, 0), "Spine1": (0, 20, 0), "LeftToeBase": (0, 0, -20)}
     plain = retarget(parse_bvh(bvh(angles)), skeleton)[0]
@@ -215,6 +274,8 @@ def test_truncated_files(tmp_path, skeleton, cut):
         ("0.950000000", "nan", "finite"),
         ("0.950000000", "abc", "numbers"),
         ("OFFSET 0.0 0.95 0.0", "OFFSET 0.0 x 0.0", "malformed"),
+        ("0.950000000", "1e300", "far too large"),
+        ("OFFSET 0.0 -0.4", "OFFSET 0.0 1e300", "far too large"),
     ],
 )
 def test_malformed_files(tmp_path, skeleton, old, new, word):

@@ -20,8 +20,8 @@ _PARTS: dict[str, tuple[str, ...]] = {
     "ankle": ("foot", "ankle"),
     "foot": ("toebase", "toe", "toes", "ball", "foottoe", "forefoot"),
     "collar": ("clavicle", "collar", "collarbone", "clav", "shoulder"),
-    "shoulder": ("upperarm", "uparm", "armupper", "arm", "humerus", "shldrbend", "shldr", "shoulder"),
-    "elbow": ("forearm", "lowerarm", "lowarm", "armlower", "elbow", "radius", "forearmbend"),
+    "shoulder": ("upperarm", "uparm", "armupper", "arm", "humerus", "uarm", "shldrbend", "shldr", "shoulder"),
+    "elbow": ("forearm", "lowerarm", "lowarm", "armlower", "farm", "elbow", "radius", "forearmbend"),
     "wrist": ("wrist", "hand", "palm"),
     "eye": ("eye", "faceeye", "eyesmplhf", "eyeball"),
     "jaw": ("jaw", "lowerjaw", "jawroot"),
@@ -29,7 +29,7 @@ _PARTS: dict[str, tuple[str, ...]] = {
     "neck": ("neck", "lowerneck", "necklower", "upperneck", "neckupper", "necktwist"),
     "pelvis": ("pelvis", "hips", "hip"),
     "spine": (
-        *("spine", "chest", "upperchest", "chestupper", "chestlower", "abdomen", "abdomenlower", "abdomenupper"),
+        *("spine", "chest", "upperchest", "chestupper", "chestlower", "abdomen", "abdomenlower", "abdomenupper", "ab"),
         *("torso", "waist", "thorax", "lowerback", "upperback", "stomach", "belly", "tummy", "back", "ribcage"),
     ),
     **{finger: (finger, f"hand{finger}", f"f{finger}", f"{finger}finger", f"finger{finger}") for finger in FINGERS},
@@ -82,6 +82,7 @@ def word_of(name: str) -> Word:
     """Read a joint's name. A name that means nothing has no parts."""
     plain = _ESCAPED.sub(lambda found: chr(int(found[1])), name)
     plain = re.sub(r"(?i)\bbip\d+", "bip", re.split(r"[:|]", plain)[-1])
+    plain = re.sub(r"(?<![A-Za-z])([LR])([UF])(?=Arm)", r"\1 \2", plain)  # OptiTrack: the upper arm, the forearm
     words = [word.lower() for word in _WORDS.findall(plain)]
     deforms = words[:1] == ["def"]
     side, kept, number = "", [], None
