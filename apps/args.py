@@ -124,7 +124,7 @@ def motion_of(name: str, skeleton: Skeleton, option: str = "--motion") -> Motion
 
     if not split_choice(name)[0].exists() and name not in embedded_motions():
         known = ", ".join(embedded_motions()) or "none"
-        raise UsageError(f"{option} {name}: no such file and no such motion; embedded are {known}; files: {KINDS}")
+        raise UsageError(f"{option} {name}: no such file and no such motion; files are {KINDS}; embedded are {known}")
     motion = load_motion(name, skeleton)
     if motion.note:
         print(f"{option} {name}: {motion.note}", file=sys.stderr)
