@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from glsplat.errors import PoseError
 from glsplat.motion.clip import Clip
+from glsplat.motion.fitted import leg_length
 from glsplat.motion.standing import flat_soles, standing
 from glsplat.rotations import matrix_quaternions, quaternion_vectors, rotation_matrices
 from glsplat.skinning.rigs.humanoid import t_pose_turns
@@ -79,7 +80,7 @@ def retarget(clip: Clip, skeleton: Skeleton, *, forward: bool = False) -> tuple[
 
     middle = np.mean([joints[_AT[f"{side}_hip"]] for side in _SIDES], axis=0) - joints[0]
     hips = np.mean([clip.places[:, at[f"{side}_hip"]] for side in _SIDES], axis=0) @ stood.world.T
-    trans = hips * (_leg(joints, _AT) / max(_leg(rest, at), 1e-9)) - goal[:, 0] @ middle - joints[0]
+    trans = hips * (leg_length(joints) / max(_leg(rest, at), 1e-9)) - goal[:, 0] @ middle - joints[0]
     if forward:
         ahead = _facing(goal[0, 0])
         vectors[:, 0] = quaternion_vectors(matrix_quaternions(ahead @ goal[:, 0]))
@@ -117,6 +118,7 @@ def _last_pieces(found: RigMap, clip: Clip) -> dict[str, int]:
 
 
 def _leg(points: F64, index: Mapping[str, int]) -> float:
+    """As ``leg_length``, of a rig that may lack its ankles."""
     total = 0.0
     for side in _SIDES:
         hip, knee = points[index[f"{side}_hip"]], points[index[f"{side}_knee"]]

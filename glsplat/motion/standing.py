@@ -89,6 +89,8 @@ def _straight(points: F64, found: RigMap) -> float:
         y = upright(found, points)[1]
     except PoseError:
         return 0.0
+    if np.abs(y).max() < 1 - 1e-6:  # they lie askew
+        return 0.0
     at = {name: points[index] for name, index in found.joints.items()}
     marks = []
     for side in _SIDES:
