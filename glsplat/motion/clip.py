@@ -30,6 +30,7 @@ class Clip:
     fps: float
     given: Mapping[str, int | None] = field(default_factory=dict)
     """SMPL-X joint -> index, where the file itself says so (VRM)."""
+    y_up: bool = False  # the format says so, of the world in which they move
     label: str = ""  # of several in a file: "#Walk"
     note: str = ""  # and what else there is
 

@@ -96,9 +96,8 @@ def _clip(container: Container, graph: Graph, animations: list[Animation], choic
             note = (
                 f"{called[0][:40]}, the first of {len(called)} animations; #NAME chooses another: {_listed(called[1:])}"
             )
-    return Clip(
-        tuple(names[node] for node in tracks.nodes), parents, rest[:, :3, 3], turns, places, fps, given, label, note
-    )
+    called_so = tuple(names[node] for node in tracks.nodes)
+    return Clip(called_so, parents, rest[:, :3, 3], turns, places, fps, given=given, y_up=True, label=label, note=note)
 
 
 def _skins(container: Container, graph: Graph) -> list[int]:

@@ -46,7 +46,8 @@ def standing(clip: Clip) -> Standing:
     except PoseError as error:
         clip, found, turn = _by_a_frame(clip, found, error)
         return Standing(clip, found, turn, turn)
-    return Standing(clip, found, turn, turn @ _up_as_it_moves(clip, found, turn[1], turn[0]))
+    moves = np.eye(3) if clip.y_up else _up_as_it_moves(clip, found, turn[1], turn[0])
+    return Standing(clip, found, turn, turn @ moves)
 
 
 def _matched(clip: Clip) -> RigMap:

@@ -11,6 +11,9 @@ from glsplat.making.people import read_person
 from glsplat.motion.bvh import parse_acclaim, parse_bvh
 from glsplat.motion.motion import load_motion
 from glsplat.motion.retarget import retarget
+from glsplat.rotations import rotation_between, rotation_matrices
+from glsplat.skinning.rigs.humanoid import upright
+from glsplat.skinning.rigs.match import match_rig
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.smplx import JOINT_NAMES, PARENTS
 
@@ -128,12 +131,17 @@ FAMILIES = {
 }
 
 
-def bvh(angles, *, rename=None, unit=1.0, turn=None, frames=2, root=(0.0, 0.95, 0.0)):
-    """A BVH text of the hanging figure. ``angles``: joint -> (z, y, x) degrees; ``turn``: change of axes [3, 3]."""
+def bvh(angles, *, rename=None, unit=1.0, turn=None, frames=2, root=(0.0, 0.95, 0.0), own=None):
+    """A BVH text of the hanging figure. ``angles``: joint -> (z, y, x) degrees; ``turn``: change of axes [3, 3].
+
+    ``own``: joint -> [3, 3] axes of its own in which its children's offsets are written; the rest pose then is none.
+    """
     turn = np.eye(3) if turn is None else turn
+    own = own or {}
+    parents = {name: parent for name, parent, _ in HANGING}
     rename = rename or {}
     children = {name: [n for n, p, _ in HANGING if p == name] for name, _, _ in HANGING}
-    offsets = {name: turn @ np.array(offset) * unit for name, _, offset in HANGING}
+    offsets = {name: own.get(parent, np.eye(3)).T @ turn @ np.array(offset) * unit for name, parent, offset in HANGING}
     lines, order = ["HIERARCHY"], []
 
     def emit(name, depth):
@@ -152,7 +160,8 @@ def bvh(angles, *, rename=None, unit=1.0, turn=None, frames=2, root=(0.0, 0.95, 
     numbers = list(turn @ np.array(root) * unit)
     for name in order:
         matrix = Rotation.from_euler("ZYX", angles.get(name, (0, 0, 0)), degrees=True).as_matrix()
-        numbers += Rotation.from_matrix(turn @ matrix @ turn.T).as_euler("ZYX", degrees=True).tolist()
+        local = own.get(parents[name], np.eye(3)).T @ turn @ matrix @ turn.T @ own.get(name, np.eye(3))
+        numbers += Rotation.from_matrix(local).as_euler("ZYX", degrees=True).tolist()
     motion = "\n".join([" ".join(f"{v:.9f}" for v in numbers)] * frames)
     return "\n".join(lines) + f"\nMOTION\nFrames: {frames}\nFrame Time: 0.02\n{motion}\n"
 
@@ -241,6 +250,73 @@ def test_other_axes(skeleton):
     turned = retarget(parse_bvh(bvh(angles, turn=turn)), skeleton)
     assert turned[0] == pytest.approx(plain[0], abs=1e-6)
     assert turned[1] == pytest.approx(plain[1], abs=1e-6)
+
+
+def test_at_rest_y_is_up_and_z_as_they_move(skeleton):
+    """Of a skeleton with y up, moved by a root that turns it: they stand, look ahead, and lie down where they lie."""
+    angles = {"LeftLeg": (0, 0, 50), "RightArm": (-70, 0, 0)}
+    plain = retarget(parse_bvh(bvh(angles)), skeleton)
+    for heading in (0, 180):
+        text = bvh(angles | {"Hips": (heading, 0, 90)}, root=(0.3, 0.2, 0.95))
+        moved = retarget(parse_bvh(text), skeleton)
+        assert moved[0] == pytest.approx(plain[0], abs=1e-6)
+        assert moved[1] == pytest.approx(plain[1], abs=1e-6)
+    lying = retarget(parse_bvh(bvh(angles | {"Hips": (0, 0, -90)}, root=(0.0, 0.1, 3.0))), skeleton)
+    assert abs(lying[0][0, 0, 0]) == pytest.approx(np.pi / 2, abs=1e-6)
+
+
+def test_a_rest_pose_that_is_none(skeleton):
+    """All bones along x in their own axes, as LaFAN's and Rokoko's files have it: the straightest frame stands in."""
+    ends = {"Hips": "Spine", "Spine": "Spine1", "Spine1": "Neck", "Neck": "Head"}
+    ends |= {f"{s}{a}": f"{s}{b}" for s in ("Left", "Right") for a, b in (("UpLeg", "Leg"), ("Leg", "Foot"))}
+    ends |= {f"{s}{a}": f"{s}{b}" for s in ("Left", "Right") for a, b in (("Arm", "ForeArm"), ("ForeArm", "Hand"))}
+    at = {name: np.array(offset, float) for name, _, offset in HANGING}
+    own = {name: rotation_between([1.0, 0, 0], at[end]) @ rotation_matrices([0.3, 0, 0]) for name, end in ends.items()}
+    with pytest.raises(PoseError, match="stand"):
+        upright(_map(parse_bvh(bvh({}, own=own))), parse_bvh(bvh({}, own=own)).rest)
+    bent = {"LeftLeg": (0, 0, 50), "RightUpLeg": (0, 0, -40), "LeftForeArm": (0, 0, -90), "RightArm": (-70, 0, 0)}
+    text = bvh(bent, own=own, frames=1)
+    straight = bvh({}, own=own, frames=1).rsplit("Frame Time: 0.02", 1)[1]
+    clip = parse_bvh(text.replace("Frames: 1", "Frames: 2").rstrip() + straight)
+    plain = retarget(parse_bvh(bvh(bent)), skeleton)[0]
+    assert retarget(clip, skeleton)[0][0] == pytest.approx(plain[0], abs=1e-6)
+
+
+def _map(clip):
+    return match_rig(clip.names, clip.parents, clip.rest)
+
+
+def test_split_bones_point_where_their_ends_are(skeleton):
+    """MakeHuman's upperleg01 and 02, the second bent against the first, and position channels that are all zero."""
+    text = bvh({}, rename=MAKEHUMAN)
+    head, motion = text.split("MOTION")
+    old = "JOINT lowerleg01.L"
+    channels = "6 Xposition Yposition Zposition Zrotation Yrotation Xrotation"
+    piece = f"JOINT upperleg02.L {{\nOFFSET 0 -0.2 0\nCHANNELS {channels}\n"
+    start = head.index(old)
+    end = start + len(_block(head[start:]))
+    leg = _block(head[start:]).replace("OFFSET 0.0 -0.42 0.0", "OFFSET 0.0 -0.22 0.0", 1)
+    head = head[:start] + piece + leg + "}\n" + head[end:]
+    lines = motion.strip().split("\n")
+    rows = [line.split() for line in lines[2:]]
+    rows = [" ".join([*row[:9], "0 0 0 0 0 -60", *row[9:]]) for row in rows]  # hips, thigh; then the piece
+    clip = parse_bvh(head + "MOTION\n" + "\n".join([*lines[:2], *rows]))
+    at = positions(skeleton, clip)
+    bend = np.radians(60)
+    thigh = np.array([0, -0.2 - 0.22 * np.cos(bend), 0.22 * np.sin(bend)])
+    assert direction(at, "left_hip", "left_knee") == pytest.approx(thigh / np.linalg.norm(thigh), abs=1e-6)
+    shin = np.array([0, -np.cos(bend), np.sin(bend)])
+    assert direction(at, "left_knee", "left_ankle") == pytest.approx(shin, abs=1e-6)
+
+
+def _block(text):
+    """From a joint's name to the brace that ends it."""
+    depth = 0
+    for place, letter in enumerate(text):
+        depth += (letter == "{") - (letter == "}")
+        if letter == "}" and depth == 0:
+            return text[: place + 1] + "\n"
+    raise AssertionError
 
 
 def test_forward_turns_to_z(skeleton):

@@ -53,6 +53,7 @@ ANIMATED = {
     ),
     ("real/models/mannequiny_gdquest.glb", 9): ("thigh.# calf.# foot.# upperarm.# lowerarm.# hand.#", "l r"),
     ("real/models/kaykit_mage.glb", 20): (KAYKIT, "l r"),
+    ("real/models/kaykit_mage.glb", 24): (KAYKIT, "l r"),  # lies on the floor, feet above the origin
     ("real/models/robot_expressive.glb", 10): (QUATERNIUS, "L R"),
     ("real/models/quaternius_knight.glb", 8): (QUATERNIUS, "L R"),
     ("real/models/quaternius_cyberpunk_character.glb", 17): (QUATERNIUS, "L R"),
