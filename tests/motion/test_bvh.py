@@ -261,8 +261,36 @@ def test_at_rest_y_is_up_and_z_as_they_move(skeleton):
         moved = retarget(parse_bvh(text), skeleton)
         assert moved[0] == pytest.approx(plain[0], abs=1e-6)
         assert moved[1] == pytest.approx(plain[1], abs=1e-6)
-    lying = retarget(parse_bvh(bvh(angles | {"Hips": (0, 0, -90)}, root=(0.0, 0.1, 3.0))), skeleton)
-    assert abs(lying[0][0, 0, 0]) == pytest.approx(np.pi / 2, abs=1e-6)
+    for far in (3.0, -3.0):
+        lying = retarget(parse_bvh(bvh(angles | {"Hips": (0, 0, -90)}, root=(0.0, 0.1, far))), skeleton)
+        assert abs(lying[0][0, 0, 0]) == pytest.approx(np.pi / 2, abs=1e-6)
+
+
+def test_the_middle_of_the_hips_goes_where_the_file_has_it(skeleton):
+    lean = bvh({"Hips": (30, 0, 0)}, frames=1).rsplit("Frame Time: 0.02", 1)[1]
+    clip = parse_bvh(bvh({}, frames=1).replace("Frames: 1", "Frames: 2").rstrip() + lean)
+    hips = [NAMES["left_hip"], NAMES["right_hip"]]
+    first, second = (positions(skeleton, clip, frame)[hips].mean(axis=0) for frame in (0, 1))
+    down = np.array([0, -0.05, 0])
+    theirs = Rotation.from_euler("z", 30, degrees=True).apply(down) - down
+    assert second - first == pytest.approx(theirs * 0.7 / 0.82, abs=1e-6)
+
+
+def test_what_joints_are_of_families_with_helpers():
+    """Of CMU the spine begins where the pelvis is; a finger without a number is within the palm."""
+    names = [name for name, _, _ in HANGING]
+    parents = [names.index(parent) if parent else -1 for _, parent, _ in HANGING]
+    at = np.zeros((len(names), 3))
+    for i, (_, _, offset) in enumerate(HANGING):
+        at[i] = np.array(offset) + (at[parents[i]] if parents[i] >= 0 else 0)
+    called = [FAMILIES["acclaim"][name] for name in names] + ["lindex", "lindex1", "lindex2", "lindex3"]
+    at[names.index("Spine")] = at[0]
+    hand = names.index("LeftHand")
+    parents += [hand, len(names), len(names) + 1, len(names) + 2]
+    at = np.vstack([at, at[hand] - np.outer([1, 2, 3, 4], [0, 0.02, 0])])
+    found = match_rig(called, parents, at).joints
+    assert called[found["pelvis"]] == "root"
+    assert [called[found[f"left_index{i}"]] for i in (1, 2, 3)] == ["lindex1", "lindex2", "lindex3"]
 
 
 def test_a_rest_pose_that_is_none(skeleton):
@@ -299,8 +327,13 @@ def test_split_bones_point_where_their_ends_are(skeleton):
     head = head[:start] + piece + leg + "}\n" + head[end:]
     lines = motion.strip().split("\n")
     rows = [line.split() for line in lines[2:]]
-    rows = [" ".join([*row[:9], "0 0 0 0 0 -60", *row[9:]]) for row in rows]  # hips, thigh; then the piece
-    clip = parse_bvh(head + "MOTION\n" + "\n".join([*lines[:2], *rows]))
+    clip, twisted = (
+        parse_bvh(head + "MOTION\n" + "\n".join([*lines[:2], *(" ".join([*r[:9], piece, *r[9:]]) for r in rows)]))
+        for piece in ("0 0 0 0 0 -60", "0 0 0 0 30 0")  # after hips and thigh
+    )
+    turns = retarget(twisted, skeleton)[0][0]
+    assert turns[NAMES["left_hip"]] == pytest.approx([0, np.radians(30), 0], abs=1e-6)
+    assert turns[NAMES["left_knee"]] == pytest.approx([0, 0, 0], abs=1e-6)
     at = positions(skeleton, clip)
     bend = np.radians(60)
     thigh = np.array([0, -0.2 - 0.22 * np.cos(bend), 0.22 * np.sin(bend)])

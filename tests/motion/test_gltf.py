@@ -64,6 +64,24 @@ def test_samplers(tmp_path: Path, skeleton: Skeleton, how: str, quarter: float |
     assert np.abs(motion.rotations[:, others]).max() < 0.15  # at rest, up to the lean of the bones of another body
 
 
+def test_the_shorter_way(tmp_path: Path, skeleton: Skeleton) -> None:
+    bone, kind, how, times, values = lift()
+    motion = load_motion(
+        glb(tmp_path / "a.glb", [{"channels": [(bone, kind, how, times, values * [[1], [-1]])]}]), skeleton
+    )
+    assert lifted(motion, skeleton, 15) == pytest.approx(45, abs=0.01)
+
+
+def test_tangents_of_a_cubic_spline(tmp_path: Path, skeleton: Skeleton) -> None:
+    """Hermite over 2 s: at the middle half of the way, and an eighth of 2 s times what the tangents differ by."""
+    height = np.array([0, 0.95, 0])
+    keys = [[9.0] * 3, height, [0, 0, 1.0], [0, 0, 3.0], height + [0, 0, 1.0], [9.0] * 3]
+    channel = ("hips", "translation", "CUBICSPLINE", np.array([0.0, 2.0]), np.array(keys))
+    motion = load_motion(glb(tmp_path / "a.glb", [{"channels": [channel]}]), skeleton)
+    share = motion.trans[30, 2] / motion.trans[60, 2]
+    assert share == pytest.approx(0.5 + 2 * (1 - 3) / 8, abs=1e-5)
+
+
 def test_hips_go_where_the_file_says(tmp_path: Path, skeleton: Skeleton) -> None:
     walk = ("hips", "translation", "LINEAR", np.array([0.5, 1.5]), np.array([[0, 0.95, 0], [0, 0.95, 2.0]]))
     motion = load_motion(glb(tmp_path / "a.vrma", [{"channels": [walk]}], vrm=True), skeleton)
