@@ -11,7 +11,7 @@ import numpy as np
 
 from glsplat.avatar import Avatar
 from glsplat.data import default_avatar
-from glsplat.errors import FormatError
+from glsplat.errors import FormatError, PoseError
 from glsplat.formats import load, suffixes
 from glsplat.formats.scene_file import UPS, SceneFile, upright
 from glsplat.formats.transform import transformed
@@ -19,6 +19,7 @@ from glsplat.making.items import is_scene, load_item
 from glsplat.making.items import load_scene as load_file
 from glsplat.motion.kinds import KINDS, split_choice
 from glsplat.scene import Content, Figure, is_figure
+from glsplat.skinning.rigs.driven import why_not_tracked
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.splats import Splats
 
@@ -43,6 +44,7 @@ __all__ = [
     "positive",
     "single",
     "size",
+    "tracked",
 ]
 
 
@@ -113,6 +115,13 @@ def driven(file: SceneFile, what: str) -> Figure:
     if file.scene.figures:
         raise UsageError(f"{what} is for one avatar, this scene has several; say in the scene file what each does")
     raise UsageError(f"this scene has no skeleton; {what} needs an avatar (a .glb with a skin, a rigged mesh)")
+
+
+def tracked(skeleton: Skeleton, name: str) -> Skeleton:
+    """The same. Raises PoseError naming the file ``name`` where tracking cannot drive it."""
+    if why := why_not_tracked(skeleton):
+        raise PoseError(f"{name}: tracking cannot drive this avatar: {why}")
+    return skeleton
 
 
 def motion_of(name: str, skeleton: Skeleton, option: str = "--motion") -> Motion:

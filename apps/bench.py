@@ -19,6 +19,7 @@ from glsplat.meshes import RiggedMesh
 from glsplat.motion.motion import Motion
 from glsplat.scene import Content, Shown, is_figure
 from glsplat.skinning.pose import Pose
+from glsplat.skinning.rigs.driven import why_not_driven
 
 from .args import add_scene, motion_of, open_scene, single, size
 from .usage import UsageError
@@ -27,6 +28,7 @@ HELP = (
     "Measure stage times (median and 95th percentile after warm-up), the draw floor, the gain of drawing both eyes in "
     "one pass, bytes a splat, and what skinning costs. Timings of one run are comparable; machines are not."
 )
+_MOTION = "wave-and-turn"
 EXAMPLE = "glsplat bench --sizes 512x512 1024x1024 --frames 30 --json > bench.json"
 
 
@@ -36,7 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--sizes", type=size, nargs="+", default=[(512, 512), (1024, 1024)], help="pixels an eye")
     parser.add_argument("--views", type=int, nargs="+", choices=(1, 2), default=[2], help="eyes (default 2)")
     parser.add_argument("--frames", type=int, default=30, help="measured frames a setting (default 30)")
-    parser.add_argument("--motion", default="wave-and-turn", help="motion of an avatar (default wave-and-turn)")
+    parser.add_argument("--motion", help=f"motion of an avatar (default {_MOTION}, if it can be driven)")
     parser.add_argument("--static", action="store_true", help="measure an avatar in its zero pose only")
     parser.add_argument(
         "--float-target", choices=("auto", "8", "16f", "32f"), default="auto", help="accumulation format"
@@ -52,7 +54,7 @@ def run(args: argparse.Namespace) -> int:
         raise UsageError(f"--frames needs at least 3, not {args.frames}")
     file = open_scene(args)
     scene = single(file)
-    motion = motion_of(args.motion, scene.skeleton) if is_figure(scene) and not args.static else None
+    motion = _motion(args, scene)
     context = create_context(args.device)
     try:
         bench = Bench(context, args.frames, RenderConfig(target=args.float_target, sorter=args.sorter))
@@ -73,6 +75,22 @@ def run(args: argparse.Namespace) -> int:
     finally:
         context.release()
     return 0
+
+
+def _motion(args: argparse.Namespace, scene: Content | None) -> Motion | None:
+    """What moves it; None of what stands still, which is said where somebody could expect otherwise."""
+    name = args.scene or "the default avatar"
+    if args.static:
+        return None
+    if scene is None or not is_figure(scene):
+        if args.motion:
+            raise UsageError(f"--motion is for one avatar that stands where its file puts it; {name} is none")
+        return None
+    why = why_not_driven(scene.skeleton)
+    if args.motion or not why:
+        return motion_of(args.motion or _MOTION, scene.skeleton)
+    print(f"glsplat bench: {name}: {_MOTION} cannot drive this avatar: {why}; measured standing still", file=sys.stderr)
+    return None
 
 
 def kinds_of(

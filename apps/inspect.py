@@ -16,6 +16,7 @@ from glsplat.formats import recognise
 from glsplat.formats.scene_file import SceneFile
 from glsplat.making.items import is_scene
 from glsplat.meshes import RiggedMesh
+from glsplat.skinning.rigs.driven import why_not_driven
 from glsplat.splats import Splats
 from glsplat.views import box_of, splats_of
 
@@ -182,6 +183,7 @@ def _rig(avatar: Avatar) -> dict[str, Any]:
         "influences": skin.influences,
         "weight_lost": skin.lost,
         "weights_repaired": skin.repaired,
+        "not_driven": why_not_driven(skeleton),  # "": motions move it
         "rest_offset": float(np.abs(offset).max()),  # 0: the zero pose shows the splats as they are stored
         "splats_per_joint": {name: int(n) for name, n in zip(skeleton.names, strongest, strict=True) if n},
         "meta": dict(avatar.meta),
@@ -258,6 +260,7 @@ def _text(report: dict[str, Any]) -> str:
         rows.append(
             ("weights", f"{rig['weight_lost']:.3g} lost by truncation, {rig['weights_repaired']} splats repaired")
         )
+        rows.append(("driven", f"by no motion: {rig['not_driven']}" if rig["not_driven"] else "by motions"))
         if rig["rest_offset"] > 1e-4:
             rows.append(("rest", f"inverse bind matrices are {rig['rest_offset']:.3g} off the rest pose"))
         parts = ", ".join(f"{joint} {count}" for joint, count in rig["splats_per_joint"].items())

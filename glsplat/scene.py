@@ -13,9 +13,10 @@ from glsplat.errors import GlsplatError, PoseError
 from glsplat.meshes import RiggedMesh
 from glsplat.rotations import quaternion_matrices
 from glsplat.skinning.pose import Pose
+from glsplat.skinning.skeleton import Skeleton
 from glsplat.splats import Splats
 
-__all__ = ["Content", "Figure", "Item", "Scene", "Shown", "is_figure", "similarity"]
+__all__ = ["Content", "Figure", "Item", "Scene", "Shown", "is_figure", "similarity", "skeleton_of"]
 
 Content = Splats | Avatar | RiggedMesh
 """What an item may show."""
@@ -34,6 +35,11 @@ def is_figure(thing: object) -> TypeGuard[Figure]:
     (True, False)
     """
     return isinstance(thing, Avatar) or (isinstance(thing, RiggedMesh) and len(thing.skeleton) > 1)
+
+
+def skeleton_of(thing: Content) -> Skeleton | None:
+    """What a pose moves of it; None of what only stands (``is_figure``)."""
+    return thing.skeleton if is_figure(thing) else None
 
 
 class Item:

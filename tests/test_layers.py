@@ -23,7 +23,7 @@ FLOORS = [
     ["glsplat.errors"],
     ["glsplat.arrays", "glsplat.timing", "glsplat.rotations", "glsplat.formats.npz"],
     ["glsplat.splats", "glsplat.camera", "glsplat.config", "glsplat.pictures"],
-    ["glsplat.skinning", "glsplat.formats.files"],
+    ["glsplat.skinning", "glsplat.formats.files", "glsplat.formats.gltf.schema", "glsplat.formats.gltf.meshopt"],
     ["glsplat.formats.gltf.container"],
     ["glsplat.formats.gltf.nodes"],
     ["glsplat.formats.gltf.bound", "glsplat.formats.gltf.vrm", "glsplat.formats.gltf.animation"],

@@ -15,18 +15,21 @@ from glsplat.avatar import Avatar
 from glsplat.data import default_avatar
 from glsplat.errors import FormatError, GlsplatError
 from glsplat.formats import load, save, suffixes
-from glsplat.formats.files import naming, replace_file
+from glsplat.formats.files import naming, open_regular, replace_file
 from glsplat.formats.scene_file import upright
 from glsplat.formats.transform import transformed
 from glsplat.making.cones import ConeConfig, with_cones
+from glsplat.making.gltf.rig_map import read_rig_map
 from glsplat.making.importers import bind_to_mesh, load_lhm_dump
 from glsplat.making.lam import FOLLOW, is_lam_zip, load_lam_zip
+from glsplat.making.on_smplx import on_smplx
 from glsplat.making.posed import posed_splats
 from glsplat.making.refine import RefineConfig, refine
 from glsplat.making.scans import read_body, read_obj_person
-from glsplat.making.surface import make_avatar
+from glsplat.making.surface import FEWEST, make_avatar
 from glsplat.motion.library import library, to_json
 from glsplat.skinning.pose import Pose, load_pose
+from glsplat.skinning.rigs.driven import why_not_driven
 
 from ..args import add_up, motion_of
 from ..convert import add_quiet, save_and_say
@@ -68,8 +71,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--directions", type=int, default=ConeConfig().directions, help="views a pose (default %(default)d)"
     )
 
-    taken = commands.add_parser("import", help="an LHM dump (.npz), a LAM zip, or splats bound to a rigged mesh")
-    taken.add_argument("dump", type=Path, help="lhm_dump.npz, a LAM .zip, or a splat file (PLY, .splat) with --mesh")
+    taken = commands.add_parser("import", help="an LHM dump, a LAM zip, an avatar of another rig, or splats on a mesh")
+    taken.add_argument(
+        "dump",
+        type=Path,
+        help="lhm_dump.npz, a LAM .zip, an avatar (.glb) of another rig, which is put onto SMPL-X's joints, or a "
+        "splat file (PLY, .splat) with --mesh",
+    )
+    taken.add_argument(
+        "--rig-map", type=Path, metavar="JSON", help="of an avatar of another rig: its joints by SMPL-X's names"
+    )
     taken.add_argument("--mesh", type=Path, help="rigged mesh in the same pose and place (.npz, .glb), for its weights")
     taken.add_argument(
         "--follow",
@@ -126,27 +137,32 @@ def _make(args: argparse.Namespace) -> int:
     check_name(args.out)
     if args.steps < 0:
         raise UsageError(f"--steps needs 0 or more, not {args.steps}")
+    if args.splats < FEWEST:
+        raise FormatError(f"an avatar needs at least {FEWEST} splats, not {args.splats}")
     began = time.perf_counter()
     if args.body is None:
         mesh = read_any_person(args.person, args)
     else:
         mesh = read_obj_person(args.person, read_body(args.body))
-    _say(args.person, doubts(mesh))  # before the minutes, so that they can be saved
+    told: list[str] = []
+    _say(args.person, doubts(mesh, scale=args.extra_scale), told)  # before the minutes, so that they can be saved
     with progress_bar() as show:
         avatar = make_avatar(mesh, args.splats, args.seed, progress=show)
         if args.steps:
             avatar = refine(avatar, mesh, args.seed, RefineConfig(steps=args.steps), show)
         if not args.no_cones:
             avatar = with_cones(avatar, progress=show)
-    told = set(doubts(mesh))
-    _say(args.person, (line for line in doubts(mesh, avatar, args.splats) if line not in told))
+    _say(args.person, doubts(mesh, avatar, args.splats, args.extra_scale), told)
     return write(avatar, args, began)
 
 
-def _say(path: Path, lines: Iterable[str]) -> None:
+def _say(path: Path, lines: Iterable[str], told: list[str]) -> None:
+    """What was not ``told`` yet."""
     with naming(path):
         for line in lines:
-            print(f"glsplat avatar: {path}: {line}", file=sys.stderr)
+            if line not in told:
+                print(f"glsplat avatar: {path}: {line}", file=sys.stderr)
+                told.append(line)
 
 
 def _cones(args: argparse.Namespace) -> int:
@@ -167,11 +183,22 @@ def _import(args: argparse.Namespace) -> int:
     check_name(args.out)
     began = time.perf_counter()
     if args.dump.suffix.lower() == ".zip" or is_lam_zip(args.dump):
+        if args.rig_map is not None:
+            raise UsageError(f"{args.dump}: import the zip first, then its avatar (.glb) with --rig-map")
         if args.mesh is not None:
             raise UsageError(f"{args.dump}: a LAM zip brings its own mesh; leave out --mesh")
         return write(load_lam_zip(args.dump, follow=args.follow or FOLLOW[0]), args, began)
     if args.follow is not None:
         raise UsageError(f"{args.dump}: --follow is for LAM zips; leave it out")
+    if args.mesh is None and _is_gltf(args.dump):
+        scene = load(args.dump)
+        if not isinstance(scene, Avatar):
+            raise FormatError(f"{args.dump}: has no skeleton; --mesh names a rigged mesh that lends one")
+        with naming(args.dump):
+            made = on_smplx(scene, None if args.rig_map is None else read_rig_map(args.rig_map))
+        return write(made, args, began)
+    if args.rig_map is not None:
+        raise UsageError(f"{args.dump}: --rig-map is for an avatar (.glb) of another rig; leave it out")
     if args.mesh is None:
         return write(load_lhm_dump(args.dump), args, began)
     if not 0 < args.reach < 1000:
@@ -184,6 +211,12 @@ def _import(args: argparse.Namespace) -> int:
         text = str(error)
         raise FormatError(text if text.startswith(str(args.mesh)) else f"{args.dump}: {text}") from None
     return write(replace(avatar, meta={**avatar.meta, "source": args.dump.name}), args, began)
+
+
+def _is_gltf(path: Path) -> bool:
+    with naming(path), open_regular(path) as (file, _):
+        head = file.read(64)
+    return head.startswith(b"glTF") or head.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"{")
 
 
 def _export(args: argparse.Namespace) -> int:
@@ -217,6 +250,8 @@ def _score(args: argparse.Namespace) -> int:
     scene = default_avatar() if args.avatar is None else load(args.avatar)
     if not isinstance(scene, Avatar):
         raise FormatError(f"{args.avatar}: has no skeleton to pose; give an avatar (.glb with a skin)")
+    if why := why_not_driven(scene.skeleton):
+        raise FormatError(f"{args.avatar}: the poses that are scored cannot drive this avatar: {why}")
     return score.report(args, scene, read_any_person(args.mesh))
 
 

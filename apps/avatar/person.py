@@ -4,41 +4,49 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from glsplat.avatar import Avatar
 from glsplat.errors import FormatError
+from glsplat.formats.scene_file import upright
 from glsplat.making.gltf.reader import read_gltf_person
 from glsplat.making.gltf.rig_map import read_rig_map
 from glsplat.making.people import read_person
 from glsplat.meshes import RiggedMesh
 from glsplat.skinning.pose import Pose
+from glsplat.skinning.rigs.driven import why_not_driven
+from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.smplx import JOINT_NAMES
 
+from ..args import add_up
 from ..usage import UsageError
 
 __all__ = ["add_rig", "doubts", "read_any_person"]
 
-_SIZES = 0.3, 3.0  # metres; people are not smaller or taller
+_SIZES = 0.3, 3.0  # metres; people are not smaller or taller, and few things are that somebody makes splats of
 _FEW = 0.9  # of the splats that were asked for
 _BARE = 0.03  # of the height; a part whose vertices are all farther than that from a splat has none
 
 
 def add_rig(command: argparse.ArgumentParser) -> None:
-    """--rig-map, --extra-scale."""
+    """--rig-map, --extra-scale, --up."""
     command.add_argument(
         "--rig-map", type=Path, metavar="JSON", help="of a glTF or VRM: joints by SMPL-X's names, where ours are wrong"
     )
     command.add_argument("--extra-scale", type=float, default=1.0, help="times the file's size (0.01: centimetres)")
+    add_up(command, "of a glTF of no person: its axis that points up")
 
 
 def read_any_person(path: Path, args: argparse.Namespace | None = None) -> RiggedMesh:
     """A rigged mesh by content; ``args`` as ``add_rig`` made them."""
     rig_map = getattr(args, "rig_map", None)
     scale = float(getattr(args, "extra_scale", 1.0))
+    up = str(getattr(args, "up", "y"))
     if not 1e-6 <= scale <= 1e6:
         raise UsageError(f"--extra-scale needs a number above 0, not {scale:g}")
     try:
@@ -47,26 +55,46 @@ def read_any_person(path: Path, args: argparse.Namespace | None = None) -> Rigge
     except OSError as error:
         raise FormatError(f"{path}: cannot read the person ({error.strerror})") from None
     if head.startswith(b"glTF") or head.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"{"):
-        return read_gltf_person(path, rig_map=None if rig_map is None else read_rig_map(rig_map), scale=scale)
-    if rig_map is not None or scale != 1:
-        raise UsageError(f"{path}: --rig-map and --extra-scale are for glTF and VRM; leave them out")
+        mesh = read_gltf_person(path, rig_map=None if rig_map is None else read_rig_map(rig_map), scale=scale)
+        # a person's axes are told by the joints
+        return mesh if mesh.skeleton.names == JOINT_NAMES else _turned(mesh, upright(up)[:3, :3])
+    if rig_map is not None or scale != 1 or up != "y":
+        raise UsageError(f"{path}: --rig-map, --extra-scale and --up are for glTF and VRM; leave them out")
     if path.suffix.lower() == ".obj":
         raise FormatError(f"{path}: an .obj has no rig; name a rigged body with --body")
     return read_person(path)
 
 
-def doubts(mesh: RiggedMesh, avatar: Avatar | None = None, asked: int = 0) -> Iterator[str]:
-    """What a user should look at, a line each. Raises FormatError for what nobody would see."""
+def _turned(mesh: RiggedMesh, turn: NDArray[np.float64]) -> RiggedMesh:
+    """The same, by a rotation [3, 3] about the origin."""
+    if np.array_equal(turn, np.eye(3)):
+        return mesh
+    whole = np.eye(4)
+    whole[:3, :3] = turn
+    old = mesh.skeleton
+    skeleton = Skeleton(old.names, old.parents, whole @ old.rest, old.inverse_bind @ whole.T)
+    return replace(mesh, vertices=mesh.vertices @ turn.T, skeleton=skeleton)
+
+
+def doubts(mesh: RiggedMesh, avatar: Avatar | None = None, asked: int = 0, scale: float = 1.0) -> Iterator[str]:
+    """What a user should look at, a line each. Raises FormatError for what nobody would see.
+
+    ``asked`` splats of ``avatar``, and the ``scale`` by which the mesh was read.
+    """
     vertices = mesh.posed(Pose.zero(len(mesh.skeleton)))[np.unique(mesh.faces)]
     height = float(np.ptp(vertices[:, 1]))
     if not np.isfinite(vertices).all() or np.ptp(vertices, axis=0).max() < 1e-4:
         raise FormatError("nobody would see this person: less than a tenth of a millimetre; try --extra-scale")
-    drives = mesh.skeleton.names == JOINT_NAMES
+    why = why_not_driven(mesh.skeleton)
+    drives = not why
     if not drives:
-        why = mesh.meta.get("no_map") or "its joints are its own"
-        yield f"cannot be driven by motions or a headset: {why}; a --rig-map may help"
-    if drives and not _SIZES[0] <= height <= _SIZES[1]:
-        yield f"{height:.3g} m tall; --extra-scale {1.7 / height:.2g} would make it 1.7 m"
+        named = mesh.meta.get("no_map")
+        help_ = f"{named}; a --rig-map may help" if named else why
+        yield f"cannot be driven by motions or a headset: {help_}"
+    size = height if drives else float(np.ptp(vertices, axis=0).max())
+    if not _SIZES[0] <= size <= _SIZES[1]:
+        tall, better = ("tall", 1.7) if drives else ("from end to end", 1.0)
+        yield f"{size:.3g} m {tall}; --extra-scale {better / size * scale:.2g} would make it {better:g} m"
     for line in mesh.meta.get("left_out", ()):
         yield f"{line}"
     if avatar is None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import sys
 import time
 from contextlib import ExitStack
 from pathlib import Path
@@ -12,10 +13,13 @@ from glsplat.camera import PAPER_FOV, PAPER_IPD, pinhole
 from glsplat.errors import FormatError
 from glsplat.formats.scene_file import SceneFile
 from glsplat.motion.kinds import KINDS
+from glsplat.motion.motion import Motion
 from glsplat.net.guard.access import read_token
-from glsplat.skinning.pose import load_pose
+from glsplat.scene import skeleton_of
+from glsplat.skinning.pose import Pose, load_pose
+from glsplat.skinning.rigs.driven import why_not_driven
 
-from ..args import add_scene, colour, driven, open_scene, point, size
+from ..args import add_scene, colour, driven, open_scene, point, size, tracked
 from ..output import save_png
 from ..usage import UsageError
 from .cameras import Options
@@ -71,6 +75,7 @@ def run(args: argparse.Namespace) -> int:
     """Show the window until it is closed."""
     frames = _frames(args)
     scene = open_scene(args)
+    drive = _drive(args, scene)
     label = args.connect or ("default avatar" if args.scene is None else Path(args.scene).name)
     with ExitStack() as stack:
         feed = _feed(args)
@@ -95,7 +100,7 @@ def run(args: argparse.Namespace) -> int:
             pictures = Watched(feed, window.context.ctx)
         viewer = Viewer(scene, window.context, window.size, options, label, pictures)
         stack.callback(viewer.release)
-        _start(args, scene, viewer)
+        _start(args, drive, viewer)
         window.attach(viewer)
         loop(window, viewer, frames)
         report = viewer.report()  # before the screenshot draws once more
@@ -158,6 +163,28 @@ def _check_connect(args: argparse.Namespace) -> None:
         raise UsageError(f"--quality needs 1 to 100, not {args.quality}")
 
 
+def _drive(args: argparse.Namespace, scene: SceneFile) -> Pose | Motion | None:
+    """What the arguments move the scene with: read, or refused, before a window opens.
+
+    Where nothing is asked for and no embedded motion fits the avatar, it is said.
+    """
+    given = {name: getattr(args, name) for name in ("pose", "motion", "recording")}
+    asked = [name for name, value in given.items() if value is not None]
+    if len(asked) > 1:
+        raise UsageError("give one of --pose, --motion and --recording")
+    name = args.scene or "the default avatar"
+    if not asked:
+        if scene.avatar is not None and (why := why_not_driven(skeleton_of(scene.avatar.content))):
+            print(f"glsplat preview: {name}: no motion can drive this avatar: {why}; it stands still", file=sys.stderr)
+        return None
+    skeleton = driven(scene, f"--{asked[0]}").skeleton
+    if asked[0] == "pose":
+        return load_pose(args.pose, skeleton)
+    if asked[0] == "recording" or args.motion.lower().endswith(".jsonl"):
+        tracked(skeleton, name)
+    return read_tracked(args.recording or None) if asked[0] == "recording" else read_motion(args.motion, skeleton)
+
+
 def _feed(args: argparse.Namespace) -> Feed | None:
     """The server's pictures, if they are asked for; not connected yet."""
     if args.connect is None:
@@ -166,22 +193,16 @@ def _feed(args: argparse.Namespace) -> Feed | None:
     return Feed(args.connect, token, cafile=args.tls_ca, quality=args.quality)
 
 
-def _start(args: argparse.Namespace, scene: SceneFile, viewer: Viewer) -> None:
+def _start(args: argparse.Namespace, drive: Pose | Motion | None, viewer: Viewer) -> None:
     """The pose or motion the arguments ask for, or the scene file, or the embedded one that fits."""
-    if sum(value is not None for value in (args.pose, args.motion, args.recording)) > 1:
-        raise UsageError("give one of --pose, --motion and --recording")
     if args.paused:
         viewer.others.playing = False
     if viewer.player is None:
-        if args.pose or args.motion or args.recording is not None:
-            driven(scene, "--pose" if args.pose else "--motion" if args.motion else "--recording")
         return
-    if args.pose:
-        viewer.player.hold(load_pose(args.pose, viewer.player.skeleton))
-    elif args.recording is not None:
-        viewer.player.play(read_tracked(args.recording or None))
-    elif args.motion:
-        viewer.player.play(read_motion(args.motion, viewer.player.skeleton))
+    if isinstance(drive, Pose):
+        viewer.player.hold(drive)
+    elif drive is not None:
+        viewer.player.play(drive)
     elif viewer.player.idle and motion_names(viewer.player.skeleton):
         viewer.next_motion()
     viewer.player.playing &= not args.paused

@@ -100,7 +100,9 @@ class Watched:
         if self._picture is None:
             return [("no picture yet",)]
         info = self._picture.info
+        still = [(f"the server does not apply poses: {info['still']}",)] if info.get("still") else []
         return [
+            *still,
             (str(info.get("driver", "")),),
             (
                 f"frame {self._picture.frame_id}: {self._picture.nbytes / 1e3:.0f} kB, "

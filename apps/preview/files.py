@@ -18,8 +18,8 @@ from glsplat.motion.kinds import is_gltf, is_motion
 from glsplat.motion.motion import Motion, embedded_motions
 from glsplat.scene import Content, Shown
 from glsplat.skinning.pose import Pose, load_pose
+from glsplat.skinning.rigs.driven import why_not_driven
 from glsplat.skinning.skeleton import Skeleton
-from glsplat.skinning.smplx import JOINT_NAMES
 from glsplat.tracking.recording import replay
 from glsplat.tracking.tracker import Tracker
 
@@ -46,7 +46,7 @@ def shown(scene: Shown | SceneFile) -> Shown:
 
 def motion_names(skeleton: Skeleton | None) -> list[str]:
     """Embedded motions for a skeleton (SMPL-X only), the one that shows most of the body first."""
-    if skeleton is None or skeleton.names != JOINT_NAMES:
+    if why_not_driven(skeleton):
         return []
     return sorted(embedded_motions(), key=lambda name: (name != _MOST_TELLING, name))
 

@@ -32,7 +32,7 @@ from glsplat.tracking.recording import embedded_recording
 from glsplat.tracking.recording import replay as read_samples
 from glsplat.tracking.sample import Sample
 
-from ..args import load_avatar, motion_of, size
+from ..args import load_avatar, motion_of, size, tracked
 from ..clip import CLIPS, Clip
 from ..output import label, save_png, side_by_side, stack
 from ..usage import UsageError, output_kind
@@ -199,8 +199,11 @@ def load_drive(
     """What moves the avatar, and for how many seconds. Raises GlsplatError naming the file.
 
     ``tracking`` sends a motion's head and hands, not its poses. Without a name it is the embedded recording, or, for an
-    avatar of its own, the embedded motion; without SMPL-X's rig as poses.
+    avatar of its own, the embedded motion.
     """
+    skeleton = load_avatar(avatar, "--avatar").skeleton if avatar else None
+    if avatar and skeleton is not None and (tracking or name is None or name.endswith(".jsonl")):
+        tracked(skeleton, avatar)
     if name is None and avatar is None and has_recording():
         recording = _recording(embedded_recording(), "the embedded recording")
         return recording, recording.seconds
@@ -208,11 +211,11 @@ def load_drive(
         recording = _recording(read_samples(name), name)
         return recording, recording.seconds
 
-    scene = load_avatar(avatar, "--avatar") if avatar else default_avatar()
-    motion = motion_of(name or default_motion(), scene.skeleton, option)
-    if tracking or (name is None and scene.skeleton.names == JOINT_NAMES):
-        truth = truth_from_motion(scene.skeleton, motion.rotations, motion.trans, motion.fps, _TRACKING_RATE)
-        return _recording(derive(scene.skeleton, truth), motion.label), motion.duration
+    skeleton = default_avatar().skeleton if skeleton is None else skeleton
+    motion = motion_of(name or default_motion(), skeleton, option)
+    if tracking or name is None:
+        truth = truth_from_motion(skeleton, motion.rotations, motion.trans, motion.fps, _TRACKING_RATE)
+        return _recording(derive(skeleton, truth), motion.label), motion.duration
     return Played(motion), motion.duration
 
 

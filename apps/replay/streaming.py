@@ -277,10 +277,14 @@ class _Stream:
             except ProtocolError as error:
                 if error.code in ("closed", "timeout", "bad_reply"):
                     raise
+                if error.code == "bad_pose" and not self.result.received:
+                    raise  # and so it will be with all of them
                 self.result.errors += 1
                 self.result.last_error = str(error)
                 self.answered.set()
                 continue
+            if still := arrived.reply.info.get("still"):  # no figures of a pose that was not applied
+                raise ProtocolError(f"the server does not apply poses: {still}", "bad_pose")
             self.result.received += 1
             self.answered.set()
             self.result.nbytes.append(arrived.reply.nbytes)

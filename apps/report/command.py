@@ -16,6 +16,7 @@ from typing import Any
 
 from tqdm import tqdm
 
+from glsplat.avatar import Avatar
 from glsplat.errors import FormatError
 from glsplat.evaluate.difference import require_extra
 from glsplat.evaluate.frames import WARM_UP
@@ -33,6 +34,7 @@ from glsplat.evaluate.subjects import PERSON_SPLATS, Subject, check_cameras, sub
 from glsplat.formats import suffixes
 from glsplat.formats.files import replace_file
 from glsplat.gl.context import Context, create_context
+from glsplat.skinning.rigs.driven import why_not_driven
 from glsplat.views import splats_of
 
 from ..usage import UsageError
@@ -89,6 +91,9 @@ def run(args: argparse.Namespace) -> int:
     check_cameras(args.cameras, args.scenes)
     paths = [None, *dict.fromkeys(args.scenes)]
     subjects = [s for path in paths for s in subjects_of(path, size, args.cameras)]
+    for subject in subjects:
+        if subject.moving and isinstance(subject.scene, Avatar) and (why := why_not_driven(subject.scene.skeleton)):
+            print(f"glsplat report: {subject.name}: no motion can drive this avatar: {why}", file=sys.stderr)
     try:
         args.output.mkdir(parents=True, exist_ok=True)
     except OSError as error:

@@ -164,6 +164,7 @@ def _different(output: str, other: str | None) -> None:
 
 def run_score(args: argparse.Namespace) -> int:
     """Scores of one file against another."""
+    sole = Body.of(skeleton_of(args.avatar)).sole
     poses, truth = read_poses(args.poses), read_poses(args.truth)
     if len(poses.times) != len(truth.times):
         raise PoseError(
@@ -172,7 +173,6 @@ def run_score(args: argparse.Namespace) -> int:
     apart = np.abs(np.asarray(poses.times) - np.asarray(truth.times)).max(initial=0.0)
     if not truth.rate > 0 or apart > 0.5 / truth.rate:
         raise PoseError(f"{args.poses} and {args.truth} need the same, rising time stamps; they are {apart:g} s apart")
-    sole = Body.of(skeleton_of(args.avatar)).sole
     result = score(poses.joints, truth.joints, truth.rate, sole, poses.rotations, truth.rotations)
     if args.json:
         print(json.dumps(result.to_json()))

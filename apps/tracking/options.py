@@ -13,7 +13,7 @@ from glsplat.tracking.recording import embedded_recording, replay
 from glsplat.tracking.sample import Sample
 from glsplat.tracking.tracker import Tracker, TrackerConfig
 
-from ..args import load_avatar
+from ..args import load_avatar, tracked
 from ..usage import UsageError
 
 __all__ = ["add_recording", "add_skeleton", "samples_of", "skeleton_of", "tracker_of"]
@@ -38,12 +38,11 @@ def add_recording(parser: argparse.ArgumentParser) -> None:
 
 
 def skeleton_of(name: str | None) -> Skeleton:
-    """The skeleton of an avatar file, of a body's .npz, or of the embedded avatar."""
+    """The skeleton of an avatar file, of a body's .npz, or of the embedded avatar. PoseError: it cannot be tracked."""
     if name is None:
         return default_avatar().skeleton
-    if name.endswith(".npz"):
-        return read_skeleton(name)
-    return load_avatar(name, "--avatar").skeleton
+    skeleton = read_skeleton(name) if name.endswith(".npz") else load_avatar(name, "--avatar").skeleton
+    return tracked(skeleton, name)
 
 
 def samples_of(name: str | None) -> list[Sample]:

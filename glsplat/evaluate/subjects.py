@@ -23,6 +23,7 @@ from glsplat.making.surface import SamplerConfig, make_avatar
 from glsplat.motion.motion import Motion, load_motion
 from glsplat.scene import Content
 from glsplat.skinning.pose import Pose
+from glsplat.skinning.rigs.driven import why_not_driven
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.skin import Skin
 from glsplat.splats import Splats
@@ -116,7 +117,8 @@ def subjects_of(path: str | None, size: int, cameras: Sequence[str] = ()) -> lis
         views = [v.resized(max(1, round(v.width * scale)), max(1, round(v.height * scale))) for v in views]
         return [Subject(name, scene, size, cameras=tuple(views))]
     if isinstance(scene, Avatar):
-        return [Subject(f"{name}, static", scene.splats, size), Subject(f"{name}, in motion", scene, size, moving=True)]
+        moves = "its joints swaying" if why_not_driven(scene.skeleton) else "in motion"
+        return [Subject(f"{name}, static", scene.splats, size), Subject(f"{name}, {moves}", scene, size, moving=True)]
     return [Subject(name, scene, size)]
 
 
@@ -157,7 +159,7 @@ def dense_person(path: Path, count: int, size: int, config: SamplerConfig | None
     eight = Skin.create(ids, kept, len(mesh.skeleton), influences=8)
     dense = Skin(ids.astype(np.uint16), kept.astype(np.float32))
     return Subject(
-        f"{path.name}, in motion",
+        f"{path.name}, {'its joints swaying' if why_not_driven(mesh.skeleton) else 'in motion'}",
         Avatar(avatar.splats, mesh.skeleton, eight),
         size,
         moving=True,

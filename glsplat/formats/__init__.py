@@ -18,6 +18,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from typing import BinaryIO
 
+import numpy as np
+
 from glsplat.avatar import Avatar
 from glsplat.errors import FormatError
 from glsplat.formats.compressed_ply import COMPRESSED_PLY
@@ -111,7 +113,8 @@ def save(scene: Splats | Avatar, target: Source, *, format: str | None = None) -
     """
     with naming(target):
         _, write = _writer(target, format)
-        write(scene, target)
+        with np.errstate(invalid="ignore"):  # a NaN that signals, wherever it is cast
+            write(scene, target)
 
 
 def losses(scene: Splats | Avatar, target: Source, *, format: str | None = None) -> Iterator[str]:

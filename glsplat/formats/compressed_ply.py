@@ -143,8 +143,9 @@ def _check_harmonics(sh: Element | None, count: int) -> int:
 def _bounds(rows: NDArray[np.void], coloured: bool) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Lower and upper ones [C, 9] of positions, logarithms of scales, colours."""
     low, high = np.zeros((len(rows), 9)), np.ones((len(rows), 9))
-    for at, name in enumerate((*_POSITION, *_SCALE, *(_COLOUR if coloured else ()))):
-        low[:, at], high[:, at] = rows[f"min_{name}"], rows[f"max_{name}"]
+    with np.errstate(invalid="ignore"):  # a NaN that signals
+        for at, name in enumerate((*_POSITION, *_SCALE, *(_COLOUR if coloured else ()))):
+            low[:, at], high[:, at] = rows[f"min_{name}"], rows[f"max_{name}"]
     return low, high
 
 

@@ -175,7 +175,10 @@ def naming(source: Source) -> Iterator[None]:
     try:
         yield
     except FormatError as error:
-        text = str(error)
+        # what a stranger's file calls things neither breaks the line nor steers the terminal; paths stay as they are
+        whole, known = str(error), (f"{name}: ", f"{name!r}: ")
+        said = next((start for start in known if whole.startswith(start)), "")
+        text = said + "".join(c if c.isprintable() else "?" for c in whole.removeprefix(said))
         raise FormatError(text if text.startswith((f"{name}: ", f"{name!r}: ")) else f"{name}: {text}") from None
 
 

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from glsplat.errors import FormatError, PoseError
 from glsplat.formats.files import naming, open_regular
 from glsplat.formats.npz import read_arrays
+from glsplat.making.photo.png import clean_png
 from glsplat.meshes import MeshPart, RiggedMesh
 from glsplat.skinning.skeleton import Skeleton
 
@@ -22,23 +23,48 @@ __all__ = ["decode_texture", "read_person"]
 
 _NEEDED = ("vertices", "joints", "parents", "joint_names", "skin_indices", "skin_weights", "part_names")
 _LONGEST = 16_384  # pixels; what GL takes
+_MOST = 1 << 26  # pixels: a small file may claim more than there is memory
 
 
 def decode_texture(data: bytes | NDArray[np.uint8], where: str) -> NDArray[np.uint8]:
-    """RGBA uint8 [H, W, 4] of a JPEG or PNG; FormatError naming ``where`` if it is neither."""
+    """RGBA uint8 [H, W, 4] of a JPEG, PNG or WebP; FormatError naming ``where`` if it is none, or damaged."""
     buffer = np.frombuffer(data, np.uint8) if isinstance(data, bytes) else data
     if buffer.dtype != np.uint8 or buffer.ndim != 1:
         raise FormatError(f"{where}: a texture is the bytes of a file, not {buffer.dtype} of shape {buffer.shape}")
-    said = bytes(buffer[:24])
+    said = bytes(buffer[:32])
     width, height = _size(said, buffer)
+    if not (width and height):
+        raise FormatError(f"{where}: a texture is a JPEG, PNG or WebP, found {said[:4]!r}")
+    if width * height > _MOST and max(width, height) <= _LONGEST:
+        raise FormatError(f"{where}: a texture has at most {_MOST >> 20} Mi pixels, this one {width} x {height}")
     if max(width, height) > _LONGEST:
         raise FormatError(f"{where}: a texture has at most {_LONGEST} pixels a side, this one {width} x {height}")
     try:
-        image = cv2.imdecode(buffer, cv2.IMREAD_UNCHANGED) if buffer.size else None
-    except cv2.error:  # more pixels than it takes of any kind of file
+        image = _decoded(said, buffer)
+    except (cv2.error, MemoryError, ValueError, RuntimeError, struct.error, IndexError):
         image = None
+    except FormatError as error:
+        raise FormatError(f"{where}: {error}") from None
     if image is None:
-        raise FormatError(f"{where}: a texture is a JPEG or PNG, found {said[:4]!r}")
+        raise FormatError(f"{where}: the texture, {width} x {height} pixels, cannot be decoded (damaged?)")
+    return image
+
+
+def _decoded(head: bytes, data: NDArray[np.uint8]) -> NDArray[np.uint8] | None:
+    """RGBA; None or any error of the decoders where it is damaged. They say nothing on standard error."""
+    if head.startswith(b"\xff\xd8"):
+        space = simplejpeg.decode_jpeg_header(data, strict=False)[2]
+        if space != "CMYK":
+            return cv2.cvtColor(simplejpeg.decode_jpeg(data, "RGB", strict=False), cv2.COLOR_RGB2RGBA)
+    if head.startswith(b"\x89PNG"):
+        data = np.frombuffer(clean_png(data.tobytes()), np.uint8)
+    level = cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)  # the one line is ours
+    try:
+        image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED)
+    finally:
+        cv2.utils.logging.setLogLevel(level)
+    if image is None:
+        return None
     if image.dtype != np.uint8:
         image = (image / 257).astype(np.uint8)
     if image.ndim == 2:
@@ -47,16 +73,27 @@ def decode_texture(data: bytes | NDArray[np.uint8], where: str) -> NDArray[np.ui
 
 
 def _size(head: bytes, data: NDArray[np.uint8]) -> tuple[int, int]:
-    """Width and height that a PNG or JPEG claims, before a pixel is unpacked; 0, 0 of other kinds."""
-    if head.startswith(b"\x89PNG") and len(head) == 24:
-        width, height = struct.unpack(">16xII", head)
+    """Width and height that a picture claims, before a pixel is unpacked; 0, 0 of other kinds."""
+    if len(head) < 32:
+        return 0, 0
+    if head.startswith(b"\x89PNG\r\n\x1a\n"):
+        width, height = struct.unpack_from(">II", head, 16)
         return width, height
+    if head.startswith(b"RIFF") and head[8:15] == b"WEBPVP8":
+        lossy, kind = struct.unpack_from("<I", head, 26)[0], head[15:16]
+        if kind == b"X":
+            wide, high = (int.from_bytes(head[at : at + 3], "little") + 1 for at in (24, 27))
+            return wide, high
+        bits = struct.unpack_from("<I", head, 21)[0]
+        if kind == b"L":
+            return 1 + (bits & 0x3FFF), 1 + (bits >> 14 & 0x3FFF)
+        return lossy & 0x3FFF, lossy >> 16 & 0x3FFF
     if head.startswith(b"\xff\xd8"):
         try:
             height, width, *_ = simplejpeg.decode_jpeg_header(data, strict=False)
             return width, height
         except (ValueError, RuntimeError, KeyError):
-            pass  # the decoder says so
+            pass
     return 0, 0
 
 

@@ -17,9 +17,11 @@ from glsplat.making.cells import Cells, Cloud, SamplerConfig, avatar_of, tessell
 from glsplat.making.visibility import HEAD, Seen, seen_surface
 from glsplat.meshes import MeshPart, RiggedMesh
 
-__all__ = ["SamplerConfig", "allot", "face_densities", "face_zones", "make_avatar"]
+__all__ = ["FEWEST", "SamplerConfig", "allot", "face_densities", "face_zones", "make_avatar"]
 
 Progress = Callable[[str, float], None]
+FEWEST = 100
+"""Splats of an avatar."""
 
 
 def make_avatar(
@@ -35,8 +37,8 @@ def make_avatar(
     poses (skin under cloth, the inside of the mouth, cut-out texels) gets none. Deterministic in ``seed``.
     Raises FormatError for a mesh with nothing to see or fewer than 100 splats.
     """
-    if splats < 100:
-        raise FormatError(f"an avatar needs at least 100 splats, not {splats}")
+    if splats < FEWEST:
+        raise FormatError(f"an avatar needs at least {FEWEST} splats, not {splats}")
     config = config or SamplerConfig()
     report = progress or (lambda stage, done: None)
     rng = np.random.default_rng(seed)

@@ -29,6 +29,7 @@ from glsplat.rotations import (
     vector_quaternions,
 )
 from glsplat.skinning.pose import Pose
+from glsplat.skinning.rigs.driven import why_not_driven
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.smplx import JOINT_NAMES, POSE_KEYS
 
@@ -166,6 +167,8 @@ def load_embedded_motion(name: str, skeleton: Skeleton, *, forward: bool = False
     """A motion that comes with glsplat, whatever files there are. Raises PoseError for another name."""
     if name not in embedded_motions():
         raise PoseError(f"{name}: no such file and no such motion; embedded are {', '.join(embedded_motions())}")
+    if why := why_not_driven(skeleton):
+        raise PoseError(f"{name} cannot drive this avatar: {why}")
     with resources.as_file(resources.files("glsplat.data").joinpath(f"{name}.json")) as file:
         return load_motion(file, skeleton, forward=forward, fps=fps)
 
@@ -284,8 +287,8 @@ _AMASS_KEYS = (
 
 
 def _amass(path: Path, skeleton: Skeleton, forward: bool) -> Motion:
-    if skeleton.names != JOINT_NAMES:
-        raise PoseError("AMASS moves the SMPL-X rig only; this avatar has another one")
+    if why := why_not_driven(skeleton):
+        raise PoseError(f"AMASS cannot drive this avatar: {why}")
     try:
         with open(path, "rb") as file:
             found = read_arrays(file, "an AMASS motion", (), optional=_AMASS_KEYS, error=PoseError)

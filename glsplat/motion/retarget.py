@@ -13,6 +13,7 @@ from glsplat.motion.clip import Clip
 from glsplat.motion.fitted import leg_length
 from glsplat.motion.standing import flat_soles, standing
 from glsplat.rotations import matrix_quaternions, quaternion_vectors, rotation_matrices
+from glsplat.skinning.rigs.driven import why_not_driven
 from glsplat.skinning.rigs.humanoid import t_pose_turns
 from glsplat.skinning.rigs.match import RigMap
 from glsplat.skinning.rigs.words import word_of
@@ -49,8 +50,8 @@ def retarget(clip: Clip, skeleton: Skeleton, *, forward: bool = False) -> tuple[
     origin. ``forward`` turns the clip to face +z at frame 0. Joints the file does not have stay at rest. Raises
     PoseError when needed joints are not found, and for animals.
     """
-    if skeleton.names != JOINT_NAMES:
-        raise PoseError("motion capture can be retargeted to the SMPL-X rig only; this avatar has another one")
+    if why := why_not_driven(skeleton):
+        raise PoseError(f"motion capture cannot drive this avatar: {why}")
     stood = standing(clip)
     clip, at = stood.clip, stood.map.joints
     rest, joints = clip.rest @ stood.rest.T, skeleton.joints

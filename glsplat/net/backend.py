@@ -112,4 +112,6 @@ class Offered:
     """Makes a client's solver from its user's height and arm span (metres, None: not told); None: solves nothing."""
     height: float | None = None  # metres: the stature of a user who needs no scaling; None: no one avatar
     parts: frozenset[str] = frozenset()  # what of it can be left out
+    untracked: str = ""  # why tracking is not solved, told to the client that sends it
+    still: str = ""  # why poses do nothing, told with the picture; "" where they do something, or are refused
     made: bool = False  # of a photograph that a client sent: clients may delete it

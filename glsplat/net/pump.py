@@ -17,7 +17,7 @@ from typing import Any
 
 from glsplat.camera import Camera
 from glsplat.errors import BudgetError, ContextError, ContextLostError, GlsplatError, PoseError
-from glsplat.net.backend import Backend, Interruptible, PoseSolver, Rendered
+from glsplat.net.backend import Backend, Interruptible, Offered, PoseSolver, Rendered
 from glsplat.net.codec.encode import Encoded, Encoder
 from glsplat.net.guard.blame import Blame
 from glsplat.net.guard.limits import Share
@@ -35,6 +35,7 @@ log: logging.Logger = logging.getLogger("glsplat.net")
 _SICK = 3  # pictures in a row that failed before /healthz says so
 _STUCK = 10.0  # seconds a picture may take before /healthz says so
 _PAUSES = (0.0, 0.5, 1.0)  # seconds before each attempt to make a new context; then the pump gives up
+_ANYTHING = Offered(name="")
 _GRACE = 0.5  # seconds the picture in hand gets when the server stops
 
 
@@ -50,6 +51,7 @@ class Frame:
     notes: tuple[str, ...] | None = None  # of the tracking solver
     drawn: tuple[Camera, ...] | None = None  # the eyes in the avatar's space, where tracking was solved
     box: list[float] | None = None  # of the avatar in the client's room, where it was asked for
+    untracked: str = ": send pose instead of tracking"  # what is said where tracking is not solved
     ends: str = ""  # why the connection ends after this answer and its address is held off, if it does
 
 
@@ -61,6 +63,7 @@ class Channel:
     session: Session
     solving: Solving | None = None  # None: this server solves no tracking
     address: str = ""  # what has a fair share of the renderer's time
+    shown: Offered = _ANYTHING
     share: Share | None = None  # of the time for reading and solving; None: no limit
     frames: asyncio.Queue[Frame] = field(default_factory=asyncio.Queue)  # bounded by the session's window
 
@@ -168,10 +171,17 @@ class FramePump:
         finally:
             self._end_threads()
 
-    def open(self, number: int, session: Session, solver: PoseSolver | None = None, address: str = "") -> Channel:
-        """A client, with what solves its tracking; it takes part once it is added."""
+    def open(
+        self,
+        number: int,
+        session: Session,
+        solver: PoseSolver | None = None,
+        address: str = "",
+        shown: Offered = _ANYTHING,
+    ) -> Channel:
+        """A client who is ``shown`` that, with what solves its tracking; it takes part once it is added."""
         solving = None if solver is None else Solving(solver, self._solve_thread, self._clock)
-        return Channel(number, session, solving, address)
+        return Channel(number, session, solving, address, shown)
 
     def add(self, channel: Channel) -> None:
         """Let a client take part."""
@@ -226,6 +236,8 @@ class FramePump:
         drawn = None if frame.drawn is None else [eye_fields(camera) for camera in frame.drawn]
         if drawn is not None and drawn != info["eyes"]:
             info["drawn"] = drawn
+        if channel.shown.still and request.pose is not None:
+            info["still"] = channel.shown.still
         if frame.box is not None:
             info["box"] = frame.box
         if request.alpha == "straight":
@@ -264,6 +276,8 @@ class FramePump:
         loop = asyncio.get_running_loop()
         request, waited, solution = channel.take(self._clock())
         frame = Frame(request, self._clock() - waited, {"wait": waited * 1e3})
+        if why := channel.shown.untracked:
+            frame.untracked = f" for what it shows: {why}"
         lost = False
         try:
             encoded = await loop.run_in_executor(self._render_thread, self._draw, frame, solution)
@@ -330,7 +344,7 @@ class FramePump:
         request, scale, floor = frame.request, 1.0, 0.0
         if request.tracking is not None:
             if solution is None:
-                raise PoseError("this server has no tracking solver: send pose instead of tracking")
+                raise PoseError(f"this server has no tracking solver{frame.untracked}")
             solved, frame.times["ik"] = solution.result()
             request = replace(request, pose=solved.pose, cameras=solved.cameras)
             frame.notes, frame.drawn = solved.notes, solved.cameras

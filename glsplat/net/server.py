@@ -262,7 +262,7 @@ class Server:
         solver = None if one.solver is None else one.solver(asked.height, asked.span)
         self._numbers += 1
         session = Session(Decoder(asked.wire, one.skeleton, one.name, one.parts), asked.session, clock())
-        channel = self.pump.open(self._numbers, session, solver, connection_of(request).key)
+        channel = self.pump.open(self._numbers, session, solver, connection_of(request).key, one)
         channel.share = self._work.open(clock(), channel.address)
         if channel.solving is not None:
             channel.solving.share, channel.solving.samples = channel.share, purse.samples

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from glsplat.arrays import count, own, plain, restored
 from glsplat.errors import PoseError
+from glsplat.skinning.rigs.driven import why_not_driven
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.smplx import JOINT_NAMES, POSE_KEYS, SMPLX_NAMES
 
@@ -105,8 +106,8 @@ class Pose:
         if not isinstance(data, Mapping):
             raise PoseError(f"a pose is a JSON object, not {type(data).__name__}")
         if "joints" not in data and "translations" not in data:
-            if skeleton.names != JOINT_NAMES:
-                raise PoseError('this avatar has another rig than SMPL-X; its poses are {"joints": {NAME: [x, y, z]}}')
+            if why := why_not_driven(skeleton):
+                raise PoseError(f'this avatar takes poses {{"joints": {{NAME: [x, y, z]}}}} only: {why}')
             return cls.from_smplx(data)
         index = {name: i for i, name in enumerate(skeleton.names)}
         arrays = {"joints": np.zeros((len(skeleton), 3)), "translations": np.zeros((len(skeleton), 3))}

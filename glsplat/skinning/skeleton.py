@@ -157,14 +157,17 @@ def _levels(parents: NDArray[np.int32]) -> list[NDArray[np.intp]]:
     count = len(parents)
     if (parents >= count).any() or (parents < -1).any():
         raise PoseError(f"parents need to lie in -1..{count - 1}, found {parents.min()}..{parents.max()}")
-    depth = np.where(parents < 0, 0, -1)
-    if not (depth == 0).any():
+    children: list[list[int]] = [[] for _ in range(count)]
+    level: list[int] = []
+    for joint, parent in enumerate(parents.tolist()):
+        (children[parent] if parent >= 0 else level).append(joint)
+    if not level:
         raise PoseError("a skeleton needs a root (a parent of -1), found none")
-    levels = [np.flatnonzero(depth == 0)]
-    while len(levels[-1]):
-        children = np.flatnonzero(np.isin(parents, levels[-1]) & (depth < 0))
-        depth[children] = len(levels)
-        levels.append(children)
-    if (depth < 0).any():
-        raise PoseError(f"the skeleton has a cycle through joint {int(np.flatnonzero(depth < 0)[0])}")
-    return levels[:-1]
+    levels, found = [], np.zeros(count, np.bool_)
+    while level:
+        levels.append(np.array(sorted(level), np.intp))
+        found[levels[-1]] = True
+        level = [child for joint in level for child in children[joint]]
+    if not found.all():
+        raise PoseError(f"the skeleton has a cycle through joint {int(np.flatnonzero(~found)[0])}")
+    return levels

@@ -11,9 +11,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import acos, exp, pi, sqrt
 
-from glsplat.tracking.solve.quat import Quat, Vec, clamp, mul, nlerp, to_quat
+from glsplat.tracking.solve.quat import IDENTITY, Quat, Vec, clamp, mul, nlerp, to_quat
 
-__all__ = ["OneEuro", "PositionFilter", "RotationFilter"]
+__all__ = ["Device", "OneEuro", "PositionFilter", "RotationFilter"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,6 +132,24 @@ class RotationFilter:
         speed = sqrt(vx * vx + vy * vy + vz * vz)
         k = seconds if speed * seconds <= most else most / speed
         return mul(to_quat((vx * k, vy * k, vz * k)), self.value or (1.0, 0.0, 0.0, 0.0))
+
+
+@dataclass(slots=True)
+class Device:
+    """Filters of one tracked pose."""
+
+    position: PositionFilter
+    rotation: RotationFilter
+    at: Vec | None = None
+    turn: Quat = IDENTITY
+    raw: tuple[float, ...] | None = None
+    frozen: int = 0
+
+    def reset(self) -> None:
+        """Not seen any more: the next pose is taken as it comes."""
+        self.position.reset()
+        self.rotation.reset()
+        self.at = None
 
 
 def _scaled(x: float, y: float, z: float, k: float, angle: float, most: float) -> Vec:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from math import isfinite, sqrt
 from typing import Any
 
@@ -16,13 +16,14 @@ from glsplat.skinning.pose import Pose
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.tracking.calibration import Calibration
 from glsplat.tracking.checked import checked, finite, standing, still
-from glsplat.tracking.filters import OneEuro, PositionFilter, RotationFilter
+from glsplat.tracking.filters import Device, OneEuro, PositionFilter, RotationFilter
 from glsplat.tracking.guard import Guard
 from glsplat.tracking.sample import Sample, Transform
 from glsplat.tracking.solve.body import HAND_FRAMES, HEAD_FRAME, Body
 from glsplat.tracking.solve.fingers import Fingers
 from glsplat.tracking.solve.quat import IDENTITY, Quat, Vec, conj, mul, rotation_vector, to_quat
 from glsplat.tracking.solve.solver import AnalyticSolver, Solution, Solver, Targets
+from glsplat.tracking.stretch import Stretch
 
 __all__ = ["Tracker", "TrackerConfig"]
 
@@ -57,10 +58,13 @@ class TrackerConfig:
     joint_speed: float = 45.0  # rad/s of any joint of the output
     root_speed: float = 14.0  # m/s of the output's pelvis
     foot_speed: float = 10.0  # m/s of the output's feet, over the pelvis' own
+    stretch: float = 0.2  # of their length arms become longer at most, where a hand is out of reach; 0: never
 
     def __post_init__(self) -> None:
         if not 0 <= self.prediction <= 0.1:
             raise PoseError(f"prediction needs 0 to 0.1 seconds, not {self.prediction:g}")
+        if not 0 <= self.stretch <= 1:
+            raise PoseError(f"stretch needs 0 to 1 of an arm's length, not {self.stretch:g}")
 
     @classmethod
     def raw(cls, prediction: float = 0.0) -> TrackerConfig:
@@ -74,23 +78,6 @@ class TrackerConfig:
             finger_smoothing=0.0,
             prediction=prediction,
         )
-
-
-@dataclass(slots=True)
-class _Device:
-    """Filters of one tracked pose."""
-
-    position: PositionFilter
-    rotation: RotationFilter
-    at: Vec | None = None
-    turn: Quat = IDENTITY
-    raw: tuple[float, ...] | None = None
-    frozen: int = field(default=0)
-
-    def reset(self) -> None:
-        self.position.reset()
-        self.rotation.reset()
-        self.at = None
 
 
 class Tracker:
@@ -126,13 +113,14 @@ class Tracker:
             )
         self.head_only = head_only
         self._root = self.body.joints[0]
+        self._stretch = Stretch(self.body, c.stretch)
         self._guard = Guard(self.body, c.joint_speed, c.root_speed, c.foot_speed)
-        self._head = _Device(
+        self._head = Device(
             PositionFilter(c.head_position, c.head_speed), RotationFilter(c.head_rotation, c.turn_speed)
         )
         self._hands = tuple(
             [
-                _Device(PositionFilter(c.hand_position, c.hand_speed), RotationFilter(c.hand_rotation, c.turn_speed))
+                Device(PositionFilter(c.hand_position, c.hand_speed), RotationFilter(c.hand_rotation, c.turn_speed))
                 for _ in range(2)
             ]
         )
@@ -145,6 +133,7 @@ class Tracker:
         """A new user or a new place: forget everything."""
         self.solver.reset()
         self._guard.reset()
+        self._stretch.reset()
         self._head.reset()
         for hand in self._hands:
             hand.reset()
@@ -210,7 +199,7 @@ class Tracker:
             last = self._guard.last
             # never a jump: not to the held body, and from it only at the speeds of every body
             solution, fresh = (standing(self._root), True) if last is None else (still(last), False)
-        return self._finish(solution, sample, hands, 0.0 if fresh else step, flags)
+        return self._finish(solution, sample, hands, targets, 0.0 if fresh else step, flags)
 
     def __call__(self, tracking: Mapping[str, Any], t: float) -> Pose:
         """The "tracking" object of a request and the client's time in milliseconds (what a render server calls)."""
@@ -225,7 +214,7 @@ class Tracker:
 
     def joints(self, pose: Pose) -> NDArray[np.float64]:
         """[55, 3] joints of a pose in the tracking space, metres."""
-        points = self.skeleton.forward(pose.rotations, pose.trans)[:, :3, 3] * self.calibration.scale
+        points = self.skeleton.forward(pose.rotations, pose.trans, pose.translations)[:, :3, 3] * self.calibration.scale
         points[:, 1] += self.calibration.floor
         return points
 
@@ -347,12 +336,14 @@ class Tracker:
         solution: Solution,
         sample: Sample,
         hands: list[tuple[Vec, Quat] | None],
+        targets: Targets,
         dt: float,
         flags: list[str],
     ) -> Pose:
         if dt <= 0:
             self._guard.reset()
         self._guard.step(solution, dt)
+        longer = self._stretch.step(solution, targets, dt)
         rotations = np.zeros((55, 3))
         rotations[:22] = [rotation_vector(turn) for turn in solution.rotations]
         seconds, slow = dt or 1.0, not 0 < dt < FINGERS_IN_TURN
@@ -373,7 +364,7 @@ class Tracker:
         x, y, z = solution.pelvis
         trans = np.array((x - root[0], y - root[1], z - root[2]))
         rotations.flags.writeable = trans.flags.writeable = False  # a repeated time gives the same pose again
-        pose = Pose(rotations, trans)
+        pose = Pose(rotations, trans, longer)
         scale = self.calibration.scale
         left, right = solution.reach
         self.reach_error = (

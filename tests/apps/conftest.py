@@ -6,11 +6,12 @@ import asyncio
 import threading
 import time
 from collections.abc import Iterator
+from contextlib import contextmanager
 
 import numpy as np
 import pytest
 
-from glsplat.net.backend import Rendered
+from glsplat.net.backend import Offered, Rendered
 from glsplat.net.server import Server, ServerConfig
 
 
@@ -38,11 +39,19 @@ class Stripes:
 @pytest.fixture
 def stripes() -> Iterator[tuple[str, Stripes]]:
     """(url, backend) of a running server."""
-    backend, ready, state = Stripes(), threading.Event(), {}
+    backend = Stripes()
+    with running(backend) as url:
+        yield url, backend
+
+
+@contextmanager
+def running(backend: Stripes, **offered: str) -> Iterator[str]:
+    """The url of a server of it, which offers one thing that is ``offered`` so."""
+    ready, state = threading.Event(), {}
 
     def work() -> None:
         async def main() -> None:
-            server = Server(backend, ServerConfig(port=0))
+            server = Server(backend, ServerConfig(port=0), [Offered(name="default", **offered)])
             await server.start()
             state.update(url=server.url, loop=asyncio.get_running_loop(), end=asyncio.Event())
             ready.set()
@@ -54,6 +63,8 @@ def stripes() -> Iterator[tuple[str, Stripes]]:
     thread = threading.Thread(target=work)
     thread.start()
     assert ready.wait(10)
-    yield state["url"], backend
-    state["loop"].call_soon_threadsafe(state["end"].set)
-    thread.join(10)
+    try:
+        yield state["url"]
+    finally:
+        state["loop"].call_soon_threadsafe(state["end"].set)
+        thread.join(10)

@@ -13,6 +13,7 @@ from glsplat_apps.cli import main
 from glsplat.avatar import Avatar
 from glsplat.formats import load
 from glsplat.making.gltf.reader import read_gltf_person
+from glsplat.making.surface import SamplerConfig, make_avatar
 from glsplat.motion.motion import load_motion
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.smplx import JOINT_NAMES
@@ -22,6 +23,19 @@ pytestmark = pytest.mark.gl
 
 QUICK = ["--splats", "600", "--steps", "0", "--no-cones"]
 SILENT = replace(FAMILIES["Unreal"], names={joint: f"b{n:02d}" for n, joint in enumerate(FAMILIES["Unreal"].names)})
+ONE_ARMED = replace(
+    SILENT, names={joint: name for joint, name in SILENT.names.items() if not joint.startswith(("right_el", "right_w"))}
+)
+
+
+@pytest.fixture(autouse=True)
+def coarse(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is seen is looked for in small pictures: these tests are about joints."""
+
+    def quickly(mesh, splats, seed, **more):
+        return make_avatar(mesh, splats, seed, SamplerConfig(probe=96), **more)
+
+    monkeypatch.setattr("glsplat_apps.avatar.command.make_avatar", quickly)
 
 
 def written(tmp_path: Path, family: Family) -> Path:
@@ -55,20 +69,29 @@ def test_an_avatar_walks_as_its_mesh_does(tmp_path, capsys, name) -> None:
             assert abs(means[:, axis].max() - vertices[:, axis].max()) < 0.02
 
 
-def test_a_rig_that_says_nothing_and_a_map_that_does(tmp_path, capsys) -> None:
+def test_a_rig_that_says_nothing_is_told_by_its_shape_or_by_a_map(tmp_path, capsys) -> None:
     person = written(tmp_path, SILENT)
     avatar = made(tmp_path, person)
     said = capsys.readouterr().err
-    assert "cannot be driven by motions or a headset: no joint has a name that says what it is" in said
-    assert avatar.skeleton.names[0] == "b00" and "rig" not in avatar.meta
-    assert main(["render", str(tmp_path / "me.glb"), "--motion", "walk", "-o", str(tmp_path / "x.png")]) == 1
-    refused = capsys.readouterr().err
-    assert refused.count("\n") == 1 and "SMPL-X" in refused
+    assert "22 joints have no name that says what they are, and are told by where they are" in said
+    rig = avatar.meta["rig"]
+    assert avatar.skeleton.names == JOINT_NAMES and len(rig) == 22
+    assert {joint: SILENT.names[joint] for joint in rig} == rig
     names = tmp_path / "map.json"
     names.write_text(json.dumps(SILENT.names))
     driven = made(tmp_path, person, "--rig-map", str(names))
     assert capsys.readouterr().err == "" and driven.skeleton.names == JOINT_NAMES
     assert driven.meta["rig"] == dict(SILENT.names)
+
+
+def test_what_no_person_is_keeps_its_joints(tmp_path, capsys) -> None:
+    avatar = made(tmp_path, written(tmp_path, ONE_ARMED))
+    said = capsys.readouterr().err
+    assert "cannot be driven by motions or a headset: no joint has a name that says what it is" in said
+    assert avatar.skeleton.names[0] == "b00" and "rig" not in avatar.meta
+    assert main(["render", str(tmp_path / "me.glb"), "--motion", "walk", "-o", str(tmp_path / "x.png")]) == 1
+    refused = capsys.readouterr().err
+    assert refused.count("\n") == 1 and "walk cannot drive this avatar: no joint for head, left_hip" in refused
 
 
 def test_a_map_mends_one_joint(tmp_path) -> None:
@@ -89,7 +112,7 @@ def test_a_map_mends_one_joint(tmp_path) -> None:
         ('{"left_leg": "thigh_l"}', 'map.json: a rig map names joints of SMPL-X .* not "left_leg"'),
         ('{"left_hip": 3}', "map.json: left_hip needs the name of a node"),
         ('{"left_hip": "nobody"}', 'left_hip the node "nobody", which the file does not have'),
-        ('{"left_hip": "head"}', "gives the joint 'head' twice"),
+        ('{"left_hip": "head", "head": "head"}', "gives the joint 'head' twice"),
         ('{"head": null}', "head"),
     ],
 )
@@ -124,6 +147,21 @@ def test_sizes(tmp_path, capsys) -> None:
     assert np.ptp(smaller.skeleton.joints[:, 1]) == pytest.approx(high / 5)
     assert main(["avatar", "make", str(huge), "-o", str(tmp_path / "x.glb"), "--extra-scale", "0"]) == 2
     assert "--extra-scale needs a number above 0" in capsys.readouterr().err
+
+
+def test_a_thing_of_no_size_that_things_have_and_its_axes(tmp_path, capsys) -> None:
+    """Its joints are its own: nothing says how large it is, or which way is up, but the user."""
+    person = written(tmp_path, ONE_ARMED)
+    upright = made(tmp_path, person)
+    assert "from end to end" not in capsys.readouterr().err
+    large = made(tmp_path, person, "--extra-scale", "4", "--up", "z")
+    said = [line for line in capsys.readouterr().err.splitlines() if "from end to end" in line]
+    assert len(said) == 1 and " m from end to end; --extra-scale " in said[0] and said[0].endswith(" would make it 1 m")
+    better = float(said[0].split("--extra-scale ")[1].split()[0])
+    assert 1 / better == pytest.approx(float(said[0].split(" m from")[0].split()[-1]) / 4, rel=0.05)
+    turn = 4 * np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]])  # what pointed to z points to y
+    assert large.skeleton.joints == pytest.approx(upright.skeleton.joints @ turn.T, abs=1e-5)
+    assert np.abs(Pose.zero(len(large.skeleton)).bones(large.skeleton) - np.eye(4)[:3]).max() < 1e-4
 
 
 @pytest.mark.shared

@@ -106,7 +106,7 @@ def test_pictures_are_saved(stripes, tmp_path, name):
 def test_a_recording_is_sent_as_tracking(stripes, tmp_path):
     url, backend = stripes
     path = recording(tmp_path / "head.jsonl")
-    with pytest.raises(GlsplatError, match="no picture came: this server has no tracking solver"):
+    with pytest.raises(GlsplatError, match=r"^this server has no tracking solver: send pose instead of tracking$"):
         replay.run(arguments(path, "--url", url, "--frames", 3, "--size", 64))
     assert not backend.requests
     drive, seconds = replay.load_drive(str(path))

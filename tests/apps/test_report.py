@@ -210,7 +210,11 @@ def test_from_the_command_line(
     assert out[-1] == str(tmp_path / "out" / "report.html") and any(line.endswith("cases hold") for line in out)
     assert sum("report" in line and "bench" in line and "ms" in line for line in out) == 2
     result = json.loads((tmp_path / "out" / "report.json").read_text())
-    assert [s["scene"] for s in result["scenes"]] == ["default avatar, static", "default avatar, in motion", "a.ply"]
+    assert [s["scene"] for s in result["scenes"]] == [
+        "default avatar, static",
+        "default avatar, its joints swaying",
+        "a.ply",
+    ]
     assert [s["size"] for s in result["scenes"]] == [[32, 32]] * 3 and [s["views"] for s in result["scenes"]] == [
         2,
         2,

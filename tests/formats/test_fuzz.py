@@ -70,7 +70,8 @@ def seeds() -> list[bytes]:
         }.items():
             save(scene, Path(folder) / name)
             out.append((Path(folder) / name).read_bytes())
-    out += [gzip.decompress(out[-1]), spz_streams(out[-1])]  # SPZ without its gzip, and in version 4
+    packed = next(data for data in out if data.startswith(b"\x1f\x8b"))
+    out += [gzip.decompress(packed), spz_streams(packed)]  # SPZ without its gzip, and in version 4
     out += [
         ksplat([random_splats(6, degree), random_splats(3)], level)[0] for degree, level in ((1, 0), (0, 1), (2, 2))
     ]
@@ -227,6 +228,39 @@ def test_lying_ksplat_headers(tmp_path: Path, data: st.DataObject) -> None:
     path = tmp_path / "fuzz.ksplat"
     path.write_bytes(content)
     only_format_errors(path, load)
+
+
+def test_names_of_a_file_do_not_steer_the_terminal(tmp_path: Path) -> None:
+    (tmp_path / "a.ply").write_bytes(
+        b"ply\nformat ascii 1.0\nelement v\x80\x1b[2Jx 1\nproperty float x\nend_header\n0\n"
+    )
+    with pytest.raises(FormatError) as caught:
+        load(tmp_path / "a.ply")
+    assert str(caught.value).isprintable() and "found v??[2Jx" in str(caught.value)
+
+
+@pytest.mark.filterwarnings("error")
+def test_nans_that_signal(tmp_path: Path) -> None:
+    """Casting one to float64 warns; files may hold them wherever they hold floats, and they may be saved again."""
+    signals = b"\1\0\x80\x7f"
+    save(random_splats(6, 1), tmp_path / "a.compressed.ply")
+    head, body = (tmp_path / "a.compressed.ply").read_bytes().split(b"end_header\n")
+    (tmp_path / "a.compressed.ply").write_bytes(head + b"end_header\n" + signals * 18 + body[72:])
+    only_format_errors(tmp_path / "a.compressed.ply", load)
+    save(random_avatar(8), tmp_path / "a.glb")
+    document, blob = glb_parts((tmp_path / "a.glb").read_bytes())
+    view = document["bufferViews"][document["accessors"][document["skins"][0]["inverseBindMatrices"]]["bufferView"]]
+    start = view.get("byteOffset", 0)
+    write_glb(tmp_path / "a.glb", document, blob[:start] + signals + blob[start + 4 :])
+    only_format_errors(tmp_path / "a.glb", load)
+    value = np.frombuffer(signals, "<f4")[0:1]
+    base = random_splats(8, 1)
+    means, scales, sh = base.means.copy(), base.scales.copy(), base.sh.copy()
+    means.view("<u4")[0], scales.view("<u4")[1], sh.view("<u4")[2] = (value.view("<u4")[0],) * 3
+    sh[3] = 3e38  # has no square
+    for suffix in (".ply", ".splat", ".glb", ".compressed.ply", ".spz", ".sog"):
+        save(replace(base, means=means, scales=scales, sh=sh), tmp_path / f"b{suffix}")
+        load(tmp_path / f"b{suffix}")
 
 
 @pytest.mark.parametrize("size", [1, 31, 32, 64, 1000, 3200])

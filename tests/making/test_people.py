@@ -118,7 +118,7 @@ def test_nearer_triangles_win_and_holes_let_through(square):
         ({"skin_weights": np.ones((3, 2))}, ["joints and weights"]),
         ({"vertices": np.full((4, 3), np.nan)}, ["finite"]),
         ({"parents": np.array([1, 0])}, ["root"]),
-        ({"texture_0": np.arange(20, dtype=np.uint8)}, ["texture_0", "JPEG or PNG"]),
+        ({"texture_0": np.arange(20, dtype=np.uint8)}, ["texture_0", "JPEG, PNG or WebP"]),
         ({"texture_0": np.zeros(0, np.uint8)}, ["texture_0"]),
         ({"joints": np.array([["a", "b", "c"]] * 2)}, ["needs an array of numbers"]),
     ],
@@ -164,6 +164,22 @@ def test_texture_kinds():
     deep = cv2.imencode(".png", np.full((3, 4, 3), 65535, np.uint16))[1]
     assert decode_texture(grey.tobytes(), "x")[0, 0].tolist() == [7, 7, 7, 255]
     assert decode_texture(deep.tobytes(), "x")[0, 0].tolist() == [255, 255, 255, 255]
+
+
+def test_webp_and_damage_without_a_word(capfd):
+    """Of damage there is one line, ours: the libraries write theirs to standard error."""
+    picture = np.random.default_rng(0).integers(0, 255, (40, 50, 3), np.uint8)
+    found = decode_texture(cv2.imencode(".webp", picture, [cv2.IMWRITE_WEBP_QUALITY, 101])[1].tobytes(), "x")
+    assert np.array_equal(found[..., 2::-1], picture) and (found[..., 3] == 255).all()
+    for kind in (".png", ".jpg", ".webp"):
+        data = cv2.imencode(kind, picture)[1].tobytes()
+        for at in range(30, len(data), 97):
+            for broken in (data[:at], data[:at] + bytes([data[at] ^ 255]) + data[at + 1 :]):
+                try:
+                    assert decode_texture(broken, "x").shape[2] == 4
+                except FormatError as error:
+                    assert str(error).startswith("x: ") and "\n" not in str(error)
+    assert capfd.readouterr() == ("", "")
 
 
 def claiming(width: int, height: int) -> bytes:

@@ -239,6 +239,22 @@ def test_without_a_solver_tracking_is_a_clear_error(serve):
     assert asyncio.run(main())
 
 
+def test_what_is_asked_in_vain_is_said_with_the_reason(serve, cameras):
+    """With the picture to who sends a pose, instead of it to who sends tracking, to nobody else."""
+    offered = [Offered(name="default", untracked="it has no skeleton", still="it has no skeleton")]
+
+    async def main():
+        async with serve(offered=offered) as server, Client(server.url) as client:
+            infos = [(await client.render(cameras, pose=pose)).info for pose in (None, Pose.zero(), None)]
+            with pytest.raises(ProtocolError, match="no tracking solver for what it shows: it has no skeleton") as told:
+                await client.render(tracking={"head": [0, 1.6, 0, 0, 0, 0, 1]})
+            return infos, told.value
+
+    infos, error = asyncio.run(main())
+    assert [info.get("still") for info in infos] == [None, "it has no skeleton", None]
+    assert error.code == "bad_pose" and error.frame_id == 4
+
+
 def test_errors_before_the_start_are_one_line(fake_backend):
     class Broken(fake_backend):
         def open(self):

@@ -11,7 +11,7 @@ from glsplat.skinning.skeleton import Skeleton
 from glsplat.tracking.derive import derive, truth_from_motion
 from glsplat.tracking.sample import Sample
 from glsplat.tracking.solve.body import Body
-from glsplat.tracking.tracker import Tracker
+from glsplat.tracking.tracker import Tracker, TrackerConfig
 
 __all__ = ["CONTROLS", "recorded", "tracked", "true_poses"]
 
@@ -28,7 +28,7 @@ def recorded(performance: Performance, skeleton: Skeleton) -> list[Sample]:
 
 def tracked(samples: list[Sample], moments: tuple[int, ...], skeleton: Skeleton) -> list[Pose]:
     """The poses of an avatar's ``skeleton`` at those samples, driven through all of them by the product's tracker."""
-    tracker = Tracker(skeleton)
+    tracker = Tracker(skeleton, config=TrackerConfig(stretch=0))  # an avatar is compared with the limbs it has
     poses = []
     for index, sample in enumerate(samples[: max(moments) + 1]):
         pose = tracker.update(sample)

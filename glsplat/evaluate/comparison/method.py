@@ -9,6 +9,7 @@ from typing import Any, Protocol
 
 from glsplat.errors import FormatError, GlsplatError
 from glsplat.evaluate.comparison.participant import Participant
+from glsplat.formats import FORMATS
 from glsplat.making.importers import bind_to_mesh
 from glsplat.making.items import load_item
 from glsplat.making.reconstruct.plugins import Plugins
@@ -27,7 +28,9 @@ OWN = {
     "scan": "glsplat.evaluate.comparison.own_methods:Scan",
 }
 
-_SUFFIXES = (".glb", ".gltf", ".ply", ".splat", ".npz")
+# files with a rig count before those without
+_FORMATS = sorted(FORMATS, key=lambda form: not form.rigs)
+_SUFFIXES = (*(s for form in _FORMATS for s in form.suffixes if s.startswith(".")), ".npz")
 PLUGINS = Plugins("method", GROUP, "make", OWN)
 
 

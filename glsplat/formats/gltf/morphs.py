@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
-import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.errors import FormatError
-from glsplat.formats.gltf.container import Accessor, Container, Index, Mesh, Primitive, item
+from glsplat.formats.gltf.container import Container, Mesh, Primitive, item
 
 __all__ = ["Morphs", "read_morphs"]
 
@@ -36,18 +34,6 @@ class Morphs:
 
     def __repr__(self) -> str:
         return f"Morphs({len(self.names)} targets, {len(self.vertices)} offsets)"
-
-
-class _Part(msgspec.Struct, rename="camel"):
-    buffer_view: Index
-    byte_offset: Index = 0
-    component_type: int = 5126
-
-
-class _Sparse(msgspec.Struct):
-    count: Index
-    indices: _Part
-    values: _Part
 
 
 def read_morphs(container: Container, mesh: Mesh, primitive: Primitive) -> Morphs:
@@ -83,34 +69,11 @@ def _target(container: Container, index: int, where: str, count: int) -> tuple[N
     accessor = item(container.gltf.accessors, index, f"accessor of {where}")
     if accessor.count != count:
         raise FormatError(f"{where} needs {count} offsets, as there are vertices, not {accessor.count}")
-    if accessor.sparse is not None and accessor.buffer_view is not None:
-        raise FormatError(f"{where} is a sparse accessor over another one, which is not supported; store it densely")
-    if accessor.sparse is None:
+    if accessor.sparse is None or accessor.buffer_view is not None:
         values = container.numbers(index, where, ("VEC3",))
         rows = np.flatnonzero(values.any(axis=1))
         return rows.astype(np.uint32), values[rows]
-    try:
-        sparse = msgspec.convert(accessor.sparse, _Sparse)
-    except msgspec.ValidationError as error:
-        raise FormatError(f"{where} is a broken sparse accessor: {str(error)[:120]}") from None
-    rows = _read(container, sparse.indices, sparse.count, "SCALAR", f"{where} indices")[:, 0]
-    if rows.dtype.kind != "u" or sparse.count > count or (len(rows) and int(rows.max()) >= count):
-        raise FormatError(f"{where} needs indices of its {count} vertices as unsigned integers")
-    part = msgspec.structs.replace(sparse.values, component_type=accessor.component_type)
-    values = _read(container, part, sparse.count, accessor.type, f"{where} offsets")
-    if values.shape[1] != 3 or values.dtype.kind != "f":
+    which, offsets = container.sparse(index, where, ("VEC3",))
+    if offsets.dtype.kind != "f":
         raise FormatError(f"{where} needs offsets of three floats")
-    return rows.astype(np.uint32), np.ascontiguousarray(values, np.float32)
-
-
-def _read(container: Container, part: _Part, count: int, kind: str, where: str) -> NDArray[Any]:
-    """Through an accessor of its own, so that the bounds are checked in one place."""
-    accessor = Accessor(
-        component_type=part.component_type,
-        count=count,
-        type=kind,
-        buffer_view=part.buffer_view,
-        byte_offset=part.byte_offset,
-    )
-    container.gltf.accessors.append(accessor)
-    return container.read(len(container.gltf.accessors) - 1, where, ("SCALAR", "VEC3"))
+    return which.astype(np.uint32), np.ascontiguousarray(offsets, np.float32)

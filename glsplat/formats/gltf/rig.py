@@ -80,7 +80,8 @@ def read_skeleton(container: Container, instance: Instance, graph: Graph) -> Ske
         matrices = container.numbers(skin.inverse_bind_matrices, "inverseBindMatrices", ("MAT4",))
         if len(matrices) < len(nodes):
             raise FormatError(f"a skin of {len(nodes)} joints has only {len(matrices)} inverse bind matrices")
-        inverse = matrices[: len(nodes)].reshape(-1, 4, 4).transpose(0, 2, 1).astype(np.float64)
+        with np.errstate(invalid="ignore"):  # a NaN that signals
+            inverse = matrices[: len(nodes)].reshape(-1, 4, 4).transpose(0, 2, 1).astype(np.float64)
     try:
         with np.errstate(all="ignore"):
             return Skeleton(_names(gltf, nodes), _joint_parents(nodes, graph), graph.world[nodes], inverse)

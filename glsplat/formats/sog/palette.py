@@ -30,6 +30,11 @@ def palette(rows: Rows, size: int) -> tuple[Rows, NDArray[np.int64]]:
     its own (2048 sets: all, in a small palette). Up to ``size`` different rows are kept as they are. The time grows
     with N D (log P + 3 x 2048), never with N P; the same rows give the same result.
     """
+    with np.errstate(all="ignore"):  # coefficients of 1e30 have no square
+        return _palette(rows, size)
+
+
+def _palette(rows: Rows, size: int) -> tuple[Rows, NDArray[np.int64]]:
     order, starts = _halved(rows, size)
     grouped = rows[order]
     lengths = np.diff([*starts, len(rows)])

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+from urllib.parse import unquote
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,7 +49,7 @@ def material_of(container: Container, folder: Path, index: int | None) -> Materi
             turn, coordinates = _transform(used.get("extensions", {}).get(_TRANSFORM, {}), int(used.get("texCoord", 0)))
             image = _image(container, folder, gltf.textures[used["index"]])
         return Material(_tinted(image, factor, entry), coordinates, turn, str(entry.get("name") or ""))
-    except (AttributeError, KeyError, IndexError, TypeError, ValueError):
+    except (AttributeError, KeyError, IndexError, OverflowError, TypeError, ValueError):
         raise FormatError(f"material {index} is malformed") from None
 
 
@@ -91,7 +92,8 @@ def _image(container: Container, folder: Path, texture: Mapping[str, Any]) -> ND
     if source is None:
         kind = f" ({_BASIS})" if _BASIS in more else ""
         raise FormatError(
-            f"a texture is in a format of graphics cards{kind}; unpack it: npx @gltf-transform/cli copy IN.glb OUT.glb"
+            f"a texture is in a format of graphics cards{kind}; "
+            "unpack it: npx @gltf-transform/cli ktxdecompress IN.glb OUT.glb"
         )
     return decode_texture(_bytes_of(container, container.gltf.images[source], folder), f"image {source}")
 
@@ -107,7 +109,7 @@ def _bytes_of(container: Container, image: Mapping[str, Any], folder: Path) -> b
     uri = str(image["uri"])
     if uri.startswith("data:"):
         return base64.b64decode(uri.partition(",")[2])
-    target = (folder / uri).resolve()
+    target = (folder / unquote(uri)).resolve()  # a zero byte in it is a ValueError
     if not target.is_relative_to(folder.resolve()):
         raise FormatError(f"image {uri[:60]!r} lies outside the file's own folder")
     with open_regular(target) as (file, _):

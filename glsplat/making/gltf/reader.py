@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -13,14 +12,15 @@ from numpy.typing import NDArray
 from glsplat.errors import FormatError
 from glsplat.formats.files import naming, open_regular
 from glsplat.formats.gltf.bound import inverse_binds
-from glsplat.formats.gltf.container import Container, parse
+from glsplat.formats.gltf.container import Container, item, parse
 from glsplat.formats.gltf.nodes import Graph, Instance, graph_of, instances
 from glsplat.formats.gltf.rig import read_skeleton
 from glsplat.formats.gltf.vrm import human_bones
 from glsplat.making.fit.body import open_body
 from glsplat.making.gltf.ground import faces_back, on_the_floor
+from glsplat.making.gltf.left_out import TRIANGLES, Left, apart, carried, nearest, refuse_packed, survey
 from glsplat.making.gltf.rig import Rig, rig_of
-from glsplat.making.gltf.surfaces import Surface, surface_of
+from glsplat.making.gltf.surfaces import Materials, Surface, surface_of
 from glsplat.meshes import MeshPart, RiggedMesh, standing
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.smplx import JOINT_NAMES
@@ -29,23 +29,11 @@ __all__ = ["read_gltf_mesh", "read_gltf_person"]
 
 F64 = NDArray[np.float64]
 
-_TRIANGLES = (4, 5, 6)
+_MOST = 1 << 25  # vertices and corners of triangles
+_NO_SKIN = "a person needs triangles with a skin (JOINTS_0 and WEIGHTS_0), or parts named as a body's are; found none"
+_SKELETONS = 256  # in a file in which another person is looked for
 _KEPT = 8  # joints a vertex
 _ALIKE = 1e-9  # of the largest number: placements that are one
-
-
-@dataclass(eq=False)
-class _Left:
-    """What a file has and an avatar has not, by what it is called."""
-
-    counts: dict[str, int] = field(default_factory=dict)
-
-    def add(self, what: str, count: int = 1) -> None:
-        if count:
-            self.counts[what] = self.counts.get(what, 0) + count
-
-    def lines(self) -> list[str]:
-        return [f"{count} {what}" for what, count in self.counts.items()]
 
 
 def read_gltf_person(
@@ -57,23 +45,24 @@ def read_gltf_person(
 ) -> RiggedMesh:
     """Everything that a .glb, .gltf or .vrm shows and that a rig moves: all skins, and meshes that hang from joints.
 
+    Without a skin, a doll whose nodes are named as the parts of a body: these are its joints.
+
     A rig whose joints can be told (skinning/rigs) gets the 55 joints of SMPL-X, its zero pose is the T-pose and it
     stands on y = 0; ``meta["rig"]`` has the map. Any other rig keeps its joints, and its zero pose is the file's rest
     pose. ``meta["left_out"]`` lists what is not taken. Raises FormatError naming the file: nothing with a rig,
     compressed geometry, a texture that is no picture.
     """
-    with naming(path):
+    with naming(path), np.errstate(all="ignore"):  # what overflows or is no number is refused by RiggedMesh
         container, folder, graph = _opened(path)
         shown = _shown(container, graph)
-        moved = [i for i in shown if _skinned(i)]
-        if not moved:
-            raise FormatError("a person needs triangles with a skin (JOINTS_0 and WEIGHTS_0), found none")
+        if not shown:
+            raise FormatError(_NO_SKIN)
         return _rigged(container, folder, graph, shown, Path(path).name, own_joints, rig_map or {}, scale)
 
 
 def read_gltf_mesh(path: str | Path, **how: Any) -> RiggedMesh:
     """As ``read_gltf_person``, and where nothing has a skin all that is shown, standing on one joint at the origin."""
-    with naming(path):
+    with naming(path), np.errstate(all="ignore"):
         container, folder, graph = _opened(path)
         shown = _shown(container, graph)
         if not shown:
@@ -81,10 +70,10 @@ def read_gltf_mesh(path: str | Path, **how: Any) -> RiggedMesh:
         if any(_skinned(i) for i in shown):
             return read_gltf_person(path, **how)
         vertices, parts, first = [], [], 0
+        materials: Materials = {}
         for instance in shown:
-            surface = surface_of(container, folder, instance, _weights(container, instance))
-            with np.errstate(all="ignore"):  # what overflows is refused by RiggedMesh
-                vertices.append(surface.points @ instance.matrix[:3, :3].T + instance.matrix[:3, 3])
+            surface = surface_of(container, folder, instance, _weights(container, instance), materials)
+            vertices.append(surface.points @ instance.matrix[:3, :3].T + instance.matrix[:3, 3])
             parts.append(_part(surface, first))
             first += len(surface.points)
         return standing(np.concatenate(vertices), tuple(parts), Path(path).name)
@@ -99,11 +88,19 @@ def _opened(path: str | Path) -> tuple[Container, Path, Graph]:
 
 
 def _shown(container: Container, graph: Graph) -> list[Instance]:
-    return [
+    """Raises FormatError where the nodes of a small file show its meshes more often than memory bears."""
+    found = [
         i
         for i in instances(container.gltf, graph.world)
-        if i.primitive.mode in _TRIANGLES and "POSITION" in i.primitive.attributes
+        if i.primitive.mode in TRIANGLES and "POSITION" in i.primitive.attributes
     ]
+    accessors = container.gltf.accessors
+    used = [index for i in found for index in (i.primitive.attributes["POSITION"], i.primitive.indices)]
+    total = sum(accessors[index].count for index in used if index is not None and index < len(accessors))
+    if total > _MOST:
+        raise FormatError(f"the nodes show {total} vertices and corners in all; {_MOST} are read at most")
+    refuse_packed(found)
+    return found
 
 
 def _skinned(instance: Instance) -> bool:
@@ -126,6 +123,7 @@ def _rigged(
     rig_map: Mapping[str, str | None],
     scale: float,
     turned: Mapping[str, int | None] | None = None,  # the map, once it is known that left and right are exchanged
+    guessed: bool = False,  # that one was told by where joints are
 ) -> RiggedMesh:
     gltf = container.gltf
     node_of = {id(node): index for index, node in enumerate(gltf.nodes)}
@@ -136,43 +134,82 @@ def _rigged(
             count = gltf.accessors[accessor].count if accessor < len(gltf.accessors) else 0
             sizes[instance.node.skin or 0] = sizes.get(instance.node.skin or 0, 0) + count
     skins = sorted(sizes, key=lambda skin: (-sizes[skin], skin))
-    ready = read_skeleton(container, next(i for i in shown if i.node.skin == skins[0] and _skinned(i)), graph)
-    if len(skins) == 1 and (container.note() or ready.names == JOINT_NAMES):  # our own is taken to the bit
-        return _plain(container, folder, shown, skins[0], ready, source)
+    for skin in skins:
+        item(gltf.skins, skin, "skin")
+    if skins:
+        ready = read_skeleton(container, next(i for i in shown if i.node.skin == skins[0] and _skinned(i)), graph)
+        if len(skins) == 1 and (container.note() or ready.names == JOINT_NAMES):  # our own is taken to the bit
+            return _plain(container, folder, shown, skins[0], ready, source)
     rigid = [node_of[id(i.node)] for i in shown if not _skinned(i)]
     given = _given(container, rig_map)
     known = {} if own_joints else turned or given
-    rig = rig_of(container, graph, skins, rigid, known, open_body().joints, scale, own_joints=own_joints)
-    left = _Left()
+    reference, holds = open_body().joints, _holding(container, shown, rigid)
+    rig = rig_of(container, graph, skins, rigid, known, reference, scale, own_joints, holds)
+    if not skins and rig.map is None:
+        raise FormatError(_NO_SKIN)
+    left = Left()
+    mapped = list(rig.map.joints.values()) if rig.map is not None else []
+    several = len(skins) if mapped and 1 < len(skins) <= _SKELETONS else 0
+    strangers = {skin for skin in skins[:several] if apart(graph, gltf.skins[skin].joints, mapped)}
+    under = carried(graph, [*mapped, *(n for skin in skins if skin not in strangers for n in gltf.skins[skin].joints)])
     vertices, joints, weights, parts, first = [], [], [], [], 0
+    materials: Materials = {}
     for instance in shown:
-        surface = surface_of(container, folder, instance, _weights(container, instance))
-        points, moved, shares = _bound(container, instance, node_of[id(instance.node)], surface, rig)
+        if _skinned(instance) and instance.node.skin in strangers:
+            left.add("meshes of another skeleton are left out", 1, instance.node.name or instance.name)
+            continue
+        surface = surface_of(container, folder, instance, _weights(container, instance), materials)
+        node = node_of[id(instance.node)]
+        on: int | None = node
+        if mapped and not _skinned(instance) and not under[node]:
+            placed = surface.points @ instance.matrix[:3, :3].T + instance.matrix[:3, 3]
+            on = nearest(graph, placed, mapped)
+        if on is None:
+            left.add("meshes beside the person are left out", 1, instance.node.name or instance.name)
+            continue
+        points, moved, shares = _bound(container, instance, node, on, surface, rig)
         vertices.append(points)
         joints.append(moved)
         weights.append(shares)
         parts.append(_part(surface, first))
         first += len(points)
         left.add("morph targets stay at their default weights", len(instance.primitive.targets))
+    survey(container, list(instances(gltf, graph.world)), left)
     at, skeleton = np.concatenate(vertices), rig.skeleton
     all_joints, all_weights = _wide(joints), _wide(weights)
     if rig.map is not None:
         skeleton, at = on_the_floor(skeleton, at, all_joints, all_weights, rig.map.joints)
         if not known and faces_back(skeleton, at, all_joints, all_weights, rig.map.joints):
             other = {_mirrored(name): node for name, node in rig.map.joints.items()}
-            return _rigged(container, folder, graph, shown, source, own_joints, rig_map, scale, other)
+            return _rigged(container, folder, graph, shown, source, own_joints, rig_map, scale, other, rig.guessed)
     meta: dict[str, Any] = {"source": source} | container.note()
     meta.pop("version", None)
     names = [node.name or f"node {index}" for index, node in enumerate(gltf.nodes)]
     if rig.map is not None:
         meta["rig"] = {name: names[node] for name, node in rig.map.joints.items()}
-        if turned:
+        if guessed or rig.guessed:
+            left.add("joints have no name that says what they are, and are told by where they are", len(rig.map))
+        elif turned:
             left.add("person whose left is called right: taken by where the feet point")
     elif rig.why:
         meta["no_map"] = rig.why
     if left.counts:
         meta["left_out"] = left.lines()
     return RiggedMesh(at, skeleton, all_joints, all_weights, tuple(parts), meta)
+
+
+def _holding(container: Container, shown: Sequence[Instance], rigid: Sequence[int]) -> NDArray[np.bool_]:
+    """[N] nodes that move vertices."""
+    gltf = container.gltf
+    holds = np.zeros(len(gltf.nodes), bool)
+    holds[list(rigid)] = True
+    for instance in shown:
+        if _skinned(instance):
+            nodes = np.array(item(gltf.skins, instance.node.skin or 0, "skin").joints)
+            count = gltf.accessors[instance.primitive.attributes["JOINTS_0"]].count
+            ids, weights = _influences(container, instance, count, len(nodes))
+            holds[nodes[ids[weights > 0]]] = True
+    return holds
 
 
 def _wide(parts: Sequence[NDArray[Any]]) -> NDArray[Any]:
@@ -201,13 +238,13 @@ def _given(container: Container, rig_map: Mapping[str, str | None]) -> dict[str,
 
 
 def _bound(
-    container: Container, instance: Instance, node: int, surface: Surface, rig: Rig
+    container: Container, instance: Instance, node: int, on: int, surface: Surface, rig: Rig
 ) -> tuple[F64, NDArray[np.int64], F64]:
-    """Points [V, 3] as they were bound, and joints and weights [V, K] of the rig."""
+    """Points [V, 3] as they were bound, and joints and weights [V, K] of the rig; without a skin they go ``on`` one."""
     points = np.column_stack([surface.points, np.ones(len(surface.points))])
     if not _skinned(instance):
         place = rig.place(np.array([node]), np.eye(4)[None])[0]
-        joints = np.full((len(points), 1), rig.joint[node])
+        joints = np.full((len(points), 1), rig.joint[on])
         return (points @ place.T)[:, :3], joints, np.ones((len(points), 1))
     skin = instance.node.skin or 0
     nodes = np.array(container.gltf.skins[skin].joints)
@@ -266,10 +303,11 @@ def _plain(
 ) -> RiggedMesh:
     """A person on the joints of SMPL-X already: stored points, as the file has them."""
     vertices, joints, weights, parts, first = [], [], [], [], 0
+    materials: Materials = {}
     for instance in shown:
         if not _skinned(instance) or instance.node.skin != skin:
             continue
-        surface = surface_of(container, folder, instance, _weights(container, instance))
+        surface = surface_of(container, folder, instance, _weights(container, instance), materials)
         ids, shares = _influences(container, instance, len(surface.points), len(skeleton))
         wide = np.zeros((len(ids), 8), np.int64), np.zeros((len(ids), 8))
         wide[0][:, : ids.shape[1]], wide[1][:, : ids.shape[1]] = ids, shares

@@ -9,7 +9,7 @@ glTF 2.0 (3.7.3.3) has it: joints that are no part of the map stay as they were 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,12 +20,15 @@ from glsplat.formats.gltf.container import Container
 from glsplat.formats.gltf.nodes import Graph
 from glsplat.skinning.rigs.humanoid import humanoid, upright
 from glsplat.skinning.rigs.match import RigMap, match_rig
+from glsplat.skinning.rigs.shape import match_shape
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.smplx import JOINT_NAMES, PARENTS
 
 __all__ = ["Rig", "rig_of"]
 
 F64 = NDArray[np.float64]
+
+_SAID = 3  # joints; with no more than that, names say nothing
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,6 +42,8 @@ class Rig:
     """Of node indices; None for what is no person, or one who lacks too much."""
     why: str
     """Why there is no map, in one line."""
+    guessed: bool = False
+    """No name said so: the map is by where the joints are."""
 
     def place(self, nodes: NDArray[np.integer], inverse_bind: F64) -> F64:
         """[K, 4, 4] where points bound to each of the ``nodes`` [K] by ``inverse_bind`` [K, 4, 4] are when bound."""
@@ -54,6 +59,7 @@ def rig_of(
     reference: F64,  # [55, 3] joints of a body in the T-pose, metres
     scale: float = 1.0,  # times what the file's nodes make of it
     own_joints: bool = False,  # no map is looked for
+    holds: NDArray[np.bool_] | None = None,  # [N] nodes that move vertices
 ) -> Rig:
     """The rig of a file. Raises FormatError for one that cannot be used."""
     try:
@@ -62,13 +68,18 @@ def rig_of(
             if own_joints:
                 return _thing(container, graph, bound, skins, rigid, scale, "")
             names = joint_names(container, skins, given)
+            if not given:
+                names = _one_person(container, graph, skins, names, bound.frames[:, :3, 3])
             why = "no joint has a name that says what it is"
             try:
-                found = match_rig(names, graph.parents, bound.frames[:, :3, 3], given)
+                found = match_rig(names, graph.parents, bound.frames[:, :3, 3], given, holds)
                 if found.joints:
                     why = f"no joint for {', '.join(found.missing)}"
+                guess = {} if given or len(found) > _SAID else _by_shape(container, graph, bound, skins)
+                if guess:
+                    found = match_rig([""] * len(names), graph.parents, bound.frames[:, :3, 3], guess)
                 if not found.missing:
-                    return _person(graph, bound, found, reference, scale)
+                    return replace(_person(graph, bound, found, reference, scale), guessed=bool(guess))
             except PoseError as error:
                 if given:
                     raise
@@ -76,6 +87,36 @@ def rig_of(
             return _thing(container, graph, bound, skins, rigid, scale, why)
     except (PoseError, np.linalg.LinAlgError) as error:
         raise FormatError(f"the skin is not a usable rig: {error}") from None
+
+
+def _one_person(container: Container, graph: Graph, skins: Sequence[int], names: list[str], points: F64) -> list[str]:
+    """The names, but of whole skeletons beside the first: of two people one is driven, not some joints of each."""
+    joints = {node for skin in skins for node in container.gltf.skins[skin].joints}
+    tops: dict[int, int] = {}
+    for node in graph.order:  # parents come before children
+        above = int(graph.parents[node])
+        tops[node] = tops[above] if above in joints or tops.get(above, above) != above else node
+    groups = [{tops[node] for node in container.gltf.skins[skin].joints} for skin in skins]
+    first = groups[0] if groups else set()
+    for group in groups:
+        first = first | group if first & group else first
+    others = {top for group in groups for top in group} - first
+    if not others:
+        return names
+    mine, theirs = (
+        [name if tops[node] in which and node in joints else "" for node, name in enumerate(names)]
+        for which in (first, others)
+    )
+    whole = all(not match_rig(some, graph.parents, points).missing for some in (mine, theirs))
+    return mine if whole else names
+
+
+def _by_shape(container: Container, graph: Graph, bound: Bound, skins: Sequence[int]) -> dict[str, int]:
+    """SMPL-X joint -> node, of a skeleton that stands like a person."""
+    may = np.zeros(len(container.gltf.nodes), bool)
+    for skin in skins:
+        may[container.gltf.skins[skin].joints] = True
+    return match_shape(graph.parents, bound.frames[:, :3, 3] @ bound.shown[:3, :3].T, may)
 
 
 def _person(graph: Graph, bound: Bound, found: RigMap, reference: F64, scale: float) -> Rig:

@@ -15,9 +15,13 @@ from glsplat.formats.gltf.nodes import Instance
 from glsplat.making.gltf.material import Material, material_of
 from glsplat.making.gltf.vertex_colours import painted
 
-__all__ = ["Surface", "surface_of"]
+__all__ = ["Materials", "Surface", "surface_of"]
 
 F64 = NDArray[np.float64]
+
+
+Materials = dict[int | None, Material]
+"""Those of a file that were read, by their index."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,15 +35,11 @@ class Surface:
     name: str
 
 
-def surface_of(container: Container, folder: Path, instance: Instance, weights: Sequence[float]) -> Surface:
+def surface_of(
+    container: Container, folder: Path, instance: Instance, weights: Sequence[float], materials: Materials
+) -> Surface:
     """Triangles of an instance of mode TRIANGLES; ``weights`` of its morph targets. Raises FormatError."""
     primitive, where = instance.primitive, instance.name
-    compressed = [name for name in primitive.extensions if "compression" in name]
-    if compressed:
-        raise FormatError(
-            f"{where}: the geometry is compressed ({compressed[0][:60]}); "
-            "unpack it: npx @gltf-transform/cli copy IN.glb OUT.glb"
-        )
     points = container.numbers(primitive.attributes["POSITION"], f"{where} POSITION", ("VEC3",)).astype(np.float64)
     for target, weight in zip(primitive.targets, weights, strict=False):
         if weight and "POSITION" in target:
@@ -48,7 +48,9 @@ def surface_of(container: Container, folder: Path, instance: Instance, weights: 
                 raise FormatError(f"{where}: a morph target needs {len(points)} elements, as POSITION has")
             points = points + weight * moved.astype(np.float64)
     faces = _faces(container, primitive, where, len(points))
-    material = material_of(container, folder, primitive.material)
+    if primitive.material not in materials:  # a picture is decoded once, and held once
+        materials[primitive.material] = material_of(container, folder, primitive.material)
+    material = materials[primitive.material]
     uv = _corners(container, primitive, where, material, faces, len(points))
     texture = material.texture
     colours = _vertex_colours(container, primitive, where, len(points))

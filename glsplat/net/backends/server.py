@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Collection, Mapping
 from dataclasses import replace
 from functools import partial
 
 from glsplat.avatar import Avatar
 from glsplat.config import RenderConfig
-from glsplat.errors import GlsplatError, PoseError
+from glsplat.errors import GlsplatError
 from glsplat.formats.scene_file import SceneFile
 from glsplat.net.backend import Backend, Offered
 from glsplat.net.backends.gl import MAX_COST, MAX_TIME, RendererBackend
@@ -20,10 +21,13 @@ from glsplat.net.server import Server, ServerConfig
 from glsplat.net.uploads.job import UploadConfig
 from glsplat.net.uploads.routes import Uploads
 from glsplat.scene import Figure, Shown, is_figure
+from glsplat.skinning.rigs.driven import why_not_driven, why_not_tracked
 from glsplat.tracking.calibration import EYES_OF_STATURE, Calibration
 from glsplat.tracking.solve.body import Body
 
 __all__ = ["make_server", "offered"]
+
+log: logging.Logger = logging.getLogger("glsplat.net")
 
 _NAME = 64  # characters
 
@@ -57,17 +61,38 @@ def make_server(
     avatar = item.content if item is not None and is_figure(item.content) else None
     others = _checked(avatars or {}, name, rendering)
     choices: Mapping[str, Figure] = others
-    offers = [offered(one, what, calibration) for one, what in [(name, avatar), *others.items()]]
+    first = _nobody(name, file) if avatar is None else offered(name, avatar, calibration)
+    offers = [first, *(offered(one, what, calibration) for one, what in others.items())]
     takes = None
     if uploads is not None:
         choices = Wardrobe(others, uploads.folder, name)
         takes, kept = _uploads(uploads, rendering, calibration, {name, *others})
         offers += kept
+    for one in offers:
+        _say(one)
     draw = partial(RendererBackend, file.scene, config.wire.size, device, rendering, *budget, avatars=choices)
     if file.motions:  # in one pickle with the scene, so that the items are the same
         draw = partial(draw, pose_at=file.pose_at)
     backend: Backend = ProcessBackend(draw, config.wire.max_side, budget[1]) if own_process else draw()
     return Server(backend, config, offers, takes)
+
+
+def _say(one: Offered) -> None:
+    """What clients ask for in vain: at start, before somebody in a headset wonders."""
+    if one.still:
+        log.warning('"%s": poses and tracking are not applied: %s; clients move the camera', one.name, one.still)
+    elif one.untracked:
+        what = "motions and tracking are" if one.skeleton is None or why_not_driven(one.skeleton) else "tracking is"
+        how = "" if one.skeleton is None else ", and its joints by their names"
+        log.warning('"%s": %s not applied: %s; clients move the camera%s', one.name, what, one.untracked, how)
+
+
+def _nobody(name: str, file: SceneFile) -> Offered:
+    """A scene of which no client sets a pose: nobody is there, or several are."""
+    if file.scene.figures:
+        return Offered(name=name, untracked="the scene has several avatars, each does what the scene file says")
+    why = why_not_driven(None)
+    return Offered(name=name, untracked=why, still=why)
 
 
 def _uploads(
@@ -88,19 +113,16 @@ def _uploads(
     return uploads, [describe(one, avatar) for one, avatar in found.items()]
 
 
-def offered(name: str, avatar: Figure | None, calibration: Calibration | None = None) -> Offered:
-    """What clients may ask of an avatar; None: of a scene without one whose pose they may set.
+def offered(name: str, avatar: Figure, calibration: Calibration | None = None) -> Offered:
+    """What clients may ask of an avatar.
 
     ``calibration`` is of users who tell neither height nor arm span. Tracking is solved for SMPL-X's rig.
     """
-    if avatar is None:
-        return Offered(name=name)
     skeleton = avatar.skeleton
     parts = frozenset(part for part in PARTS if part in skeleton.names)
-    try:
-        height = Body.of(skeleton).eye_height / EYES_OF_STATURE
-    except PoseError:  # another rig
-        return Offered(name=name, skeleton=skeleton, parts=parts)
+    if why := why_not_tracked(skeleton):
+        return Offered(name=name, skeleton=skeleton, parts=parts, untracked=why)
+    height = Body.of(skeleton).eye_height / EYES_OF_STATURE
     base = calibration or Calibration()
 
     def solver(height: float | None, span: float | None) -> TrackingSolver:

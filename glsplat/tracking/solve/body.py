@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.errors import PoseError
+from glsplat.skinning.rigs.driven import why_not_tracked
 from glsplat.skinning.skeleton import Skeleton
-from glsplat.skinning.smplx import JOINT_NAMES
 from glsplat.tracking.solve.quat import Quat, Vec, from_axes, unit
 
 __all__ = ["HAND_FRAMES", "HEAD_FRAME", "Body"]
@@ -48,16 +48,12 @@ class Body:
         ``sole``: height of the foot joint above the ground. Without it: its height above y = 0 if the rig stands there,
         else 1.65 % of the stature, as on the embedded body.
         """
-        if skeleton.names != JOINT_NAMES:
-            raise PoseError("tracking drives the 55 joints of SMPL-X; this skeleton has other joints")
-        if np.abs(skeleton.rest[:, :3, :3] - np.eye(3)).max() > 1e-4:
-            raise PoseError("tracking needs rest frames parallel to the world (the SMPL-X zero pose)")
+        if why := why_not_tracked(skeleton):
+            raise PoseError(f"tracking cannot drive this skeleton: {why}")
         rest = skeleton.joints
         foot = float(rest[list(FEET), 1].mean())
         eye = rest[list(EYES)].mean(0) - rest[HEAD]
         span = float(rest[HEAD, 1] + eye[1] - foot)
-        if not span > 0.1:
-            raise PoseError(f"tracking needs a standing rest pose; the eyes are {span:.2f} m above the feet")
         if sole is None:
             sole = foot if 0.001 * span < foot < 0.05 * span else 0.0175 * span
         joints = tuple([(float(x), float(y), float(z)) for x, y, z in rest])

@@ -115,7 +115,7 @@ def test_feet_stand_where_those_of_the_body_stand(person, name: str) -> None:
 
 
 def test_a_headset_moves_the_hands_to_where_they_are(person) -> None:
-    """As far as their arms reach: the recording is of somebody with other proportions."""
+    """The wrists of what is drawn, at every fourth moment of the recording: within 2 cm, however long the arms are."""
     mesh, cubes = person
     if "left_wrist" not in cubes:
         pytest.skip("has no hands")
@@ -124,11 +124,11 @@ def test_a_headset_moves_the_hands_to_where_they_are(person) -> None:
     off: list[float] = []
     for sample in samples[::4]:
         vertices = mesh.posed(tracker.update(sample))
-        for side, hand, missed in zip(("left", "right"), (sample.left, sample.right), tracker.reach_error, strict=True):
-            if hand is not None and missed is not None and missed < 0.005:
+        for side, hand in (("left", sample.left), ("right", sample.right)):
+            if hand is not None:
                 target = (np.array(hand[:3]) - (0, tracker.calibration.floor, 0)) / tracker.calibration.scale
                 off.append(float(np.linalg.norm(vertices[cubes[f"{side}_wrist"]].mean(axis=0) - target)))
-    assert len(off) > 50 and max(off) < 0.02
+    assert len(off) > 200 and max(off) < 0.02
 
 
 def test_parents_come_first() -> None:

@@ -31,6 +31,7 @@ def square(
     texture: dict[str, Any] | None = None,
     kind: str = ".png",
     mesh: dict[str, Any] | None = None,
+    uri: str | None = None,
     **attributes: np.ndarray,
 ) -> RiggedMesh:
     """A square of two triangles in a file, read."""
@@ -62,7 +63,7 @@ def square(
         "meshes": [{"primitives": [primitive | {"attributes": named}], **(mesh or {})}],
         "materials": [material or {}],
         "textures": [{"source": 0} if texture is None else texture],
-        "images": [{"uri": "data:image/png;base64," + base64.b64encode(image).decode()}],
+        "images": [{"uri": uri or "data:image/png;base64," + base64.b64encode(image).decode()}],
         "accessors": accessors,
         "bufferViews": views,
         "buffers": [{"byteLength": len(blob)}],
@@ -70,6 +71,7 @@ def square(
     text = json.dumps(document).encode()
     text += b" " * (-len(text) % 4)
     chunks = struct.pack("<II", len(text), 0x4E4F534A) + text + struct.pack("<II", len(blob), 0x004E4942) + blob
+    (tmp_path / "a b+é.png").write_bytes(image)
     path = tmp_path / "square.glb"
     path.write_bytes(struct.pack("<III", 0x46546C67, 2, 12 + len(chunks)) + chunks)
     return read_gltf_mesh(path)
@@ -139,6 +141,31 @@ def test_a_texture_is_turned_as_the_extension_says(tmp_path: Path) -> None:
         assert got == pytest.approx(part.sample(np.array([u, 1 - v]))[:3], abs=1e-9)
 
 
+def test_a_turned_texture_by_hand(tmp_path: Path) -> None:
+    """At (0.5, 0.25) with v down: scaled by 2 (1, 0.5), by 30 degrees (0.866 + 0.25, -0.5 + 0.433), offset.
+
+    As three.js has it, whose uv matrix is (s c, s sin; -s sin, s c) for one scale of both.
+    """
+    turn = {"offset": [0.1, 0.2], "rotation": np.pi / 6, "scale": [2, 2]}
+    used = {"index": 0, "extensions": {"KHR_texture_transform": turn}}
+    uv = np.full((4, 2), (0.5, 0.25), "<f4")
+    mesh = square(tmp_path, {"pbrMetallicRoughness": {"baseColorTexture": used}}, TEXCOORD_0=uv)
+    assert mesh.parts[0].uv[0, 0] == pytest.approx([1.2160254, 1 - 0.1330127], abs=1e-6)
+
+
+def test_the_set_of_coordinates_that_a_transform_names(tmp_path: Path) -> None:
+    used = {"index": 0, "texCoord": 0, "extensions": {"KHR_texture_transform": {"texCoord": 1}}}
+    mesh = square(tmp_path, {"pbrMetallicRoughness": {"baseColorTexture": used}}, TEXCOORD_1=UV / 2)
+    assert mesh.parts[0].uv[0] == pytest.approx(np.array([[0, 0.5], [0.5, 0.5], [0.5, 1]]))
+
+
+def test_pictures_beside_the_file(tmp_path: Path) -> None:
+    """Their names are those of addresses: a blank is %20, any other letter its bytes of UTF-8."""
+    mesh = square(tmp_path, TEXTURED, uri="a%20b+%C3%A9.png")
+    for x, y in TEXELS:
+        assert seen(mesh, x, y)[:3] == pytest.approx(texel(x, y)[:3], abs=1e-9)
+
+
 @pytest.mark.parametrize("textured", [False, True])
 def test_colours_of_vertices(tmp_path: Path, textured: bool) -> None:
     colours = np.array([[255, 0, 0, 255], [0, 255, 0, 255], [0, 0, 255, 255], [255, 255, 255, 255]], np.uint8)
@@ -173,9 +200,12 @@ def test_morph_targets_at_their_default_weights(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("how", "words"),
     [
-        ({"material": TEXTURED, "texture": {"extensions": {"KHR_texture_basisu": {"source": 0}}}}, "gltf-transform"),
+        ({"material": TEXTURED, "texture": {"extensions": {"KHR_texture_basisu": {"source": 0}}}}, "ktxdecompress"),
         ({"material": {"pbrMetallicRoughness": {"baseColorFactor": [1, 2]}}}, "material 0 is malformed"),
         ({"material": {"pbrMetallicRoughness": 3}}, "material 0 is malformed"),
+        ({"material": TEXTURED, "uri": "../a.png"}, "lies outside"),
+        ({"material": TEXTURED, "uri": "%2e%2e/a.png"}, "lies outside"),
+        ({"material": TEXTURED, "uri": "a%00.png"}, "material 0 is malformed"),
         ({"indices": (0, 1, 9)}, "name 9"),
         ({"indices": (0, 1)}, "whole triangles"),
         ({"COLOR_0": np.full((3, 4), 255, np.uint8)}, "COLOR_0 needs 4"),
