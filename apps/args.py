@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,6 +17,7 @@ from glsplat.formats.scene_file import UPS, SceneFile, upright
 from glsplat.formats.transform import transformed
 from glsplat.making.items import is_scene, load_item
 from glsplat.making.items import load_scene as load_file
+from glsplat.motion.kinds import KINDS, split_choice
 from glsplat.scene import Content, Figure, is_figure
 from glsplat.skinning.rigs.driven import why_not_tracked
 from glsplat.skinning.skeleton import Skeleton
@@ -123,13 +125,19 @@ def tracked(skeleton: Skeleton, name: str) -> Skeleton:
 
 
 def motion_of(name: str, skeleton: Skeleton, option: str = "--motion") -> Motion:
-    """The motion an option names: a file or an embedded one. Raises UsageError where there is neither."""
-    from glsplat.motion.motion import embedded_motions, load_motion  # here: it needs scipy, and a server none of it
+    """The motion an option names: a file or an embedded one; which of several in a file is said on stderr.
 
-    if not Path(name).exists() and name not in embedded_motions():
+    Raises UsageError where there is neither.
+    """
+    from glsplat.motion.motion import embedded_motions, load_motion  # here: a server needs none of it
+
+    if not split_choice(name)[0].exists() and name not in embedded_motions():
         known = ", ".join(embedded_motions()) or "none"
-        raise UsageError(f"{option} {name}: no such file and no such motion; embedded are {known}")
-    return load_motion(name, skeleton)
+        raise UsageError(f"{option} {name}: no such file and no such motion; files are {KINDS}; embedded are {known}")
+    motion = load_motion(name, skeleton)
+    if motion.note:
+        print(f"{option} {name}: {motion.note}", file=sys.stderr)
+    return motion
 
 
 def size(text: str) -> tuple[int, int]:

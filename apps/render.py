@@ -20,6 +20,7 @@ from glsplat.config import RenderConfig
 from glsplat.errors import FormatError
 from glsplat.formats.scene_file import SceneFile
 from glsplat.gl.context import create_context
+from glsplat.motion.kinds import KINDS
 from glsplat.motion.motion import Motion
 from glsplat.renderer import Renderer
 from glsplat.skinning.pose import Pose, load_pose
@@ -54,7 +55,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--ipd", type=not_negative, default=PAPER_IPD, help="metres between the eyes (default 0.055)")
     parser.add_argument("--background", type=colour, metavar="R,G,B", help="0 to 1 each (default 0,0,0)")
     parser.add_argument("--pose", metavar="FILE", help="pose file (JSON)")
-    parser.add_argument("--motion", metavar="FILE", help="motion file or the name of an embedded one")
+    parser.add_argument(
+        "--motion",
+        metavar="FILE",
+        help=f"{KINDS}, or an embedded motion's name; of several in a file, FILE#NAME",
+    )
     parser.add_argument(
         "--frame", type=int, metavar="N", help="frame of the motion, or picture of a scene file's clip (default: all)"
     )

@@ -129,7 +129,7 @@ def rotation_between(first: ArrayLike, second: ArrayLike) -> F64:
     axis, cos = np.cross(a, b), float(a @ b)
     sin = float(np.linalg.norm(axis))
     if sin < 1e-9:
-        if cos > 0 or not np.isfinite(cos):
+        if cos > -0.5 or not np.isfinite(cos):  # alike, or no direction at all
             return np.eye(3)
         axis = np.cross(a, np.eye(3)[np.abs(a).argmin()])
         return rotation_matrices(axis / np.linalg.norm(axis) * np.pi)

@@ -24,6 +24,7 @@ from glsplat.evaluate.comparison.protocol import EXTRA_MEASURES, LIGHTS, VIEWS, 
 from glsplat.evaluate.comparison.work import Result, Task, finished
 from glsplat.evaluate.comparison.workers import run_tasks
 from glsplat.formats.files import locked, replace_file
+from glsplat.motion.kinds import split_choice
 from glsplat.motion.motion import embedded_motions, load_motion
 
 from ..usage import UsageError
@@ -177,7 +178,7 @@ def _protocol(args: argparse.Namespace) -> Protocol:
         words = tuple(_words(args.poses, "--poses"))
         if all(word in TASKS for word in words):
             tasks = words
-        elif len(words) == 1 and (words[0] in embedded_motions() or Path(words[0]).exists()):
+        elif len(words) == 1 and (words[0] in embedded_motions() or split_choice(words[0])[0].exists()):
             motion = words[0]
         else:
             wrong = next(word for word in words if word not in TASKS)
@@ -187,7 +188,8 @@ def _protocol(args: argparse.Namespace) -> Protocol:
     digest = ""
     if motion is not None:
         load_motion(motion, default_avatar().skeleton)  # better refused now than after all avatars are made
-        digest = hashlib.sha256(Path(motion).read_bytes()).hexdigest() if Path(motion).is_file() else ""
+        file = split_choice(motion)[0]
+        digest = hashlib.sha256(file.read_bytes()).hexdigest() if file.is_file() else ""
     return Protocol(
         tasks=tasks, motion=motion, motion_digest=digest, views=views, size=size, light=args.light, extra_measures=extra
     )

@@ -12,6 +12,7 @@ from pathlib import Path
 from glsplat.camera import PAPER_FOV, PAPER_IPD, pinhole
 from glsplat.errors import FormatError
 from glsplat.formats.scene_file import SceneFile
+from glsplat.motion.kinds import KINDS
 from glsplat.motion.motion import Motion
 from glsplat.net.guard.access import read_token
 from glsplat.scene import skeleton_of
@@ -39,7 +40,9 @@ _FPS = 30.0  # of the clock under --frames
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command line."""
     add_scene(parser)
-    parser.add_argument("--motion", metavar="FILE", help="motion file or name (default: an embedded one, if it fits)")
+    parser.add_argument(
+        "--motion", metavar="FILE", help=f"a motion: {KINDS}, or a name (default: an embedded one, if it fits)"
+    )
     parser.add_argument("--pose", metavar="FILE", help="pose file (JSON) instead of a motion")
     parser.add_argument("--paused", action="store_true", help="begin with the motion's first frame and stay there")
     parser.add_argument("--layout", choices=("mono", "side-by-side", "anaglyph"), default="mono", help="keys 1, 2, 3")

@@ -39,7 +39,8 @@ def read_tracked(name: str | None, rate: float = 72.0) -> Tracked:
     count = max(1, min(round(seconds * rate), 4 * len(recording.samples)))  # a long gap is not held in memory
     samples = [recording.at((i + 0.5) / rate).tracking or {} for i in range(count)]
     zeros = np.zeros((count, len(JOINT_NAMES), 3))
-    return Tracked(rate, zeros, zeros[:, 0], JOINT_NAMES, Path(name).stem if name else "recording", samples)
+    label = Path(name).stem if name else "recording"
+    return Tracked(rate, zeros, zeros[:, 0], JOINT_NAMES, label, samples=samples)
 
 
 class Watched:

@@ -14,6 +14,7 @@ import numpy as np
 from glsplat.errors import FormatError, GlsplatError
 from glsplat.formats.scene_file import SceneFile
 from glsplat.making.items import is_scene, load_item, load_scene
+from glsplat.motion.kinds import is_gltf, is_motion
 from glsplat.motion.motion import Motion, embedded_motions
 from glsplat.scene import Content, Shown
 from glsplat.skinning.pose import Pose, load_pose
@@ -97,7 +98,11 @@ def _kind(path: Path) -> str:
     try:
         with open(path, "rb") as file:
             head = file.read(512).removeprefix(b"\xef\xbb\xbf").lstrip()
-        if head.startswith((b"PK", b"HIERARCHY", b"[")) or path.suffix.lower() in (".amc", ".bvh", ".npz", ".jsonl"):
+        if (
+            (is_gltf(head) and is_motion(path))
+            or head.startswith((b"PK", b"HIERARCHY", b"["))
+            or path.suffix.lower() in (".amc", ".bvh", ".npz", ".jsonl")
+        ):
             return "motion"
         if head.startswith(b"{") and path.stat().st_size <= _MAX_JSON:
             keys = json.loads(path.read_text(encoding="utf-8"))

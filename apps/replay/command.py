@@ -21,6 +21,7 @@ from tqdm import tqdm
 
 from glsplat.data import default_avatar
 from glsplat.errors import FormatError, GlsplatError
+from glsplat.motion.kinds import KINDS
 from glsplat.motion.motion import Motion, embedded_motions
 from glsplat.net.client import Client
 from glsplat.net.guard.access import read_token
@@ -55,7 +56,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "motion",
         nargs="?",
         metavar="RECORDING|MOTION",
-        help="tracking samples (.jsonl), or a motion file or name, sent as poses; default: the embedded recording",
+        help=f"tracking samples (.jsonl), or a motion sent as poses ({KINDS}, or a name); "
+        "default: the embedded recording",
     )
     parser.add_argument("--url", default="ws://127.0.0.1:8000/ws", help="server (default ws://127.0.0.1:8000/ws)")
     parser.add_argument("--avatar", metavar="FILE", help="avatar the server shows, for the motion's skeleton")

@@ -137,7 +137,7 @@ class _Reading:
         self._read, self._strict = read, strict
         self._files = 0
         self._contents: dict[Path, Content] = {}
-        self._motions: dict[tuple[str | Path, int], Motion] = {}  # by file or name, and id() of a kept skeleton
+        self._motions: dict[tuple[str | Path, str | None, int], Motion] = {}  # by file, animation, id() of a skeleton
 
     def file(self, path: Path, place: NDArray[np.float64], prefix: str, trail: tuple[Path, ...]) -> None:
         """Add the items of one file, placed by ``place``."""
@@ -202,15 +202,19 @@ class _Reading:
 
     def _motion(self, name: str, folder: Path, skeleton: Skeleton) -> Motion:
         """A file in the folder, or an embedded motion where there is none of that name."""
-        # here: it needs scipy, and a server of scenes that stand still none of it
+        # here: a server of scenes that stand still needs none of it
         from glsplat.motion.motion import embedded_motions, load_embedded_motion, load_motion
 
         embedded = name in embedded_motions() and not (folder / name).exists()
-        source = name if embedded else _inside(name, folder)
-        key = source, id(skeleton)
+        whole = embedded or "#" not in name or (folder / name).exists()
+        file, choice = (name, None) if whole else name.split("#", 1)
+        source = name if embedded else _inside(file, folder)
+        key = source, choice, id(skeleton)
         if key not in self._motions:
             # by its name alone load_motion() would look in the current folder first
-            self._motions[key] = load_embedded_motion(name, skeleton) if embedded else load_motion(source, skeleton)
+            self._motions[key] = (
+                load_embedded_motion(name, skeleton) if embedded else load_motion(source, skeleton, animation=choice)
+            )
         return self._motions[key]
 
 

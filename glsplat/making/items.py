@@ -14,6 +14,7 @@ from glsplat.formats.files import naming, open_regular
 from glsplat.formats.npz import array_names
 from glsplat.formats.scene_file import SceneFile, load_scene_file, looks_like_scene_file
 from glsplat.meshes import MeshPart, RiggedMesh, standing
+from glsplat.motion.kinds import is_motion
 from glsplat.scene import Content
 
 __all__ = ["is_scene", "load_item", "load_scene"]
@@ -39,6 +40,8 @@ def load_item(path: Path, strict: bool = False) -> Content:
     joint, in the place the file's nodes give them. Raises FormatError naming the file.
     """
     suffix = path.suffix.lower()
+    if is_motion(path):
+        raise FormatError(f"{path}: a motion, which shows nothing; give it to render, preview or replay as --motion")
     if suffix == ".obj":
         return _read_obj(path)
     if suffix == ".npz":

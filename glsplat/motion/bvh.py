@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from glsplat.errors import PoseError
-from glsplat.motion.clip import Clip
+from glsplat.motion.clip import Clip, chained, check_size
 from glsplat.rotations import rotation_matrices
 
 __all__ = ["parse_acclaim", "parse_bvh", "skeleton_file"]
@@ -17,6 +17,8 @@ F64 = NDArray[np.float64]
 _Bone = dict[str, NDArray[np.float64] | list[str]]
 _ACCLAIM_FPS = 120.0  # the file does not say; CMU's captures
 _MAX_JOINTS = 1024
+_LONGEST = 8  # words of a name
+_BLOCK = 1 << 20  # characters of numbers that are split at a time
 
 
 def parse_bvh(text: str) -> Clip:
@@ -39,15 +41,31 @@ def parse_bvh(text: str) -> Clip:
     if count < 1 or not 1e-5 < step < 1e3:
         raise PoseError(f"a motion needs at least one frame and a frame time in seconds, not {count} and {step:g}")
     width = sum(len(c) for c in channels)
-    try:
-        values = np.array(words[5].split() if len(words) > 5 else [], np.float64)
-    except ValueError as error:
-        raise PoseError(f"the motion holds numbers only, but {error}") from None
-    if values.size != count * width:
-        raise PoseError(f"{count} frames of {width} channels are {count * width} numbers, found {values.size}")
+    check_size(count, len(names))
+    values = _numbers(words[5] if len(words) > 5 else "", count * width, f"{count} frames of {width} channels")
     if not np.isfinite(values).all():
         raise PoseError("the motion needs finite numbers, found NaN or infinity")
     return _clip_of_channels(names, parents, offsets, channels, values.reshape(count, width), 1 / step)
+
+
+def _numbers(text: str, count: int, what: str) -> F64:
+    """[count] numbers of a text, split a block at a time: a list of all words would take ten times the room."""
+    if count > (len(text) + 1) // 2:
+        raise PoseError(f"{what} are {count} numbers, found at most {(len(text) + 1) // 2}")
+    out, done, start = np.empty(count), 0, 0
+    while start < len(text):
+        end = min(start + _BLOCK, len(text))
+        while end < len(text) and not text[end].isspace():
+            end += 1
+        try:
+            block = np.array(text[start:end].split(), np.float64)
+        except ValueError as error:
+            raise PoseError(f"the motion holds numbers only, but {str(error)[:80]}") from None
+        out[done : done + len(block)] = block[: count - done]
+        done, start = done + len(block), end
+    if done != count:
+        raise PoseError(f"{what} are {count} numbers, found {done}")
+    return out
 
 
 def _hierarchy(words: list[str]) -> tuple[list[str], list[int], list[list[float]], list[list[str]]]:
@@ -67,12 +85,16 @@ def _hierarchy(words: list[str]) -> tuple[list[str], list[int], list[list[float]
                 parent = stack[-1] if stack else -1
                 if parent == -2 or (parent == -1 and names):
                     raise PoseError(f"joint {words[i + 1]!r} has no parent; a BVH hierarchy has one root")
-                names.append(words[i + 1])
+                name, end = [words[i + 1]], i + 2
+                while words[end] != "{" and len(name) < _LONGEST:  # "Bip001 L Thigh"
+                    name.append(words[end])
+                    end += 1
+                names.append(" ".join(name))
                 parents.append(parent)
                 offsets.append([0.0, 0.0, 0.0])
                 channels.append([])
                 pending = len(names) - 1
-                i += 2
+                i = end
             elif word == "END":
                 pending = -2
                 i += 2
@@ -114,8 +136,9 @@ def _clip_of_channels(
     values: F64,
     fps: float,
 ) -> Clip:
+    rest = np.array(offsets)
     rotations = np.tile(np.eye(3), (len(values), len(names), 1, 1))
-    positions = np.tile(np.array(offsets[0]), (len(values), 1))
+    moved: dict[int, F64] = {}
     at = 0
     for i, joint in enumerate(channels):
         columns = {channel: values[:, at + k] for k, channel in enumerate(joint)}
@@ -123,12 +146,15 @@ def _clip_of_channels(
         if order:
             angles = np.stack([columns[f"{axis}rotation"] for axis in order], axis=1)
             rotations[:, i] = _euler(order, angles)
-        if i == 0:
-            for k, axis in enumerate("xyz"):
-                if f"{axis}position" in columns:
-                    positions[:, k] = columns[f"{axis}position"]
+        axes = [k for k, axis in enumerate("xyz") if f"{axis}position" in columns]
+        if axes:
+            written, offset = np.stack([columns[f"{'xyz'[k]}position"] for k in axes], axis=1), rest[i, axes]
+            # most makers write the position itself; some what is added to the offset, which below the root is small
+            added = i > 0 and np.abs(written).mean() < np.abs(written - offset).mean()
+            moved[i] = np.tile(rest[i], (len(values), 1))
+            moved[i][:, axes] = written + offset if added else written
         at += len(joint)
-    return Clip(tuple(names), np.array(parents, np.int32), np.array(offsets), rotations, positions, fps)
+    return chained(names, np.array(parents, np.int32), rest, rotations, moved, fps)
 
 
 def _euler(order: list[str], degrees: F64) -> F64:
@@ -166,6 +192,7 @@ def parse_acclaim(skeleton: str, motion: str) -> Clip:
     # our joint sits at the near end of the bone: at the far end of the parent
     offsets = np.array([bones[parent_of[n]]["tip"] if n != "root" else np.zeros(3) for n in order])
     parents = np.array([index[parent_of[n]] if n != "root" else -1 for n in order], np.int32)
+    check_size(len(frames), len(order))
     rotations = np.tile(np.eye(3), (len(frames), len(order), 1, 1))
     positions = np.zeros((len(frames), 3))
     for name in order:
@@ -187,7 +214,7 @@ def parse_acclaim(skeleton: str, motion: str) -> Clip:
         axis = _fixed_axes(bones[name]["axis"])
         turned = _fixed_axes(angles)
         rotations[:, index[name]] = axis @ turned @ axis.T
-    return Clip(tuple(order), parents, offsets, rotations, positions, _ACCLAIM_FPS)
+    return chained(order, parents, offsets, rotations, {0: positions}, _ACCLAIM_FPS)
 
 
 def _asf(text: str) -> tuple[dict[str, _Bone], dict[str, str]]:

@@ -1,4 +1,4 @@
-"""Motion: a pose for every moment, from per-frame JSON, AMASS, BVH or ASF/AMC files, or one that comes with glsplat."""
+"""Motion: a pose for every moment, from a file of many makers' formats (kinds.py), or one that comes with glsplat."""
 
 from __future__ import annotations
 
@@ -13,11 +13,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from glsplat.errors import PoseError
+from glsplat.errors import FormatError, PoseError
 from glsplat.formats.npz import read_arrays
 from glsplat.motion.bvh import parse_acclaim, parse_bvh, skeleton_file
-from glsplat.motion.clip import retarget
 from glsplat.motion.fitted import body_of, fitted
+from glsplat.motion.gltf import read_animation
+from glsplat.motion.kinds import KINDS, is_bvh, is_gltf, split_choice
+from glsplat.motion.retarget import retarget
 from glsplat.rotations import (
     quaternion_of,
     quaternion_product,
@@ -38,6 +40,7 @@ F64 = NDArray[np.float64]
 DEFAULT_FPS = 30.0
 _DEGREES = 4 * np.pi  # an angle beyond two turns was not meant in radians
 _MAX_BYTES = 512 << 20
+_HEAD = 4096  # bytes that tell the format
 _STANDING = 20  # percent of the frames in which the lower foot may be below the floor
 _FEET = ("left_ankle", "right_ankle", "left_foot", "right_foot")
 
@@ -51,6 +54,8 @@ class Motion:
     trans: F64  # [T, 3] metres
     names: tuple[str, ...] = JOINT_NAMES
     label: str = field(default="", compare=False)
+    note: str = field(default="", compare=False)
+    """What a user should know: of several in a file, which one this is."""
 
     def __post_init__(self) -> None:
         frames, joints = len(self.rotations), len(self.names)
@@ -123,30 +128,39 @@ def embedded_motions() -> tuple[str, ...]:
     return tuple(sorted(f.name.removesuffix(".json") for f in files if f.name.endswith(".json")))
 
 
-def load_motion(path: str | Path, skeleton: Skeleton, *, forward: bool = False, fps: float | None = None) -> Motion:
+def load_motion(
+    path: str | Path,
+    skeleton: Skeleton,
+    *,
+    forward: bool = False,
+    fps: float | None = None,
+    animation: str | None = None,
+) -> Motion:
     """Read a motion; the format is recognised by content.
 
     Embedded names ("idle", "walk", ...); a folder of one JSON pose a frame (LHM's layout), one JSON pose, a JSON list
     of poses or {"fps", "frames"}, which is fitted to other bodies (fitted.py) where it also has the "joints" [55, 3] of
     the one it was made for; AMASS .npz (SMPL-H ``poses`` or SMPL-X keys; z up is turned to y up); BVH; .amc with its
-    .asf beside it. Motion capture of another body is retargeted (clip.py), begins above the origin and has its lowest
-    foot on the floor; ``forward`` also turns it to face +z. ``fps`` overrides what the file says.
+    .asf beside it; an animation of a humanoid rig in glTF, or a VRM animation. Of several in a file the first;
+    ``animation``, or what stands behind the path ("all.glb#Run"), is the name or the number (from 0) of another, and
+    ``note`` says which it is. The motion of another body is retargeted (retarget.py), begins above the origin and has
+    its lowest foot on the floor; ``forward`` also turns it to face +z. ``fps`` overrides what the file says.
 
     Raises PoseError, one line that names the file.
     """
     name = str(path)
-    source = Path(path)
+    source, chosen = (Path(path), animation) if animation is not None else split_choice(name)
     if not source.exists() and re.fullmatch(r"[\w-]+", name):
         return load_embedded_motion(name, skeleton, forward=forward, fps=fps)
     try:
-        motion = _read(source, skeleton, forward)
-        label = source.stem
-        return Motion(fps or motion.fps, motion.rotations, motion.trans, motion.names, label)
+        motion = _read(source, skeleton, forward, chosen)
+        label = source.stem + motion.label
+        return Motion(fps or motion.fps, motion.rotations, motion.trans, motion.names, label, motion.note)
     except OSError as error:
         raise PoseError(f"{path}: cannot read the motion ({error.strerror or error})") from None
-    except PoseError as error:
+    except (FormatError, PoseError) as error:
         text = str(error)
-        raise PoseError(text if text.startswith(f"{path}") else f"{path}: {text}") from None
+        raise PoseError(text if text.startswith(f"{source}") else f"{source}: {text}") from None
 
 
 def load_embedded_motion(name: str, skeleton: Skeleton, *, forward: bool = False, fps: float | None = None) -> Motion:
@@ -159,7 +173,7 @@ def load_embedded_motion(name: str, skeleton: Skeleton, *, forward: bool = False
         return load_motion(file, skeleton, forward=forward, fps=fps)
 
 
-def _read(path: Path, skeleton: Skeleton, forward: bool) -> Motion:
+def _read(path: Path, skeleton: Skeleton, forward: bool, chosen: str | None) -> Motion:
     if path.is_dir():
         files = sorted(path.glob("*.json"), key=lambda p: [int(n) for n in re.findall(r"\d+", p.stem)] or [0])
         if not files:
@@ -168,11 +182,15 @@ def _read(path: Path, skeleton: Skeleton, forward: bool) -> Motion:
     if path.stat().st_size > _MAX_BYTES:
         raise PoseError(f"a motion file has at most {_MAX_BYTES >> 20} MiB, not {path.stat().st_size >> 20}")
     with open(path, "rb") as file:
-        head = file.read(256)
+        head = file.read(_HEAD)
     text = head.lstrip(b"\xef\xbb\xbf \t\r\n")
-    if head.startswith(b"PK"):
+    if is_gltf(head):
+        clip = read_animation(path, chosen)
+    elif chosen is not None:
+        raise PoseError(f"only glTF has several motions in a file; leave out #{chosen[:40]}")
+    elif head.startswith(b"PK"):
         return _amass(path, skeleton, forward)
-    if text[:9].upper() == b"HIERARCHY":
+    elif is_bvh(head):
         clip = parse_bvh(path.read_text(encoding="latin-1"))
     elif text.startswith((b"#!OML", b":FULLY", b":DEGREES")) or path.suffix.lower() == ".amc":
         bones = skeleton_file(path)
@@ -180,9 +198,10 @@ def _read(path: Path, skeleton: Skeleton, forward: bool) -> Motion:
     elif text.startswith((b"{", b"[")):
         return _of_json(_json(path), skeleton)
     else:
-        raise PoseError("expected JSON poses, an AMASS .npz, BVH or .amc, but this is none of them")
+        raise PoseError(f"expected {KINDS}, but this is none of them")
     rotations, trans = retarget(clip, skeleton, forward=forward)
-    return Motion(clip.fps, rotations, _grounded(rotations, trans, skeleton))
+    trans = _grounded(rotations, trans, skeleton)
+    return Motion(clip.fps, rotations, trans, label=clip.label, note=clip.note)
 
 
 def _json(path: Path) -> Any:

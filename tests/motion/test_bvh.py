@@ -9,8 +9,11 @@ from scipy.spatial.transform import Rotation
 from glsplat.errors import PoseError
 from glsplat.making.people import read_person
 from glsplat.motion.bvh import parse_acclaim, parse_bvh
-from glsplat.motion.clip import retarget
 from glsplat.motion.motion import load_motion
+from glsplat.motion.retarget import retarget
+from glsplat.rotations import rotation_between, rotation_matrices
+from glsplat.skinning.rigs.humanoid import upright
+from glsplat.skinning.rigs.match import match_rig
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.smplx import JOINT_NAMES, PARENTS
 
@@ -71,12 +74,74 @@ MAKEHUMAN |= {
 }
 
 
-def bvh(angles, *, rename=None, unit=1.0, turn=None, frames=2, root=(0.0, 0.95, 0.0)):
-    """A BVH text of the hanging figure. ``angles``: joint -> (z, y, x) degrees; ``turn``: change of axes [3, 3]."""
+_LIMBS = ("UpLeg", "Leg", "Foot", "ToeBase", "Shoulder", "Arm", "ForeArm", "Hand")
+
+
+def family(trunk: str, limbs: str, left: str = "L", right: str = "R") -> dict[str, str]:
+    """Names of a maker: of hips, two of the spine, neck and head; of a limb's joints with # for the side."""
+    names = dict(zip(("Hips", "Spine", "Spine1", "Neck", "Head"), trunk.split(","), strict=True))
+    for side, mark in (("Left", left), ("Right", right)):
+        names |= {f"{side}{part}": name.replace("#", mark) for part, name in zip(_LIMBS, limbs.split(","), strict=True)}
+    return names
+
+
+FAMILIES = {
+    "mixamo": {name: f"mixamorig:{name}" for name, _, _ in HANGING},
+    "cmu": family(
+        "Hips,Chest,Chest2,Neck,Head", "#Hip,#Knee,#Ankle,#Toe,#Collar,#Shoulder,#Elbow,#Wrist", "Left", "Right"
+    ),
+    "acclaim": family(
+        "root,lowerback,thorax,upperneck,head",
+        "#femur,#tibia,#foot,#toes,#clavicle,#humerus,#radius,#wrist",
+        "l",
+        "r",
+    ),
+    "unreal": family(
+        "pelvis,spine_01,spine_02,neck_01,head",
+        "thigh_#,calf_#,foot_#,ball_#,clavicle_#,upperarm_#,lowerarm_#,hand_#",
+        "l",
+        "r",
+    ),
+    "vroid": family(
+        "J_Bip_C_Hips,J_Bip_C_Spine,J_Bip_C_Chest,J_Bip_C_Neck,J_Bip_C_Head",
+        ",".join(
+            f"J_Bip_#_{part}"
+            for part in ("UpperLeg", "LowerLeg", "Foot", "ToeBase", "Shoulder", "UpperArm", "LowerArm", "Hand")
+        ),
+    ),
+    "biped": family(
+        "Bip001 Pelvis,Bip001 Spine,Bip001 Spine1,Bip001 Neck,Bip001 Head",
+        ",".join(
+            f"Bip001 # {part}" for part in ("Thigh", "Calf", "Foot", "Toe0", "Clavicle", "UpperArm", "Forearm", "Hand")
+        ),
+    ),
+    "xsens": family(
+        "Pelvis,L5,T8,Neck,Head",
+        "#UpperLeg,#LowerLeg,#Foot,#Toe,#Shoulder,#UpperArm,#ForeArm,#Hand",
+        "Left",
+        "Right",
+    ),
+    "optitrack": family("Hip,Ab,Chest,Neck,Head", "#Thigh,#Shin,#Foot,#Toe,#Shoulder,#UArm,#FArm,#Hand"),
+    "rigify": family(
+        "DEF-spine,DEF-spine.001,DEF-spine.003,DEF-spine.004,DEF-head",
+        ",".join(
+            f"DEF-{part}.#" for part in ("thigh", "shin", "foot", "toe", "shoulder", "upper_arm", "forearm", "hand")
+        ),
+    ),
+}
+
+
+def bvh(angles, *, rename=None, unit=1.0, turn=None, frames=2, root=(0.0, 0.95, 0.0), own=None):
+    """A BVH text of the hanging figure. ``angles``: joint -> (z, y, x) degrees; ``turn``: change of axes [3, 3].
+
+    ``own``: joint -> [3, 3] axes of its own in which its children's offsets are written; the rest pose then is none.
+    """
     turn = np.eye(3) if turn is None else turn
+    own = own or {}
+    parents = {name: parent for name, parent, _ in HANGING}
     rename = rename or {}
     children = {name: [n for n, p, _ in HANGING if p == name] for name, _, _ in HANGING}
-    offsets = {name: turn @ np.array(offset) * unit for name, _, offset in HANGING}
+    offsets = {name: own.get(parent, np.eye(3)).T @ turn @ np.array(offset) * unit for name, parent, offset in HANGING}
     lines, order = ["HIERARCHY"], []
 
     def emit(name, depth):
@@ -95,7 +160,8 @@ def bvh(angles, *, rename=None, unit=1.0, turn=None, frames=2, root=(0.0, 0.95, 
     numbers = list(turn @ np.array(root) * unit)
     for name in order:
         matrix = Rotation.from_euler("ZYX", angles.get(name, (0, 0, 0)), degrees=True).as_matrix()
-        numbers += Rotation.from_matrix(turn @ matrix @ turn.T).as_euler("ZYX", degrees=True).tolist()
+        local = own.get(parents[name], np.eye(3)).T @ turn @ matrix @ turn.T @ own.get(name, np.eye(3))
+        numbers += Rotation.from_matrix(local).as_euler("ZYX", degrees=True).tolist()
     motion = "\n".join([" ".join(f"{v:.9f}" for v in numbers)] * frames)
     return "\n".join(lines) + f"\nMOTION\nFrames: {frames}\nFrame Time: 0.02\n{motion}\n"
 
@@ -152,7 +218,9 @@ def test_bending_the_right_way(skeleton):
     assert rotations[0, NAMES["head"]] == pytest.approx([0, np.radians(30), 0], abs=1e-6)
 
 
-@pytest.mark.parametrize("rename", [{}, BANDAI, MAKEHUMAN, {n: f"mixamorig:{n}" for n, _, _ in HANGING}])
+@pytest.mark.parametrize(
+    "rename", [{}, BANDAI, MAKEHUMAN, *FAMILIES.values()], ids=["", "bandai", "makehuman", *FAMILIES]
+)
 def test_joint_names_of_several_makers(skeleton, rename):
     angles = {"LeftLeg": (0, 0, 50), "RightArm": (-70, 0, 0), "Spine1": (0, 20, 0), "LeftToeBase": (0, 0, -20)}
     plain = retarget(parse_bvh(bvh(angles)), skeleton)[0]
@@ -167,7 +235,7 @@ def test_joint_names_of_several_makers(skeleton, rename):
 @pytest.mark.parametrize("unit", [1.0, 100.0, 39.37])
 def test_units_follow_from_the_legs(skeleton, unit):
     clip = parse_bvh(bvh({}, unit=unit, root=(3.0, 0.95, 4.0)))
-    object.__setattr__(clip, "positions", clip.positions + [[0, 0, 0], [0, 0, unit]])
+    clip.places[1] += [0, 0, unit]
     _, trans = retarget(clip, skeleton)
     leg = 0.7 / 0.82
     assert trans[0, [0, 2]] == pytest.approx([0, 0], abs=1e-9)
@@ -184,11 +252,109 @@ def test_other_axes(skeleton):
     assert turned[1] == pytest.approx(plain[1], abs=1e-6)
 
 
+def test_at_rest_y_is_up_and_z_as_they_move(skeleton):
+    """Of a skeleton with y up, moved by a root that turns it: they stand, look ahead, and lie down where they lie."""
+    angles = {"LeftLeg": (0, 0, 50), "RightArm": (-70, 0, 0)}
+    plain = retarget(parse_bvh(bvh(angles)), skeleton)
+    for heading in (0, 180):
+        text = bvh(angles | {"Hips": (heading, 0, 90)}, root=(0.3, 0.2, 0.95))
+        moved = retarget(parse_bvh(text), skeleton)
+        assert moved[0] == pytest.approx(plain[0], abs=1e-6)
+        assert moved[1] == pytest.approx(plain[1], abs=1e-6)
+    for far in (3.0, -3.0):
+        lying = retarget(parse_bvh(bvh(angles | {"Hips": (0, 0, -90)}, root=(0.0, 0.1, far))), skeleton)
+        assert abs(lying[0][0, 0, 0]) == pytest.approx(np.pi / 2, abs=1e-6)
+
+
+def test_the_middle_of_the_hips_goes_where_the_file_has_it(skeleton):
+    lean = bvh({"Hips": (30, 0, 0)}, frames=1).rsplit("Frame Time: 0.02", 1)[1]
+    clip = parse_bvh(bvh({}, frames=1).replace("Frames: 1", "Frames: 2").rstrip() + lean)
+    hips = [NAMES["left_hip"], NAMES["right_hip"]]
+    first, second = (positions(skeleton, clip, frame)[hips].mean(axis=0) for frame in (0, 1))
+    down = np.array([0, -0.05, 0])
+    theirs = Rotation.from_euler("z", 30, degrees=True).apply(down) - down
+    assert second - first == pytest.approx(theirs * 0.7 / 0.82, abs=1e-6)
+
+
+def test_what_joints_are_of_families_with_helpers():
+    """Of CMU the spine begins where the pelvis is; a finger without a number is within the palm."""
+    names = [name for name, _, _ in HANGING]
+    parents = [names.index(parent) if parent else -1 for _, parent, _ in HANGING]
+    at = np.zeros((len(names), 3))
+    for i, (_, _, offset) in enumerate(HANGING):
+        at[i] = np.array(offset) + (at[parents[i]] if parents[i] >= 0 else 0)
+    called = [FAMILIES["acclaim"][name] for name in names] + ["lindex", "lindex1", "lindex2", "lindex3"]
+    at[names.index("Spine")] = at[0]
+    hand = names.index("LeftHand")
+    parents += [hand, len(names), len(names) + 1, len(names) + 2]
+    at = np.vstack([at, at[hand] - np.outer([1, 2, 3, 4], [0, 0.02, 0])])
+    found = match_rig(called, parents, at).joints
+    assert called[found["pelvis"]] == "root"
+    assert [called[found[f"left_index{i}"]] for i in (1, 2, 3)] == ["lindex1", "lindex2", "lindex3"]
+
+
+def test_a_rest_pose_that_is_none(skeleton):
+    """All bones along x in their own axes, as LaFAN's and Rokoko's files have it: the straightest frame stands in."""
+    ends = {"Hips": "Spine", "Spine": "Spine1", "Spine1": "Neck", "Neck": "Head"}
+    ends |= {f"{s}{a}": f"{s}{b}" for s in ("Left", "Right") for a, b in (("UpLeg", "Leg"), ("Leg", "Foot"))}
+    ends |= {f"{s}{a}": f"{s}{b}" for s in ("Left", "Right") for a, b in (("Arm", "ForeArm"), ("ForeArm", "Hand"))}
+    at = {name: np.array(offset, float) for name, _, offset in HANGING}
+    own = {name: rotation_between([1.0, 0, 0], at[end]) @ rotation_matrices([0.3, 0, 0]) for name, end in ends.items()}
+    with pytest.raises(PoseError, match="stand"):
+        upright(_map(parse_bvh(bvh({}, own=own))), parse_bvh(bvh({}, own=own)).rest)
+    bent = {"LeftLeg": (0, 0, 50), "RightUpLeg": (0, 0, -40), "LeftForeArm": (0, 0, -90), "RightArm": (-70, 0, 0)}
+    text = bvh(bent, own=own, frames=1)
+    straight = bvh({}, own=own, frames=1).rsplit("Frame Time: 0.02", 1)[1]
+    clip = parse_bvh(text.replace("Frames: 1", "Frames: 2").rstrip() + straight)
+    plain = retarget(parse_bvh(bvh(bent)), skeleton)[0]
+    assert retarget(clip, skeleton)[0][0] == pytest.approx(plain[0], abs=1e-6)
+
+
+def _map(clip):
+    return match_rig(clip.names, clip.parents, clip.rest)
+
+
+def test_split_bones_point_where_their_ends_are(skeleton):
+    """MakeHuman's upperleg01 and 02, the second bent against the first, and position channels that are all zero."""
+    text = bvh({}, rename=MAKEHUMAN)
+    head, motion = text.split("MOTION")
+    old = "JOINT lowerleg01.L"
+    channels = "6 Xposition Yposition Zposition Zrotation Yrotation Xrotation"
+    piece = f"JOINT upperleg02.L {{\nOFFSET 0 -0.2 0\nCHANNELS {channels}\n"
+    start = head.index(old)
+    end = start + len(_block(head[start:]))
+    leg = _block(head[start:]).replace("OFFSET 0.0 -0.42 0.0", "OFFSET 0.0 -0.22 0.0", 1)
+    head = head[:start] + piece + leg + "}\n" + head[end:]
+    lines = motion.strip().split("\n")
+    rows = [line.split() for line in lines[2:]]
+    clip, twisted = (
+        parse_bvh(head + "MOTION\n" + "\n".join([*lines[:2], *(" ".join([*r[:9], piece, *r[9:]]) for r in rows)]))
+        for piece in ("0 0 0 0 0 -60", "0 0 0 0 30 0")  # after hips and thigh
+    )
+    turns = retarget(twisted, skeleton)[0][0]
+    assert turns[NAMES["left_hip"]] == pytest.approx([0, np.radians(30), 0], abs=1e-6)
+    assert turns[NAMES["left_knee"]] == pytest.approx([0, 0, 0], abs=1e-6)
+    at = positions(skeleton, clip)
+    bend = np.radians(60)
+    thigh = np.array([0, -0.2 - 0.22 * np.cos(bend), 0.22 * np.sin(bend)])
+    assert direction(at, "left_hip", "left_knee") == pytest.approx(thigh / np.linalg.norm(thigh), abs=1e-6)
+    shin = np.array([0, -np.cos(bend), np.sin(bend)])
+    assert direction(at, "left_knee", "left_ankle") == pytest.approx(shin, abs=1e-6)
+
+
+def _block(text):
+    """From a joint's name to the brace that ends it."""
+    depth = 0
+    for place, letter in enumerate(text):
+        depth += (letter == "{") - (letter == "}")
+        if letter == "}" and depth == 0:
+            return text[: place + 1] + "\n"
+    raise AssertionError
+
+
 def test_forward_turns_to_z(skeleton):
     clip = parse_bvh(bvh({"Hips": (0, 130, 0)}))
-    object.__setattr__(
-        clip, "positions", clip.positions + [[0, 0, 0], [np.sin(np.radians(130)), 0, np.cos(np.radians(130))]]
-    )
+    clip.places[1] += [np.sin(np.radians(130)), 0, np.cos(np.radians(130))]
     kept, ahead = retarget(clip, skeleton), retarget(clip, skeleton, forward=True)
     assert kept[0][0, 0] == pytest.approx([0, np.radians(130), 0], abs=1e-6)
     assert ahead[0][0, 0] == pytest.approx([0, 0, 0], abs=1e-6)
@@ -217,6 +383,8 @@ def test_truncated_files(tmp_path, skeleton, cut):
         ("0.950000000", "nan", "finite"),
         ("0.950000000", "abc", "numbers"),
         ("OFFSET 0.0 0.95 0.0", "OFFSET 0.0 x 0.0", "malformed"),
+        ("0.950000000", "1e300", "far too large"),
+        ("OFFSET 0.0 -0.4", "OFFSET 0.0 1e300", "far too large"),
     ],
 )
 def test_malformed_files(tmp_path, skeleton, old, new, word):
@@ -265,12 +433,13 @@ ASF = """:version 1.10
 def test_acclaim_axes_and_tips():
     clip = parse_acclaim(ASF, ":FULLY-SPECIFIED\n:DEGREES\n1\nroot 1 2 3 0 90 0\nlfemur 10 20\nltibia 30\n")
     assert clip.names == ("root", "lfemur", "ltibia") and clip.fps == 120
-    assert clip.positions[0].tolist() == [1, 2, 3]
+    assert clip.places[0, 0].tolist() == [1, 2, 3]
     assert clip.rest[2].tolist() == [0, -2, 0]  # our joint is the near end of the bone
     axis = Rotation.from_euler("xyz", [0, 0, 20], degrees=True)
     turn = Rotation.from_euler("xyz", [10, 0, 20], degrees=True)
-    assert clip.rotations[0, 1] == pytest.approx((axis * turn * axis.inv()).as_matrix())
-    assert clip.rotations[0, 2] == pytest.approx(Rotation.from_euler("z", -30, degrees=True).as_matrix())
+    root, femur, tibia = clip.turns[0]
+    assert root.T @ femur == pytest.approx((axis * turn * axis.inv()).as_matrix())
+    assert femur.T @ tibia == pytest.approx(Rotation.from_euler("z", -30, degrees=True).as_matrix())
 
 
 @pytest.mark.parametrize(

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from glsplat.data import default_avatar
 from glsplat.errors import FormatError
@@ -18,6 +19,7 @@ from glsplat.formats.scene_file import MOST_ITEMS, load_scene_file, looks_like_s
 from glsplat.making.items import load_scene
 from glsplat.motion.motion import load_embedded_motion
 from glsplat.scene import similarity
+from tests.motion.clips import glb, turned
 from tests.scenes import cloud, limb
 from tests.skinning.avatars import part
 
@@ -86,6 +88,17 @@ def test_motions(scene: Writer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     assert read.avatar is None  # two of them
 
 
+def test_one_animation_of_a_file(scene: Writer) -> None:
+    file = scene()
+    save(part(default_avatar(), np.arange(50)), file.parent / "body.glb")
+    still = np.tile(turned("head", Rotation.identity()).as_quat(), (2, 1))
+    channel = ("head", "rotation", "STEP", np.array([0.0, 2.0]), still)
+    short = (*channel[:3], channel[3] / 2, channel[4])
+    glb(file.parent / "all.glb", [{"name": "Long", "channels": [channel]}, {"name": "Short", "channels": [short]}])
+    items = [{"path": "body.glb", "motion": name} for name in ("all.glb", "all.glb#Short")]
+    assert [len(motion) for _, motion in load_scene(scene(*items)).motions.values()] == [61, 31]
+
+
 def test_no_items(scene: Writer) -> None:
     assert len(load_scene(scene()).scene) == 0
 
@@ -130,6 +143,7 @@ def test_many_items_of_one_file_read_it_once(scene: Writer) -> None:
         ({"path": "limb.glb", "pose": {"joints": {"tail": [0, 0, 0]}}}, 'no joint "tail"'),
         ({"path": "limb.glb", "pose": "../pose.json"}, "leads out"),
         ({"path": "limb.glb", "motion": "../walk.bvh"}, "leads out"),
+        ({"path": "limb.glb", "motion": "../all.glb#Run"}, "leads out"),
         ({"path": "limb.glb", "motion": "moonwalk"}, "'moonwalk': no such file"),
         ({"path": "inner.json", "pose": {}}, "takes a place and nothing else"),
     ],

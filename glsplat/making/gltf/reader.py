@@ -11,15 +11,16 @@ from numpy.typing import NDArray
 
 from glsplat.errors import FormatError
 from glsplat.formats.files import naming, open_regular
+from glsplat.formats.gltf.bound import inverse_binds
 from glsplat.formats.gltf.container import Container, item, parse
 from glsplat.formats.gltf.nodes import Graph, Instance, graph_of, instances
 from glsplat.formats.gltf.rig import read_skeleton
+from glsplat.formats.gltf.vrm import human_bones
 from glsplat.making.fit.body import open_body
 from glsplat.making.gltf.ground import faces_back, on_the_floor
 from glsplat.making.gltf.left_out import TRIANGLES, Left, apart, carried, nearest, refuse_packed, survey
-from glsplat.making.gltf.rig import Rig, inverse_binds, rig_of
+from glsplat.making.gltf.rig import Rig, rig_of
 from glsplat.making.gltf.surfaces import Materials, Surface, surface_of
-from glsplat.making.gltf.vrm import human_bones
 from glsplat.meshes import MeshPart, RiggedMesh, standing
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.smplx import JOINT_NAMES

@@ -20,7 +20,7 @@ from glsplat.rotations import nearest_rotations, rotation_between, rotation_matr
 from glsplat.skinning.rigs.match import RigMap
 from glsplat.skinning.smplx import JOINT_NAMES, PARENTS
 
-__all__ = ["Humanoid", "humanoid", "upright"]
+__all__ = ["Humanoid", "humanoid", "t_pose_turns", "upright"]
 
 F64 = NDArray[np.float64]
 
@@ -93,7 +93,7 @@ def humanoid(
     points, body = np.asarray(positions, np.float64), np.asarray(reference, np.float64)
     rest = {name: points[index] for name, index in rig.joints.items()}
     rest["pelvis"] = _pelvis(rest, body)
-    turns = _turns(rest, {name: body[_AT[name]] for name in JOINT_NAMES})
+    turns = t_pose_turns(rest, body)
     joints = _t_pose(rest, turns, body)
     frames = np.tile(np.eye(4), (len(JOINT_NAMES), 1, 1))
     for index, name in enumerate(JOINT_NAMES):
@@ -121,8 +121,12 @@ def _pelvis(rest: Mapping[str, F64], body: F64) -> F64:
     return np.asarray(hips + size * ours)
 
 
-def _turns(rest: Mapping[str, F64], body: Mapping[str, F64]) -> dict[str, F64]:
-    """Joint -> [3, 3] how its bone turns from the rest pose to the T-pose, in the world."""
+def t_pose_turns(
+    rest: Mapping[str, F64],  # SMPL-X joint -> [3] where the rig has it at rest, upright
+    reference: F64,  # [55, 3] joints of a body in the T-pose, any unit
+) -> dict[str, F64]:
+    """Each of the 55 joints -> [3, 3] how its bone turns from the rest pose to the T-pose, in the world."""
+    body = {name: reference[index] for name, index in _AT.items()}
     across = rest["left_hip"] - rest["right_hip"]
     whole = rotation_between(across * (1, 0, 1), np.array([1.0, 0.0, 0.0]))
     turns = {name: whole for name in JOINT_NAMES}

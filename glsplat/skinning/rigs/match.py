@@ -25,6 +25,7 @@ _LEG, _ARM = ("hip", "knee", "ankle", "foot"), ("shoulder", "elbow", "wrist")
 _DEEPEST = 256  # joints from a fingertip to the root; bounds what a hostile file takes
 _PELVIS = 0.25  # of the way from hips to shoulders; a spine's lowest joint below it is the pelvis
 _ABOVE, _BELOW = 0.03, 1.1  # of that way: where a spine's joints are
+_PLACE = 1e-4  # of a rig's size: joints that are in one place
 
 
 @dataclass(frozen=True)
@@ -94,19 +95,29 @@ class _Rig:
         self.leads[parents[parents >= 0]] = True
 
     def called(self, part: str, side: str = "") -> list[int]:
-        """Joints that may be this part, the best first: by the word, then the nearest to the root.
+        """Joints that may be this part, the best first: by the word, then the nearest to the root, then the big toe.
 
         A copy that moves nothing comes last (targets, controls); so does a hand that nothing hangs from.
         """
         found = [i for i, word in enumerate(self.words) if part in word.parts and word.side == side]
+        found = [i for i in found if not self._on_its_parent(i, found)]
+        toe = [word.number or 0 if part == "foot" else 0 for word in self.words]
         ends = part == "wrist"
         return sorted(
             found,
             key=lambda i: (
                 *(not self.holds[i], ends and not self.leads[i]),
-                *(self.words[i].rank(part), len(self.above[i]), i),
+                *(self.words[i].rank(part), len(self.above[i]), toe[i], i),
             ),
         )
+
+    def _on_its_parent(self, joint: int, found: Sequence[int]) -> bool:
+        """Whether a joint lies on its own parent, to hold another of ``found`` by the same word (CMU's LHipJoint)."""
+        parent, stem = int(self.parents[joint]), self.words[joint].stem
+        if parent < 0 or not any(joint in self.above[i] and self.words[i].stem == stem for i in found):
+            return False
+        size = float(np.abs(self.positions - self.positions[0]).max())
+        return float(np.abs(self.positions[joint] - self.positions[parent]).max()) < _PLACE * size
 
     def stem(self, index: int | None) -> str:
         """The word by which a joint is told; "" for None."""
@@ -192,12 +203,13 @@ def _middle(rig: _Rig, found: Mapping[str, int]) -> dict[str, int]:
     height = (rig.positions - hips) @ trunk / max(float(trunk @ trunk), 1e-12)
     out: dict[str, int] = {}
     spine = sorted(rig.called("spine"), key=lambda i: (height[i], len(rig.above[i])))
+    legs = _common(rig, [found[f"{side}_hip"] for side in _SIDES])
     if pelvis := rig.called("pelvis"):
         out["pelvis"] = pelvis[0]
-    elif spine and height[spine[0]] < _PELVIS:
+    elif spine and height[spine[0]] < _PELVIS and not (legs in rig.above[spine[0]] and abs(height[legs]) < _PELVIS):
         out["pelvis"] = spine[0]
     else:
-        out["pelvis"] = _common(rig, [found[f"{side}_hip"] for side in _SIDES])
+        out["pelvis"] = legs
     column = {*rig.called("neck"), *spine, out["pelvis"]}
     heads = sorted(rig.called("head"), key=lambda i: (not column & set(rig.above[i]), rig.words[i].rank("head")))
     if heads:
@@ -259,5 +271,7 @@ def _fingers(rig: _Rig, side: str, found: Mapping[str, int]) -> dict[str, int]:
         bones.sort(key=lambda i: (len(rig.above[i]), rig.words[i].number or 0))
         beyond = [i for i in bones if rig.words[i].number != 0]
         bones = beyond if len(beyond) >= 3 else bones  # 0 is a bone within the palm
+        if len(bones) > 3 and [rig.words[i].number for i in bones[:2]] == [None, 1]:
+            bones.pop(0)  # without a number, before the first: within the palm
         out |= {f"{side}_{finger}{place}": i for place, i in enumerate(bones[:3], 1)}
     return out

@@ -21,10 +21,10 @@ _PARTS: dict[str, tuple[str, ...]] = {
     "hip": ("thigh", "upleg", "upperleg", "thighbend", "legupper", "femur", "hip"),
     "knee": ("shin", "calf", "lowerleg", "lowleg", "leglower", "leg", "knee", "tibia"),
     "ankle": ("foot", "ankle"),
-    "foot": ("toebase", "ball", "toe", "toes", "foottoe"),
+    "foot": ("toebase", "ball", "toe", "toes", "foottoe", "forefoot"),
     "collar": ("clavicle", "collar", "collarbone", "clav", "scapula", "shoulder"),
-    "shoulder": ("upperarm", "uparm", "armupper", "arm", "humerus", "shldrbend", "shldr", "shoulder", "bicep"),
-    "elbow": ("forearm", "lowerarm", "lowarm", "armlower", "elbow", "radius", "forearmbend"),
+    "shoulder": ("upperarm", "uparm", "armupper", "arm", "humerus", "uarm", "shldrbend", "shldr", "shoulder", "bicep"),
+    "elbow": ("forearm", "lowerarm", "lowarm", "armlower", "farm", "elbow", "radius", "forearmbend"),
     "wrist": ("wrist", "hand", "palm"),
     "eye": ("eye", "faceeye", "eyesmplhf", "eyeball"),
     "jaw": ("jaw", "lowerjaw", "jawroot"),
@@ -32,7 +32,7 @@ _PARTS: dict[str, tuple[str, ...]] = {
     "neck": ("neck", "lowerneck", "necklower", "upperneck", "neckupper", "necktwist"),
     "pelvis": ("pelvis", "hips", "hip"),
     "spine": (
-        *("spine", "chest", "upperchest", "chestupper", "chestlower", "abdomen", "abdomenlower", "abdomenupper"),
+        *("spine", "chest", "upperchest", "chestupper", "chestlower", "abdomen", "abdomenlower", "abdomenupper", "ab"),
         *("torso", "waist", "thorax", "lowerback", "upperback", "stomach", "belly", "tummy", "back", "ribcage"),
         *("ribs", "trunk", "bust", "sternum", "lumbar"),
     ),
@@ -139,6 +139,7 @@ def _split(name: str) -> list[str]:
     plain = _ESCAPED.sub(lambda found: chr(int(found[1]) % 128), name)
     plain = next((part for part in reversed(re.split(r"[:|]", plain)) if part), "")
     text = re.sub(r"(?i)(?<![a-z])bip\d+", "bip ", plain)
+    text = re.sub(r"(?<![A-Za-z])([LR])([UF])(?=Arm)", r"\1 \2", text)  # OptiTrack: the upper arm, the forearm
     if not text.isascii():
         text = _FOREIGN.sub(lambda found: f" {_JAPANESE[found[0]]} ", unicodedata.normalize("NFKC", text))
         text = _COPIES.sub(r"\1", re.sub(" +", " ", re.sub(r"[^\x00-\x7f]+", " x0 ", text)).strip())

@@ -21,6 +21,7 @@ from glsplat.formats import save
 from glsplat.motion.motion import Motion
 from glsplat.skinning.pose import Pose
 from glsplat.splats import Splats
+from tests.motion.clips import glb, turned
 from tests.scenes import cloud, limb
 
 
@@ -158,6 +159,12 @@ def test_bad_files_are_one_line(tmp_path: Path, text: bytes) -> None:
     assert "bad.bin" in str(error.value) and "\n" not in str(error.value)
     with pytest.raises(GlsplatError, match="no such file"):
         read_dropped(str(tmp_path / "missing"), None)
+
+
+def test_an_animation_that_shows_nothing_is_a_motion(tmp_path: Path) -> None:
+    still = np.tile(turned("head", Rotation.identity()).as_quat(), (2, 1))
+    file = glb(tmp_path / "nod.vrma", [{"channels": [("head", "rotation", "LINEAR", [0.0, 1.0], still)]}], vrm=True)
+    assert isinstance(read_dropped(str(file), default_avatar().skeleton).content, Motion)
 
 
 def test_embedded_motions_are_for_their_own_rig() -> None:

@@ -1,4 +1,4 @@
-"""VRM 0.x and 1.0: which node is which bone of a human, as the file itself says."""
+"""VRM 0.x and 1.0, and VRM animations: which node is which bone of a human, as the file itself says."""
 
 from __future__ import annotations
 
@@ -44,9 +44,10 @@ def human_bones(gltf: Gltf) -> dict[str, int]:
 
 def _entries(extensions: dict[str, Any]) -> dict[str, int]:
     """Bone -> node."""
-    if "VRMC_vrm" in extensions:
-        bones = extensions["VRMC_vrm"]["humanoid"]["humanBones"]
-        return {str(name): int(entry["node"]) for name, entry in bones.items()}
+    for name in ("VRMC_vrm", "VRMC_vrm_animation"):
+        if name in extensions:
+            bones = extensions[name]["humanoid"]["humanBones"]
+            return {str(bone): int(entry["node"]) for bone, entry in bones.items()}
     if "VRM" in extensions:
         return {
             str(e["bone"]): int(e["node"])

@@ -1,0 +1,87 @@
+"""Where the joints of a glTF file were when its skins were bound, and what its joints are called."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glsplat.errors import FormatError
+from glsplat.formats.gltf.container import Container, item
+from glsplat.formats.gltf.nodes import Graph
+
+__all__ = ["Bound", "bound_of", "inverse_binds", "joint_names"]
+
+F64 = NDArray[np.float64]
+
+
+def inverse_binds(container: Container, skin: int) -> F64:
+    """[J, 4, 4] inverse bind matrices of a skin; identities where the file has none (glTF 2.0, 5.28)."""
+    joints, accessor = (found := item(container.gltf.skins, skin, "skin")).joints, found.inverse_bind_matrices
+    if not joints or len(set(joints)) != len(joints):
+        raise FormatError(f"a skin needs distinct joint nodes, found {len(set(joints))} distinct among {len(joints)}")
+    for node in joints:
+        item(container.gltf.nodes, node, "joint node")
+    if accessor is None:
+        return np.tile(np.eye(4), (len(joints), 1, 1))
+    matrices = container.numbers(accessor, "inverseBindMatrices", ("MAT4",))
+    if len(matrices) < len(joints):
+        raise FormatError(f"a skin of {len(joints)} joints has only {len(matrices)} inverse bind matrices")
+    return matrices[: len(joints)].reshape(-1, 4, 4).transpose(0, 2, 1).astype(np.float64)
+
+
+@dataclass(frozen=True, eq=False)
+class Bound:
+    """Where the nodes of a file were."""
+
+    frames: F64  # [N, 4, 4] of all nodes, in the space in which the first skin's vertices are stored
+    shown: F64  # [4, 4] the world from that space, as most joints have it
+
+
+def bound_of(container: Container, graph: Graph, skins: Sequence[int]) -> Bound:
+    """Where all nodes were when the first skin was bound; without skins, where they rest."""
+    world = graph.world
+    if not skins:
+        return Bound(world, np.eye(4))
+    frames, shown = np.full_like(world, np.nan), np.eye(4)
+    for place, skin in enumerate(skins):
+        joints = container.gltf.skins[skin].joints
+        inverse = inverse_binds(container, skin)
+        known = [k for k, node in enumerate(joints) if np.isfinite(frames[node]).all()]
+        to_first = np.eye(4)
+        if place and known:  # another skin may be stored in another space; joints that both have tell which
+            to_first = frames[joints[known[0]]] @ inverse[known[0]]
+        elif place:
+            to_first = np.linalg.solve(shown, world[joints[0]] @ inverse[0])
+        for k, node in enumerate(joints):
+            if not np.isfinite(frames[node]).all():
+                frames[node] = to_first @ np.linalg.inv(inverse[k])
+        if not place:
+            shown = _usual(world[joints] @ inverse)
+    for node in graph.order:  # parents first: what no skin knows hangs where it rests
+        if not np.isfinite(frames[node]).all():
+            parent = int(graph.parents[node])
+            anchored = parent >= 0 and np.isfinite(frames[parent]).all()
+            above = frames[parent] @ np.linalg.inv(world[parent]) if anchored else np.linalg.inv(shown)
+            frames[node] = above @ world[node]
+    return Bound(frames, shown)
+
+
+def _usual(placed: F64) -> F64:
+    """[4, 4] the one of [J, 4, 4] that is nearest to all: joints that hold nothing may be bound to anything."""
+    some = placed[:: max(1, len(placed) // 200)].reshape(-1, 16)
+    apart = np.abs(some[:, None] - some[None]).sum(axis=(1, 2))
+    return some[int(apart.argmin())].reshape(4, 4)
+
+
+def joint_names(container: Container, skins: Sequence[int], given: Mapping[str, int | None]) -> list[str]:
+    """Names of the nodes that may be joints; "" for all others: a mesh called "Head" is none."""
+    gltf = container.gltf
+    may = {node for skin in skins for node in gltf.skins[skin].joints} | {
+        node for node in given.values() if node is not None
+    }
+    if not skins:  # a doll of rigid parts: the nodes themselves are its joints
+        may |= set(range(len(gltf.nodes)))
+    return [node.name or "" if index in may else "" for index, node in enumerate(gltf.nodes)]

@@ -1,0 +1,64 @@
+"""Which files are motions: said in the help of commands, and told by content."""
+
+from __future__ import annotations
+
+import struct
+from pathlib import Path
+
+from glsplat.errors import GlsplatError
+from glsplat.formats.files import open_regular
+from glsplat.formats.npz import array_names
+
+__all__ = ["KINDS", "is_bvh", "is_gltf", "is_motion", "split_choice"]
+
+KINDS = "JSON poses, BVH, .amc with its .asf, AMASS .npz, a glTF or VRM animation (.glb, .gltf, .vrm, .vrma)"
+"""All that ``load_motion`` reads."""
+
+_LOOKED_AT = 1 << 16  # bytes
+_LONGEST = 1 << 26  # bytes of a glTF's JSON that are looked through
+_AMASS = {"poses", "pose_body"}
+
+
+def is_bvh(head: bytes) -> bool:
+    """Whether a file that begins so is BVH."""
+    return head.removeprefix(b"\xef\xbb\xbf").lstrip()[:9].upper() == b"HIERARCHY"
+
+
+def is_gltf(head: bytes) -> bool:
+    """Whether a file that begins so is glTF: binary, or JSON that says so."""
+    return head.startswith(b"glTF") or (head.removeprefix(b"\xef\xbb\xbf").lstrip()[:1] == b"{" and b'"asset"' in head)
+
+
+def is_motion(path: Path) -> bool:
+    """Whether a file is a motion and nothing else: a glTF that shows something is a model, whatever moves in it."""
+    try:
+        with open_regular(path) as (file, size):
+            head = file.read(_LOOKED_AT)
+            if head.startswith(b"glTF") and len(head) >= 20:
+                length = min(struct.unpack_from("<I", head, 12)[0], size - 20, _LONGEST)
+                file.seek(20)
+                return _only_moves(file.read(length))
+            if head.startswith(b"PK"):
+                names = set(array_names(file))
+                return bool(names & _AMASS) and not names & {"v_template", "vertices", "faces"}
+            text = head.removeprefix(b"\xef\xbb\xbf").lstrip()
+            if text[:1] == b"{" and b'"asset"' in text:
+                return _only_moves(text + file.read(_LONGEST))
+            poses = text[:1] in (b"[", b"{") and (b'"frames"' in text or b'"body_pose"' in text)
+            return is_bvh(head) or text.startswith((b"#!OML", b":FULLY", b":DEGREES")) or poses
+    except GlsplatError:
+        return False
+
+
+def split_choice(name: str) -> tuple[Path, str | None]:
+    """A motion's file, and what stands behind a "#": the name or number of an animation in it."""
+    at = name.find("#")
+    while at > 0 and not Path(name).exists():
+        if Path(name[:at]).is_file():
+            return Path(name[:at]), name[at + 1 :]
+        at = name.find("#", at + 1)
+    return Path(name), None
+
+
+def _only_moves(gltf: bytes) -> bool:
+    return b'"animations"' in gltf and b'"primitives"' not in gltf
