@@ -72,7 +72,9 @@ def survey(container: Container, everything: Sequence[Instance], left: Left) -> 
                 left.add("meshes that are not in the default scene are left out", 1, node.name or f"mesh {node.mesh}")
     for number, animation in enumerate(gltf.animations):
         name = animation.get("name") if isinstance(animation, dict) else None
-        left.add("animations are not read here", 1, str(name or f"animation {number}"))
+        left.add(
+            "animations are no part of an avatar; --motion FILE#NAME plays one", 1, str(name or f"animation {number}")
+        )
 
 
 def carried(graph: Graph, joints: Collection[int]) -> NDArray[np.bool_]:

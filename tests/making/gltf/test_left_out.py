@@ -114,7 +114,7 @@ def test_lines_points_scenes_and_animations(tmp_path: Path) -> None:
         "1 primitives of points are left out (Dots)",
         "2 primitives of lines are left out (Wire, Strip)",
         "1 meshes that are not in the default scene are left out (Spare)",
-        "4 animations are not read here (Walk, Run, Sit, ...)",
+        "4 animations are no part of an avatar; --motion FILE#NAME plays one (Walk, Run, Sit, ...)",
     ]
 
 
