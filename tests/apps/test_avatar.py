@@ -162,7 +162,7 @@ def test_export_stands_upright_in_every_format(tmp_path, capsys, suffix):
     # by hand: the old x y z, y up, where the written file has z, -z or -y up
     x, y, z = upright.T
     for up, expected in {"z": (x, -z, y), "-z": (x, z, -y), "-y": (x, -y, -z)}.items():
-        path = tmp_path / f"out{suffix}"
+        path = tmp_path / "out" / suffix if suffix == "meta.json" else tmp_path / f"out{suffix}"
         assert cli.main([*words, str(path), f"--up={up}", "--quiet"]) == 0
         assert capsys.readouterr().err == ""
         written = load(path)

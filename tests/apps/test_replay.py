@@ -122,7 +122,7 @@ def test_a_recording_is_sent_as_tracking(stripes, tmp_path):
         (["--url", "ws://"], "expected ws://HOST:PORT/ws"),
         (["--url", "ws://host:port"], "expected ws://HOST:PORT/ws"),
         (["nowhere.bvh"], "nowhere.bvh"),
-        (["nothing"], "no such motion; embedded are"),
+        (["nothing"], "no such motion; .*; embedded are idle"),
         (["nowhere.jsonl"], "nowhere.jsonl"),
         (["--avatar", "nowhere.glb"], "nowhere.glb"),
         (["--save", "no/such/folder/sheet.png"], "there is no folder no/such/folder"),
