@@ -75,7 +75,7 @@ def open_scene(args: argparse.Namespace) -> SceneFile:
     if args.scene is None:
         return SceneFile.of(default_avatar())
     if not Path(args.scene).exists():
-        raise FormatError(f"{args.scene}: no such file; give a PLY, .splat, glTF, mesh or scene file, or nothing")
+        raise FormatError(f"{args.scene}: no such file; give a {suffixes()}, a mesh or a scene file, or nothing")
     file = load_file(args.scene, strict=args.strict)
     turn = upright(args.up)
     if args.up == "y":

@@ -45,9 +45,9 @@ EXAMPLE = "glsplat avatar make person.npz -o me.glb --splats 40000"
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The subcommands and their options."""
     commands = parser.add_subparsers(dest="action", required=True, metavar="ACTION")
-    make = commands.add_parser("make", help="a rigged, textured person (.npz, .glb) to a Gaussian avatar")
+    make = commands.add_parser("make", help="a rigged, textured person (.npz, .glb, .vrm) to a Gaussian avatar")
     make.add_argument(
-        "person", type=Path, help="rigged, textured mesh: person archive (.npz), .glb, .gltf, or .obj with --body"
+        "person", type=Path, help="rigged, textured mesh: person archive (.npz), .glb, .gltf, .vrm, or .obj with --body"
     )
     make.add_argument("--body", type=Path, help="rigged body (.npz) that lends joints and weights to an .obj in T-pose")
     add_rig(make)
@@ -76,7 +76,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "dump",
         type=Path,
         help="lhm_dump.npz, a LAM .zip, an avatar (.glb) of another rig, which is put onto SMPL-X's joints, or a "
-        "splat file (PLY, .splat) with --mesh",
+        "file of splats of any format with --mesh",
     )
     taken.add_argument(
         "--rig-map", type=Path, metavar="JSON", help="of an avatar of another rig: its joints by SMPL-X's names"

@@ -20,6 +20,7 @@ __all__ = ["Error", "Fidelity", "fidelity", "read_back"]
 F64 = NDArray[np.float64]
 
 _CHUNK = 1 << 14  # splats compared at a time
+_ROUNDING = 1e-6  # of a coordinate; float32 has 1.2e-7
 
 
 @dataclass(frozen=True)
@@ -43,8 +44,8 @@ class Fidelity:
 
     saved: int
     found: int
-    extent: float  # metres: diagonal of the box around the saved means
     positions: Error  # metres
+    rounded: bool  # no position differs by more than rounding to float32 where the splat is
     scales: Error  # percent of the largest of the splat's three; a sign does not count
     rotations: Error  # degrees of the turn between them
     colours: Error  # of 255 levels: the colour of SH degree 0, the worst channel, negative ones drawn as 0
@@ -56,7 +57,7 @@ class Fidelity:
         if self.found != self.saved:
             yield f"{self.saved - self.found} of {self.saved} splats are not there"
         for name, unit, error, rounding in (
-            ("positions", "m", self.positions, 1e-6 * max(self.extent, 1e-30)),
+            ("positions", "m", self.positions, np.inf if self.rounded else 0),
             ("scales", "%", self.scales, 1e-3),
             ("rotations", "degrees", self.rotations, 1e-3),
             ("colours", "levels of 255", self.colours, 1e-2),
@@ -85,6 +86,7 @@ def fidelity(saved: Splats, found: Splats, order: NDArray[np.intp] | None = None
         expected = len(saved) if order is None else len(order)
         raise FormatError(f"{len(found)} splats were read back, not the {expected} that were written")
     sums: dict[str, list[tuple[float, float, int]]] = {name: [] for name in _MEASURES}
+    rounded = True
     for at in range(0, len(found), _CHUNK):
         rows = np.arange(at, min(at + _CHUNK, len(found)))
         a, b = saved.take(rows if order is None else order[rows]), found.take(rows)
@@ -93,14 +95,14 @@ def fidelity(saved: Splats, found: Splats, order: NDArray[np.intp] | None = None
         for name, measure in _MEASURES.items():
             off = measure(a, b)
             sums[name].append((float(off.max(initial=0)), float(off.sum()), len(off)))
+        # of each splat by itself: one far away would hide what the near ones lose
+        rounded &= bool((np.abs(b.means.astype(np.float64) - a.means) <= _ROUNDING * np.abs(a.means) + 1e-12).all())
     errors = {}
     for name, parts in sums.items():
         count = sum(part[2] for part in parts)
         total = sum(part[1] for part in parts)
         errors[name] = Error(max((part[0] for part in parts), default=0.0), total / count if count else 0.0)
-    means = saved.means[saved.finite()].astype(np.float64)
-    extent = float(np.linalg.norm(np.ptp(means, axis=0))) if len(means) else 0.0
-    return Fidelity(len(saved), len(found), extent, **errors)
+    return Fidelity(len(saved), len(found), rounded=rounded, **errors)
 
 
 def _positions(a: Splats, b: Splats) -> F64:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from glsplat.avatar import Avatar
 from glsplat.errors import FormatError
 from glsplat.formats.files import Source, checked, naming, open_regular, replace_file, sampled
-from glsplat.formats.format import Format, Start, clamped_opacities
+from glsplat.formats.format import Format, Start, clamped_opacities, positive_scales
 from glsplat.splats import SH_C0, Splats, normalised
 from glsplat.views import splats_of
 
@@ -21,6 +21,7 @@ __all__ = ["SPLAT", "load_splat", "looks_like_splat", "read_splat", "save_splat"
 
 _RECORD = np.dtype([("mean", "<f4", 3), ("scale", "<f4", 3), ("rgba", "u1", 4), ("rot", "u1", 4)])
 _CHUNK = 1 << 16  # splats written at a time
+_HALF = 0.5 / 255  # of a step of colours
 _PLAUSIBLE = 0.9  # of the splats; a capture may hold a few broken ones
 
 
@@ -117,6 +118,11 @@ def _loses(scene: Splats | Avatar) -> Iterator[str]:
     if splats.antialias:
         yield "that the splats want opacity compensation is dropped; draw them with --antialias"
     yield from clamped_opacities(scene)
+    yield from positive_scales(scene)
+    with np.errstate(invalid="ignore"):  # below 0 they are drawn as 0
+        bright = int((splats.sh[:, 0] * SH_C0 + 0.5 > 1 + _HALF).any(axis=1).sum())
+    if bright:
+        yield f"{bright} splats have colours above 1, which are clamped"
 
 
 SPLAT = Format(

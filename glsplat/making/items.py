@@ -36,8 +36,9 @@ def is_scene(path: str | Path) -> bool:
 def load_item(path: Path, strict: bool = False) -> Content:
     """Splats or an Avatar (``glsplat.load``), or a mesh: glTF without splats, OBJ, or a person archive (.npz).
 
-    A glTF with skinned triangles gives those of the skin that moves the most vertices. All other meshes stand: one
-    joint, in the place the file's nodes give them. Raises FormatError naming the file.
+    A glTF or VRM with skinned triangles gives all that its rig moves, a person on SMPL-X's joints
+    (``read_gltf_person``). All other meshes stand: one joint, in the place the file's nodes give them. Raises
+    FormatError naming the file.
     """
     suffix = path.suffix.lower()
     if is_motion(path):

@@ -3,16 +3,29 @@
 from __future__ import annotations
 
 import struct
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from glsplat.errors import FormatError
-from glsplat.formats import load_ply, load_splat, save_splat
+from glsplat.formats import load_ply, load_splat, losses, save_splat
 from glsplat.formats.splat import looks_like_splat
 from glsplat.splats import SH_C0
 from tests.formats.scenes import awkward_splats, random_splats
+
+
+def test_what_cannot_be_kept_is_said() -> None:
+    base = random_splats(5)
+    scales, sh = base.scales.copy(), np.zeros((5, 1, 3), np.float32)
+    scales[1, 0] *= -1
+    sh[2:4, 0, 1] = 0.51 / SH_C0  # 1.01
+    sh[4] = -3  # below 0 it is drawn as 0
+    assert list(losses(replace(base, scales=scales, sh=sh), "a.splat")) == [
+        "1 splats with negative scales are written with positive ones (their shape is the same)",
+        "2 splats have colours above 1, which are clamped",
+    ]
 
 
 def test_one_splat_byte_by_byte(tmp_path: Path) -> None:

@@ -47,7 +47,7 @@ class Method(Protocol):
 
 @dataclass(frozen=True)
 class Folder:
-    """Files made elsewhere: NAME.glb, .gltf, .ply, .splat or .npz for the participant NAME.
+    """Files made elsewhere: NAME.glb or of another format of splats, or NAME.npz, for the participant NAME.
 
     Splats without a skeleton are bound to the nearest surface of the participant's own mesh, which favours them.
     """
