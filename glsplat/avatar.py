@@ -16,7 +16,8 @@ __all__ = ["Avatar"]
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Avatar:
-    """Canonical Gaussians (zero pose), the rig that moves them, and where they come from.
+    """Canonical Gaussians (the zero pose, or the pose of ``skeleton.inverse_bind`` where a rig was bound in another),
+    the rig that moves them, and where they come from.
 
     Raises FormatError when the parts do not fit each other.
 

@@ -48,7 +48,7 @@ class MeshPart:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RiggedMesh:
-    """Textured triangles in the zero pose of the rig that moves them: a person, or with one joint a thing that stands.
+    """Textured triangles as the rig that moves them was bound: a person, or with one joint a thing that stands.
 
     Scenes show it opaque, in its textures' colours, cut out where their alpha is below one half. Raises FormatError
     when the parts do not fit each other.
@@ -62,7 +62,7 @@ class RiggedMesh:
     1
     """
 
-    vertices: NDArray[np.float64]  # [V, 3] metres, y up, facing +z
+    vertices: NDArray[np.float64]  # [V, 3] metres, y up, facing +z, as bound; ``posed`` has the zero pose
     skeleton: Skeleton
     joints: NDArray[np.int64]  # [V, K] joints of each vertex
     weights: NDArray[np.float64]  # [V, K] >= 0

@@ -35,7 +35,7 @@ def viewing_point(scene: Shown, fov: float) -> tuple[NDArray[np.float64], NDArra
 def box_of(item: Item) -> NDArray[np.float64] | None:
     """[2, 3] lowest and highest of 98 % of an item in its scene; None if empty.
 
-    A mesh in its pose; an avatar in its zero pose, moved by ``trans``, because its splats are posed on the GPU.
+    A mesh in its pose; an avatar as it was bound, moved by ``trans``, because its splats are posed on the GPU.
     """
     if isinstance(item.content, RiggedMesh):
         # what a file binds may be of another size than what its rest pose shows

@@ -104,8 +104,9 @@ def save(scene: Splats | Avatar, target: Source, *, format: str | None = None) -
 
     ``target`` is a path, or a file open in binary mode, which is written to from where it stands. At a path the new
     file is complete or, on any failure, the old one as it was; a link is followed, an old file keeps its mode. An
-    avatar goes into glTF with its rig; into the other formats go its splats alone, in the zero pose. Raises
-    FormatError for another suffix, and when the file cannot be written.
+    avatar goes into glTF with its rig; into the other formats go its splats alone, as they are stored: in the zero
+    pose, or in the pose in which another program's rig was bound. Raises FormatError for another suffix, and when the
+    file cannot be written.
 
     >>> glsplat.save(glsplat.default_avatar().splats, "me.ply")
     >>> len(glsplat.load("me.ply"))

@@ -18,6 +18,9 @@ from glsplat.views import splats_of
 __all__ = ["Format", "Start", "clamped_opacities", "positive_scales"]
 
 
+_PLACED = 1e-3  # metres, or of an axis
+
+
 @dataclass(frozen=True, eq=False)
 class Start:
     """What recognising a file goes by."""
@@ -67,10 +70,19 @@ class Format:
     def losses(self, scene: Splats | Avatar) -> Iterator[str]:
         """What a file of this format does not keep of ``scene``, beyond rounding, a sentence each."""
         if isinstance(scene, Avatar) and not self.rigs:
-            yield f"the rig of {len(scene.skeleton)} joints is dropped, the file holds the zero pose"
+            pose = (
+                "zero pose" if _bound_at_rest(scene) else "pose it was bound in (glsplat avatar export writes others)"
+            )
+            yield f"the rig of {len(scene.skeleton)} joints is dropped, the file holds the {pose}"
         if splats_of(scene).cones is not None and not self.cones:
             yield "the visibility cones are dropped"
         yield from self.loses(scene)
+
+
+def _bound_at_rest(avatar: Avatar) -> bool:
+    """Whether the splats as they are stored are those of the zero pose."""
+    zero = avatar.skeleton.rest @ avatar.skeleton.inverse_bind
+    return bool(np.abs(zero - np.eye(4)).max() < _PLACED)
 
 
 def clamped_opacities(scene: Splats | Avatar) -> Iterator[str]:

@@ -27,7 +27,7 @@ _DEGREES = 4 * np.pi  # radians; an angle beyond two turns in a file was meant i
 
 @dataclass(frozen=True, slots=True, eq=False, init=False, repr=False)
 class Pose:
-    """Rotations of the J joints of a skeleton. The zero pose (all zeros) is the bind pose.
+    """Rotations of the J joints of a skeleton. The zero pose (all zeros) is that of ``Skeleton.rest``.
 
     Takes anything that numpy reads as numbers, checks it and keeps read-only copies. Raises PoseError.
 
@@ -75,7 +75,7 @@ class Pose:
 
     @classmethod
     def zero(cls, joints: int = _COUNT) -> Pose:
-        """The bind pose of a rig of that many joints."""
+        """The rest pose of a rig of that many joints."""
         if count(joints, "the number of joints", PoseError) < 0:
             raise PoseError(f"a rig has no {joints} joints")
         return cls(np.zeros((joints, 3)))

@@ -18,7 +18,7 @@ __all__ = ["Skeleton"]
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
 class Skeleton:
-    """J joints. ``rest`` is the global frame of each joint in the bind (zero) pose.
+    """J joints. ``rest`` is the global frame of each joint in the zero pose.
 
     An SMPL-X rig has rest frames parallel to the world; other rigs may have any. Several roots are legal, a cycle,
     a parent out of range or a frame that cannot be inverted is a PoseError. The arrays are read-only copies.
