@@ -32,6 +32,16 @@ class Material:
     coordinates: int  # TEXCOORD_n
     turn: NDArray[np.float64]  # [2, 3] of glTF's texture coordinates (KHR_texture_transform)
     name: str
+    alpha: NDArray[np.uint8] | None = None  # [H, W] times the factor, before it is cut; None: opaque, whatever it is
+    cut: float = 127.5  # of 255; alpha below it is cut out
+
+    def coloured(self) -> NDArray[np.uint8]:
+        """[H, W, 4] with alpha as vertices' colours multiply it; then ``cut_out`` it."""
+        return self.texture if self.alpha is None else np.dstack([self.texture[..., :3], self.alpha])
+
+    def cut_out(self, texture: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """What ``coloured`` became, with its cut-off at one half."""
+        return texture if self.alpha is None else np.dstack([texture[..., :3], _halved(texture[..., 3], self.cut)])
 
 
 def material_of(container: Container, folder: Path, index: int | None) -> Material:
@@ -48,29 +58,32 @@ def material_of(container: Container, folder: Path, index: int | None) -> Materi
             used = base["baseColorTexture"]
             turn, coordinates = _transform(used.get("extensions", {}).get(_TRANSFORM, {}), int(used.get("texCoord", 0)))
             image = _image(container, folder, gltf.textures[used["index"]])
-        return Material(_tinted(image, factor, entry), coordinates, turn, str(entry.get("name") or ""))
+        name, mode = str(entry.get("name") or ""), entry.get("alphaMode", "OPAQUE")
+        if mode == "OPAQUE":
+            texture = np.concatenate([_tinted(image, factor), np.full((*image.shape[:2], 1), 255, np.uint8)], axis=-1)
+            return Material(texture, coordinates, turn, name)
+        alpha = np.rint(np.clip(np.arange(256) * float(factor[3]), 0, 255)).astype(np.uint8)[image[..., 3]]
+        cut = float(entry.get("alphaCutoff", 0.5)) * 255 if mode == "MASK" else 127.5
+        return Material(np.dstack([_tinted(image, factor), _halved(alpha, cut)]), coordinates, turn, name, alpha, cut)
     except (AttributeError, KeyError, IndexError, OverflowError, TypeError, ValueError):
         raise FormatError(f"material {index} is malformed") from None
 
 
-def _tinted(image: NDArray[np.uint8], factor: NDArray[np.float64], entry: Mapping[str, Any]) -> NDArray[np.uint8]:
-    """The image times the factor, which is linear; alpha so that its cut-off is at one half."""
-    out = image
+def _halved(alpha: NDArray[np.uint8], cut: float) -> NDArray[np.uint8]:
+    """Alpha so that its cut-off, which was at ``cut`` of 255, is at one half."""
+    return np.rint(np.clip(127.5 + (np.arange(256) - cut), 0, 255)).astype(np.uint8)[alpha]
+
+
+def _tinted(image: NDArray[np.uint8], factor: NDArray[np.float64]) -> NDArray[np.uint8]:
+    """[H, W, 3] the image times the factor, which is linear."""
+    out = image[..., :3]
     if (factor[:3] != 1).any():
         table = to_linear(np.arange(256) / 255.0)
-        out = image.copy()
+        out = out.copy()
         for channel in range(3):
             values = to_srgb(np.clip(table * factor[channel], 0, 1))
             out[..., channel] = np.rint(values * 255).astype(np.uint8)[image[..., channel]]
-    mode = entry.get("alphaMode", "OPAQUE")
-    alpha = np.full(256, 255.0)
-    if mode != "OPAQUE":
-        alpha = np.arange(256) * float(factor[3])
-        if mode == "MASK":
-            cut = float(entry.get("alphaCutoff", 0.5)) * 255
-            alpha = np.clip(127.5 + (alpha - cut), 0, 255)
-    mapped = np.rint(np.clip(alpha, 0, 255)).astype(np.uint8)
-    return np.concatenate([out[..., :3], mapped[image[..., 3:]]], axis=-1)
+    return out
 
 
 def _transform(entry: Mapping[str, Any], coordinates: int) -> tuple[NDArray[np.float64], int]:

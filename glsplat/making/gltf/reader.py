@@ -154,6 +154,7 @@ def _rigged(
     under = carried(graph, [*mapped, *(n for skin in skins if skin not in strangers for n in gltf.skins[skin].joints)])
     vertices, joints, weights, parts, first = [], [], [], [], 0
     materials: Materials = {}
+    morphed: set[int] = set()
     for instance in shown:
         if _skinned(instance) and instance.node.skin in strangers:
             left.add("meshes of another skeleton are left out", 1, instance.node.name or instance.name)
@@ -173,7 +174,9 @@ def _rigged(
         weights.append(shares)
         parts.append(_part(surface, first))
         first += len(points)
-        left.add("morph targets stay at their default weights", len(instance.primitive.targets))
+        if node not in morphed:  # all primitives of a mesh have the same
+            morphed.add(node)
+            left.add("morph targets stay at their default weights", len(instance.primitive.targets))
     survey(container, list(instances(gltf, graph.world)), left)
     at, skeleton = np.concatenate(vertices), rig.skeleton
     all_joints, all_weights = _wide(joints), _wide(weights)

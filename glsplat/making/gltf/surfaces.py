@@ -53,9 +53,10 @@ def surface_of(
     material = materials[primitive.material]
     uv = _corners(container, primitive, where, material, faces, len(points))
     texture = material.texture
-    colours = _vertex_colours(container, primitive, where, len(points))
+    colours = _vertex_colours(container, primitive, where, len(points), material.alpha is None)
     if colours is not None and len(faces):
-        uv, texture = painted(faces, colours, uv, texture)
+        uv, texture = painted(faces, colours, uv, material.coloured())
+        texture = material.cut_out(texture)
     return Surface(points, faces, uv, texture, material.name or where)
 
 
@@ -93,13 +94,14 @@ def _corners(
     return corner
 
 
-def _vertex_colours(container: Container, primitive: Primitive, where: str, count: int) -> F64 | None:
-    """[V, 4] linear factors; None where all are white."""
+def _vertex_colours(container: Container, primitive: Primitive, where: str, count: int, opaque: bool) -> F64 | None:
+    """[V, 4] linear factors, without alpha of what is ``opaque``; None where all are white."""
     if "COLOR_0" not in primitive.attributes:
         return None
     values = container.numbers(primitive.attributes["COLOR_0"], f"{where} COLOR_0", ("VEC3", "VEC4")).astype(np.float64)
     if len(values) != count or not np.isfinite(values).all():
         raise FormatError(f"{where}: COLOR_0 needs {count} finite elements, as POSITION has")
     colours = np.ones((count, 4))
-    colours[:, : values.shape[1]] = np.clip(values, 0, 1)
+    kept = 3 if opaque else values.shape[1]
+    colours[:, :kept] = np.clip(values[:, :kept], 0, 1)
     return None if (colours == 1).all() else colours

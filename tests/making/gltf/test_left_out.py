@@ -218,3 +218,14 @@ def test_of_two_people_one_is_taken_whole(tmp_path: Path, away: float) -> None:
     else:
         assert "left_out" not in mesh.meta and len(mesh.vertices) == 2 * len(alone.vertices)
         assert mesh.posed(pose) == pytest.approx(np.vstack([alone.posed(pose)] * 2), abs=1e-4)
+
+
+def test_morph_targets_are_counted_once_a_mesh(tmp_path: Path) -> None:
+    """All primitives of a mesh have the same ones (glTF 2.0, 3.7.2.2)."""
+
+    def morph(document: dict[str, Any], _: bytearray) -> None:
+        body = document["meshes"][0]["primitives"][0]
+        body["targets"] = [{"POSITION": 0}] * 3
+        document["meshes"][0]["primitives"].append(body)
+
+    assert read(tmp_path, morph).meta["left_out"] == ["3 morph targets stay at their default weights"]

@@ -182,6 +182,18 @@ def test_colours_of_vertices(tmp_path: Path, textured: bool) -> None:
         assert np.array(corners) == pytest.approx(colours[:, :3] / 255, abs=0.003)
 
 
+@pytest.mark.parametrize("alpha", [0, 90, 110, 255])
+@pytest.mark.parametrize("mode", ["OPAQUE", "MASK", "BLEND"])
+def test_alpha_of_vertices_counts_where_the_material_asks_for_it(tmp_path: Path, mode: str, alpha: int) -> None:
+    """glTF 2.0, 3.9.4: alpha is factor times texture times vertex, then cut; of what is opaque it is ignored."""
+    colours = np.array([[255, 128, 0, alpha]] * 4, np.uint8)
+    material = {"alphaMode": mode, "pbrMetallicRoughness": {"baseColorFactor": [1, 1, 1, 0.8]}}
+    material |= {"alphaCutoff": 0.3} if mode == "MASK" else {}
+    mesh = square(tmp_path, material, COLOR_0=colours)
+    cut = {"OPAQUE": -1.0, "MASK": 0.3, "BLEND": 0.5}[mode]
+    assert (seen(mesh, 0.6, 0.3)[3] >= 0.5) == (0.8 * alpha / 255 >= cut)
+
+
 @pytest.mark.parametrize(("mode", "indices"), [(5, (0, 1, 3, 2)), (6, (0, 1, 2, 3))])
 def test_strips_and_fans(tmp_path: Path, mode: int, indices: tuple[int, ...]) -> None:
     mesh = square(tmp_path, mode=mode, indices=indices)
