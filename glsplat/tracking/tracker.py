@@ -58,7 +58,7 @@ class TrackerConfig:
     joint_speed: float = 45.0  # rad/s of any joint of the output
     root_speed: float = 14.0  # m/s of the output's pelvis
     foot_speed: float = 10.0  # m/s of the output's feet, over the pelvis' own
-    stretch: float = 0.2  # of their length arms become longer at most, where a hand is out of reach; 0: never
+    stretch: float = 0.25  # of their length arms become longer at most, where a hand is out of reach; 0: never
 
     def __post_init__(self) -> None:
         if not 0 <= self.prediction <= 0.1:

@@ -194,7 +194,7 @@ def test_rigged_gltf(tmp_path):
         ({"nodes": [{"mesh": 0}, {"name": "a", "children": [2]}, {"name": "b"}]}, "skin"),
         ({"meshes": []}, "skin"),
         ({"images": [{"uri": "../secret.png"}]}, "outside"),
-        ({"images": [{"uri": "data:image/png;base64,AAAA"}]}, "JPEG or PNG"),
+        ({"images": [{"uri": "data:image/png;base64,AAAA"}]}, "JPEG, PNG or WebP"),
         ({"images": []}, "material"),
         ({"skins": [{"joints": [1, 9]}]}, "node"),
     ],

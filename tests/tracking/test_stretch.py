@@ -32,12 +32,12 @@ def test_the_wrist_is_at_the_hand(stage: Stage, track: Track, times: float) -> N
     assert result.reach[-1][0] < 0.005 and "left_out_of_reach" not in result.flags[-1]
 
 
-def test_beyond_a_fifth_more_it_points_there(stage: Stage, track: Track) -> None:
+def test_beyond_a_quarter_more_it_points_there(stage: Stage, track: Track) -> None:
     place = reaching(stage, 1.6)
     result, stiff = (track([stage.sample(t, left=place) for t in seconds(1)], config=c) for c in (RAW, STIFF))
     wrist, at_rest = (run.joints[-1, WRISTS[0]] for run in (result, stiff))
     shoulder = result.joints[-1, SHOULDERS[0]]
-    assert np.linalg.norm(wrist - shoulder) == pytest.approx(1.2 * np.linalg.norm(at_rest - shoulder), rel=1e-3)
+    assert np.linalg.norm(wrist - shoulder) == pytest.approx(1.25 * np.linalg.norm(at_rest - shoulder), rel=1e-3)
     assert result.reach[-1][0] == pytest.approx(np.linalg.norm(wrist - place), abs=1e-6)
     assert "left_out_of_reach" in result.flags[-1]
 
