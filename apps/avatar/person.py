@@ -56,8 +56,12 @@ def read_any_person(path: Path, args: argparse.Namespace | None = None) -> Rigge
         raise FormatError(f"{path}: cannot read the person ({error.strerror})") from None
     if head.startswith(b"glTF") or head.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"{"):
         mesh = read_gltf_person(path, rig_map=None if rig_map is None else read_rig_map(rig_map), scale=scale)
-        # a person's axes are told by the joints
-        return mesh if mesh.skeleton.names == JOINT_NAMES else _turned(mesh, upright(up)[:3, :3])
+        if mesh.skeleton.names != JOINT_NAMES:
+            return _turned(mesh, upright(up)[:3, :3])
+        if up == "y":
+            return mesh
+        said = [*mesh.meta.get("left_out", ()), f"--up {up} is not needed: a person's axes are told by the joints"]
+        return replace(mesh, meta={**mesh.meta, "left_out": said})
     if rig_map is not None or scale != 1 or up != "y":
         raise UsageError(f"{path}: --rig-map, --extra-scale and --up are for glTF and VRM; leave them out")
     if path.suffix.lower() == ".obj":

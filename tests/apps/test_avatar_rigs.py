@@ -164,6 +164,13 @@ def test_a_thing_of_no_size_that_things_have_and_its_axes(tmp_path, capsys) -> N
     assert np.abs(Pose.zero(len(large.skeleton)).bones(large.skeleton) - np.eye(4)[:3]).max() < 1e-4
 
 
+def test_who_has_joints_needs_no_axis(tmp_path, capsys) -> None:
+    person = written(tmp_path, FAMILIES["Unreal"])
+    plain, told = made(tmp_path, person), made(tmp_path, person, "--up", "z")
+    assert "--up z is not needed: a person's axes are told by the joints" in capsys.readouterr().err
+    assert np.array_equal(plain.skeleton.rest, told.skeleton.rest)
+
+
 @pytest.mark.shared
 @pytest.mark.parametrize("name", ["mannequiny_gdquest.glb", "robot_expressive.glb", "cool_loops.vrm"])
 def test_real_files(shared_data: Path, tmp_path, name) -> None:
