@@ -69,7 +69,7 @@ def test_the_true_pose_goes_by_names(people: list[Participant]) -> None:
     stranger = Skeleton.from_joints(("Hips", "Spine"), [-1, 0], np.zeros((2, 3)))
     with pytest.raises(PoseError, match="no joint of the avatar"):
         true_poses(done, mesh.skeleton, stranger)
-    with pytest.raises(PoseError, match="55 joints"):
+    with pytest.raises(PoseError, match="cannot drive this skeleton: no joint for head"):
         tracked(recorded(done, mesh.skeleton), done.moments, stranger)
 
 
