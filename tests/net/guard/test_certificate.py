@@ -148,7 +148,7 @@ def test_names_that_no_certificate_can_hold(folder, name):
 
 def test_a_file_that_cannot_be_read_is_one_line(folder):
     (folder / KEY).mkdir()
-    with pytest.raises(GlsplatError, match=r"key-and-certificate\.pem: cannot be read \(Is a directory\)$"):
+    with pytest.raises(GlsplatError, match=r"key-and-certificate\.pem: expected a file, but this is a directory$"):
         kept_certificate(folder, ())
 
 
