@@ -13,7 +13,7 @@ from glsplat.formats.transform import transformed
 from glsplat.making.fit.body import open_body
 from glsplat.making.posed import posed_splats
 from glsplat.skinning.pose import Pose
-from glsplat.skinning.rigs.humanoid import humanoid, upright
+from glsplat.skinning.rigs.humanoid import seated
 from glsplat.skinning.rigs.match import match_rig
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.skin import Skin
@@ -46,25 +46,16 @@ def on_smplx(avatar: Avatar, rig_map: Mapping[str, str | None] | None = None) ->
 
 def _put(avatar: Avatar, given: Mapping[str, int | None]) -> Avatar:
     skeleton = avatar.skeleton
-    bound = np.linalg.inv(skeleton.inverse_bind)
+    bound = np.linalg.inv(skeleton.inverse_bind).astype(np.float64)
     found = match_rig(skeleton.names, skeleton.parents, bound[:, :3, 3], given)
     if found.missing:
         raise PoseError(f"no joint for {', '.join(found.missing)}; name them in a --rig-map")
-    nodes = list(found.joints.values())
-    sizes = [np.cbrt(np.abs(np.linalg.det(frames[nodes, :3, :3]))) for frames in (skeleton.rest, bound)]
-    turn = np.eye(4)
-    turn[:3, :3] = float(np.median(sizes[0] / sizes[1])) * upright(found, bound[:, :3, 3])
-    person = humanoid(found, skeleton.parents, bound[:, :3, 3] @ turn[:3, :3].T, open_body().joints)
-    rest = np.tile(np.eye(4), (len(JOINT_NAMES), 1, 1))
-    rest[:, :3, 3] = person.joints
-    skin = _merged(person.of[avatar.skin.joints], avatar.skin)
-    as_bound = Avatar(
-        transformed(avatar.splats, turn), Skeleton(JOINT_NAMES, PARENTS, rest, np.linalg.inv(person.frames)), skin
-    )
-    splats = posed_splats(as_bound, Pose.zero())
+    turn, as_bound, of = seated(found, skeleton.parents, bound, skeleton.rest, open_body().joints)
+    skin = _merged(of[avatar.skin.joints], avatar.skin)
+    splats = posed_splats(Avatar(transformed(avatar.splats, turn), as_bound, skin), Pose.zero())
     rig = {joint: skeleton.names[index] for joint, index in found.joints.items()}
     meta = {**avatar.meta, "body_model": "SMPL-X joints (55)", "rig": rig}
-    return Avatar(splats, Skeleton(JOINT_NAMES, PARENTS, rest), skin, meta)
+    return Avatar(splats, Skeleton(JOINT_NAMES, PARENTS, as_bound.rest), skin, meta)
 
 
 def _merged(joints: NDArray[np.integer], skin: Skin) -> Skin:

@@ -6,6 +6,7 @@ import copy
 import gzip
 import json
 import tracemalloc
+from collections.abc import Callable
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
@@ -182,13 +183,11 @@ def places(value: Any, path: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
     return out
 
 
-@fuzz
-@given(data=st.data())
-def test_mutated_gltf_json(tmp_path: Path, data: st.DataObject) -> None:
-    document, blob = glb_parts(next(s for s in seeds() if s.startswith(b"glTF")))
+def mutated(data: st.DataObject, document: Any, keep: Callable[[tuple[Any, ...]], bool] = lambda path: True) -> Any:
+    """A copy with one to three places of those to ``keep`` deleted or given another value."""
     document = copy.deepcopy(document)
     for _ in range(data.draw(st.integers(1, 3))):
-        *steps, last = data.draw(st.sampled_from(places(document)))
+        *steps, last = data.draw(st.sampled_from([path for path in places(document) if keep(path)]))
         target = document
         for step in steps:
             target = target[step]
@@ -196,6 +195,14 @@ def test_mutated_gltf_json(tmp_path: Path, data: st.DataObject) -> None:
             del target[last]
         else:
             target[last] = data.draw(json_values)
+    return document
+
+
+@fuzz
+@given(data=st.data())
+def test_mutated_gltf_json(tmp_path: Path, data: st.DataObject) -> None:
+    document, blob = glb_parts(next(s for s in seeds() if s.startswith(b"glTF")))
+    document = mutated(data, document)
     path = tmp_path / "fuzz.glb"
     write_glb(path, document, blob)
     only_format_errors(path, load)

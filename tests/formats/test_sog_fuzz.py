@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import json
 import zipfile
 from functools import lru_cache
@@ -15,7 +14,7 @@ from hypothesis import strategies as st
 from glsplat.formats import load, load_sog, save
 from tests.formats.scenes import SHARED_DATA, random_splats
 from tests.formats.sog_files import by_hand, pack, zipped
-from tests.formats.test_fuzz import fuzz, json_values, only_format_errors, places
+from tests.formats.test_fuzz import fuzz, mutated, only_format_errors
 
 REAL = SHARED_DATA / "real" / "splats" / "playbot_5_sog"
 
@@ -48,20 +47,8 @@ def tried(folder: Path, files: dict[str, bytes], method: int = zipfile.ZIP_STORE
 @given(data=st.data())
 def test_mutated_meta(tmp_path: Path, data: st.DataObject) -> None:
     files = dict(data.draw(st.sampled_from(seeds())))
-    meta = copy.deepcopy(json.loads(files["meta.json"]))
-    paths = [path for path in places(meta) if len(path) < 3 or path[2] < 4]  # of the codebooks, the first few numbers
-    for _ in range(data.draw(st.integers(1, 3))):
-        *steps, last = data.draw(st.sampled_from(paths))
-        target = meta
-        try:
-            for step in steps:
-                target = target[step]
-            if isinstance(target, dict) and data.draw(st.booleans()):
-                del target[last]
-            else:
-                target[last] = data.draw(json_values)
-        except (KeyError, IndexError, TypeError):  # an earlier change took it away
-            continue
+    # of the codebooks, the first few numbers
+    meta = mutated(data, json.loads(files["meta.json"]), lambda path: len(path) < 3 or path[2] in range(4))
     tried(tmp_path, files | {"meta.json": json.dumps(meta).encode()})
 
 

@@ -18,11 +18,10 @@ from glsplat.errors import FormatError, PoseError
 from glsplat.formats.gltf.bound import Bound, bound_of, joint_names
 from glsplat.formats.gltf.container import Container
 from glsplat.formats.gltf.nodes import Graph
-from glsplat.skinning.rigs.humanoid import humanoid, upright
+from glsplat.skinning.rigs.humanoid import seated
 from glsplat.skinning.rigs.match import RigMap, match_rig
 from glsplat.skinning.rigs.shape import match_shape
 from glsplat.skinning.skeleton import Skeleton
-from glsplat.skinning.smplx import JOINT_NAMES, PARENTS
 
 __all__ = ["Rig", "rig_of"]
 
@@ -120,16 +119,8 @@ def _by_shape(container: Container, graph: Graph, bound: Bound, skins: Sequence[
 
 
 def _person(graph: Graph, bound: Bound, found: RigMap, reference: F64, scale: float) -> Rig:
-    nodes = list(found.joints.values())
-    sizes = [np.cbrt(np.abs(np.linalg.det(frames[nodes, :3, :3]))) for frames in (graph.world, bound.frames)]
-    size = scale * float(np.median(sizes[0] / sizes[1]))
-    turn = np.eye(4)
-    turn[:3, :3] = size * upright(found, bound.frames[:, :3, 3])
-    person = humanoid(found, graph.parents, bound.frames[:, :3, 3] @ turn[:3, :3].T, reference)
-    rest = np.tile(np.eye(4), (len(JOINT_NAMES), 1, 1))
-    rest[:, :3, 3] = person.joints
-    skeleton = Skeleton(JOINT_NAMES, PARENTS, rest, np.linalg.inv(person.frames))
-    return Rig(skeleton, person.of, turn @ bound.frames, found, "")
+    turn, skeleton, of = seated(found, graph.parents, bound.frames, graph.world, reference, scale)
+    return Rig(skeleton, of, turn @ bound.frames, found, "")
 
 
 def _thing(

@@ -18,9 +18,10 @@ from numpy.typing import ArrayLike, NDArray
 from glsplat.errors import PoseError
 from glsplat.rotations import nearest_rotations, rotation_between, rotation_matrices
 from glsplat.skinning.rigs.match import RigMap
+from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.smplx import JOINT_NAMES, PARENTS
 
-__all__ = ["Humanoid", "humanoid", "t_pose_turns", "upright"]
+__all__ = ["Humanoid", "humanoid", "seated", "t_pose_turns", "upright"]
 
 F64 = NDArray[np.float64]
 
@@ -119,6 +120,26 @@ def _pelvis(rest: Mapping[str, F64], body: F64) -> F64:
     size = _leg(rest) / _leg({name: body[_AT[name]] for name in JOINT_NAMES})
     ours = body[0] - (body[_AT["left_hip"]] + body[_AT["right_hip"]]) / 2
     return np.asarray(hips + size * ours)
+
+
+def seated(
+    rig: RigMap,
+    parents: ArrayLike,  # [J]
+    bound: F64,  # [J, 4, 4] frames in which the skin was bound
+    shown: F64,  # [J, 4, 4] the same frames as a viewer shows them, which says how large they are
+    reference: ArrayLike,  # [55, 3]
+    scale: float = 1.0,
+) -> tuple[F64, Skeleton, NDArray[np.intp]]:
+    """The rig's skeleton as SMPL-X has it; before it [4, 4] upright metres from ``bound``'s space, after it [J] which
+    of the 55 each joint moves with."""
+    nodes = list(rig.joints.values())
+    sizes = [np.cbrt(np.abs(np.linalg.det(frames[nodes, :3, :3]))) for frames in (shown, bound)]
+    turn = np.eye(4)
+    turn[:3, :3] = scale * float(np.median(sizes[0] / sizes[1])) * upright(rig, bound[:, :3, 3])
+    person = humanoid(rig, parents, bound[:, :3, 3] @ turn[:3, :3].T, reference)
+    rest = np.tile(np.eye(4), (len(JOINT_NAMES), 1, 1))
+    rest[:, :3, 3] = person.joints
+    return turn, Skeleton(JOINT_NAMES, PARENTS, rest, np.linalg.inv(person.frames)), person.of
 
 
 def t_pose_turns(

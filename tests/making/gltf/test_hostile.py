@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-import copy
 import json
 import time
 from dataclasses import replace
@@ -24,7 +23,7 @@ from glsplat.skinning.rigs.driven import why_not_driven
 from glsplat.skinning.rigs.match import match_rig
 from glsplat.skinning.skeleton import Skeleton
 from tests.formats.scenes import glb_parts, write_glb
-from tests.formats.test_fuzz import fuzz, json_values, places
+from tests.formats.test_fuzz import fuzz, mutated
 from tests.making.gltf.built import FAMILIES, build
 
 
@@ -44,16 +43,7 @@ def only_format_errors(path: Path) -> None:
 @given(data=st.data())
 def test_mutated_json(tmp_path: Path, data: st.DataObject) -> None:
     document, blob = data.draw(st.sampled_from(seeds()))
-    document = copy.deepcopy(document)
-    for _ in range(data.draw(st.integers(1, 3))):
-        *steps, last = data.draw(st.sampled_from(places(document)))
-        target = document
-        for step in steps:
-            target = target[step]
-        if isinstance(target, dict) and data.draw(st.booleans()):
-            del target[last]
-        else:
-            target[last] = data.draw(json_values)
+    document = mutated(data, document)
     write_glb(tmp_path / "fuzz.glb", document, blob)
     only_format_errors(tmp_path / "fuzz.glb")
 
