@@ -323,7 +323,7 @@ async def _speaks_tls(url: str) -> bool:
             _, writer = await asyncio.open_connection(parts.hostname, parts.port or 80, ssl=tls)
     except (OSError, TimeoutError):
         return False
-    writer.close()
+    writer.transport.abort()  # a graceful end would outlive the event loop
     return True
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import asyncio
 import time
 from collections import deque
+from contextlib import suppress
 
 import aiohttp
 
@@ -19,6 +20,7 @@ from glsplat.net.reply import Reply, parse_reply
 __all__ = ["Connection"]
 
 _UNREAD = 8  # pictures kept for receive(), the newest; the largest window of a server
+_GOODBYE = 1.0  # seconds for a server to agree to the end of a TLS connection
 
 
 class Connection:
@@ -30,6 +32,7 @@ class Connection:
         self.flow = Flow()
         self._url = url
         self._http, self._ws = http, ws
+        self._socket = ws.get_extra_info("socket")
         self._waiting: dict[int, asyncio.Future[Arrived]] = {}
         self._unread: deque[Arrived | ProtocolError] = deque(maxlen=_UNREAD)
         self._news = asyncio.Event()
@@ -48,6 +51,7 @@ class Connection:
         await asyncio.gather(self._task, return_exceptions=True)
         await self._ws.close()
         await self._http.close()
+        await self._until_closed()
 
     async def ask(self, frame_id: int, text: str, now: float, subject: object = None) -> None:
         """Send a request, whose picture will come by ``next``, if it comes."""
@@ -114,6 +118,13 @@ class Connection:
         if self.flow.take(item.reply.frame_id) and self._failure is None:
             await self.acknowledge()
         return item
+
+    async def _until_closed(self) -> None:
+        """Over TLS a transport closes when the server has agreed, which aiohttp does not wait for."""
+        with suppress(TimeoutError):
+            async with asyncio.timeout(_GOODBYE):
+                while self._socket is not None and self._socket.fileno() >= 0:
+                    await asyncio.sleep(0.005)
 
     # ------------------------------------------------------------------------------------------------- the reader
 

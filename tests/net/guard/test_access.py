@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import asyncio
 import base64
+import os
+import socket
 import subprocess
+from contextlib import suppress
 
 import aiohttp
 import pytest
@@ -182,9 +185,25 @@ def test_tls_and_the_clients_trust(serve, cameras, tmp_path):
             with pytest.raises(ProtocolError, match="speaks TLS; the address begins with wss://"):
                 await Client(server.url.replace("wss:", "ws:"), TOKEN).connect()
             async with Client(server.url, TOKEN, cafile=cert) as client:
-                return (await client.render(cameras)).frame_id
+                number = (await client.render(cameras)).frame_id
+            assert not open_sockets(server.port)  # else the event loop ends before them
+            return number
 
     assert asyncio.run(main()) == 1
+
+
+def open_sockets(port):
+    """Those of this process that are connected to a port of this machine."""
+    found = []
+    for number in os.listdir("/proc/self/fd"):
+        with suppress(OSError):  # no socket, or not connected
+            one = socket.socket(fileno=int(number))
+            try:
+                if one.family == socket.AF_INET and one.getpeername()[1] == port:
+                    found.append(number)
+            finally:
+                one.detach()
+    return found
 
 
 def test_tls_to_a_plain_server_is_said(serve):
