@@ -9,7 +9,7 @@ from typing import Any
 from glsplat.errors import FormatError
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.skin import Skin
-from glsplat.splats import Splats
+from glsplat.splats import Level, Splats, checked_levels
 
 __all__ = ["Avatar"]
 
@@ -31,6 +31,7 @@ class Avatar:
     skeleton: Skeleton
     skin: Skin
     meta: Mapping[str, Any] = field(default_factory=dict)  # asset.extras.glsplat: version, source, licence, ...
+    levels: tuple[Level[Avatar], ...] = ()  # coarser ones on the same skeleton, finest first
 
     def __post_init__(self) -> None:
         for name, kind in (("splats", Splats), ("skeleton", Skeleton), ("skin", Skin), ("meta", Mapping)):
@@ -42,6 +43,7 @@ class Avatar:
             raise FormatError(f"the skin names joint {self.skin.joints.max()} of {len(self.skeleton)}")
         object.__setattr__(self, "skin", self.skin.anchored(self.skeleton.parents))
         object.__setattr__(self, "meta", dict(self.meta))
+        self._check_levels()
 
     def without(self, joint: str) -> Avatar:
         """The same without the splats that mostly follow ``joint`` and what hangs from it: for a view from inside.
@@ -54,7 +56,30 @@ class Avatar:
         """
         there = self.skeleton.under(joint)[self.skin.joints]
         keep = (self.skin.weights * there).sum(axis=1) <= 0.5
-        return replace(self, splats=self.splats.take(keep), skin=self.skin.take(keep))
+        levels: list[Level[Avatar]] = []
+        count = int(keep.sum())
+        for level in self.levels:
+            rest = level.content.without(joint)
+            if 0 < len(rest.splats) < count:
+                levels.append(replace(level, content=rest))
+                count = len(rest.splats)
+        return replace(self, splats=self.splats.take(keep), skin=self.skin.take(keep), levels=tuple(levels))
+
+    def _check_levels(self) -> None:
+        if self.splats.levels:
+            raise FormatError("levels belong to the avatar, not to its splats")
+        found = tuple(self.levels)
+        sizes = [
+            len(self.splats),
+            *(len(one.content.splats) for one in found if isinstance(getattr(one, "content", None), Avatar)),
+        ]
+        object.__setattr__(self, "levels", checked_levels(found, self, sizes) if found else ())
+        for i, level in enumerate(self.levels):
+            if not level.content.skeleton.same(self.skeleton):
+                raise FormatError(f"level {i + 1}: another skeleton than the avatar's")
+            if level.content.levels:
+                raise FormatError(f"level {i + 1}: a level has no levels of its own")
 
     def __repr__(self) -> str:
-        return f"Avatar({len(self.splats)} splats, {len(self.skeleton)} joints, {self.skin.influences} a splat)"
+        levels = f", {len(self.levels)} levels" if self.levels else ""
+        return f"Avatar({len(self.splats)} splats, {len(self.skeleton)} joints, {self.skin.influences} a splat{levels})"

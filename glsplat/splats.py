@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, fields
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -11,13 +12,48 @@ from numpy.typing import ArrayLike, NDArray
 from glsplat.arrays import frozen, own, own_whole, plain, restored
 from glsplat.errors import FormatError
 
-__all__ = ["SH_C0", "Splats"]
+__all__ = ["SH_C0", "Level", "Splats", "checked_levels"]
 
 SH_C0 = 0.28209479177387814
 """Y_0^0, the constant real spherical harmonic: rgb = SH_C0 * f_dc + 0.5 (3DGS)."""
 
 
 _ROUNDED = 5e-7  # of a squared length: unit to float32 rounding
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Level(Generic[T]):
+    """A coarser stand-in for Splats or an Avatar: fewer splats that look the same from afar.
+
+    ``density`` is in pixels a metre: focal length over depth, at the nearest of it; a picture in which it is larger
+    wants a finer level. ``psnr`` is what the worst picture looked at kept at that density, in dB against the finest.
+    """
+
+    content: T
+    density: float
+    psnr: float | None = None
+
+
+def checked_levels(levels: Iterable[Level[T]], finest: T, sizes: Iterable[int]) -> tuple[Level[T], ...]:
+    """Levels of ``finest``, whose number of splats leads ``sizes``. Raises FormatError for what is no such list."""
+    found, counts = tuple(levels), list(sizes)
+    last = float("inf")
+    for i, level in enumerate(found):
+        if not isinstance(level, Level) or type(level.content) is not type(finest):
+            kind = type(level.content if isinstance(level, Level) else level).__name__
+            raise FormatError(f"level {i + 1}: a level of {type(finest).__name__} holds the same, not {kind}")
+        if not 0 < level.density < last:
+            raise FormatError(
+                f"level {i + 1}: densities fall from level to level and are above 0, found {level.density:g}"
+            )
+        if not 0 < counts[i + 1] < counts[i]:
+            raise FormatError(
+                f"level {i + 1}: splats grow fewer from level to level, {counts[i + 1]} after {counts[i]}"
+            )
+        last = level.density
+    return found
 
 
 @dataclass(frozen=True, slots=True, eq=False, init=False, repr=False)
@@ -40,6 +76,8 @@ class Splats:
     sh: NDArray[np.float32]  # [N, (degree + 1)^2, 3] raw coefficients; colour = SH . basis + 0.5
     antialias: bool = False  # meant to be drawn with opacity compensation for the dilation (RenderConfig.antialias)
     cones: NDArray[np.int8] | None = None  # [N, 4] visibility cone / 127: axis in the splat's own axes, smallest cosine
+    cones_psnr: float | None = None  # dB that the worst picture keeps without the splats the cones hide; None: unknown
+    levels: tuple[Level[Splats], ...] = ()  # coarser ones, finest first
 
     def __init__(
         self,
@@ -50,6 +88,8 @@ class Splats:
         sh: ArrayLike,  # [N, K, 3], K 1, 4, 9 or 16
         antialias: bool = False,
         cones: ArrayLike | None = None,  # [N, 4] of whole numbers -128..127
+        cones_psnr: float | None = None,
+        levels: Iterable[Level[Splats]] = (),
     ) -> None:
         arrays = {"means": means, "quats": quats, "scales": scales, "opacities": opacities, "sh": sh}
         own_ones = {name: own(array, np.float32, name) for name, array in arrays.items()}
@@ -73,6 +113,13 @@ class Splats:
             raise FormatError(f"antialias is True or False, not {antialias!r:.40}")
         for name, array in {**own_ones, "antialias": bool(antialias), "cones": held}.items():
             object.__setattr__(self, name, array)
+        known = held is not None and cones_psnr is not None
+        object.__setattr__(self, "cones_psnr", float(cones_psnr) if known and cones_psnr is not None else None)
+        found = tuple(levels)
+        sizes = [n, *(len(one.content) for one in found if isinstance(getattr(one, "content", None), Splats))]
+        object.__setattr__(self, "levels", checked_levels(found, self, sizes) if found else ())
+        if any(level.content.levels for level in self.levels):
+            raise FormatError("a level has no levels of its own")
 
     @classmethod
     def create(
@@ -86,6 +133,7 @@ class Splats:
         rgb: ArrayLike | None = None,  # [N, 3] in [0, 1], instead of sh
         antialias: bool = False,
         cones: ArrayLike | None = None,  # [N, 4]
+        cones_psnr: float | None = None,
     ) -> Splats:
         """The same, with plain colours: ``rgb`` makes splats of SH degree 0.
 
@@ -99,13 +147,14 @@ class Splats:
             sh = _sh_of(rgb)
         alphas = plain(opacities, "opacities")
         alphas = alphas.reshape(-1) if alphas.ndim == 0 or alphas.shape[1:] == (1,) else alphas
-        return cls(means, quats, scales, alphas, sh, antialias, cones)
+        return cls(means, quats, scales, alphas, sh, antialias, cones, cones_psnr)
 
     def __reduce__(self) -> tuple[Any, ...]:
         return restored, (type(self), {f.name: getattr(self, f.name) for f in fields(self)})
 
     def __repr__(self) -> str:
         more = (", antialias" if self.antialias else "") + ("" if self.cones is None else ", visibility cones")
+        more += f", {len(self.levels)} levels" if self.levels else ""
         size = f"{self.nbytes / 1e6:.4g} MB" if self.nbytes >= 1e5 else f"{self.nbytes} bytes"
         return f"Splats({len(self)} splats, SH degree {self.sh_degree}, {size}{more})"
 
@@ -119,12 +168,15 @@ class Splats:
 
     @property
     def nbytes(self) -> int:
-        """Host memory of the arrays in bytes."""
+        """Host memory of the arrays in bytes, without levels."""
         arrays = (self.means, self.quats, self.scales, self.opacities, self.sh, self.cones)
         return sum(a.nbytes for a in arrays if a is not None)
 
     def take(self, index: ArrayLike) -> Splats:
-        """The splats at ``index`` (an integer or boolean array), in that order. Raises FormatError outside of them."""
+        """The splats at ``index`` (an integer or boolean array), in that order, without levels.
+
+        Raises FormatError outside of them.
+        """
         i = np.asarray(index)
         n = len(self)
         if i.dtype == bool and i.shape == (n,):
@@ -135,7 +187,7 @@ class Splats:
         arrays = (self.means, self.quats, self.scales, self.opacities, self.sh)
         means, quats, scales, opacities, sh = (frozen(a.take(i, axis=0)) for a in arrays)
         cones = None if self.cones is None else frozen(self.cones.take(i, axis=0))
-        return Splats(means, quats, scales, opacities, sh, self.antialias, cones)
+        return Splats(means, quats, scales, opacities, sh, self.antialias, cones, self.cones_psnr)
 
     def finite(self) -> NDArray[np.bool_]:
         """[N] True where every attribute is finite."""

@@ -101,6 +101,15 @@ class Skeleton:
     def __len__(self) -> int:
         return len(self.names)
 
+    def same(self, other: Skeleton) -> bool:
+        """Whether a pose means the same to both: names, parents, and frames to float32."""
+        if self is other:
+            return True
+        if self.names != other.names or not np.array_equal(self.parents, other.parents):
+            return False
+        pairs = ((self.rest, other.rest), (self.inverse_bind, other.inverse_bind))
+        return all(np.allclose(a, b, rtol=1e-5, atol=1e-6) for a, b in pairs)
+
     @property
     def joints(self) -> NDArray[np.float64]:
         """[J, 3] rest positions in metres."""
