@@ -10,7 +10,13 @@ import numpy as np
 from glsplat.arrays import count, number
 from glsplat.errors import GlsplatError
 
-__all__ = ["RenderConfig"]
+__all__ = ["CULL_PSNR", "LEAN", "MAX_LEVELS", "RenderConfig"]
+
+CULL_PSNR = 45.0
+"""Decibels that pictures keep at worst without the splats that ``cull_hidden="auto"`` leaves out."""
+
+MAX_LEVELS = 16
+"""Levels of detail of one thing, at most."""
 
 Target = Literal["auto", "8", "16f", "32f"]
 Output = Literal["float32", "uint8"]
@@ -40,10 +46,13 @@ class RenderConfig:
     influences: Literal[0, 1, 2, 4, 8] = 0  # joints a splat; 0 = as many as the avatar has
     sh_degree: int = 3  # evaluate at most this degree
     antialias: bool | None = None  # opacity compensation (Mip-Splatting's 2D filter); None: if the splats ask for it
-    cull_hidden: bool = False  # leave out splats that are seen from outside their visibility cone (making/cones.py)
+    cull_hidden: bool | Literal["auto"] = False  # leave out splats that are seen from outside their visibility cone
+    # (making/cones.py); auto: of things whose worst picture keeps CULL_PSNR without them
     cull_margin: float = 0.0  # added to the smallest cosine of every cone: above 0 leaves out more
     eps2d: float = 0.3  # px^2 added to the diagonal of the projected covariance
     max_sigma: float = 3.33  # standard deviations at which a quad ends at the latest
+    level: int | Literal["auto"] = 0  # of detail: 0 the finest, a number (or the coarsest there is); auto: by pixels
+    lod_bias: float = 0.0  # of auto, in halvings: 1 takes levels that suffice at twice the pixels, -1 at half of them
 
     mesh_samples: Literal[1, 4] = 4  # points of a pixel at which meshes are drawn; 1 where the driver has no more
     mesh_anisotropy: Literal[1, 2, 4, 8, 16] = 16  # texture samples at most along what is seen at a slant
@@ -61,7 +70,7 @@ class RenderConfig:
             "influences": (0, 1, 2, 4, 8),
             "sh_degree": (0, 1, 2, 3),
             "antialias": (None, False, True),
-            "cull_hidden": (False, True),
+            "cull_hidden": (False, True, "auto"),
             "mesh_samples": (1, 4),
             "mesh_anisotropy": (1, 2, 4, 8, 16),
         }
@@ -74,12 +83,18 @@ class RenderConfig:
                 raise GlsplatError(f"{name} needs one of {', '.join(map(str, values))}, not {value!r:.60}")
             object.__setattr__(self, name, chosen)
         object.__setattr__(self, "sort_period", count(self.sort_period, "sort_period", GlsplatError))
-        for name in ("cull_margin", "eps2d", "max_sigma"):
+        if self.level != "auto":
+            object.__setattr__(self, "level", count(self.level, "level", GlsplatError))
+            if not 0 <= int(self.level) <= MAX_LEVELS:
+                raise GlsplatError(f"level needs 0 to {MAX_LEVELS} or auto, not {self.level}")
+        for name in ("cull_margin", "eps2d", "lod_bias", "max_sigma"):
             object.__setattr__(self, name, number(getattr(self, name), name, GlsplatError))
         if not 1 <= self.sort_period <= 1000:
             raise GlsplatError(f"sort_period needs 1 to 1000 frames, not {self.sort_period}")
         if not -2 <= self.cull_margin <= 2:
             raise GlsplatError(f"cull_margin needs -2 to 2, not {self.cull_margin:g}")
+        if not -8 <= self.lod_bias <= 8:
+            raise GlsplatError(f"lod_bias needs -8 to 8, not {self.lod_bias:g}")
         if not 0 <= self.eps2d <= 100:
             raise GlsplatError(f"eps2d needs 0 to 100 px^2, not {self.eps2d:g}")
         if not 0 < self.max_sigma <= 3.33:
@@ -95,3 +110,7 @@ _NOTHING = object()
 
 def _is_switch(value: object) -> bool:
     return isinstance(value, (bool, np.bool_))
+
+
+LEAN = RenderConfig(cull_hidden="auto", level="auto")
+"""What ``serve``, ``preview`` and ``replay`` draw with unless they are told ``--exact``: what can be told apart."""

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from types import TracebackType
@@ -152,6 +152,7 @@ class Renderer:
         budget: Budget | None = ...,
         depth: Literal[False] = ...,
         out: NDArray[Any] | None = ...,
+        viewer: Hashable = ...,
     ) -> NDArray[Any]: ...
 
     @overload
@@ -164,6 +165,7 @@ class Renderer:
         budget: Budget | None = ...,
         depth: Literal[True],
         out: NDArray[Any] | None = ...,
+        viewer: Hashable = ...,
     ) -> tuple[NDArray[Any], NDArray[np.float32]]: ...
 
     def render(
@@ -175,6 +177,7 @@ class Renderer:
         budget: Budget | None = None,  # what this picture may cost; none: whatever it takes
         depth: bool = False,  # return expected depths beside the images
         out: NDArray[Any] | None = None,  # [V, H, W, 4] where the images go; default: a new array
+        viewer: Hashable = None,  # who looks, where several do in turn: their levels of detail are kept apart
     ) -> NDArray[Any] | tuple[NDArray[Any], NDArray[np.float32]]:
         """The images [V, H, W, 4], row 0 at the top: RGB over the background and accumulated alpha.
 
@@ -190,7 +193,7 @@ class Renderer:
             raise GlsplatError("sort_viewmat needs 4x4 finite numbers")
         cameras = self._views(cameras)
         with self._entered("render"):
-            self._begin(pose)
+            self._begin(pose, cameras, viewer)
             boxed = self.config.output == "uint8"
             shape, dtype = (len(cameras), self.size[1], self.size[0], 4), np.dtype(np.uint8 if boxed else np.float32)
             out = np.empty(shape, dtype) if out is None else out
@@ -219,7 +222,7 @@ class Renderer:
         if len(cameras) > 2:
             raise GlsplatError(f"draw() takes one view or a pair, not {len(cameras)}; render() takes any number")
         with self._entered("draw"):
-            self._begin(pose)
+            self._begin(pose, cameras)
             passes = passes_of(cameras, self.config.order == "shared")
             for ordinal, batch in enumerate(passes):
                 pipeline, target = self._draw([cameras[i] for i in batch], None, boxed=False, ordinal=ordinal)
@@ -325,10 +328,11 @@ class Renderer:
     def _views(self, cameras: Sequence[Camera]) -> list[Camera]:
         return checked_views(cameras, self.size, "; call resize() first")
 
-    def _begin(self, pose: Pose | None) -> None:
+    def _begin(self, pose: Pose | None, cameras: Sequence[Camera], viewer: Hashable = None) -> None:
         self.timer.start()
-        self._scene.update(pose, self.timer)
-        self.stats = FrameStats(self._scene.splats, 0, self._scene.skipped, {}, False)
+        scene = self._scene
+        scene.update(pose, self.timer, cameras, viewer)
+        self.stats = FrameStats(scene.splats, 0, scene.skipped, {}, False, levels=scene.levels)
 
     def _draw(
         self,

@@ -39,7 +39,7 @@ class Arena:
         posed: bool,  # False: a single item without a skeleton, where it was loaded
         degree: int,  # of the colours
         signed: bool = False,  # some items ask for opacity compensation and some do not (variant.antialias 2)
-        cones: bool = False,
+        culled: Sequence[bool] = (),  # of which items the hidden splats are left out, by their cones
     ) -> None:
         ctx = context.ctx
         self.items, self.posed, self.degree = tuple(items), posed, degree
@@ -69,7 +69,7 @@ class Arena:
                 self.colours = upload_rows(ctx, np.empty((0, 1), np.float32), texels, components, stack, height)
                 for item, first in zip(items, self.first, strict=False):
                     write_rows(self.colours, int(first), item.colours(degree), texels, components)
-            self.cones = _own(stack, ctx.buffer(self._packed_cones())) if cones else None
+            self.cones = _own(stack, ctx.buffer(self._packed_cones(culled))) if any(culled) else None
             self.numbers = None if context.vertex_ids else _own(stack, numbers_of(ctx, self.count))
             self.splats: moderngl.Texture
             self._run: moderngl.Buffer | None = None
@@ -156,12 +156,12 @@ class Arena:
                 self._run.write(bytes((rows * ROW - count) * _POSED_BYTES), offset=count * _POSED_BYTES)
             self.splats.write(self._run, (0, first + start // ROW, ROW * 4, rows))
 
-    def _packed_cones(self) -> NDArray[np.int8]:
-        """[count, 4]; items without cones get one that hides nothing."""
+    def _packed_cones(self, culled: Sequence[bool]) -> NDArray[np.int8]:
+        """[count, 4]; the other items get one that hides nothing."""
         out = np.zeros((max(1, self.count), 4), np.int8)
         out[:, 3] = -127  # the smallest cosine there is
-        for item, first in zip(self.items, self.first, strict=False):
-            if item.splats.cones is not None:
+        for item, first, mine in zip(self.items, self.first, culled, strict=False):
+            if mine and item.splats.cones is not None:
                 out[first * ROW : first * ROW + item.count] = item.splats.cones
         return out
 

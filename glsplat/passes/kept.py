@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Iterator
 from typing import Generic, Protocol, TypeVar
 
 __all__ = ["Kept"]
@@ -30,6 +30,9 @@ class Kept(Generic[K, V]):
 
     def __len__(self) -> int:
         return len(self._owners)
+
+    def __iter__(self) -> Iterator[V]:
+        return iter(tuple(self._owners.values()))
 
     @property
     def nbytes(self) -> int:

@@ -1,47 +1,46 @@
 """Staged: a scene on the GPU. Items are uploaded once and posed when they move.
 
-The arena is made anew when one comes or goes.
-
-Pipelines (order, records) are kept by variant, size and place in the call, so that clients of several sizes that take
-turns, or several passes of one frame, do not overwrite each other's.
+The arena is made anew when one comes or goes. Where items have levels of detail there is one for each choice of levels
+that was drawn lately, so that clients who look from near and from afar do not undo each other's work.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections import OrderedDict
+from collections.abc import Hashable, Sequence
 
 import numpy as np
 
 from glsplat.avatar import Avatar
 from glsplat.camera import Camera
-from glsplat.config import RenderConfig
+from glsplat.config import CULL_PSNR, RenderConfig
 from glsplat.errors import ContextError, GlsplatError, PoseError
 from glsplat.gl.context import Context
 from glsplat.meshes import RiggedMesh
 from glsplat.passes.arena import Arena
+from glsplat.passes.drawable import PASSES, Drawable
 from glsplat.passes.frame.pipeline import Pipeline, view_state
 from glsplat.passes.item.buffers import ItemBuffers, Placement
 from glsplat.passes.item.ground import Ground, GroundKind, MeshItem
+from glsplat.passes.item.levels import LevelBuffers, chosen
 from glsplat.passes.kept import Kept
 from glsplat.passes.views import checked_pose
 from glsplat.scene import Item, Scene, is_figure
-from glsplat.shaders import Programs, Variant, variant_for
+from glsplat.shaders import Programs, variant_for
 from glsplat.skinning.pose import Pose
 from glsplat.splats import Splats
 from glsplat.timing import StageTimer
 
 __all__ = ["Staged"]
 
-_PASSES = 4
-"""Passes of one call that keep records of their own; later ones share the last place."""
-
-_KEPT = 8
-"""Pipelines that are kept at most."""
+_KEPT = 6
+"""Choices of levels that are kept at most."""
 
 _KEPT_BYTES = 256 * 2**20
-"""What pipelines other than the one in use may take."""
+"""What of them is not in use may take."""
 
-Key = tuple[Variant, tuple[int, int], int]
+_VIEWERS = 64
+"""Viewers whose levels are remembered."""
 
 
 class Staged:
@@ -53,17 +52,21 @@ class Staged:
         self.scene = scene
         self._context, self._programs, self._config = context, programs, config
         self._geometry, self._triangle = geometry, triangle
-        self._items: dict[int, tuple[Item, ItemBuffers]] = {}  # by id(); the item is kept, so the id stays its own
+        self._items: dict[int, tuple[Item, LevelBuffers]] = {}  # by id(); the item is kept, so the id stays its own
         self._meshes: dict[int, tuple[Item, MeshItem]] = {}
         self._standing: list[tuple[MeshItem, Placement]] = []  # the visible meshes of this frame
         self._standing_version = 0
-        self._grounds: Kept[tuple[tuple[int, int], int, GroundKind, int], Ground] = Kept(_PASSES, _KEPT_BYTES)
+        self._grounds: Kept[tuple[tuple[int, int], int, GroundKind, int], Ground] = Kept(PASSES, _KEPT_BYTES)
         self._samples = config.mesh_samples if context.ctx.max_samples >= config.mesh_samples else 1
-        self._arena: Arena | None = None
-        self._pipelines: Kept[Key, Pipeline] = Kept(_KEPT, _KEPT_BYTES)
+        self._drawables: Kept[tuple[int, ...], Drawable] = Kept(_KEPT, _KEPT_BYTES)  # by level of each visible item
+        self._drawable: Drawable | None = None  # the one in use
+        self._shown: tuple[object, ...] = ()  # what the drawables are made of
+        self._memory: OrderedDict[Hashable, dict[int, int]] = OrderedDict()  # by viewer: level of each item by id()
+        self.levels: tuple[int, ...] = ()  # of the visible splat items
         self.arenas = 0  # made so far
         try:
-            self._stage()
+            visible = self._visible()
+            self._stage(visible, [self._at_first(item) for item in visible])
         except BaseException:
             self.release()
             raise
@@ -71,8 +74,8 @@ class Staged:
     @property
     def arena(self) -> Arena:
         """All visible splats."""
-        assert self._arena is not None
-        return self._arena
+        assert self._drawable is not None
+        return self._drawable.arena
 
     @property
     def splats(self) -> int:
@@ -86,21 +89,29 @@ class Staged:
 
     def nbytes(self) -> dict[str, int]:
         """GPU bytes: splats (items and arena), sh, work (keys, order, records)."""
+        drawables = list(self._drawables)
+        arenas = [drawable.arena for drawable in drawables]
         return {
-            "splats": sum(buffers.nbytes for _, buffers in self._items.values()) + self.arena.nbytes,
+            "splats": sum(levels.nbytes for _, levels in self._items.values()) + sum(a.nbytes for a in arenas),
             "meshes": sum(mesh.buffers.nbytes for _, mesh in self._meshes.values()) + self._grounds.nbytes,
-            "sh": self.arena.colour_nbytes,
-            "work": self._pipelines.nbytes,
+            "sh": sum(arena.colour_nbytes for arena in arenas),
+            "work": sum(drawable.pipelines.nbytes for drawable in drawables),
         }
 
-    def update(self, pose: Pose | None, timer: StageTimer) -> None:
-        """Follow the scene: what came, went, moved. ``pose`` is for the one avatar of a scene, if there is one."""
-        items = self._stage()
+    def update(
+        self, pose: Pose | None, timer: StageTimer, views: Sequence[Camera] = (), viewer: Hashable = None
+    ) -> None:
+        """Follow the scene: what came, went, moved, and how near ``views`` are, which ``viewer`` sees.
+
+        ``pose`` is for the one avatar of a scene, if there is one.
+        """
+        visible = self._visible()
         if pose is not None:
             avatars = len(self.scene.figures)
             if avatars > 1:
                 raise PoseError(f"render() got one pose for {avatars} avatars; set the pose of each item instead")
-        places = [self._placement(item, pose) for item in items]
+        places = [self._placement(item, pose) for item in visible]
+        self._stage(visible, self._choose(visible, places, views, viewer))
         self._stand(pose)
         if self._standing or any(place.bones is not None for place in places):
             timer.mark("pose")
@@ -114,7 +125,7 @@ class Staged:
         if not self._standing:
             return None
         kind = GroundKind(self._occluded, self._samples, depth and not self._occluded)
-        key = ((views[0].width, views[0].height), len(views), kind, min(ordinal, _PASSES - 1))
+        key = ((views[0].width, views[0].height), len(views), kind, min(ordinal, PASSES - 1))
         ground = self._grounds.get(key, lambda: Ground(self._context, self._programs, *key[:3], dtype))
         ground.run(views, self._standing, (self._standing_version, tuple(view_state(view) for view in views)))
         timer.mark("mesh")
@@ -128,7 +139,7 @@ class Staged:
     @staticmethod
     def shared(ordinal: int) -> bool:
         """Whether other passes of one call may be drawn by the same pipeline as pass number ``ordinal``."""
-        return ordinal >= _PASSES - 1
+        return ordinal >= PASSES - 1
 
     def pipeline(self, views: Sequence[Camera], ordinal: int, depth: bool = False) -> Pipeline:
         """What draws these views, as pass number ``ordinal`` of the call."""
@@ -145,46 +156,91 @@ class Staged:
             occluded=self._occluded,
             sampled=self._samples if self._standing and self._samples > 1 else 0,
             numbered=not self._context.vertex_ids,
+            cones=self.arena.cones is not None,
         )
-        key = (variant, (views[0].width, views[0].height), min(ordinal, _PASSES - 1))
+        assert self._drawable is not None
         parts = (self._context, self._programs, variant, self.arena, self._config)
-        return self._pipelines.get(key, lambda: Pipeline(*parts))
+        return self._drawable.pipeline(variant, (views[0].width, views[0].height), ordinal, lambda: Pipeline(*parts))
 
     def release(self) -> None:
         """Delete everything; may be called twice."""
-        self._pipelines.release()
+        self._drawable = None
+        self._drawables.release()
         self._grounds.release()
         meshes, self._meshes, self._standing = self._meshes, {}, []
         for _, mesh in meshes.values():
             mesh.release()
-        (arena, self._arena), (items, self._items) = (self._arena, None), (self._items, {})
-        if arena is not None:
-            arena.release()
-        for _, buffers in items.values():
-            buffers.release()
+        items, self._items = self._items, {}
+        for _, levels in items.values():
+            levels.release()
 
-    def _stage(self) -> list[Item]:
-        """Buffers for what is new, an arena for what is visible; the visible splat items in order.
+    def _visible(self) -> list[Item]:
+        """The visible splat items, in order."""
+        return [item for item in self.scene if item.visible and not isinstance(item.content, RiggedMesh)]
+
+    def _stage(self, visible: Sequence[Item], levels: Sequence[int]) -> None:
+        """Buffers for what is new, an arena for what is visible at these levels of detail.
 
         Nothing of what stands is given up before what replaces it is there.
         """
-        for item in self.scene:
-            if id(item) not in self._items and item.visible and not isinstance(item.content, RiggedMesh):
-                self._items[id(item)] = item, self._buffers_of(item)
-        visible = [item for item in self.scene if item.visible and not isinstance(item.content, RiggedMesh)]
-        buffers = [self._items[id(item)][1] for item in visible]
         posed = len(visible) != 1 or isinstance(visible[0].content, Avatar) or _moved(visible[0])
-        if self._arena is None or self._arena.items != tuple(buffers) or self._arena.posed != posed:
-            arena = self._arena_of(buffers, posed)
-            self._pipelines.release()  # they draw the old one
-            old, self._arena = self._arena, arena
-            if old is not None:
-                old.release()
-            self.arenas += 1
+        shown = (posed, *map(id, visible))
+        if shown != self._shown or self._drawable is None:
+            made = self._made(visible, levels, posed)
+            self._drawables.release()
+            self._memory.clear()  # it goes by id(), which may be another item's by now
+            self._shown = shown
+            self._drawable = self._drawables.get(tuple(levels), lambda: made)
+        else:
+            self._drawable = self._drawables.get(tuple(levels), lambda: self._made(visible, levels, posed))
+        self.levels = tuple(levels)
         present = {id(item) for item in self.scene}
         for gone in [key for key in self._items if key not in present]:
             self._items.pop(gone)[1].release()
-        return visible
+
+    def _made(self, visible: Sequence[Item], levels: Sequence[int], posed: bool) -> Drawable:
+        buffers = [self._levels_of(item).get(level) for item, level in zip(visible, levels, strict=True)]
+        self.arenas += 1
+        return Drawable(self._arena_of(buffers, posed))
+
+    def _levels_of(self, item: Item) -> LevelBuffers:
+        if id(item) not in self._items:
+            content = item.content
+            assert not isinstance(content, RiggedMesh)
+            self._items[id(item)] = item, LevelBuffers(content, self._buffers_of)
+        return self._items[id(item)][1]
+
+    def _at_first(self, item: Item) -> int:
+        """The level before anybody has looked: what was asked for, else the one that is loaded soonest."""
+        coarsest = len(item.content.levels) if not isinstance(item.content, RiggedMesh) else 0
+        return coarsest if self._config.level == "auto" else min(int(self._config.level), coarsest)
+
+    def _choose(
+        self, visible: Sequence[Item], places: Sequence[Placement], views: Sequence[Camera], viewer: Hashable
+    ) -> list[int]:
+        """The level of each visible item for these views."""
+        if self._config.level != "auto" or not any(self._at_first(item) for item in visible):
+            return [self._at_first(item) for item in visible]
+        before = self._memory.get(viewer, {})
+        finer = 2.0**self._config.lod_bias
+        found: dict[int, int] = {}
+        for item, place in zip(visible, places, strict=True):
+            levels = self._levels_of(item)
+            last = before.get(id(item))
+            wanted = levels.wanted(place, views)
+            # what is not in view needs no level: it keeps the one it has
+            found[id(item)] = (
+                chosen(levels.densities, wanted * finer, last)
+                if wanted is not None
+                else levels.coarsest
+                if last is None
+                else last
+            )
+        self._memory[viewer] = found
+        self._memory.move_to_end(viewer)
+        while len(self._memory) > _VIEWERS:
+            self._memory.popitem(last=False)
+        return list(found.values())
 
     def _stand(self, pose: Pose | None) -> None:
         """Where the visible meshes are; what is gone is released."""
@@ -205,10 +261,9 @@ class Staged:
         for gone in [key for key in self._meshes if key not in present]:
             self._meshes.pop(gone)[1].release()
 
-    def _buffers_of(self, item: Item) -> ItemBuffers:
-        content, context, config = item.content, self._context, self._config
+    def _buffers_of(self, content: Splats | Avatar) -> ItemBuffers:
+        context, config = self._context, self._config
         splats = content.splats if isinstance(content, Avatar) else content
-        assert isinstance(splats, Splats)
         skin, joints = None, 0
         if isinstance(content, Avatar):
             skin, joints = content.skin, len(content.skeleton)
@@ -220,14 +275,15 @@ class Staged:
 
     def _arena_of(self, buffers: Sequence[ItemBuffers], posed: bool) -> Arena:
         config = self._config
-        if config.cull_hidden and buffers and all(item.splats.cones is None for item in buffers):
+        if config.cull_hidden is True and buffers and all(item.splats.cones is None for item in buffers):
             raise GlsplatError(
                 "cull_hidden needs splats with visibility cones, this scene has none; "
                 "make them (glsplat avatar cones, glsplat.making.cones.with_cones) or leave cull_hidden off"
             )
         degree = min(max((item.splats.sh_degree for item in buffers), default=0), config.sh_degree)
         mixed = config.antialias is None and len({item.splats.antialias for item in buffers}) > 1
-        return Arena(self._context, buffers, posed=posed, degree=degree, signed=mixed, cones=config.cull_hidden)
+        culled = [item.splats.cones is not None and _culled(item.splats, config) for item in buffers]
+        return Arena(self._context, buffers, posed=posed, degree=degree, signed=mixed, culled=culled)
 
     def _placement(self, item: Item, pose: Pose | None) -> Placement:
         linear = item.transform[:3, :3]
@@ -238,6 +294,13 @@ class Staged:
             wanted = pose if pose is not None and is_figure(item.content) else item.pose
             bones = checked_pose(wanted, len(skeleton), "avatar").bones(skeleton)
         return Placement(linear / size, item.transform[:3, 3], size, bones)
+
+
+def _culled(splats: Splats, config: RenderConfig) -> bool:
+    """Whether what the cones of these splats hide is left out."""
+    if config.cull_hidden == "auto":
+        return splats.cones_psnr is not None and splats.cones_psnr >= CULL_PSNR
+    return config.cull_hidden
 
 
 def _moved(item: Item) -> bool:

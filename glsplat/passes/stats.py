@@ -11,13 +11,14 @@ __all__ = ["FrameStats", "union"]
 class FrameStats:
     """What one call of render() did."""
 
-    splats: int  # in the scene
+    splats: int  # in the scene, at the levels of detail that were drawn
     drawn: int  # of them, summed over the passes of the call
     skipped: int  # not finite or without a rotation: never uploaded
     culled: dict[str, int] = field(default_factory=dict)  # by reason
     sorted: bool = True  # False where the previous order still held
     covered: tuple[int, int, int, int] = (0, 0, 0, 0)  # x, y, width, height outside of which is only background
     cost: int = 0  # covered pixels (passes/frame/budget.py); counted only under a budget
+    levels: tuple[int, ...] = ()  # of detail, one a visible item of splats; 0 is the finest
 
 
 def union(a: tuple[int, int, int, int], b: tuple[int, int, int, int]) -> tuple[int, int, int, int]:

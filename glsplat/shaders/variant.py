@@ -110,6 +110,7 @@ def variant_for(
     occluded: bool = False,
     sampled: int = 0,  # samples
     numbered: bool = False,
+    cones: bool = False,  # some of the splats are culled by them
 ) -> Variant:
     """What a scene needs under a config, and nothing more."""
     degree = min(stored_degree, sh_degree, config.sh_degree)
@@ -123,7 +124,7 @@ def variant_for(
         antialias=2 if len(asked) > 1 else int(True in asked),
         geometry=int(geometry),  # for one view too: it orders the vertices, and a pair has to equal its singles
         triangle=int(triangle),
-        cull_hidden=int(config.cull_hidden),
+        cull_hidden=int(cones),
         cut=int(config.max_sigma < 3.33),
         depth=int(depth),
         occluded=int(occluded),

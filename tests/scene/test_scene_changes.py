@@ -14,7 +14,7 @@ import pytest
 from glsplat.config import RenderConfig
 from glsplat.errors import ContextError, GlsplatError, PoseError
 from glsplat.gl.context import Context
-from glsplat.passes import staged
+from glsplat.passes import drawable, staged
 from glsplat.renderer import Renderer
 from glsplat.scene import Item, Scene, similarity
 from tests.scene.worlds import random_pose, upright
@@ -129,11 +129,12 @@ def test_pipelines_are_bounded(renderer_of: Make, monkeypatch: pytest.MonkeyPatc
     for size in range(8, 40):
         renderer.resize(size, size)
         renderer.render(eyes(size))
-    assert renderer._staged is not None
-    assert len(renderer._staged._pipelines) <= staged._KEPT
-    monkeypatch.setattr(renderer._staged._pipelines, "_most_bytes", 1)
+    assert renderer._staged is not None and renderer._staged._drawable is not None
+    pipelines = renderer._staged._drawable.pipelines
+    assert len(pipelines) <= drawable._KEPT
+    monkeypatch.setattr(pipelines, "_most_bytes", 1)
     renderer.render(eyes(39))
-    assert len(renderer._staged._pipelines) == 1
+    assert len(pipelines) == 1
 
 
 def test_coming_and_going_leaves_nothing(context: Context) -> None:

@@ -1,0 +1,49 @@
+"""Drawable: an arena and the pipelines that draw it.
+
+Pipelines (order, records) are kept by variant, size and place in the call, so that clients of several sizes that take
+turns, or several passes of one frame, do not overwrite each other's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from glsplat.passes.arena import Arena
+from glsplat.passes.frame.pipeline import Pipeline
+from glsplat.passes.kept import Kept
+from glsplat.shaders import Variant
+
+__all__ = ["PASSES", "Drawable"]
+
+PASSES = 4
+"""Passes of one call that keep records of their own; later ones share the last place."""
+
+_KEPT = 8
+"""Pipelines that are kept at most."""
+
+_KEPT_BYTES = 256 * 2**20
+"""What pipelines other than the one in use may take."""
+
+Key = tuple[Variant, tuple[int, int], int]
+
+
+class Drawable:
+    """Owns the arena and its pipelines."""
+
+    def __init__(self, arena: Arena) -> None:
+        self.arena = arena
+        self.pipelines: Kept[Key, Pipeline] = Kept(_KEPT, _KEPT_BYTES)
+
+    @property
+    def nbytes(self) -> int:
+        """GPU bytes of all of it."""
+        return self.arena.nbytes + self.arena.colour_nbytes + self.pipelines.nbytes
+
+    def pipeline(self, variant: Variant, size: tuple[int, int], ordinal: int, make: Callable[[], Pipeline]) -> Pipeline:
+        """What draws pictures of ``size`` as pass number ``ordinal`` of a call."""
+        return self.pipelines.get((variant, size, min(ordinal, PASSES - 1)), make)
+
+    def release(self) -> None:
+        """Delete everything; may be called twice."""
+        self.pipelines.release()
+        self.arena.release()

@@ -1,0 +1,71 @@
+"""Levels of detail of one item on the GPU: each is staged when it is first drawn; and which of them a view gets."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+from glsplat.avatar import Avatar
+from glsplat.camera import Camera
+from glsplat.passes.item.buffers import ItemBuffers, Placement
+from glsplat.splats import Splats
+
+__all__ = ["BAND", "LevelBuffers", "chosen"]
+
+BAND = 1.05
+"""Hysteresis: a level is kept until the view wants that much more than it has, or less than the coarser one has."""
+
+
+class LevelBuffers:
+    """The buffers of an item's levels. ``make`` makes those of one level."""
+
+    def __init__(self, content: Splats | Avatar, make: Callable[[Splats | Avatar], ItemBuffers]) -> None:
+        self.contents: tuple[Splats | Avatar, ...] = (content, *(level.content for level in content.levels))
+        self.densities: tuple[float, ...] = tuple(level.density for level in content.levels)
+        self._make = make
+        self._made: dict[int, ItemBuffers] = {}
+
+    @property
+    def coarsest(self) -> int:
+        """The number of the coarsest level; 0 is the finest."""
+        return len(self.densities)
+
+    @property
+    def nbytes(self) -> int:
+        """GPU bytes of the levels that were drawn."""
+        return sum(buffers.nbytes for buffers in self._made.values())
+
+    def wanted(self, place: Placement, views: Sequence[Camera]) -> float | None:
+        return None
+
+    def get(self, level: int) -> ItemBuffers:
+        """The buffers of a level."""
+        if level not in self._made:
+            self._made[level] = self._make(self.contents[level])
+        return self._made[level]
+
+    def release(self) -> None:
+        """Delete all buffers."""
+        made, self._made = self._made, {}
+        for buffers in made.values():
+            buffers.release()
+
+
+def chosen(densities: Sequence[float], wanted: float, before: int | None = None) -> int:
+    """The coarsest level that suffices where a view has ``wanted`` pixels a metre; 0 is the finest.
+
+    ``densities`` are those of the coarser levels, falling (Splats.levels). ``before`` is the level that the same view
+    had: near the limit between two it stays.
+
+    >>> chosen((800, 400, 200), 300), chosen((800, 400, 200), 405), chosen((800, 400, 200), 405, before=2)
+    (2, 1, 2)
+    """
+
+    def suffices(least: float) -> int:
+        return sum(density >= least for density in densities)
+
+    level = suffices(wanted)
+    if before is None or level == before:
+        return level
+    if level > before:
+        return max(before, suffices(wanted * BAND))
+    return min(before, suffices(wanted / BAND))
