@@ -28,7 +28,7 @@ FLOORS = [
     ["glsplat.formats.gltf.nodes"],
     ["glsplat.formats.gltf.bound", "glsplat.formats.gltf.vrm", "glsplat.formats.gltf.animation"],
     ["glsplat.avatar", "glsplat.meshes", "glsplat.tracking.solve"],
-    ["glsplat.scene", "glsplat.reference"],
+    ["glsplat.scene", "glsplat.reference", "glsplat.detail"],
     ["glsplat.motion", "glsplat.views"],
     ["glsplat.formats"],
     ["glsplat.data", "glsplat.models"],

@@ -13,10 +13,11 @@ from scipy.spatial.transform import Rotation
 
 from glsplat import reference
 from glsplat.avatar import Avatar
+from glsplat.detail.cells import cells
 from glsplat.skinning.skin import Skin
 from glsplat.splats import Splats
 
-__all__ = ["cells", "merged"]
+__all__ = ["merged"]
 
 F64 = NDArray[np.float64]
 
@@ -65,27 +66,6 @@ def merged(scene: Splats | Avatar, count: int) -> Splats | Avatar:
     weights = mean_of(kept)
     skin = Skin.create(np.broadcast_to(np.arange(joints), weights.shape), weights, joints, scene.skin.influences)
     return Avatar(out, scene.skeleton, skin, scene.meta)
-
-
-def cells(points: F64, count: int) -> NDArray[np.intp]:
-    """[N] which of ``count`` cells each of ``points`` [N, D] falls into: halved along the longest axis again and again.
-
-    Sizes differ by at most one between siblings; every cell has at least one point if ``count`` <= N.
-    """
-    out = np.zeros(len(points), np.intp)
-    todo = [(np.arange(len(points)), 0, count)]
-    while todo:
-        index, first, share = todo.pop()
-        if share == 1:
-            out[index] = first
-            continue
-        own = points[index]
-        axis = int(np.ptp(own, axis=0).argmax())
-        left = share // 2
-        cut = int(np.clip(round(len(index) * left / share), left, len(index) - (share - left)))
-        order = np.argpartition(own[:, axis], min(cut, len(index) - 1))
-        todo += [(index[order[:cut]], first, left), (index[order[cut:]], first + left, share - left)]
-    return out
 
 
 def _area(deviations: F64) -> F64:

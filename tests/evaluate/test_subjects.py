@@ -11,9 +11,10 @@ import pytest
 from glsplat import reference
 from glsplat.avatar import Avatar
 from glsplat.config import RenderConfig
+from glsplat.detail.cells import cells
 from glsplat.errors import FormatError
 from glsplat.evaluate.knobs import Drawn, Setting, base_config, error_frames, settings_of
-from glsplat.evaluate.levels import cells, merged
+from glsplat.evaluate.levels import merged
 from glsplat.evaluate.sections.measure import measure
 from glsplat.evaluate.subjects import Subject, cameras_for, check_cameras, dense_person, subjects_of
 from glsplat.formats import load, save

@@ -1,0 +1,1 @@
+"""Levels of detail: what they are chosen by and measured against."""
