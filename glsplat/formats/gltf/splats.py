@@ -237,6 +237,12 @@ def _written_by_us(container: Container) -> bool:
     return "version" in container.note()
 
 
+def _begins_json(head: bytes) -> bool:
+    """An object's brace and a key, or the end: numbers of a .splat may look like text from end to end."""
+    text = head.removeprefix(b"\xef\xbb\xbf").lstrip()
+    return text[:1] == b"{" and text[1:].lstrip()[:1] in (b'"', b"}", b"")
+
+
 _TITLE = f"glTF/GLB with {EXTENSION}"
 
 GLB = Format(
@@ -254,8 +260,7 @@ GLTF = Format(
     name="gltf",
     title=_TITLE,
     suffixes=(".gltf",),
-    # text, else it is a number of a .splat that begins like a brace
-    sniff=lambda start: start.text and start.head.removeprefix(b"\xef\xbb\xbf").lstrip().startswith(b"{"),
+    sniff=lambda start: start.text and _begins_json(start.head),  # else it is a number of a .splat like a brace
     load=read_gltf,
     save=lambda scene, target: save_gltf(scene, target, embedded=True),
     rigs=True,
