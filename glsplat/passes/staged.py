@@ -227,15 +227,11 @@ class Staged:
         for item, place in zip(visible, places, strict=True):
             levels = self._levels_of(item)
             last = before.get(id(item))
-            wanted = levels.wanted(place, views)
-            # what is not in view needs no level: it keeps the one it has
-            found[id(item)] = (
-                chosen(levels.densities, wanted * finer, last)
-                if wanted is not None
-                else levels.coarsest
-                if last is None
-                else last
-            )
+            density = levels.density(place, views)
+            if density > 0:
+                found[id(item)] = chosen(levels.densities, density * finer, last)
+            else:  # what nobody sees keeps the level it has
+                found[id(item)] = levels.coarsest if last is None else last
         self._memory[viewer] = found
         self._memory.move_to_end(viewer)
         while len(self._memory) > _VIEWERS:

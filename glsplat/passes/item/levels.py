@@ -4,8 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
+import numpy as np
+
 from glsplat.avatar import Avatar
 from glsplat.camera import Camera
+from glsplat.detail.proxy import Proxy
 from glsplat.passes.item.buffers import ItemBuffers, Placement
 from glsplat.splats import Splats
 
@@ -23,6 +26,7 @@ class LevelBuffers:
         self.densities: tuple[float, ...] = tuple(level.density for level in content.levels)
         self._make = make
         self._made: dict[int, ItemBuffers] = {}
+        self._proxy: Proxy | None = None
 
     @property
     def coarsest(self) -> int:
@@ -34,8 +38,15 @@ class LevelBuffers:
         """GPU bytes of the levels that were drawn."""
         return sum(buffers.nbytes for buffers in self._made.values())
 
-    def wanted(self, place: Placement, views: Sequence[Camera]) -> float | None:
-        return None
+    def density(self, place: Placement, views: Sequence[Camera]) -> float:
+        """Pixels a metre (of its own) at which the views show it, the densest counts; 0 where none shows it."""
+        if self._proxy is None:
+            self._proxy = Proxy.of(self.contents[-1])  # the coarsest stands where the others do
+        to_world = None
+        if not place.unmoved:
+            to_world = np.eye(4)
+            to_world[:3, :3], to_world[:3, 3] = place.size * place.turn, place.offset
+        return max((self._proxy.density(view, to_world, place.bones) for view in views), default=0.0)
 
     def get(self, level: int) -> ItemBuffers:
         """The buffers of a level."""
