@@ -5,11 +5,12 @@ from __future__ import annotations
 import argparse
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from glsplat.avatar import Avatar
+from glsplat.config import CULL_PSNR, MAX_LEVELS
 from glsplat.data import default_avatar
 from glsplat.errors import FormatError, PoseError
 from glsplat.formats import load, suffixes
@@ -29,10 +30,12 @@ if TYPE_CHECKING:
     from glsplat.motion.motion import Motion
 
 __all__ = [
+    "add_detail",
     "add_scene",
     "add_up",
     "colour",
     "degrees",
+    "detail_of",
     "driven",
     "load_avatar",
     "load_scene",
@@ -138,6 +141,62 @@ def motion_of(name: str, skeleton: Skeleton, option: str = "--motion") -> Motion
     if motion.note:
         print(f"{option} {name}: {motion.note}", file=sys.stderr)
     return motion
+
+
+def add_detail(parser: argparse.ArgumentParser, *, lean: bool) -> None:
+    """--level, --lod-bias, --cull-hidden, and where they are on unasked (``lean``) --exact, which is none of them."""
+    unasked = "auto" if lean else "0"
+    parser.add_argument(
+        "--level",
+        type=_level,
+        metavar="N",
+        help="level of detail of what has several: 0 the finest, higher numbers coarser ones, auto: by the pixels it "
+        f"covers (default {unasked})",
+    )
+    parser.add_argument(
+        "--lod-bias",
+        type=float,
+        metavar="B",
+        help="of --level auto, in halvings of what is seen: 1 for finer levels, -1 for coarser ones (default 0)",
+    )
+    parser.add_argument(
+        "--cull-hidden",
+        action="store_true",
+        help="leave out what the splats' visibility cones say is hidden"
+        + (f" (default: where the worst picture keeps {CULL_PSNR:g} dB)" if lean else ""),
+    )
+    if lean:
+        parser.add_argument("--exact", action="store_true", help="draw every splat of the finest level")
+
+
+def detail_of(args: argparse.Namespace) -> dict[str, Any]:
+    """What those options say, as fields of RenderConfig. Raises UsageError where they contradict each other."""
+    exact = getattr(args, "exact", False)
+    given = [name for name in ("level", "lod_bias") if getattr(args, name) is not None]
+    given += ["cull_hidden"] if args.cull_hidden else []
+    if exact:
+        if given:
+            raise UsageError(f"--exact and --{given[0].replace('_', '-')} contradict each other; leave one out")
+        return {}
+    unasked: dict[str, Any] = {"level": "auto", "cull_hidden": "auto"} if hasattr(args, "exact") else {}
+    level = unasked.get("level", 0) if args.level is None else args.level
+    if args.lod_bias is not None and level != "auto":
+        raise UsageError("--lod-bias goes with --level auto")
+    return unasked | {
+        "level": level,
+        "lod_bias": args.lod_bias or 0.0,
+        "cull_hidden": True if args.cull_hidden else unasked.get("cull_hidden", False),
+    }
+
+
+def _level(text: str) -> int | str:
+    """argparse type: a number of a level, or auto."""
+    if text == "auto":
+        return text
+    number = natural(text)
+    if number > MAX_LEVELS:
+        raise argparse.ArgumentTypeError(f"a level is 0 to {MAX_LEVELS} or auto, not {text!r}")
+    return number
 
 
 def size(text: str) -> tuple[int, int]:

@@ -15,12 +15,13 @@ from pathlib import Path
 import numpy as np
 from tqdm import tqdm
 
+from glsplat.config import LEAN, RenderConfig
 from glsplat.data import default_avatar
 from glsplat.errors import FormatError, GlsplatError
 from glsplat.formats.files import replace_file
 from glsplat.net.client import Client
 
-from .args import size
+from .args import add_detail, detail_of, size
 from .replay.command import load_drive, save_clip, save_sheet
 from .replay.stage_table import frame_text, table_markdown, table_text
 from .replay.streaming import Drive, Result, observer, stream
@@ -48,6 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seconds", type=float, default=8.0, help="streaming time at each size (default 8)")
     parser.add_argument("--fps", type=float, default=72.0, help="requests a second (default 72)")
     parser.add_argument("--sizes", type=size, nargs="+", default=[(512, 512), (1024, 1024)], help="pixels an eye")
+    add_detail(parser, lean=True)
     parser.add_argument("--table", type=Path, metavar="FILE", help="write the stage table as markdown")
     parser.add_argument("--json", action="store_true", help="print the numbers as JSON")
 
@@ -61,7 +63,7 @@ def run(args: argparse.Namespace) -> int:
         args.output.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise FormatError(f"{args.output}: cannot make the folder ({error.strerror})") from None
-    with running_server(args.avatar) as url:
+    with running_server(args.avatar, RenderConfig(**detail_of(args))) as url:
         results = asyncio.run(_measure(args, url, drive))
     sheet, clip = args.output / "contact_sheet.png", args.output / "clip.mp4"
     kept = results[-1][1].kept
@@ -106,12 +108,12 @@ async def _measure(args: argparse.Namespace, url: str, drive: Drive) -> list[tup
 
 
 @contextmanager
-def running_server(avatar: str | None) -> Iterator[str]:
+def running_server(avatar: str | None, rendering: RenderConfig = LEAN) -> Iterator[str]:
     """A server in a process of its own on a free port of loopback; yields its URL and stops it in order."""
     processes = multiprocessing.get_context("spawn")
     ours, theirs = processes.Pipe()
     # no daemon: those may not have a process of their own for drawing
-    process = processes.Process(target=_serve, args=(theirs, avatar), name="glsplat serve")
+    process = processes.Process(target=_serve, args=(theirs, avatar, rendering), name="glsplat serve")
     process.start()
     theirs.close()
     try:
@@ -132,7 +134,7 @@ def running_server(avatar: str | None) -> Iterator[str]:
             process.join()
 
 
-def _serve(connection: Connection, avatar: str | None) -> None:
+def _serve(connection: Connection, avatar: str | None, rendering: RenderConfig) -> None:
     """The child: tells its URL, or one line of what went wrong."""
     from glsplat.net.backends.server import make_server
     from glsplat.net.server import ServerConfig
@@ -141,7 +143,8 @@ def _serve(connection: Connection, avatar: str | None) -> None:
 
     try:
         scene = load_avatar(avatar, "--avatar") if avatar else default_avatar()
-        server = make_server(scene, ServerConfig(port=0, scene=avatar or "default avatar"))
+        config = ServerConfig(port=0, scene=avatar or "default avatar")
+        server = make_server(scene, config, rendering=rendering)
         asyncio.run(server.run(lambda: connection.send((True, server.url))))
     except GlsplatError as error:
         connection.send((False, str(error)))

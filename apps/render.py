@@ -26,7 +26,20 @@ from glsplat.renderer import Renderer
 from glsplat.skinning.pose import Pose, load_pose
 from glsplat.views import view_of, viewing_point
 
-from .args import add_scene, colour, degrees, driven, motion_of, not_negative, open_scene, point, positive, size
+from .args import (
+    add_detail,
+    add_scene,
+    colour,
+    degrees,
+    detail_of,
+    driven,
+    motion_of,
+    not_negative,
+    open_scene,
+    point,
+    positive,
+    size,
+)
 from .clip import CLIPS, Clip
 from .output import joined_views, save_depth, save_npy, save_png, side_by_side
 from .usage import UsageError, output_kind
@@ -74,9 +87,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action=argparse.BooleanOptionalAction,
         help="opacity compensation for small splats (default: what the file asks for)",
     )
-    parser.add_argument(
-        "--cull-hidden", action="store_true", help="leave out what the splats' visibility cones say is hidden"
-    )
+    add_detail(parser, lean=False)
     parser.add_argument("--rotation", choices=("polar", "raw"), default="polar", help="blended rotation of a skin")
     parser.add_argument("--layers", choices=("auto", "vertex", "geometry"), default="auto", help="who writes gl_Layer")
     parser.add_argument("--sorter", choices=("auto", "cpu", "gpu"), default="auto", help="where splats are sorted")
@@ -103,7 +114,7 @@ def run(args: argparse.Namespace) -> int:
         rotation=args.rotation,
         sh_degree=args.sh_degree,
         antialias=args.antialias,
-        cull_hidden=args.cull_hidden,
+        **detail_of(args),
     )
     context = create_context(args.device)
     try:
@@ -259,6 +270,7 @@ def _report(renderer: Renderer) -> dict[str, object]:
         "variant": asdict(renderer.variant),
         "float_target": renderer.target_dtype,
         "splats": stats.splats,
+        "levels": stats.levels,
         "drawn": stats.drawn,
         "skipped": stats.skipped,
         "culled": stats.culled,

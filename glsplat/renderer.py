@@ -22,6 +22,7 @@ from glsplat.gl.context import Context, create_context
 from glsplat.gl.owner import Entry, abandon
 from glsplat.passes.frame.budget import Budget
 from glsplat.passes.frame.pipeline import Pipeline
+from glsplat.passes.item.levels import Look
 from glsplat.passes.staged import Staged
 from glsplat.passes.stats import FrameStats, union
 from glsplat.passes.target import FORMATS, Target
@@ -153,6 +154,7 @@ class Renderer:
         depth: Literal[False] = ...,
         out: NDArray[Any] | None = ...,
         viewer: Hashable = ...,
+        lod_bias: float = ...,
     ) -> NDArray[Any]: ...
 
     @overload
@@ -166,6 +168,7 @@ class Renderer:
         depth: Literal[True],
         out: NDArray[Any] | None = ...,
         viewer: Hashable = ...,
+        lod_bias: float = ...,
     ) -> tuple[NDArray[Any], NDArray[np.float32]]: ...
 
     def render(
@@ -178,6 +181,7 @@ class Renderer:
         depth: bool = False,  # return expected depths beside the images
         out: NDArray[Any] | None = None,  # [V, H, W, 4] where the images go; default: a new array
         viewer: Hashable = None,  # who looks, where several do in turn: their levels of detail are kept apart
+        lod_bias: float = 0.0,  # added to that of the config
     ) -> NDArray[Any] | tuple[NDArray[Any], NDArray[np.float32]]:
         """The images [V, H, W, 4], row 0 at the top: RGB over the background and accumulated alpha.
 
@@ -193,7 +197,7 @@ class Renderer:
             raise GlsplatError("sort_viewmat needs 4x4 finite numbers")
         cameras = self._views(cameras)
         with self._entered("render"):
-            self._begin(pose, cameras, viewer)
+            self._begin(pose, cameras, viewer, lod_bias)
             boxed = self.config.output == "uint8"
             shape, dtype = (len(cameras), self.size[1], self.size[0], 4), np.dtype(np.uint8 if boxed else np.float32)
             out = np.empty(shape, dtype) if out is None else out
@@ -216,7 +220,8 @@ class Renderer:
         """Draw one view or a pair and leave it on the GPU: the float target, layer 0 the left eye, row 0 at the top.
 
         For windows: nothing is read back. The layers hold what ``render()`` makes of the same views. The target
-        belongs to the renderer and is overwritten by the next call.
+        belongs to the renderer and is overwritten by the next call. Where hidden splats were left out it is not lifted
+        yet (``Target.lift``; Present does it).
         """
         cameras = self._views(cameras)
         if len(cameras) > 2:
@@ -225,12 +230,14 @@ class Renderer:
             self._begin(pose, cameras)
             passes = passes_of(cameras, self.config.order == "shared")
             for ordinal, batch in enumerate(passes):
-                pipeline, target = self._draw([cameras[i] for i in batch], None, boxed=False, ordinal=ordinal)
+                views = [cameras[i] for i in batch]
+                pipeline, target = self._draw(views, None, boxed=False, ordinal=ordinal)
                 if len(passes) > 1:  # eyes that do not share an order: drawn one by one into the pair's layers
                     pair = self._targets.float_target(self.size, len(cameras))
                     pair.copy_layer(self.context.ctx, batch[0], target)
                     target = pair
                 self._count(pipeline)
+            target.lift = views[0].background if pipeline.variant.cull_hidden else None
             self.timer.stop()
             return target
 
@@ -328,11 +335,14 @@ class Renderer:
     def _views(self, cameras: Sequence[Camera]) -> list[Camera]:
         return checked_views(cameras, self.size, "; call resize() first")
 
-    def _begin(self, pose: Pose | None, cameras: Sequence[Camera], viewer: Hashable = None) -> None:
+    def _begin(
+        self, pose: Pose | None, cameras: Sequence[Camera], viewer: Hashable = None, lod_bias: float = 0.0
+    ) -> None:
         self.timer.start()
         scene = self._scene
-        scene.update(pose, self.timer, cameras, viewer)
-        self.stats = FrameStats(scene.splats, 0, scene.skipped, {}, False, levels=scene.levels)
+        scene.update(pose, self.timer, Look(tuple(cameras), viewer, self.config.lod_bias + lod_bias))
+        counts = FrameStats(scene.splats, 0, scene.skipped, {}, False)
+        self.stats = replace(counts, levels=scene.levels, coarsest=scene.coarsest)
 
     def _draw(
         self,

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from glsplat.camera import PAPER_FOV, PAPER_IPD, Camera, pinhole, stereo_cameras
+from glsplat.config import RenderConfig
 from glsplat.errors import FormatError
 from glsplat.passes.present import Layout, view_size
 from glsplat.rotations import FLIP_YZ
@@ -29,6 +30,7 @@ class Options:
     target: tuple[float, float, float] | None = None
     numbers: bool = False  # the overlay is on
     text_scale: float = 1.0
+    rendering: RenderConfig = field(default_factory=RenderConfig)
 
 
 @dataclass(frozen=True, eq=False)

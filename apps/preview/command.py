@@ -10,6 +10,7 @@ from contextlib import ExitStack
 from pathlib import Path
 
 from glsplat.camera import PAPER_FOV, PAPER_IPD, pinhole
+from glsplat.config import RenderConfig
 from glsplat.errors import FormatError
 from glsplat.formats.scene_file import SceneFile
 from glsplat.motion.kinds import KINDS
@@ -19,7 +20,7 @@ from glsplat.scene import skeleton_of
 from glsplat.skinning.pose import Pose, load_pose
 from glsplat.skinning.rigs.driven import why_not_driven
 
-from ..args import add_scene, colour, driven, open_scene, point, size, tracked
+from ..args import add_detail, add_scene, colour, detail_of, driven, open_scene, point, size, tracked
 from ..output import save_png
 from ..usage import UsageError
 from .cameras import Options
@@ -52,6 +53,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--target", type=point, metavar="X,Y,Z", help="what it looks at (default: the scene's middle)")
     parser.add_argument("--ipd", type=float, default=PAPER_IPD, help="metres between the eyes (default 0.055)")
     parser.add_argument("--background", type=colour, metavar="R,G,B", help="0 to 1 each (default 0,0,0)")
+    add_detail(parser, lean=True)
     parser.add_argument("--numbers", action="store_true", help="begin with the overlay of times and counts (key O)")
     parser.add_argument("--vsync", action="store_true", help="one picture a refresh of the screen instead of all")
     parser.add_argument("--frames", type=int, metavar="N", help="show N pictures, 1/30 s apart in the motion, and end")
@@ -76,6 +78,7 @@ def run(args: argparse.Namespace) -> int:
     frames = _frames(args)
     scene = open_scene(args)
     drive = _drive(args, scene)
+    rendering = RenderConfig(**detail_of(args))
     label = args.connect or ("default avatar" if args.scene is None else Path(args.scene).name)
     with ExitStack() as stack:
         feed = _feed(args)
@@ -92,6 +95,7 @@ def run(args: argparse.Namespace) -> int:
             target=args.target,
             numbers=args.numbers,
             text_scale=window.text_scale,
+            rendering=rendering,
         )
         pictures = None
         if feed is not None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any, Protocol
 
 import moderngl
@@ -77,8 +78,10 @@ class Drawn:
     notice = ""
     fresh = False
 
-    def __init__(self, scene: Shown, context: Context, size: tuple[int, int]) -> None:
-        config = RenderConfig(output="float32")  # nothing is read back: the window rounds to 8 bit
+    def __init__(
+        self, scene: Shown, context: Context, size: tuple[int, int], config: RenderConfig | None = None
+    ) -> None:
+        config = replace(config or RenderConfig(), output="float32")  # nothing is read back: the window rounds to 8 bit
         self._scene, self._context = scene, context
         self._renderer = Renderer(scene, size=size, config=config, context=context)
 
@@ -112,7 +115,8 @@ class Drawn:
         if stats.skipped:
             reasons.append(f"{stats.skipped} unusable")
         why = f" ({', '.join(reasons)})" if reasons else ""
-        return [(self._renderer.driver,), (f"{stats.splats} splats, {stats.drawn} drawn{why}",)]
+        levels = f", level {' '.join(map(str, stats.levels))}" if any(stats.levels) else ""
+        return [(self._renderer.driver,), (f"{stats.splats} splats{levels}, {stats.drawn} drawn{why}",)]
 
     def stages(self) -> dict[str, float]:
         """The renderer's stages."""
@@ -125,6 +129,7 @@ class Drawn:
             "driver": self._renderer.driver,
             "float_target": self._renderer.target_dtype,
             "splats": stats.splats,
+            "levels": stats.levels,
             "drawn": stats.drawn,
             "skipped": stats.skipped,
             "culled": stats.culled,

@@ -70,7 +70,7 @@ class Viewer:
         self._present_ms = 0.0
         self._motion_index = -1
         self._exposed = True  # the window's pixels are due, whether there is a new picture or not
-        self.pictures = pictures or Drawn(shown(scene), context, view_size(size, self.layout))
+        self.pictures = pictures or Drawn(shown(scene), context, view_size(size, self.layout), options.rendering)
         try:
             self._present = Present(context.ctx)
             self._show(scene, label)

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from importlib.metadata import version
 
 from glsplat.evaluate.machine import machine
-from glsplat.net.stages import median_p95
+from glsplat.net.pace.stages import median_p95
 
 from .streaming import STAGES, Result
 

@@ -21,8 +21,8 @@ from glsplat.camera import Camera, look_at, stereo_cameras
 from glsplat.errors import ProtocolError
 from glsplat.net.client import Client
 from glsplat.net.flow import POLICIES, Arrived
+from glsplat.net.pace.stages import median_p95
 from glsplat.net.reply import Reply
-from glsplat.net.stages import median_p95
 from glsplat.rotations import FLIP_YZ
 from glsplat.skinning.pose import Pose
 

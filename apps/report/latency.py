@@ -15,7 +15,7 @@ import numpy as np
 
 from glsplat.errors import GlsplatError
 from glsplat.net.client import Client
-from glsplat.net.stages import median_p95
+from glsplat.net.pace.stages import median_p95
 
 from ..demo import running_server
 from ..replay.command import load_drive

@@ -21,7 +21,7 @@ from glsplat.net.session import SessionConfig
 from glsplat.scene import Figure
 from glsplat.tracking.calibration import Calibration
 
-from ..args import add_scene, load_avatar, open_scene, size
+from ..args import add_detail, add_scene, detail_of, load_avatar, open_scene, size
 from ..logs import add_log_format, start_logging
 from ..usage import UsageError
 from .keys import Keys, add_keys, keys_of
@@ -85,7 +85,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="SECONDS",
         help="a picture may take (default 5); one that takes longer is abandoned, a second one ends its client",
     )
-    parser.add_argument("--cull-hidden", action="store_true", help="leave out splats no eye can see: faster, 45 dB")
+    add_detail(parser, lean=True)
+    parser.add_argument(
+        "--fps",
+        type=float,
+        metavar="N",
+        help="hold N pictures a second a client: coarser levels of detail first, then smaller pictures, as replies say",
+    )
     parser.add_argument("--calibration", type=Path, metavar="FILE", help="of the users whose tracking is sent")
     add_photos(parser)
     add_keys(parser)
@@ -116,6 +122,8 @@ def check(args: argparse.Namespace) -> None:
             raise UsageError(f"{name} needs {low} to {high}, not {value}")
     if not args.max_cost > 0 or not 0.1 <= args.max_time <= 600:
         raise UsageError("--max-cost needs a number of pixels above 0 and --max-time 0.1 to 600 s")
+    if args.fps is not None and not 1 <= args.fps <= 240:
+        raise UsageError(f"--fps needs 1 to 240 pictures a second, not {args.fps:g}")
     if not 0 <= args.ipd <= 0.2 or not 1 <= args.fov <= 170:
         raise UsageError("--ipd needs 0 to 0.2 m and --fov 1 to 170 degrees")
     if max(_pixels(args)) > args.max_size:
@@ -149,6 +157,7 @@ def server_config(args: argparse.Namespace, keys: Keys | None = None) -> ServerC
         limits=Limits(per_address=args.max_per_address, waiting=args.max_waiting),
         max_clients=args.max_clients,
         scene=Path(args.scene).name if args.scene else "default avatar",
+        fps=args.fps,
     )
 
 
@@ -187,7 +196,7 @@ def run(args: argparse.Namespace) -> int:
         config,
         args.device,
         calibration,
-        rendering=RenderConfig(cull_hidden=args.cull_hidden),
+        rendering=RenderConfig(**detail_of(args)),
         budget=(args.max_cost, args.max_time),
         name=scene_name(args),
         avatars=other_avatars(args),

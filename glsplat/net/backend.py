@@ -29,6 +29,8 @@ class Rendered:
     driver: str = ""
     covered: tuple[int, int, int, int] | None = None  # x, y, width, height: all outside is background; None: unknown
     done: Callable[[], None] | None = None
+    levels: tuple[int, ...] = ()  # of detail that were drawn, one a thing of splats; 0 is the finest
+    coarsest: bool = True  # there are no coarser ones
     box: tuple[float, ...] | None = None
     """Where the one avatar is, if the request asked: x, y, z lowest, then highest, metres in the cameras' world."""
 

@@ -93,6 +93,8 @@ class RenderRequest:
     box: bool = False  # where the avatar is, too
     form: Form = "native"
     eyes: tuple[int, ...] = (0, 1)  # eye numbers of the cameras: 0 left, 1 right
+    viewer: int = 0  # who asks, for what a renderer keeps from picture to picture
+    detail: float = 0.0  # added to RenderConfig.lod_bias: below 0 for coarser levels
 
 
 @dataclass(frozen=True, slots=True)

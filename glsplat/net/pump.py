@@ -22,11 +22,12 @@ from glsplat.net.codec.encode import Encoded, Encoder
 from glsplat.net.guard.blame import Blame
 from glsplat.net.guard.limits import Share
 from glsplat.net.messages import RenderRequest, eye_fields
+from glsplat.net.pace.governor import FULL, Detail, Governor
+from glsplat.net.pace.stages import StageTimes
+from glsplat.net.pace.turns import Turns
 from glsplat.net.reply import pack_reply, pack_single
 from glsplat.net.session import Session
 from glsplat.net.solving import Solution, Solving
-from glsplat.net.stages import StageTimes
-from glsplat.net.turns import Turns
 
 __all__ = ["Channel", "FramePump"]
 
@@ -53,6 +54,8 @@ class Frame:
     box: list[float] | None = None  # of the avatar in the client's room, where it was asked for
     untracked: str = ": send pose instead of tracking"  # what is said where tracking is not solved
     ends: str = ""  # why the connection ends after this answer and its address is held off, if it does
+    detail: Detail = FULL  # less than was asked for, where a rate is held
+    levels: tuple[int, ...] = ()  # of detail that were drawn
 
 
 @dataclass(eq=False, slots=True)
@@ -101,13 +104,16 @@ class Channel:
 class FramePump:
     """Owns the render thread, the encoders and the turn of the clients."""
 
-    def __init__(self, backend: Backend, clock: Callable[[], float] = time.perf_counter) -> None:
+    def __init__(
+        self, backend: Backend, clock: Callable[[], float] = time.perf_counter, governor: Governor | None = None
+    ) -> None:
         self.driver: str = ""
         self.stages: StageTimes = StageTimes()
         self.failures: int = 0  # in a row
         self.rebuilds: int = 0  # contexts lost and made anew
         self._backend = backend
         self._clock = clock
+        self._governor = governor  # of the rate that is to be held; None: every picture as it is asked for
         self._drawing: Channel | None = None
         self._drawing_since: float | None = None
         self._stopping = False
@@ -240,6 +246,8 @@ class FramePump:
             info["still"] = channel.shown.still
         if frame.box is not None:
             info["box"] = frame.box
+        if any(frame.levels) or frame.detail != FULL:
+            info["detail"] = {"levels": frame.levels, "bias": frame.detail.bias, "scale": frame.detail.scale}
         if request.alpha == "straight":
             info["alpha"] = request.alpha
         return [pack_reply(request.frame_id, request.eyes, encoded.pictures, info, encoded.alphas)]
@@ -276,6 +284,8 @@ class FramePump:
         loop = asyncio.get_running_loop()
         request, waited, solution = channel.take(self._clock())
         frame = Frame(request, self._clock() - waited, {"wait": waited * 1e3})
+        frame.detail = FULL if self._governor is None else self._governor.detail(channel.number, self._clock())
+        frame.request = replace(frame.detail.of(request), viewer=channel.number)
         if why := channel.shown.untracked:
             frame.untracked = f" for what it shows: {why}"
         lost = False
@@ -347,14 +357,20 @@ class FramePump:
                 raise PoseError(f"this server has no tracking solver{frame.untracked}")
             solved, frame.times["ik"] = solution.result()
             request = replace(request, pose=solved.pose, cameras=solved.cameras)
-            frame.notes, frame.drawn = solved.notes, solved.cameras
+            cameras = frame.detail.resized(solved.cameras)
+            request = replace(request, cameras=cameras)
+            frame.notes, frame.drawn = solved.notes, cameras
             scale, floor = solved.scale, solved.floor
         start = self._clock()
         frame.times["wait"] = (start - frame.arrived) * 1e3 - frame.times.get("ik", 0.0)  # solving is no waiting
         rendered = self._backend.render(request)
         done = rendered.done or _nothing
         try:
-            frame.times["render"] = (self._clock() - start) * 1e3
+            took, now = self._clock() - start, self._clock()
+            frame.times["render"] = took * 1e3
+            frame.levels = rendered.levels
+            if self._governor is not None:
+                self._governor.drawn(request.viewer, took, rendered.coarsest, now)
             if len(rendered.images) != len(frame.request.eyes):
                 raise RuntimeError(f"{len(frame.request.eyes)} pictures were asked for, {len(rendered.images)} drawn")
             if rendered.box is not None:

@@ -28,6 +28,7 @@ from glsplat.net.guard.meter import POLICY_VIOLATION, Breach
 from glsplat.net.guard.reading import Reading
 from glsplat.net.messages import MAX_BYTES, Decoder, WireOptions
 from glsplat.net.options import client_options
+from glsplat.net.pace.governor import Governor
 from glsplat.net.pages.offers import Offers
 from glsplat.net.pages.routes import Pages
 from glsplat.net.pump import Channel, FramePump
@@ -43,10 +44,7 @@ _HOPELESS = 2.0  # seconds after which a picture is not waited for when the serv
 _TURN = 8  # messages of one client in a row before others are heard
 _FAREWELL = 0.5  # seconds a client that broke the rules gets to answer the close, while what it sends is thrown away
 _ALWAYS = {"X-Content-Type-Options": "nosniff", "Server": "glsplat"}
-_UNLESS_SAID = {
-    "Content-Security-Policy": "default-src 'none'; style-src 'unsafe-inline'",
-    "Cache-Control": "no-store",
-}
+_UNLESS_SAID = {"Content-Security-Policy": "default-src 'none'; style-src 'unsafe-inline'", "Cache-Control": "no-store"}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -64,6 +62,7 @@ class ServerConfig:
     write_timeout: float = 2.0  # seconds a client may leave a reply unread
     drain_timeout: float = 3.0  # seconds that pictures under way get at the end
     scene: str = "avatar"  # for the status page
+    fps: float | None = None  # pictures a second that each client gets, with less detail if need be; None: as it comes
 
 
 class Server:
@@ -80,7 +79,7 @@ class Server:
         uploads: Uploads | None = None,
     ) -> None:
         self.config: ServerConfig = config or ServerConfig()
-        self.pump: FramePump = FramePump(backend)
+        self.pump: FramePump = FramePump(backend, governor=Governor.of(self.config.fps))
         self.port: int = self.config.port
         limits = self.config.limits
         if uploads is not None:

@@ -32,7 +32,7 @@ class Present:
     def __init__(self, context: Context | moderngl.Context) -> None:
         self._context = context
         self._ctx = context.ctx if isinstance(context, Context) else context
-        self._arrays: dict[tuple[int, int], moderngl.VertexArray] = {}  # by (anaglyph, text)
+        self._arrays: dict[tuple[int, int, int], moderngl.VertexArray] = {}  # by (anaglyph, text, lifted)
         with self._entered("Present()"):
             self._text = self._ctx.texture((1, 1), 4)
         self._box = (0, 0, 0, 0)
@@ -69,23 +69,27 @@ class Present:
         if has_text:
             self._text.use(_TEXT_UNIT)
             values |= {"text": _TEXT_UNIT, "text_box": self._box}
-        array = self._array(int(layout == "anaglyph" and views > 1), int(has_text))
+        if target.lift is not None:
+            values["background"] = target.lift
+        array = self._array(int(layout == "anaglyph" and views > 1), int(has_text), int(target.lift is not None))
         for name, value in values.items():
             uniform = array.program.get(name, None)
             if isinstance(uniform, moderngl.Uniform):
                 uniform.value = value
         array.render(moderngl.TRIANGLES, vertices=3)
 
-    def _array(self, anaglyph: int, text: int) -> moderngl.VertexArray:
+    def _array(self, anaglyph: int, text: int, lifted: int) -> moderngl.VertexArray:
         """The program of what is on show, compiled when it is first needed."""
-        if (anaglyph, text) not in self._arrays:
+        key = (anaglyph, text, lifted)
+        if key not in self._arrays:
             flags = Variant().defines()
+            own = {"ANAGLYPH": anaglyph, "TEXT": text, "LIFTED": lifted}
             stages = {
                 "vertex_shader": flatten("screen.vert.glsl", flags),
-                "fragment_shader": flatten("present.frag.glsl", flags | {"ANAGLYPH": anaglyph, "TEXT": text}),
+                "fragment_shader": flatten("present.frag.glsl", flags | own),
             }
-            self._arrays[anaglyph, text] = self._ctx.vertex_array(link(self._ctx, "present", stages), [])
-        return self._arrays[anaglyph, text]
+            self._arrays[key] = self._ctx.vertex_array(link(self._ctx, "present", stages), [])
+        return self._arrays[key]
 
     def release(self) -> None:
         """Delete programs, vertex arrays and texture."""

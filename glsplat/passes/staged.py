@@ -6,8 +6,7 @@ that was drawn lately, so that clients who look from near and from afar do not u
 
 from __future__ import annotations
 
-from collections import OrderedDict
-from collections.abc import Hashable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -22,7 +21,7 @@ from glsplat.passes.drawable import PASSES, Drawable
 from glsplat.passes.frame.pipeline import Pipeline, view_state
 from glsplat.passes.item.buffers import ItemBuffers, Placement
 from glsplat.passes.item.ground import Ground, GroundKind, MeshItem
-from glsplat.passes.item.levels import LevelBuffers, chosen
+from glsplat.passes.item.levels import Choices, LevelBuffers, Look
 from glsplat.passes.kept import Kept
 from glsplat.passes.views import checked_pose
 from glsplat.scene import Item, Scene, is_figure
@@ -38,9 +37,6 @@ _KEPT = 6
 
 _KEPT_BYTES = 256 * 2**20
 """What of them is not in use may take."""
-
-_VIEWERS = 64
-"""Viewers whose levels are remembered."""
 
 
 class Staged:
@@ -61,7 +57,7 @@ class Staged:
         self._drawables: Kept[tuple[int, ...], Drawable] = Kept(_KEPT, _KEPT_BYTES)  # by level of each visible item
         self._drawable: Drawable | None = None  # the one in use
         self._shown: tuple[object, ...] = ()  # what the drawables are made of
-        self._memory: OrderedDict[Hashable, dict[int, int]] = OrderedDict()  # by viewer: level of each item by id()
+        self._choices = Choices()
         self.levels: tuple[int, ...] = ()  # of the visible splat items
         self.arenas = 0  # made so far
         try:
@@ -76,6 +72,14 @@ class Staged:
         """All visible splats."""
         assert self._drawable is not None
         return self._drawable.arena
+
+    @property
+    def coarsest(self) -> bool:
+        """Whether no visible splat item may be drawn with a coarser level than it was."""
+        if self._config.level != "auto":
+            return True
+        shown = zip(self._visible(), self.levels, strict=True)
+        return all(level == self._levels_of(item).coarsest for item, level in shown)
 
     @property
     def splats(self) -> int:
@@ -98,10 +102,8 @@ class Staged:
             "work": sum(drawable.pipelines.nbytes for drawable in drawables),
         }
 
-    def update(
-        self, pose: Pose | None, timer: StageTimer, views: Sequence[Camera] = (), viewer: Hashable = None
-    ) -> None:
-        """Follow the scene: what came, went, moved, and how near ``views`` are, which ``viewer`` sees.
+    def update(self, pose: Pose | None, timer: StageTimer, look: Look) -> None:
+        """Follow the scene: what came, went, moved, and how near it is looked at.
 
         ``pose`` is for the one avatar of a scene, if there is one.
         """
@@ -111,7 +113,7 @@ class Staged:
             if avatars > 1:
                 raise PoseError(f"render() got one pose for {avatars} avatars; set the pose of each item instead")
         places = [self._placement(item, pose) for item in visible]
-        self._stage(visible, self._choose(visible, places, views, viewer))
+        self._stage(visible, self._choose(visible, places, look))
         self._stand(pose)
         if self._standing or any(place.bones is not None for place in places):
             timer.mark("pose")
@@ -188,7 +190,7 @@ class Staged:
         if shown != self._shown or self._drawable is None:
             made = self._made(visible, levels, posed)
             self._drawables.release()
-            self._memory.clear()  # it goes by id(), which may be another item's by now
+            self._choices.forget()  # they go by id(), which may be another item's by now
             self._shown = shown
             self._drawable = self._drawables.get(tuple(levels), lambda: made)
         else:
@@ -215,28 +217,12 @@ class Staged:
         coarsest = len(item.content.levels) if not isinstance(item.content, RiggedMesh) else 0
         return coarsest if self._config.level == "auto" else min(int(self._config.level), coarsest)
 
-    def _choose(
-        self, visible: Sequence[Item], places: Sequence[Placement], views: Sequence[Camera], viewer: Hashable
-    ) -> list[int]:
-        """The level of each visible item for these views."""
+    def _choose(self, visible: Sequence[Item], places: Sequence[Placement], look: Look) -> list[int]:
+        """The level of each visible item for what is looked at."""
         if self._config.level != "auto" or not any(self._at_first(item) for item in visible):
             return [self._at_first(item) for item in visible]
-        before = self._memory.get(viewer, {})
-        finer = 2.0**self._config.lod_bias
-        found: dict[int, int] = {}
-        for item, place in zip(visible, places, strict=True):
-            levels = self._levels_of(item)
-            last = before.get(id(item))
-            density = levels.density(place, views)
-            if density > 0:
-                found[id(item)] = chosen(levels.densities, density * finer, last)
-            else:  # what nobody sees keeps the level it has
-                found[id(item)] = levels.coarsest if last is None else last
-        self._memory[viewer] = found
-        self._memory.move_to_end(viewer)
-        while len(self._memory) > _VIEWERS:
-            self._memory.popitem(last=False)
-        return list(found.values())
+        levels = [self._levels_of(item) for item in visible]
+        return self._choices.choose([*map(id, visible)], levels, places, look)
 
     def _stand(self, pose: Pose | None) -> None:
         """Where the visible meshes are; what is gone is released."""

@@ -19,6 +19,7 @@ class FrameStats:
     covered: tuple[int, int, int, int] = (0, 0, 0, 0)  # x, y, width, height outside of which is only background
     cost: int = 0  # covered pixels (passes/frame/budget.py); counted only under a budget
     levels: tuple[int, ...] = ()  # of detail, one a visible item of splats; 0 is the finest
+    coarsest: bool = True  # no visible item has a coarser level than it was drawn with
 
 
 def union(a: tuple[int, int, int, int], b: tuple[int, int, int, int]) -> tuple[int, int, int, int]:

@@ -37,6 +37,7 @@ class Target:
     ) -> None:
         self.shape: tuple[int, int, int, int] = (views, height, width, 4)
         self.numpy_dtype: np.dtype[Any] = np.dtype(_NUMPY[dtype])
+        self.lift: tuple[float, float, float] | None = None  # background, where hidden splats were left out (lift.glsl)
         with ExitStack() as stack:  # releases what was made if a later allocation fails
             self.texture: moderngl.TextureArray = ctx.texture_array((width, height, views), 4, dtype=dtype)
             stack.callback(self.texture.release)

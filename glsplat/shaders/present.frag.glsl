@@ -6,17 +6,29 @@ uniform int view_width; // of one view
 uniform sampler2D text; // premultiplied
 uniform ivec4 text_box; // left, top, width, height
 #endif
+#if LIFTED
+#include "lift.glsl"
+uniform vec3 background;
+#endif
 out vec4 fragment;
+
+vec4 texel(int x, int y, int view) {
+    vec4 colour = texelFetch(target, ivec3(x, y, view), 0);
+#if LIFTED
+    colour = lifted(colour, background);
+#endif
+    return colour;
+}
 
 vec3 picture(ivec2 pixel) {
 #if ANAGLYPH
     // red from the left eye, green and blue from the right
-    return vec3(texelFetch(target, ivec3(pixel, 0), 0).r, texelFetch(target, ivec3(pixel, 1), 0).gb);
+    return vec3(texel(pixel.x, pixel.y, 0).r, texel(pixel.x, pixel.y, 1).gb);
 #else
     int view = int(pixel.x >= view_width);
     int x = pixel.x - view * view_width;
     if (x >= view_width) return vec3(0.0); // the odd column beside two views
-    return texelFetch(target, ivec3(x, pixel.y, view), 0).rgb;
+    return texel(x, pixel.y, view).rgb;
 #endif
 }
 

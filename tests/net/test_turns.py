@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import pytest
 
 from glsplat.net.guard.blame import Blame
-from glsplat.net.turns import Turns
+from glsplat.net.pace.turns import Turns
 
 
 @dataclass(eq=False)

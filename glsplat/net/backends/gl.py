@@ -95,7 +95,14 @@ class RendererBackend:
             if self._pose_at is not None:
                 self._pose_at(time.monotonic() - self._opened)
             stand.follow()
-            images = renderer.render(request.cameras, request.pose, budget=budget, out=self.place)
+            images = renderer.render(
+                request.cameras,
+                request.pose,
+                budget=budget,
+                out=self.place,
+                viewer=request.viewer,
+                lod_bias=request.detail,
+            )
             if self._context.ctx.error != "GL_NO_ERROR":  # reading it clears it
                 raise GlsplatError(f"{renderer.driver} reports an OpenGL error: the picture is not to be trusted")
         except (PoseError, BudgetError):  # before anything was drawn, or the next picture is drawn over it
@@ -107,7 +114,16 @@ class RendererBackend:
             raise
         self._check_alive()
         box = stand.box(request.pose) if request.box else None
-        return Rendered(images, dict(renderer.timings), renderer.driver, renderer.stats.covered, box=box)
+        stats = renderer.stats
+        return Rendered(
+            images,
+            dict(renderer.timings),
+            renderer.driver,
+            stats.covered,
+            levels=stats.levels,
+            coarsest=stats.coarsest,
+            box=box,
+        )
 
     def _check_alive(self) -> None:
         """Write a number through the context and read it back.

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections import OrderedDict
+from collections.abc import Callable, Hashable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -12,10 +14,23 @@ from glsplat.detail.proxy import Proxy
 from glsplat.passes.item.buffers import ItemBuffers, Placement
 from glsplat.splats import Splats
 
-__all__ = ["BAND", "LevelBuffers", "chosen"]
+__all__ = ["BAND", "Choices", "LevelBuffers", "Look", "chosen"]
 
 BAND = 1.05
 """Hysteresis: a level is kept until the view wants that much more than it has, or less than the coarser one has."""
+
+
+_VIEWERS = 64
+"""Viewers whose levels are remembered."""
+
+
+@dataclass(frozen=True, slots=True)
+class Look:
+    """Who looks at the scene, from where, and how closely."""
+
+    views: tuple[Camera, ...] = ()
+    viewer: Hashable = None
+    bias: float = 0.0  # as RenderConfig.lod_bias
 
 
 class LevelBuffers:
@@ -59,6 +74,37 @@ class LevelBuffers:
         made, self._made = self._made, {}
         for buffers in made.values():
             buffers.release()
+
+
+class Choices:
+    """The level that each viewer had of each thing, so that it does not flicker between two."""
+
+    def __init__(self) -> None:
+        self._memory: OrderedDict[Hashable, dict[int, int]] = OrderedDict()  # by viewer: level by key
+
+    def choose(
+        self, keys: Sequence[int], levels: Sequence[LevelBuffers], places: Sequence[Placement], look: Look
+    ) -> list[int]:
+        """The level of each thing; ``keys`` tell which is which from one call to the next."""
+        before = self._memory.get(look.viewer, {})
+        finer = 2.0**look.bias
+        found: dict[int, int] = {}
+        for key, one, place in zip(keys, levels, places, strict=True):
+            last = before.get(key)
+            density = one.density(place, look.views)
+            if density > 0:
+                found[key] = chosen(one.densities, density * finer, last)
+            else:  # what nobody sees keeps the level it has
+                found[key] = one.coarsest if last is None else last
+        self._memory[look.viewer] = found
+        self._memory.move_to_end(look.viewer)
+        while len(self._memory) > _VIEWERS:
+            self._memory.popitem(last=False)
+        return list(found.values())
+
+    def forget(self) -> None:
+        """The keys mean something else from now on."""
+        self._memory.clear()
 
 
 def chosen(densities: Sequence[float], wanted: float, before: int | None = None) -> int:

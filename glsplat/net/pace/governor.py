@@ -1,0 +1,141 @@
+"""Governor: holds a rate of pictures by drawing them with less detail, and says which.
+
+Two knobs, in this order: the level of detail, then the size. What is taken away comes back when there is time again,
+after a while that grows each time it proves too early: nothing swings. Times come in as arguments; no clock is read.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from glsplat.camera import Camera
+from glsplat.net.messages import RenderRequest
+
+__all__ = ["FULL", "Detail", "Governor"]
+
+SCALES = (1.0, 0.875, 0.75, 0.625, 0.5)
+"""Of a picture's side; smaller ones are not drawn, whatever the rate."""
+
+BIAS = 0.5
+"""Halvings of the density a step, of the level of detail; at most _BIASES steps."""
+
+_BIASES = 16
+_LOOK = 8  # pictures whose median decides
+_ROOM = 0.85  # of the time: what the next better step may be expected to take
+_HOLD, _LONGEST = 2.0, 60.0  # seconds before something comes back, at first and at most
+_EARLY = 5.0  # seconds within which too slow again means that it came back too early
+_SEEN = 1.0  # seconds: a viewer who asked for nothing since then takes no time
+_DEARER = 2.0  # times, that a finer level costs at most
+
+
+@dataclass(frozen=True, slots=True)
+class Detail:
+    """What a picture is drawn with."""
+
+    bias: float = 0.0  # RenderConfig.lod_bias and this
+    scale: float = 1.0  # of its sides
+
+    def of(self, request: RenderRequest) -> RenderRequest:
+        """The request with that much detail."""
+        return replace(request, cameras=self.resized(request.cameras), detail=self.bias)
+
+    def resized(self, cameras: Sequence[Camera]) -> tuple[Camera, ...]:
+        """The same views with fewer pixels, at least one a side."""
+        if self.scale == 1:
+            return tuple(cameras)
+        return tuple(
+            camera.resized(max(1, round(camera.width * self.scale)), max(1, round(camera.height * self.scale)))
+            for camera in cameras
+        )
+
+
+FULL = Detail()
+"""All there is."""
+
+
+@dataclass(slots=True)
+class _State:
+    """One viewer."""
+
+    steps: int = 0  # of the level
+    scale: int = 0  # index of SCALES
+    times: deque[float] = field(default_factory=lambda: deque(maxlen=_LOOK))
+    hold: float = _HOLD
+    since: float = 0.0  # when the detail changed last
+    better: float | None = None  # when it last came back
+    seen: float = 0.0
+    coarsest: bool = False
+
+
+class Governor:
+    """Chooses the detail of each viewer's pictures, so that all of them get ``rate`` pictures a second."""
+
+    def __init__(self, rate: float) -> None:
+        self.rate = rate
+        self._states: dict[int, _State] = {}
+
+    @classmethod
+    def of(cls, rate: float | None) -> Governor | None:
+        """None where no rate is to be held."""
+        return None if rate is None else cls(rate)
+
+    def detail(self, viewer: int, now: float) -> Detail:
+        """Of the next picture of a viewer; ``now`` in seconds."""
+        state = self._states.setdefault(viewer, _State(since=now))
+        state.seen = now
+        for gone in [one for one, other in self._states.items() if now - other.seen > 60 * _SEEN]:
+            del self._states[gone]
+        return Detail(-BIAS * state.steps, SCALES[state.scale])
+
+    def drawn(self, viewer: int, seconds: float, coarsest: bool, now: float) -> None:
+        """A picture took that long; ``coarsest``: there is no coarser level for anything in it."""
+        state = self._states.get(viewer)
+        if state is None:
+            return
+        state.times.append(seconds)
+        state.coarsest = coarsest
+        if len(state.times) < _LOOK:
+            return
+        took = float(np.median(state.times))
+        viewers = sum(now - other.seen <= _SEEN for other in self._states.values())
+        allowed = 1 / (self.rate * max(1, viewers))
+        if took > allowed:
+            self._worse(state, now)
+        elif now - state.since >= state.hold and took * self._dearer(state) < _ROOM * allowed:
+            self._better(state, now)
+
+    def _worse(self, state: _State, now: float) -> None:
+        if not state.coarsest and state.steps < _BIASES:
+            state.steps += 1
+        elif state.scale < len(SCALES) - 1:
+            state.scale += 1
+        else:
+            return
+        if state.better is not None and now - state.better < _EARLY:
+            state.hold = min(2 * state.hold, _LONGEST)
+        state.better = None
+        self._changed(state, now)
+
+    def _better(self, state: _State, now: float) -> None:
+        if state.scale:
+            state.scale -= 1
+        elif state.steps:
+            state.steps -= 1
+        else:
+            return
+        state.better = now
+        self._changed(state, now)
+
+    @staticmethod
+    def _dearer(state: _State) -> float:
+        """How many times as long the next better step may take."""
+        return (SCALES[state.scale - 1] / SCALES[state.scale]) ** 2 if state.scale else _DEARER
+
+    @staticmethod
+    def _changed(state: _State, now: float) -> None:
+        state.since = now
+        state.times.clear()
