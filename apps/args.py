@@ -182,6 +182,8 @@ def detail_of(args: argparse.Namespace) -> dict[str, Any]:
     level = unasked.get("level", 0) if args.level is None else args.level
     if args.lod_bias is not None and level != "auto":
         raise UsageError("--lod-bias goes with --level auto")
+    if args.lod_bias is not None and not -8 <= args.lod_bias <= 8:
+        raise UsageError(f"--lod-bias needs -8 to 8, not {args.lod_bias:g}")
     return unasked | {
         "level": level,
         "lod_bias": args.lod_bias or 0.0,

@@ -35,6 +35,13 @@ def test_an_option_that_is_not_there(capsys, command):
     ("words", "message"),
     [
         (["nosuch"], "glsplat: nosuch: no such command; render, preview, serve, "),
+        (["render", "-o", "x.png", "--level", "17"], "--level: a level is 0 to 16 or auto, not '17'"),
+        (["render", "-o", "x.png", "--level", "fine"], "--level: a whole number of at least 0 is needed"),
+        (["render", "-o", "x.png", "--lod-bias", "1"], "--lod-bias goes with --level auto"),
+        (["render", "-o", "x.png", "--level", "auto", "--lod-bias", "9"], "--lod-bias needs -8 to 8, not 9"),
+        (["serve", "--exact", "--level", "1"], "--exact and --level contradict each other"),
+        (["demo", "--exact", "--cull-hidden"], "--exact and --cull-hidden contradict each other"),
+        (["serve", "--fps", "0"], "--fps needs 1 to 240 pictures a second, not 0"),
         (["rendr", "-o", "x.png"], "glsplat: rendr: no such command; is it render?"),
         (["--verbose"], "glsplat: --verbose: no such command"),
         (["render", "-o", "a.png", "--background", "255,0,0"], "--background: a colour is R,G,B from 0 to 1"),

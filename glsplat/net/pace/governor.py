@@ -24,7 +24,8 @@ BIAS = 0.5
 """Halvings of the density a step, of the level of detail; at most _BIASES steps."""
 
 _BIASES = 16
-_LOOK = 8  # pictures whose median decides
+_LOOK, _FEW = 8, 3  # pictures whose median decides, and as many of those that are far too slow
+_FAR = 1.5  # times what there is time for
 _ROOM = 0.85  # of the time: what the next better step may be expected to take
 _HOLD, _LONGEST = 2.0, 60.0  # seconds before something comes back, at first and at most
 _EARLY = 5.0  # seconds within which too slow again means that it came back too early
@@ -64,6 +65,7 @@ class _State:
     steps: int = 0  # of the level
     scale: int = 0  # index of SCALES
     times: deque[float] = field(default_factory=lambda: deque(maxlen=_LOOK))
+    took: dict[tuple[int, int], float] = field(default_factory=dict)  # seconds, by (steps, scale), when it last was so
     hold: float = _HOLD
     since: float = 0.0  # when the detail changed last
     better: float | None = None  # when it last came back
@@ -98,19 +100,20 @@ class Governor:
             return
         state.times.append(seconds)
         state.coarsest = coarsest
-        if len(state.times) < _LOOK:
-            return
         took = float(np.median(state.times))
         viewers = sum(now - other.seen <= _SEEN for other in self._states.values())
-        allowed = 1 / (self.rate * max(1, viewers))
-        if took > allowed:
-            self._worse(state, now)
-        elif now - state.since >= state.hold and took * self._dearer(state) < _ROOM * allowed:
+        excess = took * self.rate * max(1, viewers)  # of the time there is
+        if len(state.times) < (_FEW if excess > _FAR else _LOOK):
+            return
+        state.took[state.steps, state.scale] = took
+        if excess > 1:
+            self._worse(state, excess, now)
+        elif now - state.since >= state.hold and excess * self._dearer(state, took) < _ROOM:
             self._better(state, now)
 
-    def _worse(self, state: _State, now: float) -> None:
+    def _worse(self, state: _State, excess: float, now: float) -> None:
         if not state.coarsest and state.steps < _BIASES:
-            state.steps += 1
+            state.steps = min(state.steps + max(1, int(np.log2(excess) / BIAS)), _BIASES)
         elif state.scale < len(SCALES) - 1:
             state.scale += 1
         else:
@@ -131,9 +134,11 @@ class Governor:
         self._changed(state, now)
 
     @staticmethod
-    def _dearer(state: _State) -> float:
-        """How many times as long the next better step may take."""
-        return (SCALES[state.scale - 1] / SCALES[state.scale]) ** 2 if state.scale else _DEARER
+    def _dearer(state: _State, took: float) -> float:
+        """How many times as long the next better step may take: as when it last was so, or as it would at most."""
+        better = (state.steps, state.scale - 1) if state.scale else (state.steps - 1, 0)
+        most = (SCALES[state.scale - 1] / SCALES[state.scale]) ** 2 if state.scale else _DEARER
+        return min(most, state.took.get(better, np.inf) / took)
 
     @staticmethod
     def _changed(state: _State, now: float) -> None:

@@ -1,0 +1,111 @@
+"""The governor against a machine whose pictures take as long as a formula says: does it hold the rate, and rest?"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from glsplat.camera import Camera, look_at, pinhole
+from glsplat.net.messages import RenderRequest
+from glsplat.net.pace.governor import FULL, SCALES, Detail, Governor
+
+Cost = Callable[[Detail, float], float]
+History = list[tuple[float, int, Detail]]
+
+
+def level_of(detail: Detail, coarsest: int = 3) -> int:
+    return int(min(-detail.bias // 1, coarsest))
+
+
+def machine(full: float, coarsest: int = 3, noise: float = 0.03, seed: int = 0) -> Cost:
+    """Seconds of a picture: half a level, half the splats; the size counts for a third."""
+    rng = np.random.default_rng(seed)
+
+    def cost(detail: Detail, now: float) -> float:
+        splats = 0.5 ** level_of(detail, coarsest)
+        return full * splats * (2 / 3 + detail.scale**2 / 3) * float(rng.normal(1, noise))
+
+    return cost
+
+
+def run(
+    governor: Governor, costs: dict[int, Cost], seconds: float, start: float = 0.0
+) -> list[tuple[float, int, Detail]]:
+    """Viewers in turn, as often as the machine can, 72 times a second at most; what each picture was drawn with."""
+    now = start
+    history: History = []
+    while now < start + seconds:
+        before = now
+        for viewer, cost in costs.items():
+            detail = governor.detail(viewer, now)
+            took = cost(detail, now)
+            now += took
+            governor.drawn(viewer, took, level_of(detail, 3) == 3, now)
+            history.append((now, viewer, detail))
+        now = max(now, before + 1 / 72)
+    return history
+
+
+def changes(history: History, viewer: int = 1) -> int:
+    details = [detail for _, one, detail in history if one == viewer]
+    return sum(a != b for a, b in pairwise(details))
+
+
+def test_nothing_is_taken_away_that_there_is_time_for() -> None:
+    history = run(Governor(45), {1: machine(0.015)}, 20)
+    assert {detail for _, _, detail in history} == {FULL}
+
+
+@pytest.mark.parametrize(("full", "bias", "scale"), [(0.04, -1, 1), (0.08, -2, 1), (0.2, -3, 0.75), (5.0, -3, 0.5)])
+def test_levels_go_first_then_the_size(full: float, bias: float, scale: float) -> None:
+    governor = Governor(45)
+    history = run(governor, {1: machine(full, noise=0.01)}, 90)
+    last = history[-1][2]
+    assert (level_of(last), last.scale) == (-bias, scale)
+    if full < 5:
+        late = [now for now, _, _ in history if now > 60]
+        assert len(late) / 30 >= 40  # pictures a second
+    order = [detail for _, _, detail in history]
+    assert all(detail.scale == 1 or level_of(detail) == 3 for detail in order)
+
+
+def test_it_does_not_swing() -> None:
+    """A level that takes 0.97 of the time, its finer one far too long: tried again, but ever less often."""
+    history = run(Governor(45), {1: machine(0.043, noise=0.01)}, 600)
+    early = [entry for entry in history if entry[0] < 100]
+    late = [entry for entry in history if entry[0] > 400]
+    assert changes(late) <= 8 and changes(early) >= 2  # bias by halves: two steps a level
+
+
+def test_what_was_taken_comes_back() -> None:
+    governor = Governor(45)
+    busy = run(governor, {1: machine(0.08)}, 20)
+    assert busy[-1][2] != FULL
+    idle = run(governor, {1: machine(0.008)}, 60, start=busy[-1][0])
+    assert idle[-1][2] == FULL
+
+
+def test_viewers_share_the_time() -> None:
+    governor = Governor(30)
+    alone = run(governor, {1: machine(0.02)}, 10)
+    assert alone[-1][2] == FULL
+    two = run(governor, {1: machine(0.02), 2: machine(0.02, seed=1)}, 20, start=alone[-1][0])
+    assert all(detail != FULL for _, _, detail in two[-2:])
+    again = run(governor, {1: machine(0.02)}, 50, start=two[-1][0])
+    assert again[-1][2] == FULL and len(governor._states) == 2
+    run(governor, {1: machine(0.02)}, 70, start=again[-1][0])
+    assert len(governor._states) == 1  # who has left is forgotten
+
+
+def test_a_request_with_less_detail() -> None:
+    view = Camera(look_at((0, 0, 2), (0, 0, 0)), pinhole(640, 480), 640, 480)
+    request = RenderRequest(frame_id=1, cameras=(view, view))
+    less = Detail(-1.5, 0.75).of(request)
+    assert less.detail == -1.5 and (less.cameras[0].width, less.cameras[1].height) == (480, 360)
+    assert np.allclose(less.cameras[0].K[0, 0], 0.75 * view.K[0, 0])
+    assert FULL.of(request).cameras == request.cameras
+    tiny = Camera(view.viewmat, pinhole(1, 1), 1, 1)
+    assert Detail(0, SCALES[-1]).resized([tiny])[0].width == 1
