@@ -13,15 +13,17 @@ from glsplat.avatar import Avatar
 from glsplat.config import RenderConfig
 from glsplat.evaluate.frames import WARM_UP, Bench
 from glsplat.evaluate.machine import machine
+from glsplat.evaluate.speed.budget import search
+from glsplat.evaluate.speed.profile import profile
 from glsplat.formats.scene_file import SceneFile
-from glsplat.gl.context import create_context
+from glsplat.gl.context import Context, create_context
 from glsplat.meshes import RiggedMesh
 from glsplat.motion.motion import Motion
 from glsplat.scene import Content, Shown, is_figure
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.rigs.driven import why_not_driven
 
-from .args import add_scene, motion_of, open_scene, single, size
+from .args import add_detail, add_scene, detail_of, motion_of, open_scene, positive, single, size
 from .usage import UsageError
 
 HELP = (
@@ -44,6 +46,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--float-target", choices=("auto", "8", "16f", "32f"), default="auto", help="accumulation format"
     )
     parser.add_argument("--sorter", choices=("auto", "cpu", "gpu"), default="auto", help="where splats are sorted")
+    add_detail(parser, lean=False)
+    more = parser.add_mutually_exclusive_group()
+    more.add_argument("--profile", action="store_true", help="instead: CPU and GPU time of each stage")
+    more.add_argument(
+        "--budget",
+        type=positive,
+        metavar="MS",
+        help="instead: search levels of detail, hidden splats and sizes for that frame time, and what each costs in dB",
+    )
     parser.add_argument("--device", help="EGL device: index or part of its name (also GLSPLAT_DEVICE)")
     parser.add_argument("--json", action="store_true", help="print the numbers as JSON")
 
@@ -57,8 +68,11 @@ def run(args: argparse.Namespace) -> int:
     motion = _motion(args, scene)
     context = create_context(args.device)
     try:
-        bench = Bench(context, args.frames, RenderConfig(target=args.float_target, sorter=args.sorter))
+        config = RenderConfig(target=args.float_target, sorter=args.sorter, **detail_of(args))
+        bench = Bench(context, args.frames, config)
         kinds = kinds_of(bench, scene, motion, file, args.frames + WARM_UP)
+        if args.profile or args.budget is not None:
+            return _other(args, bench, context, config, kinds[-1], file)
         settings = [(kind, pixels, views) for kind in kinds for pixels in args.sizes for views in args.views]
         progress = tqdm(total=len(settings) + 1, unit="setting", disable=args.json or not sys.stderr.isatty())
         rows = []
@@ -74,6 +88,35 @@ def run(args: argparse.Namespace) -> int:
         print(json.dumps(result) if args.json else table(result))
     finally:
         context.release()
+    return 0
+
+
+def _other(
+    args: argparse.Namespace,
+    bench: Bench,
+    context: Context,
+    config: RenderConfig,
+    kind: tuple[str, Shown, list[Pose | None]],
+    file: SceneFile,
+) -> int:
+    """--profile and --budget: of what moves, if anything does, at each size."""
+    name, model, poses = kind
+    if args.budget is not None and (args.level is not None or args.cull_hidden):
+        raise UsageError("--budget tries all levels, with hidden splats and without; leave --level, --cull-hidden out")
+    if file.motions and model is file.scene:
+        raise UsageError("--profile and --budget are for one thing, or a scene that stands still")
+    rows = []
+    for pixels in args.sizes:
+        views = [bench.eyes(model, pixels, i)[: args.views[-1]] for i in range(len(poses))]
+        if args.profile:
+            rows.append(profile(context, model, views, poses, config))
+            continue
+        with tqdm(total=len(poses), unit="frame", disable=args.json or not sys.stderr.isatty(), leave=False) as bar:
+            found = search(context, model, views, poses, args.budget, config, lambda bar=bar: bar.update())  # type: ignore[misc]
+        rows.append({"size": list(pixels), "views": len(views[0])} | found)
+    result = {**machine(), "driver": context.driver, "frames": args.frames, "kind": name, "rows": rows}
+    text = profile_table(result) if args.profile else budget_table(result)
+    print(json.dumps(result) if args.json else text)
     return 0
 
 
@@ -144,4 +187,39 @@ def table(result: dict[str, Any]) -> str:
             f"    {row['influences']:<20}{row['skin_ms']['median']:9.2f} ms   p95 {row['skin_ms']['p95']:9.2f}"
             f"   pose and upload {row['pose_and_upload_ms']['median']:.2f} ms"
         )
+    return "\n".join(lines)
+
+
+def profile_table(result: dict[str, Any]) -> str:
+    """Where the time of a frame goes, as text."""
+    lines = [
+        f"{result['driver']}; {result['machine']}, {result['cores']} cores; {result['date']}; {result['kind']}",
+        "ms: cpu to issue the stage, gpu by the driver's timer, waited: with a wait after each stage",
+    ]
+    for row in result["rows"]:
+        width, height = row["size"]
+        lines += ["", f"{row['views']} x {width}x{height}: whole frame {row['frame_ms']:.2f} ms"]
+        lines.append(f"    {'stage':12}{'cpu':>9}{'gpu':>9}{'waited':>9}")
+        for stage, ms in row["stages"].items():
+            lines.append(f"    {stage:12}{ms['cpu']:9.2f}{ms['gpu']:9.2f}{ms['waited']:9.2f}")
+    return "\n".join(lines)
+
+
+def budget_table(result: dict[str, Any]) -> str:
+    """What was tried for a frame time, as text, the fastest first."""
+    lines = [f"{result['driver']}; {result['machine']}, {result['cores']} cores; {result['date']}; {result['kind']}"]
+    lines.append("dB at worst against level 0 drawn exactly: of the whole picture, and of the box around what is shown")
+    for found in result["rows"]:
+        width, height = found["size"]
+        lines += ["", f"{found['views']} x {width}x{height}, {found['budget_ms']:g} ms wanted"]
+        lines.append(f"    {'level':>5}  {'hidden':8}{'size':>6}{'ms':>9}{'drawn':>9}{'dB whole':>10}{'dB box':>8}")
+        for row in sorted(found["rows"], key=lambda row: row["ms"]):
+            mark = "  <-" if row == found["chosen"] else ""
+            hidden = "left out" if row["culled"] else "drawn"
+            lines.append(
+                f"    {row['level']:>5}  {hidden:8}{row['scale']:>6g}{row['ms']:9.2f}{row['drawn']:>9}"
+                f"{row['psnr']:>10.1f}{row['psnr_box']:>8.1f}{mark}"
+            )
+        if found["chosen"] is None:
+            lines.append("    nothing is that fast; fewer splats (glsplat avatar levels) or smaller pictures (--sizes)")
     return "\n".join(lines)

@@ -110,7 +110,7 @@ class Bench:
             query = self._context.ctx.query(time=True)
         stages: dict[str, list[float]] = {}
         for i, pose in enumerate(poses):
-            eyes = self._eyes(scene, pixels, i)[:views]
+            eyes = self.eyes(scene, pixels, i)[:views]
             if pose_at is not None:
                 pose_at(i / 30)
             pair.render(eyes, pose)
@@ -182,7 +182,7 @@ class Bench:
         samples: dict[int, list[tuple[float, float]]] = {k: [] for k in counts}
         for i in range(self._frames + WARM_UP):
             for k, renderer in renderers.items():
-                renderer.render(self._eyes(avatar, pixels, i), motion.at(i / 30))
+                renderer.render(self.eyes(avatar, pixels, i), motion.at(i / 30))
                 if i >= WARM_UP:
                     samples[k].append((renderer.timings["skin"], renderer.timings["pose"]))
         for renderer in renderers.values():
@@ -208,7 +208,7 @@ class Bench:
     def _renderer(self, scene: Shown, pixels: tuple[int, int], views: int, timed: int) -> Renderer:
         return Renderer(scene, size=pixels, views=views, config=self._config, context=self._context, timed=bool(timed))
 
-    def _eyes(self, scene: Shown, pixels: tuple[int, int], frame: int) -> list[Camera]:
+    def eyes(self, scene: Shown, pixels: tuple[int, int], frame: int) -> list[Camera]:
         """The pair of a head that orbits one degree a frame."""
         eye, target = viewing_point(scene, FOV)
         x, y, z = eye - target

@@ -84,14 +84,15 @@ def load(source: Source, *, strict: bool = False, format: str | None = None) -> 
     """Read a scene or an avatar from a path or from a file that is open in binary mode.
 
     The format is recognised by content, whatever the file's name, unless ``format`` says it, "ply" or another name
-    in FORMATS. An open file is read from where it stands and stays open. With ``strict``, NaN and infinity are refused
-    instead of kept. Raises FormatError, one line that names the file.
+    in FORMATS. An open file is read from where it stands and stays open. A level of detail that is broken is left out,
+    which is logged. With ``strict`` it is refused, as are NaN and infinity, which are kept otherwise. Raises
+    FormatError, one line that names the file.
 
     >>> glsplat.save(glsplat.default_avatar(), "me.glb")
     >>> glsplat.load("me.glb")
     Avatar(40000 splats, 55 joints, 4 a splat)
     """
-    with naming(source), open_regular(source) as (file, size):
+    with naming(source, strict), open_regular(source) as (file, size):
         known = _recognised(file, size, suffixes_of(source)) if format is None else _called(format)
         file.seek(0)
         scene = known.load(file, size, folder_of(source))

@@ -6,12 +6,14 @@ A file is named by a path (str, bytes, os.PathLike), or it is an object that is 
 from __future__ import annotations
 
 import io
+import logging
 import os
 import secrets
 import stat
 import time
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
+from contextvars import ContextVar
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -22,6 +24,7 @@ __all__ = [
     "Source",
     "checked",
     "folder_of",
+    "left_out",
     "locked",
     "naming",
     "open_regular",
@@ -35,6 +38,7 @@ Source = str | bytes | os.PathLike[Any] | BinaryIO
 """What is read or written. An object is read from where it stands to its end, and stays open."""
 
 _IN_PLACE = (io.BytesIO, io.BufferedReader, io.BufferedRandom, io.FileIO)  # quick to seek in; all else is read whole
+_READ: ContextVar[tuple[str, bool]] = ContextVar("_READ", default=("", False))  # what naming() was told
 _BLOCKS, _BLOCK = 64, 1 << 16  # a sample of a large file: so many blocks of so many bytes
 
 
@@ -169,17 +173,35 @@ def locked(path: Path, patience: float = 0.0) -> Iterator[None]:
 
 
 @contextmanager
-def naming(source: Source) -> Iterator[None]:
-    """Put the file's name in front of the message of a FormatError that does not have it yet."""
+def naming(source: Source, strict: bool = False) -> Iterator[None]:
+    """Put the file's name in front of the message of a FormatError that does not have it yet.
+
+    ``strict`` makes such an error of what ``left_out`` says.
+    """
     name = name_of(source)
+    before = _READ.set((name, strict))
     try:
         yield
     except FormatError as error:
-        # what a stranger's file calls things neither breaks the line nor steers the terminal; paths stay as they are
         whole, known = str(error), (f"{name}: ", f"{name!r}: ")
         said = next((start for start in known if whole.startswith(start)), "")
-        text = said + "".join(c if c.isprintable() else "?" for c in whole.removeprefix(said))
+        text = said + _printable(whole.removeprefix(said))
         raise FormatError(text if text.startswith((f"{name}: ", f"{name!r}: ")) else f"{name}: {text}") from None
+    finally:
+        _READ.reset(before)
+
+
+def left_out(log: logging.Logger, reason: str) -> None:
+    """A warning with the name of the file that is being read, of which not all can be used; strict, a FormatError."""
+    name, strict = _READ.get()
+    if strict:
+        raise FormatError(f"{reason}; repair the file or load it without strict")
+    log.warning("%s: %s", name, _printable(reason))
+
+
+def _printable(text: str) -> str:
+    """What a stranger's file calls things neither breaks the line nor steers the terminal; paths stay as they are."""
+    return "".join(c if c.isprintable() else "?" for c in text)
 
 
 def sampled(file: BinaryIO, start: int, size: int, whole: int = _BLOCKS * _BLOCK) -> bytes:

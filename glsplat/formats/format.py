@@ -51,8 +51,9 @@ class Format:
     ``load`` gets an open file at its start, its size, and the folder of its other files (None where it has none);
     ``save`` a scene and where it goes (files.replace_file writes), and is None where a format is read only. Both raise
     FormatError. ``loses`` says, a sentence each, what a saved file does not keep of a scene, rounding apart; that a
-    rig or visibility cones are dropped is said already where ``rigs`` or ``cones`` is False. ``order`` says which
-    splats of a scene a file has, in the order it has them in, for a format that does not have all as they come.
+    rig, visibility cones or levels are dropped is said already where ``rigs``, ``cones`` or ``levels`` is False.
+    ``order`` says which splats of a scene a file has, in the order it has them in, for a format that does not have all
+    as they come.
     """
 
     name: str  # as ``format=`` takes it
@@ -64,6 +65,7 @@ class Format:
     loses: Callable[[Splats | Avatar], Iterator[str]] = _nothing
     rigs: bool = False  # holds avatars
     cones: bool = False  # holds visibility cones
+    levels: bool = False  # holds levels of detail
     order: Callable[[Splats], NDArray[np.intp]] | None = None
     marked: bool = True  # begins with a mark of its own; formats without one are tried last
 
@@ -76,6 +78,8 @@ class Format:
             yield f"the rig of {len(scene.skeleton)} joints is dropped, the file holds the {pose}"
         if splats_of(scene).cones is not None and not self.cones:
             yield "the visibility cones are dropped"
+        if scene.levels and not self.levels:
+            yield f"the {len(scene.levels)} coarser levels of detail are dropped, the file holds the finest"
         yield from self.loses(scene)
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -19,8 +21,9 @@ def transformed(splats: Splats, matrix: F64) -> Splats:
 
     A rotation with a uniform scale keeps rotations and scales apart; any other matrix goes through a singular value
     decomposition of each M C. Spherical harmonics of degree 1 and above turn with the nearest orthogonal matrix, so
-    a splat shows each of its colours in the direction it had in the node's frame, mirrored nodes included. Raises
-    FormatError when the matrix is singular or not finite.
+    a splat shows each of its colours in the direction it had in the node's frame, mirrored nodes included. Levels of
+    detail go along; of what is larger, a metre needs fewer pixels. Raises FormatError when the matrix is singular or
+    not finite.
     """
     linear = matrix[:3, :3]
     left, stretch, right = np.linalg.svd(linear) if np.isfinite(matrix).all() else (linear, np.zeros(3), linear)
@@ -40,7 +43,17 @@ def transformed(splats: Splats, matrix: F64) -> Splats:
         sh = splats.sh
         if splats.sh_degree:
             sh = np.einsum("kl,nlc->nkc", sh_rotations(turn, splats.sh_degree), sh.astype(np.float64))
-        return Splats.create(means, quats, scales, splats.opacities, sh, antialias=splats.antialias, cones=cones)
+        made = Splats.create(
+            means, quats, scales, splats.opacities, sh,
+            antialias=splats.antialias, cones=cones, cones_psnr=splats.cones_psnr,
+        )  # fmt: skip
+    if not splats.levels:
+        return made
+    size = 1.0 if abs(stretch[0] - 1) < 1e-9 else float(stretch[0])  # a rotation changes no density
+    levels = [
+        replace(one, content=transformed(one.content, matrix), density=one.density / size) for one in splats.levels
+    ]
+    return replace(made, levels=tuple(levels))
 
 
 def _reshaped(splats: Splats, linear: F64) -> tuple[F64, F64]:

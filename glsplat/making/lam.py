@@ -178,7 +178,8 @@ def _skinned(container: Container, graph: Graph) -> tuple[Mesh, Instance]:
         for primitive in mesh.primitives:
             if primitive.mode == 4 and {"JOINTS_0", "POSITION"} <= primitive.attributes.keys():
                 count = item(gltf.accessors, primitive.attributes["POSITION"], "accessor of POSITION").count
-                found.append((count, mesh, Instance(primitive, node, graph.world[number], f"mesh {node.mesh}")))
+                where = graph.world[number]
+                found.append((count, mesh, Instance(primitive, node, where, f"mesh {node.mesh}", number)))
     if not found:
         raise FormatError("splats ride triangles with a skin (JOINTS_0 and WEIGHTS_0), found none")
     _, mesh, instance = max(found, key=lambda entry: entry[0])

@@ -24,6 +24,7 @@ class Instance:
     node: Node
     matrix: F64
     name: str  # for messages
+    index: int  # of the node
 
 
 @dataclass(frozen=True)
@@ -98,4 +99,4 @@ def instances(gltf: Gltf, world: F64, extension: str = "") -> Iterator[Instance]
             continue
         for p, primitive in enumerate(item(gltf.meshes, node.mesh, "mesh").primitives):
             if not extension or extension in primitive.extensions:
-                yield Instance(primitive, node, world[i], f"mesh {node.mesh} primitive {p}")
+                yield Instance(primitive, node, world[i], f"mesh {node.mesh} primitive {p}", i)

@@ -15,7 +15,15 @@ from glsplat.formats.gltf.output import Output
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.skin import INFLUENCES, Skin
 
-__all__ = ["read_skeleton", "read_skin", "write_influences", "write_skeleton"]
+__all__ = ["SKIN_WEIGHTS", "read_skeleton", "read_skin", "weights_note", "write_influences", "write_skeleton"]
+
+SKIN_WEIGHTS = "skin_weights"
+"""In our extras: what Skin.lost and Skin.repaired were."""
+
+
+def weights_note(skin: Skin) -> dict[str, Any]:
+    """What those extras say of ``skin``; empty where nothing was lost."""
+    return {SKIN_WEIGHTS: {"lost": skin.lost, "repaired": skin.repaired}} if skin.lost or skin.repaired else {}
 
 
 def write_influences(out: Output, skin: Skin, joint_count: int, attributes: dict[str, int]) -> None:
@@ -107,13 +115,14 @@ def _joint_parents(nodes: list[int], graph: Graph) -> NDArray[np.int32]:
     return np.array([nearest[int(graph.parents[node])] for node in nodes], np.int32)
 
 
-def read_skin(container: Container, instance: Instance, joints: int, count: int, stored: dict[str, Any]) -> Skin:
+def read_skin(container: Container, instance: Instance, joints: int, count: int, noted: Any) -> Skin:
     """Influences of ``count`` splats on ``joints`` joints, with the smallest K that holds them all.
 
-    ``stored`` may hold what an earlier reduction lost and repaired. Raises FormatError when counts or types do not
+    ``noted`` may be what ``weights_note`` said of an earlier reduction. Raises FormatError when counts or types do not
     fit, or a splat is bound to a joint the skin lacks.
     """
     attributes = instance.primitive.attributes
+    stored = noted if isinstance(noted, dict) else {}
     sets = 2 if "JOINTS_1" in attributes and "WEIGHTS_1" in attributes else 1
     if "WEIGHTS_0" not in attributes:
         raise FormatError(f"{instance.name}: JOINTS_0 needs WEIGHTS_0 beside it")

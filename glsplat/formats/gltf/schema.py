@@ -101,6 +101,7 @@ class Primitive(_Object):
     material: Index | None = None
     mode: int = 4
     targets: list[dict[str, Index]] = []
+    extras: Any = None
 
 
 class Mesh(_Object):
@@ -124,6 +125,7 @@ class Node(_Object):
     rotation: Vec4 | None = None
     scale: Vec3 | None = None
     weights: list[float] = []
+    extras: Any = None
 
 
 class Skin(_Object):

@@ -1,0 +1,137 @@
+"""Splats as one POINTS primitive of glTF with KHR_gaussian_splatting, and back.
+
+Read: the ratified attribute names (KHR_gaussian_splatting:ROTATION, :SCALE, :OPACITY, :SH_DEGREE_l_COEF_n) and the
+older drafts' (_ROTATION, _SCALE, colour and opacity in COLOR_0). Written: the ratified ones as float32, so that a
+round trip is exact, and a COLOR_0 for viewers that know no splats (fallback.py).
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glsplat.arrays import frozen
+from glsplat.errors import FormatError
+from glsplat.formats.gltf.compressed import packed_splats, packed_view
+from glsplat.formats.gltf.container import Container, Primitive
+from glsplat.formats.gltf.fallback import write_fallback
+from glsplat.formats.gltf.output import Output
+from glsplat.splats import SH_C0, Splats
+
+__all__ = ["ANTIALIAS", "EXTENSION", "number_of", "our_extras", "read_splats", "write_splats"]
+
+EXTENSION = "KHR_gaussian_splatting"
+ANTIALIAS = "antialias"
+"""In asset.extras.glsplat: Splats.antialias of all splats in the file."""
+
+_CONE = (
+    "_VISIBILITY_CONE"  # Splats.cones; an attribute of an application's own starts with an underscore (glTF 2.0, 3.7.2)
+)
+_CONES_PSNR = "cones_psnr"  # in the primitive's extras.glsplat: Splats.cones_psnr
+_SH_NAMES = [(degree, n) for degree in range(4) for n in range(2 * degree + 1)]
+
+
+def write_splats(out: Output, splats: Splats) -> Primitive:
+    """A new primitive with all that splats are; its material is number 0. Joints and weights are added elsewhere."""
+    attributes = {"POSITION": out.add(splats.means, "VEC3", bounds=True)}
+    attributes[f"{EXTENSION}:ROTATION"] = out.add(np.roll(splats.quats, -1, axis=1), "VEC4")  # xyzw
+    attributes[f"{EXTENSION}:SCALE"] = out.add(splats.scales, "VEC3")
+    attributes[f"{EXTENSION}:OPACITY"] = out.add(splats.opacities[:, None], "SCALAR")
+    for k, (degree, n) in enumerate(_SH_NAMES[: splats.sh.shape[1]]):
+        attributes[f"{EXTENSION}:SH_DEGREE_{degree}_COEF_{n}"] = out.add(splats.sh[:, k], "VEC3")
+    if splats.cones is not None:
+        attributes[_CONE] = out.add(splats.cones, "VEC4", normalized=True)
+    attributes["COLOR_0"] = write_fallback(out, splats)
+    return Primitive(
+        attributes=attributes,
+        mode=0,
+        material=0,
+        extensions={EXTENSION: {"kernel": "ellipse", "colorSpace": "srgb_rec709_display"}},
+        extras=None if splats.cones_psnr is None else {"glsplat": {_CONES_PSNR: splats.cones_psnr}},
+    )
+
+
+def read_splats(container: Container, primitive: Primitive, name: str) -> Splats:
+    """The splats of a primitive, which messages call ``name``, where they are stored. Raises FormatError."""
+    if primitive.mode != 0:
+        raise FormatError(f"{name}: splats need a POINTS primitive (mode 0), not mode {primitive.mode}")
+    _check_extension(primitive.extensions[EXTENSION], name)
+    view = packed_view(primitive.extensions[EXTENSION], name)
+    if view is not None:
+        return packed_splats(container, primitive, view, name)
+    attributes = {key.replace(f"{EXTENSION}:", "_", 1): index for key, index in primitive.attributes.items()}
+
+    def read(key: str, *types: str) -> NDArray[np.float32] | None:
+        return container.numbers(attributes[key], f"{name} {key}", types) if key in attributes else None
+
+    means, quats, scales = read("POSITION", "VEC3"), read("_ROTATION", "VEC4"), read("_SCALE", "VEC3")
+    opacities, dc = read("_OPACITY", "SCALAR"), read("_SH_DEGREE_0_COEF_0", "VEC3")
+    color = read("COLOR_0", "VEC3", "VEC4") if opacities is None or dc is None else None
+    if opacities is None and color is not None and color.shape[1] == 4:
+        opacities = color[:, 3:]
+    if dc is None and color is not None:
+        dc = ((color[:, :3] - 0.5) / SH_C0).astype(np.float32)
+    needed = {"POSITION": means, "ROTATION": quats, "SCALE": scales, "OPACITY": opacities, "SH_DEGREE_0_COEF_0": dc}
+    if means is None or quats is None or scales is None or opacities is None or dc is None:
+        missing = ", ".join(key for key, value in needed.items() if value is None)
+        raise FormatError(f"{name}: splats need the attributes {missing}")
+    sh = [dc]
+    keys = [f"_SH_DEGREE_{degree}_COEF_{n}" for degree, n in _SH_NAMES[1:]]
+    last = max((k for k, key in enumerate(keys) if key in attributes), default=-1)
+    for key in keys[: ((3, 8, 15)[_SH_NAMES[last + 1][0] - 1] if last >= 0 else 0)]:  # all up to the highest degree
+        coefficient = read(key, "VEC3")
+        if coefficient is None:
+            raise FormatError(f"{name}: incomplete spherical harmonics, {key[1:]} is missing")
+        sh.append(coefficient)
+    counts = {len(a) for a in (means, quats, scales, opacities, *sh)}
+    if len(counts) > 1:
+        raise FormatError(f"{name}: the attributes need one count, found {', '.join(map(str, sorted(counts)))}")
+    if not _written_by_us(container) and _logarithmic(scales):
+        with np.errstate(over="ignore"):
+            scales = np.exp(scales)
+    return Splats.create(
+        means,
+        np.roll(quats, 1, axis=1),
+        scales,
+        opacities,
+        frozen(np.stack(sh, axis=1)),
+        antialias=container.note().get(ANTIALIAS) is True,
+        cones=_cones(container, attributes[_CONE], len(means), name) if _CONE in attributes else None,
+        cones_psnr=number_of(our_extras(primitive.extras).get(_CONES_PSNR)),
+    )
+
+
+def our_extras(extras: Any) -> dict[str, Any]:
+    """What is ours of the extras of an object; empty in the files of others."""
+    ours = extras.get("glsplat") if isinstance(extras, dict) else None
+    return ours if isinstance(ours, dict) else {}
+
+
+def number_of(value: Any) -> float | None:
+    """A finite number; None for all else."""
+    usable = isinstance(value, (int, float)) and not isinstance(value, bool) and abs(value) < 1e300
+    return float(value) if usable else None
+
+
+def _cones(container: Container, index: int, count: int, name: str) -> NDArray[np.int8]:
+    raw = container.read(index, f"{name} {_CONE}", ("VEC4",))
+    if raw.dtype != np.int8 or len(raw) != count:
+        raise FormatError(f"{name}: {_CONE} needs {count} elements of signed bytes, not {len(raw)} of {raw.dtype}")
+    return np.ascontiguousarray(raw, np.int8)
+
+
+def _logarithmic(scales: NDArray[np.float32]) -> bool:
+    return len(scales) > 0 and int((scales < 0).sum()) * 2 > scales.size
+
+
+def _check_extension(value: Any, name: str) -> None:
+    extension = value if isinstance(value, dict) else {}
+    space = extension.get("colorSpace", "srgb_rec709_display")  # drafts made it optional, and had other names for it
+    if space not in ("srgb_rec709_display", "BT.709", "BT.709-sRGB", "BT.709-srgb"):
+        raise FormatError(f"{name}: needs colorSpace srgb_rec709_display, not {str(space)[:40]!r}; convert the colours")
+
+
+def _written_by_us(container: Container) -> bool:
+    return "version" in container.note()
