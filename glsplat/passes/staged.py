@@ -201,7 +201,13 @@ class Staged:
             self._items.pop(gone)[1].release()
 
     def _made(self, visible: Sequence[Item], levels: Sequence[int], posed: bool) -> Drawable:
-        buffers = [self._levels_of(item).get(level) for item, level in zip(visible, levels, strict=True)]
+        staged = [self._levels_of(item) for item in visible]
+        if self._config.cull_hidden is True and staged and not any(one.has_cones for one in staged):
+            raise GlsplatError(
+                "cull_hidden needs splats with visibility cones, this scene has none; "
+                "make them (glsplat avatar cones, glsplat.making.cones.with_cones) or leave cull_hidden off"
+            )
+        buffers = [one.get(level) for one, level in zip(staged, levels, strict=True)]
         self.arenas += 1
         return Drawable(self._arena_of(buffers, posed))
 
@@ -257,11 +263,6 @@ class Staged:
 
     def _arena_of(self, buffers: Sequence[ItemBuffers], posed: bool) -> Arena:
         config = self._config
-        if config.cull_hidden is True and buffers and all(item.splats.cones is None for item in buffers):
-            raise GlsplatError(
-                "cull_hidden needs splats with visibility cones, this scene has none; "
-                "make them (glsplat avatar cones, glsplat.making.cones.with_cones) or leave cull_hidden off"
-            )
         degree = min(max((item.splats.sh_degree for item in buffers), default=0), config.sh_degree)
         mixed = config.antialias is None and len({item.splats.antialias for item in buffers}) > 1
         culled = [item.splats.cones is not None and _culled(item.splats, config) for item in buffers]

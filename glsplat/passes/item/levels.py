@@ -44,6 +44,12 @@ class LevelBuffers:
         self._proxy: Proxy | None = None
 
     @property
+    def has_cones(self) -> bool:
+        """Whether hidden splats can be left out of any level."""
+        splats = (one.splats if isinstance(one, Avatar) else one for one in self.contents)
+        return any(one.cones is not None for one in splats)
+
+    @property
     def coarsest(self) -> int:
         """The number of the coarsest level; 0 is the finest."""
         return len(self.densities)
