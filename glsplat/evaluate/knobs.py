@@ -98,6 +98,12 @@ def settings_of(subject: Subject, base: RenderConfig, few: bool = False, compute
         for margin in _some(CULL_MARGINS, few):
             culled = replace(base, cull_hidden=True, cull_margin=margin)
             out.append(Setting("hidden splats", f"margin {margin:g}", Drawn(culled)))
+    levels = subject.scene.levels
+    for level in range(len(levels) + 1 if levels else 0):
+        out.append(Setting("level of detail", str(level), Drawn(replace(base, level=level))))
+        if splats.cones is not None:
+            lean = Drawn(replace(base, level=level, cull_hidden="auto"))
+            out.append(Setting("level of detail", f"{level}, hidden by price", lean))
     if splats.sh_degree:
         for degree in range(splats.sh_degree):
             out.append(Setting("SH degree", str(degree), Drawn(replace(base, sh_degree=degree))))

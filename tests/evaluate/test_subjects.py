@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +21,7 @@ from glsplat.evaluate.subjects import Subject, cameras_for, check_cameras, dense
 from glsplat.formats import load, save
 from glsplat.gl.context import Context
 from glsplat.making.surface import SamplerConfig
-from glsplat.splats import Splats
+from glsplat.splats import Level, Splats
 from tests.scenes import camera, cloud, limb
 
 pytest.importorskip("flip_evaluator")
@@ -174,3 +175,15 @@ def test_saved_scene_and_settings_are_one_measurement(tmp_path: Path, context: C
     many, few = (settings_of(Subject("a", scene, 32), base, short) for short in (False, True))
     assert len({s.drawn for s in few}) < len({s.drawn for s in many}) < len(many)
     assert Setting("splats", "1,200", Drawn(base)) in many and Setting("splats", "1,200", Drawn(base)) in few
+
+
+@pytest.mark.usefixtures("current")
+@pytest.mark.gl
+def test_levels_of_detail_are_a_knob(context: Context) -> None:
+    base = base_config(context)
+    coned = replace(cloud(1200), cones=np.full((1200, 4), 100, np.int8), cones_psnr=50.0)
+    scene = replace(coned, levels=(Level(cloud(300), 40.0), Level(cloud(90), 20.0)))
+    labels = [s.label for s in settings_of(Subject("a", scene, 32), base) if s.knob == "level of detail"]
+    assert labels == ["0", "0, hidden by price", "1", "1, hidden by price", "2", "2, hidden by price"]
+    plain = settings_of(Subject("a", cloud(1200), 32), base)
+    assert not [s for s in plain if s.knob == "level of detail"]
