@@ -191,7 +191,10 @@ def mutated(data: st.DataObject, document: Any, keep: Callable[[tuple[Any, ...]]
     """A copy with one to three places of those to ``keep`` deleted or given another value."""
     document = copy.deepcopy(document)
     for _ in range(data.draw(st.integers(1, 3))):
-        *steps, last = data.draw(st.sampled_from([path for path in places(document) if keep(path)]))
+        left = [path for path in places(document) if keep(path)]
+        if not left:
+            break
+        *steps, last = data.draw(st.sampled_from(left))
         target = document
         for step in steps:
             target = target[step]
