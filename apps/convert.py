@@ -7,6 +7,9 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
 from glsplat.avatar import Avatar
 from glsplat.errors import FormatError
 from glsplat.formats import losses, save, suffixes
@@ -89,4 +92,9 @@ def turned(scene: Content, up: str) -> Content:
     skeleton = Skeleton(rig.names, rig.parents, turn @ rig.rest, rig.inverse_bind @ turn.T)
     if isinstance(scene, RiggedMesh):
         return replace(scene, vertices=scene.vertices @ turn[:3, :3].T, skeleton=skeleton)
-    return replace(scene, splats=transformed(scene.splats, turn), skeleton=skeleton)
+    levels = [replace(level, content=_turned(level.content, turn, skeleton)) for level in scene.levels]
+    return replace(_turned(scene, turn, skeleton), levels=tuple(levels))
+
+
+def _turned(avatar: Avatar, turn: NDArray[np.float64], skeleton: Skeleton) -> Avatar:
+    return replace(avatar, splats=transformed(avatar.splats, turn), skeleton=skeleton, levels=())

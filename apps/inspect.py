@@ -17,7 +17,7 @@ from glsplat.formats.scene_file import SceneFile
 from glsplat.making.items import is_scene
 from glsplat.meshes import RiggedMesh
 from glsplat.skinning.rigs.driven import why_not_driven, why_not_tracked
-from glsplat.splats import Splats
+from glsplat.splats import Level, Splats
 from glsplat.views import box_of, splats_of
 
 from .args import add_scene, open_scene, single
@@ -27,6 +27,7 @@ __all__ = ["EXAMPLE", "HELP", "add_arguments", "describe", "describe_scene", "ru
 HELP = "Say what is in a scene, avatar, mesh or scene file: counts, ranges, the rig, items, and anything unusual."
 EXAMPLE = "glsplat inspect me.glb --json"
 
+_PICTURE = 1024  # pixels a side; of 90 degrees, so that half of it is the focal length
 _NEEDLE = 1e3  # longest over shortest axis
 _OUTLIER = 10  # times the distance from the median position within which 95 % of the splats lie
 _PERCENTILES = (0, 1, 50, 99, 100)
@@ -79,6 +80,7 @@ def describe_scene(file: SceneFile, path: str) -> dict[str, Any]:
             entry["meta"] = dict(content.meta)
         else:
             entry["splats"] = len(splats_of(content))
+            entry["levels"] = len(content.levels)
         if not isinstance(content, Splats):
             motion = next((motion for other, motion in file.motions.values() if other is item), None)
             entry |= {"joints": len(content.skeleton), "posed": item.pose is not None}
@@ -110,6 +112,7 @@ def _scene_text(report: dict[str, Any]) -> str:
         at = ", ".join(f"{v:.4g}" for v in entry["translation"])
         words = [entry["kind"], what, f"at {at}"]
         words += [f"scale {entry['scale']:.4g}"] if abs(entry["scale"] - 1) > 1e-9 else []
+        words += [f"{entry['levels']} coarser levels"] if entry.get("levels") else []
         words += [f"{entry['joints']} joints"] if "joints" in entry else []
         words += ["takes poses"] if entry.get("driven") else []
         words += [f"moves by {entry['motion']['name']}"] if entry.get("motion") else []
@@ -160,6 +163,8 @@ def describe(scene: Splats | Avatar, path: str | Path | None) -> dict[str, Any]:
         "memory_bytes": splats.nbytes,
         "antialias": splats.antialias,
         "cones": splats.cones is not None,
+        "cones_psnr": splats.cones_psnr,
+        "levels": [_level(level) for level in scene.levels],
         "bounds": _bounds(splats.means),
         "scale": _percentiles(np.abs(splats.scales).max(axis=1)),
         "opacity": _percentiles(splats.opacities),
@@ -168,7 +173,23 @@ def describe(scene: Splats | Avatar, path: str | Path | None) -> dict[str, Any]:
     if isinstance(scene, Avatar):
         report["avatar"] = _rig(scene)
         report["memory_bytes"] += scene.skin.joints.nbytes + scene.skin.weights.nbytes
+    report["memory_bytes"] += sum(level["memory_bytes"] for level in report["levels"])
     return report
+
+
+def _level(level: Level[Splats] | Level[Avatar]) -> dict[str, Any]:
+    """A coarser level of detail."""
+    content = level.content
+    splats, size = splats_of(content), 0
+    if isinstance(content, Avatar):
+        size = content.skin.joints.nbytes + content.skin.weights.nbytes
+    return {
+        "splats": len(splats),
+        "density": level.density,  # pixels a metre
+        "metres": _PICTURE / 2 / level.density,  # from which on it is drawn, in a picture of 1024 pixels and 90 degrees
+        "psnr": level.psnr,
+        "memory_bytes": splats.nbytes + size,
+    }
 
 
 def _rig(avatar: Avatar) -> dict[str, Any]:
@@ -248,7 +269,10 @@ def _text(report: dict[str, Any]) -> str:
     rows = [("size", f"{size}{report['memory_bytes'] / 1e6:.2f} MB in memory")]
     rows.append(("antialias", "opacity compensation wanted" if report["antialias"] else "not asked for"))
     cones = "every splat has one" if report["cones"] else "none; --cull-hidden needs them (glsplat avatar cones)"
+    if report["cones_psnr"] is not None:
+        cones += f"; the worst picture keeps {report['cones_psnr']:.1f} dB without what they hide"
     rows.append(("cones", cones))
+    rows += [("levels" if index == 0 else "", _level_said(level)) for index, level in enumerate(report["levels"])]
     if bounds := report["bounds"]:
         rows.append(("bounds", _bounds_said(bounds)))
     for key, unit in (("scale", " m (longest axis)"), ("opacity", "")):
@@ -270,6 +294,12 @@ def _text(report: dict[str, Any]) -> str:
     unusual = [f"{count:,} {name}: {_UNUSUAL[name]}" for name, count in report["unusual"].items()]
     rows += [("unusual", text) for text in unusual] or [("unusual", "nothing")]
     return _wrapped(lines, rows)
+
+
+def _level_said(level: dict[str, Any]) -> str:
+    kept = "error unknown" if level["psnr"] is None else f"{level['psnr']:.1f} dB at worst"
+    where = f"from {level['metres']:.2g} m on at {_PICTURE} px and 90 degrees ({level['density']:.4g} px/m)"
+    return f"{level['splats']:,} splats {where}, {kept}, {level['memory_bytes'] / 1e6:.2f} MB"
 
 
 def _driven(not_driven: str, not_tracked: str) -> str:

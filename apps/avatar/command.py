@@ -30,6 +30,7 @@ from glsplat.making.surface import FEWEST, make_avatar
 from glsplat.motion.library import library, to_json
 from glsplat.skinning.pose import Pose, load_pose
 from glsplat.skinning.rigs.driven import why_not_driven
+from glsplat.splats import Level
 
 from ..args import add_up, motion_of
 from ..convert import add_quiet, save_and_say
@@ -192,6 +193,8 @@ def _import(args: argparse.Namespace) -> int:
         raise UsageError(f"{args.dump}: --follow is for LAM zips; leave it out")
     if args.mesh is None and _is_gltf(args.dump):
         scene = load(args.dump)
+        if scene.levels:
+            print(f"glsplat avatar: {args.dump}: coarser levels of detail are left out", file=sys.stderr)
         if not isinstance(scene, Avatar):
             raise FormatError(f"{args.dump}: has no skeleton; --mesh names a rigged mesh that lends one")
         with naming(args.dump):
@@ -231,7 +234,9 @@ def _export(args: argparse.Namespace) -> int:
             pose = load_pose(args.pose, scene.skeleton)
         else:
             pose = motion_of(args.pose, scene.skeleton, "--pose").at(args.at)
-    splats = transformed(posed_splats(scene, pose), upright(args.up).T)  # from y up to the file's axis
+    levels = tuple(Level(posed_splats(one.content, pose), one.density, one.psnr) for one in scene.levels)
+    posed = replace(posed_splats(scene, pose), levels=levels)
+    splats = transformed(posed, upright(args.up).T)  # from y up to the file's axis
     save_and_say(splats, args.out, "glsplat avatar export", args.quiet)
     print(f"{args.out}: {len(scene.splats)} splats")
     return 0

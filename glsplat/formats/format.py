@@ -79,7 +79,8 @@ class Format:
         if splats_of(scene).cones is not None and not self.cones:
             yield "the visibility cones are dropped"
         if scene.levels and not self.levels:
-            yield f"the {len(scene.levels)} coarser levels of detail are dropped, the file holds the finest"
+            count = len(scene.levels)
+            yield f"{count} coarser level{'s' if count > 1 else ''} of detail dropped, the file holds the finest"
         yield from self.loses(scene)
 
 

@@ -6,6 +6,7 @@ import gzip
 import json
 import struct
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ import numpy as np
 from glsplat.avatar import Avatar
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.skin import Skin
-from glsplat.splats import Splats
+from glsplat.splats import Level, Splats
 
 SHARED_DATA = Path(__file__).resolve().parents[2].parent / "shared" / "data"  # may be absent
 FIELDS = ("means", "quats", "scales", "opacities", "sh")
@@ -58,6 +59,33 @@ def random_avatar(count: int = 40, joints: int = 5, influences: int = 4, degree:
     skin = Skin.create(ids % joints, rng.random((count, 8)) * (ids < joints), joints, influences)
     meta = {"source": "a test", "licence": "CC0", "consent": None, "body_model": {"name": "five bones"}, "empty": []}
     return Avatar(random_splats(count, degree), skeleton, skin, meta)
+
+
+def avatar_with_levels() -> Avatar:
+    """40, 20, 10 and 5 splats on one skeleton; cones on the finest and on one level, what a skin lost on another."""
+    whole = random_avatar(40, degree=1)
+    whole = replace(whole, splats=replace(whole.splats, antialias=True, cones=_cones(40), cones_psnr=45.5))
+    levels: list[Level[Avatar]] = []
+    for count, density, psnr in ((20, 200.0, 41.5), (10, 100.0, None), (5, 1 / 3, 40.0)):
+        few = replace(whole, splats=whole.splats.take(range(count)), skin=whole.skin.take(np.arange(count)))
+        if psnr is None:
+            few = replace(few, splats=replace(few.splats, cones=None))
+            few = replace(few, skin=Skin(few.skin.joints, few.skin.weights, 0.25, 3))
+        levels.append(Level(few, density, psnr))
+    return replace(whole, levels=tuple(levels))
+
+
+def splats_with_levels() -> Splats:
+    """40, 20, 10 and 5 splats; one level is drawn without compensation, and one has no spherical harmonics."""
+    whole = replace(random_splats(40, 2), antialias=True)
+    twenty, ten, five = (whole.take(range(count)) for count in (20, 10, 5))
+    coarse = (replace(twenty, antialias=False), replace(ten, sh=ten.sh[:, :1]), five)
+    levels = [Level(content, density) for content, density in zip(coarse, (300.0, 50.0, 7.0), strict=True)]
+    return replace(whole, levels=levels)
+
+
+def _cones(count: int) -> np.ndarray:
+    return (np.arange(4 * count) % 255 - 127).astype(np.int8).reshape(count, 4)
 
 
 def assert_equal(a: Splats, b: Splats) -> None:

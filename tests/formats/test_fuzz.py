@@ -8,7 +8,7 @@ import json
 import tracemalloc
 from collections.abc import Callable
 from dataclasses import replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -25,10 +25,12 @@ from glsplat.splats import Splats
 from tests.formats.ksplats import ksplat
 from tests.formats.scenes import (
     SHARED_DATA,
+    avatar_with_levels,
     awkward_splats,
     glb_parts,
     random_avatar,
     random_splats,
+    splats_with_levels,
     spz_streams,
     write_glb,
 )
@@ -62,6 +64,8 @@ def seeds() -> list[bytes]:
             "a.glb": _with_cones(random_avatar(8, degree=1)),
             "b.glb": awkward_splats(),
             "c.gltf": random_avatar(8, influences=8),
+            "c.glb": avatar_with_levels(),
+            "d.glb": splats_with_levels(),
             "d.splat": random_splats(8),
             "e.ply": awkward_splats(),
             "f.compressed.ply": random_splats(6, 1),
@@ -187,7 +191,10 @@ def mutated(data: st.DataObject, document: Any, keep: Callable[[tuple[Any, ...]]
     """A copy with one to three places of those to ``keep`` deleted or given another value."""
     document = copy.deepcopy(document)
     for _ in range(data.draw(st.integers(1, 3))):
-        *steps, last = data.draw(st.sampled_from([path for path in places(document) if keep(path)]))
+        left = [path for path in places(document) if keep(path)]
+        if not left:
+            break
+        *steps, last = data.draw(st.sampled_from(left))
         target = document
         for step in steps:
             target = target[step]
@@ -201,13 +208,45 @@ def mutated(data: st.DataObject, document: Any, keep: Callable[[tuple[Any, ...]]
 @fuzz
 @given(data=st.data())
 def test_mutated_gltf_json(tmp_path: Path, data: st.DataObject) -> None:
-    document, blob = glb_parts(next(s for s in seeds() if s.startswith(b"glTF")))
+    document, blob = glb_parts(data.draw(st.sampled_from([s for s in seeds() if s.startswith(b"glTF")])))
     document = mutated(data, document)
     path = tmp_path / "fuzz.glb"
     write_glb(path, document, blob)
     only_format_errors(path, load)
     path.write_text(json.dumps(document))
     only_format_errors(path, load_gltf)
+
+
+def _within(part: str, path: tuple[Any, ...]) -> bool:
+    return path[0] == part and len(path) > 1
+
+
+@fuzz
+@given(data=st.data())
+def test_mutated_levels_leave_the_finest(tmp_path: Path, data: st.DataObject) -> None:
+    """Whatever the nodes of coarser levels hold: the file opens, with all of the finest."""
+    save(avatar_with_levels(), tmp_path / "a.glb")
+    document, blob = glb_parts((tmp_path / "a.glb").read_bytes())
+    first = len(document["nodes"]) - 3
+    for part in ("extensions", "extras"):
+        if data.draw(st.booleans()):
+            document["nodes"][0] = mutated(data, document["nodes"][0], partial(_within, part))
+    for place in range(first, first + 3):
+        node = document["nodes"][place]
+        if data.draw(st.booleans()):
+            kept = mutated(data, node, lambda path: path[0] in ("extras", "name"))
+            document["nodes"][place] = kept
+        accessors = document["meshes"][node["mesh"]]["primitives"][0]["attributes"]
+        if data.draw(st.booleans()):
+            key = data.draw(st.sampled_from(sorted(accessors)))
+            accessors[key] = data.draw(st.integers(0, len(document["accessors"]) + 2))
+    write_glb(tmp_path / "b.glb", document, blob)
+    try:
+        found = load(tmp_path / "b.glb")
+    except FormatError as error:
+        assert "glTF JSON is broken" in str(error)  # a name that is a number, extensions that are none
+        return
+    assert isinstance(found, Avatar) and len(found.splats) == 40
 
 
 @fuzz

@@ -91,6 +91,12 @@ def test_a_level_as_good_as_a_finer_one_takes_its_place(context: Context) -> Non
     assert replace(finest, levels=levels).levels == levels
 
 
+def test_it_makes_its_own_context_and_releases_it() -> None:
+    scene = cloud(60)
+    for _ in range(2):
+        assert len(measured(scene, [scene.take(np.arange(59))], replace(QUICK, psnr=1.0))) == 1
+
+
 def test_nothing_to_measure(context: Context) -> None:
     nothing = Splats.create([[np.nan] * 3], [[1, 0, 0, 0]], [[1, 1, 1]], [1], rgb=[[1, 1, 1]])
     with pytest.raises(GlsplatError, match="at least one finite splat"):

@@ -153,7 +153,9 @@ class _Pictures:
         self._stations, self._units, self._size = stations, units, size
         self._finest: tuple[float, dict[int, F32]] = (0.0, {})
         with ExitStack() as stack:
-            shared = context or stack.enter_context(create_context())
+            shared = context or create_context()
+            if context is None:
+                stack.callback(shared.release)
             self._renderers = [
                 stack.enter_context(Renderer(_alone(scene), size=(64, 64), config=_EXACT, context=shared))
                 for scene in scenes
