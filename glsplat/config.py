@@ -39,6 +39,9 @@ class RenderConfig:
     shape: Literal["auto", "quad", "triangle"] = (
         "auto"  # of a splat; auto = triangle on software rasterizers (measured)
     )
+    fetch: Literal["auto", "attributes", "storage"] = (
+        "auto"  # of records by the draw; storage needs OpenGL 4.3, auto = there on software rasterizers (measured)
+    )
     order: Literal["shared", "per_view"] = "shared"  # one depth order for both eyes, or one an eye
     sort_bits: Literal[16, 32] = 32  # bits of the depth key
     sort_period: int = 1  # sort every n-th moved frame of one pass, keep the old order in between; at rest it is exact
@@ -64,6 +67,7 @@ class RenderConfig:
             "sorter": ("auto", "cpu", "gpu"),
             "layers": ("auto", "vertex", "geometry"),
             "shape": ("auto", "quad", "triangle"),
+            "fetch": ("auto", "attributes", "storage"),
             "order": ("shared", "per_view"),
             "sort_bits": (16, 32),
             "rotation": ("polar", "raw"),

@@ -74,7 +74,7 @@ class Renderer:
         self.stats: FrameStats = FrameStats(0, 0, 0)
         self.variant: Variant = Variant()  # of the last pass
         self.size: tuple[int, int] = (0, 0)
-        if self.context.state is not None and self.config.sorter != "cpu":
+        if self.context.state is not None and (self.config.sorter != "cpu" or self.config.fetch != "attributes"):
             self.context.state.look_after_storage()
         try:
             with self.context.entered("Renderer()"):
@@ -308,6 +308,8 @@ class Renderer:
             raise ContextError(f"{self.driver} cannot write gl_Layer in the vertex shader; use layers='geometry'")
         if self.config.sorter == "gpu" and not self.context.compute:
             raise ContextError(f"the GPU sorter needs OpenGL 4.3, this is {self.driver}; use sorter='cpu'")
+        if self.config.fetch == "storage" and not self.context.vertex_storage:
+            raise ContextError(f"{self.driver} has no storage buffers in the vertex shader; use fetch='attributes'")
         self._geometry = geometry or not self.context.vertex_layers
         automatic = self.config.shape == "auto" and self.context.software
         self._triangle = automatic or self.config.shape == "triangle"

@@ -42,6 +42,7 @@ class Context:
     vertex_layers: bool  # the vertex shader can write gl_Layer (probed)
     vertex_ids: bool  # gl_VertexID counts beyond the first 4096 points of a draw (probed)
     compute: bool  # OpenGL 4.3
+    vertex_storage: bool  # and its vertex shader reads storage buffers
     software: bool  # a software rasterizer
     scratch: moderngl.Framebuffer  # 1x1; what is bound while nothing is drawn
     owner: Owner
@@ -324,7 +325,9 @@ def _probed(ctx: moderngl.Context, backend: str, owner: Owner, state: GLState | 
     scratch = ctx.framebuffer([ctx.texture((1, 1), 4)])
     layers = _vertex_layers(ctx, scratch)
     ids = _vertex_ids(ctx)
-    return Context(ctx, backend, layers, ids, ctx.version_code >= 430, software, scratch, owner, state)
+    compute = ctx.version_code >= 430
+    storage = compute and ctx.info["GL_MAX_VERTEX_SHADER_STORAGE_BLOCKS"] > 0  # 4.3 lets a driver have none
+    return Context(ctx, backend, layers, ids, compute, storage, software, scratch, owner, state)
 
 
 def _vertex_ids(ctx: moderngl.Context) -> bool:

@@ -96,7 +96,7 @@ _ENABLE_ONLY = {  # what moderngl remembers by itself
 }
 _ALL = sum(_ENABLE_ONLY.values())
 _UNITS = tuple(sorted(set(UNITS.values())))  # of the passes
-_STORAGE_SLOTS = range(5)  # of the GPU sorter
+_STORAGE_SLOTS = range(5)  # of the GPU sorter; the draw reads records from the first
 _UNIFORM, _STORAGE = (0x8A11, 0x8A28), (0x90D2, 0x90D3)  # target, binding
 _FILL, _ADD, _LEQUAL, _LAST_VERTEX, _FIXED_ONLY = 0x1B02, 0x8006, 0x0203, 0x8E4E, 0x891D
 _VALUES = (("depth_func", "DepthFunc", _LEQUAL), ("provoking_vertex", "ProvokingVertex", _LAST_VERTEX))
@@ -199,7 +199,7 @@ class GLState:
         return snapshot
 
     def look_after_storage(self) -> None:
-        """From now on the shader storage slots of the GPU sorter too."""
+        """From now on the shader storage slots of the GPU sorter and of the draw too."""
         self._slots = [(*_UNIFORM, 0)] + [(*_STORAGE, i) for i in _STORAGE_SLOTS if self._version >= 430]
 
     def release(self) -> None:

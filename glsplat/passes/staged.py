@@ -48,6 +48,8 @@ class Staged:
         self.scene = scene
         self._context, self._programs, self._config = context, programs, config
         self._geometry, self._triangle = geometry, triangle
+        automatic = config.fetch == "auto" and context.software and context.vertex_storage and triangle
+        self._pulled = config.fetch == "storage" or automatic
         self._items: dict[int, tuple[Item, LevelBuffers]] = {}  # by id(); the item is kept, so the id stays its own
         self._meshes: dict[int, tuple[Item, MeshItem]] = {}
         self._standing: list[tuple[MeshItem, Placement]] = []  # the visible meshes of this frame
@@ -154,6 +156,7 @@ class Staged:
             antialias=frozenset(item.splats.antialias for item in self.arena.items) or frozenset({False}),
             geometry=self._geometry,
             triangle=self._triangle,
+            pulled=self._pulled,
             depth=depth,
             occluded=self._occluded,
             sampled=self._samples if self._standing and self._samples > 1 else 0,

@@ -28,7 +28,8 @@ _NAME = re.compile(r"\b[A-Za-z_]\w*\b")
 _LOG_LINE = re.compile(r"^(?:(?:ERROR|WARNING): )?\d+[:(](\d+)\)?(?:\(\d+\))?\s*:?\s*(.*)$", re.MULTILINE)
 
 VERSION = "#version 330 core"
-COMPUTE_VERSION = "#version 430 core"
+STORAGE_VERSION = "#version 430 core"
+"""Of texts with storage buffers: compute shaders, and what reads PULLED."""
 LAYER_EXTENSIONS = (
     "#extension GL_ARB_shader_viewport_layer_array : enable\n"
     "#extension GL_AMD_vertex_shader_layer : enable\n"
@@ -94,7 +95,7 @@ def flatten(name: str, defines: Mapping[str, int], version: str = VERSION, overr
     add(name, ())
     # only the flags this text reads: programs that differ in others are the same text, and compiled once
     used = set(_NAME.findall("\n".join(lines)))
-    head = [version]
+    head = [STORAGE_VERSION if defines.get("PULLED") and "PULLED" in used else version]
     if defines.get("VIEWS", 1) > 1 and name.endswith(".vert.glsl"):
         head += LAYER_EXTENSIONS.splitlines()
     head += [f"#define {key} {value}" for key, value in defines.items() if key in used]
@@ -118,7 +119,10 @@ class Programs:
         return self._get(name, {"vertex_shader": f"{name}.vert.glsl"}, variant, varyings, separate)
 
     def draw(self, vertex: str, fragment: str, variant: Variant | MeshVariant) -> moderngl.Program:
-        """Program of two stages; with ``variant.geometry`` ``vertex``.geom.glsl routes the layers."""
+        """Program of two stages; with ``variant.geometry`` ``vertex``.geom.glsl routes the layers.
+
+        With ``variant.pulled`` it needs OpenGL 4.3.
+        """
         stages = {"vertex_shader": f"{vertex}.vert.glsl", "fragment_shader": f"{fragment}.frag.glsl"}
         if variant.defines().get("GEOMETRY"):
             stages["geometry_shader"] = f"{vertex}.geom.glsl"
@@ -142,7 +146,7 @@ class Programs:
 
     def compute(self, name: str) -> moderngl.ComputeShader:
         """Compute shader ``name``.comp.glsl; needs OpenGL 4.3."""
-        source = flatten(f"{name}.comp.glsl", {}, COMPUTE_VERSION)
+        source = flatten(f"{name}.comp.glsl", {}, STORAGE_VERSION)
         key = (source.text,)
         if key not in self._cache:
             try:

@@ -9,6 +9,7 @@ layout(std430, binding = 4) buffer Draw {
     uint blocks_low, blocks_high;           // of 4x4 pixels, over all splats
 };
 uniform uint views;
+uniform uint corners;  // of a splat in a view, where they are all vertices of one instance; else 0
 
 shared uint blocks;  // of this group: 512 splats of at most 2^23, two views of 8192^2
 
@@ -28,7 +29,8 @@ void main() {
             keys[place] = drawn ? ~key : 0xFFFFFFFFu;
             order[place] = count - 1u - place;
             atomicAdd(blocks, min(scratch[2u * place + 1u], 0x7FFFFFu));
-            if (drawn) atomicAdd(instances, views);
+            if (drawn && corners > 0u) atomicAdd(vertices, views * corners);
+            else if (drawn) atomicAdd(instances, views);
             else atomicAdd(culled[min(key - 0xFFFFFF00u, 7u)], 1u);
         }
     }

@@ -1,5 +1,39 @@
-// The record of an instance as attributes: one record serves all views (divisor = VIEWS), a view picks its part.
-// Layout twin: record_layout in passes/frame/project.py.
+// One record of the project pass, of which a view picks its part. Layout twin: record_layout in passes/frame/project.py.
+struct Record {
+    vec2 centre;
+    vec3 cholesky;
+    vec4 colour;  // rgb, alpha
+    float z;      // of the mean, in metres
+};
+
+#if PULLED
+// from a storage buffer, by number
+layout(std430, binding = 0) readonly buffer Records { float records[]; };
+
+Record record_of(int index, int view) {
+    const int RGB = SHARED_RGB == 1 ? 3 : 3 * VIEWS;
+    const int ALPHA = SHARED_ALPHA == 1 ? 1 : VIEWS;
+    const int CENTRES = RGB + ALPHA, CHOLESKYS = CENTRES + 2 * VIEWS, ZS = CHOLESKYS + 3 * VIEWS;
+#if DEPTH || OCCLUDED
+    int at = index * (ZS + VIEWS);
+#else
+    int at = index * ZS;
+#endif
+    int rgb = at + 3 * view * (1 - SHARED_RGB), alpha = at + RGB + view * (1 - SHARED_ALPHA);
+    int centre = at + CENTRES + 2 * view, cholesky = at + CHOLESKYS + 3 * view;
+    Record r;
+    r.centre = vec2(records[centre], records[centre + 1]);
+    r.cholesky = vec3(records[cholesky], records[cholesky + 1], records[cholesky + 2]);
+    r.colour = vec4(records[rgb], records[rgb + 1], records[rgb + 2], records[alpha]);
+#if DEPTH || OCCLUDED
+    r.z = records[at + ZS + view];
+#else
+    r.z = 0.0;
+#endif
+    return r;
+}
+#else
+// as attributes of the instance: one record serves all views (divisor = VIEWS)
 in vec2 centre0;
 in vec3 cholesky0;
 #if VIEWS > 1
@@ -22,14 +56,7 @@ in float z1;
 #endif
 #endif
 
-struct Record {
-    vec2 centre;
-    vec3 cholesky;
-    vec4 colour;  // rgb, alpha
-    float z;      // of the mean, in metres
-};
-
-Record record_of(int view) {
+Record record_of(int index, int view) {
     Record r = Record(centre0, cholesky0, vec4(rgb0, alpha0), 0.0);
 #if DEPTH || OCCLUDED
     r.z = z0;
@@ -51,3 +78,4 @@ Record record_of(int view) {
 #endif
     return r;
 }
+#endif

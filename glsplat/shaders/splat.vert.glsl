@@ -1,4 +1,5 @@
-// Draw pass: a corner of the quad (or triangle) of instance (record, view). gl_Layer routes it to the view's layer of the target.
+// Draw pass: a corner of the quad (or triangle) of a record in a view, which are an instance, or PULLED by gl_VertexID
+// alone. gl_Layer routes it to the view's layer of the target.
 #include "frame.glsl"
 #include "extent.glsl"
 #include "record_input.glsl"
@@ -22,17 +23,20 @@ flat out int splat_layer;
 #endif
 
 void main() {
-#if VIEWS > 1
-    int view = gl_InstanceID % VIEWS;
+#if PULLED && TRIANGLE
+    int instance = gl_VertexID / 3, number = gl_VertexID % 3;
+#elif PULLED
+    int instance = gl_VertexID / 6, number = (0x312210 >> 4 * (gl_VertexID % 6)) & 3;  // the triangles of a strip
 #else
-    int view = 0;
+    int instance = gl_InstanceID, number = gl_VertexID;
 #endif
-    Record record = record_of(view);
+    int view = instance % VIEWS;
+    Record record = record_of(instance / VIEWS, view);
 #if TRIANGLE
     // around the unit circle: 1.3 times the quad's area, but half the primitives, which is what a CPU pays for
-    vec2 corner = gl_VertexID == 0 ? vec2(0.0, 2.0) : vec2(gl_VertexID == 1 ? -1.7320508 : 1.7320508, -1.0);
+    vec2 corner = number == 0 ? vec2(0.0, 2.0) : vec2(number == 1 ? -1.7320508 : 1.7320508, -1.0);
 #else
-    vec2 corner = vec2(gl_VertexID & 1, gl_VertexID >> 1) * 2.0 - 1.0;
+    vec2 corner = vec2(number & 1, number >> 1) * 2.0 - 1.0;
 #endif
     vec2 offset = corner * extent_of(record.colour.a);
     vec3 l = record.cholesky;

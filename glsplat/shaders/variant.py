@@ -28,6 +28,7 @@ class Variant:
     antialias: int = 0  # opacity compensation, one opacity a view; 2: of the splats that ask for it
     geometry: int = 0  # layers routed by a geometry shader where the vertex shader cannot
     triangle: int = 0  # a splat is one triangle around its ellipse instead of a quad
+    pulled: int = 0  # the draw reads records from a storage buffer by gl_VertexID instead of attributes an instance
     cull_hidden: int = 0  # the key pass looks at visibility cones
     cut: int = 0  # splats end at max_sigma although alpha is still above 1/255 there
     depth: int = 0  # a second target takes weight times camera z
@@ -106,6 +107,7 @@ def variant_for(
     antialias: frozenset[bool] = frozenset({False}),  # what the scene's items ask for
     geometry: bool = False,
     triangle: bool = False,
+    pulled: bool = False,
     depth: bool = False,
     occluded: bool = False,
     sampled: int = 0,  # samples
@@ -124,6 +126,7 @@ def variant_for(
         antialias=2 if len(asked) > 1 else int(True in asked),
         geometry=int(geometry),  # for one view too: it orders the vertices, and a pair has to equal its singles
         triangle=int(triangle),
+        pulled=int(pulled),
         cull_hidden=int(cones),
         cut=int(config.max_sigma < 3.33),
         depth=int(depth),

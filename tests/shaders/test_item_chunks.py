@@ -275,7 +275,7 @@ def test_a_view_picks_its_part_of_a_record(
     #include "record_input.glsl"
     in uint view; out vec2 centre; out vec3 cholesky; out vec4 colour; out float z;
     void main() {
-        Record r = record_of(int(view));
+        Record r = record_of(0, int(view));
         centre = r.centre; cholesky = r.cholesky; colour = r.colour; z = r.z;
         gl_Position = vec4(0);
     }"""

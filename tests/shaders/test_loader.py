@@ -126,6 +126,10 @@ def rows() -> list[Variant]:
         out.append(Variant(views=views, cull_hidden=1, posed=1, cut=1))
         out.append(Variant(views=views, cut=1))
         out.append(Variant(views=views, numbered=1, cull_hidden=1))
+        for degree in degrees[:2]:
+            for flags in ({"triangle": 1}, {}, {"triangle": 1, "antialias": 1}, {"triangle": 1, "depth": 1}):
+                out.append(Variant(views=views, pulled=1, **degree, **flags))
+        out.append(Variant(views=views, pulled=1, triangle=1, geometry=1, occluded=1, cut=1))
     return out
 
 
@@ -173,7 +177,18 @@ def test_the_rows_reach_every_branch() -> None:
     windows = {"present.frag.glsl"}  # its flags are no variant's: tests/apps/preview draws all of them
     rest = [line for line in missed([*ROWS, *SKINS, *MESHES]) if line.split(":")[0] not in windows]
     assert not rest
-    for flag in ("depth", "occluded", "cull_hidden", "antialias", "geometry", "triangle", "posed", "cut", "numbered"):
+    for flag in (
+        "depth",
+        "occluded",
+        "cull_hidden",
+        "antialias",
+        "geometry",
+        "triangle",
+        "posed",
+        "cut",
+        "numbered",
+        "pulled",
+    ):
         fewer = [row for row in ROWS if not getattr(row, flag)]
         assert len(missed([*fewer, *SKINS, *MESHES])) > len(missed([*ROWS, *SKINS, *MESHES])), flag
 
@@ -182,10 +197,12 @@ def test_the_rows_reach_every_branch() -> None:
 def test_the_variants_that_matter_compile(gl: Context) -> None:
     programs = Programs(gl.ctx)
     for variant in ROWS:
+        if variant.pulled and not gl.vertex_storage:
+            continue
         programs.feedback("key", variant, ("key", "cover"), separate=True)
         programs.feedback("project", variant, ("rgb", "alpha", "centre", "cholesky"))
         program = programs.draw("splat", "splat", variant)
-        assert attributes_of(program) == {name for _, name, _ in record_layout(variant)}
+        assert attributes_of(program) == {name for _, name, _ in record_layout(variant) if not variant.pulled}
         block = programs.draw("screen", "background", variant)["Frame"]
         assert isinstance(block, moderngl.UniformBlock) and block.size == frame_dtype(variant.views).itemsize
     posed = ("posed_mean", "posed_x", "posed_y", "posed_z")
@@ -216,7 +233,7 @@ def test_slots() -> None:
         if file.name.count(".") < 2:
             continue
         flags = dict.fromkeys(Variant().defines() | SkinVariant().defines() | MeshVariant().defines(), 1)
-        text = flatten(file.name, flags | {"ANAGLYPH": 0, "TEXT": 1}).text
+        text = flatten(file.name, flags | {"ANAGLYPH": 0, "TEXT": 1, "LIFTED": 1}).text
         samplers = re.findall(r"^uniform sampler\w+ (\w+);", text, re.MULTILINE)
         units = [UNITS[name] for name in samplers]
         assert len(set(units)) == len(units), f"{file.name}: {samplers}"

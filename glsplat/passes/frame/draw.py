@@ -1,4 +1,4 @@
-"""DrawPass: one instanced draw of quads, both eyes through gl_Layer, premultiplied over."""
+"""DrawPass: one draw of quads or triangles, both eyes through gl_Layer, premultiplied over."""
 
 from __future__ import annotations
 
@@ -6,26 +6,48 @@ from collections.abc import Sequence
 
 import moderngl
 
+from glsplat.gl.context import Context
 from glsplat.passes.frame.budget import Budget
 from glsplat.passes.frame.project import record_layout
 from glsplat.passes.target import Target
 from glsplat.shaders import Programs, Variant
 
-__all__ = ["DrawPass"]
+__all__ = ["DrawPass", "corners_of", "fits"]
+
+PART = 8192
+"""Records that a software rasterizer is handed at a time where they are pulled: it bins a part while it draws the one
+before, and a part's bins stay in the cache."""
+
+
+def corners_of(variant: Variant) -> int:
+    """Vertices of a record in one view: of a strip that is an instance, or of triangles where records are pulled."""
+    return 3 if variant.triangle else 6 if variant.pulled else 4
+
+
+def fits(ctx: moderngl.Context, variant: Variant, count: int) -> bool:
+    """Whether that many records can be pulled: a storage buffer has a limit, and a vertex's number has 31 bits."""
+    vertices = count * variant.views * corners_of(variant)
+    limit = int(ctx.info["GL_MAX_SHADER_STORAGE_BLOCK_SIZE"])
+    return count * variant.record_floats * 4 <= limit and vertices < 2**31
 
 
 class DrawPass:
-    """Instance i draws record i / views into layer i % views."""
+    """Blends records in their order into one layer a view.
 
-    def __init__(self, ctx: moderngl.Context, programs: Programs, variant: Variant, records: moderngl.Buffer) -> None:
-        self._ctx = ctx
-        self._views = variant.views
-        self._corners = 3 if variant.triangle else 4
+    Instance i draws record i / views into layer i % views. With ``variant.pulled`` there is one instance, and the
+    vertices of what would be instance i come after each other: on llvmpipe an instance costs more than its vertices.
+    """
+
+    def __init__(self, context: Context, programs: Programs, variant: Variant, records: moderngl.Buffer) -> None:
+        self._ctx, self._variant, self._records = context.ctx, variant, records
+        self._corners = corners_of(variant)
+        self._flushed = context.scratch if context.software and variant.pulled else None
         program = programs.draw("splat", "splat", variant)
-        self._array = ctx.vertex_array(program, [])
-        self._records, self._stride, offset = records, variant.record_floats * 4, 0
+        self._array = context.ctx.vertex_array(program, [])
+        self._mode = moderngl.TRIANGLES if variant.triangle or variant.pulled else moderngl.TRIANGLE_STRIP
         self._attributes: list[tuple[int, int, int]] = []  # location, floats, offset in bytes
-        for _, name, floats in record_layout(variant):
+        offset = 0
+        for _, name, floats in record_layout(variant) if not variant.pulled else ():
             attribute = program[name]
             assert isinstance(attribute, moderngl.Attribute)
             self._attributes.append((attribute.location, floats, offset))
@@ -34,17 +56,7 @@ class DrawPass:
 
     def run(self, target: Target, count: int, indirect: moderngl.Buffer | None = None) -> None:
         """Blend ``count`` records, first to last; ``indirect`` holds the number where only the GPU knows it."""
-        target.framebuffer.use()
-        if not count:
-            return
-        self._ctx.enable_only(moderngl.BLEND)
-        self._ctx.blend_func = moderngl.ONE, moderngl.ONE_MINUS_SRC_ALPHA
-        mode = moderngl.TRIANGLES if self._corners == 3 else moderngl.TRIANGLE_STRIP
-        if indirect is None:
-            self._array.render(mode, vertices=self._corners, instances=count * self._views)
-        else:
-            self._array.render_indirect(indirect, mode, count=1)
-        self._ctx.enable_only(moderngl.NOTHING)
+        self._run(target, 0, count, indirect)
 
     def run_slices(self, target: Target, ends: Sequence[int], budget: Budget) -> None:
         """The same picture in several draws, each up to one of the record numbers ``ends``, growing.
@@ -58,18 +70,41 @@ class DrawPass:
                     self._ctx.finish()
                     budget.check()
                 self._begin_at(begin)
-                self.run(target, end - begin)
+                self._run(target, begin, end)
                 begin = end
         finally:
             self._begin_at(0)
 
+    def _run(self, target: Target, begin: int, end: int, indirect: moderngl.Buffer | None = None) -> None:
+        target.framebuffer.use()
+        if begin == end:
+            return
+        self._ctx.enable_only(moderngl.BLEND)
+        self._ctx.blend_func = moderngl.ONE, moderngl.ONE_MINUS_SRC_ALPHA
+        if self._variant.pulled:
+            self._records.bind_to_storage_buffer(0)
+        if indirect is not None:
+            self._array.render_indirect(indirect, self._mode, count=1)
+        elif self._variant.pulled:
+            self._pull(begin, end)
+        else:
+            self._array.render(self._mode, vertices=self._corners, instances=(end - begin) * self._variant.views)
+        self._ctx.enable_only(moderngl.NOTHING)
+
+    def _pull(self, begin: int, end: int) -> None:
+        vertices = self._corners * self._variant.views
+        part = PART if self._flushed else end - begin
+        for first in range(begin, end, part):
+            if self._flushed and first > begin:
+                self._flushed.clear()  # llvmpipe draws what it has when it gets another target; moderngl has no glFlush
+            self._array.render(self._mode, vertices=(min(first + part, end) - first) * vertices, first=first * vertices)
+
     def _begin_at(self, record: int) -> None:
         """Let instance 0 be that record; a base instance would need OpenGL 4.2."""
+        stride, views = self._variant.record_floats * 4, self._variant.views
         for location, floats, offset in self._attributes:
-            start = record * self._stride + offset
-            self._array.bind(
-                location, "f", self._records, f"{floats}f", offset=start, stride=self._stride, divisor=self._views
-            )
+            start = record * stride + offset
+            self._array.bind(location, "f", self._records, f"{floats}f", offset=start, stride=stride, divisor=views)
 
     def release(self) -> None:
         """Delete the vertex array."""

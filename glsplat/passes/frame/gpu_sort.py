@@ -30,13 +30,15 @@ class GpuSorter:
         count: int,
         views: int,
         bits: int = 32,  # 16 looks at the upper half of a key only
-        corners: int = 4,  # vertices of the indirect draw
+        corners: int = 4,  # vertices of an instance of the indirect draw
+        pulled: bool = False,  # they are all in one instance
     ) -> None:
         if not self.fits(ctx, scratch):
             limit = ctx.info["GL_MAX_SHADER_STORAGE_BLOCK_SIZE"]
             raise ContextError(f"{count} splats exceed this driver's {limit} byte buffers; use sorter='cpu'")
         self._ctx, self._count, self._views = ctx, count, views
-        self._start = np.array([corners] + [0] * 15, np.uint32)
+        self._start = np.array(([0, 1] if pulled else [corners, 0]) + [0] * 14, np.uint32)
+        self._pulled_corners = corners if pulled else 0
         self._shifts = range(32 - bits, 32, DIGIT)
         self._buffers = (keys, order, scratch)
         self._groups = max(1, -(-count // BLOCK))
@@ -62,7 +64,9 @@ class GpuSorter:
         self.indirect.write(self._start)
         for binding, buffer in enumerate((keys, order, scratch, self._histogram, self.indirect)):
             buffer.bind_to_storage_buffer(binding)
-        self._dispatch("init", -(-self._count // 512), views=self._views)  # 256 pairs of keys a group
+        self._dispatch(
+            "init", -(-self._count // 512), views=self._views, corners=self._pulled_corners
+        )  # 256 pairs of keys a group
         for index, shift in enumerate(self._shifts):
             settings = {"shift": shift, "odd": bool(index % 2)}
             self._dispatch("count", self._groups, **settings)
@@ -75,7 +79,9 @@ class GpuSorter:
             return 0, dict.fromkeys(CULL_REASONS.values(), 0), 0
         data = np.frombuffer(self.indirect.read(), np.uint32)
         culled = {name: int(data[4 + code]) for code, name in CULL_REASONS.items()}
-        return int(data[1]) // self._views, culled, int(data[12]) + (int(data[13]) << 32)
+        corners = self._pulled_corners
+        drawn = int(data[0]) // corners if corners else int(data[1])
+        return drawn // self._views, culled, int(data[12]) + (int(data[13]) << 32)
 
     def _dispatch(self, name: str, groups: int, **settings: int | bool) -> None:
         program = self._stages[name]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import ExitStack
+from dataclasses import replace
 from typing import Any, Protocol, TypeVar
 
 import moderngl
@@ -16,7 +17,7 @@ from glsplat.gl.context import Context
 from glsplat.passes.arena import Arena
 from glsplat.passes.block import FrameBlock
 from glsplat.passes.frame.budget import BLOCK_PIXELS, Budget
-from glsplat.passes.frame.draw import DrawPass
+from glsplat.passes.frame.draw import DrawPass, corners_of, fits
 from glsplat.passes.frame.gpu_sort import GpuSorter
 from glsplat.passes.frame.key import KeyPass
 from glsplat.passes.frame.project import ProjectPass
@@ -46,6 +47,8 @@ class Pipeline:
         self, context: Context, programs: Programs, variant: Variant, arena: Arena, config: RenderConfig
     ) -> None:
         ctx, count = context.ctx, arena.count
+        if variant.pulled and not fits(ctx, variant, count):
+            variant = replace(variant, pulled=0)
         self._arena, self._config, self.variant = arena, config, variant
         self._scratch = context.scratch
         self._seen: tuple[Any, ...] | None = None  # what the records were made for
@@ -72,10 +75,9 @@ class Pipeline:
             self._key = own(KeyPass(ctx, programs, variant, arena, self._keys, records))
             self._sorter: GpuSorter | None = None
             if self._keys is not None:
-                corners = 3 if variant.triangle else 4
-                settings = (count, variant.views, config.sort_bits, corners)
+                settings = (count, variant.views, config.sort_bits, corners_of(variant), bool(variant.pulled))
                 self._sorter = own(GpuSorter(ctx, programs, self._keys, order, records, *settings))
-            self._draw = own(DrawPass(ctx, programs, variant, self._project.records))
+            self._draw = own(DrawPass(context, programs, variant, self._project.records))
             self._clear = own(Clear(ctx, programs, variant))
             self._resolve = own(Resolve(ctx, programs, variant))
             self._owned = stack.pop_all()
