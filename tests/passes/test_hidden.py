@@ -14,8 +14,10 @@ from glsplat.avatar import Avatar
 from glsplat.camera import look_at
 from glsplat.errors import FormatError, GlsplatError
 from glsplat.formats import load, save
+from glsplat.gl.context import Context
 from glsplat.making.cones import ConeConfig, hidden, with_cones
 from glsplat.making.posed import posed_splats
+from glsplat.passes.present import Layout, Present
 from glsplat.renderer import Renderer
 from glsplat.skinning.pose import Pose
 from glsplat.splats import Splats
@@ -207,3 +209,29 @@ def test_a_camera_inside_the_cone_sees_the_splat() -> None:
     assert not hidden(one, [np.array([1.5, 0, 1.0]), np.array([0, 0, 2.0])])[0]  # one eye is enough
     upside_down = replace(one, quats=np.array([[0.0, 1, 0, 0]], np.float32))
     assert hidden(upside_down, [np.array([0.5, 0, 1.0])])[0] and not hidden(upside_down, [np.array([0, 0, -1.0])])[0]
+
+
+@pytest.mark.gl
+@pytest.mark.parametrize("layout", ["mono", "side-by-side", "anaglyph"])
+def test_a_window_shows_lifted_pictures_too(renderer_of: Make, context: Context, layout: Layout) -> None:
+    """What hidden splats shone through is put back there as it is in render()."""
+    scene, size = coned(cloud(800)), (50, 50)
+    views = [replace(view, background=(0.1, 0.3, 0.2)) for view in eyes(size=50)][: 1 if layout == "mono" else 2]
+    window = (100, 50) if layout == "side-by-side" else size
+    rounded = renderer_of(scene, size=size, views=2, cull_hidden=True, output="uint8").render(views)
+    renderer = renderer_of(scene, size=size, views=2, cull_hidden=True)
+    with context.entered("test"):
+        framebuffer = context.ctx.framebuffer([context.ctx.texture(window, 4)])
+    present = Present(context)
+    try:
+        present.run(renderer.draw(views), framebuffer, window, layout)
+        shown = np.frombuffer(framebuffer.read(components=3), np.uint8).reshape(window[1], window[0], 3)[::-1]
+    finally:
+        present.release()
+    wanted = {
+        "mono": lambda: rounded[0, ..., :3],
+        "side-by-side": lambda: np.hstack([picture[..., :3] for picture in rounded]),
+        "anaglyph": lambda: np.dstack([rounded[0, ..., :1], rounded[1, ..., 1:3]]),
+    }[layout]()
+    assert np.abs(shown.astype(int) - wanted).max() <= 1  # half a level either way
+    assert renderer_of(scene, size=size, views=2).draw(views).lift is None
