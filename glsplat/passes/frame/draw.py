@@ -14,7 +14,7 @@ from glsplat.shaders import Programs, Variant
 
 __all__ = ["DrawPass", "corners_of", "fits"]
 
-PART = 8192
+PART = 4096
 """Records that a software rasterizer is handed at a time where they are pulled: it bins a part while it draws the one
 before, and a part's bins stay in the cache."""
 
