@@ -274,9 +274,10 @@ def save_clip(path: Path, kept: list[tuple[float, Reply]], across: int | None = 
     """Left and right side by side at the mean rate of the pictures; at most ``across`` pixels wide. Says what it is."""
     seconds = kept[-1][0] - kept[0][0]
     fps = (len(kept) - 1) / seconds if seconds > 0 else 10.0
+    full = _full(kept)
     with Clip(path, max(1.0, round(fps, 2))) as clip:
         for _, reply in kept:
-            clip.add(_fitted(_pair(reply), across))
+            clip.add(_fitted(_pair(reply, full), across))
     return clip.summary
 
 
@@ -284,15 +285,24 @@ def save_sheet(path: Path, kept: list[tuple[float, Reply]], columns: int = 2) ->
     """Several moments, each left and right side by side with frame number and time."""
     step = max(1, len(kept) / _MOMENTS)
     chosen = [kept[int(i * step)] for i in range(min(_MOMENTS, len(kept)))]
-    tiles = []
+    tiles, full = [], _full(chosen)
     for seconds, reply in chosen:
-        pair = _fitted(_pair(reply), _TILE)
+        pair = _fitted(_pair(reply, full), _TILE)
         tiles.append(label(pair, f"frame {reply.frame_id}, {seconds:.2f} s: left | right"))
     save_png(path, stack([tiles[i : i + columns] for i in range(0, len(tiles), columns)]))
 
 
-def _pair(reply: Reply) -> NDArray[np.uint8]:
-    return side_by_side(np.stack(reply.images()))
+def _full(kept: list[tuple[float, Reply]]) -> tuple[int, int]:
+    """Width and height of the largest picture: a server that holds a rate sends smaller ones between."""
+    width, height = np.max([reply.info.get("size", (1, 1)) for _, reply in kept], axis=0)
+    return int(width), int(height)
+
+
+def _pair(reply: Reply, full: tuple[int, int] | None = None) -> NDArray[np.uint8]:
+    images = reply.images()
+    if full is not None and images[0].shape[1] < full[0]:
+        images = [cv2.resize(image, full, interpolation=cv2.INTER_LINEAR).astype(np.uint8) for image in images]
+    return side_by_side(np.stack(images))
 
 
 def _fitted(pair: NDArray[np.uint8], across: int | None) -> NDArray[np.uint8]:
