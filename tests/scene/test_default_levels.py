@@ -1,0 +1,99 @@
+"""The embedded avatar's levels: from half a metre to twenty nobody sees one change, and nothing flickers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from glsplat.avatar import Avatar
+from glsplat.camera import Camera, look_at, pinhole
+from glsplat.config import CULL_PSNR, LEAN
+from glsplat.data import default_avatar
+from glsplat.detail.proxy import Proxy
+from glsplat.evaluate.metrics.pixels import psnr
+from glsplat.motion.motion import load_motion
+from glsplat.passes.item.levels import BAND
+from glsplat.renderer import Renderer
+from glsplat.skinning.pose import Pose
+
+pytestmark = pytest.mark.gl
+Make = Callable[..., Renderer]
+
+SIZE = 512
+LEAST = 38.0  # dB
+
+
+def seen_from(distance: float, turn: float, height: float = 1.0, size: int = SIZE) -> Camera:
+    """From ``turn`` degrees to the avatar's left, looking at its head from near and at its middle from afar."""
+    target = np.array([0, height + 0.55 * np.clip(1.6 - distance, 0, 1), 0])
+    eye = target + distance * np.array([np.sin(np.radians(turn)), 0, np.cos(np.radians(turn))])
+    return Camera(look_at(eye, target), pinhole(size, size, 65.0), size, size)
+
+
+def standing() -> Pose:
+    """In the middle of a step, arms beside the body."""
+    return load_motion("walk", default_avatar().skeleton).at(0.35)
+
+
+def difference(one: np.ndarray, other: np.ndarray) -> float:
+    """dB over the whole pictures, the worst of them."""
+    return min(psnr(a[..., :3] / 255.0, b[..., :3] / 255.0) for a, b in zip(one, other, strict=True))
+
+
+def limit_of(avatar: Avatar, density: float, turn: float) -> float:
+    """The distance at which a view shows the avatar as densely as that."""
+    proxy, bones = Proxy.of(avatar), standing().bones(avatar.skeleton)
+    near, far = 0.2, 60.0
+    for _ in range(40):
+        middle = (near * far) ** 0.5
+        if proxy.density(seen_from(middle, turn), bones=bones) > density:
+            near = middle
+        else:
+            far = middle
+    return (near * far) ** 0.5
+
+
+def test_there_are_levels_and_a_price_of_what_is_hidden() -> None:
+    avatar = default_avatar()
+    counts = [len(avatar.splats), *(len(level.content.splats) for level in avatar.levels)]
+    assert len(counts) >= 4 and counts[0] >= 40_000 and counts[-1] <= 6_000
+    for one in (avatar, *(level.content for level in avatar.levels)):
+        assert one.splats.cones_psnr is not None and one.splats.cones_psnr >= CULL_PSNR
+
+
+@pytest.mark.parametrize("turn", [20.0, 200.0])
+def test_a_sweep_of_distance_shows_no_switch(renderer_of: Make, turn: float) -> None:
+    avatar, pose = default_avatar(), standing()
+    lean = renderer_of(avatar, size=(SIZE, SIZE), output="uint8", level=LEAN.level, cull_hidden=LEAN.cull_hidden)
+    exact = renderer_of(avatar, size=(SIZE, SIZE), output="uint8")
+    seen = []
+    for distance in np.geomspace(0.5, 20, 24):
+        view = [seen_from(float(distance), turn)]
+        assert difference(lean.render(view, pose), exact.render(view, pose)) >= LEAST, distance
+        seen.append(lean.stats.levels[0])
+    assert seen == sorted(seen) and seen[0] == 0 and seen[-1] == len(avatar.levels)
+
+
+@pytest.mark.parametrize("turn", [-35.0, 120.0])
+def test_at_each_limit_both_levels_look_the_same(renderer_of: Make, turn: float) -> None:
+    avatar, pose = default_avatar(), standing()
+    renderers = [renderer_of(avatar, size=(SIZE, SIZE), output="uint8", level=k) for k in range(len(avatar.levels) + 1)]
+    for k, level in enumerate(avatar.levels):
+        view = [seen_from(limit_of(avatar, level.density, turn) / BAND, turn)]
+        assert difference(renderers[k].render(view, pose), renderers[k + 1].render(view, pose)) >= LEAST, k
+
+
+def test_somebody_who_stands_still_never_sees_it_change(renderer_of: Make, rng: np.random.Generator) -> None:
+    """A millimetre of noise on the head, wherever it stands; each limit is crossed once on the way."""
+    avatar, pose = default_avatar(), standing()
+    renderer = renderer_of(avatar, size=(64, 64), output="uint8", level="auto")
+    for level in avatar.levels:
+        edge = limit_of(avatar, level.density * 8, 0.0)  # pictures of 64 pixels: as dense from an eighth of the way
+        for start in (edge / 1.001, edge, edge * 1.001):
+            seen = set()
+            for noise in rng.normal(0, 1e-3, 12):
+                renderer.render([seen_from(start + float(noise), 0.0, size=64)], pose, viewer=start)
+                seen.add(renderer.stats.levels)
+            assert len(seen) == 1
