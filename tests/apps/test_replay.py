@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import argparse
 import json
+from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+import simplejpeg
 
 from apps.replay import command as replay
 from apps.replay.stage_table import table_markdown
 from apps.replay.streaming import POLICIES, STAGES, Result, observer
 from glsplat.errors import GlsplatError
+from glsplat.net.reply import pack_reply, parse_reply
 
 
 def arguments(*words):
@@ -168,3 +171,15 @@ def test_the_markdown_table_has_a_column_pair_a_run():
     assert len({row.count("|") for row in rows}) == 1
     assert "| stereo rendering | server | 25.00 | 29.50 | 25.00 | 29.50 |" in rows
     assert "llvmpipe" in text and "simplejpeg" in text
+
+
+def test_smaller_pictures_between_are_enlarged(tmp_path: Path) -> None:
+    """A server that holds a rate sends them; a clip and a sheet have one size."""
+    kept = []
+    for i, side in enumerate((64, 32, 64, 40)):
+        image = np.full((side, side, 3), 50 * i, np.uint8)
+        jpeg = simplejpeg.encode_jpeg(image)
+        kept.append((0.1 * i, parse_reply(pack_reply(i, (0, 1), [jpeg, jpeg], {"size": [side, side]}))))
+    replay.save_sheet(tmp_path / "sheet.png", kept)
+    assert "4 pictures" in replay.save_clip(tmp_path / "clip.webm", kept)
+    assert cv2.imread(str(tmp_path / "sheet.png")).shape[1] == 2 * 128
