@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import json
 import time
-from dataclasses import replace
 from pathlib import Path
 
 from glsplat.errors import FormatError
@@ -56,7 +55,7 @@ def run(args: argparse.Namespace) -> int:
     if counts and counts[0] >= total:
         raise FormatError(f"{args.scene}: has {total} splats; --counts needs fewer, not {counts[0]}")
     with progress_bar() as show:
-        made = with_merged_levels(scene, counts, replace(MeasureConfig(), psnr=args.psnr), show)
+        made = with_merged_levels(scene, counts, MeasureConfig(psnr=args.psnr), show)
     save(made, args.out)
     levels, seconds = levels_of(made), time.perf_counter() - began
     size = args.out.stat().st_size
