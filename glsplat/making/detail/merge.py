@@ -38,9 +38,9 @@ _FLAT = 1e-9  # of the scene's extent: what is thinner counts as that thick
 class MergeConfig:
     """What counts how much when pairs are chosen. Tuned on the default avatar and a captured plant."""
 
-    neighbours: int = 8  # of each splat, that it may be merged with
-    share: float = 0.2  # of all splats, pairs merged before neighbours are looked for again
-    colour: float = 1.0  # sizes of the pair that a colour difference of one is worth
+    neighbours: int = 5  # of each splat, that it may be merged with
+    share: float = 0.35  # of all splats, pairs merged before neighbours are looked for again
+    colour: float = 2.0  # sizes of the pair that a colour difference of one is worth
     normal: float = 1.2  # sizes that a right angle is worth
     sheet: float = 3.0  # times that a distance along the normal counts
     joints: float = 1.0  # sizes that a change of all joint weights is worth
