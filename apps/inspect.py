@@ -22,7 +22,7 @@ from glsplat.views import box_of, splats_of
 
 from .args import add_scene, open_scene, single
 
-__all__ = ["EXAMPLE", "HELP", "add_arguments", "describe", "describe_scene", "run"]
+__all__ = ["EXAMPLE", "HELP", "add_arguments", "describe", "describe_scene", "levels_of", "levels_said", "run"]
 
 HELP = "Say what is in a scene, avatar, mesh or scene file: counts, ranges, the rig, items, and anything unusual."
 EXAMPLE = "glsplat inspect me.glb --json"
@@ -164,7 +164,7 @@ def describe(scene: Splats | Avatar, path: str | Path | None) -> dict[str, Any]:
         "antialias": splats.antialias,
         "cones": splats.cones is not None,
         "cones_psnr": splats.cones_psnr,
-        "levels": [_level(level) for level in scene.levels],
+        "levels": levels_of(scene),
         "bounds": _bounds(splats.means),
         "scale": _percentiles(np.abs(splats.scales).max(axis=1)),
         "opacity": _percentiles(splats.opacities),
@@ -177,19 +177,33 @@ def describe(scene: Splats | Avatar, path: str | Path | None) -> dict[str, Any]:
     return report
 
 
-def _level(level: Level[Splats] | Level[Avatar]) -> dict[str, Any]:
-    """A coarser level of detail."""
-    content = level.content
-    splats, size = splats_of(content), 0
-    if isinstance(content, Avatar):
-        size = content.skin.joints.nbytes + content.skin.weights.nbytes
-    return {
-        "splats": len(splats),
-        "density": level.density,  # pixels a metre
-        "metres": _PICTURE / 2 / level.density,  # from which on it is drawn, in a picture of 1024 pixels and 90 degrees
-        "psnr": level.psnr,
-        "memory_bytes": splats.nbytes + size,
-    }
+def levels_of(scene: Splats | Avatar) -> list[dict[str, Any]]:
+    """The coarser levels of detail, as JSON values."""
+    out = []
+    level: Level[Any]
+    for level in scene.levels:
+        content = level.content
+        rig = (content.skin.joints, content.skin.weights) if isinstance(content, Avatar) else ()
+        out.append(
+            {
+                "splats": len(splats_of(content)),
+                "density": level.density,  # pixels a metre
+                "metres": _PICTURE / 2 / level.density,  # from there on, in a picture of 1024 pixels and 90 degrees
+                "psnr": level.psnr,
+                "memory_bytes": splats_of(content).nbytes + sum(array.nbytes for array in rig),
+            }
+        )
+    return out
+
+
+def levels_said(levels: list[dict[str, Any]]) -> list[str]:
+    """The same in words, a line each."""
+    lines = []
+    for one in levels:
+        kept = "error unknown" if one["psnr"] is None else f"{one['psnr']:.1f} dB at worst"
+        where = f"from {one['metres']:.2g} m on at {_PICTURE} px and 90 degrees ({one['density']:.4g} px/m)"
+        lines.append(f"{one['splats']:,} splats {where}, {kept}, {one['memory_bytes'] / 1e6:.2f} MB")
+    return lines
 
 
 def _rig(avatar: Avatar) -> dict[str, Any]:
@@ -272,7 +286,7 @@ def _text(report: dict[str, Any]) -> str:
     if report["cones_psnr"] is not None:
         cones += f"; the worst picture keeps {report['cones_psnr']:.1f} dB without what they hide"
     rows.append(("cones", cones))
-    rows += [("levels" if index == 0 else "", _level_said(level)) for index, level in enumerate(report["levels"])]
+    rows += [("" if index else "levels", said) for index, said in enumerate(levels_said(report["levels"]))]
     if bounds := report["bounds"]:
         rows.append(("bounds", _bounds_said(bounds)))
     for key, unit in (("scale", " m (longest axis)"), ("opacity", "")):
@@ -294,12 +308,6 @@ def _text(report: dict[str, Any]) -> str:
     unusual = [f"{count:,} {name}: {_UNUSUAL[name]}" for name, count in report["unusual"].items()]
     rows += [("unusual", text) for text in unusual] or [("unusual", "nothing")]
     return _wrapped(lines, rows)
-
-
-def _level_said(level: dict[str, Any]) -> str:
-    kept = "error unknown" if level["psnr"] is None else f"{level['psnr']:.1f} dB at worst"
-    where = f"from {level['metres']:.2g} m on at {_PICTURE} px and 90 degrees ({level['density']:.4g} px/m)"
-    return f"{level['splats']:,} splats {where}, {kept}, {level['memory_bytes'] / 1e6:.2f} MB"
 
 
 def _driven(not_driven: str, not_tracked: str) -> str:

@@ -35,7 +35,7 @@ from glsplat.splats import Level
 from ..args import add_up, motion_of
 from ..convert import add_quiet, save_and_say
 from ..usage import UsageError
-from . import guide, photo, score, video
+from . import detail, guide, photo, score, video
 from .person import add_rig, doubts, read_any_person
 from .writing import add_notes, check_name, progress_bar, write
 
@@ -71,6 +71,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     cones.add_argument(
         "--directions", type=int, default=ConeConfig().directions, help="views a pose (default %(default)d)"
     )
+
+    detail.add_arguments(commands.add_parser("levels", help="add coarser levels of detail to a file, merged from it"))
 
     taken = commands.add_parser("import", help="an LHM dump, a LAM zip, an avatar of another rig, or splats on a mesh")
     taken.add_argument(
@@ -127,6 +129,7 @@ def run(args: argparse.Namespace) -> int:
         "score": _score,
         "motions": _motions,
         "cones": _cones,
+        "levels": detail.run,
         "guide": guide.run,
         "photo": photo.run,
         "video": video.run,

@@ -15,8 +15,8 @@ from glsplat.camera import Camera, load_cameras
 from glsplat.data import default_avatar
 from glsplat.errors import FormatError, GlsplatError
 from glsplat.evaluate.frames import FOV
-from glsplat.evaluate.levels import merged
 from glsplat.formats import load
+from glsplat.making.detail.merge import merged
 from glsplat.making.importers import nearest_weights
 from glsplat.making.people import read_person
 from glsplat.making.surface import SamplerConfig, make_avatar
@@ -78,7 +78,7 @@ class Subject:
         return pose_of_frame(self.scene.skeleton, frame)
 
     def level(self, share: float) -> Splats | Avatar:
-        """The scene with that share of its splats, merged from it (report_levels); 1 is the scene itself."""
+        """The scene with that share of its splats, merged from it (making/detail); 1 is the scene itself."""
         return self.scene if share == 1.0 else _level(self, share)
 
 

@@ -9,13 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from glsplat import reference
 from glsplat.avatar import Avatar
 from glsplat.config import RenderConfig
-from glsplat.detail.cells import cells
 from glsplat.errors import FormatError
 from glsplat.evaluate.knobs import Drawn, Setting, base_config, error_frames, settings_of
-from glsplat.evaluate.levels import merged
 from glsplat.evaluate.sections.measure import measure
 from glsplat.evaluate.subjects import Subject, cameras_for, check_cameras, dense_person, subjects_of
 from glsplat.formats import load, save
@@ -125,44 +122,6 @@ def test_a_person_is_held_against_all_joints(context: Context, shared_data: Path
     assert [s.label for s in settings[2:]] == ["1", "2", "4", "8"]
     psnr = [r["psnr"] for r in measure(context, subject, settings, 3, [7])["settings"][2:]]
     assert psnr[0] < psnr[1] < psnr[2] <= psnr[3] and psnr[3] > 65
-
-
-def test_levels_keep_mass_mean_and_covariance() -> None:
-    """Moments of the whole, weighted with opacity times area, are those of the many: by hand for two splats."""
-    two = Splats.create(
-        [[-1.0, 0, 0], [1, 0, 0]], [[1.0, 0, 0, 0]] * 2, [[0.1, 0.2, 0.3]] * 2, [0.2, 0.2], rgb=[[1, 0, 0], [0, 0, 1]]
-    )
-    one = merged(two, 1)
-    assert isinstance(one, Splats) and len(one) == 1
-    np.testing.assert_allclose(one.means, [[0, 0, 0]], atol=1e-6)
-    shape = reference.rest(one).shapes[0]
-    np.testing.assert_allclose(shape @ shape.T, np.diag([1.01, 0.04, 0.09]), atol=1e-5)
-    np.testing.assert_allclose(one.opacities, 2 * 0.2 * (0.2 * 0.3) / (np.sqrt(1.01) * 0.3), rtol=1e-4)
-    np.testing.assert_allclose(one.sh, two.sh.mean(axis=0, keepdims=True), atol=1e-6)
-    assert merged(two, 2) is two
-
-
-def test_levels_of_an_avatar_keep_its_rig() -> None:
-    avatar = limb(600)
-    few = merged(avatar, 150)
-    assert isinstance(few, Avatar) and len(few.splats) == 150 and few.skeleton is avatar.skeleton
-    np.testing.assert_allclose(few.skin.weights.sum(axis=1), 1, atol=1e-5)
-    assert few.splats.finite().all() and (few.splats.opacities <= 1).all()
-    bad = avatar.splats.means.copy()
-    bad[0] = np.nan
-    assert (
-        merged(Splats(bad, *(getattr(avatar.splats, k) for k in ("quats", "scales", "opacities", "sh"))), 9)
-        .finite()
-        .all()
-    )
-
-
-def test_cells_share_the_points_evenly(rng: np.random.Generator) -> None:
-    for count in (1, 7, 64, 100):
-        sizes = np.bincount(cells(rng.normal(size=(100, 3)), count), minlength=count)
-        assert len(sizes) == count and sizes.min() >= 1 and sizes.max() <= -(-100 // count) + 2
-    apart = cells(np.array([[0.0, 0], [0.1, 0], [5, 0], [5.1, 0]]), 2)
-    assert apart[0] == apart[1] != apart[2] == apart[3]
 
 
 @pytest.mark.usefixtures("current")

@@ -31,7 +31,7 @@ from glsplat.skinning.pose import Pose
 from glsplat.splats import Level, Splats
 from glsplat.views import splats_of
 
-__all__ = ["MeasureConfig", "difference", "measured"]
+__all__ = ["MeasureConfig", "Pictures", "Station", "difference", "measured", "stations_of"]
 
 F64 = NDArray[np.float64]
 F32 = NDArray[np.float32]
@@ -60,7 +60,7 @@ class MeasureConfig:
 
 
 @dataclass(frozen=True, eq=False)
-class _Station:
+class Station:
     """A pose, and a camera but for its focal length."""
 
     pose: Pose | None
@@ -69,12 +69,15 @@ class _Station:
     high: F64  # [2]
     near: float  # metres
     inside: bool = False
+    unit: float = 0.0  # density at a focal length of 1 (Proxy)
 
     @property
     def extent(self) -> float:
+        """Longer side of the picture at a focal length of 1."""
         return float((self.high - self.low).max())
 
     def camera(self, focal: float) -> Camera:
+        """The camera with that focal length in pixels."""
         width, height = np.maximum(np.ceil((self.high - self.low) * focal), 4).astype(int)
         left, top = -self.low * focal
         return Camera(
@@ -97,18 +100,18 @@ def measured(
     The same every time on one driver. Raises GlsplatError for a scene without a finite splat.
     """
     config, report = config or MeasureConfig(), progress or (lambda stage, done: None)
-    stations, proxy = _stations(finest, config), Proxy.of(finest)
-    units = [proxy.density(s.camera(1e3), bones=_bones(finest, s.pose)) / 1e3 for s in stations]
-    outside = [(s, unit) for s, unit in zip(stations, units, strict=True) if not s.inside]
-    top = min(config.size / s.extent * unit for s, unit in outside)
-    bottom = min(top, *(_LEAST / s.extent * unit for s, unit in outside))
-    with _Pictures([finest, *levels], stations, units, config.size, context) as pictures:
+    stations = stations_of(finest, config)
+    outside = [s for s in stations if not s.inside]
+    top = min(config.size / s.extent * s.unit for s in outside)
+    bottom = min(top, *(_LEAST / s.extent * s.unit for s in outside))
+    found: dict[int, tuple[float, float]] = {}
+    with Pictures([finest, *levels], stations, config.size, context) as pictures:
         density, index = top, 0
-        found: dict[int, tuple[float, float]] = {}
         while index < len(levels) and density >= bottom:
             report("measuring levels", float(np.log(top / density) / np.log(top / bottom)) if bottom < top else 1.0)
-            kept = pictures.worst(index + 1, density)
-            if kept >= config.psnr:
+            kept = min(pictures.kept(index + 1, density))
+            # far below it a picture of the finest is no measure: its splats fade when they are much less than a pixel
+            if kept >= config.psnr and min(pictures.kept(index + 1, max(density / 2, bottom))) >= config.psnr:
                 above = density * _STEP if density < top else density
                 found[index] = pictures.highest(index + 1, density, kept, above, config.psnr)
                 index += 1
@@ -139,19 +142,14 @@ def difference(picture: F32, other: F32) -> float:
     return kept
 
 
-class _Pictures:
-    """Pictures of the finest (0) and the levels, drawn exactly by one renderer each."""
+class Pictures:
+    """Pictures of the finest (0) and of levels, from all stations, drawn exactly by one renderer each."""
 
     def __init__(
-        self,
-        scenes: Sequence[Splats | Avatar],
-        stations: Sequence[_Station],
-        units: Sequence[float],  # density of each at a focal length of 1
-        size: int,
-        context: Context | None,
+        self, scenes: Sequence[Splats | Avatar], stations: Sequence[Station], size: int, context: Context | None = None
     ) -> None:
-        self._stations, self._units, self._size = stations, units, size
-        self._finest: tuple[float, dict[int, F32]] = (0.0, {})
+        self._stations, self._size = stations, size
+        self._finest: dict[tuple[float, int], F32] = {}
         with ExitStack() as stack:
             shared = context or create_context()
             if context is None:
@@ -162,38 +160,43 @@ class _Pictures:
             ]
             self._owned = stack.pop_all()
 
-    def __enter__(self) -> _Pictures:
+    def __enter__(self) -> Pictures:
         return self
 
     def __exit__(self, *_: object) -> None:
         self._owned.close()
 
-    def worst(self, which: int, density: float) -> float:
-        """The lowest PSNR of all pictures that can be taken at that density."""
-        if self._finest[0] != density:
-            self._finest = density, {}
-        kept = _MOST
-        for index, (station, unit) in enumerate(zip(self._stations, self._units, strict=True)):
-            focal = density / unit if unit else 0.0
+    def show(self, which: int, scene: Splats | Avatar) -> None:
+        """Another scene in the place of number ``which``."""
+        self._renderers[which].load(_alone(scene))
+
+    def kept(self, which: int, density: float) -> list[float]:
+        """PSNR of each picture that can be taken at that density, in dB; at least one."""
+        densities = list(dict.fromkeys(known for known, _ in self._finest))
+        if density not in densities and len(densities) > 1:
+            self._finest = {key: one for key, one in self._finest.items() if key[0] == densities[-1]}
+        out = []
+        for index, station in enumerate(self._stations):
+            focal = density / station.unit if station.unit else 0.0
             if station.inside and not _LEAST <= focal * station.extent <= self._size:
                 continue
-            if index not in self._finest[1]:
-                self._finest[1][index] = self._drawn(0, station, focal)
-            kept = min(kept, difference(self._finest[1][index], self._drawn(which, station, focal)))
-        return kept
+            if (density, index) not in self._finest:
+                self._finest[density, index] = self._drawn(0, station, focal)
+            out.append(difference(self._finest[density, index], self._drawn(which, station, focal)))
+        return out
 
     def highest(self, which: int, low: float, kept: float, high: float, psnr: float) -> tuple[float, float]:
         """The density from ``low``, where ``kept`` is kept, up to which ``psnr`` is, and what is kept there."""
         for _ in range(_HALVINGS if high > low else 0):
             middle = (low * high) ** 0.5
-            now = self.worst(which, middle)
+            now = min(self.kept(which, middle))
             if now >= psnr:
                 low, kept = middle, now
             else:
                 high = middle
         return low, kept
 
-    def _drawn(self, which: int, station: _Station, focal: float) -> F32:
+    def _drawn(self, which: int, station: Station, focal: float) -> F32:
         camera, renderer = station.camera(focal), self._renderers[which]
         renderer.resize(camera.width, camera.height)
         return cast("F32", renderer.render([camera], station.pose)[0])
@@ -204,8 +207,10 @@ def _alone(scene: Any) -> Splats | Avatar:
     return cast("Splats | Avatar", replace(scene, levels=()))
 
 
-def _stations(scene: Splats | Avatar, config: MeasureConfig) -> list[_Station]:
-    out = []
+def stations_of(scene: Splats | Avatar, config: MeasureConfig) -> list[Station]:
+    """Where ``scene`` is looked at from, in which pose. Raises GlsplatError where there is nothing to see."""
+    out: list[Station] = []
+    proxy = Proxy.of(scene)
     poses: list[Pose | None] = [None]
     if isinstance(scene, Avatar):
         poses = [*probe_poses(scene.skeleton.names)]
@@ -224,13 +229,13 @@ def _stations(scene: Splats | Avatar, config: MeasureConfig) -> list[_Station]:
             seen = points @ viewmat[:3, :3].T + viewmat[:3, 3]
             flat = seen[:, :2] / seen[:, 2:]
             rim = 0.01 * radius / (_FAR * radius)
-            out.append(_Station(pose, viewmat, flat.min(axis=0) - rim, flat.max(axis=0) + rim, 1e-3 * radius))
+            out.append(Station(pose, viewmat, flat.min(axis=0) - rim, flat.max(axis=0) + rim, 1e-3 * radius))
         if isinstance(scene, Splats):
             out += [
-                _Station(None, viewmat, np.full(2, -_INSIDE), np.full(2, _INSIDE), 0.01 * radius, inside=True)
+                Station(None, viewmat, np.full(2, -_INSIDE), np.full(2, _INSIDE), 0.01 * radius, inside=True)
                 for viewmat in _free_views(points, config.inside)
             ]
-    return out
+    return [replace(one, unit=proxy.density(one.camera(1e3), None, _bones(scene, one.pose)) / 1e3) for one in out]
 
 
 def _free_views(points: F64, count: int) -> list[F64]:

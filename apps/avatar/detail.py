@@ -1,0 +1,69 @@
+"""``glsplat avatar levels``: coarser levels of detail for a file that has none."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from pathlib import Path
+
+from glsplat.errors import FormatError
+from glsplat.formats import load, save, suffixes
+from glsplat.making.detail.make import with_merged_levels
+from glsplat.making.detail.measure import MeasureConfig
+from glsplat.views import splats_of
+
+from ..inspect import levels_of, levels_said
+from ..usage import UsageError
+from .writing import check_name, progress_bar
+
+__all__ = ["add_arguments", "run"]
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The command line."""
+    parser.add_argument("scene", type=Path, help="avatar or static splats, in any format")
+    parser.add_argument("-o", "--out", type=Path, required=True, help=f"file to write ({suffixes(rigs=True)})")
+    parser.add_argument(
+        "--counts",
+        type=int,
+        nargs="+",
+        metavar="N",
+        help="splats of each level, falling (default: half of the finest, half of that, down to 5000)",
+    )
+    default = MeasureConfig().psnr
+    parser.add_argument(
+        "--psnr", type=float, default=default, help="dB that a level keeps where it is used (default %(default)g)"
+    )
+    parser.add_argument("--force", action="store_true", help="make levels anew where the file has some")
+    parser.add_argument("--json", action="store_true", help="print what was made as JSON")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Make, measure and write the levels; 0 on success. Raises UsageError, FormatError."""
+    check_name(args.out)
+    if not 0 < args.psnr <= 100:
+        raise UsageError(f"--psnr needs decibels above 0 and at most 100, not {args.psnr:g}")
+    counts = args.counts
+    if counts and (min(counts) < 1 or sorted(set(counts), reverse=True) != counts):
+        raise UsageError(f"--counts needs falling numbers above 0, not {' '.join(map(str, counts))}")
+    began = time.perf_counter()
+    scene = load(args.scene)
+    if scene.levels and not args.force:
+        raise FormatError(f"{args.scene}: has {len(scene.levels)} coarser levels already; --force makes them anew")
+    total = len(splats_of(scene))
+    if counts and counts[0] >= total:
+        raise FormatError(f"{args.scene}: has {total} splats; --counts needs fewer, not {counts[0]}")
+    with progress_bar() as show:
+        made = with_merged_levels(scene, counts, MeasureConfig(psnr=args.psnr), show)
+    save(made, args.out)
+    levels, seconds = levels_of(made), time.perf_counter() - began
+    size = args.out.stat().st_size
+    if args.json:
+        facts = {"out": str(args.out), "splats": total, "levels": levels, "bytes": size, "seconds": round(seconds, 1)}
+        print(json.dumps(facts))
+        return 0
+    print(f"{args.out}: {total:,} splats, {len(levels)} coarser levels, {size / 1e6:.2f} MB, {seconds:.1f} s")
+    for said in levels_said(levels) or [f"no level keeps {args.psnr:g} dB; --psnr asks for less"]:
+        print(f"  {said}")
+    return 0
