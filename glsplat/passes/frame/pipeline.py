@@ -66,7 +66,7 @@ class Pipeline:
                 return item
 
             self._frame = own(FrameBlock(ctx, variant.views))
-            self._project = own(ProjectPass(ctx, programs, variant, count))
+            self._project = own(ProjectPass(context, programs, variant, count))
             records, order = self._project.records, self._project.order
             automatic = config.sorter == "auto" and context.compute and not context.software
             self._keys: moderngl.Buffer | None = None

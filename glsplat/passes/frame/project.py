@@ -8,6 +8,7 @@ import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
+from glsplat.gl.context import Context
 from glsplat.shaders import Programs, Variant
 
 __all__ = ["ProjectPass", "record_layout"]
@@ -29,14 +30,15 @@ def record_layout(variant: Variant) -> list[tuple[str, str, int]]:
 class ProjectPass:
     """Runs through ``order`` and gathers from the arena's textures, so the records come out sorted."""
 
-    def __init__(self, ctx: moderngl.Context, programs: Programs, variant: Variant, count: int) -> None:
-        varyings = []
+    def __init__(self, context: Context, programs: Programs, variant: Variant, count: int) -> None:
+        ctx, varyings = context.ctx, []
         for captured, _, _ in record_layout(variant):
             base = captured.split("[")[0]
             if base not in varyings:
                 varyings.append(base)
         program = programs.feedback("project", variant, varyings)
         self.count: int = 0
+        self._orphans = not context.software  # a GPU may still read the order before; software is done with it
         with ExitStack() as stack:  # releases what was made if a later allocation fails
             self.order: moderngl.Buffer = ctx.buffer(reserve=max(16, count * 4), dynamic=True)
             stack.callback(self.order.release)
@@ -50,6 +52,8 @@ class ProjectPass:
         """Set the splats to draw and their order (indices, far to near)."""
         self.count = len(order)
         if self.count:
+            if self._orphans:
+                self.order.orphan()  # new memory instead of a wait
             self.order.write(np.ascontiguousarray(order))
 
     def run(self) -> None:
