@@ -32,8 +32,6 @@ Report = Callable[[str, float], None]
 
 _CHUNK = 1 << 17  # pairs, or splats, that are looked at at a time
 _MANY = 200_000  # splats, of which rounds are dear
-_STALLED = 0.05  # of the splats: if a round merges fewer, those without a partner ask on in the next
-_ON = 8  # times
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -161,14 +159,13 @@ class _Clusters:
         self._normals = parts @ (self._normals * flip[:, None]) / mass[:, None]
         if self._weights is not None:
             self._weights = (parts @ self._weights / mass[:, None]).astype(np.float32)
-        few = len(chosen) < min(most, _STALLED * self.count)
         self.mass, self.label = mass, number[self.label]
-        self._asks = _ON if few else 2 if self.count > _MANY else 1
+        self._asks = 2 if self.count > _MANY else 1
 
     def _pairs(self) -> tuple[NDArray[np.intp], NDArray[np.float32]]:
         """[N] what each is merged into, -1 where it stays; [N] at what cost. One at least goes.
 
-        Two are merged where both agree; who finds no partner asks the rest again.
+        Two are merged where it is the cheapest for both; of many splats, who finds no partner asks the rest again.
         """
         k = min(self._config.neighbours + 1, self.count)
         tree = cKDTree(self._means)
@@ -189,12 +186,15 @@ class _Clusters:
             best[rows] = np.take_along_axis(near[rows], choice, axis=1)[:, 0]
             price = np.take_along_axis(asked, choice, axis=1)[:, 0]
             rows, price = rows[np.isfinite(price)], price[np.isfinite(price)]
-            agree = best[best[rows]] == rows
-            goes = agree & (rows > best[rows])
-            if not goes.any() and (away < 0).all() and len(rows):  # a circle of equal costs
-                goes[int(price.argmin())] = True
-            away[rows[goes]], paid[rows[goes]] = best[rows[goes]], price[goes]
-            free[rows[goes]] = free[best[rows[goes]]] = False
+            # an edge that is the cheapest of both its ends, whoever of the two sees the other as a neighbour
+            order = np.argsort(price, kind="stable")
+            one, other, price = rows[order], best[rows[order]], price[order]
+            first = np.full(self.count, len(order))
+            np.minimum.at(first, one, np.arange(len(order)))
+            np.minimum.at(first, other, np.arange(len(order)))
+            goes = (first[one] == np.arange(len(order))) & (first[other] == np.arange(len(order)))
+            away[one[goes]], paid[one[goes]] = other[goes], price[goes]
+            free[one[goes]] = free[other[goes]] = False
         return away, paid
 
     def _costs(self, rows: NDArray[np.intp], near: NDArray[np.int32]) -> F64:
