@@ -31,7 +31,7 @@ Scene = TypeVar("Scene", bound=Splats | Avatar)
 Report = Callable[[str, float], None]
 
 _CHUNK = 1 << 17  # pairs, or splats, that are looked at at a time
-_FLAT = 1e-9  # of the scene's extent: what is thinner counts as that thick
+_MANY = 200_000  # splats, of which rounds are dear
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -134,57 +134,70 @@ class _Clusters:
         flat = 1 - ordered[:, 0] / np.maximum(ordered[:, 1], 1e-300)
         self._normals = axes * flat[:, None]  # as long as the splat is flat
         self._weights = weights
+        self._asks = 2 if self.count > _MANY else 1
 
     @property
     def count(self) -> int:
         return len(self.mass)
 
     def merge(self, least: int) -> None:
-        """One round: each splat with the neighbour it costs least to be merged with, where both agree."""
-        first, second, cost = self._pairs()
+        """One round: of those that are merged with the neighbour it costs least to be merged with, the cheapest."""
+        away, cost = self._pairs()
         most = max(1, min(self.count - least, int(self._config.share * self.count)))
-        if len(first) > most:
-            cheap = np.sort(np.argpartition(cost, most - 1)[:most])
-            first, second = first[cheap], second[cheap]
-        a, b = self.mass[first], self.mass[second]
-        share = (b / (a + b))[:, None]
-        self._means[first] += share * (self._means[second] - self._means[first])
-        self._rgb[first] += share * (self._rgb[second] - self._rgb[first])
-        one, other = self._normals[first], self._normals[second]
-        other = other * np.where(np.einsum("ni,ni->n", one, other) < 0, -1, 1)[:, None]
-        self._normals[first] = one + share * (other - one)
+        chosen = np.flatnonzero(away >= 0)
+        if len(chosen) > most:
+            chosen = chosen[np.argpartition(cost[chosen], most - 1)[:most]]
+        root = np.arange(self.count)
+        root[chosen] = away[chosen]
+        stays = np.ones(self.count, bool)
+        stays[chosen] = False
+        number = (np.cumsum(stays) - 1)[root]
+        flip = np.where(np.einsum("ni,ni->n", self._normals, self._normals[root]) < 0, -1.0, 1.0)
+        parts = csr_array((self.mass, (number, np.arange(self.count))), shape=(int(stays.sum()), self.count))
+        mass = np.bincount(number, self.mass).astype(np.float64)
+        self._means, self._rgb = (parts @ one / mass[:, None] for one in (self._means, self._rgb))
+        self._normals = parts @ (self._normals * flip[:, None]) / mass[:, None]
         if self._weights is not None:
-            self._weights[first] += share.astype(np.float32) * (self._weights[second] - self._weights[first])
-        self.mass[first] = a + b
-        keep = np.ones(self.count, bool)
-        keep[second] = False
-        number = np.cumsum(keep) - 1
-        number[second] = number[first]
-        self.label = number[self.label]
-        self.mass, self._means, self._rgb = self.mass[keep], self._means[keep], self._rgb[keep]
-        self._normals = self._normals[keep]
-        self._weights = None if self._weights is None else self._weights[keep]
+            self._weights = (parts @ self._weights / mass[:, None]).astype(np.float32)
+        self.mass, self.label = mass, number[self.label]
+        self._asks = 2 if self.count > _MANY else 1
 
-    def _pairs(self) -> tuple[NDArray[np.intp], NDArray[np.intp], F64]:
-        """[P] splats, [P] their partners, [P] what merging costs. At least one pair of two splats or more."""
+    def _pairs(self) -> tuple[NDArray[np.intp], NDArray[np.float32]]:
+        """[N] what each is merged into, -1 where it stays; [N] at what cost. One at least goes.
+
+        Two are merged where it is the cheapest for both; of many splats, who finds no partner asks the rest again.
+        """
         k = min(self._config.neighbours + 1, self.count)
         tree = cKDTree(self._means)
-        best, cost = np.empty(self.count, np.intp), np.empty(self.count)
+        near, costs = np.empty((self.count, k), np.int32), np.empty((self.count, k), np.float32)
         for at in range(0, self.count, _CHUNK):
             rows = np.arange(at, min(at + _CHUNK, self.count))
-            near = tree.query(self._means[rows], k)[1].reshape(len(rows), k)
-            costs = self._costs(rows, near)
-            costs[near == rows[:, None]] = np.inf
-            choice = costs.argmin(axis=1)[:, None]
-            best[rows] = np.take_along_axis(near, choice, axis=1)[:, 0]
-            cost[rows] = np.take_along_axis(costs, choice, axis=1)[:, 0]
+            near[rows] = tree.query(self._means[rows], k)[1].reshape(len(rows), k)
+            costs[rows] = self._costs(rows, near[rows])
         own = np.arange(self.count)
-        agree = np.flatnonzero((best[best] == own) & (own < best))
-        if not len(agree):  # a circle of equal costs
-            agree = np.array([int(cost.argmin())])
-        return agree, best[agree], cost[agree]
+        costs[near == own[:, None]] = np.inf
+        away, paid = np.full(self.count, -1), np.full(self.count, np.inf, np.float32)
+        free = np.ones(self.count, bool)  # neither goes nor takes
+        for _ in range(self._asks):
+            rows = np.flatnonzero(free)
+            asked = np.where(free[near[rows]], costs[rows], np.inf)
+            choice = asked.argmin(axis=1)[:, None]
+            best = np.full(self.count, -1)
+            best[rows] = np.take_along_axis(near[rows], choice, axis=1)[:, 0]
+            price = np.take_along_axis(asked, choice, axis=1)[:, 0]
+            rows, price = rows[np.isfinite(price)], price[np.isfinite(price)]
+            # an edge that is the cheapest of both its ends, whoever of the two sees the other as a neighbour
+            order = np.argsort(price, kind="stable")
+            one, other, price = rows[order], best[rows[order]], price[order]
+            first = np.full(self.count, len(order))
+            np.minimum.at(first, one, np.arange(len(order)))
+            np.minimum.at(first, other, np.arange(len(order)))
+            goes = (first[one] == np.arange(len(order))) & (first[other] == np.arange(len(order)))
+            away[one[goes]], paid[one[goes]] = other[goes], price[goes]
+            free[one[goes]] = free[other[goes]] = False
+        return away, paid
 
-    def _costs(self, rows: NDArray[np.intp], near: NDArray[np.intp]) -> F64:
+    def _costs(self, rows: NDArray[np.intp], near: NDArray[np.int32]) -> F64:
         """[R, k] what it costs to merge each of ``rows`` with each of its neighbours."""
         config = self._config
         a, b = self.mass[rows][:, None], self.mass[near]
