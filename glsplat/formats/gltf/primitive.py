@@ -14,15 +14,27 @@ from numpy.typing import NDArray
 
 from glsplat.arrays import frozen
 from glsplat.errors import FormatError
-from glsplat.formats.gltf.compressed import packed_splats, packed_view
 from glsplat.formats.gltf.container import Container, Primitive
 from glsplat.formats.gltf.fallback import write_fallback
 from glsplat.formats.gltf.output import Output
+from glsplat.formats.spz import spz_splats
 from glsplat.splats import SH_C0, Splats
 
-__all__ = ["ANTIALIAS", "EXTENSION", "number_of", "our_extras", "read_splats", "write_splats"]
+__all__ = [
+    "ANTIALIAS",
+    "EXTENSION",
+    "SPZ_EXTENSION",
+    "number_of",
+    "our_extras",
+    "packed_view",
+    "read_splats",
+    "write_splats",
+]
 
 EXTENSION = "KHR_gaussian_splatting"
+SPZ_EXTENSION = "KHR_gaussian_splatting_compression_spz_2"
+"""Of splats that lie in the file as the bytes of an SPZ."""
+
 ANTIALIAS = "antialias"
 """In asset.extras.glsplat: Splats.antialias of all splats in the file."""
 
@@ -60,7 +72,7 @@ def read_splats(container: Container, primitive: Primitive, name: str) -> Splats
     _check_extension(primitive.extensions[EXTENSION], name)
     view = packed_view(primitive.extensions[EXTENSION], name)
     if view is not None:
-        return packed_splats(container, primitive, view, name)
+        return _packed_splats(container, primitive, view, name)
     attributes = {key.replace(f"{EXTENSION}:", "_", 1): index for key, index in primitive.attributes.items()}
 
     def read(key: str, *types: str) -> NDArray[np.float32] | None:
@@ -135,3 +147,30 @@ def _check_extension(value: Any, name: str) -> None:
 
 def _written_by_us(container: Container) -> bool:
     return "version" in container.note()
+
+
+def packed_view(extension: Any, name: str) -> int | None:
+    """The bufferView that the value of KHR_gaussian_splatting says the splats are packed into, None where they are not.
+
+    Raises FormatError for another compression than SPZ.
+    """
+    nested = extension.get("extensions") if isinstance(extension, dict) else None
+    if not isinstance(nested, dict) or not any("compression" in key for key in nested):
+        return None
+    payload = nested.get(SPZ_EXTENSION)
+    index = payload.get("bufferView") if isinstance(payload, dict) else None
+    if type(index) is not int or index < 0:
+        raise FormatError(f"{name}: the splats are compressed ({next(iter(nested))[:60]}); export them uncompressed")
+    return index
+
+
+def _packed_splats(container: Container, primitive: Primitive, index: int, name: str) -> Splats:
+    """The splats of that bufferView. The attributes of such a primitive are placeholders, which have their count.
+
+    Raises FormatError where the counts differ.
+    """
+    splats = spz_splats(container.view(index, f"{name} {SPZ_EXTENSION}"))
+    position, accessors = primitive.attributes.get("POSITION"), container.gltf.accessors
+    if position is not None and position < len(accessors) and accessors[position].count != len(splats):
+        raise FormatError(f"{name}: POSITION has {accessors[position].count} elements, its SPZ data {len(splats)}")
+    return splats

@@ -17,13 +17,12 @@ from glsplat.avatar import Avatar
 from glsplat.errors import FormatError
 from glsplat.formats.files import Source, checked, folder_of, naming, open_regular
 from glsplat.formats.format import Format
-from glsplat.formats.gltf.compressed import SPZ_EXTENSION, packed_view
 from glsplat.formats.gltf.container import Container, Mesh, Node, Scene, read_container
 from glsplat.formats.gltf.fallback import UNLIT, unlit_material
 from glsplat.formats.gltf.levels import finest_of, read_levels, write_levels
 from glsplat.formats.gltf.nodes import Graph, Instance, graph_of, instances
 from glsplat.formats.gltf.output import Output
-from glsplat.formats.gltf.primitive import ANTIALIAS, EXTENSION, read_splats, write_splats
+from glsplat.formats.gltf.primitive import ANTIALIAS, EXTENSION, SPZ_EXTENSION, packed_view, read_splats, write_splats
 from glsplat.formats.gltf.rig import (
     SKIN_WEIGHTS,
     read_skeleton,
