@@ -35,7 +35,7 @@ from glsplat.splats import Level
 from ..args import add_up, motion_of
 from ..convert import add_quiet, save_and_say
 from ..usage import UsageError
-from . import detail, guide, photo, score, video
+from . import detail, fitted, guide, photo, score, video
 from .person import add_rig, doubts, read_any_person
 from .writing import add_notes, check_name, progress_bar, write
 
@@ -59,6 +59,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=int,
         default=RefineConfig().steps,
         help="fitting steps of 1 to 2 s (default %(default)d); 0: none",
+    )
+    make.add_argument(
+        "--levels",
+        nargs="+",
+        metavar="N",
+        help=f"splats of coarser levels of detail (default: --splats halved down to {fitted.COARSEST}); none: none",
     )
     make.add_argument("--no-cones", action="store_true", help="make no visibility cones (--cull-hidden needs them)")
 
@@ -143,6 +149,7 @@ def _make(args: argparse.Namespace) -> int:
         raise UsageError(f"--steps needs 0 or more, not {args.steps}")
     if args.splats < FEWEST:
         raise FormatError(f"an avatar needs at least {FEWEST} splats, not {args.splats}")
+    counts = fitted.counts_of(args.levels, args.splats)
     began = time.perf_counter()
     if args.body is None:
         mesh = read_any_person(args.person, args)
@@ -156,6 +163,8 @@ def _make(args: argparse.Namespace) -> int:
             avatar = refine(avatar, mesh, args.seed, RefineConfig(steps=args.steps), show)
         if not args.no_cones:
             avatar = with_cones(avatar, progress=show)
+        if counts:
+            avatar = fitted.with_fitted_levels(avatar, mesh, counts, args.seed, not args.no_cones, show)
     _say(args.person, doubts(mesh, avatar, args.splats, args.extra_scale), told)
     return write(avatar, args, began)
 

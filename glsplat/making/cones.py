@@ -8,30 +8,36 @@ cosine. The threshold is the largest that keeps pictures of other directions abo
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from glsplat import reference
 from glsplat.avatar import Avatar
 from glsplat.camera import Camera, look_at, pinhole
 from glsplat.errors import GlsplatError
-from glsplat.making.footprints import Footprints, footprints
+from glsplat.making.footprints import EPS2D, Footprints, footprints, transmittance
 from glsplat.making.posed import posed_splats
+from glsplat.making.refine import random_pose
 from glsplat.making.visibility import probe_poses, sphere
+from glsplat.skinning.pose import Pose
 from glsplat.splats import SH_C0, Splats
 
 __all__ = ["ConeConfig", "hidden", "with_cones"]
 
 F64 = NDArray[np.float64]
-_FAR = 8.0  # radii of the scene from which it is looked at
+_SEED = 0
+_FAR, _NEAR = 8.0, (2.0, 5.0)  # radii of the scene from which it is looked at, and drawn
 _EVERYWHERE = np.array([0, 0, 0, -127], np.int8)  # a cone without an axis: visible from everywhere
 _DECADES = 6  # between the smallest threshold and the largest weight
-_STEPS = 9  # halvings of the interval of thresholds
+_STEPS = 8  # halvings of the interval of thresholds
 _FLAT = 1e-15  # metres: what is thinner has no direction in float32 (cone.glsl has its square)
+_FILL = 0.92  # of the picture that the sphere around the splats' means takes: those on its rim reach beyond
+Progress = Callable[[str, float], None]
 Scene = TypeVar("Scene", bound=Splats | Avatar)
 
 
@@ -39,21 +45,30 @@ Scene = TypeVar("Scene", bound=Splats | Avatar)
 class ConeConfig:
     """How thoroughly to look, and how much may be lost."""
 
-    directions: int = 128  # a pose
+    directions: int = 96  # around a scene; around an avatar three times as many, shared out among its poses
+    poses: int = 16  # of an avatar: those that place its splats, and random ones
     size: int = 320  # pixels, square, that the sphere around the scene fills
     eps2d: float = 0.3  # px^2: at this size the dilation closes the surface, so that what is behind it counts as hidden
-    test_eps2d: float = 0.03  # px^2: in the tests, as in a picture three times as large, where it shines through
-    tests: int = 6  # pictures that choose the threshold
-    psnr: float = 42.0  # decibels that each of them keeps; at 1024 x 1024, drawn by the renderer, that was 45 (docs)
+    psnr: float = 45.0  # decibels that pictures keep
+    spare: float = 1.0  # decibels more that a picture keeps that was mended
+    wider: float = 0.06  # cosine by which all cones are widened at last, for what was not looked at
+    slack: float = 0.02  # cosine by which a cone is wider than the direction that it was widened for
+    choosing: int = 8  # pictures that choose the threshold
+    tests: int = 12  # pictures a round
+    rounds: int = 3  # of mending, at most
+    test_size: int = 512  # pixels, square, that the sphere around the scene fills
 
 
-def with_cones(
-    scene: Scene, config: ConeConfig | None = None, progress: Callable[[str, float], None] | None = None
-) -> Scene:
-    """The scene with visibility cones, about 0.2 s of one core a direction at 40,000 splats. Deterministic.
+def with_cones(scene: Scene, config: ConeConfig | None = None, progress: Progress | None = None) -> Scene:
+    """The scene with visibility cones, and what pictures keep without what they hide. Deterministic.
 
-    An avatar is seen in the poses that place its splats (visibility.probe_poses); what only another pose uncovers is
-    taken for hidden. Raises GlsplatError for a scene without a finite splat.
+    A splat's cone starts as the directions from which it makes more than a threshold of a picture. Then fresh pictures
+    (poses and directions that were not looked at before) are drawn as the renderer draws them, with and without the
+    hidden splats: where one keeps less than ``psnr``, the cones of the splats that are missing most are widened; at
+    last all are, a little. A set of pictures by which nothing is chosen says what is kept: ``cones_psnr`` is its worst,
+    over the whole of a picture that the sphere around the scene fills, before black.
+    Levels get cones of their own. About two minutes of one core at 40,000 splats.
+    Raises GlsplatError for a scene without a finite splat.
     """
     config = config or ConeConfig()
     report = progress or (lambda stage, done: None)
@@ -61,44 +76,43 @@ def with_cones(
     usable = splats.finite() & (np.abs(splats.quats).max(axis=1, initial=0) > 0)
     if not usable.any():
         raise GlsplatError("visibility cones need at least one finite splat")
-    poses = [posed.take(usable) for posed in _poses(scene)]
-    views = len(poses) * config.directions
-    weight = np.empty((views, len(poses[0])), np.float32)  # how much of a view a splat makes, m^2 at its distance
-    way = np.empty((views, len(poses[0]), 3), np.float32)  # from the splat to the eye, in the splat's own axes
-    for view, (posed, camera) in enumerate(_views(poses, sphere(config.directions), config.size)):
-        report("looking for hidden splats", view / views)
-        depth = posed.means @ camera.viewmat[2, :3] + camera.viewmat[2, 3]
-        area = (depth / camera.K[0, 0]) ** 2  # of a pixel
-        weight[view] = _weights(_footprints(posed, camera, config.eps2d)) * area
-        way[view] = _ways(posed, camera.position)
+    rng = np.random.default_rng(_SEED)
+    weight, way = _looked_at(scene, usable, rng, config, report)
     axis = np.einsum("vn,vni->ni", weight, way).astype(np.float64)
     axis /= np.maximum(np.linalg.norm(axis, axis=1, keepdims=True), 1e-30)
     cosine = np.einsum("vni,ni->vn", way, axis)
 
-    # other directions than those looked from, the poses in turn; opacity compensation undoes the dilation
-    test_eps2d = 0.01 * config.test_eps2d if splats.antialias else config.test_eps2d
-    spread = sphere(2 * config.directions + 1)[:: 2 * config.directions // config.tests]
-    tests = [
-        (posed, camera.position, _footprints(posed, camera, test_eps2d))
-        for i, direction in enumerate(spread)
-        for posed, camera in _views(poses[i % len(poses) : i % len(poses) + 1], direction[None], config.size)
-    ]
-    best = np.tile(_EVERYWHERE, (len(axis), 1))
-    high = float(np.log10(max(weight.max(), 1e-30)))  # decimal logarithm of the threshold in m^2
-    low = high - _DECADES
-    for step in range(_STEPS):
-        report("choosing the threshold", step / _STEPS)
-        middle = (low + high) / 2
-        smallest = np.where(weight > 10**middle, cosine, 1.0).min(axis=0)
-        narrow = _packed(axis, smallest)
-        if all(_psnr(replace(posed, cones=narrow), eye, prints) >= config.psnr for posed, eye, prints in tests):
-            best, low = narrow, middle
-        else:
-            high = middle
+    smallest = _cut(weight, cosine, axis, _pictures(scene, usable, rng, config.choosing, config), config, report)
+    del weight, way, cosine
+    for round_ in range(config.rounds):
+        mended = 0
+        for k, picture in enumerate(_pictures(scene, usable, rng, config.tests, config)):
+            report("looking for what is missing", (round_ + k / config.tests) / (config.rounds + 1))
+            if picture.kept(_packed(axis, smallest)) < config.psnr:
+                picture.widened(axis, smallest, config)
+                mended += 1
+        if not mended:
+            break
+    smallest = smallest - config.wider
+    many = 2 * config.tests
+    worst = np.inf
+    for k, picture in enumerate(_pictures(scene, usable, rng, many, config)):
+        report("looking at what is kept", (config.rounds + k / many) / (config.rounds + 1))
+        worst = min(worst, picture.kept(_packed(axis, smallest)))
     cones = np.tile(_EVERYWHERE, (len(splats), 1))
-    cones[usable] = best
-    done = replace(splats, cones=cones)
-    return cast("Scene", replace(scene, splats=done) if isinstance(scene, Avatar) else done)
+    cones[usable] = _packed(axis, smallest)
+    done = replace(splats, cones=cones, cones_psnr=round(worst, 2))
+    return cast("Scene", _with_levels(scene, done, config, progress))
+
+
+def _with_levels(
+    scene: Splats | Avatar, done: Splats, config: ConeConfig, progress: Progress | None
+) -> Splats | Avatar:
+    if isinstance(scene, Avatar):
+        rigged = tuple(replace(one, content=with_cones(one.content, config, progress)) for one in scene.levels)
+        return replace(scene, splats=done, levels=rigged)
+    levels = tuple(replace(one, content=with_cones(one.content, config, progress)) for one in scene.levels)
+    return replace(done, levels=levels)
 
 
 def hidden(posed: Splats, eyes: Sequence[NDArray[np.float64]], margin: float = 0.0) -> NDArray[np.bool_]:
@@ -127,22 +141,169 @@ def _packed(axis: F64, smallest: F64) -> NDArray[np.int8]:
     return out
 
 
-def _poses(scene: Splats | Avatar) -> list[Splats]:
+def _looked_at(
+    scene: Splats | Avatar, usable: NDArray[np.bool_], rng: np.random.Generator, config: ConeConfig, report: Progress
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """[V, N] how much of each view a splat makes (m^2 at its distance), [V, N, 3] its way to the eye (own axes)."""
+    poses: Sequence[Pose | None] = [None]
+    directions = config.directions
+    if isinstance(scene, Avatar):
+        directions = max(3 * config.directions // config.poses, 1)
+        names = scene.skeleton.names
+        poses = list(probe_poses(names))[: config.poses]
+        poses += [_pose(names, rng, k) for k in range(config.poses - len(poses))]
+    views = len(poses) * directions
+    count = int(usable.sum())
+    weight, way = np.empty((views, count), np.float32), np.empty((views, count, 3), np.float32)
+    view = 0
+    for pose in poses:
+        posed = _posed(scene, pose, usable)
+        for direction in sphere(directions) @ Rotation.random(rng=rng).as_matrix():
+            report("looking for hidden splats", view / views)
+            camera = _far_camera(posed, direction, config.size)
+            prints = _footprints(posed, camera, config.eps2d)
+            depth = posed.means @ camera.viewmat[2, :3] + camera.viewmat[2, 3]
+            made = np.bincount(prints.splat, prints.alpha * prints.transmittance, prints.count)
+            weight[view] = made * (depth / camera.K[0, 0]) ** 2
+            way[view] = _ways(posed, camera.position)
+            view += 1
+    return weight, way
+
+
+def _cut(
+    weight: NDArray[np.float32],
+    cosine: F64,
+    axis: F64,
+    pictures: Iterable[_Picture],
+    config: ConeConfig,
+    report: Progress,
+) -> F64:
+    """[N] the smallest cosines by the largest threshold with which the median picture keeps what is asked."""
+    found = list(pictures)
+    high = float(np.log10(max(weight.max(), 1e-30)))  # decimal logarithm of the threshold in m^2
+    low = high - _DECADES
+    best = np.full(len(axis), -1.0)
+    for step in range(_STEPS):
+        report("choosing the threshold", step / _STEPS)
+        middle = (low + high) / 2
+        smallest = np.where(weight > 10**middle, cosine, 1.0).min(axis=0)
+        narrow = _packed(axis, smallest)
+        if np.median([picture.kept(narrow) for picture in found]) >= config.psnr:
+            best, low = smallest, middle
+        else:
+            high = middle
+    return best
+
+
+def _pose(names: tuple[str, ...], rng: np.random.Generator, k: int) -> Pose:
+    """As a fit draws it, in turn as it is, farther, and standing with the arms down."""
+    pose = random_pose(names, rng)
+    if k % 3 == 1:
+        return Pose(1.3 * pose.rotations)
+    if k % 3 == 2:
+        rotations = 0.3 * pose.rotations
+        for name, down in (("left_shoulder", -1.2), ("right_shoulder", 1.2)):
+            if name in names:
+                rotations[names.index(name), 2] += down
+        return Pose(rotations)
+    return pose
+
+
+class _Picture:
+    """One view of a scene as the renderer draws it: what each splat adds to each pixel."""
+
+    def __init__(self, posed: Splats, camera: Camera, eps2d: float) -> None:
+        self.posed, self.eye, self._size = posed, camera.position, camera.width * camera.height
+        prints = _footprints(posed, camera, eps2d, posed.antialias)
+        self._splat, self._pixel = prints.splat.astype(np.int32), prints.pixel.astype(np.int32)
+        self._alpha = prints.alpha
+        self._rgb = _colours(posed)
+        self._whole = self._drawn(np.zeros(len(posed), bool))
+
+    def kept(self, cones: NDArray[np.int8]) -> float:
+        """PSNR of the picture without what ``cones`` hide against the whole one, over black."""
+        return _decibel(self._without(hidden(replace(self.posed, cones=cones), [self.eye])))
+
+    def widened(self, axis: F64, smallest: F64, config: ConeConfig) -> None:
+        """Widen, in place, the cones that hide most of what the picture misses, until it keeps enough."""
+        gone = hidden(replace(self.posed, cones=_packed(axis, smallest)), [self.eye])
+        error = (self._without(gone) ** 2).sum(axis=1)
+        pairs = np.flatnonzero(gone[self._splat])
+        made: F64 = self._alpha[pairs] * transmittance(self._pixel, self._alpha)[pairs]
+        blame = np.bincount(self._splat[pairs], made * error[self._pixel[pairs]], len(gone))
+        order = np.argsort(-blame, kind="stable")[: np.count_nonzero(blame)]
+        few, many = 0, len(order)
+        while many - few > max(few // 16, 8):
+            middle = (few + many) // 2 if few else max(many // 8, 1)
+            back = gone.copy()
+            back[order[:middle]] = False
+            if _decibel(self._without(back)) >= config.psnr + config.spare:
+                many = middle
+            else:
+                few = middle
+        chosen = order[:many]
+        way = _ways(self.posed, self.eye)[chosen]
+        lost = np.abs(axis[chosen]).max(axis=1) < 0.1
+        axis[chosen[lost]] = way[lost]
+        along = np.einsum("ni,ni->n", way, axis[chosen]) - config.slack
+        smallest[chosen] = np.minimum(smallest[chosen], along)
+
+    def _without(self, gone: NDArray[np.bool_]) -> F64:
+        """[P, 3] what the picture lacks without the splats in ``gone``."""
+        return np.asarray(reference.lifted(self._drawn(gone), (0.0, 0.0, 0.0))[..., :3] - self._whole[..., :3])
+
+    def _drawn(self, gone: NDArray[np.bool_]) -> F64:
+        kept = ~gone[self._splat]
+        splat, pixel, alpha = self._splat[kept], self._pixel[kept], self._alpha[kept]
+        made: F64 = alpha * transmittance(pixel, alpha)
+        columns = [np.bincount(pixel, made * c[splat], minlength=self._size) for c in self._rgb.T]
+        return np.stack([*columns, np.bincount(pixel, made, minlength=self._size)], axis=1)
+
+
+def _decibel(error: F64) -> float:
+    return float(-10 * np.log10(max((error**2).mean(), 1e-16)))
+
+
+def _pictures(
+    scene: Splats | Avatar, usable: NDArray[np.bool_], rng: np.random.Generator, count: int, config: ConeConfig
+) -> Iterator[_Picture]:
+    """Pictures from all around, an avatar in a random pose each, every other one as if it had twice the pixels."""
+    for k, direction in enumerate(sphere(count) @ Rotation.random(rng=rng).as_matrix()):
+        pose = _pose(scene.skeleton.names, rng, k) if isinstance(scene, Avatar) else None
+        posed = _posed(scene, pose, usable)
+        yield _Picture(posed, _near_camera(posed, direction, rng, config.test_size), EPS2D / (1 + 3 * (k % 2)))
+
+
+def _posed(scene: Splats | Avatar, pose: Pose | None, usable: NDArray[np.bool_]) -> Splats:
     if isinstance(scene, Splats):
-        return [scene]
-    return [posed_splats(scene, pose) for pose in probe_poses(scene.skeleton.names)]
+        return scene.take(usable)
+    return posed_splats(scene, pose or Pose.zero(len(scene.skeleton))).take(usable)
 
 
-def _views(poses: Sequence[Splats], directions: F64, size: int) -> Iterator[tuple[Splats, Camera]]:
-    """Each pose from each direction, from so far that the way to the eye is nearly one direction."""
-    for posed in poses:
-        points = posed.means.astype(np.float64)
-        centre = (points.max(axis=0) + points.min(axis=0)) / 2
-        radius = max(float(np.linalg.norm(points - centre, axis=1).max()), 1e-6)
-        K = pinhole(size, size, float(2 * np.degrees(np.arctan(1 / _FAR))))
-        for direction in directions:
-            viewmat = look_at(centre + direction * _FAR * radius, centre)
-            yield posed, Camera(viewmat, K, size, size, near=1e-3 * radius, far=1e3 * radius)
+def _far_camera(posed: Splats, direction: F64, size: int) -> Camera:
+    """From so far that the way to the eye is nearly one direction; the sphere around all fills the picture."""
+    points = posed.means.astype(np.float64)
+    centre = (points.max(axis=0) + points.min(axis=0)) / 2
+    radius = max(float(np.linalg.norm(points - centre, axis=1).max()), 1e-6)
+    K = pinhole(size, size, _fov(_FAR))
+    viewmat = look_at(centre + direction * _FAR * radius, centre)
+    return Camera(viewmat, K, size, size, near=1e-3 * radius, far=1e3 * radius)
+
+
+def _fov(far: float) -> float:
+    """Degrees that show a sphere from ``far`` radii, and the splats on its rim."""
+    return float(2 * np.degrees(np.arctan(np.tan(np.arcsin(1 / far)) / _FILL)))
+
+
+def _near_camera(posed: Splats, direction: F64, rng: np.random.Generator, size: int) -> Camera:
+    """From where somebody looks who goes around it; the sphere around all fills the picture."""
+    points = posed.means.astype(np.float64)
+    centre = (points.max(axis=0) + points.min(axis=0)) / 2
+    radius = max(float(np.linalg.norm(points - centre, axis=1).max()), 1e-6)
+    far = rng.uniform(*_NEAR)
+    viewmat = look_at(centre + direction * far * radius, centre)
+    K = pinhole(size, size, _fov(far))
+    return Camera(viewmat, K, size, size, near=1e-3 * radius, far=1e3 * radius)
 
 
 def _axes(posed: Splats) -> F64:
@@ -158,19 +319,11 @@ def _ways(posed: Splats, eye: F64) -> F64:
     return np.asarray(np.einsum("nij,ni->nj", _axes(posed), way), np.float64)
 
 
-def _footprints(posed: Splats, camera: Camera, eps2d: float) -> Footprints:
+def _colours(posed: Splats) -> F64:
+    return np.asarray(np.clip(posed.sh[:, 0].astype(np.float64) * SH_C0 + 0.5, 0, 1))
+
+
+def _footprints(posed: Splats, camera: Camera, eps2d: float, antialias: bool = False) -> Footprints:
     scales, opacities = np.abs(posed.scales.astype(np.float64)), np.clip(posed.opacities.astype(np.float64), 0, 1)
-    return footprints(posed.means.astype(np.float64), _axes(posed), scales, opacities, camera, eps2d=eps2d)
-
-
-def _weights(prints: Footprints) -> F64:
-    """[N] how many pixels of the picture each splat makes."""
-    return np.bincount(prints.splat, prints.alpha * prints.transmittance, prints.count).astype(np.float64)
-
-
-def _psnr(posed: Splats, eye: F64, prints: Footprints) -> float:
-    """Of the picture without the hidden splats against the whole one, base colours."""
-    rgb = np.clip(posed.sh[:, 0].astype(np.float64) * SH_C0 + 0.5, 0, 1)
-    kept = reference.lifted(prints.without(hidden(posed, [eye])).picture(rgb), (0.0, 0.0, 0.0))
-    square = (kept - prints.picture(rgb))[..., :3] ** 2
-    return float(-10 * np.log10(max(square.mean(), 1e-16)))
+    means = posed.means.astype(np.float64)
+    return footprints(means, _axes(posed), scales, opacities, camera, eps2d=eps2d, antialias=antialias)

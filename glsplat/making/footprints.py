@@ -8,15 +8,15 @@ constant under a moving mean.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.camera import Camera
-from glsplat.reference import dilated_covariances, jacobians
+from glsplat.reference import AA_FLOOR, dilated_covariances, jacobians
 
-__all__ = ["Footprints", "SplatGradients", "footprints"]
+__all__ = ["Footprints", "SplatGradients", "footprints", "transmittance"]
 
 F64 = NDArray[np.float64]
 
@@ -49,6 +49,7 @@ class Footprints:
     axes: F64  # [N, 2, 3] principal axes of the splat (unit, without scales) on the screen
     count: int
     shape: tuple[int, int]
+    compensation: F64 | None = None  # [N, 2, 2] slope of its logarithm by the covariance; None: drawn without
 
     def picture(self, rgb: F64) -> F64:
         """Premultiplied RGBA [H, W, 4] over nothing."""
@@ -57,13 +58,6 @@ class Footprints:
         columns = [np.bincount(self.pixel, weight * c[self.splat], minlength=size) for c in rgb.T]
         columns.append(np.bincount(self.pixel, weight, minlength=size))
         return np.stack(columns, axis=1).reshape(*self.shape, 4).astype(np.float64)
-
-    def without(self, hidden: NDArray[np.bool_]) -> Footprints:
-        """The same view as if the splats marked in ``hidden`` [N] were not there."""
-        kept = ~hidden[self.splat]
-        splat, pixel, alpha = self.splat[kept], self.pixel[kept], self.alpha[kept]
-        passed = _transmittance(pixel, alpha)
-        return replace(self, splat=splat, pixel=pixel, alpha=alpha, transmittance=passed, offset=self.offset[:, kept])
 
     def backward(self, by_picture: F64, rgb: F64, opacities: F64, scales: F64) -> SplatGradients:
         """Gradients by the splats from the gradient [H, W, 4] by the picture."""
@@ -91,6 +85,8 @@ class Footprints:
         outer = np.stack([sums[2], sums[3], sums[3], sums[4]], axis=1).reshape(n, 2, 2)
         conic = np.stack([a, b, b, c], axis=1).reshape(n, 2, 2)
         by_cov = 0.5 * conic @ outer @ conic
+        if self.compensation is not None:
+            by_cov += np.bincount(self.splat, by_exponent, minlength=n)[:, None, None] * self.compensation
         by_scale2 = np.einsum("nik,nij,njk->nk", self.axes, by_cov, self.axes)
         # covariance = A S^2 A^T with A the axes: turning axis i towards j changes it by their products
         mixed = np.einsum("nki,nkl,nlj->nij", self.axes, by_cov, self.axes) * 2
@@ -116,10 +112,12 @@ def footprints(
     camera: Camera,
     beyond: F64 | None = None,
     eps2d: float = EPS2D,
+    antialias: bool = False,
 ) -> Footprints:
     """Project splats (means [N, 3], rotations [N, 3, 3], scales [N, 3], opacities [N]) and list what they cover.
 
-    ``beyond`` [H, W] leaves out, pixel by pixel, splats whose camera z is larger. ``eps2d``: the dilation, px^2.
+    ``beyond`` [H, W] leaves out, pixel by pixel, splats whose camera z is larger. ``eps2d``: the dilation, px^2;
+    ``antialias`` takes back from the opacity what it adds to the area (RenderConfig.antialias).
     """
     view, shift = camera.viewmat[:3, :3], camera.viewmat[:3, 3]
     width, height = camera.width, camera.height
@@ -129,8 +127,14 @@ def footprints(
     z = np.where(visible, depth, 1.0)
     to_pixels = jacobians(x, y, z, camera) @ view
     axes = to_pixels @ rotations
-    a, b, c, _, det = dilated_covariances(axes * scales[:, None, :], eps2d)
+    a, b, c, sharp, det = dilated_covariances(axes * scales[:, None, :], eps2d)
     conic = np.stack([c, -b, a], axis=1) / det[:, None]
+    slope = None
+    if antialias:
+        kept = sharp / det
+        opacities = opacities * np.sqrt(np.maximum(kept, AA_FLOOR))
+        inverse = np.stack([c - eps2d, -b, -b, a - eps2d], axis=1) / np.maximum(sharp, 1e-30)[:, None]
+        slope = 0.5 * np.where(kept[:, None] > AA_FLOOR, inverse - conic[:, [0, 1, 1, 2]], 0.0).reshape(-1, 2, 2)
     u, v = fx * x / z + cx, fy * y / z + cy
     extent = np.minimum(MAX_SIGMA, np.sqrt(2 * np.log(np.maximum(opacities / ALPHA_MIN, 1))))
     left, right = _span(u, extent * np.sqrt(a), width)
@@ -154,11 +158,12 @@ def footprints(
     group = np.argsort(pixel, kind="stable")  # keeps near to far inside a pixel
     splat, alpha, pixel = splat[group], alpha[group], pixel[group]
     offset = np.stack([dx[group], dy[group]])
-    transmittance = _transmittance(pixel, alpha)
-    return Footprints(splat, pixel, alpha, transmittance, offset, conic, to_pixels, axes, len(means), (height, width))
+    passed = transmittance(pixel, alpha)
+    shape = (height, width)
+    return Footprints(splat, pixel, alpha, passed, offset, conic, to_pixels, axes, len(means), shape, slope)
 
 
-def _transmittance(pixel: NDArray[np.int64], alpha: F64) -> F64:
+def transmittance(pixel: NDArray[np.int32] | NDArray[np.int64], alpha: F64) -> F64:
     """[E] what passes the pairs in front, for pairs grouped by pixel, near to far."""
     log_pass = np.log1p(-alpha)
     before = np.cumsum(log_pass) - log_pass

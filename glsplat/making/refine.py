@@ -23,7 +23,7 @@ from glsplat.rotations import nearest_rotations
 from glsplat.skinning.pose import Pose
 from glsplat.splats import SH_C0, Splats
 
-__all__ = ["RefineConfig", "refine"]
+__all__ = ["Fit", "RefineConfig", "falling", "random_pose", "refine"]
 
 F64 = NDArray[np.float64]
 
@@ -46,7 +46,7 @@ class RefineConfig:
     max_growth: float = 0.9  # natural logarithm of the scale, either way
 
 
-class _Adam:
+class Adam:
     """Adam that leaves alone what a step did not see (rows with no gradient)."""
 
     def __init__(self, value: F64, rate: float) -> None:
@@ -65,6 +65,77 @@ class _Adam:
         self.value[seen] -= self.rate * decay * mean / (np.sqrt(power) + 1e-20)
 
 
+class Fit:
+    """An avatar's splats while they are moved, turned, scaled and coloured; SH degree 0."""
+
+    def __init__(self, avatar: Avatar, config: RefineConfig) -> None:
+        self._avatar, self._config = avatar, config
+        splats = avatar.splats
+        self._start = splats.means.astype(np.float64)
+        self._log_start = np.log(splats.scales.astype(np.float64))
+        self._cell = np.exp(self._log_start[:, :2].mean(axis=1, keepdims=True))
+        self._rest = Rotation.from_quat(splats.quats[:, [1, 2, 3, 0]].astype(np.float64)).as_matrix()
+        self._shift = Adam(np.zeros_like(self._start), config.mean_rate)
+        self._growth = Adam(np.zeros_like(self._start), config.scale_rate)
+        self._turn = Adam(np.zeros_like(self._start), config.turn_rate)
+        opacity = np.clip(splats.opacities.astype(np.float64), 0.02, 0.985)
+        self._logit = Adam(np.log(opacity / (1 - opacity)), config.opacity_rate)
+        self._color = Adam(np.clip(splats.sh[:, 0].astype(np.float64) * SH_C0 + 0.5, 0, 1), config.color_rate)
+        self._joints, self._weights = avatar.skin.joints.astype(np.int64), avatar.skin.weights.astype(np.float64)
+
+    def descend(
+        self,
+        pose: Pose,
+        camera: Camera,
+        loss: Callable[[F64], F64],
+        decay: float,
+        beyond: F64 | None = None,
+        antialias: bool = False,
+    ) -> None:
+        """One step down the slope [H, W, 4] that ``loss`` gives for the picture (premultiplied RGBA) from there.
+
+        ``decay`` is the share of the full rates; ``beyond`` and ``antialias`` as of footprints().
+        """
+        bones = np.einsum("nk,nkij->nij", self._weights, pose.bones(self._avatar.skeleton)[self._joints])
+        scales = np.exp(self._log_start + self._growth.value)
+        alpha = 1 / (1 + np.exp(-self._logit.value))
+        at = self._start + self._shift.value * self._cell
+        means = np.einsum("nij,nj->ni", bones[:, :, :3], at) + bones[:, :, 3]
+        turned = Rotation.from_rotvec(self._turn.value).as_matrix()
+        rotations = nearest_rotations(bones[:, :, :3]) @ self._rest @ turned
+        prints = footprints(means, rotations, scales, alpha, camera, beyond, antialias=antialias)
+        grad = prints.backward(loss(prints.picture(self._color.value)), self._color.value, alpha, scales)
+        seen = grad.weight > 0.05
+        by_shift = np.einsum("nij,ni->nj", bones[:, :, :3], grad.means) * self._cell
+        self._shift.step(by_shift, seen, decay)
+        self._growth.step(grad.log_scales, seen, decay)
+        self._turn.step(grad.turns, seen, decay)
+        self._logit.step(grad.opacities * alpha * (1 - alpha), seen, decay)
+        self._color.step(grad.rgb, seen, decay)
+        self._bound()
+
+    def _bound(self) -> None:
+        config, shift, growth = self._config, self._shift.value, self._growth.value
+        shift *= np.minimum(1, config.max_shift / np.maximum(np.linalg.norm(shift, axis=1, keepdims=True), 1e-9))
+        np.clip(growth, -config.max_growth, config.max_growth, out=growth)
+        np.clip(self._turn.value, -config.max_turn, config.max_turn, out=self._turn.value)
+        np.clip(self._logit.value, -3.0, 4.6, out=self._logit.value)
+        np.clip(self._color.value, 0, 1, out=self._color.value)
+
+    def avatar(self) -> Avatar:
+        """As it is now."""
+        turned = Rotation.from_matrix(self._rest) * Rotation.from_rotvec(self._turn.value)
+        fitted = Splats.create(
+            self._start + self._shift.value * self._cell,
+            turned.as_quat()[:, [3, 0, 1, 2]],
+            np.exp(self._log_start + self._growth.value),
+            1 / (1 + np.exp(-self._logit.value)),
+            rgb=self._color.value,
+            antialias=self._avatar.splats.antialias,
+        )
+        return replace(self._avatar, splats=fitted)
+
+
 def refine(
     avatar: Avatar,
     mesh: RiggedMesh,
@@ -75,66 +146,33 @@ def refine(
     """The avatar with its splats fitted to ``mesh``; SH degree 0. Deterministic in ``seed``."""
     config = config or RefineConfig()
     rng = np.random.default_rng(seed)
-    splats = avatar.splats
-    start = splats.means.astype(np.float64)
-    log_start = np.log(splats.scales.astype(np.float64))
-    cell = np.exp(log_start[:, :2].mean(axis=1, keepdims=True))
-    rest = Rotation.from_quat(splats.quats[:, [1, 2, 3, 0]].astype(np.float64)).as_matrix()
-    shift = _Adam(np.zeros_like(start), config.mean_rate)
-    growth = _Adam(np.zeros_like(start), config.scale_rate)
-    turn = _Adam(np.zeros_like(start), config.turn_rate)
-    opacity = np.clip(splats.opacities.astype(np.float64), 0.02, 0.985)
-    logit = _Adam(np.log(opacity / (1 - opacity)), config.opacity_rate)
-    color = _Adam(np.clip(splats.sh[:, 0].astype(np.float64) * SH_C0 + 0.5, 0, 1), config.color_rate)
-    joints, weights = avatar.skin.joints.astype(np.int64), avatar.skin.weights.astype(np.float64)
-
+    fit = Fit(avatar, config)
     for step in range(config.steps):
         if progress:
             progress("fitting to pictures", step / config.steps)
-        pose = _random_pose(avatar.skeleton.names, rng)
+        pose = random_pose(avatar.skeleton.names, rng)
         vertices = mesh.posed(pose)
         camera = _random_camera(mesh, vertices, config.size, rng)
         target, depth = mesh_picture_and_depth(mesh, vertices, camera, 2)
-        bones = np.einsum("nk,nkij->nij", weights, pose.bones(avatar.skeleton)[joints])
-        scales = np.exp(log_start + growth.value)
-        alpha = 1 / (1 + np.exp(-logit.value))
-        means = np.einsum("nij,nj->ni", bones[:, :, :3], start + shift.value * cell) + bones[:, :, 3]
-        rotations = nearest_rotations(bones[:, :, :3]) @ rest @ Rotation.from_rotvec(turn.value).as_matrix()
-        prints = footprints(means, rotations, scales, alpha, camera, depth + config.layer)
-        by_picture = 2 * (prints.picture(color.value) - target)
-        by_picture[..., 3] *= config.alpha_weight
         # a splat has more pixels in a close-up, and would listen to those only; by surface area, it would hear the
         # distant views only and shrink to make up for the renderer's dilation there. In between, both look right.
         shown = depth[np.isfinite(depth)]
-        by_picture *= np.median(shown) / camera.K[0, 0] if len(shown) else 0.0
-        grad = prints.backward(by_picture, color.value, alpha, scales)
-        seen = grad.weight > 0.05
-        decay = 0.05 ** max(0.0, 1.6 * step / config.steps - 0.6)
-        by_shift = np.einsum("nij,ni->nj", bones[:, :, :3], grad.means) * cell
-        shift.step(by_shift, seen, decay)
-        growth.step(grad.log_scales, seen, decay)
-        turn.step(grad.turns, seen, decay)
-        logit.step(grad.opacities * alpha * (1 - alpha), seen, decay)
-        color.step(grad.rgb, seen, decay)
-        length = np.linalg.norm(shift.value, axis=1, keepdims=True)
-        shift.value *= np.minimum(1, config.max_shift / np.maximum(length, 1e-9))
-        np.clip(growth.value, -config.max_growth, config.max_growth, out=growth.value)
-        np.clip(turn.value, -config.max_turn, config.max_turn, out=turn.value)
-        np.clip(logit.value, -3.0, 4.6, out=logit.value)
-        np.clip(color.value, 0, 1, out=color.value)
+        share = float(np.median(shown)) / camera.K[0, 0] if len(shown) else 0.0
+        weight = np.array([1, 1, 1, config.alpha_weight])
 
-    fitted = Splats.create(
-        start + shift.value * cell,
-        (Rotation.from_matrix(rest) * Rotation.from_rotvec(turn.value)).as_quat()[:, [3, 0, 1, 2]],
-        np.exp(log_start + growth.value),
-        1 / (1 + np.exp(-logit.value)),
-        rgb=color.value,
-        antialias=splats.antialias,
-    )
-    return replace(avatar, splats=fitted)
+        def slope(picture: F64, target: F64 = target, by: F64 = weight, share: float = share) -> F64:
+            return 2 * (picture - target) * by * share
+
+        fit.descend(pose, camera, slope, falling(step / config.steps), depth + config.layer)
+    return fit.avatar()
 
 
-def _random_pose(names: tuple[str, ...], rng: np.random.Generator) -> Pose:
+def falling(done: float) -> float:
+    """Share of the full rates when ``done`` of the steps lie behind: all of it at first, a twentieth at last."""
+    return float(0.05 ** max(0.0, 1.6 * done - 0.6))
+
+
+def random_pose(names: tuple[str, ...], rng: np.random.Generator) -> Pose:
     """Arms anywhere between hanging and raised, one pose in three sits deep, joints bent the way they bend."""
     index = {name: i for i, name in enumerate(names)}
     if "left_shoulder" not in index or "right_shoulder" not in index:

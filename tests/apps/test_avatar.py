@@ -7,10 +7,14 @@ from pathlib import Path
 import glsplat_apps.cli as cli
 import numpy as np
 import pytest
+from glsplat_apps.avatar import fitted
+from glsplat_apps.avatar.fitted import counts_of
 
 from glsplat.avatar import Avatar
 from glsplat.data import default_avatar
 from glsplat.formats import FORMATS, load, save
+from glsplat.making.cones import ConeConfig
+from glsplat.making.detail.fitted import FittedConfig
 from glsplat.making.surface import SamplerConfig
 from tests.formats.scenes import random_avatar
 
@@ -68,6 +72,8 @@ def person(tmp_path_factory) -> Path:
 
 def test_make_import_export(person, tmp_path, monkeypatch, capsys):
     monkeypatch.setitem(SamplerConfig.__init__.__kwdefaults__, "probe", 96)  # a box is seen as well by fewer rays
+    for name, value in {"size": 48, "test_size": 64, "tests": 3, "choosing": 3}.items():
+        monkeypatch.setitem(ConeConfig.__init__.__kwdefaults__, name, value)
     out = tmp_path / "a.glb"
     words = ["avatar", "make", str(person), "-o", str(out), "--splats", "200", "--steps", "2", "--json", "--no-cones"]
     assert cli.main([*words, "--licence", "CC0-1.0"]) == 0
@@ -101,6 +107,26 @@ def test_make_import_export(person, tmp_path, monkeypatch, capsys):
     assert load(bound).skin.dense(2) == pytest.approx(avatar.skin.dense(2), abs=0.1)
 
 
+@pytest.mark.gl
+def test_levels_are_made_with_the_avatar(person, tmp_path, monkeypatch, capsys):
+    monkeypatch.setitem(SamplerConfig.__init__.__kwdefaults__, "probe", 96)
+    monkeypatch.setitem(FittedConfig.__init__.__kwdefaults__, "steps", 6)
+    monkeypatch.setattr(fitted, "KEPT", 20.0)  # what boxes of so few splats keep
+    out = tmp_path / "a.glb"
+    words = ["avatar", "make", str(person), "-o", str(out), "--splats", "400", "--steps", "0", "--no-cones"]
+    assert cli.main([*words, "--levels", "200"]) == 0
+    (level,) = load(out).levels
+    assert len(level.content.splats) == 200 and level.density > 0 and level.psnr >= 20
+    capsys.readouterr()
+    assert cli.main([*words, "--levels", "none"]) == 0
+    assert load(out).levels == ()
+
+
+def test_the_default_levels_are_halves():
+    assert counts_of(None, 40_000) == (20_000, 10_000, 5_000) and counts_of(None, 9_999) == ()
+    assert counts_of(["none"], 40_000) == counts_of(["0"], 40_000) == ()
+
+
 def test_motions(tmp_path, capsys):
     assert cli.main(["avatar", "motions", "-o", str(tmp_path)]) == 0
     for name in ("idle", "walk", "wave-and-turn"):
@@ -114,6 +140,13 @@ def test_motions(tmp_path, capsys):
         (["make", "{person}", "-o", "a.ply"], "written as .glb"),
         (["make", "{person}", "-o", "a.glb", "--steps", "-1"], "--steps"),
         (["make", "{person}", "-o", "a.glb", "--splats", "3"], "at least 100"),
+        (
+            ["make", "{person}", "-o", "a.glb", "--levels", "40000"],
+            "--levels needs falling numbers of splats below 40000",
+        ),
+        (["make", "{person}", "-o", "a.glb", "--levels", "200", "300"], "not 200 300"),
+        (["make", "{person}", "-o", "a.glb", "--levels", "99"], "none under 100"),
+        (["make", "{person}", "-o", "a.glb", "--levels", "few"], "not few"),
         (["cones", "{avatar}", "-o", "a.ply"], "written as .glb"),
         (["cones", "{avatar}", "-o", "a.glb", "--psnr", "0"], "--psnr"),
         (["cones", "{avatar}", "-o", "a.glb", "--directions", "7"], "--directions"),

@@ -150,7 +150,8 @@ def scene(rng, n=16):
     }
 
 
-def test_footprints_make_the_contract_picture(avatar):
+@pytest.mark.parametrize("antialias", [False, True])
+def test_footprints_make_the_contract_picture(avatar, antialias):
     camera = Camera(look_at((0.6, 1.3, 0.8), (0, 1, 0)), pinhole(64, 48, 35), 64, 48)
     splats = avatar.splats
     rgb = np.maximum(splats.sh[:, 0].astype(np.float64) * SH_C0 + 0.5, 0)
@@ -160,8 +161,9 @@ def test_footprints_make_the_contract_picture(avatar):
         splats.scales.astype(np.float64),
         splats.opacities.astype(np.float64),
         camera,
+        antialias=antialias,
     ).picture(rgb)
-    truth = reference.render(splats, [camera], config=RenderConfig(antialias=False))[0]
+    truth = reference.render(splats, [camera], config=RenderConfig(antialias=antialias))[0]
     assert ours == pytest.approx(truth, abs=1e-6)
 
 
@@ -179,14 +181,15 @@ def test_what_lies_beyond_a_depth_is_left_out(avatar):
     assert ours == pytest.approx(front.picture(np.ones((front.count, 3))), abs=1e-9)
 
 
-def test_gradients_are_finite_differences(rng):
+@pytest.mark.parametrize("antialias", [False, True])
+def test_gradients_are_finite_differences(rng, antialias):
     values, rotations = scene(rng), Rotation.random(16, random_state=1).as_matrix()
     camera = Camera(look_at((0, 0, 6), (0, 0, 0)), pinhole(48, 40, 15), 48, 40)
     by_picture = rng.normal(size=(40, 48, 4))
 
     def draw(v):
         turned = rotations @ Rotation.from_rotvec(v["turns"]).as_matrix()
-        return footprints(v["means"], turned, np.exp(v["log_scales"]), v["opacities"], camera)
+        return footprints(v["means"], turned, np.exp(v["log_scales"]), v["opacities"], camera, antialias=antialias)
 
     gradients = draw(values).backward(by_picture, values["rgb"], values["opacities"], np.exp(values["log_scales"]))
     for key in values:

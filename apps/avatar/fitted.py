@@ -1,0 +1,55 @@
+"""``glsplat avatar make --levels``: which levels of detail are asked for, and the avatar with them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from itertools import pairwise
+
+from glsplat.avatar import Avatar
+from glsplat.making.cones import with_cones
+from glsplat.making.detail.fitted import fitted_levels
+from glsplat.making.detail.measure import MeasureConfig, measured
+from glsplat.making.surface import FEWEST
+from glsplat.meshes import RiggedMesh
+
+from ..usage import UsageError
+
+__all__ = ["COARSEST", "counts_of", "with_fitted_levels"]
+
+COARSEST = 5000
+"""Splats below which no level is made unless it is asked for."""
+
+KEPT = 38.0
+"""dB that the worst picture of a level keeps against the finest, over the box around the person, where it is used."""
+
+
+def counts_of(asked: Sequence[str] | None, splats: int) -> tuple[int, ...]:
+    """Splats of the levels below ``splats``: halves down to COARSEST for None, none for ``none``. Raises UsageError."""
+    if asked is None:
+        halves = [splats >> k for k in range(1, 32)]
+        return tuple(half for half in halves if half >= COARSEST)
+    if list(asked) in (["none"], ["0"]):
+        return ()
+    counts = [int(word) if word.isascii() and word.isdigit() else 0 for word in asked]
+    if not counts or min(counts) < FEWEST or any(few >= many for many, few in pairwise((splats, *counts))):
+        raise UsageError(
+            f"--levels needs falling numbers of splats below {splats}, none under {FEWEST}, or none; "
+            f"not {' '.join(asked) or 'nothing'}"
+        )
+    return tuple(counts)
+
+
+def with_fitted_levels(
+    avatar: Avatar,
+    mesh: RiggedMesh,
+    counts: Sequence[int],
+    seed: int,
+    cones: bool,
+    progress: Callable[[str, float], None] | None = None,
+) -> Avatar:
+    """The avatar with levels fitted to it and ``mesh``, each with ``cones`` where asked for, and its density."""
+    levels = fitted_levels(avatar, counts, mesh, seed, progress=progress)
+    if cones:
+        levels = tuple(with_cones(level, progress=progress) for level in levels)
+    return replace(avatar, levels=measured(avatar, levels, MeasureConfig(psnr=KEPT), progress))
