@@ -284,3 +284,13 @@ def test_config_refuses_what_is_no_level(value: Any) -> None:
 def test_config_refuses_what_is_no_bias(value: Any) -> None:
     with pytest.raises(GlsplatError, match="lod_bias"):
         RenderConfig(lod_bias=value)
+
+
+@pytest.mark.gl
+@pytest.mark.parametrize("value", [1e5, -1e5, np.nan, "1"])
+def test_a_view_refuses_what_is_no_bias(renderer_of: Make, value: Any) -> None:
+    renderer = renderer_of(leveled(), level="auto")
+    with pytest.raises(GlsplatError, match="lod_bias"):
+        renderer.render([seen_from(5.0)], lod_bias=value)
+    renderer.render([seen_from(5.0)], lod_bias=-8)
+    assert renderer.stats.levels == (2,)
