@@ -189,8 +189,8 @@ class Renderer:
         for PNG files and image libraries. float32 (unclipped) or uint8 by ``config.output``. With ``depth`` also
         [V, H, W] float32: camera z in metres, the mean of what a pixel shows by its weight in the picture, meshes
         included; 0 where alpha is 0. The arrays are new with each call, but for ``out``. Raises PoseError for a pose
-        that does not fit, GlsplatError for cameras of another size or a ``lod_bias`` beyond 8, BudgetError for a picture beyond its budget: the
-        next one is drawn as if it had not been asked for.
+        that does not fit, GlsplatError for cameras of another size or a ``lod_bias`` beyond 8, BudgetError for a
+        picture beyond its budget: the next one is drawn as if it had not been asked for.
         """
         order = None if sort_viewmat is None else own(sort_viewmat, np.float64, "sort_viewmat", GlsplatError)
         if order is not None and not (order.shape == (4, 4) and np.isfinite(order).all()):
