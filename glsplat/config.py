@@ -10,13 +10,16 @@ import numpy as np
 from glsplat.arrays import count, number
 from glsplat.errors import GlsplatError
 
-__all__ = ["CULL_PSNR", "LEAN", "MAX_LEVELS", "RenderConfig"]
+__all__ = ["CULL_PSNR", "LEAN", "MAX_BIAS", "MAX_LEVELS", "RenderConfig"]
 
 CULL_PSNR = 45.0
 """Decibels that pictures keep at worst without the splats that ``cull_hidden="auto"`` leaves out."""
 
 MAX_LEVELS = 16
 """Levels of detail of one thing, at most."""
+
+MAX_BIAS = 8.0
+"""Halvings of lod_bias either way, at most."""
 
 Target = Literal["auto", "8", "16f", "32f"]
 Output = Literal["float32", "uint8"]
@@ -97,8 +100,8 @@ class RenderConfig:
             raise GlsplatError(f"sort_period needs 1 to 1000 frames, not {self.sort_period}")
         if not -2 <= self.cull_margin <= 2:
             raise GlsplatError(f"cull_margin needs -2 to 2, not {self.cull_margin:g}")
-        if not -8 <= self.lod_bias <= 8:
-            raise GlsplatError(f"lod_bias needs -8 to 8, not {self.lod_bias:g}")
+        if not -MAX_BIAS <= self.lod_bias <= MAX_BIAS:
+            raise GlsplatError(f"lod_bias needs -{MAX_BIAS:g} to {MAX_BIAS:g}, not {self.lod_bias:g}")
         if not 0 <= self.eps2d <= 100:
             raise GlsplatError(f"eps2d needs 0 to 100 px^2, not {self.eps2d:g}")
         if not 0 < self.max_sigma <= 3.33:
@@ -117,4 +120,4 @@ def _is_switch(value: object) -> bool:
 
 
 LEAN = RenderConfig(cull_hidden="auto", level="auto")
-"""What ``serve``, ``preview`` and ``replay`` draw with unless they are told ``--exact``: what can be told apart."""
+"""What ``serve``, ``preview`` and ``demo`` draw with unless they are told ``--exact``: what can be told apart."""

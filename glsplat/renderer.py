@@ -14,9 +14,9 @@ from typing import Any, Literal, overload
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from glsplat.arrays import own
+from glsplat.arrays import number, own
 from glsplat.camera import Camera, passes_of, sorting_camera
-from glsplat.config import RenderConfig
+from glsplat.config import MAX_BIAS, RenderConfig
 from glsplat.errors import ContextError, GlsplatError
 from glsplat.gl.context import Context, create_context
 from glsplat.gl.owner import Entry, abandon
@@ -181,7 +181,7 @@ class Renderer:
         depth: bool = False,  # return expected depths beside the images
         out: NDArray[Any] | None = None,  # [V, H, W, 4] where the images go; default: a new array
         viewer: Hashable = None,  # who looks, where several do in turn: their levels of detail are kept apart
-        lod_bias: float = 0.0,  # added to that of the config
+        lod_bias: float = 0.0,  # added to that of the config; -8 to 8
     ) -> NDArray[Any] | tuple[NDArray[Any], NDArray[np.float32]]:
         """The images [V, H, W, 4], row 0 at the top: RGB over the background and accumulated alpha.
 
@@ -189,12 +189,15 @@ class Renderer:
         for PNG files and image libraries. float32 (unclipped) or uint8 by ``config.output``. With ``depth`` also
         [V, H, W] float32: camera z in metres, the mean of what a pixel shows by its weight in the picture, meshes
         included; 0 where alpha is 0. The arrays are new with each call, but for ``out``. Raises PoseError for a pose
-        that does not fit, GlsplatError for cameras of another size, BudgetError for a picture beyond its budget: the
-        next one is drawn as if it had not been asked for.
+        that does not fit, GlsplatError for cameras of another size or a ``lod_bias`` beyond 8, BudgetError for a
+        picture beyond its budget: the next one is drawn as if it had not been asked for.
         """
         order = None if sort_viewmat is None else own(sort_viewmat, np.float64, "sort_viewmat", GlsplatError)
         if order is not None and not (order.shape == (4, 4) and np.isfinite(order).all()):
             raise GlsplatError("sort_viewmat needs 4x4 finite numbers")
+        lod_bias = number(lod_bias, "lod_bias", GlsplatError)
+        if not -MAX_BIAS <= lod_bias <= MAX_BIAS:
+            raise GlsplatError(f"lod_bias needs -{MAX_BIAS:g} to {MAX_BIAS:g}, not {lod_bias:g}")
         cameras = self._views(cameras)
         with self._entered("render"):
             self._begin(pose, cameras, viewer, lod_bias)
@@ -237,7 +240,8 @@ class Renderer:
                     pair.copy_layer(self.context.ctx, batch[0], target)
                     target = pair
                 self._count(pipeline)
-            target.lift = views[0].background if pipeline.variant.cull_hidden else None
+            lifted = pipeline.variant.cull_hidden
+            target.lift = tuple(camera.background for camera in cameras) if lifted else None
             self.timer.stop()
             return target
 

@@ -163,6 +163,8 @@ def _check_connect(args: argparse.Namespace) -> None:
                 raise UsageError(f"--{name.replace('_', '-')} goes with --connect; without a server, see --motion")
     elif args.background is not None:
         raise UsageError("--background does not go with --connect: a server's pictures are on black")
+    elif detail_of(args) != detail_of(argparse.Namespace(level=None, lod_bias=None, cull_hidden=False, exact=False)):
+        raise UsageError("--level, --lod-bias, --cull-hidden and --exact do not go with --connect: a server decides")
     if args.quality is not None and not 1 <= args.quality <= 100:
         raise UsageError(f"--quality needs 1 to 100, not {args.quality}")
 

@@ -32,9 +32,9 @@ _RIM = 0.25  # of a cosine, over which points fade beyond the corners of the pic
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Proxy:
-    """At most 256 points that stand for the splats of a scene or an avatar, in its own space.
+    """A few points that stand for the splats of a scene (at most 256) or an avatar, in its own space.
 
-    Those of an avatar are fewer, and each moves with one joint.
+    Those of an avatar each move with one joint: 96, and at least one a joint that moves splats.
 
     >>> proxy = Proxy.of(glsplat.default_avatar())
     >>> camera = glsplat.Camera(glsplat.look_at((0, 0, 4), (0, 0, 0)), glsplat.pinhole(1024, 1024, 90), 1024, 1024)

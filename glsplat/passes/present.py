@@ -70,7 +70,7 @@ class Present:
             self._text.use(_TEXT_UNIT)
             values |= {"text": _TEXT_UNIT, "text_box": self._box}
         if target.lift is not None:
-            values["background"] = target.lift
+            values |= {"first_background": target.lift[0], "second_background": target.lift[-1]}
         array = self._array(int(layout == "anaglyph" and views > 1), int(has_text), int(target.lift is not None))
         for name, value in values.items():
             uniform = array.program.get(name, None)

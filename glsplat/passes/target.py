@@ -37,7 +37,8 @@ class Target:
     ) -> None:
         self.shape: tuple[int, int, int, int] = (views, height, width, 4)
         self.numpy_dtype: np.dtype[Any] = np.dtype(_NUMPY[dtype])
-        self.lift: tuple[float, float, float] | None = None  # background, where hidden splats were left out (lift.glsl)
+        # background of each layer, where hidden splats were left out (lift.glsl)
+        self.lift: tuple[tuple[float, float, float], ...] | None = None
         with ExitStack() as stack:  # releases what was made if a later allocation fails
             self.texture: moderngl.TextureArray = ctx.texture_array((width, height, views), 4, dtype=dtype)
             stack.callback(self.texture.release)

@@ -8,14 +8,14 @@ uniform ivec4 text_box; // left, top, width, height
 #endif
 #if LIFTED
 #include "lift.glsl"
-uniform vec3 background;
+uniform vec3 first_background, second_background; // of the layers
 #endif
 out vec4 fragment;
 
 vec4 texel(int x, int y, int view) {
     vec4 colour = texelFetch(target, ivec3(x, y, view), 0);
 #if LIFTED
-    colour = lifted(colour, background);
+    colour = lifted(colour, view == 0 ? first_background : second_background);
 #endif
     return colour;
 }

@@ -109,3 +109,25 @@ def test_a_request_with_less_detail() -> None:
     assert FULL.of(request).cameras == request.cameras
     tiny = Camera(view.viewmat, pinhole(1, 1), 1, 1)
     assert Detail(0, SCALES[-1]).resized([tiny])[0].width == 1
+
+
+@pytest.mark.parametrize("others", [1, 8, 16])
+def test_those_who_hardly_ask_take_nothing_from_the_others(others: int) -> None:
+    """Somebody who opens many connections and asks each for a tiny picture a second costs what it costs."""
+    governor, cost, now, details = Governor(45), machine(0.015), 0.0, []
+    asked = [0.9 * number / others for number in range(others)]
+    while now < 20:
+        before, detail = now, governor.detail(1, now)
+        took = cost(detail, now)
+        now += took
+        governor.drawn(1, took, level_of(detail) == 3, now)
+        details.append(detail)
+        for number, due in enumerate(asked):
+            if now >= due:
+                governor.detail(2 + number, now)
+                now += 0.001
+                governor.drawn(2 + number, 0.001, True, now)
+                asked[number] = now + 0.9
+        now = max(now, before + 1 / 72)
+    assert {*details} == {FULL}
+    assert all(len(state.spent) < 80 for state in governor._states.values())  # of the last second

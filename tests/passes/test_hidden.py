@@ -259,7 +259,9 @@ def test_a_camera_inside_the_cone_sees_the_splat() -> None:
 def test_a_window_shows_lifted_pictures_too(renderer_of: Make, context: Context, layout: Layout) -> None:
     """What hidden splats shone through is put back there as it is in render()."""
     scene, size = coned(cloud(800)), (50, 50)
-    views = [replace(view, background=(0.1, 0.3, 0.2)) for view in eyes(size=50)][: 1 if layout == "mono" else 2]
+    behind = ((0.1, 0.3, 0.2), (0.9, 0.0, 0.6))
+    views = [replace(view, background=colour) for view, colour in zip(eyes(size=50), behind, strict=True)]
+    views = views[: 1 if layout == "mono" else 2]
     window = (100, 50) if layout == "side-by-side" else size
     rounded = renderer_of(scene, size=size, views=2, cull_hidden=True, output="uint8").render(views)
     renderer = renderer_of(scene, size=size, views=2, cull_hidden=True)

@@ -40,13 +40,13 @@ def density(thing: Splats | Avatar, distance: float) -> float:
 def leveled(degree: int = 0) -> Splats:
     """Three clouds that nobody could take for each other: the second one suffices from 4 m on, the third from 8."""
     fine, middle, coarse = (cloud(count, degree, seed) for seed, count in enumerate(COUNTS))
-    limits = density(coarse, 4), density(coarse, 8)
+    limits = density(fine, 4), density(fine, 8)
     return replace(fine, levels=(Level(middle, limits[0]), Level(coarse, limits[1])))
 
 
 def leveled_limb() -> Avatar:
     fine, coarse = limb(600), limb(150, seed=8)
-    return replace(fine, levels=(Level(replace(coarse, skeleton=fine.skeleton), density(coarse, 4)),))
+    return replace(fine, levels=(Level(replace(coarse, skeleton=fine.skeleton), density(fine, 4)),))
 
 
 @pytest.mark.parametrize(
@@ -284,3 +284,26 @@ def test_config_refuses_what_is_no_level(value: Any) -> None:
 def test_config_refuses_what_is_no_bias(value: Any) -> None:
     with pytest.raises(GlsplatError, match="lod_bias"):
         RenderConfig(lod_bias=value)
+
+
+@pytest.mark.gl
+@pytest.mark.parametrize("value", [1e5, -1e5, np.nan, "1"])
+def test_a_view_refuses_what_is_no_bias(renderer_of: Make, value: Any) -> None:
+    renderer = renderer_of(leveled(), level="auto")
+    with pytest.raises(GlsplatError, match="lod_bias"):
+        renderer.render([seen_from(5.0)], lod_bias=value)
+    renderer.render([seen_from(5.0)], lod_bias=-8)
+    assert renderer.stats.levels == (2,)
+
+
+@pytest.mark.gl
+def test_the_finest_says_how_densely_it_is_seen(renderer_of: Make) -> None:
+    """As where levels are measured; of one that is elsewhere, or that shows nothing, no density could be told."""
+    fine = cloud(800)
+    away = replace(cloud(100), means=(cloud(100).means + np.float32([0, 0, 50])).astype(np.float32))
+    unseen = replace(away, opacities=np.zeros_like(away.opacities))
+    for coarse in (away, unseen):
+        renderer = renderer_of(replace(fine, levels=(Level(coarse, density(fine, 4)),)), level="auto")
+        for distance, level in ((2.0, 0), (5.0, 1)):
+            renderer.render([seen_from(distance)])
+            assert renderer.stats.levels == (level,)

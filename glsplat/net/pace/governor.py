@@ -29,7 +29,7 @@ _FAR = 1.5  # times what there is time for
 _ROOM = 0.85  # of the time: what the next better step may be expected to take
 _HOLD, _LONGEST = 2.0, 60.0  # seconds before something comes back, at first and at most
 _EARLY = 5.0  # seconds within which too slow again means that it came back too early
-_SEEN = 1.0  # seconds: a viewer who asked for nothing since then takes no time
+_SEEN = 1.0  # seconds over which the time that a viewer takes is counted
 _DEARER = 2.0  # times, that a finer level costs at most
 
 
@@ -71,6 +71,13 @@ class _State:
     better: float | None = None  # when it last came back
     seen: float = 0.0
     coarsest: bool = False
+    spent: deque[tuple[float, float]] = field(default_factory=deque)  # when, and seconds, of the last _SEEN
+
+    def load(self, now: float) -> float:
+        """The part of the renderer's time that its pictures took lately."""
+        while self.spent and now - self.spent[0][0] > _SEEN:
+            self.spent.popleft()
+        return sum(seconds for _, seconds in self.spent) / _SEEN
 
 
 class Governor:
@@ -99,10 +106,13 @@ class Governor:
         if state is None:
             return
         state.times.append(seconds)
+        state.spent.append((now, seconds))
         state.coarsest = coarsest
         took = float(np.median(state.times))
-        viewers = sum(now - other.seen <= _SEEN for other in self._states.values())
-        excess = took * self.rate * max(1, viewers)  # of the time there is
+        own = took * self.rate
+        loads = {one: other.load(now) for one, other in self._states.items()}
+        # of the time there is: another viewer counts as much as this one, unless its pictures take little, small or few
+        excess = own + sum(min(own, _DEARER * load) for one, load in loads.items() if one != viewer)
         if len(state.times) < (_FEW if excess > _FAR else _LOOK):
             return
         state.took[state.steps, state.scale] = took

@@ -62,7 +62,7 @@ class LevelBuffers:
     def density(self, place: Placement, views: Sequence[Camera]) -> float:
         """Pixels a metre (of its own) at which the views show it, the densest counts; 0 where none shows it."""
         if self._proxy is None:
-            self._proxy = Proxy.of(self.contents[-1])  # the coarsest stands where the others do
+            self._proxy = Proxy.of(self.contents[0])  # by which its levels were measured (making.detail)
         to_world = None
         if not place.unmoved:
             to_world = np.eye(4)

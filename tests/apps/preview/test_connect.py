@@ -333,6 +333,8 @@ def test_the_command_shows_what_the_server_draws(
         (["--connect", "http://127.0.0.1:8000"], "expected ws://HOST:PORT/ws"),
         (["--connect", "ws://127.0.0.1:1"], "no server at ws://127.0.0.1:1/ws: start one with `glsplat serve`"),
         (["--connect", "ws://127.0.0.1:1", "--background=1,1,1"], "--background does not go with --connect"),
+        (["--connect", "ws://127.0.0.1:1", "--exact"], "--exact do not go with --connect"),
+        (["--connect", "ws://127.0.0.1:1", "--level", "2"], "--level, --lod-bias, --cull-hidden and"),
         (["--connect", "ws://127.0.0.1:1", "--quality=0"], "--quality needs 1 to 100"),
         (["--connect", "ws://127.0.0.1:1", "--token-file", "nowhere"], "nowhere: cannot read the token"),
         (["--recording"], "--recording goes with --connect"),
