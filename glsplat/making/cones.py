@@ -3,7 +3,8 @@
 About half of an avatar's splats face away from the eye or lie behind opaque ones. The avatar is looked at from all
 around, in a few poses, and every splat is told how much of each picture it makes. Its cone holds all directions from
 which that was more than a threshold: an axis, in the splat's own axes so that it turns with the skin, and the smallest
-cosine. The threshold is the largest that keeps pictures of other directions above a wanted PSNR.
+cosine. Pictures that were not looked at before then say what is missing, how much wider all cones have to be, and at
+last, others again, what is kept.
 """
 
 from __future__ import annotations
@@ -51,12 +52,12 @@ class ConeConfig:
     eps2d: float = 0.3  # px^2: at this size the dilation closes the surface, so that what is behind it counts as hidden
     psnr: float = 45.0  # decibels that pictures keep
     spare: float = 1.0  # decibels more that a picture keeps that was mended
-    wider: float = 0.06  # cosine by which all cones are widened at last, for what was not looked at
+    wider: Sequence[float] = (0.06, 0.15, 0.25, 0.35, 0.45, 0.55, 0.7, 0.9)  # cosines, to widen all cones by
     slack: float = 0.02  # cosine by which a cone is wider than the direction that it was widened for
     choosing: int = 8  # pictures that choose the threshold
     tests: int = 12  # pictures a round
     rounds: int = 3  # of mending, at most
-    test_size: int = 512  # pixels, square, that the sphere around the scene fills
+    test_size: int = 512  # pixels, square, that the scene fills
 
 
 def with_cones(scene: Scene, config: ConeConfig | None = None, progress: Progress | None = None) -> Scene:
@@ -65,8 +66,9 @@ def with_cones(scene: Scene, config: ConeConfig | None = None, progress: Progres
     A splat's cone starts as the directions from which it makes more than a threshold of a picture. Then fresh pictures
     (poses and directions that were not looked at before) are drawn as the renderer draws them, with and without the
     hidden splats: where one keeps less than ``psnr``, the cones of the splats that are missing most are widened; at
-    last all are, a little. A set of pictures by which nothing is chosen says what is kept: ``cones_psnr`` is its worst,
-    over the whole of a picture that the sphere around the scene fills, before black.
+    last all are, by the least of ``wider`` with which further pictures all keep that. Pictures by which nothing was
+    chosen say what is kept: ``cones_psnr`` is the worst, over the whole of a picture that the scene fills, before
+    black.
     Levels get cones of their own. About two minutes of one core at 40,000 splats.
     Raises GlsplatError for a scene without a finite splat.
     """
@@ -93,11 +95,16 @@ def with_cones(scene: Scene, config: ConeConfig | None = None, progress: Progres
                 mended += 1
         if not mended:
             break
-    smallest = smallest - config.wider
     many = 2 * config.tests
+    kept = np.full(len(config.wider), np.inf)
+    for k, picture in enumerate(_pictures(scene, usable, rng, many, config)):
+        report("looking how wide", k / many)
+        kept = np.minimum(kept, [picture.kept(_packed(axis, smallest - by)) for by in config.wider])
+    enough = np.flatnonzero(kept >= config.psnr + config.spare)
+    smallest = smallest - config.wider[int(enough[0]) if len(enough) else -1]
     worst = np.inf
     for k, picture in enumerate(_pictures(scene, usable, rng, many, config)):
-        report("looking at what is kept", (config.rounds + k / many) / (config.rounds + 1))
+        report("looking at what is kept", k / many)
         worst = min(worst, picture.kept(_packed(axis, smallest)))
     cones = np.tile(_EVERYWHERE, (len(splats), 1))
     cones[usable] = _packed(axis, smallest)
@@ -296,13 +303,14 @@ def _fov(far: float) -> float:
 
 
 def _near_camera(posed: Splats, direction: F64, rng: np.random.Generator, size: int) -> Camera:
-    """From where somebody looks who goes around it; the sphere around all fills the picture."""
+    """From where somebody looks who goes around it; it fills the picture."""
     points = posed.means.astype(np.float64)
     centre = (points.max(axis=0) + points.min(axis=0)) / 2
     radius = max(float(np.linalg.norm(points - centre, axis=1).max()), 1e-6)
-    far = rng.uniform(*_NEAR)
-    viewmat = look_at(centre + direction * far * radius, centre)
-    K = pinhole(size, size, _fov(far))
+    viewmat = look_at(centre + direction * rng.uniform(*_NEAR) * radius, centre)
+    seen = points @ viewmat[:3, :3].T + viewmat[:3, 3]
+    slope = max(float(np.abs(seen[:, :2] / seen[:, 2:]).max()), 1e-6)
+    K = pinhole(size, size, float(2 * np.degrees(np.arctan(slope / _FILL))))
     return Camera(viewmat, K, size, size, near=1e-3 * radius, far=1e3 * radius)
 
 

@@ -105,7 +105,7 @@ class FramePump:
     """Owns the render thread, the encoders and the turn of the clients."""
 
     def __init__(
-        self, backend: Backend, clock: Callable[[], float] = time.perf_counter, governor: Governor | None = None
+        self, backend: Backend, clock: Callable[[], float] = time.perf_counter, rate: float | None = None
     ) -> None:
         self.driver: str = ""
         self.stages: StageTimes = StageTimes()
@@ -113,7 +113,7 @@ class FramePump:
         self.rebuilds: int = 0  # contexts lost and made anew
         self._backend = backend
         self._clock = clock
-        self._governor = governor  # of the rate that is to be held; None: every picture as it is asked for
+        self._governor = Governor(rate)
         self._drawing: Channel | None = None
         self._drawing_since: float | None = None
         self._stopping = False
@@ -284,7 +284,8 @@ class FramePump:
         loop = asyncio.get_running_loop()
         request, waited, solution = channel.take(self._clock())
         frame = Frame(request, self._clock() - waited, {"wait": waited * 1e3})
-        frame.detail = FULL if self._governor is None else self._governor.detail(channel.number, self._clock())
+        if request.form == "native":  # older clients know one size
+            frame.detail = self._governor.detail(channel.number, self._clock())
         frame.request = replace(frame.detail.of(request), viewer=channel.number)
         if why := channel.shown.untracked:
             frame.untracked = f" for what it shows: {why}"
@@ -296,6 +297,7 @@ class FramePump:
         except PoseError as error:
             frame.error = ("bad_pose", str(error))
         except BudgetError as error:
+            self._governor.refused(channel.number, self._clock())
             frame.error = (error.code, str(error))
             frame.ends = self._over_budget(channel, request, error)
         except Exception as error:
@@ -369,8 +371,7 @@ class FramePump:
             took, now = self._clock() - start, self._clock()
             frame.times["render"] = took * 1e3
             frame.levels = rendered.levels
-            if self._governor is not None:
-                self._governor.drawn(request.viewer, took, rendered.coarsest, now)
+            self._governor.drawn(request.viewer, took, rendered.coarsest, now)
             if len(rendered.images) != len(frame.request.eyes):
                 raise RuntimeError(f"{len(frame.request.eyes)} pictures were asked for, {len(rendered.images)} drawn")
             if rendered.box is not None:

@@ -28,7 +28,6 @@ from glsplat.net.guard.meter import POLICY_VIOLATION, Breach
 from glsplat.net.guard.reading import Reading
 from glsplat.net.messages import MAX_BYTES, Decoder, WireOptions
 from glsplat.net.options import client_options
-from glsplat.net.pace.governor import Governor
 from glsplat.net.pages.offers import Offers
 from glsplat.net.pages.routes import Pages
 from glsplat.net.pump import Channel, FramePump
@@ -79,7 +78,7 @@ class Server:
         uploads: Uploads | None = None,
     ) -> None:
         self.config: ServerConfig = config or ServerConfig()
-        self.pump: FramePump = FramePump(backend, governor=Governor.of(self.config.fps))
+        self.pump: FramePump = FramePump(backend, rate=self.config.fps)
         self.port: int = self.config.port
         limits = self.config.limits
         if uploads is not None:

@@ -23,7 +23,7 @@ class Kept(Generic[K, V]):
     """Owners of GL objects by key. A call that is broken off at any line leaves it whole."""
 
     def __init__(self, most: int, most_bytes: int) -> None:
-        self._most, self._most_bytes = most, most_bytes  # owners, and bytes of those that are not in use
+        self._most, self.most_bytes = most, most_bytes  # owners, and bytes of those that are not in use
         self._owners: dict[K, V] = {}
         self._used: dict[K, int] = {}  # the larger the later
         self._uses = 0
@@ -47,7 +47,7 @@ class Kept(Generic[K, V]):
             self._owners[key] = owner
         self._uses += 1
         self._used[key] = self._uses
-        while len(self) > 1 and (len(self) > self._most or self.nbytes - owner.nbytes > self._most_bytes):
+        while len(self) > 1 and (len(self) > self._most or self.nbytes - owner.nbytes > self.most_bytes):
             oldest = min((other for other in self._owners if other != key), key=lambda other: self._used.get(other, 0))
             self._owners.pop(oldest).release()
             self._used.pop(oldest, None)

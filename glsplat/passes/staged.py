@@ -32,11 +32,11 @@ from glsplat.timing import StageTimer
 
 __all__ = ["Staged"]
 
-_KEPT = 6
+_KEPT = 32
 """Choices of levels that are kept at most."""
 
 _KEPT_BYTES = 256 * 2**20
-"""What of them is not in use may take."""
+"""What of them is not in use may take, or twice the largest: all levels of one thing are that much."""
 
 
 class Staged:
@@ -77,11 +77,8 @@ class Staged:
 
     @property
     def coarsest(self) -> bool:
-        """Whether no visible splat item may be drawn with a coarser level than it was."""
-        if self._config.level != "auto":
-            return True
-        shown = zip(self._visible(), self.levels, strict=True)
-        return all(level == self._levels_of(item).coarsest for item, level in shown)
+        """Whether nothing in view may be drawn with a coarser level than it was."""
+        return self._fixed(self._visible()) or self._choices.coarsest
 
     @property
     def splats(self) -> int:
@@ -195,6 +192,7 @@ class Staged:
             self._drawables.release()
             self._choices.forget()  # they go by id(), which may be another item's by now
             self._shown = shown
+            self._drawables.most_bytes = max(_KEPT_BYTES, 2 * made.nbytes)
             self._drawable = self._drawables.get(tuple(levels), lambda: made)
         else:
             self._drawable = self._drawables.get(tuple(levels), lambda: self._made(visible, levels, posed))
@@ -212,7 +210,9 @@ class Staged:
             )
         buffers = [one.get(level) for one, level in zip(staged, levels, strict=True)]
         self.arenas += 1
-        return Drawable(self._arena_of(buffers, posed))
+        made = Drawable(self._arena_of(buffers, posed))
+        self._drawables.most_bytes = max(self._drawables.most_bytes, 2 * made.nbytes)
+        return made
 
     def _levels_of(self, item: Item) -> LevelBuffers:
         if id(item) not in self._items:
@@ -226,9 +226,13 @@ class Staged:
         coarsest = len(item.content.levels) if not isinstance(item.content, RiggedMesh) else 0
         return coarsest if self._config.level == "auto" else min(int(self._config.level), coarsest)
 
+    def _fixed(self, visible: Sequence[Item]) -> bool:
+        """Whether levels do not depend on the view."""
+        return self._config.level != "auto" or not any(self._at_first(item) for item in visible)
+
     def _choose(self, visible: Sequence[Item], places: Sequence[Placement], look: Look) -> list[int]:
         """The level of each visible item for what is looked at."""
-        if self._config.level != "auto" or not any(self._at_first(item) for item in visible):
+        if self._fixed(visible):
             return [self._at_first(item) for item in visible]
         levels = [self._levels_of(item) for item in visible]
         return self._choices.choose([*map(id, visible)], levels, places, look)

@@ -10,7 +10,7 @@ import pytest
 
 from glsplat.camera import Camera, look_at, pinhole
 from glsplat.net.messages import RenderRequest
-from glsplat.net.pace.governor import FULL, SCALES, Detail, Governor
+from glsplat.net.pace.governor import BIAS, FULL, SCALES, Detail, Governor
 
 Cost = Callable[[Detail, float], float]
 History = list[tuple[float, int, Detail]]
@@ -131,3 +131,32 @@ def test_those_who_hardly_ask_take_nothing_from_the_others(others: int) -> None:
         now = max(now, before + 1 / 72)
     assert {*details} == {FULL}
     assert all(len(state.spent) < 80 for state in governor._states.values())  # of the last second
+
+
+def test_three_slow_pictures_do_not_take_everything() -> None:
+    """A program that is compiled, another process: what was slow for a moment is back soon."""
+    governor, now = Governor(45), 0.0
+    for seconds in [0.005] * 20 + [0.7] * 3 + [0.005] * 5:
+        governor.detail(1, now)
+        now += seconds
+        governor.drawn(1, seconds, False, now)
+    assert governor.detail(1, now).bias >= -1
+    history = run(governor, {1: machine(0.005)}, 10, start=now)
+    assert history[-1][2] == FULL
+
+
+def test_a_picture_beyond_its_budget_gets_less_at_once() -> None:
+    governor = Governor(10)
+    governor.detail(1, 0.0)
+    for _ in range(4):
+        governor.refused(1, 0.1)
+    assert governor.detail(1, 0.2).bias <= -4 * BIAS
+    governor.refused(7, 0.1)  # who has never asked
+
+
+def test_without_a_rate_nothing_is_taken() -> None:
+    governor = Governor(None)
+    for i in range(20):
+        assert governor.detail(1, float(i)) == FULL
+        governor.drawn(1, 9.0, False, float(i))
+    assert not governor._states

@@ -171,6 +171,18 @@ def test_what_nobody_sees_keeps_its_level(renderer_of: Make) -> None:
 
 
 @pytest.mark.gl
+def test_what_is_out_of_view_does_not_count_as_finer(renderer_of: Make) -> None:
+    """A server that holds a rate would wait for it in vain."""
+    thing = leveled()
+    scene = Scene([Item(thing), Item(thing, transform=similarity((0, 0, 30)))])  # the second is behind the eye
+    renderer = renderer_of(scene, level="auto")
+    renderer.render([Camera(look_at((0, 0, 29), (0, 0, 40)), pinhole(64, 64), 64, 64)])
+    assert renderer.stats.levels == (2, 0) and not renderer.stats.coarsest
+    renderer.render([seen_from(12.0)])
+    assert renderer.stats.levels == (2, 0) and renderer.stats.coarsest
+
+
+@pytest.mark.gl
 def test_choices_are_bounded(renderer_of: Make, monkeypatch: pytest.MonkeyPatch) -> None:
     thing = leveled()
     items = [Item(thing, transform=similarity((x, 0, 0))) for x in (-0.3, 0, 0.3)]
@@ -181,7 +193,7 @@ def test_choices_are_bounded(renderer_of: Make, monkeypatch: pytest.MonkeyPatch)
             item.transform = similarity((0, 0, float(depth)))
         renderer.render([seen_from(2.0)])
     assert len(renderer._staged._drawables) <= staged._KEPT
-    monkeypatch.setattr(renderer._staged._drawables, "_most_bytes", 1)
+    monkeypatch.setattr(renderer._staged._drawables, "_most", 1)
     renderer.render([seen_from(2.5)])
     assert len(renderer._staged._drawables) == 1
     items[0].visible = False

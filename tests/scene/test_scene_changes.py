@@ -132,7 +132,7 @@ def test_pipelines_are_bounded(renderer_of: Make, monkeypatch: pytest.MonkeyPatc
     assert renderer._staged is not None and renderer._staged._drawable is not None
     pipelines = renderer._staged._drawable.pipelines
     assert len(pipelines) <= drawable._KEPT
-    monkeypatch.setattr(pipelines, "_most_bytes", 1)
+    monkeypatch.setattr(pipelines, "most_bytes", 1)
     renderer.render(eyes(39))
     assert len(pipelines) == 1
 

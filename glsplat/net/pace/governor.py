@@ -25,6 +25,8 @@ BIAS = 0.5
 
 _BIASES = 16
 _LOOK, _FEW = 8, 3  # pictures whose median decides, and as many of those that are far too slow
+_FIRST = 2  # pictures of a detail that do not count: something is made for them
+_STEPS = 2  # of the level at once, at most: of pictures that were slow once not all is to be taken away
 _FAR = 1.5  # times what there is time for
 _ROOM = 0.85  # of the time: what the next better step may be expected to take
 _HOLD, _LONGEST = 2.0, 60.0  # seconds before something comes back, at first and at most
@@ -71,6 +73,7 @@ class _State:
     better: float | None = None  # when it last came back
     seen: float = 0.0
     coarsest: bool = False
+    drawn: int = 0  # pictures since the detail changed
     spent: deque[tuple[float, float]] = field(default_factory=deque)  # when, and seconds, of the last _SEEN
 
     def load(self, now: float) -> float:
@@ -81,19 +84,19 @@ class _State:
 
 
 class Governor:
-    """Chooses the detail of each viewer's pictures, so that all of them get ``rate`` pictures a second."""
+    """Chooses the detail of each viewer's pictures, so that all of them get ``rate`` pictures a second.
 
-    def __init__(self, rate: float) -> None:
+    None: every picture has all there is.
+    """
+
+    def __init__(self, rate: float | None) -> None:
         self.rate = rate
         self._states: dict[int, _State] = {}
 
-    @classmethod
-    def of(cls, rate: float | None) -> Governor | None:
-        """None where no rate is to be held."""
-        return None if rate is None else cls(rate)
-
     def detail(self, viewer: int, now: float) -> Detail:
         """Of the next picture of a viewer; ``now`` in seconds."""
+        if self.rate is None:
+            return FULL
         state = self._states.setdefault(viewer, _State(since=now))
         state.seen = now
         for gone in [one for one, other in self._states.items() if now - other.seen > 60 * _SEEN]:
@@ -103,11 +106,14 @@ class Governor:
     def drawn(self, viewer: int, seconds: float, coarsest: bool, now: float) -> None:
         """A picture took that long; ``coarsest``: there is no coarser level for anything in it."""
         state = self._states.get(viewer)
-        if state is None:
+        if state is None or self.rate is None:
             return
-        state.times.append(seconds)
         state.spent.append((now, seconds))
         state.coarsest = coarsest
+        state.drawn += 1
+        if state.drawn <= _FIRST:
+            return
+        state.times.append(seconds)
         took = float(np.median(state.times))
         own = took * self.rate
         loads = {one: other.load(now) for one, other in self._states.items()}
@@ -121,9 +127,16 @@ class Governor:
         elif now - state.since >= state.hold and excess * self._dearer(state, took) < _ROOM:
             self._better(state, now)
 
+    def refused(self, viewer: int, now: float) -> None:
+        """A picture was beyond its budget: the next one has less, whatever the rate."""
+        state = self._states.get(viewer)
+        if state is not None:
+            self._worse(state, np.inf, now)
+
     def _worse(self, state: _State, excess: float, now: float) -> None:
         if not state.coarsest and state.steps < _BIASES:
-            state.steps = min(state.steps + max(1, int(np.log2(excess) / BIAS)), _BIASES)
+            wanted = max(1, int(min(np.log2(excess) / BIAS, _STEPS)))
+            state.steps = min(state.steps + wanted, _BIASES)
         elif state.scale < len(SCALES) - 1:
             state.scale += 1
         else:
@@ -152,5 +165,5 @@ class Governor:
 
     @staticmethod
     def _changed(state: _State, now: float) -> None:
-        state.since = now
+        state.since, state.drawn = now, 0
         state.times.clear()

@@ -86,6 +86,7 @@ class Choices:
     """The level that each viewer had of each thing, so that it does not flicker between two."""
 
     def __init__(self) -> None:
+        self.coarsest = True  # no thing in view had a coarser level than it got last
         self._memory: OrderedDict[Hashable, dict[int, int]] = OrderedDict()  # by viewer: level by key
 
     def choose(
@@ -95,11 +96,13 @@ class Choices:
         before = self._memory.get(look.viewer, {})
         finer = 2.0**look.bias
         found: dict[int, int] = {}
+        self.coarsest = True
         for key, one, place in zip(keys, levels, places, strict=True):
             last = before.get(key)
             density = one.density(place, look.views)
             if density > 0:
                 found[key] = chosen(one.densities, density * finer, last)
+                self.coarsest &= found[key] == one.coarsest
             else:  # what nobody sees keeps the level it has
                 found[key] = one.coarsest if last is None else last
         self._memory[look.viewer] = found
