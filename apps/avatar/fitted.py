@@ -9,7 +9,7 @@ from itertools import pairwise
 from glsplat.avatar import Avatar
 from glsplat.making.cones import with_cones
 from glsplat.making.detail.fitted import fitted_levels
-from glsplat.making.detail.measure import MeasureConfig, measured
+from glsplat.making.detail.measure import measured
 from glsplat.making.surface import FEWEST
 from glsplat.meshes import RiggedMesh
 
@@ -19,9 +19,6 @@ __all__ = ["COARSEST", "counts_of", "with_fitted_levels"]
 
 COARSEST = 5000
 """Splats below which no level is made unless it is asked for."""
-
-KEPT = 38.0
-"""dB that the worst picture of a level keeps against the finest, over the box around the person, where it is used."""
 
 
 def counts_of(asked: Sequence[str] | None, splats: int) -> tuple[int, ...]:
@@ -52,4 +49,4 @@ def with_fitted_levels(
     levels = fitted_levels(avatar, counts, mesh, seed, progress=progress)
     if cones:
         levels = tuple(with_cones(level, progress=progress) for level in levels)
-    return replace(avatar, levels=measured(avatar, levels, MeasureConfig(psnr=KEPT), progress))
+    return replace(avatar, levels=measured(avatar, levels, progress=progress))

@@ -40,13 +40,13 @@ _LARGEST = 2048  # pixels a side
 class FittedConfig:
     """How levels are fitted."""
 
-    steps: int = 120  # a level
+    steps: int = 160  # a level
     pictures: int = 30  # different ones, drawn again and again
     mesh_share: float = 0.3  # of the pictures to come close to; the rest is the finest
     splat: float = 1.55  # pixels that the median splat of a level measures (sigma), at the middle of its distances
     nearest: float = 1.55  # of these pixels, from the nearest distance
     farthest: float = 0.65
-    faster: float = 1.6  # rates of the descent against those of refine
+    faster: float = 1.0  # rates of the descent against those of refine
     merge: MergeConfig | None = None
 
 
