@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import argparse
 import json
+from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -20,6 +22,7 @@ from glsplat.mesh import MeshConfig, MeshRenderer
 from glsplat.meshes import RiggedMesh
 from glsplat.renderer import Renderer
 
+from ..args import add_detail, detail_of
 from ..output import eight_bit, label, save_png, stack
 from ..usage import UsageError
 
@@ -38,6 +41,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action=argparse.BooleanOptionalAction,
         help="draw the avatar with opacity compensation (default: what the file asks for)",
     )
+    add_detail(parser, lean=False)
     parser.add_argument("--grey", type=float, default=0.0, help="background, 0 black (default) to 1 white")
     parser.add_argument("--sheet", type=Path, help="contact sheet to write (.png, .jpg): avatar, mesh, 4 x difference")
     parser.add_argument("--json", action="store_true", help="print the figures of every picture as JSON")
@@ -57,22 +61,34 @@ def report(args: argparse.Namespace, avatar: Avatar, mesh: RiggedMesh) -> int:
         raise UsageError(f"{args.sheet}: a contact sheet is written as .png or .jpg; change the name")
     names = list(SCORE_POSES)[: args.poses]
     with MeshRenderer(mesh, size=(args.size,) * 2, config=MeshConfig(output="float32")) as truth:
-        config = RenderConfig(output="float32", antialias=args.antialias)
-        with Renderer(avatar, size=(args.size,) * 2, config=config, context=truth.context) as renderer:
-            scores = list(score(renderer, truth, avatar, mesh, names, args.views, args.grey))
-            driver = renderer.driver
+        exact = RenderConfig(output="float32", antialias=args.antialias)
+        less = replace(exact, **detail_of(args))
+        with ExitStack() as opened:
+            renderer, finest = (
+                opened.enter_context(Renderer(avatar, size=(args.size,) * 2, config=config, context=truth.context))
+                for config in (less, exact)
+            )
+            whole = None if less == exact else finest
+            scores = list(score(renderer, truth, avatar, mesh, names, args.views, args.grey, whole))
+            driver, drawn = renderer.driver, renderer.stats
     if args.sheet is not None:
         _write_sheet(args.sheet, scores, args.views)
     body, ssim = np.array([s.body for s in scores]), np.array([s.ssim for s in scores])
     hands = np.array([s.hands for s in scores if s.hands is not None])
+    face = np.array([s.face for s in scores if s.face is not None])
+    whole_psnr = np.array([s.finest for s in scores if s.finest is not None])
     facts = {
-        "splats": len(avatar.splats),
+        "splats": drawn.splats,
+        "levels": drawn.levels,
+        "drawn": drawn.drawn,
         "driver": driver,
         "antialias": avatar.splats.antialias if args.antialias is None else args.antialias,
         "size": args.size,
         "pictures": len(scores),
         "body_psnr": _summary(body),
         "hands_psnr": _summary(hands) if len(hands) else None,
+        "face_psnr": _summary(face) if len(face) else None,
+        "finest_psnr": _summary(whole_psnr) if len(whole_psnr) else None,
         "ssim": _summary(ssim, 4),
         "milliseconds": round(float(np.median([s.milliseconds for s in scores])), 2),
     }
@@ -83,7 +99,7 @@ def report(args: argparse.Namespace, avatar: Avatar, mesh: RiggedMesh) -> int:
         ]
         print(json.dumps({**facts, "each": each}))
         return 0
-    print(f"{len(avatar.splats)} splats, {args.poses} poses x {args.views} views at {args.size}^2, {driver}")
+    print(f"{drawn.splats} splats, {args.poses} poses x {args.views} views at {args.size}^2, {driver}")
     for name in names:
         mine = [s for s in scores if s.pose == name]
         worst = min(s.hands if s.hands is not None else np.nan for s in mine)
@@ -95,7 +111,12 @@ def report(args: argparse.Namespace, avatar: Avatar, mesh: RiggedMesh) -> int:
         f"body: {body.min():.1f} dB at worst, {body.mean():.1f} mean; SSIM {ssim.min():.4f}, {ssim.mean():.4f}", end=""
     )
     print(f"; hands {hands.min():.1f}, {hands.mean():.1f} dB" if len(hands) else "", end="")
+    print(f"; face {face.min():.1f}, {face.mean():.1f} dB" if len(face) else "", end="")
     print(f"; {facts['milliseconds']} ms a picture (median)")
+    if len(whole_psnr):
+        print(
+            f"against the finest level drawn exactly: {whole_psnr.min():.1f} dB at worst, {whole_psnr.mean():.1f} mean"
+        )
     return 0
 
 

@@ -25,6 +25,7 @@ F64 = NDArray[np.float64]
 DISTANCE = 3.0  # metres from the middle of the figure
 FILL = 0.94  # of the picture the figure takes, in its longer direction
 FIRST, LIFT = 15.0, 8.0  # degrees: azimuth of the first view, elevation of all
+FACE = ("head", "jaw", "left_eye", "right_eye")
 HAND = ("wrist", "index", "middle", "pinky", "ring", "thumb")
 
 
@@ -40,6 +41,8 @@ class Score:
     milliseconds: float  # to render the avatar's picture and read it back
     avatar: NDArray[np.float32]  # [H, W, 3] in [0, 1]
     mesh: NDArray[np.float32]
+    face: float | None = None  # dB over the box around the head; None for a rig without one
+    finest: float | None = None  # dB over the whole picture against the finest level drawn exactly; None: it is that
 
 
 def score(
@@ -50,8 +53,12 @@ def score(
     names: list[str],
     views: int,
     grey: float = 0.0,
+    finest: Renderer | None = None,
 ) -> Iterator[Score]:
-    """Every pose in every view; both renderers have one square size and give float32."""
+    """Every pose in every view; the renderers have one square size and give float32.
+
+    ``finest`` draws the avatar exactly, where ``renderer`` draws less of it.
+    """
     if avatar.skeleton.names != mesh.skeleton.names:
         raise FormatError(
             f"the avatar has {len(avatar.skeleton)} joints from {avatar.skeleton.names[0]}, the mesh "
@@ -59,6 +66,8 @@ def score(
         )
     used = np.unique(mesh.faces)
     strongest = np.take_along_axis(mesh.joints, mesh.weights.argmax(axis=1)[:, None], axis=1)[:, 0]
+    looks = np.array([joint.startswith(FACE) for joint in mesh.skeleton.names])
+    face = used[looks[strongest[used]]]
     hands = []
     for side in ("left", "right"):
         owns = np.array([joint.startswith(tuple(f"{side}_{part}" for part in HAND)) for joint in mesh.skeleton.names])
@@ -74,7 +83,11 @@ def score(
             wanted = np.clip(truth.render([camera], pose)[0, ..., :3], 0, 1)
             boxes = [_box(vertices[hand], camera) for hand in hands if len(hand)]
             body, fingers, alike = compare(picture, wanted, _box(vertices[used], camera), boxes)
-            yield Score(name, azimuth % 360, body, fingers, alike, milliseconds, picture, wanted)
+            head = psnr(picture, wanted, _box(vertices[face], camera)) if len(face) else None
+            most = None
+            if finest is not None:
+                most = psnr(picture, np.clip(finest.render([camera], pose)[0, ..., :3], 0, 1))
+            yield Score(name, azimuth % 360, body, fingers, alike, milliseconds, picture, wanted, head, most)
 
 
 def camera_around(points: F64, azimuth: float, size: int, grey: float = 0.0) -> Camera:

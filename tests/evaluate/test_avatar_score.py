@@ -113,3 +113,10 @@ def test_the_command(shared_data: Path, tmp_path, capsys):
     assert facts["body_psnr"]["min"] == pytest.approx(min(e["body_psnr"] for e in facts["each"]), abs=0.01)
     assert {e["azimuth"] for e in facts["each"]} == {15, 195}
     assert cv2.imread(str(sheet)).shape == (2 * 66 - 2, 6 * 66 - 2, 3)
+    assert facts["face_psnr"]["min"] > 20 and facts["finest_psnr"] is None and facts["drawn"] <= facts["splats"]
+    assert cli.main([*words, "--poses", "1", "--views", "2", "--cull-hidden", "--json"]) == 0
+    less = json.loads(capsys.readouterr().out)
+    assert 30 < less["finest_psnr"]["min"] < 80 and less["drawn"] < less["splats"]
+    assert cli.main([*words, "--poses", "1", "--views", "1", "--cull-hidden"]) == 0
+    text = capsys.readouterr().out
+    assert "face" in text and "against the finest level drawn exactly" in text
