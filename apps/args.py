@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from glsplat.avatar import Avatar
-from glsplat.config import CULL_PSNR, MAX_LEVELS
+from glsplat.config import CULL_PSNR, LEAN, MAX_LEVELS
 from glsplat.data import default_avatar
 from glsplat.errors import FormatError, PoseError
 from glsplat.formats import load, suffixes
@@ -166,7 +166,10 @@ def add_detail(parser: argparse.ArgumentParser, *, lean: bool) -> None:
         + (f" (default: where the worst picture keeps {CULL_PSNR:g} dB)" if lean else ""),
     )
     if lean:
-        parser.add_argument("--exact", action="store_true", help="draw every splat of the finest level")
+        parser.add_argument("--exact", action="store_true", help="draw every splat of the finest level, to its end")
+
+
+_LEAN = ("level", "cull_hidden", "max_sigma")  # where LEAN differs from the pixel contract
 
 
 def detail_of(args: argparse.Namespace) -> dict[str, Any]:
@@ -178,7 +181,8 @@ def detail_of(args: argparse.Namespace) -> dict[str, Any]:
         if given:
             raise UsageError(f"--exact and --{given[0].replace('_', '-')} contradict each other; leave one out")
         return {}
-    unasked: dict[str, Any] = {"level": "auto", "cull_hidden": "auto"} if hasattr(args, "exact") else {}
+    lean = hasattr(args, "exact")
+    unasked: dict[str, Any] = {name: getattr(LEAN, name) for name in _LEAN} if lean else {}
     level = unasked.get("level", 0) if args.level is None else args.level
     if args.lod_bias is not None and level != "auto":
         raise UsageError("--lod-bias goes with --level auto")

@@ -119,5 +119,5 @@ def _is_switch(value: object) -> bool:
     return isinstance(value, (bool, np.bool_))
 
 
-LEAN = RenderConfig(cull_hidden="auto", level="auto")
+LEAN = RenderConfig(cull_hidden="auto", level="auto", max_sigma=2.5)
 """What ``serve``, ``preview`` and ``demo`` draw with unless they are told ``--exact``: what can be told apart."""

@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
+from itertools import product
 from typing import Any, TypeVar, cast
 
 import numpy as np
@@ -54,6 +55,7 @@ class MeasureConfig:
     """How thoroughly to look, and what is to be kept."""
 
     psnr: float = 39.0  # dB that the worst picture keeps, over the box around what it shows
+    slack: float = 1.0  # dB less, for a level that keeps this nowhere
     directions: int = 6  # from outside, a pose
     inside: int = 4  # places inside a static scene from which it is looked at
     size: int = 1280  # pixels of the longer side of the largest pictures
@@ -92,7 +94,8 @@ def measured(
     progress: Report | None = None,
     context: Context | None = None,
 ) -> tuple[Level[Scene], ...]:
-    """Those ``levels`` with the largest density at which the worst picture keeps ``config.psnr`` against ``finest``.
+    """Those ``levels`` with the largest density at which the worst picture keeps ``config.psnr`` against ``finest``,
+    or, where one keeps that nowhere, ``config.slack`` less.
 
     An avatar is seen in the poses that place its splats (visibility.probe_poses), a static scene from outside and from
     free places within. A level that keeps it wherever pictures of ``config.size`` show the whole thing is known to
@@ -106,16 +109,22 @@ def measured(
     bottom = min(top, *(_LEAST / s.extent * s.unit for s in outside))
     found: dict[int, tuple[float, float]] = {}
     with Pictures([finest, *levels], stations, config.size, context) as pictures:
-        density, index = top, 0
-        while index < len(levels) and density >= bottom:
-            report("measuring levels", float(np.log(top / density) / np.log(top / bottom)) if bottom < top else 1.0)
-            kept = min(pictures.kept(index + 1, density))
-            # far below it a picture of the finest is no measure: its splats fade when they are much less than a pixel
-            if kept >= config.psnr and min(pictures.kept(index + 1, max(density / 2, bottom))) >= config.psnr:
-                above = density * _STEP if density < top else density
-                found[index] = pictures.highest(index + 1, density, kept, above, config.psnr)
-                index += 1
-            else:  # a coarser one does not keep what a finer one does not
+        start = top
+        for index, wanted in product(range(len(levels)), (config.psnr, config.psnr - config.slack)):
+            if len(found) < index:
+                break  # a coarser one does not keep what a finer one does not
+            if index in found:
+                continue
+            density = start
+            while density >= bottom:
+                report("measuring levels", float(np.log(top / density) / np.log(top / bottom)) if bottom < top else 1.0)
+                kept = min(pictures.kept(index + 1, density))
+                # far below it the finest is no measure: its splats fade when they are much less than a pixel
+                if kept >= wanted and min(pictures.kept(index + 1, max(density / 2, bottom))) >= wanted:
+                    above = density * _STEP if density < top else density
+                    found[index] = pictures.highest(index + 1, density, kept, above, wanted)
+                    start = density
+                    break
                 density /= _STEP
     out: list[Level[Scene]] = []
     for index in sorted(found, reverse=True):
