@@ -9,7 +9,7 @@ from typing import Any
 from glsplat.errors import FormatError
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.skin import Skin
-from glsplat.splats import Level, Splats, checked_levels
+from glsplat.splats import Level, Levels, Splats, checked_levels
 
 __all__ = ["Avatar"]
 
@@ -31,7 +31,7 @@ class Avatar:
     skeleton: Skeleton
     skin: Skin
     meta: Mapping[str, Any] = field(default_factory=dict)  # asset.extras.glsplat: version, source, licence, ...
-    levels: tuple[Level[Avatar], ...] = ()  # coarser ones on the same skeleton, finest first
+    levels: tuple[Level[Avatar], ...] = ()  # coarser, on the same skeleton, finest first; of these splats
 
     def __post_init__(self) -> None:
         for name, kind in (("splats", Splats), ("skeleton", Skeleton), ("skin", Skin), ("meta", Mapping)):
@@ -68,12 +68,12 @@ class Avatar:
     def _check_levels(self) -> None:
         if self.splats.levels:
             raise FormatError("levels belong to the avatar, not to its splats")
-        found = tuple(self.levels)
+        found = self.levels if isinstance(self.levels, Levels) else tuple(self.levels)
         sizes = [
             len(self.splats),
             *(len(one.content.splats) for one in found if isinstance(getattr(one, "content", None), Avatar)),
         ]
-        object.__setattr__(self, "levels", checked_levels(found, self, sizes) if found else ())
+        object.__setattr__(self, "levels", checked_levels(found, self, self.splats.arrays, sizes) if found else ())
         for i, level in enumerate(self.levels):
             if not level.content.skeleton.same(self.skeleton):
                 raise FormatError(f"level {i + 1}: another skeleton than the avatar's")

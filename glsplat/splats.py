@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from glsplat.arrays import frozen, own, own_whole, plain, restored
 from glsplat.errors import FormatError
 
-__all__ = ["SH_C0", "Level", "Splats", "checked_levels"]
+__all__ = ["SH_C0", "Level", "Levels", "Splats", "checked_levels"]
 
 SH_C0 = 0.28209479177387814
 """Y_0^0, the constant real spherical harmonic: rgb = SH_C0 * f_dc + 0.5 (3DGS)."""
@@ -27,8 +27,8 @@ T = TypeVar("T")
 class Level(Generic[T]):
     """A coarser stand-in for Splats or an Avatar: fewer splats that look the same from afar.
 
-    ``density`` is in pixels a metre: focal length over depth, at the nearest of it; a picture in which it is larger
-    wants a finer level. ``psnr`` is what the worst picture looked at kept at that density, in dB against the finest.
+    ``density`` is in pixels a metre (glsplat.detail.proxy: focal length over depth, of what a view shows); a picture
+    in which it is larger wants a finer level. ``psnr`` is what the worst picture looked at kept at that density, in dB against the finest.
     """
 
     content: T
@@ -36,8 +36,30 @@ class Level(Generic[T]):
     psnr: float | None = None
 
 
-def checked_levels(levels: Iterable[Level[T]], finest: T, sizes: Iterable[int]) -> tuple[Level[T], ...]:
-    """Levels of ``finest``, whose number of splats leads ``sizes``. Raises FormatError for what is no such list."""
+class Levels(tuple[Level[T], ...]):
+    """Levels, and the arrays of the splats whose they are: of what somebody replaces those by they are none."""
+
+    of: tuple[NDArray[np.float32], ...]
+
+    def __new__(cls, levels: Iterable[Level[T]], of: tuple[NDArray[np.float32], ...]) -> Levels[T]:
+        """A tuple of ``levels``."""
+        made = super().__new__(cls, tuple(levels))
+        made.of = of
+        return made
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Levels, (tuple(self), self.of)
+
+
+def checked_levels(
+    levels: Iterable[Level[T]], finest: T, of: tuple[NDArray[np.float32], ...], sizes: Iterable[int]
+) -> tuple[Level[T], ...]:
+    """Levels of ``finest``, whose arrays are ``of`` and whose number of splats leads ``sizes``.
+
+    Those of other arrays are dropped: ``dataclasses.replace`` hands them on. Raises FormatError for what are no levels.
+    """
+    if isinstance(levels, Levels) and any(a is not b for a, b in zip(levels.of, of, strict=True)):
+        return ()
     found, counts = tuple(levels), list(sizes)
     last = float("inf")
     for i, level in enumerate(found):
@@ -53,7 +75,7 @@ def checked_levels(levels: Iterable[Level[T]], finest: T, sizes: Iterable[int]) 
                 f"level {i + 1}: splats grow fewer from level to level, {counts[i + 1]} after {counts[i]}"
             )
         last = level.density
-    return found
+    return Levels(found, of) if found else ()
 
 
 @dataclass(frozen=True, slots=True, eq=False, init=False, repr=False)
@@ -77,7 +99,7 @@ class Splats:
     antialias: bool = False  # meant to be drawn with opacity compensation for the dilation (RenderConfig.antialias)
     cones: NDArray[np.int8] | None = None  # [N, 4] visibility cone / 127: axis in the splat's own axes, smallest cosine
     cones_psnr: float | None = None  # dB that the worst picture keeps without the splats the cones hide; None: unknown
-    levels: tuple[Level[Splats], ...] = ()  # coarser ones, finest first
+    levels: tuple[Level[Splats], ...] = ()  # coarser ones, finest first; dropped where other attributes are replaced
 
     def __init__(
         self,
@@ -115,9 +137,9 @@ class Splats:
             object.__setattr__(self, name, array)
         known = held is not None and cones_psnr is not None
         object.__setattr__(self, "cones_psnr", float(cones_psnr) if known and cones_psnr is not None else None)
-        found = tuple(levels)
+        found = levels if isinstance(levels, Levels) else tuple(levels)
         sizes = [n, *(len(one.content) for one in found if isinstance(getattr(one, "content", None), Splats))]
-        object.__setattr__(self, "levels", checked_levels(found, self, sizes) if found else ())
+        object.__setattr__(self, "levels", checked_levels(found, self, self.arrays, sizes) if found else ())
         if any(level.content.levels for level in self.levels):
             raise FormatError("a level has no levels of its own")
 
@@ -165,6 +187,11 @@ class Splats:
     def sh_degree(self) -> int:
         """Degree of the spherical harmonics, 0 to 3."""
         return round(self.sh.shape[1] ** 0.5) - 1
+
+    @property
+    def arrays(self) -> tuple[NDArray[np.float32], ...]:
+        """means, quats, scales, opacities, sh."""
+        return self.means, self.quats, self.scales, self.opacities, self.sh
 
     @property
     def nbytes(self) -> int:

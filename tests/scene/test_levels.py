@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -319,3 +320,16 @@ def test_the_finest_says_how_densely_it_is_seen(renderer_of: Make) -> None:
         for distance, level in ((2.0, 0), (5.0, 1)):
             renderer.render([seen_from(distance)])
             assert renderer.stats.levels == (level,)
+
+
+def test_levels_are_those_of_their_splats() -> None:
+    """What somebody repaints or thins out has none: they would show the old colours from afar."""
+    scene, avatar = leveled(), leveled_limb()
+    assert len(replace(scene, antialias=True).levels) == 2 and len(replace(avatar, meta={"a": 1}).levels) == 1
+    assert replace(scene, sh=scene.sh * 2).levels == () and scene.take([1, 2]).levels == ()
+    assert replace(avatar, splats=replace(avatar.splats, sh=avatar.splats.sh * 2)).levels == ()
+    assert len(replace(avatar, splats=replace(avatar.splats, antialias=True)).levels) == 1
+    for thing in (scene, avatar):
+        again = pickle.loads(pickle.dumps(thing))
+        assert len(again.levels) == len(thing.levels) and again.levels[0].density == thing.levels[0].density
+    assert replace(pickle.loads(pickle.dumps(scene)), sh=scene.sh * 2).levels == ()
