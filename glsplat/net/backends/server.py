@@ -142,6 +142,6 @@ def _checked(avatars: Mapping[str, Figure], scene: str, rendering: RenderConfig 
         if not is_figure(avatar):
             raise GlsplatError(f'"{name}": clients choose avatars, not {type(avatar).__name__} without joints to move')
         splats = avatar.splats if isinstance(avatar, Avatar) else None
-        if rendering is not None and rendering.cull_hidden and splats is not None and splats.cones is None:
+        if rendering is not None and rendering.cull_hidden is True and splats is not None and splats.cones is None:
             raise GlsplatError(f'"{name}": cull_hidden needs visibility cones; make them (glsplat avatar cones)')
     return dict(avatars)
