@@ -7,6 +7,7 @@ once instead of waiting in vain.
 from __future__ import annotations
 
 import asyncio
+import socket
 import time
 from collections import deque
 from contextlib import suppress
@@ -120,11 +121,17 @@ class Connection:
         return item
 
     async def _until_closed(self) -> None:
-        """Over TLS a transport closes when the server has agreed, which aiohttp does not wait for."""
-        with suppress(TimeoutError):
-            async with asyncio.timeout(_GOODBYE):
-                while self._socket is not None and self._socket.fileno() >= 0:
-                    await asyncio.sleep(0.005)
+        """Over TLS a transport closes when the server has agreed, which aiohttp does not wait for; or without it."""
+        if self._socket is None:
+            return
+        for _ in range(2):
+            with suppress(TimeoutError):
+                async with asyncio.timeout(_GOODBYE):
+                    while self._socket.fileno() >= 0:
+                        await asyncio.sleep(0.005)
+                return
+            with suppress(OSError):  # closed just now
+                self._socket.shutdown(socket.SHUT_RDWR)  # the transport reads the end and closes
 
     # ------------------------------------------------------------------------------------------------- the reader
 

@@ -59,9 +59,11 @@ export class Connection extends EventTarget {
     this.#connect();
   }
 
-  /** If it waits for its next attempt, make it now. */
+  /** If it waits for its next attempt, make it now; why it waited stays said until the attempt has ended. */
   hurry() {
-    if (this.state === 'waiting') this.restart();
+    if (this.state !== 'waiting') return;
+    clearTimeout(this.#timer);
+    this.#connect();
   }
 
   stop() {
