@@ -33,7 +33,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     default = MeasureConfig().psnr
     parser.add_argument(
-        "--psnr", type=float, default=default, help="dB that a level keeps where it is used (default %(default)g)"
+        "--psnr",
+        type=float,
+        default=default,
+        help=f"dB that a level keeps where it is used (default %(default)g), or {MeasureConfig().slack:g} less",
     )
     parser.add_argument("--force", action="store_true", help="make levels anew where the file has some")
     parser.add_argument("--json", action="store_true", help="print what was made as JSON")

@@ -104,7 +104,7 @@ def test_levels_are_added_to_a_file(
     assert facts["splats"] == 300 and [one["splats"] for one in facts["levels"]] == [
         len(level.content) for level in found.levels if isinstance(level.content, Splats)
     ]
-    assert found.levels and all(one["psnr"] >= 20 for one in facts["levels"])
+    assert found.levels and all(one["psnr"] >= 20 - MeasureConfig().slack for one in facts["levels"])
     first = (tmp_path / "a.glb").read_bytes()
     out, _ = said(capsys, *command, "--counts", "150", "75")
     assert (tmp_path / "a.glb").read_bytes() == first and "from" in out and "dB at worst" in out

@@ -162,6 +162,12 @@ def test_viewers_do_not_undo_each_others_levels(renderer_of: Make, context: Cont
 
 
 @pytest.mark.gl
+def test_a_viewer_that_cannot_be_remembered_is_refused(renderer_of: Make) -> None:
+    with pytest.raises(GlsplatError, match="viewer needs something hashable, not list"):
+        renderer_of(leveled(), level="auto").render([seen_from(2.0)], viewer=["left"])  # type: ignore[arg-type]
+
+
+@pytest.mark.gl
 def test_what_nobody_sees_keeps_its_level(renderer_of: Make) -> None:
     renderer = renderer_of(leveled(), level="auto")
     away = Camera(look_at((0, 0, 2), (0, 0, 9)), pinhole(64, 64), 64, 64)

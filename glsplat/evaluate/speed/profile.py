@@ -29,6 +29,7 @@ class GpuTimer(StageTimer):
         self._ctx = ctx
         self._queries: list[Any] = []
         self._stages: list[str] = []
+        self._asking: Any = None  # the query that is running
         self.gpu_ms: dict[str, float] = {}
 
     def start(self) -> None:
@@ -58,10 +59,17 @@ class GpuTimer(StageTimer):
     def _begin(self) -> None:
         if len(self._stages) == len(self._queries):
             self._queries.append(self._ctx.query(time=True))
-        self._queries[len(self._stages)].__enter__()
+        self._asking = self._queries[len(self._stages)]
+        self._asking.__enter__()
 
     def _end(self) -> None:
-        self._queries[len(self._stages)].__exit__(None, None, None)
+        asking, self._asking = self._asking, None
+        if asking is not None:
+            asking.__exit__(None, None, None)
+
+    def abandon(self) -> None:
+        """End what a frame that failed left running: the context can ask one question at a time."""
+        self._end()
 
 
 def profile(
@@ -89,6 +97,12 @@ def profile(
         plain, asked, waited = renderer(False), renderer(False), renderer(True)
         timer = GpuTimer(context.ctx)
         asked.timer = timer
+
+        def abandon() -> None:
+            with context.entered("profile"):
+                timer.abandon()
+
+        stack.callback(abandon)
         for i, (cameras, pose) in enumerate(zip(views, poses, strict=True)):
             plain.render(cameras, pose)
             asked.render(cameras, pose)

@@ -11,6 +11,7 @@ import numpy as np
 from glsplat.avatar import Avatar
 from glsplat.camera import Camera
 from glsplat.detail.proxy import Proxy
+from glsplat.errors import GlsplatError
 from glsplat.passes.item.buffers import ItemBuffers, Placement
 from glsplat.splats import Splats
 
@@ -31,6 +32,12 @@ class Look:
     views: tuple[Camera, ...] = ()
     viewer: Hashable = None
     bias: float = 0.0  # as RenderConfig.lod_bias
+
+    def __post_init__(self) -> None:
+        try:
+            hash(self.viewer)
+        except TypeError:
+            raise GlsplatError(f"viewer needs something hashable, not {type(self.viewer).__name__}") from None
 
 
 class LevelBuffers:
