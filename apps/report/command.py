@@ -130,7 +130,7 @@ def measured(
 ) -> dict[str, Any]:
     """All sections of the report as one JSON object; plots are not made yet."""
     base, cases, grid = base_config(context), [*frame_cases(), *skin_cases(), *tracking_cases()], grid or grid_of(quick)
-    settings = [settings_of(subject, base, quick, context.compute) for subject in subjects]
+    settings = [settings_of(subject, base, quick, context.compute, context.vertex_storage) for subject in subjects]
     compared = [error_frames(subject, frames, quick) for subject in subjects]
     main = next((s for s in subjects if s.moving), subjects[0])
     still = replace(main, cameras=())

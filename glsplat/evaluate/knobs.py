@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Literal
 
 from glsplat.avatar import Avatar
 from glsplat.config import RenderConfig
@@ -22,6 +22,7 @@ CONFIG_KNOBS: tuple[tuple[str, str, tuple[Any, ...]], ...] = (
     ("re-sort period", "sort_period", (1, 2, 4, 8)),
     ("shape", "shape", ("quad", "triangle")),
     ("extent cut-off (sigma)", "max_sigma", (2.0, 2.5, 3.0, 3.33)),
+    ("records fetched", "fetch", ("attributes", "storage")),
     ("order", "order", ("shared", "per_view")),
     ("rotation", "rotation", ("polar", "raw")),
 )
@@ -70,20 +71,24 @@ class Setting:
 
 def base_config(context: Context) -> RenderConfig:
     """The defaults of this driver with nothing left to "auto", so that equal settings are measured once."""
-    target, shape = ("32f", "triangle") if context.software else ("16f", "quad")
-    return RenderConfig(target=target, shape=shape, sorter="cpu" if context.software else "auto")  # type: ignore[arg-type]
+    if not context.software:
+        return RenderConfig(target="16f", shape="quad", fetch="attributes")
+    fetch: Literal["storage", "attributes"] = "storage" if context.vertex_storage else "attributes"
+    return RenderConfig(target="32f", shape="triangle", sorter="cpu", fetch=fetch)
 
 
-def settings_of(subject: Subject, base: RenderConfig, few: bool = False, compute: bool = False) -> list[Setting]:
+def settings_of(
+    subject: Subject, base: RenderConfig, few: bool = False, compute: bool = False, pulled: bool = False
+) -> list[Setting]:
     """The grid of a scene, the default first (and once more, for the noise of the clock).
 
     ``few``: of a knob with more than three settings only every second one and the default. ``compute``: the driver can
-    sort on the GPU.
+    sort on the GPU; ``pulled``: its vertex shaders read storage buffers.
     """
-    default = Drawn(base)
+    default, cannot = Drawn(base), {"sorter": not compute, "fetch": not pulled}
     out = [Setting("default", "default", default), Setting("default", "once more", replace(default, copy=1))]
     for knob, field, values in CONFIG_KNOBS:
-        if _matters(field, subject) and (compute or field != "sorter"):
+        if _matters(field, subject) and not cannot.get(field):
             for value in _some(values, few, getattr(base, field)):
                 out.append(Setting(knob, str(value), Drawn(replace(base, **{field: value}))))
     if isinstance(subject.scene, Avatar):

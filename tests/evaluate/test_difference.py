@@ -104,8 +104,9 @@ def test_the_grid_of_a_scene(context: Context) -> None:
     knobs = {s.knob for s in settings_of(Subject("static", cloud(10), 32), base)}
     assert "influences" not in knobs and "SH degree" not in knobs and "order" in knobs
     subject = Subject("limb", limb(150, degree=1), 32, moving=True)
-    settings = settings_of(subject, base)
+    settings = settings_of(subject, base, pulled=context.vertex_storage)
     assert {"influences", "rotation", "SH degree"} <= {s.knob for s in settings}
+    assert ("records fetched" in {s.knob for s in settings}) == context.vertex_storage
     result = measure(context, subject, settings, frames=3, compared=(5, 7))
     rows = {(r["knob"], r["setting"]): r for r in result["settings"]}
     same = rows["sort bits", "32"], rows["default", "default"]
