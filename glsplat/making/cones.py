@@ -66,10 +66,10 @@ def with_cones(scene: Scene, config: ConeConfig | None = None, progress: Progres
 
     A splat's cone starts as the directions from which it makes more than a threshold of a picture. Then fresh pictures
     (poses and directions that were not looked at before) are drawn as the renderer draws them, with and without the
-    hidden splats: where one keeps less than ``psnr``, the cones of the splats that are missing most are widened; at
-    last all are, by the least cosine with which further pictures all keep that. Pictures by which nothing was
-    chosen say what is kept: ``cones_psnr`` is the worst, over the whole of a picture that the scene fills, before
-    black.
+    hidden splats: where one keeps less than ``psnr``, the cones of the splats that are missing most are widened. At
+    last further pictures say what is kept: where one of them keeps less, all cones are widened until they all keep it,
+    and others look again. ``cones_psnr`` is the worst of the last ones, over the whole of a picture that the scene
+    fills, before black.
     Levels get cones of their own. About two minutes of one core at 40,000 splats.
     Raises GlsplatError for a scene without a finite splat.
     """
@@ -96,19 +96,20 @@ def with_cones(scene: Scene, config: ConeConfig | None = None, progress: Progres
                 mended += 1
         if not mended:
             break
-    many = 2 * config.tests
-    wider = 0.0
-    for k, picture in enumerate(_pictures(scene, usable, rng, many, config)):
-        report("looking how wide", k / many)
-        wider = picture.wide_enough(axis, smallest, wider, config)
-    smallest = smallest - wider
-    worst = np.inf
-    for k, picture in enumerate(_pictures(scene, usable, rng, many, config)):
-        report("looking at what is kept", k / many)
-        worst = min(worst, picture.kept(_packed(axis, smallest)))
+    for _ in range(config.rounds + 1):
+        kept, wider, many = np.inf, 0.0, 2 * config.tests
+        for k, picture in enumerate(_pictures(scene, usable, rng, many, config)):
+            report("looking at what is kept", k / many)
+            now = picture.kept(_packed(axis, smallest))
+            kept = min(kept, now)
+            if now < config.psnr + config.spare:
+                wider = picture.wide_enough(axis, smallest, wider, config)
+        if kept >= config.psnr:
+            break
+        smallest = smallest - wider
     cones = np.tile(_EVERYWHERE, (len(splats), 1))
     cones[usable] = _packed(axis, smallest)
-    done = replace(splats, cones=cones, cones_psnr=round(worst, 2))
+    done = replace(splats, cones=cones, cones_psnr=round(kept, 2))
     return cast("Scene", _with_levels(scene, done, config, progress))
 
 
