@@ -43,7 +43,7 @@ class RenderConfig:
         "auto"  # of a splat; auto = triangle on software rasterizers (measured)
     )
     fetch: Literal["auto", "attributes", "storage"] = (
-        "auto"  # of records by the draw; storage needs OpenGL 4.3, auto = there on software rasterizers (measured)
+        "auto"  # of records by the draw; storage needs OpenGL 4.3, auto = there on software rasterizers, up to 500,000
     )
     order: Literal["shared", "per_view"] = "shared"  # one depth order for both eyes, or one an eye
     sort_bits: Literal[16, 32] = 32  # bits of the depth key

@@ -87,6 +87,7 @@ def test_parts_and_slices(renderer_of: Make, storage: None, monkeypatch: pytest.
     scene, views = cloud(1000), eyes()
     expected = renderer_of(scene, views=2, fetch="attributes").render(views)
     monkeypatch.setattr(draw, "PART", 7)
+    monkeypatch.setattr(draw, "PARTS", 1000)
     renderer = renderer_of(scene, views=2, fetch="storage")
     assert np.array_equal(renderer.render(views), expected)
     asked: list[int] = []
@@ -102,11 +103,16 @@ def test_parts_and_slices(renderer_of: Make, storage: None, monkeypatch: pytest.
     assert np.array_equal(renderer.render(views), expected)  # what was broken off leaves nothing behind
 
 
-def test_who_pulls(renderer_of: Make, context: Context) -> None:
-    """Software rasterizers that can, for triangles, unless the records do not fit."""
+def test_who_pulls(renderer_of: Make, context: Context, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Software rasterizers that can, for triangles, unless the records do not fit or are very many."""
     automatic = renderer_of(cloud(20))
     automatic.render(eyes()[:1])
     assert automatic.variant.pulled == int(context.software and context.vertex_storage)
+    with monkeypatch.context() as patched:
+        patched.setattr(pipeline, "PULLED", 19)
+        many = renderer_of(cloud(20))
+        many.render(eyes()[:1])
+        assert many.variant.pulled == 0
     quads = renderer_of(cloud(20), shape="quad")
     quads.render(eyes()[:1])
     assert quads.variant.pulled == 0

@@ -17,7 +17,7 @@ from glsplat.gl.context import Context
 from glsplat.passes.arena import Arena
 from glsplat.passes.block import FrameBlock
 from glsplat.passes.frame.budget import BLOCK_PIXELS, Budget
-from glsplat.passes.frame.draw import DrawPass, corners_of, fits
+from glsplat.passes.frame.draw import PULLED, DrawPass, corners_of, fits
 from glsplat.passes.frame.gpu_sort import GpuSorter
 from glsplat.passes.frame.key import KeyPass
 from glsplat.passes.frame.project import ProjectPass
@@ -47,7 +47,7 @@ class Pipeline:
         self, context: Context, programs: Programs, variant: Variant, arena: Arena, config: RenderConfig
     ) -> None:
         ctx, count = context.ctx, arena.count
-        if variant.pulled and not fits(ctx, variant, count):
+        if variant.pulled and (not fits(ctx, variant, count) or (config.fetch == "auto" and count > PULLED)):
             variant = replace(variant, pulled=0)
         self._arena, self._config, self.variant = arena, config, variant
         self._scratch = context.scratch
