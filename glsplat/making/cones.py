@@ -57,7 +57,7 @@ class ConeConfig:
     slack: float = 0.02  # cosine by which a cone is wider than the direction that it was widened for
     choosing: int = 8  # pictures that choose the threshold
     tests: int = 12  # pictures a round
-    rounds: int = 3  # of mending, at most
+    rounds: int = 3  # of mending, and of widening all, at most
     test_size: int = 512  # pixels, square, that the scene fills
 
 
@@ -96,7 +96,7 @@ def with_cones(scene: Scene, config: ConeConfig | None = None, progress: Progres
                 mended += 1
         if not mended:
             break
-    for _ in range(config.rounds + 1):
+    for round_ in range(config.rounds + 1):
         kept, wider, many = np.inf, 0.0, 2 * config.tests
         for k, picture in enumerate(_pictures(scene, usable, rng, many, config)):
             report("looking at what is kept", k / many)
@@ -104,7 +104,7 @@ def with_cones(scene: Scene, config: ConeConfig | None = None, progress: Progres
             kept = min(kept, now)
             if now < config.psnr + config.spare:
                 wider = picture.wide_enough(axis, smallest, wider, config)
-        if kept >= config.psnr:
+        if kept >= config.psnr or round_ == config.rounds:
             break
         smallest = smallest - wider
     cones = np.tile(_EVERYWHERE, (len(splats), 1))
