@@ -36,7 +36,6 @@ _FAR, _NEAR = 8.0, (2.0, 5.0)  # radii of the scene from which it is looked at, 
 _EVERYWHERE = np.array([0, 0, 0, -127], np.int8)  # a cone without an axis: visible from everywhere
 _DECADES = 6  # between the smallest threshold and the largest weight
 _STEPS = 8  # halvings of the interval of thresholds
-_COSINE = 0.01  # to which it is found how much wider cones have to be
 _FLAT = 1e-15  # metres: what is thinner has no direction in float32 (cone.glsl has its square)
 _FILL = 0.92  # of the picture that the sphere around the splats' means takes: those on its rim reach beyond
 Progress = Callable[[str, float], None]
@@ -53,7 +52,20 @@ class ConeConfig:
     eps2d: float = 0.3  # px^2: at this size the dilation closes the surface, so that what is behind it counts as hidden
     psnr: float = 45.0  # decibels that pictures keep
     spare: float = 1.0  # decibels more that a picture keeps that was mended
-    widest: float = 0.9  # cosine by which all cones are widened at most
+    wider: Sequence[float] = (
+        0.01,
+        0.02,
+        0.04,
+        0.06,
+        0.09,
+        0.13,
+        0.18,
+        0.25,
+        0.35,
+        0.5,
+        0.7,
+        0.9,
+    )  # cosines, of all cones
     slack: float = 0.02  # cosine by which a cone is wider than the direction that it was widened for
     choosing: int = 8  # pictures that choose the threshold
     tests: int = 12  # pictures a round
@@ -67,9 +79,9 @@ def with_cones(scene: Scene, config: ConeConfig | None = None, progress: Progres
     A splat's cone starts as the directions from which it makes more than a threshold of a picture. Then fresh pictures
     (poses and directions that were not looked at before) are drawn as the renderer draws them, with and without the
     hidden splats: where one keeps less than ``psnr``, the cones of the splats that are missing most are widened. At
-    last further pictures say what is kept: where one of them keeps less, all cones are widened until they all keep it,
-    and others look again. ``cones_psnr`` is the worst of the last ones, over the whole of a picture that the scene
-    fills, before black.
+    last further pictures say what is kept: where one of them keeps less, all cones are widened by the least with
+    which further ones all keep it, and others look again. ``cones_psnr`` is the worst of the last ones, over the whole
+    of a picture that the scene fills, before black.
     Levels get cones of their own. About two minutes of one core at 40,000 splats.
     Raises GlsplatError for a scene without a finite splat.
     """
@@ -97,16 +109,13 @@ def with_cones(scene: Scene, config: ConeConfig | None = None, progress: Progres
         if not mended:
             break
     for round_ in range(config.rounds + 1):
-        kept, wider, many = np.inf, 0.0, 2 * config.tests
+        kept, many = np.inf, 2 * config.tests
         for k, picture in enumerate(_pictures(scene, usable, rng, many, config)):
             report("looking at what is kept", k / many)
-            now = picture.kept(_packed(axis, smallest))
-            kept = min(kept, now)
-            if now < config.psnr + config.spare:
-                wider = picture.wide_enough(axis, smallest, wider, config)
+            kept = min(kept, picture.kept(_packed(axis, smallest)))
         if kept >= config.psnr or round_ == config.rounds:
             break
-        smallest = smallest - wider
+        smallest = smallest - _wide_enough(_pictures(scene, usable, rng, many, config), axis, smallest, config, report)
     cones = np.tile(_EVERYWHERE, (len(splats), 1))
     cones[usable] = _packed(axis, smallest)
     done = replace(splats, cones=cones, cones_psnr=round(kept, 2))
@@ -203,6 +212,19 @@ def _cut(
     return best
 
 
+def _wide_enough(pictures: Iterable[_Picture], axis: F64, smallest: F64, config: ConeConfig, report: Progress) -> float:
+    """The least of ``config.wider`` with which the pictures all keep enough; the largest, where none does.
+
+    All of them are tried: the lift (lift.glsl) is made for what a threshold hides, so wider cones may keep less.
+    """
+    kept = np.full(len(config.wider), np.inf)
+    for k, picture in enumerate(pictures):
+        report("looking how wide", k / (2 * config.tests))
+        kept = np.minimum(kept, [picture.kept(_packed(axis, smallest - by)) for by in config.wider])
+    enough = np.flatnonzero(kept >= config.psnr + config.spare)
+    return config.wider[int(enough[0]) if len(enough) else -1]
+
+
 def _pose(names: tuple[str, ...], rng: np.random.Generator, k: int) -> Pose:
     """As a fit draws it, in turn as it is, farther, and standing with the arms down."""
     pose = random_pose(names, rng)
@@ -231,20 +253,6 @@ class _Picture:
     def kept(self, cones: NDArray[np.int8]) -> float:
         """PSNR of the picture without what ``cones`` hide against the whole one, over black."""
         return _decibel(self._without(hidden(replace(self.posed, cones=cones), [self.eye])))
-
-    def wide_enough(self, axis: F64, smallest: F64, wider: float, config: ConeConfig) -> float:
-        """The least cosine from ``wider`` on by which all cones have to be wider for the picture to keep enough."""
-
-        def keeps(by: float) -> bool:
-            return self.kept(_packed(axis, smallest - by)) >= config.psnr + config.spare
-
-        if keeps(wider):
-            return wider
-        few, many = wider, config.widest
-        while many - few > _COSINE:
-            middle = (few + many) / 2
-            few, many = (few, middle) if keeps(middle) else (middle, many)
-        return many
 
     def widened(self, axis: F64, smallest: F64, config: ConeConfig) -> None:
         """Widen, in place, the cones that hide most of what the picture misses, until it keeps enough."""

@@ -30,7 +30,8 @@ Make = Callable[..., Renderer]
 F64 = NDArray[np.float64]
 PACKED = cones._packed
 
-QUICK = ConeConfig(directions=32, size=40, psnr=40, choosing=3, tests=3, rounds=2, test_size=44)
+WIDER = (0.03, 0.06, 0.15, 0.35, 0.9)
+QUICK = ConeConfig(directions=32, size=40, psnr=40, choosing=3, tests=3, rounds=2, test_size=44, wider=WIDER)
 
 
 def coned(splats: Splats, seed: int = 5) -> Splats:
