@@ -52,7 +52,7 @@ class Avatar:
 
         >>> person = glsplat.default_avatar()
         >>> person, person.without("head")
-        (Avatar(40000 splats, 55 joints, 4 a splat, 3 levels), Avatar(33087 splats, 55 joints, 4 a splat, 3 levels))
+        (Avatar(40000 splats, 55 joints, 4 a splat, 4 levels), Avatar(33087 splats, 55 joints, 4 a splat, 3 levels))
         """
         there = self.skeleton.under(joint)[self.skin.joints]
         keep = (self.skin.weights * there).sum(axis=1) <= 0.5
