@@ -52,20 +52,8 @@ class ConeConfig:
     eps2d: float = 0.3  # px^2: at this size the dilation closes the surface, so that what is behind it counts as hidden
     psnr: float = 45.0  # decibels that pictures keep
     spare: float = 1.0  # decibels more that a picture keeps that was mended
-    wider: Sequence[float] = (
-        0.01,
-        0.02,
-        0.04,
-        0.06,
-        0.09,
-        0.13,
-        0.18,
-        0.25,
-        0.35,
-        0.5,
-        0.7,
-        0.9,
-    )  # cosines, of all cones
+    # cosines, of which all cones are widened by one
+    wider: Sequence[float] = (0.01, 0.02, 0.04, 0.06, 0.09, 0.13, 0.18, 0.25, 0.35, 0.5, 0.7, 0.9)
     slack: float = 0.02  # cosine by which a cone is wider than the direction that it was widened for
     choosing: int = 8  # pictures that choose the threshold
     tests: int = 12  # pictures a round
