@@ -12,7 +12,8 @@ from glsplat.skinning.smplx import JOINT_NAMES
 from glsplat.tracking.recording import embedded_recording
 from glsplat.tracking.solve.body import Body
 from glsplat.tracking.solve.quat import mul
-from glsplat.tracking.solve.solver import AnalyticSolver, Solution, Targets
+from glsplat.tracking.solve.solution import Solution, Targets
+from glsplat.tracking.solve.solver import AnalyticSolver
 from glsplat.tracking.tracker import Tracker
 
 out = sys.argv[1] if len(sys.argv) > 1 else "solved.png"

@@ -5,7 +5,8 @@ from __future__ import annotations
 from glsplat.tracking.calibration import Calibration, calibrate
 from glsplat.tracking.recording import record, replay
 from glsplat.tracking.sample import Sample
-from glsplat.tracking.solve.solver import AnalyticSolver, Solution, Solver, Targets
+from glsplat.tracking.solve.solution import Solution, Solver, Targets
+from glsplat.tracking.solve.solver import AnalyticSolver
 from glsplat.tracking.tracker import Tracker, TrackerConfig
 
 __all__ = [

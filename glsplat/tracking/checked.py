@@ -10,7 +10,7 @@ from glsplat.errors import PoseError
 from glsplat.tracking.solve.body import PELVIS
 from glsplat.tracking.solve.limits import clamp_joint
 from glsplat.tracking.solve.quat import IDENTITY, Quat, Vec
-from glsplat.tracking.solve.solver import Solution
+from glsplat.tracking.solve.solution import Solution
 
 __all__ = ["checked", "finite", "standing", "still"]
 

@@ -7,7 +7,7 @@ from math import acos, cos, sqrt
 from glsplat.tracking.solve.body import ANKLES, FEET, HIPS, KNEES, PELVIS, Body
 from glsplat.tracking.solve.limits import clamp_joint
 from glsplat.tracking.solve.quat import IDENTITY, Quat, Vec, add, mul, nlerp, pull, rotate, slerp
-from glsplat.tracking.solve.solver import Solution
+from glsplat.tracking.solve.solution import Solution
 
 __all__ = ["Guard"]
 

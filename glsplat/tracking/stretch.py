@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from glsplat.tracking.solve.body import COLLARS, ELBOWS, SHOULDERS, SPINE1, SPINE2, SPINE3, WRISTS, Body
 from glsplat.tracking.solve.quat import Vec, mul, rotate
-from glsplat.tracking.solve.solver import Solution, Targets
+from glsplat.tracking.solve.solution import Solution, Targets
 
 __all__ = ["Stretch"]
 

@@ -17,12 +17,13 @@ from glsplat.skinning.skeleton import Skeleton
 from glsplat.tracking.calibration import Calibration
 from glsplat.tracking.checked import checked, finite, standing, still
 from glsplat.tracking.filters import Device, OneEuro, PositionFilter, RotationFilter
+from glsplat.tracking.fingers import Fingers
 from glsplat.tracking.guard import Guard
 from glsplat.tracking.sample import Sample, Transform
 from glsplat.tracking.solve.body import HAND_FRAMES, HEAD_FRAME, Body
-from glsplat.tracking.solve.fingers import Fingers
 from glsplat.tracking.solve.quat import IDENTITY, Quat, Vec, conj, mul, rotation_vector, to_quat
-from glsplat.tracking.solve.solver import AnalyticSolver, Solution, Solver, Targets
+from glsplat.tracking.solve.solution import Solution, Solver, Targets
+from glsplat.tracking.solve.solver import AnalyticSolver
 from glsplat.tracking.stretch import Stretch
 
 __all__ = ["Tracker", "TrackerConfig"]

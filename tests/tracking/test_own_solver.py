@@ -18,7 +18,8 @@ from glsplat.errors import PoseError
 from glsplat.rotations import rotation_matrices
 from glsplat.tracking.sample import Sample
 from glsplat.tracking.solve.body import Body
-from glsplat.tracking.solve.solver import AnalyticSolver, Solution
+from glsplat.tracking.solve.solution import Solution
+from glsplat.tracking.solve.solver import AnalyticSolver
 from glsplat.tracking.tracker import Tracker, TrackerConfig
 
 NAN, INF = math.nan, math.inf

@@ -16,6 +16,7 @@ from glsplat.tracking.solve.quat import (
     mul,
     rotate,
     rotation_vector,
+    scale,
     sub,
     to_quat,
     unit,
@@ -30,6 +31,7 @@ DORSIFLEXION = 0.66  # radians the ankle bends under load
 TIPTOE = 1.0  # radians the heel may lift about the ball
 EXTENSION = 0.5  # behind for each metre down: 27 degrees the hip extends
 STRAIGHT = 0.997  # of its length a leg stretches to
+KNEE_PRIOR = 0.05  # metres: what a known direction of the knee is weighed against
 SOFT = 0.03  # of its length over which a leg becomes straight: the knee would jump otherwise
 
 
@@ -49,10 +51,13 @@ class Leg:
         self.size: float = sqrt(sum(v * v for v in self.ankle))
         self.ball: Vec | None = None  # where the last solution put it, if the leg reached
 
-    def solve(self, foot: Foot, hip: Vec, pelvis: Quat, yaw: float) -> tuple[Quat, Quat, Quat]:
+    def solve(
+        self, foot: Foot, hip: Vec, pelvis: Quat, yaw: float, knee_to: Vec | None = None
+    ) -> tuple[Quat, Quat, Quat]:
         """World rotation of the thigh, local rotation of the knee, world rotation of the foot.
 
-        A foot that the leg does not reach is ``strained``: a straight leg points at it.
+        A foot that the leg does not reach is ``strained``: a straight leg points at it. ``knee_to``: world direction
+        in which the knee bends, where that is known; its length says how surely.
         """
         limb, pitch = self.limb, foot.tilt.at
         foot.strained = False
@@ -84,6 +89,8 @@ class Leg:
         # the knee bends outwards a little (hip abduction of a relaxed crouch)
         out = 0.12 if self.index == 0 else -0.12
         pole = unit((pole[0] + out * cos(facing), pole[1], pole[2] - out * sin(facing)))
+        if knee_to is not None:
+            pole = unit(add(scale(pole, KNEE_PRIOR), knee_to))
         thigh, knee, shin = two_bone(limb, hip, ankle, pole)
         for _ in range(3):
             # a deep crouch lifts the heel where the ankle bends no further

@@ -112,6 +112,10 @@ class Spine:
         facing = yaw_quat(yaw)
         pelvis = mul(facing, to_quat((pelvis_fore, 0.0, -pelvis_side)))
         chest = mul(yaw_quat(yaw + turn), to_quat((chest_fore, 0.0, -chest_side)))
+        return self.hang(eye, head, pelvis, chest)
+
+    def hang(self, eye: Vec, head: Quat, pelvis: Quat, chest: Quat) -> Torso:
+        """The torso whose eyes are at ``eye``, for these world rotations: the spine shares what is between them."""
         x, y, z = rotation_vector(inverse_mul(pelvis, chest))
         low_x, low_y, low_z, high_x, high_y, high_z = BOXES[SPINE1]
         third = to_quat((clamp(x / 3, low_x, high_x), clamp(y / 3, low_y, high_y), clamp(z / 3, low_z, high_z)))

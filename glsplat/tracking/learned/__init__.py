@@ -1,0 +1,1 @@
+"""A small recurrent network that guesses what head and hands only hint at; numpy alone."""

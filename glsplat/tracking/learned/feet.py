@@ -1,0 +1,124 @@
+"""Feet that follow the network's hints and still stand: planted without sliding, lifted and set down in one motion."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import cos, hypot
+
+from glsplat.tracking.learned.hints import FootHint
+from glsplat.tracking.solve.body import FEET, PELVIS, Body
+from glsplat.tracking.solve.foot import Foot
+from glsplat.tracking.solve.leg import TIPTOE, Leg
+from glsplat.tracking.solve.quat import Quat, Vec, add, clamp, rotate, scale, sub, wrap
+
+__all__ = ["Feet"]
+
+LIFT, DROP = 0.38, 0.6  # of a foot's standing: below, it is lifted; above, it is set down
+MOVES = 0.35  # m/s, or
+FAR = 0.07  # metres, that a goal must be away before a foot is lifted for it
+LOST = 0.16  # metres a planted foot is at most from its goal (of a 1.7 m person)
+TURNED = 0.6  # radians likewise
+FOLLOW = 0.1  # seconds: of the low pass by which a lifted foot follows its goal
+LEAD = 0.045  # seconds that this is behind
+BRIEFEST = 0.14  # seconds a foot is in the air at least
+SET = 0.13  # seconds in which it is set down, and of these
+OVER = 0.05  # seconds in which it only goes down
+REST = 0.12  # seconds it then stands at least
+CLEAR = 0.045  # metres the ball is over the ground while it moves
+HELPS = 0.06  # metres or more by which a step must help a strained leg
+TAKE_OFF = 0.02  # metres below and above the reach of the tiptoes over which a jump begins
+
+
+class Feet:
+    """Two feet on flat ground at y = 0 under a pelvis."""
+
+    def __init__(self, body: Body) -> None:
+        self.sole: float = body.sole
+        self.legs: tuple[Leg, Leg] = (Leg(body, 0), Leg(body, 1))
+        self.size: float = self.legs[0].length / 0.83
+        _, up, back = self.legs[0].ankle
+        self.tiptoe: float = up * cos(TIPTOE) - back * 0.84 - up  # metres the ankle rises on tiptoe
+        self.farthest: float = self.legs[0].limb.farthest + up + self.tiptoe + self.sole  # of a hip from the ground
+        self.rest: tuple[Vec, ...] = tuple([sub(body.joints[FEET[i]], body.joints[PELVIS]) for i in (0, 1)])
+        self.feet: tuple[Foot, Foot] = (Foot(0), Foot(1))
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the past: the next update puts both feet where the hints say."""
+        self.started = False
+        self.air = self.slack = 0.0
+        self._since = [1.0, 1.0]  # seconds since each foot was lifted or set down
+
+    def update(
+        self, hints: Sequence[FootHint], pelvis_at: Vec, pelvis: Quat, yaw: float, dt: float
+    ) -> list[tuple[Quat, Quat, Quat]]:
+        """World rotation of thigh, local rotation of the knee, and world rotation of the foot, for left and right."""
+        hips = [add(pelvis_at, rotate(pelvis, leg.hip)) for leg in self.legs]
+        if not self.started:
+            self.started = True
+            for foot, hint in zip(self.feet, hints, strict=True):
+                x, y, z = hint.ball
+                foot.plant((x, self.sole, z), hint.yaw)
+                if hint.stands < 0.5:
+                    foot.y.put(max(y, self.sole + CLEAR * self.size))
+                    foot.planted = False
+        reach = min(hips[0][1], hips[1][1]) - self.farthest
+        self.slack = -reach
+        self.air = 0.0 if reach < -TAKE_OFF else max(reach, (min(reach, TAKE_OFF) + TAKE_OFF) ** 2 / (4 * TAKE_OFF))
+        limbs = []
+        for foot, hint, hip, leg in zip(self.feet, hints, hips, self.legs, strict=True):
+            self._since[foot.index] += dt
+            if foot.planted and self._leaves(foot, hint, leg, hip, pelvis):
+                foot.planted, foot.left = False, 0.0
+                self._since[foot.index] = 0.0
+            if foot.planted:
+                foot.stand(self.sole + self.air, clamp(hint.pitch, 0.0, TIPTOE) if hint.pitch > 0.12 else 0.0, dt)
+            else:
+                self._swing(foot, hint, dt)
+            middle = scale(add(hip, leg.above(foot, foot.tilt.at)), 0.5)
+            limbs.append(leg.solve(foot, hip, pelvis, yaw, sub(hint.knee, middle)))
+        return limbs
+
+    def _leaves(self, foot: Foot, hint: FootHint, leg: Leg, hip: Vec, pelvis: Quat) -> bool:
+        """Whether a planted foot should be lifted."""
+        if self._since[foot.index] < REST:
+            return False
+        away = hypot(hint.ball[0] - foot.x.at, hint.ball[2] - foot.z.at) / self.size
+        moves = hypot(hint.speed[0], hint.speed[2]) / self.size
+        if hint.stands < LIFT and (away > FAR or moves > MOVES):
+            return True
+        turned = abs(wrap(hint.yaw - foot.yaw))
+        other = self.feet[1 - foot.index]
+        if (away > LOST or turned > TURNED) and (other.planted or away > 2 * LOST):
+            return True
+        return (foot.strained or leg.strains(foot, hip, pelvis)) and (away > HELPS or turned > 0.25)
+
+    def _swing(self, foot: Foot, hint: FootHint, dt: float) -> None:
+        """A lifted foot follows its goal; where the goal stands, it is set down there and moves over no more."""
+        ground = self.sole + self.air
+        if foot.left <= 0 and self._since[foot.index] > BRIEFEST and hint.stands > DROP:
+            foot.left = SET
+            lead = SET - OVER
+            foot.landing = add(hint.ball, scale(hint.speed, 0.5 * lead * (1 - hint.stands)))
+        if foot.left > 0:
+            foot.left -= dt
+            over = foot.left - OVER
+            if over + dt > 0:
+                foot.x.approach(foot.landing[0], over + dt, dt)
+                foot.z.approach(foot.landing[2], over + dt, dt)
+                foot.turn.approach(foot.turn.at + wrap(hint.yaw - foot.turn.at), over + dt, dt)
+            foot.y.approach(ground, foot.left + dt, dt)
+            foot.tilt.approach(0.0, foot.left + dt, dt)
+            if foot.left <= 0:
+                foot.land()
+                self._since[foot.index] = 0.0
+            return
+        goal = add(hint.ball, scale(hint.speed, LEAD))
+        # up before it moves over
+        rises = clamp((foot.y.at - ground) / (0.5 * CLEAR * self.size), 0.05, 1.0)
+        follow = FOLLOW / rises
+        foot.x.approach(goal[0], follow, dt)
+        foot.z.approach(goal[2], follow, dt)
+        foot.y.approach(max(goal[1], ground + CLEAR * self.size), FOLLOW, dt)
+        foot.turn.approach(foot.turn.at + wrap(hint.yaw - foot.turn.at), FOLLOW, dt)
+        foot.tilt.approach(clamp(hint.pitch, -0.3, TIPTOE), FOLLOW, dt)

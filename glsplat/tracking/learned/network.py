@@ -1,0 +1,130 @@
+"""The network itself: a layer, a gated recurrent unit, two layers; its file and the checks of it."""
+
+from __future__ import annotations
+
+import hashlib
+import zipfile
+from dataclasses import dataclass
+from os import PathLike
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glsplat.errors import FormatError
+from glsplat.tracking.learned.frames import INPUTS, OUTPUTS, RATE
+
+__all__ = ["VERSION", "Network", "load_network", "save_network"]
+
+F32 = NDArray[np.float32]
+
+VERSION = 1
+"""Of the file and of what the numbers in and out mean (``frames.py``); another one is refused."""
+
+MOST = 1024  # units and width at most: a file that says more is not one of these
+BYTES = 64 << 20
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Network:
+    """Weights, float32; inputs as ``frames.inputs_of`` gives them (normalising is part of the first layer).
+
+    GRU as in Cho et al. 2014 with the reset gate after the product (PyTorch's and cuDNN's form).
+    """
+
+    front: F32  # [W, INPUTS]
+    front_bias: F32  # [W]
+    cell_in: F32  # [3 U, W] reset, update, new
+    cell_in_bias: F32  # [3 U]
+    cell: F32  # [3 U, U]
+    cell_bias: F32  # [3 U]
+    skip: F32  # [W, U]
+    skip_bias: F32  # [W]
+    back: F32  # [OUTPUTS, W]
+    back_bias: F32  # [OUTPUTS]
+    note: str = ""  # what it learned from
+
+    @property
+    def units(self) -> int:
+        """Numbers of the state."""
+        return self.cell.shape[1]
+
+    def start(self) -> F32:
+        """The state of somebody nothing is known of, [U]."""
+        return np.zeros(self.units, np.float32)
+
+    def step(self, inputs: F32, state: F32) -> tuple[F32, F32]:
+        """[OUTPUTS] and the next state, from [INPUTS] and the state of the tick before."""
+        u = self.units
+        x = np.maximum(self.front @ inputs + self.front_bias, 0)
+        a, b = self.cell_in @ x + self.cell_in_bias, self.cell @ state + self.cell_bias
+        # the logistic function as a tanh: finite for numbers of any size
+        gates = 0.5 + 0.5 * np.tanh(0.5 * (a[: 2 * u] + b[: 2 * u]))
+        new = np.tanh(a[2 * u :] + gates[:u] * b[2 * u :])
+        state = new + gates[u:] * (state - new)
+        return self.back @ np.maximum(self.skip @ state + self.skip_bias, 0) + self.back_bias, state
+
+
+ARRAYS = tuple(name for name in Network.__slots__ if name != "note")
+
+
+def save_network(path: str | PathLike[str], network: Network) -> None:
+    """Write a model file (.npz)."""
+    arrays = {name: getattr(network, name) for name in ARRAYS}
+    with open(path, "wb") as file:
+        np.savez(
+            file,
+            version=np.array(VERSION),
+            rate=np.array(RATE),
+            note=np.array(network.note),
+            sha256=np.array(_hash(arrays)),
+            **arrays,
+        )
+
+
+def load_network(path: str | PathLike[str]) -> Network:
+    """Read a model file and check it whole. Raises FormatError that says what is wrong with it."""
+    name = Path(path).name
+    try:
+        if Path(path).stat().st_size > BYTES:
+            raise FormatError(f"{name}: a tracking model has less than {BYTES >> 20} MiB; this is another kind of file")
+        with np.load(path, allow_pickle=False) as file:
+            known = {key: file[key] for key in file.files}
+    except OSError as error:
+        raise FormatError(f"{name}: cannot read the tracking model ({error.strerror or error})") from None
+    except (ValueError, zipfile.BadZipFile, KeyError, EOFError, TypeError, NotImplementedError):
+        raise FormatError(f"{name}: expected a tracking model (.npz of glsplat tracking train)") from None
+    missing = [key for key in ("version", "rate", "sha256", *ARRAYS) if key not in known]
+    if missing:
+        raise FormatError(f"{name}: a tracking model lacks {', '.join(missing[:3])}; train it again")
+    if known["version"].shape or known["version"] != VERSION or known["rate"] != RATE:
+        raise FormatError(f"{name}: a tracking model of version {known['version']}, not {VERSION}; train it again")
+    arrays = {key: known[key] for key in ARRAYS}
+    wrong = _misshapen(arrays)
+    if wrong:
+        raise FormatError(f"{name}: a tracking model whose {wrong}; train it again")
+    if str(known["sha256"]) != _hash(arrays):
+        raise FormatError(f"{name}: the tracking model is damaged (its numbers do not fit its checksum)")
+    return Network(**arrays, note=str(known.get("note", "")))
+
+
+def _misshapen(arrays: dict[str, F32]) -> str:
+    width, units = arrays["front"].shape[:1], arrays["cell"].shape[1:]
+    if not (len(width) == len(units) == 1 and 1 <= width[0] <= MOST and 1 <= units[0] <= MOST):
+        return f"layers have shapes {arrays['front'].shape} and {arrays['cell'].shape}"
+    w, u = width[0], units[0]
+    shapes = ((w, INPUTS), (w,), (3 * u, w), (3 * u,), (3 * u, u), (3 * u,), (w, u), (w,), (OUTPUTS, w), (OUTPUTS,))
+    for (key, array), shape in zip(arrays.items(), shapes, strict=True):
+        if array.shape != shape or array.dtype != np.float32:
+            return f"{key} is {array.dtype} {array.shape}, not float32 {shape}"
+        if not np.isfinite(array).all():
+            return f"{key} is not finite"
+    return ""
+
+
+def _hash(arrays: dict[str, F32]) -> str:
+    whole = hashlib.sha256()
+    for key in ARRAYS:
+        whole.update(key.encode())
+        whole.update(np.ascontiguousarray(arrays[key]).astype("<f4", copy=False).tobytes())
+    return whole.hexdigest()

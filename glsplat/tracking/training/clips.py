@@ -1,0 +1,106 @@
+"""Motions as training data: what a headset would see of them at the network's rate, and the truth it should guess."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glsplat.motion.motion import Motion
+from glsplat.skinning.skeleton import Skeleton
+from glsplat.tracking.derive import truth_from_motion
+from glsplat.tracking.learned.frames import OUTPUTS, RATE, Seen, level, unit_of, yaw_of
+from glsplat.tracking.solve.body import ANKLES, FEET, HEAD, KNEES, PELVIS, SPINE3, WRISTS, Body
+
+__all__ = ["Clip", "clips_of", "mirrored"]
+
+F32 = NDArray[np.float32]
+
+SPEEDS = (1.0, 0.87, 1.15)  # at which every motion is seen
+STILL = 0.55  # m/s below which the ball of a foot stands
+
+
+@dataclass(slots=True)
+class Clip:
+    """One motion at RATE: what is seen, and the truth in the world."""
+
+    group: str  # whose it is
+    seen: Seen
+    points: F32  # [T, 7, 3] pelvis, knees, ankles, feet
+    pelvis: F32  # [T, 3, 3]
+    chest: F32  # [T, 3, 3]
+    contact: F32  # [T, 2]
+
+
+def clips_of(group: str, motion: Motion, skeleton: Skeleton, speeds: Sequence[float] = SPEEDS) -> list[Clip]:
+    """The motion at several speeds, and each mirrored."""
+    out = []
+    for speed in speeds:
+        if len(motion) / motion.fps / speed < 1:
+            continue
+        clip = _clip(group, motion, skeleton, speed)
+        out += [clip, mirrored(clip)]
+    return out
+
+
+def _clip(group: str, motion: Motion, skeleton: Skeleton, speed: float) -> Clip:
+    truth = truth_from_motion(skeleton, motion.rotations, motion.trans, motion.fps * speed, RATE)
+    body = Body.of(skeleton)
+    p, f = truth.positions, truth.frames
+    eye = p[:, HEAD] + f[:, HEAD] @ np.array(body.eye)
+    tracked = np.ones((len(p), 2))
+    wrists = list(WRISTS)
+    seen = Seen(
+        *[a.astype(np.float32) for a in (eye, yaw_of(f[:, HEAD]), f[:, HEAD], p[:, wrists], f[:, wrists], tracked)]
+    )
+    feet = p[:, list(FEET)]
+    speed_of = np.linalg.norm(np.gradient(feet, axis=0), axis=-1) * RATE
+    contact = speed_of < STILL  # heights say little: captured floors and retargeted ankles are centimetres off
+    points = p[:, [PELVIS, *KNEES, *ANKLES, *FEET]]
+    return Clip(group, seen, *[a.astype(np.float32) for a in (points, f[:, PELVIS], f[:, SPINE3], contact)])
+
+
+def mirrored(clip: Clip) -> Clip:
+    """Left and right exchanged: the world reflected in x."""
+    flip = np.array([-1, 1, 1], np.float32)
+    turn = flip[:, None] * flip
+    seen = clip.seen
+    other = [1, 0]
+    return Clip(
+        clip.group,
+        Seen(
+            seen.eye * flip,
+            -seen.yaw,
+            seen.head * turn,
+            seen.at[:, other] * flip,
+            seen.hand[:, other] * turn,
+            seen.tracked[:, other],
+        ),
+        clip.points[:, [0, 2, 1, 4, 3, 6, 5]] * flip,
+        clip.pelvis * turn,
+        clip.chest * turn,
+        clip.contact[:, other],
+    )
+
+
+def targets_of(clip: Clip, unit: float) -> F32:
+    """[T, OUTPUTS] that the network should say; contacts 0 or 1. The last moment repeats what is ahead."""
+    t, yaw = len(clip.points), clip.seen.yaw
+    ground = clip.seen.eye * np.array([1, 0, 1], np.float32)
+    points = level(clip.points - ground[:, None], yaw)
+    later = clip.points[np.minimum(np.arange(t) + 1, t - 1), 3:]
+    ahead = level(later - ground[:, None], yaw)
+    axes = [
+        level(m[:, :, [0, 2]].transpose(0, 2, 1), yaw).transpose(0, 2, 1).reshape(t, 6)
+        for m in (clip.pelvis, clip.chest)
+    ]
+    out = np.concatenate((points.reshape(t, 21) / unit, ahead.reshape(t, 12) / unit, *axes, clip.contact), -1)
+    assert out.shape[1] == OUTPUTS
+    return out.astype(np.float32)
+
+
+def unit_of_skeleton(skeleton: Skeleton) -> float:
+    """Metres that count as one, for this body."""
+    return unit_of(Body.of(skeleton).eye_height)

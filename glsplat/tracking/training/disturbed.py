@@ -1,0 +1,58 @@
+"""What real tracking does to what is seen: noise, lost hands, offsets of devices, calibrations a little off."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glsplat.rotations import rotation_matrices
+from glsplat.tracking.learned.frames import TICK, Seen, yaw_of
+
+__all__ = ["disturbed"]
+
+HEIGHT = 0.02  # standard deviation of what a calibration's scale is off
+PITCH, SEAT = 3.0, 0.01  # degrees, metres: how a headset sits
+GRIP, TILT = 0.012, 5.0  # metres, degrees: a controller in a hand
+WHITE, SPIN = 0.0007, 0.15  # metres, degrees: noise of a moment
+CLEAN = 0.3  # share of sequences without any of it
+HEAD_ONLY, LOSES = 0.08, 0.3  # shares of sequences without hands, with hands lost at times
+LOSS = 0.7  # seconds, mean length
+
+
+def disturbed(seen: Seen, rng: np.random.Generator) -> Seen:
+    """One sequence [T] as a device would see it; the truth stays as it is."""
+    t = len(seen.yaw)
+    eye, head, at, hand = seen.eye.copy(), seen.head, seen.at.copy(), seen.hand
+    if rng.random() >= CLEAN:
+        scale = 1 + HEIGHT * rng.standard_normal()
+        # heights and reaches, not the room: the body stands where it stands
+        tall = eye * np.array([1, scale, 1])
+        eye, at = tall, tall[:, None] + (at - eye[:, None]) * scale
+        head = head @ _turn(rng, (PITCH, 0.5, 1.0), 1)[0]
+        eye += SEAT * rng.standard_normal(3)
+        for side in (0, 1):
+            hand = hand.copy()
+            hand[:, side] = hand[:, side] @ _turn(rng, (TILT,) * 3, 1)[0]
+            at[:, side] += np.einsum("tab,b->ta", hand[:, side], GRIP * rng.standard_normal(3))
+        size = rng.random()
+        eye += size * WHITE * rng.standard_normal(eye.shape)
+        at += size * WHITE * rng.standard_normal(at.shape)
+        head = head @ _turn(rng, (size * SPIN,) * 3, t)
+        hand = hand @ _turn(rng, (size * SPIN,) * 3, 2 * t).reshape(t, 2, 3, 3)
+    tracked = seen.tracked.copy()
+    kind = rng.random()
+    if kind < HEAD_ONLY:
+        tracked[:] = 0
+    elif kind < HEAD_ONLY + LOSES:
+        for side in (0, 1):
+            when = 0.0
+            while (when := when + rng.exponential(4.0)) < t * TICK:
+                length = rng.exponential(LOSS)
+                tracked[int(when / TICK) : int((when + length) / TICK) + 1, side] = 0
+                when += length
+    yaw = np.where(head[:, 1, 1] > -0.9, yaw_of(head), seen.yaw)
+    return Seen(*[a.astype(np.float32) for a in (eye, yaw, head, at, hand, tracked)])
+
+
+def _turn(rng: np.random.Generator, degrees: tuple[float, float, float], count: int) -> NDArray[np.float64]:
+    return np.asarray(rotation_matrices(np.radians(degrees) * rng.standard_normal((count, 3))), np.float64)
