@@ -1,4 +1,4 @@
-"""``glsplat tracking``: head and hands to a full-body pose; derive, calibrate, solve, score, show, bench."""
+"""``glsplat tracking``: head and hands to a full-body pose; derive, calibrate, solve, score, show, bench, train."""
 
 from __future__ import annotations
 
@@ -27,6 +27,7 @@ from ..usage import UsageError
 from .bench import add_bench
 from .options import add_recording, add_skeleton, samples_of, skeleton_of, tracker_of
 from .show import add_show
+from .train import add_train
 
 HELP = "Head and hand tracking to a full-body pose: derive it from motions, calibrate, solve, score, show, bench."
 EXAMPLE = "glsplat tracking from-motion walk -o rec.jsonl --truth truth.jsonl --rate 72"
@@ -73,6 +74,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
     add_show(commands)
     add_bench(commands)
+    add_train(commands)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -11,12 +11,13 @@ from glsplat.skinning.skeleton import Skeleton
 from glsplat.tracking.calibration import Calibration
 from glsplat.tracking.recording import embedded_recording, replay
 from glsplat.tracking.sample import Sample
+from glsplat.tracking.solvers import SOLVERS
 from glsplat.tracking.tracker import Tracker, TrackerConfig
 
 from ..args import load_avatar, tracked
 from ..usage import UsageError
 
-__all__ = ["add_recording", "add_skeleton", "samples_of", "skeleton_of", "tracker_of"]
+__all__ = ["add_recording", "add_skeleton", "add_solver", "samples_of", "skeleton_of", "tracker_of"]
 
 
 def add_skeleton(parser: argparse.ArgumentParser) -> None:
@@ -26,12 +27,20 @@ def add_skeleton(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def add_solver(parser: argparse.ArgumentParser) -> None:
+    """--solver: what guesses the body."""
+    parser.add_argument(
+        "--solver", choices=SOLVERS, default=SOLVERS[0], help=f"what guesses the body (default {SOLVERS[0]})"
+    )
+
+
 def add_recording(parser: argparse.ArgumentParser) -> None:
     """A recording, and how to solve it."""
     parser.add_argument("recording", nargs="?", metavar="RECORDING", help="samples (.jsonl); default: the embedded one")
     parser.add_argument("--calibration", metavar="JSON", help="from `glsplat tracking calibrate`")
     parser.add_argument("--height", type=float, help="the user's stature in metres, instead of a calibration")
     parser.add_argument("--head-only", action="store_true", help="ignore the hands")
+    add_solver(parser)
     parser.add_argument("--no-filter", action="store_true", help="switch the One Euro filters off")
     parser.add_argument("--predict-ms", type=float, default=0.0, help="extrapolate to the time of display (0 to 100)")
     add_skeleton(parser)
@@ -64,4 +73,4 @@ def tracker_of(args: argparse.Namespace, skeleton: Skeleton) -> Tracker:
         calibration = Calibration.of_height(skeleton, args.height)
     settings = {"prediction": args.predict_ms / 1000}
     config = TrackerConfig.raw(**settings) if args.no_filter else TrackerConfig(**settings)
-    return Tracker(skeleton, calibration, config, head_only=args.head_only)
+    return Tracker(skeleton, calibration, config, solver=args.solver, head_only=args.head_only)

@@ -15,7 +15,7 @@ __all__ = ["default_avatar", "participants_folder"]
 
 @lru_cache(maxsize=1)
 def default_avatar() -> Avatar:
-    """The embedded person (40,000 splats and levels of 20,000, 10,000 and 5,000; 55 SMPL-X joints; licence beside it).
+    """The embedded person (40,000 splats and its levels of detail; 55 SMPL-X joints; licence beside it).
 
     >>> glsplat.default_avatar().skeleton
     Skeleton(55 joints: pelvis, left_hip, right_hip, ...)

@@ -19,11 +19,13 @@ from glsplat.tracking.checked import checked, finite, standing, still
 from glsplat.tracking.filters import Device, OneEuro, PositionFilter, RotationFilter
 from glsplat.tracking.fingers import Fingers
 from glsplat.tracking.guard import Guard
+from glsplat.tracking.learned.solver import LearnedSolver
 from glsplat.tracking.sample import Sample, Transform
 from glsplat.tracking.solve.body import HAND_FRAMES, HEAD_FRAME, Body
 from glsplat.tracking.solve.quat import IDENTITY, Quat, Vec, conj, mul, rotation_vector, to_quat
 from glsplat.tracking.solve.solution import Solution, Solver, Targets
 from glsplat.tracking.solve.solver import AnalyticSolver
+from glsplat.tracking.solvers import SolverName, solver_of
 from glsplat.tracking.stretch import Stretch
 
 __all__ = ["Tracker", "TrackerConfig"]
@@ -88,7 +90,8 @@ class Tracker:
     after the floor is subtracted. Draw the avatar at unit size and divide the cameras' positions likewise
     (``to_avatar``). Not thread-safe; one Tracker a user. Deterministic: the same samples give the same poses.
 
-    A ``solver`` of your own may raise or return what is no body: the last pose is then held, ``flags`` has
+    ``solver``: "analytic" (the default), "learned" (a network guesses torso and legs; docs/tracking.md), or an object.
+    One of your own may raise or return what is no body: the last pose is then held, ``flags`` has
     "solver_failed" and ``solver_error`` says why. Raises PoseError for a solver without ``reset`` and ``solve``.
     """
 
@@ -99,19 +102,15 @@ class Tracker:
         skeleton: Skeleton,
         calibration: Calibration | None = None,
         config: TrackerConfig | None = None,
-        solver: Solver | None = None,
+        solver: Solver | SolverName | None = None,
         head_only: bool = False,
     ) -> None:
         self.skeleton = skeleton
         self.calibration: Calibration = calibration or Calibration()
         self.config = c = config or TrackerConfig()
         self.body: Body = Body.of(skeleton)
-        self.solver: Solver = AnalyticSolver(self.body) if solver is None else solver
-        self._trusted = type(self.solver) is AnalyticSolver
-        if not all(callable(getattr(self.solver, name, None)) for name in ("reset", "solve")):
-            raise PoseError(
-                f"a solver needs the methods reset() and solve(targets, dt), which {type(solver).__name__} lacks"
-            )
+        self.solver: Solver = solver_of(solver, self.body)
+        self._trusted = type(self.solver) in (AnalyticSolver, LearnedSolver)
         self.head_only = head_only
         self._root = self.body.joints[0]
         self._stretch = Stretch(self.body, c.stretch)

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import cos, hypot
+from math import cos, exp, hypot, sqrt
 
 from glsplat.tracking.learned.hints import FootHint
 from glsplat.tracking.solve.body import FEET, PELVIS, Body
 from glsplat.tracking.solve.foot import Foot
 from glsplat.tracking.solve.leg import TIPTOE, Leg
-from glsplat.tracking.solve.quat import Quat, Vec, add, clamp, rotate, scale, sub, wrap
+from glsplat.tracking.solve.quat import Quat, Vec, add, clamp, pull, rotate, scale, sub, wrap
 
 __all__ = ["Feet"]
 
@@ -18,14 +18,18 @@ MOVES = 0.35  # m/s, or
 FAR = 0.07  # metres, that a goal must be away before a foot is lifted for it
 LOST = 0.16  # metres a planted foot is at most from its goal (of a 1.7 m person)
 TURNED = 0.6  # radians likewise
-FOLLOW = 0.1  # seconds: of the low pass by which a lifted foot follows its goal
-LEAD = 0.045  # seconds that this is behind
+FOLLOW = 0.115  # seconds: of the low pass by which a lifted foot follows its goal
+RISE = 0.05  # seconds: likewise, upwards where its leg does not reach
+FORESIGHT = 0.06  # seconds: a foot leaves the ground before its leg is stretched
+LEAD = 0.055  # seconds that this is behind
 BRIEFEST = 0.14  # seconds a foot is in the air at least
-SET = 0.13  # seconds in which it is set down, and of these
+SET = 0.16  # seconds in which it is set down, and of these
 OVER = 0.05  # seconds in which it only goes down
 REST = 0.12  # seconds it then stands at least
 CLEAR = 0.045  # metres the ball is over the ground while it moves
 HELPS = 0.06  # metres or more by which a step must help a strained leg
+ASTRIDE = 0.3  # of its length that a leg's foot is from below the hip, beyond which a strained leg steps at once
+REACH = 0.985  # of its length to which a lifted foot is put
 TAKE_OFF = 0.02  # metres below and above the reach of the tiptoes over which a jump begins
 
 
@@ -47,6 +51,8 @@ class Feet:
         """Forget the past: the next update puts both feet where the hints say."""
         self.started = False
         self.air = self.slack = 0.0
+        self._before: Vec | None = None
+        self._speed: Vec = (0.0, 0.0, 0.0)  # m/s of the pelvis
         self._since = [1.0, 1.0]  # seconds since each foot was lifted or set down
 
     def update(
@@ -62,6 +68,10 @@ class Feet:
                 if hint.stands < 0.5:
                     foot.y.put(max(y, self.sole + CLEAR * self.size))
                     foot.planted = False
+        if self._before is not None:
+            k = 1 - exp(-dt / 0.04)
+            self._speed = pull(self._speed, scale(sub(pelvis_at, self._before), 1 / dt), k)
+        self._before = pelvis_at
         reach = min(hips[0][1], hips[1][1]) - self.farthest
         self.slack = -reach
         self.air = 0.0 if reach < -TAKE_OFF else max(reach, (min(reach, TAKE_OFF) + TAKE_OFF) ** 2 / (4 * TAKE_OFF))
@@ -74,13 +84,21 @@ class Feet:
             if foot.planted:
                 foot.stand(self.sole + self.air, clamp(hint.pitch, 0.0, TIPTOE) if hint.pitch > 0.12 else 0.0, dt)
             else:
-                self._swing(foot, hint, dt)
+                self._swing(foot, hint, leg, hip, dt)
             middle = scale(add(hip, leg.above(foot, foot.tilt.at)), 0.5)
             limbs.append(leg.solve(foot, hip, pelvis, yaw, sub(hint.knee, middle)))
         return limbs
 
     def _leaves(self, foot: Foot, hint: FootHint, leg: Leg, hip: Vec, pelvis: Quat) -> bool:
         """Whether a planted foot should be lifted."""
+        ahead = add(hip, scale(self._speed, FORESIGHT))
+        strained = foot.strained or leg.strains(foot, ahead, pelvis)
+        if (
+            strained
+            and self._since[foot.index] > 0.04
+            and hypot(ahead[0] - foot.x.at, ahead[2] - foot.z.at) > ASTRIDE * leg.length
+        ):
+            return True
         if self._since[foot.index] < REST:
             return False
         away = hypot(hint.ball[0] - foot.x.at, hint.ball[2] - foot.z.at) / self.size
@@ -91,15 +109,16 @@ class Feet:
         other = self.feet[1 - foot.index]
         if (away > LOST or turned > TURNED) and (other.planted or away > 2 * LOST):
             return True
-        return (foot.strained or leg.strains(foot, hip, pelvis)) and (away > HELPS or turned > 0.25)
+        return strained and (away > HELPS or turned > 0.25)
 
-    def _swing(self, foot: Foot, hint: FootHint, dt: float) -> None:
+    def _swing(self, foot: Foot, hint: FootHint, leg: Leg, hip: Vec, dt: float) -> None:
         """A lifted foot follows its goal; where the goal stands, it is set down there and moves over no more."""
         ground = self.sole + self.air
         if foot.left <= 0 and self._since[foot.index] > BRIEFEST and hint.stands > DROP:
             foot.left = SET
             lead = SET - OVER
-            foot.landing = add(hint.ball, scale(hint.speed, 0.5 * lead * (1 - hint.stands)))
+            landing = add(hint.ball, scale(hint.speed, 0.5 * lead * (1 - hint.stands)))
+            foot.landing = self._within(landing, leg, hip, ground)
         if foot.left > 0:
             foot.left -= dt
             over = foot.left - OVER
@@ -109,16 +128,30 @@ class Feet:
                 foot.turn.approach(foot.turn.at + wrap(hint.yaw - foot.turn.at), over + dt, dt)
             foot.y.approach(ground, foot.left + dt, dt)
             foot.tilt.approach(0.0, foot.left + dt, dt)
+            if foot.strained and foot.left > OVER:  # the body has gone on: another step
+                foot.left = 0.0
+                self._since[foot.index] = 0.0
+                return
             if foot.left <= 0:
                 foot.land()
                 self._since[foot.index] = 0.0
             return
-        goal = add(hint.ball, scale(hint.speed, LEAD))
+        high = max(hint.ball[1], ground + CLEAR * self.size)
+        goal = self._within(add(hint.ball, scale(hint.speed, LEAD)), leg, hip, high)
         # up before it moves over
         rises = clamp((foot.y.at - ground) / (0.5 * CLEAR * self.size), 0.05, 1.0)
         follow = FOLLOW / rises
         foot.x.approach(goal[0], follow, dt)
         foot.z.approach(goal[2], follow, dt)
-        foot.y.approach(max(goal[1], ground + CLEAR * self.size), FOLLOW, dt)
+        foot.y.approach(high, RISE if foot.strained else FOLLOW, dt)
         foot.turn.approach(foot.turn.at + wrap(hint.yaw - foot.turn.at), FOLLOW, dt)
         foot.tilt.approach(clamp(hint.pitch, -0.3, TIPTOE), FOLLOW, dt)
+
+    def _within(self, place: Vec, leg: Leg, hip: Vec, high: float) -> Vec:
+        """A place for the ball at this height that the leg can reach: nearer to below the hip, if it must be."""
+        rise = hip[1] - (high + leg.ankle[1])
+        most = sqrt(max((REACH * leg.limb.farthest) ** 2 - rise * rise, 0.0)) if rise > 0 else leg.limb.farthest
+        x, z = place[0] - hip[0], place[2] - hip[2]
+        far = hypot(x, z)
+        k = 1.0 if far <= most else most / far
+        return (hip[0] + x * k, place[1], hip[2] + z * k)

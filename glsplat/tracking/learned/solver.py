@@ -1,4 +1,4 @@
-"""The learned solver: a network guesses torso, feet and knees; inverse kinematics keeps head, hands and ground exact."""
+"""The learned solver: a network guesses torso and feet; inverse kinematics keeps head, hands, ground exact."""
 
 from __future__ import annotations
 

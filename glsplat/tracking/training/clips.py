@@ -32,6 +32,7 @@ class Clip:
     pelvis: F32  # [T, 3, 3]
     chest: F32  # [T, 3, 3]
     contact: F32  # [T, 2]
+    plain: bool = False  # as it was captured: neither mirrored nor faster or slower
 
 
 def clips_of(group: str, motion: Motion, skeleton: Skeleton, speeds: Sequence[float] = SPEEDS) -> list[Clip]:
@@ -41,6 +42,7 @@ def clips_of(group: str, motion: Motion, skeleton: Skeleton, speeds: Sequence[fl
         if len(motion) / motion.fps / speed < 1:
             continue
         clip = _clip(group, motion, skeleton, speed)
+        clip.plain = speed == 1
         out += [clip, mirrored(clip)]
     return out
 
@@ -59,7 +61,8 @@ def _clip(group: str, motion: Motion, skeleton: Skeleton, speed: float) -> Clip:
     speed_of = np.linalg.norm(np.gradient(feet, axis=0), axis=-1) * RATE
     contact = speed_of < STILL  # heights say little: captured floors and retargeted ankles are centimetres off
     points = p[:, [PELVIS, *KNEES, *ANKLES, *FEET]]
-    return Clip(group, seen, *[a.astype(np.float32) for a in (points, f[:, PELVIS], f[:, SPINE3], contact)])
+    of_points, pelvis, chest, stands = (a.astype(np.float32) for a in (points, f[:, PELVIS], f[:, SPINE3], contact))
+    return Clip(group, seen, of_points, pelvis, chest, stands)
 
 
 def mirrored(clip: Clip) -> Clip:

@@ -22,7 +22,7 @@ LOSS = 0.7  # seconds, mean length
 def disturbed(seen: Seen, rng: np.random.Generator) -> Seen:
     """One sequence [T] as a device would see it; the truth stays as it is."""
     t = len(seen.yaw)
-    eye, head, at, hand = seen.eye.copy(), seen.head, seen.at.copy(), seen.hand
+    eye, head, at, hand = (a.astype(np.float64) for a in (seen.eye, seen.head, seen.at, seen.hand))
     if rng.random() >= CLEAN:
         scale = 1 + HEIGHT * rng.standard_normal()
         # heights and reaches, not the room: the body stands where it stands
@@ -31,7 +31,6 @@ def disturbed(seen: Seen, rng: np.random.Generator) -> Seen:
         head = head @ _turn(rng, (PITCH, 0.5, 1.0), 1)[0]
         eye += SEAT * rng.standard_normal(3)
         for side in (0, 1):
-            hand = hand.copy()
             hand[:, side] = hand[:, side] @ _turn(rng, (TILT,) * 3, 1)[0]
             at[:, side] += np.einsum("tab,b->ta", hand[:, side], GRIP * rng.standard_normal(3))
         size = rng.random()

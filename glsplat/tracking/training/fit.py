@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from glsplat.errors import GlsplatError
 from glsplat.tracking.learned.frames import INPUTS, OUTPUTS, Seen, inputs_of, slower
 from glsplat.tracking.learned.network import Network
 from glsplat.tracking.training.clips import Clip, targets_of
@@ -27,19 +28,27 @@ class FitConfig:
     """What is fitted, and for how long."""
 
     width: int = 128  # of the layer in front
-    units: int = 288  # of the recurrent layer
-    steps: int = 1500
+    units: int = 320  # of the recurrent layer
+    steps: int = 3200
     batch: int = 48
     length: int = 200  # ticks of a sequence
     rate: float = 2e-3  # of learning, at its highest
     seed: int = 0
 
 
+def _torch() -> Any:
+    try:
+        import torch
+    except ImportError:
+        raise GlsplatError("training needs PyTorch; install it with: pip install 'glsplat[train]'") from None
+    return torch
+
+
 def module(config: FitConfig) -> Any:
     """The network as PyTorch has it."""
-    import torch
+    torch = _torch()
 
-    class Net(torch.nn.Module):
+    class Net(torch.nn.Module):  # type: ignore[name-defined, misc]
         def __init__(self) -> None:
             super().__init__()
             self.front = torch.nn.Linear(INPUTS, config.width)
@@ -77,7 +86,7 @@ def fit(
     clips: Sequence[Clip], unit: float, config: FitConfig, progress: Callable[[int, float], None] | None = None
 ) -> tuple[Any, F32, F32]:
     """The network, and mean and spread [INPUTS] by which its inputs are normalised."""
-    import torch
+    torch = _torch()
 
     torch.manual_seed(config.seed)
     rng = np.random.default_rng(config.seed)
@@ -143,7 +152,7 @@ def _seen_from(truth: F32, clean: Seen, odd: Seen, unit: float) -> F32:
 
 
 def _loss(said: Any, truth: Any, known: Any) -> Any:
-    import torch
+    torch = _torch()
 
     b, t = known.shape
     weights = torch.tensor(WEIGHTS)
@@ -166,7 +175,7 @@ def _normal(clips: Sequence[Clip], unit: float) -> tuple[F32, F32]:
 
 def evaluate(net: Any, mean: F32, spread: F32, clips: Sequence[Clip], unit: float) -> dict[str, float]:
     """Mean distances in cm of the undisturbed clips, point by point, by what the network alone says."""
-    import torch
+    torch = _torch()
 
     errors, right = [], []
     with torch.no_grad():

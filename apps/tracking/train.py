@@ -1,0 +1,115 @@
+"""``glsplat tracking train``: the network of the learned solver, from motion files (PyTorch)."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import re
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from tqdm import tqdm
+
+from glsplat.errors import FormatError
+from glsplat.motion.motion import load_motion
+from glsplat.tracking.learned.network import save_network
+from glsplat.tracking.training.clips import Clip, clips_of, unit_of_skeleton
+from glsplat.tracking.training.fit import FitConfig, evaluate, fit, network_of
+
+from ..usage import UsageError
+from .options import add_skeleton, skeleton_of
+
+__all__ = ["add_train"]
+
+DEFAULT = FitConfig()
+KINDS = (".bvh", ".amc", ".json", ".npz", ".glb", ".gltf", ".vrma")
+
+
+def add_train(commands: Any) -> None:
+    """The subcommand's options."""
+    command = commands.add_parser("train", help="make the learned solver's network from motion files (PyTorch)")
+    command.add_argument("motions", nargs="+", metavar="MOTION", help="motion files, or folders of them")
+    command.add_argument("-o", "--output", required=True, metavar="MODEL.npz", help="the network")
+    command.add_argument("--steps", type=int, default=DEFAULT.steps, help=f"of the fit (default {DEFAULT.steps})")
+    command.add_argument("--units", type=int, default=DEFAULT.units, help=f"of its memory (default {DEFAULT.units})")
+    command.add_argument("--seed", type=int, default=0, help="of everything random")
+    command.add_argument(
+        "--groups",
+        default=r"(.+)_[^_]+",
+        metavar="REGEX",
+        help="whose a file is, by its name: what the first bracket holds (default: all before the last _)",
+    )
+    command.add_argument("--hold-out", metavar="K/N", help="leave part K of N of the groups out, and say their errors")
+    command.add_argument("--note", default="", help="what it learned from, kept in the file")
+    command.add_argument("--json", action="store_true", help="print the errors as JSON")
+    add_skeleton(command)
+    command.set_defaults(work=train)
+
+
+def train(args: argparse.Namespace) -> int:
+    """Read, fit, write, say."""
+    if not (1 <= args.steps <= 10**6 and 1 <= args.units <= 1024):
+        raise UsageError("--steps needs 1 to 1,000,000, --units 1 to 1024")
+    try:
+        groups = re.compile(args.groups)
+    except re.error as error:
+        raise UsageError(f"--groups is no regular expression ({error})") from None
+    held = _part(args.hold_out)
+    skeleton = skeleton_of(args.avatar)
+    unit = unit_of_skeleton(skeleton)
+    quiet = not sys.stderr.isatty()
+    clips: list[Clip] = []
+    for path in tqdm(_files(args.motions), unit="motion", disable=quiet, leave=False):
+        match = groups.match(path.stem)
+        clips += clips_of(
+            match[1] if match and match.groups() else path.stem, load_motion(str(path), skeleton), skeleton
+        )
+    out = _left_out(sorted({clip.group for clip in clips}), held)
+    seen = [clip for clip in clips if clip.group not in out]
+    if not seen:
+        raise FormatError("no motion of a second or more is left to learn from")
+    with tqdm(total=args.steps, unit="step", disable=quiet, leave=False) as bar:
+
+        def show(_: int, loss: float) -> None:
+            bar.update()
+            bar.set_postfix(loss=f"{loss:.3f}")
+
+        config = FitConfig(steps=args.steps, units=args.units, seed=args.seed)
+        net, mean, spread = fit(seen, unit, config, show)
+    save_network(args.output, network_of(net, mean, spread, args.note))
+    seconds = sum(len(clip.points) for clip in seen) / 30
+    result = {"motions": len(seen), "seconds": round(seconds), "left_out": sorted(out)}
+    if out:  # the motions as they are, not their mirror images or other speeds
+        result |= evaluate(net, mean, spread, [clip for clip in clips if clip.group in out and clip.plain], unit)
+    print(json.dumps(result) if args.json else "\n".join(f"{key:10} {value}" for key, value in result.items()))
+    return 0
+
+
+def _files(names: list[str]) -> list[Path]:
+    files: list[Path] = []
+    for name in names:
+        path = Path(name)
+        inside = sorted(p for p in path.iterdir() if p.suffix.lower() in KINDS) if path.is_dir() else [path]
+        if not inside:
+            raise FormatError(f"{name}: a folder without motions ({', '.join(KINDS)})")
+        files += inside
+    return files
+
+
+def _part(text: str | None) -> tuple[int, int] | None:
+    if text is None:
+        return None
+    match = re.fullmatch(r"(\d{1,3})/(\d{1,3})", text)
+    if match is None or not 1 <= int(match[1]) <= int(match[2]) or int(match[2]) < 2:
+        raise UsageError(f"--hold-out needs K/N, such as 1/5, not {text!r:.40}")
+    return int(match[1]) - 1, int(match[2])
+
+
+def _left_out(groups: list[str], held: tuple[int, int] | None) -> set[str]:
+    """Every N-th group of an order that is drawn once and for all."""
+    if held is None:
+        return set()
+    order = np.random.default_rng(5).permutation(len(groups))
+    return {groups[i] for i in order[held[0] :: held[1]]}
