@@ -2,8 +2,10 @@
 
 Casiez, Roussel & Vogel, "1 Euro Filter: A Simple Speed-based Low-pass Filter for Noisy Input in Interactive Systems",
 CHI 2012: a first-order low pass whose cutoff grows with the speed, fc = min_cutoff + beta |speed|. One speed serves all
-coordinates, so the filter has no preferred axis. A first-order low pass cannot overshoot. It lags by 1 / (2 pi fc): at
-rest 1 / (2 pi min_cutoff) seconds; at speed the distance behind is below 1 / (2 pi beta), whatever the speed.
+coordinates, so the filter has no preferred axis. Here two equal low passes of twice that cutoff follow each other: the
+same lag, but noise falls off with the square of its frequency, and it is the fast part of noise that shakes a body. Low
+passes of first order cannot overshoot. Both together lag by 1 / (2 pi fc): at rest 1 / (2 pi min_cutoff) seconds; at
+speed the distance behind is below 1 / (2 pi beta), whatever the speed.
 """
 
 from __future__ import annotations
@@ -11,7 +13,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import acos, exp, pi, sqrt
 
-from glsplat.tracking.solve.quat import IDENTITY, Quat, Vec, clamp, mul, nlerp, to_quat
+from glsplat.tracking.solve.quat import IDENTITY, Quat, Vec, clamp, mul, nlerp, pull, slerp, to_quat
 
 __all__ = ["Device", "OneEuro", "PositionFilter", "RotationFilter"]
 
@@ -22,11 +24,20 @@ class OneEuro:
 
     min_cutoff: float  # Hz at rest; 0 switches the filter off
     beta: float  # Hz for each m/s (positions) or rad/s (rotations)
+    knee: float = 0.0  # m/s or rad/s below which the cutoff grows with the square of the speed: sway is not motion yet
     derivative_cutoff: float = 4.0  # Hz, smoothing of the speed itself
+
+    def cutoff(self, speed: float) -> float:
+        """Hz at this speed."""
+        return self.min_cutoff + self.beta * speed * (1.0 if speed >= self.knee else speed / self.knee)
+
+    def share(self, speed: float, dt: float) -> float:
+        """Of the way to its input that each of the two low passes goes in dt seconds."""
+        return 1.0 if self.min_cutoff <= 0 else 1 - exp(-4 * pi * self.cutoff(speed) * dt)
 
     def lag(self, speed: float) -> float:
         """Seconds by which the filter delays a motion of this speed (m/s or rad/s)."""
-        return 0.0 if self.min_cutoff <= 0 else 1 / (2 * pi * (self.min_cutoff + self.beta * speed))
+        return 0.0 if self.min_cutoff <= 0 else 1 / (2 * pi * self.cutoff(speed))
 
 
 class PositionFilter:
@@ -37,18 +48,20 @@ class PositionFilter:
 
     def __init__(self, setting: OneEuro, max_speed: float) -> None:
         self.setting, self.max_speed = setting, max_speed
+        self.first: Vec | None = None  # behind the first low pass
         self.value: Vec | None = None
         self.velocity: Vec = (0.0, 0.0, 0.0)
 
     def reset(self) -> None:
         """Forget the past: the next value passes unchanged."""
-        self.value, self.velocity = None, (0.0, 0.0, 0.0)
+        self.first = self.value = None
+        self.velocity = (0.0, 0.0, 0.0)
 
     def update(self, raw: Vec, dt: float) -> Vec:
         """The filtered point ``dt`` seconds after the last one."""
-        last = self.value
-        if last is None:
-            self.value = raw
+        last, value = self.first, self.value
+        if last is None or value is None:
+            self.first = self.value = raw
             return raw
         dx, dy, dz = raw[0] - last[0], raw[1] - last[1], raw[2] - last[2]
         far = sqrt(dx * dx + dy * dy + dz * dz)
@@ -62,10 +75,9 @@ class PositionFilter:
         rate = 1 / dt
         vx, vy, vz = vx + (dx * rate - vx) * a, vy + (dy * rate - vy) * a, vz + (dz * rate - vz) * a
         self.velocity = (vx, vy, vz)
-        if s.min_cutoff > 0:
-            k = 1 - exp(-2 * pi * (s.min_cutoff + s.beta * sqrt(vx * vx + vy * vy + vz * vz)) * dt)
-            dx, dy, dz = dx * k, dy * k, dz * k
-        self.value = value = (last[0] + dx, last[1] + dy, last[2] + dz)
+        k = s.share(sqrt(vx * vx + vy * vy + vz * vz), dt)
+        self.first = first = (last[0] + dx * k, last[1] + dy * k, last[2] + dz * k)
+        self.value = value = first if k == 1 else pull(value, first, k)
         return value
 
     def ahead(self, seconds: float, most: float) -> Vec:
@@ -85,18 +97,20 @@ class RotationFilter:
 
     def __init__(self, setting: OneEuro, max_speed: float) -> None:
         self.setting, self.max_speed = setting, max_speed
+        self.first: Quat | None = None  # behind the first low pass
         self.value: Quat | None = None
         self.velocity: Vec = (0.0, 0.0, 0.0)  # rad/s, world axes
 
     def reset(self) -> None:
         """Forget the past: the next value passes unchanged."""
-        self.value, self.velocity = None, (0.0, 0.0, 0.0)
+        self.first = self.value = None
+        self.velocity = (0.0, 0.0, 0.0)
 
     def update(self, raw: Quat, dt: float) -> Quat:
         """The filtered rotation ``dt`` seconds after the last one."""
-        last = self.value
-        if last is None:
-            self.value = raw
+        last, value = self.first, self.value
+        if last is None or value is None:
+            self.first = self.value = raw
             return raw
         # the turn from the last value, world axes: raw conj(last)
         aw, ax, ay, az = raw
@@ -118,12 +132,11 @@ class RotationFilter:
         vx, vy, vz = self.velocity
         vx, vy, vz = vx + (x * rate - vx) * a, vy + (y * rate - vy) * a, vz + (z * rate - vz) * a
         self.velocity = (vx, vy, vz)
-        k = angle and min(angle, most) / angle
-        if s.min_cutoff > 0:
-            k *= 1 - exp(-2 * pi * (s.min_cutoff + s.beta * sqrt(vx * vx + vy * vy + vz * vz)) * dt)
-        self.value = value = (
-            nlerp(last, raw, k) if angle < 0.5 else mul(to_quat(_scaled(x, y, z, k, angle, most)), last)
-        )
+        share = s.share(sqrt(vx * vx + vy * vy + vz * vz), dt)
+        k = (angle and min(angle, most) / angle) * share
+        first = nlerp(last, raw, k) if angle < 0.5 else mul(to_quat(_scaled(x, y, z, k, angle, most)), last)
+        self.first = first
+        self.value = value = first if share == 1 else slerp(value, first, share)
         return value
 
     def ahead(self, seconds: float, most: float) -> Quat:

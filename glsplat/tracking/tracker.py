@@ -32,9 +32,9 @@ __all__ = ["Tracker", "TrackerConfig"]
 
 log = logging.getLogger("glsplat.tracking")
 
-HEAD_POSITION, HEAD_ROTATION = OneEuro(5.0, 40.0), OneEuro(5.0, 8.0)
-HAND_POSITION, HAND_ROTATION = OneEuro(4.0, 40.0), OneEuro(4.0, 6.0)
-"""At rest 32 ms of lag for the head and 40 ms for the hands; at 1 m/s 3.5 ms, never more than 4 mm behind."""
+HEAD_POSITION, HEAD_ROTATION = OneEuro(1.2, 40.0, 0.5), OneEuro(1.2, 8.0, 1.2)
+HAND_POSITION, HAND_ROTATION = OneEuro(1.0, 40.0, 0.5), OneEuro(1.0, 6.0, 1.2)
+"""Hardly anything passes that is slower than sway; at 1 m/s 4 ms of lag, never more than 9 mm behind."""
 
 SHORTEST = 1e-4  # seconds; samples closer than this are the same moment
 FINGERS_IN_TURN = 0.04  # seconds between samples below which the hands' fingers are fitted in turn

@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import math
 
 import numpy as np
 import pytest
@@ -27,17 +26,17 @@ def test_a_step_of_rotation_never_overshoots(setting: OneEuro) -> None:
     filter = RotationFilter(setting, 50.0)
     filter.update(yaw_quat(0.0), DT)
     path = [rotation_angle(filter.update(yaw_quat(1.0), DT)) for _ in range(72)]
-    assert max(path) <= 1 + 1e-9 and path == sorted(path) and path[-1] == pytest.approx(1, abs=1e-3)
+    assert max(path) <= 1 + 1e-9 and np.diff(path).min() > -1e-12 and path[-1] == pytest.approx(1, abs=1e-3)
 
 
-@pytest.mark.parametrize("speed", [0.2, 1.0, 5.0])
+@pytest.mark.parametrize("speed", [0.05, 0.11, 0.2, 1.0, 5.0])
 def test_the_stated_lag_holds_at_constant_speed(speed: float) -> None:
     filter = PositionFilter(HAND_POSITION, 50.0)
     for i in range(200):
         value = filter.update((speed * i * DT, 0.0, 0.0), DT)
     behind = speed * 199 * DT - value[0]
     assert behind < speed * HAND_POSITION.lag(speed) + 1e-6
-    assert behind < 1 / (2 * math.pi * HAND_POSITION.beta)
+    assert behind < 0.009  # metres, whatever the speed
 
 
 def test_noise_at_rest_is_damped(rng: np.random.Generator) -> None:
@@ -45,7 +44,7 @@ def test_noise_at_rest_is_damped(rng: np.random.Generator) -> None:
     noise = rng.normal(0, 0.001, (600, 3))
     out = np.array([filter.update(tuple(v), DT) for v in noise])[50:]
     assert out.std() < 0.75 * noise.std()
-    assert np.diff(out, 3, axis=0).std() < 0.5 * np.diff(noise, 3, axis=0).std()
+    assert np.diff(out, 3, axis=0).std() < 0.05 * np.diff(noise, 3, axis=0).std()
 
 
 def test_speed_is_limited_and_zero_cutoff_passes() -> None:
