@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import zipfile
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
@@ -12,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.errors import FormatError
+from glsplat.formats.npz import read_arrays
 from glsplat.tracking.learned.frames import INPUTS, OUTPUTS, RATE
 
 __all__ = ["VERSION", "Network", "load_network", "save_network"]
@@ -22,7 +22,6 @@ VERSION = 1
 """Of the file and of what the numbers in and out mean (``frames.py``); another one is refused."""
 
 MOST = 1024  # units and width at most: a file that says more is not one of these
-BYTES = 64 << 20
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -86,17 +85,12 @@ def load_network(path: str | PathLike[str]) -> Network:
     """Read a model file and check it whole. Raises FormatError that says what is wrong with it."""
     name = Path(path).name
     try:
-        if Path(path).stat().st_size > BYTES:
-            raise FormatError(f"{name}: a tracking model has less than {BYTES >> 20} MiB; this is another kind of file")
-        with np.load(path, allow_pickle=False) as file:
-            known = {key: file[key] for key in file.files}
+        with open(path, "rb") as file:
+            known = read_arrays(
+                file, f"{name}: a tracking model", ("version", "rate", "sha256", *ARRAYS), optional=("note",)
+            )
     except OSError as error:
         raise FormatError(f"{name}: cannot read the tracking model ({error.strerror or error})") from None
-    except (ValueError, zipfile.BadZipFile, KeyError, EOFError, TypeError, NotImplementedError):
-        raise FormatError(f"{name}: expected a tracking model (.npz of glsplat tracking train)") from None
-    missing = [key for key in ("version", "rate", "sha256", *ARRAYS) if key not in known]
-    if missing:
-        raise FormatError(f"{name}: a tracking model lacks {', '.join(missing[:3])}; train it again")
     if known["version"].shape or known["version"] != VERSION or known["rate"] != RATE:
         raise FormatError(f"{name}: a tracking model of version {known['version']}, not {VERSION}; train it again")
     arrays = {key: known[key] for key in ARRAYS}

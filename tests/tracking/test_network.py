@@ -1,0 +1,202 @@
+"""The network's file and arithmetic, and what it is fed: the same at run time as in training."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from glsplat.errors import FormatError
+from glsplat.motion.motion import load_motion
+from glsplat.skinning.skeleton import Skeleton
+from glsplat.tracking.derive import derive, truth_from_motion
+from glsplat.tracking.learned import network as module
+from glsplat.tracking.learned.frames import INPUTS, OUTPUTS, RATE, Guess, Seen
+from glsplat.tracking.learned.hints import Hints
+from glsplat.tracking.learned.network import ARRAYS, Network, load_network, save_network
+from glsplat.tracking.solve.body import Body
+from glsplat.tracking.solve.solution import Solution, Targets
+from glsplat.tracking.solve.solver import AnalyticSolver
+from glsplat.tracking.solvers import embedded_network
+from glsplat.tracking.tracker import Tracker, TrackerConfig
+from glsplat.tracking.training.clips import clips_of, mirrored, targets_of, unit_of_skeleton
+from glsplat.tracking.training.disturbed import disturbed
+from glsplat.tracking.training.fit import _alone, _seen_from, features
+
+F32 = NDArray[np.float32]
+
+
+def small(rng: np.random.Generator, width: int = 5, units: int = 7) -> Network:
+    shapes = (
+        (width, INPUTS), (width,), (3 * units, width), (3 * units,), (3 * units, units), (3 * units,),
+        (width, units), (width,), (OUTPUTS, width), (OUTPUTS,),
+    )  # fmt: skip
+    return Network(*[rng.normal(0, 0.5, shape).astype(np.float32) for shape in shapes], note="made up")
+
+
+def test_a_step_is_the_equations_written_out(rng: np.random.Generator) -> None:
+    n = small(rng)
+    x, h = rng.normal(size=INPUTS), rng.normal(size=7)
+
+    def sigmoid(v: NDArray[np.float64]) -> NDArray[np.float64]:
+        return 1 / (1 + np.exp(-v))
+
+    state = h.astype(np.float32)
+    for _ in range(3):
+        out, state = n.step(x.astype(np.float32), state)
+        front = np.maximum(n.front.astype(float) @ x + n.front_bias, 0)
+        gates_in, gates_h = n.cell_in.astype(float) @ front + n.cell_in_bias, n.cell.astype(float) @ h + n.cell_bias
+        reset, update = sigmoid(gates_in[:7] + gates_h[:7]), sigmoid(gates_in[7:14] + gates_h[7:14])
+        h = (1 - update) * np.tanh(gates_in[14:] + reset * gates_h[14:]) + update * h
+        want = n.back.astype(float) @ np.maximum(n.skip.astype(float) @ h + n.skip_bias, 0) + n.back_bias
+        np.testing.assert_allclose(out, want, atol=1e-5)
+        np.testing.assert_allclose(state, h, atol=1e-6)
+
+
+def test_numbers_of_any_size_leave_the_state_inside_its_bounds(rng: np.random.Generator) -> None:
+    n = small(rng)
+    state = n.start()
+    for size in (1e3, 1e6, 1e20, 1.0):
+        out, state = n.step((rng.normal(size=INPUTS) * size).astype(np.float32), state)
+        assert np.isfinite(out).all() and np.abs(state).max() <= 1
+
+
+def test_a_file_comes_back(tmp_path: Path, rng: np.random.Generator) -> None:
+    n = small(rng)
+    save_network(tmp_path / "m.npz", n)
+    again = load_network(tmp_path / "m.npz")
+    assert again.note == "made up"
+    for name in ARRAYS:
+        np.testing.assert_array_equal(getattr(again, name), getattr(n, name))
+
+
+def test_broken_files_are_told_in_a_line(tmp_path: Path, rng: np.random.Generator) -> None:
+    n, path = small(rng), tmp_path / "m.npz"
+    save_network(path, n)
+    whole = path.read_bytes()
+
+    def says(words: str) -> None:
+        with pytest.raises(FormatError, match=words) as caught:
+            load_network(path)
+        assert "\n" not in str(caught.value)
+
+    for cut in (0, 10, len(whole) // 2, len(whole) - 5):
+        path.write_bytes(whole[:cut])
+        says("tracking model is an .npz")
+    path.unlink()
+    says("cannot read")
+    with open(path, "wb") as file:
+        np.savez(file, front=n.front)
+    says("tracking model needs version")
+    save_network(path, replace(n, back_bias=n.back_bias * np.float32(np.nan)))
+    says("back_bias is not finite")
+    save_network(path, replace(n, back=n.back[:-1]))
+    says(r"back is float32 \(46, 5\)")
+    save_network(path, replace(n, cell=n.cell.astype(np.float64)))  # type: ignore[arg-type]
+    says("cell is float64")
+    arrays = {name: getattr(n, name) for name in ARRAYS}
+    parts = {"version": np.array(module.VERSION), "rate": np.array(RATE), "sha256": np.array(module._hash(arrays))}
+    with open(path, "wb") as file:
+        np.savez(file, **(parts | arrays | {"front_bias": n.front_bias + 1}))
+    says("do not fit its checksum")
+    with open(path, "wb") as file:
+        np.savez(file, **(parts | arrays | {"version": np.array(99)}))
+    says("version 99")
+    with open(path, "wb") as file:
+        np.savez(file, **(parts | arrays | {"front": np.array([{}], dtype=object)}))
+    says("tracking model is an .npz of numbers")
+
+
+def test_the_embedded_network_is_whole_and_small() -> None:
+    n = embedded_network()
+    assert "mocap.cs.cmu.edu" in n.note
+    assert sum(getattr(n, name).nbytes for name in ARRAYS) < 3e6
+
+
+class Listening(Network):
+    """A network that keeps what it is told."""
+
+    heard: list[F32] = []
+
+    def step(self, inputs: F32, state: F32) -> tuple[F32, F32]:
+        self.heard.append(inputs.copy())
+        return super().step(inputs, state)
+
+
+def targets_of_motion(skeleton: Skeleton, rate: float) -> list[Targets]:
+    """What a solver is given for the embedded walk, without filters."""
+    kept: list[Targets] = []
+
+    class Keeping(AnalyticSolver):
+        def solve(self, targets: Targets, dt: float) -> Solution:
+            kept.append(targets)
+            return super().solve(targets, dt)
+
+    motion = load_motion("wave-and-turn", skeleton)
+    truth = truth_from_motion(skeleton, motion.rotations, motion.trans, motion.fps, rate)
+    tracker = Tracker(skeleton, config=TrackerConfig.raw(), solver=Keeping(Body.of(skeleton)))
+    for sample in derive(skeleton, truth, fingers=False):
+        tracker.update(sample)
+    return kept
+
+
+@pytest.mark.parametrize("rate", [30.0, 60.0, 90.0])
+def test_training_and_run_time_see_the_same(skeleton: Skeleton, rng: np.random.Generator, rate: float) -> None:
+    body, n = Body.of(skeleton), small(rng)
+    listening = Listening(*[getattr(n, name) for name in ARRAYS])
+    listening.heard.clear()
+    hints = Hints(body, listening)
+    for targets in targets_of_motion(skeleton, rate):
+        hints.update(targets, 1 / rate)
+    motion = load_motion("wave-and-turn", skeleton)
+    clip = clips_of("somebody", motion, skeleton, (1.0,))[0]
+    want = features(_alone(clip.seen), unit_of_skeleton(skeleton))[0]
+    heard = np.array(listening.heard)
+    count = min(len(want), len(heard))
+    assert count >= len(want) - 2
+    np.testing.assert_allclose(heard[:count], want[:count], atol=2e-3)
+
+
+def test_targets_say_where_the_body_is(skeleton: Skeleton) -> None:
+    motion = load_motion("walk", skeleton)
+    clip = clips_of("somebody", motion, skeleton, (1.0,))[0]
+    unit = unit_of_skeleton(skeleton)
+    guess = Guess.of(targets_of(clip, unit), unit)
+    for i in (0, 7, len(clip.points) - 2):
+        c, s = np.cos(clip.seen.yaw[i]), np.sin(clip.seen.yaw[i])
+        turn = np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]])
+        ground = clip.seen.eye[i] * [1, 0, 1]
+        np.testing.assert_allclose(guess.points[i] @ turn.T + ground, clip.points[i], atol=1e-5)
+        np.testing.assert_allclose(guess.ahead[i] @ turn.T + ground, clip.points[i + 1, 3:], atol=1e-5)
+        np.testing.assert_allclose(turn @ guess.pelvis[i], clip.pelvis[i][:, [0, 2]], atol=1e-5)
+        np.testing.assert_allclose(turn @ guess.chest[i], clip.chest[i][:, [0, 2]], atol=1e-5)
+
+
+def test_devices_that_are_off_do_not_move_the_body(skeleton: Skeleton, rng: np.random.Generator) -> None:
+    clip = clips_of("somebody", load_motion("wave-and-turn", skeleton), skeleton, (1.0,))[0]
+    unit = unit_of_skeleton(skeleton)
+    truth = targets_of(clip, unit)
+    np.testing.assert_allclose(_seen_from(truth, clip.seen, clip.seen, unit), truth, atol=1e-6)
+    for _ in range(4):
+        odd: Seen = disturbed(clip.seen, rng)
+        guess = Guess.of(_seen_from(truth, clip.seen, odd, unit), unit)
+        c, s = np.cos(odd.yaw), np.sin(odd.yaw)
+        zero, one = np.zeros_like(c), np.ones_like(c)
+        turn = np.stack((c, zero, s, zero, one, zero, -s, zero, c), -1).reshape(-1, 3, 3)
+        world = np.einsum("tab,tpb->tpa", turn, guess.points) + (odd.eye * [1, 0, 1])[:, None]
+        np.testing.assert_allclose(world, clip.points, atol=2e-5)
+        np.testing.assert_allclose(turn @ guess.chest, clip.chest[:, :, [0, 2]], atol=2e-5)
+
+
+def test_a_mirror_image_of_a_mirror_image_is_the_clip(skeleton: Skeleton) -> None:
+    clip = clips_of("somebody", load_motion("wave-and-turn", skeleton), skeleton, (1.0,))[0]
+    again = mirrored(mirrored(clip))
+    for name in ("points", "pelvis", "chest", "contact"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(clip, name))
+    other = mirrored(clip)
+    # the body's left foot is the right one now, on the other side, and its frames are rotations still
+    np.testing.assert_allclose(other.points[:, 4] * [-1, 1, 1], clip.points[:, 3])
+    np.testing.assert_allclose(np.linalg.det(other.chest), 1, atol=1e-5)
