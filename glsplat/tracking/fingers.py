@@ -51,6 +51,10 @@ class Fingers:
         self.fist[:4, :, 2] = -FIST * sign
         self.fist[4] = THUMB_FIST * np.array([1.0, sign, sign])
         self.fist = np.clip(self.fist, low, high)
+        self.reset()
+
+    def reset(self) -> None:
+        """A new user: a relaxed hand."""
         self.value: NDArray[np.float64] = self.fist * RELAXED
         self.target: Array | None = None
 

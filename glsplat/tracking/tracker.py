@@ -135,8 +135,9 @@ class Tracker:
         self._guard.reset()
         self._stretch.reset()
         self._head.reset()
-        for hand in self._hands:
+        for hand, fingers in zip(self._hands, self._fingers, strict=True):
             hand.reset()
+            fingers.reset()
         self._time: float | None = None
         self._step = 1 / 72
         self._count = 0

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -119,7 +120,7 @@ def test_the_embedded_network_is_whole_and_small() -> None:
 class Listening(Network):
     """A network that keeps what it is told."""
 
-    heard: list[F32] = []
+    heard: ClassVar[list[F32]] = []
 
     def step(self, inputs: F32, state: F32) -> tuple[F32, F32]:
         self.heard.append(inputs.copy())

@@ -26,6 +26,8 @@ BRIEFEST = 0.14  # seconds a foot is in the air at least
 SET = 0.16  # seconds in which it is set down, and of these
 OVER = 0.05  # seconds in which it only goes down
 REST = 0.18  # seconds it then stands at least
+SLOW, CALM = 0.2, 0.6  # m/s, seconds: slower for longer is standing, where it is not
+STEP_UP = 0.2  # metres or more over the ground
 CLEAR = 0.045  # metres the ball is over the ground while it moves
 HELPS = 0.06  # metres or more by which a step must help a strained leg
 ASTRIDE = 0.3  # of its length that a leg's foot is from below the hip, beyond which a strained leg steps at once
@@ -53,6 +55,7 @@ class Feet:
         self.air = self.slack = 0.0
         self._before: Vec | None = None
         self._speed: Vec = (0.0, 0.0, 0.0)  # m/s of the pelvis
+        self._calm = [0.0, 0.0]  # seconds for which each goal has been all but still
         self._since = [1.0, 1.0]  # seconds since each foot was lifted or set down
 
     def update(
@@ -78,9 +81,11 @@ class Feet:
         limbs = []
         for foot, hint, hip, leg in zip(self.feet, hints, hips, self.legs, strict=True):
             self._since[foot.index] += dt
+            slow = hypot(hint.speed[0], hint.speed[2]) * hint.sure < SLOW
+            self._calm[foot.index] = self._calm[foot.index] + dt if slow else 0.0
             if foot.planted and self._leaves(foot, hint, leg, hip, pelvis):
                 foot.planted, foot.left = False, 0.0
-                self._since[foot.index] = 0.0
+                self._since[foot.index] = self._calm[foot.index] = 0.0
             if foot.planted:
                 foot.stand(self.sole + self.air, clamp(hint.pitch, 0.0, TIPTOE) if hint.pitch > 0.12 else 0.0, dt)
             else:
@@ -114,7 +119,9 @@ class Feet:
     def _swing(self, foot: Foot, hint: FootHint, leg: Leg, hip: Vec, dt: float) -> None:
         """A lifted foot follows its goal; where the goal stands, it is set down there and moves over no more."""
         ground = self.sole + self.air
-        if foot.left <= 0 and self._since[foot.index] > BRIEFEST and hint.stands > DROP:
+        # whatever the network says of it: a foot that goes nowhere just over the ground stands
+        calm = self._calm[foot.index] > CALM and hint.ball[1] < ground + STEP_UP * self.size
+        if foot.left <= 0 and self._since[foot.index] > BRIEFEST and (hint.stands > DROP or calm):
             foot.left = SET
             lead = SET - OVER
             landing = add(hint.ball, scale(hint.speed, 0.5 * lead * (1 - hint.stands)))
@@ -128,7 +135,8 @@ class Feet:
                 foot.turn.approach(foot.turn.at + wrap(hint.yaw - foot.turn.at), over + dt, dt)
             foot.y.approach(ground, foot.left + dt, dt)
             foot.tilt.approach(0.0, foot.left + dt, dt)
-            if foot.strained and foot.left > OVER:  # the body has gone on: another step
+            astride = hypot(hip[0] - foot.x.at, hip[2] - foot.z.at) > ASTRIDE * leg.length
+            if foot.strained and astride and foot.left > OVER:  # the body has gone on: another step
                 foot.left = 0.0
                 self._since[foot.index] = 0.0
                 return

@@ -17,6 +17,7 @@ from glsplat.tracking.solve.quat import (
     Vec,
     add,
     from_axes,
+    length,
     mul,
     nlerp,
     pull,
@@ -46,6 +47,7 @@ class FootHint:
     yaw: float  # radians
     pitch: float  # radians, the heel up
     stands: float  # 0 in the air .. 1 on the ground
+    sure: float  # 0 .. 1: whether feet go where they were said to go
     knee: Vec  # place of the knee
 
 
@@ -111,6 +113,7 @@ class Hints:
         self._means: Array = np.zeros((1, 3, 2), np.float32)
         self._since = 0.0  # seconds from the last tick to the newest sample
         self._said: _Said | None = None
+        self._steps, self._misses = [0.0, 0.0], [0.0, 0.0]  # metres a tick, smoothed: as said, and beside that
         self._off: list[Vec] = [(0.0, 0.0, 0.0)] * 4  # what is shown of the feet, less what is said; fades
         self._stages: list[_Pose] = []  # what the low passes hold
 
@@ -147,6 +150,15 @@ class Hints:
         if old is not None:
             said = self._said
             self._off = [sub(add(a, o), n) for a, o, n in zip(old.ahead, self._off, said.now, strict=True)]
+            for side in (0, 1):
+                self._trusted(side, old, said)
+
+    def _trusted(self, side: int, old: _Said, new: _Said) -> None:
+        """How far a foot has gone where the tick before said it would go; far from what it knows the network dreams."""
+        was, said, now = old.now[side + 2], old.ahead[side + 2], new.now[side + 2]
+        step, miss = self._steps[side], self._misses[side]
+        self._steps[side] = step + 0.3 * (length(sub(said, was)) - step)
+        self._misses[side] = miss + 0.3 * (length(sub(now, said)) - miss)
 
     def _hint(self, targets: Targets, yaw: float, dt: float) -> Hint:
         said = self._said
@@ -168,6 +180,7 @@ class Hints:
             ankle, ball = ankles_feet[side], ankles_feet[side + 2]
             x, y, z = sub(ball, ankle)
             rest_yaw, rest_slope = self.rest[side]
+            trust = 1.3 * (1 - self._misses[side] / max(self._steps[side], 1e-3))
             speed = sub(said.ahead[side + 2], said.now[side + 2])
             feet.append(
                 FootHint(
@@ -176,6 +189,7 @@ class Hints:
                     atan2(x, z) - rest_yaw,
                     atan2(-y, max(hypot(x, z), 1e-6)) - rest_slope,
                     stands[side],
+                    max(0.0, min(1.0, trust)),
                     add(eye, rotate(facing, knees[side])),
                 )
             )

@@ -1,0 +1,149 @@
+"""What the learned solver promises whatever its network says: exact head and hands, feet that stand, bounded motion."""
+
+from __future__ import annotations
+
+from importlib import resources
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from glsplat.errors import FormatError, PoseError
+from glsplat.evaluate.tracking_score import Score, score
+from glsplat.motion.motion import load_motion
+from glsplat.skinning.skeleton import Skeleton
+from glsplat.tracking import Tracker, TrackerConfig
+from glsplat.tracking import solvers as module
+from glsplat.tracking.batch import forward_all
+from glsplat.tracking.derive import Disturbance, derive, disturb, truth_from_motion
+from glsplat.tracking.learned.network import Network
+from glsplat.tracking.learned.solver import LearnedSolver
+from glsplat.tracking.solve.body import FEET, WRISTS, Body
+from glsplat.tracking.solvers import embedded_network, solver_of
+from tests.tracking.moves import DT, Stage, Track, hand_turn, head_turn, seconds
+
+
+def measured(skeleton: Skeleton, name: str, rate: float, solver: str, how: Disturbance | None = None) -> Score:
+    motion = load_motion(name, skeleton)
+    count = min(len(motion), round(8 * motion.fps))
+    truth = truth_from_motion(skeleton, motion.rotations[:count], motion.trans[:count], motion.fps, rate)
+    samples = derive(skeleton, truth, fingers=False)
+    tracker = Tracker(skeleton, solver=solver)  # type: ignore[arg-type]
+    poses = [tracker.update(sample) for sample in (samples if how is None else disturb(samples, how))]
+    rotations, trans = np.array([p.rotations for p in poses]), np.array([p.trans for p in poses])
+    positions, _ = forward_all(skeleton, rotations, trans)
+    return score(positions, truth.positions, rate, Body.of(skeleton).sole, rotations, truth.rotations)
+
+
+def test_head_and_reachable_hands_are_exact(stage: Stage, track: Track) -> None:
+    forward = {"left_turn": hand_turn("left", (0, -1.4, 0)), "right_turn": hand_turn("right", (0, 1.4, 0))}
+    hands = {"left": (0.2, 0.72 * stage.body.eye_height, 0.4), "right": (-0.3, 0.9 * stage.body.eye_height, 0.3)}
+    samples = [stage.sample(t, turn=head_turn(0.2, 0.2), **hands, **forward) for t in seconds(1.0)]
+    result = track(samples, solver="learned")
+    np.testing.assert_allclose(result.joints[-1, WRISTS[0]], hands["left"], atol=2e-3)
+    np.testing.assert_allclose(result.joints[-1, WRISTS[1]], hands["right"], atol=2e-3)
+    eyes = result.joints[-1, 23:25].mean(0)
+    np.testing.assert_allclose(eyes, stage.eye, atol=1e-6)
+
+
+@pytest.mark.parametrize("name", ["walk", "wave-and-turn", "idle"])
+def test_feet_stand_and_motion_is_no_rougher_than_it_should_be(skeleton: Skeleton, name: str) -> None:
+    result = measured(skeleton, name, 72.0, "learned")
+    assert result.skate < 1 and result.penetration < 0.1 and result.hands < 0.5
+    assert result.jitter < max(2 * result.jitter_truth, 1.0)
+
+
+@pytest.mark.parametrize("name", ["walk", "wave-and-turn"])
+def test_every_rate_gives_the_same_body(skeleton: Skeleton, name: str) -> None:
+    found = [measured(skeleton, name, rate, "learned").mpjpe for rate in (30.0, 72.0, 90.0)]
+    assert max(found) - min(found) < 0.5
+
+
+@pytest.mark.shared
+@pytest.mark.parametrize("clip", ["cmu_131_01.bvh", "cmu_131_02.bvh", "cmu_131_03.bvh"])
+def test_it_is_better_where_it_has_not_learned(skeleton: Skeleton, shared_data: Path, clip: str) -> None:
+    """Dances of a subject that the network has not seen; the analytic solver is 0.9 to 3 cm worse."""
+    path = str(shared_data / "mocap" / clip)
+    learned, analytic = (measured(skeleton, path, 72.0, solver) for solver in ("learned", "analytic"))
+    assert learned.mpjpe < 0.95 * analytic.mpjpe and learned.skate < 1 and learned.hands < 0.5
+
+
+def test_noise_at_rest_does_not_shake_the_body(skeleton: Skeleton) -> None:
+    """Half a millimetre and a tenth of a degree, on somebody who stands."""
+    clean = measured(skeleton, "idle", 72.0, "learned")
+    noisy = measured(skeleton, "idle", 72.0, "learned", Disturbance(noise_mm=0.5, noise_deg=0.1, seed=1))
+    assert noisy.jitter < 2 * max(clean.jitter_truth, 1.0)
+
+
+def test_the_same_samples_give_the_same_bytes(skeleton: Skeleton) -> None:
+    motion = load_motion("wave-and-turn", skeleton)
+    truth = truth_from_motion(skeleton, motion.rotations[:90], motion.trans[:90], motion.fps, 72.0)
+    samples = derive(skeleton, truth)
+    one, two = Tracker(skeleton, solver="learned"), Tracker(skeleton, solver="learned")
+    first = [one.update(sample) for sample in samples]
+    one.reset()
+    for again in (one, two):
+        for sample, pose in zip(samples, first, strict=True):
+            other = again.update(sample)
+            np.testing.assert_array_equal(other.rotations, pose.rotations)
+            np.testing.assert_array_equal(other.trans, pose.trans)
+
+
+def test_hands_lost_and_found_head_only_and_teleports(stage: Stage, track: Track) -> None:
+    samples = []
+    for i, t in enumerate(seconds(6.0)):
+        gone = 1.0 < t < 3.0
+        far = 3.0 if t > 4.0 else 0.0
+        head = (far + 0.05 * np.sin(t), stage.eye[1] - 0.1 * max(0.0, np.sin(t)), 0.13)
+        samples.append(
+            stage.sample(i * DT, head=head, left=None if gone or far else "rest", right=None if gone else "rest")
+        )
+    result = track(samples, solver="learned")
+    assert any("teleport" in flags for flags in result.flags)
+
+
+def test_any_network_at_all_is_kept_in_bounds(skeleton: Skeleton, stage: Stage, track: Track) -> None:
+    """Random weights, a hundred times too large: nonsense, but finite, inside limits, rates and above the floor."""
+    rng = np.random.default_rng(4)
+    known = embedded_network()
+    for size in (1.0, 100.0):
+        wild = Network(
+            *[rng.normal(0, size, getattr(known, n).shape).astype(np.float32) for n in Network.__slots__ if n != "note"]
+        )
+        samples = [
+            stage.sample(t, head=(np.sin(t), stage.eye[1] * (0.6 + 0.4 * np.cos(3 * t)), t), turn=head_turn(2 * t))
+            for t in seconds(3.0)
+        ]
+        result = track(samples, solver=LearnedSolver(stage.body, wild))
+        lowest = result.joints[:, list(FEET), 1].min()
+        assert lowest > stage.body.sole - 0.011
+        assert not result.tracker.solver_error
+
+
+def test_solvers_by_name(body: Body, skeleton: Skeleton) -> None:
+    assert isinstance(solver_of("learned", body), LearnedSolver)
+    with pytest.raises(PoseError, match="analytic, learned"):
+        Tracker(skeleton, solver="lerned")  # type: ignore[arg-type]
+
+
+def test_a_broken_model_is_a_clear_error_and_the_analytic_solver_stays(
+    skeleton: Skeleton, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole = (resources.files("glsplat.data") / "tracking.npz").read_bytes()
+    (tmp_path / "tracking.npz").write_bytes(whole[: len(whole) // 2])
+    monkeypatch.setattr(module.resources, "files", lambda package: tmp_path)
+    embedded_network.cache_clear()
+    try:
+        with pytest.raises(FormatError, match=r"tracking.npz: a tracking model"):
+            Tracker(skeleton, solver="learned")
+        Tracker(skeleton, solver="analytic")
+    finally:
+        embedded_network.cache_clear()
+
+
+def test_head_rates_and_filters_apply(skeleton: Skeleton, stage: Stage, track: Track) -> None:
+    raw = TrackerConfig.raw()
+    result = track(
+        [stage.sample(t, head=(0.3 * t, *stage.eye[1:])) for t in seconds(2.0)], solver="learned", config=raw
+    )
+    np.testing.assert_allclose(result.joints[:, 23:25].mean(1)[:, 0], [0.3 * t for t in seconds(2.0)], atol=1e-6)
