@@ -2,12 +2,15 @@
 // at(seconds) -> fields for a request: {pose} or {tracking, t}. Seconds are those of one clock that grows; t is the
 // same clock in milliseconds, so that a recording goes on in time when it begins anew.
 
+import { BODY_JOINTS } from './xr-sample.js';
+
 /** The most that a recording may hold here, bytes. */
 export const MAX_BYTES = 64 * 2 ** 20;
 const MAX_LINE = 2 ** 20; // characters
 const USUAL_STEP = 1 / 72; // seconds a sample lasts where a recording has only one
 
 const POSES = ['head', 'left', 'right', 'left_grip', 'right_grip'];
+const TRACKERS = ['waist', 'left_foot', 'right_foot'];
 const HANDS = ['left_joints', 'right_joints'];
 const NUMBERS = ['left_curl', 'right_curl'];
 const FLAT_JOINTS = new Map([[75, 3], [175, 7], [78, 3], [182, 7]]);
@@ -145,12 +148,21 @@ function sampleOf(data) {
   if (data.t === undefined || data.t === null) throw new Error('a sample needs its time, "t" in seconds.');
   if (!POSES.some((key) => key in data)) throw new Error('a sample needs "head" or a hand.');
   const sample = { t: numberOf(data.t, 't') };
-  for (const key of POSES) if (key in data) sample[key] = poseOf(data[key], key);
+  for (const key of [...POSES, ...TRACKERS]) if (key in data) sample[key] = poseOf(data[key], key);
   for (const key of HANDS) if (key in data) sample[key] = jointsOf(data[key], key);
   for (const key of NUMBERS) {
     if (key in data) sample[key] = data[key] === null ? null : finiteOr(numberOf(data[key], key));
   }
+  if (data.body) sample.body = bodyOf(data.body);
   return sample;
+}
+
+/** The places of the joints that are used; what is not one is left out. */
+function bodyOf(body) {
+  const places = BODY_JOINTS.map((name) => [name, Array.isArray(body[name]) ? body[name].slice(0, 3) : []]);
+  const near = (v) => typeof v === 'number' && Math.abs(v) <= FARTHEST;
+  const usable = (place) => place.length === 3 && place.every(near);
+  return Object.fromEntries(places.filter(([, place]) => usable(place)));
 }
 
 function numberOf(value, key) {
