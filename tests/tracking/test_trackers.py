@@ -293,7 +293,7 @@ SPOILS = [swapped, cycled, lost, far, upside_down, not_numbers, under_the_floor,
 
 
 def promised(result: Run, body: Body) -> None:
-    """Joints at 45 rad/s, the pelvis at 14 m/s, feet at 10 m/s over it, soles on the floor: TrackerConfig's defaults."""
+    """The pelvis at 14 m/s, feet at 10 m/s over it, soles on the floor: TrackerConfig's defaults."""
     config = TrackerConfig()
     assert np.isfinite(result.joints).all()
     calm = np.array([not {"teleport", "gap", "clock"} & set(flags) for flags in result.flags[1:]])

@@ -14,6 +14,7 @@ const TRACKERS = ['waist', 'left_foot', 'right_foot'];
 const HANDS = ['left_joints', 'right_joints'];
 const NUMBERS = ['left_curl', 'right_curl'];
 const FLAT_JOINTS = new Map([[75, 3], [175, 7], [78, 3], [182, 7]]);
+const MOST_JOINTS = 256; // entries of a body
 const FARTHEST = 1e4; // metres; the server refuses what is farther
 const QUATERNION = [1e-9, 1e3]; // lengths that the server takes
 
@@ -153,16 +154,20 @@ function sampleOf(data) {
   for (const key of NUMBERS) {
     if (key in data) sample[key] = data[key] === null ? null : finiteOr(numberOf(data[key], key));
   }
-  if (data.body) sample.body = bodyOf(data.body);
+  if (data.body !== undefined && data.body !== null) sample.body = bodyOf(data.body);
   return sample;
 }
 
-/** The places of the joints that are used; what is not one is left out. */
+/** The places of the joints that are used. */
 function bodyOf(body) {
-  const places = BODY_JOINTS.map((name) => [name, Array.isArray(body[name]) ? body[name].slice(0, 3) : []]);
-  const near = (v) => typeof v === 'number' && Math.abs(v) <= FARTHEST;
-  const usable = (place) => place.length === 3 && place.every(near);
-  return Object.fromEntries(places.filter(([, place]) => usable(place)));
+  if (typeof body !== 'object' || Array.isArray(body)) {
+    throw new Error(`"body" is an object of joints by name, not ${kind(body)}.`);
+  }
+  const count = Object.keys(body).length;
+  if (count > MOST_JOINTS) throw new Error(`"body" needs at most ${MOST_JOINTS} joints, not ${count}.`);
+  const used = BODY_JOINTS.filter((name) => body[name] !== undefined && body[name] !== null);
+  const places = used.map((name) => [name, numbersOf(body[name], `body.${name}`, [3, 7]).slice(0, 3)]);
+  return Object.fromEntries(places.filter(([, place]) => place.every((v) => Math.abs(v) <= FARTHEST)));
 }
 
 function numberOf(value, key) {
