@@ -248,6 +248,8 @@ def _recording(samples: Iterable[Sample], name: str) -> Recording:
 def _finite(value: Any) -> bool:
     if isinstance(value, list):
         return all(map(_finite, value))
+    if isinstance(value, dict):
+        return all(map(_finite, value.values()))
     return value is None or bool(np.isfinite(value))
 
 

@@ -16,9 +16,9 @@ from glsplat.errors import PoseError
 from glsplat.evaluate.tracking_score import Score, score
 from glsplat.skinning.pose import Pose
 from glsplat.tracking.calibration import Calibration, calibrate
-from glsplat.tracking.derive import Disturbance, Truth, derive, disturb, truth_from_motion
+from glsplat.tracking.derive import EXTRAS, Disturbance, Truth, derive, disturb, truth_from_motion
 from glsplat.tracking.recording import read_poses, record, replay, write_lines
-from glsplat.tracking.sample import Sample
+from glsplat.tracking.sample import TRACKERS, Sample
 from glsplat.tracking.solve.body import Body
 from glsplat.tracking.tracker import Tracker
 
@@ -44,6 +44,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     command.add_argument("--rate", type=float, default=72.0, help="samples a second (default 72)")
     command.add_argument("--seconds", type=positive, help="use at most this much of the motion")
     command.add_argument("--no-fingers", action="store_true", help="leave out the 25 joints a hand")
+    command.add_argument(
+        "--trackers",
+        metavar="LIST",
+        default="",
+        help="what is tracked besides, separated by commas: waist, feet, body (a device's own joints of the body)",
+    )
     command.add_argument("--noise-mm", type=not_negative, default=0.0, help="noise of positions, standard deviation")
     command.add_argument("--noise-deg", type=not_negative, default=0.0, help="noise of orientations")
     command.add_argument("--dropout", type=float, default=0.0, help="share of the time a hand is lost (0 to 0.9)")
@@ -88,6 +94,9 @@ def from_motion(args: argparse.Namespace) -> int:
     if not 0 <= args.dropout <= 0.9:
         raise UsageError(f"--dropout needs 0 to 0.9, not {args.dropout:g}")
     _different(args.output, args.truth)
+    trackers = [name.strip() for name in args.trackers.split(",") if name.strip()]
+    if unknown := set(trackers) - set(EXTRAS):
+        raise UsageError(f"--trackers knows {', '.join(EXTRAS)}, not {', '.join(sorted(unknown))}")
     skeleton = skeleton_of(args.avatar)
     motion = motion_of(args.motion, skeleton, "MOTION")
     count = len(motion) if args.seconds is None else min(len(motion), max(2, round(args.seconds * motion.fps)))
@@ -99,7 +108,7 @@ def from_motion(args: argparse.Namespace) -> int:
         latency_s=args.latency_ms / 1000,
         seed=args.seed,
     )
-    samples = derive(skeleton, truth, fingers=not args.no_fingers)
+    samples = derive(skeleton, truth, fingers=not args.no_fingers, trackers=trackers)
     record(args.output, disturb(samples, how) if how != Disturbance(seed=args.seed) else samples)
     if args.truth:
         write_lines(args.truth, truth_lines(truth))
@@ -131,7 +140,9 @@ def run_calibrate(args: argparse.Namespace) -> int:
     else:
         raise UsageError("give a recording of standing still, or --height in metres")
     calibration.save(args.output)
-    print(f"{args.output}: scale {calibration.scale:.3f}, floor {calibration.floor:.3f} m")
+    worn = [name for name, mount in zip(TRACKERS, calibration.mounts, strict=True) if mount is not None]
+    trackers = f", trackers: {', '.join(worn)}" if worn else ""
+    print(f"{args.output}: scale {calibration.scale:.3f}, floor {calibration.floor:.3f} m{trackers}")
     return 0
 
 

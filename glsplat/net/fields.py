@@ -53,6 +53,10 @@ class Tracking(msgspec.Struct):
     right_joints: Numbers | None = None
     left_curl: float | None = None
     right_curl: float | None = None
+    waist: list[float] | None = None
+    left_foot: list[float] | None = None
+    right_foot: list[float] | None = None
+    body: dict[str, list[float] | None] | None = None
 
 
 class PoseFields(msgspec.Struct):

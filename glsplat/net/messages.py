@@ -35,6 +35,7 @@ from glsplat.rotations import FLIP_X, FLIP_Z
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.smplx import POSE_KEYS
+from glsplat.tracking.sample import BODY_JOINTS, MOST_JOINTS, TRACKERS
 
 __all__ = [
     "MAX_BYTES",
@@ -269,7 +270,7 @@ class Decoder:
         return Pose.from_smplx(pose) if self.skeleton is None else Pose.from_json(pose, self.skeleton)
 
     def _check_tracking(self, tracking: Tracking) -> None:
-        for name in ("head", "left", "right", "left_grip", "right_grip"):
+        for name in ("head", "left", "right", "left_grip", "right_grip", *TRACKERS):
             value = getattr(tracking, name)
             if value is None:
                 continue
@@ -279,6 +280,17 @@ class Decoder:
                 raise ProtocolError(f"tracking.{name} needs metres below {self.options.max_distance:g}")
             if not 1e-9 < hypot(*value[3:]) < 1e3:  # no matrix is made of it here: that takes 0.1 ms
                 raise ProtocolError(f"tracking.{name} needs a quaternion of about unit length", "bad_camera")
+        body = tracking.body or {}
+        if len(body) > MOST_JOINTS:
+            raise ProtocolError(f"tracking.body needs at most {MOST_JOINTS} joints, not {len(body)}")
+        for name in BODY_JOINTS:  # the others are not looked at
+            joint = body.get(name)
+            if joint is None:
+                continue
+            if len(joint) not in (3, 7):
+                raise ProtocolError(f"tracking.body.{name} needs 3 or 7 numbers, not {len(joint)}")
+            if max(abs(v) for v in joint[:3]) > self.options.max_distance:
+                raise ProtocolError(f"tracking.body.{name} needs metres below {self.options.max_distance:g}")
 
 
 def _mirrored(cameras: Sequence[Camera]) -> tuple[Camera, ...]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
+from math import hypot
 from pathlib import Path
 from statistics import median
 from typing import Any
@@ -12,10 +13,12 @@ from typing import Any
 from glsplat.errors import FormatError, PoseError
 from glsplat.formats.files import replace_file
 from glsplat.skinning.skeleton import Skeleton
-from glsplat.tracking.sample import Sample
+from glsplat.tracking.extra.mounts import MOST, Mean, between, numbers, standing, within
+from glsplat.tracking.reading import read_pose
+from glsplat.tracking.sample import TRACKERS, Sample, Transform
 from glsplat.tracking.solve.body import HEAD_FRAME, Body
 from glsplat.tracking.solve.heading import head_pitch
-from glsplat.tracking.solve.quat import conj, length, mul, normalized, sub
+from glsplat.tracking.solve.quat import Vec, conj, length, mul, normalized, sub, swing_twist_y
 
 __all__ = ["Calibration", "calibrate"]
 
@@ -23,6 +26,8 @@ SMALLEST, LARGEST = 0.5, 2.0  # limits of the avatar's scale
 STILL = 0.05  # metres the head may move while it is measured
 EYES_OF_STATURE = 0.936  # eye height / stature (Drillis & Contini 1966)
 ARM_WEIGHT = 0.25  # of the arm span against the eye height in the scale
+LEAST = 10  # samples with a tracker that tell how it is mounted
+NEARBY = 0.5  # metres that it is from its joint at most
 SHOULDERS = 0.65, 1.05  # of the eye height; hands of arms that are stretched sideways are between
 
 
@@ -35,12 +40,24 @@ class Calibration:
     head_pitch: float = 0.0  # radians the headset points down when its user looks straight ahead
     eye_height: float | None = None  # metres, as measured; for information
     arm_span: float | None = None  # metres from wrist to wrist, as measured; for information
+    # joints in the frames of their trackers (pelvis, ankles), metres of the user; None: learned when they are seen
+    waist: Transform | None = None
+    left_foot: Transform | None = None
+    right_foot: Transform | None = None
 
     def __post_init__(self) -> None:
         if not SMALLEST <= self.scale <= LARGEST:
             raise PoseError(f"a calibration's scale needs {SMALLEST} to {LARGEST}, not {self.scale:g}")
         if not abs(self.floor) < 100 or not abs(self.head_pitch) < 0.8:
             raise PoseError("a calibration needs a floor within 100 m and a head pitch below 45 degrees")
+        for name, mount in zip(TRACKERS, self.mounts, strict=True):
+            if mount is not None and not (len(mount) == 7 and hypot(*mount[:3]) < 1 and 0.9 < hypot(*mount[3:]) < 1.1):
+                raise PoseError(f"a calibration's {name} needs a place within 1 m and a unit quaternion, not {mount}")
+
+    @property
+    def mounts(self) -> tuple[Transform | None, Transform | None, Transform | None]:
+        """Of the trackers, in the order of ``TRACKERS``."""
+        return self.waist, self.left_foot, self.right_foot
 
     @classmethod
     def of_height(cls, skeleton: Skeleton, height: float, floor: float = 0.0) -> Calibration:
@@ -61,9 +78,9 @@ class Calibration:
             return self
         return replace(self, scale=min(max(scale, SMALLEST), LARGEST), arm_span=span)
 
-    def to_json(self) -> dict[str, float | None]:
-        """The object that ``save`` writes."""
-        return asdict(self)
+    def to_json(self) -> dict[str, Any]:
+        """The object that ``save`` writes; trackers that nobody wore are left out."""
+        return {key: value for key, value in asdict(self).items() if value is not None or key not in TRACKERS}
 
     def save(self, path: str | Path) -> None:
         """Write JSON; a file that is there is replaced whole."""
@@ -88,9 +105,15 @@ class Calibration:
             raise FormatError(f"{path}: {error}") from None
 
 
-def _number(value: Any, key: str) -> float | None:
-    if value is None and key in ("eye_height", "arm_span"):
+def _number(value: Any, key: str) -> float | Transform | None:
+    if value is None and key in ("eye_height", "arm_span", *TRACKERS):
         return None
+    if key in TRACKERS:
+        if not isinstance(value, list) or len(value) != 7:
+            raise ValueError(f"{key} is not a list of 7 numbers")
+        if any(isinstance(v, bool) or not isinstance(v, (int, float)) for v in value):
+            raise ValueError(f"{key} holds what is no number")
+        return tuple([float(v) for v in value])  # type: ignore[return-value]
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         raise ValueError(f"{key} is {type(value).__name__}")
     return float(value)
@@ -146,10 +169,33 @@ def calibrate(
         fitted = _with_arms(scale, widest / body.arm_span())
         if fitted is not None:
             span, scale = widest, fitted
+    scale = min(max(scale, SMALLEST), LARGEST)
     return Calibration(
-        scale=min(max(scale, SMALLEST), LARGEST),
+        scale=scale,
         floor=floor,
         head_pitch=pitch if abs(pitch) < 0.35 else 0.0,
         eye_height=eyes,
         arm_span=span,
+        **_mounts(samples, middle, body, scale, floor),
     )
+
+
+def _mounts(samples: Sequence[Sample], middle: Vec, body: Body, scale: float, floor: float) -> dict[str, Transform]:
+    """How trackers sit on somebody who stands straight, the feet flat and side by side, and looks ahead."""
+    found: dict[str, Mean] = {name: Mean() for name in TRACKERS}
+    for sample in samples:
+        head = read_pose(sample.head, scale, floor, [])
+        if head is None or sample.head is None or length(sub(sample.head[:3], middle)) > STILL:
+            continue
+        yaw = swing_twist_y(mul(head[1], conj(HEAD_FRAME)))
+        if yaw is None:
+            continue
+        for name, joint in zip(TRACKERS, standing(body, head[0], yaw), strict=True):
+            tracker = read_pose(getattr(sample, name), scale, floor, [])
+            if tracker is not None and length(sub(tracker[0], joint[0])) < NEARBY:
+                found[name].add(between(tracker, joint), 1.0)
+    return {
+        name: numbers(within(mean.pose(), most), scale)
+        for (name, mean), most in zip(found.items(), MOST, strict=True)
+        if mean.worth >= LEAST
+    }

@@ -2,21 +2,37 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.errors import PoseError
-from glsplat.rotations import matrix_quaternions, quaternion_product
+from glsplat.rotations import matrix_quaternions, quaternion_product, vector_quaternions
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.tracking.batch import forward_all, resample
-from glsplat.tracking.sample import Sample, Transform
-from glsplat.tracking.solve.body import HAND_FRAMES, HEAD, WRISTS, Body
+from glsplat.tracking.extra.mounts import JOINTS
+from glsplat.tracking.sample import BODY_JOINTS, TRACKERS, Sample, Transform
+from glsplat.tracking.solve.body import ANKLES, FEET, HAND_FRAMES, HEAD, HIPS, KNEES, PELVIS, SPINE1, WRISTS, Body
+from glsplat.tracking.solve.quat import Vec
 
-__all__ = ["Disturbance", "Truth", "derive", "disturb", "truth_from_motion"]
+__all__ = ["EXTRAS", "MOUNTS", "Disturbance", "Truth", "derive", "disturb", "truth_from_motion"]
 
 Array = NDArray[np.float64]
+
+EXTRAS = ("waist", "feet", "body")
+"""What ``derive`` adds to a headset."""
+
+MOUNTS: tuple[tuple[Vec, Vec], ...] = (
+    ((0.03, 0.06, -0.13), (0.3, 2.9, 0.2)),
+    ((0.01, -0.02, 0.07), (-0.6, 0.3, 0.1)),
+    ((-0.02, -0.01, 0.08), (2.0, -0.4, 1.0)),
+)
+"""Where trackers are in the frames of pelvis, left and right ankle: metres, and a rotation vector. On the back of a
+belt, and on two insteps, the right one anyhow."""
+
+_BODY = [PELVIS, SPINE1, *[leg[i] for i in (0, 1) for leg in (HIPS, KNEES, ANKLES, FEET)]]  # BODY_JOINTS
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,8 +70,13 @@ def truth_from_motion(skeleton: Skeleton, rotations: Array, trans: Array, fps: f
     return Truth(np.arange(len(trans)) / rate, rotations, trans, positions, frames)
 
 
-def derive(skeleton: Skeleton, truth: Truth, fingers: bool = True) -> list[Sample]:
-    """What an ideal headset would see of the truth: eyes, wrists and (``fingers``) 25 joints a hand."""
+def derive(skeleton: Skeleton, truth: Truth, fingers: bool = True, trackers: Sequence[str] = ()) -> list[Sample]:
+    """What an ideal headset would see of the truth: eyes, wrists and (``fingers``) 25 joints a hand.
+
+    ``trackers``: of "waist", "feet" and "body", what there is besides; trackers sit on the body as ``MOUNTS`` says.
+    """
+    if unknown := set(trackers) - set(EXTRAS):
+        raise PoseError(f"trackers are {', '.join(EXTRAS)}, not {', '.join(sorted(unknown))}")
     body = Body.of(skeleton)
     head_quats = quaternion_product(matrix_quaternions(truth.frames[:, HEAD]), np.array([0.0, 0.0, 1.0, 0.0]))
     eyes = truth.positions[:, HEAD] + truth.frames[:, HEAD] @ np.array(body.eye)
@@ -67,10 +88,22 @@ def derive(skeleton: Skeleton, truth: Truth, fingers: bool = True) -> list[Sampl
     joints: dict[str, list[tuple[tuple[float, ...], ...]] | list[None]] = {
         side: _hand_joints(body, truth, side) if fingers else [None] * len(head) for side in ("left", "right")
     }
-    return [
+    samples = [
         Sample(float(t), head[i], hands["left"][i], hands["right"][i], joints["left"][i], joints["right"][i])
         for i, t in enumerate(truth.times)
     ]
+    worn = [name for name in TRACKERS if (name if name == "waist" else "feet") in trackers]
+    poses = {name: _tracker(truth, TRACKERS.index(name)) for name in worn}
+    if worn:
+        samples = [
+            replace(s, **{name: poses[name][i] for name in worn})  # type: ignore[arg-type]
+            for i, s in enumerate(samples)
+        ]
+    if "body" in trackers:
+        places = truth.positions[:, _BODY].tolist()
+        bodies = [dict(zip(BODY_JOINTS, map(tuple, joints), strict=True)) for joints in places]
+        samples = [replace(s, body=joints) for s, joints in zip(samples, bodies, strict=True)]
+    return samples
 
 
 def disturb(samples: list[Sample], how: Disturbance) -> list[Sample]:
@@ -92,12 +125,26 @@ def disturb(samples: list[Sample], how: Disturbance) -> list[Sample]:
         if how.noise_mm or how.noise_deg:
             noisy = {
                 key: _noisy(pose, rng, how.noise_mm / 1000, np.radians(how.noise_deg))
-                for key in ("head", "left", "right")
+                for key in ("head", "left", "right", *TRACKERS)
                 if (pose := getattr(seen, key)) is not None
             }
             seen = replace(seen, **noisy)  # type: ignore[arg-type]
+            if seen.body is not None:
+                places = np.array([joint[:3] for joint in seen.body.values()]).reshape(-1, 3)
+                places += rng.normal(0, how.noise_mm / 1000, places.shape)
+                seen = replace(seen, body=dict(zip(seen.body, map(tuple, places.tolist()), strict=True)))
         out.append(seen)
     return out
+
+
+def _tracker(truth: Truth, index: int) -> list[Transform]:
+    """The poses of a tracker that sits on its joint as ``MOUNTS`` says."""
+    joint, (offset, turn) = JOINTS[index], MOUNTS[index]
+    frames = truth.frames[:, joint]
+    return _transforms(
+        truth.positions[:, joint] + frames @ np.array(offset),
+        quaternion_product(matrix_quaternions(frames), vector_quaternions(np.array(turn))),
+    )
 
 
 def _noisy(pose: Transform, rng: np.random.Generator, metres: float, radians: float) -> Transform:

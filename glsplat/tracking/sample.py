@@ -9,6 +9,9 @@ Frames are those of OpenXR and WebXR: world right-handed, y up, metres; a pose i
 * ``left_joints``/``right_joints``: the 25 joints of WebXR Hand Input, section 4.2, in that order (the wrist, then thumb
   to little finger, each from the palm outwards), [x, y, z] or [x, y, z, qx, qy, qz, qw] each; OpenXR's 26 (palm first)
   lose the palm.
+* ``waist``, ``left_foot``, ``right_foot``: trackers on the body, mounted anyhow; ``Tracker`` learns how.
+* ``body``: joints of the WebXR Body Tracking Module by name (OpenXR's XR_FB_body_tracking behind it); places are used,
+  of ``BODY_JOINTS`` alone.
 """
 
 from __future__ import annotations
@@ -20,7 +23,7 @@ from typing import Any
 
 from glsplat.errors import PoseError
 
-__all__ = ["HAND_JOINTS", "Sample", "Transform", "wrist_from_grip"]
+__all__ = ["BODY_JOINTS", "HAND_JOINTS", "MOST_JOINTS", "TRACKERS", "Sample", "Transform", "wrist_from_grip"]
 
 Transform = tuple[float, float, float, float, float, float, float]
 """x, y, z in metres, then the quaternion x, y, z, w."""
@@ -35,6 +38,15 @@ HAND_JOINTS: tuple[str, ...] = (
     ),
 )
 """WebXR's order of a hand's 25 joints."""
+
+TRACKERS = ("waist", "left_foot", "right_foot")
+"""Trackers that may be there beside head and hands."""
+
+_LEG = ("upper-leg", "lower-leg", "foot-ankle", "foot-ball")  # hip, knee, ankle, ball of the foot
+BODY_JOINTS: tuple[str, ...] = ("hips", "spine-lower", *(f"{side}-{j}" for side in ("left", "right") for j in _LEG))
+"""WebXR's names (XRBodyJoint) of the joints that are used; others are left out on reading."""
+
+MOST_JOINTS = 256  # entries of ``body``; WebXR has 83
 
 GRIP_TO_WRIST = 0.09
 """Metres from the palm's centre (the grip's origin) back to the wrist along the metacarpals (mean adult hand)."""
@@ -57,6 +69,10 @@ class Sample:
     right_joints: tuple[tuple[float, ...], ...] | None = None
     left_curl: float | None = None  # 0 open hand .. 1 fist (a controller's squeeze), used when the joints are unknown
     right_curl: float | None = None
+    waist: Transform | None = None
+    left_foot: Transform | None = None
+    right_foot: Transform | None = None
+    body: Mapping[str, tuple[float, ...]] | None = None  # of BODY_JOINTS, 3 or 7 numbers
 
     @classmethod
     def from_json(cls, data: Any, t: float | None = None) -> Sample:
@@ -85,10 +101,14 @@ class Sample:
             joints["right_joints"],
             curl["left_curl"],
             curl["right_curl"],
+            waist=_transform(data.get("waist"), "waist"),
+            left_foot=_transform(data.get("left_foot"), "left_foot"),
+            right_foot=_transform(data.get("right_foot"), "right_foot"),
+            body=_body(data.get("body")),
         )
 
     def to_json(self) -> dict[str, Any]:
-        """The wire form plus "t"; absent joints and curls are left out, absent poses are null."""
+        """The wire form plus "t"; absent poses are null, what else is absent is left out."""
         out: dict[str, Any] = {"t": self.t}
         for key in ("head", "left", "right"):
             value = getattr(self, key)
@@ -101,6 +121,12 @@ class Sample:
             value = getattr(self, key)
             if value is not None:
                 out[key] = value
+        for key in TRACKERS:
+            value = getattr(self, key)
+            if value is not None:
+                out[key] = list(value)
+        if self.body is not None:
+            out["body"] = {name: list(joint) for name, joint in self.body.items()}
         return out
 
 
@@ -177,3 +203,15 @@ def _joints(value: Any, key: str) -> tuple[tuple[float, ...], ...] | None:
     if len(value) not in (25, 26):
         raise PoseError(f'"{key}" of a tracking sample needs 25 joints, not {len(value)}')
     return tuple([_numbers(joint, key, (3, 7)) for joint in value[len(value) - 25 :]])
+
+
+def _body(value: Any) -> dict[str, tuple[float, ...]] | None:
+    """The joints that are used; null, as a whole or for a joint, is not tracked."""
+    if value is None:
+        return None
+    if not isinstance(value, Mapping):
+        raise PoseError(f'"body" of a tracking sample is an object of joints by name, not {type(value).__name__}')
+    if len(value) > MOST_JOINTS:
+        raise PoseError(f'"body" of a tracking sample needs at most {MOST_JOINTS} joints, not {len(value)}')
+    found = {name: value.get(name) for name in BODY_JOINTS}
+    return {name: _numbers(joint, f"body.{name}", (3, 7)) for name, joint in found.items() if joint is not None}

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Mapping
-from dataclasses import dataclass
 from math import isfinite, sqrt
 from typing import Any
 
@@ -16,10 +15,13 @@ from glsplat.skinning.pose import Pose
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.tracking.calibration import Calibration
 from glsplat.tracking.checked import checked, finite, standing, still
-from glsplat.tracking.filters import Device, OneEuro, PositionFilter, RotationFilter
+from glsplat.tracking.config import TrackerConfig
+from glsplat.tracking.extra.devices import Extras
+from glsplat.tracking.filters import Device, PositionFilter, RotationFilter
 from glsplat.tracking.fingers import Fingers
 from glsplat.tracking.guard import Guard
 from glsplat.tracking.learned.solver import LearnedSolver
+from glsplat.tracking.reading import read_pose
 from glsplat.tracking.sample import Sample, Transform
 from glsplat.tracking.solve.body import HAND_FRAMES, HEAD_FRAME, Body
 from glsplat.tracking.solve.quat import IDENTITY, Quat, Vec, conj, mul, rotation_vector, to_quat
@@ -32,55 +34,8 @@ __all__ = ["Tracker", "TrackerConfig"]
 
 log = logging.getLogger("glsplat.tracking")
 
-HEAD_POSITION, HEAD_ROTATION = OneEuro(1.2, 40.0, 0.5), OneEuro(1.2, 8.0, 1.2)
-HAND_POSITION, HAND_ROTATION = OneEuro(1.0, 40.0, 0.5), OneEuro(1.0, 6.0, 1.2)
-"""Hardly anything passes that is slower than sway; at 1 m/s 4 ms of lag, never more than 9 mm behind."""
-
 SHORTEST = 1e-4  # seconds; samples closer than this are the same moment
 FINGERS_IN_TURN = 0.04  # seconds between samples below which the hands' fingers are fitted in turn
-FAR = 1e4  # metres; a device farther away is not tracked
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class TrackerConfig:
-    """Filters and tolerances. The lags these filters add are in docs/tracking.md."""
-
-    head_position: OneEuro = HEAD_POSITION
-    head_rotation: OneEuro = HEAD_ROTATION
-    hand_position: OneEuro = HAND_POSITION
-    hand_rotation: OneEuro = HAND_ROTATION
-    finger_smoothing: float = 0.02  # seconds
-    prediction: float = 0.0  # seconds to extrapolate head and hands to the time of display; at most 0.1
-    predicted_metres: float = 0.10  # bounds of what prediction adds
-    predicted_radians: float = 0.35
-    head_speed: float = 12.0  # m/s; what moves faster is followed at this speed
-    hand_speed: float = 20.0
-    turn_speed: float = 50.0  # rad/s
-    teleport: float = 0.7  # metres the head may jump in a sample (beyond 8 m/s); more is declared a teleport
-    gap: float = 0.5  # seconds without samples after which the body starts anew
-    joint_speed: float = 45.0  # rad/s of any joint of the output
-    root_speed: float = 14.0  # m/s of the output's pelvis
-    foot_speed: float = 10.0  # m/s of the output's feet, over the pelvis' own
-    stretch: float = 0.25  # of their length arms become longer at most, where a hand is out of reach; 0: never
-
-    def __post_init__(self) -> None:
-        if not 0 <= self.prediction <= 0.1:
-            raise PoseError(f"prediction needs 0 to 0.1 seconds, not {self.prediction:g}")
-        if not 0 <= self.stretch <= 1:
-            raise PoseError(f"stretch needs 0 to 1 of an arm's length, not {self.stretch:g}")
-
-    @classmethod
-    def raw(cls, prediction: float = 0.0) -> TrackerConfig:
-        """No filters: for recordings without noise."""
-        off = OneEuro(0.0, 0.0)
-        return cls(
-            head_position=off,
-            head_rotation=off,
-            hand_position=off,
-            hand_rotation=off,
-            finger_smoothing=0.0,
-            prediction=prediction,
-        )
 
 
 class Tracker:
@@ -125,7 +80,9 @@ class Tracker:
             ]
         )
         self._fingers = (Fingers(self.body, 0, c.finger_smoothing), Fingers(self.body, 1, c.finger_smoothing))
-        head = mul(conj(HEAD_FRAME), to_quat((-self.calibration.head_pitch, 0.0, 0.0)))
+        known = self.calibration
+        self._extras = Extras(self.body, c, known.scale, known.floor, known.mounts)
+        head = mul(conj(HEAD_FRAME), to_quat((-known.head_pitch, 0.0, 0.0)))
         self._frames = (head, conj(HAND_FRAMES["left"]), conj(HAND_FRAMES["right"]))
         self.reset()
 
@@ -138,6 +95,7 @@ class Tracker:
         for hand, fingers in zip(self._hands, self._fingers, strict=True):
             hand.reset()
             fingers.reset()
+        self._extras.reset()
         self._time: float | None = None
         self._step = 1 / 72
         self._count = 0
@@ -190,12 +148,18 @@ class Tracker:
             self._head.reset()
             for hand in self._hands:
                 hand.reset()
+            self._extras.lose()
         step = min(dt or self._step, self.config.gap)
         if seen is not None:
             self._frozen(seen, flags)
         targets = self._filtered(head, hands, step, flags)
+        assert self._head.at is not None
+        if not self.head_only:
+            self._extras.update(sample, self._head.at, targets, step, flags)
         solution = self._solve(targets, step, fresh)
-        if solution is None:
+        if solution is not None:
+            self._extras.learn(solution, self._head.at, step)
+        else:
             flags.append("solver_failed")
             last = self._guard.last
             # never a jump: not to the held body, and from it only at the speeds of every body
@@ -245,24 +209,8 @@ class Tracker:
 
     def _read(self, pose: Transform | None, device: int, flags: list[str]) -> tuple[Vec, Quat] | None:
         """Place and joint rotation in the avatar's space; None for a pose that is absent or cannot be one."""
-        if pose is None:
-            return None
-        try:
-            x, y, z, qx, qy, qz, qw = pose
-            # NaN fails every comparison, infinity these
-            if not (-FAR < x < FAR and -FAR < y < FAR and -FAR < z < FAR):
-                return None
-            n = qx * qx + qy * qy + qz * qz + qw * qw
-            if not 1e-8 < n < 1e8:
-                return None
-            n = 1 / sqrt(n)
-        except (TypeError, ValueError):  # not seven numbers
-            if "invalid" not in flags:
-                flags.append("invalid")
-            return None
-        k = 1 / self.calibration.scale
-        turn = mul((qw * n, qx * n, qy * n, qz * n), self._frames[device])
-        return (x * k, (y - self.calibration.floor) * k, z * k), turn
+        found = read_pose(pose, self.calibration.scale, self.calibration.floor, flags)
+        return None if found is None else (found[0], mul(found[1], self._frames[device]))
 
     def _frozen(self, head: Transform, flags: list[str]) -> None:
         device, raw = self._head, tuple(head)

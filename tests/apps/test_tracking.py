@@ -47,6 +47,22 @@ def test_disturbed_recordings(tmp_path):
     assert 130 < len(lines) < 150 and any(line["left"] is None for line in lines) and "left_joints" not in lines[0]
 
 
+def test_trackers_of_a_motion_are_calibrated_and_solved(tmp_path, capsys):
+    words = ("--rate", 30, "--trackers", "waist, feet,body", "--truth", tmp_path / "t.jsonl")
+    assert run("from-motion", "idle", "-o", tmp_path / "r.jsonl", *words) == 0
+    line = json.loads((tmp_path / "r.jsonl").read_text().splitlines()[3])
+    assert {"waist", "left_foot", "right_foot"} <= set(line) and len(line["body"]) == 10
+    assert run("calibrate", tmp_path / "r.jsonl", "-o", tmp_path / "c.json") == 0
+    assert "trackers: waist, left_foot, right_foot" in capsys.readouterr().out
+    words = ("--calibration", tmp_path / "c.json", "-o", tmp_path / "p.jsonl")
+    assert run("solve", tmp_path / "r.jsonl", *words) == 0
+    capsys.readouterr()
+    assert run("score", tmp_path / "p.jsonl", tmp_path / "t.jsonl", "--json") == 0
+    assert json.loads(capsys.readouterr().out)["lower"] < 4  # how the feet stood while calibrating is not known better
+    assert run("from-motion", "idle", "-o", tmp_path / "r.jsonl", "--trackers", "tail") == 2
+    assert "waist, feet, body" in capsys.readouterr().err
+
+
 def test_calibrate_and_solve_for_another_user(derived, capsys):
     assert run("calibrate", "--height", 1.5, "-o", derived / "c.json") == 0
     scale = json.loads((derived / "c.json").read_text())["scale"]

@@ -16,7 +16,7 @@ from glsplat.rotations import rotation_matrices
 from glsplat.skinning.pose import Pose
 from glsplat.tracking.calibration import EYES_OF_STATURE, calibrate
 from glsplat.tracking.recording import embedded_recording, replay
-from glsplat.tracking.sample import Sample
+from glsplat.tracking.sample import TRACKERS, Sample
 from glsplat.tracking.solve.body import Body
 from tests.browser.flat_page import flat_page
 
@@ -115,7 +115,10 @@ READ = [
     line(left_joints=HAND, right_joints=[v for joint in HAND for v in joint]),
     line(left_joints=[[*joint, 0, 0, 0, 1] for joint in HAND]),
     line(left_joints=[[9, 9, 9], *HAND]),
-    line(unknown={"a": [1]}, body=[1, 2]),
+    line(unknown={"a": [1]}),
+    line(waist=HEAD, left_foot=HEAD, right_foot=None, body={"hips": HEAD, "left-foot-ball": HEAD[:3], "chest": 5}),
+    line(waist=[float("nan"), *HEAD[1:]], body={"hips": None}),
+    line(body=None),
     json.dumps({"t": 3, "left_grip": HEAD}),
     "\n \r\n" + line() + "\r\n\n",
     "\ufeff" + line(),
@@ -129,7 +132,8 @@ REFUSED = [
     line(head=HEAD[:6]), line(head="abcdefg"), line(head={}), line(head=[*HEAD[:6], "1"]), line(head=[*HEAD[:6], True]),
     line(head=[*HEAD[:6], None]), line(left_joints=HAND[:24]), line(left_joints=[1.0] * 74), line(left_joints="x" * 25),
     line(left_joints=[[1, 2]] * 25), line(left_joints=[]), line(left_curl="fist"), line(left_curl=False),
-    line() + " " * (1 << 20),
+    line() + " " * (1 << 20), line(waist=[1, 2]), line(body=[1, 2]), line(body="hips"), line(body={"hips": [1, 2]}),
+    line(body={"left-foot-ball": "abc"}), line(body={f"j{i}": 1 for i in range(257)}),
 ]  # fmt: skip
 
 
@@ -146,7 +150,9 @@ def test_what_the_program_reads_the_page_reads(page, tmp_path, text):
     for sample, twin in zip(found, expected, strict=True):
         mine = Sample.from_json(sample)
         assert mine.t == twin.t and (mine.left_curl, mine.right_curl) == (twin.left_curl, twin.right_curl)
-        for key in ("head", "left", "right", "left_joints", "right_joints"):
+        body = None if twin.body is None else {name: joint[:3] for name, joint in twin.body.items()}
+        assert mine.body == body
+        for key in ("head", "left", "right", "left_joints", "right_joints", *TRACKERS):
             value = getattr(twin, key)
             tracked = value is not None and np.isfinite(np.hstack(value)).all()
             assert getattr(mine, key) == (value if tracked else None)

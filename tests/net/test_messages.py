@@ -17,6 +17,7 @@ from glsplat.camera import head_matrix, stereo_cameras
 from glsplat.errors import ProtocolError
 from glsplat.net.messages import MAX_BYTES, Ack, Decoder, RenderRequest, WireOptions, error_text, eye_fields
 from glsplat.skinning.skeleton import Skeleton
+from glsplat.tracking.sample import Sample
 
 EYE = {"viewmat": [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 2, 0, 0, 0, 1], "K": [50, 60, 31, 33]}
 GOOD = {
@@ -29,6 +30,7 @@ GOOD = {
     "pose": {"root_pose": [0, 1, 0]},
 }
 
+LEVEL = [0, 1.6, 0, 0, 0, 0, 1]
 HEAD = {"pose": None, "tracking": {"head": [0, 1.6, 0, 0, 0, 0, 1]}}
 
 
@@ -96,6 +98,16 @@ def test_poses_by_joint_name_for_other_rigs():
     np.testing.assert_array_equal(request.pose.rotations, [[0, 0, 0], [0, 0, 1]])
 
 
+def test_waist_feet_and_body_go_to_the_solver_as_they_came():
+    body = {"hips": [0, 1, 0], "left-foot-ball": [0.1, 0, 0.2, 0, 0, 0, 1], "chest": None}
+    tracking = {"head": LEVEL, "waist": LEVEL, "left_foot": LEVEL, "body": body, "tail": [1, 2]}
+    request = decode({"v": 1, "frame_id": 1, "tracking": tracking, "eyes": [EYE]})
+    assert request.tracking == {key: value for key, value in tracking.items() if key != "tail"}
+    sample = Sample.from_json(request.tracking, 0.0)
+    assert sample.waist == tuple(LEVEL)
+    assert sample.body == {"hips": (0, 1, 0), "left-foot-ball": tuple(body["left-foot-ball"])}
+
+
 def test_tracking_in_place_of_a_pose():
     tracking = {"head": [0, 1.6, 0.2, 0, 0, 0, 1], "left": None, "right": [0.3, 1, 0.2, 0, 0, 0, 2]}
     request = decode({"v": 1, "frame_id": 1, "tracking": tracking, "size": [64, 64]}, WireOptions(ipd=0.064))
@@ -153,6 +165,14 @@ def test_tracking_in_place_of_a_pose():
         ({"pose": None, "tracking": {"head": [0, 0, 0]}}, "bad_request"),
         ({"pose": None, "tracking": {"head": [0] * 7}}, "bad_camera"),
         ({"pose": None, "tracking": {"head": [0, 1e9, 0, 0, 0, 0, 1]}}, "bad_request"),
+        ({"pose": None, "tracking": {"head": LEVEL, "waist": [0] * 6}}, "bad_request"),
+        ({"pose": None, "tracking": {"head": LEVEL, "left_foot": [0] * 7}}, "bad_camera"),
+        ({"pose": None, "tracking": {"head": LEVEL, "right_foot": [1e9, 0, 0, 0, 0, 0, 1]}}, "bad_request"),
+        ({"pose": None, "tracking": {"head": LEVEL, "body": []}}, "bad_field"),
+        ({"pose": None, "tracking": {"head": LEVEL, "body": {"hips": "here"}}}, "bad_field"),
+        ({"pose": None, "tracking": {"head": LEVEL, "body": {"hips": [0, 1]}}}, "bad_request"),
+        ({"pose": None, "tracking": {"head": LEVEL, "body": {"hips": [0, 1e9, 0]}}}, "bad_request"),
+        ({"pose": None, "tracking": {"head": LEVEL, "body": {f"j{i}": None for i in range(257)}}}, "bad_request"),
         ({"pose": None, "eyes": None, "tracking": {"left": [0, 0, 0, 0, 0, 0, 1]}}, "bad_request"),
     ],
 )
@@ -309,7 +329,9 @@ fields = {
     "quality": st.integers(-5, 200) | json_values,
     "crop": st.booleans() | json_values,
     "pose": st.dictionaries(st.sampled_from(["trans", "body_pose", "joints", "jaw_pose"]), numbers | json_values),
-    "tracking": st.dictionaries(st.sampled_from(["head", "left", "left_joints", "right_curl"]), numbers | json_values),
+    "tracking": st.dictionaries(
+        st.sampled_from(["head", "left", "left_joints", "waist", "body"]), numbers | json_values
+    ),
     "cameras": st.lists(st.dictionaries(st.sampled_from(["pos_x", "rot_w", "eye"]), json_values), max_size=3),
     "camera": json_values,
     "smplx": json_values,

@@ -3,9 +3,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from glsplat.tracking.config import HAND_POSITION, HAND_ROTATION, HEAD_POSITION, HEAD_ROTATION
 from glsplat.tracking.filters import OneEuro, PositionFilter, RotationFilter
 from glsplat.tracking.solve.quat import inverse_mul, mul, rotation_angle, yaw_quat
-from glsplat.tracking.tracker import HAND_POSITION, HAND_ROTATION, HEAD_POSITION, HEAD_ROTATION
 
 DT = 1 / 72
 

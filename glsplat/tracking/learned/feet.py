@@ -10,6 +10,7 @@ from glsplat.tracking.solve.body import FEET, PELVIS, Body
 from glsplat.tracking.solve.foot import Foot
 from glsplat.tracking.solve.leg import TIPTOE, Leg
 from glsplat.tracking.solve.quat import Quat, Vec, add, clamp, pull, rotate, scale, sub, wrap
+from glsplat.tracking.solve.tracked import AFLOAT, Follow
 
 __all__ = ["Feet"]
 
@@ -30,6 +31,7 @@ SLOW, CALM = 0.2, 0.6  # m/s, seconds: slower for longer is standing, where it i
 STEP_UP = 0.2  # metres or more over the ground
 CLEAR = 0.045  # metres the ball is over the ground while it moves
 HELPS = 0.06  # metres or more by which a step must help a strained leg
+DRAGS = 0.1  # metres from below its hip that a foot is dragged at by a leg that does not reach it
 ASTRIDE = 0.3  # of its length that a leg's foot is from below the hip, beyond which a strained leg steps at once
 REACH = 0.985  # of its length to which a lifted foot is put
 TAKE_OFF = 0.02  # metres below and above the reach of the tiptoes over which a jump begins
@@ -47,11 +49,14 @@ class Feet:
         self.farthest: float = self.legs[0].limb.farthest + up + self.tiptoe + self.sole  # of a hip from the ground
         self.rest: tuple[Vec, ...] = tuple([sub(body.joints[FEET[i]], body.joints[PELVIS]) for i in (0, 1)])
         self.feet: tuple[Foot, Foot] = (Foot(0), Foot(1))
+        self.follow: tuple[Follow, Follow] = (Follow(self.legs[0]), Follow(self.legs[1]))
         self.reset()
 
     def reset(self) -> None:
         """Forget the past: the next update puts both feet where the hints say."""
         self.started = False
+        for follow in self.follow:
+            follow.reset()
         self.air = self.slack = 0.0
         self._before: Vec | None = None
         self._speed: Vec = (0.0, 0.0, 0.0)  # m/s of the pelvis
@@ -59,7 +64,14 @@ class Feet:
         self._since = [1.0, 1.0]  # seconds since each foot was lifted or set down
 
     def update(
-        self, hints: Sequence[FootHint], pelvis_at: Vec, pelvis: Quat, yaw: float, dt: float
+        self,
+        hints: Sequence[FootHint],
+        pelvis_at: Vec,
+        pelvis: Quat,
+        yaw: float,
+        dt: float,
+        goals: Sequence[tuple[Vec, Quat] | None] = (None, None),  # ankles and feet that are tracked
+        knees: Sequence[Vec | None] = (None, None),
     ) -> list[tuple[Quat, Quat, Quat]]:
         """World rotation of thigh, local rotation of the knee, and world rotation of the foot, for left and right."""
         hips = [add(pelvis_at, rotate(pelvis, leg.hip)) for leg in self.legs]
@@ -75,11 +87,20 @@ class Feet:
             k = 1 - exp(-dt / 0.04)
             self._speed = pull(self._speed, scale(sub(pelvis_at, self._before), 1 / dt), k)
         self._before = pelvis_at
-        reach = min(hips[0][1], hips[1][1]) - self.farthest
+        for follow, foot, goal, knee in zip(self.follow, self.feet, goals, knees, strict=True):
+            follow.place(foot, goal, knee, dt)
+        up = [follow.height for follow in self.follow]
+        reach = min(hips[0][1] - up[0], hips[1][1] - up[1]) - self.farthest
         self.slack = -reach
         self.air = 0.0 if reach < -TAKE_OFF else max(reach, (min(reach, TAKE_OFF) + TAKE_OFF) ** 2 / (4 * TAKE_OFF))
+        if all(follow.ankle is not None for follow in self.follow):
+            self.air = max(min(up) - AFLOAT, 0.0)
         limbs = []
         for foot, hint, hip, leg in zip(self.feet, hints, hips, self.legs, strict=True):
+            tracked = self.follow[foot.index].solve(foot, hip, pelvis, yaw)
+            if tracked is not None:
+                limbs.append(tracked)
+                continue
             self._since[foot.index] += dt
             slow = hypot(hint.speed[0], hint.speed[2]) * hint.sure < SLOW
             self._calm[foot.index] = self._calm[foot.index] + dt if slow else 0.0
@@ -96,6 +117,8 @@ class Feet:
 
     def _leaves(self, foot: Foot, hint: FootHint, leg: Leg, hip: Vec, pelvis: Quat) -> bool:
         """Whether a planted foot should be lifted."""
+        if foot.strained and self._since[foot.index] > 0.04 and hypot(hip[0] - foot.x.at, hip[2] - foot.z.at) > DRAGS:
+            return True
         ahead = add(hip, scale(self._speed, FORESIGHT))
         strained = foot.strained or leg.strains(foot, ahead, pelvis)
         if (
@@ -125,7 +148,7 @@ class Feet:
             foot.left = SET
             lead = SET - OVER
             landing = add(hint.ball, scale(hint.speed, 0.5 * lead * (1 - hint.stands)))
-            foot.landing = self._within(landing, leg, hip, ground)
+            foot.landing = self._within(landing, leg, add(hip, scale(self._speed, SET)), ground)
         if foot.left > 0:
             foot.left -= dt
             over = foot.left - OVER

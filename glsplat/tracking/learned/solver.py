@@ -24,6 +24,7 @@ from glsplat.tracking.solve.quat import (
 )
 from glsplat.tracking.solve.solution import Solution, Targets, assembled, reaching
 from glsplat.tracking.solve.spine import Spine, Torso
+from glsplat.tracking.solve.tracked import Pelvis
 
 __all__ = ["LearnedSolver"]
 
@@ -40,6 +41,7 @@ class LearnedSolver:
         self.hints: Hints = Hints(body, network)
         self.spine: Spine = Spine(body)
         self.feet: Feet = Feet(body)
+        self.pelvis: Pelvis = Pelvis()  # a tracked one
         self.arms: tuple[Arm, Arm] = (Arm(body, 0), Arm(body, 1))
         self.hands: Hands = Hands(self.arms)
         self.reset()
@@ -49,6 +51,7 @@ class LearnedSolver:
         self.hints.reset()
         self.spine.reset()
         self.feet.reset()
+        self.pelvis.reset()
         self.hands.reset()
         for arm in self.arms:
             arm.reset()
@@ -58,9 +61,10 @@ class LearnedSolver:
         """One moment."""
         targets = self._grounded(targets, dt)
         hint = self.hints.update(targets, dt)
-        torso = self._torso(targets, hint)
+        self.pelvis.update(targets.pelvis, targets.pelvis_turn, targets.eye, dt)
+        torso = self.pelvis.bring(self.spine, targets.eye, targets.head, self._torso(targets, hint))
         yaw = swing_twist_y(torso.pelvis)
-        limbs = self.feet.update(hint.feet, torso.pelvis_at, torso.pelvis, yaw or 0.0, dt)
+        limbs = self.feet.update(hint.feet, torso.pelvis_at, torso.pelvis, yaw or 0.0, dt, targets.feet, targets.knees)
         arms = reaching(self.arms, self.hands, targets, torso, dt)
         notes = ["head_out_of_reach"] if self._sink > 0.02 else []
         feet = self.feet

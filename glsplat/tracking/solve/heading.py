@@ -10,6 +10,7 @@ __all__ = ["Heading"]
 
 COMFORT = 0.4  # rad: the head turns this far without the body following soon
 LARGEST = 1.1  # rad: the body is never left further behind (cervical + thoracic rotation, AAOS: 60 + 45 degrees)
+WIDEST = 1.5  # rad: likewise, of a body whose pelvis is tracked
 SLOW = 0.8  # of a turned head that the body follows in a second, inside the comfort zone
 SWAYED = 0.15  # of the yaw that both hands suggest which the body takes
 TURN_RATE = 9.0  # rad/s at most
@@ -29,14 +30,25 @@ class Heading:
         self.started = False
 
     def update(
-        self, head: Quat, eye: Vec, left: Vec | None, right: Vec | None, velocity: Vec, speed: float, dt: float
+        self,
+        head: Quat,
+        eye: Vec,
+        left: Vec | None,
+        right: Vec | None,
+        velocity: Vec,
+        speed: float,
+        dt: float,
+        tracked: tuple[float, float] | None = None,
     ) -> float:
-        """New yaw from the head joint's world rotation, tracked wrists and the walking velocity (m/s)."""
+        """New yaw from the head joint's world rotation, tracked wrists and the walking velocity (m/s).
+
+        ``tracked``: yaw of a tracked pelvis, and the part of the way to it that is taken now, 0 to 1.
+        """
         seen = swing_twist_y(head)
         if seen is not None:
             self.head_yaw = seen
         if not self.started:
-            self.yaw, self.hands, self.started = self.head_yaw, 0.0, True
+            self.yaw, self.hands, self.started = self.head_yaw if tracked is None else tracked[0], 0.0, True
             return self.yaw
         error = wrap(self.head_yaw - self.yaw)
         walking = clamp((speed - 0.3) / 0.5, 0.0, 1.0)
@@ -54,9 +66,14 @@ class Heading:
                 target += 0.3 * walking * clamp(travel - target, -0.5, 0.5)
         step = target * (1 - exp(-rate * dt))
         self.yaw = wrap(self.yaw + clamp(step, -TURN_RATE * dt, TURN_RATE * dt))
+        largest = LARGEST
+        if tracked is not None:
+            step = wrap(tracked[0] - self.yaw) * tracked[1]
+            self.yaw = wrap(self.yaw + clamp(step, -2 * TURN_RATE * dt, 2 * TURN_RATE * dt))
+            largest = WIDEST
         left_behind = wrap(self.head_yaw - self.yaw)
-        if abs(left_behind) > LARGEST and seen is not None:
-            excess = left_behind - LARGEST if left_behind > 0 else left_behind + LARGEST
+        if abs(left_behind) > largest and seen is not None:
+            excess = left_behind - largest if left_behind > 0 else left_behind + largest
             self.yaw = wrap(self.yaw + clamp(excess, -2 * TURN_RATE * dt, 2 * TURN_RATE * dt))
         return self.yaw
 

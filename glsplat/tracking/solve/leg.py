@@ -14,6 +14,7 @@ from glsplat.tracking.solve.quat import (
     clamp,
     conj,
     mul,
+    pull,
     rotate,
     rotation_vector,
     scale,
@@ -30,6 +31,7 @@ KNEE_FLEXION = 145.0  # degrees the knee may bend
 DORSIFLEXION = 0.66  # radians the ankle bends under load
 TIPTOE = 1.0  # radians the heel may lift about the ball
 EXTENSION = 0.5  # behind for each metre down: 27 degrees the hip extends
+HEEL = 0.35  # of the way from the ball back to the ankle that the heel is behind that
 STRAIGHT = 0.997  # of its length a leg stretches to
 KNEE_PRIOR = 0.05  # metres: what a known direction of the knee is weighed against
 SOFT = 0.03  # of its length over which a leg becomes straight: the knee would jump otherwise
@@ -47,6 +49,7 @@ class Leg:
         self.ankle: Vec = sub(body.joints[ankle], body.joints[foot])  # from the ball
         self.knee: Vec = sub(body.joints[knee], body.joints[hip])
         self.shin: Vec = sub(body.joints[ankle], body.joints[knee])
+        self.sole: float = body.sole
         self.ankle_height: float = 0.0  # metres, as last solved
         self.size: float = sqrt(sum(v * v for v in self.ankle))
         self.ball: Vec | None = None  # where the last solution put it, if the leg reached
@@ -73,24 +76,10 @@ class Leg:
             excess = _distance(hip, ankle) - limb.farthest
             exact, foot.strained = excess < 1e-3, excess > 0.005
         elif far < limb.nearest:
-            # a knee bent as far as it goes pushes the foot away from under the hip
-            down, x, z = hip[1] - ankle[1], ankle[0] - hip[0], ankle[2] - hip[2]
-            aside = hypot(x, z)
-            if aside < 1e-6:
-                x, z, aside = 1e-6 * sin(yaw), 1e-6 * cos(yaw), 1e-6
-            k = sqrt(max(limb.nearest * limb.nearest - down * down, 0.0)) / aside - 1
-            aside_x, aside_z = x * k, z * k
+            aside_x, aside_z = self._aside(hip, ankle, yaw)
             ankle = self.above(foot, pitch, aside_x, aside_z)
-            foot.strained = aside * k > 0.005
-        turn = wrap(foot.yaw - yaw)
-        facing = yaw + 0.5 * turn
-        ahead = rotate(pelvis, (0.0, 0.0, 1.0))
-        pole = unit((sin(facing) + ahead[0], 0.5 * ahead[1], cos(facing) + ahead[2]), (sin(facing), 0.0, cos(facing)))
-        # the knee bends outwards a little (hip abduction of a relaxed crouch)
-        out = 0.12 if self.index == 0 else -0.12
-        pole = unit((pole[0] + out * cos(facing), pole[1], pole[2] - out * sin(facing)))
-        if knee_to is not None:
-            pole = unit(add(scale(pole, KNEE_PRIOR), knee_to))
+            foot.strained = hypot(aside_x, aside_z) > 0.005
+        pole = self._pole(foot.yaw, pelvis, yaw, knee_to)
         thigh, knee, shin = two_bone(limb, hip, ankle, pole)
         for _ in range(3):
             # a deep crouch lifts the heel where the ankle bends no further
@@ -106,6 +95,51 @@ class Leg:
         x, y, z = foot.ball
         self.ball = (x + aside_x, y, z + aside_z) if exact else None
         return thigh, knee, mul(yaw_quat(foot.yaw), to_quat((pitch, 0.0, 0.0)))
+
+    def follow(
+        self, foot: Foot, ankle: Vec, turn: Quat, hip: Vec, pelvis: Quat, yaw: float, knee_to: Vec | None
+    ) -> tuple[Quat, Quat, Quat]:
+        """The same for an ankle and a foot that are tracked; a leg too short points at them."""
+        far = _distance(hip, ankle)
+        want = self._softly(far)
+        foot.strained = far - want > 0.02
+        if far > want:
+            ankle = pull(hip, ankle, want / far)
+        elif far < self.limb.nearest:
+            x, z = self._aside(hip, ankle, yaw)
+            ankle = add(ankle, (x, 0.0, z))
+            foot.strained = hypot(x, z) > 0.02
+        thigh, knee, _ = two_bone(self.limb, hip, ankle, self._pole(foot.yaw, pelvis, yaw, knee_to))
+        self.ankle_height = ankle[1]
+        self.ball = sub(ankle, rotate(turn, self.ankle))
+        return thigh, knee, turn
+
+    def lowest(self, ankle: Vec, turn: Quat) -> float:
+        """Metres that the lowest point of a foot is above the floor: below its ball, or of its heel."""
+        _, up, back = self.ankle
+        ball = ankle[1] - rotate(turn, self.ankle)[1]
+        heel = ankle[1] + rotate(turn, (0.0, -up - self.sole, HEEL * back))[1]
+        return min(ball - self.sole, heel)
+
+    def _pole(self, foot_yaw: float, pelvis: Quat, yaw: float, knee_to: Vec | None) -> Vec:
+        """Where the knee bends to: between pelvis and foot, or where it is known to be."""
+        turn = wrap(foot_yaw - yaw)
+        facing = yaw + 0.5 * turn
+        ahead = rotate(pelvis, (0.0, 0.0, 1.0))
+        pole = unit((sin(facing) + ahead[0], 0.5 * ahead[1], cos(facing) + ahead[2]), (sin(facing), 0.0, cos(facing)))
+        # the knee bends outwards a little (hip abduction of a relaxed crouch)
+        out = 0.12 if self.index == 0 else -0.12
+        pole = unit((pole[0] + out * cos(facing), pole[1], pole[2] - out * sin(facing)))
+        return pole if knee_to is None else unit(add(scale(pole, KNEE_PRIOR), knee_to))
+
+    def _aside(self, hip: Vec, ankle: Vec, yaw: float) -> tuple[float, float]:
+        """How far a knee bent as far as it goes pushes the foot away from under the hip: x, z."""
+        down, x, z = hip[1] - ankle[1], ankle[0] - hip[0], ankle[2] - hip[2]
+        aside = hypot(x, z)
+        if aside < 1e-6:
+            x, z, aside = 1e-6 * sin(yaw), 1e-6 * cos(yaw), 1e-6
+        k = sqrt(max(self.limb.nearest * self.limb.nearest - down * down, 0.0)) / aside - 1
+        return x * k, z * k
 
     def strains(self, foot: Foot, hip: Vec, pelvis: Quat) -> bool:
         """Would a hip here stretch the leg to where the foot is planted, or the hip too far back?"""

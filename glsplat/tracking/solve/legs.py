@@ -2,13 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from math import cos, exp, hypot, sin
 
 from glsplat.tracking.solve.body import FEET, PELVIS, Body
 from glsplat.tracking.solve.foot import HOLD, Foot
 from glsplat.tracking.solve.gait import Gait
 from glsplat.tracking.solve.leg import TIPTOE, Leg
-from glsplat.tracking.solve.quat import Quat, Vec, add, clamp, rotate, scale, sub, wrap
+from glsplat.tracking.solve.quat import (
+    IDENTITY,
+    Quat,
+    Vec,
+    add,
+    clamp,
+    rotate,
+    scale,
+    sub,
+    wrap,
+)
+from glsplat.tracking.solve.tracked import AFLOAT, Follow
 
 __all__ = ["Legs"]
 
@@ -27,6 +39,8 @@ NARROW = 0.55  # likewise, while walking
 HURRY = 0.2  # seconds in which the feet of a recording that begins in mid-walk find their places
 RUN = 1.6  # m/s (of a 1.7 m person) above which both feet may leave the ground in every stride
 TAKE_OFF = 0.02  # metres below and above the reach of the tiptoes over which a jump begins
+
+_NOWHERE = ((0.0, 0.0, 0.0), IDENTITY)
 
 
 class Legs:
@@ -49,6 +63,7 @@ class Legs:
         self.tiptoe: float = up * cos(TIPTOE) - back * sin(TIPTOE) - up  # metres the ankle rises on tiptoe
         self.farthest: float = self.legs[0].limb.farthest + up + self.tiptoe + self.sole  # of a hip from the ground
         self.feet: tuple[Foot, Foot] = (Foot(0), Foot(1))
+        self.follow: tuple[Follow, Follow] = (Follow(self.legs[0]), Follow(self.legs[1]))
         self.gait: Gait = Gait(self.length)
         self.started: bool = False
         self.flying: bool = False  # in a jump
@@ -63,6 +78,8 @@ class Legs:
         self.started = self.flying = False
         self.air = self.slack = self.calm = 0.0
         self.gait.reset()
+        for follow in self.follow:
+            follow.reset()
 
     def middle(self) -> tuple[float, float] | None:
         """World x, z that the rest pose's pelvis would have over the feet; None before the first update."""
@@ -92,6 +109,8 @@ class Legs:
         slow: Vec,  # m/s, smoothed for some 0.3 s in all: walking or only swaying
         speed: float,
         dt: float,
+        goals: Sequence[tuple[Vec, Quat] | None] = (None, None),  # ankles and feet that are tracked
+        knees: Sequence[Vec | None] = (None, None),
     ) -> list[tuple[Quat, Quat, Quat]]:
         """World rotation of thigh, local rotation of the knee, and world rotation of the foot, for left and right."""
         hips = [add(pelvis_at, rotate(pelvis, leg.hip)) for leg in self.legs]
@@ -99,6 +118,8 @@ class Legs:
             for foot in self.feet:
                 foot.plant(self.place(foot.index, base, yaw, TRACK, (0.0, 0.0, 0.0)), yaw)
             self.rest, self.yaw, self.turning, self.started = base, yaw, 0.0, True
+        for foot, goal, knee in zip(self.feet, goals, knees, strict=True):
+            self.follow[foot.index].place(foot, goal, knee, dt)
         k = 1 - exp(-dt / 0.1)
         self.turning += (wrap(yaw - self.yaw) / max(dt, 1e-4) - self.turning) * k
         self.yaw = yaw
@@ -106,30 +127,44 @@ class Legs:
         self.rest = (self.rest[0] + (base[0] - self.rest[0]) * k, 0.0, self.rest[2] + (base[2] - self.rest[2]) * k)
         if speed > STILL:
             for leg, foot, hip in zip(self.legs, self.feet, hips, strict=True):
-                if foot.planted and not foot.strained:
+                if foot.planted and not foot.strained and self.follow[foot.index].ankle is None:
                     foot.strained = leg.strains(foot, add(hip, scale(velocity, FORESIGHT)), pelvis)
-        reach = min(hips[0][1], hips[1][1]) - self.farthest
+        up = [follow.height for follow in self.follow]
+        reach = min(hips[0][1] - up[0], hips[1][1] - up[1]) - self.farthest
         self.slack = -reach
         # half a parabola from before the tiptoes lose the ground: the feet leave it without a jolt
         self.air = 0.0 if reach < -TAKE_OFF else max(reach, (min(reach, TAKE_OFF) + TAKE_OFF) ** 2 / (4 * TAKE_OFF))
+        if not self._free():
+            self.air = max(min(up) - AFLOAT, 0.0)
         running = self.gait.walking and speed > RUN * self.gait.pace
-        if self.air > (0 if self.flying else TAKE_OFF) and not running:
+        if not self._free():
+            self.flying = False
+        elif self.air > (0 if self.flying else TAKE_OFF) and not running:
             self._fly(base, yaw, dt)
         else:
             if self.flying:  # they land where they are
-                for foot in self.feet:
+                for foot in self._free():
                     foot.land()
             self.flying = False
             if self.gait.walking:
                 self._walk(base, yaw, velocity, speed, dt)
             else:
                 self._stand(base, yaw, slow, speed, pelvis_at[1], dt)
-        return [leg.solve(foot, hip, pelvis, yaw) for leg, foot, hip in zip(self.legs, self.feet, hips, strict=True)]
+        return [
+            follow.solve(foot, hip, pelvis, yaw) or follow.leg.solve(foot, hip, pelvis, yaw)
+            for follow, foot, hip in zip(self.follow, self.feet, hips, strict=True)
+        ]
+
+    # -- feet that are tracked
+
+    def _free(self) -> list[Foot]:
+        """Those that are not."""
+        return [foot for foot in self.feet if self.follow[foot.index].ankle is None]
 
     def _fly(self, base: Vec, yaw: float, dt: float) -> None:
         """In a jump the feet hang under the hips."""
         self.flying, off = True, self.air > TAKE_OFF
-        for foot in self.feet:
+        for foot in self._free():
             foot.planted, foot.left = False, 0.0
             x, _, z = self.place(foot.index, base, yaw, TRACK, (0.0, 0.0, 0.0)) if off else foot.ball
             foot.hang((x, self.sole + self.air, z), yaw if off else foot.yaw, TIPTOE if off else foot.tilt.at, dt)
@@ -139,7 +174,7 @@ class Legs:
     def start_walking(self, speed: float) -> None:
         """A recording that begins in mid-walk: the feet hurry to where the phase has them."""
         duty = self.gait.duty(speed)
-        for foot in self.feet:
+        for foot in self._free():
             phase = (self.gait.phase + 0.5 * foot.index) % 1.0
             left = (1 - phase) / self.gait.frequency
             by_gait = phase > duty and left > HURRY
@@ -156,7 +191,7 @@ class Legs:
         ahead = 0.5 * stance + HOLD * swing
         back = -(0.06 + 0.18 * running) * self.size  # runners land under their mass
         late = 0.03 + 0.04 * running  # the ball lands after the heel, by this part of a stride
-        for foot in self.feet:
+        for foot in self._free():
             phase = (gait.phase - late + 0.5 * foot.index) % 1.0
             left = (1 - phase) / gait.frequency  # seconds until the foot is due on the ground
             if foot.planted:
@@ -190,7 +225,7 @@ class Legs:
         # a lower pelvis goes with a wider stance
         track = TRACK * (1 + clamp(WIDEN * (self.height - low) / self.size, 0.0, 1.0))
         worst, asks = 0.0, None
-        for foot in self.feet:
+        for foot in self._free():
             target = self.place(foot.index, base, yaw, track, lead)
             if not foot.planted:
                 foot.swing(target, yaw, foot.left - dt, speed, dt)

@@ -44,6 +44,10 @@ class Targets:
     left_hand: Quat = IDENTITY
     right: Vec | None = None
     right_hand: Quat = IDENTITY
+    pelvis: Vec | None = None  # its joint, where a waist is tracked
+    pelvis_turn: Quat = IDENTITY
+    feet: tuple[tuple[Vec, Quat] | None, tuple[Vec, Quat] | None] = (None, None)  # the ankle's place, the foot's turn
+    knees: tuple[Vec | None, Vec | None] = (None, None)  # places, where their feet are tracked too
 
 
 @dataclass(slots=True)

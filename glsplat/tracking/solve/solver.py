@@ -1,4 +1,4 @@
-"""The analytic solver: head to pelvis, hands through the arms, feet by balance and gait."""
+"""The analytic solver: head to pelvis, hands through the arms, feet by balance and gait; what is tracked as tracked."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from glsplat.tracking.solve.legs import Legs
 from glsplat.tracking.solve.quat import Vec, clamp, rotate, yaw_quat
 from glsplat.tracking.solve.solution import Solution, Targets, assembled, reaching
 from glsplat.tracking.solve.spine import Spine, Torso
+from glsplat.tracking.solve.tracked import Pelvis
 
 __all__ = ["AnalyticSolver"]
 
@@ -29,6 +30,7 @@ class AnalyticSolver:
         self.body = body
         self.heading: Heading = Heading()
         self.spine: Spine = Spine(body)
+        self.pelvis: Pelvis = Pelvis()
         self.legs: Legs = Legs(body)
         self.arms: tuple[Arm, Arm] = (Arm(body, 0), Arm(body, 1))
         self.hands: Hands = Hands(self.arms)
@@ -39,6 +41,7 @@ class AnalyticSolver:
     def reset(self) -> None:
         """Forget the past."""
         self.heading.reset()
+        self.pelvis.reset()
         self.spine.reset()
         self.legs.reset()
         for arm in self.arms:
@@ -60,9 +63,13 @@ class AnalyticSolver:
     def solve(self, targets: Targets, dt: float) -> Solution:
         """One moment. See the module's docstring for the order of things."""
         legs, spine = self.legs, self.spine
+        self.pelvis.update(targets.pelvis, targets.pelvis_turn, targets.eye, dt)
+        tracked = self.pelvis.facing(dt)
         targets = self._grounded(targets, dt)
         speed = hypot(self._travel[0], self._travel[2])
-        yaw = self.heading.update(targets.head, targets.eye, targets.left, targets.right, self._travel, speed, dt)
+        yaw = self.heading.update(
+            targets.head, targets.eye, targets.left, targets.right, self._travel, speed, dt, tracked
+        )
         neck = spine.neck_point(targets.eye, targets.head, yaw)
         speed = hypot(self._travel[0], self._travel[2])
         feet = legs.feet
@@ -86,13 +93,15 @@ class AnalyticSolver:
         torso = spine.update(
             targets.eye, targets.head, yaw, self.heading.head_yaw, balance, self._walking, speed, self._twist, dt
         )
+        torso = self.pelvis.bring(spine, targets.eye, targets.head, torso)
         base = self._base(torso)
         self._motion(base, dt)
         speed = hypot(self._travel[0], self._travel[2])
         if legs.gait.walking and self._seen <= 3 and not self._placed:
             self._placed = True
             legs.start_walking(speed)
-        limbs = legs.update(base, torso.pelvis_at, torso.pelvis, yaw, self._travel, self._slow, speed, dt)
+        course = (self._travel, self._slow, speed, dt)
+        limbs = legs.update(base, torso.pelvis_at, torso.pelvis, yaw, *course, targets.feet, targets.knees)
         arms = reaching(self.arms, self.hands, targets, torso, dt)
         notes = ["head_out_of_reach"] if self._sink > 0.02 else []
         return assembled(torso, limbs, arms, legs.legs, legs.feet, self.body.sole, legs.air, notes)

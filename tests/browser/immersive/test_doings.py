@@ -125,6 +125,18 @@ def test_a_recording_is_what_was_tracked(open_page: OpenPage, serve: Any, told: 
     assert all(len(np.ravel(line["left_joints"])) == 75 for line in lines)
 
 
+def test_a_body_that_the_device_tracks_is_sent(open_page: OpenPage, serve: Any, told: Told) -> None:
+    """Places of the joints that drive the avatar, of a body that has more; without one there is no key."""
+    body = {"hips": pose([0, 0.95, 0.02]), "left-foot-ball": pose([-0.1, 0.02, 0]), "chest": pose([0, 1.3, 0])}
+    page = inside(open_page, serve, told, {"body": body})
+    found = told.tracked(page)["body"]
+    assert found == {name: pytest.approx(body[name][:3], abs=2e-6) for name in ("hips", "left-foot-ball")}
+    steer(page, body=None)
+    count = len(told.backend.requests)
+    page.until(f"window.glsplat.stats().shown > {page.stats()['shown'] + 3}")
+    assert "body" not in told.tracked(page, count)
+
+
 def test_the_panel_is_pressed_by_pointing(open_page: OpenPage, serve: Any, told: Told) -> None:
     page = inside(open_page, serve, told, {"input": "controllers", "controllers": {}})
     beside = np.array([0.85, 0, -1.2])  # the panel's middle is 0.3 m beside the glass, which is 1.1 m wide

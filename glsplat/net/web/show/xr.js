@@ -2,7 +2,7 @@
 
 import { multiply, translation } from '../space/matrix.js';
 import { VIEWS, placing } from '../space/placing.js';
-import { bodyOf, sampleOf } from '../track/xr-sample.js';
+import { bodyOf, drivenBodyOf, sampleOf } from '../track/xr-sample.js';
 import { Notice, Panel } from './panel.js';
 import { panelPlace, pointers } from './reach.js';
 
@@ -130,6 +130,8 @@ export class Immersive {
     const head = viewer.transform.matrix;
     if (!this.#where || this.#again) this.#placeView(head);
     const sample = sampleOf(frame, this.#space, viewer);
+    const lower = drivenBodyOf(frame, this.#space);
+    if (lower) sample.body = lower;
     this.#use(sample, now, frame);
     const view = this.#where.view;
     const alpha = this.mode === 'ar' || view !== 'mirror'; // a mirror's glass is black: nothing shows through

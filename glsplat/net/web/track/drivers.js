@@ -2,15 +2,19 @@
 // at(seconds) -> fields for a request: {pose} or {tracking, t}. Seconds are those of one clock that grows; t is the
 // same clock in milliseconds, so that a recording goes on in time when it begins anew.
 
+import { BODY_JOINTS } from './xr-sample.js';
+
 /** The most that a recording may hold here, bytes. */
 export const MAX_BYTES = 64 * 2 ** 20;
 const MAX_LINE = 2 ** 20; // characters
 const USUAL_STEP = 1 / 72; // seconds a sample lasts where a recording has only one
 
 const POSES = ['head', 'left', 'right', 'left_grip', 'right_grip'];
+const TRACKERS = ['waist', 'left_foot', 'right_foot'];
 const HANDS = ['left_joints', 'right_joints'];
 const NUMBERS = ['left_curl', 'right_curl'];
 const FLAT_JOINTS = new Map([[75, 3], [175, 7], [78, 3], [182, 7]]);
+const MOST_JOINTS = 256; // entries of a body
 const FARTHEST = 1e4; // metres; the server refuses what is farther
 const QUATERNION = [1e-9, 1e3]; // lengths that the server takes
 
@@ -145,12 +149,25 @@ function sampleOf(data) {
   if (data.t === undefined || data.t === null) throw new Error('a sample needs its time, "t" in seconds.');
   if (!POSES.some((key) => key in data)) throw new Error('a sample needs "head" or a hand.');
   const sample = { t: numberOf(data.t, 't') };
-  for (const key of POSES) if (key in data) sample[key] = poseOf(data[key], key);
+  for (const key of [...POSES, ...TRACKERS]) if (key in data) sample[key] = poseOf(data[key], key);
   for (const key of HANDS) if (key in data) sample[key] = jointsOf(data[key], key);
   for (const key of NUMBERS) {
     if (key in data) sample[key] = data[key] === null ? null : finiteOr(numberOf(data[key], key));
   }
+  if (data.body !== undefined && data.body !== null) sample.body = bodyOf(data.body);
   return sample;
+}
+
+/** The places of the joints that are used. */
+function bodyOf(body) {
+  if (typeof body !== 'object' || Array.isArray(body)) {
+    throw new Error(`"body" is an object of joints by name, not ${kind(body)}.`);
+  }
+  const count = Object.keys(body).length;
+  if (count > MOST_JOINTS) throw new Error(`"body" needs at most ${MOST_JOINTS} joints, not ${count}.`);
+  const used = BODY_JOINTS.filter((name) => body[name] !== undefined && body[name] !== null);
+  const places = used.map((name) => [name, numbersOf(body[name], `body.${name}`, [3, 7]).slice(0, 3)]);
+  return Object.fromEntries(places.filter(([, place]) => place.every((v) => Math.abs(v) <= FARTHEST)));
 }
 
 function numberOf(value, key) {

@@ -2,6 +2,9 @@
 
 const JOINTS = 25;
 const WRIST = 0;
+const LEG = ['upper-leg', 'lower-leg', 'foot-ankle', 'foot-ball'];
+/** Names of the body's joints that are used, as glsplat/tracking/sample.py has them. */
+export const BODY_JOINTS = ['hips', 'spine-lower', ...['left', 'right'].flatMap((s) => LEG.map((j) => `${s}-${j}`))];
 const buffer = new Float32Array(16 * JOINTS);
 
 /** {head, left, right, left_joints, ...} in the reference space; metres, quaternions x y z w. */
@@ -23,6 +26,18 @@ export function bodyOf(frame, space) {
   for (const [name, joint] of frame.body) {
     const found = frame.getPose(joint, space);
     if (found) joints[name] = pose(found.transform);
+  }
+  return Object.keys(joints).length ? joints : null;
+}
+
+/** Those that the server drives pelvis, feet and knees by (the protocol's `tracking.body`), places alone; or null. */
+export function drivenBodyOf(frame, space) {
+  if (!frame.body) return null;
+  const joints = {};
+  for (const name of BODY_JOINTS) {
+    const joint = frame.body.get(name);
+    const found = joint && frame.getPose(joint, space);
+    if (found) joints[name] = pose(found.transform).slice(0, 3);
   }
   return Object.keys(joints).length ? joints : null;
 }
