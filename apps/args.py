@@ -23,6 +23,7 @@ from glsplat.scene import Content, Figure, is_figure
 from glsplat.skinning.rigs.driven import why_not_tracked
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.splats import Splats
+from glsplat.tracking.solvers import SOLVERS
 
 from .usage import UsageError
 
@@ -32,6 +33,7 @@ if TYPE_CHECKING:
 __all__ = [
     "add_detail",
     "add_scene",
+    "add_solver",
     "add_up",
     "colour",
     "degrees",
@@ -62,6 +64,13 @@ def add_scene(parser: argparse.ArgumentParser) -> None:
 def add_up(parser: argparse.ArgumentParser, what: str = "the file's axis that points up") -> None:
     """--up."""
     parser.add_argument("--up", choices=UPS, default="y", help=f"{what} (default y; most 3DGS captures: -y)")
+
+
+def add_solver(parser: argparse.ArgumentParser) -> None:
+    """--solver: what guesses the body."""
+    parser.add_argument(
+        "--solver", choices=SOLVERS, default=SOLVERS[0], help=f"what guesses the body (default {SOLVERS[0]})"
+    )
 
 
 def load_scene(args: argparse.Namespace) -> Splats | Avatar:

@@ -21,7 +21,7 @@ from glsplat.net.session import SessionConfig
 from glsplat.scene import Figure
 from glsplat.tracking.calibration import Calibration
 
-from ..args import add_detail, add_scene, detail_of, load_avatar, open_scene, size
+from ..args import add_detail, add_scene, add_solver, detail_of, load_avatar, open_scene, size
 from ..logs import add_log_format, start_logging
 from ..usage import UsageError
 from .keys import Keys, add_keys, keys_of
@@ -93,6 +93,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="hold N pictures a second a client: coarser levels of detail first, then smaller pictures, as replies say",
     )
     parser.add_argument("--calibration", type=Path, metavar="FILE", help="of the users whose tracking is sent")
+    add_solver(parser)
     add_photos(parser)
     add_keys(parser)
     parser.add_argument("--origin", action="append", default=[], help="web page that may connect; may be repeated")
@@ -201,6 +202,7 @@ def run(args: argparse.Namespace) -> int:
         name=scene_name(args),
         avatars=other_avatars(args),
         uploads=upload_config(args),
+        solver=args.solver,
     )
 
     def started() -> None:

@@ -11,26 +11,18 @@ from glsplat.skinning.skeleton import Skeleton
 from glsplat.tracking.calibration import Calibration
 from glsplat.tracking.recording import embedded_recording, replay
 from glsplat.tracking.sample import Sample
-from glsplat.tracking.solvers import SOLVERS
 from glsplat.tracking.tracker import Tracker, TrackerConfig
 
-from ..args import load_avatar, tracked
+from ..args import add_solver, load_avatar, tracked
 from ..usage import UsageError
 
-__all__ = ["add_recording", "add_skeleton", "add_solver", "samples_of", "skeleton_of", "tracker_of"]
+__all__ = ["add_recording", "add_skeleton", "samples_of", "skeleton_of", "tracker_of"]
 
 
 def add_skeleton(parser: argparse.ArgumentParser) -> None:
     """--avatar: whose skeleton."""
     parser.add_argument(
         "--avatar", metavar="FILE", help="avatar (.glb), rigged mesh, or body (.npz with joints); default: embedded"
-    )
-
-
-def add_solver(parser: argparse.ArgumentParser) -> None:
-    """--solver: what guesses the body."""
-    parser.add_argument(
-        "--solver", choices=SOLVERS, default=SOLVERS[0], help=f"what guesses the body (default {SOLVERS[0]})"
     )
 
 

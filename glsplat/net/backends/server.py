@@ -24,6 +24,7 @@ from glsplat.scene import Figure, Shown, is_figure
 from glsplat.skinning.rigs.driven import why_not_driven, why_not_tracked
 from glsplat.tracking.calibration import EYES_OF_STATURE, Calibration
 from glsplat.tracking.solve.body import Body
+from glsplat.tracking.solvers import SOLVERS, SolverName
 
 __all__ = ["make_server", "offered"]
 
@@ -43,6 +44,7 @@ def make_server(
     name: str = "default",  # of the scene, among the avatars that clients choose from
     avatars: Mapping[str, Figure] | None = None,  # others that clients may choose, by name
     uploads: UploadConfig | None = None,  # lets clients have avatars made of photographs; None: they may not
+    solver: SolverName = SOLVERS[0],  # what guesses the body of users who send head and hands
 ) -> Server:
     """A server that draws ``scene`` with OpenGL, and solves tracking if its one avatar has SMPL-X's rig.
 
@@ -61,12 +63,12 @@ def make_server(
     avatar = item.content if item is not None and is_figure(item.content) else None
     others = _checked(avatars or {}, name, rendering)
     choices: Mapping[str, Figure] = others
-    first = _nobody(name, file) if avatar is None else offered(name, avatar, calibration)
-    offers = [first, *(offered(one, what, calibration) for one, what in others.items())]
+    first = _nobody(name, file) if avatar is None else offered(name, avatar, calibration, solver)
+    offers = [first, *(offered(one, what, calibration, solver) for one, what in others.items())]
     takes = None
     if uploads is not None:
         choices = Wardrobe(others, uploads.folder, name)
-        takes, kept = _uploads(uploads, rendering, calibration, {name, *others})
+        takes, kept = _uploads(uploads, rendering, calibration, {name, *others}, solver)
         offers += kept
     for one in offers:
         _say(one)
@@ -96,13 +98,17 @@ def _nobody(name: str, file: SceneFile) -> Offered:
 
 
 def _uploads(
-    config: UploadConfig, rendering: RenderConfig | None, calibration: Calibration | None, taken: Collection[str]
+    config: UploadConfig,
+    rendering: RenderConfig | None,
+    calibration: Calibration | None,
+    taken: Collection[str],
+    solver: SolverName,
 ) -> tuple[Uploads, list[Offered]]:
     """What makes avatars, and what is offered of its folder; GlsplatError where a name there is ``taken``."""
 
     def describe(one: str, avatar: Figure) -> Offered:
         _checked({one: avatar}, "", rendering)
-        return replace(offered(one, avatar, calibration), made=uploads.shelf.made_here(one))
+        return replace(offered(one, avatar, calibration, solver), made=uploads.shelf.made_here(one))
 
     uploads = Uploads(config, describe)
     uploads.shelf.open()
@@ -113,7 +119,9 @@ def _uploads(
     return uploads, [describe(one, avatar) for one, avatar in found.items()]
 
 
-def offered(name: str, avatar: Figure, calibration: Calibration | None = None) -> Offered:
+def offered(
+    name: str, avatar: Figure, calibration: Calibration | None = None, solver: SolverName = SOLVERS[0]
+) -> Offered:
     """What clients may ask of an avatar.
 
     ``calibration`` is of users who tell neither height nor arm span. Tracking is solved for SMPL-X's rig.
@@ -125,11 +133,11 @@ def offered(name: str, avatar: Figure, calibration: Calibration | None = None) -
     height = Body.of(skeleton).eye_height / EYES_OF_STATURE
     base = calibration or Calibration()
 
-    def solver(height: float | None, span: float | None) -> TrackingSolver:
+    def solving(height: float | None, span: float | None) -> TrackingSolver:
         fitted = base if height is None else Calibration.of_height(skeleton, height, base.floor)
-        return TrackingSolver(skeleton, fitted if span is None else fitted.with_span(skeleton, span))
+        return TrackingSolver(skeleton, fitted if span is None else fitted.with_span(skeleton, span), solver)
 
-    return Offered(name=name, skeleton=skeleton, solver=solver, height=height, parts=parts)
+    return Offered(name=name, skeleton=skeleton, solver=solving, height=height, parts=parts)
 
 
 def _checked(avatars: Mapping[str, Figure], scene: str, rendering: RenderConfig | None) -> dict[str, Figure]:

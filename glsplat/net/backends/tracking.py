@@ -12,6 +12,7 @@ from glsplat.net.messages import RenderRequest
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.tracking.calibration import Calibration
 from glsplat.tracking.sample import Sample
+from glsplat.tracking.solvers import SOLVERS, SolverName
 from glsplat.tracking.tracker import Tracker
 
 __all__ = ["OneClock", "TrackingSolver"]
@@ -44,8 +45,8 @@ class OneClock:
 class TrackingSolver:
     """Tracking to pose for one user."""
 
-    def __init__(self, skeleton: Skeleton, calibration: Calibration) -> None:
-        self._tracker = Tracker(skeleton, calibration)
+    def __init__(self, skeleton: Skeleton, calibration: Calibration, solver: SolverName = SOLVERS[0]) -> None:
+        self._tracker = Tracker(skeleton, calibration, solver=solver)
         self._scale, self._floor = calibration.scale, calibration.floor
         self._moved = self._scale != 1 or self._floor != 0
         self._clock = OneClock()
