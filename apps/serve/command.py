@@ -11,7 +11,7 @@ from pathlib import Path
 
 from glsplat.camera import PAPER_FOV, PAPER_IPD
 from glsplat.config import RenderConfig
-from glsplat.net.backends.gl import MAX_COST, MAX_TIME
+from glsplat.net.backends.gl import MAX_TIME
 from glsplat.net.backends.server import make_server
 from glsplat.net.guard.access import Access
 from glsplat.net.guard.limits import Limits
@@ -73,10 +73,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--max-cost",
         type=float,
-        default=MAX_COST,
         metavar="PIXELS",
-        help="pixels a picture may cover, splat by splat and eye by eye (default 1e9: a person who fills two eyes of "
-        "2048x2048 covers 1.2e8 to 4.1e8); dearer ones are refused, and clients that keep asking are dropped",
+        help="pixels a picture may cover, splat by splat and eye by eye (default 5e8, with --exact 1e9: a person who "
+        "fills two eyes of 2048x2048 covers 0.5e8 to 2.3e8, with --exact 0.9e8 to 4.2e8); dearer ones are refused, "
+        "and clients that keep asking are dropped",
     )
     parser.add_argument(
         "--max-time",
@@ -121,7 +121,7 @@ def check(args: argparse.Namespace) -> None:
     for name, (value, low, high) in limits.items():
         if not low <= value <= high:
             raise UsageError(f"{name} needs {low} to {high}, not {value}")
-    if not args.max_cost > 0 or not 0.1 <= args.max_time <= 600:
+    if (args.max_cost is not None and not args.max_cost > 0) or not 0.1 <= args.max_time <= 600:
         raise UsageError("--max-cost needs a number of pixels above 0 and --max-time 0.1 to 600 s")
     if args.fps is not None and not 1 <= args.fps <= 240:
         raise UsageError(f"--fps needs 1 to 240 pictures a second, not {args.fps:g}")

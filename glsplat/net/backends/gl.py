@@ -10,24 +10,31 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.camera import Camera, look_at, pinhole
-from glsplat.config import RenderConfig
+from glsplat.config import LEAN, RenderConfig
 from glsplat.errors import BudgetError, ContextLostError, GlsplatError, PoseError
 from glsplat.net.backend import Rendered
 from glsplat.net.messages import RenderRequest
 from glsplat.passes.frame.budget import Budget
 from glsplat.scene import Figure, Shown
 
-__all__ = ["MAX_COST", "MAX_TIME", "RendererBackend"]
+__all__ = ["MAX_COST", "MAX_TIME", "RendererBackend", "most_cost"]
 
 MAX_COST = 1e9
 """Covered pixels of a picture (passes/frame/budget.py): eight times what a person needs who fills two eyes of 2048^2,
 and more than twice what one needs whose face is in front of the eyes (docs/protocol.md, section 5)."""
+
+_LEAN_SHARE = 0.5  # of the covered pixels of a picture, where splats end as early as LEAN has them end
 
 MAX_TIME = 5.0
 """Seconds of a picture."""
 
 _SLICE = 1.0  # seconds; only pictures that take longer than that are drawn in slices
 _SLICE_LEAST = 1e6  # covered pixels
+
+
+def most_cost(config: RenderConfig) -> float:
+    """Covered pixels of a picture as a server draws it: the same views are refused with LEAN and without."""
+    return MAX_COST * (_LEAN_SHARE if config.max_sigma <= LEAN.max_sigma else 1.0)
 
 
 class RendererBackend:
@@ -42,16 +49,17 @@ class RendererBackend:
         pixels: tuple[int, int],
         device: str | None = None,
         config: RenderConfig | None = None,
-        max_cost: float = MAX_COST,
+        max_cost: float | None = None,  # None: most_cost(config)
         max_time: float = MAX_TIME,
         pose_at: Callable[[float], None] | None = None,  # brings the scene to a time in seconds since open()
         avatars: Mapping[str, Figure] | None = None,  # by RenderRequest.avatar; any other name is the scene
     ) -> None:
         self.abandoned: Callable[[], bool] = lambda: False
         self.place: NDArray[np.uint8] | None = None
-        self._max_cost, self._max_time = max_cost, max_time
-        self._scene, self._pixels, self._device = scene, pixels, device
         self._config = config or RenderConfig()
+        self._max_cost = most_cost(self._config) if max_cost is None else max_cost
+        self._max_time = max_time
+        self._scene, self._pixels, self._device = scene, pixels, device
         self._pose_at, self._opened = pose_at, 0.0
         self._avatars = {} if avatars is None else avatars  # which may be empty yet
 

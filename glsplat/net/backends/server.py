@@ -12,7 +12,7 @@ from glsplat.config import RenderConfig
 from glsplat.errors import GlsplatError
 from glsplat.formats.scene_file import SceneFile
 from glsplat.net.backend import Backend, Offered
-from glsplat.net.backends.gl import MAX_COST, MAX_TIME, RendererBackend
+from glsplat.net.backends.gl import MAX_TIME, RendererBackend
 from glsplat.net.backends.process import ProcessBackend
 from glsplat.net.backends.tracking import TrackingSolver
 from glsplat.net.backends.wardrobe import Wardrobe
@@ -40,7 +40,7 @@ def make_server(
     calibration: Calibration | None = None,  # of users who do not tell their height
     own_process: bool = True,
     rendering: RenderConfig | None = None,
-    budget: tuple[float, float] = (MAX_COST, MAX_TIME),  # of a picture: covered pixels, seconds
+    budget: tuple[float | None, float] = (None, MAX_TIME),  # of a picture: covered pixels (None: most_cost), seconds
     name: str = "default",  # of the scene, among the avatars that clients choose from
     avatars: Mapping[str, Figure] | None = None,  # others that clients may choose, by name
     uploads: UploadConfig | None = None,  # lets clients have avatars made of photographs; None: they may not

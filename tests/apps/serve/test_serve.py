@@ -339,7 +339,7 @@ def test_serving_leaves_no_opengl_object_behind(backend):
             await client.render(eyes, pose=pose)
 
     async def main():
-        server = Server(backend, ServerConfig(port=0))
+        server = Server(backend, ServerConfig(port=0, limits=Limits(visits_burst=1000)))
         await server.start()
         backend._context.ctx.gc_mode = "context_gc"  # what nobody holds any more is listed instead of forgotten
         try:

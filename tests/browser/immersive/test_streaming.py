@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import subprocess
-import sys
 from typing import Any
 
 import psutil
@@ -22,7 +19,8 @@ from tests.browser.vr import enter, hands, pose, steer, visit
 OFFERED = (Offered(name="stored", solver=as_tracked, height=1.75, parts=frozenset({"head"})),)
 WINDOW = (640, 400)  # pixels: a software rasterizer is to spend its time on little else than the pictures
 FPS = 30.0
-SHARE = 0.6  # of what a client without a browser is shown
+SHARE = 0.88  # of the pictures a second that the renderer could draw at the same time
+FRAMES = 0.6  # of the browser's own frames
 TRIES = 3
 
 
@@ -48,6 +46,11 @@ def moving(page: Opened, side: int = 256) -> Opened:
     return enter(page)
 
 
+def served(config: Any) -> Any:
+    """The renderer with the default avatar."""
+    return make_server(glsplat.default_avatar(), config)
+
+
 def rates(page: Opened, seconds: float = 2.5) -> tuple[float, float]:
     """Pictures shown and display frames a second, over some seconds."""
     shown, began = page.js("[window.glsplat.stats().shown, performance.now()]")
@@ -67,7 +70,7 @@ def test_stored_pictures_are_shown_at_speed(quiet: None, open_page: OpenPage, se
         shown, frames = rates(page)
         seen.append((shown, frames))
         # where the browser itself has no time for 50 frames a second, the machine is not free for this
-        if shown >= min(FPS, SHARE * frames):
+        if shown >= min(FPS, FRAMES * frames):
             break
     else:
         pytest.fail(f"pictures and frames a second: {seen}")
@@ -77,21 +80,19 @@ def test_stored_pictures_are_shown_at_speed(quiet: None, open_page: OpenPage, se
 @pytest.mark.gl
 @pytest.mark.slow
 def test_the_renderers_pictures_arrive(quiet: None, open_page: OpenPage, serve: Any) -> None:
-    served = serve(make=lambda config: make_server(glsplat.default_avatar(), config))
-    command = [sys.executable, "-m", "glsplat_apps.cli", "replay", "--json", "--size", "512x512", "--crop"]
-    command += ["--url", f"ws://localhost:{served.port}/ws", "--frames", "288"]
+    """As many as the renderer can draw beside the browser: it never waits for the page.
+
+    With one picture under way instead of two it would be at 0.80 to 0.86 of that.
+    """
+    page = moving(visit(open_page, serve(make=served), {"view": "facing", "size": 512}, size=WINDOW))
+    page.until("window.glsplat.stats().shown > 10", 60)
     shares = []
     for _ in range(TRIES):
-        done = subprocess.run(command, capture_output=True, text=True, timeout=120)  # no page is open meanwhile
-        assert done.returncode == 0, done.stderr[-500:]
-        page = moving(visit(open_page, served, {"view": "facing", "size": 512}, size=WINDOW))
-        page.until("window.glsplat.stats().shown > 10", 60)
         shown, _ = rates(page, 4)
-        shares.append(shown / json.loads(done.stdout)["fps"])
-        page.page.close()
+        shares.append(shown * 1e-3 * page.stats()["server"]["render"])
         if shares[-1] >= SHARE:
             break
-    print(f"of what a client without a browser is shown: {shares}")
+    print(f"of what is drawn: {shares}")
     assert max(shares) >= SHARE
 
 

@@ -84,7 +84,9 @@ def test_a_plain_background_is_worked_out_once(rng: np.random.Generator, monkeyp
             found = chain(picture)
             assert len(found) == 3
             for index, values in zip((0, 2, 4), found, strict=True):
-                assert values == pytest.approx(expected[index + 1], abs=1e-4)
+                true = expected[index + 1]
+                largest = max(100.0, float(abs(true).max()))  # the same sums in another order, single precision
+                assert values == pytest.approx(true, abs=1e-6 * largest)
             for values in found:
                 values[:] = np.nan  # they are the caller's own
     assert len(calls) == 2
