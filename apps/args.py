@@ -128,18 +128,21 @@ def tracked(skeleton: Skeleton, name: str) -> Skeleton:
 
 
 def motion_of(name: str, skeleton: Skeleton, option: str = "--motion") -> Motion:
-    """The motion an option names: a file or an embedded one; which of several in a file is said on stderr.
+    """The motion an option names: a file or an embedded one; what a user should know of it is said on stderr.
 
     Raises UsageError where there is neither.
     """
-    from glsplat.motion.motion import embedded_motions, load_motion  # here: a server needs none of it
+    from glsplat.motion.doubts import doubt  # here: a server needs none of it
+    from glsplat.motion.motion import embedded_motions, load_motion
 
     if not split_choice(name)[0].exists() and name not in embedded_motions():
         known = ", ".join(embedded_motions()) or "none"
         raise UsageError(f"{option} {name}: no such file and no such motion; files are {KINDS}; embedded are {known}")
     motion = load_motion(name, skeleton)
-    if motion.note:
-        print(f"{option} {name}: {motion.note}", file=sys.stderr)
+    known = name in embedded_motions() and not Path(name).exists()
+    for line in (motion.note, "" if known else doubt(motion, skeleton, name)):
+        if line:
+            print(f"{option} {name}: {line}", file=sys.stderr)
     return motion
 
 

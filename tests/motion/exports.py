@@ -142,5 +142,3 @@ def turned(motion: Motion, skeleton: Skeleton, turn: F64, *, body: bool = True, 
     start = motion.trans[0] * (1, 0, 1)
     trans = start + (motion.trans - start + skeleton.joints[0]) @ turn.T - skeleton.joints[0] if path else motion.trans
     return Motion(motion.fps, rotations, trans)
-
-
