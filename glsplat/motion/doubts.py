@@ -36,7 +36,7 @@ _FARTHEST = 10.0  # metres above the floor or below
 _UNITS = (0.01, 0.0254, 0.001, 0.3048, 0.1)  # metres; the likeliest first
 _SPEEDS = (0.2, 6.0)  # m/s of who goes somewhere
 _ABOVE, _BELOW = 0.15, 0.15  # metres from the floor
-_WALKS, _FEW = 0.4, 8  # m/s; moments
+_WALKS, _FEW, _WAY = 0.4, 8, 1.5  # m/s; moments; metres
 _LOW = 0.08  # metres above its lowest place where a foot stands
 _UPRIGHT, _ALIKE = 0.7, 0.75  # cosines: of the trunk with the vertical, of ways and steps
 _PACE = (0.6, 1.7)  # of a way to the steps that make it
@@ -58,6 +58,7 @@ class _Seen:
     fastest: float  # m/s of the pelvis, of all frames but the fastest few
     hands: float  # m/s against the pelvis, of all moments but a few
     leg: float  # metres
+    seconds: float
 
 
 def doubt(motion: Motion, skeleton: Skeleton, name: str) -> str:
@@ -70,8 +71,9 @@ def doubt(motion: Motion, skeleton: Skeleton, name: str) -> str:
     if motion.names != JOINT_NAMES or skeleton.names != JOINT_NAMES or why_not_driven(skeleton):
         return ""
     seen = _seen(motion, skeleton)
-    what, correction = ("", "") if motion.known_up else _up(seen)
-    for look in (_speed, _size, _floor, _sides, _way):
+    what = correction = ""
+    looks = (_size, _floor, _sides, _way)
+    for look in looks if motion.known_up else (_up, _speed, *looks):  # glTF has seconds, y up
         if not what:  # what is wrong first makes the rest look wrong too
             what, correction = look(seen)
     return f"looks wrong: {what}; if so, write {name}#{correction}" if what else ""
@@ -94,7 +96,7 @@ def _seen(motion: Motion, skeleton: Skeleton) -> _Seen:
     hands = np.linalg.norm(speed[:, _HANDS] - speed[:, :1], axis=2)
     axes = one[:, 0, :3, :3] @ skeleton.rest[0, :3, :3].T
     leg = leg_length(skeleton.joints)
-    return _Seen(at, speed, low, axes[:, :, 2], knees, fastest, float(np.percentile(hands, 95)), leg)
+    return _Seen(at, speed, low, axes[:, :, 2], knees, fastest, float(np.percentile(hands, 95)), leg, motion.duration)
 
 
 def _middle(points: F64, part: str) -> F64:
@@ -127,7 +129,7 @@ def _size(seen: _Seen) -> tuple[str, str]:
         units.sort(key=lambda unit: abs(np.log(abs(gait.made) / unit)))
     else:
         units.sort(key=lambda unit: not _SPEEDS[0] < seen.fastest * unit < _SPEEDS[1])
-    correction = f"scale={units[0]:g}"
+    correction = f"scale={units[0]:g}" + ("#floor=0" if abs(height) * units[0] > _ABOVE else "")
     if seen.fastest > _FASTEST:
         return f"they move at {seen.fastest:.0f} m/s", correction
     if abs(height) > _FARTHEST:
@@ -156,9 +158,9 @@ def _way(seen: _Seen) -> tuple[str, str]:
     goes = seen.speed[:, 0] * (1, 0, 1)
     size = np.linalg.norm(goes, axis=1)
     walks = size > _WALKS
-    if walks.sum() < _FEW:
-        return "", ""
     gait = _gait(seen)
+    if not gait.seen or float(size[walks].mean() * walks.mean()) * seen.seconds < _WAY:
+        return "", ""
     if gait.surely and _PACE[0] < abs(gait.made) < _PACE[1]:
         angle = float(np.degrees(np.angle(gait.made)))
         quarter = round(-angle / 90) * 90 if abs(angle) > _SLIDES else 0
@@ -175,6 +177,7 @@ def _way(seen: _Seen) -> tuple[str, str]:
 class _Gait:
     made: complex
     """What the way of the pelvis is to be multiplied by so that a foot that stands stays where it is; as z + ix."""
+    seen: bool  # they go somewhere
     surely: bool  # what feet do under the body is a multiple of the way
 
 
@@ -186,11 +189,11 @@ def _gait(seen: _Seen) -> _Gait:
     trunk = _unit(_middle(seen.at, "shoulder") - _middle(seen.at, "hip"))[:, 1]
     walks = (np.abs(way) > _WALKS) & (seen.low < np.percentile(seen.low, 10) + _LOW) & (trunk > _UPRIGHT)
     if walks.sum() < _FEW:
-        return _Gait(0j, False)
+        return _Gait(0j, False, False)
     way, step = way[walks], step[walks]
     both = -np.vdot(way, step)
     alike = abs(both) / max(float(np.linalg.norm(way) * np.linalg.norm(step)), 1e-12)
-    return _Gait(complex(both / np.vdot(way, way)), alike > _ALIKE)
+    return _Gait(complex(both / np.vdot(way, way)), True, alike > _ALIKE)
 
 
 def _unit(vectors: F64) -> F64:

@@ -58,7 +58,7 @@ class Motion:
     note: str = field(default="", compare=False)
     """What a user should know: of several in a file, which one this is; what was left out of it."""
     known_up: bool = field(default=False, compare=False)
-    """The format or the user says what is up."""
+    """The format says what is up, as glTF does, or the user."""
 
     def __post_init__(self) -> None:
         frames, joints = len(self.rotations), len(self.names)
@@ -222,7 +222,7 @@ def _corrected(motion: Motion, skeleton: Skeleton, said: Corrections, *, ground:
     if said.turn:
         rotations, _ = _turned(rotations, trans, said.about, skeleton)
     trans = trans * said.scale
-    if ground or said.floor:
+    if ground or said.floor or said.up != "y":  # where the floor was along another axis is not known
         trans = _grounded(rotations, trans, skeleton)
     return replace(motion, rotations=rotations, trans=trans)
 

@@ -26,7 +26,7 @@ __all__ = ["retarget", "stretched"]
 F64 = NDArray[np.float64]
 
 _AT = {name: i for i, name in enumerate(JOINT_NAMES)}
-_RIGID = 0.05  # of a bone: what skins and capturing systems change its length by
+_RIGID = 0.1  # of a bone: what skins and capturing systems change its length by
 _SIDES = ("left", "right")
 # what hangs from what in a limb; a bone that a file splits ends where the next of these begins
 _CHAINS = (
