@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import random
+from argparse import Namespace
 from collections.abc import Callable
 from pathlib import Path
 
@@ -11,7 +12,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from apps.args import motion_of
+from apps.args import motion_of, open_scene
+from glsplat import default_avatar, save
 from glsplat.errors import PoseError
 from glsplat.motion.corrections import Corrections, split_corrections
 from glsplat.motion.doubts import doubt
@@ -196,6 +198,18 @@ def test_commands_say_it_in_one_line(
     motion_of(f"{path}#scale=0.01", skeleton)
     motion_of("walk", skeleton)
     assert capsys.readouterr().err == ""
+
+
+def test_scene_files_say_it_too(
+    tmp_path: Path, walk: Motion, skeleton: Skeleton, capsys: pytest.CaptureFixture[str]
+) -> None:
+    save(default_avatar(), tmp_path / "me.glb")
+    written(tmp_path / "w.json", moved(up=0.5)(walk, skeleton))
+    items = [{"path": "me.glb", "motion": name} for name in ("w.json", "w.json#floor=0", "walk")]
+    (tmp_path / "scene.json").write_text(json.dumps({"version": 1, "items": items}))
+    open_scene(Namespace(scene=str(tmp_path / "scene.json"), up="y", strict=False))
+    said = capsys.readouterr().err
+    assert "item 0, motion w: looks wrong: the feet" in said and said.count("\n") == 1
 
 
 def test_what_stands_behind_a_name() -> None:
