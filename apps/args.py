@@ -89,6 +89,7 @@ def open_scene(args: argparse.Namespace) -> SceneFile:
     if not Path(args.scene).exists():
         raise FormatError(f"{args.scene}: no such file; give a {suffixes()}, a mesh or a scene file, or nothing")
     file = load_file(args.scene, strict=args.strict)
+    _say_doubts(file, args.scene)
     turn = upright(args.up)
     if args.up == "y":
         return file
@@ -97,6 +98,20 @@ def open_scene(args: argparse.Namespace) -> SceneFile:
     for item in file.scene:
         item.transform = turn @ item.transform
     return file
+
+
+def _say_doubts(file: SceneFile, name: str) -> None:
+    """What looks wrong in the motions of a scene file, on stderr; of each once."""
+    if not file.motions:
+        return
+    from glsplat.motion.doubts import doubt  # here: most scenes stand still
+
+    said = set()
+    for place, (item, motion) in file.motions.items():
+        if is_figure(item.content) and id(motion) not in said:
+            said.add(id(motion))
+            if line := doubt(motion, item.content.skeleton, "FILE"):
+                print(f"{name}: item {place}, motion {motion.label}: {line}", file=sys.stderr)
 
 
 def single(file: SceneFile) -> Content | None:
@@ -137,18 +152,21 @@ def tracked(skeleton: Skeleton, name: str) -> Skeleton:
 
 
 def motion_of(name: str, skeleton: Skeleton, option: str = "--motion") -> Motion:
-    """The motion an option names: a file or an embedded one; which of several in a file is said on stderr.
+    """The motion an option names: a file or an embedded one; what a user should know of it is said on stderr.
 
     Raises UsageError where there is neither.
     """
-    from glsplat.motion.motion import embedded_motions, load_motion  # here: a server needs none of it
+    from glsplat.motion.doubts import doubt  # here: a server needs none of it
+    from glsplat.motion.motion import embedded_motions, load_motion
 
     if not split_choice(name)[0].exists() and name not in embedded_motions():
         known = ", ".join(embedded_motions()) or "none"
         raise UsageError(f"{option} {name}: no such file and no such motion; files are {KINDS}; embedded are {known}")
     motion = load_motion(name, skeleton)
-    if motion.note:
-        print(f"{option} {name}: {motion.note}", file=sys.stderr)
+    own = name in embedded_motions() and not Path(name).exists()
+    for line in (motion.note, "" if own else doubt(motion, skeleton, name)):
+        if line:
+            print(f"{option} {name}: {line}", file=sys.stderr)
     return motion
 
 

@@ -71,7 +71,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--motion",
         metavar="FILE",
-        help=f"{KINDS}, or an embedded motion's name; of several in a file, FILE#NAME",
+        help=f"{KINDS}, or an embedded motion's name; of several in a file, FILE#NAME; "
+        "of one that is not read as it was meant, FILE#up=z and the like (docs/rigs.md)",
     )
     parser.add_argument(
         "--frame", type=int, metavar="N", help="frame of the motion, or picture of a scene file's clip (default: all)"

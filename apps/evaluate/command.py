@@ -25,8 +25,9 @@ from glsplat.evaluate.comparison.work import Result, Task, finished
 from glsplat.evaluate.comparison.workers import run_tasks
 from glsplat.formats.files import locked, replace_file
 from glsplat.motion.kinds import split_choice
-from glsplat.motion.motion import embedded_motions, load_motion
+from glsplat.motion.motion import embedded_motions
 
+from ..args import motion_of
 from ..usage import UsageError
 from .html import page
 from .outcome import outcome, plots, table_lines
@@ -187,7 +188,7 @@ def _protocol(args: argparse.Namespace) -> Protocol:
     size = (_QUICK_SIZE if args.quick else Protocol().size) if args.size is None else args.size
     digest = ""
     if motion is not None:
-        load_motion(motion, default_avatar().skeleton)  # better refused now than after all avatars are made
+        motion_of(motion, default_avatar().skeleton, "--poses")  # better refused now than after all avatars are made
         file = split_choice(motion)[0]
         digest = hashlib.sha256(file.read_bytes()).hexdigest() if file.is_file() else ""
     return Protocol(

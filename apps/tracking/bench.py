@@ -16,9 +16,10 @@ from glsplat.errors import FormatError
 from glsplat.evaluate.tracking_rows import SOLVERS, Row, rows_of
 from glsplat.evaluate.tracking_score import mean_score
 from glsplat.formats.files import replace_file
-from glsplat.motion.motion import embedded_motions, load_motion
+from glsplat.motion.motion import embedded_motions
 from glsplat.tracking.tracker import TrackerConfig
 
+from ..args import motion_of
 from ..usage import UsageError
 from .options import add_skeleton, skeleton_of
 
@@ -46,7 +47,7 @@ def bench(args: argparse.Namespace) -> int:
     except ValueError:
         raise UsageError(f"--rates needs numbers separated by commas, not {args.rates!r}") from None
     skeleton = skeleton_of(args.avatar)
-    motions = [(Path(name).stem, load_motion(name, skeleton)) for name in args.motions or embedded_motions()]
+    motions = [(Path(name).stem, motion_of(name, skeleton, "MOTION")) for name in args.motions or embedded_motions()]
     rows: list[Row] = []
     jobs = [(name, motion, rate) for rate in rates for name, motion in motions]
     for name, motion, rate in tqdm(jobs, unit="clip", disable=not sys.stderr.isatty(), leave=False):

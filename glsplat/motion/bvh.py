@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -148,13 +149,32 @@ def _clip_of_channels(
             rotations[:, i] = _euler(order, angles)
         axes = [k for k, axis in enumerate("xyz") if f"{axis}position" in columns]
         if axes:
-            written, offset = np.stack([columns[f"{'xyz'[k]}position"] for k in axes], axis=1), rest[i, axes]
-            # most makers write the position itself; some what is added to the offset, which below the root is small
-            added = i > 0 and np.abs(written).mean() < np.abs(written - offset).mean()
             moved[i] = np.tile(rest[i], (len(values), 1))
-            moved[i][:, axes] = written + offset if added else written
+            moved[i][:, axes] = np.stack([columns[f"{'xyz'[k]}position"] for k in axes], axis=1)
         at += len(joint)
+    below = [i for i in moved if i > 0]
+    if _added(rest, moved, below):
+        for i in below:
+            moved[i] = np.where([f"{axis}position" in channels[i] for axis in "xyz"], moved[i] + rest[i], rest[i])
+    else:  # offsets that are all zero say nothing about the body: its channels do
+        for i in below:
+            rest[i] = rest[i] if rest[i].any() else np.median(moved[i], axis=0)
     return chained(names, np.array(parents, np.int32), rest, rotations, moved, fps)
+
+
+def _added(rest: F64, moved: Mapping[int, F64], below: Sequence[int]) -> bool:
+    """Whether position channels below the root hold what is added to the offset, not the position itself.
+
+    Most makers write the position (Bandai-Namco, Blender): it stays near the offset. Some write what is added
+    (MakeHuman): that stays near zero. A file does the one or the other; bones vote, each as it lies most of the time.
+    """
+    votes = 0
+    for i in below:
+        usual = np.median(moved[i], axis=0)
+        size = float(np.linalg.norm(rest[i]))
+        if size > 0:
+            votes += int(np.sign(np.linalg.norm(usual - rest[i]) - np.linalg.norm(usual)))
+    return votes > 0
 
 
 def _euler(order: list[str], degrees: F64) -> F64:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -16,10 +16,11 @@ from numpy.typing import NDArray
 from glsplat.errors import FormatError, PoseError
 from glsplat.formats.npz import read_arrays
 from glsplat.motion.bvh import parse_acclaim, parse_bvh, skeleton_file
+from glsplat.motion.corrections import HELP, Corrections, split_corrections
 from glsplat.motion.fitted import body_of, fitted
 from glsplat.motion.gltf import read_animation
 from glsplat.motion.kinds import KINDS, is_bvh, is_gltf, split_choice
-from glsplat.motion.retarget import retarget
+from glsplat.motion.retarget import retarget, stretched
 from glsplat.rotations import (
     quaternion_of,
     quaternion_product,
@@ -55,7 +56,9 @@ class Motion:
     names: tuple[str, ...] = JOINT_NAMES
     label: str = field(default="", compare=False)
     note: str = field(default="", compare=False)
-    """What a user should know: of several in a file, which one this is."""
+    """What a user should know: of several in a file, which one this is; what was left out of it."""
+    known_up: bool = field(default=False, compare=False)
+    """The format says what is up, as glTF does, or the user."""
 
     def __post_init__(self) -> None:
         frames, joints = len(self.rotations), len(self.names)
@@ -143,8 +146,10 @@ def load_motion(
     the one it was made for; AMASS .npz (SMPL-H ``poses`` or SMPL-X keys; z up is turned to y up); BVH; .amc with its
     .asf beside it; an animation of a humanoid rig in glTF, or a VRM animation. Of several in a file the first;
     ``animation``, or what stands behind the path ("all.glb#Run"), is the name or the number (from 0) of another, and
-    ``note`` says which it is. The motion of another body is retargeted (retarget.py), begins above the origin and has
-    its lowest foot on the floor; ``forward`` also turns it to face +z. ``fps`` overrides what the file says.
+    ``note`` says which it is. So do corrections ("walk.bvh#up=z#turn=180", corrections.py) of files that are not read
+    as they were meant, which doubts.py tells. The motion of another body is retargeted (retarget.py), begins above the
+    origin and has its lowest foot on the floor; ``forward`` also turns it to face +z. ``fps`` overrides what the file
+    says.
 
     Raises PoseError, one line that names the file.
     """
@@ -153,9 +158,10 @@ def load_motion(
     if not source.exists() and re.fullmatch(r"[\w-]+", name):
         return load_embedded_motion(name, skeleton, forward=forward, fps=fps)
     try:
-        motion = _read(source, skeleton, forward, chosen)
-        label = source.stem + motion.label
-        return Motion(fps or motion.fps, motion.rotations, motion.trans, motion.names, label, motion.note)
+        chosen, corrected = split_corrections(chosen)
+        motion = _read(source, skeleton, forward, chosen, corrected)
+        rate, label = fps or corrected.fps or motion.fps, source.stem + motion.label
+        return replace(motion, fps=rate, label=label, known_up=motion.known_up or corrected.up != "y")
     except OSError as error:
         raise PoseError(f"{path}: cannot read the motion ({error.strerror or error})") from None
     except (FormatError, PoseError) as error:
@@ -173,12 +179,13 @@ def load_embedded_motion(name: str, skeleton: Skeleton, *, forward: bool = False
         return load_motion(file, skeleton, forward=forward, fps=fps)
 
 
-def _read(path: Path, skeleton: Skeleton, forward: bool, chosen: str | None) -> Motion:
+def _read(path: Path, skeleton: Skeleton, forward: bool, chosen: str | None, corrected: Corrections) -> Motion:
     if path.is_dir():
         files = sorted(path.glob("*.json"), key=lambda p: [int(n) for n in re.findall(r"\d+", p.stem)] or [0])
         if not files:
             raise PoseError("a motion folder holds one .json a frame, found none")
-        return _of_frames([_json(file) for file in files], DEFAULT_FPS, skeleton, [str(f) for f in files])
+        motion = _of_frames([_json(file) for file in files], DEFAULT_FPS, skeleton, [str(f) for f in files])
+        return _corrected(motion, skeleton, corrected)
     if path.stat().st_size > _MAX_BYTES:
         raise PoseError(f"a motion file has at most {_MAX_BYTES >> 20} MiB, not {path.stat().st_size >> 20}")
     with open(path, "rb") as file:
@@ -187,21 +194,37 @@ def _read(path: Path, skeleton: Skeleton, forward: bool, chosen: str | None) -> 
     if is_gltf(head):
         clip = read_animation(path, chosen)
     elif chosen is not None:
-        raise PoseError(f"only glTF has several motions in a file; leave out #{chosen[:40]}")
+        raise PoseError(f"only glTF has several motions in a file; leave out #{chosen[:40]} (corrections are {HELP})")
     elif head.startswith(b"PK"):
-        return _amass(path, skeleton, forward)
+        return _corrected(_amass(path, skeleton, forward), skeleton, corrected, ground=True)
     elif is_bvh(head):
         clip = parse_bvh(path.read_text(encoding="latin-1"))
     elif text.startswith((b"#!OML", b":FULLY", b":DEGREES")) or path.suffix.lower() == ".amc":
         bones = skeleton_file(path)
         clip = parse_acclaim(bones.read_text(encoding="latin-1"), path.read_text(encoding="latin-1"))
     elif text.startswith((b"{", b"[")):
-        return _of_json(_json(path), skeleton)
+        return _corrected(_of_json(_json(path), skeleton), skeleton, corrected)
     else:
         raise PoseError(f"expected {KINDS}, but this is none of them")
-    rotations, trans = retarget(clip, skeleton, forward=forward)
-    trans = _grounded(rotations, trans, skeleton)
-    return Motion(clip.fps, rotations, trans, label=clip.label, note=clip.note)
+    rotations, trans = retarget(clip, skeleton, forward=forward, world=corrected.world, swapped=corrected.swapped)
+    note = "; ".join(line for line in (clip.note, stretched(clip)) if line)
+    motion = Motion(clip.fps, rotations, trans, label=clip.label, note=note, known_up=clip.y_up)
+    return _corrected(motion, skeleton, replace(corrected, up="y", swapped=False), ground=True)
+
+
+def _corrected(motion: Motion, skeleton: Skeleton, said: Corrections, *, ground: bool = False) -> Motion:
+    """The motion as the user says that it is meant; ``ground``: with its feet on the floor, said or not."""
+    if said.swapped:
+        raise PoseError("sides=swapped is for skeletons of other makers, not for poses by SMPL-X's joints")
+    rotations, trans = motion.rotations, motion.trans
+    if said.up != "y":
+        rotations, trans = _turned(rotations, trans, said.world, skeleton)
+    if said.turn:
+        rotations, _ = _turned(rotations, trans, said.about, skeleton)
+    trans = trans * said.scale
+    if ground or said.floor or said.up != "y":  # where the floor was along another axis is not known
+        trans = _grounded(rotations, trans, skeleton)
+    return replace(motion, rotations=rotations, trans=trans)
 
 
 def _json(path: Path) -> Any:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -15,16 +16,17 @@ from glsplat.motion.standing import flat_soles, standing
 from glsplat.rotations import matrix_quaternions, quaternion_vectors, rotation_matrices
 from glsplat.skinning.rigs.driven import why_not_driven
 from glsplat.skinning.rigs.humanoid import t_pose_turns
-from glsplat.skinning.rigs.match import RigMap
+from glsplat.skinning.rigs.match import RigMap, match_rig
 from glsplat.skinning.rigs.words import word_of
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.smplx import JOINT_NAMES
 
-__all__ = ["retarget"]
+__all__ = ["retarget", "stretched"]
 
 F64 = NDArray[np.float64]
 
 _AT = {name: i for i, name in enumerate(JOINT_NAMES)}
+_RIGID = 0.1  # of a bone: what skins and capturing systems change its length by
 _SIDES = ("left", "right")
 # what hangs from what in a limb; a bone that a file splits ends where the next of these begins
 _CHAINS = (
@@ -40,7 +42,14 @@ _BONES = {
 }
 
 
-def retarget(clip: Clip, skeleton: Skeleton, *, forward: bool = False) -> tuple[F64, F64]:
+def retarget(
+    clip: Clip,
+    skeleton: Skeleton,
+    *,
+    forward: bool = False,
+    world: F64 | None = None,  # [3, 3] turns the world in which they are seen to move, once more
+    swapped: bool = False,  # what the clip calls left is right
+) -> tuple[F64, F64]:
     """Rotations [T, 55, 3] (axis-angle) and translations [T, 3] (metres) of ``clip`` on an SMPL-X rig.
 
     Which joint is which say their names (skinning/rigs). Each of ours turns as its namesake does, from a rest pose in
@@ -52,7 +61,9 @@ def retarget(clip: Clip, skeleton: Skeleton, *, forward: bool = False) -> tuple[
     """
     if why := why_not_driven(skeleton):
         raise PoseError(f"motion capture cannot drive this avatar: {why}")
-    stood = standing(clip)
+    stood = standing(clip, swapped=swapped)
+    if world is not None:
+        stood = replace(stood, world=world @ stood.world)
     clip, at = stood.clip, stood.map.joints
     rest, joints = clip.rest @ stood.rest.T, skeleton.joints
     to_t_pose = t_pose_turns({name: rest[index] for name, index in at.items()}, joints)
@@ -87,6 +98,16 @@ def retarget(clip: Clip, skeleton: Skeleton, *, forward: bool = False) -> tuple[
         vectors[:, 0] = quaternion_vectors(matrix_quaternions(ahead @ goal[:, 0]))
         trans = (trans + joints[0]) @ ahead.T - joints[0]
     return vectors, trans - trans[0] * (1, 0, 1)
+
+
+def stretched(clip: Clip) -> str:
+    """What is left out of a clip whose position channels make bones longer or shorter; "" where they do not."""
+    at, most = match_rig(clip.names, clip.parents, clip.rest, clip.given).joints, 0.0
+    for above, below in _BONES.items():
+        if above in at and below in at:
+            sizes = np.linalg.norm(clip.places[:, at[below]] - clip.places[:, at[above]], axis=1)
+            most = max(most, float(np.abs(sizes / max(float(np.median(sizes)), 1e-12) - 1).max()))
+    return f"its limbs change their length by {100 * most:.0f} %, an avatar's keep theirs" if most > _RIGID else ""
 
 
 def _pointed(turns: F64, bone: F64, along: F64) -> F64:

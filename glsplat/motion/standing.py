@@ -12,6 +12,7 @@ from glsplat.motion.clip import Clip
 from glsplat.rotations import nearest_rotations, rotation_between
 from glsplat.skinning.rigs.humanoid import upright
 from glsplat.skinning.rigs.match import RigMap, match_rig
+from glsplat.skinning.smplx import JOINT_NAMES
 
 __all__ = ["Standing", "flat_soles", "standing"]
 
@@ -38,8 +39,15 @@ class Standing:
     world: F64  # [3, 3] the same of the world in which they move
 
 
-def standing(clip: Clip) -> Standing:
-    """The clip, with another rest pose where its own is none. Raises PoseError where nobody stands, or joints lack."""
+def standing(clip: Clip, *, swapped: bool = False) -> Standing:
+    """The clip, with another rest pose where its own is none. Raises PoseError where nobody stands, or joints lack.
+
+    ``swapped``: what it calls left is right.
+    """
+    if swapped:
+        found = _matched(clip)
+        other = {name: found.joints.get(_other_side(name)) for name in JOINT_NAMES}
+        clip = replace(clip, given=other)
     found = _matched(clip)
     try:
         turn = upright(found, clip.rest)
@@ -48,6 +56,11 @@ def standing(clip: Clip) -> Standing:
         return Standing(clip, found, turn, turn)
     moves = np.eye(3) if clip.y_up else _up_as_it_moves(clip, found, turn[1], turn[0])
     return Standing(clip, found, turn, turn @ moves)
+
+
+def _other_side(joint: str) -> str:
+    side, _, part = joint.partition("_")
+    return {"left": f"right_{part}", "right": f"left_{part}"}.get(side, joint)
 
 
 def _matched(clip: Clip) -> RigMap:
@@ -119,7 +132,8 @@ def _up_as_it_moves(clip: Clip, found: RigMap, up: F64, left: F64) -> F64:
     feet = [
         places[f"{side}_{part}"] @ other for side in _SIDES for part in ("ankle", "foot") if f"{side}_{part}" in places
     ]
-    if not feet or abs(float(np.min(feet))) > _LOW * leg or float(np.median(hips @ other)) < _HIGH * leg:
+    above = not feet or abs(float(np.min(feet))) > _LOW * leg or float(np.median(hips @ other)) < _HIGH * leg
+    if above and abs(float(np.median(hips @ up))) < _HIGH * leg:  # nobody lies in the air
         return np.eye(3)
     turn = rotation_between(other, up)
     across = turn @ (places["left_hip"][0] - places["right_hip"][0])

@@ -39,6 +39,7 @@ _CHAINS = [
 ]
 _PALM = ("index1", "middle1", "ring1", "pinky1")
 _STANDING = 0.5  # cosine between trunk and legs; four-legged animals have less
+_ASTRIDE = 0.25  # of a thigh, how far the middle of the knees is from that of the hips, at least
 _ASKEW = 0.924  # cosine of 22.5 degrees
 _AWAY = 0.5  # of the way from hips to shoulders: a pelvis farther away than that from the hips is none
 _FEW = 3  # knuckles that tell how a hand is turned
@@ -66,6 +67,9 @@ def upright(rig: RigMap, positions: ArrayLike) -> F64:
     size = float(np.linalg.norm(trunk) * np.linalg.norm(legs))
     if size < 1e-12:
         raise PoseError("the rig has no size: hips, knees and shoulders coincide")
+    thighs = [float(np.linalg.norm(at[f"{side}_hip"] - at[f"{side}_knee"])) for side in _SIDES]
+    if float(np.linalg.norm(legs)) < _ASTRIDE * np.mean(thighs):  # as Bandai-Namco's: what is left of them is rounding
+        raise PoseError("the legs point apart: this is no person who stands")
     if float(trunk @ legs) / size < _STANDING:
         raise PoseError("the trunk is not above the legs: this is no person who stands")
     up = trunk / np.linalg.norm(trunk) + legs / np.linalg.norm(legs)

@@ -132,7 +132,7 @@ def word_of(name: str) -> Word:
 
 def _means(word: str) -> bool:
     """Whether a word that many names share may still be needed."""
-    return word in _KNOWN or word in _SIDES or word in _HELPERS or word in ("def", "bip", "finger") or len(word) == 1
+    return word in _KNOWN or word in _SIDES or word in _HELPERS or word in ("def", "bip", "finger")
 
 
 def _split(name: str) -> list[str]:

@@ -1,0 +1,85 @@
+"""What a user says of a motion file that is not read as it was meant: behind its name, FILE#up=z#scale=0.01."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glsplat.errors import PoseError
+from glsplat.rotations import rotation_between, rotation_matrices
+
+__all__ = ["HELP", "Corrections", "split_corrections"]
+
+F64 = NDArray[np.float64]
+
+HELP = "up=z, scale=0.01, turn=180, floor=0, sides=swapped, fps=60"
+"""Each that there is, once."""
+
+_KEYS = ("up", "scale", "turn", "floor", "sides", "fps")
+_AXES = {f"{sign}{axis}": k for k, axis in enumerate("xyz") for sign in ("", "-")}
+
+
+@dataclass(frozen=True)
+class Corrections:
+    """Axes are those in which the motion is shown without them: y up."""
+
+    up: str = "y"  # the axis that is up: x, -x, y, -y, z, -z
+    scale: float = 1.0  # of the ways, not of the body
+    turn: float = 0.0  # degrees about the vertical, of the body, not of its way
+    floor: bool = False  # shift it so that the feet stand on the floor; most files are shifted unasked
+    swapped: bool = False  # what the file calls left is right
+    fps: float | None = None
+
+    @property
+    def world(self) -> F64:
+        """[3, 3] turns ``up`` to y."""
+        axis = np.eye(3)[_AXES[self.up]] * (-1 if self.up.startswith("-") else 1)
+        return np.diag([-1.0, -1.0, 1.0]) if self.up == "-y" else np.asarray(rotation_between(axis, [0.0, 1.0, 0.0]))
+
+    @property
+    def about(self) -> F64:
+        """[3, 3] the turn of the body about the vertical."""
+        return np.asarray(rotation_matrices([0.0, np.radians(self.turn), 0.0]))
+
+
+def split_corrections(choice: str | None) -> tuple[str | None, Corrections]:
+    """What stands behind the "#" of a motion's name: an animation's name, if one is there, and corrections.
+
+    Raises PoseError, one line.
+    """
+    rest: list[str] = []
+    said: dict[str, str] = {}
+    for part in (choice or "").split("#"):
+        key, equals, value = part.partition("=")
+        if equals and key in _KEYS:
+            said[key] = value
+        else:
+            rest.append(part)
+    name = "#".join(rest) if choice is not None and (rest or not said) else None
+    return name, _read(said)
+
+
+def _read(said: dict[str, str]) -> Corrections:
+    up, sides, floor = said.get("up", "y"), said.get("sides", ""), said.get("floor", "")
+    if up not in _AXES:
+        raise PoseError(f"up= is one of {', '.join(_AXES)}, not {up[:20]!r}")
+    if sides not in ("", "swapped"):
+        raise PoseError(f"sides= is swapped, not {sides[:20]!r}")
+    if floor not in ("", "0"):
+        raise PoseError(f"floor= is 0: the feet stand on it; not {floor[:20]!r}")
+    scale = _number(said, "scale", 1.0, 1e-6, 1e6)
+    turn = _number(said, "turn", 0.0, -360.0, 360.0)
+    fps = _number(said, "fps", 0.0, 1e-3, 1e5) if "fps" in said else None
+    return Corrections(up, scale, turn, bool(floor), bool(sides), fps)
+
+
+def _number(said: dict[str, str], key: str, default: float, least: float, most: float) -> float:
+    try:
+        value = float(said.get(key, default))
+    except ValueError:
+        value = np.nan
+    if not least <= value <= most:
+        raise PoseError(f"{key}= is a number from {least:g} to {most:g}, not {said[key][:20]!r}")
+    return value
