@@ -1,4 +1,7 @@
-"""What real tracking does to what is seen: noise, lost hands, offsets of devices, calibrations a little off."""
+"""What real tracking does to what is seen: noise, lost hands, offsets of devices, calibrations a little off.
+
+And what people do whom nobody captured: they look about, where captured people look where they go.
+"""
 
 from __future__ import annotations
 
@@ -17,12 +20,18 @@ WHITE, SPIN = 0.0007, 0.15  # metres, degrees: noise of a moment
 CLEAN = 0.3  # share of sequences without any of it
 HEAD_ONLY, LOSES = 0.08, 0.3  # shares of sequences without hands, with hands lost at times
 LOSS = 0.7  # seconds, mean length
+LOOKS = 0.5  # share of sequences in which the head looks elsewhere
+GAZE, MOST = (32.0, 14.0), (70.0, 35.0)  # degrees of yaw and pitch: standard deviation of a gaze, and its bound
+HELD, SHIFT = 1.6, 0.11  # seconds a gaze lasts, mean; of two low passes by which the head turns to the next one
+NECK = (0.0, -0.07, -0.08)  # from between the eyes to where the head turns, in its frame (of eyes at 1.6 m)
 
 
 def disturbed(seen: Seen, rng: np.random.Generator) -> Seen:
     """One sequence [T] as a device would see it; the truth stays as it is."""
     t = len(seen.yaw)
     eye, head, at, hand = (a.astype(np.float64) for a in (seen.eye, seen.head, seen.at, seen.hand))
+    if rng.random() < LOOKS:
+        eye, head = _elsewhere(eye, head, rng)
     if rng.random() >= CLEAN:
         scale = 1 + HEIGHT * rng.standard_normal()
         # heights and reaches, not the room: the body stands where it stands
@@ -51,6 +60,30 @@ def disturbed(seen: Seen, rng: np.random.Generator) -> Seen:
                 when += length
     yaw = np.where(head[:, 1, 1] > -0.9, yaw_of(head), seen.yaw)
     return Seen(*[a.astype(np.float32) for a in (eye, yaw, head, at, hand, tracked)])
+
+
+def _elsewhere(
+    eye: NDArray[np.float64], head: NDArray[np.float64], rng: np.random.Generator
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Eyes and head that turn about the neck from gaze to gaze; the body does not know of it."""
+    t = len(eye)
+    goals = np.empty((t, 2))
+    first = 0
+    while first < t:
+        last = first + 1 + int(rng.exponential(HELD) / TICK)
+        goals[first:last] = np.clip(rng.standard_normal(2) * GAZE, np.negative(MOST), MOST)
+        first = last
+    k = 1 - np.exp(-TICK / SHIFT)
+    for _ in range(2):
+        now = goals[0]
+        for i in range(t):
+            goals[i] = now = now + (goals[i] - now) * k
+    yaw, pitch = np.radians(goals).T
+    nought = np.zeros(t)
+    turned = rotation_matrices(np.stack((nought, yaw, nought), -1)) @ head
+    turned = turned @ rotation_matrices(np.stack((pitch, nought, nought), -1))
+    neck = eye + head @ NECK
+    return neck - turned @ NECK, np.asarray(turned, np.float64)
 
 
 def _turn(rng: np.random.Generator, degrees: tuple[float, float, float], count: int) -> NDArray[np.float64]:
