@@ -7,9 +7,9 @@ from math import cos, exp, hypot, sqrt
 
 from glsplat.tracking.learned.hints import FootHint
 from glsplat.tracking.solve.body import FEET, PELVIS, Body
-from glsplat.tracking.solve.foot import Foot
-from glsplat.tracking.solve.leg import TIPTOE, Leg
 from glsplat.tracking.solve.quat import Quat, Vec, add, clamp, pull, rotate, scale, sub, wrap
+from glsplat.tracking.solve.stepping.foot import Foot
+from glsplat.tracking.solve.stepping.leg import TIPTOE, Leg
 from glsplat.tracking.solve.tracked import AFLOAT, Follow
 
 __all__ = ["Feet"]

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from math import atan2, exp, pi, sqrt
 
 from glsplat.tracking.solve.body import COLLARS, ELBOWS, SHOULDERS, SPINE3, WRISTS, Body
-from glsplat.tracking.solve.foot import Channel
 from glsplat.tracking.solve.limb import Limb, perpendicular, two_bone
 from glsplat.tracking.solve.limits import clamp_joint
 from glsplat.tracking.solve.quat import (
@@ -24,6 +23,7 @@ from glsplat.tracking.solve.quat import (
     unit,
     wrap,
 )
+from glsplat.tracking.solve.stepping.foot import Channel
 
 __all__ = ["Arm", "ArmPose"]
 

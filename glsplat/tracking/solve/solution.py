@@ -22,12 +22,12 @@ from glsplat.tracking.solve.body import (
     SPINE3,
     WRISTS,
 )
-from glsplat.tracking.solve.foot import Foot
 from glsplat.tracking.solve.hands import Hands
-from glsplat.tracking.solve.leg import Leg
 from glsplat.tracking.solve.limits import clamp_joint
 from glsplat.tracking.solve.quat import IDENTITY, Quat, Vec, add, inverse_mul, mul, rotate
 from glsplat.tracking.solve.spine import Torso
+from glsplat.tracking.solve.stepping.foot import Foot
+from glsplat.tracking.solve.stepping.leg import Leg
 
 __all__ = ["Solution", "Solver", "Targets", "assembled", "reaching"]
 

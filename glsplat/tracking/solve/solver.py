@@ -9,10 +9,10 @@ from glsplat.tracking.solve.arms import Arm
 from glsplat.tracking.solve.body import NECK, PELVIS, Body
 from glsplat.tracking.solve.hands import Hands
 from glsplat.tracking.solve.heading import Heading
-from glsplat.tracking.solve.legs import Legs
 from glsplat.tracking.solve.quat import Vec, clamp, rotate, yaw_quat
 from glsplat.tracking.solve.solution import Solution, Targets, assembled, reaching
 from glsplat.tracking.solve.spine import Spine, Torso
+from glsplat.tracking.solve.stepping.legs import Legs
 from glsplat.tracking.solve.tracked import Pelvis
 
 __all__ = ["AnalyticSolver"]

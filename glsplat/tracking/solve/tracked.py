@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from math import atan2, exp
 
-from glsplat.tracking.solve.foot import FASTEST, Foot
-from glsplat.tracking.solve.leg import Leg
 from glsplat.tracking.solve.quat import (
     IDENTITY,
     Quat,
@@ -31,6 +29,8 @@ from glsplat.tracking.solve.quat import (
     yaw_quat,
 )
 from glsplat.tracking.solve.spine import Spine, Torso
+from glsplat.tracking.solve.stepping.foot import FASTEST, Foot
+from glsplat.tracking.solve.stepping.leg import Leg
 
 __all__ = ["AFLOAT", "Follow", "Pelvis", "Share"]
 

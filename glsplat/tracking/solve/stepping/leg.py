@@ -5,7 +5,6 @@ from __future__ import annotations
 from math import acos, atan2, cos, exp, hypot, radians, sin, sqrt
 
 from glsplat.tracking.solve.body import ANKLES, FEET, HIPS, KNEES, PELVIS, Body
-from glsplat.tracking.solve.foot import Foot
 from glsplat.tracking.solve.limb import Limb, two_bone
 from glsplat.tracking.solve.quat import (
     Quat,
@@ -24,6 +23,7 @@ from glsplat.tracking.solve.quat import (
     wrap,
     yaw_quat,
 )
+from glsplat.tracking.solve.stepping.foot import Foot
 
 __all__ = ["TIPTOE", "Leg"]
 

@@ -6,9 +6,6 @@ from collections.abc import Sequence
 from math import cos, exp, hypot, sin
 
 from glsplat.tracking.solve.body import FEET, PELVIS, Body
-from glsplat.tracking.solve.foot import HOLD, Foot
-from glsplat.tracking.solve.gait import Gait
-from glsplat.tracking.solve.leg import TIPTOE, Leg
 from glsplat.tracking.solve.quat import (
     IDENTITY,
     Quat,
@@ -20,6 +17,9 @@ from glsplat.tracking.solve.quat import (
     sub,
     wrap,
 )
+from glsplat.tracking.solve.stepping.foot import HOLD, Foot
+from glsplat.tracking.solve.stepping.gait import Gait
+from glsplat.tracking.solve.stepping.leg import TIPTOE, Leg
 from glsplat.tracking.solve.tracked import AFLOAT, Follow
 
 __all__ = ["Legs"]
