@@ -52,9 +52,11 @@ class Feet:
         self.follow: tuple[Follow, Follow] = (Follow(self.legs[0]), Follow(self.legs[1]))
         self.reset()
 
-    def reset(self) -> None:
-        """Forget the past: the next update puts both feet where the hints say."""
-        self.started = False
+    def reset(self, feet: Sequence[Foot] | None = None) -> None:
+        """Forget the past: the next update puts both feet where the hints say, or goes on with these."""
+        self.started = feet is not None
+        for foot, other in zip(self.feet, feet or (), strict=feet is not None):
+            foot.take_over(other, 0.0, CLEAR * self.size)
         for follow in self.follow:
             follow.reset()
         self.air = self.slack = 0.0

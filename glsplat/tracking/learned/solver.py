@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-from math import acos, exp
+from math import acos
 
+from glsplat.tracking.learned.doubt import Doubt
 from glsplat.tracking.learned.feet import Feet
 from glsplat.tracking.learned.hints import Hint, Hints
 from glsplat.tracking.learned.network import Network
 from glsplat.tracking.solve.arms import Arm
 from glsplat.tracking.solve.body import Body
+from glsplat.tracking.solve.ground import Ground
 from glsplat.tracking.solve.hands import Hands
 from glsplat.tracking.solve.quat import (
     about,
@@ -18,27 +19,34 @@ from glsplat.tracking.solve.quat import (
     dot,
     length,
     mul,
+    slerp,
     sub,
     swing_twist_y,
     unit,
 )
 from glsplat.tracking.solve.solution import Solution, Targets, assembled, reaching
+from glsplat.tracking.solve.solver import AnalyticSolver
 from glsplat.tracking.solve.spine import Spine, Torso
+from glsplat.tracking.solve.stepping.legs import Legs
 from glsplat.tracking.solve.tracked import Pelvis
 
 __all__ = ["LearnedSolver"]
 
-LONGEST_JUMP = 0.7  # seconds; a head out of reach for longer is not a jump
-LOWEST_EYE = 0.04  # of the eye height: a head on the floor
 SWING = 0.7  # radians at most that the torso swings about the neck to bring the pelvis where it should be
 
 
 class LearnedSolver:
-    """What ``Solver`` asks for. Head and reachable hands are exact, whatever the network says; feet do not slide."""
+    """What ``Solver`` asks for. Head and reachable hands are exact, whatever the network says; feet do not slide.
+
+    Where the network has learned nothing (``Doubt``) torso and feet are those of the analytic solver.
+    """
 
     def __init__(self, body: Body, network: Network) -> None:
         self.body = body
+        self.ground: Ground = Ground(body.eye_height)
         self.hints: Hints = Hints(body, network)
+        self.doubt: Doubt = Doubt(body.eye_height)
+        self.plain: AnalyticSolver = AnalyticSolver(body)
         self.spine: Spine = Spine(body)
         self.feet: Feet = Feet(body)
         self.pelvis: Pelvis = Pelvis()  # a tracked one
@@ -48,27 +56,45 @@ class LearnedSolver:
 
     def reset(self) -> None:
         """Forget the past."""
+        self.ground.reset()
         self.hints.reset()
+        self.doubt.reset()
+        self.plain.reset()
         self.spine.reset()
         self.feet.reset()
         self.pelvis.reset()
         self.hands.reset()
         for arm in self.arms:
             arm.reset()
-        self._flight = self._sink = 0.0
+        self._stepping: Feet | Legs | None = None  # whose feet these are; None before the first moment
 
     def solve(self, targets: Targets, dt: float) -> Solution:
         """One moment."""
-        targets = self._grounded(targets, dt)
+        before = self._stepping or self.feet
+        targets = self.ground.bring(targets, before.slack, before.tiptoe, dt)
         hint = self.hints.update(targets, dt)
+        share = self.doubt.update(targets, dt)
         self.pelvis.update(targets.pelvis, targets.pelvis_turn, targets.eye, dt)
-        torso = self.pelvis.bring(self.spine, targets.eye, targets.head, self._torso(targets, hint))
-        yaw = swing_twist_y(torso.pelvis)
-        limbs = self.feet.update(hint.feet, torso.pelvis_at, torso.pelvis, yaw or 0.0, dt, targets.feet, targets.knees)
+        steps: Feet | Legs = self.plain.legs if share > 0 else self.feet
+        if steps is self.plain.legs and self._stepping is not steps:
+            self.plain.reset()
+        if self._stepping not in (None, steps):
+            steps.reset(before.feet)
+        self._stepping = steps
+        if share < 1:
+            torso = self.pelvis.bring(self.spine, targets.eye, targets.head, self._torso(targets, hint))
+        if steps is self.feet:
+            yaw = swing_twist_y(torso.pelvis) or 0.0
+            limbs = self.feet.update(hint.feet, torso.pelvis_at, torso.pelvis, yaw, dt, targets.feet, targets.knees)
+        else:
+            plain = self.plain.torso(targets, dt)
+            if share < 1:
+                pelvis, chest = slerp(torso.pelvis, plain.pelvis, share), slerp(torso.spine3, plain.spine3, share)
+                plain = self.spine.hang(targets.eye, targets.head, pelvis, chest)
+            torso = plain
+            limbs = self.plain.stepped(targets, torso, dt)
         arms = reaching(self.arms, self.hands, targets, torso, dt)
-        notes = ["head_out_of_reach"] if self._sink > 0.02 else []
-        feet = self.feet
-        return assembled(torso, limbs, arms, feet.legs, feet.feet, self.body.sole, feet.air, notes)
+        return assembled(torso, limbs, arms, steps.legs, steps.feet, self.body.sole, steps.air, self.ground.notes)
 
     def _torso(self, targets: Targets, hint: Hint) -> Torso:
         """The hinted torso, hung on the head, and swung about the neck so that the pelvis is where it was hinted."""
@@ -81,13 +107,3 @@ class LearnedSolver:
         angle = min(acos(clamp(dot(now, goal), -1.0, 1.0)), SWING)
         swing = about((axis[0] / size, axis[1] / size, axis[2] / size), angle)
         return self.spine.hang(targets.eye, targets.head, mul(swing, hint.pelvis), mul(swing, hint.chest))
-
-    def _grounded(self, targets: Targets, dt: float) -> Targets:
-        """The head within the body's reach; as in the analytic solver."""
-        slack = self.feet.slack
-        self._flight = self._flight + dt if slack < 0 else 0.0
-        if self._flight > LONGEST_JUMP or self._sink > 0:
-            self._sink = max(0.0, self._sink - (slack - self.feet.tiptoe) * (1 - exp(-dt / 0.25)))
-        x, y, z = targets.eye
-        sunk = max(y - self._sink, LOWEST_EYE * self.body.eye_height)
-        return targets if sunk == y else replace(targets, eye=(x, sunk, z))

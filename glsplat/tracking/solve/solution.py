@@ -29,7 +29,10 @@ from glsplat.tracking.solve.spine import Torso
 from glsplat.tracking.solve.stepping.foot import Foot
 from glsplat.tracking.solve.stepping.leg import Leg
 
-__all__ = ["Solution", "Solver", "Targets", "assembled", "reaching"]
+__all__ = ["Limb", "Solution", "Solver", "Targets", "assembled", "reaching"]
+
+Limb = tuple[Quat, Quat, Quat]
+"""World rotation of the thigh, local rotation of the knee, world rotation of the foot."""
 
 RESTING = 1e-3  # metres a planted foot may still be above the floor
 
@@ -85,7 +88,7 @@ def reaching(arms: Sequence[Arm], hands: Hands, targets: Targets, torso: Torso, 
 
 def assembled(
     torso: Torso,
-    limbs: Sequence[tuple[Quat, Quat, Quat]],  # thigh in the world, knee, foot in the world; left and right
+    limbs: Sequence[Limb],  # left and right
     arms: Sequence[ArmPose],
     legs: Sequence[Leg],
     feet: Sequence[Foot],  # strained where a joint's limit moves them

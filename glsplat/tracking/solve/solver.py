@@ -2,25 +2,23 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from math import exp, hypot
 
 from glsplat.tracking.solve.arms import Arm
 from glsplat.tracking.solve.body import NECK, PELVIS, Body
+from glsplat.tracking.solve.ground import Ground
 from glsplat.tracking.solve.hands import Hands
 from glsplat.tracking.solve.heading import Heading
 from glsplat.tracking.solve.quat import Vec, clamp, rotate, yaw_quat
-from glsplat.tracking.solve.solution import Solution, Targets, assembled, reaching
+from glsplat.tracking.solve.solution import Limb, Solution, Targets, assembled, reaching
 from glsplat.tracking.solve.spine import Spine, Torso
 from glsplat.tracking.solve.stepping.legs import Legs
 from glsplat.tracking.solve.tracked import Pelvis
 
 __all__ = ["AnalyticSolver"]
 
-LONGEST_JUMP = 0.7  # seconds; a head out of reach for longer is not a jump (0.7 s in the air is a leap of 0.6 m)
 TWIST = 0.2  # of the yaw that both hands suggest by which the chest turns further than the pelvis
 SLOW = 0.125  # seconds; twice that scores worse on motion capture (docs/tracking.md)
-LOWEST_EYE = 0.04  # of the eye height: a head on the floor
 
 
 class AnalyticSolver:
@@ -28,6 +26,7 @@ class AnalyticSolver:
 
     def __init__(self, body: Body) -> None:
         self.body = body
+        self.ground: Ground = Ground(body.eye_height)
         self.heading: Heading = Heading()
         self.spine: Spine = Spine(body)
         self.pelvis: Pelvis = Pelvis()
@@ -40,6 +39,7 @@ class AnalyticSolver:
 
     def reset(self) -> None:
         """Forget the past."""
+        self.ground.reset()
         self.heading.reset()
         self.pelvis.reset()
         self.spine.reset()
@@ -56,16 +56,22 @@ class AnalyticSolver:
         self._slow: Vec = (0.0, 0.0, 0.0)  # horizontal, smoothed by SLOW more: walking or only swaying
         self._twist = 0.0
         self.hands.reset()
-        self._flight = 0.0  # seconds in the air
-        self._sink = 0.0  # metres the body stays below a head that is out of reach
         self._walking = 0.0
 
     def solve(self, targets: Targets, dt: float) -> Solution:
         """One moment. See the module's docstring for the order of things."""
+        legs = self.legs
+        targets = self.ground.bring(targets, legs.slack, legs.tiptoe, dt)
+        torso = self.torso(targets, dt)
+        limbs = self.stepped(targets, torso, dt)
+        arms = reaching(self.arms, self.hands, targets, torso, dt)
+        return assembled(torso, limbs, arms, legs.legs, legs.feet, self.body.sole, legs.air, self.ground.notes)
+
+    def torso(self, targets: Targets, dt: float) -> Torso:
+        """Torso for a head within reach."""
         legs, spine = self.legs, self.spine
         self.pelvis.update(targets.pelvis, targets.pelvis_turn, targets.eye, dt)
         tracked = self.pelvis.facing(dt)
-        targets = self._grounded(targets, dt)
         speed = hypot(self._travel[0], self._travel[2])
         yaw = self.heading.update(
             targets.head, targets.eye, targets.left, targets.right, self._travel, speed, dt, tracked
@@ -93,7 +99,11 @@ class AnalyticSolver:
         torso = spine.update(
             targets.eye, targets.head, yaw, self.heading.head_yaw, balance, self._walking, speed, self._twist, dt
         )
-        torso = self.pelvis.bring(spine, targets.eye, targets.head, torso)
+        return self.pelvis.bring(spine, targets.eye, targets.head, torso)
+
+    def stepped(self, targets: Targets, torso: Torso, dt: float) -> list[Limb]:
+        """Legs under a torso, which ``torso`` returned for these targets, or another one."""
+        legs = self.legs
         base = self._base(torso)
         self._motion(base, dt)
         speed = hypot(self._travel[0], self._travel[2])
@@ -101,26 +111,8 @@ class AnalyticSolver:
             self._placed = True
             legs.start_walking(speed)
         course = (self._travel, self._slow, speed, dt)
-        limbs = legs.update(base, torso.pelvis_at, torso.pelvis, yaw, *course, targets.feet, targets.knees)
-        arms = reaching(self.arms, self.hands, targets, torso, dt)
-        notes = ["head_out_of_reach"] if self._sink > 0.02 else []
-        return assembled(torso, limbs, arms, legs.legs, legs.feet, self.body.sole, legs.air, notes)
-
-    def _grounded(self, targets: Targets, dt: float) -> Targets:
-        """The head within the body's reach: above the floor, and not higher than the legs allow for longer than a jump.
-
-        A user taller than the avatar, or a head that looks straight down without bending, would else float for ever.
-        """
-        slack = self.legs.slack  # of the last moment: metres left until the tiptoes lose the ground
-        self._flight = self._flight + dt if slack < 0 else 0.0
-        if self._flight > LONGEST_JUMP or self._sink > 0:
-            # down to flat feet, and up again with the head
-            self._sink = max(0.0, self._sink - (slack - self.legs.tiptoe) * (1 - exp(-dt / 0.25)))
-        x, y, z = targets.eye
-        sunk = max(y - self._sink, LOWEST_EYE * self.body.eye_height)
-        if sunk == y:
-            return targets
-        return replace(targets, eye=(x, sunk, z))
+        yaw = self.heading.yaw
+        return legs.update(base, torso.pelvis_at, torso.pelvis, yaw, *course, targets.feet, targets.knees)
 
     def _motion(self, base: Vec, dt: float) -> None:
         if self._before is None:

@@ -96,6 +96,18 @@ class Foot:
         self.height = height
         self.landing = self.ball
 
+    def take_over(self, other: Foot, duration: float, height: float) -> None:
+        """Go on as another solver's foot; one in the air is to land in ``duration`` seconds."""
+        for mine, its in zip(self._channels, other._channels, strict=True):
+            mine.at, mine.speed, mine.pull = its.at, its.speed, its.pull
+        self.planted, self.strained = True, other.strained
+        if not other.planted:
+            self.lift(duration, height, False)
+
+    @property
+    def _channels(self) -> tuple[Channel, ...]:
+        return (self.x, self.y, self.z, self.turn, self.tilt)
+
     def stand(self, sole: float, pitch: float, dt: float) -> None:
         """A planted foot: the heel where the stance has it."""
         if self.y.at != sole:

@@ -66,6 +66,7 @@ class Legs:
         self.follow: tuple[Follow, Follow] = (Follow(self.legs[0]), Follow(self.legs[1]))
         self.gait: Gait = Gait(self.length)
         self.started: bool = False
+        self.given: Sequence[Foot] | None = None  # how the feet are before the first update
         self.flying: bool = False  # in a jump
         self.rest: Vec = (0.0, 0.0, 0.0)  # the base without its sway
         self.air: float = 0.0  # metres both feet are off the ground
@@ -73,9 +74,10 @@ class Legs:
         self.calm: float = 0.0  # seconds of standing still
         self.slack: float = 0.0  # metres left until the tiptoes lose the ground
 
-    def reset(self) -> None:
-        """Forget the past; the next update plants both feet under the pelvis."""
+    def reset(self, feet: Sequence[Foot] | None = None) -> None:
+        """Forget the past; the next update plants both feet under the pelvis, or goes on with these."""
         self.started = self.flying = False
+        self.given = feet
         self.air = self.slack = self.calm = 0.0
         self.gait.reset()
         for follow in self.follow:
@@ -116,7 +118,10 @@ class Legs:
         hips = [add(pelvis_at, rotate(pelvis, leg.hip)) for leg in self.legs]
         if not self.started:
             for foot in self.feet:
-                foot.plant(self.place(foot.index, base, yaw, TRACK, (0.0, 0.0, 0.0)), yaw)
+                if self.given is None:
+                    foot.plant(self.place(foot.index, base, yaw, TRACK, (0.0, 0.0, 0.0)), yaw)
+                else:
+                    foot.take_over(self.given[foot.index], QUICK, 0.05 * self.size)
             self.rest, self.yaw, self.turning, self.started = base, yaw, 0.0, True
         for foot, goal, knee in zip(self.feet, goals, knees, strict=True):
             self.follow[foot.index].place(foot, goal, knee, dt)

@@ -1,0 +1,36 @@
+"""Where the network has learned too little to be asked: heads near the ground, upside down, or on their side."""
+
+from __future__ import annotations
+
+from glsplat.tracking.solve.quat import clamp, rotate
+from glsplat.tracking.solve.solution import Targets
+
+__all__ = ["Doubt"]
+
+TILTED = (0.3, 0.5)  # vertical part of the head's own up: below, it lies or hangs; above, it is upright again
+LOW = (0.5, 0.56)  # of the eye height, likewise: a deep squat, on all fours, on the floor
+TURN = 0.35  # seconds in which one takes over from the other
+
+
+class Doubt:
+    """How much of the torso is the analytic solver's: 0 none, 1 all of it. Smooth in time."""
+
+    def __init__(self, eye_height: float) -> None:
+        self.low: tuple[float, float] = (LOW[0] * eye_height, LOW[1] * eye_height)
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the past."""
+        self.doubts = False
+        self._at: float | None = None
+
+    def update(self, targets: Targets, dt: float) -> float:
+        """The share of this moment."""
+        up = rotate(targets.head, (0.0, 1.0, 0.0))[1]
+        side = int(self.doubts)
+        self.doubts = up < TILTED[side] or targets.eye[1] < self.low[side]
+        goal = float(self.doubts)
+        if self._at is None:
+            self._at = goal
+        self._at = clamp(goal, self._at - dt / TURN, self._at + dt / TURN)
+        return self._at * self._at * (3 - 2 * self._at)
