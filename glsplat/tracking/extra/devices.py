@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from math import hypot
 
 from glsplat.tracking.config import TrackerConfig
-from glsplat.tracking.extra.mounts import JOINTS, MOST, Mean, Pose, between, mounted, within
+from glsplat.tracking.extra.mounts import JOINTS, MOST, Mean, Pose, between, mounted, standing, within
 from glsplat.tracking.extra.places import Places
 from glsplat.tracking.filters import Device, PositionFilter, RotationFilter
 from glsplat.tracking.reading import read_place, read_pose
@@ -24,6 +24,7 @@ GUESSED = 0.25  # what a moment is worth at which the solver does not know where
 SETTLED = 0.1  # seconds after which a new device's speed is known
 QUIET = (2.0, 0.2, 0.2)  # m/s below which a mount is learned: a waist that walks along, feet that stand
 UPRIGHT = 0.9  # of the eye height: below, the pelvis is anywhere
+STANDS = 0.97  # of the eye height: above, a still body stands as at rest
 NEARBY = 0.35  # metres over the ground, and of height, that a foot's tracker may be from where the solver has it
 BODY = ((0.0, 0.0, 0.0), IDENTITY)  # the mount of joints that are told as such
 
@@ -151,6 +152,11 @@ class Extras:
         yaw = swing_twist_y(pelvis[1])
         if yaw is None or eye[1] < UPRIGHT * self.body.eye_height or solution.airborne:
             return
+        # who stands upright and still stands as at rest, whatever a solver guesses of legs
+        rest = all(solution.planted) and eye[1] > STANDS * self.body.eye_height
+        if rest:
+            pelvis, *ankles_at_rest = standing(self.body, eye, yaw)
+            ankles = [place for place, _ in ankles_at_rest]
         for slot in learning:
             device, side = slot.device, slot.index - 1
             if slot.seen < SETTLED or device.at is None or length(device.position.velocity) > QUIET[slot.index]:
@@ -163,7 +169,7 @@ class Extras:
                 far = hypot(device.at[0] - x, device.at[2] - z)
                 if far > NEARBY or device.at[1] > NEARBY:
                     continue
-                worth = dt if all(solution.planted) else GUESSED * dt
+                worth = dt if rest else GUESSED * dt
             slot.learned.add(between((device.at, device.turn), joint), worth)
             if slot.learned.worth >= ENOUGH:
                 slot.mount = within(slot.learned.pose(), MOST[slot.index])

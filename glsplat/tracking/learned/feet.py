@@ -14,17 +14,19 @@ from glsplat.tracking.solve.tracked import AFLOAT, Follow
 
 __all__ = ["Feet"]
 
-LIFT, DROP = 0.38, 0.6  # of a foot's standing: below, it is lifted; above, it is set down
+LIFT, DROP = 0.55, 0.75  # of a foot's standing: below, it is lifted; above, it is set down
 MOVES = 0.35  # m/s, or
 FAR = 0.07  # metres, that a goal must be away before a foot is lifted for it
 LOST = 0.16  # metres a planted foot is at most from its goal (of a 1.7 m person)
 TURNED = 0.6  # radians likewise
-FOLLOW = 0.115  # seconds: of the low pass by which a lifted foot follows its goal
+FOLLOW = 0.1  # seconds: of the low pass by which a lifted foot follows its goal
+UP = 0.07  # seconds: likewise, upwards
+OFF = 0.3  # of CLEAR that a foot is up when it moves over as fast as it may
 RISE = 0.05  # seconds: likewise, upwards where its leg does not reach
 FORESIGHT = 0.06  # seconds: a foot leaves the ground before its leg is stretched
-LEAD = 0.055  # seconds that this is behind
+LEAD = 0.065  # seconds that this is behind
 BRIEFEST = 0.14  # seconds a foot is in the air at least
-SET = 0.16  # seconds in which it is set down, and of these
+SET = 0.12  # seconds in which it is set down, and of these
 OVER = 0.05  # seconds in which it only goes down
 REST = 0.18  # seconds it then stands at least
 SLOW, CALM = 0.2, 0.6  # m/s, seconds: slower for longer is standing, where it is not
@@ -33,6 +35,7 @@ CLEAR = 0.045  # metres the ball is over the ground while it moves
 HELPS = 0.06  # metres or more by which a step must help a strained leg
 DRAGS = 0.1  # metres from below its hip that a foot is dragged at by a leg that does not reach it
 ASTRIDE = 0.3  # of its length that a leg's foot is from below the hip, beyond which a strained leg steps at once
+HEEL = 0.5  # of its rise on tiptoes that an ankle may have where a foot is put down
 REACH = 0.985  # of its length to which a lifted foot is put
 TAKE_OFF = 0.02  # metres below and above the reach of the tiptoes over which a jump begins
 
@@ -172,17 +175,17 @@ class Feet:
         high = max(hint.ball[1], ground + CLEAR * self.size)
         goal = self._within(add(hint.ball, scale(hint.speed, LEAD)), leg, hip, high)
         # up before it moves over
-        rises = clamp((foot.y.at - ground) / (0.5 * CLEAR * self.size), 0.05, 1.0)
+        rises = clamp((foot.y.at - ground) / (OFF * CLEAR * self.size), 0.05, 1.0)
         follow = FOLLOW / rises
         foot.x.approach(goal[0], follow, dt)
         foot.z.approach(goal[2], follow, dt)
-        foot.y.approach(high, RISE if foot.strained else FOLLOW, dt)
+        foot.y.approach(high, RISE if foot.strained else UP, dt)
         foot.turn.approach(foot.turn.at + wrap(hint.yaw - foot.turn.at), FOLLOW, dt)
         foot.tilt.approach(clamp(hint.pitch, -0.3, TIPTOE), FOLLOW, dt)
 
     def _within(self, place: Vec, leg: Leg, hip: Vec, high: float) -> Vec:
         """A place for the ball at this height that the leg can reach: nearer to below the hip, if it must be."""
-        rise = hip[1] - (high + leg.ankle[1])
+        rise = hip[1] - (high + leg.ankle[1] + HEEL * self.tiptoe)
         most = sqrt(max((REACH * leg.limb.farthest) ** 2 - rise * rise, 0.0)) if rise > 0 else leg.limb.farthest
         x, z = place[0] - hip[0], place[2] - hip[2]
         far = hypot(x, z)

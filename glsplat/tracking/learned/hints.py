@@ -34,7 +34,7 @@ __all__ = ["FootHint", "Hint", "Hints"]
 Array = NDArray[np.float32]
 
 TORSO = (0.024, 0.024, 0.024)  # seconds: low passes, one after the other, by which torso and knees take up a guess
-JUMP = 0.07  # seconds in which a foot's goal takes up what a tick says otherwise than the one before
+JUMP = 0.025  # seconds in which a foot's goal takes up what a tick says otherwise than the one before
 NEVER = 1e-6
 
 
@@ -172,7 +172,8 @@ class Hints:
             self._stages = [pose] * len(TORSO)
         for i, tau in enumerate(TORSO):
             self._stages[i] = pose = _towards(self._stages[i], pose, 1 - exp(-dt / tau))
-        pelvis, chest, at, left, right, *stands = pose
+        pelvis, chest, at, left, right, *_ = pose
+        stands = self._stages[1][5:]  # a foot that waits for the torso is late
         knees = (left, right)
         facing, eye = yaw_quat(yaw), targets.eye
         feet = []
