@@ -14,7 +14,9 @@ from glsplat.tracking.solve.tracked import AFLOAT, Follow
 
 __all__ = ["Feet"]
 
-LIFT, DROP = 0.55, 0.75  # of a foot's standing: below, it is lifted; above, it is set down
+LIFT, DROP = 0.55, 0.75  # of a foot's standing: below, it is lifted; above, it is set down; at most this share ...
+AMONG = (0.5, 0.75)  # ... of the way from the least to the most it was lately: a network in doubt says neither 0 nor 1
+LATELY = 0.8  # seconds
 MOVES = 0.35  # m/s, or
 FAR = 0.07  # metres, that a goal must be away before a foot is lifted for it
 LOST = 0.16  # metres a planted foot is at most from its goal (of a 1.7 m person)
@@ -67,6 +69,7 @@ class Feet:
         self._speed: Vec = (0.0, 0.0, 0.0)  # m/s of the pelvis
         self._calm = [0.0, 0.0]  # seconds for which each goal has been all but still
         self._since = [1.0, 1.0]  # seconds since each foot was lifted or set down
+        self._least, self._most = [0.0, 0.0], [1.0, 1.0]  # each foot's standing, lately
 
     def update(
         self,
@@ -107,20 +110,29 @@ class Feet:
                 limbs.append(tracked)
                 continue
             self._since[foot.index] += dt
+            lift, drop = self._bounds(foot.index, hint.stands, dt)
             slow = hypot(hint.speed[0], hint.speed[2]) * hint.sure < SLOW
             self._calm[foot.index] = self._calm[foot.index] + dt if slow else 0.0
-            if foot.planted and self._leaves(foot, hint, leg, hip, pelvis):
+            if foot.planted and self._leaves(foot, hint, leg, hip, pelvis, lift):
                 foot.planted, foot.left = False, 0.0
                 self._since[foot.index] = self._calm[foot.index] = 0.0
             if foot.planted:
                 foot.stand(self.sole + self.air, clamp(hint.pitch, 0.0, TIPTOE) if hint.pitch > 0.12 else 0.0, dt)
             else:
-                self._swing(foot, hint, leg, hip, dt)
+                self._swing(foot, hint, leg, hip, drop, dt)
             middle = scale(add(hip, leg.above(foot, foot.tilt.at)), 0.5)
             limbs.append(leg.solve(foot, hip, pelvis, yaw, sub(hint.knee, middle)))
         return limbs
 
-    def _leaves(self, foot: Foot, hint: FootHint, leg: Leg, hip: Vec, pelvis: Quat) -> bool:
+    def _bounds(self, side: int, stands: float, dt: float) -> tuple[float, float]:
+        """Of a foot's standing: below the first it is lifted, above the second set down."""
+        k = 1 - exp(-dt / LATELY)
+        self._least[side] = least = min(stands, self._least[side] + (stands - self._least[side]) * k)
+        self._most[side] = most = max(stands, self._most[side] + (stands - self._most[side]) * k)
+        low, high = [least + share * (most - least) for share in AMONG]
+        return min(LIFT, low), min(DROP, high)
+
+    def _leaves(self, foot: Foot, hint: FootHint, leg: Leg, hip: Vec, pelvis: Quat, lift: float) -> bool:
         """Whether a planted foot should be lifted."""
         if foot.strained and self._since[foot.index] > 0.04 and hypot(hip[0] - foot.x.at, hip[2] - foot.z.at) > DRAGS:
             return True
@@ -136,7 +148,7 @@ class Feet:
             return False
         away = hypot(hint.ball[0] - foot.x.at, hint.ball[2] - foot.z.at) / self.size
         moves = hypot(hint.speed[0], hint.speed[2]) / self.size
-        if hint.stands < LIFT and (away > FAR or moves > MOVES):
+        if hint.stands < lift and (away > FAR or moves > MOVES):
             return True
         turned = abs(wrap(hint.yaw - foot.yaw))
         other = self.feet[1 - foot.index]
@@ -144,12 +156,12 @@ class Feet:
             return True
         return strained and (away > HELPS or turned > 0.25)
 
-    def _swing(self, foot: Foot, hint: FootHint, leg: Leg, hip: Vec, dt: float) -> None:
+    def _swing(self, foot: Foot, hint: FootHint, leg: Leg, hip: Vec, drop: float, dt: float) -> None:
         """A lifted foot follows its goal; where the goal stands, it is set down there and moves over no more."""
         ground = self.sole + self.air
         # whatever the network says of it: a foot that goes nowhere just over the ground stands
         calm = self._calm[foot.index] > CALM and hint.ball[1] < ground + STEP_UP * self.size
-        if foot.left <= 0 and self._since[foot.index] > BRIEFEST and (hint.stands > DROP or calm):
+        if foot.left <= 0 and self._since[foot.index] > BRIEFEST and (hint.stands > drop or calm):
             foot.left = SET
             lead = SET - OVER
             landing = add(hint.ball, scale(hint.speed, 0.5 * lead * (1 - hint.stands)))

@@ -94,7 +94,8 @@ class LearnedSolver:
             torso = plain
             limbs = self.plain.stepped(targets, torso, dt)
         arms = reaching(self.arms, self.hands, targets, torso, dt)
-        return assembled(torso, limbs, arms, steps.legs, steps.feet, self.body.sole, steps.air, self.ground.notes)
+        notes = self.ground.notes
+        return self.ground.lift(assembled(torso, limbs, arms, steps.legs, steps.feet, self.body.sole, steps.air, notes))
 
     def _torso(self, targets: Targets, hint: Hint) -> Torso:
         """The hinted torso, hung on the head, and swung about the neck so that the pelvis is where it was hinted."""

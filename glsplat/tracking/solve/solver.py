@@ -65,7 +65,8 @@ class AnalyticSolver:
         torso = self.torso(targets, dt)
         limbs = self.stepped(targets, torso, dt)
         arms = reaching(self.arms, self.hands, targets, torso, dt)
-        return assembled(torso, limbs, arms, legs.legs, legs.feet, self.body.sole, legs.air, self.ground.notes)
+        notes = self.ground.notes
+        return self.ground.lift(assembled(torso, limbs, arms, legs.legs, legs.feet, self.body.sole, legs.air, notes))
 
     def torso(self, targets: Targets, dt: float) -> Torso:
         """Torso for a head within reach."""
