@@ -19,7 +19,8 @@ from glsplat.motion.corrections import Corrections, split_corrections
 from glsplat.motion.doubts import doubt
 from glsplat.motion.motion import Motion, embedded_motions, load_motion
 from glsplat.skinning.skeleton import Skeleton
-from glsplat.skinning.smplx import JOINT_NAMES, POSE_KEYS
+from glsplat.skinning.smplx import JOINT_NAMES
+from tests.motion.captured import captured
 from tests.motion.exports import SIDES, Export, turned, walking
 from tests.motion.test_exports import EXPORTS, posed, worst_angle
 
@@ -164,27 +165,7 @@ def test_people_who_climb_and_stand_on_their_hands(shared_data: Path, skeleton: 
     odd = [path for path in files if path.stem.split("_")[1] in ODD]
     lot = random.Random(19)
     for path in lot.sample(files, 20) + lot.sample(odd, 12):
-        assert doubt(_cmu(path, shared_data / "mocap_cmu", skeleton), skeleton, "") == "", path.name
-
-
-def _cmu(path: Path, folder: Path, skeleton: Skeleton) -> Motion:
-    """By the pack's own converter, in a scope of its own."""
-    scope: dict[str, object] = {"__name__": "to_motion"}
-    scope |= {"load": _load(folder)}
-    text = (folder / "to_motion.py").read_text().replace("from load import load", "")
-    exec(compile(text, "to_motion.py", "exec"), scope)
-    data = scope["motion"](path, skeleton.joints[0])  # type: ignore[operator]
-    rotations = np.zeros((len(data["frames"]), len(JOINT_NAMES), 3))
-    for key in ("root_pose", "body_pose"):
-        values = np.array([frame[key] for frame in data["frames"]])
-        rotations[:, POSE_KEYS[key]] = values.reshape(len(values), -1, 3)
-    return Motion(data["fps"], rotations, np.array([frame["trans"] for frame in data["frames"]]))
-
-
-def _load(folder: Path) -> object:
-    scope: dict[str, object] = {"__name__": "load"}
-    exec(compile((folder / "load.py").read_text(), "load.py", "exec"), scope)
-    return scope["load"]
+        assert doubt(captured(shared_data / "mocap_cmu", path.name, skeleton), skeleton, "") == "", path.name
 
 
 def test_commands_say_it_in_one_line(

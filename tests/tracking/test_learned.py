@@ -18,7 +18,7 @@ from glsplat.tracking.batch import forward_all
 from glsplat.tracking.derive import Disturbance, derive, disturb, truth_from_motion
 from glsplat.tracking.learned.network import Network
 from glsplat.tracking.learned.solver import LearnedSolver
-from glsplat.tracking.solve.body import FEET, WRISTS, Body
+from glsplat.tracking.solve.body import FEET, HEAD, WRISTS, Body
 from glsplat.tracking.solvers import embedded_network, solver_of
 from tests.tracking.moves import DT, Stage, Track, hand_turn, head_turn, seconds
 
@@ -148,3 +148,43 @@ def test_head_rates_and_filters_apply(skeleton: Skeleton, stage: Stage, track: T
         [stage.sample(t, head=(0.3 * t, *stage.eye[1:])) for t in seconds(2.0)], solver="learned", config=raw
     )
     np.testing.assert_allclose(result.joints[:, 23:25].mean(1)[:, 0], [0.3 * t for t in seconds(2.0)], atol=1e-6)
+
+
+def test_the_analytic_solver_steps_in_near_the_ground_and_leaves_again(stage: Stage, track: Track) -> None:
+    """Down on all fours and up again: the head stays exact, nothing jumps, feet do not slide."""
+    x, y, z = stage.eye
+
+    def head(t: float) -> tuple[float, float, float]:
+        low = 0.5 - 0.5 * np.cos(np.pi * min(max(t - 1, 0.0), 4.0) / 2)
+        return (x, y * (1 - 0.62 * low), z + 0.5 * low)
+
+    samples = [stage.sample(t, head=head(t), left=None, right=None) for t in seconds(7.0)]
+    solver = LearnedSolver(stage.body, embedded_network())
+    shares = []
+    update = solver.doubt.update
+    solver.doubt.update = lambda targets, dt: shares.append(update(targets, dt)) or shares[-1]  # type: ignore[method-assign]
+    result = track(samples, solver=solver)
+    assert min(shares) == 0 and max(shares) == 1 and shares[-1] == 0
+    eyes = np.array([s.head[:3] for s in samples])  # type: ignore[index]
+    moved = result.joints[:, HEAD] - eyes
+    assert np.abs(moved[:, 1] - moved[0, 1]).max() < 0.1  # a head that tilts is not below its eyes
+    assert np.linalg.norm(np.diff(result.joints[:, list(FEET)], axis=0), axis=-1).max() * 72 < 8  # as of a step
+    assert np.linalg.norm(np.diff(result.joints[:, :1], axis=0), axis=-1).max() * 72 < 3
+
+
+def test_who_sits_is_told_and_stays_seated(stage: Stage, track: Track) -> None:
+    """Down onto a chair within a second, then looking about and leaning, and up again."""
+    x, y, z = stage.eye
+
+    def head(t: float) -> tuple[float, float, float]:
+        down = 0.5 - 0.5 * np.cos(np.pi * min(max(t - 1, 0.0), 1.0))
+        down -= 0.5 - 0.5 * np.cos(np.pi * min(max(t - 7, 0.0), 1.0))
+        sway = 0.03 * np.sin(3 * t) * down
+        return (x + sway, y - 0.42 * down, z - 0.35 * down + sway)
+
+    samples = [stage.sample(t, head=head(t), left=None, right=None) for t in seconds(10.0)]
+    result = track(samples, solver="learned")
+    sits = np.array(["sitting" in flags for flags in result.flags])
+    assert not sits[:72].any() and sits[4 * 72 : 7 * 72].mean() > 0.9 and not sits[-36:].any()
+    pelvis, eyes = (a[4 * 72 : 7 * 72] for a in (result.joints[:, 0], np.array([s.head[:3] for s in samples])))  # type: ignore[index]
+    assert np.ptp(pelvis[:, 0]) < 0.8 * np.ptp(eyes[:, 0])

@@ -23,6 +23,7 @@ LOST = 0.16  # metres a planted foot is at most from its goal (of a 1.7 m person
 TURNED = 0.6  # radians likewise
 FOLLOW = 0.1  # seconds: of the low pass by which a lifted foot follows its goal
 UP = 0.07  # seconds: likewise, upwards
+SURGE = 0.15  # metres it is at most told to rise at once; in a jump it hangs
 OFF = 0.3  # of CLEAR that a foot is up when it moves over as fast as it may
 RISE = 0.05  # seconds: likewise, upwards where its leg does not reach
 FORESIGHT = 0.06  # seconds: a foot leaves the ground before its leg is stretched
@@ -184,7 +185,8 @@ class Feet:
                 foot.land()
                 self._since[foot.index] = 0.0
             return
-        high = max(hint.ball[1], ground + CLEAR * self.size)
+        least = ground + CLEAR * self.size
+        high = clamp(hint.ball[1], least, max(least, foot.y.at + SURGE * self.size)) if self.air <= 0 else least
         goal = self._within(add(hint.ball, scale(hint.speed, LEAD)), leg, hip, high)
         # up before it moves over
         rises = clamp((foot.y.at - ground) / (OFF * CLEAR * self.size), 0.05, 1.0)

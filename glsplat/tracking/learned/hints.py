@@ -63,11 +63,11 @@ class Hint:
 
 @dataclass(slots=True)
 class _Said:
-    """A guess as plain numbers: the torso from the head, the feet in the world."""
+    """A guess as plain numbers, in the world; a glance aside turns the head, not what was said of the body."""
 
-    pelvis: Quat  # from the head's heading
+    pelvis: Quat
     chest: Quat
-    pelvis_at: Vec  # from the eyes, likewise
+    pelvis_at: Vec  # from the eyes
     knees: tuple[Vec, Vec]
     now: tuple[Vec, Vec, Vec, Vec]  # ankles, feet
     ahead: tuple[Vec, Vec, Vec, Vec]  # one tick later
@@ -136,7 +136,7 @@ class Hints:
                     seen = swing_twist_y(between.head)
                     self._tick(between, turned if seen is None else seen)
         self._last = (targets, yaw)
-        return self._hint(targets, yaw, dt)
+        return self._hint(targets, dt)
 
     def _tick(self, targets: Targets, yaw: float) -> None:
         now = _seen(targets, yaw)
@@ -160,7 +160,7 @@ class Hints:
         self._steps[side] = step + 0.3 * (length(sub(said, was)) - step)
         self._misses[side] = miss + 0.3 * (length(sub(now, said)) - miss)
 
-    def _hint(self, targets: Targets, yaw: float, dt: float) -> Hint:
+    def _hint(self, targets: Targets, dt: float) -> Hint:
         said = self._said
         assert said is not None
         part = min(self._since / TICK, 1.0)
@@ -175,7 +175,7 @@ class Hints:
         pelvis, chest, at, left, right, *_ = pose
         stands = self._stages[1][5:]  # a foot that waits for the torso is late
         knees = (left, right)
-        facing, eye = yaw_quat(yaw), targets.eye
+        eye = targets.eye
         feet = []
         for side in (0, 1):
             ankle, ball = ankles_feet[side], ankles_feet[side + 2]
@@ -191,10 +191,10 @@ class Hints:
                     atan2(-y, max(hypot(x, z), 1e-6)) - rest_slope,
                     stands[side],
                     max(0.0, min(1.0, trust)),
-                    add(eye, rotate(facing, knees[side])),
+                    add(eye, knees[side]),
                 )
             )
-        return Hint(add(eye, rotate(facing, at)), mul(facing, pelvis), mul(facing, chest), (feet[0], feet[1]))
+        return Hint(add(eye, at), pelvis, chest, (feet[0], feet[1]))
 
 
 def _between(a: Targets, b: Targets, part: float) -> Targets:
@@ -231,14 +231,14 @@ def _plain(guess: Guess, eye: Vec, yaw: float) -> _Said:
         return (eye[0] + x, y, eye[2] + z)
 
     def from_eye(v: list[float]) -> Vec:
-        return (v[0], v[1] - eye[1], v[2])
+        return rotate(facing, (v[0], v[1] - eye[1], v[2]))
 
     feet = [world(v) for v in points[3:]]
     later = [world(v) for v in ahead]
     stands = [1 / (1 + exp(-max(-30.0, min(30.0, c)))) for c in guess.contact[0].tolist()]
     return _Said(
-        _rotation(guess.pelvis[0]),
-        _rotation(guess.chest[0]),
+        mul(facing, _rotation(guess.pelvis[0])),
+        mul(facing, _rotation(guess.chest[0])),
         from_eye(points[0]),
         (from_eye(points[1]), from_eye(points[2])),
         (feet[0], feet[1], feet[2], feet[3]),

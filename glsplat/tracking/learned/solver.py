@@ -8,21 +8,27 @@ from glsplat.tracking.learned.doubt import Doubt
 from glsplat.tracking.learned.feet import Feet
 from glsplat.tracking.learned.hints import Hint, Hints
 from glsplat.tracking.learned.network import Network
+from glsplat.tracking.learned.seat import Seat
 from glsplat.tracking.solve.arms import Arm
-from glsplat.tracking.solve.body import Body
+from glsplat.tracking.solve.body import PELVIS, Body
 from glsplat.tracking.solve.ground import Ground
 from glsplat.tracking.solve.hands import Hands
 from glsplat.tracking.solve.quat import (
+    Quat,
+    Vec,
     about,
     clamp,
     cross,
     dot,
     length,
     mul,
+    rotate,
     slerp,
     sub,
     swing_twist_y,
     unit,
+    wrap,
+    yaw_quat,
 )
 from glsplat.tracking.solve.solution import Solution, Targets, assembled, reaching
 from glsplat.tracking.solve.solver import AnalyticSolver
@@ -32,6 +38,8 @@ from glsplat.tracking.solve.tracked import Pelvis
 
 __all__ = ["LearnedSolver"]
 
+BACK, FURTHER = 0.04, 0.2  # tangent of a lean back, and the share of what is beyond that is shown
+SHRINK = 0.6  # of what a body is said to be turned away from its head, that is shown without hands
 SWING = 0.7  # radians at most that the torso swings about the neck to bring the pelvis where it should be
 
 
@@ -47,6 +55,7 @@ class LearnedSolver:
         self.hints: Hints = Hints(body, network)
         self.doubt: Doubt = Doubt(body.eye_height)
         self.plain: AnalyticSolver = AnalyticSolver(body)
+        self.seat: Seat = Seat(body.joints[PELVIS][1] - body.ground)
         self.spine: Spine = Spine(body)
         self.feet: Feet = Feet(body)
         self.pelvis: Pelvis = Pelvis()  # a tracked one
@@ -60,6 +69,7 @@ class LearnedSolver:
         self.hints.reset()
         self.doubt.reset()
         self.plain.reset()
+        self.seat.reset()
         self.spine.reset()
         self.feet.reset()
         self.pelvis.reset()
@@ -73,6 +83,8 @@ class LearnedSolver:
         before = self._stepping or self.feet
         targets = self.ground.bring(targets, before.slack, before.tiptoe, dt)
         hint = self.hints.update(targets, dt)
+        if targets.left is None and targets.right is None:
+            self._face(hint, targets.head)
         share = self.doubt.update(targets, dt)
         self.pelvis.update(targets.pelvis, targets.pelvis_turn, targets.eye, dt)
         steps: Feet | Legs = self.plain.legs if share > 0 else self.feet
@@ -82,7 +94,11 @@ class LearnedSolver:
             steps.reset(before.feet)
         self._stepping = steps
         if share < 1:
-            torso = self.pelvis.bring(self.spine, targets.eye, targets.head, self._torso(targets, hint))
+            torso = self._torso(targets, hint, hint.pelvis_at)
+            place = self.seat.update(torso.pelvis_at, dt)
+            if place is not None:
+                torso = self._torso(targets, hint, place)
+            torso = self.pelvis.bring(self.spine, targets.eye, targets.head, torso)
         if steps is self.feet:
             yaw = swing_twist_y(torso.pelvis) or 0.0
             limbs = self.feet.update(hint.feet, torso.pelvis_at, torso.pelvis, yaw, dt, targets.feet, targets.knees)
@@ -94,13 +110,20 @@ class LearnedSolver:
             torso = plain
             limbs = self.plain.stepped(targets, torso, dt)
         arms = reaching(self.arms, self.hands, targets, torso, dt)
-        notes = self.ground.notes
+        notes = [*self.ground.notes, *(["sitting"] if self.seat.sits and share < 1 else [])]
         return self.ground.lift(assembled(torso, limbs, arms, steps.legs, steps.feet, self.body.sole, steps.air, notes))
 
-    def _torso(self, targets: Targets, hint: Hint) -> Torso:
-        """The hinted torso, hung on the head, and swung about the neck so that the pelvis is where it was hinted."""
+    def _face(self, hint: Hint, head: Quat) -> None:
+        """Nearer to the head's heading: which way a body faces is hard to tell without hands."""
+        ahead, pelvis = swing_twist_y(head), swing_twist_y(hint.pelvis)
+        if ahead is not None and pelvis is not None:
+            turn = yaw_quat((1 - SHRINK) * wrap(ahead - pelvis))
+            hint.pelvis, hint.chest = mul(turn, hint.pelvis), mul(turn, hint.chest)
+
+    def _torso(self, targets: Targets, hint: Hint, place: Vec) -> Torso:
+        """The hinted torso, hung on the head, and swung about the neck so that the pelvis is below or at ``place``."""
         torso = self.spine.hang(targets.eye, targets.head, hint.pelvis, hint.chest)
-        now, goal = unit(sub(torso.pelvis_at, torso.neck_at)), unit(sub(hint.pelvis_at, torso.neck_at))
+        now, goal = unit(sub(torso.pelvis_at, torso.neck_at)), unit(_not_behind(sub(place, torso.neck_at), hint.pelvis))
         axis = cross(now, goal)
         size = length(axis)
         if size < 1e-6:
@@ -108,3 +131,13 @@ class LearnedSolver:
         angle = min(acos(clamp(dot(now, goal), -1.0, 1.0)), SWING)
         swing = about((axis[0] / size, axis[1] / size, axis[2] / size), angle)
         return self.spine.hang(targets.eye, targets.head, mul(swing, hint.pelvis), mul(swing, hint.chest))
+
+
+def _not_behind(way: Vec, pelvis: Quat) -> Vec:
+    """The way from the neck to the pelvis, for a torso that leans back little: nobody does for long."""
+    yaw = swing_twist_y(pelvis)
+    if yaw is None or way[1] >= 0:
+        return way
+    x, y, z = rotate(yaw_quat(-yaw), way)
+    most = -BACK * y
+    return way if z <= most else rotate(yaw_quat(yaw), (x, y, most + FURTHER * (z - most)))

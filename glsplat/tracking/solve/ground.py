@@ -14,7 +14,9 @@ LONGEST_JUMP = 0.7  # seconds; a head out of reach for longer is not a jump (0.7
 LOWEST_EYE = 0.04  # of the eye height: a head on the floor
 FOLLOWS = 0.25  # seconds: of sinking, and of the ground under somebody who climbs
 TOLD = 0.02  # metres
-STEP = 0.14  # of the eye height: no calibration is so far off, the user stands on something
+STEP = 0.14  # of the eye height: who stood within reach before and is now so much higher stands on something;
+UNKNOWN = 2.2  # times as much, who never stood within reach: the calibration may be off
+STOOD, UPRIGHT = 0.5, 0.06  # seconds of standing with legs that are bent by less (of the eye height)
 CLIMBS = 1.2  # m/s: nobody climbs faster
 RISES = 0.8  # m/s of the ground, where it turns out that somebody climbs
 SMOOTH = 0.1  # seconds
@@ -31,7 +33,7 @@ class Ground:
 
     def __init__(self, eye_height: float) -> None:
         self.lowest: float = LOWEST_EYE * eye_height
-        self.step: float = STEP * eye_height
+        self.size: float = eye_height
         self.reset()
 
     def reset(self) -> None:
@@ -43,6 +45,7 @@ class Ground:
         self._eye: float | None = None
         self._speed = 0.0  # m/s of the head, upwards
         self._fastest = 0.0  # likewise, since the head was within reach
+        self._stood = 0.0  # seconds
 
     @property
     def notes(self) -> list[str]:
@@ -60,6 +63,9 @@ class Ground:
         self._flight = self._flight + dt if slack < 0 else 0.0
         away = self._flight > LONGEST_JUMP or self._sink > 0 or self.height > 0
         self._fastest = max(self._fastest, self._speed) if away or self._flight > 0 else 0.0
+        if not away and 0 <= slack < UPRIGHT * self.size + tiptoe:
+            self._stood += dt
+        step = STEP * self.size * (1.0 if self._stood > STOOD else UNKNOWN)
         before = self.height
         if away:
             # down to flat feet, and up again with the head
@@ -70,7 +76,7 @@ class Ground:
                 self._sink = max(0.0, self._sink + rest)
             else:
                 self._sink = max(0.0, self._sink + wanted)
-            if self._sink > 0 and (self.height > 0 or self._sink > self.step) and self._fastest < CLIMBS:
+            if self._sink > 0 and (self.height > 0 or self._sink > step) and self._fastest < CLIMBS:
                 over = min(self._sink, RISES * dt)
                 self._sink, self.height = self._sink - over, self.height + over
         self._moved = self.height - before
