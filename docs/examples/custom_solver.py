@@ -24,8 +24,6 @@ NECK = JOINT_NAMES.index("neck")
 class Bowing:
     """The analytic solver, with the head bowed."""
 
-    """The analytic solver, with the head bowed."""
-
     def __init__(self) -> None:
         self.inner = AnalyticSolver(Body.of(avatar.skeleton))
 

@@ -16,7 +16,7 @@ from glsplat.tracking.solve.solver import AnalyticSolver
 __all__ = ["SOLVERS", "SolverName", "embedded_network", "solver_of"]
 
 SolverName = Literal["analytic", "learned"]
-SOLVERS: tuple[SolverName, ...] = ("analytic", "learned")
+SOLVERS: tuple[SolverName, ...] = ("learned", "analytic")
 
 
 @lru_cache(maxsize=1)
@@ -30,10 +30,10 @@ def embedded_network() -> Network:
 
 
 def solver_of(solver: Solver | SolverName | None, body: Body) -> Solver:
-    """A solver by name ("analytic" for None), or the one given. Raises PoseError for what is neither."""
-    if solver is None or solver == "analytic":
+    """A solver by name ("learned" for None), or the one given. Raises PoseError for what is neither."""
+    if solver == "analytic":
         return AnalyticSolver(body)
-    if solver == "learned":
+    if solver is None or solver == "learned":
         return LearnedSolver(body, embedded_network())
     if isinstance(solver, str):
         raise PoseError(f"a solver is one of {', '.join(SOLVERS)}, or an object of your own, not {solver!r:.60}")

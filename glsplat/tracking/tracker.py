@@ -45,7 +45,7 @@ class Tracker:
     after the floor is subtracted. Draw the avatar at unit size and divide the cameras' positions likewise
     (``to_avatar``). Not thread-safe; one Tracker a user. Deterministic: the same samples give the same poses.
 
-    ``solver``: "analytic" (the default), "learned" (a network guesses torso and legs; docs/tracking.md), or an object.
+    ``solver``: "learned" (the default: a network guesses torso and legs), "analytic", or an object (docs/tracking.md).
     One of your own may raise or return what is no body: the last pose is then held, ``flags`` has
     "solver_failed" and ``solver_error`` says why. Raises PoseError for a solver without ``reset`` and ``solve``.
     """

@@ -53,7 +53,7 @@ def test_rotations_are_those_of_arms_that_stay_as_long_as_they_are(stage: Stage,
 
 def test_it_comes_and_goes_smoothly(stage: Stage, track: Track) -> None:
     """Out, lost, found again: the wrist is never faster than 12 m/s and is back at its length in half a second."""
-    far = reaching(stage, 1.18)
+    far = reaching(stage, 1.25)
     samples = [stage.sample(t, left=None if 1.0 < t < 2.0 else far) for t in seconds(3)]
     result = track(samples, config=RAW)
     arm = np.linalg.norm(result.joints[:, WRISTS[0]] - result.joints[:, ELBOWS[0]], axis=1)

@@ -73,12 +73,12 @@ def test_captured_legs_come_back(skeleton: Skeleton, shared_data: Path, clip: st
     for name, s in locals().copy().items():
         if isinstance(s, Score):
             print(f"{clip} {name}: lower {s.lower:.2f} root {s.root:.2f} upper {s.upper:.2f} hands {s.hands:.2f} cm")
-    assert plain.lower > 8
+    assert plain.lower > 7
     assert tracked.lower < 1.3 and tracked.root < 0.5 and tracked.upper < plain.upper
     assert noisy.lower < 1.6 and own.lower < 0.8
     assert learned.lower < 0.45 * plain.lower
-    assert waist.lower < 0.8 * plain.lower and waist.root < 0.5
-    assert feet.lower < 0.35 * plain.lower
+    assert waist.lower < 0.9 * plain.lower and waist.root < 0.5
+    assert feet.lower < 0.55 * plain.lower
     for s in (tracked, learned, own, waist, feet):
         assert s.penetration < 0.1 and s.hands < 0.7
 

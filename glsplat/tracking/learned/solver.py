@@ -38,7 +38,7 @@ from glsplat.tracking.solve.tracked import Pelvis
 
 __all__ = ["LearnedSolver"]
 
-BACK, FURTHER = 0.04, 0.2  # tangent of a lean back, and the share of what is beyond that is shown
+BACK, FURTHER = 0.035, 0.2  # tangent of a lean back, and the share of what is beyond that is shown
 SHRINK = 0.6  # of what a body is said to be turned away from its head, that is shown without hands
 SWING = 0.7  # radians at most that the torso swings about the neck to bring the pelvis where it should be
 
@@ -76,6 +76,7 @@ class LearnedSolver:
         self.hands.reset()
         for arm in self.arms:
             arm.reset()
+        self._missed = 0.0  # metres that the worse arm missed its hand by
         self._stepping: Feet | Legs | None = None  # whose feet these are; None before the first moment
 
     def solve(self, targets: Targets, dt: float) -> Solution:
@@ -85,7 +86,7 @@ class LearnedSolver:
         hint = self.hints.update(targets, dt)
         if targets.left is None and targets.right is None:
             self._face(hint, targets.head)
-        share = self.doubt.update(targets, dt)
+        share = self.doubt.update(targets, self._missed, dt)
         self.pelvis.update(targets.pelvis, targets.pelvis_turn, targets.eye, dt)
         steps: Feet | Legs = self.plain.legs if share > 0 else self.feet
         if steps is self.plain.legs and self._stepping is not steps:
@@ -110,6 +111,7 @@ class LearnedSolver:
             torso = plain
             limbs = self.plain.stepped(targets, torso, dt)
         arms = reaching(self.arms, self.hands, targets, torso, dt)
+        self._missed = max(arms[0].miss, arms[1].miss)
         notes = [*self.ground.notes, *(["sitting"] if self.seat.sits and share < 1 else [])]
         return self.ground.lift(assembled(torso, limbs, arms, steps.legs, steps.feet, self.body.sole, steps.air, notes))
 
