@@ -17,6 +17,7 @@ from glsplat.evaluate.tracking_rows import SOLVERS, Row, rows_of
 from glsplat.evaluate.tracking_score import mean_score
 from glsplat.formats.files import replace_file
 from glsplat.motion.motion import embedded_motions
+from glsplat.tracking.learned.network import load_network
 from glsplat.tracking.tracker import TrackerConfig
 
 from ..args import motion_of
@@ -34,6 +35,8 @@ def add_bench(commands: Any) -> None:
     command.add_argument("motions", nargs="*", metavar="MOTION", help="motion files or names (default: the embedded)")
     command.add_argument("--rates", default="30,72,90", help="samples a second, separated by commas")
     command.add_argument("--no-filter", action="store_true", help="switch the One Euro filters off")
+    command.add_argument("--model", metavar="MODEL.npz", help="network of the learned solver, as made by train")
+    command.add_argument("--brief", action="store_true", help="print the means only")
     command.add_argument("--table", metavar="FILE.md", help="put the table between the marks of this file")
     command.add_argument("--json", action="store_true", help="print the numbers as JSON")
     add_skeleton(command)
@@ -47,12 +50,14 @@ def bench(args: argparse.Namespace) -> int:
     except ValueError:
         raise UsageError(f"--rates needs numbers separated by commas, not {args.rates!r}") from None
     skeleton = skeleton_of(args.avatar)
+    network = load_network(args.model) if args.model else None
+    config = TrackerConfig.raw() if args.no_filter else TrackerConfig()
     motions = [(Path(name).stem, motion_of(name, skeleton, "MOTION")) for name in args.motions or embedded_motions()]
     rows: list[Row] = []
     jobs = [(name, motion, rate) for rate in rates for name, motion in motions]
     for name, motion, rate in tqdm(jobs, unit="clip", disable=not sys.stderr.isatty(), leave=False):
-        rows += rows_of(name, motion, rate, skeleton, TrackerConfig.raw() if args.no_filter else TrackerConfig())
-    text = table(rows)
+        rows += rows_of(name, motion, rate, skeleton, config, network)
+    text = table(rows, args.brief)
     if args.table:
         insert(Path(args.table), text)
     if args.json:
@@ -66,14 +71,14 @@ def bench(args: argparse.Namespace) -> int:
     return 0
 
 
-def table(rows: list[Row]) -> str:
-    """Markdown: the clips at each rate, then the means weighted by frames."""
+def table(rows: list[Row], brief: bool = False) -> str:
+    """Markdown: the clips at each rate, unless it is to be brief, then the means weighted by frames."""
     head = (
         "| clip | Hz | solver | MPJPE cm | upper | lower | root | hands | fingers | MPJRE deg | MPJVE cm/s "
         "| jitter / truth | skate / truth cm/s | under floor cm | ms |"
     )
     lines = [head, "|" + " --- |" * 15]
-    lines += [_line(row) for row in rows]
+    lines += [] if brief else [_line(row) for row in rows]
     for rate in dict.fromkeys(row.rate for row in rows):
         for solver in SOLVERS:
             same = [row for row in rows if row.rate == rate and row.solver == solver]

@@ -15,7 +15,7 @@ from tqdm import tqdm
 from glsplat.errors import FormatError
 from glsplat.motion.motion import load_motion
 from glsplat.tracking.learned.network import save_network
-from glsplat.tracking.training.clips import Clip, clips_of, unit_of_skeleton
+from glsplat.tracking.training.clips import Clip, clips_of, looks_away, unit_of_skeleton
 from glsplat.tracking.training.fit import FitConfig, evaluate, fit, network_of
 
 from ..usage import UsageError
@@ -61,11 +61,17 @@ def train(args: argparse.Namespace) -> int:
     unit = unit_of_skeleton(skeleton)
     quiet = not sys.stderr.isatty()
     clips: list[Clip] = []
+    dropped: list[str] = []
     for path in tqdm(_files(args.motions), unit="motion", disable=quiet, leave=False):
         match = groups.match(path.stem)
-        clips += clips_of(
-            match[1] if match and match.groups() else path.stem, load_motion(str(path), skeleton), skeleton
-        )
+        group = match[1] if match and match.groups() else path.stem
+        some = clips_of(group, load_motion(str(path), skeleton), skeleton)
+        if some and looks_away(some[0]):
+            dropped.append(path.name)
+        else:
+            clips += some
+    if dropped:
+        print(f"left out, as the head looks away from the body throughout: {', '.join(dropped)}", file=sys.stderr)
     out = _left_out(sorted({clip.group for clip in clips}), held)
     seen = [clip for clip in clips if clip.group not in out]
     if not seen:

@@ -13,12 +13,16 @@ from glsplat.motion.motion import Motion
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.tracking.batch import forward_all
 from glsplat.tracking.derive import derive, truth_from_motion
+from glsplat.tracking.learned.network import Network
+from glsplat.tracking.learned.solver import LearnedSolver
 from glsplat.tracking.solve.body import Body
+from glsplat.tracking.solve.solver import AnalyticSolver
+from glsplat.tracking.solvers import embedded_network
 from glsplat.tracking.tracker import Tracker, TrackerConfig
 
 __all__ = ["SOLVERS", "Row", "rows_of"]
 
-SOLVERS = ("glued", "naive", "glsplat", "glsplat, head only")
+SOLVERS = ("glued", "naive", "analytic", "learned", "learned, head only")
 
 
 @dataclass(frozen=True)
@@ -32,18 +36,23 @@ class Row:
     milliseconds: float  # median a sample; NaN where it was not timed
 
 
-def rows_of(name: str, motion: Motion, rate: float, skeleton: Skeleton, config: TrackerConfig) -> list[Row]:
-    """All solvers on one clip at one rate."""
+def rows_of(
+    name: str, motion: Motion, rate: float, skeleton: Skeleton, config: TrackerConfig, network: Network | None = None
+) -> list[Row]:
+    """All solvers on one clip at one rate. ``network``: of the learned solver; None: the embedded one."""
     truth = truth_from_motion(skeleton, motion.rotations, motion.trans, motion.fps, rate)
-    sole = Body.of(skeleton).sole
+    body = Body.of(skeleton)
+    sole = body.sole
     nan = float("nan")
     rows = [
         Row(name, rate, kind, score(baseline(truth, kind), truth.positions, rate, sole), nan)  # type: ignore[arg-type]
         for kind in SOLVERS[:2]
     ]
     samples = derive(skeleton, truth)
-    for head_only in (False, True):
-        tracker = Tracker(skeleton, config=config, head_only=head_only)
+    network = network or embedded_network()
+    for name_of in SOLVERS[2:]:
+        solver = AnalyticSolver(body) if name_of == "analytic" else LearnedSolver(body, network)
+        tracker = Tracker(skeleton, config=config, head_only=name_of == SOLVERS[-1], solver=solver)
         rotations, trans, spent = np.empty_like(truth.rotations), np.empty_like(truth.trans), []
         for i, sample in enumerate(samples):
             start = time.perf_counter()
@@ -52,5 +61,5 @@ def rows_of(name: str, motion: Motion, rate: float, skeleton: Skeleton, config: 
             rotations[i], trans[i] = pose.rotations, pose.trans
         positions, _ = forward_all(skeleton, rotations, trans)
         result = score(positions, truth.positions, rate, sole, rotations, truth.rotations)
-        rows.append(Row(name, rate, SOLVERS[2 + head_only], result, float(np.median(spent)) * 1e3))
+        rows.append(Row(name, rate, name_of, result, float(np.median(spent)) * 1e3))
     return rows

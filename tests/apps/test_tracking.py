@@ -97,7 +97,7 @@ def test_bench_writes_its_table(tmp_path, capsys):
     document.write_text("before\n<!-- scores: begin -->\nold\n<!-- scores: end -->\nafter\n")
     assert run("bench", "idle", "--rates", "30", "--table", document, "--json") == 0
     rows = json.loads(capsys.readouterr().out)
-    assert [row["solver"] for row in rows] == ["glued", "naive", "glsplat", "glsplat, head only"]
+    assert [row["solver"] for row in rows] == ["glued", "naive", "analytic", "learned", "learned, head only"]
     text = document.read_text()
     assert text.startswith("before\n") and text.endswith("after\n") and "old" not in text and "| idle | 30 |" in text
 
@@ -119,6 +119,7 @@ def test_bench_writes_its_table(tmp_path, capsys):
         ("show", "-o", "x.png", "--stick", "--size", "100000"),
         ("show", "-o", "x.mp4", "--stick", "--fps", "1e9"),
         ("bench", "idle", "--rates", "fast"),
+        ("bench", "idle", "--model", "none.npz"),
         ("solve", "-o", "x.jsonl", "--avatar", "missing.npz"),
     ],
 )

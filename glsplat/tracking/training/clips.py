@@ -14,11 +14,12 @@ from glsplat.tracking.derive import truth_from_motion
 from glsplat.tracking.learned.frames import OUTPUTS, RATE, Seen, level, unit_of, yaw_of
 from glsplat.tracking.solve.body import ANKLES, FEET, HEAD, KNEES, PELVIS, SPINE3, WRISTS, Body
 
-__all__ = ["Clip", "clips_of", "mirrored"]
+__all__ = ["Clip", "clips_of", "looks_away", "mirrored"]
 
 F32 = NDArray[np.float32]
 
 SPEEDS = (1.0, 0.87, 1.15)  # at which every motion is seen
+AWAY = 60.0  # degrees
 STILL = 0.55  # m/s below which the ball of a foot stands
 
 
@@ -86,6 +87,12 @@ def mirrored(clip: Clip) -> Clip:
         clip.chest * turn,
         clip.contact[:, other],
     )
+
+
+def looks_away(clip: Clip) -> bool:
+    """Whether the head is turned off the chest by more than AWAY most of the time: a marker was lost, not a person."""
+    off = (clip.seen.yaw - yaw_of(clip.chest) + np.pi) % (2 * np.pi) - np.pi
+    return bool(np.degrees(np.median(np.abs(off))) > AWAY)
 
 
 def targets_of(clip: Clip, unit: float) -> F32:

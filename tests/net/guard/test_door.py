@@ -443,6 +443,7 @@ def test_few_descriptors_and_a_hundred_idle_connections(cameras, how, tmp_path):
                     peer.connect_ex(("127.0.0.1", port))
                     idle.append(peer)
                 await good.render(cameras)
+                await asyncio.sleep(1 / 240)  # no more messages a second than are read
                 pictures += 1
                 if pictures % 20 == 0:
                     async with Client(url) as new:
