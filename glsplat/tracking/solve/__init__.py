@@ -1,1 +1,1 @@
-"""The analytic body: head and hands to joint rotations, without learned parts."""
+"""Head and hands to joint rotations by closed forms: the analytic solver, and what the learned one shares with it."""
