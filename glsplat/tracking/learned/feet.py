@@ -21,7 +21,6 @@ MOVES = 0.35  # m/s, or
 FAR = 0.07  # metres, that a goal must be away before a foot is lifted for it
 LOST = 0.16  # metres a planted foot is at most from its goal (of a 1.7 m person)
 TURNED = 0.6  # radians likewise
-PATIENT, SWAYS = 0.5, 0.3  # share more of both for who stands, and m/s at which nobody does
 FOLLOW = 0.1  # seconds: of the low pass by which a lifted foot follows its goal
 UP = 0.07  # seconds: likewise, upwards
 SURGE = 0.15  # metres it is at most told to rise at once; in a jump it hangs
@@ -150,13 +149,11 @@ class Feet:
             return False
         away = hypot(hint.ball[0] - foot.x.at, hint.ball[2] - foot.z.at) / self.size
         moves = hypot(hint.speed[0], hint.speed[2]) / self.size
-        # who hardly moves puts up with more
-        calm = 1 + PATIENT * clamp(1 - hypot(self._speed[0], self._speed[2]) / (SWAYS * self.size), 0.0, 1.0)
         if hint.stands < lift and (away > FAR or moves > MOVES):
             return True
         turned = abs(wrap(hint.yaw - foot.yaw))
         other = self.feet[1 - foot.index]
-        if (away > calm * LOST or turned > calm * TURNED) and (other.planted or away > 2 * LOST):
+        if (away > LOST or turned > TURNED) and (other.planted or away > 2 * LOST):
             return True
         return strained and (away > HELPS or turned > 0.25)
 
