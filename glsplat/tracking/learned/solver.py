@@ -88,32 +88,45 @@ class LearnedSolver:
             self._face(hint, targets.head)
         share = self.doubt.update(targets, self._missed, dt)
         self.pelvis.update(targets.pelvis, targets.pelvis_turn, targets.eye, dt)
-        steps: Feet | Legs = self.plain.legs if share > 0 else self.feet
-        if steps is self.plain.legs and self._stepping is not steps:
-            self.plain.reset()
-        if self._stepping not in (None, steps):
-            steps.reset(before.feet)
-        self._stepping = steps
-        if share < 1:
-            torso = self._torso(targets, hint, hint.pelvis_at)
-            place = self.seat.update(torso.pelvis_at, dt)
-            if place is not None:
-                torso = self._torso(targets, hint, place)
-            torso = self.pelvis.bring(self.spine, targets.eye, targets.head, torso)
-        if steps is self.feet:
+        steps = self._whose(share)
+        torso = self._guessed(targets, hint, dt) if share < 1 else None
+        if share > 0:
+            torso = self._mixed(torso, self.plain.torso(targets, dt), targets, share)
+            limbs = self.plain.stepped(targets, torso, dt)
+        else:
+            assert torso is not None
             yaw = swing_twist_y(torso.pelvis) or 0.0
             limbs = self.feet.update(hint.feet, torso.pelvis_at, torso.pelvis, yaw, dt, targets.feet, targets.knees)
-        else:
-            plain = self.plain.torso(targets, dt)
-            if share < 1:
-                pelvis, chest = slerp(torso.pelvis, plain.pelvis, share), slerp(torso.spine3, plain.spine3, share)
-                plain = self.spine.hang(targets.eye, targets.head, pelvis, chest)
-            torso = plain
-            limbs = self.plain.stepped(targets, torso, dt)
         arms = reaching(self.arms, self.hands, targets, torso, dt)
         self._missed = max(arms[0].miss, arms[1].miss)
         notes = [*self.ground.notes, *(["sitting"] if self.seat.sits and share < 1 else [])]
         return self.ground.lift(assembled(torso, limbs, arms, steps.legs, steps.feet, self.body.sole, steps.air, notes))
+
+    def _whose(self, share: float) -> Feet | Legs:
+        """Whose feet these are: one takes over where the other has them."""
+        before, steps = self._stepping, self.plain.legs if share > 0 else self.feet
+        if steps is not before:
+            if steps is self.plain.legs:
+                self.plain.reset()
+            if before is not None:
+                steps.reset(before.feet)
+        self._stepping = steps
+        return steps
+
+    def _guessed(self, targets: Targets, hint: Hint, dt: float) -> Torso:
+        """The hinted torso, its pelvis on its seat or where it is tracked."""
+        torso = self._torso(targets, hint, hint.pelvis_at)
+        place = self.seat.update(torso.pelvis_at, dt)
+        if place is not None:
+            torso = self._torso(targets, hint, place)
+        return self.pelvis.bring(self.spine, targets.eye, targets.head, torso)
+
+    def _mixed(self, guessed: Torso | None, plain: Torso, targets: Targets, share: float) -> Torso:
+        """``share`` of the analytic torso; the eyes stay."""
+        if guessed is None:
+            return plain
+        pelvis, chest = slerp(guessed.pelvis, plain.pelvis, share), slerp(guessed.spine3, plain.spine3, share)
+        return self.spine.hang(targets.eye, targets.head, pelvis, chest)
 
     def _face(self, hint: Hint, head: Quat) -> None:
         """Nearer to the head's heading: which way a body faces is hard to tell without hands."""
