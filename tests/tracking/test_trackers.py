@@ -21,6 +21,7 @@ from glsplat.tracking import Calibration, Sample, Tracker, TrackerConfig, calibr
 from glsplat.tracking.derive import MOUNTS, Disturbance, Truth, derive, disturb, truth_from_motion
 from glsplat.tracking.sample import BODY_JOINTS, TRACKERS
 from glsplat.tracking.solve.body import ANKLES, FEET, HEAD, KNEES, PELVIS, Body
+from glsplat.tracking.solvers import SOLVERS, SolverName
 from tests.tracking.moves import DT, Run, Track
 
 NAN, INF = math.nan, math.inf
@@ -38,8 +39,14 @@ def truth_of(skeleton: Skeleton, name: str, seconds: float = 8.0) -> Truth:
     return truth_from_motion(skeleton, motion.rotations[:count], motion.trans[:count], motion.fps, 72.0)
 
 
-def scored(skeleton: Skeleton, truth: Truth, samples: list[Sample], calibration: Calibration | None = None) -> Score:
-    tracker = Tracker(skeleton, calibration)
+def scored(
+    skeleton: Skeleton,
+    truth: Truth,
+    samples: list[Sample],
+    calibration: Calibration | None = None,
+    solver: SolverName = SOLVERS[0],
+) -> Score:
+    tracker = Tracker(skeleton, calibration, solver=solver)
     poses = [tracker.update(sample) for sample in samples][-len(truth.times) :]
     joints = np.array([tracker.joints(pose) for pose in poses])
     rotations = np.array([pose.rotations for pose in poses])
@@ -59,26 +66,37 @@ def after_standing(skeleton: Skeleton, truth: Truth, trackers: tuple[str, ...]) 
 
 @pytest.mark.shared
 @pytest.mark.parametrize("clip", CLIPS)
-def test_captured_legs_come_back(skeleton: Skeleton, shared_data: Path, clip: str) -> None:
+@pytest.mark.parametrize(
+    ("solver", "legs", "by_waist", "by_feet"), [("analytic", 8, 0.8, 0.35), ("learned", 7, 0.9, 0.55)]
+)  # the learned legs are nearer without trackers, the pelvis over tracked feet not always
+def test_captured_legs_come_back(
+    skeleton: Skeleton, shared_data: Path, clip: str, solver: SolverName, legs: float, by_waist: float, by_feet: float
+) -> None:
     truth = truth_of(skeleton, str(shared_data / "mocap" / clip))
     both = ("waist", "feet")
-    plain = scored(skeleton, truth, derive(skeleton, truth))
+    plain = scored(skeleton, truth, derive(skeleton, truth), solver=solver)
     samples = derive(skeleton, truth, trackers=both)
-    tracked = scored(skeleton, truth, samples, fitted(skeleton, both))
-    noisy = scored(skeleton, truth, disturb(samples, Disturbance(noise_mm=3, noise_deg=1)), fitted(skeleton, both))
-    learned = scored(skeleton, truth, after_standing(skeleton, truth, both))
-    own = scored(skeleton, truth, derive(skeleton, truth, trackers=("body",)))
-    waist = scored(skeleton, truth, derive(skeleton, truth, trackers=("waist",)), fitted(skeleton, ("waist",)))
-    feet = scored(skeleton, truth, derive(skeleton, truth, trackers=("feet",)), fitted(skeleton, ("feet",)))
+    tracked = scored(skeleton, truth, samples, fitted(skeleton, both), solver=solver)
+    noisy = scored(
+        skeleton, truth, disturb(samples, Disturbance(noise_mm=3, noise_deg=1)), fitted(skeleton, both), solver=solver
+    )
+    learned = scored(skeleton, truth, after_standing(skeleton, truth, both), solver=solver)
+    own = scored(skeleton, truth, derive(skeleton, truth, trackers=("body",)), solver=solver)
+    waist = scored(
+        skeleton, truth, derive(skeleton, truth, trackers=("waist",)), fitted(skeleton, ("waist",)), solver=solver
+    )
+    feet = scored(
+        skeleton, truth, derive(skeleton, truth, trackers=("feet",)), fitted(skeleton, ("feet",)), solver=solver
+    )
     for name, s in locals().copy().items():
         if isinstance(s, Score):
             print(f"{clip} {name}: lower {s.lower:.2f} root {s.root:.2f} upper {s.upper:.2f} hands {s.hands:.2f} cm")
-    assert plain.lower > 7
+    assert plain.lower > legs
     assert tracked.lower < 1.3 and tracked.root < 0.5 and tracked.upper < plain.upper
     assert noisy.lower < 1.6 and own.lower < 0.8
     assert learned.lower < 0.45 * plain.lower
-    assert waist.lower < 0.9 * plain.lower and waist.root < 0.5
-    assert feet.lower < 0.55 * plain.lower
+    assert waist.lower < by_waist * plain.lower and waist.root < 0.5
+    assert feet.lower < by_feet * plain.lower
     for s in (tracked, learned, own, waist, feet):
         assert s.penetration < 0.1 and s.hands < 0.7
 

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import cos, exp, hypot, sqrt
+from math import exp, hypot, sqrt
 
 from glsplat.tracking.learned.hints import FootHint
-from glsplat.tracking.solve.body import FEET, PELVIS, Body
+from glsplat.tracking.solve.body import Body
 from glsplat.tracking.solve.quat import Quat, Vec, add, clamp, pull, rotate, scale, sub, wrap
+from glsplat.tracking.solve.stepping.clearance import Clearance
 from glsplat.tracking.solve.stepping.foot import Foot
 from glsplat.tracking.solve.stepping.leg import TIPTOE, Leg
-from glsplat.tracking.solve.tracked import AFLOAT, Follow
+from glsplat.tracking.solve.tracked import Follow
 
 __all__ = ["Feet"]
 
@@ -40,7 +41,6 @@ DRAGS = 0.1  # metres from below its hip that a foot is dragged at by a leg that
 ASTRIDE = 0.3  # of its length that a leg's foot is from below the hip, beyond which a strained leg steps at once
 HEEL = 0.5  # of its rise on tiptoes that an ankle may have where a foot is put down
 REACH = 0.985  # of its length to which a lifted foot is put
-TAKE_OFF = 0.02  # metres below and above the reach of the tiptoes over which a jump begins
 
 
 class Feet:
@@ -50,10 +50,7 @@ class Feet:
         self.sole: float = body.sole
         self.legs: tuple[Leg, Leg] = (Leg(body, 0), Leg(body, 1))
         self.size: float = self.legs[0].length / 0.83
-        _, up, back = self.legs[0].ankle
-        self.tiptoe: float = up * cos(TIPTOE) - back * 0.84 - up  # metres the ankle rises on tiptoe
-        self.farthest: float = self.legs[0].limb.farthest + up + self.tiptoe + self.sole  # of a hip from the ground
-        self.rest: tuple[Vec, ...] = tuple([sub(body.joints[FEET[i]], body.joints[PELVIS]) for i in (0, 1)])
+        self.clearance: Clearance = Clearance(self.legs[0], self.sole)
         self.feet: tuple[Foot, Foot] = (Foot(0), Foot(1))
         self.follow: tuple[Follow, Follow] = (Follow(self.legs[0]), Follow(self.legs[1]))
         self.reset()
@@ -98,12 +95,7 @@ class Feet:
         self._before = pelvis_at
         for follow, foot, goal, knee in zip(self.follow, self.feet, goals, knees, strict=True):
             follow.place(foot, goal, knee, dt)
-        up = [follow.height for follow in self.follow]
-        reach = min(hips[0][1] - up[0], hips[1][1] - up[1]) - self.farthest
-        self.slack = -reach
-        self.air = 0.0 if reach < -TAKE_OFF else max(reach, (min(reach, TAKE_OFF) + TAKE_OFF) ** 2 / (4 * TAKE_OFF))
-        if all(follow.ankle is not None for follow in self.follow):
-            self.air = max(min(up) - AFLOAT, 0.0)
+        self.slack, self.air = self.clearance.of(hips, self.follow)
         limbs = []
         for foot, hint, hip, leg in zip(self.feet, hints, hips, self.legs, strict=True):
             tracked = self.follow[foot.index].solve(foot, hip, pelvis, yaw)
@@ -199,7 +191,7 @@ class Feet:
 
     def _within(self, place: Vec, leg: Leg, hip: Vec, high: float) -> Vec:
         """A place for the ball at this height that the leg can reach: nearer to below the hip, if it must be."""
-        rise = hip[1] - (high + leg.ankle[1] + HEEL * self.tiptoe)
+        rise = hip[1] - (high + leg.ankle[1] + HEEL * self.clearance.tiptoe)
         most = sqrt(max((REACH * leg.limb.farthest) ** 2 - rise * rise, 0.0)) if rise > 0 else leg.limb.farthest
         x, z = place[0] - hip[0], place[2] - hip[2]
         far = hypot(x, z)

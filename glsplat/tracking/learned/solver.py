@@ -82,7 +82,7 @@ class LearnedSolver:
     def solve(self, targets: Targets, dt: float) -> Solution:
         """One moment."""
         before = self._stepping or self.feet
-        targets = self.ground.bring(targets, before.slack, before.tiptoe, dt)
+        targets = self.ground.bring(targets, before.slack, before.clearance.tiptoe, dt)
         hint = self.hints.update(targets, dt)
         if targets.left is None and targets.right is None:
             self._face(hint, targets.head)

@@ -61,7 +61,7 @@ class AnalyticSolver:
     def solve(self, targets: Targets, dt: float) -> Solution:
         """One moment. See the module's docstring for the order of things."""
         legs = self.legs
-        targets = self.ground.bring(targets, legs.slack, legs.tiptoe, dt)
+        targets = self.ground.bring(targets, legs.slack, legs.clearance.tiptoe, dt)
         torso = self.torso(targets, dt)
         limbs = self.stepped(targets, torso, dt)
         arms = reaching(self.arms, self.hands, targets, torso, dt)

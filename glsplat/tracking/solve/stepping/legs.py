@@ -17,10 +17,11 @@ from glsplat.tracking.solve.quat import (
     sub,
     wrap,
 )
+from glsplat.tracking.solve.stepping.clearance import TAKE_OFF, Clearance
 from glsplat.tracking.solve.stepping.foot import HOLD, Foot
 from glsplat.tracking.solve.stepping.gait import Gait
 from glsplat.tracking.solve.stepping.leg import TIPTOE, Leg
-from glsplat.tracking.solve.tracked import AFLOAT, Follow
+from glsplat.tracking.solve.tracked import Follow
 
 __all__ = ["Legs"]
 
@@ -38,7 +39,6 @@ TRACK = 1.0  # distance of the feet in the rest pose that a stance takes
 NARROW = 0.55  # likewise, while walking
 HURRY = 0.2  # seconds in which the feet of a recording that begins in mid-walk find their places
 RUN = 1.6  # m/s (of a 1.7 m person) above which both feet may leave the ground in every stride
-TAKE_OFF = 0.02  # metres below and above the reach of the tiptoes over which a jump begins
 
 _NOWHERE = ((0.0, 0.0, 0.0), IDENTITY)
 
@@ -59,9 +59,7 @@ class Legs:
         self.home: tuple[Vec, ...] = tuple(
             [sub(sub(body.joints[FEET[i]], body.joints[PELVIS]), forward) for i in (0, 1)]
         )
-        _, up, back = self.legs[0].ankle
-        self.tiptoe: float = up * cos(TIPTOE) - back * sin(TIPTOE) - up  # metres the ankle rises on tiptoe
-        self.farthest: float = self.legs[0].limb.farthest + up + self.tiptoe + self.sole  # of a hip from the ground
+        self.clearance: Clearance = Clearance(self.legs[0], self.sole)
         self.feet: tuple[Foot, Foot] = (Foot(0), Foot(1))
         self.follow: tuple[Follow, Follow] = (Follow(self.legs[0]), Follow(self.legs[1]))
         self.gait: Gait = Gait(self.length)
@@ -134,13 +132,7 @@ class Legs:
             for leg, foot, hip in zip(self.legs, self.feet, hips, strict=True):
                 if foot.planted and not foot.strained and self.follow[foot.index].ankle is None:
                     foot.strained = leg.strains(foot, add(hip, scale(velocity, FORESIGHT)), pelvis)
-        up = [follow.height for follow in self.follow]
-        reach = min(hips[0][1] - up[0], hips[1][1] - up[1]) - self.farthest
-        self.slack = -reach
-        # half a parabola from before the tiptoes lose the ground: the feet leave it without a jolt
-        self.air = 0.0 if reach < -TAKE_OFF else max(reach, (min(reach, TAKE_OFF) + TAKE_OFF) ** 2 / (4 * TAKE_OFF))
-        if not self._free():
-            self.air = max(min(up) - AFLOAT, 0.0)
+        self.slack, self.air = self.clearance.of(hips, self.follow)
         running = self.gait.walking and speed > RUN * self.gait.pace
         if not self._free():
             self.flying = False
