@@ -21,7 +21,7 @@ from glsplat.motion.motion import Motion, embedded_motions, load_motion
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.smplx import JOINT_NAMES
 from tests.motion.captured import captured
-from tests.motion.exports import SIDES, Export, turned, walking
+from tests.motion.exports import SIDES, Export, turned
 from tests.motion.test_exports import EXPORTS, posed, worst_angle
 
 Bad = Callable[[Motion, Skeleton], Motion]
@@ -55,18 +55,6 @@ BAD: dict[str, tuple[Bad, str]] = {
 }
 # in which the way stays wrong once the body is right, which is said next
 NOT_ALL = ("only the body lies", "the body upside down")
-
-
-@pytest.fixture(scope="module")
-def skeleton() -> Skeleton:
-    from glsplat.data import default_avatar
-
-    return default_avatar().skeleton
-
-
-@pytest.fixture(scope="module")
-def walk(skeleton: Skeleton) -> Motion:
-    return walking(skeleton)
 
 
 def written(path: Path, motion: Motion) -> Path:

@@ -13,7 +13,7 @@ from glsplat.motion.bvh import parse_bvh
 from glsplat.motion.motion import Motion, load_motion
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.smplx import JOINT_NAMES
-from tests.motion.exports import AT, SIDES, Z_UP, Export, walking
+from tests.motion.exports import AT, SIDES, Z_UP, Export
 
 BONES = [
     (f"{side}_{a}", f"{side}_{b}")
@@ -103,18 +103,6 @@ EXPORTS = {
     "MakeHuman": Export(channels="added", unit=10.0, order="XYZ"),
     "no end sites": Export(named("Hips Spine Spine1 Spine2 Neck Head", MIXAMO, "Left", "Right"), ends=False),
 }
-
-
-@pytest.fixture(scope="module")
-def skeleton() -> Skeleton:
-    from glsplat.data import default_avatar
-
-    return default_avatar().skeleton
-
-
-@pytest.fixture(scope="module")
-def walk(skeleton: Skeleton) -> Motion:
-    return walking(skeleton)
 
 
 def posed(motion: Motion, skeleton: Skeleton) -> np.ndarray:
