@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Sequence
+from collections.abc import Collection, Hashable, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from types import TracebackType
@@ -14,9 +14,8 @@ from typing import Any, Literal, overload
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from glsplat.arrays import number, own
 from glsplat.camera import Camera, passes_of, sorting_camera
-from glsplat.config import MAX_BIAS, RenderConfig
+from glsplat.config import RenderConfig
 from glsplat.errors import ContextError, GlsplatError
 from glsplat.gl.context import Context, create_context
 from glsplat.gl.owner import Entry, abandon
@@ -27,9 +26,9 @@ from glsplat.passes.staged import Staged
 from glsplat.passes.stats import FrameStats, union
 from glsplat.passes.target import FORMATS, Target
 from glsplat.passes.target_pool import TargetPool
-from glsplat.passes.views import checked_views
+from glsplat.passes.views import checked_bias, checked_order, checked_out, checked_views
 from glsplat.renderer_thread import RendererThread
-from glsplat.scene import Scene, Shown
+from glsplat.scene import Item, Scene, Shown
 from glsplat.shaders import Programs, Variant
 from glsplat.shaders.variant import MAX_VIEWS
 from glsplat.skinning.pose import Pose
@@ -155,6 +154,7 @@ class Renderer:
         out: NDArray[Any] | None = ...,
         viewer: Hashable = ...,
         lod_bias: float = ...,
+        without: Collection[Item] = ...,
     ) -> NDArray[Any]: ...
 
     @overload
@@ -169,6 +169,7 @@ class Renderer:
         out: NDArray[Any] | None = ...,
         viewer: Hashable = ...,
         lod_bias: float = ...,
+        without: Collection[Item] = ...,
     ) -> tuple[NDArray[Any], NDArray[np.float32]]: ...
 
     def render(
@@ -182,6 +183,7 @@ class Renderer:
         out: NDArray[Any] | None = None,  # [V, H, W, 4] where the images go; default: a new array
         viewer: Hashable = None,  # who looks, where several do in turn: their levels of detail are kept apart
         lod_bias: float = 0.0,  # added to that of the config; -8 to 8
+        without: Collection[Item] = (),  # items that this picture leaves out; others are not staged anew for it
     ) -> NDArray[Any] | tuple[NDArray[Any], NDArray[np.float32]]:
         """The images [V, H, W, 4], row 0 at the top: RGB over the background and accumulated alpha.
 
@@ -192,20 +194,14 @@ class Renderer:
         that does not fit, GlsplatError for cameras of another size or a ``lod_bias`` beyond 8, BudgetError for a
         picture beyond its budget: the next one is drawn as if it had not been asked for.
         """
-        order = None if sort_viewmat is None else own(sort_viewmat, np.float64, "sort_viewmat", GlsplatError)
-        if order is not None and not (order.shape == (4, 4) and np.isfinite(order).all()):
-            raise GlsplatError("sort_viewmat needs 4x4 finite numbers")
-        lod_bias = number(lod_bias, "lod_bias", GlsplatError)
-        if not -MAX_BIAS <= lod_bias <= MAX_BIAS:
-            raise GlsplatError(f"lod_bias needs -{MAX_BIAS:g} to {MAX_BIAS:g}, not {lod_bias:g}")
+        order = checked_order(sort_viewmat)
+        lod_bias = checked_bias(lod_bias)
         cameras = self._views(cameras)
         with self._entered("render"):
-            self._begin(pose, cameras, viewer, lod_bias)
+            self._begin(pose, cameras, viewer, lod_bias, frozenset(map(id, without)))
             boxed = self.config.output == "uint8"
-            shape, dtype = (len(cameras), self.size[1], self.size[0], 4), np.dtype(np.uint8 if boxed else np.float32)
-            out = np.empty(shape, dtype) if out is None else out
-            if out.shape != shape or out.dtype != dtype or not (out.flags.c_contiguous and out.flags.writeable):
-                raise GlsplatError(f"out needs a contiguous array {shape} of {dtype}, not {out.shape} {out.dtype}")
+            shape = (len(cameras), self.size[1], self.size[0], 4)
+            out = checked_out(out, shape, np.uint8 if boxed else np.float32)
             depths = np.empty(out.shape[:3] if depth else 0, np.float32)
             for ordinal, batch in enumerate(passes_of(cameras, self.config.order == "shared" or order is not None)):
                 views, mine = [cameras[i] for i in batch], slice(batch[0], batch[0] + len(batch))
@@ -342,13 +338,19 @@ class Renderer:
         return checked_views(cameras, self.size, "; call resize() first")
 
     def _begin(
-        self, pose: Pose | None, cameras: Sequence[Camera], viewer: Hashable = None, lod_bias: float = 0.0
+        self,
+        pose: Pose | None,
+        cameras: Sequence[Camera],
+        viewer: Hashable = None,
+        lod_bias: float = 0.0,
+        without: frozenset[int] = frozenset(),  # by id()
     ) -> None:
         self.timer.start()
         scene = self._scene
-        scene.update(pose, self.timer, Look(tuple(cameras), viewer, self.config.lod_bias + lod_bias))
+        before = scene.runs
+        scene.update(pose, self.timer, Look(tuple(cameras), viewer, self.config.lod_bias + lod_bias), without)
         counts = FrameStats(scene.splats, 0, scene.skipped, {}, False)
-        self.stats = replace(counts, levels=scene.levels, coarsest=scene.coarsest)
+        self.stats = replace(counts, posed=scene.runs - before, levels=scene.levels, coarsest=scene.coarsest)
 
     def _draw(
         self,

@@ -8,6 +8,7 @@ from typing import TypeGuard
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from glsplat.arrays import number
 from glsplat.avatar import Avatar
 from glsplat.errors import GlsplatError, PoseError
 from glsplat.meshes import RiggedMesh
@@ -54,7 +55,7 @@ class Item:
     Item(Avatar 'Ann' at (0, 0, 2))
     """
 
-    __slots__ = ("_content", "_name", "_pose", "_transform", "_visible")
+    __slots__ = ("_content", "_name", "_opacity", "_pose", "_transform", "_visible")
 
     def __init__(
         self,
@@ -63,6 +64,7 @@ class Item:
         pose: Pose | None = None,  # zero pose if none
         transform: ArrayLike | None = None,  # [4, 4]
         visible: bool = True,
+        opacity: float = 1.0,
         name: str = "",
     ) -> None:
         if not isinstance(content, (Splats, Avatar, RiggedMesh)):
@@ -71,6 +73,7 @@ class Item:
         self.pose = pose
         self._transform = _checked(np.eye(4) if transform is None else transform)
         self.visible = visible
+        self.opacity = opacity
         self._name = str(name)
 
     @property
@@ -117,6 +120,18 @@ class Item:
     @visible.setter
     def visible(self, visible: bool) -> None:
         self._visible = bool(visible)
+
+    @property
+    def opacity(self) -> float:
+        """0 to 1, by which the opacity of each of its splats is multiplied. A mesh is opaque, whatever it says."""
+        return self._opacity
+
+    @opacity.setter
+    def opacity(self, opacity: float) -> None:
+        value = number(opacity, "an item's opacity", GlsplatError)
+        if not 0 <= value <= 1:
+            raise GlsplatError(f"an item's opacity needs 0 to 1, not {value:g}")
+        self._opacity = value
 
     def __repr__(self) -> str:
         place = ", ".join(f"{v:g}" for v in self._transform[:3, 3])

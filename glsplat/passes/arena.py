@@ -1,12 +1,14 @@
 """Arena: all visible splats of a scene in one index space, a range an item. Key, sort, project and draw see only this.
 
+An item has a range for each of its levels of detail that are in use; a picture shows some of the ranges.
+
 One texture holds the geometry (as loaded, three texels a splat, if a single item stands where it was loaded; else
 posed, four texels), one the colours. Ranges begin with a row of ROW splats; what is left of a row has opacity 0.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from typing import TypeVar
 
@@ -53,7 +55,7 @@ class Arena:
         height = int(self.first[-1])
         alone = len(items) == 1
         self.count = items[0].count if alone else height * ROW
-        self.padding = self.count - sum(item.count for item in items)
+        self.shown: tuple[int, ...] = tuple(range(len(items)))
         self._written: list[Placement | None] = [None] * len(items)
         limit = int(ctx.info["GL_MAX_TEXTURE_SIZE"])
         if max(height, ROW * COLOUR_TEXELS[degree]) > limit:
@@ -94,8 +96,28 @@ class Arena:
         """GPU bytes of the colours."""
         return self.colours.width * self.colours.height * (16 if self.degree else 12)
 
-    def place(self, places: Sequence[Placement]) -> bool:
-        """Pose and place what moved since the last call. True if anything did."""
+    @property
+    def ranges(self) -> tuple[tuple[int, int], ...]:
+        """First index and number of indices of what is shown, adjacent ranges in one, with what fills up their rows."""
+        if len(self.shown) == len(self.items):
+            return ((0, self.count),)
+        found: list[tuple[int, int]] = []
+        for index in self.shown:
+            first, end = int(self.first[index]) * ROW, int(self.first[index + 1]) * ROW
+            if found and sum(found[-1]) == first:
+                found[-1] = found[-1][0], end - found[-1][0]
+            else:
+                found.append((first, end - first))
+        return tuple(found)
+
+    @property
+    def padding(self) -> int:
+        """Indices in ``ranges`` that are nobody's splat."""
+        return sum(count for _, count in self.ranges) - sum(self.items[index].count for index in self.shown)
+
+    def place(self, places: Mapping[int, Placement]) -> bool:
+        """Show the items of these numbers, in their order; pose and place what moved. True if anything moved."""
+        self.shown = tuple(places)
         if not self.posed:
             return False
         before = self.version
@@ -103,7 +125,7 @@ class Arena:
         if not np.array_equal(origin, self.origin):
             self._written = [None] * len(self.items)
             self.origin = origin
-        for index, place in enumerate(places):
+        for index, place in places.items():
             if place.same(self._written[index]):
                 continue
             self._written[index] = None  # until it is there: what is half written must not be taken for finished
@@ -132,10 +154,10 @@ class Arena:
         """Delete textures and buffers, not the items."""
         self._owned.close()
 
-    def _origin(self, places: Sequence[Placement]) -> NDArray[np.float64]:
+    def _origin(self, places: Mapping[int, Placement]) -> NDArray[np.float64]:
         """Near the items: float32 has no bits left for splats far from it."""
-        anchors = np.array([item.anchor(place) for item, place in zip(self.items, places, strict=True)])
-        if len(anchors) == 1:  # nothing else has to move with it
+        anchors = np.array([self.items[index].anchor(place) for index, place in places.items()])
+        if len(self.items) == 1 == len(anchors):  # nothing else has to move with it
             return anchors[0] if np.abs(anchors[0]).max() > NEAR else np.zeros(3)
         middle = np.median(anchors, axis=0) if len(anchors) else np.zeros(3)
         wanted = np.rint(middle / NEAR) * NEAR if np.abs(middle).max() > NEAR else np.zeros(3)
@@ -143,7 +165,7 @@ class Arena:
 
     def _write(self, index: int, place: Placement) -> None:
         item, first = self.items[index], int(self.first[index])
-        array = item.prepare(place, self.origin, self.degree > 0, self._signs[index])
+        array = item.prepare(place, self.origin, self.degree > 0, self._signs[index] * place.opacity)
         assert self._run is not None
         self._scratch_target.use()  # without a complete framebuffer transform feedback silently writes nothing
         self.runs += 1

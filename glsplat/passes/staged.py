@@ -1,7 +1,8 @@
 """Staged: a scene on the GPU. Items are uploaded once and posed when they move.
 
-The arena is made anew when one comes or goes. Where items have levels of detail there is one for each choice of levels
-that was drawn lately, so that clients who look from near and from afar do not undo each other's work.
+The arena is made anew when one comes or goes. Clients who look from near and from afar at items with levels of detail
+do not undo each other's work: of a single item there is an arena for each level that was drawn lately, of several one
+that holds all of these, each posed once a movement, of which a picture shows some.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from glsplat.errors import ContextError, GlsplatError, PoseError
 from glsplat.gl.context import Context
 from glsplat.meshes import RiggedMesh
 from glsplat.passes.arena import Arena
-from glsplat.passes.drawable import PASSES, Drawable
+from glsplat.passes.drawable import PASSES, Drawable, Part
 from glsplat.passes.frame.pipeline import Pipeline, view_state
 from glsplat.passes.item.buffers import ItemBuffers, Placement
 from glsplat.passes.item.ground import Ground, GroundKind, MeshItem
@@ -51,20 +52,23 @@ class Staged:
         automatic = config.fetch == "auto" and context.software and context.vertex_storage and triangle
         self._pulled = config.fetch == "storage" or automatic
         self._items: dict[int, tuple[Item, LevelBuffers]] = {}  # by id(); the item is kept, so the id stays its own
+        self._staged_items = 0  # so far
         self._meshes: dict[int, tuple[Item, MeshItem]] = {}
         self._standing: list[tuple[MeshItem, Placement]] = []  # the visible meshes of this frame
         self._standing_version = 0
         self._grounds: Kept[tuple[tuple[int, int], int, GroundKind, int], Ground] = Kept(PASSES, _KEPT_BYTES)
         self._samples = config.mesh_samples if context.ctx.max_samples >= config.mesh_samples else 1
-        self._drawables: Kept[tuple[int, ...], Drawable] = Kept(_KEPT, _KEPT_BYTES)  # by level of each visible item
+        self._drawables: Kept[tuple[Part, ...], Drawable] = Kept(_KEPT, _KEPT_BYTES)
         self._drawable: Drawable | None = None  # the one in use
         self._shown: tuple[object, ...] = ()  # what the drawables are made of
         self._choices = Choices()
-        self.levels: tuple[int, ...] = ()  # of the visible splat items
+        self._left_out: frozenset[int] = frozenset()  # items that it does not, by id()
+        self.levels: tuple[int, ...] = ()  # of the splat items that are shown
         self.arenas = 0  # made so far
+        self.runs = 0  # of items that were posed or placed so far, each level of each once a movement
         try:
             visible = self._visible()
-            self._stage(visible, [self._at_first(item) for item in visible])
+            self._stage(visible, [(i, self._at_first(item)) for i, item in enumerate(visible)])
         except BaseException:
             self.release()
             raise
@@ -82,13 +86,17 @@ class Staged:
 
     @property
     def splats(self) -> int:
-        """Splats of the visible items, drawable or not."""
-        return sum(item.count + item.skipped for item in self.arena.items)
+        """Splats of what is shown, drawable or not."""
+        return sum(item.count + item.skipped for item in self._shown_items)
 
     @property
     def skipped(self) -> int:
         """Splats that were never uploaded: not finite, or without a rotation."""
-        return sum(item.skipped for item in self.arena.items)
+        return sum(item.skipped for item in self._shown_items)
+
+    @property
+    def _shown_items(self) -> list[ItemBuffers]:
+        return [self.arena.items[index] for index in self.arena.shown]
 
     def nbytes(self) -> dict[str, int]:
         """GPU bytes: splats (items and arena), sh, work (keys, order, records)."""
@@ -101,23 +109,29 @@ class Staged:
             "work": sum(drawable.pipelines.nbytes for drawable in drawables),
         }
 
-    def update(self, pose: Pose | None, timer: StageTimer, look: Look) -> None:
+    def update(self, pose: Pose | None, timer: StageTimer, look: Look, without: frozenset[int] = frozenset()) -> None:
         """Follow the scene: what came, went, moved, and how near it is looked at.
 
-        ``pose`` is for the one avatar of a scene, if there is one.
+        ``pose`` is for the one avatar of a scene, if there is one. Items whose id() is in ``without`` are not shown.
         """
+        self._left_out = without
         visible = self._visible()
         if pose is not None:
             avatars = len(self.scene.figures)
             if avatars > 1:
                 raise PoseError(f"render() got one pose for {avatars} avatars; set the pose of each item instead")
         places = [self._placement(item, pose) for item in visible]
-        self._stage(visible, self._choose(visible, places, look))
+        levels = self._choose(visible, places, look)
+        parts = [(i, level) for i, level in enumerate(levels) if id(visible[i]) not in without]
+        self._stage(visible, parts)
         self._stand(pose)
         if self._standing or any(place.bones is not None for place in places):
             timer.mark("pose")
-        if self.arena.place(places):
+        assert self._drawable is not None
+        arena, before = self.arena, self.arena.runs
+        if arena.place({self._drawable.parts.index(part): places[part[0]] for part in parts}):
             timer.mark("skin")
+        self.runs += arena.runs - before
 
     def ground(
         self, views: Sequence[Camera], ordinal: int, dtype: str, timer: StageTimer, depth: bool = False
@@ -135,7 +149,7 @@ class Staged:
     @property
     def _occluded(self) -> bool:
         """Whether meshes are wanted at the pixel centres: splats are drawn as well, or there are no other samples."""
-        return bool(self._standing) and (self._samples == 1 or any(item.count for item in self.arena.items))
+        return bool(self._standing) and (self._samples == 1 or any(item.count for item in self._shown_items))
 
     @staticmethod
     def shared(ordinal: int) -> bool:
@@ -180,37 +194,51 @@ class Staged:
         """The visible splat items, in order."""
         return [item for item in self.scene if item.visible and not isinstance(item.content, RiggedMesh)]
 
-    def _stage(self, visible: Sequence[Item], levels: Sequence[int]) -> None:
-        """Buffers for what is new, an arena for what is visible at these levels of detail.
+    def _stage(self, visible: Sequence[Item], parts: Sequence[Part]) -> None:
+        """Buffers for what is new, an arena that holds these parts of what is visible.
 
         Nothing of what stands is given up before what replaces it is there.
         """
         posed = len(visible) != 1 or isinstance(visible[0].content, Avatar) or _moved(visible[0])
         shown = (posed, *map(id, visible))
         if shown != self._shown or self._drawable is None:
-            made = self._made(visible, levels, posed)
-            self._drawables.release()
-            self._choices.forget()  # they go by id(), which may be another item's by now
+            self._replace(self._made(visible, parts, posed))
             self._shown = shown
-            self._drawables.most_bytes = max(_KEPT_BYTES, 2 * made.nbytes)
-            self._drawable = self._drawables.get(tuple(levels), lambda: made)
+        elif len(visible) > 1:
+            if not self._drawable.holds(parts):
+                self._replace(self._made(visible, self._with_older(visible, parts), posed))
         else:
-            self._drawable = self._drawables.get(tuple(levels), lambda: self._made(visible, levels, posed))
-        self.levels = tuple(levels)
+            self._drawable = self._drawables.get(tuple(parts), lambda: self._made(visible, parts, posed))
+        self.levels = tuple(level for _, level in parts)
         present = {id(item) for item in self.scene}
         for gone in [key for key in self._items if key not in present]:
             self._items.pop(gone)[1].release()
 
-    def _made(self, visible: Sequence[Item], levels: Sequence[int], posed: bool) -> Drawable:
+    def _replace(self, made: Drawable) -> None:
+        """Draw this one from now on, and none of the others."""
+        self._drawables.release()
+        self._drawables.most_bytes = max(_KEPT_BYTES, 2 * made.nbytes)
+        self._drawable = self._drawables.get(made.parts, lambda: made)
+
+    def _with_older(self, visible: Sequence[Item], parts: Sequence[Part]) -> list[Part]:
+        """These parts and those that were shown before, unless that becomes too much."""
+        assert self._drawable is not None
+        together = sorted({*parts, *self._drawable.parts})
+        splats = {part: self._levels_of(visible[part[0]]).count(part[1]) for part in together}
+        needed, older = sum(splats[part] for part in parts), sum(splats[p] for p in together if p not in set(parts))
+        share = self._drawable.nbytes / max(1, self._drawable.arena.count)
+        return sorted(parts) if older * share > _KEPT_BYTES and older > needed else together
+
+    def _made(self, visible: Sequence[Item], parts: Sequence[Part], posed: bool) -> Drawable:
         staged = [self._levels_of(item) for item in visible]
         if self._config.cull_hidden is True and staged and not any(one.has_cones for one in staged):
             raise GlsplatError(
                 "cull_hidden needs splats with visibility cones, this scene has none; "
                 "make them (glsplat avatar cones, glsplat.making.cones.with_cones) or leave cull_hidden off"
             )
-        buffers = [one.get(level) for one, level in zip(staged, levels, strict=True)]
+        buffers = [staged[i].get(level) for i, level in parts]
         self.arenas += 1
-        made = Drawable(self._arena_of(buffers, posed))
+        made = Drawable(self._arena_of(buffers, posed), tuple(parts))
         self._drawables.most_bytes = max(self._drawables.most_bytes, 2 * made.nbytes)
         return made
 
@@ -218,7 +246,8 @@ class Staged:
         if id(item) not in self._items:
             content = item.content
             assert not isinstance(content, RiggedMesh)
-            self._items[id(item)] = item, LevelBuffers(content, self._buffers_of)
+            self._staged_items += 1
+            self._items[id(item)] = item, LevelBuffers(content, self._buffers_of, self._staged_items)
         return self._items[id(item)][1]
 
     def _at_first(self, item: Item) -> int:
@@ -235,13 +264,13 @@ class Staged:
         if self._fixed(visible):
             return [self._at_first(item) for item in visible]
         levels = [self._levels_of(item) for item in visible]
-        return self._choices.choose([*map(id, visible)], levels, places, look)
+        return self._choices.choose(levels, places, look)
 
     def _stand(self, pose: Pose | None) -> None:
         """Where the visible meshes are; what is gone is released."""
         standing = []
         for item in self.scene:
-            if item.visible and isinstance(item.content, RiggedMesh):
+            if item.visible and id(item) not in self._left_out and isinstance(item.content, RiggedMesh):
                 if id(item) not in self._meshes:
                     self._meshes[id(item)] = item, MeshItem(self._context, item.content, self._config.mesh_anisotropy)
                 standing.append((self._meshes[id(item)][1], self._placement(item, pose)))
@@ -283,7 +312,7 @@ class Staged:
             skeleton = item.content.skeleton
             wanted = pose if pose is not None and is_figure(item.content) else item.pose
             bones = checked_pose(wanted, len(skeleton), "avatar").bones(skeleton)
-        return Placement(linear / size, item.transform[:3, 3], size, bones)
+        return Placement(linear / size, item.transform[:3, 3], size, bones, item.opacity)
 
 
 def _culled(splats: Splats, config: RenderConfig) -> bool:
@@ -294,4 +323,5 @@ def _culled(splats: Splats, config: RenderConfig) -> bool:
 
 
 def _moved(item: Item) -> bool:
-    return not np.array_equal(item.transform, np.eye(4))
+    """Whether it is drawn otherwise than it was loaded."""
+    return item.opacity != 1 or not np.array_equal(item.transform, np.eye(4))

@@ -18,7 +18,8 @@ class FrameStats:
     sorted: bool = True  # False where the previous order still held
     covered: tuple[int, int, int, int] = (0, 0, 0, 0)  # x, y, width, height outside of which is only background
     cost: int = 0  # covered pixels (passes/frame/budget.py); counted only under a budget
-    levels: tuple[int, ...] = ()  # of detail, one a visible item of splats; 0 is the finest
+    posed: int = 0  # items that were skinned or placed anew, each level of detail by itself
+    levels: tuple[int, ...] = ()  # of detail, one an item of splats that is shown; 0 is the finest
     coarsest: bool = True  # no visible item has a coarser level than it was drawn with
 
 

@@ -1,14 +1,20 @@
-"""What a caller hands to render(): cameras and a pose, checked before anything is drawn."""
+"""What a caller hands to render(): cameras, a pose, where images go, checked before anything is drawn."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import Any
 
+import numpy as np
+from numpy.typing import ArrayLike, DTypeLike, NDArray
+
+from glsplat.arrays import number, own
 from glsplat.camera import Camera
+from glsplat.config import MAX_BIAS
 from glsplat.errors import GlsplatError, PoseError
 from glsplat.skinning.pose import Pose
 
-__all__ = ["checked_pose", "checked_views"]
+__all__ = ["checked_bias", "checked_order", "checked_out", "checked_pose", "checked_views"]
 
 
 def checked_views(cameras: Iterable[Camera], size: tuple[int, int], what_to_do: str = "") -> list[Camera]:
@@ -38,3 +44,30 @@ def checked_pose(pose: Pose | None, joints: int, what: str) -> Pose:
     if len(pose.rotations) != joints:
         raise PoseError(f"the pose has {len(pose.rotations)} joints, the {what} {joints}")
     return pose
+
+
+def checked_order(sort_viewmat: ArrayLike | None) -> NDArray[np.float64] | None:
+    """The matrix [4, 4] whose third row orders the splats, or None. Raises GlsplatError for what is no such matrix."""
+    if sort_viewmat is None:
+        return None
+    order = own(sort_viewmat, np.float64, "sort_viewmat", GlsplatError)
+    if not (order.shape == (4, 4) and np.isfinite(order).all()):
+        raise GlsplatError("sort_viewmat needs 4x4 finite numbers")
+    return order
+
+
+def checked_bias(lod_bias: float) -> float:
+    """``lod_bias`` as a number. Raises GlsplatError for what is none, or too large."""
+    lod_bias = number(lod_bias, "lod_bias", GlsplatError)
+    if not -MAX_BIAS <= lod_bias <= MAX_BIAS:
+        raise GlsplatError(f"lod_bias needs -{MAX_BIAS:g} to {MAX_BIAS:g}, not {lod_bias:g}")
+    return lod_bias
+
+
+def checked_out(out: NDArray[Any] | None, shape: tuple[int, ...], dtype: DTypeLike) -> NDArray[Any]:
+    """``out``, or a new array if there is none. Raises GlsplatError where images of ``shape`` cannot be put into it."""
+    if out is None:
+        return np.empty(shape, dtype)
+    if out.shape != shape or out.dtype != dtype or not (out.flags.c_contiguous and out.flags.writeable):
+        raise GlsplatError(f"out needs a contiguous array {shape} of {np.dtype(dtype)}, not {out.shape} {out.dtype}")
+    return out

@@ -5,7 +5,7 @@
 
 uniform float shift;  // of the rotation average's eigenvalues: 1 for rigid bones, 3 where one scales or reflects
 uniform float size;   // s: the scale the item stands in the scene at; its rotation and place are in the bones
-uniform float opacity_sign;  // -1 where only some items of a scene ask for opacity compensation, and this one does
+uniform float signed_opacity;  // of the item; below 0 where only some of a scene ask for compensation, and this one does
 
 in vec4 mean_opacity;
 in vec4 quat;
@@ -17,7 +17,7 @@ out vec4 posed_x, posed_y, posed_z;  // columns of M'; w: modified Rodrigues par
 void main() {
     Affine b = blended_bones();
     vec4 mean = vec4(mean_opacity.xyz, 1.0);
-    posed_mean = vec4(size * vec3(dot(b.x, mean), dot(b.y, mean), dot(b.z, mean)), opacity_sign * mean_opacity.w);
+    posed_mean = vec4(size * vec3(dot(b.x, mean), dot(b.y, mean), dot(b.z, mean)), signed_opacity * mean_opacity.w);
     mat3 linear = transpose(mat3(b.x.xyz, b.y.xyz, b.z.xyz));
 #if !RAW || TURNED
     Affine a = anchor_bone();

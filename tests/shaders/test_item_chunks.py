@@ -126,7 +126,7 @@ def test_the_skin_pass_is_the_reference(gl: Context, rng: np.random.Generator, i
     }
     out = run_chunk(
         gl, chunk_text("skin.vert.glsl"), inputs, POSED, SkinVariant(influences=influences, raw=raw, turned=1),
-        textures=bone_texture(bones), uniforms={"shift": 1.0, "size": 1.5, "opacity_sign": -1.0},
+        textures=bone_texture(bones), uniforms={"shift": 1.0, "size": 1.5, "signed_opacity": -1.0},
     )  # fmt: skip
     means, shapes, rodrigues = posed_of(out)
     posed = reference.skin(splats, skin, bones, "raw" if raw else "polar")
@@ -168,7 +168,7 @@ def test_the_place_pass_is_the_reference(
     first, count = (700, 2000) if numbered else (0, COUNT)  # over the end of a row of the texture
     uniforms = {
         "turn": tuple(turn.T.ravel()), "rodrigues": tuple(rodrigues_parameters(turn)),
-        "offset": tuple(transform[:3, 3]), "size": size, "opacity_sign": 1.0,
+        "offset": tuple(transform[:3, 3]), "size": size, "signed_opacity": 1.0,
     }  # fmt: skip
     numbers = {"number": np.arange(first, first + count, dtype=np.uint32)} if numbered else {}
     out = run_chunk(

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
+
 import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.passes.arena import Arena
+from glsplat.passes.frame.sort import NOT_SHOWN
 from glsplat.shaders import Programs, Variant
 
 __all__ = ["KeyPass"]
+
+_ROW_BYTES = 12  # key, tiles, cost
 
 
 class KeyPass:
@@ -34,24 +39,51 @@ class KeyPass:
         content: list[tuple[object, ...]] = [] if arena.cones is None else [(arena.cones, "4i1", "cone")]
         content += [] if arena.numbers is None else [(arena.numbers, "1u4", "number")]
         self._array = ctx.vertex_array(program, content)
+        self._found = 0
         self._rows = np.empty((count if keys is None else 0, 3), np.uint32)
         self._columns = np.empty((3, len(self._rows)), np.uint32)
 
-    def run(self) -> None:
-        """Write keys, tiles and costs."""
-        self._array.transform(self._outputs, moderngl.POINTS, vertices=self._count)
+    def run(self, ranges: Sequence[tuple[int, int]]) -> None:
+        """Write keys, tiles and costs of the splats in ``ranges``, first index and number of each.
+
+        For the host one range after the other; for the GPU sorter every splat keeps its place, and the others are
+        marked as not to be drawn.
+        """
+        if len(self._outputs) == 1:
+            self._found = 0
+            for first, count in ranges:
+                place = self._found * _ROW_BYTES
+                self._array.transform(self._outputs, moderngl.POINTS, count, first=first, buffer_offset=place)
+                self._found += count
+            return
+        self._array.transform(self._outputs, moderngl.POINTS, self._count)
+        keys, spare = self._outputs
+        for first, end in _gaps(ranges, self._count):
+            keys.write(np.full(end - first, NOT_SHOWN, np.uint32), offset=4 * first)
+            spare.write(bytes(8 * (end - first)), offset=8 * first)
 
     def read(self) -> tuple[NDArray[np.uint32], NDArray[np.uint32], NDArray[np.uint32]]:
         """[N] the keys, [N] the packed tiles and [N] blocks of 4x4 pixels a splat covers (0: not drawn), on the host.
 
-        To be read before the records are written; the arrays are reused by the next call.
+        N splats of the ranges, in their order. To be read before the records are written; the arrays are reused by the
+        next call.
         """
-        if self._count:
-            self._outputs[0].read_into(self._rows, size=self._rows.nbytes)
-            self._columns[:] = self._rows.T  # what follows goes through them one by one
-        keys, tiles, costs = self._columns
+        rows, columns = self._rows[: self._found], self._columns[:, : self._found]
+        if self._found:
+            self._outputs[0].read_into(rows, size=rows.nbytes)
+            columns[:] = rows.T  # what follows goes through them one by one
+        keys, tiles, costs = columns
         return keys, tiles, costs
 
     def release(self) -> None:
         """Delete the vertex array."""
         self._array.release()
+
+
+def _gaps(ranges: Sequence[tuple[int, int]], count: int) -> Iterator[tuple[int, int]]:
+    """First index and end of what lies between, before and behind the ranges, up to ``count``."""
+    at = 0
+    for first, length in (*ranges, (count, 0)):
+        if first > at:
+            yield at, first
+        at = first + length

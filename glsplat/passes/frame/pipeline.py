@@ -53,7 +53,8 @@ class Pipeline:
         self._scratch = context.scratch
         self._seen: tuple[Any, ...] | None = None  # what the records were made for
         self._counted = True
-        self._order: NDArray[np.uint32] = np.empty(0, np.uint32)
+        self._order: NDArray[np.uint32] = np.empty(0, np.uint32)  # among what is shown
+        self._shown: tuple[int, ...] = ()  # what it is the order of
         self._order_age = config.sort_period  # moved frames since the sort; at first more than may pass
         self.culled: dict[str, int] = {}
         self.covered: Box = (0, 0, 0, 0)
@@ -111,7 +112,7 @@ class Pipeline:
         self._scratch.use()  # without a complete framebuffer transform feedback silently writes nothing
         timer.mark("frame")
         # an unmoved scene seen by unmoved cameras keeps its order and its records
-        state = (arena.version, sort_viewmat.tobytes(), tuple(map(view_state, views)))
+        state = (arena.version, arena.shown, sort_viewmat.tobytes(), tuple(map(view_state, views)))
         moved = state != self._seen
         if not moved and self._order_age == 0 and (budget is None or self.cost is not None):
             if budget is not None:
@@ -120,20 +121,22 @@ class Pipeline:
         resort = shared or not moved or self._order_age + 1 >= self._config.sort_period
         if self._sorter and budget is not None:
             resort = True  # it is the sorter that adds up the costs
+        resort |= self._shown != arena.shown  # the old order is one among others
         age = 0 if resort else self._order_age + 1
         # noted again when the records are there: a frame that is broken off in between leaves nothing to go by
         self._seen, self._order_age = None, self._config.sort_period
         self.cost = self._costs = None
+        self._shown, ranges = arena.shown, arena.ranges
         if self._sorter:
             if resort:
-                self._key.run()
+                self._key.run(ranges)
                 timer.mark("key")
                 self._sorter.run()
                 self._project.count = arena.count  # culled ones sort last; the indirect draw leaves them out
                 self._counted = False
             self.covered = (0, 0, views[0].width, views[0].height)
         else:
-            self._key.run()  # with an old order too: it knows which box is covered
+            self._key.run(ranges)  # with an old order too: it knows which box is covered
             timer.mark("key")
             keys, tiles, costs = self._key.read()
             if budget is not None:
@@ -146,7 +149,7 @@ class Pipeline:
                 self._order = order = sorted_indices(keys, self._config.sort_bits)
             else:  # an old order without what is culled by now: the covered box does not hold that
                 order = self._order[keys[self._order] < FIRST_CULLED]
-            self._project.write_order(order)
+            self._project.write_order(_in_arena(order, ranges))
             self._costs = self._costs[order] if self._costs is not None else None
         timer.mark("sort")
         self._project.run()
@@ -228,6 +231,14 @@ class Pipeline:
     def release(self) -> None:
         """Delete the work buffers and vertex arrays."""
         self._owned.close()
+
+
+def _in_arena(order: NDArray[np.uint32], ranges: Sequence[tuple[int, int]]) -> NDArray[np.uint32]:
+    """Numbers among the splats of ``ranges`` as numbers in the arena."""
+    if len(ranges) == 1:
+        return order + np.uint32(ranges[0][0]) if ranges[0][0] else order
+    spans = [np.arange(first, first + count, dtype=np.uint32) for first, count in ranges]
+    return np.concatenate([*spans, np.empty(0, np.uint32)])[order]
 
 
 def view_state(camera: Camera) -> tuple[object, ...]:

@@ -41,6 +41,7 @@ class Placement:
     offset: NDArray[np.float64]  # [3] metres
     size: float
     bones: NDArray[np.float64] | None = None  # [J, 3, 4] skinning matrices; None: no skeleton
+    opacity: float = 1.0  # by which all opacities are multiplied
 
     @property
     def unmoved(self) -> bool:
@@ -49,7 +50,9 @@ class Placement:
 
     def same(self, other: Placement | None) -> bool:
         """Whether the other one puts every splat at the same place."""
-        if other is None or self.size != other.size or (self.bones is None) != (other.bones is None):
+        if other is None or (self.size, self.opacity) != (other.size, other.opacity):
+            return False
+        if (self.bones is None) != (other.bones is None):
             return False
         pairs = [(self.turn, other.turn), (self.offset, other.offset)]
         if self.bones is not None and other.bones is not None:
@@ -124,7 +127,9 @@ class ItemBuffers:
         local = self.centre if place.bones is None else place.bones[0, :, 3]
         return place.size * (place.turn @ local) + place.offset
 
-    def prepare(self, place: Placement, origin: NDArray[np.float64], turned: bool, sign: float) -> moderngl.VertexArray:
+    def prepare(
+        self, place: Placement, origin: NDArray[np.float64], turned: bool, opacity: float
+    ) -> moderngl.VertexArray:
         """Set bones and uniforms for a run about ``origin`` (world); returns what to draw with transform feedback."""
         if place.bones is None:
             array = self._array(self._place)
@@ -142,7 +147,7 @@ class ItemBuffers:
                 shift.value = 1.0 if is_rigid(place.bones) else 3.0
             self.bones.write(self._local_bones(place, origin).astype(np.float32))
             self.bones.use(UNITS["bones"])
-        program["size"], program["opacity_sign"] = place.size, sign
+        program["size"], program["signed_opacity"] = place.size, opacity
         return array
 
     def release(self) -> None:

@@ -41,9 +41,10 @@ class Look:
 
 
 class LevelBuffers:
-    """The buffers of an item's levels. ``make`` makes those of one level."""
+    """The buffers of an item's levels. ``make`` makes those of one level; ``number`` is no other item's."""
 
-    def __init__(self, content: Splats | Avatar, make: Callable[[Splats | Avatar], ItemBuffers]) -> None:
+    def __init__(self, content: Splats | Avatar, make: Callable[[Splats | Avatar], ItemBuffers], number: int) -> None:
+        self.number = number
         self.contents: tuple[Splats | Avatar, ...] = (content, *(level.content for level in content.levels))
         self.densities: tuple[float, ...] = tuple(level.density for level in content.levels)
         self._make = make
@@ -76,6 +77,11 @@ class LevelBuffers:
             to_world[:3, :3], to_world[:3, 3] = place.size * place.turn, place.offset
         return max((self._proxy.density(view, to_world, place.bones) for view in views), default=0.0)
 
+    def count(self, level: int) -> int:
+        """Splats of a level."""
+        content = self.contents[level]
+        return len(content.splats if isinstance(content, Avatar) else content)
+
     def get(self, level: int) -> ItemBuffers:
         """The buffers of a level."""
         if level not in self._made:
@@ -94,18 +100,16 @@ class Choices:
 
     def __init__(self) -> None:
         self.coarsest = True  # no thing in view had a coarser level than it got last
-        self._memory: OrderedDict[Hashable, dict[int, int]] = OrderedDict()  # by viewer: level by key
+        self._memory: OrderedDict[Hashable, dict[int, int]] = OrderedDict()  # by viewer: level by number
 
-    def choose(
-        self, keys: Sequence[int], levels: Sequence[LevelBuffers], places: Sequence[Placement], look: Look
-    ) -> list[int]:
-        """The level of each thing; ``keys`` tell which is which from one call to the next."""
+    def choose(self, levels: Sequence[LevelBuffers], places: Sequence[Placement], look: Look) -> list[int]:
+        """The level of each thing."""
         before = self._memory.get(look.viewer, {})
         finer = 2.0**look.bias
         found: dict[int, int] = {}
         self.coarsest = True
-        for key, one, place in zip(keys, levels, places, strict=True):
-            last = before.get(key)
+        for one, place in zip(levels, places, strict=True):
+            key, last = one.number, before.get(one.number)
             density = one.density(place, look.views)
             if density > 0:
                 found[key] = chosen(one.densities, density * finer, last)
@@ -117,10 +121,6 @@ class Choices:
         while len(self._memory) > _VIEWERS:
             self._memory.popitem(last=False)
         return list(found.values())
-
-    def forget(self) -> None:
-        """The keys mean something else from now on."""
-        self._memory.clear()
 
 
 def chosen(densities: Sequence[float], wanted: float, before: int | None = None) -> int:
