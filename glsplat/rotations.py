@@ -25,6 +25,7 @@ __all__ = [
     "sh_basis",
     "sh_rotations",
     "slerp",
+    "turn_between",
     "vector_quaternions",
 ]
 
@@ -152,10 +153,18 @@ def quaternion_vectors(quats: F64) -> F64:
 
 
 def slerp(first: F64, second: F64, part: ArrayLike) -> F64:
-    """Axis-angle [..., 3] between two [..., 3] at ``part`` (broadcast over ...): the shorter way, evenly."""
-    start = vector_quaternions(first)
-    turn = quaternion_vectors(quaternion_product(start * (1, -1, -1, -1), vector_quaternions(second)))
-    return quaternion_vectors(quaternion_product(start, vector_quaternions(turn * np.asarray(part)[..., None])))
+    """Axis-angle [..., 3] between two [..., 3] at ``part`` (broadcast over ...): the shorter way, evenly.
+
+    Above 1 it goes on beyond the second.
+    """
+    turn = turn_between(first, second) * np.asarray(part)[..., None]
+    return quaternion_vectors(quaternion_product(vector_quaternions(first), vector_quaternions(turn)))
+
+
+def turn_between(first: F64, second: F64) -> F64:
+    """Axis-angle [..., 3] of the shorter way from one [..., 3] to another, in the frame of the first."""
+    back = vector_quaternions(first) * (1, -1, -1, -1)
+    return quaternion_vectors(quaternion_product(back, vector_quaternions(second)))
 
 
 def nearest_rotations(matrices: F64) -> F64:

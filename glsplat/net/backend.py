@@ -31,6 +31,7 @@ class Rendered:
     done: Callable[[], None] | None = None
     levels: tuple[int, ...] = ()  # of detail that were drawn, one a thing of splats; 0 is the finest
     coarsest: bool = True  # there are no coarser ones
+    posed: int = 0  # people who were skinned anew for it
     box: tuple[float, ...] | None = None
     """Where the one avatar is, if the request asked: x, y, z lowest, then highest, metres in the cameras' world."""
 

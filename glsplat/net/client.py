@@ -35,7 +35,8 @@ class Client:
 
     ``avatar`` chooses one of those the server offers; ``window`` asks for that many pictures under way, ``mirror`` for
     the mirror image; ``height`` and arm ``span`` from wrist to wrist (metres) fit the avatar to the user whose
-    tracking is sent. ``cafile`` is the certificate to trust on wss.
+    tracking is sent. ``room`` is where to meet others, as ``name``, who stands ``at`` x, z metres from its centre and
+    degrees about y (None: where there is a free place). ``cafile`` is the certificate to trust on wss.
     ``timeout`` is in seconds, of connecting and of each picture.
 
     May be connected again after ``close``, or after the server went away: a new session, whose frame_ids begin at 1.
@@ -53,11 +54,16 @@ class Client:
         height: float | None = None,
         span: float | None = None,
         avatar: str | None = None,
+        room: str | None = None,
+        name: str | None = None,
+        at: tuple[float, float, float] | None = None,
         cafile: str | Path | None = None,
         timeout: float = 10.0,
     ) -> None:
         self.url: str = _checked_url(url)
         asked = {"avatar": avatar, "window": window, "mirror": int(mirror) or None, "height": height, "span": span}
+        place = None if at is None else ",".join(f"{v:g}" for v in at)
+        asked |= {"room": room, "name": name, "at": place}
         self._query = {key: value for key, value in asked.items() if value is not None}
         self._headers = {"Authorization": f"Bearer {token}"} if token else {}
         self._cafile = cafile
@@ -330,12 +336,13 @@ async def _speaks_tls(url: str) -> bool:
 def _refused(url: str, status: int) -> str:
     reasons = {
         400: "it does not know an option of the address: avatar is one of its /session, mirror 0 or 1, window 1 to 8, "
-        "height 0.5 to 2.8, span 0.3 to 2.5",
+        "height 0.5 to 2.8, span 0.3 to 2.5, name letters and digits, at x,z,degrees",
         401: "it wants a token; give it with --token-file",
         403: "it does not serve this origin",
-        404: "there is no WebSocket at this path; it is /ws",
+        404: "there is no such room, which /session lists, or no WebSocket at this path, which is /ws",
+        409: "somebody of this name is in the room; choose another",
         421: "it does not go by this name; start it with --allow-host",
         429: "this address has too many clients there, or broke a limit; try again later",
-        503: "it is full or stopping; try again later",
+        503: "it, or the room, is full, or it stops; try again later",
     }
     return f"{url}: the server refuses ({status}): {reasons.get(status, 'no glsplat server?')}"

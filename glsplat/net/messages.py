@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from glsplat.camera import PAPER_FOV, PAPER_IPD, Camera, head_matrix, stereo_cameras
 from glsplat.errors import FormatError, PoseError, ProtocolError
-from glsplat.net.duplicates import has_duplicates
 from glsplat.net.fields import (
     FAR,
     NEAR,
@@ -31,6 +30,8 @@ from glsplat.net.fields import (
     PoseFields,
     Tracking,
 )
+from glsplat.net.guard.duplicates import has_duplicates
+from glsplat.net.rooms.view import RoomView
 from glsplat.rotations import FLIP_X, FLIP_Z
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.skeleton import Skeleton
@@ -96,6 +97,9 @@ class RenderRequest:
     eyes: tuple[int, ...] = (0, 1)  # eye numbers of the cameras: 0 left, 1 right
     viewer: int = 0  # who asks, for what a renderer keeps from picture to picture
     detail: float = 0.0  # added to RenderConfig.lod_bias: below 0 for coarser levels
+    room: RoomView | None = None  # everybody in a room, instead of ``avatar`` alone
+    label: str = ""  # drawn near the head of the avatar
+    notice: str = ""  # written into the picture
 
 
 @dataclass(frozen=True, slots=True)

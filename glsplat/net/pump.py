@@ -9,96 +9,33 @@ from __future__ import annotations
 import asyncio
 import logging
 import time
-from collections.abc import Awaitable, Callable
+from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
-from typing import Any
+from dataclasses import replace
 
-from glsplat.camera import Camera
 from glsplat.errors import BudgetError, ContextError, ContextLostError, GlsplatError, PoseError
 from glsplat.net.backend import Backend, Interruptible, Offered, PoseSolver, Rendered
+from glsplat.net.channel import ANYTHING, Channel, Frame
 from glsplat.net.codec.encode import Encoded, Encoder
 from glsplat.net.guard.blame import Blame
-from glsplat.net.guard.limits import Share
-from glsplat.net.messages import RenderRequest, eye_fields
-from glsplat.net.pace.governor import FULL, Detail, Governor
+from glsplat.net.messages import RenderRequest
+from glsplat.net.pace.governor import Governor
 from glsplat.net.pace.stages import StageTimes
 from glsplat.net.pace.turns import Turns
 from glsplat.net.reply import pack_reply, pack_single
+from glsplat.net.rooms.member import Member
 from glsplat.net.session import Session
 from glsplat.net.solving import Solution, Solving
 
-__all__ = ["Channel", "FramePump"]
+__all__ = ["FramePump"]
 
 log: logging.Logger = logging.getLogger("glsplat.net")
 
 _SICK = 3  # pictures in a row that failed before /healthz says so
 _STUCK = 10.0  # seconds a picture may take before /healthz says so
 _PAUSES = (0.0, 0.5, 1.0)  # seconds before each attempt to make a new context; then the pump gives up
-_ANYTHING = Offered(name="")
 _GRACE = 0.5  # seconds the picture in hand gets when the server stops
-
-
-@dataclass(eq=False, slots=True)
-class Frame:
-    """One picture on its way from the renderer to the socket."""
-
-    request: RenderRequest
-    arrived: float  # clock seconds
-    times: dict[str, float]  # ms
-    encoded: Awaitable[Encoded] | None = None  # None: it could not be drawn
-    error: tuple[str, str] = ("", "")  # code and message in that case
-    notes: tuple[str, ...] | None = None  # of the tracking solver
-    drawn: tuple[Camera, ...] | None = None  # the eyes in the avatar's space, where tracking was solved
-    box: list[float] | None = None  # of the avatar in the client's room, where it was asked for
-    untracked: str = ": send pose instead of tracking"  # what is said where tracking is not solved
-    ends: str = ""  # why the connection ends after this answer and its address is held off, if it does
-    detail: Detail = FULL  # less than was asked for, where a rate is held
-    levels: tuple[int, ...] = ()  # of detail that were drawn
-
-
-@dataclass(eq=False, slots=True)
-class Channel:
-    """One client as the pump sees it."""
-
-    number: int
-    session: Session
-    solving: Solving | None = None  # None: this server solves no tracking
-    address: str = ""  # what has a fair share of the renderer's time
-    shown: Offered = _ANYTHING
-    share: Share | None = None  # of the time for reading and solving; None: no limit
-    frames: asyncio.Queue[Frame] = field(default_factory=asyncio.Queue)  # bounded by the session's window
-
-    def ready(self, solved: Callable[[], None]) -> bool:
-        """True while a request can be drawn without waiting for its tracking.
-
-        Where none is solved yet, the newest is from now on, and ``solved`` is called (on any thread) once it is: under
-        a stream of samples that are all newer, waiting for the newest would never end.
-        """
-        session, newest = self.session, self.session.newest
-        if not session.ready():
-            return False
-        if self.solving is None or (newest is not None and self._solved(newest)):
-            return True
-        if session.kept is None:
-            assert newest is not None
-            session.keep()
-            self.solving.begin(newest.frame_id, solved)
-        return self._solved(session.kept)
-
-    def take(self, now: float) -> tuple[RenderRequest, float, Solution | None]:
-        """The newest request that is ready, the seconds it waited, and its solution."""
-        newest = self.session.newest
-        kept = self.solving is not None and (newest is None or not self._solved(newest))
-        taken = self.session.next_request(now, kept)
-        assert taken is not None
-        request, waited = taken
-        return request, waited, None if self.solving is None else self.solving.take(request.frame_id)
-
-    def _solved(self, request: RenderRequest | None) -> bool:
-        solving = self.solving
-        return request is None or request.tracking is None or solving is None or solving.solved(request.frame_id)
 
 
 class FramePump:
@@ -183,11 +120,16 @@ class FramePump:
         session: Session,
         solver: PoseSolver | None = None,
         address: str = "",
-        shown: Offered = _ANYTHING,
+        shown: Offered = ANYTHING,
+        member: Member | None = None,
     ) -> Channel:
-        """A client who is ``shown`` that, with what solves its tracking; it takes part once it is added."""
-        solving = None if solver is None else Solving(solver, self._solve_thread, self._clock)
-        return Channel(number, session, solving, address, shown)
+        """A client who is ``shown`` that, or a ``member`` of a room as that, with what solves its tracking.
+
+        It takes part once it is added.
+        """
+        heard = None if member is None else member.solved
+        solving = None if solver is None else Solving(solver, self._solve_thread, self._clock, heard=heard)
+        return Channel(number, session, solving, address, shown, member)
 
     def add(self, channel: Channel) -> None:
         """Let a client take part."""
@@ -204,6 +146,8 @@ class FramePump:
         request = channel.session.accepted
         if request is not None and request.tracking is not None and channel.solving is not None:
             channel.solving.add(request)
+        elif request is not None and channel.member is not None:
+            channel.member.posed(request, self._clock())
         self._wake.set()
 
     def wake(self) -> None:
@@ -227,29 +171,7 @@ class FramePump:
         if request.form == "single-legacy":
             return [pack_single(request.eyes[0], encoded.pictures[0])]
         assert request.frame_id is not None
-        first = request.cameras[0]
-        info: dict[str, Any] = {
-            "t": request.t,
-            "times": {name: round(ms, 3) for name, ms in frame.times.items()},
-            "size": (first.width, first.height),
-            "eyes": [eye_fields(camera) for camera in request.cameras],
-            "crop": encoded.boxes,
-            "dropped": session.counts.dropped,
-            "driver": self.driver,
-        }
-        if frame.notes is not None:
-            info["tracking"] = frame.notes
-        drawn = None if frame.drawn is None else [eye_fields(camera) for camera in frame.drawn]
-        if drawn is not None and drawn != info["eyes"]:
-            info["drawn"] = drawn
-        if channel.shown.still and request.pose is not None:
-            info["still"] = channel.shown.still
-        if frame.box is not None:
-            info["box"] = frame.box
-        if any(frame.levels) or frame.detail != FULL:
-            info["detail"] = {"levels": frame.levels, "bias": frame.detail.bias, "scale": frame.detail.scale}
-        if request.alpha == "straight":
-            info["alpha"] = request.alpha
+        info = frame.info(encoded.boxes, session.counts.dropped, self.driver, channel.shown)
         return [pack_reply(request.frame_id, request.eyes, encoded.pictures, info, encoded.alphas)]
 
     async def _run(self) -> None:
@@ -286,7 +208,7 @@ class FramePump:
         frame = Frame(request, self._clock() - waited, {"wait": waited * 1e3})
         if request.form == "native":  # older clients know one size
             frame.detail = self._governor.detail(channel.number, self._clock())
-        frame.request = replace(frame.detail.of(request), viewer=channel.number)
+        frame.request, frame.member = replace(frame.detail.of(request), viewer=channel.number), channel.member
         if why := channel.shown.untracked:
             frame.untracked = f" for what it shows: {why}"
         lost = False
@@ -353,16 +275,18 @@ class FramePump:
 
     def _draw(self, frame: Frame, solution: Solution | None) -> Future[Encoded]:
         """On the render thread: the pose where tracking was sent, the picture, and its encoding under way."""
-        request, scale, floor = frame.request, 1.0, 0.0
+        solved, request = None, frame.request
         if request.tracking is not None:
             if solution is None:
                 raise PoseError(f"this server has no tracking solver{frame.untracked}")
             solved, frame.times["ik"] = solution.result()
-            request = replace(request, pose=solved.pose, cameras=solved.cameras)
-            cameras = frame.detail.resized(solved.cameras)
-            request = replace(request, cameras=cameras)
-            frame.notes, frame.drawn = solved.notes, cameras
-            scale, floor = solved.scale, solved.floor
+            frame.notes = solved.notes
+        if frame.member is not None:
+            request = frame.member.look(request, solved, frame.arrived, self._clock())
+            frame.view = request.room
+        elif solved is not None:
+            frame.drawn = frame.detail.resized(solved.cameras)
+            request = replace(request, pose=solved.pose, cameras=frame.drawn)
         start = self._clock()
         frame.times["wait"] = (start - frame.arrived) * 1e3 - frame.times.get("ik", 0.0)  # solving is no waiting
         rendered = self._backend.render(request)
@@ -375,7 +299,10 @@ class FramePump:
             if len(rendered.images) != len(frame.request.eyes):
                 raise RuntimeError(f"{len(frame.request.eyes)} pictures were asked for, {len(rendered.images)} drawn")
             if rendered.box is not None:
+                scale, floor = (1.0, 0.0) if solved is None else (solved.scale, solved.floor)
                 frame.box = [round(v * scale + floor * (i % 3 == 1), 5) for i, v in enumerate(rendered.box)]
+            if frame.member is not None:
+                frame.member.room.posed(rendered.posed)
             frame.times |= {name: ms for name, ms in rendered.timings.items() if name not in ("render", "total")}
             # from here: the event loop need not hear of it first
             encoded = self._encode_threads.submit(self._encode, rendered, frame.request)

@@ -11,27 +11,28 @@ import logging
 import os
 import signal
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from aiohttp import WSMsgType, web
+from aiohttp import web
 
 from glsplat.errors import ProtocolError
 from glsplat.net.backend import Backend, Offered
+from glsplat.net.channel import Channel
+from glsplat.net.conversation import Conversation, cut_off
 from glsplat.net.guard.access import SUBPROTOCOL, Access, server_tls
 from glsplat.net.guard.door import Door, connection_of
 from glsplat.net.guard.limits import Budget, Limits, Purse
 from glsplat.net.guard.listener import bind
-from glsplat.net.guard.meter import POLICY_VIOLATION, Breach
-from glsplat.net.guard.reading import Reading
 from glsplat.net.messages import MAX_BYTES, Decoder, WireOptions
 from glsplat.net.options import client_options
 from glsplat.net.pages.offers import Offers
 from glsplat.net.pages.routes import Pages
-from glsplat.net.pump import Channel, FramePump
-from glsplat.net.session import GOING_AWAY, Close, Counts, Session, SessionConfig, Warn
+from glsplat.net.pump import FramePump
+from glsplat.net.rooms.rooms import Rooms
+from glsplat.net.session import GOING_AWAY, Counts, Session, SessionConfig
 from glsplat.net.uploads.routes import Uploads
 
 __all__ = ["Server", "ServerConfig"]
@@ -40,8 +41,6 @@ log: logging.Logger = logging.getLogger("glsplat.net")
 clock: Callable[[], float] = time.perf_counter  # the pump's clock too
 
 _HOPELESS = 2.0  # seconds after which a picture is not waited for when the server stops
-_TURN = 8  # messages of one client in a row before others are heard
-_FAREWELL = 0.5  # seconds a client that broke the rules gets to answer the close, while what it sends is thrown away
 _ALWAYS = {"X-Content-Type-Options": "nosniff", "Server": "glsplat"}
 _UNLESS_SAID = {"Content-Security-Policy": "default-src 'none'; style-src 'unsafe-inline'", "Cache-Control": "no-store"}
 
@@ -61,6 +60,7 @@ class ServerConfig:
     write_timeout: float = 2.0  # seconds a client may leave a reply unread
     drain_timeout: float = 3.0  # seconds that pictures under way get at the end
     scene: str = "avatar"  # for the status page
+    rooms: Mapping[str, int] = field(default_factory=dict)  # seats of each
     fps: float | None = None  # pictures a second that each client gets, with less detail if need be; None: as it comes
 
 
@@ -87,8 +87,10 @@ class Server:
         self._work = Budget(limits.work, clock())
         self._offers = Offers(offered)
         self._uploads = uploads
+        self._rooms = Rooms(self.config.rooms)
         self._channels: dict[int, Channel] = {}
-        self._sockets: dict[int, tuple[web.WebSocketResponse, web.Request]] = {}
+        self._talks: dict[int, Conversation] = {}
+        self._closing: set[asyncio.Task[None]] = set()
         self._totals = Counts()
         self._numbers = 0
         self._draining = False
@@ -132,8 +134,8 @@ class Server:
                 channels = self._channels.values()
                 while self.pump.drawing_for < _HOPELESS and any(c.session.status()["under_way"] for c in channels):
                     await asyncio.sleep(0.01)
-        sockets = [ws.close(code=GOING_AWAY, message=b"the server stops") for ws, _ in self._sockets.values()]
-        await asyncio.gather(*sockets, return_exceptions=True)
+        closing = [talk.close(GOING_AWAY, "the server stops") for talk in self._talks.values()]
+        await asyncio.gather(*closing, *self._closing, return_exceptions=True)
         await self.door.close()
         if self._uploads is not None:
             await self._uploads.stop()
@@ -191,6 +193,7 @@ class Server:
             "uploads": None if self._uploads is None else self._uploads.counts(),
             "totals": totals,
             "stages": self.pump.stages.summary(),
+            "rooms": self._rooms.status(clock()),
             "clients": clients,
         }
 
@@ -199,6 +202,7 @@ class Server:
         most, wire = self.config.max_clients, self.config.wire
         return {
             "avatars": self._offers.fields(),
+            "rooms": self._rooms.offer(clock()),
             "upload": None if self._uploads is None else self._uploads.offer(),
             "max_side": wire.max_side,
             "size": wire.size,
@@ -223,26 +227,23 @@ class Server:
             channel = self._open_channel(request, entered)
         except ProtocolError as error:
             self.door.leave(request, entered)
-            return web.Response(status=400, text=f"{error}\n")
-        writer: asyncio.Task[None] | None = None
+            return web.Response(status=getattr(error, "status", 400), text=f"{error}\n")
+        talk = Conversation(
+            channel, ws, request, self.pump, self.door, lambda: self._draining, self.config.write_timeout
+        )
         try:
             await ws.prepare(request)
-            self._sockets[channel.number] = ws, request
-            self.pump.add(channel)
-            writer = asyncio.create_task(self._write(channel, ws, request))
-            await self._converse(channel, ws, connection_of(request).breached)
+            self._talks[channel.number] = talk
+            await talk.run()
             return ws
         except (ConnectionError, TimeoutError):  # it neither reads nor listens
-            _cut_off(request)
+            cut_off(request)
             if not ws.prepared:  # gone before its handshake was answered: aiohttp would close what never opened
                 return web.Response(status=400)
             return ws
         finally:
-            self._close_channel(channel)
+            self._close_channel(channel, talk.goodbye)
             self.door.leave(request, entered)
-            if writer is not None:
-                writer.cancel()
-                await asyncio.gather(writer, return_exceptions=True)
 
     def _make_socket(self) -> web.WebSocketResponse:
         return web.WebSocketResponse(
@@ -254,13 +255,15 @@ class Server:
         )
 
     def _open_channel(self, request: web.Request, purse: Purse) -> Channel:
-        """A new client with the options of its address: /ws?avatar=ann&mirror=1&window=3&height=1.75."""
+        """A new client with the options of its address: /ws?avatar=ann&mirror=1&window=3&height=1.75&room=lab."""
         asked = client_options(request.query, self.config.wire, self.config.session, self._offers.names)
         one = self._offers[asked.avatar]
         solver = None if one.solver is None else one.solver(asked.height, asked.span)
         self._numbers += 1
+        number, address = self._numbers, connection_of(request).key
+        member = self._rooms.join(asked, one, number, address, clock(), lambda: self._replace(number))
         session = Session(Decoder(asked.wire, one.skeleton, one.name, one.parts), asked.session, clock())
-        channel = self.pump.open(self._numbers, session, solver, connection_of(request).key, one)
+        channel = self.pump.open(number, session, solver, address, one, member)
         channel.share = self._work.open(clock(), channel.address)
         if channel.solving is not None:
             channel.solving.share, channel.solving.samples = channel.share, purse.samples
@@ -270,129 +273,32 @@ class Server:
     async def _withdraw(self, name: str) -> bool:
         """Offer an avatar no more and end the connections that show it; False where it was not offered."""
         there = self._offers.remove(name)
-        shown = [ws for ws, request in self._sockets.values() if request.query.get("avatar") == name]
-        closing = (ws.close(code=GOING_AWAY, message=b"this avatar is deleted") for ws in shown)
+        shown = [talk for talk in self._talks.values() if talk.channel.shown.name == name]
+        closing = (talk.close(GOING_AWAY, "this avatar is deleted") for talk in shown)
         await asyncio.gather(*closing, return_exceptions=True)
         return there
 
-    def _close_channel(self, channel: Channel) -> None:
+    def _replace(self, number: int) -> None:
+        """The person of that client has come back on another connection."""
+        talk = self._talks.get(number)
+        if talk is not None:
+            task = asyncio.create_task(talk.close(GOING_AWAY, "connected anew elsewhere"))
+            self._closing.add(task)
+            task.add_done_callback(self._closing.discard)
+
+    def _close_channel(self, channel: Channel, goodbye: bool) -> None:
         self.pump.remove(channel)
+        if channel.member is not None:
+            channel.member.end(goodbye)
         if channel.share is not None:
             self._work.close(channel.share)
-        self._sockets.pop(channel.number, None)
+        self._talks.pop(channel.number, None)
         del self._channels[channel.number]
         for name, value in asdict(channel.session.counts).items():
             setattr(self._totals, name, getattr(self._totals, name) + value)
-
-    async def _converse(self, channel: Channel, ws: web.WebSocketResponse, breached: asyncio.Future[Breach]) -> None:
-        """Messages of one client until it leaves or is put out."""
-        reading = asyncio.create_task(self._read(channel, ws))
-        ends: list[asyncio.Future[Any]] = [reading, breached]
-        try:
-            await asyncio.wait(ends, return_when=asyncio.FIRST_COMPLETED)
-        finally:
-            reading.cancel()
-            await asyncio.gather(reading, return_exceptions=True)  # looked at, or asyncio logs it: the peer may be gone
-        if breached.done() and not ws.closed:
-            await self._farewell(channel, ws, channel.session.broke(breached.result()))
-        elif not reading.cancelled():
-            reading.result()
-
-    async def _read(self, channel: Channel, ws: web.WebSocketResponse) -> None:
-        """Messages of one client until it leaves, is too long silent, or breaks the rules too often."""
-        assert channel.share is not None
-        reading = Reading(channel.share)
-        session, count = channel.session, 0
-        while True:
-            text: str | None = None
-            outcome: Warn | Close | None = None
-            now = clock()
-            try:
-                # not receive(timeout=...): that begins anew with each ping or pong, and leaves out writing the pongs
-                async with asyncio.timeout(max(0.01, min(session.expires() - now, reading.wait(now)))):
-                    message = await ws.receive()
-            except TimeoutError:
-                text = reading.take()
-                if text is None:
-                    outcome = session.expired(clock())
-            else:
-                if message.type == WSMsgType.TEXT:
-                    if self._draining:
-                        continue
-                    text = reading.offer(message.data, clock())
-                elif message.type == WSMsgType.BINARY:
-                    error = ProtocolError("a request is a text message (JSON), not a binary one", "binary")
-                    outcome = session.malformed(error, clock())
-                else:  # closed, or a broken frame that aiohttp has answered (1002, 1007, 1009)
-                    return
-            if text is not None:
-                now, worked = clock(), time.thread_time()
-                outcome = session.receive(text, now)
-                # waiting for other threads is not the client's fault, but the loop stands still meanwhile
-                reading.share.spend(time.thread_time() - worked, clock() - now)
-            session.counts.unread = reading.left_out
-            if isinstance(outcome, Warn):
-                await self._send(ws, outcome.text)
-            elif isinstance(outcome, Close):
-                await self._farewell(channel, ws, outcome)
-                return
-            elif text is not None:
-                self.pump.received(channel)
-            count += 1
-            if count % _TURN == 0:  # receive() does not give way while more has arrived
-                await asyncio.sleep(0)
-
-    async def _farewell(self, channel: Channel, ws: web.WebSocketResponse, close: Close) -> None:
-        """Close the connection of a client that broke the rules. Raises TimeoutError if it does not answer."""
-        self.pump.remove(channel)
-        if close.breach:
-            self.door.breach(self._sockets[channel.number][1], close.reason)
-        if close.text:
-            await self._send(ws, close.text)
-        async with asyncio.timeout(_FAREWELL):  # else it is cut off
-            await ws.close(code=close.code, message=close.reason.encode())
-
-    async def _write(self, channel: Channel, ws: web.WebSocketResponse, request: web.Request) -> None:
-        """Pictures of one client, in order. A client that does not read them in time is cut off."""
-        session = channel.session
-        while True:
-            frame = await channel.frames.get()
-            try:
-                packed = await self.pump.pack(channel, frame)
-                for data in [packed] if isinstance(packed, str) else packed:
-                    await self._send(ws, data)
-            except TimeoutError:
-                log.warning("client %d does not read its pictures; cut off", channel.number)
-                _cut_off(request)
-                return
-            except ConnectionError:
-                return
-            except Exception:  # a fault of ours: end the connection rather than leave it silent
-                log.exception("client %d cannot be answered", channel.number)
-                _cut_off(request)
-                return
-            if not isinstance(packed, str):
-                session.sent(frame.request, sum(map(len, packed)))
-            self.pump.wake()
-            if frame.ends:
-                log.warning("client %d is dropped: %s", channel.number, frame.ends)
-                with contextlib.suppress(TimeoutError):
-                    await self._farewell(channel, ws, Close("", POLICY_VIOLATION, frame.ends, breach=True))
-                return _cut_off(request)
-
-    async def _send(self, ws: web.WebSocketResponse, data: str | bytes) -> None:
-        if ws.closed:
-            return
-        async with asyncio.timeout(self.config.write_timeout):
-            await (ws.send_str(data) if isinstance(data, str) else ws.send_bytes(data))
 
 
 async def _set_headers(request: web.Request, response: web.StreamResponse) -> None:
     response.headers.update(_ALWAYS)
     for name, value in _UNLESS_SAID.items():
         response.headers.setdefault(name, value)
-
-
-def _cut_off(request: web.Request) -> None:
-    if request.transport is not None:
-        request.transport.abort()

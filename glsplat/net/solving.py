@@ -37,10 +37,11 @@ class Solving:
         thread: Executor,
         clock: Callable[[], float],
         cpu: Callable[[], float] = thread_time,  # seconds the calling thread has worked
+        heard: Callable[[RenderRequest, Solved, float], None] | None = None,  # what was solved, and when it came
     ) -> None:
         self.share: Share | None = None  # of the time for solving; None: no limit
         self.samples: Bucket | None = None  # solved one by one; None: no limit
-        self._cpu = cpu
+        self._cpu, self._heard = cpu, heard
         self.merged = 0  # samples left out in favour of a newer one, the budget being spent
         self._solver, self._thread, self._clock = solver, thread, clock
         self._solutions: deque[tuple[int | None, Solution]] = deque()  # by frame_id, oldest first
@@ -140,6 +141,8 @@ class Solving:
         except BaseException as error:
             solution.set_exception(error)
         else:
+            if self._heard is not None:
+                self._heard(request, result, arrived)
             solution.set_result((result, (self._clock() - start) * 1e3))
         took = self._cpu() - worked
         self._spend(took - cost)

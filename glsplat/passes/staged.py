@@ -68,7 +68,7 @@ class Staged:
         self.runs = 0  # of items that were posed or placed so far, each level of each once a movement
         try:
             visible = self._visible()
-            self._stage(visible, [(i, self._at_first(item)) for i, item in enumerate(visible)])
+            self._stage(visible, [self._at_first(item) for item in visible])
         except BaseException:
             self.release()
             raise
@@ -122,12 +122,13 @@ class Staged:
                 raise PoseError(f"render() got one pose for {avatars} avatars; set the pose of each item instead")
         places = [self._placement(item, pose) for item in visible]
         levels = self._choose(visible, places, look)
-        parts = [(i, level) for i, level in enumerate(levels) if id(visible[i]) not in without]
-        self._stage(visible, parts)
+        self._stage(visible, levels)
         self._stand(pose)
         if self._standing or any(place.bones is not None for place in places):
             timer.mark("pose")
         assert self._drawable is not None
+        parts = [part for part in enumerate(levels) if id(visible[part[0]]) not in without]
+        self.levels = tuple(level for _, level in parts)
         arena, before = self.arena, self.arena.runs
         if arena.place({self._drawable.parts.index(part): places[part[0]] for part in parts}):
             timer.mark("skin")
@@ -194,11 +195,12 @@ class Staged:
         """The visible splat items, in order."""
         return [item for item in self.scene if item.visible and not isinstance(item.content, RiggedMesh)]
 
-    def _stage(self, visible: Sequence[Item], parts: Sequence[Part]) -> None:
-        """Buffers for what is new, an arena that holds these parts of what is visible.
+    def _stage(self, visible: Sequence[Item], levels: Sequence[int]) -> None:
+        """Buffers for what is new, an arena that holds what is visible at these levels of detail.
 
         Nothing of what stands is given up before what replaces it is there.
         """
+        parts = tuple(enumerate(levels))
         posed = len(visible) != 1 or isinstance(visible[0].content, Avatar) or _moved(visible[0])
         shown = (posed, *map(id, visible))
         if shown != self._shown or self._drawable is None:
@@ -208,8 +210,7 @@ class Staged:
             if not self._drawable.holds(parts):
                 self._replace(self._made(visible, self._with_older(visible, parts), posed))
         else:
-            self._drawable = self._drawables.get(tuple(parts), lambda: self._made(visible, parts, posed))
-        self.levels = tuple(level for _, level in parts)
+            self._drawable = self._drawables.get(parts, lambda: self._made(visible, parts, posed))
         present = {id(item) for item in self.scene}
         for gone in [key for key in self._items if key not in present]:
             self._items.pop(gone)[1].release()

@@ -12,9 +12,11 @@ from numpy.typing import NDArray
 from glsplat.camera import Camera, look_at, pinhole
 from glsplat.config import LEAN, RenderConfig
 from glsplat.errors import BudgetError, ContextLostError, GlsplatError, PoseError
+from glsplat.formats.scene_file import SceneFile
 from glsplat.net.backend import Rendered
 from glsplat.net.messages import RenderRequest
 from glsplat.passes.frame.budget import Budget
+from glsplat.passes.stats import union
 from glsplat.scene import Figure, Shown
 
 __all__ = ["MAX_COST", "MAX_TIME", "RendererBackend", "most_cost"]
@@ -53,6 +55,7 @@ class RendererBackend:
         max_time: float = MAX_TIME,
         pose_at: Callable[[float], None] | None = None,  # brings the scene to a time in seconds since open()
         avatars: Mapping[str, Figure] | None = None,  # by RenderRequest.avatar; any other name is the scene
+        rooms: Mapping[str, SceneFile] | None = None,  # the background of each
     ) -> None:
         self.abandoned: Callable[[], bool] = lambda: False
         self.place: NDArray[np.uint8] | None = None
@@ -62,6 +65,7 @@ class RendererBackend:
         self._scene, self._pixels, self._device = scene, pixels, device
         self._pose_at, self._opened = pose_at, 0.0
         self._avatars = {} if avatars is None else avatars  # which may be empty yet
+        self._rooms = rooms or {}
 
     def open(self) -> str:
         """Make the context, load the scene, and draw once so that no client waits for the shaders."""
@@ -74,7 +78,7 @@ class RendererBackend:
         self._opened = time.monotonic()
         try:
             make = partial(Renderer, size=self._pixels, views=2, config=self._config, context=self._context)
-            self._stands = Stands(self._scene, self._avatars, make)
+            self._stands = Stands(self._scene, self._avatars, make, self._rooms)
             renderer = self._stands.get().renderer
             view = Camera(look_at((0, 1.2, 2.0), (0, 1, 0)), pinhole(*self._pixels), *self._pixels)
             renderer.render([view, view], budget=Budget())
@@ -100,9 +104,10 @@ class RendererBackend:
         budget = Budget(self._max_cost, self._max_time, self._slice_cost, self.abandoned)
         try:
             renderer.resize(first.width, first.height)
+            seconds = time.monotonic() - self._opened
             if self._pose_at is not None:
-                self._pose_at(time.monotonic() - self._opened)
-            stand.follow()
+                self._pose_at(seconds)
+            stand.follow(request, seconds)
             images = renderer.render(
                 request.cameras,
                 request.pose,
@@ -110,6 +115,7 @@ class RendererBackend:
                 out=self.place,
                 viewer=request.viewer,
                 lod_bias=request.detail,
+                without=stand.left_out(request),
             )
             if self._context.ctx.error != "GL_NO_ERROR":  # reading it clears it
                 raise GlsplatError(f"{renderer.driver} reports an OpenGL error: the picture is not to be trusted")
@@ -121,16 +127,16 @@ class RendererBackend:
             renderer.drop_targets()
             raise
         self._check_alive()
-        box = stand.box(request.pose) if request.box else None
-        stats = renderer.stats
+        stats, written = renderer.stats, self._stands.write(stand, request, images)
         return Rendered(
             images,
             dict(renderer.timings),
             renderer.driver,
-            stats.covered,
+            union(stats.covered, written),
             levels=stats.levels,
             coarsest=stats.coarsest,
-            box=box,
+            posed=stats.posed,
+            box=stand.box(request),
         )
 
     def _check_alive(self) -> None:

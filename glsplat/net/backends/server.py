@@ -26,11 +26,13 @@ from glsplat.tracking.calibration import EYES_OF_STATURE, Calibration
 from glsplat.tracking.solve.body import Body
 from glsplat.tracking.solvers import SOLVERS, SolverName
 
-__all__ = ["make_server", "offered"]
+__all__ = ["SEATS", "make_server", "offered"]
 
 log: logging.Logger = logging.getLogger("glsplat.net")
 
 _NAME = 64  # characters
+SEATS = 8
+"""People that a room holds unless it is said."""
 
 
 def make_server(
@@ -45,6 +47,7 @@ def make_server(
     avatars: Mapping[str, Figure] | None = None,  # others that clients may choose, by name
     uploads: UploadConfig | None = None,  # lets clients have avatars made of photographs; None: they may not
     solver: SolverName = SOLVERS[0],  # what guesses the body of users who send head and hands
+    rooms: Mapping[str, Shown | SceneFile] | None = None,  # in which clients meet: what stands there already
 ) -> Server:
     """A server that draws ``scene`` with OpenGL, and solves tracking if its one avatar has SMPL-X's rig.
 
@@ -52,8 +55,9 @@ def make_server(
     without any it does nothing.
     The motions of a scene file play on the server's clock. Clients see the scene, or whom of ``avatars`` they name in
     their address (/ws?avatar=NAME); each is posed and tracked by its own skeleton. Of ``uploads`` the folder's avatars
-    are offered from the start, those made later as they come. ``own_process`` draws in a process of its own, else in a
-    thread. Nothing else is opened before ``await server.start()`` or ``await server.run()``::
+    are offered from the start, those made later as they come. Clients who name one of ``rooms`` are people of one scene
+    (/ws?room=NAME&name=ANN); ``config.rooms`` may say how many each holds. ``own_process`` draws in a process of its
+    own, else in a thread. Nothing else is opened before ``await server.start()`` or ``await server.run()``::
 
         asyncio.run(make_server(glsplat.load("me.glb"), ServerConfig(port=8000)).run())
     """
@@ -72,7 +76,11 @@ def make_server(
         offers += kept
     for one in offers:
         _say(one)
-    draw = partial(RendererBackend, file.scene, config.wire.size, device, rendering, *budget, avatars=choices)
+    places = {one: what if isinstance(what, SceneFile) else SceneFile.of(what) for one, what in (rooms or {}).items()}
+    config = replace(config, rooms={one: config.rooms.get(one, SEATS) for one in places})
+    draw = partial(
+        RendererBackend, file.scene, config.wire.size, device, rendering, *budget, avatars=choices, rooms=places
+    )
     if file.motions:  # in one pickle with the scene, so that the items are the same
         draw = partial(draw, pose_at=file.pose_at)
     backend: Backend = ProcessBackend(draw, config.wire.max_side, budget[1]) if own_process else draw()

@@ -9,17 +9,19 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 
 import numpy as np
+from numpy.typing import NDArray
 
 from glsplat.avatar import Avatar
 from glsplat.errors import GlsplatError
 from glsplat.formats.scene_file import SceneFile
+from glsplat.net.backends.labels import Box, Label, draw_labels, notice
+from glsplat.net.backends.room import RoomStand, label_place
 from glsplat.net.messages import RenderRequest
 from glsplat.passes.kept import Kept
 from glsplat.passes.views import checked_pose
 from glsplat.renderer import Renderer
 from glsplat.scene import Figure, Item, Scene, Shown, is_figure
 from glsplat.skinning.extent import Extent
-from glsplat.skinning.pose import Pose
 from glsplat.skinning.skin import Skin
 
 __all__ = ["KEPT", "Stand", "Stands"]
@@ -29,7 +31,8 @@ KEPT = 4
 
 _KEPT_BYTES = 2**29  # of the GPU's memory, by those that are not in use
 
-Key = tuple[str, tuple[str, ...]]
+Key = tuple[str, tuple[str, ...] | None]
+"""Name of an avatar and its parts that are left out, or name of a room and None."""
 
 
 class Stand:
@@ -49,16 +52,28 @@ class Stand:
         """GPU bytes."""
         return sum(self.renderer.nbytes().values())
 
-    def follow(self) -> None:
+    def follow(self, request: RenderRequest, seconds: float) -> None:
         """Put what stands in for the scene's avatar where that is now."""
         if self._item is not self._source:
             assert self._item is not None and self._source is not None
             self._item.pose, self._item.transform = self._source.pose, self._source.transform
 
-    def box(self, pose: Pose | None) -> tuple[float, ...] | None:
-        """x, y, z lowest and highest, metres, of the one avatar in ``pose`` (None: as it stands); None without one."""
-        item = self._item
-        if item is None:
+    def left_out(self, request: RenderRequest) -> tuple[Item, ...]:
+        """Nothing: it was made without what its requests hide."""
+        return ()
+
+    def labels(self, request: RenderRequest) -> list[Label]:
+        """What stands over the head of the one avatar, if the request has words for it."""
+        if not request.label or self._item is None or not is_figure(self._item.content):
+            return []
+        pose = self._item.pose if request.pose is None else request.pose
+        posed = Item(self._item.content, pose=pose, transform=self._item.transform)
+        return [Label(request.label, label_place(posed, self._item.content))]
+
+    def box(self, request: RenderRequest) -> tuple[float, ...] | None:
+        """x, y, z lowest and highest, metres, of the one avatar as it is posed; None without one, or not asked for."""
+        item, pose = self._item, request.pose
+        if item is None or not request.box:
             return None
         avatar = item.content
         assert is_figure(avatar)
@@ -76,27 +91,56 @@ class Stand:
 
 
 class Stands:
-    """The stand of each request. Those used last are kept; the others are made anew when they are asked for."""
+    """The stand of each request. Those used last are kept; the others are made anew when they are asked for.
 
-    def __init__(self, scene: Shown, avatars: Mapping[str, Figure], make: Callable[[Scene], Renderer]) -> None:
-        self._scene, self._avatars, self._make = Scene.of(scene), avatars, make
-        self._kept: Kept[Key, Stand] = Kept(KEPT, _KEPT_BYTES)
+    ``avatars`` and ``rooms`` are by name; what stands in a room is its background.
+    """
+
+    def __init__(
+        self,
+        scene: Shown,
+        avatars: Mapping[str, Figure],
+        make: Callable[[Scene], Renderer],
+        rooms: Mapping[str, SceneFile] | None = None,
+    ) -> None:
+        self._scene, self._avatars, self._make, self._rooms = Scene.of(scene), avatars, make, rooms or {}
+        self._kept: Kept[Key, Stand | RoomStand] = Kept(KEPT + len(self._rooms), _KEPT_BYTES)
 
     def __len__(self) -> int:
         return len(self._kept)
 
-    def of(self, request: RenderRequest) -> Stand:
+    def of(self, request: RenderRequest) -> Stand | RoomStand:
         """What ``request`` asks to see. Raises GlsplatError where that has no such part."""
-        return self.get(request.avatar, request.hide)
+        if request.room is None:
+            return self.get(request.avatar, request.hide)
+        background = self._rooms[request.room.room]
+        return self._kept.get((request.room.room, None), lambda: RoomStand(background, self._figure, self._make))
 
-    def get(self, name: str = "", hide: tuple[str, ...] = ()) -> Stand:
+    def get(self, name: str = "", hide: tuple[str, ...] = ()) -> Stand | RoomStand:
         """One of the avatars by its name, the scene by any other, without the parts ``hide``."""
         shown = name if name in self._avatars else ""
         return self._kept.get((shown, hide), lambda: self._stand(shown, hide))
 
+    @staticmethod
+    def write(stand: Stand | RoomStand, request: RenderRequest, images: NDArray[np.uint8]) -> Box:
+        """Write the words of a request into its images [V, H, W, 4]; the box of what changed, which may be empty."""
+        words = stand.labels(request)
+        if request.notice:
+            words.append(notice(request.notice, request.cameras))
+        return draw_labels(images, request.cameras, words) if words else (0, 0, 0, 0)
+
     def release(self) -> None:
         """Delete all."""
         self._kept.release()
+
+    def _figure(self, name: str) -> Figure:
+        """An avatar by its name, or the scene's one."""
+        if name in self._avatars:
+            return self._avatars[name]
+        item = SceneFile.of(self._scene).avatar
+        if item is None or not is_figure(item.content):
+            raise GlsplatError(f'there is no avatar "{name}" for the people of a room')
+        return item.content
 
     def _stand(self, name: str, hide: tuple[str, ...]) -> Stand:
         return Stand(Scene.of(self._avatars[name]) if name else self._scene, hide, self._make)

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from glsplat.net.backend import Solved
-from glsplat.net.duplicates import has_duplicates
 from glsplat.net.guard.addresses import Addresses
+from glsplat.net.guard.duplicates import has_duplicates
 from glsplat.net.guard.limits import Bucket, Budget, Limits, Purse, Strikes, address_key
 from glsplat.net.guard.meter import FrameMeter
 from glsplat.net.guard.reading import Reading

@@ -1,0 +1,118 @@
+"""A room as the renderer sees it: a scene with a background, and an item or two a person who is there."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glsplat.avatar import Avatar
+from glsplat.formats.scene_file import SceneFile
+from glsplat.net.backends.labels import Label
+from glsplat.net.messages import RenderRequest
+from glsplat.net.rooms.view import Present, RoomView
+from glsplat.renderer import Renderer
+from glsplat.scene import Figure, Item, Scene
+
+__all__ = ["RoomStand", "label_place"]
+
+_ABOVE = 0.3  # metres from the joint of the head to the middle of the label, of a person of the height ...
+_TALL = 1.7  # ... metres
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Shown:
+    """Somebody's items: the head is one of its own, so that pictures from their own eyes can leave it out."""
+
+    figure: Figure
+    rest: Item
+    head: Item | None
+
+    @property
+    def items(self) -> tuple[Item, ...]:
+        return (self.rest,) if self.head is None else (self.rest, self.head)
+
+
+class RoomStand:
+    """What draws one room for all who are in it. ``figure_of`` gives the avatars by name, ``make`` the renderer."""
+
+    def __init__(
+        self, background: SceneFile, figure_of: Callable[[str], Figure], make: Callable[[Scene], Renderer]
+    ) -> None:
+        self._background, self._figure_of = background, figure_of
+        self._people: dict[int, _Shown] = {}
+        self.scene = Scene(background.scene)
+        self.renderer = make(self.scene)
+
+    @property
+    def nbytes(self) -> int:
+        """GPU bytes."""
+        return sum(self.renderer.nbytes().values())
+
+    def follow(self, request: RenderRequest, seconds: float) -> None:
+        """Bring everybody to where they are; ``seconds`` is the time of the background's motions.
+
+        Raises GlsplatError where an avatar cannot be had: nobody else is touched.
+        """
+        view = _view(request)
+        new = {one.key: _shown(one, self._figure_of(one.avatar)) for one in view.people if one.key not in self._people}
+        here = {one.key for one in view.people}
+        for gone in [key for key in self._people if key not in here]:
+            for item in self._people.pop(gone).items:
+                self.scene.remove(item)
+        for key, shown in new.items():
+            self._people[key] = shown
+            for item in shown.items:
+                self.scene.add(item)
+        for one in view.people:
+            for item in self._people[one.key].items:
+                item.pose, item.transform, item.opacity = one.pose, one.transform, one.opacity
+        self._background.pose_at(seconds)
+
+    def left_out(self, request: RenderRequest) -> list[Item]:
+        """Items that a picture is drawn without: of the viewer what the request hides, and who has faded."""
+        faded = [item for one in self._people.values() for item in one.items if item.opacity == 0]
+        own = self._people.get(_view(request).viewer)
+        return [*faded, own.head] if "head" in request.hide and own is not None and own.head is not None else faded
+
+    def labels(self, request: RenderRequest) -> list[Label]:
+        """What stands over the heads; over the viewer's own only where that head is seen."""
+        view = _view(request)
+        people = [one for one in view.people if one.label and not (one.key == view.viewer and "head" in request.hide)]
+        return [
+            Label(one.label, label_place(self._people[one.key].rest, self._people[one.key].figure), opacity=one.opacity)
+            for one in people
+        ]
+
+    def box(self, request: RenderRequest) -> None:
+        """Nothing: there are several."""
+
+    def release(self) -> None:
+        """Delete what draws it."""
+        self.renderer.release()
+
+
+def _view(request: RenderRequest) -> RoomView:
+    assert request.room is not None
+    return request.room
+
+
+def label_place(item: Item, figure: Figure) -> NDArray[np.float64]:
+    """[3] in the scene: over the head of a figure as ``item`` poses and places it; over the highest joint of others."""
+    skeleton = figure.skeleton
+    rest = skeleton.rest[:, :3, 3]
+    joint = skeleton.names.index("head") if "head" in skeleton.names else int(rest[:, 1].argmax())
+    bones = np.eye(4)[:3] if item.pose is None else item.pose.bones(skeleton)[joint]
+    tall = float(rest[:, 1].max() - rest[:, 1].min())
+    above = bones @ np.append(rest[joint], 1.0) + (0, _ABOVE * tall / _TALL, 0)
+    return np.asarray(item.transform[:3, :3] @ above + item.transform[:3, 3], np.float64)
+
+
+def _shown(one: Present, figure: Figure) -> _Shown:
+    if isinstance(figure, Avatar) and "head" in figure.skeleton.names:
+        rest, head = figure.without("head"), figure.only("head")
+        if len(rest.splats) and len(head.splats):
+            return _Shown(figure, Item(rest, name=one.name), Item(head, name=one.name))
+    return _Shown(figure, Item(figure, name=one.name), None)

@@ -1,0 +1,118 @@
+"""A client and a picture of it as the pump and the server see them."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from glsplat.camera import Camera
+from glsplat.net.backend import Offered
+from glsplat.net.codec.encode import Encoded
+from glsplat.net.guard.limits import Share
+from glsplat.net.messages import RenderRequest, eye_fields
+from glsplat.net.pace.governor import FULL, Detail
+from glsplat.net.rooms.member import Member
+from glsplat.net.rooms.view import RoomView, room_fields
+from glsplat.net.session import Session
+from glsplat.net.solving import Solution, Solving
+
+__all__ = ["ANYTHING", "Channel", "Frame"]
+
+ANYTHING = Offered(name="")
+
+
+@dataclass(eq=False, slots=True)
+class Frame:
+    """One picture on its way from the renderer to the socket."""
+
+    request: RenderRequest
+    arrived: float  # clock seconds
+    times: dict[str, float]  # ms
+    encoded: Awaitable[Encoded] | None = None  # None: it could not be drawn
+    error: tuple[str, str] = ("", "")  # code and message in that case
+    notes: tuple[str, ...] | None = None  # of the tracking solver
+    drawn: tuple[Camera, ...] | None = None  # the eyes in the avatar's space, where tracking was solved
+    box: list[float] | None = None  # of the avatar in the client's room, where it was asked for
+    untracked: str = ": send pose instead of tracking"  # what is said where tracking is not solved
+    ends: str = ""  # why the connection ends after this answer and its address is held off, if it does
+    detail: Detail = FULL  # less than was asked for, where a rate is held
+    levels: tuple[int, ...] = ()  # of detail that were drawn
+    member: Member | None = None  # of the client, in a room
+    view: RoomView | None = None  # what of the room was drawn
+
+    def info(
+        self, boxes: Sequence[tuple[int, int, int, int]] | None, dropped: int, driver: str, shown: Offered
+    ) -> dict[str, Any]:
+        """The JSON object of the reply (docs/protocol.md, section 4)."""
+        request, first = self.request, self.request.cameras[0]
+        info: dict[str, Any] = {
+            "t": request.t,
+            "times": {name: round(ms, 3) for name, ms in self.times.items()},
+            "size": (first.width, first.height),
+            "eyes": [eye_fields(camera) for camera in request.cameras],
+            "crop": boxes,
+            "dropped": dropped,
+            "driver": driver,
+        }
+        if self.notes is not None:
+            info["tracking"] = self.notes
+        drawn = None if self.drawn is None else [eye_fields(camera) for camera in self.drawn]
+        if drawn is not None and drawn != info["eyes"]:
+            info["drawn"] = drawn
+        if shown.still and request.pose is not None:
+            info["still"] = shown.still
+        if self.box is not None:
+            info["box"] = self.box
+        if any(self.levels) or self.detail != FULL:
+            info["detail"] = {"levels": self.levels, "bias": self.detail.bias, "scale": self.detail.scale}
+        if request.alpha == "straight":
+            info["alpha"] = request.alpha
+        if self.view is not None:
+            info["room"] = room_fields(self.view)
+        return info
+
+
+@dataclass(eq=False, slots=True)
+class Channel:
+    """One client as the pump sees it."""
+
+    number: int
+    session: Session
+    solving: Solving | None = None  # None: this server solves no tracking
+    address: str = ""  # what has a fair share of the renderer's time
+    shown: Offered = ANYTHING
+    member: Member | None = None  # in a room; None: sees what it is shown alone
+    share: Share | None = None  # of the time for reading and solving; None: no limit
+    frames: asyncio.Queue[Frame] = field(default_factory=asyncio.Queue)  # bounded by the session's window
+
+    def ready(self, solved: Callable[[], None]) -> bool:
+        """True while a request can be drawn without waiting for its tracking.
+
+        Where none is solved yet, the newest is from now on, and ``solved`` is called (on any thread) once it is: under
+        a stream of samples that are all newer, waiting for the newest would never end.
+        """
+        session, newest = self.session, self.session.newest
+        if not session.ready():
+            return False
+        if self.solving is None or (newest is not None and self._solved(newest)):
+            return True
+        if session.kept is None:
+            assert newest is not None
+            session.keep()
+            self.solving.begin(newest.frame_id, solved)
+        return self._solved(session.kept)
+
+    def take(self, now: float) -> tuple[RenderRequest, float, Solution | None]:
+        """The newest request that is ready, the seconds it waited, and its solution."""
+        newest = self.session.newest
+        kept = self.solving is not None and (newest is None or not self._solved(newest))
+        taken = self.session.next_request(now, kept)
+        assert taken is not None
+        request, waited = taken
+        return request, waited, None if self.solving is None else self.solving.take(request.frame_id)
+
+    def _solved(self, request: RenderRequest | None) -> bool:
+        solving = self.solving
+        return request is None or request.tracking is None or solving is None or solving.solved(request.frame_id)

@@ -1,0 +1,174 @@
+"""One client's conversation over its WebSocket: messages in, pictures out, until one of the two sides ends it."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+import time
+from collections.abc import Callable
+from typing import Any
+
+from aiohttp import WSMsgType, web
+
+from glsplat.errors import ProtocolError
+from glsplat.net.channel import Channel
+from glsplat.net.guard.door import Door, connection_of
+from glsplat.net.guard.meter import POLICY_VIOLATION, Breach
+from glsplat.net.guard.reading import Reading
+from glsplat.net.pump import FramePump
+from glsplat.net.session import Close, Warn
+
+__all__ = ["Conversation", "cut_off"]
+
+log: logging.Logger = logging.getLogger("glsplat.net")
+clock: Callable[[], float] = time.perf_counter  # the pump's clock too
+
+_TURN = 8  # messages of one client in a row before others are heard
+_FAREWELL = 0.5  # seconds a client that broke the rules gets to answer the close, while what it sends is thrown away
+_LOST = 1006  # RFC 6455, section 7.4.1: nobody said goodbye
+
+
+class Conversation:
+    """``deaf`` says that the server takes no more requests. ``write_timeout`` seconds a reply may stay unread."""
+
+    def __init__(
+        self,
+        channel: Channel,
+        ws: web.WebSocketResponse,
+        request: web.Request,
+        pump: FramePump,
+        door: Door,
+        deaf: Callable[[], bool],
+        write_timeout: float,
+    ) -> None:
+        self.channel = channel
+        self._ws, self._request, self._pump, self._door = ws, request, pump, door
+        self._deaf, self._write_timeout = deaf, write_timeout
+
+    @property
+    def goodbye(self) -> bool:
+        """Whether it ended by a close, not by a connection that broke."""
+        return self._ws.close_code not in (None, _LOST)
+
+    async def run(self) -> None:
+        """Until the client leaves or is put out. Raises ConnectionError, TimeoutError: it neither reads nor listens."""
+        self._pump.add(self.channel)
+        writer = asyncio.create_task(self._write())
+        try:
+            await self._converse(connection_of(self._request).breached)
+        finally:
+            writer.cancel()
+            await asyncio.gather(writer, return_exceptions=True)
+
+    async def close(self, code: int, reason: str) -> None:
+        """End it from the server's side."""
+        await self._ws.close(code=code, message=reason.encode())
+
+    async def _converse(self, breached: asyncio.Future[Breach]) -> None:
+        """Messages of one client until it leaves or is put out."""
+        reading = asyncio.create_task(self._read())
+        ends: list[asyncio.Future[Any]] = [reading, breached]
+        try:
+            await asyncio.wait(ends, return_when=asyncio.FIRST_COMPLETED)
+        finally:
+            reading.cancel()
+            await asyncio.gather(reading, return_exceptions=True)  # looked at, or asyncio logs it: the peer may be gone
+        if breached.done() and not self._ws.closed:
+            await self._farewell(self.channel.session.broke(breached.result()))
+        elif not reading.cancelled():
+            reading.result()
+
+    async def _read(self) -> None:
+        """Messages of one client until it leaves, is too long silent, or breaks the rules too often."""
+        assert self.channel.share is not None
+        reading = Reading(self.channel.share)
+        session, count = self.channel.session, 0
+        while True:
+            text: str | None = None
+            outcome: Warn | Close | None = None
+            now = clock()
+            try:
+                # not receive(timeout=...): that begins anew with each ping or pong, and leaves out writing the pongs
+                async with asyncio.timeout(max(0.01, min(session.expires() - now, reading.wait(now)))):
+                    message = await self._ws.receive()
+            except TimeoutError:
+                text = reading.take()
+                if text is None:
+                    outcome = session.expired(clock())
+            else:
+                if message.type == WSMsgType.TEXT:
+                    if self._deaf():
+                        continue
+                    text = reading.offer(message.data, clock())
+                elif message.type == WSMsgType.BINARY:
+                    error = ProtocolError("a request is a text message (JSON), not a binary one", "binary")
+                    outcome = session.malformed(error, clock())
+                else:  # closed, or a broken frame that aiohttp has answered (1002, 1007, 1009)
+                    return
+            if text is not None:
+                now, worked = clock(), time.thread_time()
+                outcome = session.receive(text, now)
+                # waiting for other threads is not the client's fault, but the loop stands still meanwhile
+                reading.share.spend(time.thread_time() - worked, clock() - now)
+            session.counts.unread = reading.left_out
+            if isinstance(outcome, Warn):
+                await self._send(outcome.text)
+            elif isinstance(outcome, Close):
+                await self._farewell(outcome)
+                return
+            elif text is not None:
+                self._pump.received(self.channel)
+            count += 1
+            if count % _TURN == 0:  # receive() does not give way while more has arrived
+                await asyncio.sleep(0)
+
+    async def _farewell(self, close: Close) -> None:
+        """Close the connection of a client that broke the rules. Raises TimeoutError if it does not answer."""
+        self._pump.remove(self.channel)
+        if close.breach:
+            self._door.breach(self._request, close.reason)
+        if close.text:
+            await self._send(close.text)
+        async with asyncio.timeout(_FAREWELL):  # else it is cut off
+            await self._ws.close(code=close.code, message=close.reason.encode())
+
+    async def _write(self) -> None:
+        """Pictures of one client, in order. A client that does not read them in time is cut off."""
+        session = self.channel.session
+        while True:
+            frame = await self.channel.frames.get()
+            try:
+                packed = await self._pump.pack(self.channel, frame)
+                for data in [packed] if isinstance(packed, str) else packed:
+                    await self._send(data)
+            except TimeoutError:
+                log.warning("client %d does not read its pictures; cut off", self.channel.number)
+                cut_off(self._request)
+                return
+            except ConnectionError:
+                return
+            except Exception:  # a fault of ours: end the connection rather than leave it silent
+                log.exception("client %d cannot be answered", self.channel.number)
+                cut_off(self._request)
+                return
+            if not isinstance(packed, str):
+                session.sent(frame.request, sum(map(len, packed)))
+            self._pump.wake()
+            if frame.ends:
+                log.warning("client %d is dropped: %s", self.channel.number, frame.ends)
+                with contextlib.suppress(TimeoutError):
+                    await self._farewell(Close("", POLICY_VIOLATION, frame.ends, breach=True))
+                return cut_off(self._request)
+
+    async def _send(self, data: str | bytes) -> None:
+        if self._ws.closed:
+            return
+        async with asyncio.timeout(self._write_timeout):
+            await (self._ws.send_str(data) if isinstance(data, str) else self._ws.send_bytes(data))
+
+
+def cut_off(request: web.Request) -> None:
+    """End a connection at once."""
+    if request.transport is not None:
+        request.transport.abort()

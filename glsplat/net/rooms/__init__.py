@@ -1,0 +1,1 @@
+"""Rooms: people of one scene, each of whom sees the others from their own eyes."""

@@ -1,0 +1,129 @@
+"""Person: somebody in a room, as the samples of their tracking tell. No clock: times are seconds that come in.
+
+Tracking that is late or missing is extrapolated for a moment and then held; who is silent for longer fades.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glsplat.rotations import slerp, turn_between
+from glsplat.scene import similarity
+from glsplat.skinning.pose import Pose
+
+__all__ = ["AHEAD", "FADE", "SILENT", "Moved", "Person"]
+
+AHEAD = 0.1
+"""Seconds that a pose is extrapolated at most."""
+SILENT = 2.0
+"""Seconds without a sample after which a person fades ..."""
+FADE = 0.5
+"""... and how many that takes."""
+
+_BASE = 0.05  # seconds between the two samples that tell how fast somebody moves, if there are that many
+_FASTEST = 0.5  # radians that extrapolation turns a joint at most
+_FARTHEST = 0.3  # metres that it moves the root at most
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Moved:
+    """A sample: where somebody is."""
+
+    pose: Pose  # in the avatar's space
+    at: float  # seconds, when it came
+    t: float | None = None  # milliseconds of the client's clock
+    frame_id: int | None = None
+    scale: float = 1.0  # user metres = avatar metres * scale
+    floor: float = 0.0  # y of the user's floor in metres
+
+
+class Person:
+    """One person. ``seat`` [4, 4] takes the user's space to the room's; ``owner`` is who may come back as them."""
+
+    def __init__(
+        self, key: int, name: str, avatar: str, seat: NDArray[np.float64], owner: str, now: float, label: str = ""
+    ) -> None:
+        self.key, self.name, self.avatar, self.seat, self.owner, self.label = key, name, avatar, seat, owner, label
+        self.connected = True
+        self._heard = now
+        self._samples: deque[Moved] = deque(maxlen=32)
+        self._to_room = np.asarray(np.linalg.inv(seat), np.float64)
+
+    @property
+    def newest(self) -> Moved | None:
+        """The last sample."""
+        return self._samples[-1] if self._samples else None
+
+    def moved(self, sample: Moved) -> None:
+        """A sample came."""
+        self._heard = max(self._heard, sample.at)
+        self._samples.append(sample)
+
+    def silent(self, now: float) -> float:
+        """Seconds since the last sample, or since they came."""
+        return max(0.0, now - self._heard)
+
+    def opacity(self, now: float) -> float:
+        """1 for who is there, falling to 0 for who has been silent for too long."""
+        return float(np.clip(1 - (self.silent(now) - SILENT) / FADE, 0, 1))
+
+    def gone(self, now: float) -> bool:
+        """Whether nothing is left of them."""
+        return not self.connected and self.silent(now) >= SILENT + FADE
+
+    def transform(self) -> NDArray[np.float64]:
+        """[4, 4] room from avatar: where the user is, at the user's size."""
+        sample = self.newest
+        if sample is None or (sample.scale == 1 and sample.floor == 0):
+            return self.seat
+        placed: NDArray[np.float64] = self.seat @ similarity((0, sample.floor, 0), scale=sample.scale)
+        return placed
+
+    def from_room(self) -> NDArray[np.float64]:
+        """[4, 4] user from room."""
+        return self._to_room
+
+    def at(self, now: float) -> tuple[Pose, float] | None:
+        """The pose they will have at ``now``, and the seconds of it that are extrapolated; None before any came."""
+        last = self.newest
+        if last is None:
+            return None
+        ahead = min(max(0.0, now - last.at), AHEAD)
+        before = self._base(last)
+        if before is None or ahead == 0:
+            return last.pose, 0.0
+        return _ahead(before.pose, last.pose, ahead / _between(before, last)), ahead
+
+    def _base(self, last: Moved) -> Moved | None:
+        """The sample to measure the speed from: far enough back for noise to count little, near enough to be true."""
+        found = None
+        for sample in reversed(self._samples):
+            seconds = _between(sample, last)
+            if seconds > AHEAD or len(sample.pose.rotations) != len(last.pose.rotations):
+                break
+            if seconds > 0:
+                found = sample
+            if seconds >= _BASE:
+                break
+        return found
+
+
+def _between(first: Moved, second: Moved) -> float:
+    """Seconds, by the client's clock where both have it: the network delays samples unevenly."""
+    if first.t is not None and second.t is not None:
+        return (second.t - first.t) / 1e3
+    return second.at - first.at
+
+
+def _ahead(first: Pose, second: Pose, part: float) -> Pose:
+    """The movement from one pose to another, continued by ``part`` of it."""
+    angles = np.linalg.norm(turn_between(first.rotations, second.rotations), axis=1)
+    parts = np.minimum(part, _FASTEST / np.maximum(angles, 1e-12))
+    rotations = slerp(first.rotations, second.rotations, 1 + parts)
+    step = second.trans - first.trans
+    moved = min(part, _FARTHEST / max(float(np.linalg.norm(step)), 1e-12))
+    return Pose(rotations, second.trans + step * moved, second.translations)

@@ -1,0 +1,194 @@
+"""Room: who is in it, and what each of them is shown. May be used by several threads; times are seconds that come in.
+
+Time in a room goes by ticks: a tick ends when somebody is to be shown a second picture. In each, everybody's pose
+changes once, so that everybody is skinned once however many look at them: with their own picture, at the pose it was
+asked for, so that nobody's own hands lag behind; who asked for none in the last tick at the beginning of the next.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from threading import Lock
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glsplat.camera import Camera
+from glsplat.errors import ProtocolError
+from glsplat.net.messages import RenderRequest
+from glsplat.net.rooms.person import SILENT, Moved, Person
+from glsplat.net.rooms.seats import free_seat, seat
+from glsplat.net.rooms.view import Present, RoomView
+
+__all__ = ["NAME", "Room", "RoomError"]
+
+NAME = re.compile(r"[^\W_](?:[\w .'-]{0,30}[\w.])?")
+"""Names of rooms and people: up to 32 letters and digits of any script, blanks and _ . ' - between them."""
+
+
+class RoomError(ProtocolError):
+    """Somebody cannot come in. ``status`` is the HTTP status that says so."""
+
+    def __init__(self, message: str, status: int) -> None:
+        super().__init__(message, "bad_request")
+        self.status = status
+
+
+@dataclass(slots=True, eq=False)
+class _Guest:
+    person: Person
+    seat: int | None  # None: chose a place
+    leave: Callable[[], None]  # ends the connection of who is replaced
+    shown: Present
+
+
+class Room:
+    """People by name. ``seats`` bounds their number, ``label`` is what stands over the head of who has that name."""
+
+    def __init__(self, name: str, seats: int = 8, label: Callable[[str], str] = lambda name: "") -> None:
+        self.name, self.seats = name, seats
+        self._label = label
+        self._guests: dict[str, _Guest] = {}
+        self._lock = Lock()
+        self._keys = 0
+        self._tick = 0
+        self._drawn: set[int] = set()  # keys of who was shown a picture in this tick
+        self._posed = 0  # poses drawn anew, for all viewers together
+
+    def join(
+        self,
+        name: str,
+        avatar: str,
+        now: float,
+        owner: str = "",
+        place: NDArray[np.float64] | None = None,  # [4, 4] room from user; None: a free seat
+        leave: Callable[[], None] = lambda: None,
+    ) -> Person:
+        """Somebody comes. ``leave`` is called when they come back on another connection and this one is dead.
+
+        Raises RoomError: the name is taken, the room is full.
+        """
+        if not NAME.fullmatch(name):
+            raise RoomError("name needs 1 to 32 letters, digits, blanks or _.'- between them", 400)
+        with self._lock:
+            self._forget(now)
+            replaced = self._guests.get(name)
+            if replaced is not None:
+                there = replaced.person.connected and replaced.person.silent(now) < SILENT
+                if there or replaced.person.owner != owner:
+                    raise RoomError(f'there is somebody called "{name}" in this room; choose another name', 409)
+            elif len(self._guests) >= self.seats:
+                raise RoomError(f"the room is full ({self.seats} people); try again later", 503)
+            number = None if replaced is None else replaced.seat
+            if place is None and number is None:
+                taken = {guest.seat for guest in self._guests.values() if guest.seat is not None}
+                number = free_seat(taken, self.seats)
+            stands = place if place is not None else seat(number or 0, self.seats)
+            self._keys += 1
+            person = Person(self._keys, name, avatar, stands, owner, now, self._label(name))
+            shown = Present(person.key, name, avatar, None, stands, label=person.label)
+            self._guests[name] = _Guest(person, number if place is None else None, leave, shown)
+        if replaced is not None and replaced.person.connected:
+            replaced.leave()
+        return person
+
+    def left(self, person: Person) -> None:
+        """They said goodbye: gone at once."""
+        with self._lock:
+            person.connected = False
+            if self._is_here(person):
+                del self._guests[person.name]
+
+    def lost(self, person: Person) -> None:
+        """Their connection broke: they stay for a while, fade, and may come back."""
+        with self._lock:
+            person.connected = False
+
+    def moved(self, person: Person, sample: Moved) -> None:
+        """A sample of somebody's tracking was solved, or a pose of theirs came."""
+        with self._lock:
+            person.moved(sample)
+
+    def look(self, person: Person, request: RenderRequest, own: Moved | None, now: float) -> RenderRequest:
+        """The picture that ``person`` asks for, with everybody in it; ``own`` is the pose it was asked for."""
+        with self._lock:
+            self._forget(now)
+            if person.key in self._drawn:
+                self._next_tick(now)
+            self._drawn.add(person.key)
+            guest = self._guests.get(person.name)
+            if own is not None and guest is not None and guest.person is person:
+                guest.shown = replace(
+                    guest.shown, pose=own.pose, transform=person.transform(), frame_id=own.frame_id, ahead=0.0
+                )
+            people = tuple(
+                replace(guest.shown, opacity=guest.person.opacity(now))
+                for guest in self._guests.values()
+                if guest.shown.pose is not None
+            )
+            view = RoomView(self.name, self._tick, person.key, people)
+        from_room = person.from_room()
+        cameras = tuple(_moved(camera, from_room) for camera in request.cameras)
+        return replace(request, pose=None, cameras=cameras, room=view)
+
+    def posed(self, count: int) -> None:
+        """A picture took so many people to be skinned anew."""
+        with self._lock:
+            self._posed += count
+
+    def status(self, now: float) -> dict[str, Any]:
+        """Numbers for /stats."""
+        with self._lock:
+            self._forget(now)
+            people = [
+                {"name": g.person.name, "avatar": g.person.avatar, "connected": g.person.connected}
+                | {"silent": round(g.person.silent(now), 2)}
+                for g in self._guests.values()
+            ]
+            return {
+                "name": self.name,
+                "seats": self.seats,
+                "ticks": self._tick,
+                "posed": self._posed,
+                "people": people,
+            }
+
+    def count(self, now: float) -> int:
+        """People in the room."""
+        with self._lock:
+            self._forget(now)
+            return len(self._guests)
+
+    def _next_tick(self, now: float) -> None:
+        """Who asked for no picture in the last tick is shown where they should be by now."""
+        self._tick += 1
+        for guest in self._guests.values():
+            person = guest.person
+            if person.key in self._drawn:
+                continue
+            found, newest = person.at(now), person.newest
+            if found is not None and newest is not None:
+                pose, ahead = found
+                guest.shown = replace(
+                    guest.shown,
+                    pose=pose,
+                    transform=person.transform(),
+                    frame_id=newest.frame_id,
+                    ahead=round(ahead * 1e3, 1),
+                )
+        self._drawn.clear()
+
+    def _forget(self, now: float) -> None:
+        for name in [name for name, guest in self._guests.items() if guest.person.gone(now)]:
+            del self._guests[name]
+
+    def _is_here(self, person: Person) -> bool:
+        guest = self._guests.get(person.name)
+        return guest is not None and guest.person is person
+
+
+def _moved(camera: Camera, from_room: NDArray[np.float64]) -> Camera:
+    return replace(camera, viewmat=camera.viewmat @ from_room)

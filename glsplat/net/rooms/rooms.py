@@ -1,0 +1,47 @@
+"""Rooms: all rooms of a server, and the way into them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from glsplat.net.backend import Offered
+from glsplat.net.options import Asked
+from glsplat.net.rooms.member import Member
+from glsplat.net.rooms.room import Room, RoomError
+
+__all__ = ["Rooms", "driven_by"]
+
+
+def driven_by(name: str) -> str:
+    """What stands over the head of a person who is not there in the flesh."""
+    return f"driven by {name}, synthetic"
+
+
+class Rooms:
+    """``seats`` by the names of the rooms. Clients enter these and no others."""
+
+    def __init__(self, seats: Mapping[str, int] | None = None) -> None:
+        self._rooms = {name: Room(name, count, driven_by) for name, count in (seats or {}).items()}
+
+    def join(
+        self, asked: Asked, shown: Offered, number: int, owner: str, now: float, leave: Callable[[], None]
+    ) -> Member | None:
+        """The person of client ``number`` in the room it asks for; None if it asks for none. Raises RoomError."""
+        if asked.room is None:
+            return None
+        room = self._rooms.get(asked.room)
+        if room is None:
+            raise RoomError("there is no such room here", 404)
+        if shown.skeleton is None:
+            raise RoomError("a room needs people: name an avatar with joints", 400)
+        name = f"guest {number}" if asked.name is None else asked.name
+        return Member(room, room.join(name, shown.name, now, owner, asked.place, leave))
+
+    def offer(self, now: float) -> list[dict[str, Any]]:
+        """What /session says of them."""
+        return [{"name": room.name, "people": room.count(now), "seats": room.seats} for room in self._rooms.values()]
+
+    def status(self, now: float) -> list[dict[str, Any]]:
+        """What /stats says of them."""
+        return [room.status(now) for room in self._rooms.values()]

@@ -1,0 +1,48 @@
+"""What a picture of a room shows: values on their way from the server to what draws, and to the client."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glsplat.skinning.pose import Pose
+
+__all__ = ["Present", "RoomView", "room_fields"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Present:
+    """A person as a picture shows them."""
+
+    key: int  # of the person, never used again in this room
+    name: str
+    avatar: str  # which of those the server offers
+    pose: Pose | None  # in the avatar's space; None: nothing has come yet, nobody is shown
+    transform: NDArray[np.float64]  # [4, 4] room from avatar
+    opacity: float = 1.0
+    label: str = ""  # drawn near the head
+    frame_id: int | None = None  # of the request that the pose comes from
+    ahead: float = 0.0  # milliseconds by which the pose was extrapolated
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RoomView:
+    """Everybody in a room at one moment, for one of them. The cameras of the request are in the room's space."""
+
+    room: str
+    tick: int
+    viewer: int  # key of who looks
+    people: tuple[Present, ...]
+
+
+def room_fields(view: RoomView) -> dict[str, Any]:
+    """``room`` of a reply: who is in the picture, who drives them, and which request each pose comes from."""
+    people = [
+        {"name": one.name, "avatar": one.avatar, "you": one.key == view.viewer}
+        | {"frame_id": one.frame_id, "ahead": one.ahead, "opacity": round(one.opacity, 3)}
+        for one in view.people
+    ]
+    return {"name": view.room, "tick": view.tick, "people": people}

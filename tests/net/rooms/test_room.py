@@ -1,0 +1,228 @@
+"""Rooms without sockets and clocks: who comes in, where they stand, what each is shown, who fades."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from glsplat.camera import Camera, look_at, pinhole
+from glsplat.errors import ProtocolError
+from glsplat.net.messages import RenderRequest, WireOptions
+from glsplat.net.options import client_options
+from glsplat.net.rooms.person import AHEAD, FADE, SILENT, Moved, Person
+from glsplat.net.rooms.room import NAME, Room, RoomError
+from glsplat.net.rooms.seats import RADIUS, free_seat, place_at, seat
+from glsplat.net.session import SessionConfig
+from glsplat.rotations import FLIP_X
+from glsplat.skinning.pose import Pose
+
+EYE = Camera(look_at((0, 1.6, 0), (0, 1.5, 1)), pinhole(64, 64), 64, 64)
+
+
+def pose(turn: float = 0.0, x: float = 0.0, joint: int = 16) -> Pose:
+    rotations = np.zeros((55, 3))
+    rotations[joint, 2] = turn
+    return Pose(rotations, (x, 0, 0))
+
+
+def ask(frame_id: int = 1, camera: Camera = EYE) -> RenderRequest:
+    return RenderRequest(frame_id=frame_id, cameras=(camera,), hide=("head",))
+
+
+def moved(at: float, turn: float = 0.0, frame_id: int | None = None, t: float | None = None) -> Moved:
+    return Moved(pose(turn), at, t, frame_id)
+
+
+def test_people_stand_around_the_centre_and_face_it() -> None:
+    for seats in (2, 5, 8, 16):
+        taken: set[int] = set()
+        places = []
+        for _ in range(seats):
+            number = free_seat(taken, seats)
+            assert number not in taken
+            taken.add(number)
+            places.append(seat(number, seats))
+        for place in places:
+            centre = np.linalg.inv(place) @ (0, 0, 0, 1)
+            assert np.allclose(centre[[0, 1]], 0, atol=1e-12) and centre[2] >= RADIUS - 1e-12
+        feet = np.array([place[:3, 3] for place in places])
+        apart = np.linalg.norm(feet[:, None] - feet, axis=-1) + 9 * np.eye(seats)
+        assert apart.min() > 0.85
+        assert np.allclose(feet[0], -feet[1], atol=1e-9) or seats % 2  # the first two opposite each other
+
+
+def test_everybody_is_shown_where_they_are() -> None:
+    room = Room("lab", 4)
+    ann = room.join("Ann", "a", 0.0)
+    bob = room.join("Bob", "b", 0.0, place=place_at(1.0, 2.0, np.pi / 2))
+    for person, turn in ((ann, 0.1), (bob, 0.2)):
+        room.moved(person, replace(moved(0.0, turn), scale=1.1, floor=0.2))
+        room.look(person, ask(), moved(0.0, turn), 0.0)
+    asked = room.look(ann, ask(7), replace(moved(0.1, 0.3, 7), scale=1.1, floor=0.2), 0.1)
+    assert asked.room is not None and asked.pose is None
+    shown = {one.name: one for one in asked.room.people}
+    assert asked.room.viewer == shown["Ann"].key and shown["Ann"].frame_id == 7
+    assert shown["Ann"].pose is not None and shown["Ann"].pose.rotations[16, 2] == 0.3
+    # x = 1 of Bob's own, on his floor, of an avatar that is 1.1 times larger in the room
+    there = shown["Bob"].transform @ (1, 0, 0, 1)
+    assert np.allclose(there[:3], (1.0, 0.2, 2.0 - 1.1))
+    (camera,) = asked.cameras
+    point = ann.seat @ (0.3, 1.5, 1.0, 1.0)  # what Ann has before her, in the room
+    assert np.allclose(camera.viewmat @ point, EYE.viewmat @ (0.3, 1.5, 1.0, 1.0))
+
+
+def test_the_mirror_is_that_of_the_users_own_space() -> None:
+    room = Room("lab")
+    person = room.join("Ann", "a", 0.0, place=place_at(3, 1, 0.7))
+    mirrored = Camera(EYE.viewmat @ FLIP_X, EYE.K, 64, 64)
+    (camera,) = room.look(person, ask(camera=mirrored), moved(0.0), 0.0).cameras
+    seen = camera.viewmat @ person.seat @ (0.4, 1.5, 1, 1)
+    assert np.allclose(seen, EYE.viewmat @ (-0.4, 1.5, 1, 1))
+
+
+def test_in_a_tick_everybody_changes_once() -> None:
+    """Four people who ask in turn: each one's pose changes with their own picture and with no other."""
+    room = Room("lab", 4)
+    people = [room.join(name, "a", 0.0) for name in "ABCD"]
+    seen: dict[str, list[Pose | None]] = {person.name: [] for person in people}
+    for round_ in range(6):
+        for number, person in enumerate(people):
+            now = round_ + 0.1 * number
+            own = moved(now, 0.01 * round_ + 0.001 * number)
+            room.moved(person, own)
+            view = room.look(person, ask(round_), own, now).room
+            assert view is not None and view.tick == round_
+            for one in view.people:
+                poses = seen[one.name]
+                if not poses or poses[-1] is not one.pose:
+                    poses.append(one.pose)
+                if one.name == person.name:
+                    assert one.pose is own.pose
+    assert all(len(poses) == 6 for poses in seen.values())
+
+
+def test_who_asks_for_no_pictures_moves_on_with_the_ticks() -> None:
+    room = Room("lab", 4)
+    ann, bob = room.join("Ann", "a", 0.0), room.join("Bob", "a", 0.0)
+    for tick in range(4):
+        now = 0.02 * tick
+        room.moved(bob, moved(now, 0.1 * tick, tick, 20.0 * tick))
+        view = room.look(ann, ask(tick), moved(now), now).room
+        assert view is not None
+        bobs = [one for one in view.people if one.name == "Bob"]
+        assert [one.frame_id for one in bobs] == ([] if tick == 0 else [tick])
+
+
+def test_late_tracking_goes_on_for_a_tenth_of_a_second_and_is_held_then() -> None:
+    person = Person(1, "Ann", "a", seat(0, 2), "", 0.0)
+    assert person.at(0.5) is None
+    for k in range(10):
+        person.moved(Moved(pose(0.02 * k, 0.01 * k), k / 72, 1000 * k / 72, k))
+    last = 9 / 72
+    for late, ahead in ((0.0, 0.0), (0.03, 0.03), (0.1, AHEAD), (5.0, AHEAD)):
+        found = person.at(last + late)
+        assert found is not None
+        there, extrapolated = found
+        assert extrapolated == pytest.approx(ahead)
+        assert there.rotations[16, 2] == pytest.approx(0.18 + 0.02 * 72 * ahead)
+        assert there.trans[0] == pytest.approx(0.09 + 0.01 * 72 * ahead)
+
+
+def test_nobody_is_torn_apart_by_extrapolation() -> None:
+    person = Person(1, "Ann", "a", seat(0, 2), "", 0.0)
+    person.moved(Moved(pose(0.0), 0.0, 0.0))
+    person.moved(Moved(pose(3.0, 5.0), 0.01, 10.0))
+    found = person.at(1.0)
+    assert found is not None
+    assert np.linalg.norm(found[0].rotations[16]) < 3.0 + 0.51 and found[0].trans[0] <= 5.31
+    # a gap, a clock that stands still or runs back, another rig: nothing to go by
+    for first, second in (((0.0, 0.0), (0.5, 500.0)), ((0.0, 7.0), (0.02, 7.0)), ((0.0, 9.0), (0.02, 3.0))):
+        other = Person(1, "Ann", "a", seat(0, 2), "", 0.0)
+        other.moved(Moved(pose(0.1), *first))
+        other.moved(Moved(pose(0.2), *second))
+        assert other.at(2.0) == (other.newest.pose, 0.0) if other.newest else False
+
+
+def test_who_is_silent_fades_and_who_is_lost_goes() -> None:
+    room = Room("lab", 4)
+    ann, bob = room.join("Ann", "a", 0.0), room.join("Bob", "a", 0.0)
+
+    def bobs(now: float) -> list[float]:
+        view = room.look(ann, ask(), moved(now), now).room
+        assert view is not None
+        return [round(one.opacity, 6) for one in view.people if one.name == "Bob"]
+
+    room.moved(bob, moved(1.0))
+    room.look(bob, ask(), moved(1.0), 1.0)
+    room.lost(bob)
+    assert bobs(1.0 + SILENT - 0.01) == [1.0]
+    assert bobs(1.0 + SILENT + FADE / 2) == [0.5]
+    assert bobs(1.0 + SILENT + FADE) == [] and room.count(4.0) == 1
+    # a connection that only sends nothing: gone from sight, not from the room
+    carl = room.join("Carl", "a", 5.0)
+    room.moved(carl, moved(5.0))
+    room.look(carl, ask(), moved(5.0), 5.0)
+    view = room.look(ann, ask(), moved(9.0), 9.0).room
+    assert view is not None and {one.name: one.opacity for one in view.people}["Carl"] == 0.0
+    room.moved(carl, moved(9.5))
+    view = room.look(ann, ask(), moved(9.6), 9.6).room
+    assert view is not None and {one.name: one.opacity for one in view.people}["Carl"] == 1.0
+    room.left(carl)
+    assert room.count(9.7) == 1
+
+
+def test_names_and_seats() -> None:
+    room = Room("lab", 2)
+    ended: list[str] = []
+    ann = room.join("Ann", "a", 0.0, "1.2.3.4", leave=lambda: ended.append("Ann"))
+    room.moved(ann, moved(0.0))
+    with pytest.raises(RoomError, match='there is somebody called "Ann"') as refused:
+        room.join("Ann", "a", 0.1, "1.2.3.4")
+    assert refused.value.status == 409
+    room.join("Bob", "a", 0.1)
+    with pytest.raises(RoomError, match=r"full \(2 people\)") as refused:
+        room.join("Carl", "a", 0.2)
+    assert refused.value.status == 503
+    # dead as far as anybody can tell: who comes from the same place is the same person, on the same seat
+    with pytest.raises(RoomError, match="somebody called"):
+        room.join("Ann", "a", SILENT + 0.1, "6.6.6.6")
+    again = room.join("Ann", "b", SILENT + 0.1, "1.2.3.4")
+    assert ended == ["Ann"] and again.key != ann.key and np.array_equal(again.seat, ann.seat)
+    room.left(ann)  # the old connection's end is not the new one's
+    assert room.count(2.2) == 2
+    room.lost(again)
+    assert room.join("Ann", "b", 2.3, "1.2.3.4").key > again.key
+
+
+@pytest.mark.parametrize("name", ["", " ", "a" * 33, "../x", "a/b", "a\\b", "\x00", "a\nb", "<b>", "-a", "a ", "_"])
+def test_names_that_nobody_can_have(name: str) -> None:
+    with pytest.raises(RoomError, match="name needs") as refused:
+        Room("lab").join(name, "a", 0.0)
+    assert refused.value.status == 400
+
+
+@given(st.text(max_size=40))
+def test_a_name_is_taken_as_it_is_or_refused(name: str) -> None:
+    room = Room("lab")
+    try:
+        person = room.join(name, "a", 0.0)
+    except RoomError:
+        assert not NAME.fullmatch(name)
+        assert room.count(0.0) == 0
+    else:
+        assert person.name == name and name.isprintable() and len(name) <= 32 and "/" not in name
+
+
+def test_what_an_address_asks_for() -> None:
+    def asked(**query: str) -> object:
+        return client_options(query, WireOptions(), SessionConfig(), ["default"])
+
+    place = client_options({"room": "lab", "at": "1.5,-2,90"}, WireOptions(), SessionConfig(), ["default"]).place
+    assert place is not None and np.allclose(place @ (0, 0, 1, 1), (2.5, 0, -2, 1))
+    for wrong in ("", "1,2", "1,2,3,4", "a,b,c", "nan,0,0", "0,inf,0", "1e9,0,0", "0,0,361"):
+        with pytest.raises(ProtocolError, match="at needs x,z,degrees"):
+            asked(room="lab", at=wrong)

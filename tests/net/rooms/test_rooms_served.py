@@ -1,0 +1,213 @@
+"""Rooms over the WebSocket, on a renderer made of numpy: the way in and out, what the replies say, fair shares."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from pathlib import Path
+from typing import Any
+
+import aiohttp
+import numpy as np
+import pytest
+
+from glsplat.camera import head_matrix, stereo_cameras
+from glsplat.errors import ProtocolError
+from glsplat.net.backend import Offered, Solved
+from glsplat.net.client import Client
+from glsplat.net.messages import RenderRequest
+from glsplat.net.server import Server, ServerConfig
+from glsplat.skinning.pose import Pose
+from glsplat.skinning.skeleton import Skeleton
+from glsplat.skinning.smplx import JOINT_NAMES
+from tests.net.conftest import FakeBackend, Serve
+
+EYES = stereo_cameras(head_matrix((0, 1.6, 0), (0, 1, 0, 0)), size=(32, 32))
+RIG = Skeleton.from_joints(JOINT_NAMES, [-1] + [0] * 54, np.zeros((55, 3)))
+POSE = {"root_pose": [0, 0.1, 0]}
+
+
+class Solver:
+    """Puts the head's x into the root."""
+
+    def solve(self, request: RenderRequest, now: float) -> Solved:
+        assert request.tracking is not None
+        return Solved(Pose(np.zeros((55, 3)), (request.tracking["head"][0], 0, 0)), request.cameras, scale=2.0)
+
+
+OFFERS = (
+    Offered(name="ann", skeleton=RIG, solver=lambda height, span: Solver(), parts=frozenset(["head"])),
+    Offered(name="scenery"),
+)
+
+
+def config(**changes: Any) -> ServerConfig:
+    return ServerConfig(port=0, rooms={"lab": 4, "small": 1}, **changes)
+
+
+def member(server: Server, name: str, room: str = "lab", **options: Any) -> Client:
+    return Client(f"{server.url}?room={room}&name={name}", **options)
+
+
+def test_each_sees_the_others_and_is_named(serve: Serve) -> None:
+    async def talk() -> None:
+        backend = FakeBackend()
+        async with serve(backend, config(), offered=OFFERS) as server:
+            async with member(server, "Ann") as ann, member(server, "Bob") as bob:
+                await ann.render(EYES, pose=POSE)
+                reply = await bob.render(EYES, tracking={"head": [0.25, 1.6, 0, 0, 0, 0, 1]}, hide=["head"])
+                room = reply.info["room"]
+                assert room["name"] == "lab" and [(p["name"], p["you"]) for p in room["people"]] == [
+                    ("Ann", False),
+                    ("Bob", True),
+                ]
+                assert room["people"][1]["frame_id"] == reply.frame_id
+                drawn = backend.drawn[-1]
+                assert drawn.room is not None and drawn.tracking is None and drawn.hide == ("head",)
+                bobs = drawn.room.people[1]
+                assert bobs.pose is not None and bobs.pose.trans[0] == 0.25 and bobs.label == "driven by Bob, synthetic"
+                assert np.allclose(np.linalg.det(bobs.transform[:3, :3]), 8)  # twice his avatar's size
+                # his own eyes, from his own place
+                assert np.allclose(drawn.cameras[0].viewmat @ server._channels[2].member.person.seat, EYES[0].viewmat)  # type: ignore[union-attr]
+            stats = server.stats()["rooms"]
+            assert [room["name"] for room in stats] == ["lab", "small"]
+
+    asyncio.run(talk())
+
+
+def test_the_way_in(serve: Serve) -> None:
+    async def talk() -> None:
+        async with serve(FakeBackend(), config(), offered=OFFERS) as server:
+            async with member(server, "Ann") as ann, member(server, "Ann", "small"):
+                await ann.render(EYES, pose=POSE)
+                refused = {
+                    "room=lab&name=Ann": (409, "somebody called"),
+                    "room=small&name=Bob": (503, "the room is full"),
+                    "room=Lab&name=Bob": (404, "no such room"),
+                    "room=../lab&name=Bob": (404, "no such room"),
+                    "room=&name=Bob": (404, "no such room"),
+                    "room=lab&name=../Bob": (400, "name needs"),
+                    "room=lab&name=": (400, "name needs"),
+                    "room=lab&name=Bob&avatar=scenery": (400, "needs people"),
+                    "room=lab&name=Bob&avatar=../ann": (400, "avatar needs a name"),
+                    "room=lab&name=Bob&at=nowhere": (400, "at needs"),
+                }
+                async with aiohttp.ClientSession() as http:
+                    for query, (status, words) in refused.items():
+                        with pytest.raises(aiohttp.WSServerHandshakeError) as error:
+                            await http.ws_connect(f"{server.url}?{query}")
+                        assert error.value.status == status, query
+                        async with http.get(
+                            f"{server.url.replace('ws://', 'http://')}?{query}",
+                            headers={
+                                "Connection": "Upgrade",
+                                "Upgrade": "websocket",
+                                "Sec-WebSocket-Version": "13",
+                                "Sec-WebSocket-Key": "A" * 22 + "==",
+                            },
+                        ) as answer:
+                            assert answer.status == status and words in await answer.text()
+                    async with http.get(f"http://127.0.0.1:{server.port}/session") as answer:
+                        offer = await answer.json()
+                assert offer["rooms"] == [
+                    {"name": "lab", "people": 1, "seats": 4},
+                    {"name": "small", "people": 1, "seats": 1},
+                ]
+                # who was refused left nothing behind
+                assert len(server._channels) == 2
+            # without a name one is given, with a goodbye one goes at once
+            async with Client(f"{server.url}?room=small") as guest:
+                await guest.render(EYES, pose=POSE)
+                people = server.stats()["rooms"][1]["people"]
+                assert len(people) == 1 and people[0]["name"].startswith("guest ")
+            await asyncio.sleep(0.05)
+            assert server.stats()["rooms"][1]["people"] == []
+
+    asyncio.run(talk())
+
+
+def test_a_lost_connection_fades_and_may_come_back(serve: Serve) -> None:
+    async def talk() -> None:
+        backend = FakeBackend()
+        async with serve(backend, config(), offered=OFFERS) as server, member(server, "Ann") as ann:
+            bob = member(server, "Bob")
+            await bob.connect()
+            await bob.render(EYES, pose=POSE)
+            assert bob._connection is not None
+            transport = bob._connection._ws._writer.transport
+            assert transport is not None
+            transport.abort()
+            await asyncio.sleep(0.1)
+            reply = await ann.render(EYES, pose=POSE)
+            there = {one["name"]: one["opacity"] for one in reply.info["room"]["people"]}
+            assert there == {"Ann": 1.0, "Bob": 1.0}
+            await bob.close()
+            await bob.connect()  # at once, under the same name
+            await bob.render(EYES, pose=POSE)
+            assert bob._connection is not None and bob._connection._ws._writer.transport is not None
+            bob._connection._ws._writer.transport.abort()
+            await asyncio.sleep(2.2)
+            reply = await ann.render(EYES, pose=POSE)
+            there = {one["name"]: one["opacity"] for one in reply.info["room"]["people"]}
+            assert 0 < there["Bob"] < 1
+            await asyncio.sleep(0.5)
+            reply = await ann.render(EYES, pose=POSE)
+            assert [one["name"] for one in reply.info["room"]["people"]] == ["Ann"]
+            await bob.close()
+
+    asyncio.run(talk())
+
+
+def test_eight_in_a_room_have_equal_shares(serve: Serve) -> None:
+    """Of a renderer that is never idle; and each picture shows all eight, at most a tick apart."""
+
+    async def talk() -> None:
+        backend = FakeBackend(delay=0.004)
+        rooms = ServerConfig(port=0, rooms={"lab": 8})
+        async with serve(backend, rooms, offered=OFFERS) as server:
+            counts = [0] * 8
+            over = asyncio.Event()
+
+            async def take_part(number: int) -> None:
+                async with member(server, f"P{number}") as client:
+                    await client.render(EYES, pose=POSE)
+                    ready[number].set()
+                    await started.wait()
+                    await client.send(EYES, pose=POSE)  # one more than is answered: there is always one to draw
+                    while not over.is_set():
+                        await client.send(EYES, pose=POSE)
+                        reply = (await client.receive()).reply
+                        people = reply.info["room"]["people"]
+                        assert len(people) == 8 and [one["name"] for one in people if one["you"]] == [f"P{number}"]
+                        counts[number] += 1
+                    ended[number].set()
+                    await asyncio.gather(*(event.wait() for event in ended))
+
+            ready, ended = ([asyncio.Event() for _ in range(8)] for _ in range(2))
+            started = asyncio.Event()
+            tasks = [asyncio.create_task(take_part(number)) for number in range(8)]
+            await asyncio.gather(*(event.wait() for event in ready))
+            first = server.stats()["rooms"][0]["ticks"]
+            started.set()
+            await asyncio.sleep(1.5)
+            over.set()
+            await asyncio.gather(*tasks)
+            ticks = server.stats()["rooms"][0]["ticks"] - first
+            assert max(counts) <= 1.2 * min(counts) + 1
+            assert ticks <= max(counts) + 2
+
+    asyncio.run(talk())
+
+
+def test_pictures_say_nothing_of_rooms_to_who_is_in_none(serve: Serve, tmp_path: Path) -> None:
+    async def talk() -> None:
+        async with serve(FakeBackend(), config(), offered=OFFERS) as server, Client(server.url) as client:
+            reply = await client.render(EYES, pose=POSE)
+            assert "room" not in reply.info
+            assert json.dumps(server.offer())
+        async with serve(FakeBackend(), ServerConfig(port=0), offered=OFFERS) as server:
+            assert server.offer()["rooms"] == [] and server.stats()["rooms"] == []
+            with pytest.raises(ProtocolError, match="no such room"):
+                await member(server, "Ann").connect()
+
+    asyncio.run(talk())
