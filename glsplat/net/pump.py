@@ -1,7 +1,7 @@
-"""The frame pump: takes the clients' requests in fair turns, draws on one thread, encodes while the next is drawn.
+"""The pump: takes the clients' requests in fair turns, has them drawn one by one, and says what each picture is.
 
-The event loop only passes things on. One thread owns the renderer (an OpenGL context belongs to a thread); a few more
-encode. Each client gets its pictures in order, at most its window of them under way.
+The event loop only passes things on. Each client gets its pictures in order, at most its window of them under way.
+What draws is drawing.py's (threads of this process) or workers/pump.py's (another process, perhaps elsewhere).
 """
 
 from __future__ import annotations
@@ -9,109 +9,43 @@ from __future__ import annotations
 import asyncio
 import logging
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Awaitable, Callable
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import Any
 
-from glsplat.camera import Camera
 from glsplat.errors import BudgetError, ContextError, ContextLostError, GlsplatError, PoseError
-from glsplat.net.backend import Backend, Interruptible, Offered, PoseSolver, Rendered
-from glsplat.net.codec.encode import Encoded, Encoder
+from glsplat.net.backend import Offered, PoseSolver, Rendered
+from glsplat.net.codec.encode import Encoded
 from glsplat.net.guard.blame import Blame
-from glsplat.net.guard.limits import Share
 from glsplat.net.messages import RenderRequest, eye_fields
-from glsplat.net.pace.governor import FULL, Detail, Governor
+from glsplat.net.pace.channel import ANYTHING, Channel, Frame
+from glsplat.net.pace.governor import FULL, Governor
 from glsplat.net.pace.stages import StageTimes
 from glsplat.net.pace.turns import Turns
 from glsplat.net.reply import pack_reply, pack_single
 from glsplat.net.session import Session
-from glsplat.net.solving import Solution, Solving
+from glsplat.net.solving import Solving
 
-__all__ = ["Channel", "FramePump"]
+__all__ = ["Channel", "Pump"]
 
 log: logging.Logger = logging.getLogger("glsplat.net")
 
 _SICK = 3  # pictures in a row that failed before /healthz says so
 _STUCK = 10.0  # seconds a picture may take before /healthz says so
 _PAUSES = (0.0, 0.5, 1.0)  # seconds before each attempt to make a new context; then the pump gives up
-_ANYTHING = Offered(name="")
-_GRACE = 0.5  # seconds the picture in hand gets when the server stops
 
 
-@dataclass(eq=False, slots=True)
-class Frame:
-    """One picture on its way from the renderer to the socket."""
+class Pump(ABC):
+    """The turns of the clients, and what is said with each picture. What draws is the subclass's."""
 
-    request: RenderRequest
-    arrived: float  # clock seconds
-    times: dict[str, float]  # ms
-    encoded: Awaitable[Encoded] | None = None  # None: it could not be drawn
-    error: tuple[str, str] = ("", "")  # code and message in that case
-    notes: tuple[str, ...] | None = None  # of the tracking solver
-    drawn: tuple[Camera, ...] | None = None  # the eyes in the avatar's space, where tracking was solved
-    box: list[float] | None = None  # of the avatar in the client's room, where it was asked for
-    untracked: str = ": send pose instead of tracking"  # what is said where tracking is not solved
-    ends: str = ""  # why the connection ends after this answer and its address is held off, if it does
-    detail: Detail = FULL  # less than was asked for, where a rate is held
-    levels: tuple[int, ...] = ()  # of detail that were drawn
-
-
-@dataclass(eq=False, slots=True)
-class Channel:
-    """One client as the pump sees it."""
-
-    number: int
-    session: Session
-    solving: Solving | None = None  # None: this server solves no tracking
-    address: str = ""  # what has a fair share of the renderer's time
-    shown: Offered = _ANYTHING
-    share: Share | None = None  # of the time for reading and solving; None: no limit
-    frames: asyncio.Queue[Frame] = field(default_factory=asyncio.Queue)  # bounded by the session's window
-
-    def ready(self, solved: Callable[[], None]) -> bool:
-        """True while a request can be drawn without waiting for its tracking.
-
-        Where none is solved yet, the newest is from now on, and ``solved`` is called (on any thread) once it is: under
-        a stream of samples that are all newer, waiting for the newest would never end.
-        """
-        session, newest = self.session, self.session.newest
-        if not session.ready():
-            return False
-        if self.solving is None or (newest is not None and self._solved(newest)):
-            return True
-        if session.kept is None:
-            assert newest is not None
-            session.keep()
-            self.solving.begin(newest.frame_id, solved)
-        return self._solved(session.kept)
-
-    def take(self, now: float) -> tuple[RenderRequest, float, Solution | None]:
-        """The newest request that is ready, the seconds it waited, and its solution."""
-        newest = self.session.newest
-        kept = self.solving is not None and (newest is None or not self._solved(newest))
-        taken = self.session.next_request(now, kept)
-        assert taken is not None
-        request, waited = taken
-        return request, waited, None if self.solving is None else self.solving.take(request.frame_id)
-
-    def _solved(self, request: RenderRequest | None) -> bool:
-        solving = self.solving
-        return request is None or request.tracking is None or solving is None or solving.solved(request.frame_id)
-
-
-class FramePump:
-    """Owns the render thread, the encoders and the turn of the clients."""
-
-    def __init__(
-        self, backend: Backend, clock: Callable[[], float] = time.perf_counter, rate: float | None = None
-    ) -> None:
+    def __init__(self, clock: Callable[[], float] = time.perf_counter, rate: float | None = None) -> None:
         self.driver: str = ""
         self.stages: StageTimes = StageTimes()
         self.failures: int = 0  # in a row
         self.rebuilds: int = 0  # contexts lost and made anew
-        self._backend = backend
         self._clock = clock
         self._governor = Governor(rate)
         self._drawing: Channel | None = None
@@ -121,13 +55,24 @@ class FramePump:
         self._blame = Blame()
         self._wake = asyncio.Event()
         self._loop: asyncio.AbstractEventLoop
-        self._render_thread = ThreadPoolExecutor(1, thread_name_prefix="render")
         self._solve_thread = ThreadPoolExecutor(1, thread_name_prefix="solve")
-        self._encode_threads = ThreadPoolExecutor(2, thread_name_prefix="frame")
-        self._encoder = Encoder()
         self._task: asyncio.Task[None] | None = None
-        if isinstance(backend, Interruptible):
-            backend.abandoned = self._abandoned
+
+    @abstractmethod
+    async def _open(self) -> str:
+        """Start what draws; returns the driver string. Raises GlsplatError."""
+
+    @abstractmethod
+    async def _reopen(self) -> str:
+        """The same after it was lost. Raises ContextError."""
+
+    @abstractmethod
+    async def _close(self) -> None:
+        """End it."""
+
+    @abstractmethod
+    async def _picture(self, frame: Frame) -> Awaitable[Encoded]:
+        """Draw, and have it encoded meanwhile. Calls ``_posed`` and ``_note``; raises what a renderer raises."""
 
     @property
     def drawing_for(self) -> float:
@@ -141,14 +86,13 @@ class FramePump:
         return self.failures < _SICK and not stuck and self._task is not None and not self._task.done()
 
     async def start(self) -> None:
-        """Open the backend on the render thread. Raises what it raises, after ending the threads."""
-        loop = asyncio.get_running_loop()
+        """Open what draws. Raises what it raises, after ending the threads."""
+        self._loop = asyncio.get_running_loop()
         try:
-            self.driver = await loop.run_in_executor(self._render_thread, self._backend.open)
+            self.driver = await self._open()
         except BaseException:
             self._end_threads()
             raise
-        self._loop = loop
         self._task = asyncio.create_task(self._run(), name="frame pump")
 
     async def ended(self) -> None:
@@ -159,19 +103,15 @@ class FramePump:
             self._task.result()
 
     async def stop(self) -> None:
-        """Close the backend, end the threads; the picture in hand gets half a second."""
+        """Close what draws, end the threads; the picture in hand gets half a second."""
         if self._task is None:
             return
         self._stopping = True
         self._task.cancel()
         await asyncio.gather(self._task, return_exceptions=True)
         self._task = None
-        closing = asyncio.get_running_loop().run_in_executor(self._render_thread, self._backend.close)
         try:
-            done, _ = await asyncio.wait([closing], timeout=_GRACE)
-            if not done and isinstance(self._backend, Interruptible):
-                self._backend.kill()
-            await closing
+            await self._close()
         except Exception:  # the driver is gone, or its objects are: the process ends anyway
             log.exception("the renderer could not be closed")
         finally:
@@ -183,7 +123,7 @@ class FramePump:
         session: Session,
         solver: PoseSolver | None = None,
         address: str = "",
-        shown: Offered = _ANYTHING,
+        shown: Offered = ANYTHING,
     ) -> Channel:
         """A client who is ``shown`` that, with what solves its tracking; it takes part once it is added."""
         solving = None if solver is None else Solving(solver, self._solve_thread, self._clock)
@@ -192,6 +132,10 @@ class FramePump:
     def add(self, channel: Channel) -> None:
         """Let a client take part."""
         self._turns.add(channel.address, channel)
+        kept = channel.session.kept
+        if kept is not None and channel.solving is not None:  # another pump has waited for it until now
+            channel.solving.begin(kept.frame_id, self._solved)
+        self._wake.set()
 
     def remove(self, channel: Channel) -> None:
         """Forget a client; a picture of it that is being drawn is given up, or thrown away."""
@@ -281,19 +225,11 @@ class FramePump:
         return self._stopping or (drawing is not None and (drawing.address, drawing) not in self._turns)
 
     async def _draw_one(self, channel: Channel) -> None:
-        loop = asyncio.get_running_loop()
-        request, waited, solution = channel.take(self._clock())
-        frame = Frame(request, self._clock() - waited, {"wait": waited * 1e3})
-        if request.form == "native":  # older clients know one size
-            frame.detail = self._governor.detail(channel.number, self._clock())
-        frame.request = replace(frame.detail.of(request), viewer=channel.number)
-        if why := channel.shown.untracked:
-            frame.untracked = f" for what it shows: {why}"
-        lost = False
+        frame, channel.again = channel.again or self._next_frame(channel), None
+        request, lost = frame.request, False
         try:
-            encoded = await loop.run_in_executor(self._render_thread, self._draw, frame, solution)
+            frame.encoded = await self._picture(frame)
             self.failures = 0
-            frame.encoded = asyncio.wrap_future(encoded)
         except PoseError as error:
             frame.error = ("bad_pose", str(error))
         except BudgetError as error:
@@ -302,19 +238,36 @@ class FramePump:
             frame.ends = self._over_budget(channel, request, error)
         except Exception as error:
             lost = isinstance(error, ContextLostError)
-            self.failures += 1
-            log.error(
-                "frame %s of client %d could not be drawn: %s",
-                *(request.frame_id, channel.number, error),
-                exc_info=not isinstance(error, GlsplatError),
-            )
-            frame.error = ("render", "the picture could not be drawn")  # no details: they may name files
-            if lost and self._blame.again(channel.address, self._clock()):
-                frame.ends = "pictures that the renderer does not survive"
-        if (channel.address, channel) in self._turns:
+            self._failed(channel, frame, error)
+        if frame.again is not None:
+            if not frame.again.done():
+                frame.again.set_result(None)
+        elif (channel.address, channel) in self._turns:
             channel.frames.put_nowait(frame)
         if lost:
             await self._rebuild()
+
+    def _next_frame(self, channel: Channel) -> Frame:
+        request, waited, solution = channel.take(self._clock())
+        frame = Frame(request, self._clock() - waited, {"wait": waited * 1e3}, solution=solution)
+        if request.form == "native":  # older clients know one size
+            frame.detail = self._governor.detail(channel.number, self._clock())
+        frame.request = replace(frame.detail.of(request), viewer=channel.number)
+        if why := channel.shown.untracked:
+            frame.untracked = f" for what it shows: {why}"
+        return frame
+
+    def _failed(self, channel: Channel, frame: Frame, error: Exception) -> None:
+        """What the client is told of a picture that could not be drawn, through no fault of its request's form."""
+        self.failures += 1
+        log.error(
+            "frame %s of client %d could not be drawn: %s",
+            *(frame.request.frame_id, channel.number, error),
+            exc_info=not isinstance(error, GlsplatError),
+        )
+        frame.error = ("render", "the picture could not be drawn")  # no details: they may name files
+        if isinstance(error, ContextLostError) and self._blame.again(channel.address, self._clock()):
+            frame.ends = "pictures that the renderer does not survive"
 
     def _over_budget(self, channel: Channel, request: RenderRequest, error: BudgetError) -> str:
         """Why that ends the connection, or nothing. Only what a client asked for is at fault, so nothing is rebuilt."""
@@ -334,7 +287,7 @@ class FramePump:
         for pause in _PAUSES:
             await asyncio.sleep(pause)
             try:
-                self.driver = await asyncio.get_running_loop().run_in_executor(self._render_thread, self._reopen)
+                self.driver = await self._reopen()
                 break
             except ContextError as error:
                 log.warning("there is no new one: %s", error)
@@ -343,58 +296,38 @@ class FramePump:
         self.rebuilds += 1
         self.failures = 0  # it has drawn a picture
 
-    def _reopen(self) -> str:
-        """On the render thread."""
-        try:
-            self._backend.close()
-        except Exception:
-            log.debug("what is left of the lost context cannot be released", exc_info=True)
-        return self._backend.open()
+    def _posed(self, frame: Frame) -> tuple[RenderRequest, float, float]:
+        """The request with the pose where tracking was sent, and the user's scale and floor.
 
-    def _draw(self, frame: Frame, solution: Solution | None) -> Future[Encoded]:
-        """On the render thread: the pose where tracking was sent, the picture, and its encoding under way."""
-        request, scale, floor = frame.request, 1.0, 0.0
-        if request.tracking is not None:
-            if solution is None:
-                raise PoseError(f"this server has no tracking solver{frame.untracked}")
-            solved, frame.times["ik"] = solution.result()
-            request = replace(request, pose=solved.pose, cameras=solved.cameras)
-            cameras = frame.detail.resized(solved.cameras)
-            request = replace(request, cameras=cameras)
-            frame.notes, frame.drawn = solved.notes, cameras
-            scale, floor = solved.scale, solved.floor
+        Raises PoseError where tracking is not solved.
+        """
+        request = frame.request
+        if request.tracking is None:
+            return request, 1.0, 0.0
+        if frame.solution is None:
+            raise PoseError(f"this server has no tracking solver{frame.untracked}")
+        solved, frame.times["ik"] = frame.solution.result()
+        cameras = frame.detail.resized(solved.cameras)
+        frame.notes, frame.drawn = solved.notes, cameras
+        return replace(request, pose=solved.pose, cameras=cameras), solved.scale, solved.floor
+
+    def _begin(self, frame: Frame) -> float:
+        """The time at which drawing begins."""
         start = self._clock()
         frame.times["wait"] = (start - frame.arrived) * 1e3 - frame.times.get("ik", 0.0)  # solving is no waiting
-        rendered = self._backend.render(request)
-        done = rendered.done or _nothing
-        try:
-            took, now = self._clock() - start, self._clock()
-            frame.times["render"] = took * 1e3
-            frame.levels = rendered.levels
-            self._governor.drawn(request.viewer, took, rendered.coarsest, now)
-            if len(rendered.images) != len(frame.request.eyes):
-                raise RuntimeError(f"{len(frame.request.eyes)} pictures were asked for, {len(rendered.images)} drawn")
-            if rendered.box is not None:
-                frame.box = [round(v * scale + floor * (i % 3 == 1), 5) for i, v in enumerate(rendered.box)]
-            frame.times |= {name: ms for name, ms in rendered.timings.items() if name not in ("render", "total")}
-            # from here: the event loop need not hear of it first
-            encoded = self._encode_threads.submit(self._encode, rendered, frame.request)
-        except BaseException:
-            done()
-            raise
-        # of the future, not of the encoding: one that is cancelled while it waits never begins
-        encoded.add_done_callback(lambda _: done())
-        return encoded
+        return start
 
-    def _encode(self, rendered: Rendered, request: RenderRequest) -> Encoded:
-        """On an encoding thread."""
-        return self._encoder.encode(rendered.images, request.quality, request.crop, rendered.covered, request.alpha)
+    def _note(self, frame: Frame, rendered: Rendered, start: float, scale: float, floor: float) -> None:
+        """What is known of a picture once it is drawn."""
+        now = self._clock()
+        frame.times["render"] = (now - start) * 1e3
+        frame.levels = rendered.levels
+        self._governor.drawn(frame.request.viewer, now - start, rendered.coarsest, now)
+        if len(rendered.images) != len(frame.request.eyes):
+            raise RuntimeError(f"{len(frame.request.eyes)} pictures were asked for, {len(rendered.images)} drawn")
+        if rendered.box is not None:
+            frame.box = [round(v * scale + floor * (i % 3 == 1), 5) for i, v in enumerate(rendered.box)]
+        frame.times |= {name: ms for name, ms in rendered.timings.items() if name not in ("render", "total")}
 
     def _end_threads(self) -> None:
-        self._render_thread.shutdown(wait=False)
         self._solve_thread.shutdown(wait=False, cancel_futures=True)
-        self._encode_threads.shutdown(wait=False)
-        self._encoder.close()
-
-
-def _nothing() -> None: ...

@@ -20,6 +20,7 @@ from aiohttp import WSMsgType, web
 
 from glsplat.errors import ProtocolError
 from glsplat.net.backend import Backend, Offered
+from glsplat.net.drawing import FramePump
 from glsplat.net.guard.access import SUBPROTOCOL, Access, server_tls
 from glsplat.net.guard.door import Door, connection_of
 from glsplat.net.guard.limits import Budget, Limits, Purse
@@ -30,7 +31,7 @@ from glsplat.net.messages import MAX_BYTES, Decoder, WireOptions
 from glsplat.net.options import client_options
 from glsplat.net.pages.offers import Offers
 from glsplat.net.pages.routes import Pages
-from glsplat.net.pump import Channel, FramePump
+from glsplat.net.pump import Channel
 from glsplat.net.session import GOING_AWAY, Close, Counts, Session, SessionConfig, Warn
 from glsplat.net.uploads.routes import Uploads
 

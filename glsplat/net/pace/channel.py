@@ -1,0 +1,92 @@
+"""What goes through a pump: one client's channel, and its frames on their way from the renderer to the socket."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable
+from dataclasses import dataclass, field
+
+from glsplat.camera import Camera
+from glsplat.net.backend import Offered
+from glsplat.net.codec.encode import Encoded
+from glsplat.net.guard.limits import Share
+from glsplat.net.messages import RenderRequest
+from glsplat.net.pace.governor import FULL, Detail
+from glsplat.net.session import Session
+from glsplat.net.solving import Solution, Solving
+
+__all__ = ["ANYTHING", "Channel", "Frame"]
+
+ANYTHING = Offered(name="")
+
+
+@dataclass(eq=False, slots=True)
+class Frame:
+    """One picture on its way from the renderer to the socket."""
+
+    request: RenderRequest
+    arrived: float  # clock seconds
+    times: dict[str, float]  # ms
+    encoded: Awaitable[Encoded] | None = None  # None: it could not be drawn
+    error: tuple[str, str] = ("", "")  # code and message in that case
+    notes: tuple[str, ...] | None = None  # of the tracking solver
+    drawn: tuple[Camera, ...] | None = None  # the eyes in the avatar's space, where tracking was solved
+    box: list[float] | None = None  # of the avatar in the client's room, where it was asked for
+    untracked: str = ": send pose instead of tracking"  # what is said where tracking is not solved
+    ends: str = ""  # why the connection ends after this answer and its address is held off, if it does
+    detail: Detail = FULL  # less than was asked for, where a rate is held
+    levels: tuple[int, ...] = ()  # of detail that were drawn
+    solution: Solution | None = None  # of its tracking
+    again: asyncio.Future[None] | None = None  # it is being drawn anew: done once it is
+    moved: bool = False  # whoever had it cannot draw it, another may
+    losses: int = 0  # of those who were drawing it
+
+
+@dataclass(eq=False, slots=True)
+class Channel:
+    """One client as the pump sees it."""
+
+    number: int
+    session: Session
+    solving: Solving | None = None  # None: this server solves no tracking
+    address: str = ""  # what has a fair share of the renderer's time
+    shown: Offered = ANYTHING
+    share: Share | None = None  # of the time for reading and solving; None: no limit
+    frames: asyncio.Queue[Frame] = field(default_factory=asyncio.Queue)  # bounded by the session's window
+    again: Frame | None = None  # one of those that were taken from ``frames``, to be drawn anew before any other
+    place_key: str = ""  # channels of one key are drawn in one place; empty: avatar:NAME of what is shown
+
+    def __post_init__(self) -> None:
+        self.place_key = self.place_key or f"avatar:{self.shown.name}"
+
+    def ready(self, solved: Callable[[], None]) -> bool:
+        """True while a request can be drawn without waiting for its tracking.
+
+        Where none is solved yet, the newest is from now on, and ``solved`` is called (on any thread) once it is: under
+        a stream of samples that are all newer, waiting for the newest would never end.
+        """
+        if self.again is not None:
+            return True
+        session, newest = self.session, self.session.newest
+        if not session.ready():
+            return False
+        if self.solving is None or (newest is not None and self._solved(newest)):
+            return True
+        if session.kept is None:
+            assert newest is not None
+            session.keep()
+            self.solving.begin(newest.frame_id, solved)
+        return self._solved(session.kept)
+
+    def take(self, now: float) -> tuple[RenderRequest, float, Solution | None]:
+        """The newest request that is ready, the seconds it waited, and its solution."""
+        newest = self.session.newest
+        kept = self.solving is not None and (newest is None or not self._solved(newest))
+        taken = self.session.next_request(now, kept)
+        assert taken is not None
+        request, waited = taken
+        return request, waited, None if self.solving is None else self.solving.take(request.frame_id)
+
+    def _solved(self, request: RenderRequest | None) -> bool:
+        solving = self.solving
+        return request is None or request.tracking is None or solving is None or solving.solved(request.frame_id)
