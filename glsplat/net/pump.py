@@ -52,6 +52,7 @@ class Pump(ABC):
         self._drawing_since: float | None = None
         self._stopping = False
         self._turns: Turns[Channel] = Turns()
+        self._leaving: dict[int, Callable[[], None]] = {}  # clients by their number, once their picture is drawn
         self._blame = Blame()
         self._wake = asyncio.Event()
         self._loop: asyncio.AbstractEventLoop
@@ -140,6 +141,7 @@ class Pump(ABC):
     def remove(self, channel: Channel) -> None:
         """Forget a client; a picture of it that is being drawn is given up, or thrown away."""
         self._turns.remove(channel.address, channel)
+        self._leaving.pop(channel.number, None)
         if channel.solving is not None:
             channel.solving.clear()
 
@@ -150,8 +152,16 @@ class Pump(ABC):
             channel.solving.add(request)
         self._wake.set()
 
-    def wake(self) -> None:
-        """A window has room again."""
+    def release(self, channel: Channel, then: Callable[[], None]) -> None:
+        """Draw no more for a client, whose picture in hand is drawn to its end first; ``then`` is called after it."""
+        if self._drawing is channel:
+            self._leaving[channel.number] = then
+        else:
+            self._turns.remove(channel.address, channel)
+            then()
+
+    def wake(self, channel: Channel) -> None:
+        """Its window has room again."""
         self._wake.set()
 
     async def pack(self, channel: Channel, frame: Frame) -> list[bytes] | str:
@@ -179,7 +189,7 @@ class Pump(ABC):
             "eyes": [eye_fields(camera) for camera in request.cameras],
             "crop": encoded.boxes,
             "dropped": session.counts.dropped,
-            "driver": self.driver,
+            "driver": frame.driver,
         }
         if frame.notes is not None:
             info["tracking"] = frame.notes
@@ -198,6 +208,7 @@ class Pump(ABC):
 
     async def _run(self) -> None:
         while True:
+            await self._stand_by()
             start = self._clock()
             channel = self._turns.next(lambda channel: channel.ready(self._solved), start)
             if channel is None:
@@ -213,6 +224,14 @@ class Pump(ABC):
                 self._drawing = self._drawing_since = None
             now = self._clock()
             self._turns.charge(channel.address, channel, now - start, now)
+            if (then := self._leaving.get(channel.number)) is not None:
+                self._turns.remove(channel.address, channel)
+                del self._leaving[channel.number]
+                then()
+
+    async def _stand_by(self) -> None:
+        """Wait until there is something to draw with."""
+        return
 
     def _solved(self) -> None:
         """A request can be drawn. On the solving thread."""
@@ -227,6 +246,7 @@ class Pump(ABC):
     async def _draw_one(self, channel: Channel) -> None:
         frame, channel.again = channel.again or self._next_frame(channel), None
         request, lost = frame.request, False
+        frame.driver, frame.error = self.driver, ("", "")
         try:
             frame.encoded = await self._picture(frame)
             self.failures = 0
@@ -258,7 +278,12 @@ class Pump(ABC):
         return frame
 
     def _failed(self, channel: Channel, frame: Frame, error: Exception) -> None:
-        """What the client is told of a picture that could not be drawn, through no fault of its request's form."""
+        """A picture could not be drawn, through no fault of its request's form."""
+        self._refuse(channel, frame, error)
+        if isinstance(error, ContextLostError) and self._blame.again(channel.address, self._clock()):
+            frame.ends = "pictures that the renderer does not survive"
+
+    def _refuse(self, channel: Channel, frame: Frame, error: Exception) -> None:
         self.failures += 1
         log.error(
             "frame %s of client %d could not be drawn: %s",
@@ -266,8 +291,6 @@ class Pump(ABC):
             exc_info=not isinstance(error, GlsplatError),
         )
         frame.error = ("render", "the picture could not be drawn")  # no details: they may name files
-        if isinstance(error, ContextLostError) and self._blame.again(channel.address, self._clock()):
-            frame.ends = "pictures that the renderer does not survive"
 
     def _over_budget(self, channel: Channel, request: RenderRequest, error: BudgetError) -> str:
         """Why that ends the connection, or nothing. Only what a client asked for is at fault, so nothing is rebuilt."""

@@ -36,6 +36,7 @@ class Frame:
     ends: str = ""  # why the connection ends after this answer and its address is held off, if it does
     detail: Detail = FULL  # less than was asked for, where a rate is held
     levels: tuple[int, ...] = ()  # of detail that were drawn
+    driver: str = ""  # what drew it
     solution: Solution | None = None  # of its tracking
     again: asyncio.Future[None] | None = None  # it is being drawn anew: done once it is
     moved: bool = False  # whoever had it cannot draw it, another may
@@ -54,7 +55,8 @@ class Channel:
     share: Share | None = None  # of the time for reading and solving; None: no limit
     frames: asyncio.Queue[Frame] = field(default_factory=asyncio.Queue)  # bounded by the session's window
     again: Frame | None = None  # one of those that were taken from ``frames``, to be drawn anew before any other
-    place_key: str = ""  # channels of one key are drawn in one place; empty: avatar:NAME of what is shown
+    place_key: str = ""  # where it is drawn (workers/placement.py); empty: avatar:NAME of what is shown
+    cost: float = 0.0  # seconds a picture, lately; 0: none was drawn yet
 
     def __post_init__(self) -> None:
         self.place_key = self.place_key or f"avatar:{self.shown.name}"
