@@ -12,12 +12,13 @@ from typing import Any
 from aiohttp import WSMsgType, web
 
 from glsplat.errors import ProtocolError
-from glsplat.net.channel import Channel
 from glsplat.net.guard.door import Door, connection_of
 from glsplat.net.guard.meter import POLICY_VIOLATION, Breach
 from glsplat.net.guard.reading import Reading
-from glsplat.net.pump import FramePump
+from glsplat.net.pace.channel import Channel
+from glsplat.net.pump import Pump
 from glsplat.net.session import Close, Warn
+from glsplat.net.workers.farm import Farm
 
 __all__ = ["Conversation", "cut_off"]
 
@@ -37,7 +38,7 @@ class Conversation:
         channel: Channel,
         ws: web.WebSocketResponse,
         request: web.Request,
-        pump: FramePump,
+        pump: Pump | Farm,
         door: Door,
         deaf: Callable[[], bool],
         write_timeout: float,
@@ -154,7 +155,7 @@ class Conversation:
                 return
             if not isinstance(packed, str):
                 session.sent(frame.request, sum(map(len, packed)))
-            self._pump.wake()
+            self._pump.wake(self.channel)
             if frame.ends:
                 log.warning("client %d is dropped: %s", self.channel.number, frame.ends)
                 with contextlib.suppress(TimeoutError):

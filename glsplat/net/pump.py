@@ -1,7 +1,7 @@
-"""The frame pump: takes the clients' requests in fair turns, draws on one thread, encodes while the next is drawn.
+"""The pump: takes the clients' requests in fair turns, has them drawn one by one, and says what each picture is.
 
-The event loop only passes things on. One thread owns the renderer (an OpenGL context belongs to a thread); a few more
-encode. Each client gets its pictures in order, at most its window of them under way.
+The event loop only passes things on. Each client gets its pictures in order, at most its window of them under way.
+What draws is drawing.py's (threads of this process) or workers/pump.py's (another process, perhaps elsewhere).
 """
 
 from __future__ import annotations
@@ -9,62 +9,71 @@ from __future__ import annotations
 import asyncio
 import logging
 import time
-from collections.abc import Callable
-from concurrent.futures import Future, ThreadPoolExecutor
+from abc import ABC, abstractmethod
+from collections.abc import Awaitable, Callable
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import replace
 
 from glsplat.errors import BudgetError, ContextError, ContextLostError, GlsplatError, PoseError
-from glsplat.net.backend import Backend, Interruptible, Offered, PoseSolver, Rendered
-from glsplat.net.channel import ANYTHING, Channel, Frame
-from glsplat.net.codec.encode import Encoded, Encoder
+from glsplat.net.backend import Offered, PoseSolver, Rendered
+from glsplat.net.codec.encode import Encoded
 from glsplat.net.guard.blame import Blame
 from glsplat.net.messages import RenderRequest
+from glsplat.net.pace.channel import ANYTHING, Channel, Frame
 from glsplat.net.pace.governor import Governor
 from glsplat.net.pace.stages import StageTimes
 from glsplat.net.pace.turns import Turns
 from glsplat.net.reply import pack_reply, pack_single
 from glsplat.net.rooms.member import Member
 from glsplat.net.session import Session
-from glsplat.net.solving import Solution, Solving
+from glsplat.net.solving import Solving
 
-__all__ = ["FramePump"]
+__all__ = ["Channel", "Pump"]
 
 log: logging.Logger = logging.getLogger("glsplat.net")
 
 _SICK = 3  # pictures in a row that failed before /healthz says so
 _STUCK = 10.0  # seconds a picture may take before /healthz says so
 _PAUSES = (0.0, 0.5, 1.0)  # seconds before each attempt to make a new context; then the pump gives up
-_GRACE = 0.5  # seconds the picture in hand gets when the server stops
 
 
-class FramePump:
-    """Owns the render thread, the encoders and the turn of the clients."""
+class Pump(ABC):
+    """The turns of the clients, and what is said with each picture. What draws is the subclass's."""
 
-    def __init__(
-        self, backend: Backend, clock: Callable[[], float] = time.perf_counter, rate: float | None = None
-    ) -> None:
+    def __init__(self, clock: Callable[[], float] = time.perf_counter, rate: float | None = None) -> None:
         self.driver: str = ""
         self.stages: StageTimes = StageTimes()
         self.failures: int = 0  # in a row
         self.rebuilds: int = 0  # contexts lost and made anew
-        self._backend = backend
         self._clock = clock
         self._governor = Governor(rate)
         self._drawing: Channel | None = None
         self._drawing_since: float | None = None
         self._stopping = False
         self._turns: Turns[Channel] = Turns()
+        self._leaving: dict[int, Callable[[], None]] = {}  # clients by their number, once their picture is drawn
         self._blame = Blame()
         self._wake = asyncio.Event()
         self._loop: asyncio.AbstractEventLoop
-        self._render_thread = ThreadPoolExecutor(1, thread_name_prefix="render")
         self._solve_thread = ThreadPoolExecutor(1, thread_name_prefix="solve")
-        self._encode_threads = ThreadPoolExecutor(2, thread_name_prefix="frame")
-        self._encoder = Encoder()
         self._task: asyncio.Task[None] | None = None
-        if isinstance(backend, Interruptible):
-            backend.abandoned = self._abandoned
+
+    @abstractmethod
+    async def _open(self) -> str:
+        """Start what draws; returns the driver string. Raises GlsplatError."""
+
+    @abstractmethod
+    async def _reopen(self) -> str:
+        """The same after it was lost. Raises ContextError."""
+
+    @abstractmethod
+    async def _close(self) -> None:
+        """End it."""
+
+    @abstractmethod
+    async def _picture(self, frame: Frame) -> Awaitable[Encoded]:
+        """Draw, and have it encoded meanwhile. Calls ``_posed`` and ``_note``; raises what a renderer raises."""
 
     @property
     def drawing_for(self) -> float:
@@ -78,14 +87,13 @@ class FramePump:
         return self.failures < _SICK and not stuck and self._task is not None and not self._task.done()
 
     async def start(self) -> None:
-        """Open the backend on the render thread. Raises what it raises, after ending the threads."""
-        loop = asyncio.get_running_loop()
+        """Open what draws. Raises what it raises, after ending the threads."""
+        self._loop = asyncio.get_running_loop()
         try:
-            self.driver = await loop.run_in_executor(self._render_thread, self._backend.open)
+            self.driver = await self._open()
         except BaseException:
             self._end_threads()
             raise
-        self._loop = loop
         self._task = asyncio.create_task(self._run(), name="frame pump")
 
     async def ended(self) -> None:
@@ -96,19 +104,15 @@ class FramePump:
             self._task.result()
 
     async def stop(self) -> None:
-        """Close the backend, end the threads; the picture in hand gets half a second."""
+        """Close what draws, end the threads; the picture in hand gets half a second."""
         if self._task is None:
             return
         self._stopping = True
         self._task.cancel()
         await asyncio.gather(self._task, return_exceptions=True)
         self._task = None
-        closing = asyncio.get_running_loop().run_in_executor(self._render_thread, self._backend.close)
         try:
-            done, _ = await asyncio.wait([closing], timeout=_GRACE)
-            if not done and isinstance(self._backend, Interruptible):
-                self._backend.kill()
-            await closing
+            await self._close()
         except Exception:  # the driver is gone, or its objects are: the process ends anyway
             log.exception("the renderer could not be closed")
         finally:
@@ -134,10 +138,15 @@ class FramePump:
     def add(self, channel: Channel) -> None:
         """Let a client take part."""
         self._turns.add(channel.address, channel)
+        kept = channel.session.kept
+        if kept is not None and channel.solving is not None:  # another pump has waited for it until now
+            channel.solving.begin(kept.frame_id, self._solved)
+        self._wake.set()
 
     def remove(self, channel: Channel) -> None:
         """Forget a client; a picture of it that is being drawn is given up, or thrown away."""
         self._turns.remove(channel.address, channel)
+        self._leaving.pop(channel.number, None)
         if channel.solving is not None:
             channel.solving.clear()
 
@@ -150,8 +159,16 @@ class FramePump:
             channel.member.posed(request, self._clock())
         self._wake.set()
 
-    def wake(self) -> None:
-        """A window has room again."""
+    def release(self, channel: Channel, then: Callable[[], None]) -> None:
+        """Draw no more for a client, whose picture in hand is drawn to its end first; ``then`` is called after it."""
+        if self._drawing is channel:
+            self._leaving[channel.number] = then
+        else:
+            self._turns.remove(channel.address, channel)
+            then()
+
+    def wake(self, channel: Channel) -> None:
+        """Its window has room again."""
         self._wake.set()
 
     async def pack(self, channel: Channel, frame: Frame) -> list[bytes] | str:
@@ -171,11 +188,12 @@ class FramePump:
         if request.form == "single-legacy":
             return [pack_single(request.eyes[0], encoded.pictures[0])]
         assert request.frame_id is not None
-        info = frame.info(encoded.boxes, session.counts.dropped, self.driver, channel.shown)
+        info = frame.info(encoded.boxes, session.counts.dropped, channel.shown)
         return [pack_reply(request.frame_id, request.eyes, encoded.pictures, info, encoded.alphas)]
 
     async def _run(self) -> None:
         while True:
+            await self._stand_by()
             start = self._clock()
             channel = self._turns.next(lambda channel: channel.ready(self._solved), start)
             if channel is None:
@@ -191,6 +209,14 @@ class FramePump:
                 self._drawing = self._drawing_since = None
             now = self._clock()
             self._turns.charge(channel.address, channel, now - start, now)
+            if (then := self._leaving.get(channel.number)) is not None:
+                self._turns.remove(channel.address, channel)
+                del self._leaving[channel.number]
+                then()
+
+    async def _stand_by(self) -> None:
+        """Wait until there is something to draw with."""
+        return
 
     def _solved(self) -> None:
         """A request can be drawn. On the solving thread."""
@@ -203,19 +229,12 @@ class FramePump:
         return self._stopping or (drawing is not None and (drawing.address, drawing) not in self._turns)
 
     async def _draw_one(self, channel: Channel) -> None:
-        loop = asyncio.get_running_loop()
-        request, waited, solution = channel.take(self._clock())
-        frame = Frame(request, self._clock() - waited, {"wait": waited * 1e3})
-        if request.form == "native":  # older clients know one size
-            frame.detail = self._governor.detail(channel.number, self._clock())
-        frame.request, frame.member = replace(frame.detail.of(request), viewer=channel.number), channel.member
-        if why := channel.shown.untracked:
-            frame.untracked = f" for what it shows: {why}"
-        lost = False
+        frame, channel.again = channel.again or self._next_frame(channel), None
+        request, lost = frame.request, False
+        frame.driver, frame.error = self.driver, ("", "")
         try:
-            encoded = await loop.run_in_executor(self._render_thread, self._draw, frame, solution)
+            frame.encoded = await self._picture(frame)
             self.failures = 0
-            frame.encoded = asyncio.wrap_future(encoded)
         except PoseError as error:
             frame.error = ("bad_pose", str(error))
         except BudgetError as error:
@@ -224,19 +243,39 @@ class FramePump:
             frame.ends = self._over_budget(channel, request, error)
         except Exception as error:
             lost = isinstance(error, ContextLostError)
-            self.failures += 1
-            log.error(
-                "frame %s of client %d could not be drawn: %s",
-                *(request.frame_id, channel.number, error),
-                exc_info=not isinstance(error, GlsplatError),
-            )
-            frame.error = ("render", "the picture could not be drawn")  # no details: they may name files
-            if lost and self._blame.again(channel.address, self._clock()):
-                frame.ends = "pictures that the renderer does not survive"
-        if (channel.address, channel) in self._turns:
+            self._failed(channel, frame, error)
+        if frame.again is not None:
+            if not frame.again.done():
+                frame.again.set_result(None)
+        elif (channel.address, channel) in self._turns:
             channel.frames.put_nowait(frame)
         if lost:
             await self._rebuild()
+
+    def _next_frame(self, channel: Channel) -> Frame:
+        request, waited, solution = channel.take(self._clock())
+        frame = Frame(request, self._clock() - waited, {"wait": waited * 1e3}, solution=solution)
+        if request.form == "native":  # older clients know one size
+            frame.detail = self._governor.detail(channel.number, self._clock())
+        frame.request, frame.member = replace(frame.detail.of(request), viewer=channel.number), channel.member
+        if why := channel.shown.untracked:
+            frame.untracked = f" for what it shows: {why}"
+        return frame
+
+    def _failed(self, channel: Channel, frame: Frame, error: Exception) -> None:
+        """A picture could not be drawn, through no fault of its request's form."""
+        self._refuse(channel, frame, error)
+        if isinstance(error, ContextLostError) and self._blame.again(channel.address, self._clock()):
+            frame.ends = "pictures that the renderer does not survive"
+
+    def _refuse(self, channel: Channel, frame: Frame, error: Exception) -> None:
+        self.failures += 1
+        log.error(
+            "frame %s of client %d could not be drawn: %s",
+            *(frame.request.frame_id, channel.number, error),
+            exc_info=not isinstance(error, GlsplatError),
+        )
+        frame.error = ("render", "the picture could not be drawn")  # no details: they may name files
 
     def _over_budget(self, channel: Channel, request: RenderRequest, error: BudgetError) -> str:
         """Why that ends the connection, or nothing. Only what a client asked for is at fault, so nothing is rebuilt."""
@@ -256,7 +295,7 @@ class FramePump:
         for pause in _PAUSES:
             await asyncio.sleep(pause)
             try:
-                self.driver = await asyncio.get_running_loop().run_in_executor(self._render_thread, self._reopen)
+                self.driver = await self._reopen()
                 break
             except ContextError as error:
                 log.warning("there is no new one: %s", error)
@@ -265,63 +304,44 @@ class FramePump:
         self.rebuilds += 1
         self.failures = 0  # it has drawn a picture
 
-    def _reopen(self) -> str:
-        """On the render thread."""
-        try:
-            self._backend.close()
-        except Exception:
-            log.debug("what is left of the lost context cannot be released", exc_info=True)
-        return self._backend.open()
+    def _posed(self, frame: Frame) -> tuple[RenderRequest, float, float]:
+        """The request with the pose where tracking was sent, or with everybody of the room; the user's scale and floor.
 
-    def _draw(self, frame: Frame, solution: Solution | None) -> Future[Encoded]:
-        """On the render thread: the pose where tracking was sent, the picture, and its encoding under way."""
-        solved, request = None, frame.request
+        Raises PoseError where tracking is not solved.
+        """
+        request, solved = frame.request, None
         if request.tracking is not None:
-            if solution is None:
+            if frame.solution is None:
                 raise PoseError(f"this server has no tracking solver{frame.untracked}")
-            solved, frame.times["ik"] = solution.result()
+            solved, frame.times["ik"] = frame.solution.result()
             frame.notes = solved.notes
         if frame.member is not None:
             request = frame.member.look(request, solved, frame.arrived, self._clock())
             frame.view = request.room
         elif solved is not None:
             frame.drawn = frame.detail.resized(solved.cameras)
-            request = replace(request, pose=solved.pose, cameras=frame.drawn)
+            return replace(request, pose=solved.pose, cameras=frame.drawn), solved.scale, solved.floor
+        return request, 1.0, 0.0
+
+    def _begin(self, frame: Frame) -> float:
+        """The time at which drawing begins."""
         start = self._clock()
         frame.times["wait"] = (start - frame.arrived) * 1e3 - frame.times.get("ik", 0.0)  # solving is no waiting
-        rendered = self._backend.render(request)
-        done = rendered.done or _nothing
-        try:
-            took, now = self._clock() - start, self._clock()
-            frame.times["render"] = took * 1e3
-            frame.levels = rendered.levels
-            self._governor.drawn(request.viewer, took, rendered.coarsest, now)
-            if len(rendered.images) != len(frame.request.eyes):
-                raise RuntimeError(f"{len(frame.request.eyes)} pictures were asked for, {len(rendered.images)} drawn")
-            if rendered.box is not None:
-                scale, floor = (1.0, 0.0) if solved is None else (solved.scale, solved.floor)
-                frame.box = [round(v * scale + floor * (i % 3 == 1), 5) for i, v in enumerate(rendered.box)]
-            if frame.member is not None:
-                frame.member.room.posed(rendered.posed)
-            frame.times |= {name: ms for name, ms in rendered.timings.items() if name not in ("render", "total")}
-            # from here: the event loop need not hear of it first
-            encoded = self._encode_threads.submit(self._encode, rendered, frame.request)
-        except BaseException:
-            done()
-            raise
-        # of the future, not of the encoding: one that is cancelled while it waits never begins
-        encoded.add_done_callback(lambda _: done())
-        return encoded
+        return start
 
-    def _encode(self, rendered: Rendered, request: RenderRequest) -> Encoded:
-        """On an encoding thread."""
-        return self._encoder.encode(rendered.images, request.quality, request.crop, rendered.covered, request.alpha)
+    def _note(self, frame: Frame, rendered: Rendered, start: float, scale: float, floor: float) -> None:
+        """What is known of a picture once it is drawn."""
+        now = self._clock()
+        frame.times["render"] = (now - start) * 1e3
+        frame.levels = rendered.levels
+        self._governor.drawn(frame.request.viewer, now - start, rendered.coarsest, now)
+        if len(rendered.images) != len(frame.request.eyes):
+            raise RuntimeError(f"{len(frame.request.eyes)} pictures were asked for, {len(rendered.images)} drawn")
+        if rendered.box is not None:
+            frame.box = [round(v * scale + floor * (i % 3 == 1), 5) for i, v in enumerate(rendered.box)]
+        if frame.member is not None:
+            frame.member.room.posed(rendered.posed)
+        frame.times |= {name: ms for name, ms in rendered.timings.items() if name not in ("render", "total")}
 
     def _end_threads(self) -> None:
-        self._render_thread.shutdown(wait=False)
         self._solve_thread.shutdown(wait=False, cancel_futures=True)
-        self._encode_threads.shutdown(wait=False)
-        self._encoder.close()
-
-
-def _nothing() -> None: ...

@@ -20,20 +20,22 @@ from aiohttp import web
 
 from glsplat.errors import ProtocolError
 from glsplat.net.backend import Backend, Offered
-from glsplat.net.channel import Channel
 from glsplat.net.conversation import Conversation, cut_off
+from glsplat.net.drawing import FramePump
 from glsplat.net.guard.access import SUBPROTOCOL, Access, server_tls
 from glsplat.net.guard.door import Door, connection_of
+from glsplat.net.guard.headers import set_headers
 from glsplat.net.guard.limits import Budget, Limits, Purse
 from glsplat.net.guard.listener import bind
 from glsplat.net.messages import MAX_BYTES, Decoder, WireOptions
 from glsplat.net.options import client_options
+from glsplat.net.pace.channel import Channel
 from glsplat.net.pages.offers import Offers
 from glsplat.net.pages.routes import Pages
-from glsplat.net.pump import FramePump
 from glsplat.net.rooms.rooms import Rooms
 from glsplat.net.session import GOING_AWAY, Counts, Session, SessionConfig
 from glsplat.net.uploads.routes import Uploads
+from glsplat.net.workers.farm import Farm
 
 __all__ = ["Server", "ServerConfig"]
 
@@ -41,8 +43,6 @@ log: logging.Logger = logging.getLogger("glsplat.net")
 clock: Callable[[], float] = time.perf_counter  # the pump's clock too
 
 _HOPELESS = 2.0  # seconds after which a picture is not waited for when the server stops
-_ALWAYS = {"X-Content-Type-Options": "nosniff", "Server": "glsplat"}
-_UNLESS_SAID = {"Content-Security-Policy": "default-src 'none'; style-src 'unsafe-inline'", "Cache-Control": "no-store"}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -67,18 +67,19 @@ class ServerConfig:
 class Server:
     """Streams what ``backend`` draws: the first of ``offered``, or the one that a client names in its address.
 
+    A farm has workers draw, and SIGHUP starts them anew one after the other; anything else draws on one thread.
     ``uploads`` lets clients add to those; ``backend`` then has to draw what lies in its folder, too.
     """
 
     def __init__(
         self,
-        backend: Backend,
+        backend: Backend | Farm,
         config: ServerConfig | None = None,
         offered: Sequence[Offered] = (Offered(name="default"),),
         uploads: Uploads | None = None,
     ) -> None:
         self.config: ServerConfig = config or ServerConfig()
-        self.pump: FramePump = FramePump(backend, rate=self.config.fps)
+        self.pump = backend if isinstance(backend, Farm) else FramePump(backend, rate=self.config.fps)
         self.port: int = self.config.port
         limits = self.config.limits
         if uploads is not None:
@@ -118,7 +119,7 @@ class Server:
         app.add_routes([web.get("/ws", self._websocket), *pages.routes()])
         if self._uploads is not None:
             app.add_routes(self._uploads.open(self.door, self._offers.add, self._withdraw))
-        app.on_response_prepare.append(_set_headers)
+        app.on_response_prepare.append(set_headers)
         self._runner = web.AppRunner(app, access_log=None, shutdown_timeout=self.config.drain_timeout)
         await self._runner.setup()
         assert self._runner.server is not None
@@ -160,6 +161,8 @@ class Server:
         for number in (signal.SIGINT, signal.SIGTERM):
             with contextlib.suppress(NotImplementedError, ValueError):  # not on Windows, not off the main thread
                 loop.add_signal_handler(number, on_signal)
+        if isinstance(self.pump, Farm) and hasattr(signal, "SIGHUP"):
+            loop.add_signal_handler(signal.SIGHUP, self.pump.restart)
         await self.start()
         try:
             if started is not None:
@@ -190,6 +193,7 @@ class Server:
             "token": self.config.access.token is not None,
             **self.door.status(),
             "rebuilds": self.pump.rebuilds,
+            "workers": self.pump.workers() if isinstance(self.pump, Farm) else None,
             "uploads": None if self._uploads is None else self._uploads.counts(),
             "totals": totals,
             "stages": self.pump.stages.summary(),
@@ -296,9 +300,3 @@ class Server:
         del self._channels[channel.number]
         for name, value in asdict(channel.session.counts).items():
             setattr(self._totals, name, getattr(self._totals, name) + value)
-
-
-async def _set_headers(request: web.Request, response: web.StreamResponse) -> None:
-    response.headers.update(_ALWAYS)
-    for name, value in _UNLESS_SAID.items():
-        response.headers.setdefault(name, value)

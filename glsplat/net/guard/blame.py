@@ -23,3 +23,8 @@ class Blame:
         if len(self._since) > _MOST:
             self._since.popitem(last=False)
         return before is not None and now - before < _FORGET
+
+    def suspects(self, address: str, now: float) -> bool:
+        """True while a bad picture of this address is not forgotten."""
+        before = self._since.get(address)
+        return before is not None and now - before < _FORGET

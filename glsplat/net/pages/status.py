@@ -34,6 +34,9 @@ def metrics_text(stats: Mapping[str, Any]) -> str:
         *_metric("held_off", "gauge", "addresses that are held off", [("", stats["held_off"])]),
         *_metric("rebuilds_total", "counter", "OpenGL contexts lost and made anew", [("", stats["rebuilds"])]),
     ]
+    if stats["workers"] is not None:
+        alive = sum(worker["alive"] for worker in stats["workers"])
+        lines += _metric("workers", "gauge", "workers that draw", [("", alive)])
     for name, text in _COUNTERS.items():
         lines += _metric(f"{name}_total", "counter", text, [("", stats["totals"][name])])
     stages = [

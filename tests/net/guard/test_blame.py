@@ -18,8 +18,8 @@ from glsplat.net.backend import Offered, Rendered
 from glsplat.net.backends.gl import RendererBackend
 from glsplat.net.backends.process import ProcessBackend
 from glsplat.net.client import Client
+from glsplat.net.drawing import FramePump
 from glsplat.net.messages import Decoder
-from glsplat.net.pump import FramePump
 from glsplat.net.server import Server, ServerConfig
 from glsplat.net.session import Session
 from tests.net.backends import Boxed

@@ -395,7 +395,8 @@ def test_the_parts_of_aiohttp_that_connections_rely_on(serve):
     async def main():
         async with serve() as server:
             _, writer = await raw(server)
-            ((ws, request),) = server._sockets.values()
+            (talk,) = server._talks.values()
+            ws, request = talk._ws, talk._request
             parser = request.protocol._payload_parser
             assert type(parser).__name__ == "_MeteredReader" and parser._reader is ws._parser
             writer.transport.abort()

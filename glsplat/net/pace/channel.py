@@ -1,4 +1,4 @@
-"""A client and a picture of it as the pump and the server see them."""
+"""What goes through a pump: one client's channel, and its frames on their way from the renderer to the socket."""
 
 from __future__ import annotations
 
@@ -39,12 +39,15 @@ class Frame:
     ends: str = ""  # why the connection ends after this answer and its address is held off, if it does
     detail: Detail = FULL  # less than was asked for, where a rate is held
     levels: tuple[int, ...] = ()  # of detail that were drawn
+    driver: str = ""  # what drew it
+    solution: Solution | None = None  # of its tracking
+    again: asyncio.Future[None] | None = None  # it is being drawn anew: done once it is
+    moved: bool = False  # whoever had it cannot draw it, another may
+    losses: int = 0  # of those who were drawing it
     member: Member | None = None  # of the client, in a room
     view: RoomView | None = None  # what of the room was drawn
 
-    def info(
-        self, boxes: Sequence[tuple[int, int, int, int]] | None, dropped: int, driver: str, shown: Offered
-    ) -> dict[str, Any]:
+    def info(self, boxes: Sequence[tuple[int, int, int, int]] | None, dropped: int, shown: Offered) -> dict[str, Any]:
         """The JSON object of the reply (docs/protocol.md, section 4)."""
         request, first = self.request, self.request.cameras[0]
         info: dict[str, Any] = {
@@ -54,7 +57,7 @@ class Frame:
             "eyes": [eye_fields(camera) for camera in request.cameras],
             "crop": boxes,
             "dropped": dropped,
-            "driver": driver,
+            "driver": self.driver,
         }
         if self.notes is not None:
             info["tracking"] = self.notes
@@ -86,6 +89,13 @@ class Channel:
     member: Member | None = None  # in a room; None: sees what it is shown alone
     share: Share | None = None  # of the time for reading and solving; None: no limit
     frames: asyncio.Queue[Frame] = field(default_factory=asyncio.Queue)  # bounded by the session's window
+    again: Frame | None = None  # one of those that were taken from ``frames``, to be drawn anew before any other
+    place_key: str = ""  # where it is drawn (workers/placement.py); empty: room:NAME or avatar:NAME
+    cost: float = 0.0  # seconds a picture, lately; 0: none was drawn yet
+
+    def __post_init__(self) -> None:
+        alone = f"avatar:{self.shown.name}"
+        self.place_key = self.place_key or (alone if self.member is None else f"room:{self.member.room.name}")
 
     def ready(self, solved: Callable[[], None]) -> bool:
         """True while a request can be drawn without waiting for its tracking.
@@ -93,6 +103,8 @@ class Channel:
         Where none is solved yet, the newest is from now on, and ``solved`` is called (on any thread) once it is: under
         a stream of samples that are all newer, waiting for the newest would never end.
         """
+        if self.again is not None:
+            return True
         session, newest = self.session, self.session.newest
         if not session.ready():
             return False

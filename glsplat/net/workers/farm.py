@@ -1,0 +1,286 @@
+"""The farm: several workers behind one face, which is a pump's.
+
+Each worker has a pump. A client belongs to one of them, and changes over when its worker is lost or too busy; its
+pictures keep their order, because it changes between two of them, and because a picture whose worker is lost keeps its
+place in the line while another worker draws it.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+import time
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from glsplat.errors import ContextError, ContextLostError, GlsplatError
+from glsplat.net.backend import Offered, PoseSolver
+from glsplat.net.guard.blame import Blame
+from glsplat.net.pace.channel import ANYTHING, Channel, Frame
+from glsplat.net.pace.stages import StageTimes
+from glsplat.net.rooms.member import Member
+from glsplat.net.session import Session
+from glsplat.net.workers.place import Place
+from glsplat.net.workers.placement import Client, better, choose
+from glsplat.net.workers.pump import WorkerPump
+
+__all__ = ["Farm"]
+
+log: logging.Logger = logging.getLogger("glsplat.net")
+
+_TRIES = 3  # attempts to start each worker, while none lives, before the farm may give up
+_MOVES = 64  # clients that change over at once, at most, for the sake of balance
+
+
+class Farm:
+    """Draws with a worker in each of ``places``.
+
+    ``rate`` is what each client's pictures are held at (pace/governor.py), ``seconds`` what a picture may take.
+    ``patience``: seconds without any worker after which ``ended`` raises, if none can be started either.
+    """
+
+    def __init__(
+        self,
+        places: Sequence[Place],
+        rate: float | None = None,
+        seconds: float = 5.0,
+        patience: float = 0.0,
+        clock: Callable[[], float] = time.perf_counter,
+    ) -> None:
+        if not places:
+            raise GlsplatError("a farm needs a worker at least")
+        self.stages: StageTimes = StageTimes()
+        self._clock, self._patience = clock, patience
+        self._blame = Blame()
+        self._pumps = [WorkerPump(one, self, clock, rate, seconds, self.stages, self._blame) for one in places]
+        self._clients: dict[int, tuple[Channel, WorkerPump | None]] = {}  # None: waits for a worker
+        self._since = 0.0  # when the last worker was lost
+        self._over: asyncio.Future[None]
+        self._restarting: asyncio.Task[None] | None = None
+
+    # ------------------------------------------------------------------------------------------------ a pump's face
+
+    @property
+    def driver(self) -> str:
+        """What draws; of several different ones each once."""
+        return "; ".join(dict.fromkeys(pump.driver for pump in self._pumps if pump.driver))
+
+    @property
+    def healthy(self) -> bool:
+        """False once no worker lives, or all that do are ill."""
+        return any(pump.living and pump.healthy for pump in self._pumps)
+
+    @property
+    def rebuilds(self) -> int:
+        """Workers lost so far."""
+        return sum(pump.rebuilds for pump in self._pumps)
+
+    @property
+    def drawing_for(self) -> float:
+        """Seconds that the newest of the pictures in hand has taken so far; 0: none is."""
+        return min((pump.drawing_for for pump in self._pumps if pump.drawing_for), default=0.0)
+
+    async def start(self) -> None:
+        """Start all workers at once; those that fail are tried again. Raises GlsplatError if none can be started."""
+        self._over = asyncio.get_running_loop().create_future()
+        self._over.add_done_callback(lambda over: over.cancelled() or over.exception())  # perhaps nobody asks
+        results = await asyncio.gather(*(pump.start() for pump in self._pumps), return_exceptions=True)
+        errors = [error for error in results if isinstance(error, BaseException)]
+        if len(errors) == len(results) or any(not isinstance(error, GlsplatError) for error in errors):
+            await self.stop()
+            raise errors[0]
+        for error in errors:
+            log.warning("a worker could not be started: %s", error)
+
+    async def ended(self) -> None:
+        """Wait until no worker lives and none can be started. Raises ContextError then."""
+        await asyncio.shield(self._over)
+
+    async def stop(self) -> None:
+        """End all workers; the pictures in hand get half a second."""
+        if self._restarting is not None:
+            self._restarting.cancel()
+            await asyncio.gather(self._restarting, return_exceptions=True)
+        await asyncio.gather(*(pump.stop() for pump in self._pumps))
+        self._over.cancel()
+
+    def open(
+        self,
+        number: int,
+        session: Session,
+        solver: PoseSolver | None = None,
+        address: str = "",
+        shown: Offered = ANYTHING,
+        member: Member | None = None,
+    ) -> Channel:
+        """A client who is ``shown`` that, or a ``member`` of a room as that; it takes part once it is added."""
+        return self._pumps[0].open(number, session, solver, address, shown, member)
+
+    def add(self, channel: Channel) -> None:
+        """Let a client take part, on the worker that suits it."""
+        self._put(channel)
+
+    def remove(self, channel: Channel) -> None:
+        """Forget a client."""
+        self._clients.pop(channel.number, None)
+        for pump in self._pumps:  # it may be on its way from one to another
+            pump.remove(channel)
+        self._balance()
+
+    def received(self, channel: Channel) -> None:
+        """A message of this client was taken."""
+        (self._pump_of(channel) or self._pumps[0]).received(channel)
+
+    def wake(self, channel: Channel) -> None:
+        """Its window has room again."""
+        pump = self._pump_of(channel)
+        if pump is not None:
+            pump.wake(channel)
+
+    async def pack(self, channel: Channel, frame: Frame) -> list[bytes] | str:
+        """The messages of a frame, as a pump's; one whose worker was lost is drawn by another first."""
+        while await _has_to_move(frame):
+            frame.moved, frame.encoded = False, None
+            frame.again = asyncio.get_running_loop().create_future()
+            channel.again = frame
+            self.wake(channel)
+            await frame.again
+            frame.again = None
+        return await self._pumps[0].pack(channel, frame)
+
+    # ------------------------------------------------------------------------------------------------ the operator's
+
+    def workers(self) -> list[dict[str, Any]]:
+        """For /stats: what each worker is and does."""
+        return [
+            {
+                "name": pump.place.name,
+                "driver": pump.driver,
+                "alive": pump.living,
+                "clients": len(pump.channels),
+                "lost": pump.rebuilds,
+            }
+            for pump in self._pumps
+        ]
+
+    def restart(self) -> asyncio.Task[None]:
+        """Start all workers anew, one after the other; their clients are drawn for by the others meanwhile.
+
+        With one worker they wait for it. A restart under way goes on.
+        """
+        if self._restarting is None or self._restarting.done():
+            self._restarting = asyncio.create_task(self._restart(), name="rolling restart")
+        return self._restarting
+
+    async def _restart(self) -> None:
+        for pump in self._pumps:
+            if not pump.living:  # it is being started anew as it is
+                continue
+            pump.living = False
+            for channel in list(pump.channels.values()):
+                self._move(channel)
+            while not pump.empty:
+                await asyncio.sleep(0.01)
+            pump.renew()
+            while not pump.living:
+                await asyncio.sleep(0.05)
+            log.info("%s is started anew", pump.place.name)
+
+    # ------------------------------------------------------------------------------------------------ what pumps ask
+
+    def alone(self, pump: WorkerPump) -> bool:
+        """Whether no other worker lives."""
+        return not any(other.living for other in self._pumps if other is not pump)
+
+    def elsewhere(self, pump: WorkerPump, channel: Channel) -> bool:
+        """Move a client, and who has to stay with it, to a worker that may be able to load its avatar."""
+        avatar = channel.shown.name
+        if all(other.refuses(avatar) for other in self._pumps if other.living):
+            return False
+        for other in list(pump.channels.values()):
+            if other is channel or other.place_key == channel.place_key:
+                self._move(other)
+        return True
+
+    def lost(self, pump: WorkerPump) -> None:
+        """Its clients go to the others at once."""
+        self._since = self._clock()
+        for channel in list(pump.channels.values()):
+            self._move(channel)
+        pump.channels.clear()
+
+    def opened(self, pump: WorkerPump) -> None:
+        """Those who wait are drawn for, then the others spread."""
+        for channel, place in list(self._clients.values()):
+            if place is None:
+                self._put(channel)
+        self._balance()
+
+    def failed(self, pump: WorkerPump, error: GlsplatError) -> None:
+        """Give up where no worker lives and none can be started."""
+        hopeless = all(not other.living and other.attempts >= _TRIES for other in self._pumps)
+        if hopeless and self._clock() - self._since >= self._patience and not self._over.done():
+            self._over.set_exception(ContextError(f"no worker lives, and none can be started: {error}"))
+
+    # ------------------------------------------------------------------------------------------------ places
+
+    def _pump_of(self, channel: Channel) -> WorkerPump | None:
+        return self._clients.get(channel.number, (channel, None))[1]
+
+    def _put(self, channel: Channel) -> None:
+        """On the worker that suits it, or on none where there is none for it yet."""
+        living = [pump for pump in self._pumps if pump.living]
+        if self._blame.suspects(channel.address, self._clock()) and len(living) < min(2, len(self._pumps)):
+            living = []  # the last one is for those whose pictures are survived
+        able = [pump for pump in living if not pump.refuses(channel.shown.name)] or living
+        index = choose(Client(channel.number, channel.place_key, channel.cost), [pump.state() for pump in able])
+        pump = None if index is None else able[index]
+        self._clients[channel.number] = channel, pump
+        if pump is not None:
+            pump.add(channel)
+
+    def _move(self, channel: Channel, to: WorkerPump | None = None) -> None:
+        """To that worker, or to the one that suits, once the picture in hand is drawn."""
+        pump = self._pump_of(channel)
+        if pump is None:
+            return
+        self._clients[channel.number] = channel, None
+        if to is not None:
+            to.channels[channel.number] = channel  # counts as there from now on
+
+        def arrive() -> None:
+            if to is not None:
+                to.channels.pop(channel.number, None)
+            if channel.number not in self._clients:
+                return
+            if to is not None and to.living:
+                self._clients[channel.number] = channel, to
+                to.add(channel)
+            else:
+                self._put(channel)
+
+        pump.release(channel, arrive)
+
+    def _balance(self) -> None:
+        """Clients of busy workers change over to idle ones, where that helps a good deal."""
+        living = [pump for pump in self._pumps if pump.living]
+        for _ in range(_MOVES):
+            found = better([pump.state() for pump in living])
+            if found is None:
+                return
+            numbers, to = found
+            for number in numbers:
+                self._move(self._clients[number][0], living[to])
+
+
+async def _has_to_move(frame: Frame) -> bool:
+    """Whether nobody draws it any more: its worker was lost while it drew, or while it encoded."""
+    if frame.moved or frame.encoded is None:
+        return frame.moved
+    with contextlib.suppress(Exception):
+        try:
+            await frame.encoded
+        except ContextLostError:
+            return True
+    return False
