@@ -7,7 +7,7 @@ import asyncio
 import json
 import sys
 from bisect import bisect_right
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
@@ -36,6 +36,7 @@ from ..args import load_avatar, motion_of, size, tracked
 from ..clip import CLIPS, Clip
 from ..output import label, save_png, side_by_side, stack
 from ..usage import UsageError, output_kind
+from .crowd import add_crowd, check_crowd, crowd_text, names_of, stream_crowd
 from .link import Link, link, over
 from .stage_table import comparison_markdown, frame_text, table_text
 from .streaming import POLICIES, Drive, Driven, Result, stream
@@ -76,6 +77,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--quality", type=int, help="JPEG quality (default: the server's)")
     parser.add_argument("--crop", action="store_true", help="have only the covered part of each picture sent")
     parser.add_argument("--mirror", action="store_true", help="ask for the mirror image")
+    add_crowd(parser)
     parser.add_argument("--token-file", type=Path, metavar="FILE", help="token for a server that wants one")
     parser.add_argument("--tls-ca", type=Path, metavar="PEM", help="certificate to trust on wss://")
     parser.add_argument("--save", metavar="OUT", help="a folder/ of PNG, a clip .mp4 or .webm (VP9), a sheet .png")
@@ -92,14 +94,20 @@ def run(args: argparse.Namespace) -> int:
         raise UsageError(f"--window needs 1 to 8, not {args.window}")
     if args.quality is not None and not 1 <= args.quality <= 100:
         raise UsageError(f"--quality needs 1 to 100, not {args.quality}")
+    check_crowd(args)
     several = args.compare or len(args.link or ()) > 1
     if args.save and several:
         raise UsageError("--save goes with a single run, not with --compare or several --link")
     if args.save:
         check_target(args.save)
     token = read_token(args.token_file) if args.token_file else None
-    drive, seconds = load_drive(args.motion, args.avatar, args.tracking, "MOTION")
+    drive, seconds = load_drive(args.motion, args.avatar, args.tracking or args.room is not None, "MOTION")
     frames = args.frames or max(1, round(min(seconds, 20.0) * args.fps))
+    if args.room is not None:
+        results = asyncio.run(stream_crowd(args, token, drive, frames))
+        _report_crowd(args, results)
+        _check_shown(results)
+        return 0
     policies = POLICIES if args.compare else (args.policy,)
     runs = []
     for simulated in args.link or (None,):
@@ -110,10 +118,27 @@ def run(args: argparse.Namespace) -> int:
         _report_several(args, runs)
     else:
         _report(args, runs[0][2])
-    failed = next((result for _, _, result in runs if not result.shown), None)
+    _check_shown([result for _, _, result in runs])
+    return 0
+
+
+def _check_shown(results: Sequence[Result]) -> None:
+    """Raises GlsplatError where a run brought no picture."""
+    failed = next((result for result in results if not result.shown), None)
     if failed is not None:
         raise GlsplatError(f"no picture came{f': {failed.last_error}' if failed.last_error else ''}")
-    return 0
+
+
+def _report_crowd(args: argparse.Namespace, results: Sequence[Result]) -> None:
+    saved = save_pictures(args.save, results[0]) if args.save and results[0].kept else ""
+    names = names_of(args)
+    if args.json:
+        print(json.dumps([{"name": name, **result.summary()} for name, result in zip(names, results, strict=True)]))
+        return
+    print(f'{args.url}, room "{args.room}", {args.size[0]}x{args.size[1]} an eye, drawn by {results[0].driver}')
+    print(crowd_text(names, results))
+    if saved:
+        print(saved)
 
 
 def _report(args: argparse.Namespace, result: Result) -> None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from typing import Any, Protocol
@@ -178,20 +178,22 @@ async def stream(
     window: int = 2,
     keep: bool = False,
     progress: Callable[[int], None] = lambda count: None,
+    see: Callable[[float, Driven, tuple[int, int]], tuple[Camera, Camera]] | None = None,
+    hide: Sequence[str] = (),
 ) -> Result:
     """Stream for ``frames`` refreshes of a display of ``fps`` Hz; at each, show the newest decoded picture.
 
     ``policy`` says when to ask, ``window`` how many requests may be unanswered under ``fifo``. ``keep`` keeps the shown
-    replies.
+    replies. ``see`` gives the eyes at a moment (default: those of an observer), ``hide`` is what they do not see.
     """
     run = _Stream(client, keep)
     run.result.interval = 1e3 / fps
 
     async def ask(seconds: float) -> None:
         driven = drive.at(seconds)
-        cameras = observer(seconds, driven.root, size)
+        cameras = observer(seconds, driven.root, size) if see is None else see(seconds, driven, size)
         run.result.sent += 1
-        await client.send(cameras, pose=driven.pose, tracking=driven.tracking, quality=quality, crop=crop)
+        await client.send(cameras, pose=driven.pose, tracking=driven.tracking, quality=quality, crop=crop, hide=hide)
 
     async def ask_when_answered() -> None:
         while not over.is_set():

@@ -27,6 +27,7 @@ from ..usage import UsageError
 from .keys import Keys, add_keys, keys_of
 from .photos import add_photos, upload_config
 from .ready import Place, add_ready, announce, open_page
+from .rooms import add_rooms, check_rooms, open_rooms
 
 HELP = (
     "Serve pictures of an avatar: a page for the browsers of headsets, phones and desktops at /vr (docs/vr.md), and a "
@@ -49,6 +50,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="another avatar that clients may choose, by the file's name without its suffix; may be repeated "
         "(the first and what they see unasked is SCENE, the embedded one is called default)",
     )
+    add_rooms(parser)
     parser.add_argument("--host", default="127.0.0.1", help="address to listen on (default 127.0.0.1, this machine)")
     parser.add_argument("--port", type=int, default=8000, help="port (default 8000; 0: any free one)")
     parser.add_argument("--size", type=size, help="pixels an eye where requests name none (default 1024x1024)")
@@ -123,6 +125,7 @@ def check(args: argparse.Namespace) -> None:
             raise UsageError(f"{name} needs {low} to {high}, not {value}")
     if (args.max_cost is not None and not args.max_cost > 0) or not 0.1 <= args.max_time <= 600:
         raise UsageError("--max-cost needs a number of pixels above 0 and --max-time 0.1 to 600 s")
+    check_rooms(args)
     if args.fps is not None and not 1 <= args.fps <= 240:
         raise UsageError(f"--fps needs 1 to 240 pictures a second, not {args.fps:g}")
     if not 0 <= args.ipd <= 0.2 or not 1 <= args.fov <= 170:
@@ -159,6 +162,7 @@ def server_config(args: argparse.Namespace, keys: Keys | None = None) -> ServerC
         max_clients=args.max_clients,
         scene=Path(args.scene).name if args.scene else "default avatar",
         fps=args.fps,
+        rooms={room.name: room.seats for room in args.room},
     )
 
 
@@ -203,6 +207,7 @@ def run(args: argparse.Namespace) -> int:
         avatars=other_avatars(args),
         uploads=upload_config(args),
         solver=args.solver,
+        rooms=open_rooms(args),
     )
 
     def started() -> None:

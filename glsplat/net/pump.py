@@ -155,8 +155,8 @@ class Pump(ABC):
         request = channel.session.accepted
         if request is not None and request.tracking is not None and channel.solving is not None:
             channel.solving.add(request)
-        elif request is not None and channel.member is not None:
-            channel.member.posed(request, self._clock())
+        if request is not None and channel.member is not None:
+            channel.member.received(request, self._clock())
         self._wake.set()
 
     def release(self, channel: Channel, then: Callable[[], None]) -> None:

@@ -6,7 +6,7 @@ turns, or several passes of one frame, do not overwrite each other's.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 
 from glsplat.passes.arena import Arena
 from glsplat.passes.frame.pipeline import Pipeline
@@ -41,10 +41,6 @@ class Drawable:
     def nbytes(self) -> int:
         """GPU bytes of all of it."""
         return self.arena.nbytes + self.arena.colour_nbytes + self.pipelines.nbytes
-
-    def holds(self, parts: Iterable[Part]) -> bool:
-        """Whether all of these can be shown."""
-        return set(parts) <= set(self.parts)
 
     def pipeline(self, variant: Variant, size: tuple[int, int], ordinal: int, make: Callable[[], Pipeline]) -> Pipeline:
         """What draws pictures of ``size`` as pass number ``ordinal`` of a call."""

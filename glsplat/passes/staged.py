@@ -2,7 +2,7 @@
 
 The arena is made anew when one comes or goes. Clients who look from near and from afar at items with levels of detail
 do not undo each other's work: of a single item there is an arena for each level that was drawn lately, of several one
-that holds all of these, each posed once a movement, of which a picture shows some.
+that holds all levels, of which a picture shows some, each posed once a movement.
 """
 
 from __future__ import annotations
@@ -38,6 +38,10 @@ _KEPT = 32
 
 _KEPT_BYTES = 256 * 2**20
 """What of them is not in use may take, or twice the largest: all levels of one thing are that much."""
+
+
+_MOST_SPLATS = 2_000_000
+"""Of several items, at all their levels of detail, that are held side by side: some 200 MB."""
 
 
 class Staged:
@@ -200,35 +204,29 @@ class Staged:
 
         Nothing of what stands is given up before what replaces it is there.
         """
-        parts = tuple(enumerate(levels))
+        parts = self._with_others(visible, levels)
         posed = len(visible) != 1 or isinstance(visible[0].content, Avatar) or _moved(visible[0])
         shown = (posed, *map(id, visible))
         if shown != self._shown or self._drawable is None:
-            self._replace(self._made(visible, parts, posed))
+            made = self._made(visible, parts, posed)
+            self._drawables.release()
+            self._drawables.most_bytes = max(_KEPT_BYTES, 2 * made.nbytes)
             self._shown = shown
-        elif len(visible) > 1:
-            if not self._drawable.holds(parts):
-                self._replace(self._made(visible, self._with_older(visible, parts), posed))
+            self._drawable = self._drawables.get(parts, lambda: made)
         else:
             self._drawable = self._drawables.get(parts, lambda: self._made(visible, parts, posed))
         present = {id(item) for item in self.scene}
         for gone in [key for key in self._items if key not in present]:
             self._items.pop(gone)[1].release()
 
-    def _replace(self, made: Drawable) -> None:
-        """Draw this one from now on, and none of the others."""
-        self._drawables.release()
-        self._drawables.most_bytes = max(_KEPT_BYTES, 2 * made.nbytes)
-        self._drawable = self._drawables.get(made.parts, lambda: made)
-
-    def _with_older(self, visible: Sequence[Item], parts: Sequence[Part]) -> list[Part]:
-        """These parts and those that were shown before, unless that becomes too much."""
-        assert self._drawable is not None
-        together = sorted({*parts, *self._drawable.parts})
-        splats = {part: self._levels_of(visible[part[0]]).count(part[1]) for part in together}
-        needed, older = sum(splats[part] for part in parts), sum(splats[p] for p in together if p not in set(parts))
-        share = self._drawable.nbytes / max(1, self._drawable.arena.count)
-        return sorted(parts) if older * share > _KEPT_BYTES and older > needed else together
+    def _with_others(self, visible: Sequence[Item], levels: Sequence[int]) -> tuple[Part, ...]:
+        """What an arena that shows these levels holds: of several items all levels, if that is not too much."""
+        if len(visible) > 1 and not self._fixed(visible):
+            of_items = [self._levels_of(item) for item in visible]
+            together = tuple((i, level) for i, one in enumerate(of_items) for level in range(one.coarsest + 1))
+            if sum(of_items[i].count(level) for i, level in together) <= _MOST_SPLATS:
+                return together
+        return tuple(enumerate(levels))
 
     def _made(self, visible: Sequence[Item], parts: Sequence[Part], posed: bool) -> Drawable:
         staged = [self._levels_of(item) for item in visible]

@@ -23,8 +23,9 @@ class Member:
         """Tracking that came ``at`` seconds was solved."""
         self.room.moved(self.person, _moved(request, solved, at))
 
-    def posed(self, request: RenderRequest, at: float) -> None:
-        """A request with a pose came ``at`` seconds."""
+    def received(self, request: RenderRequest, at: float) -> None:
+        """A request came ``at`` seconds; its tracking is solved elsewhere, perhaps much later."""
+        self.room.heard(self.person, at)
         if request.pose is not None:
             self.room.moved(self.person, _moved(request, None, at))
 

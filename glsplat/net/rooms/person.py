@@ -58,13 +58,17 @@ class Person:
         """The last sample."""
         return self._samples[-1] if self._samples else None
 
+    def heard(self, now: float) -> None:
+        """Something came from them."""
+        self._heard = max(self._heard, now)
+
     def moved(self, sample: Moved) -> None:
         """A sample came."""
-        self._heard = max(self._heard, sample.at)
+        self.heard(sample.at)
         self._samples.append(sample)
 
     def silent(self, now: float) -> float:
-        """Seconds since the last sample, or since they came."""
+        """Seconds since anything came from them, or since they are here."""
         return max(0.0, now - self._heard)
 
     def opacity(self, now: float) -> float:

@@ -107,6 +107,11 @@ class Room:
         with self._lock:
             person.connected = False
 
+    def heard(self, person: Person, now: float) -> None:
+        """Somebody is there, whether or not they move."""
+        with self._lock:
+            person.heard(now)
+
     def moved(self, person: Person, sample: Moved) -> None:
         """A sample of somebody's tracking was solved, or a pose of theirs came."""
         with self._lock:

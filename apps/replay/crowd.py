@@ -1,0 +1,119 @@
+"""People of a room, driven by one recording: each is a client of its own, somewhere else in the recording."""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from tqdm import tqdm
+
+from glsplat.camera import Camera, head_matrix, stereo_cameras
+from glsplat.errors import ProtocolError
+from glsplat.net.client import Client
+from glsplat.net.pace.stages import median_p95
+
+from ..usage import UsageError
+from .streaming import Drive, Driven, Result, stream
+
+__all__ = ["MOST_PEOPLE", "add_crowd", "check_crowd", "crowd_text", "names_of", "stream_crowd"]
+
+MOST_PEOPLE = 64
+_APART = 1.7  # seconds of the recording from one person to the next
+
+
+def add_crowd(parser: argparse.ArgumentParser) -> None:
+    """--room, --name and --people."""
+    parser.add_argument("--room", metavar="NAME", help="be a person in this room of the server, seen by its own eyes")
+    parser.add_argument("--name", help='what the person is called there (default "replay")')
+    parser.add_argument(
+        "--people", type=int, default=1, metavar="N", help="so many people, numbered if more than one (default 1)"
+    )
+
+
+def check_crowd(args: argparse.Namespace) -> None:
+    """Raises UsageError naming the option that does not fit."""
+    if args.room is None:
+        if args.name is not None or args.people != 1:
+            raise UsageError("--name and --people go with --room")
+        return
+    if not 1 <= args.people <= MOST_PEOPLE:
+        raise UsageError(f"--people needs 1 to {MOST_PEOPLE}, not {args.people}")
+    if args.compare or args.link:
+        raise UsageError("--room goes with a single run, not with --compare or --link")
+
+
+def names_of(args: argparse.Namespace) -> list[str]:
+    """What the people are called."""
+    name = args.name or "replay"
+    return [name] if args.people == 1 else [f"{name} {number}" for number in range(1, args.people + 1)]
+
+
+@dataclass(frozen=True)
+class _Later:
+    """The same from a later moment on."""
+
+    drive: Drive
+    seconds: float
+
+    def at(self, seconds: float) -> Driven:
+        return self.drive.at(seconds + self.seconds)
+
+
+def own_eyes(seconds: float, driven: Driven, size: tuple[int, int]) -> tuple[Camera, Camera]:
+    """The eyes of the head that is tracked."""
+    head = None if driven.tracking is None else driven.tracking.get("head")
+    if head is None:
+        raise ProtocolError("people of a room are seen by their own eyes: this recording has moments without a head")
+    return stereo_cameras(head_matrix(head[:3], head[3:]), size=size)
+
+
+async def stream_crowd(args: argparse.Namespace, token: str | None, drive: Drive, frames: int) -> list[Result]:
+    """One result a person. Whoever cannot come in, or is put out, ends the run for all."""
+    bars = not args.json and sys.stderr.isatty()
+    names = names_of(args)
+    clients = [
+        Client(args.url, token, window=args.window, mirror=args.mirror, room=args.room, name=name, cafile=args.tls_ca)
+        for name in names
+    ]
+    with tqdm(total=frames * len(clients), desc=args.room, unit="frame", disable=not bars, leave=False) as bar:
+        try:
+            for client in clients:
+                await client.connect()
+            runs = [
+                stream(
+                    client,
+                    _Later(drive, _APART * number),
+                    frames=frames,
+                    fps=args.fps,
+                    size=args.size,
+                    quality=args.quality,
+                    crop=args.crop,
+                    policy=args.policy,
+                    window=args.window,
+                    keep=bool(args.save) and number == 0,
+                    progress=bar.update,
+                    see=own_eyes,
+                    hide=() if args.mirror else ("head",),
+                )
+                for number, client in enumerate(clients)
+            ]
+            async with asyncio.TaskGroup() as group:
+                tasks = [group.create_task(run) for run in runs]
+        except* ProtocolError as errors:
+            raise errors.exceptions[0] from None
+        finally:
+            for client in clients:
+                await client.close()
+    return [task.result() for task in tasks]
+
+
+def crowd_text(names: Sequence[str], results: Sequence[Result]) -> str:
+    """A line a person: pictures a second, and their age on show."""
+    lines = [f"{'person':20}{'shown/s':>9}{'age, ms':>9}{'p95':>7}{'asked':>8}{'failed':>8}"]
+    for name, result in zip(names, results, strict=True):
+        age, age95 = median_p95(result.ages)
+        lines.append(f"{name:20.20}{result.fps:9.1f}{age:9.0f}{age95:7.0f}{result.sent:8}{result.errors:8}")
+    return "\n".join(lines)
