@@ -24,7 +24,7 @@ def canonical(value: Any) -> bytes:
 
 
 def file_digest(document: dict[str, Any], rest: bytes) -> str:
-    """SHA-256 (hex) of ``canonical`` of a .glb's JSON without its record, a zero byte, and all behind the JSON chunk."""
+    """SHA-256 (hex) of ``canonical`` of a .glb's JSON without its record, a zero byte, and ``rest``, all behind it."""
     return hashlib.sha256(canonical(without_record(document)) + b"\0" + rest).hexdigest()
 
 

@@ -130,7 +130,7 @@ class _Glb:
             raise FormatError(f"its buffers are files of their own; {_ONLY_GLB}")
         if any(isinstance(one, dict) and not _within(one.get("uri")) for one in container.gltf.images):
             raise FormatError(
-                "its textures are files of their own, which a consent cannot cover; put them into the .glb"
+                "its textures are files of their own; put them into the .glb, so that a consent covers them"
             )
 
     def container(self) -> Container:

@@ -37,10 +37,6 @@ class ConsentPolicy:
         """
         self._people[avatar], self._driven[avatar] = tuple(people), driven
 
-    def remove(self, avatar: str) -> None:
-        """It is offered no more."""
-        self._people.pop(avatar, None)
-
     def refusal(self, avatar: str, driver: str, now: float) -> str | None:
         """Why ``avatar`` may not be shown to the account ``driver`` ("": without one) at ``now``; None where it may.
 

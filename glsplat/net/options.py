@@ -6,12 +6,20 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from glsplat.errors import ProtocolError
+from glsplat.net.guard.rights import Rights
+from glsplat.net.guard.users import User
 from glsplat.net.messages import WireOptions
 from glsplat.net.session import SessionConfig
 
-__all__ = ["MAX_WINDOW", "Asked", "client_options"]
+__all__ = ["MAX_WINDOW", "NOT_ALLOWED", "Asked", "client_options"]
 
 MAX_WINDOW = 8
+NOT_ALLOWED = "not_allowed"
+"""The code of the error for what exists, or might, and is not for this account now."""
+
+
+_ALL = Rights()
+_NOTHING = "there is no avatar here that you may drive"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -26,11 +34,17 @@ class Asked:
 
 
 def client_options(
-    query: Mapping[str, str], wire: WireOptions, session: SessionConfig, avatars: Sequence[str]
+    query: Mapping[str, str],
+    wire: WireOptions,
+    session: SessionConfig,
+    avatars: Sequence[str],
+    rights: Rights = _ALL,
+    user: User | None = None,
 ) -> Asked:
-    """What ``query`` asks for; of ``avatars``, the names offered, the first where it says nothing.
+    """What ``query`` asks for; of ``avatars``, the names offered, the first that ``user`` may drive by default.
 
-    Raises ProtocolError naming the option that has no such value.
+    Raises ProtocolError naming the option that has no such value, of code NOT_ALLOWED for what the account may not
+    have; it names nothing that the account may not drive.
     """
     mirror, window = query.get("mirror"), query.get("window")
     if mirror is not None:
@@ -41,9 +55,15 @@ def client_options(
         if window not in map(str, range(1, MAX_WINDOW + 1)):
             raise ProtocolError(f"window needs 1 to {MAX_WINDOW}")
         session = replace(session, window=int(window))
-    avatar = query.get("avatar", avatars[0])
+    avatars = rights.drivable(user, avatars)
+    avatar = query.get("avatar", avatars[0] if avatars else "")
     if avatar not in avatars:
-        raise ProtocolError(f"avatar needs a name of those offered here: {', '.join(avatars)}")
+        text = f"avatar needs a name of those offered here: {', '.join(avatars)}" if avatars else _NOTHING
+        raise ProtocolError(text, "bad_request" if rights.may_drive(user, avatar) else NOT_ALLOWED)
+    if why := rights.refusal(user, avatar):
+        raise ProtocolError(why, NOT_ALLOWED)
+    if user is not None and "room" in query and not user.may_enter(query["room"]):
+        raise ProtocolError("this account may not enter this room", NOT_ALLOWED)
     return Asked(
         wire=wire,
         session=session,

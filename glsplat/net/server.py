@@ -13,11 +13,13 @@ import signal
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from aiohttp import WSMsgType, web
 
+from glsplat.consent.policy import ConsentPolicy
 from glsplat.errors import ProtocolError
 from glsplat.net.backend import Backend, Offered
 from glsplat.net.guard.access import SUBPROTOCOL, Access, server_tls
@@ -26,10 +28,12 @@ from glsplat.net.guard.limits import Budget, Limits, Purse
 from glsplat.net.guard.listener import bind
 from glsplat.net.guard.meter import POLICY_VIOLATION, Breach
 from glsplat.net.guard.reading import Reading
+from glsplat.net.guard.rights import user_of
+from glsplat.net.guard.users import User
 from glsplat.net.messages import MAX_BYTES, Decoder, WireOptions
-from glsplat.net.options import client_options
+from glsplat.net.options import NOT_ALLOWED, client_options
 from glsplat.net.pages.offers import Offers
-from glsplat.net.pages.routes import Pages
+from glsplat.net.pages.routes import Pages, set_headers
 from glsplat.net.pump import Channel, FramePump
 from glsplat.net.session import GOING_AWAY, Close, Counts, Session, SessionConfig, Warn
 from glsplat.net.uploads.routes import Uploads
@@ -42,8 +46,6 @@ clock: Callable[[], float] = time.perf_counter  # the pump's clock too
 _HOPELESS = 2.0  # seconds after which a picture is not waited for when the server stops
 _TURN = 8  # messages of one client in a row before others are heard
 _FAREWELL = 0.5  # seconds a client that broke the rules gets to answer the close, while what it sends is thrown away
-_ALWAYS = {"X-Content-Type-Options": "nosniff", "Server": "glsplat"}
-_UNLESS_SAID = {"Content-Security-Policy": "default-src 'none'; style-src 'unsafe-inline'", "Cache-Control": "no-store"}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -61,6 +63,7 @@ class ServerConfig:
     write_timeout: float = 2.0  # seconds a client may leave a reply unread
     drain_timeout: float = 3.0  # seconds that pictures under way get at the end
     scene: str = "avatar"  # for the status page
+    consent: ConsentPolicy | None = None  # of those who are shown; None: nobody asks for it
     fps: float | None = None  # pictures a second that each client gets, with less detail if need be; None: as it comes
 
 
@@ -83,7 +86,7 @@ class Server:
         limits = self.config.limits
         if uploads is not None:
             limits = replace(limits, head=max(limits.head, limits.body))
-        self.door: Door = Door(self.config.access, limits, self.config.max_clients, clock)
+        self.door: Door = Door(self.config.access, limits, self.config.max_clients, clock, self.config.consent)
         self._work = Budget(limits.work, clock())
         self._offers = Offers(offered)
         self._uploads = uploads
@@ -116,7 +119,7 @@ class Server:
         app.add_routes([web.get("/ws", self._websocket), *pages.routes()])
         if self._uploads is not None:
             app.add_routes(self._uploads.open(self.door, self._offers.add, self._withdraw))
-        app.on_response_prepare.append(_set_headers)
+        app.on_response_prepare.append(set_headers)
         self._runner = web.AppRunner(app, access_log=None, shutdown_timeout=self.config.drain_timeout)
         await self._runner.setup()
         assert self._runner.server is not None
@@ -185,7 +188,7 @@ class Server:
             "uptime": round(clock() - self._started, 1),
             "fps": round(self.pump.stages.fps(), 2),
             "max_clients": self.config.max_clients,
-            "token": self.config.access.token is not None,
+            "token": self.config.access.guarded,
             **self.door.status(),
             "rebuilds": self.pump.rebuilds,
             "uploads": None if self._uploads is None else self._uploads.counts(),
@@ -194,11 +197,11 @@ class Server:
             "clients": clients,
         }
 
-    def offer(self) -> dict[str, Any]:
-        """What /session says of the scene and of the server: all that a client chooses from before it connects."""
+    def offer(self, user: User | None = None) -> dict[str, Any]:
+        """What /session says to an account of the scene and of the server: all to choose from before connecting."""
         most, wire = self.config.max_clients, self.config.wire
         return {
-            "avatars": self._offers.fields(),
+            "avatars": self._offers.fields(self.door.rights.drivable(user, self._offers.names)),
             "upload": None if self._uploads is None else self._uploads.offer(),
             "max_side": wire.max_side,
             "size": wire.size,
@@ -223,7 +226,7 @@ class Server:
             channel = self._open_channel(request, entered)
         except ProtocolError as error:
             self.door.leave(request, entered)
-            return web.Response(status=400, text=f"{error}\n")
+            return web.Response(status=403 if error.code == NOT_ALLOWED else 400, text=f"{error}\n")
         writer: asyncio.Task[None] | None = None
         try:
             await ws.prepare(request)
@@ -255,11 +258,13 @@ class Server:
 
     def _open_channel(self, request: web.Request, purse: Purse) -> Channel:
         """A new client with the options of its address: /ws?avatar=ann&mirror=1&window=3&height=1.75."""
-        asked = client_options(request.query, self.config.wire, self.config.session, self._offers.names)
+        user, rights = user_of(request), self.door.rights
+        asked = client_options(request.query, self.config.wire, self.config.session, self._offers.names, rights, user)
         one = self._offers[asked.avatar]
         solver = None if one.solver is None else one.solver(asked.height, asked.span)
         self._numbers += 1
         session = Session(Decoder(asked.wire, one.skeleton, one.name, one.parts), asked.session, clock())
+        session.refusal = partial(rights.refusal, user, asked.avatar)
         channel = self.pump.open(self._numbers, session, solver, connection_of(request).key, one)
         channel.share = self._work.open(clock(), channel.address)
         if channel.solving is not None:
@@ -270,7 +275,7 @@ class Server:
     async def _withdraw(self, name: str) -> bool:
         """Offer an avatar no more and end the connections that show it; False where it was not offered."""
         there = self._offers.remove(name)
-        shown = [ws for ws, request in self._sockets.values() if request.query.get("avatar") == name]
+        shown = [ws for number, (ws, _) in self._sockets.items() if self._channels[number].shown.name == name]
         closing = (ws.close(code=GOING_AWAY, message=b"this avatar is deleted") for ws in shown)
         await asyncio.gather(*closing, return_exceptions=True)
         return there
@@ -385,12 +390,6 @@ class Server:
             return
         async with asyncio.timeout(self.config.write_timeout):
             await (ws.send_str(data) if isinstance(data, str) else ws.send_bytes(data))
-
-
-async def _set_headers(request: web.Request, response: web.StreamResponse) -> None:
-    response.headers.update(_ALWAYS)
-    for name, value in _UNLESS_SAID.items():
-        response.headers.setdefault(name, value)
 
 
 def _cut_off(request: web.Request) -> None:

@@ -87,8 +87,6 @@ def test_all_people_of_a_scene_are_asked_for(ann):
     policy.add("room", [])
     assert policy.refusal("room", "", DURING) is None
     assert "no consent" in policy.refusal("unheard of", "ann", DURING)
-    policy.remove("room")
-    assert "no consent" in policy.refusal("room", "", DURING)
 
 
 def test_it_travels_to_the_process_that_draws(ann):
