@@ -332,7 +332,7 @@ def _refused(url: str, status: int) -> str:
         400: "it does not know an option of the address: avatar is one of its /session, mirror 0 or 1, window 1 to 8, "
         "height 0.5 to 2.8, span 0.3 to 2.5",
         401: "it wants a token; give it with --token-file",
-        403: "it does not serve this origin",
+        403: "it does not serve this origin, or this account may not be shown this avatar or room now",
         404: "there is no WebSocket at this path; it is /ws",
         421: "it does not go by this name; start it with --allow-host",
         429: "this address has too many clients there, or broke a limit; try again later",

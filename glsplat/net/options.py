@@ -55,10 +55,11 @@ def client_options(
         if window not in map(str, range(1, MAX_WINDOW + 1)):
             raise ProtocolError(f"window needs 1 to {MAX_WINDOW}")
         session = replace(session, window=int(window))
-    avatars = rights.drivable(user, avatars)
-    avatar = query.get("avatar", avatars[0] if avatars else "")
-    if avatar not in avatars:
-        text = f"avatar needs a name of those offered here: {', '.join(avatars)}" if avatars else _NOTHING
+    listed = [name for name in avatars if rights.may_drive(user, name)]
+    free = rights.drivable(user, listed)
+    avatar = query.get("avatar", next(iter([*free, *listed]), ""))
+    if avatar not in listed:
+        text = f"avatar needs a name of those offered here: {', '.join(free)}" if free else _NOTHING
         raise ProtocolError(text, "bad_request" if rights.may_drive(user, avatar) else NOT_ALLOWED)
     if why := rights.refusal(user, avatar):
         raise ProtocolError(why, NOT_ALLOWED)

@@ -22,7 +22,7 @@ from glsplat.net.guard.listener import Listener
 from glsplat.net.guard.machine import machine_names
 from glsplat.net.guard.meter import FrameMeter
 from glsplat.net.guard.notices import Notices
-from glsplat.net.guard.rights import Rights
+from glsplat.net.guard.rights import USER, Rights
 from glsplat.net.guard.users import Accounts
 
 __all__ = ["Door", "connection_of"]
@@ -193,7 +193,7 @@ class Door:
         if user is None:
             self.notices("token", "a wrong token was refused")
             return _asked("there is no account with this token")
-        request["user"] = user
+        request[USER] = user
         return None
 
 

@@ -11,7 +11,10 @@ from aiohttp import web
 from glsplat.consent.policy import ConsentPolicy
 from glsplat.net.guard.users import Accounts, User
 
-__all__ = ["Rights", "user_of"]
+__all__ = ["USER", "Rights", "user_of"]
+
+USER = web.RequestKey("user", User)
+"""Of a request: the account whose token came with it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,8 +33,8 @@ class Rights:
         return user is None or ((self._maker(avatar) or user.name) == user.name and self.may_drive(user, avatar))
 
     def drivable(self, user: User | None, avatars: Iterable[str]) -> tuple[str, ...]:
-        """Those of ``avatars`` that the account may drive, in their order."""
-        return tuple(name for name in avatars if self.may_drive(user, name))
+        """Those of ``avatars`` that the account may be shown now, in their order."""
+        return tuple(name for name in avatars if not self.refusal(user, name))
 
     def refusal(self, user: User | None, avatar: str) -> str:
         """Why ``avatar`` may not be shown to the account now; "" while it may. Takes microseconds."""
@@ -49,5 +52,4 @@ class Rights:
 
 def user_of(request: web.BaseRequest) -> User | None:
     """Who asks; None on a server without accounts, and for what needs none."""
-    user = request.get("user")
-    return user if isinstance(user, User) else None
+    return request.get(USER)
