@@ -24,8 +24,8 @@ class Keys:
     tls: tuple[Path, Path] | None = None  # certificate and key, PEM
     token: str | None = field(default=None, repr=False)
     token_file: Path | None = None
-    accounts: Accounts | None = None
     fingerprint: str | None = None  # of a certificate made here
+    accounts: Accounts | None = None
 
 
 def add_keys(parser: argparse.ArgumentParser) -> None:
@@ -56,7 +56,9 @@ def keys_of(args: argparse.Namespace) -> Keys:
     token_file: Path | None = args.token_file
     token = None if token_file is None else read_token(token_file)
     if not args.self_signed:
-        return Keys(None if args.tls_cert is None else (args.tls_cert, args.tls_key), token, token_file, accounts)
+        return Keys(
+            None if args.tls_cert is None else (args.tls_cert, args.tls_key), token, token_file, accounts=accounts
+        )
 
     from glsplat.net.guard.certificate import holds, kept_certificate  # here: it loads what others do not need
 
@@ -68,4 +70,4 @@ def keys_of(args: argparse.Namespace) -> Keys:
         log.warning("a new certificate is made (%s): browsers ask once more", kept.remade)
     if token is None and accounts is None and not is_loopback(args.host) and not args.insecure:
         token, token_file = kept_token(folder), folder / TOKEN
-    return Keys((kept.path, kept.path), token, token_file, accounts, kept.fingerprint)
+    return Keys((kept.path, kept.path), token, token_file, kept.fingerprint, accounts)
