@@ -30,6 +30,7 @@ COMMANDS = {
     "demo": "server and client together: frames per second, stage times, a contact sheet and a clip",
     "bench": "stage times, bytes and the price of each feature on this driver",
     "avatar": "make, import and export avatars",
+    "users": "add, list and remove the accounts of a server",
     "models": "get, list and remove networks that others trained",
     "tracking": "head and hands to a full-body pose: derive, solve, score, show",
     "evaluate": "methods of making avatars, compared over participants: the tables of the paper",
@@ -38,9 +39,8 @@ COMMANDS = {
     "convert": "from one format of splats and avatars to another",
 }
 
-MODULES = {
-    name: f"{name}.command" for name in ("avatar", "evaluate", "preview", "replay", "report", "serve", "tracking")
-}
+_FOLDERS = ("avatar", "evaluate", "preview", "replay", "report", "serve", "tracking", "users")
+MODULES = {name: f"{name}.command" for name in _FOLDERS}
 """Commands that are folders."""
 
 

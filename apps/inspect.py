@@ -12,15 +12,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.avatar import Avatar
+from glsplat.consent.file import OnFile, on_file
 from glsplat.formats import recognise
 from glsplat.formats.scene_file import SceneFile
 from glsplat.making.items import is_scene
 from glsplat.meshes import RiggedMesh
+from glsplat.scene import is_figure
 from glsplat.skinning.rigs.driven import why_not_driven, why_not_tracked
 from glsplat.splats import Level, Splats
 from glsplat.views import box_of, splats_of
 
 from .args import add_scene, open_scene, single
+from .avatar import consent
 
 __all__ = ["EXAMPLE", "HELP", "add_arguments", "describe", "describe_scene", "levels_of", "levels_said", "run"]
 
@@ -68,6 +71,7 @@ def run(args: argparse.Namespace) -> int:
 def describe_scene(file: SceneFile, path: str) -> dict[str, Any]:
     """A scene file, or a mesh, as JSON values: what stands where. Items of one file share their memory."""
     items = []
+    files = {id(item): path for item, path in file.sources}
     for index, item in enumerate(file.scene):
         content, box = item.content, box_of(item)
         entry: dict[str, Any] = {"name": item.name, "kind": type(content).__name__.lower(), "visible": item.visible}
@@ -85,6 +89,7 @@ def describe_scene(file: SceneFile, path: str) -> dict[str, Any]:
             motion = next((motion for other, motion in file.motions.values() if other is item), None)
             entry |= {"joints": len(content.skeleton), "posed": item.pose is not None}
             entry["driven"] = item is file.avatar  # poses of options and clients are for it
+            entry["consent"] = consent.report(on_file(files[id(item)])) if is_figure(content) else None
             entry["motion"] = None if motion is None else {"name": motion.label, "seconds": motion.duration}
         items.append(entry | {"item": index})
     different = {id(item.content): item.content for item in file.scene}.values()
@@ -114,6 +119,7 @@ def _scene_text(report: dict[str, Any]) -> str:
         words += [f"scale {entry['scale']:.4g}"] if abs(entry["scale"] - 1) > 1e-9 else []
         words += [f"{entry['levels']} coarser levels"] if entry.get("levels") else []
         words += [f"{entry['joints']} joints"] if "joints" in entry else []
+        words += [consent.briefly(entry["consent"])] if entry.get("consent") else []
         words += ["takes poses"] if entry.get("driven") else []
         words += [f"moves by {entry['motion']['name']}"] if entry.get("motion") else []
         words += [] if entry["visible"] else ["hidden"]
@@ -131,7 +137,7 @@ def _mesh_text(report: dict[str, Any]) -> str:
     rows.append(("textures", ", ".join(f"{name} {wide} x {high}" for name, wide, high in entry["textures"])))
     if bounds := entry["bounds"]:
         rows.append(("bounds", _bounds_said(bounds)))
-    rows += [(key, _said(key, value)) for key, value in entry["meta"].items()]
+    rows += _notes(entry["meta"], entry["consent"])
     return _wrapped(lines, rows)
 
 
@@ -172,6 +178,7 @@ def describe(scene: Splats | Avatar, path: str | Path | None) -> dict[str, Any]:
     }
     if isinstance(scene, Avatar):
         report["avatar"] = _rig(scene)
+        report["consent"] = consent.report(OnFile(nobody=True) if path is None else on_file(path))
         report["memory_bytes"] += scene.skin.joints.nbytes + scene.skin.weights.nbytes
     report["memory_bytes"] += sum(level["memory_bytes"] for level in report["levels"])
     return report
@@ -267,6 +274,12 @@ def _outliers(means: NDArray[np.float32]) -> NDArray[np.bool_]:
     return out
 
 
+def _notes(meta: dict[str, Any], agreed: dict[str, Any] | None) -> list[tuple[str, str]]:
+    """What a file says of itself, and of a consent what was verified: a line of text is not signed by anybody."""
+    rows = [(key, _said(key, value)) for key, value in meta.items() if key != "consent" or isinstance(value, str)]
+    return rows if agreed is None else [*rows, ("signed", consent.said(agreed))]
+
+
 def _said(key: str, value: Any) -> str:
     """One of an avatar's notes in words."""
     if key == "unseen" and isinstance(value, (int, float)) and 0 <= value <= 1:
@@ -304,7 +317,7 @@ def _text(report: dict[str, Any]) -> str:
             rows.append(("rest", f"inverse bind matrices are {rig['rest_offset']:.3g} off the rest pose"))
         parts = ", ".join(f"{joint} {count}" for joint, count in rig["splats_per_joint"].items())
         rows.append(("parts", parts or "none"))
-        rows += [(key, _said(key, value)) for key, value in ({"consent": "not stated"} | rig["meta"]).items()]
+        rows += _notes({"consent": "not stated"} | rig["meta"], report["consent"])
     unusual = [f"{count:,} {name}: {_UNUSUAL[name]}" for name, count in report["unusual"].items()]
     rows += [("unusual", text) for text in unusual] or [("unusual", "nothing")]
     return _wrapped(lines, rows)

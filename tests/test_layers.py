@@ -21,7 +21,7 @@ ROOT = Path(__file__).resolve().parents[1]
 # imports from floors below its own, or from its own room. What stands beside a room on one floor is not seen from it.
 FLOORS = [
     ["glsplat.errors"],
-    ["glsplat.arrays", "glsplat.timing", "glsplat.rotations", "glsplat.formats.npz"],
+    ["glsplat.arrays", "glsplat.timing", "glsplat.rotations", "glsplat.formats.npz", "glsplat.consent.canonical"],
     ["glsplat.splats", "glsplat.camera", "glsplat.config", "glsplat.pictures"],
     ["glsplat.skinning", "glsplat.formats.files", "glsplat.formats.gltf.schema", "glsplat.formats.gltf.meshopt"],
     ["glsplat.formats.gltf.container"],
@@ -32,6 +32,7 @@ FLOORS = [
     ["glsplat.motion", "glsplat.views"],
     ["glsplat.formats"],
     ["glsplat.data", "glsplat.models"],
+    ["glsplat.consent"],
     ["glsplat.tracking"],
     ["glsplat.shaders"],
     ["glsplat.gl"],

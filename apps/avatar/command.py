@@ -35,11 +35,11 @@ from glsplat.splats import Level
 from ..args import add_up, motion_of
 from ..convert import add_quiet, save_and_say
 from ..usage import UsageError
-from . import detail, fitted, guide, photo, score, video
+from . import consent, detail, fitted, guide, photo, score, video
 from .person import add_rig, doubts, read_any_person
 from .writing import add_notes, check_name, progress_bar, write
 
-HELP = "Make avatars from photographs or rigged people, import, export, score them, find hidden splats, write motions."
+HELP = "Make avatars from photographs or rigged people, import, export, score them, sign consents, write motions."
 EXAMPLE = "glsplat avatar make person.npz -o me.glb --splats 40000"
 
 
@@ -122,6 +122,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     drawn = commands.add_parser("guide", help="draw how to take the photograph that an avatar is made from")
     guide.add_arguments(drawn)
 
+    agreed = commands.add_parser("consent", help="sign who is shown, who agreed, until when and who may drive")
+    consent.add_arguments(agreed)
+
     motions = commands.add_parser("motions", help="write the motions that come with glsplat (JSON)")
     motions.add_argument("-o", "--out", type=Path, required=True, help="folder to write to")
 
@@ -135,6 +138,7 @@ def run(args: argparse.Namespace) -> int:
         "score": _score,
         "motions": _motions,
         "cones": _cones,
+        "consent": consent.run,
         "levels": detail.run,
         "guide": guide.run,
         "photo": photo.run,

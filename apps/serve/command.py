@@ -24,6 +24,7 @@ from glsplat.tracking.calibration import Calibration
 from ..args import add_detail, add_scene, add_solver, detail_of, load_avatar, open_scene, size
 from ..logs import add_log_format, start_logging
 from ..usage import UsageError
+from .agreed import add_consent, policy_of, signing
 from .keys import Keys, add_keys, keys_of
 from .photos import add_photos, upload_config
 from .ready import Place, add_ready, announce, open_page
@@ -97,6 +98,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--calibration", type=Path, metavar="FILE", help="of the users whose tracking is sent")
     add_solver(parser)
     add_photos(parser)
+    add_consent(parser)
     add_keys(parser)
     parser.add_argument("--origin", action="append", default=[], help="web page that may connect; may be repeated")
     parser.add_argument(
@@ -144,6 +146,7 @@ def server_config(args: argparse.Namespace, keys: Keys | None = None) -> ServerC
     access = Access(
         host=args.host,
         token=keys.token,
+        accounts=keys.accounts,
         tls=keys.tls is not None,
         insecure=args.insecure,
         origins=tuple(args.origin),
@@ -195,6 +198,8 @@ def run(args: argparse.Namespace) -> int:
     keys = keys_of(args)
     config = server_config(args, keys)
     scene = open_scene(args)
+    avatars = other_avatars(args)
+    policy = policy_of(args, scene, scene_name(args))
     calibration = Calibration.load(args.calibration) if args.calibration else Calibration()
     server = make_server(
         scene,
@@ -204,8 +209,9 @@ def run(args: argparse.Namespace) -> int:
         rendering=RenderConfig(**detail_of(args)),
         budget=(args.max_cost, args.max_time),
         name=scene_name(args),
-        avatars=other_avatars(args),
-        uploads=upload_config(args),
+        avatars=avatars,
+        uploads=signing(upload_config(args), policy),
+        consent=policy,
         solver=args.solver,
         rooms=open_rooms(args),
     )

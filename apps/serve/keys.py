@@ -10,6 +10,7 @@ from pathlib import Path
 from glsplat.net.guard.access import is_loopback, read_token
 from glsplat.net.guard.kept import TOKEN, kept_token, state_folder
 from glsplat.net.guard.machine import machine_names, reachable_at
+from glsplat.net.guard.users import Accounts
 
 from ..usage import UsageError
 
@@ -24,6 +25,7 @@ class Keys:
     token: str | None = field(default=None, repr=False)
     token_file: Path | None = None
     fingerprint: str | None = None  # of a certificate made here
+    accounts: Accounts | None = None
 
 
 def add_keys(parser: argparse.ArgumentParser) -> None:
@@ -37,6 +39,9 @@ def add_keys(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--tls-cert", type=Path, metavar="PEM", help="certificate; makes it wss:// and https://")
     parser.add_argument("--tls-key", type=Path, metavar="PEM", help="its key")
     parser.add_argument("--token-file", type=Path, metavar="FILE", help="clients need the token in this file")
+    parser.add_argument(
+        "--users", type=Path, metavar="FILE", help="clients need the token of an account in this file (glsplat users)"
+    )
 
 
 def keys_of(args: argparse.Namespace) -> Keys:
@@ -45,10 +50,15 @@ def keys_of(args: argparse.Namespace) -> Keys:
         raise UsageError("--self-signed makes a certificate of its own; leave it out, or --tls-cert and --tls-key")
     if (args.tls_cert is None) != (args.tls_key is None):
         raise UsageError("TLS needs both --tls-cert and --tls-key")
+    if args.users and args.token_file:
+        raise UsageError("a server has one token (--token-file) or accounts (--users), not both; leave one out")
+    accounts = None if args.users is None else Accounts(args.users)
     token_file: Path | None = args.token_file
     token = None if token_file is None else read_token(token_file)
     if not args.self_signed:
-        return Keys(None if args.tls_cert is None else (args.tls_cert, args.tls_key), token, token_file)
+        return Keys(
+            None if args.tls_cert is None else (args.tls_cert, args.tls_key), token, token_file, accounts=accounts
+        )
 
     from glsplat.net.guard.certificate import holds, kept_certificate  # here: it loads what others do not need
 
@@ -58,6 +68,6 @@ def keys_of(args: argparse.Namespace) -> Keys:
     if kept.remade:
         log = logging.getLogger("glsplat.serve")
         log.warning("a new certificate is made (%s): browsers ask once more", kept.remade)
-    if token is None and not is_loopback(args.host) and not args.insecure:
+    if token is None and accounts is None and not is_loopback(args.host) and not args.insecure:
         token, token_file = kept_token(folder), folder / TOKEN
-    return Keys((kept.path, kept.path), token, token_file, kept.fingerprint)
+    return Keys((kept.path, kept.path), token, token_file, kept.fingerprint, accounts)

@@ -80,6 +80,8 @@ def announce(place: Place, out: TextIO, show_qr: bool) -> None:
         rows.append(("certificate", f"SHA-256 {place.keys.fingerprint}"))
     if place.keys.token_file and not place.local:
         rows.append(("token", f"in {place.keys.token_file}"))
+    if place.keys.accounts:
+        rows.append(("token", "each account has its own (glsplat users); the page asks for it"))
     for label, text in rows:
         print(f"  {label:<12}{text}", file=out)
     if person or show_qr:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from glsplat.formats.scene_file import SceneFile
 from glsplat.making.items import load_scene
 from glsplat.net.backends.server import SEATS
-from glsplat.net.rooms.room import NAME
+from glsplat.net.options import NAME
 from glsplat.scene import Scene
 
 from ..usage import UsageError

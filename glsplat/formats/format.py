@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.avatar import Avatar
+from glsplat.consent.canonical import CONSENT
 from glsplat.formats.files import Source, sampled
 from glsplat.splats import Splats
 from glsplat.views import splats_of
@@ -76,6 +77,8 @@ class Format:
                 "zero pose" if _bound_at_rest(scene) else "pose it was bound in (glsplat avatar export writes others)"
             )
             yield f"the rig of {len(scene.skeleton)} joints is dropped, the file holds the {pose}"
+            if isinstance(scene.meta.get(CONSENT), dict):
+                yield "the signed consent is dropped, only a .glb carries one"
         if splats_of(scene).cones is not None and not self.cones:
             yield "the visibility cones are dropped"
         if scene.levels and not self.levels:

@@ -70,6 +70,7 @@ class SceneFile:
     background: tuple[float, float, float] = (0.0, 0.0, 0.0)
     up: str = "y"  # as the file says; its items are turned already
     motions: dict[str, tuple[Item, Motion]] = field(default_factory=dict)  # by the item's place in the file: "2", "1.0"
+    sources: list[tuple[Item, Path]] = field(default_factory=list)  # the files that items were read from
 
     @classmethod
     def of(cls, thing: Shown) -> SceneFile:
@@ -184,6 +185,7 @@ class _Reading:
         if entry.pose is not None or entry.motion is not None:
             self._move(item, entry, folder, key)
         self.out.scene.add(item)
+        self.out.sources.append((item, file))
 
     def _move(self, item: Item, entry: _Item, folder: Path, key: str) -> None:
         if entry.pose is not None and entry.motion is not None:

@@ -24,7 +24,9 @@ def load_scene(path: str | Path, *, strict: bool = False) -> SceneFile:
     """A scene file with all it names; any other file is a scene of one. Raises FormatError naming the file."""
     if is_scene(path):
         return load_scene_file(path, strict=strict, read=load_item)
-    return SceneFile.of(load_item(Path(path), strict))
+    file = SceneFile.of(load_item(Path(path), strict))
+    file.sources = [(file.scene.items[0], Path(path))]
+    return file
 
 
 def is_scene(path: str | Path) -> bool:

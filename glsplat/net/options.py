@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import inf, radians
@@ -10,14 +11,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.errors import ProtocolError
+from glsplat.net.guard.rights import Rights
+from glsplat.net.guard.users import User
 from glsplat.net.messages import WireOptions
 from glsplat.net.rooms.seats import place_at
 from glsplat.net.session import SessionConfig
 
-__all__ = ["MAX_WINDOW", "Asked", "client_options"]
+__all__ = ["MAX_WINDOW", "NAME", "NOT_ALLOWED", "Asked", "client_options"]
 
 MAX_WINDOW = 8
 _FARTHEST = 100.0  # metres from a room's centre
+NOT_ALLOWED = "not_allowed"
+"""The code of the error for what exists, or might, and is not for this account now."""
+
+
+NAME = re.compile(r"[^\W_](?:[\w .'-]{0,30}[\w.])?")
+"""Names of rooms and of people in them: up to 32 letters and digits of any script, blanks and _ . ' - between them."""
+
+_ALL = Rights()
+_NOTHING = "there is no avatar here that you may drive"
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -30,16 +42,23 @@ class Asked:
     height: float | None  # metres, of the user whose tracking is sent; None: not told
     span: float | None  # metres from wrist to wrist with the arms stretched; None: not told
     room: str | None = None
-    name: str | None = None  # of the user, in the room
+    name: str = ""  # of the user: the account's; else what the user says, or nothing
+    label: bool = False  # over the head of who is shown alone, too
     place: NDArray[np.float64] | None = None  # [4, 4] room from user; None: the room chooses
 
 
 def client_options(
-    query: Mapping[str, str], wire: WireOptions, session: SessionConfig, avatars: Sequence[str]
+    query: Mapping[str, str],
+    wire: WireOptions,
+    session: SessionConfig,
+    avatars: Sequence[str],
+    rights: Rights = _ALL,
+    user: User | None = None,
 ) -> Asked:
-    """What ``query`` asks for; of ``avatars``, the names offered, the first where it says nothing.
+    """What ``query`` asks for; of ``avatars``, the names offered, the first that ``user`` may drive by default.
 
-    Raises ProtocolError naming the option that has no such value.
+    Raises ProtocolError naming the option that has no such value, of code NOT_ALLOWED for what the account may not
+    have; it names nothing that the account may not drive.
     """
     mirror, window = query.get("mirror"), query.get("window")
     if mirror is not None:
@@ -50,9 +69,18 @@ def client_options(
         if window not in map(str, range(1, MAX_WINDOW + 1)):
             raise ProtocolError(f"window needs 1 to {MAX_WINDOW}")
         session = replace(session, window=int(window))
-    avatar = query.get("avatar", avatars[0])
-    if avatar not in avatars:
-        raise ProtocolError(f"avatar needs a name of those offered here: {', '.join(avatars)}")
+    listed = [name for name in avatars if rights.may_drive(user, name)]
+    free = rights.drivable(user, listed)
+    avatar = query.get("avatar", next(iter([*free, *listed]), ""))
+    if avatar not in listed:
+        text = f"avatar needs a name of those offered here: {', '.join(free)}" if free else _NOTHING
+        raise ProtocolError(text, "bad_request" if rights.may_drive(user, avatar) else NOT_ALLOWED)
+    if why := rights.refusal(user, avatar):
+        raise ProtocolError(why, NOT_ALLOWED)
+    if user is not None and "room" in query and not user.may_enter(query["room"]):
+        raise ProtocolError("this account may not enter this room", NOT_ALLOWED)
+    if query.get("label", "0") not in ("0", "1"):
+        raise ProtocolError("label needs 0 or 1")
     return Asked(
         wire=wire,
         session=session,
@@ -60,9 +88,21 @@ def client_options(
         height=_metres(query, "height", 0.5, 2.8),
         span=_metres(query, "span", 0.3, 2.5),
         room=query.get("room"),
-        name=query.get("name"),
+        name=_name(query.get("name"), user),
+        label=query.get("label") == "1",
         place=_place(query.get("at")),
     )
+
+
+def _name(given: str | None, user: User | None) -> str:
+    """What the user is called."""
+    if user is not None:
+        if given not in (None, user.name):
+            raise ProtocolError("this account goes by its own name only: leave name out", NOT_ALLOWED)
+        return user.name
+    if given is not None and not NAME.fullmatch(given):
+        raise ProtocolError("name needs 1 to 32 letters, digits, blanks or _.'- between them")
+    return given or ""
 
 
 def _place(given: str | None) -> NDArray[np.float64] | None:

@@ -188,7 +188,7 @@ class Pump(ABC):
         if request.form == "single-legacy":
             return [pack_single(request.eyes[0], encoded.pictures[0])]
         assert request.frame_id is not None
-        info = frame.info(encoded.boxes, session.counts.dropped, channel.shown)
+        info = frame.info(encoded.boxes, channel)
         return [pack_reply(request.frame_id, request.eyes, encoded.pictures, info, encoded.alphas)]
 
     async def _run(self) -> None:
@@ -257,7 +257,9 @@ class Pump(ABC):
         frame = Frame(request, self._clock() - waited, {"wait": waited * 1e3}, solution=solution)
         if request.form == "native":  # older clients know one size
             frame.detail = self._governor.detail(channel.number, self._clock())
-        frame.request, frame.member = replace(frame.detail.of(request), viewer=channel.number), channel.member
+        request = replace(request, viewer=channel.number, label=channel.label, notice=channel.notice())
+        frame.request = frame.detail.of(request)
+        frame.member = channel.member
         if why := channel.shown.untracked:
             frame.untracked = f" for what it shows: {why}"
         return frame

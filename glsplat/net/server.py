@@ -13,11 +13,13 @@ import signal
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from aiohttp import web
 
+from glsplat.consent.policy import ConsentPolicy
 from glsplat.errors import ProtocolError
 from glsplat.net.backend import Backend, Offered
 from glsplat.net.conversation import Conversation, cut_off
@@ -27,12 +29,14 @@ from glsplat.net.guard.door import Door, connection_of
 from glsplat.net.guard.headers import set_headers
 from glsplat.net.guard.limits import Budget, Limits, Purse
 from glsplat.net.guard.listener import bind
+from glsplat.net.guard.rights import user_of
+from glsplat.net.guard.users import User
 from glsplat.net.messages import MAX_BYTES, Decoder, WireOptions
-from glsplat.net.options import client_options
+from glsplat.net.options import NOT_ALLOWED, client_options
 from glsplat.net.pace.channel import Channel
 from glsplat.net.pages.offers import Offers
 from glsplat.net.pages.routes import Pages
-from glsplat.net.rooms.rooms import Rooms
+from glsplat.net.rooms.rooms import Rooms, driven_by
 from glsplat.net.session import GOING_AWAY, Counts, Session, SessionConfig
 from glsplat.net.uploads.routes import Uploads
 from glsplat.net.workers.farm import Farm
@@ -61,6 +65,7 @@ class ServerConfig:
     drain_timeout: float = 3.0  # seconds that pictures under way get at the end
     scene: str = "avatar"  # for the status page
     rooms: Mapping[str, int] = field(default_factory=dict)  # seats of each
+    consent: ConsentPolicy | None = None  # of those who are shown; None: nobody asks for it
     fps: float | None = None  # pictures a second that each client gets, with less detail if need be; None: as it comes
 
 
@@ -84,7 +89,7 @@ class Server:
         limits = self.config.limits
         if uploads is not None:
             limits = replace(limits, head=max(limits.head, limits.body))
-        self.door: Door = Door(self.config.access, limits, self.config.max_clients, clock)
+        self.door: Door = Door(self.config.access, limits, self.config.max_clients, clock, self.config.consent)
         self._work = Budget(limits.work, clock())
         self._offers = Offers(offered)
         self._uploads = uploads
@@ -190,7 +195,7 @@ class Server:
             "uptime": round(clock() - self._started, 1),
             "fps": round(self.pump.stages.fps(), 2),
             "max_clients": self.config.max_clients,
-            "token": self.config.access.token is not None,
+            "token": self.config.access.guarded,
             **self.door.status(),
             "rebuilds": self.pump.rebuilds,
             "workers": self.pump.workers() if isinstance(self.pump, Farm) else None,
@@ -201,12 +206,12 @@ class Server:
             "clients": clients,
         }
 
-    def offer(self) -> dict[str, Any]:
-        """What /session says of the scene and of the server: all that a client chooses from before it connects."""
+    def offer(self, user: User | None = None) -> dict[str, Any]:
+        """What /session says to an account of the scene and of the server: all to choose from before connecting."""
         most, wire = self.config.max_clients, self.config.wire
         return {
-            "avatars": self._offers.fields(),
-            "rooms": self._rooms.offer(clock()),
+            "avatars": self._offers.fields(self.door.rights.drivable(user, self._offers.names)),
+            "rooms": self._rooms.offer(clock(), self.door.rights.enterable(user, self._rooms.names)),
             "upload": None if self._uploads is None else self._uploads.offer(),
             "max_side": wire.max_side,
             "size": wire.size,
@@ -231,7 +236,9 @@ class Server:
             channel = self._open_channel(request, entered)
         except ProtocolError as error:
             self.door.leave(request, entered)
-            return web.Response(status=getattr(error, "status", 400), text=f"{error}\n")
+            return web.Response(
+                status=403 if error.code == NOT_ALLOWED else getattr(error, "status", 400), text=f"{error}\n"
+            )
         talk = Conversation(
             channel, ws, request, self.pump, self.door, lambda: self._draining, self.config.write_timeout
         )
@@ -260,14 +267,20 @@ class Server:
 
     def _open_channel(self, request: web.Request, purse: Purse) -> Channel:
         """A new client with the options of its address: /ws?avatar=ann&mirror=1&window=3&height=1.75&room=lab."""
-        asked = client_options(request.query, self.config.wire, self.config.session, self._offers.names)
+        user, rights = user_of(request), self.door.rights
+        asked = client_options(request.query, self.config.wire, self.config.session, self._offers.names, rights, user)
         one = self._offers[asked.avatar]
         solver = None if one.solver is None else one.solver(asked.height, asked.span)
         self._numbers += 1
         number, address = self._numbers, connection_of(request).key
-        member = self._rooms.join(asked, one, number, address, clock(), lambda: self._replace(number))
+        notice = partial(rights.label, user, asked.avatar)
+        owner = f"account {user.name}" if user is not None else address
+        member = self._rooms.join(asked, one, number, owner, clock(), lambda: self._replace(number), notice())
         session = Session(Decoder(asked.wire, one.skeleton, one.name, one.parts), asked.session, clock())
+        session.refusal = partial(rights.refusal, user, asked.avatar)
         channel = self.pump.open(number, session, solver, address, one, member)
+        channel.driver = asked.name if member is None else member.person.name
+        channel.label, channel.notice = driven_by(asked.name) if asked.label else "", notice
         channel.share = self._work.open(clock(), channel.address)
         if channel.solving is not None:
             channel.solving.share, channel.solving.samples = channel.share, purse.samples

@@ -7,6 +7,7 @@ way or unacknowledged, and nothing is queued without bound.
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -77,6 +78,7 @@ class Session:
     def __init__(self, decoder: Decoder, config: SessionConfig | None = None, now: float = 0.0) -> None:
         self.config: SessionConfig = config or SessionConfig()
         self.counts: Counts = Counts()
+        self.refusal: Callable[[], str] | None = None  # why nothing is shown any more, "" while it is
         self.accepted: RenderRequest | None = None  # what the last message brought, if it asked for a picture
         self.last_form: str = ""  # of the newest request, for /stats
         self.last_size: tuple[int, int] = (0, 0)
@@ -99,6 +101,8 @@ class Session:
         self.counts.received += 1
         if not self._rate.take(now):
             return self._limited(now)
+        if self.refusal is not None and (why := self.refusal()):
+            return Close(error_text("not_allowed", why), POLICY_VIOLATION, "not allowed any more")
         try:
             message = self._decoder.decode(data)
             if isinstance(message, Ack):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import logging
 import struct
 from collections.abc import Iterable
 from typing import Any
@@ -11,14 +12,17 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from glsplat.consent.canonical import CONSENT, file_digest
 from glsplat.errors import FormatError
-from glsplat.formats.files import Source, naming, replace_file, suffix_of
+from glsplat.formats.files import Source, left_out, naming, replace_file, suffix_of
 from glsplat.formats.gltf.container import BINARY_CHUNK, JSON_CHUNK, MAGIC, Accessor, Asset, Buffer, BufferView, Gltf
 
 __all__ = ["INDICES", "VERTICES", "Output"]
 
 VERTICES, INDICES = 34962, 34963
 """What a bufferView holds: ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER."""
+
+log = logging.getLogger("glsplat.formats")
 
 
 class Output:
@@ -67,12 +71,28 @@ class Output:
         self.gltf.asset = Asset(version="2.0", generator="glsplat", extras={"glsplat": values})
 
     def write(self, target: Source, *, embedded: bool | None = None) -> None:
-        """Write a .glb, or where ``target`` ends in .gltf one JSON file with its buffer ``embedded``."""
+        """Write a .glb, or where ``target`` ends in .gltf one JSON file with its buffer ``embedded``.
+
+        A consent that was signed for another content is left out, with a warning: it would hold for nothing.
+        """
         blob = b"".join(self.parts)
         self.gltf.buffers = [Buffer(byte_length=len(blob))]
         embedded = suffix_of(target) == ".gltf" if embedded is None else embedded
         with naming(target):
+            self._check_consent(blob, embedded)
             replace_file(target, _json(self.gltf, blob) if embedded else _glb(self.gltf, blob))
+
+    def _check_consent(self, blob: bytes, embedded: bool) -> None:
+        note = self.gltf.asset.extras["glsplat"] if isinstance(self.gltf.asset.extras, dict) else {}
+        record = note.get(CONSENT)
+        if not isinstance(record, dict):
+            return
+        document = msgspec.json.decode(_encode(self.gltf))
+        rest = struct.pack("<II", len(blob), BINARY_CHUNK) + blob
+        if embedded or record.get("file_sha256") != file_digest(document, rest):
+            del note[CONSENT]
+            why = "only a .glb carries one" if embedded else "it was signed for other content; sign it anew"
+            left_out(log, f"the consent is left out: {why}")
 
 
 def _glb(gltf: Gltf, blob: bytes) -> Iterable[bytes]:

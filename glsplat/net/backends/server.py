@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import logging
+import time
 from collections.abc import Collection, Mapping
 from dataclasses import replace
 from functools import partial
 
 from glsplat.avatar import Avatar
 from glsplat.config import RenderConfig
+from glsplat.consent.file import on_file
+from glsplat.consent.policy import ConsentPolicy
 from glsplat.errors import GlsplatError
 from glsplat.formats.scene_file import SceneFile
 from glsplat.net.backend import Backend, Offered
@@ -20,6 +23,7 @@ from glsplat.net.messages import PARTS
 from glsplat.net.server import Server, ServerConfig
 from glsplat.net.uploads.job import UploadConfig
 from glsplat.net.uploads.routes import Uploads
+from glsplat.net.uploads.shelf import SUFFIX
 from glsplat.scene import Figure, Shown, is_figure
 from glsplat.skinning.rigs.driven import why_not_driven, why_not_tracked
 from glsplat.tracking.calibration import EYES_OF_STATURE, Calibration
@@ -48,6 +52,7 @@ def make_server(
     uploads: UploadConfig | None = None,  # lets clients have avatars made of photographs; None: they may not
     solver: SolverName = SOLVERS[0],  # what guesses the body of users who send head and hands
     rooms: Mapping[str, Shown | SceneFile] | None = None,  # in which clients meet: what stands there already
+    consent: ConsentPolicy | None = None,  # of all that is shown, by the same names; None: nobody asks for it
 ) -> Server:
     """A server that draws ``scene`` with OpenGL, and solves tracking if its one avatar has SMPL-X's rig.
 
@@ -61,7 +66,7 @@ def make_server(
 
         asyncio.run(make_server(glsplat.load("me.glb"), ServerConfig(port=8000)).run())
     """
-    config = config or ServerConfig()
+    config = replace(config or ServerConfig(), consent=consent)
     file = scene if isinstance(scene, SceneFile) else SceneFile.of(scene)
     item = file.avatar
     avatar = item.content if item is not None and is_figure(item.content) else None
@@ -72,7 +77,7 @@ def make_server(
     takes = None
     if uploads is not None:
         choices = Wardrobe(others, uploads.folder, name)
-        takes, kept = _uploads(uploads, rendering, calibration, {name, *others}, solver)
+        takes, kept = _uploads(uploads, rendering, calibration, {name, *others}, solver, consent)
         offers += kept
     for one in offers:
         _say(one)
@@ -111,6 +116,7 @@ def _uploads(
     calibration: Calibration | None,
     taken: Collection[str],
     solver: SolverName,
+    consent: ConsentPolicy | None,
 ) -> tuple[Uploads, list[Offered]]:
     """What makes avatars, and what is offered of its folder; GlsplatError where a name there is ``taken``."""
 
@@ -124,7 +130,20 @@ def _uploads(
     for one in found:
         if one in taken:
             raise GlsplatError(f'{config.folder}: two avatars are called "{one}": clients choose by name, rename one')
-    return uploads, [describe(one, avatar) for one, avatar in found.items()]
+    return uploads, [describe(one, avatar) for one, avatar in found.items() if _agreed(one, config, consent)]
+
+
+def _agreed(name: str, config: UploadConfig, consent: ConsentPolicy | None) -> bool:
+    """Whether an avatar of the folder may be offered; what may not is said."""
+    if consent is not None:
+        path = config.folder / f"{name}{SUFFIX}"
+        consent.add(name, [on_file(path)])
+        try:
+            consent.check(name, time.time())
+        except GlsplatError as error:
+            log.warning("%s: left out: %s", path, error)
+            return False
+    return True
 
 
 def offered(

@@ -18,6 +18,7 @@ from pathlib import Path
 from urllib.parse import urlsplit
 
 from glsplat.errors import GlsplatError
+from glsplat.net.guard.users import Accounts
 
 __all__ = ["SUBPROTOCOL", "Access", "certificate_names", "is_loopback", "read_token", "server_tls"]
 
@@ -33,17 +34,25 @@ class Access:
 
     host: str = "127.0.0.1"
     token: str | None = field(default=None, repr=False)
+    accounts: Accounts | None = None  # instead of the one token: each has its own
     tls: bool = False
     insecure: bool = False  # another address than loopback without TLS and token, on the user's own word
     origins: tuple[str, ...] = ()  # further pages that may connect, e.g. "https://lab.example:8000"
     hosts: tuple[str, ...] = ()  # names it goes by, besides addresses and localhost; "*.lab.example" for one label more
 
     def __post_init__(self) -> None:
-        if not is_loopback(self.host) and not self.insecure and not (self.tls and self.token):
+        if self.token is not None and self.accounts is not None:
+            raise GlsplatError("a server has one token (--token-file) or accounts (--users), not both; leave one out")
+        if not is_loopback(self.host) and not self.insecure and not (self.tls and self.guarded):
             raise GlsplatError(
                 f"{self.host} can be reached from other machines: give --self-signed, or --tls-cert, --tls-key and "
-                "--token-file, or accept the risk with --insecure"
+                "--token-file or --users, or accept the risk with --insecure"
             )
+
+    @property
+    def guarded(self) -> bool:
+        """True where a token is needed: the one, or an account's."""
+        return self.token is not None or self.accounts is not None
 
     def wrong_host(self, given: Sequence[str]) -> tuple[int, str] | None:
         """None if ``given``, the Host headers of a request, name this server, else the HTTP status and one line.
@@ -86,14 +95,19 @@ class Access:
         protocols = headers.get("Sec-WebSocket-Protocol", "")
         return "Authorization" in headers or any(p.strip().startswith(TOKEN_PREFIX) for p in protocols.split(","))
 
-    def _token_given(self, headers: Mapping[str, str]) -> bool:
-        assert self.token is not None
+    def tokens(self, headers: Mapping[str, str]) -> list[str]:
+        """The tokens that a request brings; what was typed once into a browser's dialog last."""
         kind, _, value = headers.get("Authorization", "").partition(" ")
         offered = [value.strip()] if kind.lower() == "bearer" else []
-        if kind.lower() == "basic":  # a browser that opens the status page asks for a name (any) and a password
-            offered.append(_basic_password(value))
         protocols = headers.get("Sec-WebSocket-Protocol", "").split(",")
         offered += [p.strip()[len(TOKEN_PREFIX) :] for p in protocols if p.strip().startswith(TOKEN_PREFIX)]
+        if kind.lower() == "basic":  # a browser that opens the status page asks for a name (any) and a password
+            offered.append(_basic_password(value))
+        return offered
+
+    def _token_given(self, headers: Mapping[str, str]) -> bool:
+        assert self.token is not None
+        offered = self.tokens(headers)
         # every comparison takes the same time, whatever it finds
         # (bytes that are not UTF-8 arrive as surrogates, which encode() would refuse)
         return any([hmac.compare_digest(v.encode(errors="replace"), self.token.encode()) for v in offered[:4]])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import logging
 import math
 import socket
@@ -12,6 +13,7 @@ from pathlib import Path
 
 from aiohttp import web
 
+from glsplat.consent.policy import ConsentPolicy
 from glsplat.net.guard.access import SUBPROTOCOL, Access, certificate_names, is_loopback
 from glsplat.net.guard.addresses import Addresses
 from glsplat.net.guard.connection import Connection
@@ -20,8 +22,12 @@ from glsplat.net.guard.listener import Listener
 from glsplat.net.guard.machine import machine_names
 from glsplat.net.guard.meter import FrameMeter
 from glsplat.net.guard.notices import Notices
+from glsplat.net.guard.rights import USER, Rights
+from glsplat.net.guard.users import Accounts
 
 __all__ = ["Door", "connection_of"]
+
+_MOST_LOGINS = 32  # requests that wait for their tokens to be hashed, one after the other
 
 Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
 
@@ -29,12 +35,21 @@ Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
 class Door:
     """Accepts connections, refuses requests. ``max_clients`` is the server's, of which one address may have a part."""
 
-    def __init__(self, access: Access, limits: Limits, max_clients: int, clock: Callable[[], float]) -> None:
+    def __init__(
+        self,
+        access: Access,
+        limits: Limits,
+        max_clients: int,
+        clock: Callable[[], float],
+        consent: ConsentPolicy | None = None,
+    ) -> None:
         share = max_clients if is_loopback(access.host) else (max_clients + 1) // 2
         self.limits = limits
         self.addresses = Addresses(limits, limits.per_address or share)
         self.notices = Notices(logging.getLogger("glsplat.net"), clock)
+        self.rights = Rights(access.accounts, consent)
         self.refused = 0  # requests
+        self._login, self._logins = asyncio.Lock(), 0
         self._access, self._clients, self._clock = access, max_clients, clock
         self._listener: Listener | None = None
 
@@ -86,7 +101,7 @@ class Door:
         connection = connection_of(request)
         connection.busy = True
         try:
-            refusal = self._refusal(request, connection)
+            refusal = await self._refusal(request, connection)
             if refusal is None:
                 return await handler(request)
             return self._refused(refusal)
@@ -133,7 +148,7 @@ class Door:
         response.force_close()
         return response
 
-    def _refusal(self, request: web.Request, connection: Connection) -> web.Response | None:
+    async def _refusal(self, request: web.Request, connection: Connection) -> web.Response | None:
         now, key, addresses, access = self._clock(), connection.key, self.addresses, self._access
         wrong = access.wrong_host(request.headers.getall("Host", []))
         if wrong is not None:
@@ -145,17 +160,41 @@ class Door:
         public = _is_page(request)
         if not addresses.visit(key, now, self.limits.file if public else 1.0):
             return _later(1.0, f"at most {self.limits.visits:g} connections and requests a second from one address")
-        guesses = not public and access.token is not None and access.offers_token(request.headers)
+        guesses = not public and access.guarded and access.offers_token(request.headers)
         if guesses and (seconds := addresses.no_guess(key, now)) > 0:
             return _later(seconds, "too many wrong tokens from this address")
         refusal = access.refusal(request.headers, public)
         if refusal is None:
-            return None
+            return None if public or access.accounts is None else await self._identify(request, key, access.accounts)
         if refusal[0] == 401 and guesses:
             addresses.guess(key, now)
             self.notices("token", "a wrong token was refused")
-        asks = {"WWW-Authenticate": "Basic realm=glsplat"} if refusal[0] == 401 else None
-        return web.Response(status=refusal[0], text=refusal[1] + "\n", headers=asks)
+        return _asked(refusal[1]) if refusal[0] == 401 else web.Response(status=refusal[0], text=refusal[1] + "\n")
+
+    async def _identify(self, request: web.Request, key: str, accounts: Accounts) -> web.Response | None:
+        """Note in the request whose it is, or refuse it."""
+        token = next(iter(self._access.tokens(request.headers)), None)
+        if token is None:
+            return _asked("an account's token is needed: Authorization: Bearer NAME.SECRET, or as a subprotocol")
+        user = accounts.known(token)
+        if user is None:
+            if self._logins >= _MOST_LOGINS:
+                return _later(1.0, "too many tokens are looked at just now")
+            self._logins += 1
+            try:
+                async with self._login:  # one at a time: what is guessed at once is counted one by one
+                    if (seconds := self.addresses.no_guess(key, self._clock())) > 0:
+                        return _later(seconds, "too many wrong tokens from this address")
+                    user = await accounts.verified(token)
+                    if user is None:
+                        self.addresses.guess(key, self._clock())
+            finally:
+                self._logins -= 1
+        if user is None:
+            self.notices("token", "a wrong token was refused")
+            return _asked("there is no account with this token")
+        request[USER] = user
+        return None
 
 
 def connection_of(request: web.Request) -> Connection:
@@ -176,6 +215,10 @@ def _is_handshake(request: web.Request, ws: web.WebSocketResponse) -> bool:
         return bool(ws.can_prepare(request))
     except ValueError:  # bytes in a header that are not ASCII, or not UTF-8: aiohttp quotes them, or decodes the key
         return False
+
+
+def _asked(text: str) -> web.Response:
+    return web.Response(status=401, text=text + "\n", headers={"WWW-Authenticate": "Basic realm=glsplat"})
 
 
 def _later(seconds: float, text: str) -> web.Response:

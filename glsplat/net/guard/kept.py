@@ -1,4 +1,4 @@
-"""What a server keeps between its starts for itself alone: a folder that is its user's, a lock, the token it made."""
+"""What a server keeps between its starts for itself alone: a folder that is its user's, a lock, token and key."""
 
 from __future__ import annotations
 
@@ -8,14 +8,16 @@ import stat
 from contextlib import AbstractContextManager
 from pathlib import Path
 
+from glsplat.consent.keys import PrivateKey, new_key, private_key
 from glsplat.errors import GlsplatError
 from glsplat.formats.files import locked, replace_file
 from glsplat.net.guard.access import read_token
 
-__all__ = ["TOKEN", "kept_token", "lock_of", "state_folder"]
+__all__ = ["TOKEN", "kept_key", "kept_token", "lock_of", "state_folder"]
 
 TOKEN = "token"
 """The name of the token's file in the folder."""
+_KEY = "consent-key"
 _BYTES = 18  # of chance in a token, 144 bits: 24 characters
 _PATIENCE = 10.0  # seconds; who holds the lock makes a key meanwhile, which takes some milliseconds
 
@@ -61,3 +63,10 @@ def kept_token(folder: Path) -> str:
             return read_token(path)
         except GlsplatError as error:
             raise GlsplatError(f"{error}; delete it and the next start makes a new one") from None
+
+
+def kept_key(folder: Path) -> PrivateKey:
+    """The key in the folder that signs consents, made at the first call. Raises GlsplatError naming the file."""
+    path = folder / _KEY
+    with lock_of(folder):
+        return private_key(path) if path.exists() else new_key(path)

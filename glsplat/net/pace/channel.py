@@ -47,7 +47,7 @@ class Frame:
     member: Member | None = None  # of the client, in a room
     view: RoomView | None = None  # what of the room was drawn
 
-    def info(self, boxes: Sequence[tuple[int, int, int, int]] | None, dropped: int, shown: Offered) -> dict[str, Any]:
+    def info(self, boxes: Sequence[tuple[int, int, int, int]] | None, channel: Channel) -> dict[str, Any]:
         """The JSON object of the reply (docs/protocol.md, section 4)."""
         request, first = self.request, self.request.cameras[0]
         info: dict[str, Any] = {
@@ -56,16 +56,17 @@ class Frame:
             "size": (first.width, first.height),
             "eyes": [eye_fields(camera) for camera in request.cameras],
             "crop": boxes,
-            "dropped": dropped,
+            "dropped": channel.session.counts.dropped,
             "driver": self.driver,
+            "driven_by": channel.driver,
         }
         if self.notes is not None:
             info["tracking"] = self.notes
         drawn = None if self.drawn is None else [eye_fields(camera) for camera in self.drawn]
         if drawn is not None and drawn != info["eyes"]:
             info["drawn"] = drawn
-        if shown.still and request.pose is not None:
-            info["still"] = shown.still
+        if channel.shown.still and request.pose is not None:
+            info["still"] = channel.shown.still
         if self.box is not None:
             info["box"] = self.box
         if any(self.levels) or self.detail != FULL:
@@ -87,6 +88,9 @@ class Channel:
     address: str = ""  # what has a fair share of the renderer's time
     shown: Offered = ANYTHING
     member: Member | None = None  # in a room; None: sees what it is shown alone
+    driver: str = ""  # name of who drives what is shown; "": nobody knows
+    label: str = ""  # over the head of what is shown alone
+    notice: Callable[[], str] = field(default=lambda: "")  # what has to stand in a picture drawn now
     share: Share | None = None  # of the time for reading and solving; None: no limit
     frames: asyncio.Queue[Frame] = field(default_factory=asyncio.Queue)  # bounded by the session's window
     again: Frame | None = None  # one of those that were taken from ``frames``, to be drawn anew before any other

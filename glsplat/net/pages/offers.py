@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import Any
 
 from glsplat.errors import GlsplatError
@@ -35,8 +35,8 @@ class Offers:
         """Offer it no more; False where it was not offered."""
         return self._offered.pop(name, None) is not None
 
-    def fields(self) -> list[dict[str, Any]]:
-        """What /session says of each."""
+    def fields(self, names: Collection[str]) -> list[dict[str, Any]]:
+        """What /session says of each of ``names``."""
         return [
             {
                 "name": one.name,
@@ -46,4 +46,5 @@ class Offers:
                 "made": one.made,
             }
             for one in self._offered.values()
+            if one.name in names
         ]

@@ -10,6 +10,8 @@ from typing import Any
 from aiohttp import web
 
 from glsplat.motion.motion import embedded_motions
+from glsplat.net.guard.rights import user_of
+from glsplat.net.guard.users import User
 from glsplat.net.pages.qr import Codes
 from glsplat.net.pages.site import File, Site
 from glsplat.net.pages.status import metrics_text, page_html
@@ -17,14 +19,15 @@ from glsplat.net.pages.status import metrics_text, page_html
 __all__ = ["Pages"]
 
 Numbers = Callable[[], Mapping[str, Any]]
+Offer = Callable[[User | None], Mapping[str, Any]]
 
 _RECORDING = "recording.jsonl"
 
 
 class Pages:
-    """``stats`` gives the numbers of /stats, ``offer`` what /session says; ``healthy`` is asked for /healthz."""
+    """``stats`` gives the numbers of /stats, ``offer`` what /session says to whom; ``healthy`` is for /healthz."""
 
-    def __init__(self, stats: Numbers, offer: Numbers, healthy: Callable[[], bool], tls: bool) -> None:
+    def __init__(self, stats: Numbers, offer: Offer, healthy: Callable[[], bool], tls: bool) -> None:
         self._stats, self._offer, self._healthy, self._tls = stats, offer, healthy, tls
         self._codes = Codes()
 
@@ -59,7 +62,7 @@ class Pages:
 
     async def _session(self, request: web.Request) -> web.Response:
         embedded = {"motions": embedded_motions(), "recording": True}
-        return web.json_response({"v": 1, **self._offer(), **embedded})
+        return web.json_response({"v": 1, **self._offer(user_of(request)), **embedded})
 
     async def _motion(self, request: web.Request) -> web.Response:
         name = request.match_info["name"]

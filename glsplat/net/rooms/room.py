@@ -7,7 +7,6 @@ asked for, so that nobody's own hands lag behind; who asked for none in the last
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from threading import Lock
@@ -23,10 +22,7 @@ from glsplat.net.rooms.person import SILENT, Moved, Person
 from glsplat.net.rooms.seats import free_seat, seat
 from glsplat.net.rooms.view import Present, RoomView
 
-__all__ = ["NAME", "Room", "RoomError"]
-
-NAME = re.compile(r"[^\W_](?:[\w .'-]{0,30}[\w.])?")
-"""Names of rooms and people: up to 32 letters and digits of any script, blanks and _ . ' - between them."""
+__all__ = ["Room", "RoomError"]
 
 
 class RoomError(ProtocolError):
@@ -46,11 +42,10 @@ class _Guest:
 
 
 class Room:
-    """People by name. ``seats`` bounds their number, ``label`` is what stands over the head of who has that name."""
+    """People by name. ``seats`` bounds their number."""
 
-    def __init__(self, name: str, seats: int = 8, label: Callable[[str], str] = lambda name: "") -> None:
+    def __init__(self, name: str, seats: int = 8) -> None:
         self.name, self.seats = name, seats
-        self._label = label
         self._guests: dict[str, _Guest] = {}
         self._lock = Lock()
         self._keys = 0
@@ -66,13 +61,12 @@ class Room:
         owner: str = "",
         place: NDArray[np.float64] | None = None,  # [4, 4] room from user; None: a free seat
         leave: Callable[[], None] = lambda: None,
+        label: str = "",  # over their head
     ) -> Person:
         """Somebody comes. ``leave`` is called when they come back on another connection and this one is dead.
 
         Raises RoomError: the name is taken, the room is full.
         """
-        if not NAME.fullmatch(name):
-            raise RoomError("name needs 1 to 32 letters, digits, blanks or _.'- between them", 400)
         with self._lock:
             self._forget(now)
             replaced = self._guests.get(name)
@@ -88,7 +82,7 @@ class Room:
                 number = free_seat(taken, self.seats)
             stands = place if place is not None else seat(number or 0, self.seats)
             self._keys += 1
-            person = Person(self._keys, name, avatar, stands, owner, now, self._label(name))
+            person = Person(self._keys, name, avatar, stands, owner, now, label)
             shown = Present(person.key, name, avatar, None, stands, label=person.label)
             self._guests[name] = _Guest(person, number if place is None else None, leave, shown)
         if replaced is not None and replaced.person.connected:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from glsplat.net.backend import Offered
@@ -13,21 +13,36 @@ from glsplat.net.rooms.room import Room, RoomError
 __all__ = ["Rooms", "driven_by"]
 
 
-def driven_by(name: str) -> str:
-    """What stands over the head of a person who is not there in the flesh."""
-    return f"driven by {name}, synthetic"
+def driven_by(name: str, notice: str = "") -> str:
+    """What stands over the head of a person who is not there in the flesh, and what else has to be said of them."""
+    return ", ".join([f"driven by {name or 'somebody'}", "synthetic", *([notice] if notice else [])])
 
 
 class Rooms:
     """``seats`` by the names of the rooms. Clients enter these and no others."""
 
     def __init__(self, seats: Mapping[str, int] | None = None) -> None:
-        self._rooms = {name: Room(name, count, driven_by) for name, count in (seats or {}).items()}
+        self._rooms = {name: Room(name, count) for name, count in (seats or {}).items()}
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of all rooms."""
+        return tuple(self._rooms)
 
     def join(
-        self, asked: Asked, shown: Offered, number: int, owner: str, now: float, leave: Callable[[], None]
+        self,
+        asked: Asked,
+        shown: Offered,
+        number: int,
+        owner: str,
+        now: float,
+        leave: Callable[[], None],
+        notice: str = "",
     ) -> Member | None:
-        """The person of client ``number`` in the room it asks for; None if it asks for none. Raises RoomError."""
+        """The person of client ``number`` in the room it asks for; None if it asks for none. Raises RoomError.
+
+        ``notice`` is said of them over their head.
+        """
         if asked.room is None:
             return None
         room = self._rooms.get(asked.room)
@@ -35,12 +50,14 @@ class Rooms:
             raise RoomError("there is no such room here", 404)
         if shown.skeleton is None:
             raise RoomError("a room needs people: name an avatar with joints", 400)
-        name = f"guest {number}" if asked.name is None else asked.name
-        return Member(room, room.join(name, shown.name, now, owner, asked.place, leave))
+        name = asked.name or f"guest {number}"
+        person = room.join(name, shown.name, now, owner, asked.place, leave, driven_by(name, notice))
+        return Member(room, person)
 
-    def offer(self, now: float) -> list[dict[str, Any]]:
-        """What /session says of them."""
-        return [{"name": room.name, "people": room.count(now), "seats": room.seats} for room in self._rooms.values()]
+    def offer(self, now: float, names: Sequence[str]) -> list[dict[str, Any]]:
+        """What /session says of those."""
+        rooms = [self._rooms[name] for name in names]
+        return [{"name": room.name, "people": room.count(now), "seats": room.seats} for room in rooms]
 
     def status(self, now: float) -> list[dict[str, Any]]:
         """What /stats says of them."""

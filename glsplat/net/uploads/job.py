@@ -53,6 +53,8 @@ class UploadConfig:
 
     folder: Path  # where the avatars are kept, as NAME.glb
     make: Make
+    signed: Callable[[str, bytes, str], bytes] | None = None
+    """Called on any thread with an avatar's name, its file and the account that asked ("": none); the file to keep."""
     picture_bytes: int = 20_000_000  # a picture
     body_bytes: int = 45_000_000  # all pictures of one avatar
     most_files: int = 50  # avatars in the folder
@@ -75,6 +77,7 @@ class Job:
 
     name: str
     address: str
+    account: str = ""  # of whoever asked
     state: State = "receiving"
     order: Order | None = None  # until it is worked on
     steps: list[str] = field(default_factory=list)

@@ -12,6 +12,7 @@ from glsplat.avatar import Avatar
 from glsplat.errors import GlsplatError
 from glsplat.net.backend import Offered
 from glsplat.net.guard.door import Door, connection_of
+from glsplat.net.guard.rights import user_of
 from glsplat.net.uploads.form import RefusedError, check_head, discard, read_order
 from glsplat.net.uploads.job import VIEWS, Job, UploadConfig
 from glsplat.net.uploads.shelf import NoRoomError, Shelf
@@ -64,7 +65,8 @@ class Uploads:
                 raise RefusedError(429, f"too many pictures from one address; try again in {wait:.0f} s", round(wait))
             connection.expect(self.config.body_bytes + _SLACK)
             check_head(request, self.config)
-            job = await self._book(connection.key)
+            user = user_of(request)
+            job = await self._book(connection.key, "" if user is None else user.name)
             try:
                 self._workshop.begin(job, await read_order(request, self.config))
             except BaseException:  # also when the client is gone
@@ -76,12 +78,12 @@ class Uploads:
             return web.Response(status=400)  # which nobody reads
         return _answer(self._status(job), 202, {"Location": f"avatars/{job.name}"})
 
-    async def _book(self, address: str) -> Job:
+    async def _book(self, address: str, account: str) -> Job:
         try:
             await asyncio.to_thread(self.shelf.check)
         except NoRoomError as full:
             raise RefusedError(507, str(full)) from None
-        job = self._workshop.book(address)
+        job = self._workshop.book(address, account)
         if isinstance(job, str):
             raise RefusedError(503, job, 20)
         return job
@@ -97,6 +99,10 @@ class Uploads:
         if not self.shelf.made_here(name):
             return web.Response(status=403, text="only avatars that were made here can be deleted\n")
         job = self._workshop.find(name)
+        user = user_of(request)
+        theirs = job is not None and job.ended is None and user is not None and job.account != user.name
+        if theirs or not self._door.rights.may_delete(user, name):
+            return web.Response(status=403, text="only who had an avatar made here can delete it\n")
         if job is not None:
             self._workshop.cancel(job)
         offered = await self._withdraw(name)  # nobody is shown it any more, whatever the disk says

@@ -47,8 +47,11 @@ class Workshop:
             await asyncio.gather(self._task, return_exceptions=True)
         self._thread.shutdown(wait=True)  # a process that was ended takes no time
 
-    def book(self, address: str) -> Job | str:
-        """A place for a job whose pictures are still to come, or why there is none. It is given back by ``cancel``."""
+    def book(self, address: str, account: str = "") -> Job | str:
+        """A place for a job of an ``account`` whose pictures are still to come, or why there is none.
+
+        It is given back by ``cancel``.
+        """
         self._forget()
         open_ = self._open()
         if len(open_) > self._config.waiting:
@@ -56,7 +59,7 @@ class Workshop:
         if Counter(job.address for job in open_)[address] >= self._config.per_address:
             return f"at most {self._config.per_address} avatars at once from one address; wait for one of yours"
         name = self._shelf.new_name()
-        job = self._jobs[name] = Job(name, address)
+        job = self._jobs[name] = Job(name, address, account)
         return job
 
     def begin(self, job: Job, order: Order) -> None:
@@ -142,4 +145,6 @@ class Workshop:
     def _keep(self, job: Job, data: bytes) -> Avatar:
         if job.cancelled:
             raise UnwantedError
+        if self._config.signed is not None:
+            data = self._config.signed(job.name, data, job.account)
         return self._shelf.put(job.name, data)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import asyncio
+import io
 import json
 import os
 import signal
@@ -14,10 +15,14 @@ from pathlib import Path
 import pytest
 
 from apps.serve import command, keys
+from apps.serve.ready import Place, announce
+from apps.usage import UsageError
 from glsplat.camera import head_matrix, stereo_cameras
+from glsplat.errors import GlsplatError
 from glsplat.net.client import Client
 from glsplat.net.guard import certificate
 from glsplat.net.guard.access import certificate_names, read_token, server_tls
+from glsplat.net.guard.users import new_user, write_users
 
 ROOT = Path(__file__).parents[3]
 BEYOND = ("--host", "0.0.0.0", "--self-signed")
@@ -116,3 +121,23 @@ def test_a_folder_that_cannot_be_written_is_one_line():
     done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, timeout=60, env=environment)
     assert done.returncode == 1 and done.stdout == "" and done.stderr.count("\n") == 1
     assert done.stderr.startswith("glsplat serve: /proc/nowhere/glsplat: cannot be made (")
+
+
+def test_accounts_stand_in_for_the_token(state, tmp_path):
+    user, token = new_user("ann")
+    write_users(tmp_path / "users.json", {"ann": user})
+    words = ("--host", "0.0.0.0", "--self-signed", "--users", tmp_path / "users.json")
+    made = keys.keys_of(arguments(*words))
+    assert made.token is None and made.accounts is not None and made.tls is not None
+    assert not (state / "glsplat" / "token").exists()
+    assert command.server_config(arguments(*words), made).access.accounts is made.accounts
+    assert token not in repr(made)
+    out = io.StringIO()
+    announce(Place("127.0.0.1", 8000, made), out, show_qr=True)
+    assert "each account has its own" in out.getvalue() and "#token" not in out.getvalue()
+    (tmp_path / "token").write_text("0123456789abcdef")
+    with pytest.raises(UsageError, match="not both"):
+        keys.keys_of(arguments(*words, "--token-file", tmp_path / "token"))
+    (tmp_path / "users.json").write_text("[]")
+    with pytest.raises(GlsplatError, match=r"users\.json: no file of accounts"):
+        keys.keys_of(arguments(*words))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import signal
 import subprocess
 import sys
@@ -67,6 +68,7 @@ def test_a_photograph_becomes_an_avatar(tmp_path: Path, shared_data: Path) -> No
     process = subprocess.Popen(
         [sys.executable, "-m", "apps.cli", "serve", *options],
         cwd=ROOT,
+        env=os.environ | {"XDG_STATE_HOME": str(tmp_path / "state")},
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
@@ -94,7 +96,7 @@ def test_a_photograph_becomes_an_avatar(tmp_path: Path, shared_data: Path) -> No
         assert len(told["steps"]) > 2
         name = told["name"]
         avatar = load(folder / f"{name}.glb")
-        assert "agreed" in avatar.meta["consent"] and "photograph" in avatar.meta["source"]
+        assert "agreed" in avatar.meta["consent"]["purpose"] and "photograph" in avatar.meta["source"]
         offered = {one["name"]: one for one in ask("GET", "/session")[1]["avatars"]}
         assert offered[name]["tracking"] and offered[name]["head"] and abs(offered[name]["height"] - 1.74) < 0.15
         with pytest.raises(urllib.error.HTTPError):

@@ -83,7 +83,7 @@ def victim(*options: str, files: int | None = None, start: float = 90.0) -> Iter
         if files is not None:
             resource.setrlimit(resource.RLIMIT_NOFILE, (files, files))
 
-    command = [sys.executable, "-m", "apps.cli", "serve", "--port", "0", "--json", *options]
+    command = [sys.executable, "-m", "apps.cli", "serve", "--port", "0", "--json", "--without-consent", *options]
     with tempfile.TemporaryDirectory() as folder:
         log = Path(folder) / "log"
         with log.open("w") as errors:

@@ -11,10 +11,11 @@ from hypothesis import strategies as st
 
 from glsplat.camera import Camera, look_at, pinhole
 from glsplat.errors import ProtocolError
+from glsplat.net.guard.users import User
 from glsplat.net.messages import RenderRequest, WireOptions
-from glsplat.net.options import client_options
+from glsplat.net.options import NAME, NOT_ALLOWED, Asked, client_options
 from glsplat.net.rooms.person import AHEAD, FADE, SILENT, Moved, Person
-from glsplat.net.rooms.room import NAME, Room, RoomError
+from glsplat.net.rooms.room import Room, RoomError
 from glsplat.net.rooms.seats import RADIUS, free_seat, place_at, seat
 from glsplat.net.session import SessionConfig
 from glsplat.rotations import FLIP_X
@@ -198,30 +199,40 @@ def test_names_and_seats() -> None:
     assert room.join("Ann", "b", 2.3, "1.2.3.4").key > again.key
 
 
+def asked(user: User | None = None, **query: str) -> Asked:
+    return client_options(query, WireOptions(), SessionConfig(), ["default"], user=user)
+
+
 @pytest.mark.parametrize("name", ["", " ", "a" * 33, "../x", "a/b", "a\\b", "\x00", "a\nb", "<b>", "-a", "a ", "_"])
 def test_names_that_nobody_can_have(name: str) -> None:
-    with pytest.raises(RoomError, match="name needs") as refused:
-        Room("lab").join(name, "a", 0.0)
-    assert refused.value.status == 400
+    with pytest.raises(ProtocolError, match="name needs"):
+        asked(name=name)
 
 
 @given(st.text(max_size=40))
 def test_a_name_is_taken_as_it_is_or_refused(name: str) -> None:
-    room = Room("lab")
     try:
-        person = room.join(name, "a", 0.0)
-    except RoomError:
+        taken = asked(name=name).name
+    except ProtocolError:
         assert not NAME.fullmatch(name)
-        assert room.count(0.0) == 0
     else:
-        assert person.name == name and name.isprintable() and len(name) <= 32 and "/" not in name
+        assert taken == name and name.isprintable() and len(name) <= 32 and "/" not in name
+
+
+def test_an_account_goes_by_its_own_name_into_its_own_rooms() -> None:
+    ann = User(name="ann", avatars=("*",), rooms=("lab",))
+    assert asked(ann, room="lab").name == "ann" == asked(ann, room="lab", name="ann").name
+    for query in ({"room": "lab", "name": "bob"}, {"room": "secret"}, {"room": "../lab"}, {"name": "Ann"}):
+        with pytest.raises(ProtocolError) as refused:
+            asked(ann, **query)
+        assert refused.value.code == NOT_ALLOWED
 
 
 def test_what_an_address_asks_for() -> None:
-    def asked(**query: str) -> object:
-        return client_options(query, WireOptions(), SessionConfig(), ["default"])
-
-    place = client_options({"room": "lab", "at": "1.5,-2,90"}, WireOptions(), SessionConfig(), ["default"]).place
+    place = asked(room="lab", at="1.5,-2,90").place
+    assert asked().name == "" and not asked().label and asked(label="1").label
+    with pytest.raises(ProtocolError, match="label needs 0 or 1"):
+        asked(label="yes")
     assert place is not None and np.allclose(place @ (0, 0, 1, 1), (2.5, 0, -2, 1))
     for wrong in ("", "1,2", "1,2,3,4", "a,b,c", "nan,0,0", "0,inf,0", "1e9,0,0", "0,0,361"):
         with pytest.raises(ProtocolError, match="at needs x,z,degrees"):

@@ -166,6 +166,7 @@ export class Connection extends EventTarget {
       if (response.ok) {
         const offer = await response.json();
         this.dispatchEvent(new CustomEvent('offer', { detail: offer })); // what was asked for may be gone
+        if (offer.avatars?.length === 0) return ['refused', 'there is no avatar here that you may drive now; trying again', 5000];
         if (offer.full) return ['full', 'the server is full; trying again', 2000];
         return ['refused', 'the server lets nobody in just now; trying again'];
       }

@@ -1,0 +1,125 @@
+"""``glsplat avatar consent``: sign into an avatar's file that somebody agreed to be shown; what inspect says."""
+
+from __future__ import annotations
+
+import argparse
+import re
+import time
+from datetime import UTC, date, datetime
+from pathlib import Path
+from typing import Any
+
+from glsplat.consent.document import ANYBODY
+from glsplat.consent.file import OnFile, sign_file
+from glsplat.consent.keys import new_key, private_key, public_path
+
+from ..usage import UsageError
+
+__all__ = ["add_arguments", "briefly", "report", "run", "said"]
+
+_PURPOSE = "to be shown and driven as an avatar"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The command line."""
+    parser.add_argument("file", nargs="?", type=Path, metavar="FILE", help="avatar (.glb) to write the record into")
+    parser.add_argument("--sign", type=Path, metavar="KEY", help="private key that signs (of --new-key)")
+    parser.add_argument("--subject", help="who is shown")
+    parser.add_argument("--given-by", metavar="NAME", help="who agreed (default: the subject)")
+    parser.add_argument("--purpose", default=_PURPOSE, help="what it is for (default: %(default)s)")
+    parser.add_argument("--from", type=_day, dest="start", metavar="DATE", help="first day, UTC (default: today)")
+    parser.add_argument("--until", type=_day, metavar="DATE", help="last day, UTC, such as 2026-12-31")
+    parser.add_argument(
+        "--drivers", metavar="A,B", help=f"accounts that may drive (glsplat users), or {ANYBODY} for everybody"
+    )
+    parser.add_argument("-o", "--out", type=Path, help="file to write instead of FILE")
+    parser.add_argument("--new-key", type=Path, metavar="KEY", help="make a key: KEY is for you alone, KEY.pub for all")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Make a key, sign a file, or both; 0 on success."""
+    if args.new_key is None and args.file is None:
+        raise UsageError("give an avatar to sign, or --new-key KEY to make a key")
+    options = ("sign", "subject", "given_by", "start", "until", "drivers", "out")
+    given = [name for name in options if getattr(args, name)]
+    if args.file is None and given:
+        raise UsageError(f"--{given[0].replace('start', 'from').replace('_', '-')} needs an avatar to sign")
+    fields: dict[str, Any] = {} if args.file is None else _fields(args)
+    if args.new_key is not None:
+        made = new_key(args.new_key)
+        print(f"{args.new_key}: private, keep it to you; {public_path(args.new_key)}: public key {made.public}")
+    if args.file is None:
+        return 0
+    key = private_key(args.sign)
+    out = args.out or args.file
+    sign_file(args.file, out, key, **fields)
+    drivers = "everybody" if ANYBODY in fields["drivers"] else ", ".join(fields["drivers"])
+    print(f"{out}: {fields['subject']}, from {fields['start']} until {fields['until']}, may be driven by {drivers}")
+    return 0
+
+
+def _fields(args: argparse.Namespace) -> dict[str, Any]:
+    for name in ("subject", "until", "drivers", "sign"):
+        if not getattr(args, name):
+            raise UsageError(f"a consent needs --{name}")
+    start = args.start or datetime.now(UTC).date()
+    if args.until < start:
+        raise UsageError(f"--until {args.until} is before {'--from' if args.start else 'today'}, {start}")
+    return {
+        "subject": args.subject,
+        "given_by": args.given_by or args.subject,
+        "purpose": args.purpose,
+        "start": start,
+        "until": args.until,
+        "drivers": list(dict.fromkeys(name.strip() for name in args.drivers.split(","))),
+    }
+
+
+def _day(text: str) -> date:
+    """argparse type: a date."""
+    try:
+        if re.fullmatch(r"\d{4}-\d{2}-\d{2}", text):
+            return date.fromisoformat(text)
+    except ValueError:
+        pass
+    raise argparse.ArgumentTypeError(f"a date is like 2026-12-31, not {text!r}")
+
+
+def report(found: OnFile, now: float | None = None) -> dict[str, Any]:
+    """What a file says of consent as JSON values; ``valid`` at ``now`` (seconds since 1970), by whomever signed."""
+    consent = found.consent
+    if consent is None:
+        return {"valid": found.nobody, "nobody": found.nobody, "fault": found.fault}
+    late = consent.late(time.time() if now is None else now)
+    first, last = (datetime.fromtimestamp(seconds, UTC).date() for seconds in (consent.begins, consent.ends - 1))
+    return {
+        "valid": not late,
+        "nobody": False,
+        "fault": late,
+        "subject": consent.subject,
+        "given_by": consent.given_by,
+        "purpose": consent.purpose,
+        "from": first.isoformat(),
+        "until": last.isoformat(),
+        "drivers": sorted(consent.drivers),
+        "key": consent.key,
+    }
+
+
+def briefly(told: dict[str, Any]) -> str:
+    """``report`` in few words."""
+    return "shows nobody" if told["nobody"] else str(told["fault"]) or "consent valid"
+
+
+def said(told: dict[str, Any]) -> str:
+    """``report`` in words."""
+    if told["nobody"]:
+        return "not needed: it comes with glsplat and shows nobody"
+    if "subject" not in told:
+        return str(told["fault"])
+    drivers = "everybody" if ANYBODY in told["drivers"] else ", ".join(told["drivers"])
+    by = "" if told["given_by"] == told["subject"] else f", given by {told['given_by']}"
+    return (
+        f"{told['fault'] or 'valid'}: {told['subject']}{by}, purpose: {told['purpose']}, from {told['from']} until "
+        f"{told['until']}, may be driven by {drivers}; the signature by {told['key']} fits"
+    )

@@ -1,0 +1,90 @@
+"""Who agreed to be shown by this server: ``--trust``, ``--without-consent``, and the records of the files."""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import time
+from dataclasses import replace
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+from glsplat.consent.document import ANYBODY
+from glsplat.consent.file import OnFile, on_file, on_file_data, sign_data
+from glsplat.consent.keys import PrivateKey, public_key
+from glsplat.consent.policy import ConsentPolicy
+from glsplat.formats.scene_file import SceneFile
+from glsplat.net.guard.kept import kept_key, state_folder
+from glsplat.net.uploads.job import UploadConfig
+from glsplat.scene import is_figure
+
+__all__ = ["add_consent", "policy_of", "signing"]
+
+_LASTS = timedelta(days=365)  # the consent to an avatar that a client has made
+_SUBJECT, _SENDER = "the person of the photograph", "whoever sent the photograph"
+_PURPOSE = "to be shown and driven as an avatar by this server; the sender said: this is me, or this person agreed"
+
+
+def add_consent(parser: argparse.ArgumentParser) -> None:
+    """--trust, --without-consent."""
+    parser.add_argument(
+        "--trust",
+        type=Path,
+        action="append",
+        metavar="KEY",
+        help="public key whose signatures of consent count (glsplat avatar consent --new-key); may be repeated; "
+        "without it every signature that fits does, and whose it is is said",
+    )
+    parser.add_argument(
+        "--without-consent",
+        action="store_true",
+        help='show avatars without a valid consent, too; "no consent on file" then stands in all their pictures',
+    )
+
+
+def policy_of(args: argparse.Namespace, scene: SceneFile, name: str) -> ConsentPolicy:
+    """What the files say of the ``scene``, called ``name``, and of --avatar. Raises GlsplatError where one says no."""
+    trusted = None if args.trust is None else [public_key(path) for path in args.trust]
+    policy = ConsentPolicy(trusted=trusted, without=args.without_consent)
+    if args.scene is None:
+        policy.add(name, [OnFile(nobody=True)])
+    else:
+        files = dict.fromkeys(path for item, path in scene.sources if is_figure(item.content))
+        policy.add(name, [on_file(path) for path in files], driven=scene.avatar is not None)
+    for path in args.avatar:
+        policy.add(path.stem, [on_file(path)])
+    for one in (name, *(path.stem for path in args.avatar)):
+        policy.check(one, time.time())
+        for line in policy.doubts(one, accounts=args.users is not None):
+            logging.getLogger("glsplat.serve").warning(line)
+    return policy
+
+
+def signing(uploads: UploadConfig | None, policy: ConsentPolicy) -> UploadConfig | None:
+    """``uploads``, so that what is made is signed with a key that this server keeps, and trusts."""
+    if uploads is None:
+        return None
+    key = kept_key(state_folder())
+    policy.trust_own(key.public)
+    return replace(uploads, signed=_Signing(key, policy))
+
+
+class _Signing:
+    def __init__(self, key: PrivateKey, policy: ConsentPolicy) -> None:
+        self._key, self._policy = key, policy
+
+    def __call__(self, name: str, data: bytes, account: str) -> bytes:
+        """The file with a record for the ``account`` that had it made, "" without accounts. On any thread."""
+        today = datetime.now(UTC).date()
+        signed = sign_data(
+            data,
+            self._key,
+            subject=_SUBJECT,
+            given_by=account or _SENDER,
+            purpose=_PURPOSE,
+            start=today,
+            until=today + _LASTS,
+            drivers=[account or ANYBODY],
+        )
+        self._policy.add(name, [on_file_data(signed)])
+        return signed

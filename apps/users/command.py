@@ -1,0 +1,73 @@
+"""``glsplat users``: the accounts of a server. Tokens are printed once, when they are made; the file holds hashes."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+from glsplat.errors import GlsplatError
+from glsplat.formats.files import locked
+from glsplat.net.guard.users import ANY, User, new_user, read_users, write_users
+
+from ..usage import UsageError
+
+HELP = "Add, list and remove the accounts of a server (glsplat serve --users FILE): who may drive and enter what."
+EXAMPLE = "glsplat users add ann --avatars ann,default"
+
+_FILE = Path("users.json")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The subcommands and their options."""
+    commands = parser.add_subparsers(dest="action", required=True, metavar="ACTION")
+    add = commands.add_parser("add", help="an account; prints its token, which nothing prints again")
+    add.add_argument("name", metavar="NAME", help="1 to 32 letters, digits or -_~, the first no sign")
+    add.add_argument("--avatars", metavar="A,B", default=ANY, help="avatars it may drive (default *, all)")
+    add.add_argument("--rooms", metavar="R,S", default=ANY, help="rooms it may enter (default *, all)")
+    listed = commands.add_parser("list", help="the accounts and what they may do")
+    remove = commands.add_parser("remove", help="an account; who is connected by it is put out within a second")
+    remove.add_argument("name", metavar="NAME")
+    for command in (add, listed, remove):
+        command.add_argument("--users", type=Path, default=_FILE, metavar="FILE", help=f"of accounts (default {_FILE})")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run the chosen action; 0 on success. Raises GlsplatError naming the file."""
+    path: Path = args.users
+    if args.action == "list":
+        for user in read_users(path).values():
+            print(f"{user.name}: avatars {_said(user.avatars)}; rooms {_said(user.rooms)}")
+        return 0
+    if not path.parent.is_dir():
+        raise GlsplatError(f"{path}: there is no folder {path.parent}; create it first")
+    with locked(path.with_name(f".{path.name}.lock"), 5.0):  # of two that add at once none is lost
+        users = read_users(path) if path.exists() or args.action == "remove" else {}
+        return _add(args, path, users) if args.action == "add" else _remove(args, path, users)
+
+
+def _add(args: argparse.Namespace, path: Path, users: dict[str, User]) -> int:
+    if args.name in users:
+        raise UsageError(f"{path}: there is an account {args.name!r} already; remove it first for another token")
+    user, token = new_user(args.name, _names(args.avatars), _names(args.rooms))
+    write_users(path, users | {user.name: user})
+    print(f"{path}: {user.name}, avatars {_said(user.avatars)}; rooms {_said(user.rooms)}; its token:", file=sys.stderr)
+    print(token)
+    return 0
+
+
+def _remove(args: argparse.Namespace, path: Path, users: dict[str, User]) -> int:
+    if args.name not in users:
+        raise UsageError(f"{path}: there is no account {args.name!r:.50}; there are {', '.join(users) or 'none'}")
+    del users[args.name]
+    write_users(path, users)
+    print(f"{path}: {args.name} is removed")
+    return 0
+
+
+def _names(text: str) -> list[str]:
+    return [name.strip() for name in text.split(",")] if text.strip() else []
+
+
+def _said(names: tuple[str, ...]) -> str:
+    return "all" if ANY in names else ", ".join(names) or "none"

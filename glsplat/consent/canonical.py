@@ -1,0 +1,52 @@
+"""The JSON of a .glb and the record of consent in it: the bytes that are signed, and what is hashed of the file."""
+
+from __future__ import annotations
+
+import copy
+import hashlib
+import json
+from typing import Any
+
+from glsplat.errors import FormatError
+
+__all__ = ["CONSENT", "canonical", "file_digest", "record_of", "without_record"]
+
+CONSENT = "consent"
+"""In asset.extras.glsplat: the record, an object; files without one may have a line of text there."""
+
+
+def canonical(value: Any) -> bytes:
+    """JSON with sorted keys, without spaces, in UTF-8. Raises FormatError for text that is not Unicode."""
+    try:
+        return json.dumps(value, sort_keys=True, separators=(",", ":"), ensure_ascii=False).encode()
+    except (UnicodeEncodeError, RecursionError):
+        raise FormatError("needs JSON of Unicode text that is not nested too deeply") from None
+
+
+def file_digest(document: dict[str, Any], rest: bytes) -> str:
+    """SHA-256 (hex) of ``canonical`` of a .glb's JSON without its record, a zero byte, and ``rest``, all behind it."""
+    return hashlib.sha256(canonical(without_record(document)) + b"\0" + rest).hexdigest()
+
+
+def record_of(document: dict[str, Any]) -> Any:
+    """The record in the JSON of a file; a line of text in some, None where there is neither."""
+    found: Any = document
+    for key in ("asset", "extras", "glsplat", CONSENT):
+        found = found.get(key) if isinstance(found, dict) else None
+    return found
+
+
+def without_record(document: dict[str, Any]) -> dict[str, Any]:
+    """A copy of the JSON that has neither the record nor what is empty without it."""
+    out = dict(document)
+    asset = out.get("asset")
+    if isinstance(asset, dict) and isinstance(asset.get("extras"), dict):
+        asset = out["asset"] = copy.deepcopy(asset)
+        note = asset["extras"].get("glsplat")
+        if isinstance(note, dict):
+            note.pop(CONSENT, None)
+            if not note:
+                del asset["extras"]["glsplat"]
+        if not asset["extras"]:
+            del asset["extras"]
+    return out

@@ -1,0 +1,47 @@
+"""SHA-256 of the arrays that a file shows: what a person looks like close by."""
+
+from __future__ import annotations
+
+import hashlib
+
+from glsplat.errors import FormatError
+from glsplat.formats.gltf.container import Container
+from glsplat.formats.gltf.levels import LOD, finest_of
+from glsplat.formats.gltf.nodes import Instance, graph_of, instances
+from glsplat.formats.gltf.primitive import EXTENSION, packed_view
+
+__all__ = ["level_digest"]
+
+_TYPES = ("SCALAR", "VEC2", "VEC3", "VEC4", "MAT2", "MAT3", "MAT4")
+
+
+def level_digest(container: Container) -> tuple[str, bool]:
+    """SHA-256 (hex) of the attribute arrays of level 0, and whether the file shows anything besides.
+
+    Of each primitive with splats, in the order in which the default scene shows them, the bytes of each attribute in
+    the order in which the file lists them, each element at its place in the array and without padding; of splats in
+    SPZ the packed bytes. Without splats the same of the triangles. Raises FormatError for arrays that are not there.
+    """
+    gltf = container.gltf
+    graph = graph_of(gltf)
+    every = list(instances(gltf, graph.world))
+    splats = [one for one in every if EXTENSION in one.primitive.extensions]
+    found = finest_of(splats) if splats else every
+    if not found:
+        raise FormatError("shows nothing that could be hashed")
+    digest, seen = hashlib.sha256(), set()
+    for one in found:
+        if id(one.primitive) not in seen:  # two nodes may show one mesh
+            seen.add(id(one.primitive))
+            for part in _arrays(container, one):
+                digest.update(part)
+    alone = len(found) == len(every) and bool(splats) and not any(LOD in one.node.extensions for one in found)
+    return digest.hexdigest(), not alone
+
+
+def _arrays(container: Container, one: Instance) -> list[bytes]:
+    view = packed_view(one.primitive.extensions[EXTENSION], one.name) if EXTENSION in one.primitive.extensions else None
+    if view is not None:
+        return [container.view(view, one.name)]
+    read = container.read
+    return [read(index, f"{one.name} {key}", _TYPES).tobytes() for key, index in one.primitive.attributes.items()]

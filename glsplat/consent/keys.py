@@ -1,0 +1,128 @@
+"""Ed25519 keys (RFC 8032) in PEM files. ``cryptography`` is imported where it is used: it takes its time."""
+
+from __future__ import annotations
+
+import os
+import re
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from glsplat.errors import FormatError
+from glsplat.formats.files import naming, open_regular, replace_file
+
+if TYPE_CHECKING:
+    from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+
+__all__ = ["PrivateKey", "new_key", "private_key", "public_key", "public_path", "short", "signature_of", "signed_by"]
+
+_LARGEST = 1 << 14  # bytes of a key file
+_HEX = re.compile(r"[0-9a-f]{64}")
+
+
+@dataclass(frozen=True, slots=True)
+class PrivateKey:
+    """What signs; ``public`` is what its signatures are checked with, 64 hexadecimal digits."""
+
+    public: str
+    secret: Ed25519PrivateKey = field(repr=False)
+
+
+def short(key: str) -> str:
+    """The beginning of a public key, for a line in which the whole would not be read."""
+    return f"{key[:16]}..."
+
+
+def public_path(path: Path) -> Path:
+    """Where the public key of a private key lies: beside it."""
+    return path.with_name(f"{path.name}.pub")
+
+
+def new_key(path: Path) -> PrivateKey:
+    """Make a key: the private one (PEM, PKCS #8) for nobody else to read, the public one (PEM) beside it.
+
+    Raises FormatError where one of the two files is there already, or cannot be written.
+    """
+    from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+    from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat, PublicFormat
+
+    beside = public_path(path)
+    for one in (path, beside):
+        if os.path.lexists(one):
+            raise FormatError(f"{one}: exists, and a key is never written over; give another name")
+    secret = Ed25519PrivateKey.generate()
+    text = secret.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption())
+    try:
+        descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)  # of two that start, one is refused
+        with os.fdopen(descriptor, "wb") as file:
+            file.write(text)
+    except OSError as error:
+        raise FormatError(f"{path}: cannot be written ({error.strerror})") from None
+    replace_file(beside, [secret.public_key().public_bytes(Encoding.PEM, PublicFormat.SubjectPublicKeyInfo)])
+    return _private(secret)
+
+
+def private_key(path: Path) -> PrivateKey:
+    """The key in a file. Raises FormatError for anything but an Ed25519 private key in PEM without a passphrase."""
+    from cryptography.exceptions import UnsupportedAlgorithm
+    from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+    from cryptography.hazmat.primitives.serialization import load_pem_private_key
+
+    try:
+        key = load_pem_private_key(_read(path), None)
+    except (ValueError, TypeError, UnsupportedAlgorithm):  # no PEM, a passphrase, a curve that is not known
+        key = None
+    if not isinstance(key, Ed25519PrivateKey):
+        raise FormatError(
+            f"{path}: expected an Ed25519 private key (PEM, without a passphrase); make one with --new-key"
+        )
+    return _private(key)
+
+
+def public_key(path: Path) -> str:
+    """The public key in a file (PEM, or its 64 hexadecimal digits), as digits. Raises FormatError naming the file."""
+    from cryptography.exceptions import UnsupportedAlgorithm
+    from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
+    from cryptography.hazmat.primitives.serialization import load_pem_public_key
+
+    data = _read(path)
+    text = data.decode("ascii", "replace").strip()
+    if _HEX.fullmatch(text):
+        return text
+    if "PRIVATE KEY" in text:
+        raise FormatError(f"{path}: a private key; give the public one, {public_path(path).name}, and keep this to you")
+    try:
+        key = load_pem_public_key(data)
+    except (ValueError, UnsupportedAlgorithm):
+        key = None
+    if not isinstance(key, Ed25519PublicKey):
+        raise FormatError(f"{path}: expected an Ed25519 public key (PEM, or 64 digits of 0-9a-f in one line)")
+    return key.public_bytes_raw().hex()
+
+
+def signature_of(key: PrivateKey, data: bytes) -> str:
+    """128 hexadecimal digits."""
+    return key.secret.sign(data).hex()
+
+
+def signed_by(key: str, signature: str, data: bytes) -> bool:
+    """Whether the private key of the public ``key`` made ``signature``, both hexadecimal, over ``data``."""
+    from cryptography.exceptions import InvalidSignature
+    from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
+
+    try:
+        Ed25519PublicKey.from_public_bytes(bytes.fromhex(key)).verify(bytes.fromhex(signature), data)
+    except (InvalidSignature, ValueError):  # also a key that is no point of the curve
+        return False
+    return True
+
+
+def _private(secret: Ed25519PrivateKey) -> PrivateKey:
+    return PrivateKey(secret.public_key().public_bytes_raw().hex(), secret)
+
+
+def _read(path: Path) -> bytes:
+    with naming(path), open_regular(path) as (file, size):
+        if size > _LARGEST:
+            raise FormatError(f"a key file has at most {_LARGEST} bytes, this one {size}")
+        return file.read()

@@ -1,0 +1,209 @@
+"""Accounts: who may come in by name, which avatars each may drive, and which rooms enter. Kept in a JSON file.
+
+A token is NAME.SECRET, so that one account is looked up and one hash is taken; of a name that is not there as well, so
+that the time an answer takes tells nothing. The file holds hashes (scrypt, RFC 7914) and is read again when it changes.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import base64
+import hashlib
+import hmac
+import logging
+import os
+import re
+import secrets
+import time
+from collections import OrderedDict
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import msgspec
+
+from glsplat.errors import FormatError, GlsplatError
+from glsplat.formats.files import naming, open_regular, replace_file
+
+__all__ = ["ANY", "Accounts", "User", "new_user", "read_users", "write_users"]
+
+ANY = "*"
+"""In a list of avatars or rooms: all of them."""
+
+_VERSION = 1
+_N, _R, _P, _SALT, _HASH = 2**14, 8, 1, 16, 32  # of scrypt: 16 MiB, some 50 ms; all accounts alike, so that all take it
+_SECRET = 18  # bytes of chance in a token, 144 bits
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_~-]{0,31}")
+_LONGEST = 64  # characters of an avatar's or a room's name
+_LARGEST = 1 << 20  # bytes of the file
+_MOST_KNOWN = 1024  # tokens that were verified and are remembered
+_LOOK = 1.0  # seconds between two looks at the file, while nobody comes in
+
+log: logging.Logger = logging.getLogger("glsplat.net")
+
+
+@dataclass(frozen=True, slots=True)
+class User:
+    """One account. ``avatars`` and ``rooms`` are names, or ``ANY``."""
+
+    name: str
+    avatars: tuple[str, ...] = (ANY,)
+    rooms: tuple[str, ...] = (ANY,)
+    salt: bytes = field(default=b"", repr=False)
+    hash: bytes = field(default=b"", repr=False)  # scrypt of the whole token
+
+    def may_drive(self, avatar: str) -> bool:
+        """Whether the account may be shown, and drive, the avatar of that name."""
+        return ANY in self.avatars or avatar in self.avatars
+
+    def may_enter(self, room: str) -> bool:
+        """Whether the account may enter the room of that name; a name that looks like a path is none."""
+        return _is_name(room) and (ANY in self.rooms or room in self.rooms)
+
+
+class _Entry(msgspec.Struct, forbid_unknown_fields=True):
+    name: str
+    salt: str
+    scrypt: str
+    avatars: list[str]
+    rooms: list[str]
+
+
+class _File(msgspec.Struct, forbid_unknown_fields=True):
+    version: int
+    users: list[_Entry]
+
+
+def new_user(name: str, avatars: Iterable[str] = (ANY,), rooms: Iterable[str] = (ANY,)) -> tuple[User, str]:
+    """An account and its token, which is nowhere else. Raises GlsplatError for names that cannot be."""
+    token = f"{name}.{secrets.token_urlsafe(_SECRET)}"
+    salt = secrets.token_bytes(_SALT)
+    user = User(name, tuple(dict.fromkeys(avatars)), tuple(dict.fromkeys(rooms)), salt, _hashed(token, salt))
+    _check(user)
+    return user, token
+
+
+def read_users(path: Path) -> dict[str, User]:
+    """The accounts in a file, by name. Raises FormatError naming it, in a line that says nothing of any hash."""
+    with naming(path), open_regular(path) as (file, size):
+        if size > _LARGEST:
+            raise FormatError(f"a file of accounts has at most {_LARGEST} bytes, this one {size}")
+        try:
+            held = msgspec.json.decode(file.read(), type=_File)
+        except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
+            raise FormatError(f"no file of accounts of 'glsplat users': {str(error)[:120]}") from None
+        if held.version != _VERSION:
+            raise FormatError(f"expected accounts of version {_VERSION}, found {held.version}")
+        users: dict[str, User] = {}
+        for entry in held.users:
+            salt, hashed = _bytes(entry.salt, _SALT), _bytes(entry.scrypt, _HASH)
+            if salt is None or hashed is None:
+                raise FormatError("an account's salt or hash is damaged; remove it and add it again")
+            user = User(entry.name, tuple(entry.avatars), tuple(entry.rooms), salt, hashed)
+            _check(user)
+            if user.name in users:
+                raise FormatError(f"there are two accounts {user.name!r}; remove one")
+            users[user.name] = user
+        return users
+
+
+def write_users(path: Path, users: Mapping[str, User]) -> None:
+    """Write a file of accounts that nobody else can read. Raises FormatError; then it is as it was."""
+    entries = [
+        _Entry(u.name, base64.b64encode(u.salt).decode(), base64.b64encode(u.hash).decode(), [*u.avatars], [*u.rooms])
+        for u in users.values()
+    ]
+    text = msgspec.json.format(msgspec.json.encode(_File(_VERSION, entries)), indent=1)
+    replace_file(path, [text, b"\n"], private=True)
+
+
+class Accounts:
+    """The accounts of a running server. Belongs to one event loop. Raises GlsplatError where the file is broken."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._seen = _stamp(path)
+        self._users = read_users(path)
+        self._looked = time.monotonic()
+        self._secret = secrets.token_bytes(32)  # of this process: what is remembered of tokens is no use elsewhere
+        self._known: OrderedDict[bytes, str] = OrderedDict()
+        self._nobody = User("", (), (), secrets.token_bytes(_SALT), secrets.token_bytes(_HASH))
+
+    def __repr__(self) -> str:
+        return f"Accounts({len(self._users)} of {self._path})"
+
+    def known(self, token: str) -> User | None:
+        """Whose token it is, if it was verified before and the file is the same since."""
+        self._refresh()
+        name = self._known.get(self._mark(token))
+        return None if name is None else self._users.get(name)
+
+    async def verified(self, token: str) -> User | None:
+        """Whose token it is, by its hash, taken on a thread; None: nobody's."""
+        name = token.partition(".")[0]
+        asked = self._users.get(name, self._nobody)
+        hashed = await asyncio.to_thread(_hashed, token, asked.salt)
+        right = hmac.compare_digest(hashed, asked.hash)
+        user = self._users.get(name)
+        if not right or user is None or user.hash != asked.hash:  # the file may have changed meanwhile
+            return None
+        self._known[self._mark(token)] = name
+        if len(self._known) > _MOST_KNOWN:
+            self._known.popitem(last=False)
+        return user
+
+    def holds(self, user: User) -> bool:
+        """False once the account was removed, or its token or rights are others. Looks at the file now and then."""
+        if time.monotonic() - self._looked > _LOOK:
+            self._refresh()
+        return self._users.get(user.name) == user
+
+    def _refresh(self) -> None:
+        self._looked = time.monotonic()
+        seen = _stamp(self._path)
+        if seen == self._seen:
+            return
+        self._seen = seen
+        try:
+            self._users = read_users(self._path)
+            self._known.clear()
+        except GlsplatError as error:
+            log.error("%s; the accounts that were read before stay", error)
+
+    def _mark(self, token: str) -> bytes:
+        return hmac.digest(self._secret, token.encode(errors="replace"), "sha256")
+
+
+def _hashed(token: str, salt: bytes) -> bytes:
+    return hashlib.scrypt(token.encode(errors="replace"), salt=salt, n=_N, r=_R, p=_P, dklen=_HASH)
+
+
+def _check(user: User) -> None:
+    if not _NAME.fullmatch(user.name):
+        raise FormatError(f"an account's name is 1 to 32 letters, digits or -_~, no sign first, not {user.name!r:.50}")
+    for what, names in (("avatar", user.avatars), ("room", user.rooms)):
+        for name in names:
+            if name != ANY and not _is_name(name):
+                raise FormatError(f"{user.name}: no name of {what}s: {name!r:.50}; give names, or {ANY} for all")
+
+
+def _is_name(name: str) -> bool:
+    """Names as servers give them to avatars and rooms: printable, and never a path."""
+    whole = 0 < len(name) <= _LONGEST and name.isprintable() and name.strip() == name
+    return whole and not name.startswith(".") and "/" not in name and "\\" not in name
+
+
+def _bytes(text: str, count: int) -> bytes | None:
+    try:
+        data = base64.b64decode(text, validate=True)
+    except ValueError:
+        return None
+    return data if len(data) == count else None
+
+
+def _stamp(path: Path) -> tuple[int, int, int] | None:
+    try:
+        info = os.stat(path)
+    except OSError:
+        return None
+    return info.st_mtime_ns, info.st_size, info.st_ino

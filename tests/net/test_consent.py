@@ -1,0 +1,128 @@
+"""Consent on a running server: who comes in, and what happens to a session while it ends."""
+
+from __future__ import annotations
+
+import asyncio
+from dataclasses import replace
+
+import aiohttp
+import pytest
+
+from glsplat.consent.document import Consent
+from glsplat.consent.file import OnFile
+from glsplat.consent.policy import ConsentPolicy
+from glsplat.errors import ProtocolError
+from glsplat.net.backend import Offered
+from glsplat.net.backends.server import make_server
+from glsplat.net.client import Client
+from glsplat.net.guard import rights
+from glsplat.net.guard.access import Access
+from glsplat.net.guard.users import Accounts, new_user, write_users
+from glsplat.net.server import ServerConfig
+from tests.net.guard.test_accounts import WS
+from tests.scenes import limb
+
+CONSENT = Consent(
+    **{"subject": "Ann", "given_by": "Ann", "purpose": "a test", "key": "0" * 64},
+    **{"begins": 1000.0, "ends": 2000.0, "drivers": frozenset("*"), "splats_sha256": "0" * 64, "file_sha256": None},
+)
+
+
+class Clock:
+    now = 1500.0
+
+    def time(self):
+        return self.now
+
+
+@pytest.fixture
+def clock(monkeypatch):
+    clock = Clock()
+    monkeypatch.setattr(rights, "time", clock)
+    return clock
+
+
+def config(people, **more):
+    policy = ConsentPolicy()
+    policy.add("ann", people)
+    return ServerConfig(port=0, consent=policy, **more)
+
+
+async def refused(server, token=""):
+    """Status and text of the answer to a handshake; no client is let in."""
+    with pytest.raises(ProtocolError, match="403"):
+        async with Client(server.url, token or None):
+            pass
+    headers = WS | ({"Authorization": f"Bearer {token}"} if token else {})
+    url = f"http://127.0.0.1:{server.port}/ws"
+    async with aiohttp.ClientSession() as http, http.get(url, headers=headers) as answer:
+        return answer.status, await answer.text()
+
+
+def test_a_session_ends_when_the_consent_does(serve, fake_backend, cameras, clock):
+    async def main():
+        backend = fake_backend()
+        async with serve(backend, config([OnFile(CONSENT)]), offered=[Offered(name="ann")]) as server:
+            async with Client(server.url) as client:
+                for _ in range(3):
+                    await client.render(cameras)
+                clock.now = 2000.0
+                drawn = len(backend.drawn)
+                with pytest.raises(ProtocolError) as told:
+                    await client.render(cameras)
+                await asyncio.sleep(0.1)
+                assert len(backend.drawn) == drawn == 3 and not server.stats()["clients"]
+            return told.value, await refused(server)
+
+    error, (status, why) = asyncio.run(main())
+    assert status == 403 and "ended on 1970-01-01" in why
+    assert error.code == "not_allowed" and "ended on 1970-01-01" in str(error)
+
+
+@pytest.mark.parametrize(
+    ("people", "why"),
+    [
+        ([], ""),
+        ([OnFile(nobody=True)], ""),
+        ([OnFile(CONSENT)], ""),
+        ([OnFile(fault="no consent on file")], "no consent on file"),
+        ([OnFile(CONSENT), OnFile(fault="no consent on file")], "no consent on file"),
+        ([OnFile(replace(CONSENT, begins=1600.0))], "begins"),
+        ([OnFile(replace(CONSENT, drivers=frozenset(["bob"])))], "that is not you"),
+    ],
+)
+def test_who_comes_in(serve, cameras, clock, people, why):
+    async def main():
+        async with serve(config=config(people), offered=[Offered(name="ann")]) as server:
+            if why:
+                return await refused(server)
+            async with Client(server.url) as client:
+                return (await client.render(cameras)).frame_id
+
+    if why:
+        status, text = asyncio.run(main())
+        assert status == 403 and why in text and text.count("\n") == 1
+    else:
+        assert asyncio.run(main()) == 1
+
+
+def test_drivers_are_accounts(serve, cameras, clock, tmp_path):
+    made = {name: new_user(name) for name in ("ann", "bob")}
+    write_users(tmp_path / "users.json", {name: user for name, (user, _) in made.items()})
+    access = Access(accounts=Accounts(tmp_path / "users.json"))
+    people = [OnFile(replace(CONSENT, drivers=frozenset(["bob"])))]
+
+    async def main():
+        async with serve(config=config(people, access=access), offered=[Offered(name="ann")]) as server:
+            async with Client(server.url, made["bob"][1]) as client:
+                await client.render(cameras)
+            return await refused(server, made["ann"][1])
+
+    status, text = asyncio.run(main())
+    assert status == 403 and "that is not you" in text and "bob" not in text
+
+
+def test_a_program_that_makes_a_server_is_not_asked():
+    assert make_server(limb(20)).config.consent is None
+    policy = ConsentPolicy()
+    assert make_server(limb(20), consent=policy).config.consent is policy

@@ -1,0 +1,103 @@
+"""What is made of a photograph has a record of the server's own; accounts own what they had made."""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+from dataclasses import replace
+
+import aiohttp
+import pytest
+
+from apps.serve.agreed import add_consent, signing
+from glsplat.consent.file import on_file
+from glsplat.consent.keys import private_key
+from glsplat.consent.policy import ConsentPolicy
+from glsplat.errors import ProtocolError
+from glsplat.formats import save
+from glsplat.net.backends.server import make_server
+from glsplat.net.client import Client
+from glsplat.net.guard.access import Access
+from glsplat.net.guard.users import Accounts, new_user, write_users
+from glsplat.net.server import ServerConfig
+from glsplat.net.uploads.job import UploadConfig
+from glsplat.net.uploads.routes import Uploads
+from tests.net.uploads.conftest import described
+from tests.net.uploads.makers import PICTURE, make
+from tests.scenes import limb
+
+
+@pytest.fixture
+def made(tmp_path, state):
+    """A server's configuration of uploads, its policy, and two accounts of which each may drive nothing by its list."""
+    accounts = {name: new_user(name, []) for name in ("ann", "bob")} | {"boss": new_user("boss")}
+    write_users(tmp_path / "users.json", {name: user for name, (user, _) in accounts.items()})
+    policy = ConsentPolicy(trusted=[])
+    uploads = signing(UploadConfig(folder=tmp_path / "avatars", make=make), policy)
+    config = ServerConfig(port=0, access=Access(accounts=Accounts(tmp_path / "users.json")))
+    return uploads, policy, config, {name: token for name, (_, token) in accounts.items()}
+
+
+def test_whoever_had_it_made_drives_and_deletes_it_alone(serve, made, state):
+    uploads, policy, config, tokens = made
+
+    async def main():
+        async with serve(config=replace(config, consent=policy), uploads=Uploads(uploads, described)) as server:
+            uploads.folder.mkdir()
+            async with aiohttp.ClientSession() as http:
+                origin = f"http://127.0.0.1:{server.port}"
+
+                async def ask(method, path, who, data=None):
+                    headers = {"Authorization": f"Bearer {tokens[who]}", "Content-Type": "image/jpeg"}
+                    async with http.request(method, f"{origin}{path}", headers=headers, data=data) as answer:
+                        there = answer.content_type == "application/json"
+                        return answer.status, await (answer.json() if there else answer.text())
+
+                async def names(who):
+                    return [one["name"] for one in (await ask("GET", "/session", who))[1]["avatars"]]
+
+                name = (await ask("POST", "/avatars?consent=yes", "ann", PICTURE))[1]["name"]
+                while (await ask("GET", f"/avatars/{name}", "ann"))[1]["state"] != "done":
+                    await asyncio.sleep(0.05)
+                offered = {who: await names(who) for who in tokens}
+                async with Client(server.url, tokens["ann"], avatar=name):
+                    pass
+                for who in ("bob", "boss"):
+                    with pytest.raises(ProtocolError, match="403"):
+                        async with Client(server.url, tokens[who], avatar=name):
+                            pass
+                refused = [(await ask("DELETE", f"/avatars/{name}", who))[0] for who in ("bob", "boss")]
+                found = on_file(uploads.folder / f"{name}.glb")
+                deleted = (await ask("DELETE", f"/avatars/{name}", "ann"))[0]
+                return name, offered, refused, found, deleted
+
+    name, offered, refused, found, deleted = asyncio.run(main())
+    assert offered["ann"] == [name] and offered["bob"] == offered["boss"] == []
+    assert refused == [403, 403] and deleted == 204
+    consent = found.consent
+    assert found.fault == "" and consent.given_by == "ann" and consent.drivers == {"ann"}
+    assert consent.key == private_key(state / "glsplat" / "consent-key").public
+    assert 364 < (consent.ends - consent.begins) / 86400 < 367
+    assert (state / "glsplat" / "consent-key").stat().st_mode & 0o777 == 0o600
+
+
+def test_what_lies_there_without_a_record_is_left_out_with_a_line(tmp_path, made, caplog):
+    uploads, policy, config, _ = made
+    uploads.folder.mkdir()
+    save(limb(20), uploads.folder / "old.glb")
+    (uploads.folder / "new.glb").write_bytes(uploads.signed("new", (uploads.folder / "old.glb").read_bytes(), ""))
+    server = make_server(limb(20), config, uploads=uploads, consent=policy)
+    assert server._offers.names == ("default", "new")
+    assert [("old.glb: left out" in line, line.count("\n")) for line in caplog.messages[:1]] == [(True, 0)]
+    assert not any("consent" in line for line in caplog.messages[1:])
+    shown = ConsentPolicy(without=True)
+    server = make_server(limb(20), config, uploads=uploads, consent=shown)
+    assert set(server._offers.names) == {"default", "new", "old"} and shown.label("old") == "no consent on file"
+
+
+def test_without_a_policy_nothing_is_signed(tmp_path):
+    parser = argparse.ArgumentParser()
+    add_consent(parser)
+    assert parser.parse_args([]).trust is None and not parser.parse_args([]).without_consent
+    assert signing(None, ConsentPolicy()) is None
+    assert UploadConfig(folder=tmp_path, make=make).signed is None
