@@ -204,6 +204,6 @@ def test_a_server_says_it_before_it_listens(
     with caplog.at_level(logging.WARNING), pytest.raises(StopError):
         parser = argparse.ArgumentParser()
         serve.add_arguments(parser)
-        serve.run(parser.parse_args([name]))
+        serve.run(parser.parse_args([name, "--without-consent"]))
     (line,) = [record.getMessage() for record in caplog.records]
     assert line.startswith(f'"{Path(name).stem}": ') and text in line

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import struct
 from dataclasses import replace
@@ -261,3 +262,16 @@ def test_keys_are_private_and_never_written_over(tmp_path):
         (tmp_path / "junk").write_bytes(b"\xff junk")
         with pytest.raises(FormatError, match="junk: expected an Ed25519"):
             reader(tmp_path / "junk")
+
+
+def test_the_hashes_can_be_taken_by_others(signed):
+    """As docs/consent.md says, with nothing of ours."""
+    document, rest = parts(signed.read_bytes())
+    record = note(document).pop("consent")
+    chunk, arrays = rest[8:], hashlib.sha256()
+    for index in document["meshes"][0]["primitives"][0]["attributes"].values():
+        view = document["bufferViews"][document["accessors"][index]["bufferView"]]
+        arrays.update(chunk[view.get("byteOffset", 0) :][: view["byteLength"]])
+    text = json.dumps(document, sort_keys=True, separators=(",", ":"), ensure_ascii=False).encode()
+    assert record["splats_sha256"] == arrays.hexdigest()
+    assert record["file_sha256"] == hashlib.sha256(text + b"\0" + rest).hexdigest()

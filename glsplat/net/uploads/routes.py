@@ -100,8 +100,9 @@ class Uploads:
             return web.Response(status=403, text="only avatars that were made here can be deleted\n")
         job = self._workshop.find(name)
         user = user_of(request)
-        theirs = job is not None and job.ended is None and user is not None and job.account != user.name
-        if theirs or not self._door.rights.may_delete(user, name):
+        own = user is None or (job is not None and job.account == user.name)
+        under_way = job is not None and job.ended is None  # nothing tells yet whose it is, but the job
+        if not own and (under_way or not self._door.rights.may_delete(user, name)):
             return web.Response(status=403, text="only who had an avatar made here can delete it\n")
         if job is not None:
             self._workshop.cancel(job)

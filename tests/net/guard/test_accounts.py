@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import base64
 import logging
+import time
 from dataclasses import replace
 
 import aiohttp
@@ -15,7 +16,7 @@ from hypothesis import strategies as st
 from glsplat.errors import ProtocolError
 from glsplat.net.backend import Offered
 from glsplat.net.client import Client
-from glsplat.net.guard import users
+from glsplat.net.guard import door, users
 from glsplat.net.guard.access import Access
 from glsplat.net.guard.rights import Rights
 from glsplat.net.guard.users import Accounts, User, new_user, write_users
@@ -192,3 +193,22 @@ def test_one_token_is_as_before(serve, cameras):
                 return (await client.render(cameras)).frame_id
 
     assert asyncio.run(main()) == 1
+
+
+def test_only_so_many_tokens_wait_to_be_looked_at(serve, made, monkeypatch):
+    """And who was let in before does not wait behind them."""
+    config, tokens, _ = made
+    hashed = users._hashed
+    monkeypatch.setattr(door, "_MOST_LOGINS", 2)
+
+    async def main():
+        async with serve(config=config, offered=OFFERED) as server:
+            first = (await get(server, "/session", tokens["boss"]))[0]
+            monkeypatch.setattr(users, "_hashed", lambda *words: time.sleep(0.2) or hashed(*words))
+            waiting = [asyncio.create_task(get(server, "/session", f"eve.guess{i}")) for i in range(4)]
+            await asyncio.sleep(0.05)
+            known = (await get(server, "/session", tokens["boss"]))[0]
+            assert not all(task.done() for task in waiting)
+            return first, known, sorted([status for status, _ in await asyncio.gather(*waiting)])
+
+    assert asyncio.run(main()) == (200, 200, [401, 401, 429, 429])

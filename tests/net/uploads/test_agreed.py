@@ -69,6 +69,9 @@ def test_whoever_had_it_made_drives_and_deletes_it_alone(serve, made, state):
                 refused = [(await ask("DELETE", f"/avatars/{name}", who))[0] for who in ("bob", "boss")]
                 found = on_file(uploads.folder / f"{name}.glb")
                 deleted = (await ask("DELETE", f"/avatars/{name}", "ann"))[0]
+                slow = (await ask("POST", "/avatars?consent=yes", "ann", b"\xff\xd8 wait"))[1]["name"]
+                given_up = [(await ask("DELETE", f"/avatars/{slow}", who))[0] for who in ("bob", "boss", "ann")]
+                assert given_up == [403, 403, 204]
                 return name, offered, refused, found, deleted
 
     name, offered, refused, found, deleted = asyncio.run(main())
