@@ -20,6 +20,8 @@ from glsplat.net.messages import PARTS
 from glsplat.net.server import Server, ServerConfig
 from glsplat.net.uploads.job import UploadConfig
 from glsplat.net.uploads.routes import Uploads
+from glsplat.net.workers.farm import Farm
+from glsplat.net.workers.options import Workers
 from glsplat.scene import Figure, Shown, is_figure
 from glsplat.skinning.rigs.driven import why_not_driven, why_not_tracked
 from glsplat.tracking.calibration import EYES_OF_STATURE, Calibration
@@ -45,6 +47,7 @@ def make_server(
     avatars: Mapping[str, Figure] | None = None,  # others that clients may choose, by name
     uploads: UploadConfig | None = None,  # lets clients have avatars made of photographs; None: they may not
     solver: SolverName = SOLVERS[0],  # what guesses the body of users who send head and hands
+    workers: Workers | None = None,  # that draw and encode instead (docs/scaling.md)
 ) -> Server:
     """A server that draws ``scene`` with OpenGL, and solves tracking if its one avatar has SMPL-X's rig.
 
@@ -53,7 +56,8 @@ def make_server(
     The motions of a scene file play on the server's clock. Clients see the scene, or whom of ``avatars`` they name in
     their address (/ws?avatar=NAME); each is posed and tracked by its own skeleton. Of ``uploads`` the folder's avatars
     are offered from the start, those made later as they come. ``own_process`` draws in a process of its own, else in a
-    thread. Nothing else is opened before ``await server.start()`` or ``await server.run()``::
+    thread; with ``workers`` they draw, and the processes of this machine take turns with the devices that ``device``
+    names, with commas between. Nothing else is opened before ``await server.start()`` or ``await server.run()``::
 
         asyncio.run(make_server(glsplat.load("me.glb"), ServerConfig(port=8000)).run())
     """
@@ -72,10 +76,18 @@ def make_server(
         offers += kept
     for one in offers:
         _say(one)
-    draw = partial(RendererBackend, file.scene, config.wire.size, device, rendering, *budget, avatars=choices)
+    devices = [device] if workers is None or device is None else device.split(",")
+    draws = [
+        partial(RendererBackend, file.scene, config.wire.size, one, rendering, *budget, avatars=choices)
+        for one in devices
+    ]
     if file.motions:  # in one pickle with the scene, so that the items are the same
-        draw = partial(draw, pose_at=file.pose_at)
-    backend: Backend = ProcessBackend(draw, config.wire.max_side, budget[1]) if own_process else draw()
+        draws = [partial(draw, pose_at=file.pose_at) for draw in draws]
+    backend: Backend | Farm
+    if workers is not None:
+        backend = workers.farm([partial(draw, name=name) for draw in draws], config.fps, budget[1])
+    else:
+        backend = ProcessBackend(draws[0], config.wire.max_side, budget[1]) if own_process else draws[0]()
     return Server(backend, config, offers, takes)
 
 

@@ -94,10 +94,15 @@ class RayPlace:
         self.name: str = name
         self._cluster = cluster
         self._actor: str | None = None
+        self._connection: socket.socket | None = None  # until it is handed over
+        self._starting = threading.Lock()
 
     async def start(self) -> tuple[socket.socket, bytes]:
         """Have Ray start an actor, and connect to it. Raises ContextError, WorkerLostError."""
-        return await asyncio.to_thread(self._start)
+        key = await asyncio.to_thread(self._start)
+        connection, self._connection = self._connection, None
+        assert connection is not None
+        return connection, key
 
     async def cause(self) -> tuple[str, bool]:
         """Not known: who ends an actor's process, and whether its machine is there, Ray knows seconds later."""
@@ -105,21 +110,37 @@ class RayPlace:
 
     async def end(self, seconds: float) -> None:
         """Wait for the actor to end of itself, then have Ray end it."""
-        actor, self._actor = self._actor, None
+        await asyncio.to_thread(self._end, seconds)
+
+    def _end(self, seconds: float) -> None:
+        with self._starting:  # where nobody waits for what is being started any more
+            connection, self._connection = self._connection, None
+            actor, self._actor = self._actor, None
+        if connection is not None:
+            connection.close()
         if actor is not None:
             with suppress(GlsplatError):
-                await asyncio.to_thread(self._cluster.ask, "end", actor, seconds, seconds=seconds + 5.0)
+                self._cluster.ask("end", actor, seconds, seconds=seconds + 5.0)
 
-    def _start(self) -> tuple[socket.socket, bytes]:
+    def _start(self) -> bytes:
+        with self._starting:
+            return self._begin()
+
+    def _begin(self) -> bytes:
         self._actor, address = self._cluster.ask("start")
+        connection: socket.socket | None = None
         try:
             connection = socket.create_connection(address, GREETING)
             connection.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
             if hasattr(socket, "TCP_USER_TIMEOUT"):  # a machine that is gone says nothing
                 connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, _UNHEARD)
-            return connection, greet(connection, self._cluster.secret, worker=False)
+            key = greet(connection, self._cluster.secret, worker=False)
         except (EOFError, OSError) as error:
+            if connection is not None:
+                connection.close()
             raise WorkerLostError(f"an actor at {address[0]}:{address[1]} cannot be reached: {error}") from None
+        self._connection = connection
+        return key
 
 
 class _Driver:
@@ -188,6 +209,7 @@ def _drive(
         ray.init(address, log_to_driver=False, namespace="glsplat", configure_logging=False)
         kind = ray.remote(num_cpus=cpus, num_gpus=gpus, max_restarts=0, max_concurrency=2, lifetime="detached")(_Actor)
         made = ray.put(make)
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)  # Ray has its own idea of it
     except Exception as found:
         error = ContextError(f"Ray cannot be reached: {_line(found)}")
     actors: dict[str, tuple[Any, Any]] = {}
@@ -245,7 +267,9 @@ def _drive(
 
 
 def _line(error: BaseException) -> str:
-    return next((line.strip() for line in str(error).splitlines() if line.strip()), type(error).__name__)[:200]
+    """The last line that says something: before it there may be an actor's traceback."""
+    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
+    return lines[-1][:200] if lines else type(error).__name__
 
 
 # ------------------------------------------------------------------------------------------------ the actor's process
