@@ -12,12 +12,13 @@ from __future__ import annotations
 import asyncio
 import multiprocessing
 import os
+import re
 import secrets
 import signal
 import socket
 import threading
 from collections.abc import Callable
-from concurrent.futures import Future
+from concurrent.futures import Future, InvalidStateError
 from contextlib import suppress
 from importlib.util import find_spec
 from multiprocessing.connection import Connection
@@ -32,9 +33,11 @@ __all__ = ["RayCluster", "RayPlace", "require_ray"]
 
 Address = tuple[str, int]
 
+_HOST = re.compile(r"[\w.-]+:\d+")  # of addresses as Ray takes them
+
 _ROOM = 60.0  # seconds until Ray has room for an actor and its process runs
 _DRIVER = 30.0  # seconds beyond that for the process that speaks with Ray
-_END = 5.0  # seconds that Ray has for ending an actor that is done
+_END = 3.0  # seconds that Ray has for ending an actor that is done, or itself
 _UNHEARD = 2000  # milliseconds in which the other machine's kernel has to confirm what was sent
 
 
@@ -68,17 +71,29 @@ class RayCluster:
         """Workers that the cluster has room for, at least one: by GPUs where they take some, else one a node."""
         return int(self.ask("room"))
 
-    def ask(self, *order: Any, seconds: float = _ROOM + _DRIVER) -> Any:
-        """Have Ray's driver do that, and wait for it. Raises ContextError. From any thread."""
+    def ask(self, *order: Any, pending: Callable[[Future[Any]], None] = lambda _: None) -> Any:
+        """Have Ray's driver do that, and wait for it. Raises ContextError. From any thread.
+
+        ``pending`` is given the answer to come: another thread may end the waiting.
+        """
         with self._lock:
             if self._driver is None or not self._driver.alive:
                 self._driver = _Driver(*self._told, self.secret)
             driver = self._driver
+        answer = driver.ask(order)
+        pending(answer)
         try:
-            return driver.ask(order).result(seconds)
+            return answer.result(_ROOM + _DRIVER)
         except TimeoutError:
             driver.end()
-            raise ContextError(f"Ray did not answer within {seconds:g} s; is its head there?") from None
+            raise ContextError(f"Ray did not answer within {_ROOM + _DRIVER:g} s; is its head there?") from None
+
+    def end(self, actor: str, seconds: float) -> None:
+        """Have Ray end an actor after so long. Without Ray's driver nothing: it ends with its connection."""
+        driver = self._driver
+        if driver is not None and driver.alive:
+            with suppress(TimeoutError, GlsplatError):
+                driver.ask(("end", actor, seconds)).result(seconds + 1.0)
 
     def close(self) -> None:
         """End Ray's driver, and the cluster if it was started for it."""
@@ -96,6 +111,7 @@ class RayPlace:
         self._actor: str | None = None
         self._connection: socket.socket | None = None  # until it is handed over
         self._starting = threading.Lock()
+        self._pending: Future[Any] | None = None  # what Ray was asked last
 
     async def start(self) -> tuple[socket.socket, bytes]:
         """Have Ray start an actor, and connect to it. Raises ContextError, WorkerLostError."""
@@ -113,21 +129,22 @@ class RayPlace:
         await asyncio.to_thread(self._end, seconds)
 
     def _end(self, seconds: float) -> None:
-        with self._starting:  # where nobody waits for what is being started any more
+        if self._pending is not None:  # nobody waits for it any more; an actor without a gateway ends
+            _settle(self._pending, ContextError("the gateway does not want the actor any more"))
+        with self._starting:
             connection, self._connection = self._connection, None
             actor, self._actor = self._actor, None
         if connection is not None:
             connection.close()
         if actor is not None:
-            with suppress(GlsplatError):
-                self._cluster.ask("end", actor, seconds, seconds=seconds + 5.0)
+            self._cluster.end(actor, seconds)
 
     def _start(self) -> bytes:
         with self._starting:
             return self._begin()
 
     def _begin(self) -> bytes:
-        self._actor, address = self._cluster.ask("start")
+        self._actor, address = self._cluster.ask("start", pending=self._wait)
         connection: socket.socket | None = None
         try:
             connection = socket.create_connection(address, GREETING)
@@ -141,6 +158,9 @@ class RayPlace:
             raise WorkerLostError(f"an actor at {address[0]}:{address[1]} cannot be reached: {error}") from None
         self._connection = connection
         return key
+
+    def _wait(self, answer: Future[Any]) -> None:
+        self._pending = answer
 
 
 class _Driver:
@@ -166,31 +186,34 @@ class _Driver:
             try:
                 self._pipe.send((self._number, *order))
             except OSError:
-                future.set_exception(ContextError("Ray's driver has ended; is Ray's head there?"))
+                _settle(future, ContextError("Ray's driver has ended; is Ray's head there?"))
         return future
 
     def end(self) -> None:
         self.alive = False
         with suppress(OSError):
             self._pipe.send(None)
-        self._process.join(5.0)
+        self._process.join(_END)
         self._process.kill()
 
     def _read(self) -> None:
         with suppress(EOFError, OSError):
             while True:
                 number, answer = self._pipe.recv()
-                future = self._asked.pop(number)
-                if isinstance(answer, Exception):
-                    future.set_exception(answer)
-                else:
-                    future.set_result(answer)
+                _settle(self._asked.pop(number), answer)
         self.alive = False
         with self._lock:
             for future in self._asked.values():
-                if not future.done():
-                    future.set_exception(ContextError("Ray's driver has ended; is Ray's head there?"))
+                _settle(future, ContextError("Ray's driver has ended; is Ray's head there?"))
             self._asked.clear()
+
+
+def _settle(future: Future[Any], answer: Any) -> None:
+    with suppress(InvalidStateError):  # it was settled by another thread
+        if isinstance(answer, Exception):
+            future.set_exception(answer)
+        else:
+            future.set_result(answer)
 
 
 # ------------------------------------------------------------------------------------------------ the driver's process
@@ -206,6 +229,9 @@ def _drive(
 
     error: Exception | None = None
     try:
+        if address is not None and _HOST.fullmatch(address):  # Ray itself tries for a minute
+            host, port = address.rsplit(":", 1)
+            socket.create_connection((host, int(port)), GREETING).close()
         ray.init(address, log_to_driver=False, namespace="glsplat", configure_logging=False)
         kind = ray.remote(num_cpus=cpus, num_gpus=gpus, max_restarts=0, max_concurrency=2, lifetime="detached")(_Actor)
         made = ray.put(make)
