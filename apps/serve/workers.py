@@ -39,10 +39,8 @@ def workers_of(args: argparse.Namespace) -> Workers | None:
     ray = kind == "ray"
     text = number if ray else args.workers
     if (
-        ((text or not ray)
-        and not (text.isascii() and text.isdigit() and 1 <= int(text) <= _MOST))
-        or args.workers == "ray:"
-    ):
+        (text or not ray) and not (text.isascii() and text.isdigit() and 1 <= int(text) <= _MOST)
+    ) or args.workers == "ray:":
         raise UsageError(f"--workers needs 1 to {_MOST}, ray, or ray:N, not {args.workers!r:.40}")
     if not 0 <= args.worker_cpus <= 1024 or not 0 <= args.worker_gpus <= 1024:
         raise UsageError("--worker-cpus and --worker-gpus need 0 to 1024")

@@ -61,6 +61,7 @@ def test_one_fault_after_the_other(serve, monkeypatch):
                     seen.append(response.status)
                 assert await until(20, lambda: all_alive(server))
                 assert pids(server)[0] != before[0] and pids(server)[1:] == before[1:]
+                assert server.pump._pumps[0]._turns.rest(time.perf_counter()) < 0.1  # as after a long picture
                 sent = server.stats()["totals"]["sent"]  # what was never drawn there may take long to load
                 assert await until(5, lambda sent=sent: server.stats()["totals"]["sent"] > sent + 100)
             again = [one["clients"] for one in server.pump.workers()]
