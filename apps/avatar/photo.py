@@ -25,9 +25,10 @@ from glsplat.making.reconstruct.reconstructor import Options, Progress
 from glsplat.making.reconstruct.registry import named, names
 
 from ..args import natural, positive
+from ..farming import add_ray
 from ..output import save_png
 from ..usage import UsageError
-from . import photo_sheet
+from . import photo_folder, photo_sheet
 from .writing import add_notes, check_name, notes_of, progress_bar, write, write_mesh
 
 __all__ = ["add_arguments", "run"]
@@ -39,7 +40,12 @@ _DEFAULT = Options()
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command line."""
-    parser.add_argument("front", type=Path, help="the whole person from the front, arms off the body (.jpg, .png)")
+    parser.add_argument(
+        "front",
+        type=Path,
+        help="the whole person from the front, arms off the body (.jpg, .png); or a folder of such pictures, and "
+        "--out is one, too",
+    )
     for side in _OTHERS:
         parser.add_argument(f"--{side}", type=Path, help=f"the same person in the same pose, seen from the {side}")
     parser.add_argument("-o", "--out", type=Path, help="avatar to write (.glb); not needed with --check")
@@ -78,11 +84,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--debug", type=Path, metavar="DIR", help="folder for a sheet that shows each step's result")
     parser.add_argument("--json", action="store_true", help="print what was found and made as JSON")
+    add_ray(parser, "the pictures of a folder")
     add_notes(parser)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Make the avatar; with --check 0 for pictures that will do and 1 for others."""
+    """Make the avatar, or one a picture; with --check 0 for pictures that will do and 1 for others."""
+    if args.front.is_dir():
+        return photo_folder.run(args, _one)
+    if args.ray is not None:
+        raise UsageError("--ray is for a folder of pictures: one avatar is made on one machine")
+    return _one(args)
+
+
+def _one(args: argparse.Namespace) -> int:
     began = time.perf_counter()
     if args.debug is not None:
         _make_folder(args.debug)

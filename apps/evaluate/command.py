@@ -9,7 +9,7 @@ import math
 import os
 import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -21,13 +21,14 @@ from glsplat.evaluate.comparison.method import OWN, Folder, method_of
 from glsplat.evaluate.comparison.participant import Participant, participants_in
 from glsplat.evaluate.comparison.performance import TASKS
 from glsplat.evaluate.comparison.protocol import EXTRA_MEASURES, LIGHTS, VIEWS, Protocol
-from glsplat.evaluate.comparison.work import Result, Task, finished
+from glsplat.evaluate.comparison.work import Result, Task, alone, finished
 from glsplat.evaluate.comparison.workers import run_tasks
 from glsplat.formats.files import locked, replace_file
 from glsplat.motion.kinds import split_choice
 from glsplat.motion.motion import embedded_motions
 
 from ..args import motion_of
+from ..farming import add_ray, on_ray
 from ..usage import UsageError
 from .html import page
 from .outcome import outcome, plots, table_lines
@@ -81,6 +82,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--quick", action="store_true", help="four participants, two poses, two sides, small: a look")
     parser.add_argument("--seed", type=int, default=0, help="same seed, same table (default 0)")
     parser.add_argument("--jobs", type=int, help="processes (default: one a core, as memory allows)")
+    add_ray(parser, "participants")
     parser.add_argument("--no-timing", action="store_true", help="leave out table 2 and the latency table")
     parser.add_argument(
         "-o", "--output", type=Path, default=Path("out/evaluation"), help="folder (default %(default)s)"
@@ -114,7 +116,8 @@ def _run(
 ) -> int:
     options = {"seed": args.seed, "quick": args.quick}
     began = time.perf_counter()
-    results = _results([Task(one, methods, protocol, args.output, options) for one in people], jobs)
+    out = args.output if args.ray is None else args.output.resolve()  # on whatever machine
+    results = _results([Task(one, methods, protocol, out, options) for one in people], jobs, args.ray)
     drawn = plots(results, tuple(methods), args.seed)
     found = outcome(results, tuple(methods), people, protocol, options, {})
     found["seconds"] = round(time.perf_counter() - began, 1)
@@ -130,8 +133,8 @@ def _run(
     return 1 if found["failures"] else 0
 
 
-def _results(tasks: Sequence[Task], jobs: int) -> list[Result]:
-    """Of all tasks: what lies in the folder, and the rest made now."""
+def _results(tasks: Sequence[Task], jobs: int, ray: str | None) -> list[Result]:
+    """Of all tasks: what lies in the folder, and the rest made now, in processes here or on a Ray cluster."""
     kept = [result for task in tasks for result in finished(task)]
     done = {(result.participant, result.method) for result in kept}
     left = []
@@ -151,7 +154,7 @@ def _results(tasks: Sequence[Task], jobs: int) -> list[Result]:
             bar.n = sum(shares)
             bar.refresh()
 
-        for results in run_tasks(left, jobs, show):
+        for results in run_tasks(left, jobs, show) if ray is None else _on_ray(left, ray):
             kept += results
             for result in results:
                 if result.failed:
@@ -168,6 +171,15 @@ def _results(tasks: Sequence[Task], jobs: int) -> list[Result]:
     order = {task.participant.name: place for place, task in enumerate(tasks)}
     columns = list(tasks[0].methods) if tasks else []
     return sorted(kept, key=lambda result: (order[result.participant], columns.index(result.method)))
+
+
+def _on_ray(tasks: Sequence[Task], address: str) -> Iterator[list[Result]]:
+    for place, found in on_ray(alone, tasks, address):
+        task = tasks[place]
+        if isinstance(found, Exception):
+            yield [Result(task.participant.name, method, str(found)) for method in task.methods]
+        else:
+            yield found
 
 
 def _protocol(args: argparse.Namespace) -> Protocol:

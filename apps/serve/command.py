@@ -29,6 +29,7 @@ from .keys import Keys, add_keys, keys_of
 from .photos import add_photos, upload_config
 from .ready import Place, add_ready, announce, open_page
 from .rooms import add_rooms, check_rooms, open_rooms
+from .workers import add_workers, workers_of
 
 HELP = (
     "Serve pictures of an avatar: a page for the browsers of headsets, phones and desktops at /vr (docs/vr.md), and a "
@@ -105,7 +106,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--allow-host", action="append", default=[], metavar="NAME", help="name it goes by; may be repeated, *.NAME too"
     )
     parser.add_argument("--insecure", action="store_true", help="listen beyond this machine without TLS and token")
-    parser.add_argument("--device", help="EGL device: index or part of its name (also GLSPLAT_DEVICE)")
+    parser.add_argument("--device", help="EGL device: index or part of its name (also GLSPLAT_DEVICE); --workers: a,b")
+    add_workers(parser)
     add_ready(parser)
     add_log_format(parser)
     parser.add_argument("--verbose", action="store_true", help="log tracebacks of failed pictures")
@@ -195,6 +197,7 @@ def run(args: argparse.Namespace) -> int:
     """Serve until SIGINT or SIGTERM; 0 after an orderly stop."""
     start_logging(args.log_format, logging.INFO if args.verbose else logging.WARNING)
     check(args)
+    workers = workers_of(args)
     keys = keys_of(args)
     config = server_config(args, keys)
     scene = open_scene(args)
@@ -214,6 +217,7 @@ def run(args: argparse.Namespace) -> int:
         consent=policy,
         solver=args.solver,
         rooms=open_rooms(args),
+        workers=workers,
     )
 
     def started() -> None:

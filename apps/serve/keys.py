@@ -7,10 +7,10 @@ import logging
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from glsplat.net.accounts.users import Accounts
 from glsplat.net.guard.access import is_loopback, read_token
 from glsplat.net.guard.kept import TOKEN, kept_token, state_folder
 from glsplat.net.guard.machine import machine_names, reachable_at
-from glsplat.net.guard.users import Accounts
 
 from ..usage import UsageError
 

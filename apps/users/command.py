@@ -8,7 +8,7 @@ from pathlib import Path
 
 from glsplat.errors import GlsplatError
 from glsplat.formats.files import locked
-from glsplat.net.guard.users import ANY, User, new_user, read_users, write_users
+from glsplat.net.accounts.users import ANY, User, new_user, read_users, write_users
 
 from ..usage import UsageError
 

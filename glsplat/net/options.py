@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.errors import ProtocolError
-from glsplat.net.guard.rights import Rights
-from glsplat.net.guard.users import User
+from glsplat.net.accounts.rights import Rights
+from glsplat.net.accounts.users import User
 from glsplat.net.messages import WireOptions
 from glsplat.net.rooms.seats import place_at
 from glsplat.net.session import SessionConfig

@@ -137,7 +137,7 @@ class Pump(ABC):
 
     def add(self, channel: Channel) -> None:
         """Let a client take part."""
-        self._turns.add(channel.address, channel)
+        self._turns.add(channel.address, channel, channel.cost or None)
         kept = channel.session.kept
         if kept is not None and channel.solving is not None:  # another pump has waited for it until now
             channel.solving.begin(kept.frame_id, self._solved)

@@ -21,6 +21,8 @@ from aiohttp import web
 
 from glsplat.consent.policy import ConsentPolicy
 from glsplat.errors import ProtocolError
+from glsplat.net.accounts.rights import user_of
+from glsplat.net.accounts.users import User
 from glsplat.net.backend import Backend, Offered
 from glsplat.net.conversation import Conversation, cut_off
 from glsplat.net.drawing import FramePump
@@ -29,8 +31,6 @@ from glsplat.net.guard.door import Door, connection_of
 from glsplat.net.guard.headers import set_headers
 from glsplat.net.guard.limits import Budget, Limits, Purse
 from glsplat.net.guard.listener import bind
-from glsplat.net.guard.rights import user_of
-from glsplat.net.guard.users import User
 from glsplat.net.messages import MAX_BYTES, Decoder, WireOptions
 from glsplat.net.options import NOT_ALLOWED, client_options
 from glsplat.net.pace.channel import Channel

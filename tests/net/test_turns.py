@@ -200,3 +200,19 @@ def test_the_second_bad_picture_of_an_address_is_one_too_many() -> None:
     for i in range(10000):
         assert not blame.again(f"c{i}", 1001.0)
     assert len(blame._since) <= 4096
+
+
+def test_who_is_known_for_short_pictures_does_not_rest_when_it_comes() -> None:
+    """A client that comes from another worker, after somebody's long picture here."""
+    for length, chosen in ((None, "short"), (0.01, "come")):
+        turns: Turns[str] = Turns()
+        turns.add("a", "short", 0.01)
+        turns.add("b", "long", 1.0)
+        for _ in range(5):
+            assert turns.next({"short"}.__contains__, 1.0) == "short"
+            turns.charge("a", "short", 0.01, 1.0)
+        turns.charge("b", "long", 1.0, 2.0)
+        turns.add("c", "come", length)
+        turns.charge("a", "short", 0.5, 2.0)
+        turns.charge("a", "short", 0.01, 2.5)
+        assert turns.next({"come", "short"}.__contains__, 2.1) == chosen

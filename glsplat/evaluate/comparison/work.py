@@ -32,7 +32,7 @@ from glsplat.making.reconstruct.plugins import one_line
 from glsplat.skinning.pose import Pose
 from glsplat.tracking.sample import Sample
 
-__all__ = ["Result", "Task", "finished", "work"]
+__all__ = ["Result", "Task", "alone", "finished", "work"]
 
 Tell = Callable[[str, float], None]
 """Called with a step's name and the share of the task that is done."""
@@ -77,6 +77,11 @@ def finished(task: Task) -> list[Result]:
         except (GlsplatError, OSError, ValueError, KeyError, TypeError):
             continue  # it is made anew, and says then what is wrong
     return found
+
+
+def alone(task: Task) -> list[Result]:
+    """``work`` without anybody who is told how far it is: on another machine."""
+    return work(task, lambda step, done: None)
 
 
 def work(task: Task, tell: Tell) -> list[Result]:

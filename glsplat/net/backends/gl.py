@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from glsplat.camera import Camera, look_at, pinhole
 from glsplat.config import LEAN, RenderConfig
-from glsplat.errors import BudgetError, ContextLostError, GlsplatError, PoseError
+from glsplat.errors import BudgetError, ContextLostError, FormatError, GlsplatError, PoseError
 from glsplat.formats.scene_file import SceneFile
 from glsplat.net.backend import Rendered
 from glsplat.net.messages import RenderRequest
@@ -56,6 +56,7 @@ class RendererBackend:
         pose_at: Callable[[float], None] | None = None,  # brings the scene to a time in seconds since open()
         avatars: Mapping[str, Figure] | None = None,  # by RenderRequest.avatar; any other name is the scene
         rooms: Mapping[str, SceneFile] | None = None,  # the background of each
+        name: str | None = None,  # of the scene: then any other name is an avatar that is missing here
     ) -> None:
         self.abandoned: Callable[[], bool] = lambda: False
         self.place: NDArray[np.uint8] | None = None
@@ -66,6 +67,7 @@ class RendererBackend:
         self._pose_at, self._opened = pose_at, 0.0
         self._avatars = {} if avatars is None else avatars  # which may be empty yet
         self._rooms = rooms or {}
+        self._name = name
 
     def open(self) -> str:
         """Make the context, load the scene, and draw once so that no client waits for the shaders."""
@@ -93,7 +95,12 @@ class RendererBackend:
         return renderer.driver
 
     def render(self, request: RenderRequest) -> Rendered:
-        """Draw all eyes of a request in one call. Raises ContextLostError, and BudgetError for too much."""
+        """Draw all eyes of a request in one call. Raises ContextLostError, and BudgetError for too much.
+
+        FormatError for an avatar that is not there, or cannot be read.
+        """
+        if self._name is not None and request.avatar not in ("", self._name) and request.avatar not in self._avatars:
+            raise FormatError(f'there is no avatar "{request.avatar}" on this machine')
         first = request.cameras[0]
         try:
             stand = self._stands.of(request)

@@ -24,6 +24,8 @@ from glsplat.net.server import Server, ServerConfig
 from glsplat.net.uploads.job import UploadConfig
 from glsplat.net.uploads.routes import Uploads
 from glsplat.net.uploads.shelf import SUFFIX
+from glsplat.net.workers.farm import Farm
+from glsplat.net.workers.options import Workers
 from glsplat.scene import Figure, Shown, is_figure
 from glsplat.skinning.rigs.driven import why_not_driven, why_not_tracked
 from glsplat.tracking.calibration import EYES_OF_STATURE, Calibration
@@ -53,6 +55,7 @@ def make_server(
     solver: SolverName = SOLVERS[0],  # what guesses the body of users who send head and hands
     rooms: Mapping[str, Shown | SceneFile] | None = None,  # in which clients meet: what stands there already
     consent: ConsentPolicy | None = None,  # of all that is shown, by the same names; None: nobody asks for it
+    workers: Workers | None = None,  # that draw and encode instead (docs/scaling.md)
 ) -> Server:
     """A server that draws ``scene`` with OpenGL, and solves tracking if its one avatar has SMPL-X's rig.
 
@@ -62,7 +65,9 @@ def make_server(
     their address (/ws?avatar=NAME); each is posed and tracked by its own skeleton. Of ``uploads`` the folder's avatars
     are offered from the start, those made later as they come. Clients who name one of ``rooms`` are people of one scene
     (/ws?room=NAME&name=ANN); ``config.rooms`` may say how many each holds. ``own_process`` draws in a process of its
-    own, else in a thread. Nothing else is opened before ``await server.start()`` or ``await server.run()``::
+    own, else in a thread; with ``workers`` they draw, and the processes of this machine take turns with the devices
+    that ``device`` names, with commas between. Nothing else is opened before ``await server.start()`` or
+    ``await server.run()``::
 
         asyncio.run(make_server(glsplat.load("me.glb"), ServerConfig(port=8000)).run())
     """
@@ -83,12 +88,16 @@ def make_server(
         _say(one)
     places = {one: what if isinstance(what, SceneFile) else SceneFile.of(what) for one, what in (rooms or {}).items()}
     config = replace(config, rooms={one: config.rooms.get(one, SEATS) for one in places})
-    draw = partial(
-        RendererBackend, file.scene, config.wire.size, device, rendering, *budget, avatars=choices, rooms=places
-    )
+    devices = [device] if workers is None or device is None else device.split(",")
+    base = partial(RendererBackend, file.scene, config.wire.size, avatars=choices, rooms=places)
+    draws = [partial(base, device=one, config=rendering, max_cost=budget[0], max_time=budget[1]) for one in devices]
     if file.motions:  # in one pickle with the scene, so that the items are the same
-        draw = partial(draw, pose_at=file.pose_at)
-    backend: Backend = ProcessBackend(draw, config.wire.max_side, budget[1]) if own_process else draw()
+        draws = [partial(draw, pose_at=file.pose_at) for draw in draws]
+    backend: Backend | Farm
+    if workers is not None:
+        backend = workers.farm([partial(draw, name=name) for draw in draws], config.fps, budget[1])
+    else:
+        backend = ProcessBackend(draws[0], config.wire.max_side, budget[1]) if own_process else draws[0]()
     return Server(backend, config, offers, takes)
 
 

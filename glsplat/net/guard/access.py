@@ -18,7 +18,7 @@ from pathlib import Path
 from urllib.parse import urlsplit
 
 from glsplat.errors import GlsplatError
-from glsplat.net.guard.users import Accounts
+from glsplat.net.accounts.users import Accounts
 
 __all__ = ["SUBPROTOCOL", "Access", "certificate_names", "is_loopback", "read_token", "server_tls"]
 

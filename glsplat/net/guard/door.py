@@ -14,6 +14,8 @@ from pathlib import Path
 from aiohttp import web
 
 from glsplat.consent.policy import ConsentPolicy
+from glsplat.net.accounts.rights import USER, Rights
+from glsplat.net.accounts.users import Accounts
 from glsplat.net.guard.access import SUBPROTOCOL, Access, certificate_names, is_loopback
 from glsplat.net.guard.addresses import Addresses
 from glsplat.net.guard.connection import Connection
@@ -22,8 +24,6 @@ from glsplat.net.guard.listener import Listener
 from glsplat.net.guard.machine import machine_names
 from glsplat.net.guard.meter import FrameMeter
 from glsplat.net.guard.notices import Notices
-from glsplat.net.guard.rights import USER, Rights
-from glsplat.net.guard.users import Accounts
 
 __all__ = ["Door", "connection_of"]
 

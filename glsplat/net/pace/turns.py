@@ -57,10 +57,10 @@ class Turns(Generic[K]):
         address = self._addresses.get(client[0])
         return address is not None and client[1] in address.clients
 
-    def add(self, address: str, key: K) -> None:
-        """A client takes part from now on."""
+    def add(self, address: str, key: K, length: float | None = None) -> None:
+        """A client takes part from now on, whose pictures take ``length`` seconds; None: that is not known."""
         mine = self._addresses.setdefault(address, _Address(max(self._clock, self._joining)))
-        mine.clients[key] = _Client(max(mine.clock, mine.joining))
+        mine.clients[key] = _Client(max(mine.clock, mine.joining), length)
 
     def remove(self, address: str, key: K) -> None:
         """A client left. What its address owes is remembered until the others have caught up."""

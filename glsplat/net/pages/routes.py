@@ -10,8 +10,8 @@ from typing import Any
 from aiohttp import web
 
 from glsplat.motion.motion import embedded_motions
-from glsplat.net.guard.rights import user_of
-from glsplat.net.guard.users import User
+from glsplat.net.accounts.rights import user_of
+from glsplat.net.accounts.users import User
 from glsplat.net.pages.qr import Codes
 from glsplat.net.pages.site import File, Site
 from glsplat.net.pages.status import metrics_text, page_html

@@ -10,9 +10,9 @@ from aiohttp import web
 
 from glsplat.avatar import Avatar
 from glsplat.errors import GlsplatError
+from glsplat.net.accounts.rights import user_of
 from glsplat.net.backend import Offered
 from glsplat.net.guard.door import Door, connection_of
-from glsplat.net.guard.rights import user_of
 from glsplat.net.uploads.form import RefusedError, check_head, discard, read_order
 from glsplat.net.uploads.job import VIEWS, Job, UploadConfig
 from glsplat.net.uploads.shelf import NoRoomError, Shelf

@@ -37,7 +37,8 @@ class Farm:
     """Draws with a worker in each of ``places``.
 
     ``rate`` is what each client's pictures are held at (pace/governor.py), ``seconds`` what a picture may take.
-    ``patience``: seconds without any worker after which ``ended`` raises, if none can be started either.
+    ``patience``: seconds without any worker after which ``ended`` raises, if none can be started either. ``close`` is
+    called, on a thread, when all have ended.
     """
 
     def __init__(
@@ -47,11 +48,12 @@ class Farm:
         seconds: float = 5.0,
         patience: float = 0.0,
         clock: Callable[[], float] = time.perf_counter,
+        close: Callable[[], None] | None = None,
     ) -> None:
         if not places:
             raise GlsplatError("a farm needs a worker at least")
         self.stages: StageTimes = StageTimes()
-        self._clock, self._patience = clock, patience
+        self._clock, self._patience, self._close = clock, patience, close
         self._blame = Blame()
         self._pumps = [WorkerPump(one, self, clock, rate, seconds, self.stages, self._blame) for one in places]
         self._clients: dict[int, tuple[Channel, WorkerPump | None]] = {}  # None: waits for a worker
@@ -104,6 +106,8 @@ class Farm:
             await asyncio.gather(self._restarting, return_exceptions=True)
         await asyncio.gather(*(pump.stop() for pump in self._pumps))
         self._over.cancel()
+        if self._close is not None:
+            await asyncio.to_thread(self._close)
 
     def open(
         self,

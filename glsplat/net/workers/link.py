@@ -197,9 +197,10 @@ class Link(asyncio.Protocol):
                 self.end(f"the worker did not draw within {self._seconds + HANG:g} s", True)
 
     def _patience(self) -> float:
-        if self._alone() or (self._drawing and self._patient):
+        drawing = bool(self._drawing) and self._begun
+        if self._alone() or (drawing and self._patient):
             return self._seconds + HANG
-        return _BUSY if self._drawing and self._begun else _SILENT
+        return _BUSY if drawing else _SILENT
 
     async def _end(self) -> None:
         why, blames = self._why or await self._cause()

@@ -8,6 +8,7 @@ import multiprocessing
 import secrets
 import signal
 import socket
+import threading
 import time
 from collections.abc import Callable
 from contextlib import suppress
@@ -31,10 +32,15 @@ class ProcessPlace:
         self.name: str = name
         self._make = make
         self._process: SpawnProcess | None = None
+        self._connection: socket.socket | None = None  # until it is handed over
+        self._starting = threading.Lock()
 
     async def start(self) -> tuple[socket.socket, bytes]:
         """Start the process. Raises ContextError, WorkerLostError if it ends at once."""
-        return await asyncio.to_thread(self._start)
+        key = await asyncio.to_thread(self._start)
+        connection, self._connection = self._connection, None
+        assert connection is not None
+        return connection, key
 
     async def cause(self) -> tuple[str, bool]:
         """How the process ended: by a signal that somebody sent, or otherwise."""
@@ -50,12 +56,28 @@ class ProcessPlace:
 
     async def end(self, seconds: float) -> None:
         """Wait for the process, then kill it."""
-        process, self._process = self._process, None
-        if process is not None:
-            atexit.unregister(process.kill)
-            await asyncio.to_thread(_end, process, seconds)
+        await asyncio.to_thread(self._end, seconds)
 
-    def _start(self) -> tuple[socket.socket, bytes]:
+    def _end(self, seconds: float) -> None:
+        with self._starting:  # where nobody waits for what is being started any more
+            connection, self._connection = self._connection, None
+            process, self._process = self._process, None
+        if connection is not None:
+            connection.close()
+        if process is None:
+            return
+        atexit.unregister(process.kill)
+        process.join(seconds)
+        if process.is_alive():
+            process.kill()
+            process.join()
+        process.close()
+
+    def _start(self) -> bytes:
+        with self._starting:
+            return self._begin()
+
+    def _begin(self) -> bytes:
         spawn = multiprocessing.get_context("spawn")
         ours, theirs = socket.socketpair()
         secret = secrets.token_bytes(32)
@@ -75,15 +97,8 @@ class ProcessPlace:
         except (EOFError, OSError):
             ours.close()
             raise WorkerLostError("a worker's process ended before it was ready") from None
-        return ours, key
-
-
-def _end(process: SpawnProcess, seconds: float) -> None:
-    process.join(seconds)
-    if process.is_alive():
-        process.kill()
-        process.join()
-    process.close()
+        self._connection = ours
+        return key
 
 
 def _work(connection: socket.socket, secret: bytes, make: Callable[[], Backend]) -> None:

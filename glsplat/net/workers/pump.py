@@ -18,6 +18,7 @@ from glsplat.net.codec.encode import Encoded
 from glsplat.net.guard.blame import Blame
 from glsplat.net.pace.channel import Channel, Frame
 from glsplat.net.pace.stages import StageTimes
+from glsplat.net.pace.turns import Turns
 from glsplat.net.pump import Pump
 from glsplat.net.workers.link import Link
 from glsplat.net.workers.place import Place
@@ -247,6 +248,7 @@ class WorkerPump(Pump):
                 self.attempts += 1
                 log.warning("%s: %s", self.place.name, error)
                 self._others.failed(self, error)
+        self._turns = Turns()  # the time until the old one was given up is nobody's debt
         self.attempts = self.failures = 0
         self._gone, self.living = False, True
         self._others.opened(self)

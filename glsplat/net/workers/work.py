@@ -28,15 +28,18 @@ GREETING = 10.0
 """Seconds for the handshake."""
 
 
-def work(connection: socket.socket, secret: bytes, make: Callable[[], Backend]) -> None:
+def work(
+    connection: socket.socket, secret: bytes, make: Callable[[], Backend], known: Callable[[], object] = lambda: None
+) -> None:
     """Serve the gateway at the other end with what ``make()`` returns, on this thread, until it says or leaves.
 
-    Raises GlsplatError, EOFError or OSError where the other end does not know the secret. Where the gateway leaves,
-    the process ends: a picture in hand cannot be stopped otherwise.
+    ``known`` is called once the other end has shown that it knows the secret; before, GlsplatError, EOFError or OSError
+    may be raised. Where the gateway leaves, the process ends: a picture in hand cannot be stopped otherwise.
     """
     connection.settimeout(GREETING)
     key = greet(connection, secret, worker=True)
     connection.settimeout(None)
+    known()
     _Worker(connection, key, make).run()
 
 

@@ -19,10 +19,10 @@ from apps.serve.ready import Place, announce
 from apps.usage import UsageError
 from glsplat.camera import head_matrix, stereo_cameras
 from glsplat.errors import GlsplatError
+from glsplat.net.accounts.users import new_user, write_users
 from glsplat.net.client import Client
 from glsplat.net.guard import certificate
 from glsplat.net.guard.access import certificate_names, read_token, server_tls
-from glsplat.net.guard.users import new_user, write_users
 
 ROOT = Path(__file__).parents[3]
 BEYOND = ("--host", "0.0.0.0", "--self-signed")

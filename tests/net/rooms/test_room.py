@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from glsplat.camera import Camera, look_at, pinhole
 from glsplat.errors import ProtocolError
-from glsplat.net.guard.users import User
+from glsplat.net.accounts.users import User
 from glsplat.net.messages import RenderRequest, WireOptions
 from glsplat.net.options import NAME, NOT_ALLOWED, Asked, client_options
 from glsplat.net.rooms.person import AHEAD, FADE, SILENT, Moved, Person

@@ -102,7 +102,7 @@ class Seen:
 def look(number: int, reply, last: int, seen: Seen) -> None:
     """Whether the picture is this client's, of this frame, and in order."""
     image = reply.images()[0]
-    left, right = (int(round(float(half.mean()) / STEP)) for half in np.array_split(image[..., 0], 2, axis=1))
+    left, right = (round(float(half.mean()) / STEP) for half in np.array_split(image[..., 0], 2, axis=1))
     if (left, right) != (number % 32, reply.frame_id % 32) or reply.frame_id <= last:
         seen.wrong.append((reply.frame_id, last, left, right))
     seen.pictures += 1
@@ -110,7 +110,7 @@ def look(number: int, reply, last: int, seen: Seen) -> None:
 
 
 async def watch(url: str, number: int, until: asyncio.Event, again: bool = False, **options) -> Seen:
-    """Ask for one picture after the other, two under way, until ``until``; with ``again`` connect anew where it ends."""
+    """Ask for pictures, two under way, until ``until``; with ``again`` connect anew where the connection ends."""
     seen, last, at = Seen(), 0, time.perf_counter()
     client = Client(url, timeout=8, **options)
     while not until.is_set():

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from aiohttp import web
 
 from glsplat.consent.policy import ConsentPolicy
-from glsplat.net.guard.users import Accounts, User
+from glsplat.net.accounts.users import Accounts, User
 
 __all__ = ["USER", "Rights", "user_of"]
 

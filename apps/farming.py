@@ -1,0 +1,68 @@
+"""Independent pieces of work on a Ray cluster: ``--ray`` of the commands that have some (docs/scaling.md)."""
+
+from __future__ import annotations
+
+import argparse
+import os
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+from typing import Any
+
+from glsplat.errors import GlsplatError
+from glsplat.net.workers.cluster import require_ray
+
+__all__ = ["add_ray", "on_ray"]
+
+# a piece is a core, as where a machine works alone: sums differ in their last bits with the number of threads
+_ONE_CORE = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1", "LP_NUM_THREADS": "1"}
+
+
+def add_ray(parser: argparse.ArgumentParser, what: str) -> None:
+    """--ray, for ``what`` (a plural)."""
+    parser.add_argument(
+        "--ray",
+        nargs="?",
+        const="",
+        metavar="ADDRESS",
+        help=f"share {what} out over a Ray cluster, whose machines see the same folders (default: RAY_ADDRESS, one on "
+        "this machine, or a new one; docs/scaling.md)",
+    )
+
+
+def on_ray(work: Callable[[Any], Any], pieces: Sequence[Any], address: str) -> Iterator[tuple[int, Any]]:
+    """The place of each piece and what ``work`` makes of it, as they are done; an Exception where its process ended.
+
+    Each has a process of its own, as ``work`` may change that for good. Raises what ``work`` raises, and GlsplatError
+    without Ray. What is left when the caller stops is ended.
+    """
+    require_ray()
+    import ray
+
+    try:
+        ray.init(address or None, log_to_driver=False, configure_logging=False, namespace="glsplat")
+    except Exception as error:
+        text = str(error).strip().splitlines()
+        raise GlsplatError(f"Ray cannot be reached: {text[-1] if text else type(error).__name__}") from None
+    try:
+        task = ray.remote(num_cpus=1, max_calls=1, max_retries=0)(_on_one_core)
+        running = {task.remote(work, piece): place for place, piece in enumerate(pieces)}
+        while running:
+            done, _ = ray.wait(list(running))
+            place = running.pop(done[0])
+            try:
+                yield place, ray.get(done[0])
+            except ray.exceptions.RayTaskError as error:
+                raise error.cause if isinstance(error.cause, Exception) else error from None
+            except ray.exceptions.RayError:
+                yield place, GlsplatError("its process or its machine has ended; memory may have run out")
+    finally:
+        with suppress(Exception):
+            ray.shutdown()
+
+
+def _on_one_core(work: Callable[[Any], Any], piece: Any) -> Any:
+    os.environ.update(_ONE_CORE)
+    import cv2
+
+    cv2.setNumThreads(1)
+    return work(piece)

@@ -1,0 +1,1 @@
+"""Accounts: who may use a server, and what for."""

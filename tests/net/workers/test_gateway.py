@@ -1,0 +1,131 @@
+"""The gateway as a program: killed, restarted in turn by a signal; and its pictures beside those of a server alone."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+from pathlib import Path
+
+import psutil
+import pytest
+
+import glsplat
+from glsplat.camera import head_matrix, stereo_cameras
+from glsplat.net.backends.server import make_server
+from glsplat.net.client import Client
+from glsplat.net.server import ServerConfig
+from glsplat.net.workers.options import Workers
+from tests.net.workers.fakes import watch
+
+ROOT = Path(__file__).resolve().parents[3]
+GATEWAY = """
+import asyncio, json, sys
+from glsplat.net.server import Server, ServerConfig
+from tests.net.workers.fakes import farm
+if __name__ == "__main__":
+    server = Server(farm(2), ServerConfig(port=int(sys.argv[1])))
+    asyncio.run(server.run(lambda: print(json.dumps(server.pump.workers()), flush=True)))
+"""
+
+
+def begin(script: Path, port: int) -> tuple[subprocess.Popen, list[int]]:
+    """A gateway, ready, and its workers' processes."""
+    process = subprocess.Popen(
+        [sys.executable, str(script), str(port)],
+        stdout=subprocess.PIPE,
+        cwd=ROOT,
+        env={**os.environ, "PYTHONPATH": "."},
+    )
+    assert process.stdout is not None
+    workers = json.loads(process.stdout.readline())
+    return process, [int(one["driver"].split()[1]) for one in workers]
+
+
+def runs(pid: int) -> bool:
+    """False also for one that has ended and that nobody has asked how."""
+    try:
+        return psutil.Process(pid).status() != psutil.STATUS_ZOMBIE
+    except psutil.NoSuchProcess:
+        return False
+
+
+def test_a_gateway_that_is_killed(tmp_path):
+    """Its workers end with it, its clients come back to the next one; SIGHUP starts all workers anew meanwhile."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    script = tmp_path / "gateway.py"
+    script.write_text(GATEWAY)
+
+    async def main():
+        loop = asyncio.get_running_loop()
+        gateway, first = await loop.run_in_executor(None, begin, script, port)
+        over = asyncio.Event()
+        watching = [asyncio.create_task(watch(f"ws://127.0.0.1:{port}/ws", i, over, again=True)) for i in (1, 2)]
+        try:
+            await asyncio.sleep(0.5)
+            os.kill(gateway.pid, signal.SIGHUP)
+            for _ in range(200):
+                if not any(map(runs, first)):
+                    break
+                await asyncio.sleep(0.05)
+            restarted = [one.pid for one in psutil.Process(gateway.pid).children()]
+            gateway.kill()
+            gateway.wait()
+            gateway.stdout.close()
+            for _ in range(100):
+                if not any(map(runs, restarted)):
+                    break
+                await asyncio.sleep(0.02)
+            left = [pid for pid in first + restarted if runs(pid)]
+            gateway, third = await loop.run_in_executor(None, begin, script, port)
+            await asyncio.sleep(1.0)
+            over.set()
+            return left, third, await asyncio.gather(*watching)
+        finally:
+            over.set()
+            gateway.terminate()
+            await loop.run_in_executor(None, gateway.wait)
+            gateway.stdout.close()
+
+    left, third, clients = asyncio.run(main())
+    assert left == []
+    for one in clients:
+        assert one.wrong == [] and one.pictures > 20
+        assert {error.split(":")[0] for error in one.errors} <= {"closed", "unreachable"} and one.errors
+        drivers = {int(driver.split()[1]) for driver in one.drivers}
+        assert len(drivers) >= 2 and drivers & set(third)
+
+
+@pytest.mark.gl
+def test_a_worker_draws_what_a_server_alone_draws():
+    """The same JPEGs, byte by byte; poses, boxes and tracking reach the worker, or what is solved of them."""
+    avatar = glsplat.default_avatar()
+    cameras = stereo_cameras(head_matrix((0, 1.4, 1.2), (0, 0, 0, 1)), size=(128, 128))
+    pose = {"body_pose": [[0.1 * (i % 3), 0, 0.05 * (i % 5)] for i in range(21)]}
+    tracking = {"head": [0, 1.6, 0, 0, 0, 0, 1], "left": [0.3, 1.2, -0.3, 0, 0, 0, 1], "right": None}
+
+    async def ask(workers):
+        server = make_server(avatar, ServerConfig(port=0), own_process=False, workers=workers)
+        await server.start()
+        try:
+            async with Client(server.url) as client:
+                replies = [
+                    await client.render(cameras),
+                    await client.render(cameras, pose=pose, crop=True, alpha="straight", box=True, hide=["head"]),
+                    await client.render(cameras, tracking=tracking),
+                ]
+                return [
+                    (one.pictures, one.alphas, {k: v for k, v in one.info.items() if k not in ("t", "times")})
+                    for one in replies
+                ]
+        finally:
+            await server.stop()
+
+    alone, worker = (asyncio.run(ask(workers)) for workers in (None, Workers(count=1)))
+    assert alone == worker
