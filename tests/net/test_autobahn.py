@@ -12,6 +12,7 @@ import sys
 import pytest
 from aiohttp import WSMsgType, web
 
+from glsplat.net.conversation import Conversation
 from glsplat.net.server import Server, ServerConfig
 from tests.net.wire import UNLIMITED
 
@@ -40,6 +41,8 @@ KNOWN = ["7.9.5"]  # aiohttp answers a close frame of code 1006 in order (1000),
 
 
 class EchoServer(Server):
+    """With ``Echo`` for a conversation."""
+
     limit: int | None = None
 
     def _make_socket(self) -> web.WebSocketResponse:
@@ -48,10 +51,17 @@ class EchoServer(Server):
             socket._max_msg_size = self.limit
         return socket
 
-    async def _read(self, channel, ws) -> None:
-        async for message in ws:
+
+class Echo(Conversation):
+    async def _read(self) -> None:
+        async for message in self._ws:
             if message.type in (WSMsgType.TEXT, WSMsgType.BINARY):
-                await self._send(ws, message.data)
+                await self._send(message.data)
+
+
+@pytest.fixture(autouse=True)
+def echo(monkeypatch):
+    monkeypatch.setattr("glsplat.net.server.Conversation", Echo)
 
 
 def run(backend, cases, without=(), limit=None):

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import aiohttp
 import pytest
+from tests.net.guard.test_accounts import WS
 
 from glsplat.consent.document import Consent
 from glsplat.consent.file import OnFile
@@ -19,7 +20,6 @@ from glsplat.net.client import Client
 from glsplat.net.guard import rights
 from glsplat.net.guard.access import Access
 from glsplat.net.server import ServerConfig
-from tests.net.guard.test_accounts import WS
 from tests.scenes import limb
 
 CONSENT = Consent(

@@ -12,7 +12,7 @@ import numpy as np
 import simplejpeg
 
 from apps.serve.command import HELP
-from glsplat.net import messages, options, pump, server, session
+from glsplat.net import conversation, messages, options, pump, server, session
 from glsplat.net.guard import reading
 from glsplat.net.guard.limits import Limits
 from glsplat.net.messages import Decoder
@@ -213,7 +213,7 @@ def test_the_numbers_of_the_page():
         f"{limits.rate:g} messages a second are read, {limits.burst} more",
         f"within {limits.handshake:g} s of connecting, or no message for {limits.idle:g} s",
         f"More than {limits.errors} of them at once",
-        f"within {server._FAREWELL:g} s is cut off",
+        f"within {conversation._FAREWELL:g} s is cut off",
         "`window=1..8`",
         "`height=0.5..2.8`",
         "`span=0.3..2.5`",

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping
 from functools import partial
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,12 +13,14 @@ from numpy.typing import NDArray
 from glsplat.camera import Camera, look_at, pinhole
 from glsplat.config import LEAN, RenderConfig
 from glsplat.errors import BudgetError, ContextLostError, FormatError, GlsplatError, PoseError
-from glsplat.formats.scene_file import SceneFile
 from glsplat.net.backend import Rendered
 from glsplat.net.messages import RenderRequest
 from glsplat.passes.frame.budget import Budget
 from glsplat.passes.stats import union
 from glsplat.scene import Figure, Shown
+
+if TYPE_CHECKING:
+    from glsplat.formats.scene_file import SceneFile
 
 __all__ = ["MAX_COST", "MAX_TIME", "RendererBackend", "most_cost"]
 
@@ -101,6 +104,10 @@ class RendererBackend:
         """
         if self._name is not None and request.avatar not in ("", self._name) and request.avatar not in self._avatars:
             raise FormatError(f'there is no avatar "{request.avatar}" on this machine')
+        with self._context.entered("RendererBackend.render()"):  # another context may be current on this thread
+            return self._render(request)
+
+    def _render(self, request: RenderRequest) -> Rendered:
         first = request.cameras[0]
         try:
             stand = self._stands.of(request)

@@ -165,6 +165,7 @@ def test_what_the_server_offers(serve):
             {"name": "ann", "height": 1.7123, "tracking": True, "head": True, "made": False},
             {"name": "a room", "height": None, "tracking": False, "head": False, "made": False},
         ],
+        "rooms": [],
         "upload": None,
         "motions": ["idle", "walk", "wave-and-turn"],
         "recording": True,

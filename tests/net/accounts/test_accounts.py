@@ -14,11 +14,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from glsplat.errors import ProtocolError
+from glsplat.net.accounts import users
 from glsplat.net.accounts.rights import Rights
 from glsplat.net.accounts.users import Accounts, User, new_user, write_users
 from glsplat.net.backend import Offered
 from glsplat.net.client import Client
-from glsplat.net.guard import door, users
+from glsplat.net.guard import door
 from glsplat.net.guard.access import Access
 from glsplat.net.messages import WireOptions
 from glsplat.net.options import client_options
