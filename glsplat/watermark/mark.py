@@ -1,0 +1,66 @@
+"""Mark: what a renderer draws into a picture, as a value. No OpenGL and no OpenCV here."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glsplat.errors import GlsplatError
+from glsplat.watermark.code import Payload, encode
+from glsplat.watermark.pattern import TILE, pattern_of
+
+__all__ = ["KEY_BYTES", "LEVELS", "LUMA", "Mark", "marked"]
+
+KEY_BYTES = 16
+"""Least length of a key."""
+
+LEVELS = (1.0, 2.3)
+"""How strong a mark is, in levels of 255 (root mean square): on black and on white, linear in between."""
+
+LUMA = (0.299, 0.587, 0.114)
+"""Of red, green and blue in luma (ITU-R BT.601, as JPEG has it)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Mark:
+    """Who drew a picture, and for whom, under the key without which nobody finds it.
+
+    Raises GlsplatError for a ``server`` beyond 16 bits, a ``session`` beyond 32, a ``key`` of less than 16 bytes.
+    """
+
+    server: int
+    session: int
+    key: bytes = field(repr=False)
+
+    def __post_init__(self) -> None:
+        for name, bits in (("server", 16), ("session", 32)):
+            value = getattr(self, name)
+            if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value < 1 << bits:
+                raise GlsplatError(f"a mark's {name} is a whole number of {bits} bits, not {value!r:.40}")
+        if not isinstance(self.key, bytes) or len(self.key) < KEY_BYTES:
+            found = f"{len(self.key)}" if isinstance(self.key, bytes) else type(self.key).__name__
+            raise GlsplatError(f"a mark's key is at least {KEY_BYTES} bytes, not {found}")
+
+    def tile(self) -> NDArray[np.float32]:
+        """[TILE, TILE], mean 0 and variance 1: what repeats over the picture from its top left pixel on."""
+        return pattern_of(self.key).tile(encode(Payload(self.server, self.session)))
+
+
+def marked(image: NDArray[np.float32], mark: Mark) -> NDArray[np.float32]:
+    """The float picture(s) [..., H, W, 4] of a renderer with the mark in them: a new array. Twin of mark.glsl.
+
+    Each view has the same mark at the same place of the screen. Where alpha is 0 nothing changes; colours stay above 0
+    and, where they were, below alpha.
+    """
+    height, width = image.shape[-3:-1]
+    tile = mark.tile()[np.arange(height)[:, None] % TILE, np.arange(width) % TILE]
+    rgb, alpha = image[..., :3], image[..., 3]
+    low, high = LEVELS
+    luma = np.minimum(rgb @ np.array(LUMA, np.float32), alpha)
+    change = tile * (low * alpha + (high - low) * luma) / 255
+    out = image.copy()
+    most = np.maximum(rgb, alpha[..., None])
+    out[..., :3] = np.clip(rgb + change[..., None], np.minimum(rgb, 0), most)
+    return out
