@@ -14,26 +14,27 @@ from typing import Any, Literal, overload
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from glsplat.arrays import number, own
 from glsplat.camera import Camera, passes_of, sorting_camera
-from glsplat.config import MAX_BIAS, RenderConfig
+from glsplat.config import RenderConfig
 from glsplat.errors import ContextError, GlsplatError
 from glsplat.gl.context import Context, create_context
 from glsplat.gl.owner import Entry, abandon
 from glsplat.passes.frame.budget import Budget
 from glsplat.passes.frame.pipeline import Pipeline
 from glsplat.passes.item.levels import Look
+from glsplat.passes.marks import Marks
 from glsplat.passes.staged import Staged
 from glsplat.passes.stats import FrameStats, union
 from glsplat.passes.target import FORMATS, Target
 from glsplat.passes.target_pool import TargetPool
-from glsplat.passes.views import checked_views
+from glsplat.passes.views import checked_bias, checked_mark, checked_order, checked_views
 from glsplat.renderer_thread import RendererThread
 from glsplat.scene import Scene, Shown
 from glsplat.shaders import Programs, Variant
 from glsplat.shaders.variant import MAX_VIEWS
 from glsplat.skinning.pose import Pose
 from glsplat.timing import StageTimer
+from glsplat.watermark.mark import Mark
 
 __all__ = ["FrameStats", "Renderer"]
 
@@ -71,6 +72,7 @@ class Renderer:
         self.timer: StageTimer = StageTimer(self.context.ctx.finish if timed else None)
         self._staged: Staged | None = None
         self._targets = TargetPool(self.context, self.target_dtype)
+        self._marks = Marks(self.context)
         self.stats: FrameStats = FrameStats(0, 0, 0)
         self.variant: Variant = Variant()  # of the last pass
         self.size: tuple[int, int] = (0, 0)
@@ -124,7 +126,7 @@ class Renderer:
         Not counted: the bone texture and the uniform blocks, which do not grow with the splats.
         """
         staged = self._staged.nbytes() if self._staged else {"splats": 0, "meshes": 0, "sh": 0, "work": 0}
-        return staged | {"targets": self._targets.nbytes}
+        return staged | {"targets": self._targets.nbytes + self._marks.nbytes}
 
     def load(self, scene: Shown) -> None:
         """Replace the scene. The old one is kept until the new one is on the GPU, and stays if that fails."""
@@ -155,6 +157,7 @@ class Renderer:
         out: NDArray[Any] | None = ...,
         viewer: Hashable = ...,
         lod_bias: float = ...,
+        mark: Mark | None = ...,
     ) -> NDArray[Any]: ...
 
     @overload
@@ -169,6 +172,7 @@ class Renderer:
         out: NDArray[Any] | None = ...,
         viewer: Hashable = ...,
         lod_bias: float = ...,
+        mark: Mark | None = ...,
     ) -> tuple[NDArray[Any], NDArray[np.float32]]: ...
 
     def render(
@@ -182,6 +186,7 @@ class Renderer:
         out: NDArray[Any] | None = None,  # [V, H, W, 4] where the images go; default: a new array
         viewer: Hashable = None,  # who looks, where several do in turn: their levels of detail are kept apart
         lod_bias: float = 0.0,  # added to that of the config; -8 to 8
+        mark: Mark | None = None,  # drawn into uint8 pictures where alpha is not 0 (docs/watermark.md)
     ) -> NDArray[Any] | tuple[NDArray[Any], NDArray[np.float32]]:
         """The images [V, H, W, 4], row 0 at the top: RGB over the background and accumulated alpha.
 
@@ -189,19 +194,15 @@ class Renderer:
         for PNG files and image libraries. float32 (unclipped) or uint8 by ``config.output``. With ``depth`` also
         [V, H, W] float32: camera z in metres, the mean of what a pixel shows by its weight in the picture, meshes
         included; 0 where alpha is 0. The arrays are new with each call, but for ``out``. Raises PoseError for a pose
-        that does not fit, GlsplatError for cameras of another size or a ``lod_bias`` beyond 8, BudgetError for a
-        picture beyond its budget: the next one is drawn as if it had not been asked for.
+        that does not fit, GlsplatError for cameras of another size, a ``lod_bias`` beyond 8 or a mark in float32,
+        BudgetError for a picture beyond its budget: the next one is drawn as if it had not been asked for.
         """
-        order = None if sort_viewmat is None else own(sort_viewmat, np.float64, "sort_viewmat", GlsplatError)
-        if order is not None and not (order.shape == (4, 4) and np.isfinite(order).all()):
-            raise GlsplatError("sort_viewmat needs 4x4 finite numbers")
-        lod_bias = number(lod_bias, "lod_bias", GlsplatError)
-        if not -MAX_BIAS <= lod_bias <= MAX_BIAS:
-            raise GlsplatError(f"lod_bias needs -{MAX_BIAS:g} to {MAX_BIAS:g}, not {lod_bias:g}")
+        order, lod_bias = checked_order(sort_viewmat), checked_bias(lod_bias)
         cameras = self._views(cameras)
         with self._entered("render"):
-            self._begin(pose, cameras, viewer, lod_bias)
             boxed = self.config.output == "uint8"
+            tile = None if mark is None else self._marks.tile(checked_mark(mark, boxed))
+            self._begin(pose, cameras, viewer, lod_bias)
             shape, dtype = (len(cameras), self.size[1], self.size[0], 4), np.dtype(np.uint8 if boxed else np.float32)
             out = np.empty(shape, dtype) if out is None else out
             if out.shape != shape or out.dtype != dtype or not (out.flags.c_contiguous and out.flags.writeable):
@@ -211,7 +212,7 @@ class Renderer:
                 views, mine = [cameras[i] for i in batch], slice(batch[0], batch[0] + len(batch))
                 pipeline, target = self._draw(views, order, boxed, ordinal, budget, depth)
                 byte_target = self._targets.byte_target(self.size, len(views)) if boxed else None
-                pipeline.read(target, byte_target, views, out[mine], self.timer)
+                pipeline.read(target, byte_target, views, out[mine], self.timer, tile)
                 if depth:
                     depths[mine] = target.read_depth()
                     self.timer.mark("read")
@@ -385,6 +386,7 @@ class Renderer:
     def _free(self, stack: ExitStack) -> None:
         """Delete what this renderer made, whatever fails, when ``stack`` closes."""
         stack.callback(self._programs.release)
+        stack.callback(self._marks.release)
         stack.callback(self._targets.release)
         stack.callback(self._drop_scene)
 

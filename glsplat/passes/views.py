@@ -1,14 +1,20 @@
-"""What a caller hands to render(): cameras and a pose, checked before anything is drawn."""
+"""What a caller hands to render(): cameras, a pose and the rest, checked before anything is drawn."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from glsplat.arrays import number, own
 from glsplat.camera import Camera
+from glsplat.config import MAX_BIAS
 from glsplat.errors import GlsplatError, PoseError
 from glsplat.skinning.pose import Pose
+from glsplat.watermark.mark import Mark
 
-__all__ = ["checked_pose", "checked_views"]
+__all__ = ["checked_bias", "checked_mark", "checked_order", "checked_pose", "checked_views"]
 
 
 def checked_views(cameras: Iterable[Camera], size: tuple[int, int], what_to_do: str = "") -> list[Camera]:
@@ -38,3 +44,28 @@ def checked_pose(pose: Pose | None, joints: int, what: str) -> Pose:
     if len(pose.rotations) != joints:
         raise PoseError(f"the pose has {len(pose.rotations)} joints, the {what} {joints}")
     return pose
+
+
+def checked_order(sort_viewmat: ArrayLike | None) -> NDArray[np.float64] | None:
+    """[4, 4] that orders all views, if one is given. Raises GlsplatError."""
+    order = None if sort_viewmat is None else own(sort_viewmat, np.float64, "sort_viewmat", GlsplatError)
+    if order is not None and not (order.shape == (4, 4) and np.isfinite(order).all()):
+        raise GlsplatError("sort_viewmat needs 4x4 finite numbers")
+    return order
+
+
+def checked_bias(lod_bias: float) -> float:
+    """A number that may be added to RenderConfig.lod_bias. Raises GlsplatError."""
+    lod_bias = number(lod_bias, "lod_bias", GlsplatError)
+    if not -MAX_BIAS <= lod_bias <= MAX_BIAS:
+        raise GlsplatError(f"lod_bias needs -{MAX_BIAS:g} to {MAX_BIAS:g}, not {lod_bias:g}")
+    return lod_bias
+
+
+def checked_mark(mark: Mark, bytes_: bool) -> Mark:
+    """The mark, which only 8-bit pictures carry. Raises GlsplatError."""
+    if not isinstance(mark, Mark):
+        raise GlsplatError(f"render needs a glsplat.watermark.mark.Mark, not {type(mark).__name__}")
+    if not bytes_:
+        raise GlsplatError("a mark is drawn into 8-bit pictures; use RenderConfig(output='uint8')")
+    return mark

@@ -4,6 +4,11 @@
 #include "lift.glsl"
 uniform vec3 background;  // of the view that is being resolved
 #endif
+#if MARKED
+#include "mark.glsl"
+uniform sampler2D mark;  // one tile, which repeats from the top left pixel of each view on
+uniform vec2 levels;
+#endif
 uniform sampler2DArray target;
 out vec4 fragment;
 
@@ -14,6 +19,9 @@ void main() {
     vec4 colour = texelFetch(target, ivec3(pixel.x, pixel.y - layer * height, layer), 0);
 #if CULL_HIDDEN
     colour = lifted(colour, background);
+#endif
+#if MARKED
+    colour = marked(colour, texelFetch(mark, ivec2(pixel.x, pixel.y - layer * height) % textureSize(mark, 0), 0).r, levels);
 #endif
     fragment = clamp(colour, 0.0, 1.0);
 }

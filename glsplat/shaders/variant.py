@@ -34,6 +34,7 @@ class Variant:
     depth: int = 0  # a second target takes weight times camera z
     occluded: int = 0  # meshes at pixel centres, and splats are tested against their z
     sampled: int = 0  # samples a pixel of meshes; without occluded there is nothing else, and coverage is their alpha
+    marked: int = 0  # the resolve pass draws a mark (glsplat/watermark); its own choice, picture by picture
     numbered: int = 0  # an attribute numbers the splats where the driver's gl_VertexID does not
 
     def __post_init__(self) -> None:

@@ -123,6 +123,8 @@ def rows() -> list[Variant]:
                 for flags in ({}, {"depth": 1}, *meshes, {"depth": 1, "occluded": 1, "cut": 1}):
                     out.append(Variant(views=views, antialias=antialias, geometry=geometry, triangle=triangle, **flags))
         out.append(Variant(views=views, cull_hidden=1))
+        out.append(Variant(views=views, marked=1))
+        out.append(Variant(views=views, cull_hidden=1, marked=1))
         out.append(Variant(views=views, cull_hidden=1, posed=1, cut=1))
         out.append(Variant(views=views, cut=1))
         out.append(Variant(views=views, numbered=1, cull_hidden=1))
@@ -188,6 +190,7 @@ def test_the_rows_reach_every_branch() -> None:
         "cut",
         "numbered",
         "pulled",
+        "marked",
     ):
         fewer = [row for row in ROWS if not getattr(row, flag)]
         assert len(missed([*fewer, *SKINS, *MESHES])) > len(missed([*ROWS, *SKINS, *MESHES])), flag
@@ -204,6 +207,7 @@ def test_the_variants_that_matter_compile(gl: Context) -> None:
         program = programs.draw("splat", "splat", variant)
         assert attributes_of(program) == {name for _, name, _ in record_layout(variant) if not variant.pulled}
         block = programs.draw("screen", "background", variant)["Frame"]
+        programs.draw("screen", "resolve", variant)
         assert isinstance(block, moderngl.UniformBlock) and block.size == frame_dtype(variant.views).itemsize
     posed = ("posed_mean", "posed_x", "posed_y", "posed_z")
     for numbered in (0, 1):

@@ -188,6 +188,7 @@ class Pipeline:
         views: Sequence[Camera],
         out: NDArray[Any],  # [V, H, W, 4] uint8 if there is a byte target, else float32
         timer: StageTimer,
+        mark: moderngl.Texture | None = None,  # a tile, for 8-bit pictures
     ) -> None:
         """Steps 5 and 6: 8-bit conversion where asked for, and the picture to the host."""
         if byte_target is None:
@@ -196,7 +197,7 @@ class Pipeline:
                 for picture, view in zip(out, views, strict=True):
                     picture[:] = lifted(picture, view.background)
         else:
-            self._resolve.run(target, byte_target, views, self.covered)
+            self._resolve.run(target, byte_target, views, self.covered, mark)
             timer.mark("resolve")
             byte_target.read(out, self.covered)
         if self._sorter and not self._counted:
