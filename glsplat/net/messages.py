@@ -36,6 +36,7 @@ from glsplat.skinning.pose import Pose
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.smplx import POSE_KEYS
 from glsplat.tracking.sample import BODY_JOINTS, MOST_JOINTS, TRACKERS
+from glsplat.watermark.mark import Mark
 
 __all__ = [
     "MAX_BYTES",
@@ -96,6 +97,7 @@ class RenderRequest:
     eyes: tuple[int, ...] = (0, 1)  # eye numbers of the cameras: 0 left, 1 right
     viewer: int = 0  # who asks, for what a renderer keeps from picture to picture
     detail: float = 0.0  # added to RenderConfig.lod_bias: below 0 for coarser levels
+    mark: Mark | None = None  # of the session, by the server
 
 
 @dataclass(frozen=True, slots=True)

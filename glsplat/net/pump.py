@@ -286,7 +286,7 @@ class FramePump:
         frame = Frame(request, self._clock() - waited, {"wait": waited * 1e3})
         if request.form == "native":  # older clients know one size
             frame.detail = self._governor.detail(channel.number, self._clock())
-        frame.request = replace(frame.detail.of(request), viewer=channel.number)
+        frame.request = replace(frame.detail.of(request), viewer=channel.number, mark=channel.session.mark)
         if why := channel.shown.untracked:
             frame.untracked = f" for what it shows: {why}"
         lost = False

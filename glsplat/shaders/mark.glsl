@@ -3,5 +3,5 @@
 vec4 marked(vec4 pixel, float tile, vec2 levels) {
     float luma = min(dot(pixel.rgb, vec3(0.299, 0.587, 0.114)), pixel.a);
     float change = tile * (levels.x * pixel.a + (levels.y - levels.x) * luma);
-    return vec4(clamp(pixel.rgb + change, min(pixel.rgb, 0.0), max(pixel.rgb, pixel.a)), pixel.a);
+    return vec4(min(pixel.rgb + change, max(pixel.rgb, pixel.a)), pixel.a);
 }

@@ -83,7 +83,7 @@ def detect(frames: Iterable[NDArray[np.uint8]], key: bytes, window: int = WINDOW
     def found_in(sum_: F32, pictures: int) -> Found | None:
         nonlocal searches
         searches += 1
-        return search(sum_ / pictures, pattern, searches * (searches + 1), pictures)
+        return search(sum_ / np.float32(pictures), pattern, searches * (searches + 1), pictures)
 
     for frame in frames:
         rest = rest_of(frame)
@@ -124,7 +124,7 @@ def search(mean: F32, pattern: Pattern, times: int = 1, frames: int = 1) -> Foun
     weights = _weights(spectra, pattern)
     scores = _scores(spectra * weights, pattern)
     tries = scores.size * times
-    # per scale the best place, of these the best
+    # of each scale the best place, of these the best
     flat = scores.reshape(len(scales), -1)
     places = flat.argmax(axis=1)
     best = flat[np.arange(len(scales)), places]
@@ -217,7 +217,7 @@ def _neighbours(pattern: Pattern) -> F32:
 
 
 def _scores(weighed: C64, pattern: Pattern) -> F32:
-    """[S, GRID, GRID] by row and column where the picture's middle lies in the tile: units of the deviation of chance."""
+    """[S, GRID, GRID] by row and column at which the picture's middle lies in the tile, in deviations of chance."""
     sync, kx, ky = pattern.sync, pattern.kx[pattern.sync], pattern.ky[pattern.sync]
     values = (weighed[:, sync] * pattern.phase[sync].conj()).conj()
     deviation = np.sqrt((values.real**2 + values.imag**2).sum(axis=1) / 2) + np.float32(1e-12)
@@ -235,7 +235,10 @@ def _decoded(residual: F32, pattern: Pattern, start: tuple[float, float, float])
     sync, waves = pattern.sync, (2j * np.pi / TILE * np.stack([pattern.kx, pattern.ky], axis=1)).astype(np.complex64)
 
     def received(at: NDArray[np.float64]) -> C64:
-        across, down = (_waves(n, start[0] * np.exp(at[i : i + 1]), most) for i, n in ((0, residual.shape[1]), (1, residual.shape[0])))
+        across, down = (
+            _waves(n, start[0] * np.exp(at[i : i + 1]), most)
+            for i, n in ((0, residual.shape[1]), (1, residual.shape[0]))
+        )
         bins = _bins(residual, pattern, across, down)
         return (bins * _weights(bins, pattern))[0] * np.exp(-waves @ at[2:].astype(np.float32))
 

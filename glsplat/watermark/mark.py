@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import secrets
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -11,7 +12,7 @@ from glsplat.errors import GlsplatError
 from glsplat.watermark.code import Payload, encode
 from glsplat.watermark.pattern import TILE, pattern_of
 
-__all__ = ["KEY_BYTES", "LEVELS", "LUMA", "Mark", "marked"]
+__all__ = ["KEY_BYTES", "LEVELS", "LUMA", "Mark", "Watermark", "marked"]
 
 KEY_BYTES = 16
 """Least length of a key."""
@@ -48,11 +49,26 @@ class Mark:
         return pattern_of(self.key).tile(encode(Payload(self.server, self.session)))
 
 
+@dataclass(frozen=True, slots=True)
+class Watermark:
+    """What a server marks its pictures with: its id and its key, checked as those of a Mark."""
+
+    server: int
+    key: bytes = field(repr=False)
+
+    def __post_init__(self) -> None:
+        Mark(self.server, 0, self.key)
+
+    def new_mark(self) -> Mark:
+        """The mark of a new session: 32 bits of chance, so that who knows one id cannot tell another."""
+        return Mark(self.server, secrets.randbits(32), self.key)
+
+
 def marked(image: NDArray[np.float32], mark: Mark) -> NDArray[np.float32]:
     """The float picture(s) [..., H, W, 4] of a renderer with the mark in them: a new array. Twin of mark.glsl.
 
-    Each view has the same mark at the same place of the screen. Where alpha is 0 nothing changes; colours stay above 0
-    and, where they were, below alpha.
+    Each view has the same mark at the same place of the screen. Where alpha is 0 nothing changes, and no colour comes
+    to lie above its alpha. Below 0 they may, until they are rounded to bytes.
     """
     height, width = image.shape[-3:-1]
     tile = mark.tile()[np.arange(height)[:, None] % TILE, np.arange(width) % TILE]
@@ -62,5 +78,5 @@ def marked(image: NDArray[np.float32], mark: Mark) -> NDArray[np.float32]:
     change = tile * (low * alpha + (high - low) * luma) / 255
     out = image.copy()
     most = np.maximum(rgb, alpha[..., None])
-    out[..., :3] = np.clip(rgb + change[..., None], np.minimum(rgb, 0), most)
+    out[..., :3] = np.minimum(rgb + change[..., None], most)
     return out

@@ -1,7 +1,7 @@
 """The keyed pattern: which frequencies of the tile find it, which carry bits, and in which phase each is expected.
 
-A tile is periodic and holds nothing but a ring of middle frequencies: lower ones lie under the picture's own content and
-are seen first, higher ones do not survive JPEG and scaling. Each frequency (bin) of the ring belongs to one of two
+A tile is periodic and holds nothing but a ring of middle frequencies: lower ones lie under the picture's own content
+and are seen first, higher ones do not survive JPEG and scaling. Each frequency (bin) of the ring belongs to one of two
 parts. Those of the first are the same in every picture under a key: they say where a tile begins and how it is scaled.
 Each bin of the second carries two signs of the code word, one in phase and one in quadrature.
 """

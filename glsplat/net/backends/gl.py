@@ -110,6 +110,7 @@ class RendererBackend:
                 out=self.place,
                 viewer=request.viewer,
                 lod_bias=request.detail,
+                mark=request.mark,
             )
             if self._context.ctx.error != "GL_NO_ERROR":  # reading it clears it
                 raise GlsplatError(f"{renderer.driver} reports an OpenGL error: the picture is not to be trusted")

@@ -11,11 +11,15 @@ from pathlib import Path
 from glsplat.errors import GlsplatError
 from glsplat.formats.files import locked, replace_file
 from glsplat.net.guard.access import read_token
+from glsplat.watermark.keys import new_watermark, read_watermark, text_of
+from glsplat.watermark.mark import Watermark
 
-__all__ = ["TOKEN", "kept_token", "lock_of", "state_folder"]
+__all__ = ["TOKEN", "WATERMARK", "kept_token", "kept_watermark", "lock_of", "state_folder"]
 
 TOKEN = "token"
 """The name of the token's file in the folder."""
+WATERMARK = "watermark"
+"""The name of the file with what pictures are marked with."""
 _BYTES = 18  # of chance in a token, 144 bits: 24 characters
 _PATIENCE = 10.0  # seconds; who holds the lock makes a key meanwhile, which takes some milliseconds
 
@@ -61,3 +65,12 @@ def kept_token(folder: Path) -> str:
             return read_token(path)
         except GlsplatError as error:
             raise GlsplatError(f"{error}; delete it and the next start makes a new one") from None
+
+
+def kept_watermark(folder: Path) -> Watermark:
+    """The watermark's id and key in the folder, made at the first call. Raises GlsplatError naming the file."""
+    path = folder / WATERMARK
+    with lock_of(folder):
+        if not path.exists():
+            replace_file(path, [text_of(new_watermark()).encode()], private=True)
+        return read_watermark(path)
