@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from glsplat.camera import Camera
 from glsplat.errors import ContextError
-from glsplat.shaders import Programs, Variant
+from glsplat.shaders import Programs, ResolveVariant, Variant
 from glsplat.shaders.slots import UNITS
 from glsplat.watermark.mark import LEVELS
 
@@ -196,8 +196,7 @@ class Resolve:
 
     def _way(self, marked: bool) -> tuple[moderngl.Program, moderngl.VertexArray]:
         if marked not in self._ways:
-            # a view at a time: nothing else of a variant matters here
-            variant = Variant(cull_hidden=self._cull_hidden, marked=int(marked))
+            variant = ResolveVariant(cull_hidden=self._cull_hidden, marked=int(marked))
             program = self._programs.draw("screen", "resolve", variant)
             levels = program.get("levels", None)
             if isinstance(levels, moderngl.Uniform):

@@ -38,7 +38,7 @@ def test_the_word_is_the_generators_output() -> None:
 
 
 def test_errors_are_corrected(rng: np.random.Generator) -> None:
-    """At 3 dB a bit, where one sign in six arrives wrong, every word of 60 is read; a tenth of noise is never believed."""
+    """At 3 dB a bit, where one sign in six arrives wrong, every word of 60 is read."""
     deviation, wrong, read = np.sqrt(4 / (2 * 10**0.3)), 0.0, 0
     for _ in range(60):
         payload = Payload(int(rng.integers(1 << 16)), int(rng.integers(1 << 32)))
