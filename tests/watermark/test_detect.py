@@ -118,6 +118,7 @@ def test_the_bound_on_chance_holds(clips: tuple[Pictures, Pictures, Mark]) -> No
         best = detecting._scores(weighed, pattern_of(number.to_bytes(16, "big"))).max()
         chances.append(len(scales) * detecting._GRID**2 * np.exp(-(best**2) / 2))
     assert np.min(chances) > 1e-4  # 300 draws below it: 3 % at most
+    assert detecting._chance(8.0, 10**6) == pytest.approx(1e6 * np.exp(-32) / 2**16)
     assert np.mean(np.array(chances) < 0.5) <= 0.5 and np.median(chances) < 1e3  # a bound, and not an idle one
 
 
