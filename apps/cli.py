@@ -34,12 +34,13 @@ COMMANDS = {
     "models": "get, list and remove networks that others trained",
     "tracking": "head and hands to a full-body pose: derive, solve, score, show",
     "evaluate": "methods of making avatars, compared over participants: the tables of the paper",
+    "watermark": "find the invisible mark in a clip: to whom a server sent it",
     "report": "error against run time, batching, what is left out, stability: HTML, plots, JSON",
     "inspect": "what is in a scene or avatar file",
     "convert": "from one format of splats and avatars to another",
 }
 
-_FOLDERS = ("avatar", "evaluate", "preview", "replay", "report", "serve", "tracking", "users")
+_FOLDERS = ("avatar", "evaluate", "preview", "replay", "report", "serve", "tracking", "users", "watermark")
 MODULES = {name: f"{name}.command" for name in _FOLDERS}
 """Commands that are folders."""
 

@@ -22,17 +22,19 @@ from glsplat.gl.owner import Entry, abandon
 from glsplat.passes.frame.budget import Budget
 from glsplat.passes.frame.pipeline import Pipeline
 from glsplat.passes.item.levels import Look
+from glsplat.passes.marks import Marks
 from glsplat.passes.staged import Staged
-from glsplat.passes.stats import FrameStats, union
+from glsplat.passes.stats import FrameStats
 from glsplat.passes.target import FORMATS, Target
 from glsplat.passes.target_pool import TargetPool
-from glsplat.passes.views import checked_bias, checked_order, checked_out, checked_views
+from glsplat.passes.views import checked_bias, checked_mark, checked_order, checked_out, checked_views
 from glsplat.renderer_thread import RendererThread
 from glsplat.scene import Item, Scene, Shown
 from glsplat.shaders import Programs, Variant
 from glsplat.shaders.variant import MAX_VIEWS
 from glsplat.skinning.pose import Pose
 from glsplat.timing import StageTimer
+from glsplat.watermark.mark import Mark
 
 __all__ = ["FrameStats", "Renderer"]
 
@@ -70,6 +72,7 @@ class Renderer:
         self.timer: StageTimer = StageTimer(self.context.ctx.finish if timed else None)
         self._staged: Staged | None = None
         self._targets = TargetPool(self.context, self.target_dtype)
+        self._marks = Marks(self.context)
         self.stats: FrameStats = FrameStats(0, 0, 0)
         self.variant: Variant = Variant()  # of the last pass
         self.size: tuple[int, int] = (0, 0)
@@ -123,7 +126,7 @@ class Renderer:
         Not counted: the bone texture and the uniform blocks, which do not grow with the splats.
         """
         staged = self._staged.nbytes() if self._staged else {"splats": 0, "meshes": 0, "sh": 0, "work": 0}
-        return staged | {"targets": self._targets.nbytes}
+        return staged | {"targets": self._targets.nbytes + self._marks.nbytes}
 
     def load(self, scene: Shown) -> None:
         """Replace the scene. The old one is kept until the new one is on the GPU, and stays if that fails."""
@@ -155,6 +158,7 @@ class Renderer:
         viewer: Hashable = ...,
         lod_bias: float = ...,
         without: Collection[Item] = ...,
+        mark: Mark | None = ...,
     ) -> NDArray[Any]: ...
 
     @overload
@@ -170,6 +174,7 @@ class Renderer:
         viewer: Hashable = ...,
         lod_bias: float = ...,
         without: Collection[Item] = ...,
+        mark: Mark | None = ...,
     ) -> tuple[NDArray[Any], NDArray[np.float32]]: ...
 
     def render(
@@ -184,6 +189,7 @@ class Renderer:
         viewer: Hashable = None,  # who looks, where several do in turn: their levels of detail are kept apart
         lod_bias: float = 0.0,  # added to that of the config; -8 to 8
         without: Collection[Item] = (),  # items that this picture leaves out; others are not staged anew for it
+        mark: Mark | None = None,  # drawn into uint8 pictures where alpha is not 0 (docs/watermark.md)
     ) -> NDArray[Any] | tuple[NDArray[Any], NDArray[np.float32]]:
         """The images [V, H, W, 4], row 0 at the top: RGB over the background and accumulated alpha.
 
@@ -191,15 +197,15 @@ class Renderer:
         for PNG files and image libraries. float32 (unclipped) or uint8 by ``config.output``. With ``depth`` also
         [V, H, W] float32: camera z in metres, the mean of what a pixel shows by its weight in the picture, meshes
         included; 0 where alpha is 0. The arrays are new with each call, but for ``out``. Raises PoseError for a pose
-        that does not fit, GlsplatError for cameras of another size or a ``lod_bias`` beyond 8, BudgetError for a
-        picture beyond its budget: the next one is drawn as if it had not been asked for.
+        that does not fit, GlsplatError for cameras of another size, a ``lod_bias`` beyond 8 or a mark in float32,
+        BudgetError for a picture beyond its budget: the next one is drawn as if it had not been asked for.
         """
-        order = checked_order(sort_viewmat)
-        lod_bias = checked_bias(lod_bias)
+        order, lod_bias = checked_order(sort_viewmat), checked_bias(lod_bias)
         cameras = self._views(cameras)
         with self._entered("render"):
-            self._begin(pose, cameras, viewer, lod_bias, frozenset(map(id, without)))
             boxed = self.config.output == "uint8"
+            tile = None if mark is None else self._marks.tile(checked_mark(mark, boxed))
+            self._begin(pose, cameras, viewer, lod_bias, frozenset(map(id, without)))
             shape = (len(cameras), self.size[1], self.size[0], 4)
             out = checked_out(out, shape, np.uint8 if boxed else np.float32)
             depths = np.empty(out.shape[:3] if depth else 0, np.float32)
@@ -207,11 +213,11 @@ class Renderer:
                 views, mine = [cameras[i] for i in batch], slice(batch[0], batch[0] + len(batch))
                 pipeline, target = self._draw(views, order, boxed, ordinal, budget, depth)
                 byte_target = self._targets.byte_target(self.size, len(views)) if boxed else None
-                pipeline.read(target, byte_target, views, out[mine], self.timer)
+                pipeline.read(target, byte_target, views, out[mine], self.timer, tile)
                 if depth:
                     depths[mine] = target.read_depth()
                     self.timer.mark("read")
-                self._count(pipeline)
+                self.stats = pipeline.added(self.stats)
             self.timer.stop()
             return (out, depths) if depth else out
 
@@ -235,7 +241,7 @@ class Renderer:
                     pair = self._targets.float_target(self.size, len(cameras))
                     pair.copy_layer(self.context.ctx, batch[0], target)
                     target = pair
-                self._count(pipeline)
+                self.stats = pipeline.added(self.stats)
             lifted = pipeline.variant.cull_hidden
             target.lift = tuple(camera.background for camera in cameras) if lifted else None
             self.timer.stop()
@@ -299,8 +305,6 @@ class Renderer:
             label = f"a Renderer ({splats} splats, {self.size[0]}x{self.size[1]})"
             abandon(label, self.context.owner, self._forget, self._owns_context)
 
-    # ------------------------------------------------------------------------------------------------- internals
-
     def _open(self, scene: Shown, size: tuple[int, int], views: int) -> None:
         """Check what the driver can do, and make what does not wait for the first frame."""
         geometry = self.config.layers == "geometry"
@@ -311,15 +315,14 @@ class Renderer:
         if self.config.fetch == "storage" and not self.context.vertex_storage:
             raise ContextError(f"{self.driver} has no storage buffers in the vertex shader; use fetch='attributes'")
         self._geometry = geometry or not self.context.vertex_layers
-        automatic = self.config.shape == "auto" and self.context.software
-        self._triangle = automatic or self.config.shape == "triangle"
+        self._triangle = self.config.shape == "triangle" or (self.config.shape == "auto" and self.context.software)
         self.resize(*size)
         self._load(scene)
         self._targets.float_target(self.size, min(views, MAX_VIEWS))
 
     def _load(self, scene: Shown) -> None:
-        parts = (self.context, self._programs, Scene.of(scene), self.config, self._geometry, self._triangle)
-        old, self._staged = self._staged, Staged(*parts)
+        made = Staged(self.context, self._programs, Scene.of(scene), self.config, self._geometry, self._triangle)
+        old, self._staged = self._staged, made
         if old is not None:
             old.release()
 
@@ -349,8 +352,10 @@ class Renderer:
         scene = self._scene
         before = scene.runs
         scene.update(pose, self.timer, Look(tuple(cameras), viewer, self.config.lod_bias + lod_bias), without)
-        counts = FrameStats(scene.splats, 0, scene.skipped, {}, False)
-        self.stats = replace(counts, posed=scene.runs - before, levels=scene.levels, coarsest=scene.coarsest)
+        posed, levels = scene.runs - before, scene.levels
+        self.stats = FrameStats(
+            scene.splats, 0, scene.skipped, sorted=False, posed=posed, levels=levels, coarsest=scene.coarsest
+        )
 
     def _draw(
         self,
@@ -372,13 +377,6 @@ class Renderer:
         self.stats = replace(self.stats, sorted=self.stats.sorted or resorted)
         return pipeline, target
 
-    def _count(self, pipeline: Pipeline) -> None:
-        old = self.stats
-        culled = {reason: old.culled.get(reason, 0) + count for reason, count in pipeline.culled.items()}
-        covered = union(old.covered, pipeline.covered)
-        cost = old.cost + (pipeline.cost or 0)
-        self.stats = replace(old, drawn=old.drawn + pipeline.drawn, culled=culled, covered=covered, cost=cost)
-
     def _drop_scene(self) -> None:
         staged, self._staged = self._staged, None  # forgotten first: what is broken off must not be used again
         if staged is not None:
@@ -387,6 +385,7 @@ class Renderer:
     def _free(self, stack: ExitStack) -> None:
         """Delete what this renderer made, whatever fails, when ``stack`` closes."""
         stack.callback(self._programs.release)
+        stack.callback(self._marks.release)
         stack.callback(self._targets.release)
         stack.callback(self._drop_scene)
 

@@ -29,7 +29,7 @@ FLOORS = [
     ["glsplat.formats.gltf.bound", "glsplat.formats.gltf.vrm", "glsplat.formats.gltf.animation"],
     ["glsplat.avatar", "glsplat.meshes", "glsplat.tracking.solve"],
     ["glsplat.scene", "glsplat.reference", "glsplat.detail"],
-    ["glsplat.motion", "glsplat.views"],
+    ["glsplat.motion", "glsplat.views", "glsplat.watermark"],
     ["glsplat.formats"],
     ["glsplat.data", "glsplat.models"],
     ["glsplat.consent"],

@@ -20,12 +20,13 @@ from glsplat.net.server import ServerConfig
 from glsplat.net.session import SessionConfig
 from glsplat.scene import Figure
 from glsplat.tracking.calibration import Calibration
+from glsplat.watermark.mark import Watermark
 
 from ..args import add_detail, add_scene, add_solver, detail_of, load_avatar, open_scene, size
 from ..logs import add_log_format, start_logging
 from ..usage import UsageError
 from .agreed import add_consent, policy_of, signing
-from .keys import Keys, add_keys, keys_of
+from .keys import Keys, add_keys, keys_of, watermark_of
 from .photos import add_photos, upload_config
 from .ready import Place, add_ready, announce, open_page
 from .rooms import add_rooms, check_rooms, open_rooms
@@ -138,7 +139,9 @@ def check(args: argparse.Namespace) -> None:
         raise UsageError(f"--size needs at most {args.max_size} a side; raise --max-size to allow more")
 
 
-def server_config(args: argparse.Namespace, keys: Keys | None = None) -> ServerConfig:
+def server_config(
+    args: argparse.Namespace, keys: Keys | None = None, watermark: Watermark | None = None
+) -> ServerConfig:
     """The checked configuration, with TLS and token of ``keys``, else those that the arguments name.
 
     Raises GlsplatError naming the option or the file that does not fit.
@@ -162,7 +165,7 @@ def server_config(args: argparse.Namespace, keys: Keys | None = None) -> ServerC
         port=args.port,
         tls=keys.tls,
         wire=wire,
-        session=SessionConfig(window=args.window),
+        session=SessionConfig(window=args.window, watermark=watermark),
         limits=Limits(per_address=args.max_per_address, waiting=args.max_waiting),
         max_clients=args.max_clients,
         scene=Path(args.scene).name if args.scene else "default avatar",
@@ -199,7 +202,8 @@ def run(args: argparse.Namespace) -> int:
     check(args)
     workers = workers_of(args)
     keys = keys_of(args)
-    config = server_config(args, keys)
+    config = server_config(args, keys, watermark_of(args))
+    logging.getLogger("glsplat.net.marks").setLevel(logging.INFO)  # a clip is traced by these lines
     scene = open_scene(args)
     avatars = other_avatars(args)
     policy = policy_of(args, scene, scene_name(args))

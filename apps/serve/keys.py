@@ -7,14 +7,17 @@ import logging
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from glsplat.errors import GlsplatError
 from glsplat.net.accounts.users import Accounts
 from glsplat.net.guard.access import is_loopback, read_token
-from glsplat.net.guard.kept import TOKEN, kept_token, state_folder
+from glsplat.net.guard.kept import TOKEN, kept_token, kept_watermark, state_folder
 from glsplat.net.guard.machine import machine_names, reachable_at
+from glsplat.watermark.keys import read_watermark
+from glsplat.watermark.mark import Watermark
 
 from ..usage import UsageError
 
-__all__ = ["Keys", "add_keys", "keys_of"]
+__all__ = ["Keys", "add_keys", "keys_of", "watermark_of"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,7 +32,7 @@ class Keys:
 
 
 def add_keys(parser: argparse.ArgumentParser) -> None:
-    """--self-signed, --tls-cert, --tls-key, --token-file."""
+    """--self-signed, --tls-cert, --tls-key, --token-file, --watermark."""
     parser.add_argument(
         "--self-signed",
         action="store_true",
@@ -41,6 +44,12 @@ def add_keys(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--token-file", type=Path, metavar="FILE", help="clients need the token in this file")
     parser.add_argument(
         "--users", type=Path, metavar="FILE", help="clients need the token of an account in this file (glsplat users)"
+    )
+    parser.add_argument(
+        "--watermark",
+        metavar="on|off|FILE",
+        help="mark the pictures of each session invisibly, so that `glsplat watermark detect` tells from a clip whose "
+        "it was (docs/watermark.md); the key is in FILE, else made and kept in $XDG_STATE_HOME/glsplat (default on)",
     )
 
 
@@ -71,3 +80,21 @@ def keys_of(args: argparse.Namespace) -> Keys:
     if token is None and accounts is None and not is_loopback(args.host) and not args.insecure:
         token, token_file = kept_token(folder), folder / TOKEN
     return Keys((kept.path, kept.path), token, token_file, kept.fingerprint, accounts)
+
+
+def watermark_of(args: argparse.Namespace) -> Watermark | None:
+    """What pictures are marked with: read, or made and kept; None with a warning where that cannot be.
+
+    Raises GlsplatError naming the file, for --watermark on too.
+    """
+    if args.watermark == "off":
+        return None
+    if args.watermark not in (None, "on"):
+        return read_watermark(args.watermark)
+    try:
+        return kept_watermark(state_folder())
+    except GlsplatError as error:
+        if args.watermark == "on":
+            raise
+        logging.getLogger("glsplat.serve").warning("pictures are not marked: %s, or say --watermark off", error)
+        return None

@@ -37,6 +37,7 @@ from glsplat.skinning.pose import Pose
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.smplx import POSE_KEYS
 from glsplat.tracking.sample import BODY_JOINTS, MOST_JOINTS, TRACKERS
+from glsplat.watermark.mark import Mark
 
 __all__ = [
     "MAX_BYTES",
@@ -100,6 +101,7 @@ class RenderRequest:
     room: RoomView | None = None  # everybody in a room, instead of ``avatar`` alone
     label: str = ""  # drawn near the head of the avatar
     notice: str = ""  # written into the picture
+    mark: Mark | None = None  # of the session, by the server
 
 
 @dataclass(frozen=True, slots=True)

@@ -257,7 +257,8 @@ class Pump(ABC):
         frame = Frame(request, self._clock() - waited, {"wait": waited * 1e3}, solution=solution)
         if request.form == "native":  # older clients know one size
             frame.detail = self._governor.detail(channel.number, self._clock())
-        request = replace(request, viewer=channel.number, label=channel.label, notice=channel.notice())
+        mark, words = channel.session.mark, channel.notice()
+        request = replace(request, viewer=channel.number, label=channel.label, notice=words, mark=mark)
         frame.request = frame.detail.of(request)
         frame.member = channel.member
         if why := channel.shown.untracked:

@@ -6,6 +6,7 @@ way or unacknowledged, and nothing is queued without bound.
 
 from __future__ import annotations
 
+import logging
 from collections import deque
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
@@ -15,8 +16,11 @@ from glsplat.errors import ProtocolError
 from glsplat.net.guard.limits import Bucket
 from glsplat.net.guard.meter import POLICY_VIOLATION, Breach
 from glsplat.net.messages import MAX_ID, Ack, Decoder, RenderRequest, error_text
+from glsplat.watermark.mark import Mark, Watermark
 
 __all__ = ["Close", "Counts", "Session", "SessionConfig", "Warn"]
+
+marks: logging.Logger = logging.getLogger("glsplat.net.marks")  # a level of its own: it is asked for weeks later
 
 GOING_AWAY = 1001  # RFC 6455, section 7.4.1
 
@@ -33,6 +37,7 @@ class SessionConfig:
     forgive: float = 0.5  # ... and how many a second are forgiven
     handshake: float = 10.0  # seconds from the connection to the first valid request
     idle: float = 60.0  # seconds without any message
+    watermark: Watermark | None = None  # what the pictures of each session are marked with, if they are
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,6 +87,8 @@ class Session:
         self.accepted: RenderRequest | None = None  # what the last message brought, if it asked for a picture
         self.last_form: str = ""  # of the newest request, for /stats
         self.last_size: tuple[int, int] = (0, 0)
+        watermark = self.config.watermark
+        self.mark: Mark | None = None if watermark is None else watermark.new_mark()
         self._decoder = decoder
         self._opened = self._heard = self._noticed = now
         self._pending: dict[int, tuple[RenderRequest, float]] = {}  # by eye for the oldest form, else one
@@ -93,6 +100,11 @@ class Session:
         self._rate = Bucket(self.config.rate + self.config.burst, self.config.rate, self.config.burst, now)
         self._flood = Bucket(self.config.flood, self.config.rate, self.config.flood, now)
         self._errors = Bucket(self.config.errors, self.config.forgive, self.config.errors, now)
+
+    def announce(self, number: int, address: str) -> None:
+        """Log which client the mark in its pictures leads to."""
+        if self.mark is not None:
+            marks.info("client %d at %s is marked as session %08x", number, address, self.mark.session)
 
     def receive(self, data: str | bytes, now: float) -> Warn | Close | None:
         """Take one text message. None: nothing to say (accepted, acknowledged or dropped as too old)."""
@@ -206,8 +218,9 @@ class Session:
         return Close(error_text("timeout", reason), POLICY_VIOLATION, reason)
 
     def status(self) -> dict[str, Any]:
-        """Counts and window, for /stats."""
+        """Counts, window and the id in the watermark (hex), for /stats."""
         return asdict(self.counts) | {
+            "mark": None if self.mark is None else f"{self.mark.session:08x}",
             "window": self.config.window,
             "unacknowledged": len(self._unacked),
             "under_way": len(self._under_way),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 __all__ = ["FrameStats", "union"]
 
@@ -21,6 +21,12 @@ class FrameStats:
     posed: int = 0  # items that were skinned or placed anew, each level of detail by itself
     levels: tuple[int, ...] = ()  # of detail, one an item of splats that is shown; 0 is the finest
     coarsest: bool = True  # no visible item has a coarser level than it was drawn with
+
+    def plus(self, drawn: int, culled: dict[str, int], covered: tuple[int, int, int, int], cost: int) -> FrameStats:
+        """With one more pass."""
+        sums = {reason: self.culled.get(reason, 0) + count for reason, count in culled.items()}
+        box = union(self.covered, covered)
+        return replace(self, drawn=self.drawn + drawn, culled=sums, covered=box, cost=self.cost + cost)
 
 
 def union(a: tuple[int, int, int, int], b: tuple[int, int, int, int]) -> tuple[int, int, int, int]:

@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 
 from glsplat.camera import Camera
 from glsplat.errors import ContextError
-from glsplat.shaders import Programs, Variant
+from glsplat.shaders import Programs, ResolveVariant, Variant
 from glsplat.shaders.slots import UNITS
+from glsplat.watermark.mark import LEVELS
 
 __all__ = ["FORMATS", "Box", "ByteTarget", "Clear", "Resolve", "Target"]
 
@@ -159,32 +160,54 @@ class Clear:
 
 
 class Resolve:
-    """Clamps and rounds the float target to 8 bit, inside the covered box only."""
+    """Clamps and rounds the float target to 8 bit, inside the covered box only, and marks what it shows."""
 
     def __init__(self, ctx: moderngl.Context, programs: Programs, variant: Variant) -> None:
-        self._ctx = ctx
-        plain = Variant(cull_hidden=variant.cull_hidden)  # a view at a time: nothing else of a variant matters here
-        self._program = programs.draw("screen", "resolve", plain)
-        self._array = ctx.vertex_array(self._program, [])
+        self._ctx, self._programs = ctx, programs
+        self._cull_hidden = variant.cull_hidden
+        self._ways: dict[bool, tuple[moderngl.Program, moderngl.VertexArray]] = {}  # by whether there is a mark
+        self._way(False)
 
-    def run(self, source: Target, into: ByteTarget, cameras: Sequence[Camera], box: Box) -> None:
+    def run(
+        self,
+        source: Target,
+        into: ByteTarget,
+        cameras: Sequence[Camera],
+        box: Box,
+        mark: moderngl.Texture | None = None,  # a tile (glsplat.watermark)
+    ) -> None:
         """Convert the pixels of ``box`` of every view."""
         x, y, width, height = box
+        program, array = self._way(mark is not None)
+        if mark is not None:
+            mark.use(UNITS["mark"])
         into.framebuffer.use()
         self._ctx.enable_only(moderngl.NOTHING)
         source.texture.use(UNITS["target"])
         views, rows, _, _ = into.shape
-        background = self._program.get("background", None)
+        background = program.get("background", None)
         for view in range(views):
             if isinstance(background, moderngl.Uniform):
                 background.value = cameras[view].background
+            program["view"] = view, view * rows
             self._ctx.viewport = (x, view * rows + y, width, height)
-            self._array.render(moderngl.TRIANGLES, vertices=3)
+            array.render(moderngl.TRIANGLES, vertices=3)
         self._ctx.viewport = (0, 0, into.shape[2], views * rows)
 
+    def _way(self, marked: bool) -> tuple[moderngl.Program, moderngl.VertexArray]:
+        if marked not in self._ways:
+            variant = ResolveVariant(cull_hidden=self._cull_hidden, marked=int(marked))
+            program = self._programs.draw("screen", "resolve", variant)
+            levels = program.get("levels", None)
+            if isinstance(levels, moderngl.Uniform):
+                levels.value = tuple(level / 255 for level in LEVELS)
+            self._ways[marked] = program, self._ctx.vertex_array(program, [])
+        return self._ways[marked]
+
     def release(self) -> None:
-        """Delete the vertex array."""
-        self._array.release()
+        """Delete the vertex arrays."""
+        for _, array in self._ways.values():
+            array.release()
 
 
 def _framebuffer(ctx: moderngl.Context, *textures: moderngl.Texture | moderngl.TextureArray) -> moderngl.Framebuffer:

@@ -13,8 +13,9 @@ from glsplat.camera import Camera
 from glsplat.config import MAX_BIAS
 from glsplat.errors import GlsplatError, PoseError
 from glsplat.skinning.pose import Pose
+from glsplat.watermark.mark import Mark
 
-__all__ = ["checked_bias", "checked_order", "checked_out", "checked_pose", "checked_views"]
+__all__ = ["checked_bias", "checked_mark", "checked_order", "checked_out", "checked_pose", "checked_views"]
 
 
 def checked_views(cameras: Iterable[Camera], size: tuple[int, int], what_to_do: str = "") -> list[Camera]:
@@ -71,3 +72,12 @@ def checked_out(out: NDArray[Any] | None, shape: tuple[int, ...], dtype: DTypeLi
     if out.shape != shape or out.dtype != dtype or not (out.flags.c_contiguous and out.flags.writeable):
         raise GlsplatError(f"out needs a contiguous array {shape} of {np.dtype(dtype)}, not {out.shape} {out.dtype}")
     return out
+
+
+def checked_mark(mark: Mark, bytes_: bool) -> Mark:
+    """The mark, which only 8-bit pictures carry. Raises GlsplatError."""
+    if not isinstance(mark, Mark):
+        raise GlsplatError(f"render needs a glsplat.watermark.mark.Mark, not {type(mark).__name__}")
+    if not bytes_:
+        raise GlsplatError("a mark is drawn into 8-bit pictures; use RenderConfig(output='uint8')")
+    return mark

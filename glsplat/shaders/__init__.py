@@ -17,9 +17,9 @@ import moderngl
 from glsplat.errors import ShaderError
 from glsplat.shaders.slots import bind_slots
 from glsplat.shaders.uninterrupted import uninterrupted
-from glsplat.shaders.variant import MeshVariant, SkinVariant, Variant, variant_for
+from glsplat.shaders.variant import MeshVariant, ResolveVariant, SkinVariant, Variant, variant_for
 
-__all__ = ["MeshVariant", "Programs", "SkinVariant", "Source", "Variant", "flatten", "variant_for"]
+__all__ = ["MeshVariant", "Programs", "ResolveVariant", "SkinVariant", "Source", "Variant", "flatten", "variant_for"]
 
 _INCLUDE = re.compile(r'^\s*#include\s+"([^"]+)"\s*$')
 _CONDITION = re.compile(r"^\s*#(?:if|elif)\b(.*)$")
@@ -118,7 +118,7 @@ class Programs:
         """Program ``name``.vert.glsl that captures ``varyings`` (into one buffer, or one each) and draws nothing."""
         return self._get(name, {"vertex_shader": f"{name}.vert.glsl"}, variant, varyings, separate)
 
-    def draw(self, vertex: str, fragment: str, variant: Variant | MeshVariant) -> moderngl.Program:
+    def draw(self, vertex: str, fragment: str, variant: Variant | MeshVariant | ResolveVariant) -> moderngl.Program:
         """Program of two stages; with ``variant.geometry`` ``vertex``.geom.glsl routes the layers.
 
         With ``variant.pulled`` it needs OpenGL 4.3.
@@ -132,7 +132,7 @@ class Programs:
         self,
         name: str,
         stages: Mapping[str, str],
-        variant: Variant | SkinVariant | MeshVariant,
+        variant: Variant | SkinVariant | MeshVariant | ResolveVariant,
         varyings: Sequence[str] = (),
         separate: bool = False,
     ) -> moderngl.Program:

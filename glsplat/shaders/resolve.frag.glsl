@@ -4,16 +4,23 @@
 #include "lift.glsl"
 uniform vec3 background;  // of the view that is being resolved
 #endif
+#if MARKED
+#include "mark.glsl"
+uniform sampler2D mark;  // one tile, which repeats from the top left pixel of each view on
+uniform vec2 levels;
+#endif
 uniform sampler2DArray target;
+uniform ivec2 view;  // the layer, and the row of the 8-bit target at which it begins
 out vec4 fragment;
 
 void main() {
-    ivec2 pixel = ivec2(gl_FragCoord.xy);
-    int height = textureSize(target, 0).y;
-    int layer = pixel.y / height;
-    vec4 colour = texelFetch(target, ivec3(pixel.x, pixel.y - layer * height, layer), 0);
+    ivec2 pixel = ivec2(gl_FragCoord.xy) - ivec2(0, view.y);
+    vec4 colour = texelFetch(target, ivec3(pixel, view.x), 0);
 #if CULL_HIDDEN
     colour = lifted(colour, background);
+#endif
+#if MARKED
+    colour = marked(colour, texelFetch(mark, pixel & 63, 0).r, levels);
 #endif
     fragment = clamp(colour, 0.0, 1.0);
 }

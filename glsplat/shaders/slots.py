@@ -21,6 +21,7 @@ UNITS = {
     "mesh_samples_2": 9,
     "skin_texture": 5,  # of a mesh
     "target": 0,  # float layers (resolve.frag.glsl, present.frag.glsl)
+    "mark": 1,  # a tile (resolve.frag.glsl)
     "text": 1,  # over a window (present.frag.glsl)
     "large": 5,  # the larger picture of a mesh (mesh_resolve.frag.glsl)
 }

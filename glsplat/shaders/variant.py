@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields
 from glsplat.config import RenderConfig
 from glsplat.errors import ShaderError
 
-__all__ = ["COLOUR_TEXELS", "MAX_VIEWS", "MeshVariant", "SkinVariant", "Variant", "variant_for"]
+__all__ = ["COLOUR_TEXELS", "MAX_VIEWS", "MeshVariant", "ResolveVariant", "SkinVariant", "Variant", "variant_for"]
 
 MAX_VIEWS = 2
 """Views one pass draws: one, or a stereo pair. Longer lists of cameras run pass after pass."""
@@ -97,6 +97,18 @@ class MeshVariant:
         return _numbers(self) | {"VIEWS": 1}
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ResolveVariant:
+    """The pass that makes 8-bit pictures, one view at a time."""
+
+    cull_hidden: int = 0  # what was left out is made up for
+    marked: int = 0  # a mark is drawn (glsplat/watermark)
+
+    def defines(self) -> dict[str, int]:
+        """Name -> number for the preprocessor."""
+        return _numbers(self) | {"VIEWS": 1, "GEOMETRY": 0}
+
+
 def variant_for(
     views: int,
     config: RenderConfig,
@@ -136,5 +148,5 @@ def variant_for(
     )
 
 
-def _numbers(variant: Variant | SkinVariant | MeshVariant) -> dict[str, int]:
+def _numbers(variant: Variant | SkinVariant | MeshVariant | ResolveVariant) -> dict[str, int]:
     return {field.name.upper(): int(getattr(variant, field.name)) for field in fields(variant)}

@@ -16,7 +16,7 @@ from glsplat.passes.block import frame_dtype
 from glsplat.passes.frame.project import record_layout
 from glsplat.shaders import Programs, Variant, flatten, link
 from glsplat.shaders.slots import UNITS
-from glsplat.shaders.variant import MeshVariant, SkinVariant, variant_for
+from glsplat.shaders.variant import MeshVariant, ResolveVariant, SkinVariant, variant_for
 
 FILES = [file for file in resources.files("glsplat.shaders").iterdir() if file.name.endswith(".glsl")]
 
@@ -78,7 +78,7 @@ def test_log_dialects(log: str) -> None:
 def test_every_flag_is_used_and_never_by_ifdef() -> None:
     code = "\n".join(re.sub(r"//.*", "", file.read_text()) for file in FILES)  # a comment is no use
     assert not re.search(r"#\s*ifn?def\b|\bdefined\b", code)
-    for flag in Variant().defines() | SkinVariant().defines() | MeshVariant().defines():
+    for flag in Variant().defines() | SkinVariant().defines() | MeshVariant().defines() | ResolveVariant().defines():
         assert re.search(rf"\b{flag}\b", code), f"no shader reads {flag}"
 
 
@@ -135,7 +135,9 @@ def rows() -> list[Variant]:
 
 ROWS = rows()
 SKINS = [SkinVariant(influences=k, raw=raw, turned=turned) for k in (1, 2, 4, 8) for raw in (0, 1) for turned in (0, 1)]
+RESOLVES = [ResolveVariant(cull_hidden=hidden, marked=marked) for hidden in (0, 1) for marked in (0, 1)]
 MESHES = [MeshVariant(), MeshVariant(logarithmic=1), MeshVariant(shaded=1)]
+OTHERS = [*SKINS, *MESHES, *RESOLVES]
 
 
 def kept(text: str, defines: dict[str, int]) -> set[tuple[int, bool]]:
@@ -156,7 +158,7 @@ def kept(text: str, defines: dict[str, int]) -> set[tuple[int, bool]]:
     return out
 
 
-def missed(rows: Sequence[Variant | SkinVariant | MeshVariant]) -> list[str]:
+def missed(rows: Sequence[Variant | SkinVariant | MeshVariant | ResolveVariant]) -> list[str]:
     """Conditions of the shaders that these rows never make true, or never false."""
     out = []
     for file in FILES:
@@ -175,7 +177,7 @@ def missed(rows: Sequence[Variant | SkinVariant | MeshVariant]) -> list[str]:
 
 def test_the_rows_reach_every_branch() -> None:
     windows = {"present.frag.glsl"}  # its flags are no variant's: tests/apps/preview draws all of them
-    rest = [line for line in missed([*ROWS, *SKINS, *MESHES]) if line.split(":")[0] not in windows]
+    rest = [line for line in missed([*ROWS, *OTHERS]) if line.split(":")[0] not in windows]
     assert not rest
     for flag in (
         "depth",
@@ -190,7 +192,7 @@ def test_the_rows_reach_every_branch() -> None:
         "pulled",
     ):
         fewer = [row for row in ROWS if not getattr(row, flag)]
-        assert len(missed([*fewer, *SKINS, *MESHES])) > len(missed([*ROWS, *SKINS, *MESHES])), flag
+        assert len(missed([*fewer, *OTHERS])) > len(missed([*ROWS, *OTHERS])), flag
 
 
 @pytest.mark.gl
@@ -212,6 +214,9 @@ def test_the_variants_that_matter_compile(gl: Context) -> None:
         programs.feedback("skin", skin, posed)
     for mesh in MESHES:
         programs.draw("ground", "ground", mesh)
+    for resolve in RESOLVES:
+        program = programs.draw("screen", "resolve", resolve)
+        assert ("mark" in program, "background" in program) == (bool(resolve.marked), bool(resolve.cull_hidden))
     programs.release()
 
 
@@ -232,7 +237,9 @@ def test_slots() -> None:
     for file in FILES:
         if file.name.count(".") < 2:
             continue
-        flags = dict.fromkeys(Variant().defines() | SkinVariant().defines() | MeshVariant().defines(), 1)
+        flags = dict.fromkeys(
+            Variant().defines() | SkinVariant().defines() | MeshVariant().defines() | ResolveVariant().defines(), 1
+        )
         text = flatten(file.name, flags | {"ANAGLYPH": 0, "TEXT": 1, "LIFTED": 1}).text
         samplers = re.findall(r"^uniform sampler\w+ (\w+);", text, re.MULTILINE)
         units = [UNITS[name] for name in samplers]

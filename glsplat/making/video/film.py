@@ -1,4 +1,4 @@
-"""Video files: evenly spread sharp frames of one, upright, without trust in what its header says."""
+"""Video files: all frames, or evenly spread sharp ones, upright, without trust in what its header says."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from glsplat.errors import FormatError
 from glsplat.formats.files import open_regular
 from glsplat.making.photo.photo_file import MOST_PIXELS, SIDE
 
-__all__ = ["FEWEST", "is_video", "read_frames"]
+__all__ = ["FEWEST", "each_frame", "is_video", "read_frames"]
 
 FEWEST = 8
 """Frames that a turn needs."""
@@ -57,6 +57,19 @@ def read_frames(path: str | os.PathLike[str], count: int) -> list[NDArray[np.uin
     if seen < FEWEST:
         raise FormatError(f"{path}: a video needs at least {FEWEST} frames, this has {seen}; film a whole turn")
     return frames
+
+
+def each_frame(path: str | os.PathLike[str]) -> Iterator[NDArray[np.uint8]]:
+    """All frames, RGB uint8 [H, W, 3], as they are. Raises FormatError for what is no video, or is cut off at once."""
+    with _opened(path) as film:
+        read, picture = film.read()
+        if not read or picture is None:
+            raise FormatError(f"{path}: the video is damaged; its first frame cannot be read")
+        while read and picture is not None:
+            if picture.ndim != 3 or picture.shape[2] != 3 or picture.shape[0] * picture.shape[1] > MOST_PIXELS:
+                raise FormatError(f"{path}: frames of {picture.shape} are not pictures in colour of a usable size")
+            yield np.ascontiguousarray(picture[..., ::-1])
+            read, picture = film.read()
 
 
 @contextmanager

@@ -130,6 +130,7 @@ class RendererBackend:
                 viewer=request.viewer,
                 lod_bias=request.detail,
                 without=stand.left_out(request),
+                mark=request.mark,
             )
             if self._context.ctx.error != "GL_NO_ERROR":  # reading it clears it
                 raise GlsplatError(f"{renderer.driver} reports an OpenGL error: the picture is not to be trusted")

@@ -12,11 +12,15 @@ from glsplat.consent.keys import PrivateKey, new_key, private_key
 from glsplat.errors import GlsplatError
 from glsplat.formats.files import locked, replace_file
 from glsplat.net.guard.access import read_token
+from glsplat.watermark.keys import new_watermark, read_watermark, text_of
+from glsplat.watermark.mark import Watermark
 
-__all__ = ["TOKEN", "kept_key", "kept_token", "lock_of", "state_folder"]
+__all__ = ["TOKEN", "WATERMARK", "kept_key", "kept_token", "kept_watermark", "lock_of", "state_folder"]
 
 TOKEN = "token"
 """The name of the token's file in the folder."""
+WATERMARK = "watermark"
+"""The name of the file with what pictures are marked with."""
 _KEY = "consent-key"
 _BYTES = 18  # of chance in a token, 144 bits: 24 characters
 _PATIENCE = 10.0  # seconds; who holds the lock makes a key meanwhile, which takes some milliseconds
@@ -70,3 +74,12 @@ def kept_key(folder: Path) -> PrivateKey:
     path = folder / _KEY
     with lock_of(folder):
         return private_key(path) if path.exists() else new_key(path)
+
+
+def kept_watermark(folder: Path) -> Watermark:
+    """The watermark's id and key in the folder, made at the first call. Raises GlsplatError naming the file."""
+    path = folder / WATERMARK
+    with lock_of(folder):
+        if not path.exists():
+            replace_file(path, [text_of(new_watermark()).encode()], private=True)
+        return read_watermark(path)

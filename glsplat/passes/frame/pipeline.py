@@ -23,6 +23,7 @@ from glsplat.passes.frame.key import KeyPass
 from glsplat.passes.frame.project import ProjectPass
 from glsplat.passes.frame.sort import FIRST_CULLED, count_culled, covered_box, sorted_indices
 from glsplat.passes.item.ground import Ground
+from glsplat.passes.stats import FrameStats
 from glsplat.passes.target import Box, ByteTarget, Clear, Resolve, Target
 from glsplat.pictures import lifted
 from glsplat.shaders import Programs, Variant
@@ -191,6 +192,7 @@ class Pipeline:
         views: Sequence[Camera],
         out: NDArray[Any],  # [V, H, W, 4] uint8 if there is a byte target, else float32
         timer: StageTimer,
+        mark: moderngl.Texture | None = None,  # a tile, for 8-bit pictures
     ) -> None:
         """Steps 5 and 6: 8-bit conversion where asked for, and the picture to the host."""
         if byte_target is None:
@@ -199,12 +201,16 @@ class Pipeline:
                 for picture, view in zip(out, views, strict=True):
                     picture[:] = lifted(picture, view.background)
         else:
-            self._resolve.run(target, byte_target, views, self.covered)
+            self._resolve.run(target, byte_target, views, self.covered, mark)
             timer.mark("resolve")
             byte_target.read(out, self.covered)
         if self._sorter and not self._counted:
             self._count()  # after the read, so that nothing waits twice
         timer.mark("read")
+
+    def added(self, stats: FrameStats) -> FrameStats:
+        """``stats`` with what this pass did."""
+        return stats.plus(self.drawn, self.culled, self.covered, self.cost or 0)
 
     def _count(self) -> None:
         """What the GPU sorter counted, to the host."""

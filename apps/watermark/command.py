@@ -1,0 +1,89 @@
+"""``glsplat watermark``: finds the mark that a server drew into its pictures."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from glsplat.errors import FormatError
+from glsplat.formats.files import open_regular
+from glsplat.making.photo.photo_file import MOST_PIXELS
+from glsplat.making.video.film import each_frame, is_video
+from glsplat.net.guard.kept import WATERMARK, state_folder
+from glsplat.watermark.detect import WINDOW, detect
+from glsplat.watermark.keys import read_watermark
+
+from ..args import natural
+from ..usage import UsageError
+
+HELP = "The invisible mark in the pictures of `glsplat serve`: finds it, and says to whom they were sent."
+EXAMPLE = "glsplat watermark detect leaked.mp4"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The subcommands and their options."""
+    commands = parser.add_subparsers(dest="action", required=True, metavar="ACTION")
+    finder = commands.add_parser(
+        "detect", help="server and session of a clip, or of pictures of one size; 1 where no mark is found"
+    )
+    finder.add_argument("files", nargs="+", type=Path, metavar="FILE", help="a clip, or pictures (PNG, JPEG, WebP)")
+    finder.add_argument(
+        "--key",
+        type=Path,
+        metavar="FILE",
+        help="key file of the server (default: the one that this user's `glsplat serve` made)",
+    )
+    finder.add_argument(
+        "--window", type=natural, default=WINDOW, metavar="N", help=f"pictures searched at once (default {WINDOW})"
+    )
+    finder.add_argument("--json", action="store_true", help="print one JSON object")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run the chosen action: 0 where a mark was found, 1 where not."""
+    if args.window < 1:
+        raise UsageError("--window needs at least 1 picture")
+    key = read_watermark(state_folder() / WATERMARK if args.key is None else args.key).key
+    seen = 0
+
+    def counted() -> Iterator[NDArray[np.uint8]]:
+        nonlocal seen
+        for picture in _pictures(args.files):
+            seen += 1
+            yield picture
+
+    found = detect(counted(), key, args.window)
+    if args.json:
+        fields = {} if found is None else {"server": f"{found.server:04x}", "session": f"{found.session:08x}"}
+        facts = {} if found is None else {"chance": found.chance, "scale": found.scale, "pictures": found.frames}
+        print(json.dumps({"found": found is not None, **fields, **facts, "seen": seen}))
+    elif found is None:
+        print(f"no mark of this key in {seen} pictures")
+    else:
+        print(f"{found}, in {found.frames} pictures at scale {found.scale:.3f}")
+    return 0 if found is not None else 1
+
+
+def _pictures(files: list[Path]) -> Iterator[NDArray[np.uint8]]:
+    """[H, W, 3] RGB of a clip, or of each file. Raises FormatError, UsageError naming what does not fit."""
+    if is_video(files[0]):
+        if len(files) > 1:
+            raise UsageError(f"give one clip at a time, or pictures; found {files[0]} and {len(files) - 1} more")
+        yield from each_frame(files[0])
+        return
+    for path in files:
+        with open_regular(path) as (file, _):
+            data = np.frombuffer(file.read(), np.uint8)
+        try:
+            picture = cv2.imdecode(data, cv2.IMREAD_COLOR)
+        except cv2.error:
+            picture = None
+        if picture is None or picture.shape[0] * picture.shape[1] > MOST_PIXELS:
+            raise FormatError(f"{path}: expected a clip, or a picture of at most {MOST_PIXELS // 10**6} megapixels")
+        yield np.ascontiguousarray(picture[..., ::-1])

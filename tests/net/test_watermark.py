@@ -1,0 +1,72 @@
+"""A server that marks: each session by an id of its own, in the log, in /stats, and in the pictures it receives."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+
+import aiohttp
+import numpy as np
+import pytest
+
+from glsplat.camera import head_matrix, stereo_cameras
+from glsplat.data import default_avatar
+from glsplat.motion.motion import load_embedded_motion
+from glsplat.net.backends.server import make_server
+from glsplat.net.client import Client
+from glsplat.net.server import ServerConfig
+from glsplat.net.session import SessionConfig
+from glsplat.watermark.detect import detect
+from glsplat.watermark.mark import Watermark
+
+WATERMARK = Watermark(0x1A2B, b"sixteen bytes 01")
+CONFIG = ServerConfig(port=0, session=SessionConfig(watermark=WATERMARK))
+
+
+@pytest.mark.gl
+@pytest.mark.parametrize("own_process", [False, True])
+def test_pictures_lead_to_their_session(own_process, caplog):
+    avatar, size = default_avatar(), (448, 448)
+    motion = load_embedded_motion("walk", avatar.skeleton)
+    eyes = stereo_cameras(head_matrix((0, 0.35, 1.0), (0, 0, 0, 1)), size=size)
+
+    async def watch(server):
+        async with Client(server.url) as client:
+            replies = [await client.render(eyes, pose=motion.pose(frame), quality=60) for frame in range(6)]
+            async with aiohttp.ClientSession() as http:
+                page = server.url.replace("ws:", "http:").replace("/ws", "/stats")
+                async with http.get(page) as response:
+                    (row,) = (await response.json())["clients"]
+            return [reply.images()[0] for reply in replies], row["mark"]
+
+    async def main():
+        server = make_server(avatar, CONFIG, own_process=own_process)
+        await server.start()
+        try:
+            return [await watch(server) for _ in range(2)]
+        finally:
+            await server.stop()
+
+    with caplog.at_level(logging.INFO, "glsplat.net.marks"):
+        (first, one), (second, two) = asyncio.run(main())
+    logged = [record.getMessage() for record in caplog.records if record.name == "glsplat.net.marks"]
+    assert one != two and len(logged) == 2
+    for pictures, told, line in ((first, one, logged[0]), (second, two, logged[1])):
+        found = detect(pictures, WATERMARK.key)
+        assert found is not None and f"{found.session:08x}" == told and found.server == WATERMARK.server
+        assert line.endswith(f"is marked as session {told}") and WATERMARK.key.hex() not in line
+        assert detect(pictures, b"sixteen bytes 02") is None
+
+
+def test_a_server_marks_where_it_is_told_to(serve, fake_backend):
+    eyes = stereo_cameras(np.eye(4), size=(64, 64))
+
+    async def main(config):
+        backend = fake_backend()
+        async with serve(backend, config) as server, Client(server.url) as client:
+            await client.render(eyes)
+            return backend.drawn[0].mark, server.stats()["clients"][0]["mark"]
+
+    assert asyncio.run(main(ServerConfig(port=0))) == (None, None)
+    mark, told = asyncio.run(main(CONFIG))
+    assert (mark.server, mark.key, f"{mark.session:08x}") == (WATERMARK.server, WATERMARK.key, told)

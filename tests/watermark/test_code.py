@@ -1,0 +1,84 @@
+"""The code word: what comes back, through how much noise, and what is refused."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from glsplat.errors import GlsplatError
+from glsplat.watermark.code import CODE_BITS, Payload, decode, encode
+from glsplat.watermark.keys import new_watermark, read_watermark, text_of
+from glsplat.watermark.mark import Mark, Watermark
+
+KEY = b"sixteen bytes 01"
+
+
+@pytest.mark.parametrize("ids", [(0, 0), (0xFFFF, 0xFFFFFFFF), (0x1A2B, 0x00C0FFEE)])
+def test_a_word_comes_back(ids: tuple[int, int]) -> None:
+    word = encode(Payload(*ids))
+    assert word.shape == (CODE_BITS,) and set(np.unique(word)) <= {-1.0, 1.0}
+    assert decode(0.01 * word) == Payload(*ids)
+
+
+def test_the_word_is_the_generators_output() -> None:
+    """Each sign is the parity of a generator over the last nine bits, around the circle (written out once more)."""
+    payload = Payload(0x9D31, 0x4E6F2A55)
+    word = encode(payload).reshape(-1, 4)
+    info = payload.server.to_bytes(2, "big") + payload.session.to_bytes(4, "big")
+    crc = 0xFFFF
+    for byte in info:  # CRC-16/CCITT-FALSE, bit by bit
+        crc ^= byte << 8
+        for _ in range(8):
+            crc = (crc << 1 ^ (0x1021 if crc & 0x8000 else 0)) & 0xFFFF
+    bits = [int(b) for b in f"{int.from_bytes(info, 'big') << 16 | crc:064b}"]
+    for i in range(64):
+        register = sum(bits[i - back] << (8 - back) for back in range(9))
+        expected = [1 - 2 * ((register & g).bit_count() & 1) for g in (0o765, 0o671, 0o513, 0o473)]
+        assert word[i].tolist() == expected
+
+
+def test_errors_are_corrected(rng: np.random.Generator) -> None:
+    """At 3 dB a bit, where one sign in six arrives wrong, every word of 60 is read."""
+    deviation, wrong, read = np.sqrt(4 / (2 * 10**0.3)), 0.0, 0
+    for _ in range(60):
+        payload = Payload(int(rng.integers(1 << 16)), int(rng.integers(1 << 32)))
+        word = encode(payload)
+        received = word + deviation * rng.normal(size=CODE_BITS)
+        wrong += float((np.sign(received) != word).mean()) / 60
+        read += decode(received) == payload
+    assert 0.12 < wrong < 0.2 and read == 60
+
+
+def test_noise_is_refused(rng: np.random.Generator) -> None:
+    assert not any(decode(rng.normal(size=CODE_BITS)) for _ in range(100))  # one in 65,536 would be right
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ((1 << 16, 0, KEY), "server is a whole number of 16 bits"),
+        ((0, -1, KEY), "session is a whole number of 32 bits"),
+        ((True, 0, KEY), "server is a whole number"),
+        ((0, 0, KEY[:-1]), "key is at least 16 bytes, not 15"),
+        ((0, 0, KEY.hex()), "key is at least 16 bytes, not str"),
+    ],
+)
+def test_a_mark_is_checked(words: tuple[int, int, bytes], message: str) -> None:
+    with pytest.raises(GlsplatError, match=message):
+        Mark(*words)
+
+
+def test_the_key_file(tmp_path) -> None:
+    made = new_watermark()
+    path = tmp_path / "watermark"
+    path.write_text(text_of(made))
+    assert read_watermark(path) == made and made.key.hex() not in repr(made) and made != new_watermark()
+    assert made.new_mark().session != made.new_mark().session
+    for text in ("", "1a2b", "1a2b " + KEY[:-1].hex(), "12345 " + KEY.hex(), "1a2b nothex", "1a2b é"):
+        path.write_text(text, encoding="utf-8")
+        with pytest.raises(GlsplatError, match=f"{path}: a watermark's key file is one line"):
+            read_watermark(path)
+    with pytest.raises(GlsplatError, match="nothing: cannot read the watermark's key"):
+        read_watermark(tmp_path / "nothing")
+    with pytest.raises(GlsplatError, match="16 bits"):
+        Watermark(1 << 16, KEY)

@@ -1,0 +1,137 @@
+"""Finding a mark in rendered pictures after what happens to pictures, and not finding one where there is none."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Callable
+
+import av
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from glsplat.camera import head_matrix, stereo_cameras
+from glsplat.data import default_avatar
+from glsplat.errors import GlsplatError
+from glsplat.evaluate.metrics.flip import flip
+from glsplat.gl.context import Context
+from glsplat.motion.motion import load_embedded_motion
+from glsplat.renderer import Renderer
+from glsplat.watermark import detect as detecting
+from glsplat.watermark.detect import ALARM, WINDOW, detect
+from glsplat.watermark.mark import Mark
+from glsplat.watermark.pattern import pattern_of
+
+KEY, OTHER = b"sixteen bytes 01", b"sixteen bytes 02"
+SIDE = 448
+Pictures = NDArray[np.uint8]  # [T, H, W, 4]
+
+
+@pytest.fixture(scope="module")
+def clips(context: Context) -> tuple[Pictures, Pictures, Mark]:
+    """Somebody waving, from the waist up: without a mark, with it, and the mark."""
+    avatar, mark = default_avatar(), Mark(0x1A2B, 0x00C0FFEE, KEY)
+    motion = load_embedded_motion("wave-and-turn", avatar.skeleton)
+    eyes = stereo_cameras(head_matrix((0, 0.35, 1.0), (0, 0, 0, 1)), size=(SIDE, SIDE))[:1]
+    plain, marked = [], []
+    with context.ctx, Renderer(avatar, size=(SIDE, SIDE), context=context) as renderer:
+        for frame in range(WINDOW):
+            pose = motion.pose(frame)
+            plain.append(renderer.render(eyes, pose)[0])
+            marked.append(renderer.render(eyes, pose, mark=mark)[0])
+    return np.stack(plain), np.stack(marked), mark
+
+
+def jpeg(clip: Pictures, quality: int = 60) -> Pictures:
+    flags = [cv2.IMWRITE_JPEG_QUALITY, quality]
+    packed = [cv2.imencode(".jpg", picture[..., 2::-1], flags)[1] for picture in clip]
+    return np.stack([cv2.imdecode(data, cv2.IMREAD_COLOR)[..., ::-1] for data in packed])
+
+
+def scaled(clip: Pictures, scale: float = 0.75) -> Pictures:
+    return jpeg(np.stack([cv2.resize(p, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA) for p in clip]), 80)
+
+
+def cropped(clip: Pictures) -> Pictures:
+    return clip[:, 4:210, 108:350]  # head and shoulders
+
+
+def x264(clip: Pictures) -> Pictures:
+    """4 Mbit/s were for a pair of 512x512: as many bits a pixel."""
+    file = io.BytesIO()
+    with av.open(file, "w", format="mp4") as out:
+        stream = out.add_stream("libx264", rate=30)
+        stream.width, stream.height = clip.shape[2], clip.shape[1]
+        stream.pix_fmt, stream.bit_rate = "yuv420p", round(4e6 * SIDE**2 / (2 * 512**2))
+        stream.codec_context.thread_count = 1
+        for picture in clip:
+            out.mux(stream.encode(av.VideoFrame.from_ndarray(np.ascontiguousarray(picture[..., :3]), format="rgb24")))
+        out.mux(stream.encode())
+    with av.open(io.BytesIO(file.getvalue())) as back:
+        return np.stack([frame.to_ndarray(format="rgb24") for frame in back.decode(video=0)])
+
+
+@pytest.mark.gl
+@pytest.mark.parametrize("attack", [jpeg, scaled, cropped, x264])
+def test_a_mark_is_found(clips: tuple[Pictures, Pictures, Mark], attack: Callable[[Pictures], Pictures]) -> None:
+    plain, marked, mark = clips
+    found = detect(attack(marked), KEY)
+    assert found is not None and (found.server, found.session) == (mark.server, mark.session)
+    assert found.chance <= ALARM and found.frames == WINDOW
+    assert abs(found.scale / (0.75 if attack is scaled else 1) - 1) < 0.02
+    assert detect(attack(plain), KEY) is None and detect(attack(marked), OTHER) is None
+
+
+@pytest.mark.gl
+def test_it_is_not_seen(clips: tuple[Pictures, Pictures, Mark]) -> None:
+    plain, marked, _ = clips
+    for index in (0, WINDOW // 2):
+        off = (marked[index].astype(float) - plain[index])[..., :3]
+        there = plain[index, ..., 3] > 127
+        assert 0.2 < there.mean() < 0.6
+        assert 42 < 10 * np.log10(255**2 / (off[there] ** 2).mean()) < 50  # dB, where the avatar is
+        assert flip(marked[index, ..., :3] / 255, plain[index, ..., :3] / 255) <= 0.02
+
+
+@pytest.mark.gl
+def test_windows_and_what_is_left_over(clips: tuple[Pictures, Pictures, Mark]) -> None:
+    plain, marked, mark = clips
+    late = detect(np.concatenate([plain, marked[:7]]), KEY)  # in the second search, of seven pictures
+    assert late is not None and (late.session, late.frames) == (mark.session, 7)
+    assert late.chance / detect(marked[:7], KEY).chance == pytest.approx(3)  # 2 (2 + 1) instead of 1 (1 + 1)
+    grey = cv2.cvtColor(marked[0], cv2.COLOR_RGBA2GRAY)
+    assert detect([grey], KEY).session == detect([marked[0, ..., :3]], KEY).session == mark.session
+
+
+@pytest.mark.gl
+def test_the_bound_on_chance_holds(clips: tuple[Pictures, Pictures, Mark]) -> None:
+    """Of 300 keys that nobody used the best score comes as often as the bound allows, or more rarely."""
+    _, marked, _ = clips
+    rest = sum(detecting.rest_of(p) for p in cropped(marked)) / np.float32(WINDOW)
+    residual = detecting._whitened(rest)
+    scales = detecting._scales(max(residual.shape))
+    spectra = detecting._spectra(residual, pattern_of(OTHER), scales)  # the bins are the same for all keys
+    weighed = spectra * detecting._weights(spectra, pattern_of(OTHER))
+    chances = []
+    for number in range(300):
+        best = detecting._scores(weighed, pattern_of(number.to_bytes(16, "big"))).max()
+        chances.append(len(scales) * detecting._GRID**2 * np.exp(-(best**2) / 2))
+    assert np.min(chances) > 1e-4  # 300 draws below it: 3 % at most
+    assert detecting._chance(8.0, 10**6) / (1e6 * np.exp(-32) / 2**16) == pytest.approx(1)
+    assert np.mean(np.array(chances) < 0.5) <= 0.5 and np.median(chances) < 1e3  # a bound, and not an idle one
+
+
+def test_nothing_to_find_in_nothing() -> None:
+    flat = np.full((2, 40, 50, 3), 90, np.uint8)
+    assert detect(flat, KEY) is None and detect(flat[:, :1, :1], KEY) is None
+    for frames, message in (
+        ([], "at least 1 picture"),
+        ([flat[0], flat[0, :20]], "one size are needed, not 50x40 and then 50x20"),
+        ([flat[0].astype(np.float32)], "pictures of uint8"),
+        ([flat[0, ..., :2]], r"not \(40, 50, 2\)"),
+    ):
+        with pytest.raises(GlsplatError, match=message):
+            detect(frames, KEY)
+    with pytest.raises(GlsplatError, match="a window needs at least 1 picture"):
+        detect(flat, KEY, window=0)

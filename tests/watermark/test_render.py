@@ -1,0 +1,91 @@
+"""The mark in the resolve pass: the twin's picture, on the avatar alone, and nothing where none was asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from glsplat.camera import Camera, stereo_cameras
+from glsplat.errors import GlsplatError
+from glsplat.passes import marks
+from glsplat.renderer import Renderer
+from glsplat.watermark.mark import Mark, marked
+from glsplat.watermark.pattern import TILE
+from tests.scenes import cloud
+
+Make = Callable[..., Renderer]
+MARK = Mark(7, 0xABCDEF, b"sixteen bytes 01")
+
+
+def pair(width: int = 150, height: int = 100) -> list[Camera]:
+    head = np.eye(4)
+    head[2, 3] = 2.5
+    return [replace(eye, background=(0.1, 0.0, 0.2)) for eye in stereo_cameras(head, 0.2, size=(width, height))]
+
+
+def test_the_tile() -> None:
+    tile = MARK.tile()
+    assert tile.shape == (TILE, TILE) and abs(tile.mean()) < 1e-6 and abs(tile.std() - 1) < 1e-6
+    spectrum = np.fft.fft2(tile)
+    ring = np.hypot(*np.meshgrid(*[np.fft.fftfreq(TILE, 1 / TILE)] * 2))
+    assert abs(spectrum[(ring < 5) | (ring > 18)]).max() < 1e-3 < abs(spectrum[(ring >= 5) & (ring <= 18)]).min()
+    assert not np.array_equal(tile, Mark(7, 0xABCDEE, MARK.key).tile())
+
+
+@pytest.mark.gl
+@pytest.mark.parametrize("cull_hidden", [False, True])
+def test_pictures_are_those_of_the_twin(renderer_of: Make, cull_hidden: bool) -> None:
+    scene = cloud(300)
+    if cull_hidden:
+        scene = replace(scene, cones=np.full((len(scene), 4), (127, 0, 0, -127), np.int8))  # leaves out none
+    views = pair()
+    exact = renderer_of(scene, size=(150, 100), views=2, cull_hidden=cull_hidden).render(views)
+    renderer = renderer_of(scene, size=(150, 100), views=2, cull_hidden=cull_hidden, output="uint8")
+    plain = renderer.render(views)
+    drawn = renderer.render(views, mark=MARK)
+    twin = np.floor(np.clip(marked(exact, MARK), 0, 1) * 255 + 0.5)
+    assert abs(drawn - twin).max() <= 1 and (drawn != twin).mean() < 1e-3  # rounding at a half
+    off = drawn[..., :3].astype(int) - plain[..., :3]
+    assert abs(off).max() > 3 and np.array_equal(drawn[..., 3], plain[..., 3])
+    nothing = plain[..., 3] == 0
+    assert nothing.any() and not off[nothing].any()
+    assert (drawn[..., :3] <= np.maximum(plain[..., :3], drawn[..., 3:])).all()
+    assert np.array_equal(renderer.render(views), plain)  # and none is left behind
+    np.testing.assert_array_equal(renderer.render(views[1:], mark=MARK)[0], drawn[1])  # a pair is two singles
+
+
+@pytest.mark.gl
+def test_both_eyes_have_the_same_mark_on_the_screen(renderer_of: Make) -> None:
+    views = pair()
+    renderer = renderer_of(cloud(300), size=(150, 100), views=2, output="uint8")
+    off = renderer.render(views, mark=MARK)[..., 1].astype(float) - renderer.render(views)[..., 1]
+    both = (off != 0).all(axis=0)
+    tile = MARK.tile()[np.arange(100)[:, None] % TILE, np.arange(150) % TILE]
+    assert both.sum() > 500
+    for eye in off:
+        assert np.corrcoef(eye[both], tile[both])[0, 1] > 0.8
+
+
+@pytest.mark.gl
+def test_a_mark_is_for_bytes(renderer_of: Make) -> None:
+    scene, views = cloud(5), pair()
+    with pytest.raises(GlsplatError, match="a mark is drawn into 8-bit pictures; use"):
+        renderer_of(scene, size=(150, 100)).render(views, mark=MARK)
+    with pytest.raises(GlsplatError, match=r"render needs a glsplat\.watermark\.mark\.Mark, not str"):
+        renderer_of(scene, size=(150, 100), output="uint8").render(views, mark="mark")  # type: ignore[call-overload]
+
+
+@pytest.mark.gl
+def test_tiles_are_kept_and_let_go(renderer_of: Make, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(marks, "_KEPT", 2)
+    renderer, views = renderer_of(cloud(5), size=(150, 100), views=2, output="uint8"), pair()
+    renderer.render(views)
+    before = renderer.nbytes()["targets"]
+    sizes = []
+    for session in (1, 2, 1, 3, 4):
+        renderer.render(views, mark=Mark(1, session, MARK.key))
+        sizes.append((renderer.nbytes()["targets"] - before) // (4 * TILE**2))
+    assert sizes == [1, 2, 2, 2, 2]
