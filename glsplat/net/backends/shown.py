@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from glsplat.avatar import Avatar
 from glsplat.errors import GlsplatError
 from glsplat.formats.scene_file import SceneFile
-from glsplat.net.backends.labels import Box, Label, draw_labels, notice
+from glsplat.net.backends.labels import Label, notice
 from glsplat.net.backends.room import RoomStand, label_place
 from glsplat.net.messages import RenderRequest
 from glsplat.passes.kept import Kept
@@ -122,12 +122,16 @@ class Stands:
         return self._kept.get((shown, hide), lambda: self._stand(shown, hide))
 
     @staticmethod
-    def write(stand: Stand | RoomStand, request: RenderRequest, images: NDArray[np.uint8]) -> Box:
+    def write(stand: Stand | RoomStand, request: RenderRequest, images: NDArray[np.uint8]) -> tuple[int, int, int, int]:
         """Write the words of a request into its images [V, H, W, 4]; the box of what changed, which may be empty."""
         words = stand.labels(request)
         if request.notice:
             words.append(notice(request.notice, request.cameras))
-        return draw_labels(images, request.cameras, words) if words else (0, 0, 0, 0)
+        if not words:
+            return 0, 0, 0, 0
+        from glsplat.net.backends.lettering import draw_labels  # here: OpenCV is of use to few, and slow to load
+
+        return draw_labels(images, request.cameras, words)
 
     def release(self) -> None:
         """Delete all."""

@@ -6,7 +6,6 @@ import asyncio
 import base64
 import logging
 import time
-from dataclasses import replace
 
 import aiohttp
 import pytest
@@ -45,7 +44,7 @@ def made(tmp_path):
     }
     path = tmp_path / "users.json"
     write_users(path, {name: user for name, (user, _) in accounts.items()})
-    config = ServerConfig(port=0, access=Access(accounts=Accounts(path)))
+    config = ServerConfig(port=0, access=Access(accounts=Accounts(path)), rooms={"lab": 4, "hall": 4})
     return config, {name: token for name, (_, token) in accounts.items()}, path
 
 
@@ -186,7 +185,7 @@ def test_no_query_leads_to_what_an_account_may_not(query, avatars, rooms):
 
 def test_one_token_is_as_before(serve, cameras):
     """And who has it may drive and enter everything."""
-    config = replace(ServerConfig(port=0), access=Access(token="0123456789abcdef"))
+    config = ServerConfig(port=0, access=Access(token="0123456789abcdef"), rooms={"hall": 4})
 
     async def main():
         async with serve(config=config, offered=OFFERED) as server:

@@ -16,7 +16,8 @@ from glsplat.camera import Camera, head_matrix, look_at, pinhole, stereo_cameras
 from glsplat.config import RenderConfig
 from glsplat.data import default_avatar
 from glsplat.gl.context import Context
-from glsplat.net.backends.labels import Label, draw_labels, notice
+from glsplat.net.backends.labels import Label, notice
+from glsplat.net.backends.lettering import draw_labels
 from glsplat.net.backends.server import make_server
 from glsplat.net.backends.shown import Stands
 from glsplat.net.client import Client

@@ -114,7 +114,7 @@ def test_a_message_that_is_repeated_or_too_long_is_refused():
 
 
 def test_answers():
-    drawn = Drawn(2, {"sort": 1.5}, (0, 1), False, (0.0,) * 6)
+    drawn = Drawn(2, {"sort": 1.5}, (0, 1), False, 3, (0.0,) * 6)
     assert wire.read_drawn(pack(Kind.DRAWN, 5, drawn)[wire.HEAD.size :]) == drawn
     encoded = Encoded([b"left", b"right"], [(0, 16, 32, 48)] * 2, 1.25, [b"l", b"r"])
     assert wire.read_encoded(pack(Kind.ENCODED, 5, encoded)[wire.HEAD.size :]) == encoded
