@@ -193,7 +193,7 @@ def run(args: argparse.Namespace) -> int:
     check(args)
     keys = keys_of(args)
     config = server_config(args, keys, watermark_of(args))
-    logging.getLogger("glsplat.net.marks").setLevel(logging.INFO)  # a clip is traced by these lines
+    logging.getLogger("glsplat.net.session").setLevel(logging.INFO)  # a clip is traced by these lines
     scene = open_scene(args)
     calibration = Calibration.load(args.calibration) if args.calibration else Calibration()
     server = make_server(

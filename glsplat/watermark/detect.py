@@ -64,7 +64,7 @@ class Found:
     frames: int  # pictures it was found in
 
     def __str__(self) -> str:
-        return f"server {self.server:04x}, session {self.session:08x} (false alarm below {self.chance:.1g})"
+        return f"server {self.server:04x}, session {self.session:08x} (false alarm: {self.chance:.1g})"
 
 
 def detect(frames: Iterable[NDArray[np.uint8]], key: bytes, window: int = WINDOW) -> Found | None:
