@@ -203,7 +203,7 @@ def run(args: argparse.Namespace) -> int:
     workers = workers_of(args)
     keys = keys_of(args)
     config = server_config(args, keys, watermark_of(args))
-    logging.getLogger("glsplat.net.marks").setLevel(logging.INFO)  # a clip is traced by these lines
+    logging.getLogger("glsplat.net.session").setLevel(logging.INFO)  # a clip is traced by these lines
     scene = open_scene(args)
     avatars = other_avatars(args)
     policy = policy_of(args, scene, scene_name(args))

@@ -20,7 +20,7 @@ from glsplat.watermark.mark import Mark, Watermark
 
 __all__ = ["Close", "Counts", "Session", "SessionConfig", "Warn"]
 
-marks: logging.Logger = logging.getLogger("glsplat.net.marks")  # a level of its own: it is asked for weeks later
+log: logging.Logger = logging.getLogger(__name__)  # serve sets its level: clips are traced by these lines
 
 GOING_AWAY = 1001  # RFC 6455, section 7.4.1
 
@@ -104,7 +104,7 @@ class Session:
     def announce(self, number: int, address: str) -> None:
         """Log which client the mark in its pictures leads to."""
         if self.mark is not None:
-            marks.info("client %d at %s is marked as session %08x", number, address, self.mark.session)
+            log.info("client %d at %s is marked as session %08x", number, address, self.mark.session)
 
     def receive(self, data: str | bytes, now: float) -> Warn | Close | None:
         """Take one text message. None: nothing to say (accepted, acknowledged or dropped as too old)."""

@@ -42,7 +42,7 @@ ALARM = 1e-6
 _EMPTY = 0.05  # what is nowhere above it holds no mark: backgrounds
 _GRID = 2 * TILE  # places a side: every half pixel
 _BATCH = 24  # scales at once
-_TRIES = 3  # best places that are decoded
+_TRIES = 6  # best scales that are decoded, each at its best place
 _STEP = 0.7  # of the scale that moves the finest wave by a quarter at the picture's rim
 _MOST = 8.0  # levels; several times a mark, what is beyond belongs to the picture
 _AROUND = 1.5  # pixels, deviation of the weights of a neighbourhood
@@ -64,7 +64,7 @@ class Found:
     frames: int  # pictures it was found in
 
     def __str__(self) -> str:
-        return f"server {self.server:04x}, session {self.session:08x} (false alarm below {self.chance:.1g})"
+        return f"server {self.server:04x}, session {self.session:08x} (false alarm: {self.chance:.1g})"
 
 
 def detect(frames: Iterable[NDArray[np.uint8]], key: bytes, window: int = WINDOW) -> Found | None:
@@ -165,9 +165,13 @@ def _whitened(mean: F32) -> F32:
 @lru_cache(maxsize=32)
 def _scales(length: int) -> F32:
     """Scales so near to each other that a mark ``length`` pixels long is in step with one of them."""
-    step = _STEP * TILE / (BAND[1] * max(length, TILE))
     low, high = np.log(SCALES)
-    return np.exp(np.linspace(low, high, 1 + int(np.ceil((high - low) / step)))).astype(np.float32)
+    return np.exp(np.linspace(low, high, 1 + int(np.ceil((high - low) / _step(length))))).astype(np.float32)
+
+
+def _step(length: int) -> float:
+    """From one scale to the next (logarithm)."""
+    return _STEP * TILE / (BAND[1] * max(length, TILE))
 
 
 def _waves(length: int, scales: NDArray[np.floating], most: int) -> C64:
@@ -230,25 +234,26 @@ def _scores(weighed: C64, pattern: Pattern) -> F32:
 
 
 def _decoded(residual: F32, pattern: Pattern, start: tuple[float, float, float]) -> tuple[Payload | None, float]:
-    """What the bins say at a place near ``start`` (scale, x, y), where those that find the tile agree best."""
-    most = int(BAND[1])
-    sync, waves = pattern.sync, (2j * np.pi / TILE * np.stack([pattern.kx, pattern.ky], axis=1)).astype(np.complex64)
+    """What the bins say, and the scale, at the place near ``start`` (scale, x, y) that scores best.
+
+    Near: within the step of the search. Where the score is weak a better one further away is chance.
+    """
+    most, sync = int(BAND[1]), pattern.sync
+    waves = (2j * np.pi / TILE * np.stack([pattern.kx, pattern.ky], axis=1)).astype(np.complex64)
 
     def received(at: NDArray[np.float64]) -> C64:
-        across, down = (
-            _waves(n, start[0] * np.exp(at[i : i + 1]), most)
-            for i, n in ((0, residual.shape[1]), (1, residual.shape[0]))
-        )
+        across, down = (_waves(n, np.exp(at[:1]), most) for n in residual.shape[::-1])
         bins = _bins(residual, pattern, across, down)
-        return (bins * _weights(bins, pattern))[0] * np.exp(-waves @ at[2:].astype(np.float32))
+        return (bins * _weights(bins, pattern))[0] * np.exp(-waves @ at[1:].astype(np.float32))
 
     def loss(at: NDArray[np.float64]) -> float:
         bins = received(at)[sync]
         return -float((bins * pattern.phase[sync].conj()).real.sum() / np.linalg.norm(bins))
 
-    step = _STEP * TILE / (BAND[1] * max(residual.shape)) / 2
-    at = np.array([0.0, 0.0, *start[1:]])
-    simplex = at + np.vstack([np.zeros(4), np.diag([step, step, 0.5, 0.5])])
-    options = {"initial_simplex": simplex, "maxfev": 80, "xatol": 1e-4, "fatol": 1e-3}
-    at = optimize.minimize(loss, at, method="Nelder-Mead", options=options).x
-    return decode(pattern.soft(received(at))), start[0] * float(np.exp(at[:2].mean()))
+    at = np.array([np.log(start[0]), *start[1:]])
+    near = np.array([_step(max(residual.shape)) / 2, 0.5, 0.5])
+    simplex = at + np.vstack([np.zeros(3), np.diag(near / 2)])
+    options = {"initial_simplex": simplex, "maxfev": 60, "xatol": 1e-4, "fatol": 1e-3}
+    bounds = optimize.Bounds(at - near, at + near)
+    at = optimize.minimize(loss, at, method="Nelder-Mead", bounds=bounds, options=options).x
+    return decode(pattern.soft(received(at))), float(np.exp(at[0]))

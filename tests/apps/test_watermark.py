@@ -63,7 +63,7 @@ def test_pictures_do_too_by_the_key_that_serve_keeps(tmp_path, pictures, state, 
     assert detect(*names) == 0
     line = capsys.readouterr().out
     assert re.fullmatch(
-        r"server 1a2b, session 00c0ffee \(false alarm below \de-\d\d\), in 2 pictures at scale 1\.00\d\n", line
+        r"server 1a2b, session 00c0ffee \(false alarm: \de-\d\d\), in 2 pictures at scale 1\.00\d\n", line
     )
     (state_folder() / WATERMARK).write_text(text_of(Watermark(1, b"sixteen bytes 02")))
     assert detect(*names) == 1 and capsys.readouterr().out == "no mark of this key in 2 pictures\n"

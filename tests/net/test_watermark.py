@@ -47,9 +47,9 @@ def test_pictures_lead_to_their_session(own_process, caplog):
         finally:
             await server.stop()
 
-    with caplog.at_level(logging.INFO, "glsplat.net.marks"):
+    with caplog.at_level(logging.INFO, "glsplat.net.session"):
         (first, one), (second, two) = asyncio.run(main())
-    logged = [record.getMessage() for record in caplog.records if record.name == "glsplat.net.marks"]
+    logged = [record.getMessage() for record in caplog.records if record.name == "glsplat.net.session"]
     assert one != two and len(logged) == 2
     for pictures, told, line in ((first, one, logged[0]), (second, two, logged[1])):
         found = detect(pictures, WATERMARK.key)

@@ -149,7 +149,7 @@ def test_a_server_process_draws_and_ends_with_zero(end):
     finally:
         process.kill()
     assert (process.returncode, out) == (0, "")
-    assert re.fullmatch(r"\S+ INFO glsplat\.net\.marks: client 1 at \S+ is marked as session [0-9a-f]{8}\n", err)
+    assert re.fullmatch(r"\S+ INFO glsplat\.net\.session: client 1 at \S+ is marked as session [0-9a-f]{8}\n", err)
     left, right = pair.images()
     assert left.shape == (96, 96, 3) and left[48, 48].max() > 40 and left[:, 0].max() < 16
     assert not np.array_equal(left, right)
