@@ -124,6 +124,10 @@ class RayPlace:
         """Not known: who ends an actor's process, and whether its machine is there, Ray knows seconds later."""
         return "the actor's process or its machine has ended", False
 
+    def stopped(self) -> bool:
+        """Not known."""
+        return False
+
     async def end(self, seconds: float) -> None:
         """Wait for the actor to end of itself, then have Ray end it."""
         await asyncio.to_thread(self._end, seconds)
