@@ -124,6 +124,10 @@ class RayPlace:
         """Not known: who ends an actor's process, and whether its machine is there, Ray knows seconds later."""
         return "the actor's process or its machine has ended", False
 
+    def stopped(self) -> bool:
+        """Not known."""
+        return False
+
     async def end(self, seconds: float) -> None:
         """Wait for the actor to end of itself, then have Ray end it."""
         await asyncio.to_thread(self._end, seconds)
@@ -225,6 +229,7 @@ def _drive(
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.SIG_IGN)
     os.dup2(2, 1)  # Ray speaks to people there
+    os.environ.setdefault("RAY_worker_niceness", "0")  # of a cluster that is started here; Ray's own is 15
     import ray
 
     error: Exception | None = None
@@ -313,6 +318,8 @@ class _Actor:
         """Where the gateway may connect, within a minute."""
         import ray
 
+        with suppress(OSError, AttributeError):  # behind all else of the machine, it would be late; not all may say so
+            os.setpriority(os.PRIO_PROCESS, 0, 0)
         gpus = ray.get_gpu_ids()
         if gpus:  # OpenGL knows nothing of CUDA_VISIBLE_DEVICES
             os.environ.setdefault("GLSPLAT_DEVICE", str(gpus[0]))

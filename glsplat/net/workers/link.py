@@ -46,14 +46,15 @@ _BUSY = 3.0  # the same while it draws: its driver holds Python's lock for a sec
 class Link(asyncio.Protocol):
     """One connection, after the handshake. ``lost`` is called once it has ended, whatever the reason.
 
-    ``cause`` says why the worker ended, and whether a picture is likely to be at fault. ``alone`` says whether no
-    other worker could take over: then patience costs nothing. ``seconds`` is what a picture may take.
+    ``cause`` and ``stopped`` are its place's: why it ended or is silent. ``alone`` says whether no other worker could
+    take over: then patience costs nothing. ``seconds`` is what a picture may take.
     """
 
     def __init__(
         self,
         key: bytes,
         cause: Callable[[], Awaitable[tuple[str, bool]]],
+        stopped: Callable[[], bool],
         lost: Callable[[], None],
         alone: Callable[[], bool],
         seconds: float,
@@ -61,7 +62,8 @@ class Link(asyncio.Protocol):
         loop = asyncio.get_running_loop()
         self.opened: asyncio.Future[str] = loop.create_future()
         """The driver string, or the error that kept it from opening."""
-        self._writer, self._cause, self._on_lost, self._alone, self._seconds = Writer(key), cause, lost, alone, seconds
+        self._writer, self._cause, self._stopped, self._on_lost = Writer(key), cause, stopped, lost
+        self._alone, self._seconds = alone, seconds
         self._transport: asyncio.Transport
         self._buffer = bytearray()
         self._number = 0
@@ -192,7 +194,10 @@ class Link(asyncio.Protocol):
             self._asked += max(0.0, late)  # the gateway itself stood still: what was answered is not read yet
             silent, most = now - self._asked, self._patience()
             if silent > most:
-                self.end(f"the worker did not answer within {most:g} s", bool(self._drawing) and self._begun)
+                self.end(
+                    f"the worker did not answer within {most:g} s",
+                    bool(self._drawing) and self._begun and not self._stopped(),
+                )
             elif self._drawing and now - self._since > self._seconds + HANG:
                 self.end(f"the worker did not draw within {self._seconds + HANG:g} s", True)
 

@@ -13,6 +13,7 @@ import time
 from collections.abc import Callable
 from contextlib import suppress
 from multiprocessing.context import SpawnProcess
+from pathlib import Path
 
 from glsplat.errors import ContextError
 from glsplat.net.backend import Backend
@@ -53,6 +54,15 @@ class ProcessPlace:
             return "the worker has closed its connection", False
         how = f"signal {-code}" if code < 0 else f"exit code {code}"
         return f"the worker's process ended ({how})", -code not in _OUTSIDE
+
+    def stopped(self) -> bool:
+        """By SIGSTOP, or by a debugger: where the system tells."""
+        try:
+            assert self._process is not None
+            stat = Path(f"/proc/{self._process.pid}/stat").read_text(encoding="ascii", errors="replace")
+        except (AssertionError, OSError, ValueError):
+            return False
+        return stat.rpartition(")")[2].split()[0] in "Tt"
 
     async def end(self, seconds: float) -> None:
         """Wait for the process, then kill it."""

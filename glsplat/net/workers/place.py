@@ -22,6 +22,10 @@ class Place(Protocol):
         """Why the worker's connection ended, in a line, and whether what it drew is likely to be at fault."""
         ...
 
+    def stopped(self) -> bool:
+        """Whether somebody has stopped the worker's process, so that no picture is why it is silent."""
+        ...
+
     async def end(self, seconds: float) -> None:
         """Wait so long for the worker to end of itself, then end it by force. Harmless where there is none."""
         ...

@@ -142,7 +142,7 @@ class WorkerPump(Pump):
     async def _open(self) -> str:
         connection, key = await self.place.start()
         alone = self._others.alone
-        link = Link(key, self.place.cause, self._left, lambda: alone(self), self._seconds)
+        link = Link(key, self.place.cause, self.place.stopped, self._left, lambda: alone(self), self._seconds)
         link.opened.add_done_callback(lambda opened: opened.cancelled() or opened.exception())
         await self._loop.create_connection(lambda: link, sock=connection)
         try:

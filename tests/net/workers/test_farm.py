@@ -53,7 +53,7 @@ def test_one_fault_after_the_other(serve, monkeypatch):
             assert await until(5, lambda: server.stats()["totals"]["sent"] > 60)
             spread = [one["clients"] for one in server.pump.workers()]
             seen = []
-            for fault in (signal.SIGKILL, signal.SIGSTOP):
+            for fault in (signal.SIGKILL, signal.SIGSTOP, signal.SIGSTOP):
                 before = pids(server)
                 os.kill(before[0], fault)
                 assert await until(5, lambda: not server.pump.workers()[0]["alive"])
@@ -72,7 +72,7 @@ def test_one_fault_after_the_other(serve, monkeypatch):
             return spread, seen, again, server.pump.rebuilds, await asyncio.gather(*watching)
 
     spread, seen, again, lost, clients = asyncio.run(main())
-    assert spread == [2, 2, 2] and sorted(again) == [2, 2, 2] and seen == [200, 200] and lost == 2
+    assert spread == [2, 2, 2] and sorted(again) == [2, 2, 2] and seen == [200] * 3 and lost == 3
     for one in clients:
         assert one.errors == [] and one.wrong == [] and one.pictures > 50
         assert one.longest < 2.5  # of which 0.5 until a stalled one is given up
@@ -126,7 +126,8 @@ def test_a_picture_that_kills_does_not_kill_them_all(serve):
             async with Client(server.url) as client:
                 await client.send([camera(1, 71)])
                 await asyncio.sleep(0.2)
-            free = await until(3, lambda: server.pump.drawing_for < 0.2)
+            await asyncio.sleep(1.0)
+            free = max(one.drawing_for for one in server.pump._pumps) < 0.5
             over.set()
             return answers, status, survived, good, free, await watching
 

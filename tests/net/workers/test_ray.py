@@ -9,7 +9,8 @@ from functools import partial
 
 import pytest
 
-from glsplat.errors import ContextError
+from apps.farming import on_ray
+from glsplat.errors import ContextError, FormatError, GlsplatError
 from glsplat.net.client import Client
 from glsplat.net.server import ServerConfig
 from glsplat.net.workers.cluster import RayCluster
@@ -22,11 +23,11 @@ pytest.importorskip("ray", reason="needs the extra glsplat[ray]")
 pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore")]  # Ray's own
 
 
-@pytest.fixture
-def machines(monkeypatch):
+@pytest.fixture(scope="module")
+def machines():
     """A head that draws nothing, and three nodes with room for a worker each."""
-    monkeypatch.setenv("RAY_AUTH_MODE", "disabled")
-    monkeypatch.setenv("RAY_ENABLE_UV_RUN_RUNTIME_ENV", "0")
+    before = os.environ.get("RAY_AUTH_MODE")
+    os.environ["RAY_AUTH_MODE"] = "disabled"  # of a cluster that lives as long as this test
     from ray.cluster_utils import Cluster
 
     cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 0})
@@ -34,6 +35,29 @@ def machines(monkeypatch):
     cluster.wait_for_nodes()
     yield cluster
     cluster.shutdown()
+    if before is None:
+        del os.environ["RAY_AUTH_MODE"]
+    else:
+        os.environ["RAY_AUTH_MODE"] = before
+
+
+def half(piece: int) -> tuple[float, str, int]:
+    """A piece of work: 13 ends its process, 7 is an error."""
+    if piece == 13:
+        os._exit(1)
+    if piece == 7:
+        raise FormatError("seven")
+    return piece / 2, os.environ["LP_NUM_THREADS"], os.getpid()
+
+
+def test_pieces_of_work(machines):
+    """Each in a process of its own, on one core; one that is lost costs itself."""
+    found = dict(on_ray(half, [1, 13, 3], machines.address))
+    assert sorted(found) == [0, 1, 2] and isinstance(found[1], GlsplatError)
+    assert found[0][:2] == (0.5, "1") and found[2][:2] == (1.5, "1")
+    assert len({os.getpid(), found[0][2], found[2][2]}) == 3
+    with pytest.raises(FormatError, match="seven"):
+        list(on_ray(half, [7], machines.address))
 
 
 def test_machines_that_are_lost(serve, machines, monkeypatch):

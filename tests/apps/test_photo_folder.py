@@ -1,0 +1,62 @@
+"""An avatar of each picture of a folder; what one of them is refused for costs that one."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import pytest
+
+from apps.avatar import photo, photo_folder
+from apps.cli import main
+from glsplat.errors import CaptureError, FormatError
+
+
+@pytest.fixture
+def people(tmp_path: Path) -> Path:
+    folder = tmp_path / "people"
+    folder.mkdir()
+    for name in ("ann.jpg", "bob.PNG", "notes.txt"):
+        (folder / name).write_bytes(b"x")
+    return folder
+
+
+def asked(*words: object) -> argparse.Namespace:
+    parser = argparse.ArgumentParser()
+    photo.add_arguments(parser)
+    return parser.parse_args([str(word) for word in words])
+
+
+def test_one_a_picture(people, tmp_path, capsys):
+    seen = []
+
+    def one(args):
+        seen.append((args.front.name, args.out, args.debug, args.seed))
+        if args.front.stem == "ann":
+            raise CaptureError("no person")
+        print(f"{args.out}: made")
+        return 0
+
+    out = tmp_path / "avatars"
+    assert photo_folder.run(asked(people, "-o", out, "--seed", 3, "--debug", tmp_path / "d"), one) == 1
+    assert seen == [(f"{n}{s}", out / f"{n}.glb", tmp_path / "d" / n, 3) for n, s in (("ann", ".jpg"), ("bob", ".PNG"))]
+    said = capsys.readouterr()
+    assert said.out == f"{out / 'bob.glb'}: made\n"
+    assert said.err.splitlines() == [f"{people / 'ann.jpg'}: no person", "1 of 2 pictures", "2 of 2 pictures"]
+    assert photo_folder.run(asked(people, "--check"), lambda args: 0) == 0  # which writes nothing
+
+
+def test_what_is_refused(people, tmp_path, capsys):
+    with pytest.raises(FormatError, match="expected pictures"):
+        photo_folder.run(asked(tmp_path, "-o", tmp_path), lambda args: 0)
+    (people / "ann.png").write_bytes(b"x")
+    with pytest.raises(FormatError, match='two pictures are called "ann"'):
+        photo_folder.run(asked(people, "-o", tmp_path), lambda args: 0)
+    for words, why in (
+        ([people], "missing: -o/--out, a folder"),
+        ([people, "-o", tmp_path, "--back", "b.jpg"], "--back is about one person"),
+        ([people / "ann.jpg", "-o", tmp_path / "a.glb", "--ray"], "--ray is for a folder of pictures"),
+    ):
+        (people / "ann.png").unlink(missing_ok=True)
+        assert main(["avatar", "photo", *map(str, words)]) == 2
+        assert why in capsys.readouterr().err
