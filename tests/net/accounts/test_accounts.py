@@ -24,8 +24,10 @@ from glsplat.net.messages import WireOptions
 from glsplat.net.options import client_options
 from glsplat.net.server import ServerConfig
 from glsplat.net.session import SessionConfig
+from glsplat.skinning.skeleton import Skeleton
 
-OFFERED = tuple(Offered(name=name) for name in ("default", "ann", "bob"))
+RIG = Skeleton.from_joints(["root"], [-1], [[0.0, 0.0, 0.0]])  # people of rooms have joints
+OFFERED = tuple(Offered(name=name, skeleton=RIG) for name in ("default", "ann", "bob"))
 WS = {
     "Upgrade": "websocket",
     "Connection": "Upgrade",
