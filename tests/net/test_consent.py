@@ -7,19 +7,19 @@ from dataclasses import replace
 
 import aiohttp
 import pytest
-from tests.net.guard.test_accounts import WS
 
 from glsplat.consent.document import Consent
 from glsplat.consent.file import OnFile
 from glsplat.consent.policy import ConsentPolicy
 from glsplat.errors import ProtocolError
+from glsplat.net.accounts import rights
 from glsplat.net.accounts.users import Accounts, new_user, write_users
 from glsplat.net.backend import Offered
 from glsplat.net.backends.server import make_server
 from glsplat.net.client import Client
-from glsplat.net.guard import rights
 from glsplat.net.guard.access import Access
 from glsplat.net.server import ServerConfig
+from tests.net.accounts.test_accounts import WS
 from tests.scenes import limb
 
 CONSENT = Consent(

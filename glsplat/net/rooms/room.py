@@ -111,7 +111,7 @@ class Room:
         with self._lock:
             person.moved(sample)
 
-    def look(self, person: Person, request: RenderRequest, own: Moved | None, now: float) -> RenderRequest:
+    def look(self, person: Person, request: RenderRequest, own: Moved, now: float) -> RenderRequest:
         """The picture that ``person`` asks for, with everybody in it; ``own`` is the pose it was asked for."""
         with self._lock:
             self._forget(now)
@@ -119,7 +119,7 @@ class Room:
                 self._next_tick(now)
             self._drawn.add(person.key)
             guest = self._guests.get(person.name)
-            if own is not None and guest is not None and guest.person is person:
+            if guest is not None and guest.person is person:
                 guest.shown = replace(
                     guest.shown, pose=own.pose, transform=person.transform(), frame_id=own.frame_id, ahead=0.0
                 )

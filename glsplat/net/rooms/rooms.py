@@ -9,6 +9,7 @@ from glsplat.net.backend import Offered
 from glsplat.net.options import Asked
 from glsplat.net.rooms.member import Member
 from glsplat.net.rooms.room import Room, RoomError
+from glsplat.skinning.pose import Pose
 
 __all__ = ["Rooms", "driven_by"]
 
@@ -52,7 +53,7 @@ class Rooms:
             raise RoomError("a room needs people: name an avatar with joints", 400)
         name = asked.name or f"guest {number}"
         person = room.join(name, shown.name, now, owner, asked.place, leave, driven_by(name, notice))
-        return Member(room, person)
+        return Member(room, person, Pose.zero(len(shown.skeleton)))
 
     def offer(self, now: float, names: Sequence[str]) -> list[dict[str, Any]]:
         """What /session says of those."""

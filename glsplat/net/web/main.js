@@ -29,6 +29,8 @@ const connection = new Connection(() => ({
   avatar: settings.get('avatar'),
   height: settings.get('height') ?? measured?.height,
   span: measured?.span,
+  room: settings.get('room'),
+  name: settings.get('room') ? settings.get('name') : '',
 }));
 let measured = calibration.load(); // {height, eyes, span, floor} of the user, in metres, or null
 let offer = null; // what GET /session said
@@ -114,6 +116,8 @@ function offered(session) {
   offer = session;
   const named = (value) => ({ value, label: `${value}` });
   settings.setOptions('avatar', session.avatars.map(({ name }) => named(name)));
+  const rooms = (session.rooms ?? []).map(({ name, people, seats }) => ({ value: name, label: `${name} (${people} of ${seats})` }));
+  settings.setOptions('room', [{ value: '', label: 'None: alone' }, ...rooms]);
   const drivers = [{ value: 'rest', label: 'Standing still' }];
   for (const name of session.motions) drivers.push({ value: `motion:${name}`, label: `Motion: ${name}` });
   if (session.recording) drivers.push({ value: 'recording', label: 'Recorded head and hands' });
@@ -234,7 +238,8 @@ page.addEventListener('file', async ({ detail }) => {
 });
 settings.addEventListener('change', ({ detail: { name } }) => {
   if (name === 'driver') drive();
-  if (name === 'avatar' || name === 'height') {
+  if (name === 'name' && !settings.get('room')) return; // nobody asks for it
+  if (['avatar', 'height', 'room', 'name'].includes(name)) {
     stage.canHide = Boolean(chosenAvatar()?.head);
     photo.wears(chosenAvatar());
     photo.height = settings.get('height');

@@ -1,7 +1,7 @@
 // The flat page's controls: they show the settings, change them, and say what the user asked for. Nothing here knows
 // the server or the headset.
 
-const CHOICES = ['view', 'avatar', 'size', 'driver'];
+const CHOICES = ['view', 'avatar', 'room', 'size', 'driver'];
 const FLAGS = ['stereo', 'figures'];
 const BUTTONS = ['enter-vr', 'enter-ar', 'record', 'calibrate', 'fullscreen'];
 const NARROW = '(max-width: 40rem)'; // as in style.css
@@ -86,6 +86,7 @@ export class Page extends EventTarget {
     for (const name of FLAGS) on(name, 'change', (event) => this.#change(name, event.target.checked));
     on('quality', 'input', (event) => this.#change('quality', event.target.value));
     on('height', 'change', (event) => this.#changeHeight(event.target));
+    on('name', 'change', (event) => this.#changeName(event.target));
     for (const id of BUTTONS) on(id, 'click', () => this.dispatchEvent(new Event(id)));
     on('token-form', 'submit', (event) => this.#submitToken(event));
     on('file', 'change', (event) => {
@@ -105,6 +106,19 @@ export class Page extends EventTarget {
   #changeHeight(input) {
     const text = input.validity.badInput ? 'no number' : input.value;
     this.#noteHeight(this.#settings.set('height', text));
+  }
+
+  #changeName(input) {
+    this.#noteName(this.#settings.set('name', input.value));
+  }
+
+  #noteName(right) {
+    this.#get('name').setAttribute('aria-invalid', String(!right));
+    const note = this.#get('name-note');
+    note.textContent = right
+      ? 'Stands over your head for the others in the room.'
+      : 'Not used: up to 32 letters and digits are needed.';
+    note.classList.toggle('bad', !right);
   }
 
   #noteHeight(right) {
@@ -135,6 +149,8 @@ export class Page extends EventTarget {
     else this.#get(name).value = value ?? '';
     if (name === 'quality') this.#get('quality-value').textContent = value;
     if (name === 'height') this.#noteHeight(true);
+    if (name === 'name') this.#noteName(true);
+    if (name === 'room') this.#get('room-row').hidden = this.#settings.options('room').length < 2;
     if (name === 'driver') this.#get('file-row').hidden = value !== 'file';
     if (name === 'figures') this.#get('figures-box').hidden = !value;
   }

@@ -7,6 +7,7 @@ const KEY = 'glsplat.settings';
 const choice = (value, options = []) => ({ kind: 'choice', value, options });
 const number = (value, least, most) => ({ kind: 'number', value, least, most });
 const flag = (value) => ({ kind: 'flag', value });
+const text = (value, pattern) => ({ kind: 'text', value, pattern });
 const plain = (values) => values.map((value) => ({ value, label: String(value) }));
 
 /** Every setting with its default. Options that depend on the server come by setOptions(). */
@@ -18,6 +19,8 @@ function table() {
       { value: 'own', label: 'Own body' },
     ]),
     avatar: choice(''),
+    room: choice('', [{ value: '', label: 'None: alone' }]),
+    name: text('', /^(?:[\p{L}\p{N}](?:[\p{L}\p{N}_ .'-]{0,30}[\p{L}\p{N}_.])?)?$/u), // what others see in a room
     size: choice(1024, plain([512, 768, 1024, 1536])), // pixels, both sides of an eye's picture
     quality: number(80, 50, 95), // JPEG quality
     driver: choice('motion:idle', [
@@ -105,12 +108,17 @@ export class Settings extends EventTarget {
 /** Whether a kept value is of the right kind; options are looked at later, they may not be known yet. */
 function plausible(entry, value) {
   if (entry.kind === 'choice') return ['string', 'number'].includes(typeof value);
+  if (entry.kind === 'text') return typeof value === 'string' && entry.pattern.test(value);
   return typeof value !== 'string' && parse(entry, value)[0];
 }
 
 /** [allowed, value]: what a program or a control gave, as the setting has it. */
 function parse(entry, value) {
   if (entry.kind === 'flag') return [typeof value === 'boolean', value];
+  if (entry.kind === 'text') {
+    const words = String(value ?? '').trim();
+    return [entry.pattern.test(words), words];
+  }
   if (entry.kind === 'choice') {
     const found = entry.options.find((option) => String(option.value) === String(value));
     return [found !== undefined, found?.value];

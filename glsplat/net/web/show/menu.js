@@ -1,6 +1,6 @@
 // What the panel in the room says and does.
 
-const WORDS = { view: 'View', avatar: 'Avatar', size: 'Size', quality: 'Quality' };
+const WORDS = { view: 'View', avatar: 'Avatar', room: 'Room', size: 'Size', quality: 'Quality' };
 const QUALITIES = [50, 65, 80, 90]; // what the panel offers of a number
 
 /** {rows(immersive, now), press(id)} over the settings and `deeds` {calibrate(), record(), leave()}. */

@@ -6,6 +6,7 @@ const DENSEST = 2; // canvas pixels a CSS pixel
 const KEEP = 1000; // ms between requests while nothing moves
 
 const HERE = Object.freeze({ view: 'viewer', shown: IDENTITY, mirror: false, glass: null });
+const IN_ROOM = Object.freeze({ ...HERE, whole: true });
 
 export class Viewer {
   #canvas;
@@ -53,9 +54,10 @@ export class Viewer {
     const drive = this.#driver?.at(now / 1000) ?? {};
     this.onDrive(drive);
     const key = drive.tracking || drive.pose ? '' : JSON.stringify(views.map(({ transform }) => transform)) + width + height;
-    const moves = key === '' || key !== this.#last || !this.#stage.painter.hasPair;
+    const room = this.#settings.get('room') !== '';
+    const moves = room || key === '' || key !== this.#last || !this.#stage.painter.hasPair;
     if (moves || now - this.#asked > KEEP) {
-      if (this.#stage.ask(views, HERE, drive, { alpha: true, now })) [this.#last, this.#asked] = [key, now];
+      if (this.#stage.ask(views, room ? IN_ROOM : HERE, drive, { alpha: true, now })) [this.#last, this.#asked] = [key, now];
     }
     if (this.#stage.advance(now) && this.#stage.info.box) this.#orbit.follow(this.#stage.info.box);
     this.#stage.painter.begin(null, false);

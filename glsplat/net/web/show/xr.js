@@ -1,7 +1,7 @@
 // A WebXR session: tracking up, pictures down, three views, a panel. Everything is in the room of `local-floor`.
 
 import { multiply, translation } from '../space/matrix.js';
-import { VIEWS, placing } from '../space/placing.js';
+import { VIEWS, placing, standing } from '../space/placing.js';
 import { bodyOf, drivenBodyOf, sampleOf } from '../track/xr-sample.js';
 import { Notice, Panel } from './panel.js';
 import { panelPlace, pointers } from './reach.js';
@@ -41,6 +41,7 @@ export class Immersive {
   #session = null;
   #space = null;
   #base = null; // the space before the floor was moved
+  #floor = null; // after that, before the user was put in the middle of it
   #where = null;
   #again = false; // place the view anew
   #pressed = false;
@@ -54,7 +55,7 @@ export class Immersive {
     this.#actions = actions;
     this.#tools = tools;
     settings.addEventListener('change', ({ detail }) => {
-      if (detail.name === 'view') this.#again = true;
+      if (detail.name === 'view' || detail.name === 'room') this.#again = true;
     });
   }
 
@@ -90,9 +91,10 @@ export class Immersive {
 
   /** Move the floor: `height` is its y in the device's own space, metres. */
   moveFloor(height) {
-    this.#space = height
+    this.#floor = height
       ? this.#base.getOffsetReferenceSpace(new XRRigidTransform({ x: 0, y: height, z: 0 }))
       : this.#base;
+    this.#space = this.#floor;
     this.#again = true;
   }
 
@@ -120,6 +122,7 @@ export class Immersive {
     const { session } = frame;
     if (session !== this.#session) return;
     session.requestAnimationFrame((later, next) => this.#frame(later, next));
+    if (!this.#where || this.#again) this.#stand(frame);
     const viewer = frame.getViewerPose(this.#space);
     if (!viewer) return; // the device is lost: the last picture stays
     const views = viewer.views.map((view) => ({
@@ -148,8 +151,18 @@ export class Immersive {
 
   #placeView(head) {
     this.#again = false;
-    this.#where = placing(this.#settings.get('view'), head);
+    this.#where = placing(this.#settings.get('view'), head, this.#settings.get('room') !== '');
     this.#stage.clear();
+  }
+
+  /** In a room with others the user begins at the origin and looks along +z: to the middle (docs/protocol.md, 2.1). */
+  #stand(frame) {
+    this.#space = this.#floor;
+    const viewer = this.#settings.get('room') !== '' && frame.getViewerPose(this.#floor);
+    if (!viewer) return;
+    const { place: [x, y, z], yaw } = standing(viewer.transform.matrix);
+    const turn = { x: 0, y: Math.sin(yaw / 2), z: 0, w: Math.cos(yaw / 2) };
+    this.#space = this.#floor.getOffsetReferenceSpace(new XRRigidTransform({ x, y, z }, turn));
   }
 
   /** What else a sample is for: recording, calibrating, telling that hands are missing, the view's button. */

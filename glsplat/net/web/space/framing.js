@@ -3,7 +3,7 @@
 
 import { around, aroundQuad, corners, intersection, intrinsics, tangentsOf, widened } from './frustum.js';
 import { add, axis, movePoint, place, subtract, unit, viewmat } from './matrix.js';
-import { plane, serverEye } from './placing.js';
+import { plane, planeAt, serverEye } from './placing.js';
 
 const BODY = [-0.6, -0.05, -0.6, 0.6, 2.0, 0.6]; // metres about the ground under the head, until the server says more
 const HAND = 0.15; // metres around a wrist
@@ -14,6 +14,7 @@ const MARGIN = 0.03; // radians beyond what the eye sees, and at most
 const WIDEST = 0.35;
 const SHAPES = [0.5, 1, 2]; // width / height; few of them, because a server keeps targets of few sizes
 const HYSTERESIS = 1.25;
+const COMPANY = 1.6; // metres to the plane on which a picture of a whole room is put
 
 export class Framing {
   #box = null; // as the server said it
@@ -36,7 +37,7 @@ export class Framing {
   }
 
   /**
-   * views: [{transform (room from eye), projection}], left first. `where`: a placing. `sample`: the tracking of this
+   * views: [{transform (room from eye), projection}], left first. `where`: a placing; `whole`: all that is in sight. `sample`: the tracking of this
    * moment or null. `side`: the side of a square picture with as many pixels. `age`: seconds that pictures take.
    * Returns {eyes, size} for the request and what `Painter.show` needs with its picture; null if nothing is in sight.
    */
@@ -49,7 +50,7 @@ export class Framing {
     const frusta = views.map(({ transform, projection }) => {
       let seen = widened(tangentsOf(projection), margin);
       if (where.glass) seen &&= clip(seen, aroundQuad(where.glass, transform), margin);
-      return seen && clip(seen, around(shown, transform), 0);
+      return where.whole ? seen : seen && clip(seen, around(shown, transform), 0);
     });
     if (frusta.every((frustum) => frustum === null)) return null;
     const whole = frusta.map((frustum, i) => frustum ?? straightAhead(views[i]));
@@ -60,7 +61,8 @@ export class Framing {
     }));
     const cameras = views.map(({ transform }, i) => ({ transform: [...transform], frustum: whole[i] }));
     const ahead = unit(cameras.map(centralRay).reduce(add, [0, 0, 0]));
-    const on = plane(shown, views.map(({ transform }) => transform), ahead);
+    const poses = views.map(({ transform }) => transform);
+    const on = where.whole && !where.glass ? planeAt(COMPANY, poses, ahead) : plane(shown, poses, ahead);
     return { eyes, size, cameras, plane: on, where, head };
   }
 

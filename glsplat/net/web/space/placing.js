@@ -21,8 +21,12 @@ export function heading(head) {
   return Math.hypot(up[0], up[2]) > 0.1 ? unit([sign * up[0], 0, sign * up[2]]) : [0, 0, -1];
 }
 
-/** A view for a user whose head is at `head` (room from head): what stays where it is until the view is chosen again. */
-export function placing(view, head) {
+/**
+ * A view for a user whose head is at `head` (room from head): what stays where it is until the view is chosen again.
+ * With others in a `room` there are the mirror and the own body, and pictures of all that is in sight.
+ */
+export function placing(view, head, room = false) {
+  if (room) return { ...placing(view === 'mirror' ? 'mirror' : 'own', head), whole: true };
   const ahead = heading(head);
   const ground = [head[12], 0, head[14]];
   if (view === 'mirror') return mirrorAt(add(ground, scale(ahead, MIRROR.distance)), scale(ahead, -1));
@@ -65,7 +69,19 @@ export function plane(points, eyes, ahead) {
   if (level > 0.5 && level > Math.abs(away[1]) && away[0] * ahead[0] + away[1] * ahead[1] + away[2] * ahead[2] > 0) {
     return { point: middle, normal: [-away[0] / level, 0, -away[2] / level] };
   }
-  return { point: add(eye, scale(ahead, NEAR_BODY)), normal: scale(ahead, -1) };
+  return planeAt(NEAR_BODY, eyes, ahead);
+}
+
+/** The plane so many metres straight before the eyes. */
+export function planeAt(distance, eyes, ahead) {
+  const eye = scale(eyes.map(place).reduce(add, [0, 0, 0]), 1 / eyes.length);
+  return { point: add(eye, scale(ahead, distance)), normal: scale(ahead, -1) };
+}
+
+/** {place, yaw}: where a space has to be put, and turned about y, for this head to be over its origin, looking along +z. */
+export function standing(head) {
+  const ahead = heading(head);
+  return { place: [head[12], 0, head[14]], yaw: Math.atan2(ahead[0], ahead[2]) };
 }
 
 const NEAR_BODY = 0.5; // metres to the arms and the lap of one's own body

@@ -168,6 +168,8 @@ export class Connection extends EventTarget {
         this.dispatchEvent(new CustomEvent('offer', { detail: offer })); // what was asked for may be gone
         if (offer.avatars?.length === 0) return ['refused', 'there is no avatar here that you may drive now; trying again', 5000];
         if (offer.full) return ['full', 'the server is full; trying again', 2000];
+        const words = roomRefusal(this.#options(), offer.rooms ?? []);
+        if (words) return ['refused', words, 2000];
         return ['refused', 'the server lets nobody in just now; trying again'];
       }
       return ['refused', `the server refuses (${(await response.text()).trim() || response.status})`];
@@ -181,6 +183,15 @@ export class Connection extends EventTarget {
     Object.assign(this, { state, reason, problem });
     this.dispatchEvent(new Event('state'));
   }
+}
+
+/** Why a room may not have let us in; empty where none was asked for. */
+function roomRefusal({ room, name }, rooms) {
+  if (!room) return '';
+  const found = rooms.find((one) => one.name === room);
+  if (!found) return `there is no room "${room}" here`;
+  if (found.people >= found.seats) return 'the room is full; trying again';
+  return name ? `somebody called "${name}" may be in the room: choose another name` : 'the room lets nobody in; trying again';
 }
 
 /** What a close code of section 6 means: [problem, words, ms to wait at least]. */

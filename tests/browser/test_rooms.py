@@ -1,0 +1,87 @@
+"""Rooms from the page: choosing one, being refused, and what is asked for in and out of VR."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from glsplat.net.backend import Offered
+from glsplat.net.messages import RenderRequest
+from glsplat.net.server import ServerConfig
+from glsplat.skinning.skeleton import Skeleton
+from glsplat.skinning.smplx import JOINT_NAMES
+from tests.browser.conftest import OpenPage
+from tests.browser.markers import Markers, as_tracked
+from tests.browser.vr import centroid, enter, fresh, pose, project, see, steer, visit
+
+RIG = Skeleton.from_joints(JOINT_NAMES, [-1] + [0] * 54, np.zeros((55, 3)))
+OFFERED = (Offered(name="ann", skeleton=RIG, solver=as_tracked, height=1.75, parts=frozenset({"head"})),)
+CONFIG = ServerConfig(port=0, rooms={"lab": 2, "hall": 2})
+OPPOSITE = (0.3, 1.4, 1.2)  # in the room: before who stands on the other side
+
+
+def of_the_room(request: RenderRequest) -> dict[str, Any]:
+    """A red blob at a place of the room, a green one two metres above the room's centre."""
+    return {"red": OPPOSITE, "green": (0, 2, 0)}
+
+
+@pytest.fixture
+def served(serve: Any) -> Any:
+    return serve(Markers(of_the_room, radius=0.03), config=CONFIG, offered=OFFERED)
+
+
+def people(served: Any, room: int = 0) -> list[str]:
+    return [one["name"] for one in served.stats()["rooms"][room]["people"]]
+
+
+def test_a_room_is_entered_and_left_by_its_field(open_page: OpenPage, served: Any) -> None:
+    page = visit(open_page, served)
+    page.until("!document.querySelector('#room-row').hidden")
+    assert people(served) == []
+    page.page.fill("#name", "Zoë")
+    page.page.locator("#name").blur()
+    page.page.select_option("#room", "lab")
+    page.until("window.glsplat.stats().state === 'open' && window.glsplat.stats().shown > 0")
+    assert people(served) == ["Zoë"]
+    assert page.js("document.querySelector('#room').selectedOptions[0].textContent").startswith("lab")
+    page.page.fill("#name", "../Ann")
+    page.page.locator("#name").blur()
+    assert page.page.get_attribute("#name", "aria-invalid") == "true" and people(served) == ["Zoë"]
+    page.page.select_option("#room", "")
+    page.until("window.glsplat.stats().state === 'open'")
+    page.wait(0.3)
+    assert people(served) == []
+
+
+def test_a_page_says_that_a_name_is_taken_or_a_room_full(open_page: OpenPage, served: Any) -> None:
+    first = visit(open_page, served, {"room": "lab", "name": "Ann"})
+    first.until("window.glsplat.stats().shown > 0")
+    second = visit(open_page, served, {"room": "lab", "name": "Ann"}, allow=["Unexpected response code: 409"])
+    second.until("document.querySelector('#status').textContent.includes('omebody called \"Ann\"')")
+    second.page.fill("#name", "Bob")
+    second.page.locator("#name").blur()
+    second.until("window.glsplat.stats().shown > 0")
+    third = visit(open_page, served, {"room": "lab", "name": "Carl"}, allow=["Unexpected response code: 503"])
+    third.until("document.querySelector('#status').textContent.includes('room is full')")
+    assert sorted(people(served)) == ["Ann", "Bob"]
+
+
+def test_in_vr_the_room_is_around_its_user(open_page: OpenPage, served: Any) -> None:
+    """Wherever they stood and looked when they entered: the room's centre is ahead, and things are at their places."""
+    page = visit(open_page, served, {"room": "lab", "name": "Ann", "view": "own", "size": 512})
+    head = pose([0.4, 1.65, -0.7], yaw=70)
+    steer(page, head=head)
+    enter(page)
+    fresh(page)
+    # the first seat of two is 1.2 m before the centre, and its user looks along +z
+    x, y, z = OPPOSITE
+    ahead = np.array([-np.sin(np.radians(70)), 0, -np.cos(np.radians(70))])
+    expected = np.array([0.4, y, -0.7]) + ahead * (z + 1.2) + np.cross((0, 1, 0), ahead) * x
+    seen = see(page)
+    for side in ("left", "right"):
+        assert np.linalg.norm(centroid(seen[side], "red") - project(seen["eyes"][side], expected)) < 3
+    requests = served.server.pump._backend.requests
+    request = requests[max(requests)]
+    assert request.hide == ("head",) and request.room is not None and request.room.room == "lab"
