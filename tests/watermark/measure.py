@@ -1,0 +1,80 @@
+"""Rates at which marks are found after JPEG, scaling, cropping and x264, over windows of rendered clips.
+
+    python -m tests.watermark.measure AVATAR... --motion MOTION... [--windows 10]
+
+Each avatar is drawn with each motion at 512x512, whole, from the waist up and as head and shoulders; windows of 30
+pictures begin one picture after the other, each with a payload of its own. The mark is drawn by its twin, which the
+tests hold to the shader. docs/watermark.md has what came of it.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glsplat.camera import Camera, look_at, pinhole
+from glsplat.config import RenderConfig
+from glsplat.making.items import load_item
+from glsplat.motion.motion import load_motion
+from glsplat.renderer import Renderer
+from glsplat.watermark.detect import WINDOW, detect
+from glsplat.watermark.mark import Mark, marked
+from tests.watermark.attacks import ATTACKS
+
+KEY = b"a key of measurements"
+SIDE = 512
+VIEWS = {"whole": (0.5, 1.0), "waist up": (0.28, 0.55), "head": (0.14, 0.3)}  # middle below the top, and height: shares
+
+
+def drawn(avatar: Path, motion: str, view: str, count: int) -> tuple[NDArray[np.float32], tuple[slice, slice]]:
+    """[count, SIDE, SIDE, 4] float pictures from frame 40 on, and where head and shoulders are in the middle one."""
+    figure = load_item(avatar, False)
+    moving = load_motion(motion, figure.skeleton).resampled(30)
+    poses = [moving.pose(min(40 + i, len(moving) - 1)) for i in range(count)]
+    focal = pinhole(SIDE, SIDE)
+    with Renderer(figure, size=(SIDE, SIDE), config=RenderConfig(output="float32")) as renderer:
+        at = np.mean([pose.trans for pose in poses], axis=0)
+        far = Camera(look_at(tuple(at + (0, 0, 6.0)), tuple(at)), focal, SIDE, SIDE)
+        ys, xs = np.nonzero(renderer.render([far], poses[count // 2])[0, ..., 3] > 0.5)
+        pixel = 6 / focal[1, 1]  # metres
+        height, top = np.ptp(ys) * pixel, at[1] + (SIDE / 2 - ys.min()) * pixel
+        below, share = VIEWS[view]
+        target = np.array([at[0] + (xs.mean() - SIDE / 2) * pixel, top - below * height, at[2]])
+        away = share * height * focal[1, 1] / (0.9 * SIDE)
+        near = Camera(look_at(tuple(target + (0.25 * away, 0.05 * away, away)), tuple(target)), focal, SIDE, SIDE)
+        pictures = np.stack([renderer.render([near], pose)[0] for pose in poses])
+    tall = height * focal[1, 1] / away
+    first = max(0, int(SIDE / 2 - below * tall - 6))
+    columns = slice(max(0, int(SIDE / 2 - 0.15 * tall)), min(SIDE, int(SIDE / 2 + 0.15 * tall)))
+    return pictures, (slice(first, min(SIDE, int(first + 0.24 * tall))), columns)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("avatars", nargs="+", type=Path)
+    parser.add_argument("--motion", nargs="+", default=["idle", "walk", "wave-and-turn"])
+    parser.add_argument("--windows", type=int, default=10, help="of each avatar, motion and view")
+    args = parser.parse_args()
+    rng = np.random.default_rng(0)
+    found, alarms, windows = Counter[str](), 0, 0
+    for avatar, motion, view in ((a, m, v) for a in args.avatars for m in args.motion for v in VIEWS):
+        pictures, head = drawn(avatar, motion, view, WINDOW + args.windows - 1)
+        for start in range(args.windows):
+            mark = Mark(int(rng.integers(1 << 16)), int(rng.integers(1 << 32)), KEY)
+            clip = marked(pictures[start : start + WINDOW], mark)[..., :3]
+            clip = np.round(np.clip(clip, 0, 1) * 255).astype(np.uint8)
+            windows += 1
+            for name, attack in ATTACKS.items():
+                result = detect(attack(clip, head), KEY)
+                right = result is not None and (result.server, result.session) == (mark.server, mark.session)
+                found[name] += right
+                alarms += result is not None and not right
+        print(f"{avatar.name} {motion} {view}: {dict(found)} of {windows}, wrong {alarms}", flush=True)
+
+
+if __name__ == "__main__":
+    main()
