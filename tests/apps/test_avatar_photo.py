@@ -171,7 +171,7 @@ def test_the_sheet_has_what_there_is(seen, front, tmp_path, monkeypatch) -> None
         (["{front}", "-o", "a.glb", "--back-mask", "{front}"], "give the back picture, too"),
         (["{front}", "-o", "a.glb", "--debug", "{front}/x"], "cannot make the folder"),
         (["{text}", "-o", "a.glb"], "text.jpg: expected a photograph (JPEG, PNG or WebP)"),
-        (["{folder}", "-o", "a.glb"], "expected a file, but this is a directory"),
+        (["{folder}", "-o", "a.glb"], "expected pictures (NAME.jpg, NAME.png), found none"),
     ],
 )
 def test_mistakes_are_one_line(seen, front, tmp_path, monkeypatch, capsys, words, message) -> None:

@@ -13,6 +13,7 @@ from glsplat_apps.evaluate import command, ready
 
 from glsplat import data
 from glsplat.data import participants_folder
+from glsplat.errors import GlsplatError
 from glsplat.evaluate.comparison import measure
 from glsplat.evaluate.comparison.work import work
 from glsplat.evaluate.metrics.lpips import Lpips
@@ -68,6 +69,25 @@ def test_a_folder_is_filled_and_a_second_run_changes_no_number(plugged, alone, t
     assert "2 of 4 results lie in the folder already" in capsys.readouterr().out
     for key in ("table1", "views", "parts", "moments", "participants", "statistics", "failures"):
         assert first[key] == again[key], key
+
+
+def test_participants_on_a_cluster(plugged, alone, tmp_path, capsys, monkeypatch) -> None:  # noqa: F811
+    """As they come; one whose machine is lost is a failure like any other."""
+
+    def on_ray(work, tasks, address):
+        assert address == "gpu1:6379" and all(task.out.is_absolute() for task in tasks)
+        yield 1, GlsplatError("its machine has ended")
+        yield 0, work(tasks[0])
+
+    monkeypatch.setattr(command, "on_ray", on_ray)
+    plugged(itself="Itself")
+    out = tmp_path / "out"
+    assert main(["evaluate", *alone, "--methods", "itself", *QUICK, "--ray", "gpu1:6379", "-o", str(out)]) == 1
+    found = json.loads((out / "evaluation.json").read_text())
+    assert [(row["participant"], row["failed"]) for row in found["participants"] if "failed" in row] == [
+        ("bob", "its machine has ended")
+    ]
+    assert found["table1"] and capsys.readouterr().out
 
 
 def test_a_motion_and_further_measures(plugged, alone, tmp_path, capsys, monkeypatch) -> None:  # noqa: F811

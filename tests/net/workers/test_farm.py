@@ -20,7 +20,8 @@ from glsplat.net.workers import link
 from glsplat.net.workers import pump as pump_module
 from tests.net.guard.test_blame import visitor
 from tests.net.wire import native
-from tests.net.workers.fakes import Sleeper, camera, farm, watch
+from tests.net.workers.fakes import camera, farm, watch
+from tests.net.workers.sleeper import Sleeper
 
 
 def pids(server: Server) -> list[int]:
@@ -193,6 +194,7 @@ def test_rooms_are_drawn_in_one_place(serve, monkeypatch):
 def test_workers_that_cannot_be_opened(serve, tmp_path, monkeypatch):
     """One of two: the other serves. None of them, again and again: the server ends."""
     monkeypatch.setattr(pump_module, "_PAUSES", (0.0, 0.1, 0.1))
+    monkeypatch.setattr(pump_module, "_LATER", 0.2)
     broken = tmp_path / "broken"
     broken.touch()
     makes = [partial(Sleeper, fails=str(broken)), Sleeper]
@@ -226,7 +228,6 @@ def test_nothing_is_left_behind(serve):
                 await client.render([camera(1)])
             return pids(server)
 
-    asyncio.run(main())
     before = own.num_fds()
     assert not any(psutil.pid_exists(pid) for pid in asyncio.run(main()))
-    assert own.num_fds() <= before + 1
+    assert own.num_fds() <= before + 1  # the resource tracker's pipe

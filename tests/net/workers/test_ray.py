@@ -15,7 +15,8 @@ from glsplat.net.client import Client
 from glsplat.net.server import ServerConfig
 from glsplat.net.workers.cluster import RayCluster
 from glsplat.net.workers.farm import Farm
-from tests.net.workers.fakes import Sleeper, camera, watch
+from tests.net.workers.fakes import camera, watch
+from tests.net.workers.sleeper import Sleeper
 from tests.net.workers.test_farm import pids, until
 
 pytest.importorskip("ray", reason="needs the extra glsplat[ray]")

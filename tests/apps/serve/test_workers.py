@@ -1,0 +1,88 @@
+"""serve --workers: what it takes, what it refuses, and a gateway of two from the command line's options."""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+from importlib import util
+
+import pytest
+from glsplat_apps.serve.workers import add_workers, workers_of
+from glsplat_apps.usage import UsageError
+
+import glsplat
+from glsplat.camera import head_matrix, stereo_cameras
+from glsplat.errors import GlsplatError
+from glsplat.net.backends.server import make_server
+from glsplat.net.client import Client
+from glsplat.net.server import ServerConfig
+from glsplat.net.workers.options import Workers
+
+
+def asked(*words: str) -> Workers | None:
+    parser = argparse.ArgumentParser()
+    add_workers(parser)
+    return workers_of(parser.parse_args(words))
+
+
+def test_what_it_takes(monkeypatch):
+    monkeypatch.setattr("glsplat_apps.serve.workers.require_ray", lambda: None)
+    assert asked() is None
+    assert asked("--workers", "2") == Workers(count=2)
+    assert asked("--workers", "ray") == Workers(count=None, ray=True)
+    words = ("--worker-gpus", "0.25", "--worker-cpus", "4", "--ray-address", "gpu1:6379")
+    assert asked("--workers", "ray:8", *words) == Workers(count=8, ray=True, cpus=4, gpus=0.25, address="gpu1:6379")
+
+
+@pytest.mark.parametrize(
+    ("words", "why"),
+    [
+        (["--workers", "0"], "--workers needs 1 to 64, ray, or ray:N, not '0'"),
+        (["--workers", "ray:"], "--workers needs"),
+        (["--workers", "ray:65"], "--workers needs"),
+        (["--workers", "many"], "--workers needs"),
+        (["--workers", "2:2"], "--workers needs"),
+        (["--workers", "2", "--ray-address", "gpu1:6379"], "--ray-address is for --workers ray"),
+        (["--ray-address", "gpu1:6379"], "--ray-address is for --workers ray"),
+        (["--workers", "ray", "--worker-gpus", "-1"], "need 0 to 1024"),
+    ],
+)
+def test_what_it_refuses(words, why):
+    with pytest.raises(UsageError, match=why):
+        asked(*words)
+
+
+def test_without_ray(monkeypatch):
+    monkeypatch.setattr(
+        "glsplat.net.workers.cluster.find_spec", lambda name: None if name == "ray" else util.find_spec(name)
+    )
+    with pytest.raises(GlsplatError, match=r'^Ray is not installed; pip install "glsplat\[ray\]"'):
+        asked("--workers", "ray:2")
+    assert asked("--workers", "2") == Workers(count=2)
+
+
+@pytest.mark.gl
+def test_avatars_and_devices_reach_the_workers():
+    """Each worker has its device of the list; what none of them has is an error, what they have is drawn."""
+    avatar = glsplat.default_avatar()
+    cameras = stereo_cameras(head_matrix((0, 1.4, 1.2), (0, 0, 0, 1)), size=(64, 64))
+
+    async def main():
+        server = make_server(
+            avatar,
+            ServerConfig(port=0),
+            "0,llvmpipe",
+            avatars={"ann": avatar.without("head")},
+            workers=Workers(count=2),
+        )
+        devices = [pump.place._make.keywords | {"device": pump.place._make.args[2]} for pump in server.pump._pumps]
+        assert [(one["device"], one["name"]) for one in devices] == [("0", "default"), ("llvmpipe", "default")]
+        await server.start()
+        try:
+            async with Client(server.url) as first, Client(server.url, avatar="ann") as ann:
+                return [len((await one.render(cameras, crop=True)).pictures[0]) for one in (first, ann)]
+        finally:
+            await server.stop()
+
+    whole, headless = asyncio.run(main())
+    assert whole != headless
