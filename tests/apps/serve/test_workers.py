@@ -7,10 +7,10 @@ import asyncio
 from importlib import util
 
 import pytest
-from glsplat_apps.serve.workers import add_workers, workers_of
-from glsplat_apps.usage import UsageError
 
 import glsplat
+from apps.serve.workers import add_workers, workers_of
+from apps.usage import UsageError
 from glsplat.camera import head_matrix, stereo_cameras
 from glsplat.errors import GlsplatError
 from glsplat.net.backends.server import make_server
@@ -26,7 +26,7 @@ def asked(*words: str) -> Workers | None:
 
 
 def test_what_it_takes(monkeypatch):
-    monkeypatch.setattr("glsplat_apps.serve.workers.require_ray", lambda: None)
+    monkeypatch.setattr("apps.serve.workers.require_ray", lambda: None)
     assert asked() is None
     assert asked("--workers", "2") == Workers(count=2)
     assert asked("--workers", "ray") == Workers(count=None, ray=True)
@@ -75,7 +75,7 @@ def test_avatars_and_devices_reach_the_workers():
             avatars={"ann": avatar.without("head")},
             workers=Workers(count=2),
         )
-        devices = [pump.place._make.keywords | {"device": pump.place._make.args[2]} for pump in server.pump._pumps]
+        devices = [pump.place._make.keywords for pump in server.pump._pumps]
         assert [(one["device"], one["name"]) for one in devices] == [("0", "default"), ("llvmpipe", "default")]
         await server.start()
         try:

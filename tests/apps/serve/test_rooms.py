@@ -1,0 +1,101 @@
+"""serve --room and replay --room: what they take, what they refuse, and a crowd on a fake renderer."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from apps.args import open_scene
+from apps.replay import command as replay
+from apps.serve import command as serve
+from apps.serve.rooms import RoomChoice, check_rooms, open_rooms, room_choice
+from apps.usage import UsageError
+from glsplat.net.backend import Offered, Solved
+from glsplat.net.messages import RenderRequest
+from glsplat.net.server import ServerConfig
+from glsplat.skinning.pose import Pose
+from glsplat.skinning.skeleton import Skeleton
+from glsplat.skinning.smplx import JOINT_NAMES
+from tests.browser.served import Served
+from tests.net.conftest import FakeBackend
+
+RIG = Skeleton.from_joints(JOINT_NAMES, [-1] + [0] * 54, np.zeros((55, 3)))
+
+
+class Solver:
+    def solve(self, request: RenderRequest, now: float) -> Solved:
+        return Solved(Pose.zero(55), request.cameras)
+
+
+def arguments(command: object, *words: str) -> argparse.Namespace:
+    parser = argparse.ArgumentParser()
+    command.add_arguments(parser)  # type: ignore[attr-defined]
+    return parser.parse_args(words)
+
+
+def test_what_a_room_is_called_and_holds() -> None:
+    assert room_choice("lab") == RoomChoice("lab", 8, None)
+    assert room_choice("hall:20=a=b/scene.json") == RoomChoice("hall", 20, "a=b/scene.json")
+    assert room_choice("Große Halle:1") == RoomChoice("Große Halle", 1, None)
+    for wrong in ("", "../lab", "lab/x", ":3", "lab:0", "lab:65", "a" * 33, "=scene.json", "lab:x"):
+        with pytest.raises(argparse.ArgumentTypeError):
+            room_choice(wrong)
+
+
+def test_rooms_that_do_not_fit_are_refused() -> None:
+    with pytest.raises(UsageError, match="two rooms"):
+        check_rooms(arguments(serve, "--room", "lab", "--room", "lab:3"))
+    with pytest.raises(UsageError, match="20 people need --max-clients 20"):
+        check_rooms(arguments(serve, "--room", "lab:20"))
+    check_rooms(arguments(serve, "--room", "lab:20", "--max-clients", "20"))
+
+
+def test_what_stands_in_a_room(tmp_path: Path) -> None:
+    (tmp_path / "empty.json").write_text('{"version": 1, "items": []}')
+    args = arguments(serve, "--room", "lab", "--room", f"hall:2={tmp_path}/empty.json")
+    rooms = open_rooms(args)
+    assert list(rooms) == ["lab", "hall"] and len(rooms["lab"].scene) == 0
+    config = serve.server_config(args)
+    assert dict(config.rooms) == {"lab": 8, "hall": 2}
+    assert len(open_scene(args).scene) == 1  # the avatar that people wear
+
+
+@pytest.mark.parametrize(
+    ("words", "why"),
+    [
+        (["--people", "2"], "go with --room"),
+        (["--name", "Ann"], "go with --room"),
+        (["--room", "lab", "--people", "0"], "needs 1 to 64"),
+        (["--room", "lab", "--compare"], "single run"),
+    ],
+)
+def test_a_crowd_that_does_not_fit_is_refused(words: list[str], why: str) -> None:
+    with pytest.raises(UsageError, match=why):
+        replay.run(arguments(replay, *words))
+
+
+def test_a_crowd_is_one_command(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    backend = FakeBackend()
+    offered = [Offered(name="ann", skeleton=RIG, solver=lambda height, span: Solver(), parts=frozenset(["head"]))]
+    with Served(backend, ServerConfig(port=0, rooms={"lab": 3}), offered=offered) as served:
+        url = f"ws://127.0.0.1:{served.port}/ws"
+        words = ("--url", url, "--room", "lab", "--size", "32x32", "--fps", "30")
+        assert (
+            replay.run(arguments(replay, *words, "--people", "3", "--name", "guest", "--frames", "15", "--json")) == 0
+        )
+        out = json.loads(capsys.readouterr().out)
+        assert [one["name"] for one in out] == ["guest 1", "guest 2", "guest 3"]
+        assert all(one["shown"] > 3 and one["errors"] == 0 for one in out)
+        people = {one.name for request in backend.drawn if request.room for one in request.room.people}
+        assert people == {"guest 1", "guest 2", "guest 3"}
+        assert all(request.hide == ("head",) for request in backend.drawn)
+        # each is elsewhere in the recording
+        heads = {tuple(np.round(request.cameras[0].position, 4)) for request in backend.drawn}
+        assert len(heads) > 10
+        assert replay.run(arguments(replay, *words, "--frames", "5", "--save", str(tmp_path / "one.png"))) == 0
+        text = capsys.readouterr().out
+        assert 'room "lab"' in text and "replay" in text and (tmp_path / "one.png").is_file()
