@@ -12,14 +12,17 @@ from hypothesis import strategies as st
 from glsplat.camera import Camera, look_at, pinhole
 from glsplat.errors import ProtocolError
 from glsplat.net.accounts.users import User
+from glsplat.net.backend import Offered
 from glsplat.net.messages import RenderRequest, WireOptions
 from glsplat.net.options import NAME, NOT_ALLOWED, Asked, client_options
 from glsplat.net.rooms.person import AHEAD, FADE, SILENT, Moved, Person
 from glsplat.net.rooms.room import Room, RoomError
+from glsplat.net.rooms.rooms import Rooms
 from glsplat.net.rooms.seats import RADIUS, free_seat, place_at, seat
 from glsplat.net.session import SessionConfig
 from glsplat.rotations import FLIP_X
 from glsplat.skinning.pose import Pose
+from glsplat.skinning.skeleton import Skeleton
 
 EYE = Camera(look_at((0, 1.6, 0), (0, 1.5, 1)), pinhole(64, 64), 64, 64)
 
@@ -237,3 +240,27 @@ def test_what_an_address_asks_for() -> None:
     for wrong in ("", "1,2", "1,2,3,4", "a,b,c", "nan,0,0", "0,inf,0", "1e9,0,0", "0,0,361"):
         with pytest.raises(ProtocolError, match="at needs x,z,degrees"):
             asked(room="lab", at=wrong)
+
+
+QUERY = st.dictionaries(
+    st.sampled_from(["avatar", "room", "name", "at", "label", "mirror", "window", "height", "span", "x"]),
+    st.text(max_size=40) | st.sampled_from(["lab", "../lab", "default", "1", "0", "1.7", "0,0,0", "nan,0,0", "%00"]),
+    max_size=6,
+)
+
+
+@given(QUERY, st.sampled_from([None, User(name="ann", rooms=("lab",), avatars=("default",))]))
+def test_whatever_is_asked_for_is_understood_or_refused(query: dict[str, str], user: User | None) -> None:
+    rooms = Rooms({"lab": 2})
+    shown = Offered(name="default", skeleton=Skeleton.from_joints(["root"], [-1], [[0.0, 0.0, 0.0]]))
+    try:
+        wish = asked(user, **query)
+        member = rooms.join(wish, shown, 1, "here", 0.0, lambda: None)
+    except ProtocolError as refused:
+        assert str(refused).isprintable()
+        return
+    assert (member is None) == ("room" not in query)
+    if member is not None:
+        assert member.room.name == query["room"] == "lab"
+        assert member.person.name == ("ann" if user else query.get("name") or "guest 1")
+        assert np.isfinite(member.person.seat).all()
