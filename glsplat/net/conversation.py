@@ -154,6 +154,8 @@ class Conversation:
                 cut_off(self._request)
                 return
             if not isinstance(packed, str):
+                if not session.counts.sent:  # who only knocks fills no log
+                    session.announce(self.channel.number, self.channel.address)
                 session.sent(frame.request, sum(map(len, packed)))
             self._pump.wake(self.channel)
             if frame.ends:

@@ -285,7 +285,6 @@ class Server:
         if channel.solving is not None:
             channel.solving.share, channel.solving.samples = channel.share, purse.samples
         self._channels[channel.number] = channel
-        session.announce(channel.number, channel.address)
         return channel
 
     async def _withdraw(self, name: str) -> bool:
