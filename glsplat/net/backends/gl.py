@@ -104,10 +104,6 @@ class RendererBackend:
         """
         if self._name is not None and request.avatar not in ("", self._name) and request.avatar not in self._avatars:
             raise FormatError(f'there is no avatar "{request.avatar}" on this machine')
-        with self._context.entered("RendererBackend.render()"):  # another context may be current on this thread
-            return self._render(request)
-
-    def _render(self, request: RenderRequest) -> Rendered:
         first = request.cameras[0]
         try:
             stand = self._stands.of(request)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 import cv2
@@ -15,7 +15,7 @@ from glsplat.avatar import Avatar
 from glsplat.camera import Camera, head_matrix, look_at, pinhole, stereo_cameras
 from glsplat.config import RenderConfig
 from glsplat.data import default_avatar
-from glsplat.gl.context import Context
+from glsplat.gl.context import Context, create_context
 from glsplat.net.backends.labels import Label, notice
 from glsplat.net.backends.lettering import draw_labels
 from glsplat.net.backends.server import make_server
@@ -145,6 +145,14 @@ def test_each_person_is_skinned_once_a_tick(context: Context, person: Avatar) ->
             posed.append(stand.renderer.stats.posed)
     stands.release()
     assert sum(posed) == 2 * 6 * 4 - 1  # nobody has looked at the last viewer's head since
+
+
+@pytest.fixture
+def context() -> Iterator[Context]:
+    """One of its own: the shared one would stay current for the backends of other tests on this thread."""
+    context = create_context()
+    yield context
+    context.release()
 
 
 def _file(scene: Scene):  # type: ignore[no-untyped-def]
