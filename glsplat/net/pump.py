@@ -208,7 +208,8 @@ class Pump(ABC):
             finally:
                 self._drawing = self._drawing_since = None
             now = self._clock()
-            self._turns.charge(channel.address, channel, now - start, now)
+            own = None if channel.member is None else channel.member.room.evened(now - start)
+            self._turns.charge(channel.address, channel, now - start, now, own)
             if (then := self._leaving.get(channel.number)) is not None:
                 self._turns.remove(channel.address, channel)
                 del self._leaving[channel.number]

@@ -95,8 +95,11 @@ class Turns(Generic[K]):
                 return key
         return None
 
-    def charge(self, address: str, key: K, seconds: float, now: float) -> None:
-        """The picture of that client took so long, up to ``now``. The client may have left meanwhile."""
+    def charge(self, address: str, key: K, seconds: float, now: float, own: float | None = None) -> None:
+        """The picture of that client took so long, up to ``now``; ``own`` seconds count for it within its address.
+
+        The client may have left meanwhile.
+        """
         mine = self._addresses.setdefault(address, _Address(self._clock))
         seconds = max(seconds, _LEAST)
         if mine.fresh:
@@ -108,7 +111,7 @@ class Turns(Generic[K]):
         if client is None or client.length is None:
             mine.joining = max(mine.joining, mine.clock) + seconds
         if client is not None:
-            client.spent += seconds
+            client.spent += seconds if own is None else max(own, _LEAST)
             client.length = max(seconds, _FORGET * (client.length or 0.0))
         until = now + seconds * min(_MOST_REST, seconds / _STALL)
         if until > self._rest_until:

@@ -25,6 +25,9 @@ from glsplat.net.rooms.view import Present, RoomView
 __all__ = ["Room", "RoomError"]
 
 
+_LEARN = 0.1  # how far each picture moves what one is expected to take
+
+
 class RoomError(ProtocolError):
     """Somebody cannot come in. ``status`` is the HTTP status that says so."""
 
@@ -50,6 +53,7 @@ class Room:
         self._lock = Lock()
         self._keys = 0
         self._tick = 0
+        self._seconds = 0.0  # that a picture takes
         self._drawn: set[int] = set()  # keys of who was shown a picture in this tick
         self._posed = 0  # poses drawn anew, for all viewers together
 
@@ -137,6 +141,15 @@ class Room:
         """A picture took so many people to be skinned anew."""
         with self._lock:
             self._posed += count
+
+    def evened(self, seconds: float) -> float:
+        """What a picture that took so long counts for its viewer: as much as any other of this room.
+
+        Who looks at more people than the others is to see them no less often.
+        """
+        with self._lock:
+            self._seconds += (seconds - self._seconds) * (_LEARN if self._seconds else 1.0)
+            return self._seconds
 
     def status(self, now: float) -> dict[str, Any]:
         """Numbers for /stats."""
