@@ -42,6 +42,7 @@ class Arena:
         degree: int,  # of the colours
         signed: bool = False,  # some items ask for opacity compensation and some do not (variant.antialias 2)
         culled: Sequence[bool] = (),  # of which items the hidden splats are left out, by their cones
+        kinds: Sequence[int] = (),  # of items that are the same number a picture shows one at most; default: all
     ) -> None:
         ctx = context.ctx
         self.items, self.posed, self.degree = tuple(items), posed, degree
@@ -56,6 +57,10 @@ class Arena:
         alone = len(items) == 1
         self.count = items[0].count if alone else height * ROW
         self.shown: tuple[int, ...] = tuple(range(len(items)))
+        largest: dict[int, int] = {}
+        for kind, size in zip(kinds or range(len(items)), rows, strict=True):
+            largest[kind] = max(size, largest.get(kind, 0))
+        self.most = self.count if alone else sum(largest.values()) * ROW  # indices that a picture shows at most
         self._written: list[Placement | None] = [None] * len(items)
         limit = int(ctx.info["GL_MAX_TEXTURE_SIZE"])
         if max(height, ROW * COLOUR_TEXELS[degree]) > limit:
@@ -111,9 +116,14 @@ class Arena:
         return tuple(found)
 
     @property
+    def shown_splats(self) -> int:
+        """Splats of what is shown."""
+        return sum(self.items[index].count for index in self.shown)
+
+    @property
     def padding(self) -> int:
         """Indices in ``ranges`` that are nobody's splat."""
-        return sum(count for _, count in self.ranges) - sum(self.items[index].count for index in self.shown)
+        return sum(count for _, count in self.ranges) - self.shown_splats
 
     def place(self, places: Mapping[int, Placement]) -> bool:
         """Show the items of these numbers, in their order; pose and place what moved. True if anything moved."""

@@ -19,6 +19,7 @@ from glsplat.gl.context import Context
 from glsplat.meshes import RiggedMesh
 from glsplat.passes.arena import Arena
 from glsplat.passes.drawable import PASSES, Drawable, Part
+from glsplat.passes.frame.draw import PULLED
 from glsplat.passes.frame.pipeline import Pipeline, view_state
 from glsplat.passes.item.buffers import ItemBuffers, Placement
 from glsplat.passes.item.ground import Ground, GroundKind, MeshItem
@@ -172,7 +173,7 @@ class Staged:
             antialias=frozenset(item.splats.antialias for item in self.arena.items) or frozenset({False}),
             geometry=self._geometry,
             triangle=self._triangle,
-            pulled=self._pulled,
+            pulled=self._pulled and (self._config.fetch == "storage" or self.arena.shown_splats <= PULLED),
             depth=depth,
             occluded=self._occluded,
             sampled=self._samples if self._standing and self._samples > 1 else 0,
@@ -237,7 +238,7 @@ class Staged:
             )
         buffers = [staged[i].get(level) for i, level in parts]
         self.arenas += 1
-        made = Drawable(self._arena_of(buffers, posed), tuple(parts))
+        made = Drawable(self._arena_of(buffers, posed, [i for i, _ in parts]), tuple(parts))
         self._drawables.most_bytes = max(self._drawables.most_bytes, 2 * made.nbytes)
         return made
 
@@ -296,12 +297,12 @@ class Staged:
                 raise ContextError(f"{joints} joints, but a texture of {context.driver} holds {context.max_size}")
         return ItemBuffers(context, self._programs, splats, skin, joints, config.rotation == "raw")
 
-    def _arena_of(self, buffers: Sequence[ItemBuffers], posed: bool) -> Arena:
+    def _arena_of(self, buffers: Sequence[ItemBuffers], posed: bool, kinds: Sequence[int]) -> Arena:
         config = self._config
         degree = min(max((item.splats.sh_degree for item in buffers), default=0), config.sh_degree)
         mixed = config.antialias is None and len({item.splats.antialias for item in buffers}) > 1
         culled = [item.splats.cones is not None and _culled(item.splats, config) for item in buffers]
-        return Arena(self._context, buffers, posed=posed, degree=degree, signed=mixed, culled=culled)
+        return Arena(self._context, buffers, posed=posed, degree=degree, signed=mixed, culled=culled, kinds=kinds)
 
     def _placement(self, item: Item, pose: Pose | None) -> Placement:
         linear = item.transform[:3, :3]

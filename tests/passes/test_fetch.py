@@ -14,6 +14,7 @@ from glsplat.camera import Camera
 from glsplat.config import RenderConfig
 from glsplat.errors import BudgetError, ContextError
 from glsplat.gl.context import Context
+from glsplat.passes import staged
 from glsplat.passes.frame import draw, pipeline
 from glsplat.passes.frame.budget import Budget
 from glsplat.renderer import Renderer
@@ -109,7 +110,7 @@ def test_who_pulls(renderer_of: Make, context: Context, monkeypatch: pytest.Monk
     automatic.render(eyes()[:1])
     assert automatic.variant.pulled == int(context.software and context.vertex_storage)
     with monkeypatch.context() as patched:
-        patched.setattr(pipeline, "PULLED", 19)
+        patched.setattr(staged, "PULLED", 19)
         many = renderer_of(cloud(20))
         many.render(eyes()[:1])
         assert many.variant.pulled == 0

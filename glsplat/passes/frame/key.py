@@ -34,13 +34,13 @@ class KeyPass:
         spare: moderngl.Buffer,  # 12 bytes a splat or more, borrowed: the records', free until they are made
     ) -> None:
         program = programs.feedback("key", variant, ("key", "cover"), separate=keys is not None)
-        count = self._count = arena.count
+        self._count = arena.count
         self._outputs = [spare] if keys is None else [keys, spare]
         content: list[tuple[object, ...]] = [] if arena.cones is None else [(arena.cones, "4i1", "cone")]
         content += [] if arena.numbers is None else [(arena.numbers, "1u4", "number")]
         self._array = ctx.vertex_array(program, content)
         self._found = 0
-        self._rows = np.empty((count if keys is None else 0, 3), np.uint32)
+        self._rows = np.empty((arena.most if keys is None else 0, 3), np.uint32)
         self._columns = np.empty((3, len(self._rows)), np.uint32)
 
     def run(self, ranges: Sequence[tuple[int, int]]) -> None:

@@ -17,7 +17,7 @@ from glsplat.gl.context import Context
 from glsplat.passes.arena import Arena
 from glsplat.passes.block import FrameBlock
 from glsplat.passes.frame.budget import BLOCK_PIXELS, Budget
-from glsplat.passes.frame.draw import PULLED, DrawPass, corners_of, fits
+from glsplat.passes.frame.draw import DrawPass, corners_of, fits
 from glsplat.passes.frame.gpu_sort import GpuSorter
 from glsplat.passes.frame.key import KeyPass
 from glsplat.passes.frame.project import ProjectPass
@@ -47,8 +47,10 @@ class Pipeline:
     def __init__(
         self, context: Context, programs: Programs, variant: Variant, arena: Arena, config: RenderConfig
     ) -> None:
-        ctx, count = context.ctx, arena.count
-        if variant.pulled and (not fits(ctx, variant, count) or (config.fetch == "auto" and count > PULLED)):
+        automatic = config.sorter == "auto" and context.compute and not context.software
+        by_gpu = config.sorter == "gpu" or automatic
+        ctx, count = context.ctx, arena.count if by_gpu else arena.most  # the GPU sorts what is not shown, too
+        if variant.pulled and not fits(ctx, variant, count):
             variant = replace(variant, pulled=0)
         self._arena, self._config, self.variant = arena, config, variant
         self._scratch = context.scratch
@@ -70,9 +72,8 @@ class Pipeline:
             self._frame = own(FrameBlock(ctx, variant.views))
             self._project = own(ProjectPass(context, programs, variant, count))
             records, order = self._project.records, self._project.order
-            automatic = config.sorter == "auto" and context.compute and not context.software
             self._keys: moderngl.Buffer | None = None
-            if config.sorter == "gpu" or (automatic and GpuSorter.fits(ctx, records)):
+            if by_gpu and (config.sorter == "gpu" or GpuSorter.fits(ctx, records)):
                 self._keys = own(ctx.buffer(reserve=max(16, count * 4)))
             self._key = own(KeyPass(ctx, programs, variant, arena, self._keys, records))
             self._sorter: GpuSorter | None = None
