@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.avatar import Avatar
+from glsplat.errors import PoseError
 from glsplat.formats.scene_file import SceneFile
 from glsplat.net.backends.labels import Label
 from glsplat.net.messages import RenderRequest
@@ -24,15 +26,15 @@ _TALL = 1.7  # ... metres
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Shown:
-    """Somebody's items: the head is one of its own, so that pictures from their own eyes can leave it out."""
+    """Somebody's items, of which pictures from their own eyes without a head show others than all other pictures.
+
+    Of splats the head is an item of its own, and nothing is posed twice. A mesh is there with and without.
+    """
 
     figure: Figure
-    rest: Item
-    head: Item | None
-
-    @property
-    def items(self) -> tuple[Item, ...]:
-        return (self.rest,) if self.head is None else (self.rest, self.head)
+    items: tuple[Item, ...]
+    head: Item | None = None  # not shown without a head
+    headless: Item | None = None  # shown only then
 
 
 class RoomStand:
@@ -73,16 +75,23 @@ class RoomStand:
 
     def left_out(self, request: RenderRequest) -> list[Item]:
         """Items that a picture is drawn without: of the viewer what the request hides, and who has faded."""
-        faded = [item for one in self._people.values() for item in one.items if item.opacity == 0]
-        own = self._people.get(_view(request).viewer)
-        return [*faded, own.head] if "head" in request.hide and own is not None and own.head is not None else faded
+        out: list[Item] = []
+        for key, one in self._people.items():
+            own = key == _view(request).viewer and "head" in request.hide
+            part = one.head if own else one.headless
+            out += [item for item in one.items if item.opacity == 0 or item is part]
+        return out
 
     def labels(self, request: RenderRequest) -> list[Label]:
         """What stands over the heads; over the viewer's own only where that head is seen."""
         view = _view(request)
         people = [one for one in view.people if one.label and not (one.key == view.viewer and "head" in request.hide)]
         return [
-            Label(one.label, label_place(self._people[one.key].rest, self._people[one.key].figure), opacity=one.opacity)
+            Label(
+                one.label,
+                label_place(self._people[one.key].items[0], self._people[one.key].figure),
+                opacity=one.opacity,
+            )
             for one in people
         ]
 
@@ -111,8 +120,16 @@ def label_place(item: Item, figure: Figure) -> NDArray[np.float64]:
 
 
 def _shown(one: Present, figure: Figure) -> _Shown:
-    if isinstance(figure, Avatar) and "head" in figure.skeleton.names:
-        rest, head = figure.without("head"), figure.only("head")
-        if len(rest.splats) and len(head.splats):
-            return _Shown(figure, Item(rest, name=one.name), Item(head, name=one.name))
-    return _Shown(figure, Item(figure, name=one.name), None)
+    whole = Item(figure, name=one.name)
+    if "head" not in figure.skeleton.names:
+        return _Shown(figure, (whole,))
+    if not isinstance(figure, Avatar):
+        with suppress(PoseError):  # it is all head
+            headless = Item(figure.without("head"), name=one.name)
+            return _Shown(figure, (whole, headless), whole, headless)
+        return _Shown(figure, (whole,))
+    rest, head = figure.without("head"), figure.only("head")
+    if not len(rest.splats) or not len(head.splats):
+        return _Shown(figure, (whole,))
+    parts = Item(rest, name=one.name), Item(head, name=one.name)
+    return _Shown(figure, parts, parts[1])

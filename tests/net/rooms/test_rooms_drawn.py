@@ -28,6 +28,7 @@ from glsplat.net.server import ServerConfig
 from glsplat.renderer import Renderer
 from glsplat.scene import Item, Scene, similarity
 from glsplat.skinning.pose import Pose
+from tests.scene.people import boxes
 from tests.scenes import cloud
 
 SIZE = 128
@@ -187,6 +188,27 @@ def test_labels_cannot_be_left_out_and_fade_with_their_people(context: Context, 
     gone = replace(request, room=RoomView("lab", 1, 1, two[:1]))
     stand.follow(gone, 0.0)
     assert len(stand.scene) == 2
+    stands.release()
+
+
+@pytest.mark.gl
+def test_a_person_of_triangles_loses_the_head_for_their_own_eyes_only(context: Context) -> None:
+    mesh, poses = boxes(), (arm(0), arm(1))
+    make: Callable[[Scene], Renderer] = lambda scene: Renderer(  # noqa: E731
+        scene, size=(SIZE, SIZE), config=RenderConfig(output="uint8"), context=context
+    )
+    stands = Stands(Scene([Item(mesh)]), {}, make, {"lab": _file(Scene())})
+    places = (np.eye(4), similarity((0.5, 0, 2)))
+    two = tuple(Present(i, f"P{i}", "", poses[i], places[i]) for i in range(2))
+    for viewer, hide in ((0, ("head",)), (1, ("head",)), (0, ())):
+        request = RenderRequest(frame_id=1, cameras=tuple(EYES), hide=hide, room=RoomView("lab", 0, viewer, two))
+        stand = stands.of(request)
+        stand.follow(request, 0.0)
+        images = stand.renderer.render(request.cameras, without=stand.left_out(request))
+        shown = [mesh.without("head") if hide and i == viewer else mesh for i in range(2)]
+        whole = Scene(Item(one, pose=poses[i], transform=places[i]) for i, one in enumerate(shown))
+        with make(whole) as renderer:
+            assert np.array_equal(images, renderer.render(request.cameras))
     stands.release()
 
 
