@@ -58,11 +58,14 @@ def test_controls_and_settings_follow_each_other(page):
     page.check("#stereo")
     page.fill("#height", "1.62")
     page.locator("#height").blur()
+    page.evaluate("settings.setOptions('room', [{value: ''}, {value: 'lab'}])")  # else there are no fields for it
+    page.fill("#name", " Zoë ")
+    page.locator("#name").blur()
     page.locator("#quality").focus()
     page.keyboard.press("ArrowRight")
     got = page.evaluate("Object.fromEntries(settings.names.map((n) => [n, settings.get(n)]))")
     assert got == {
-        "view": "own", "avatar": "", "size": 512, "quality": 81, "driver": "rest", "stereo": True, "height": 1.62,
+        "view": "own", "avatar": "", "room": "", "name": "Zoë", "size": 512, "quality": 81, "driver": "rest", "stereo": True, "height": 1.62,
         "figures": False,
     }  # fmt: skip
     assert page.text_content("#quality-value") == "81"
