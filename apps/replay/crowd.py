@@ -27,7 +27,7 @@ _APART = 1.7  # seconds of the recording from one person to the next
 def add_crowd(parser: argparse.ArgumentParser) -> None:
     """--room, --name and --people."""
     parser.add_argument("--room", metavar="NAME", help="be a person in this room of the server, seen by its own eyes")
-    parser.add_argument("--name", help='what the person is called there (default "replay")')
+    parser.add_argument("--name", help="what the person is called there (default: as the account is, or as a guest)")
     parser.add_argument(
         "--people", type=int, default=1, metavar="N", help="so many people, numbered if more than one (default 1)"
     )
@@ -46,9 +46,10 @@ def check_crowd(args: argparse.Namespace) -> None:
 
 
 def names_of(args: argparse.Namespace) -> list[str]:
-    """What the people are called."""
-    name = args.name or "replay"
-    return [name] if args.people == 1 else [f"{name} {number}" for number in range(1, args.people + 1)]
+    """What the people ask to be called; "" of one who does not."""
+    if args.people == 1:
+        return [args.name or ""]
+    return [f"{args.name or 'replay'} {number}" for number in range(1, args.people + 1)]
 
 
 @dataclass(frozen=True)
@@ -75,7 +76,15 @@ async def stream_crowd(args: argparse.Namespace, token: str | None, drive: Drive
     bars = not args.json and sys.stderr.isatty()
     names = names_of(args)
     clients = [
-        Client(args.url, token, window=args.window, mirror=args.mirror, room=args.room, name=name, cafile=args.tls_ca)
+        Client(
+            args.url,
+            token,
+            window=args.window,
+            mirror=args.mirror,
+            room=args.room,
+            name=name or None,
+            cafile=args.tls_ca,
+        )
         for name in names
     ]
     with tqdm(total=frames * len(clients), desc=args.room, unit="frame", disable=not bars, leave=False) as bar:
@@ -115,5 +124,5 @@ def crowd_text(names: Sequence[str], results: Sequence[Result]) -> str:
     lines = [f"{'person':20}{'shown/s':>9}{'age, ms':>9}{'p95':>7}{'asked':>8}{'failed':>8}"]
     for name, result in zip(names, results, strict=True):
         age, age95 = median_p95(result.ages)
-        lines.append(f"{name:20.20}{result.fps:9.1f}{age:9.0f}{age95:7.0f}{result.sent:8}{result.errors:8}")
+        lines.append(f"{name or 'you':20.20}{result.fps:9.1f}{age:9.0f}{age95:7.0f}{result.sent:8}{result.errors:8}")
     return "\n".join(lines)
