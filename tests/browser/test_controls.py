@@ -65,7 +65,8 @@ def test_controls_and_settings_follow_each_other(page):
     page.keyboard.press("ArrowRight")
     got = page.evaluate("Object.fromEntries(settings.names.map((n) => [n, settings.get(n)]))")
     assert got == {
-        "view": "own", "avatar": "", "room": "", "name": "Zoë", "size": 512, "quality": 81, "driver": "rest", "stereo": True, "height": 1.62,
+        "view": "own", "avatar": "", "room": "", "name": "Zoë",
+        "size": 512, "quality": 81, "driver": "rest", "stereo": True, "height": 1.62,
         "figures": False,
     }  # fmt: skip
     assert page.text_content("#quality-value") == "81"
