@@ -281,6 +281,7 @@ def test_a_streaming_client_is_served_all_the_while(takes, cameras):
                 count = 0
                 while (await client.ask("GET", f"/avatars/{told['name']}"))[1]["state"] != "failed":
                     await streaming.render(cameras)
+                    await asyncio.sleep(0.01)  # within what a client may send
                     count += 1
                 assert count > 2 and (await streaming.render(cameras)).frame_id == count + 1
 
