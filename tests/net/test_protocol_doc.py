@@ -29,6 +29,8 @@ from tests.net.wire import EYE
 TEXT = (Path(__file__).parents[2] / "docs" / "protocol.md").read_text(encoding="utf-8")
 WORDS = " ".join(TEXT.split())  # wherever its lines end
 
+DEPLOYING = Path(__file__).parents[2] / "docs" / "deploying.md"
+
 
 def test_the_request_of_the_page_is_a_request():
     block = re.search(r"```json\n(\{\"v\": 1, \"frame_id\": 7.*?)```", TEXT, re.S).group(1)
@@ -108,7 +110,7 @@ def test_every_error_code_is_in_the_table():
 def test_the_numbers_of_the_limits():
     """Both pages and the help of the command hold the defaults."""
     limits, mib = Limits(), 2**20
-    deploying = (Path(__file__).parents[2] / "docs" / "deploying.md").read_text(encoding="utf-8")
+    deploying = " ".join(DEPLOYING.read_text(encoding="utf-8").split())
     for phrase in (
         f"(`--max-clients`) | {ServerConfig().max_clients} |",
         f"(`--max-waiting`) | {limits.waiting} |",
@@ -144,7 +146,7 @@ def test_the_numbers_of_the_limits():
 
 def test_the_numbers_of_photographs():
     """Both pages hold the defaults."""
-    deploying = (Path(__file__).parents[2] / "docs" / "deploying.md").read_text(encoding="utf-8")
+    deploying = " ".join(DEPLOYING.read_text(encoding="utf-8").split())
     config, limits = UploadConfig(folder=Path(), make=lambda order, progress: None), Limits()
     for phrase in (
         f"{config.stall:g} s without a byte, or {config.receive:g} s in all",
