@@ -148,7 +148,8 @@ def test_nobody_is_torn_apart_by_extrapolation() -> None:
         other = Person(1, "Ann", "a", seat(0, 2), "", 0.0)
         other.moved(Moved(pose(0.1), *first))
         other.moved(Moved(pose(0.2), *second))
-        assert other.at(2.0) == (other.newest.pose, 0.0) if other.newest else False
+        newest = other.newest
+        assert newest is not None and other.at(2.0) == (newest.pose, 0.0)
 
 
 def test_who_is_silent_fades_and_who_is_lost_goes() -> None:

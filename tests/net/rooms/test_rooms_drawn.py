@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from functools import partial
 
 import cv2
 import numpy as np
@@ -15,6 +16,7 @@ from glsplat.avatar import Avatar
 from glsplat.camera import Camera, head_matrix, look_at, pinhole, stereo_cameras
 from glsplat.config import RenderConfig
 from glsplat.data import default_avatar
+from glsplat.formats.scene_file import SceneFile
 from glsplat.gl.context import Context, create_context
 from glsplat.net.backends.labels import Label, notice
 from glsplat.net.backends.lettering import draw_labels
@@ -26,7 +28,7 @@ from glsplat.net.messages import RenderRequest, WireOptions
 from glsplat.net.rooms.view import Present, RoomView
 from glsplat.net.server import ServerConfig
 from glsplat.renderer import Renderer
-from glsplat.scene import Item, Scene, similarity
+from glsplat.scene import Figure, Item, Scene, similarity
 from glsplat.skinning.pose import Pose
 from tests.scene.people import boxes
 from tests.scenes import cloud
@@ -125,13 +127,7 @@ def _above(person: Avatar, number: int, seat: NDArray[np.float64]) -> NDArray[np
 @pytest.mark.gl
 def test_each_person_is_skinned_once_a_tick(context: Context, person: Avatar) -> None:
     """Six people, six viewers with their own heads left out: two item passes (body, head) a person and tick."""
-    config = RenderConfig(output="uint8")
-    stands = Stands(
-        Scene([Item(person)]),
-        {},
-        lambda scene: Renderer(scene, size=(SIZE, SIZE), config=config, context=context),
-        {"lab": _file(Scene())},
-    )
+    stands = standing(context, person)
     people = [Present(i, f"P{i}", "", arm(i), similarity((i, 0, 0)), label=f"P{i}") for i in range(6)]
     posed = []
     for tick in range(4):
@@ -156,22 +152,18 @@ def context() -> Iterator[Context]:
     context.release()
 
 
-def _file(scene: Scene):  # type: ignore[no-untyped-def]
-    from glsplat.formats.scene_file import SceneFile
-
-    return SceneFile.of(scene)
+def drawing(context: Context) -> Callable[[Scene], Renderer]:
+    return partial(Renderer, size=(SIZE, SIZE), config=RenderConfig(output="uint8"), context=context)
 
 
-def _stand(context: Context, person: Avatar, **options: object) -> Stands:
-    make: Callable[[Scene], Renderer] = lambda scene: Renderer(  # noqa: E731
-        scene, size=(SIZE, SIZE), config=RenderConfig(output="uint8"), context=context
-    )
-    return Stands(Scene([Item(person)]), {}, make, {"lab": _file(Scene())})
+def standing(context: Context, person: Figure) -> Stands:
+    """An empty room in which everybody is that person."""
+    return Stands(Scene([Item(person)]), {}, drawing(context), {"lab": SceneFile.of(Scene())})
 
 
 @pytest.mark.gl
 def test_labels_cannot_be_left_out_and_fade_with_their_people(context: Context, person: Avatar) -> None:
-    stands = _stand(context, person)
+    stands = standing(context, person)
     two = (
         Present(1, "Ann", "", arm(0), np.eye(4), label="driven by Ann"),
         Present(2, "Bob", "", arm(1), similarity((0, 0, 2)), opacity=0.0, label="driven by Bob"),
@@ -194,10 +186,7 @@ def test_labels_cannot_be_left_out_and_fade_with_their_people(context: Context, 
 @pytest.mark.gl
 def test_a_person_of_triangles_loses_the_head_for_their_own_eyes_only(context: Context) -> None:
     mesh, poses = boxes(), (arm(0), arm(1))
-    make: Callable[[Scene], Renderer] = lambda scene: Renderer(  # noqa: E731
-        scene, size=(SIZE, SIZE), config=RenderConfig(output="uint8"), context=context
-    )
-    stands = Stands(Scene([Item(mesh)]), {}, make, {"lab": _file(Scene())})
+    stands = standing(context, mesh)
     places = (np.eye(4), similarity((0.5, 0, 2)))
     two = tuple(Present(i, f"P{i}", "", poses[i], places[i]) for i in range(2))
     for viewer, hide in ((0, ("head",)), (1, ("head",)), (0, ())):
@@ -207,7 +196,7 @@ def test_a_person_of_triangles_loses_the_head_for_their_own_eyes_only(context: C
         images = stand.renderer.render(request.cameras, without=stand.left_out(request))
         shown = [mesh.without("head") if hide and i == viewer else mesh for i in range(2)]
         whole = Scene(Item(one, pose=poses[i], transform=places[i]) for i, one in enumerate(shown))
-        with make(whole) as renderer:
+        with drawing(context)(whole) as renderer:
             assert np.array_equal(images, renderer.render(request.cameras))
     stands.release()
 
