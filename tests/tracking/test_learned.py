@@ -188,3 +188,5 @@ def test_who_sits_is_told_and_stays_seated(stage: Stage, track: Track) -> None:
     assert not sits[:72].any() and sits[4 * 72 : 7 * 72].mean() > 0.9 and not sits[-36:].any()
     pelvis, eyes = (a[4 * 72 : 7 * 72] for a in (result.joints[:, 0], np.array([s.head[:3] for s in samples])))  # type: ignore[index]
     assert np.ptp(pelvis[:, 0]) < 0.8 * np.ptp(eyes[:, 0])
+    balls = result.joints[4 * 72 : 7 * 72, list(FEET)].mean((0, 1))
+    assert 0.15 < balls[2] - pelvis[:, 2].mean() < 0.6  # the thighs ahead, not folded under the seat

@@ -33,6 +33,11 @@ class Seat:
         self._speed: Vec = (0.0, 0.0, 0.0)  # m/s
         self._calm = 0.0
 
+    @property
+    def share(self) -> float:
+        """How much of somebody sits: 0 .. 1, smooth in time."""
+        return self._share * self._share * (3 - 2 * self._share)
+
     def update(self, pelvis: Vec, dt: float) -> Vec | None:
         """Where the pelvis is that would else be at ``pelvis``; None: there."""
         if self._before is not None and dt > 0:
@@ -53,4 +58,4 @@ class Seat:
         if self._share <= 0:
             return None
         self._place = pull(self._place, pelvis, 1 - exp(-dt / SETTLES))
-        return pull(pelvis, self._place, self._share * self._share * (3 - 2 * self._share))
+        return pull(pelvis, self._place, self.share)

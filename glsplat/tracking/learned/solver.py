@@ -17,11 +17,13 @@ from glsplat.tracking.solve.quat import (
     Quat,
     Vec,
     about,
+    add,
     clamp,
     cross,
     dot,
     length,
     mul,
+    pull,
     rotate,
     slerp,
     sub,
@@ -40,6 +42,7 @@ __all__ = ["LearnedSolver"]
 
 BACK, FURTHER = 0.035, 0.2  # tangent of a lean back, and the share of what is beyond that is shown
 SHRINK = 0.6  # of what a body is said to be turned away from its head, that is shown without hands
+AHEAD, UNDER = 0.55, 0.75  # of a leg's length from below the hips to the balls of feet on a chair, and how surely
 SWING = 0.7  # radians at most that the torso swings about the neck to bring the pelvis where it should be
 
 
@@ -119,7 +122,17 @@ class LearnedSolver:
         place = self.seat.update(torso.pelvis_at, dt)
         if place is not None:
             torso = self._torso(targets, hint, place)
+            self._seated(hint, torso)
         return self.pelvis.bring(self.spine, targets.eye, targets.head, torso)
+
+    def _seated(self, hint: Hint, torso: Torso) -> None:
+        """Feet towards where those of somebody on a chair are: below the knees, the thighs ahead."""
+        yaw = yaw_quat(swing_twist_y(torso.pelvis) or 0.0)
+        for foot, leg in zip(hint.feet, self.feet.legs, strict=True):
+            x, _, z = add(
+                add(torso.pelvis_at, rotate(torso.pelvis, leg.hip)), rotate(yaw, (0.0, 0.0, AHEAD * leg.length))
+            )
+            foot.ball = pull(foot.ball, (x, min(foot.ball[1], self.body.sole), z), UNDER * self.seat.share)
 
     def _mixed(self, guessed: Torso | None, plain: Torso, targets: Targets, share: float) -> Torso:
         """``share`` of the analytic torso; the eyes stay."""
