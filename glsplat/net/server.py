@@ -84,7 +84,7 @@ class Server:
         uploads: Uploads | None = None,
     ) -> None:
         self.config: ServerConfig = config or ServerConfig()
-        self.pump = backend if isinstance(backend, Farm) else FramePump(backend, rate=self.config.fps)
+        self.pump = backend if isinstance(backend, Farm) else FramePump(backend, clock, self.config.fps)
         self.port: int = self.config.port
         limits = self.config.limits
         if uploads is not None:

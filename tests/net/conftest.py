@@ -16,6 +16,8 @@ from glsplat.camera import head_matrix, stereo_cameras
 from glsplat.net.backend import Rendered
 from glsplat.net.messages import RenderRequest
 from glsplat.net.server import Server, ServerConfig
+from tests.net.clocks import Ahead, Stopped, given_to_servers
+from tests.net.wire import HANG
 
 
 @dataclass
@@ -23,6 +25,7 @@ class FakeBackend:
     """Draws an ellipse whose grey value is the frame_id; fails, waits and counts on demand."""
 
     delay: float = 0.0
+    gate: threading.Event = field(default_factory=lambda: _open_gate())  # while it is not set, drawing waits
     fail: Callable[[RenderRequest], Exception | None] = lambda request: None
     noise: bool = False  # pictures that do not compress
     opened: bool = False
@@ -39,6 +42,7 @@ class FakeBackend:
         self.threads.add(threading.get_ident())
         self.drawn.append(request)
         time.sleep(self.delay)
+        assert self.gate.wait(HANG)
         error = self.fail(request)
         if error is not None:
             raise error
@@ -57,6 +61,12 @@ class FakeBackend:
     def close(self) -> None:
         self.threads.add(threading.get_ident())
         self.closed = True
+
+
+def _open_gate() -> threading.Event:
+    gate = threading.Event()
+    gate.set()
+    return gate
 
 
 Serve = Callable[..., AbstractAsyncContextManager[Server]]
@@ -81,6 +91,22 @@ def serve() -> Serve:
 @pytest.fixture
 def fake_backend() -> type[FakeBackend]:
     return FakeBackend
+
+
+@pytest.fixture
+def stopped(monkeypatch: pytest.MonkeyPatch) -> Stopped:
+    """The clock of the servers that the test starts; it moves by hand alone."""
+    clock = Stopped()
+    given_to_servers(clock, monkeypatch)
+    return clock
+
+
+@pytest.fixture
+def ahead(monkeypatch: pytest.MonkeyPatch) -> Ahead:
+    """The clock of the servers that the test starts; it leaps."""
+    clock = Ahead()
+    given_to_servers(clock, monkeypatch)
+    return clock
 
 
 def eyes(size: int = 64) -> Any:

@@ -3,22 +3,23 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
+import itertools
 import json
 import os
 import signal
 import socket
 import struct
-import time
+from contextlib import asynccontextmanager
 
 import aiohttp
 import pytest
 
 from glsplat.errors import ContextError, ContextLostError, FormatError, ProtocolError
+from glsplat.net import pump
 from glsplat.net.client import Client, request_message
 from glsplat.net.server import Server, ServerConfig
 from glsplat.net.session import SessionConfig
-from tests.net.wire import EYE, frame, native, raw, still_serves
+from tests.net.wire import EYE, HANG, UNLIMITED, UPGRADE, all_of, frame, native, raw, still_serves, until
 
 MALFORMED = [
     "{",
@@ -36,9 +37,9 @@ def test_a_malformed_message_costs_that_message_only(serve, text):
     async def main():
         async with serve() as server, aiohttp.ClientSession() as http, http.ws_connect(server.url) as ws:
             await ws.send_str(text)
-            answer = json.loads((await ws.receive(timeout=2)).data)["error"]
+            answer = json.loads((await ws.receive(timeout=HANG)).data)["error"]
             await ws.send_str(native(2))
-            return answer, (await ws.receive(timeout=2)).data[:2]
+            return answer, (await ws.receive(timeout=HANG)).data[:2]
 
     error, magic = asyncio.run(main())
     assert magic == b"VR"
@@ -50,9 +51,9 @@ def test_binary_where_text_belongs(serve, cameras):
     async def main():
         async with serve() as server, aiohttp.ClientSession() as http, http.ws_connect(server.url) as ws:
             await ws.send_bytes(b"\x00" * 100)
-            error = json.loads((await ws.receive(timeout=2)).data)["error"]
+            error = json.loads((await ws.receive(timeout=HANG)).data)["error"]
             await ws.send_str(native(1))
-            return error["code"], (await ws.receive(timeout=2)).type
+            return error["code"], (await ws.receive(timeout=HANG)).type
 
     assert asyncio.run(main()) == ("binary", aiohttp.WSMsgType.BINARY)
 
@@ -63,7 +64,7 @@ def test_repeated_malformed_messages_end_the_connection(serve, cameras):
             for _ in range(20):
                 await ws.send_str("{")
             texts = 0
-            while (message := await ws.receive(timeout=2)).type == aiohttp.WSMsgType.TEXT:
+            while (message := await ws.receive(timeout=HANG)).type == aiohttp.WSMsgType.TEXT:
                 texts += 1
             return texts, message.data, await still_serves(server, cameras)
 
@@ -78,7 +79,7 @@ def test_an_oversized_message_ends_the_connection(serve, cameras, size):
             async with aiohttp.ClientSession() as http, http.ws_connect(server.url) as ws:
                 try:
                     await ws.send_str(" " * size)
-                    message = await ws.receive(timeout=2)
+                    message = await ws.receive(timeout=HANG)
                     code = message.data if message.type == aiohttp.WSMsgType.CLOSE else None
                 except ConnectionError:
                     code = None
@@ -105,15 +106,12 @@ def test_broken_websocket_frames(serve, cameras):
                 reader, writer = await raw(server)
                 writer.write(data)
                 writer.write_eof()
-                try:
-                    await asyncio.wait_for(reader.read(), 5)
-                except ConnectionError:
-                    pass
+                await all_of(reader)
                 writer.close()
-            return server.stats()["clients"], await still_serves(server, cameras)
+            await until(lambda: not server.stats()["clients"])
+            return await still_serves(server, cameras)
 
-    clients, alive = asyncio.run(main())
-    assert alive and clients == []
+    assert asyncio.run(main())
 
 
 def test_repeated_and_falling_ids_are_never_drawn(serve, fake_backend):
@@ -121,73 +119,89 @@ def test_repeated_and_falling_ids_are_never_drawn(serve, fake_backend):
 
     async def main():
         async with serve(backend) as server, aiohttp.ClientSession() as http, http.ws_connect(server.url) as ws:
-            for frame_id in (5, 5, 4, 1, 0, 6):
+            await ws.send_str(native(5))
+            await ws.receive(timeout=HANG)
+            for frame_id in (5, 4, 1, 0, 6):
                 await ws.send_str(native(frame_id))
-                await asyncio.sleep(0.03)
+            await ws.receive(timeout=HANG)
             return server.stats()["totals"]
 
     totals = asyncio.run(main())
-    ids = [request.frame_id for request in backend.drawn]
-    assert ids == sorted(set(ids)) and set(ids) <= {5, 6} and totals["stale"] == 4
+    assert [request.frame_id for request in backend.drawn] == [5, 6] and totals["stale"] == 4
 
 
-def test_a_burst_of_requests_draws_only_a_few(serve, fake_backend):
-    backend = fake_backend(delay=0.01)
+def test_a_burst_of_requests_draws_only_a_few(serve, fake_backend, cameras, stopped):
+    backend, config = fake_backend(), ServerConfig(port=0, limits=UNLIMITED)
 
     async def main():
-        async with serve(backend) as server, aiohttp.ClientSession() as http, http.ws_connect(server.url) as ws:
-            for i in range(1, 501):
-                await ws.send_str(native(i))
-            for _ in range(500):
-                await asyncio.sleep(0.02)
-                if server.stats()["totals"]["received"] == 500:
-                    break
-            await asyncio.sleep(0.1)
-            return server.stats()["totals"], server.stats()["clients"][0]
+        async with serve(backend, config) as server, aiohttp.ClientSession() as http:
+            async with http.ws_connect(server.url) as ws, Client(server.url) as other:
+                for i in range(1, 501):
+                    await ws.send_str(native(i))
+                await until(lambda: server.stats()["clients"][0]["received"] == 500)
+                for _ in range(2):
+                    while (await ws.receive(timeout=HANG)).type != aiohttp.WSMsgType.BINARY:
+                        pass
+                for _ in range(5):  # takes turns with the first
+                    await other.render(cameras)
+                return server.stats()["clients"][0], [request.viewer for request in backend.drawn]
 
-    totals, client = asyncio.run(main())
-    assert len(backend.drawn) <= 2 + 1  # the window, as nothing is acknowledged
-    assert totals["received"] == 500 and totals["limited"] > 300
-    assert client["waiting"] <= 1
+    client, viewers = asyncio.run(main())
+    assert viewers.count(1) == 2 and viewers.count(2) == 5  # the window, as nothing is acknowledged
+    assert client["received"] == 500 and client["limited"] == 500 - SessionConfig().burst
+    assert client["waiting"] == 1
+
+
+@asynccontextmanager
+async def stuck_client(server, other, cameras):
+    """A client that reads nothing; a function that has it ask for one more picture, while another client is served."""
+    stuck = socket.socket()
+    stuck.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+    stuck.setblocking(False)
+    loop = asyncio.get_running_loop()
+    await loop.sock_connect(stuck, ("127.0.0.1", server.port))
+    await loop.sock_sendall(stuck, UPGRADE.replace(b"/ws", b"/ws?window=8"))
+    await until(lambda: len(server.stats()["clients"]) == 2)
+    ids = itertools.count(1)
+
+    async def ask():
+        text = json.dumps({"v": 1, "frame_id": next(ids), "eyes": [EYE], "size": [1024, 1024], "quality": 100})
+        await loop.sock_sendall(stuck, frame(0x1, text.encode()))
+        await other.render(cameras)
+
+    yield ask
+    stuck.close()
+
+
+def test_nobody_waits_for_a_client_that_stops_reading(serve, fake_backend, cameras):
+    """Nor do its pictures pile up in the server."""
+    backend = fake_backend(noise=True)
+    config = ServerConfig(port=0, write_timeout=1e6, session=SessionConfig(rate=1e4, burst=1e4))
+
+    async def main():
+        async with serve(backend, config) as server, Client(server.url) as other:
+            async with stuck_client(server, other, cameras) as ask:
+                drawn = []
+                while drawn[-10:].count(drawn[-1] if drawn else 0) < 10 and len(drawn) < 100:
+                    await ask()
+                    drawn.append(sum(request.viewer == 2 for request in backend.drawn))
+            await until(lambda: len(server.stats()["clients"]) == 1)
+            return drawn
+
+    assert len(asyncio.run(main())) < 100  # ten more requests brought no more pictures
 
 
 def test_a_client_that_stops_reading_is_cut_off(serve, fake_backend, cameras):
-    """Its pictures do not pile up in the server, and others do not wait for it."""
-    backend = fake_backend(noise=True)
-    config = ServerConfig(port=0, write_timeout=1.5, session=SessionConfig(rate=1e4, burst=1e4))
+    config = ServerConfig(port=0, write_timeout=0.2, session=SessionConfig(rate=1e4, burst=1e4))
 
     async def main():
-        async with serve(backend, config) as server:
-            stuck = socket.create_connection(("127.0.0.1", server.port))
-            stuck.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
-            stuck.setblocking(False)
-            loop = asyncio.get_running_loop()
-            await loop.sock_sendall(
-                stuck,
-                b"GET /ws?window=8 HTTP/1.1\r\nHost: x\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
-                b"Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n\r\n",
-            )
-            async with Client(server.url) as other:
-                slowest = 0.0
-                for i in range(1, 200):
-                    text = json.dumps({"v": 1, "frame_id": i, "eyes": [EYE], "size": [1024, 1024], "quality": 100})
-                    try:
-                        await loop.sock_sendall(stuck, frame(0x1, text.encode()))
-                    except ConnectionError:
-                        break
-                    start = time.perf_counter()
-                    await other.render(cameras)
-                    slowest = max(slowest, time.perf_counter() - start)
-                    if len(server.stats()["clients"]) == 1:
-                        break
-                    await asyncio.sleep(0.02)
-                clients = len(server.stats()["clients"])
-            stuck.close()
-            return clients, slowest
+        async with serve(fake_backend(noise=True), config) as server, Client(server.url) as other:
+            async with stuck_client(server, other, cameras) as ask:
+                while len(server.stats()["clients"]) == 2:
+                    await ask()
+            return (await other.render(cameras)).frame_id
 
-    clients, slowest = asyncio.run(main())
-    assert clients == 1  # the other one
-    assert slowest < 1.4  # below the write time-out: it never waited for the stuck one
+    assert asyncio.run(main()) > 1
 
 
 def test_an_error_while_drawing_reaches_only_its_client(serve, fake_backend, cameras, caplog):
@@ -204,7 +218,7 @@ def test_an_error_while_drawing_reaches_only_its_client(serve, fake_backend, cam
                     for i, width in enumerate((32, 16, 64), 1):
                         await bad.send_str(native(i, size=[width, 64]))
                         await good.render(cameras)
-                        answers.append(await bad.receive(timeout=2))
+                        answers.append(await bad.receive(timeout=HANG))
                     return answers, server.pump.healthy
 
     (one, two, three), healthy = asyncio.run(main())
@@ -231,44 +245,49 @@ def test_a_renderer_that_always_fails_is_not_healthy(serve, fake_backend, camera
     assert asyncio.run(main()) == 503
 
 
-def test_a_renderer_that_hangs_is_not_healthy(serve, fake_backend, cameras, monkeypatch):
-    monkeypatch.setattr("glsplat.net.pump._STUCK", 0.1)
+def test_a_renderer_that_hangs_is_not_healthy(serve, fake_backend, cameras, stopped):
+    backend = fake_backend()
+    backend.gate.clear()
 
     async def main():
-        async with serve(fake_backend(delay=0.4)) as server, Client(server.url) as client:
+        async with serve(backend) as server, Client(server.url) as client:
             await client.send(cameras)
-            await asyncio.sleep(0.05)
-            before = server.pump.healthy
-            await asyncio.sleep(0.2)
-            during = server.pump.healthy
+            await until(lambda: backend.drawn)
+            healthy = []
+            for seconds in (0.0, 9.9, 0.2):
+                stopped.now += seconds
+                healthy.append(server.pump.healthy)
+            backend.gate.set()
             await client.receive()
-            return before, during, server.pump.healthy
+            return *healthy, server.pump.healthy
 
-    assert asyncio.run(main()) == (True, False, True)
+    assert asyncio.run(main()) == (True, True, False, True)
 
 
-def test_slow_handshakes_and_silence_are_ended(serve, fake_backend):
-    config = ServerConfig(port=0, session=SessionConfig(handshake=0.3, idle=0.4))
-
-    async def until_closed(reader, limit):
-        start = time.perf_counter()
-        await asyncio.wait_for(reader.read(), limit)
-        return time.perf_counter() - start
-
+def test_slow_handshakes_and_silence_are_ended(serve, ahead):
     async def main():
-        async with serve(fake_backend(), config) as server:
+        ahead.lead()
+        async with serve() as server:
             silent, silent_writer = await asyncio.open_connection("127.0.0.1", server.port)
             slow, slow_writer = await asyncio.open_connection("127.0.0.1", server.port)
             slow_writer.write(b"GET /ws HTTP/1.1\r\nHost: x\r\nX-A: ")  # never ends its headers
             mute, mute_writer = await raw(server)
             idle, idle_writer = await raw(server)
             idle_writer.write(frame(0x1, native(1).encode()))
-            times = await asyncio.gather(*(until_closed(r, 4) for r in (silent, slow, mute, idle)))
+            picture = await idle.readuntil(b"VR")
+            await until(lambda: server.stats()["waiting"] == 2)
+            ahead.leap(11.5)  # aiohttp rounds up to whole seconds
+            said = [await all_of(reader) for reader in (silent, slow, mute)]
+            await until(lambda: [client["accepted"] for client in server.stats()["clients"]] == [1])
+            ahead.leap(50.0)
+            said.append(await all_of(idle))
             for writer in (silent_writer, slow_writer, mute_writer, idle_writer):
                 writer.close()
-            return times
+            return picture, said
 
-    assert max(asyncio.run(main())) < 4
+    picture, (silent, slow, mute, idle) = asyncio.run(main())
+    assert picture and silent == b"" and b" 101 " not in slow
+    assert b"no valid request in time" in mute and b'"message":"idle"' in idle
 
 
 def test_the_client_reports_a_server_that_goes_away(cameras):
@@ -281,8 +300,9 @@ def test_the_client_reports_a_server_that_goes_away(cameras):
 
 
 @pytest.mark.parametrize("kind", ["comes back", "no new one"])
-def test_a_lost_context(fake_backend, cameras, kind, caplog):
+def test_a_lost_context(fake_backend, cameras, kind, caplog, monkeypatch):
     """It is made anew under the clients' feet; where that fails the server stops in order, with a message."""
+    monkeypatch.setattr(pump, "_PAUSES", (0.0, 0.01, 0.02))
 
     class Losing(fake_backend):
         opens = 0
@@ -320,48 +340,67 @@ def test_a_lost_context(fake_backend, cameras, kind, caplog):
         asyncio.run(main())
         assert drivers == ["numpy <fake> 1"] + ["numpy <fake> 2"] * 10 and errors == ["the picture could not be drawn"]
     else:
-        start = time.perf_counter()
         with pytest.raises(ContextError, match="no EGL device"):
             asyncio.run(main())
-        assert time.perf_counter() - start < 10
         assert drivers == ["numpy <fake> 1"] and errors[-1].endswith("closed the connection (1001)")
         assert backend.opens == 4  # it was tried three times
     assert backend.closed and len(backend.threads) == 1
     assert "Traceback" not in caplog.text
 
 
-@pytest.mark.parametrize("reads", [True, False])
-def test_pings_do_not_keep_a_connection_without_requests(serve, fake_backend, reads):
-    """A client that only pings, reading the pongs or not; in the latter case the server gets stuck on writing them."""
-    config = ServerConfig(port=0, write_timeout=0.3, session=SessionConfig(handshake=0.5))
-    pings = frame(0x9, b"x" * 125) * (1 if reads else 500)
+def test_pings_do_not_keep_a_connection_without_requests(serve, ahead):
+    """Not one every second: a client that pings and reads the pongs."""
 
     async def main():
-        async with serve(fake_backend(), config) as server:
+        ahead.lead()
+        async with serve() as server:
             reader, writer = await raw(server)
-            start = time.perf_counter()
-            while server.stats()["clients"] and time.perf_counter() - start < 4:
-                writer.write(pings)
-                if reads:
-                    await reader.read(65536)
-                else:
-                    with contextlib.suppress(TimeoutError, ConnectionError):
-                        await asyncio.wait_for(writer.drain(), 0.02)
-                await asyncio.sleep(0.01)
-            writer.transport.abort()
-            return time.perf_counter() - start
+            for _ in range(10):
+                writer.write(frame(0x9, b"here"))
+                answer = await reader.readexactly(6)
+                assert answer == b"\x8a\x04here"
+                ahead.leap(1.0)
+            said = await all_of(reader)
+            writer.close()
+            return said
 
-    assert asyncio.run(main()) < 2
+    assert b"no valid request in time" in asyncio.run(main())
 
 
-def test_answering_pings_is_not_a_message(serve, fake_backend):
-    config = ServerConfig(port=0, heartbeat=0.2, session=SessionConfig(handshake=0.5, idle=0.5))
+def test_pings_whose_pongs_are_not_read_end_the_connection(serve, ahead):
+    """The server gets stuck on writing them, and its time limit holds all the same."""
 
     async def main():
-        async with serve(fake_backend(), config) as server, aiohttp.ClientSession() as http:
-            async with http.ws_connect(server.url) as ws:
-                await ws.send_str(native(1))
-                return [(await ws.receive(timeout=3)).type for _ in range(3)], ws.close_code
+        ahead.lead()
+        async with serve(config=ServerConfig(port=0, limits=UNLIMITED)) as server:
+            _, writer = await raw(server)
+            (talk,) = server._talks.values()
+            while not talk._ws._writer.transport.get_write_buffer_size():
+                writer.write(frame(0x9, b"x" * 125) * 500)
+                await asyncio.sleep(0)
+            ahead.leap(10.0)
+            await until(lambda: not server.stats()["clients"])
+            writer.transport.abort()
 
-    kinds, code = asyncio.run(main())
-    assert kinds == [aiohttp.WSMsgType.BINARY, aiohttp.WSMsgType.TEXT, aiohttp.WSMsgType.CLOSE] and code == 1008
+    asyncio.run(main())
+
+
+def test_answering_pings_is_not_a_message(serve, ahead):
+    """Pongs every second of the minute that a client may be silent."""
+
+    async def main():
+        ahead.lead()
+        async with serve() as server:
+            reader, writer = await raw(server)
+            writer.write(frame(0x1, native(1).encode()))
+            await reader.readuntil(b"VR")
+            for _ in range(60):
+                writer.write(frame(0xA, b""))
+                ahead.leap(1.0)
+                await asyncio.sleep(0)
+            said = await all_of(reader)
+            writer.close()
+            return said
+
+    said = asyncio.run(main())
+    assert b'"message":"idle"' in said and said.endswith(b"idle")

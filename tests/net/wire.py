@@ -5,13 +5,16 @@ from __future__ import annotations
 import asyncio
 import json
 import struct
+from collections.abc import Callable
 
 from glsplat.net.client import Client
 from glsplat.net.guard.limits import Limits
 
+HANG = 60.0
+"""Seconds after which something hangs, on whatever machine; no test expects anything within them."""
 EYE = {"viewmat": [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 2, 0, 0, 0, 1], "K": [50, 50, 32, 32]}
 UNLIMITED = Limits(
-    **dict.fromkeys(("frames", "control", "bytes", "visits"), 1e9),
+    **dict.fromkeys(("frames", "control", "bytes", "visits", "work"), 1e9),
     **dict.fromkeys(("frames_burst", "control_burst", "bytes_burst", "visits_burst"), 1e9),
 )  # for tests of what lies behind the limits
 UPGRADE = (
@@ -22,6 +25,24 @@ UPGRADE = (
 
 def native(frame_id, **more):
     return json.dumps({"v": 1, "frame_id": frame_id, "ack": 0, "eyes": [EYE, EYE], "size": [64, 64], **more})
+
+
+async def until(condition: Callable[[], object]) -> None:
+    """Wait for what other tasks, threads or processes bring about."""
+    async with asyncio.timeout(HANG):
+        while not condition():
+            await asyncio.sleep(0.002)
+
+
+async def all_of(reader: asyncio.StreamReader) -> bytes:
+    """What comes before the connection ends, in order or cut off."""
+    data = b""
+    try:
+        while more := await asyncio.wait_for(reader.read(65536), HANG):
+            data += more
+    except ConnectionError:
+        pass
+    return data
 
 
 async def still_serves(server, cameras):
