@@ -56,6 +56,7 @@ def psnr(image: NDArray[np.uint8], wanted: NDArray[np.uint8]) -> float:
 
 
 @pytest.mark.gl
+@pytest.mark.usefixtures("nobody_fades")
 def test_everybody_sees_the_others_where_they_are(person: Avatar) -> None:
     """Five people before a background: each picture against a scene of whole avatars that was put together here."""
 
@@ -65,7 +66,7 @@ def test_everybody_sees_the_others_where_they_are(person: Avatar) -> None:
         config = ServerConfig(port=0, wire=WireOptions(size=(SIZE, SIZE), quality=95), rooms={"lab": 5})
         server = make_server(person, config, own_process=False, rooms=rooms)
         await server.start()
-        clients = [Client(f"{server.url}?room=lab&name=P{i}") for i in range(5)]
+        clients = [Client(f"{server.url}?room=lab&name=P{i}", timeout=60) for i in range(5)]
         try:
             for client in clients:
                 await client.connect()

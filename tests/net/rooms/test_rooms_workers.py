@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import os
 import signal
-import time
 from dataclasses import replace
 
 import numpy as np
@@ -19,13 +18,16 @@ from glsplat.net.server import ServerConfig
 from glsplat.net.workers.farm import Farm
 from glsplat.net.workers.options import Workers
 from glsplat.scene import Scene
+from tests.net.workers.fakes import GUARD, held, patient
 
 EYES = stereo_cameras(head_matrix((0, 1.5, 0.1), (0, 1, 0, 0)), size=(96, 96))
 POSE = {"root_pose": [0, 0.1, 0]}
 
 
 @pytest.mark.gl
-def test_a_room_survives_its_worker() -> None:
+@pytest.mark.usefixtures("nobody_fades")
+def test_a_room_survives_its_worker(monkeypatch: pytest.MonkeyPatch) -> None:
+    patient(monkeypatch)
     person = replace(default_avatar().levels[-1].content, levels=())
     config = ServerConfig(port=0, rooms={"lab": 2})
 
@@ -33,7 +35,7 @@ def test_a_room_survives_its_worker() -> None:
         server = make_server(person, config, rooms={"lab": Scene()}, workers=Workers(count=2))
         await server.start()
         try:
-            ann, bob = (Client(server.url, room="lab", name=name) for name in ("Ann", "Bob"))
+            ann, bob = (Client(server.url, room="lab", name=name, timeout=GUARD) for name in ("Ann", "Bob"))
             async with ann, bob:
                 for client in (ann, bob, ann, bob):
                     reply = await client.render(EYES, pose=POSE, hide=["head"])
@@ -43,15 +45,13 @@ def test_a_room_survives_its_worker() -> None:
                 assert sorted(worker["clients"] for worker in workers) == [0, 2]
                 busy = next(i for i, worker in enumerate(workers) if worker["clients"])
                 assert isinstance(server.pump, Farm)
+                held(server)  # they need not wait for a new one
                 os.kill(server.pump._pumps[busy].place._process.pid, signal.SIGKILL)  # type: ignore[attr-defined]
-                start = time.perf_counter()
                 replies = [await client.render(EYES, pose=POSE, hide=["head"]) for client in (ann, bob)]
-                took = time.perf_counter() - start
                 for client, reply in zip((ann, bob), replies, strict=True):
                     assert len(reply.info["room"]["people"]) == 2
                     assert client.flow.newest > 1  # the same connection
                 assert np.array_equal(replies[1].images()[0], whole[0])
-                assert took < 5, took  # a second where nothing else runs
         finally:
             await server.stop()
 

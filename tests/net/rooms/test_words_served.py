@@ -41,7 +41,7 @@ def pictures(person: Avatar, consent: ConsentPolicy | None, *queries: str) -> li
         try:
             replies = []
             for query in queries:
-                async with Client(f"{server.url}?{query}") as client:
+                async with Client(f"{server.url}?{query}", timeout=60) as client:
                     replies.append(await client.render(FACING, pose=POSE))
             return replies
         finally:
