@@ -1,23 +1,28 @@
-"""Farms of sleeping workers, and clients that look whose pictures they get."""
+"""Farms of sleeping workers, clients that look whose pictures they get, and what waits for either."""
 
 from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import AsyncIterator, Callable, Iterable, Sequence
+from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
 from functools import partial
 
 import numpy as np
+import pytest
 
 from glsplat.camera import Camera
 from glsplat.errors import ProtocolError
 from glsplat.net.client import Client
+from glsplat.net.server import Server
+from glsplat.net.workers import link, local
 from glsplat.net.workers.farm import Farm
 from glsplat.net.workers.local import ProcessPlace
 from tests.net.workers.sleeper import STEP, Sleeper
 
 SIDE = 64
+GUARD = 60.0  # seconds that only keep a test from hanging
 
 
 def farm(count: int = 2, patience: float = 0.0, makes: Sequence[Callable[[], Sleeper]] = (), **options) -> Farm:
@@ -38,7 +43,6 @@ class Seen:
     pictures: int = 0
     errors: list[str] = field(default_factory=list)
     drivers: dict[str, int] = field(default_factory=dict)
-    longest: float = 0.0  # seconds between two pictures
     wrong: list[tuple[int, int, int, int]] = field(default_factory=list)
 
 
@@ -52,19 +56,17 @@ def look(number: int, reply, last: int, seen: Seen) -> None:
     seen.drivers[reply.info["driver"]] = seen.drivers.get(reply.info["driver"], 0) + 1
 
 
-async def watch(url: str, number: int, until: asyncio.Event, again: bool = False, **options) -> Seen:
-    """Ask for pictures, two under way, until ``until``; with ``again`` connect anew where the connection ends."""
-    seen, last, at = Seen(), 0, time.perf_counter()
-    client = Client(url, timeout=8, **options)
-    while not until.is_set():
+async def watch(url: str, number: int, over: asyncio.Event, seen: Seen, again: bool = False, **options) -> None:
+    """Ask for pictures, two under way, until it is ``over``; with ``again`` connect anew where the connection ends."""
+    last = 0
+    client = Client(url, timeout=GUARD, **options)
+    while not over.is_set():
         try:
             await client.connect()
-            while not until.is_set():
+            while not over.is_set():
                 while client.newest - last < 2:
                     await client.send([camera(number)])
                 reply = (await client.receive()).reply
-                now = time.perf_counter()
-                seen.longest, at = max(seen.longest, now - at), now
                 look(number, reply, last, seen)
                 last = reply.frame_id
         except ProtocolError as error:
@@ -77,5 +79,53 @@ async def watch(url: str, number: int, until: asyncio.Event, again: bool = False
             else:
                 last = client.newest
     await client.close()
-    seen.longest = max(seen.longest, time.perf_counter() - at)
-    return seen
+
+
+@asynccontextmanager
+async def watching(url: str, numbers: Iterable[int], **options) -> AsyncIterator[list[Seen]]:
+    """Clients with these numbers, and what each of them has seen so far."""
+    over, numbers = asyncio.Event(), list(numbers)
+    seen = [Seen() for _ in numbers]
+    tasks = [asyncio.create_task(watch(url, n, over, one, **options)) for n, one in zip(numbers, seen, strict=True)]
+    try:
+        yield seen
+    finally:
+        over.set()
+        await asyncio.gather(*tasks)
+
+
+async def until(true: Callable[[], object]) -> bool:
+    """Whether it came true."""
+    end = time.monotonic() + GUARD
+    while not true() and time.monotonic() < end:
+        await asyncio.sleep(0.01)
+    return bool(true())
+
+
+async def until_more(seen: Sequence[Seen], count: int = 8) -> bool:
+    """Whether each of them gets so many more pictures."""
+    before = [one.pictures for one in seen]
+    return await until(lambda: all(one.pictures >= n + count for one, n in zip(seen, before, strict=True)))
+
+
+def patient(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Only a process that was stopped is given up: the others of a slow machine are late."""
+    patience = link.Link._patience
+    monkeypatch.setattr(link.Link, "_patience", lambda self: patience(self) + (0.0 if self._stopped() else GUARD))
+    monkeypatch.setattr(local, "_GONE", GUARD)
+
+
+def held(server: Server) -> asyncio.Event:
+    """No worker is started anew until this is set: what is seen meanwhile is of those that live."""
+    free = asyncio.Event()
+
+    def hold(start):
+        async def when_free():
+            await free.wait()
+            return await start()
+
+        return when_free
+
+    for pump in server.pump._pumps:
+        pump.place.start = hold(pump.place.start)
+    return free

@@ -57,7 +57,7 @@ class Sleeper:
         return Rendered(out, {"draw": 1.5})
 
     def _until_abandoned(self) -> None:
-        for _ in range(300):
+        for _ in range(6000):  # longer than any test waits
             if self.abandoned():
                 raise BudgetError("abandoned", "abandoned")
             time.sleep(0.02)

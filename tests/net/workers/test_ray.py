@@ -12,12 +12,12 @@ import pytest
 from apps.farming import on_ray
 from glsplat.errors import ContextError, FormatError, GlsplatError
 from glsplat.net.client import Client
-from glsplat.net.server import ServerConfig
+from glsplat.net.server import Server, ServerConfig
 from glsplat.net.workers.cluster import RayCluster
 from glsplat.net.workers.farm import Farm
-from tests.net.workers.fakes import camera, watch
+from tests.net.workers.fakes import GUARD, camera, until, until_more, watching
 from tests.net.workers.sleeper import Sleeper
-from tests.net.workers.test_farm import pids, until
+from tests.net.workers.test_farm import pids
 
 pytest.importorskip("ray", reason="needs the extra glsplat[ray]")
 
@@ -61,37 +61,35 @@ def test_pieces_of_work(machines):
         list(on_ray(half, [7], machines.address))
 
 
-def test_machines_that_are_lost(serve, machines, monkeypatch):
+def test_machines_that_are_lost(serve, machines, equal):
     """A machine, then the head: who is connected stays, sees its own pictures only, and those in their order."""
     actors = RayCluster(partial(Sleeper), machines.address, cpus=1)
 
     async def main():
-        farm = Farm(actors.places(actors.room()), patience=60, close=actors.close)
+        farm = Farm(actors.places(actors.room()), patience=GUARD, close=actors.close)
         async with serve(farm, ServerConfig(port=0)) as server:
-            over = asyncio.Event()
-            watching = [asyncio.create_task(watch(server.url, i, over)) for i in range(1, 7)]
-            assert await until(10, lambda: server.stats()["totals"]["sent"] > 100)
-            spread = [one["clients"] for one in server.pump.workers()]
-            loop = asyncio.get_running_loop()
-            await loop.run_in_executor(None, partial(machines.remove_node, machines.nodes[1], allow_graceful=False))
-            assert await until(5, lambda: sum(one["alive"] for one in server.pump.workers()) == 2)
-            await asyncio.sleep(0.5)
-            await loop.run_in_executor(None, partial(machines.remove_node, machines.head_node, allow_graceful=False))
-            sent = server.stats()["totals"]["sent"]
-            assert await until(10, lambda: server.stats()["totals"]["sent"] > sent + 100)
-            alive = [pid for pid, one in zip(pids(server), server.pump.workers(), strict=True) if one["alive"]]
-            os.kill(alive[0], signal.SIGKILL)  # now nobody can start another one
-            assert await until(3, lambda: sum(one["alive"] for one in server.pump.workers()) == 1)
-            async with Client(server.url) as client:
-                last = (await client.render([camera(1)])).info["driver"]
-            over.set()
-            return spread, last == f"sleeper {alive[1]}", server.pump.healthy, await asyncio.gather(*watching)
+            async with watching(server.url, range(1, 7)) as clients:
+                assert await until_more(clients)
+                spread = [one["clients"] for one in server.pump.workers()]
+                lose = partial(asyncio.to_thread, machines.remove_node, allow_graceful=False)
+                await lose(machines.nodes[1])
+                assert await until(lambda: living(server) == 2) and await until_more(clients)
+                await lose(machines.head_node)
+                assert await until_more(clients, 20)
+                alive = [pid for pid, one in zip(pids(server), server.pump.workers(), strict=True) if one["alive"]]
+                os.kill(alive[0], signal.SIGKILL)  # now nobody can start another one
+                assert await until(lambda: living(server) == 1) and await until_more(clients)
+                async with Client(server.url, timeout=GUARD) as client:
+                    last = (await client.render([camera(1)])).info["driver"]
+            return spread, last == f"sleeper {alive[1]}", server.pump.healthy, clients
 
     spread, last, healthy, clients = asyncio.run(main())
     assert spread == [2, 2, 2] and last and healthy
-    for one in clients:
-        assert one.errors == [] and one.wrong == [] and one.pictures > 50
-        assert one.longest < 2.5
+    assert all(one.errors == [] and one.wrong == [] for one in clients)
+
+
+def living(server: Server) -> int:
+    return sum(one["alive"] for one in server.pump.workers())
 
 
 def test_a_cluster_that_is_not_there():
