@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Callable, Mapping
 from contextlib import AbstractAsyncContextManager, asynccontextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -17,6 +17,7 @@ from glsplat.avatar import Avatar
 from glsplat.net.backend import Offered
 from glsplat.net.guard.access import Access
 from glsplat.net.server import Server, ServerConfig
+from glsplat.net.session import SessionConfig
 from glsplat.net.uploads.job import UploadConfig
 from glsplat.net.uploads.routes import Uploads
 from tests.net.conftest import FakeBackend
@@ -25,7 +26,9 @@ from tests.net.wire import UNLIMITED
 
 TOKEN = "0123456789abcdef"
 HEADERS = {"Authorization": f"Bearer {TOKEN}"}
+GUARD = 120.0  # seconds that only keep a test from hanging
 LIMITS = replace(UNLIMITED, uploads=1e9, uploads_burst=1e9)
+UNLIMITED_SESSION = SessionConfig(rate=1e9, burst=10**9, handshake=GUARD)
 
 
 @dataclass
@@ -55,7 +58,7 @@ class Client:
 
     async def until(self, name: str, *states: str) -> dict[str, Any]:
         """What is told of a job once it is in one of ``states``."""
-        end = time.monotonic() + 60
+        end = time.monotonic() + GUARD
         while True:
             _, told = await self.ask("GET", f"/avatars/{name}")
             if isinstance(told, dict) and told["state"] in states:
@@ -73,9 +76,24 @@ class Client:
     async def offered(self) -> list[str]:
         return [one["name"] for one in (await self.ask("GET", "/session"))[1]["avatars"]]
 
+    async def received(self, count: int) -> None:
+        """Until the pictures of so many jobs are on their way."""
+        await until(lambda: self.counts()["receiving"] == count)
+
+    def counts(self) -> Mapping[str, int]:
+        return self.server.stats()["uploads"]
+
     def kept(self) -> list[str]:
         """Everything that lies in the folder."""
         return sorted(path.name for path in self.folder.iterdir())
+
+
+async def until(true: Callable[[], object]) -> None:
+    """It comes true."""
+    end = time.monotonic() + GUARD
+    while not true():
+        assert time.monotonic() < end
+        await asyncio.sleep(0.01)
 
 
 def described(name: str, avatar: Avatar) -> Offered:
@@ -93,8 +111,9 @@ def takes(tmp_path: Path) -> Takes:
     async def serving(limits: Any = LIMITS, token: str | None = TOKEN, **options: Any) -> AsyncIterator[Client]:
         folder = tmp_path / "avatars"
         folder.mkdir(exist_ok=True)
-        config = ServerConfig(port=0, access=Access(token=token), limits=limits)
-        uploads = Uploads(UploadConfig(folder=folder, make=make, **options), described)
+        config = ServerConfig(port=0, access=Access(token=token), limits=limits, session=UNLIMITED_SESSION)
+        # what makes need not give way to others: on a slow machine it would never end
+        uploads = Uploads(UploadConfig(folder=folder, make=make, **{"nice": 0} | options), described)
         server = Server(FakeBackend(), config, uploads=uploads)
         await server.start()
         try:

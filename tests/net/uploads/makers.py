@@ -6,6 +6,7 @@ import os
 import signal
 import time
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
@@ -25,9 +26,9 @@ def make(order: Order, progress: Progress) -> Avatar:
     word = order.pictures["front"].decode("latin-1")
     progress("looking at the picture", 0.5)
     if "wait" in word:
-        time.sleep(60)
+        time.sleep(600)
     if "hold" in word:
-        time.sleep(1)
+        _until_there(Path(word.partition("hold ")[2]))
     if "long" in word:
         time.sleep(4)
     if "crash" in word:
@@ -50,6 +51,11 @@ def make(order: Order, progress: Progress) -> Avatar:
             progress(f"step {step}", 2.0)
     progress("making the person", 1.0)
     return thinned(default_avatar(), 1 if "large" in word else 100, dict(order.pictures), order.height)
+
+
+def _until_there(file: Path) -> None:
+    while not file.exists():
+        time.sleep(0.01)
 
 
 def thinned(avatar: Avatar, every: int, pictures: dict[str, bytes], height: float | None) -> Avatar:

@@ -33,7 +33,7 @@ def made(tmp_path, state):
     accounts = {name: new_user(name, []) for name in ("ann", "bob")} | {"boss": new_user("boss")}
     write_users(tmp_path / "users.json", {name: user for name, (user, _) in accounts.items()})
     policy = ConsentPolicy(trusted=[])
-    uploads = signing(UploadConfig(folder=tmp_path / "avatars", make=make), policy)
+    uploads = signing(UploadConfig(folder=tmp_path / "avatars", make=make, nice=0), policy)
     config = ServerConfig(port=0, access=Access(accounts=Accounts(tmp_path / "users.json")))
     return uploads, policy, config, {name: token for name, (_, token) in accounts.items()}
 

@@ -22,7 +22,7 @@ from glsplat.net.messages import WireOptions
 from glsplat.net.server import ServerConfig
 from glsplat.net.uploads.job import UploadConfig
 from tests.net.test_legacy import thinned
-from tests.net.uploads.conftest import LIMITS, Client
+from tests.net.uploads.conftest import GUARD, LIMITS, Client
 from tests.net.uploads.makers import PICTURE, make
 from tests.scenes import limb
 
@@ -34,11 +34,11 @@ DARK = replace(PERSON, splats=replace(PERSON.splats, sh=PERSON.splats.sh * -1))
 
 def server_of(folder: Path, **options):
     config = ServerConfig(port=0, wire=WireOptions(size=SIZE), limits=LIMITS)
-    return make_server(PERSON, config, uploads=UploadConfig(folder=folder, make=make), **options)
+    return make_server(PERSON, config, uploads=UploadConfig(folder=folder, make=make, nice=0), **options)
 
 
 async def picture(server, name: str | None = None, **more) -> np.ndarray:
-    async with Streaming(f"{server.url}{f'?avatar={name}' if name else ''}") as client:
+    async with Streaming(f"{server.url}{f'?avatar={name}' if name else ''}", timeout=GUARD) as client:
         return (await client.render(PAIR, quality=95, **more)).images()[0].astype(int)
 
 

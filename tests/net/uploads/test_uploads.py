@@ -9,6 +9,7 @@ import aiohttp
 import pytest
 
 from glsplat.formats import load
+from tests.net.uploads.conftest import GUARD
 from tests.net.uploads.makers import PICTURE
 
 
@@ -120,15 +121,16 @@ def test_steps_are_bounded(takes):
     assert len(told["steps"]) <= 40 and told["share"] == 1
 
 
-def test_one_is_made_at_a_time_and_few_wait(takes):
+def test_one_is_made_at_a_time_and_few_wait(takes, tmp_path):
     async def main():
         async with takes(per_address=9) as client:
-            names = [(await client.post(b"hold"))[1]["name"] for _ in range(3)]
+            names = [(await client.post(f"hold {tmp_path / 'go on'}".encode()))[1]["name"] for _ in range(3)]
             status, line = await client.post()
             assert status == 503 and "3 avatars are being made or wait" in line
             states = [(await client.ask("GET", f"/avatars/{name}"))[1] for name in names]
             assert [told["ahead"] for told in states][1:] == [1, 2]
             assert [told["state"] for told in states].count("making") <= 1
+            (tmp_path / "go on").touch()
             for name in names:
                 await client.until(name, "done")
             await client.made()
@@ -168,10 +170,10 @@ def test_a_cancelled_job_ends_at_once_and_leaves_nothing(takes, state):
 
 def test_a_job_that_takes_too_long_is_given_up(takes):
     async def main():
-        async with takes(seconds=2.0) as client:
+        async with takes(seconds=0.2) as client:
             _, told = await client.post(b"wait")
             told = await client.until(told["name"], "failed")
-            assert told["error"] == "it took more than 2 s and was given up; try again later"
+            assert told["error"] == "it took more than 0.2 s and was given up; try again later"
 
     asyncio.run(main())
 
@@ -182,7 +184,7 @@ def test_the_server_stops_while_one_is_made(takes):
             _, told = await client.post(b"wait")
             await client.post(b"wait")
             await client.until(told["name"], "making")
-            async with asyncio.timeout(10):
+            async with asyncio.timeout(GUARD):
                 await client.server.stop()
             assert client.kept() == []
 
