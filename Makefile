@@ -2,10 +2,12 @@
 VENV ?= .venv
 PYTHON ?= python3
 DEMO ?= # more options for `make demo`, such as DEMO='--seconds 2'
+JOBS ?= 2
+USER_THERE ?= newbie
 EVALUATE ?= # more options for `make evaluate`, such as EVALUATE=--quick
 BIN := $(VENV)/bin
 
-.PHONY: demo test install style types unit goldens bench report evaluate clean
+.PHONY: demo test install style types unit fresh goldens bench report evaluate clean
 
 demo: $(VENV)/.run
 	$(BIN)/glsplat demo -o out/demo $(DEMO)
@@ -22,7 +24,11 @@ types: $(VENV)/.dev
 	$(BIN)/mypy
 
 unit: $(VENV)/.dev
-	$(BIN)/pytest
+	$(BIN)/pytest --numprocesses $(JOBS) --dist worksteal
+
+# the same on a bare Debian of its own making, as a newcomer (USER_THERE=root: as root); needs root
+fresh:
+	.ci/fresh $(USER_THERE)
 
 # only after a change that is meant to change pictures: look at each one, give the reason in the commit message
 goldens: $(VENV)/.dev

@@ -12,6 +12,8 @@ from pathlib import Path
 
 import pytest
 
+from tests import needs
+
 ROOT = Path(__file__).resolve().parents[1]
 SCRIPT = ROOT / ".ci" / "system"
 STRANGER = 48_611  # a user that no account has
@@ -22,70 +24,89 @@ Run = Callable[..., subprocess.CompletedProcess[str]]
 
 @pytest.fixture
 def system(tmp_path: Path) -> Run:
-    """Runs the script as root or not, with vendor folders and programs of the test's own; apt-get only takes notes."""
-    programs = tmp_path / "bin"
-    programs.mkdir()
+    """Runs the script in a world of the test's own: who one is, what is missing, an apt-get that takes notes.
+
+    Nothing else is on the PATH, so what this machine has does not matter. ``lacks``: the packages that are missing, a
+    tier each; what apt-get installs is missing no more. ``apt``: without it the system is not Debian.
+    """
+    world = tmp_path / "world"
+    world.mkdir()
+    (world / "dirname").symlink_to("/usr/bin/dirname")
     notes = tmp_path / "apt"
 
     def run(
-        *words: str, uid: int = 1000, folders: tuple[Path, ...] = (), fails_on: str = "nothing", **more: str
+        *words: str, uid: int = 1000, fails_on: str = "nothing", apt: bool = True, **lacks: str
     ) -> subprocess.CompletedProcess[str]:
-        take_notes = f'echo "$@" >> {notes}; case "$*" in *{fails_on}*) exit 100;; esac'
-        for name, text in (("id", f"echo {uid}"), ("apt-get", take_notes)):
-            (programs / name).write_text(f"#!/bin/sh\n{text}\n")
-            (programs / name).chmod(0o755)
-        variables = {"PATH": f"{programs}:{os.environ['PATH']}", "HOME": str(tmp_path), "PYTHON": sys.executable}
-        variables |= more
-        if folders:
-            variables["__EGL_VENDOR_LIBRARY_DIRS"] = ":".join(map(str, folders))
-        return subprocess.run(["sh", SCRIPT, *words], env=variables, capture_output=True, text=True, timeout=60)
+        answers = "".join(f"{tier}) echo {packages};;" for tier, packages in lacks.items())
+        scripts = {
+            "id": f"echo {uid}",
+            "python": f'case "$1" in -c) exec {sys.executable} "$@";; *needs.py) case "$2" in {answers} esac;; esac',
+            "apt-get": f'echo "$@" >> {notes}; case "$*" in *{fails_on}*) exit 100;; esac' if apt else None,
+        }
+        for name, text in scripts.items():
+            if text is not None:
+                (world / name).write_text(f"#!/bin/sh\n{text}\n")
+                (world / name).chmod(0o755)
+        variables = {"PATH": str(world), "PYTHON": "python"}
+        return subprocess.run(["/bin/sh", SCRIPT, *words], env=variables, capture_output=True, text=True, timeout=60)
 
     return run
 
 
-@pytest.mark.parametrize("first", ["absent", "empty", "full"])
-@pytest.mark.parametrize("second", ["absent", "empty", "full"])
-def test_a_driver_in_either_folder_is_enough(system: Run, tmp_path: Path, first: str, second: str) -> None:
-    folders = []
-    for name, state in (("usr share", first), ("etc", second)):
-        folder = tmp_path / name
-        folders.append(folder)
-        if state != "absent":
-            folder.mkdir()
-        if state == "full":
-            (folder / "50_mesa.json").write_text("{}")
-    done = system("test", folders=tuple(folders))
-    if "full" in (first, second):
-        assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
-    else:
-        assert done.returncode == 1
-        line = done.stderr.splitlines()[-1].strip()
-        expected = "sudo apt-get update && sudo apt-get install -y --no-install-recommends libegl-mesa0"
-        assert line == expected and len(done.stderr.splitlines()) == 2
+ASKED = "    sudo apt-get update && sudo apt-get install -y --no-install-recommends "
 
 
-def test_root_installs_only_what_is_missing(system: Run, tmp_path: Path) -> None:
-    assert system("test", uid=0).stdout == ""
+@pytest.mark.parametrize("uid", [0, 1000])
+@pytest.mark.parametrize("words", [(), ("test",)])
+def test_where_all_is_there_nothing_is_said_or_done(system: Run, tmp_path: Path, uid: int, words: tuple[str]) -> None:
+    done = system(*words, uid=uid)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
     assert not (tmp_path / "apt").exists()
-    done = system(uid=0, folders=(tmp_path / "none",))
-    assert done.returncode == 0, done.stderr
-    *_, install = (tmp_path / "apt").read_text().splitlines()
-    assert install == "install -y -qq --no-install-recommends libegl-mesa0"
+
+
+def test_a_user_is_given_one_line_for_both_commands(system: Run, tmp_path: Path) -> None:
+    for words in ((), ("test",)):
+        done = system(*words, run="libegl1 libgl1", test="xvfb", browser="chromium npm")
+        assert done.returncode == 1 and done.stdout == ""
+        explained, line = done.stderr.splitlines()
+        assert "enough for make demo and make test" in explained
+        assert line == ASKED + "libegl1 libgl1 xvfb chromium npm"
+    assert not (tmp_path / "apt").exists()
+    # what only the tests want does not keep the demo from running, and is asked for by them
+    assert system(test="xvfb").returncode == 0
+    assert system("test", test="xvfb").stderr.endswith(ASKED + "xvfb\n")
+
+
+def test_root_installs_only_what_is_missing_and_wanted(system: Run, tmp_path: Path) -> None:
+    done = system(uid=0, run="libegl-mesa0", test="xvfb", browser="chromium")
+    assert (done.returncode, done.stdout, done.stderr) == (0, "installing libegl-mesa0\n", "")
+    update, install = (tmp_path / "apt").read_text().splitlines()
+    assert update == "update -qq" and install == "install -y -qq --no-install-recommends libegl-mesa0"
+    (tmp_path / "apt").unlink()
+    done = system("test", uid=0, test="xvfb xdotool")
+    assert (tmp_path / "apt").read_text().splitlines()[1].endswith(" xvfb xdotool")
+    failing = system("test", uid=0, test="xvfb", fails_on="xvfb")
+    assert failing.returncode != 0
 
 
 def test_a_browser_is_installed_but_never_insisted_on(system: Run, tmp_path: Path) -> None:
-    missing = {"CHROMIUM": "no-such-browser"}
-    done = system("test", **missing)
+    done = system("test", browser="chromium npm")
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
-    done = system("test", folders=(tmp_path / "none",), **missing)
-    assert done.returncode == 1 and done.stderr.rstrip().endswith(" libegl-mesa0 chromium")
-    assert system(uid=0, **missing).stdout == "" and not (tmp_path / "apt").exists()
-    done = system("test", uid=0, folders=(tmp_path / "none",), **missing)
+    assert system(uid=0, browser="chromium").stdout == "" and not (tmp_path / "apt").exists()
+    done = system("test", uid=0, run="libegl1", browser="chromium npm")
     assert (done.returncode, done.stderr) == (0, ""), done.stderr
-    installed = [line.rpartition(" ")[2] for line in (tmp_path / "apt").read_text().splitlines()]
-    assert installed == ["-qq", "libegl-mesa0", "chromium"]
-    done = system("test", uid=0, fails_on="chromium", **missing)
+    installed = [line.partition("recommends ")[2] for line in (tmp_path / "apt").read_text().splitlines()]
+    assert installed == ["", "libegl1", "chromium npm"]
+    done = system("test", uid=0, browser="chromium", fails_on="chromium")
     assert done.returncode == 0 and "browser tests will be skipped" in done.stderr
+
+
+def test_a_system_without_apt(system: Run) -> None:
+    done = system("test", run="libegl1", test="xvfb", browser="npm", apt=False)
+    assert done.returncode == 1 and done.stderr == (
+        "glsplat needs these Debian packages, or what your system calls them: libegl1 xvfb\n"
+    )
+    assert system("test", uid=0, browser="npm", apt=False).returncode == 0
 
 
 def test_an_old_or_missing_python_is_one_line(tmp_path: Path) -> None:
@@ -98,10 +119,9 @@ def test_an_old_or_missing_python_is_one_line(tmp_path: Path) -> None:
 @pytest.fixture
 def stranger() -> Iterator[Run]:
     """Runs commands as a user without an account or rights, in a clone of the checkout that belongs to that user."""
-    if os.getuid() != 0:
-        pytest.skip("only root can become another user")
-    if shutil.which("setpriv") is None or shutil.which("git") is None or not (ROOT / ".git").exists():
-        pytest.skip("needs setpriv (util-linux), git, and a checkout")
+    needs.require("setpriv")
+    if not (ROOT / ".git").exists():
+        pytest.skip("needs a checkout, to clone it")
     # not tmp_path: its parents are root's alone
     home = Path(tempfile.mkdtemp(prefix="glsplat-stranger-", dir="/tmp"))
     home.chmod(0o755)
@@ -132,14 +152,16 @@ def _needs_a_python_for_everybody(run: Run) -> None:
         pytest.skip(f"no Python 3.11 with venv that every user can run in {SYSTEM_PATH}")
 
 
+@pytest.mark.root
 def test_a_user_without_rights_finds_what_is_installed(stranger: Run) -> None:
     _needs_a_python_for_everybody(stranger)
     assert stranger("id", "-u").stdout.strip() == str(STRANGER)
-    done = stranger(".ci/system", "test")
+    done = stranger(".ci/system")
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
 
 
 @pytest.mark.gl
+@pytest.mark.root
 @pytest.mark.slow
 def test_a_user_without_rights_runs_the_demo(stranger: Run) -> None:
     _needs_a_python_for_everybody(stranger)

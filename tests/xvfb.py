@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -12,6 +11,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+
+from tests import needs
 
 __all__ = ["display", "psnr", "python"]
 
@@ -27,8 +28,7 @@ def psnr(a: np.ndarray, b: np.ndarray) -> float:
 @pytest.fixture(scope="session")
 def display() -> Iterator[str]:
     """A virtual screen on a display that is free."""
-    if shutil.which("Xvfb") is None:
-        pytest.skip("Xvfb is not installed (Debian/Ubuntu: apt-get install xvfb)")
+    needs.require("xvfb", "glx")
     read, write = os.pipe()
     command = [
         "Xvfb",

@@ -26,7 +26,10 @@ from glsplat.shaders import Variant, flatten, link
 __all__ = ["Context", "create_context", "egl_devices"]
 
 REQUIRED = 330
-INSTALL = "install Mesa's software driver (Debian/Ubuntu: apt-get install libegl1 libgl1-mesa-dri) or your GPU's driver"
+INSTALL = (
+    "install Mesa's software driver (Debian/Ubuntu: apt-get install libegl1 libgl1 libegl-mesa0 libgl1-mesa-dri)"
+    " or your GPU's driver"
+)
 
 
 @dataclass(frozen=True, eq=False)

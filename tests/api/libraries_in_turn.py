@@ -13,6 +13,7 @@ import moderngl
 import numpy as np
 
 from glsplat.gl.context import Context, create_context
+from tests import needs
 from tests.api.current_context import asked
 from tests.api.variants import KINDS
 
@@ -51,6 +52,7 @@ def main() -> None:
         assert asked()[3], "no GLX context"
         contexts["window"] = create_context(given=moderngl.create_context())
         assert asked()[3]
+    assert needs.met("osmesa")
     osmesa = ctypes.CDLL("libOSMesa.so.8")
     osmesa.OSMesaGetCurrentContext.restype = ctypes.c_void_p
 

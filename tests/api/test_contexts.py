@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from glsplat.errors import ContextError, GlsplatError, PoseError
 from glsplat.gl.context import Context, create_context
 from glsplat.renderer import Renderer
+from tests import needs
 from tests.api.current_context import asked, nothing_current
 from tests.api.variants import BACK, KINDS, SIZE, VIEWS, Kind, bent, splats
 from tests.scenes import camera, cloud, limb
@@ -281,8 +282,7 @@ def test_entering_costs_little() -> None:
 
 @pytest.mark.parametrize("window", [False, True], ids=["egl and osmesa", "egl, osmesa and a window"])
 def test_three_libraries_in_turn(window: bool, request: pytest.FixtureRequest) -> None:
-    if ctypes.util.find_library("OSMesa") is None:
-        pytest.skip("no OSMesa library on this machine")
+    needs.require("osmesa")
     where = request.getfixturevalue("display") if window else None
     done = python("-m", "tests.api.libraries_in_turn", *(["window"] if window else []), display=where)
     assert done.returncode == 0, done.stderr

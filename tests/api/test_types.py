@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import json
-import shutil
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+
+from tests import needs
 
 ROOT = Path(__file__).resolve().parents[2]
 PROGRAM = ROOT / "tests" / "api" / "typed_program.py"
@@ -22,7 +23,7 @@ def run(*command: str, cwd: Path = ROOT) -> str:
 
 def test_a_strict_program_is_clean(tmp_path: Path) -> None:
     run(sys.executable, "-m", "mypy", "--strict", "--follow-imports=silent", str(PROGRAM))
-    if pyright := shutil.which("pyright"):  # no dependency: it is a second opinion where it is installed
+    if pyright := needs.program("pyright"):  # no dependency: it is a second opinion where it is installed
         settings = {"include": [str(PROGRAM)], "typeCheckingMode": "strict", "extraPaths": [str(ROOT)]}
         (tmp_path / "pyrightconfig.json").write_text(json.dumps(settings))
         found = run(pyright, "--pythonpath", sys.executable, "-p", str(tmp_path))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -14,6 +13,7 @@ from glsplat_apps import clip as module
 from glsplat_apps.clip import Clip
 
 from glsplat.errors import FormatError
+from tests import needs
 
 
 def picture(step: int, width: int = 96, height: int = 64) -> np.ndarray:
@@ -55,7 +55,7 @@ def test_the_codec_is_one_that_browsers_play(tmp_path):
         data = (tmp_path / name).read_bytes()
         assert box in data and b"mp4v" not in data
         assert data[4:8] == b"ftyp" if name == "a.mp4" else data[:4] == b"\x1a\x45\xdf\xa3" and b"webm" in data[:64]
-        if shutil.which("ffprobe"):
+        if needs.program("ffprobe"):
             ask = ["ffprobe", "-v", "error", "-show_entries", "stream=codec_name", "-of", "csv=p=0", tmp_path / name]
             assert subprocess.run(ask, capture_output=True, text=True, check=True).stdout.strip() == "vp9"
 

@@ -3,21 +3,19 @@
 from __future__ import annotations
 
 import mimetypes
-import os
-import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from tests import needs
 from tests.browser.iwer import EMULATE, iwer_script
 from tests.browser.opened import FAKE_XR, WATCH, Opened
 from tests.browser.served import Served
 
 _WEB = Path(__file__).resolve().parents[2] / "glsplat" / "net" / "web"
 _MODULES = "http://localhost:1/vr/"  # answered from the folder above, by no server
-_NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 _FLAGS = [
     "--no-sandbox",  # needs rights that containers do not give, and opens pages of this checkout only
     "--disable-quic",
@@ -43,12 +41,9 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 def chromium() -> Iterator[Any]:
     """Playwright's Browser, headless, software WebGL."""
     playwright = pytest.importorskip("playwright.sync_api", reason="needs the Python package playwright")
-    wanted = os.environ.get("CHROMIUM")
-    path = next(filter(None, map(shutil.which, [wanted] if wanted else _NAMES)), None)
-    if path is None:
-        pytest.skip("no Chromium to show the page in: apt-get install chromium (or name one in CHROMIUM)")
+    needs.require("chromium", "atomic")
     with playwright.sync_playwright() as play:
-        browser = play.chromium.launch(executable_path=path, headless=True, args=_FLAGS)
+        browser = play.chromium.launch(executable_path=needs.program("chromium"), headless=True, args=_FLAGS)
         yield browser
         browser.close()
 

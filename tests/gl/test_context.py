@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ctypes.util
 import subprocess
 import sys
 
@@ -14,6 +13,7 @@ from glsplat.errors import ContextError
 from glsplat.gl import context as module
 from glsplat.gl.context import Context, create_context, egl_devices
 from glsplat.renderer import Renderer
+from tests import needs
 from tests.scenes import cloud, eyes
 
 pytestmark = pytest.mark.gl
@@ -61,9 +61,9 @@ def test_old_opengl_is_refused(context: Context, monkeypatch: pytest.MonkeyPatch
         create_context(given=Old())  # type: ignore[arg-type]
 
 
-@pytest.mark.skipif(ctypes.util.find_library("OSMesa") is None, reason="no OSMesa library on this machine")
 def test_osmesa_draws_what_egl_draws() -> None:
     """In a process of its own: two OpenGL loaders in one process are asking for trouble."""
+    needs.require("osmesa")
     script = (
         "import sys, numpy as np\n"
         "from glsplat.config import RenderConfig\n"

@@ -31,6 +31,7 @@ from glsplat.renderer import Renderer
 from glsplat.scene import Item, Scene, similarity
 from glsplat.skinning.pose import Pose
 from glsplat.tracking.calibration import Calibration
+from tests import needs
 from tests.compare import Difference
 from tests.net.test_legacy import thinned
 from tests.scenes import limb
@@ -251,6 +252,7 @@ def test_each_is_tracked_by_its_own_skeleton_and_measures() -> None:
 @pytest.mark.gl
 def test_many_changes_leave_nothing_behind() -> None:
     """Five things in turn on four places, so that renderers come and go: no more objects and memory than before."""
+    needs.require("opengl")
     avatars = {"a": BIG, "b": limb(300), "c": limb(200, seed=7)}
     backend = RendererBackend(PERSON, SIZE, avatars=avatars)
     backend.open()

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import json
 import os
-import shutil
 import subprocess
 import sys
 import time
@@ -27,6 +26,7 @@ from glsplat.gl.context import Context
 from glsplat.renderer import Renderer
 from glsplat.skinning.pose import Pose
 from glsplat.splats import Splats
+from tests import needs
 from tests.scenes import cloud, limb
 from tests.xvfb import ROOT, display, psnr, python  # noqa: F401  (a fixture)
 
@@ -248,8 +248,7 @@ def test_window_session(display: str, tmp_path: Path, context: Context, headless
 
 def test_real_keys_and_mouse(display: str, tmp_path: Path) -> None:
     """The whole command as a user has it: window found, mouse moved, keys typed, closed by Esc."""
-    if shutil.which("xdotool") is None:
-        pytest.skip("xdotool is not installed (Debian/Ubuntu: apt-get install xdotool)")
+    needs.require("xdotool")
     save(cloud(), tmp_path / "cloud.ply")
     environment = {**os.environ, "DISPLAY": display, "PYTHONPATH": str(ROOT)}
     environment.pop("WAYLAND_DISPLAY", None)

@@ -16,6 +16,7 @@ from glsplat.errors import GlsplatError, ProtocolError
 from glsplat.net.client import Client
 from glsplat.net.guard.access import Access, is_loopback, read_token, server_tls
 from glsplat.net.server import ServerConfig
+from tests import needs
 
 TOKEN = "correct-horse-battery"
 
@@ -166,10 +167,8 @@ def test_tls_and_the_clients_trust(serve, cameras, tmp_path):
     command = ["openssl", "req", "-x509", "-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1", "-nodes"]
     command += ["-keyout", str(key), "-out", str(cert), "-days", "2", "-subj", "/CN=localhost"]
     command += ["-addext", "subjectAltName=IP:127.0.0.1"]
-    try:
-        subprocess.run(command, check=True, capture_output=True)
-    except (OSError, subprocess.CalledProcessError):
-        pytest.skip("no openssl to make a certificate with")
+    needs.require("openssl")
+    subprocess.run(command, check=True, capture_output=True)
     locked = tmp_path / "locked.pem"
     command = ["openssl", "pkcs8", "-topk8", "-in", str(key), "-out", str(locked), "-passout", "pass:secret"]
     subprocess.run(command, check=True, capture_output=True)

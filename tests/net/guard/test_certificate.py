@@ -22,6 +22,7 @@ from glsplat.net.guard.access import Access, certificate_names, server_tls
 from glsplat.net.guard.certificate import CERTIFICATE, KEY, kept_certificate
 from glsplat.net.guard.kept import state_folder
 from glsplat.net.server import ServerConfig
+from tests import needs
 
 ROOT = Path(__file__).parents[3]
 TOKEN = "correct-horse-battery"
@@ -63,10 +64,8 @@ def test_the_key_is_for_its_user_alone_and_not_in_the_public_part(folder):
 def test_its_fingerprint_is_what_others_compute(folder):
     kept = kept_certificate(folder, ())
     command = ["openssl", "x509", "-in", str(folder / CERTIFICATE), "-noout", "-fingerprint", "-sha256"]
-    try:
-        shown = subprocess.run(command, check=True, capture_output=True, text=True).stdout
-    except OSError:
-        pytest.skip("no openssl to compare with")
+    needs.require("openssl")
+    shown = subprocess.run(command, check=True, capture_output=True, text=True).stdout
     assert shown.strip().partition("=")[2] == kept.fingerprint
 
 

@@ -23,6 +23,7 @@ from glsplat.net.guard.machine import machine_names
 from glsplat.net.pages import routes
 from glsplat.net.server import ServerConfig
 from glsplat.net.session import SessionConfig
+from tests import needs
 from tests.net.wire import UPGRADE, frame, native, raw, still_serves
 
 ROOT = Path(__file__).parents[3]
@@ -276,10 +277,8 @@ def test_names_of_the_certificate_and_of_the_machine(tmp_path):
     command += ["-keyout", str(key), "-out", str(cert), "-days", "2", "-subj", "/CN=unused"]
     command += ["-addext", "subjectAltName=DNS:render.example,DNS:*.lab.example,IP:192.0.2.1"]
     command += ["-addext", "basicConstraints=critical,CA:FALSE"]
-    try:
-        subprocess.run(command, check=True, capture_output=True)
-    except (OSError, subprocess.CalledProcessError):
-        pytest.skip("no openssl to make a certificate with")
+    needs.require("openssl")
+    subprocess.run(command, check=True, capture_output=True)
     assert certificate_names(cert, server_tls(cert, key)) == ("render.example", "*.lab.example")
     assert machine_names()[0] == socket.gethostname()
 
@@ -412,7 +411,9 @@ sys.path.insert(0, sys.argv[1])
 resource.setrlimit(resource.RLIMIT_NOFILE, (48, 48))
 from glsplat.net.guard.limits import Limits
 from glsplat.net.server import Server, ServerConfig
+from tests import needs
 from tests.net.conftest import FakeBackend
+from tests import needs
 logging.basicConfig(format="LOG %(message)s")
 if sys.argv[2] == "no room kept":
     import glsplat.net.guard.listener as listener
