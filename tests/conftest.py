@@ -30,8 +30,12 @@ def shared_data() -> Path:
 
 @pytest.fixture(scope="session", autouse=True)
 def _state_of_the_tests(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """Servers that tests start, in processes of their own too, keep nothing in the user's folder."""
+    """Servers that tests start, in processes of their own too, keep nothing in the user's folder.
+
+    What was asked of this pytest (PYTEST_ADDOPTS) is not asked of those that tests start.
+    """
     with pytest.MonkeyPatch.context() as patch:
+        patch.delenv("PYTEST_ADDOPTS", raising=False)
         patch.setenv("XDG_STATE_HOME", str(tmp_path_factory.mktemp("state")))
         yield
 
