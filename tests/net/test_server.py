@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import re
+import threading
+from collections import Counter
 
 import aiohttp
 import numpy as np
@@ -16,6 +18,8 @@ from glsplat.net.guard.access import Access
 from glsplat.net.messages import WireOptions
 from glsplat.net.server import Server, ServerConfig
 from glsplat.skinning.pose import Pose
+from tests.net.contested import Contested, contest
+from tests.net.wire import HANG, until
 
 UPGRADE = {"Connection": "Upgrade", "Upgrade": "websocket", "Sec-WebSocket-Version": "13"}
 UPGRADE |= {"Sec-WebSocket-Key": "dGhlIHNhbXBsZSBub25jZQ=="}
@@ -62,12 +66,15 @@ def test_one_eye(serve, cameras):
 
 
 def test_pipelined_requests_keep_only_the_newest(serve, fake_backend, cameras):
-    backend = fake_backend(delay=0.02)
+    backend = fake_backend()
+    backend.gate.clear()
 
     async def main():
         async with serve(backend) as server, Client(server.url, window=2) as client:
             for _ in range(30):
                 await client.send(cameras)
+            await until(lambda: server.stats()["totals"]["accepted"] == 30)
+            backend.gate.set()
             ids = [(await client.receive()).reply.frame_id]
             while ids[-1] < 30:
                 ids.append((await client.receive()).reply.frame_id)
@@ -75,65 +82,44 @@ def test_pipelined_requests_keep_only_the_newest(serve, fake_backend, cameras):
 
     ids, stats = asyncio.run(main())
     assert ids == sorted(set(ids)) and ids[-1] == 30
-    assert stats["totals"]["dropped"] == 30 - len(ids) > 20
+    assert stats["totals"]["dropped"] == 30 - len(ids) == 28
     assert len(backend.drawn) == len(ids)
 
 
 def test_encoding_overlaps_the_next_drawing(serve, fake_backend, cameras, monkeypatch):
-    running = {"encode": False}
-    seen = []
-
-    class Watching(fake_backend):
-        def render(self, request):
-            out = super().render(request)
-            seen.append(running["encode"])
-            return out
-
-    async def main():
-        async with serve(Watching(delay=0.03)) as server:
-            encode = server.pump._encoder.encode
-
-            def slow(*args):
-                running["encode"] = True
-                result = encode(*args)
-                threading_sleep(0.05)
-                running["encode"] = False
-                return result
-
-            monkeypatch.setattr(server.pump._encoder, "encode", slow)
-            async with Client(server.url) as client:
-                await client.send(cameras)
-                await asyncio.sleep(0.01)
-                await client.send(cameras)
-                for _ in range(2):
-                    await client.receive()
-
-    from time import sleep as threading_sleep
-
-    asyncio.run(main())
-    assert seen[1]
-
-
-def test_clients_take_turns(serve, fake_backend, cameras):
-    backend = fake_backend(delay=0.005)
-
-    async def one(url, seconds):
-        got = 0
-        async with Client(url) as client:
-            end = asyncio.get_running_loop().time() + seconds
-            await client.send(cameras)
-            while asyncio.get_running_loop().time() < end:
-                await client.send(cameras)
-                await client.receive()
-                got += 1
-        return got
+    backend, second = fake_backend(), threading.Event()
+    backend.fail = lambda request: second.set() if request.frame_id == 2 else None
 
     async def main():
         async with serve(backend) as server:
-            return await asyncio.gather(*(one(server.url, 1.0) for _ in range(4)))
+            encode = server.pump._encoder.encode
 
-    counts = asyncio.run(main())
-    assert min(counts) >= 5 and max(counts) <= 1.5 * min(counts) + 2
+            def waiting(*args):
+                assert second.wait(HANG)  # the first picture is ready when the second one has been drawn
+                return encode(*args)
+
+            monkeypatch.setattr(server.pump._encoder, "encode", waiting)
+            async with Client(server.url, timeout=HANG) as client:
+                await client.send(cameras)
+                await until(lambda: backend.drawn)
+                await client.send(cameras)
+                return [(await client.receive()).reply.frame_id for _ in range(2)]
+
+    assert asyncio.run(main()) == [1, 2]
+
+
+def test_clients_take_turns(cameras, stopped):
+    """Four that ask for equal pictures all the time."""
+    backend = Contested(clock=stopped, cost=lambda request: 0.005, seconds=0.2)
+
+    async def client(server):
+        async with Client(server.url, timeout=HANG) as client:
+            while not backend.over.is_set():
+                await client.render(cameras)
+
+    contest(backend, [client] * 4)
+    counts = Counter(request.viewer for request in backend.drawn[:40])
+    assert len(counts) == 4 and min(counts.values()) >= 9
 
 
 def test_status_pages(serve, cameras):
@@ -167,13 +153,18 @@ def test_status_pages(serve, cameras):
 
 
 def test_the_last_pictures_are_sent_before_the_server_stops(fake_backend, cameras):
+    backend = fake_backend()
+    backend.gate.clear()
+
     async def main():
-        server = Server(fake_backend(delay=0.2), ServerConfig(port=0))
+        server = Server(backend, ServerConfig(port=0))
         await server.start()
         async with Client(server.url) as client:
             await client.send(cameras)
-            await asyncio.sleep(0.05)
+            await until(lambda: backend.drawn)
             stopping = asyncio.create_task(server.stop())
+            await until(lambda: server._draining)
+            backend.gate.set()
             arrived = await client.receive()
             with pytest.raises(ProtocolError, match="1001"):
                 await client.receive()
@@ -284,7 +275,7 @@ def test_a_full_server_says_so(serve, cameras):
                 with pytest.raises(ProtocolError, match="full"):
                     await Client(server.url).connect()
                 await first.render(cameras)
-            await asyncio.sleep(0.05)
+            await until(lambda: not server.stats()["clients"])
             async with Client(server.url) as second:
                 return (await second.render(cameras)).frame_id
 
@@ -347,7 +338,7 @@ def test_size_and_quality_defaults_come_from_the_server(serve, fake_backend, cam
             await client.send_text(
                 '{"v":1,"frame_id":9,"eyes":[{"viewmat":[1,0,0,0,0,1,0,0,0,0,1,2,0,0,0,1],"K":[50,50,24,16]}]}'
             )
-            await asyncio.sleep(0.2)
+            await until(lambda: len(backend.drawn) == 2)
 
     asyncio.run(main())
     request = backend.drawn[-1]

@@ -1,0 +1,63 @@
+"""A renderer that all clients want at any time, on a clock that nothing but its pictures moves."""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+import time
+from collections.abc import Awaitable, Callable
+from dataclasses import dataclass, field
+
+from glsplat.net.backend import Rendered
+from glsplat.net.messages import RenderRequest
+from glsplat.net.server import Server, ServerConfig
+from tests.net.clocks import Stopped
+from tests.net.conftest import FakeBackend
+from tests.net.wire import HANG
+
+__all__ = ["Contested", "contest"]
+
+
+@dataclass
+class Contested(FakeBackend):
+    """Draws once every other client waits for a picture, too: who comes next is the server's choice alone."""
+
+    cost: Callable[[RenderRequest], float] = lambda request: 0.0  # seconds
+    others: int = 0
+    clock: Stopped = field(default_factory=Stopped)
+    seconds: float = 1.0  # on the clock, after which it is over
+    over: threading.Event = field(default_factory=threading.Event)
+    server: Server | None = None
+
+    def render(self, request: RenderRequest) -> Rendered:
+        assert self.server is not None
+        until, since = time.monotonic() + HANG, self.clock.now
+        while not self.over.is_set() and self._waiting() < self.others:
+            assert time.monotonic() < until
+            time.sleep(0.0005)
+        rendered = super().render(request)
+        self.clock.now = since + self.cost(request)
+        self.seconds -= self.cost(request)
+        if self.seconds <= 0:
+            self.over.set()
+        return rendered
+
+    def _waiting(self) -> int:
+        assert self.server is not None
+        return sum(channel.session.newest is not None for channel in list(self.server._channels.values()))
+
+
+def contest(backend: Contested, clients: list[Callable[[Server], Awaitable[None]]]) -> None:
+    """All clients at once on a server with that backend; each asks until it is over."""
+
+    async def main() -> None:
+        server = backend.server = Server(backend, ServerConfig(port=0))
+        backend.others = len(clients) - 1
+        await server.start()
+        try:
+            await asyncio.wait_for(asyncio.gather(*(client(server) for client in clients)), 2 * HANG)
+        finally:
+            backend.over.set()
+            await server.stop()
+
+    asyncio.run(main())
