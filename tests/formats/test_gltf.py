@@ -28,6 +28,7 @@ from tests.formats.scenes import (
     random_splats,
     write_glb,
 )
+from tests.golden.stored import DATA
 
 KHR = "KHR_gaussian_splatting"
 
@@ -412,9 +413,8 @@ def test_an_avatar_of_40000_splats_is_small_and_quick(tmp_path: Path) -> None:
     assert min(seconds) < 0.3
 
 
-@pytest.mark.shared
-def test_real_scene_round_trip(shared_data: Path, tmp_path: Path) -> None:
-    splats = load_ply(shared_data / "splats" / "playbot_lod6.ply")
+def test_real_scene_round_trip(tmp_path: Path) -> None:
+    splats = load_ply(DATA / "playbot_lod6.ply")
     save_gltf(splats, tmp_path / "a.glb")
     again = load_gltf(tmp_path / "a.glb")
     assert isinstance(again, Splats)

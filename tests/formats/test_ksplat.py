@@ -13,6 +13,7 @@ from glsplat.formats import load, losses, recognise, save, suffixes
 from glsplat.splats import Splats
 from tests.formats.ksplats import C0, RANGE, ksplat
 from tests.formats.scenes import random_splats
+from tests.golden import stored
 
 SECTION = 4096  # where the first section's header begins
 DATA = SECTION + 1024
@@ -193,11 +194,9 @@ def test_it_is_read_not_written(tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.shared
-@pytest.mark.parametrize("folder", ["real/splats", "formats/splat-transform"])
-def test_a_real_file(shared_data: Path, folder: str) -> None:
+def test_a_real_file() -> None:
     """Four green, red, blue and white splats of 0.1 m at the corners of a square, of level 0."""
-    splats = load(shared_data / folder / "minimal.ksplat", strict=True)
+    splats = load(stored.DATA / "minimal.ksplat", strict=True)
     assert isinstance(splats, Splats) and (len(splats), splats.sh_degree) == (4, 0)
     assert splats.means.tolist() == [[-1, 0, -1], [0, 0, -1], [-1, 0, 0], [0, 0, 0]]
     np.testing.assert_allclose(splats.scales, 0.1)

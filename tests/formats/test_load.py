@@ -14,6 +14,7 @@ from glsplat.formats import load, recognise, save
 from glsplat.formats.files import open_regular, replace_file
 from glsplat.splats import Splats
 from tests.formats.scenes import assert_equal, awkward_splats, random_avatar, random_splats
+from tests.golden.stored import DATA
 
 SUFFIXES = (".ply", ".splat", ".glb", ".gltf")
 
@@ -168,9 +169,8 @@ def test_a_private_file_is_never_readable_for_others(tmp_path: Path) -> None:
     assert path.stat().st_mode & 0o777 == 0o600 and seen == [0o600, 0o600]
 
 
-@pytest.mark.shared
-def test_real_scene_through_every_format(tmp_path: Path, shared_data: Path) -> None:
-    scene = load(shared_data / "splats" / "demosthenes_10k.splat")
+def test_real_scene_through_every_format(tmp_path: Path) -> None:
+    scene = load(DATA / "demosthenes_10k.splat")
     assert isinstance(scene, Splats)
     for suffix in SUFFIXES:
         save(scene, tmp_path / f"a{suffix}")

@@ -15,6 +15,7 @@ from glsplat.errors import FormatError
 from glsplat.formats import load_ply, save_ply
 from glsplat.splats import Splats
 from tests.formats.scenes import FIELDS, assert_equal, awkward_splats, random_splats
+from tests.golden.stored import DATA
 
 BASE = [
     *"xyz",
@@ -341,25 +342,29 @@ def test_huge_ascii_count_after_a_full_chunk_allocates_nothing(tmp_path: Path) -
         load_ply(tmp_path / "a.ply")
 
 
-@pytest.mark.shared
-def test_real_files(shared_data: Path) -> None:
-    counts = {
-        "playbot_lod6": (1873, 2),
-        "splatapult_sh3_16": (16, 3),
-        "unit_cube_ascii": (20, 0),
-        "demosthenes_10k": (10000, 0),
-    }
-    for name, (count, degree) in counts.items():
-        splats = load_ply(shared_data / "splats" / f"{name}.ply")
-        assert (len(splats), splats.sh_degree) == (count, degree)
-        assert splats.finite().all() and (splats.scales > 0).all()
-        assert (splats.opacities >= 0).all() and (splats.opacities <= 1).all()
-        np.testing.assert_allclose(np.linalg.norm(splats.quats, axis=1), 1, atol=1e-6)
+def assert_real(path: Path, count: int, degree: int) -> None:
+    splats = load_ply(path)
+    assert (len(splats), splats.sh_degree) == (count, degree)
+    assert splats.finite().all() and (splats.scales > 0).all()
+    assert (splats.opacities >= 0).all() and (splats.opacities <= 1).all()
+    np.testing.assert_allclose(np.linalg.norm(splats.quats, axis=1), 1, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("name", "count", "degree"),
+    [("playbot_lod6", 1873, 2), ("splatapult_sh3_16", 16, 3), ("demosthenes_10k", 10000, 0)],
+)
+def test_real_files(name: str, count: int, degree: int) -> None:
+    assert_real(DATA / f"{name}.ply", count, degree)
 
 
 @pytest.mark.shared
-def test_sh_of_a_real_file_against_its_bytes(shared_data: Path) -> None:
-    path = shared_data / "splats" / "splatapult_sh3_16.ply"
+def test_a_real_file_of_text(shared_data: Path) -> None:
+    assert_real(shared_data / "splats" / "unit_cube_ascii.ply", 20, 0)
+
+
+def test_sh_of_a_real_file_against_its_bytes() -> None:
+    path = DATA / "splatapult_sh3_16.ply"
     head, body = path.read_bytes().split(b"end_header\n")
     names = [line.split()[-1] for line in head.decode().splitlines() if line.startswith("property")]
     raw = dict(zip(names, np.frombuffer(body, "<f4").reshape(16, -1).T, strict=True))

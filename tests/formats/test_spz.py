@@ -32,6 +32,7 @@ from tests.formats.scenes import (
     write_glb,
     zstd_frame,
 )
+from tests.golden.stored import DATA
 
 try:
     if sys.version_info >= (3, 14):
@@ -502,13 +503,12 @@ def test_splats_inside_gltf_that_are_refused(tmp_path: Path) -> None:
 # ------------------------------------------------------------------------------------------------------- real files
 
 
-@pytest.mark.shared
 @pytest.mark.parametrize("name", ["raw", "v2", "v3", "v4"])
-def test_files_of_splat_transform(shared_data: Path, name: str) -> None:
+def test_files_of_splat_transform(name: str) -> None:
     """Four splats in a square, by four writers; the older two have z the other way around."""
     if name == "v4" and _zstd is None:
         pytest.skip("no zstd")
-    splats = load(shared_data / f"formats/splat-transform/minimal-{name}.spz")
+    splats = load(DATA / f"minimal-{name}.spz")
     assert isinstance(splats, Splats)
     z = 1 if name in ("raw", "v2") else -1
     np.testing.assert_array_equal(splats.means, [[-1, 0, z], [0, 0, z], [-1, 0, 0], [0, 0, 0]])
@@ -528,12 +528,11 @@ def test_file_of_cesium(shared_data: Path) -> None:
     np.testing.assert_allclose(splats.scales, np.exp([[3, 2, 1]]), rtol=1e-6)
 
 
-@pytest.mark.shared
-def test_a_real_scene_keeps_its_look(shared_data: Path) -> None:
+def test_a_real_scene_keeps_its_look() -> None:
     """Colours of SH degree 2, seen from four sides: what 4 bits cost."""
     from glsplat.rotations import sh_basis
 
-    scene = load(shared_data / "splats/playbot_lod6.ply")
+    scene = load(DATA / "playbot_lod6.ply")
     assert isinstance(scene, Splats)
     again = read(spz(scene))
     for eye in np.eye(4, 3) - 0.3:

@@ -1,14 +1,20 @@
-"""The contract images on the other drivers that need no GPU, each in a process of its own."""
+"""Contract images and goldens on the other drivers that need no GPU, each in a process of its own."""
 
 from __future__ import annotations
 
 import os
 import subprocess
 import sys
+from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
+
+from tests.golden import stored
+from tests.golden.test_goldens import CASES
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -18,8 +24,8 @@ DRIVERS = {
     "zink": {"GALLIUM_DRIVER": "zink", "LIBGL_ALWAYS_SOFTWARE": "1"},  # on Vulkan's lavapipe
 }
 NAMES = {"softpipe": "softpipe", "osmesa": "llvmpipe", "zink": "zink"}
-SCENES = "32f and (demosthenes_10k_stereo or playbot_lod3 or depth_ties)"
-"""A pair of a real capture, a game's character, and equal depths: three that tell drivers apart and are quick."""
+PICTURES = ["tests/golden/test_contract.py::test_contract", "tests/golden/test_goldens.py::test_golden"]
+"""At full precision, as a driver draws unasked and as quads; goldens at their wider gate."""
 
 LEAN = """
 import sys
@@ -41,51 +47,56 @@ np.savez(sys.argv[1], pictures=np.array(pictures), levels=levels, driver=rendere
 """
 
 
-def environment_of(driver: str) -> dict[str, str]:
-    """The variables with which a process draws on that driver; skips where there is none."""
+@cache
+def asked(driver: str) -> tuple[dict[str, str], str]:
+    """The variables with which a process draws on that driver, and what is wrong where it cannot."""
     environment = {k: v for k, v in os.environ.items() if not k.startswith(("GALLIUM", "GLSPLAT"))} | DRIVERS[driver]
-    asked = "import glsplat; c = glsplat.create_context(); print(c.driver); c.release()"
-    found = subprocess.run([sys.executable, "-c", asked], cwd=ROOT, env=environment, capture_output=True, text=True)
-    if found.returncode or NAMES[driver] not in found.stdout:
-        assert driver != "softpipe", found.stderr  # comes with llvmpipe
-        pytest.skip(f"no {driver} here: {(found.stdout or found.stderr).strip().splitlines()[-1]}")
+    script = "import glsplat; c = glsplat.create_context(); print(c.driver); c.release()"
+    found = subprocess.run([sys.executable, "-c", script], cwd=ROOT, env=environment, capture_output=True, text=True)
+    missing = found.returncode or NAMES[driver] not in found.stdout
+    said = (found.stdout or found.stderr).strip().splitlines() or [f"ended with {found.returncode}"]
+    return environment, said[-1] if missing else ""
+
+
+def environment_of(driver: str) -> dict[str, str]:
+    environment, missing = asked(driver)
+    if missing:
+        assert driver != "softpipe", missing  # comes with llvmpipe
+        pytest.skip(f"no {driver} here: {missing}")
     return environment
+
+
+def lean_pictures(folder: Path, environment: dict[str, str]) -> dict[str, NDArray[Any]]:
+    file = folder / "pictures.npz"
+    subprocess.run([sys.executable, "-c", LEAN, file], cwd=ROOT, env=environment, check=True, capture_output=True)
+    return dict(np.load(file))
+
+
+@pytest.fixture(scope="module")
+def pictures_here(tmp_path_factory: pytest.TempPathFactory) -> dict[str, NDArray[Any]]:
+    here = {k: v for k, v in os.environ.items() if not k.startswith("GLSPLAT")}
+    return lean_pictures(tmp_path_factory.mktemp("here"), here)
 
 
 @pytest.mark.gl
 @pytest.mark.slow
 @pytest.mark.parametrize("driver", DRIVERS)
-def test_levels_and_hidden_splats(driver: str, tmp_path: Path) -> None:
+def test_levels_and_hidden_splats(driver: str, tmp_path: Path, pictures_here: dict[str, NDArray[Any]]) -> None:
     """The same levels and the same pictures everywhere, with records pulled where a driver can, and without."""
-    environment, pictures = environment_of(driver), []
-    here = {k: v for k, v in os.environ.items() if not k.startswith("GLSPLAT")}
-    for name, variables in (("here", here), (driver, environment)):
-        file = tmp_path / f"{name}.npz"
-        subprocess.run([sys.executable, "-c", LEAN, file], cwd=ROOT, env=variables, check=True, capture_output=True)
-        pictures.append(dict(np.load(file)))
-    assert NAMES[driver] in str(pictures[1]["driver"])
-    levels = pictures[0]["levels"].tolist()
-    assert levels == pictures[1]["levels"].tolist() and len(set(levels)) >= 2
-    error = ((pictures[0]["pictures"].astype(np.float64) - pictures[1]["pictures"]) ** 2).mean(axis=(1, 2, 3, 4))
+    there = lean_pictures(tmp_path, environment_of(driver))
+    assert NAMES[driver] in str(there["driver"])
+    levels = pictures_here["levels"].tolist()
+    assert levels == there["levels"].tolist() and len(set(levels)) >= 2
+    error = ((pictures_here["pictures"].astype(np.float64) - there["pictures"]) ** 2).mean(axis=(1, 2, 3, 4))
     assert -10 * np.log10(np.maximum(error, 1e-12)).max() > 80
 
 
 @pytest.mark.gl
-@pytest.mark.shared
 @pytest.mark.slow
 @pytest.mark.parametrize("driver", DRIVERS)
-def test_contract_images(driver: str, shared_data: Path) -> None:
+def test_pictures(driver: str) -> None:
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-k", "not 16f", *PICTURES]
     environment = environment_of(driver)
-    command = [
-        sys.executable,
-        "-m",
-        "pytest",
-        "-q",
-        "-p",
-        "no:cacheprovider",
-        "-k",
-        SCENES,
-        "tests/golden/test_contract.py",
-    ]
     done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, timeout=280)
-    assert done.returncode == 0 and "3 passed" in done.stdout, done.stdout[-4000:]
+    passed = f"{2 * len(stored.NAMES) + len(CASES)} passed"
+    assert done.returncode == 0 and passed in done.stdout and "skipped" not in done.stdout, done.stdout[-4000:]

@@ -2,6 +2,10 @@
 
 Same driver string: within 1/255. Another driver: at most 0.1 % of the pixels beyond 5/255. A missing or an unused
 golden fails. ``make goldens`` writes them anew; refused in CI, and only for pictures somebody has looked at.
+
+Each says how splats are drawn, so that it is the same on every driver: as triangles that pull their records, which
+software rasterizers take unasked (test_paths.py), or ("quads_...") as instanced quads, both eyes in one draw into two
+layers, which GPUs take.
 """
 
 from __future__ import annotations
@@ -20,6 +24,7 @@ import pytest
 from glsplat.avatar import Avatar
 from glsplat.camera import Camera, look_at, pinhole, stereo_cameras
 from glsplat.data import default_avatar
+from glsplat.gl.context import Context
 from glsplat.renderer import Renderer
 from glsplat.skinning.pose import Pose
 from glsplat.splats import Splats
@@ -29,6 +34,12 @@ pytestmark = pytest.mark.gl
 
 FOLDER = Path(__file__).parent / "images"
 FAILED = Path(__file__).resolve().parents[1] / "out"
+
+TRIANGLES = {"shape": "triangle", "fetch": "storage"}
+QUADS = {"shape": "quad", "fetch": "attributes"}
+TWINS = {"quads_sh3_pair": "sh3_pair", "quads_person": "person"}  # the same scenes drawn both ways
+
+Case = tuple[Any, list[Camera], Pose | None, dict[str, Any]]
 
 
 def rows() -> Splats:
@@ -55,10 +66,21 @@ def person() -> tuple[list[Camera], Pose]:
     return list(stereo_cameras(head, 0.3, size=(128, 128), background=(0.2, 0.2, 0.25))), Pose(rotations, np.zeros(3))
 
 
-def golden_cases() -> dict[str, Callable[[], tuple[Any, list[Camera], Pose | None, dict[str, Any]]]]:
+def off_centre_pair() -> list[Camera]:
+    """fx is not fy, and the principal points lie apart, as in a headset."""
+    K = [np.array([[70.0, 0, x], [0, 55, 28], [0, 0, 1]]) for x in (58.3, 37.7)]
+    return [replace(view, K=k, width=96, height=64) for view, k in zip(eyes(64), K, strict=True)]
+
+
+def golden_cases() -> dict[str, Callable[[], Case]]:
     wide = [
         Camera(look_at((1.5, 0.5, 2), (0, 0, 0)), np.array([[60.0, 0, 20], [0, 45, 30], [0, 0, 1]]), 96, 64),
     ]
+
+    def bent(degree: int, views: list[Camera], config: dict[str, Any]) -> Case:
+        avatar, pose = bent_limb(degree)
+        return avatar, views, pose, config
+
     return {
         "still": lambda: (rows(), [camera(96)], None, {}),
         "antialias": lambda: (rows(), [camera(96)], None, {"antialias": True}),
@@ -70,8 +92,8 @@ def golden_cases() -> dict[str, Callable[[], tuple[Any, list[Camera], Pose | Non
             None,
             {},
         ),
-        "bent": lambda: (*bent_limb(0)[:1], [camera(96)], bent_limb(0)[1], {}),
-        "bent_sh1_raw": lambda: (*bent_limb(1)[:1], [camera(96)], bent_limb(1)[1], {"rotation": "raw"}),
+        "bent": lambda: bent(0, [camera(96)], {}),
+        "bent_sh1_raw": lambda: bent(1, [camera(96)], {"rotation": "raw"}),
         "half_target": lambda: (cloud(1500), [camera(64)], None, {"target": "16f"}),
         "one_pixel_wide": lambda: (
             one_splat(scales=[[0.5, 1e-4, 1e-4]], quats=[[0.9, 0, 0, 0.43]]),
@@ -80,17 +102,40 @@ def golden_cases() -> dict[str, Callable[[], tuple[Any, list[Camera], Pose | Non
             {},
         ),
         "person": lambda: (default_avatar(), *person(), {}),
+        "quads_sh3_pair": lambda: (cloud(800, 3), list(eyes(64)), None, {}),
+        "quads_off_centre_pair": lambda: (cloud(800, 1), off_centre_pair(), None, {}),
+        "quads_antialias_pair": lambda: (rows(), list(eyes(96)), None, {"antialias": True}),
+        "quads_bent_sh1_pair": lambda: bent(1, list(eyes(96)), {}),
+        "quads_person": lambda: (default_avatar(), *person(), {}),
     }
 
 
 CASES = golden_cases()
 
 
+def way_of(name: str, context: Context) -> dict[str, str]:
+    """How that golden is drawn, as far as the driver can."""
+    way = QUADS if name.startswith("quads_") else TRIANGLES
+    return way if context.vertex_storage else way | {"fetch": "attributes"}
+
+
+def variant_on(context: Context, made: dict[str, int]) -> dict[str, int]:
+    """The variant of a golden, as another driver has it that lacks what the maker's could do."""
+    lacks = {
+        "pulled": 0 if not context.vertex_storage else made["pulled"],
+        "numbered": int(not context.vertex_ids),
+        "geometry": int(made["views"] > 1) if not context.vertex_layers else 0,
+    }
+    return made | lacks
+
+
 @pytest.mark.parametrize("name", CASES)
-def test_golden(renderer_of: Callable[..., Renderer], name: str, request: pytest.FixtureRequest) -> None:
+def test_golden(
+    renderer_of: Callable[..., Renderer], context: Context, name: str, request: pytest.FixtureRequest
+) -> None:
     scene, cameras, pose, config = CASES[name]()
     size = cameras[0].width, cameras[0].height
-    renderer = renderer_of(scene, size, len(cameras), output="uint8", **config)
+    renderer = renderer_of(scene, size, len(cameras), output="uint8", **way_of(name, context), **config)
     image = np.concatenate(list(renderer.render(cameras, pose)), axis=1)
     picture, sidecar = FOLDER / f"{name}.png", FOLDER / f"{name}.json"
     if request.config.getoption("--update-goldens"):
@@ -104,7 +149,7 @@ def test_golden(renderer_of: Callable[..., Renderer], name: str, request: pytest
     assert picture.exists() and sidecar.exists(), f"no golden {name}: make goldens, and look at it"
     expected = cv2.cvtColor(cv2.imread(str(picture), cv2.IMREAD_UNCHANGED), cv2.COLOR_BGRA2RGBA)
     facts = json.loads(sidecar.read_text(encoding="utf-8"))
-    assert facts["variant"] == asdict(renderer.variant), "the golden was made by another variant"
+    assert variant_on(context, facts["variant"]) == asdict(renderer.variant), "the golden was made by another variant"
     assert image.shape == expected.shape
     error = np.abs(image.astype(int) - expected).max(axis=-1)
     passed = error.max() <= 1 if facts["driver"] == renderer.driver else (error > 5).mean() <= 0.001
@@ -119,3 +164,19 @@ def test_golden(renderer_of: Callable[..., Renderer], name: str, request: pytest
 def test_no_golden_is_unused() -> None:
     assert {p.stem for p in FOLDER.iterdir()} == set(CASES)
     assert all((FOLDER / f"{name}{suffix}").exists() for name in CASES for suffix in (".png", ".json"))
+
+
+def test_goldens_of_both_ways() -> None:
+    """Quads in two layers without a geometry shader, all of them pairs; and triangles, pulled."""
+    for name in CASES:
+        made = json.loads((FOLDER / f"{name}.json").read_text(encoding="utf-8"))["variant"]
+        way = [made[key] for key in ("triangle", "pulled", "geometry", "numbered")]
+        quads = name.startswith("quads_")
+        assert way == ([0, 0, 0, 0] if quads else [1, 1, 0, 0]) and (made["views"] == 2 or not quads)
+
+
+@pytest.mark.parametrize("name", TWINS)
+def test_twins_are_one_picture(name: str) -> None:
+    """To the last step of 8 bit."""
+    quads, triangles = (cv2.imread(str(FOLDER / f"{n}.png"), cv2.IMREAD_UNCHANGED) for n in (name, TWINS[name]))
+    assert quads.shape == triangles.shape and np.abs(quads.astype(int) - triangles).max() <= 1
