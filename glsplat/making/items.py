@@ -61,7 +61,7 @@ def load_item(path: Path, strict: bool = False) -> Content:
         return load(path, strict=strict)
     from glsplat.making.gltf.reader import read_gltf_mesh  # here: images need OpenCV
 
-    return read_gltf_mesh(path)
+    return read_gltf_mesh(path, strict=strict)
 
 
 def _read_obj(path: Path) -> RiggedMesh:

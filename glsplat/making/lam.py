@@ -81,7 +81,7 @@ def read_lam_zip(path: str | Path, influences: int = 4, follow: Follow = "weight
             for name, info in found.items():
                 (Path(folder) / name).write_bytes(archive.read(info))
             try:
-                return _head(Path(folder), Path(path).name, influences, follow)
+                return _head(Path(folder), Path(path), influences, follow)
             except FormatError as error:
                 raise FormatError(str(error).replace(f"{folder}/", "").replace(f"{folder}\\", "")) from None
     except FormatError as error:
@@ -126,8 +126,8 @@ class _Mesh:
     morphs: Morphs
 
 
-def _head(folder: Path, source: str, influences: int, follow: Follow) -> LamHead:
-    splats, mesh = load_ply(folder / "offset.ply"), _mesh(folder / "skin.glb")
+def _head(folder: Path, source: Path, influences: int, follow: Follow) -> LamHead:
+    splats, mesh = load_ply(folder / "offset.ply"), _mesh(folder / "skin.glb", source)
     count, names = len(splats), mesh.skeleton.names
     if len(mesh.vertices) != count:
         raise FormatError(
@@ -146,14 +146,14 @@ def _head(folder: Path, source: str, influences: int, follow: Follow) -> LamHead
     else:
         skin = Skin.create(mesh.skin.joints, mesh.skin.weights, len(names), influences)
     meta: dict[str, Any] = {
-        "source": f"LAM, {source}",
+        "source": f"LAM, {source.name}",
         "body_model": f"{len(names)} joints of skin.glb",
         "licence": "as the picture and LAM's weights (CC BY-NC 4.0) allow",
     }
     return LamHead(Avatar(placed, mesh.skeleton, skin, meta), mesh.morphs)
 
 
-def _mesh(path: Path) -> _Mesh:
+def _mesh(path: Path, source: Path) -> _Mesh:
     with naming(path):
         container = parse(path.read_bytes(), path.parent)
         graph = graph_of(container.gltf)
@@ -164,6 +164,8 @@ def _mesh(path: Path) -> _Mesh:
         skeleton = read_skeleton(container, instance, graph)
         skin = read_skin(container, instance, len(skeleton), len(vertices), {})
         morphs = read_morphs(container, mesh, instance.primitive)
+        with naming(f"{source}: {path.name}"):  # where it was unpacked says nothing to anybody
+            container.tell()
         return _Mesh(vertices.astype(np.float64), skeleton, skin, morphs)
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import base64
 import binascii
 import io
+import logging
 import struct
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -21,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.errors import FormatError
-from glsplat.formats.files import open_regular, sampled
+from glsplat.formats.files import left_out, open_regular, sampled
 from glsplat.formats.gltf.meshopt import unpacked
 from glsplat.formats.gltf.schema import (
     Accessor,
@@ -53,6 +54,8 @@ __all__ = [
     "Scene",
 ]
 __all__ += ["Index", "Skin", "item", "parse", "read_container"]
+
+log: logging.Logger = logging.getLogger(__name__)
 
 T = TypeVar("T")
 _COMPONENTS = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
@@ -102,6 +105,7 @@ class Container:
         self._uris: dict[str, Blob] = {}
         self._taken: dict[int, int] = {}  # buffer -> bytes of it that were unpacked
         self._unpacked: dict[int, Blob] = {}  # bufferView -> what it holds
+        self._mended: dict[tuple[str, int], int] = {}  # what ``mended`` says, and the accessor -> how many
 
     def read(self, index: int, what: str, types: tuple[str, ...]) -> NDArray[np.generic]:
         """The elements of an accessor [count, width], raw component type.
@@ -223,6 +227,35 @@ class Container:
         if self.gltf.accessors[index].normalized and code in _FULL_SCALE:
             values = np.maximum(values / np.float32(_FULL_SCALE[code]), np.float32(-1))
         return values
+
+    def finite(
+        self, index: int, what: str, types: tuple[str, ...], said: str, instead: float, *, whole: bool = True
+    ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+        """As ``numbers``, NaN and infinity replaced: the elements [count, width], and which numbers were replaced.
+
+        ``whole`` makes all numbers of an element ``instead`` where one is not finite, and counts elements. The count
+        is for ``tell``, which calls them ``said``.
+        """
+        values = self.numbers(index, what, types)
+        bad = ~np.isfinite(values)
+        if bad.any():
+            count = int((bad.any(axis=1) if whole else bad).sum())
+            bad |= whole & bad.any(axis=1, keepdims=True)
+            values = np.where(bad, np.float32(instead), values)
+            self.mended(index, said, count)
+        return values, bad
+
+    def mended(self, index: int, said: str, count: int) -> None:
+        """Note for ``tell`` that ``count`` of what an accessor holds were mended; again read, they count once."""
+        self._mended[said, index] = count
+
+    def tell(self) -> None:
+        """One warning that counts all that was mended; where reading is strict, a FormatError (``left_out``)."""
+        counts: dict[str, int] = {}
+        for (said, _), count in self._mended.items():
+            counts[said] = counts.get(said, 0) + count
+        if counts:
+            left_out(log, "holds NaN or infinity: " + ", ".join(f"{counts[said]} {said}" for said in sorted(counts)))
 
     def note(self) -> dict[str, Any]:
         """What ``Output.note`` wrote; empty in the files of others."""

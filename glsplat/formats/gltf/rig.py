@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -15,10 +16,21 @@ from glsplat.formats.gltf.output import Output
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.skin import INFLUENCES, Skin
 
-__all__ = ["SKIN_WEIGHTS", "read_skeleton", "read_skin", "weights_note", "write_influences", "write_skeleton"]
+__all__ = [
+    "SKIN_WEIGHTS",
+    "Influences",
+    "read_influences",
+    "read_skeleton",
+    "read_skin",
+    "weights_note",
+    "write_influences",
+    "write_skeleton",
+]
 
 SKIN_WEIGHTS = "skin_weights"
 """In our extras: what Skin.lost and Skin.repaired were."""
+
+_DROPPED, _ROOTED = "skin weights (left out)", "vertices without weights (now on the root joint)"
 
 
 def weights_note(skin: Skin) -> dict[str, Any]:
@@ -115,28 +127,68 @@ def _joint_parents(nodes: list[int], graph: Graph) -> NDArray[np.int32]:
     return np.array([nearest[int(graph.parents[node])] for node in nodes], np.int32)
 
 
+@dataclass(frozen=True, eq=False)
+class Influences:
+    """JOINTS_n and WEIGHTS_n of a primitive, K = 4 or 8, as they are stored but for weights that are not finite."""
+
+    joints: NDArray[np.int64]  # [N, K] of the skin's list; not checked
+    weights: NDArray[np.float32]  # [N, K] finite, of any sign and sum
+    mended: NDArray[np.bool_]  # [N] has lost a weight that was not finite
+    rooted: NDArray[np.bool_]  # [N] had no other, and is bound to the skin's root
+
+
+def read_influences(container: Container, instance: Instance, count: int) -> Influences:
+    """The influences of ``count`` vertices or splats. One that is NaN or infinite is dropped, and counted for
+    ``Container.tell``. Raises FormatError when counts or types do not fit."""
+    attributes, where = instance.primitive.attributes, instance.name
+    sets = [s for s in (0, 1) if f"JOINTS_{s}" in attributes and f"WEIGHTS_{s}" in attributes]
+    if 0 not in sets:
+        raise FormatError(f"{where}: JOINTS_0 needs WEIGHTS_0 beside it")
+    ids = [container.read(attributes[f"JOINTS_{s}"], f"{where} JOINTS_{s}", ("VEC4",)) for s in sets]
+    read = [
+        container.finite(attributes[f"WEIGHTS_{s}"], f"{where} WEIGHTS_{s}", ("VEC4",), _DROPPED, 0, whole=False)
+        for s in sets
+    ]
+    if {len(a) for a in (*ids, *(values for values, _ in read))} != {count} or any(a.dtype.kind != "u" for a in ids):
+        raise FormatError(f"{where}: JOINTS and WEIGHTS need {count} elements of whole numbers, as POSITION has")
+    joints, weights = np.hstack(ids).astype(np.int64), np.hstack([values for values, _ in read])
+    bad = np.hstack([dropped for _, dropped in read])
+    mended: NDArray[np.bool_] = np.any(bad, axis=1)
+    rooted: NDArray[np.bool_] = np.logical_and(mended, weights.max(axis=1, initial=0) <= 0)
+    if rooted.any():
+        rows = np.flatnonzero(rooted)
+        slots = bad[rows].argmax(axis=1)  # of what was dropped: what else the row holds, be it negative, stays
+        joints[rows, slots], weights[rows, slots] = _root(container.gltf, instance.node.skin or 0), 1
+        container.mended(attributes["WEIGHTS_0"], _ROOTED, len(rows))
+    return Influences(joints, weights, mended, rooted)
+
+
+def _root(gltf: Gltf, skin: int) -> int:
+    """Which of a skin's joints hangs from no other of them; of several the first."""
+    joints = item(gltf.skins, skin, "skin").joints
+    pending, below = [child for node in joints for child in item(gltf.nodes, node, "node").children], set[int]()
+    while pending:
+        node = pending.pop()
+        if node not in below:
+            below.add(node)
+            pending.extend(gltf.nodes[node].children)
+    return next((index for index, node in enumerate(joints) if node not in below), 0)
+
+
 def read_skin(container: Container, instance: Instance, joints: int, count: int, noted: Any) -> Skin:
     """Influences of ``count`` splats on ``joints`` joints, with the smallest K that holds them all.
 
     ``noted`` may be what ``weights_note`` said of an earlier reduction. Raises FormatError when counts or types do not
     fit, or a splat is bound to a joint the skin lacks.
     """
-    attributes = instance.primitive.attributes
     stored = noted if isinstance(noted, dict) else {}
-    sets = 2 if "JOINTS_1" in attributes and "WEIGHTS_1" in attributes else 1
-    if "WEIGHTS_0" not in attributes:
-        raise FormatError(f"{instance.name}: JOINTS_0 needs WEIGHTS_0 beside it")
-    ids, weights = [], []
-    for i in range(sets):
-        ids.append(container.read(attributes[f"JOINTS_{i}"], f"JOINTS_{i}", ("VEC4",)))
-        weights.append(container.numbers(attributes[f"WEIGHTS_{i}"], f"WEIGHTS_{i}", ("VEC4",)))
-    if {len(a) for a in (*ids, *weights)} != {count} or any(a.dtype.kind != "u" for a in ids):
-        raise FormatError(f"{instance.name}: JOINTS and WEIGHTS need {count} elements of unsigned integers and numbers")
-    ids_all, w = np.hstack(ids).astype(np.int64), np.hstack(weights)
+    found = read_influences(container, instance, count)
+    ids_all, w = found.joints, found.weights
     used = int((w != 0).sum(axis=1).max(initial=1))
     influences = next(k for k in INFLUENCES if k >= used)
     sorted_rows = bool((w[:, 1:-1] >= w[:, 2:]).all()) and bool((w >= 0).all()) and bool((w[:, 0] > 0).all())
-    if sorted_rows and np.abs(w.sum(axis=1, dtype=np.float64) - 1).max(initial=0) <= 8 * 2**-24:
+    whole = sorted_rows and not found.mended.any()
+    if whole and np.abs(w.sum(axis=1, dtype=np.float64) - 1).max(initial=0) <= 8 * 2**-24:
         # already as Skin.create or Skin.anchored would make it: renormalising again would only move the last bits
         ids_all = np.where(w > 0, ids_all, ids_all[:, :1])
         if ids_all.max(initial=0) < joints:
@@ -147,4 +199,6 @@ def read_skin(container: Container, instance: Instance, joints: int, count: int,
                 float(lost) if isinstance(lost, (int, float)) else 0.0,
                 repaired if isinstance(repaired, int) else 0,
             )
-    return Skin.create(ids_all, w, joints, influences)
+    skin = Skin.create(ids_all, w, joints, influences)
+    mended = int((found.mended & ~(w < 0).any(axis=1)).sum())  # those with a negative one, too, it has counted
+    return replace(skin, repaired=skin.repaired + mended) if mended else skin

@@ -49,8 +49,8 @@ def load_gltf(source: Source, *, strict: bool = False) -> Splats | Avatar:
     Node transforms are applied, including the rotation of spherical harmonics (transform.py); a skinned primitive
     ignores its node's transform, as glTF says. ``Avatar.skeleton.rest`` holds the joints' global node transforms,
     ``inverse_bind`` the skin's matrices. Scales of the review draft of 2025, which were logarithms under today's
-    names, are recognised by being mostly negative. Non-finite values are kept, or with ``strict`` refused. A level of
-    detail that cannot be used is left out, which is logged, or with ``strict`` refused.
+    names, are recognised by being mostly negative. Non-finite values are kept, or with ``strict`` refused. Non-finite
+    skin weights, and levels of detail that cannot be used, are left out, which is logged, or with ``strict`` refused.
 
     Raises FormatError: no glTF, no splats in it, an attribute missing, truncated or of another kind, a colour space
     other than display sRGB, splats compressed by anything but SPZ, or an external buffer outside the file's own folder.
@@ -63,7 +63,10 @@ def load_gltf(source: Source, *, strict: bool = False) -> Splats | Avatar:
 
 def read_gltf(file: BinaryIO, size: int, folder: Path | None) -> Splats | Avatar:
     """The scene of an open file of ``size`` bytes, whose other buffers lie in ``folder``."""
-    return _scene(read_container(file, size, folder))
+    container = read_container(file, size, folder)
+    scene = _scene(container)
+    container.tell()
+    return scene
 
 
 def save_gltf(scene: Splats | Avatar, target: Source, *, embedded: bool | None = None) -> None:

@@ -14,7 +14,7 @@ from glsplat.formats.files import naming, open_regular
 from glsplat.formats.gltf.bound import inverse_binds
 from glsplat.formats.gltf.container import Container, item, parse
 from glsplat.formats.gltf.nodes import Graph, Instance, graph_of, instances
-from glsplat.formats.gltf.rig import read_skeleton
+from glsplat.formats.gltf.rig import read_influences, read_skeleton
 from glsplat.formats.gltf.vrm import human_bones
 from glsplat.making.fit.body import open_body
 from glsplat.making.gltf.ground import faces_back, on_the_floor
@@ -42,6 +42,7 @@ def read_gltf_person(
     own_joints: bool = False,  # keep the file's skeleton, also of a person
     rig_map: Mapping[str, str | None] | None = None,  # SMPL-X joint -> name of a node; None: the rig has none
     scale: float = 1.0,
+    strict: bool = False,
 ) -> RiggedMesh:
     """Everything that a .glb, .gltf or .vrm shows and that a rig moves: all skins, and meshes that hang from joints.
 
@@ -49,26 +50,29 @@ def read_gltf_person(
 
     A rig whose joints can be told (skinning/rigs) gets the 55 joints of SMPL-X, its zero pose is the T-pose and it
     stands on y = 0; ``meta["rig"]`` has the map. Any other rig keeps its joints, and its zero pose is the file's rest
-    pose. ``meta["left_out"]`` lists what is not taken. Raises FormatError naming the file: nothing with a rig,
-    compressed geometry, a texture that is no picture.
+    pose. ``meta["left_out"]`` lists what is not taken. Weights, texture coordinates and colours that are not finite are
+    dropped, (0, 0) and white, which is logged, or with ``strict`` refused. Raises FormatError naming the file: nothing
+    with a rig, compressed geometry, a texture that is no picture, points that are not finite.
     """
-    with naming(path), np.errstate(all="ignore"):  # what overflows or is no number is refused by RiggedMesh
+    with naming(path, strict), np.errstate(all="ignore"):  # what overflows or is no number is refused by RiggedMesh
         container, folder, graph = _opened(path)
         shown = _shown(container, graph)
         if not shown:
             raise FormatError(_NO_SKIN)
-        return _rigged(container, folder, graph, shown, Path(path).name, own_joints, rig_map or {}, scale)
+        mesh = _rigged(container, folder, graph, shown, Path(path).name, own_joints, rig_map or {}, scale)
+        container.tell()
+        return mesh
 
 
-def read_gltf_mesh(path: str | Path, **how: Any) -> RiggedMesh:
+def read_gltf_mesh(path: str | Path, *, strict: bool = False, **how: Any) -> RiggedMesh:
     """As ``read_gltf_person``, and where nothing has a skin all that is shown, standing on one joint at the origin."""
-    with naming(path), np.errstate(all="ignore"):
+    with naming(path, strict), np.errstate(all="ignore"):
         container, folder, graph = _opened(path)
         shown = _shown(container, graph)
         if not shown:
             raise FormatError("a mesh needs triangles, this glTF has neither those nor splats (KHR_gaussian_splatting)")
         if any(_skinned(i) for i in shown):
-            return read_gltf_person(path, **how)
+            return read_gltf_person(path, strict=strict, **how)
         vertices, parts, first = [], [], 0
         materials: Materials = {}
         for instance in shown:
@@ -76,7 +80,9 @@ def read_gltf_mesh(path: str | Path, **how: Any) -> RiggedMesh:
             vertices.append(surface.points @ instance.matrix[:3, :3].T + instance.matrix[:3, 3])
             parts.append(_part(surface, first))
             first += len(surface.points)
-        return standing(np.concatenate(vertices), tuple(parts), Path(path).name)
+        mesh = standing(np.concatenate(vertices), tuple(parts), Path(path).name)
+        container.tell()
+        return mesh
 
 
 def _opened(path: str | Path) -> tuple[Container, Path, Graph]:
@@ -202,7 +208,7 @@ def _rigged(
 
 
 def _holding(container: Container, shown: Sequence[Instance], rigid: Sequence[int]) -> NDArray[np.bool_]:
-    """[N] nodes that move vertices."""
+    """[N] nodes that move vertices, those apart that are on the root for want of a weight: they say nothing of it."""
     gltf = container.gltf
     holds = np.zeros(len(gltf.nodes), bool)
     holds[list(rigid)] = True
@@ -210,8 +216,8 @@ def _holding(container: Container, shown: Sequence[Instance], rigid: Sequence[in
         if _skinned(instance):
             nodes = np.array(item(gltf.skins, instance.node.skin or 0, "skin").joints)
             count = gltf.accessors[instance.primitive.attributes["JOINTS_0"]].count
-            ids, weights = _influences(container, instance, count, len(nodes))
-            holds[nodes[ids[weights > 0]]] = True
+            ids, weights, rooted = _influences(container, instance, count, len(nodes))
+            holds[nodes[ids[(weights > 0) & ~rooted[:, None]]]] = True
     return holds
 
 
@@ -251,7 +257,7 @@ def _bound(
         return (points @ place.T)[:, :3], joints, np.ones((len(points), 1))
     skin = instance.node.skin or 0
     nodes = np.array(container.gltf.skins[skin].joints)
-    ids, weights = _influences(container, instance, len(points), len(nodes))
+    ids, weights, _ = _influences(container, instance, len(points), len(nodes))
     places = rig.place(nodes, inverse_binds(container, skin))
     used = np.unique(ids[weights > 0])
     if len(used) == 0:
@@ -267,24 +273,19 @@ def _bound(
     return at[:, :3], joints, shares
 
 
-def _influences(container: Container, instance: Instance, count: int, joints: int) -> tuple[NDArray[np.int64], F64]:
-    """Indices into the skin's joints and weights [V, 4 or 8], which sum to one."""
-    attributes, where = instance.primitive.attributes, instance.name
-    sets = [s for s in (0, 1) if f"JOINTS_{s}" in attributes and f"WEIGHTS_{s}" in attributes]
-    if 0 not in sets:
-        raise FormatError(f"{where}: JOINTS_0 needs WEIGHTS_0 beside it")
-    ids = [container.read(attributes[f"JOINTS_{s}"], f"{where} JOINTS_{s}", ("VEC4",)) for s in sets]
-    weights = [container.numbers(attributes[f"WEIGHTS_{s}"], f"{where} WEIGHTS_{s}", ("VEC4",)) for s in sets]
-    if {len(a) for a in (*ids, *weights)} != {count} or any(a.dtype.kind != "u" for a in ids):
-        raise FormatError(f"{where}: JOINTS and WEIGHTS need {count} elements of whole numbers, as POSITION has")
-    wide, shares = np.hstack(ids).astype(np.int64), np.hstack(weights).astype(np.float64)
+def _influences(
+    container: Container, instance: Instance, count: int, joints: int
+) -> tuple[NDArray[np.int64], F64, NDArray[np.bool_]]:
+    """Indices into the skin's joints and weights [V, 4 or 8], which sum to one; ``Influences.rooted`` [V]."""
+    found, where = read_influences(container, instance, count), instance.name
+    wide, shares = found.joints, found.weights.astype(np.float64)
     if wide.size and wide[shares > 0].max(initial=0) >= joints:
         raise FormatError(f"{where}: a vertex is bound to joint {wide[shares > 0].max()} of {joints}")
-    if not np.isfinite(shares).all() or (shares < 0).any():
-        raise FormatError(f"{where}: weights need finite numbers from 0 on")
+    if (shares < 0).any():
+        raise FormatError(f"{where}: weights need numbers from 0 on")
     wide[shares <= 0] = 0
     shares[shares.sum(axis=1) <= 0, 0] = 1  # bound to nothing: the specification leaves it open, viewers take the first
-    return wide, shares / shares.sum(axis=1, keepdims=True)
+    return wide, shares / shares.sum(axis=1, keepdims=True), found.rooted
 
 
 def _merged(joints: NDArray[np.intp], weights: F64) -> tuple[NDArray[np.int64], F64]:
@@ -311,7 +312,7 @@ def _plain(
         if not _skinned(instance) or instance.node.skin != skin:
             continue
         surface = surface_of(container, folder, instance, _weights(container, instance), materials)
-        ids, shares = _influences(container, instance, len(surface.points), len(skeleton))
+        ids, shares, _ = _influences(container, instance, len(surface.points), len(skeleton))
         wide = np.zeros((len(ids), 8), np.int64), np.zeros((len(ids), 8))
         wide[0][:, : ids.shape[1]], wide[1][:, : ids.shape[1]] = ids, shares
         parts.append(_part(surface, first))

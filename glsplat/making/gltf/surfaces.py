@@ -19,6 +19,7 @@ __all__ = ["Materials", "Surface", "surface_of"]
 
 F64 = NDArray[np.float64]
 
+_UV, _COLOUR = "texture coordinates (now 0, 0)", "vertex colours (now white)"
 
 Materials = dict[int | None, Material]
 """Those of a file that were read, by their index."""
@@ -85,10 +86,10 @@ def _corners(
     uv = np.zeros((count, 2))
     if f"TEXCOORD_{material.coordinates}" in primitive.attributes:
         name = f"TEXCOORD_{material.coordinates}"
-        uv = container.numbers(primitive.attributes[name], f"{where} {name}", ("VEC2",)).astype(np.float64)
-        if len(uv) != count:
+        stored, _ = container.finite(primitive.attributes[name], f"{where} {name}", ("VEC2",), _UV, 0)
+        if len(stored) != count:
             raise FormatError(f"{where}: {name} needs {count} elements, as POSITION has")
-        uv = uv @ material.turn[:, :2].T + material.turn[:, 2]
+        uv = stored.astype(np.float64) @ material.turn[:, :2].T + material.turn[:, 2]
     corner = uv[faces]
     corner[..., 1] = 1 - corner[..., 1]  # glTF's v axis points down
     return corner
@@ -98,9 +99,9 @@ def _vertex_colours(container: Container, primitive: Primitive, where: str, coun
     """[V, 4] linear factors, without alpha of what is ``opaque``; None where all are white."""
     if "COLOR_0" not in primitive.attributes:
         return None
-    values = container.numbers(primitive.attributes["COLOR_0"], f"{where} COLOR_0", ("VEC3", "VEC4")).astype(np.float64)
-    if len(values) != count or not np.isfinite(values).all():
-        raise FormatError(f"{where}: COLOR_0 needs {count} finite elements, as POSITION has")
+    values, _ = container.finite(primitive.attributes["COLOR_0"], f"{where} COLOR_0", ("VEC3", "VEC4"), _COLOUR, 1)
+    if len(values) != count:
+        raise FormatError(f"{where}: COLOR_0 needs {count} elements, as POSITION has")
     colours = np.ones((count, 4))
     kept = 3 if opaque else values.shape[1]
     colours[:, :kept] = np.clip(values[:, :kept], 0, 1)
