@@ -78,11 +78,15 @@ def test_gpus_draw_instanced_quads_into_two_layers(named: Named, driver: str) ->
 
 
 @pytest.mark.parametrize("name", [SOFTWARE["llvmpipe"], GPUS["NVIDIA"]])
-def test_what_is_asked_for_goes_before_the_name(named: Named, name: str) -> None:
+@pytest.mark.parametrize("fetch", ["auto", "attributes"])
+def test_what_is_asked_for_goes_before_the_name(named: Named, name: str, fetch: str) -> None:
+    """Shape and target as asked; what is not asked is pulled for triangles on software only."""
     context = named(name)
+    pulls = fetch == "auto" and context.software and context.vertex_storage
     for shape in ("quad", "triangle"):
-        config = RenderConfig(shape=shape, fetch="attributes", target="8")
+        config = RenderConfig(shape=shape, fetch=fetch, target="8")
         with Renderer(cloud(20), size=(32, 32), config=config, context=context) as renderer:
             renderer.render([camera(32)])
-            assert (renderer.variant.triangle, renderer.variant.pulled) == (int(shape == "triangle"), 0)
+            triangle = shape == "triangle"
+            assert (renderer.variant.triangle, renderer.variant.pulled) == (int(triangle), int(triangle and pulls))
             assert renderer.target_dtype == "f1"
