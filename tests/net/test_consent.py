@@ -20,6 +20,7 @@ from glsplat.net.client import Client
 from glsplat.net.guard.access import Access
 from glsplat.net.server import ServerConfig
 from tests.net.accounts.test_accounts import WS
+from tests.net.wire import until
 from tests.scenes import limb
 
 CONSENT = Consent(
@@ -70,8 +71,8 @@ def test_a_session_ends_when_the_consent_does(serve, fake_backend, cameras, cloc
                 drawn = len(backend.drawn)
                 with pytest.raises(ProtocolError) as told:
                     await client.render(cameras)
-                await asyncio.sleep(0.1)
-                assert len(backend.drawn) == drawn == 3 and not server.stats()["clients"]
+                await until(lambda: not server.stats()["clients"])
+                assert len(backend.drawn) == drawn == 3
             return told.value, await refused(server)
 
     error, (status, why) = asyncio.run(main())

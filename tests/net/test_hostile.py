@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import gc
 import json
 import signal
@@ -23,121 +24,120 @@ from glsplat.net.backend import Rendered
 from glsplat.net.client import Client
 from glsplat.net.server import ServerConfig
 from glsplat.net.session import SessionConfig
-from tests.net.wire import EYE, UNLIMITED, UPGRADE, frame, native, raw, still_serves
+from tests.net.wire import EYE, HANG, UNLIMITED, UPGRADE, all_of, frame, native, raw, still_serves, until
 
 ROOT = Path(__file__).parents[2]
 
 
 class Flood(threading.Thread):
-    """A client on a thread of its own that sends ``rate`` requests a second for ``seconds``, or until it is cut off."""
+    """A client on a thread of its own that sends ``count`` requests as fast as it can, and stays until it is told."""
 
-    def __init__(self, port, rate=10_000, seconds=1.0):
+    def __init__(self, port, count=10_000):
         super().__init__()
-        self.port, self.rate, self.seconds = port, rate, seconds
-        self.sent, self.cut_off, self.answers = 0, None, b""
+        self.port, self.count = port, count
+        self.leave, self.cut_off, self.answers = threading.Event(), False, b""
 
     def run(self):
-        connection = socket.create_connection(("127.0.0.1", self.port), timeout=5)
+        connection = socket.create_connection(("127.0.0.1", self.port), timeout=HANG)
         connection.sendall(UPGRADE)
-        start, batch = time.perf_counter(), self.rate // 100
+        assert b" 101 " in connection.recv(1000)
         try:
-            while (elapsed := time.perf_counter() - start) < self.seconds:
-                due = min(int(elapsed * self.rate), self.sent + batch)
-                if due > self.sent:
-                    texts = (native(i + 1).encode() for i in range(self.sent, due))
-                    connection.sendall(b"".join(frame(0x1, text) for text in texts))
-                    self.sent = due
-                time.sleep(0.002)
+            for first in range(0, self.count, 100):
+                texts = (native(i + 1).encode() for i in range(first, first + 100))
+                connection.sendall(b"".join(frame(0x1, text) for text in texts))
+            assert self.leave.wait(HANG)
             connection.shutdown(socket.SHUT_WR)
             while data := connection.recv(65536):
                 self.answers += data
         except ConnectionError:
-            self.cut_off = time.perf_counter() - start
+            self.cut_off = True
         connection.close()
 
 
-def test_ten_thousand_requests_a_second_end_the_connection(serve, fake_backend, cameras):
-    backend = fake_backend(delay=0.002)
+def flooded(server):
+    """What the flood, the second client, has brought about; None: it is gone."""
+    return next((client for client in server.stats()["clients"] if client["id"] == 2), None)
+
+
+def test_ten_thousand_requests_at_once_end_the_connection(serve, fake_backend, cameras, stopped):
+    limits = SessionConfig()
 
     async def main():
-        async with serve(backend) as server, Client(server.url) as other:
-            flood = Flood(server.port, seconds=3.0)
+        async with serve() as server, Client(server.url) as other:
+            await other.render(cameras)
+            flood = Flood(server.port)
             flood.start()
-            slowest = 0.0
-            while flood.is_alive():
-                start = time.perf_counter()
-                await other.render(cameras)
-                slowest = max(slowest, time.perf_counter() - start)
-                await asyncio.sleep(0.01)
-            flood.join()
-            await asyncio.sleep(0.1)
-            return flood, slowest, server.stats()
+            await until(lambda: server.stats()["totals"]["limited"])
+            while len(server.stats()["clients"]) > 1:
+                await asyncio.sleep(0.002)
+            flood.leave.set()
+            await asyncio.to_thread(flood.join, HANG)
+            return flood, (await other.render(cameras)).frame_id, server.stats()
 
-    flood, slowest, stats = asyncio.run(main())
-    assert flood.cut_off is not None or b"too many messages" in flood.answers
-    limits = SessionConfig()
-    allowed = limits.burst + limits.flood + limits.rate * 3.5
-    assert stats["totals"]["limited"] <= limits.flood + limits.rate * 3.5
-    assert stats["totals"]["received"] - stats["clients"][0]["received"] <= allowed + 1
-    assert len(stats["clients"]) == 1 and slowest < 1.0
-    assert flood.cut_off is None or flood.cut_off < 2.0
+    flood, pictures, stats = asyncio.run(main())
+    assert flood.cut_off or b"too many messages" in flood.answers
+    allowed = limits.burst + limits.flood
+    assert stats["totals"]["limited"] == limits.flood + 1 and pictures == 2
+    assert stats["totals"]["received"] - stats["clients"][0]["received"] == allowed + 1
+    assert len(stats["clients"]) == 1
 
 
-def test_a_flood_that_is_not_cut_off_starves_nobody(serve, fake_backend, cameras):
+def test_a_flood_that_is_not_cut_off_starves_nobody(serve, fake_backend, cameras, stopped):
     """The limits taken away: what it does not read it drops, one request waits, the other client is served."""
-    backend = fake_backend(delay=0.002)
     config = ServerConfig(port=0, session=SessionConfig(flood=10**9), limits=UNLIMITED)
 
     async def main():
-        async with serve(backend, config) as server, Client(server.url) as other:
-            flood = Flood(server.port, seconds=1.5)
+        async with serve(config=config) as server, Client(server.url) as other:
+            await other.render(cameras)
+            flood = Flood(server.port)
             flood.start()
-            times, waiting = [], 0
-            while flood.is_alive():
-                start = time.perf_counter()
+            await until(lambda: flooded(server))
+            steps, waiting = [0], 0
+            while (client := flooded(server))["received"] < flood.count:
                 await other.render(cameras)
-                times.append(time.perf_counter() - start)
-                waiting = max([waiting, *(client["waiting"] for client in server.stats()["clients"])])
-                await asyncio.sleep(0.005)
-            flood.join()
-            return flood, times, waiting, server.stats()["totals"]
+                stopped.now += 1 / 60
+                steps.append(client["received"])
+                waiting = max(waiting, client["waiting"])
+            flood.leave.set()
+            await asyncio.to_thread(flood.join, HANG)
+            return steps, waiting, client
 
-    flood, times, waiting, totals = asyncio.run(main())
-    assert flood.sent >= 5_000  # what a busy machine manages of 15,000
-    # what is still in line when it leaves is not read
-    assert totals["received"] > 0.9 * flood.sent and totals["limited"] > 0.9 * (flood.sent - 120 - 240 * 3)
-    assert totals["accepted"] - len(times) <= 120 + 240 * 3  # burst and rate: all others are not even parsed
+    steps, waiting, client = asyncio.run(main())
+    rated = SessionConfig().burst + SessionConfig().rate * len(steps) / 60
+    assert client["accepted"] <= rated and client["limited"] >= client["received"] - rated  # others are not even parsed
     assert waiting <= 1
-    assert len(times) >= 10 and np.median(times) < 0.25 and max(times) < 1.5
+    assert len(steps) > 10, steps  # one picture of the other in a thousand of its messages
 
 
-def test_half_open_connections_are_found_by_pings(serve, fake_backend, cameras):
+def test_half_open_connections_are_found_by_pings(serve, cameras, ahead):
     """Peers that vanished without a word: they neither read, nor answer, nor close."""
-    config = ServerConfig(port=0, heartbeat=0.4)
 
     async def main():
-        async with serve(fake_backend(), config) as server:
+        ahead.lead()
+        async with serve() as server:
             gone = [await raw(server) for _ in range(5)]
             for _, writer in gone:
                 writer.write(frame(0x1, native(1).encode()))
             async with Client(server.url) as alive:  # answers pings, and stays
-                start = time.perf_counter()
-                while len(server.stats()["clients"]) > 1 and time.perf_counter() - start < 5:
+                await alive.render(cameras)
+                await until(lambda: all(client["sent"] for client in server.stats()["clients"]))
+                for seconds in (16.0, 8.5):  # a ping after 15 s, given up 7.5 s later; aiohttp rounds up
+                    ahead.leap(seconds)
                     await alive.render(cameras)
-                    await asyncio.sleep(0.05)
-                took = time.perf_counter() - start
-                left = len(server.stats()["clients"])
+                await until(lambda: len(server.stats()["clients"]) == 1)
+                left = (await alive.render(cameras)).frame_id
             for _, writer in gone:
                 writer.transport.abort()
-            return left, took
+            return left
 
-    left, took = asyncio.run(main())
-    assert left == 1 and took < 3  # a ping after 0.4 s, given up 0.2 s later
+    assert asyncio.run(main()) == 4
 
 
 VICTIM = """
 import socket, sys, time
-s = socket.create_connection(("127.0.0.1", int(sys.argv[1])))
+s = socket.socket()
+s.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+s.connect(("127.0.0.1", int(sys.argv[1])))
 s.sendall(bytes.fromhex(sys.argv[2])); s.recv(10)
 s.sendall(bytes.fromhex(sys.argv[3]))
 print("sent", flush=True)
@@ -148,24 +148,29 @@ time.sleep(60)
 @pytest.mark.parametrize("moment", ["half a request sent", "its picture is drawn", "its picture is written"])
 def test_a_client_killed_in_the_middle_of_a_frame(serve, fake_backend, cameras, moment):
     """SIGKILL on a client process; the picture goes nowhere, the next client is served."""
-    backend = fake_backend(delay=0.15, noise=moment == "its picture is written")
-    size = [1024, 1024] if backend.noise else [64, 64]
+    backend = fake_backend(noise=moment == "its picture is written")
+    size = [1536, 1536] if backend.noise else [64, 64]  # more than a socket takes of what nobody reads
     data = frame(0x1, native(1, size=size, quality=100).encode())
     data = data[:100] if moment.startswith("half") else data
 
     async def main():
-        async with serve(backend, ServerConfig(port=0, write_timeout=0.5)) as server:
+        async with serve(backend) as server:
+            happened = {
+                "half a request sent": lambda: server.stats()["clients"],
+                "its picture is drawn": lambda: backend.drawn,
+                "its picture is written": lambda: server.stats()["stages"],
+            }[moment]
+            if moment == "its picture is drawn":
+                backend.gate.clear()
             command = [sys.executable, "-S", "-c", VICTIM, str(server.port), UPGRADE.hex(), data.hex()]
             process = await asyncio.create_subprocess_exec(*command, stdout=subprocess.PIPE)
             await process.stdout.readline()
-            await asyncio.sleep(0.4 if backend.noise else 0.05)
+            await until(happened)
             process.send_signal(signal.SIGKILL)
             await process.wait()
+            backend.gate.set()
             assert await still_serves(server, cameras)
-            for _ in range(100):
-                if not server.stats()["clients"]:
-                    break
-                await asyncio.sleep(0.02)
+            await until(lambda: not server.stats()["clients"])
             return server.stats()
 
     stats = asyncio.run(main())
@@ -198,21 +203,21 @@ def test_a_thousand_connections_leave_nothing_behind(serve, cameras):
         process = psutil.Process()
         async with serve(config=ServerConfig(port=0, limits=UNLIMITED)) as server:
             served = await still_serves(server, cameras)
-            await asyncio.sleep(0.1)
+            await until(lambda: not server.stats()["clients"])
+            await asyncio.sleep(0)
             before = len(asyncio.all_tasks()), process.num_fds(), threading.active_count()
             done = i = 0
             while done < 1000 and i < 5000:
                 done += await visit(server, i)
                 i += 1
-            for _ in range(200):
-                after = len(asyncio.all_tasks()), process.num_fds(), threading.active_count()
-                if not server.stats()["clients"] and after[0] <= before[0] and after[1] <= before[1]:
-                    break
-                await asyncio.sleep(0.02)
-            return done, before, after, server.stats()["clients"], served and await still_serves(server, cameras)
+            await until(lambda: not server.stats()["clients"])
+            with contextlib.suppress(TimeoutError):
+                await until(lambda: len(asyncio.all_tasks()) <= before[0] and process.num_fds() <= before[1])
+            after = len(asyncio.all_tasks()), process.num_fds(), threading.active_count()
+            return done, before, after, served and await still_serves(server, cameras)
 
-    done, before, after, clients, alive = asyncio.run(main())
-    assert done == 1000 and alive and clients == []
+    done, before, after, alive = asyncio.run(main())
+    assert done == 1000 and alive
     assert after[0] <= before[0] and after[1] <= before[1], (before, after)
     assert after[2] <= before[2] + 5  # the pools start their threads when they are needed first: 1 + 2 + 2
 
@@ -255,30 +260,21 @@ def test_eight_clients_one_of_them_misbehaving(serve):
     """Seven get every one of their own pictures; the eighth does what it can to prevent that."""
 
     async def ill(server):
-        sent = 0
-        for i in range(200):
-            if i % 20 == 0:
-                _, writer = await raw(server)
-                writer.write(frame(0x1, native(1).encode()))
-            kinds = [frame(0x1, b"{"), frame(0x2, b"\0" * 1000), frame(0x1, native(5, quality=0).encode()), b"\xff\xff"]
-            try:
-                writer.write(kinds[i % 4] if i % 20 else frame(0x1, native(i + 2).encode()))
-                await writer.drain()
-                sent += 1
-            except ConnectionError:
-                pass
-            if i % 20 == 19:
-                writer.transport.abort()
-            await asyncio.sleep(0.002)
-        return sent
+        for _ in range(10):
+            reader, writer = await raw(server)
+            kinds = [native(1), "{", native(5, quality=0)]
+            writer.writelines(frame(0x1, text.encode()) for text in kinds)
+            writer.write(frame(0x2, b"\0" * 1000) + b"\xff\xff")
+            await all_of(reader)  # the last of them ended it
+            writer.transport.abort()
 
     async def main():
         async with serve(Signed()) as server:
-            *counts, sent = await asyncio.gather(*(watch(server.url, i, 40) for i in range(7)), ill(server))
-            return counts, sent, server.stats()["totals"]
+            *counts, _ = await asyncio.gather(*(watch(server.url, i, 40) for i in range(7)), ill(server))
+            return counts, server.stats()["totals"]
 
-    counts, sent, totals = asyncio.run(main())
-    assert counts == [40] * 7 and sent > 20 and totals["malformed"] > 5
+    counts, totals = asyncio.run(main())
+    assert counts == [40] * 7 and totals["malformed"] == 30
 
 
 SERVER = """
@@ -309,7 +305,7 @@ async def visits(url, connections, frames):
             async with http.ws_connect(url) as ws:
                 for frame_id in range(1, each + 1):
                     await ws.send_str(native(frame_id, ack=frame_id - 1))
-                    got += (await ws.receive(timeout=10)).type == aiohttp.WSMsgType.BINARY
+                    got += (await ws.receive(timeout=HANG)).type == aiohttp.WSMsgType.BINARY
                 if i % 3 == 0:
                     await ws.send_str("{")
         return got
@@ -319,21 +315,21 @@ async def visits(url, connections, frames):
 
 
 @pytest.mark.slow
-def test_memory_after_a_thousand_connections_and_ten_thousand_frames():
-    """The server's resident memory within 5 % of what it was after a tenth of that, then an orderly end."""
+def test_memory_after_hundreds_of_connections_and_thousands_of_frames():
+    """The server's resident memory within 3 % of what it was after a quarter of that, then an orderly end."""
     process = subprocess.Popen([sys.executable, "-c", SERVER, str(ROOT)], stdout=subprocess.PIPE, text=True)
     try:
         url = f"ws://127.0.0.1:{process.stdout.readline().strip()}/ws"
         memory = psutil.Process(process.pid)
         assert asyncio.run(visits(url, 100, 1000)) == 1000
         early, files = memory.memory_info().rss, memory.num_fds()
-        assert asyncio.run(visits(url, 900, 9000)) == 9000
+        assert asyncio.run(visits(url, 300, 3000)) == 3000
         gc.collect()
         late = memory.memory_info().rss
-        assert late <= early * 1.05, f"{early / 1e6:.1f} MB after 100 connections, {late / 1e6:.1f} MB after 1000"
+        assert late <= early * 1.03, f"{early / 1e6:.1f} MB after 100 connections, {late / 1e6:.1f} MB after 400"
         assert memory.num_fds() <= files + 2
         process.send_signal(signal.SIGTERM)
-        assert process.wait(10) == 0
+        assert process.wait(HANG) == 0
         print(f"{early / 1e6:.1f} MB, then {late / 1e6:.1f} MB")
     finally:
         process.kill()
@@ -350,7 +346,7 @@ def test_requests_of_all_kinds_at_once(serve):
         async with http.ws_connect(url) as ws:
             for _ in range(10):
                 await ws.send_str(text())
-                assert (await ws.receive(timeout=5)).data.startswith(starts)
+                assert (await ws.receive(timeout=HANG)).data.startswith(starts)
         return True
 
     async def main():

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pytest
@@ -14,6 +13,7 @@ from glsplat.net.client import Client
 from glsplat.net.messages import RenderRequest
 from glsplat.net.reply import Reply
 from glsplat.net.server import Server, ServerConfig
+from tests.net.clocks import Stopped
 from tests.net.conftest import FakeBackend, eyes
 
 
@@ -21,12 +21,13 @@ from tests.net.conftest import FakeBackend, eyes
 class Levels(FakeBackend):
     """Two levels: the finer one takes ``slow`` seconds, the other a tenth; half the pixels a tenth of that."""
 
+    clock: Stopped = field(default_factory=Stopped)
     slow: float = 0.05
     last: int = 1
 
     def render(self, request: RenderRequest) -> Rendered:
         level = min(int(request.detail <= -1), self.last)
-        time.sleep(self.slow * 0.1**level * (1 if request.cameras[0].width > 40 else 0.05))
+        self.clock.now += self.slow * 0.1**level * (1 if request.cameras[0].width > 40 else 0.05)
         return replace(super().render(request), levels=(level,), coarsest=level == self.last)
 
 
@@ -43,16 +44,16 @@ def replies(backend: FakeBackend, config: ServerConfig, count: int) -> list[Repl
     return asyncio.run(main())
 
 
-def test_coarser_levels_first_and_the_reply_says_so() -> None:
-    told = replies(Levels(), ServerConfig(port=0, fps=40), 12)
+def test_coarser_levels_first_and_the_reply_says_so(stopped: Stopped) -> None:
+    told = replies(Levels(clock=stopped), ServerConfig(port=0, fps=40), 12)
     assert "detail" not in told[0].info
     last = told[-1].info
     assert last["detail"] == {"levels": [1], "bias": last["detail"]["bias"], "scale": 1.0}
     assert last["detail"]["bias"] <= -1 and last["size"] == [64, 64] and told[-1].images()[0].shape == (64, 64, 3)
 
 
-def test_then_smaller_pictures() -> None:
-    told = replies(Levels(last=0), ServerConfig(port=0, fps=40), 30)
+def test_then_smaller_pictures(stopped: Stopped) -> None:
+    told = replies(Levels(clock=stopped, last=0), ServerConfig(port=0, fps=40), 30)
     scale = told[-1].info["detail"]["scale"]
     size = round(64 * scale)
     assert scale < 0.7 and told[-1].info["size"] == [size, size]
@@ -64,8 +65,8 @@ def test_then_smaller_pictures() -> None:
 
 
 @pytest.mark.parametrize("fps", [None, 5.0])
-def test_without_need_nothing_is_said(fps: float | None) -> None:
-    backend = Levels(last=0)
+def test_without_need_nothing_is_said(stopped: Stopped, fps: float | None) -> None:
+    backend = Levels(clock=stopped, last=0)
     told = replies(backend, ServerConfig(port=0, fps=fps), 12)
     assert all("detail" not in reply.info for reply in told)
     assert {request.detail for request in backend.drawn} == {0.0} and backend.drawn[0].viewer > 0

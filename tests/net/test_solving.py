@@ -16,8 +16,10 @@ from glsplat.net.client import Client
 from glsplat.net.guard.limits import Limits
 from glsplat.net.messages import RenderRequest
 from glsplat.net.server import ServerConfig
+from glsplat.net.session import SessionConfig
 from glsplat.net.solving import Solving
 from glsplat.skinning.pose import Pose
+from tests.net.wire import HANG, until
 
 HEAD = {"head": [0, 1.6, 0, 0, 0, 0, 1]}
 
@@ -32,7 +34,7 @@ class Solver:
 
     def solve(self, request, now):
         if self.wait is not None:
-            self.wait.wait(5)
+            self.wait.wait(HANG)
         self.seen.append(request.frame_id)
         self.now.append(now)
         if request.frame_id == 3 and not request.cameras:
@@ -51,14 +53,14 @@ def test_samples_are_solved_in_order_and_the_one_that_is_drawn_is_taken(thread):
     solving = Solving(solver, thread, time.perf_counter)
     for frame_id in range(1, 7):
         solving.add(request(frame_id))
-    solved, ms = solving.take(5).result(5)  # the failure of a request that is not drawn is nobody's
+    solved, ms = solving.take(5).result(HANG)  # the failure of a request that is not drawn is nobody's
     assert solved.notes == ("5",) and ms >= 0
-    assert solving.take(6).result(5)[0].notes == ("6",)
+    assert solving.take(6).result(HANG)[0].notes == ("6",)
     assert solver.seen == [1, 2, 3, 4, 5, 6] and solver.now == sorted(solver.now)
     assert solving.take(7) is None
     solving.add(request(3))
     with pytest.raises(PoseError, match="three"):
-        solving.take(3).result(5)
+        solving.take(3).result(HANG)
 
 
 def test_what_waits_is_bounded_and_the_newest_are_kept(thread):
@@ -68,7 +70,7 @@ def test_what_waits_is_bounded_and_the_newest_are_kept(thread):
     for frame_id in range(4, 104):
         solving.add(request(frame_id))
     gate.set()
-    solving.take(103).result(5)
+    solving.take(103).result(HANG)
     assert solver.seen[0] == 4 and solver.seen[1:] == list(range(72, 104))  # the first had begun; then the newest 32
 
 
@@ -80,22 +82,19 @@ def test_a_client_that_left_is_not_solved_for(thread):
         solving.add(request(frame_id))
     solving.clear()
     gate.set()
-    thread.submit(lambda: None).result(5)
+    thread.submit(lambda: None).result(HANG)
     assert solver.seen in ([], [4])
 
 
 class Gated:
-    """Solves once told, or each sample after a while."""
+    """Solves a sample each time that it is told."""
 
-    def __init__(self, delay=0.0):
-        self.delay, self.gate, self.begun, self.seen = delay, threading.Event(), threading.Event(), []
+    def __init__(self):
+        self.gate, self.begun, self.seen = threading.Semaphore(0), threading.Event(), []
 
     def solve(self, request, now):
         self.begun.set()
-        if self.delay:
-            time.sleep(self.delay)
-        else:
-            self.gate.wait(10)
+        assert self.gate.acquire(timeout=HANG)
         self.seen.append(request.frame_id)
         return Solved(Pose.zero(), request.cameras)
 
@@ -111,39 +110,39 @@ def test_others_are_drawn_while_a_sample_is_solved(serve, fake_backend, cameras)
         async with serve(fake_backend(), offered=[Offered(name="default", solver=make)]) as server:
             async with Client(server.url) as slow, Client(server.url) as other:
                 await slow.send(tracking=HEAD)
-                await asyncio.to_thread(solvers[0].begun.wait, 5)
+                await asyncio.to_thread(solvers[0].begun.wait, HANG)
                 for _ in range(5):
-                    async with asyncio.timeout(2):
-                        await other.render(cameras)
-                solvers[0].gate.set()
-                async with asyncio.timeout(5):
-                    return (await slow.receive()).reply.frame_id
+                    await other.render(cameras)
+                solvers[0].gate.release()
+                return (await slow.receive()).reply.frame_id
 
     assert asyncio.run(main()) == 1
 
 
 def test_a_stream_of_samples_that_is_faster_than_the_solver_is_drawn_all_the_same(serve, fake_backend):
     """The newest sample is never solved when its turn comes, so the one that was newest when a picture was due is."""
-    solver = Gated(delay=0.03)
+    solver = Gated()
 
     async def main():
         limits = Limits(samples=0.0, samples_burst=1.0)  # all others are put off until their picture is due
         async with serve(
             fake_backend(),
-            ServerConfig(port=0, limits=limits),
+            ServerConfig(port=0, limits=limits, session=SessionConfig(burst=1000)),
             offered=[Offered(name="default", solver=lambda height, span: solver)],
         ) as server:
             async with Client(server.url) as client:
 
                 async def stream():
-                    for i in range(100):
+                    for i in range(1, 101):
                         await client.send(tracking={"head": [i / 100, 1.6, 0, 0, 0, 0, 1]})
-                        await asyncio.sleep(0.005)
+                        await until(lambda i=i: server.stats()["totals"]["accepted"] == i)
+                        if i % 5 == 0:
+                            solver.gate.release()
+                    solver.gate.release(100)
 
                 sending, arrived = asyncio.create_task(stream()), []
                 while not arrived or arrived[-1] != 100:
-                    async with asyncio.timeout(5):
-                        arrived.append((await client.receive()).reply.frame_id)
+                    arrived.append((await client.receive()).reply.frame_id)
                 await sending
                 return arrived, server.stats()["clients"][0]
 
@@ -161,8 +160,10 @@ def test_dropped_requests_are_solved_while_the_renderer_is_busy(serve, fake_back
         made.append(Solver())
         return made[-1]
 
-    async def main(delay):
-        backend = fake_backend(delay=delay)
+    async def main(busy):
+        backend = fake_backend()
+        if busy:
+            backend.gate.clear()
         async with (
             serve(backend, offered=[Offered(name="default", solver=make)]) as server,
             Client(server.url) as client,
@@ -170,16 +171,16 @@ def test_dropped_requests_are_solved_while_the_renderer_is_busy(serve, fake_back
             last = 0
             for i in range(24):
                 last = await client.send(tracking={"head": [i / 100, 1.6, 0, 0, 0, 0, 1]})
-                await asyncio.sleep(0.004)
-            seen = list(made[-1].seen)  # before the last picture is drawn
+            await until(lambda: len(made[-1].seen) == 24)
+            drawn = len(backend.drawn)  # so far
+            backend.gate.set()
             while (arrived := await client.receive()).reply.frame_id != last:
                 pass
-            return seen, arrived.reply.info["times"], [r.frame_id for r in backend.drawn]
+            return drawn, arrived.reply.info["times"], [r.frame_id for r in backend.drawn]
 
-    for delay in (0.0, 0.08):
-        early, times, drawn = asyncio.run(main(delay))
+    for busy in (False, True):
+        early, times, drawn = asyncio.run(main(busy))
         assert made[-1].seen == list(range(1, 25))
-        assert len(early) > len(drawn) or delay == 0
         assert times["ik"] >= 0 and times["wait"] >= 0
-    assert len(drawn) < 8  # most were dropped
+    assert early <= 1 and len(drawn) <= 2  # all others were dropped
     assert (np.diff(made[-1].now) > 0).all()
