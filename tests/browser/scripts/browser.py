@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
 from playwright.sync_api import sync_playwright
 
-from tests.browser.conftest import _FLAGS, _NAMES
+from tests import needs
+from tests.browser.conftest import _FLAGS
 from tests.browser.opened import FAKE_XR, WATCH, Opened
 
 
 @contextmanager
 def chromium() -> Iterator[Any]:
     """Playwright's Browser."""
-    path = next(filter(None, map(shutil.which, _NAMES)), None)
+    path = needs.program("chromium")
     assert path, "no Chromium found"
     with sync_playwright() as play:
         browser = play.chromium.launch(executable_path=path, headless=True, args=_FLAGS)
