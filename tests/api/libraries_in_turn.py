@@ -6,7 +6,7 @@ import ctypes
 import itertools
 import sys
 import time
-from contextlib import ExitStack
+from contextlib import AbstractContextManager, ExitStack
 from typing import Any
 
 import moderngl
@@ -20,7 +20,7 @@ from tests.api.variants import KINDS
 NAMES = ("plain", "gpu", "limb", "mesh")
 
 
-def cost(context: Context) -> float:
+def cost(context: AbstractContextManager[object]) -> float:
     """Milliseconds to enter and leave."""
     best = np.inf
     for _ in range(200):
@@ -96,7 +96,9 @@ def main() -> None:
         with contexts[outer]:
             costs[outer, inner] = cost(contexts[inner])
     print("milliseconds to enter and leave:", {" > ".join(k): round(v, 4) for k, v in costs.items()})
-    assert max(costs.values()) < 0.25  # 0.05 on a machine with nothing else to do
+    with contexts["egl"]:
+        least = cost(contexts["egl"].ctx)  # moderngl's own, which asks nothing
+    assert max(costs.values()) < 150 * least, least
     for context in contexts.values():
         with context:
             assert context.ctx.error == "GL_NO_ERROR"

@@ -7,6 +7,8 @@ import itertools
 import os
 import time
 from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, nullcontext
+from functools import partial
 from typing import Any
 
 import moderngl
@@ -15,7 +17,7 @@ import pytest
 from numpy.typing import NDArray
 
 from glsplat.errors import ContextError, GlsplatError, PoseError
-from glsplat.gl.context import Context, create_context
+from glsplat.gl.context import create_context
 from glsplat.renderer import Renderer
 from tests import needs
 from tests.api.current_context import asked, nothing_current
@@ -255,27 +257,24 @@ def test_draw_shows_what_render_returns() -> None:
 
 
 def test_entering_costs_little() -> None:
-    """0.05 ms at most, between a context that is current, another one, and none."""
+    """30 times what moderngl's own entering does at most, between a context that is current, another one, and none."""
     contexts = [create_context(), create_context()]
     nothing_current()
 
-    def cost(context: Context) -> float:
+    def cost(enter: Callable[[], AbstractContextManager[object]]) -> float:
         best = np.inf
         for _ in range(200):
             start = time.perf_counter()
             for _ in range(5):
-                with context.entered("test"):
+                with enter():
                     pass
-            best = min(best, (time.perf_counter() - start) / 5)
-        return best * 1e3
+            best = min(best, time.perf_counter() - start)
+        return best
 
-    for before in (None, contexts[0]):
+    for before in (nullcontext(), contexts[0]):
         for context in contexts:
-            if before is None:
-                assert cost(context) < 0.05
-            else:
-                with before:
-                    assert cost(context) < 0.05
+            with before:
+                assert cost(partial(context.entered, "test")) < 30 * cost(lambda context=context: context.ctx)
     for context in contexts:
         context.release()
 

@@ -62,9 +62,9 @@ def running(backend: Stripes, **offered: str) -> Iterator[str]:
 
     thread = threading.Thread(target=work)
     thread.start()
-    assert ready.wait(10)
+    assert ready.wait(60)
     try:
         yield state["url"]
     finally:
         state["loop"].call_soon_threadsafe(state["end"].set)
-        thread.join(10)
+        thread.join(60)
