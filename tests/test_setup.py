@@ -109,6 +109,16 @@ def test_a_system_without_apt(system: Run) -> None:
     assert system("test", uid=0, browser="npm", apt=False).returncode == 0
 
 
+def test_where_no_bare_machine_can_be_made_ci_says_why_and_tests_this_one(tmp_path: Path) -> None:
+    for name, text in (("id", "echo 1000"), ("make", 'echo "make $*"; exit 7'), ("dirname", '/usr/bin/dirname "$@"')):
+        (tmp_path / name).write_text(f"#!/bin/sh\n{text}\n")
+        (tmp_path / name).chmod(0o755)
+    script = ["/bin/bash", ROOT / ".ci" / "run"]
+    done = subprocess.run(script, env={"PATH": str(tmp_path)}, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 7, done.stderr  # the suite's own
+    assert done.stdout == "no bare machine can be made here (only root can): make test on this one\nmake test\n"
+
+
 def test_an_old_or_missing_python_is_one_line(tmp_path: Path) -> None:
     for python in ("/bin/false", str(tmp_path / "nosuch")):
         variables = {"PATH": os.environ["PATH"], "PYTHON": python}
