@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import os
 import signal
 import time
@@ -29,7 +30,8 @@ class Boxed:
     def render(self, request) -> Rendered:
         acts = {
             90: lambda: os.kill(os.getpid(), signal.SIGSEGV),
-            70: lambda: time.sleep(60),
+            69: lambda: ctypes.PyDLL(None).sleep(3600),  # holds the interpreter's lock, as a driver does
+            70: lambda: time.sleep(3600),
             71: self._until_abandoned,
             92: lambda: 1 / 0,
         }
@@ -45,10 +47,9 @@ class Boxed:
         return Rendered(out, {"draw": 1.5}, "boxed", None if request.frame_id == 50 else box)
 
     def _until_abandoned(self) -> None:
-        for _ in range(300):
-            if self.abandoned():
-                raise BudgetError("abandoned", "abandoned")
+        while not self.abandoned():
             time.sleep(0.02)
+        raise BudgetError("abandoned", "abandoned")
 
     def kill(self) -> None: ...
 

@@ -8,6 +8,8 @@ import time
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from glsplat.net.backend import Rendered
 from glsplat.net.messages import RenderRequest
 from glsplat.net.server import Server, ServerConfig
@@ -27,6 +29,7 @@ class Contested(FakeBackend):
     clock: Stopped = field(default_factory=Stopped)
     seconds: float = 1.0  # on the clock, after which it is over
     over: threading.Event = field(default_factory=threading.Event)
+    contested: list[RenderRequest] = field(default_factory=list)  # what was drawn until then
     server: Server | None = None
 
     def render(self, request: RenderRequest) -> Rendered:
@@ -35,12 +38,16 @@ class Contested(FakeBackend):
         while not self.over.is_set() and self._waiting() < self.others:
             assert time.monotonic() < until
             time.sleep(0.0005)
-        rendered = super().render(request)
+        self.drawn.append(request)
+        if not self.over.is_set():
+            self.contested.append(request)
         self.clock.now = since + self.cost(request)
         self.seconds -= self.cost(request)
         if self.seconds <= 0:
             self.over.set()
-        return rendered
+        camera = request.cameras[0]
+        pictures = np.zeros((len(request.cameras), camera.height, camera.width, 4), np.uint8)
+        return Rendered(pictures, covered=(0, 0, 16, 16))
 
     def _waiting(self) -> int:
         assert self.server is not None

@@ -118,7 +118,7 @@ def test_clients_take_turns(cameras, stopped):
                 await client.render(cameras)
 
     contest(backend, [client] * 4)
-    counts = Counter(request.viewer for request in backend.drawn[:40])
+    counts = Counter(request.viewer for request in backend.contested)
     assert len(counts) == 4 and min(counts.values()) >= 9
 
 
