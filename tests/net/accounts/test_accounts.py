@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import base64
 import logging
-import time
+import threading
 
 import aiohttp
 import pytest
@@ -25,6 +25,7 @@ from glsplat.net.options import client_options
 from glsplat.net.server import ServerConfig
 from glsplat.net.session import SessionConfig
 from glsplat.skinning.skeleton import Skeleton
+from tests.net.wire import HANG, until
 
 RIG = Skeleton.from_joints(["root"], [-1], [[0.0, 0.0, 0.0]])  # people of rooms have joints
 OFFERED = tuple(Offered(name=name, skeleton=RIG) for name in ("default", "ann", "bob"))
@@ -200,17 +201,18 @@ def test_one_token_is_as_before(serve, cameras):
 def test_only_so_many_tokens_wait_to_be_looked_at(serve, made, monkeypatch):
     """And who was let in before does not wait behind them."""
     config, tokens, _ = made
-    hashed = users._hashed
+    hashed, gate = users._hashed, threading.Event()
     monkeypatch.setattr(door, "_MOST_LOGINS", 2)
 
     async def main():
         async with serve(config=config, offered=OFFERED) as server:
             first = (await get(server, "/session", tokens["boss"]))[0]
-            monkeypatch.setattr(users, "_hashed", lambda *words: time.sleep(0.2) or hashed(*words))
+            monkeypatch.setattr(users, "_hashed", lambda *words: gate.wait(HANG) and hashed(*words))
             waiting = [asyncio.create_task(get(server, "/session", f"eve.guess{i}")) for i in range(4)]
-            await asyncio.sleep(0.05)
+            await until(lambda: sum(task.done() for task in waiting) == 2)
             known = (await get(server, "/session", tokens["boss"]))[0]
-            assert not all(task.done() for task in waiting)
+            assert sum(task.done() for task in waiting) == 2
+            gate.set()
             return first, known, sorted([status for status, _ in await asyncio.gather(*waiting)])
 
     assert asyncio.run(main()) == (200, 200, [401, 401, 429, 429])

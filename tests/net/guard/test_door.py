@@ -9,7 +9,6 @@ import signal
 import socket
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
@@ -24,7 +23,7 @@ from glsplat.net.pages import routes
 from glsplat.net.server import ServerConfig
 from glsplat.net.session import SessionConfig
 from tests import needs
-from tests.net.wire import UPGRADE, frame, native, raw, still_serves
+from tests.net.wire import HANG, UPGRADE, all_of, frame, native, raw, still_serves, until
 
 ROOT = Path(__file__).parents[3]
 TOKEN = "0123456789abcdef-token"
@@ -35,23 +34,12 @@ async def ask(port, text, source="127.0.0.1"):
     reader, writer = await asyncio.open_connection("127.0.0.1", port, local_addr=(source, 0))
     try:
         writer.write(text if isinstance(text, bytes) else text.encode())
-        return (await asyncio.wait_for(reader.read(), 5)).decode("latin-1")
+        return (await asyncio.wait_for(reader.read(), HANG)).decode("latin-1")
     except ConnectionError:
         return ""
     finally:
         writer.transport.abort()
         await asyncio.sleep(0)
-
-
-async def all_of(reader):
-    """What comes before the connection ends, in order or cut off."""
-    data = b""
-    try:
-        while more := await asyncio.wait_for(reader.read(65536), 10):
-            data += more
-    except ConnectionError:
-        pass
-    return data
 
 
 def get(path="/stats", host="127.0.0.1", more=""):
@@ -63,13 +51,6 @@ def status(answer):
     return int(answer.split(" ", 2)[1]) if answer else None
 
 
-async def until(condition, seconds=5.0):
-    end = time.perf_counter() + seconds
-    while not condition() and time.perf_counter() < end:
-        await asyncio.sleep(0.01)
-    return condition()
-
-
 FLOODS = {
     "pings": frame(0x9, b"") * 20_000,
     "pongs": frame(0xA, b"x" * 125) * 2_000,
@@ -79,12 +60,12 @@ FLOODS = {
 
 
 @pytest.mark.parametrize("kind", FLOODS)
-def test_a_flood_is_told_why_put_out_and_held_off(serve, fake_backend, cameras, kind):
+def test_a_flood_is_told_why_put_out_and_held_off(serve, cameras, stopped, kind):
     """And the client beside it, from the same address, keeps its connection and its pictures."""
     config = ServerConfig(port=0, session=SessionConfig(flood=10**9))
 
     async def main():
-        async with serve(fake_backend(), config) as server, Client(server.url) as good:
+        async with serve(config=config) as server, Client(server.url) as good:
             await good.render(cameras)
             reader, writer = await raw(server)
             writer.write(frame(0x1, native(1).encode()) + FLOODS[kind])
@@ -102,20 +83,20 @@ def test_a_flood_is_told_why_put_out_and_held_off(serve, fake_backend, cameras, 
         assert status(text) == 429 and 1 <= int(re.search(r"Retry-After: (\d+)", text)[1]) <= 10
     assert status(elsewhere) == 200
     assert pictures == [2, 3, 4, 5, 6] and stats["held_off"] == 1 and len(stats["clients"]) == 1
-    assert answer.count(b"\x8a\x00") <= Limits().control_burst + 40  # no more pongs than pings are allowed
+    assert answer.count(b"\x8a\x00") <= Limits().control_burst  # no more pongs than pings are allowed
 
 
-def test_a_hold_off_ends(serve, cameras):
-    config = ServerConfig(port=0, limits=Limits(hold_off=0.3))
-
+def test_a_hold_off_ends(serve, cameras, stopped):
     async def main():
-        async with serve(config=config) as server:
-            for _ in range(2):
+        async with serve() as server:
+            for seconds in (10.0, 20.0):  # the second is twice as long
                 _, writer = await raw(server)
                 writer.write(FLOODS["pings"])
-                assert await until(lambda: server.stats()["held_off"] == 1)
+                await until(lambda: server.stats()["held_off"] == 1)
+                stopped.now += seconds - 0.1
                 assert status(await ask(server.port, UPGRADE)) == 429
-                assert await until(lambda: server.stats()["held_off"] == 0)
+                stopped.now += 0.2
+                assert server.stats()["held_off"] == 0
                 writer.transport.abort()
                 await until(lambda: not server.stats()["clients"])
             return await still_serves(server, cameras)
@@ -149,11 +130,8 @@ def test_clients_of_one_address(serve, cameras):
             elsewhere = await reader.readuntil(b"\r\n\r\n")
             other.transport.abort()
             await second.close()
-            return (
-                third,
-                elsewhere,
-                await until(lambda: len(server.stats()["clients"]) == 1) and await still_serves(server, cameras),
-            )
+            await until(lambda: len(server.stats()["clients"]) == 1)
+            return third, elsewhere, await still_serves(server, cameras)
 
     third, elsewhere, again = asyncio.run(main())
     assert status(third) == 429 and "Retry-After: 5" in third and "at most 2 clients" in third
@@ -180,28 +158,22 @@ def test_connections_that_never_ask_give_way(serve, cameras):
             idle = [await asyncio.open_connection("127.0.0.1", server.port) for _ in range(40)]
             alive = await still_serves(server, cameras)
             waiting = server.stats()["waiting"]
-            ended = sum([reader.at_eof() or await ends(reader) for reader, _ in idle])
+            reading = [asyncio.create_task(all_of(reader)) for reader, _ in idle]
+            await until(lambda: sum(task.done() for task in reading) >= 30)
             quiet.sendall(get("/healthz").encode())  # the one of its address has not been closed
             quiet.setblocking(False)
-            answer = await asyncio.wait_for(asyncio.get_running_loop().sock_recv(quiet, 100), 5)
+            answer = await asyncio.wait_for(asyncio.get_running_loop().sock_recv(quiet, 100), HANG)
             for _, writer in idle:
                 writer.transport.abort()
             quiet.close()
-            return alive, waiting, ended, answer, server.stats()["turned_away"]
+            await asyncio.gather(*reading)
+            return alive, waiting, answer, server.stats()["turned_away"]
 
-    async def ends(reader):
-        try:
-            return await asyncio.wait_for(reader.read(1), 0.01) == b""
-        except ConnectionError:
-            return True
-        except TimeoutError:
-            return False
-
-    alive, waiting, ended, answer, turned_away = asyncio.run(main())
-    assert alive and waiting <= 10 and ended >= 30 and b" 200 " in answer and turned_away >= 30
+    alive, waiting, answer, turned_away = asyncio.run(main())
+    assert alive and waiting <= 10 and b" 200 " in answer and turned_away >= 30
 
 
-def test_an_address_that_connects_too_often_is_not_answered(serve):
+def test_an_address_that_connects_too_often_is_not_answered(serve, stopped):
     config = ServerConfig(port=0, limits=Limits(visits=1, visits_burst=20))
 
     async def main():
@@ -211,7 +183,7 @@ def test_an_address_that_connects_too_often_is_not_answered(serve):
             return answers, pipelined, status(await ask(server.port, get(), "127.0.0.3"))
 
     answers, pipelined, other = asyncio.run(main())
-    assert answers[:20] == [200] * 20 and answers[25:] == [None] * 15 and other == 200
+    assert answers == [200] * 20 + [None] * 20 and other == 200
     assert pipelined.count("HTTP/1.1 200") == 19 and pipelined.count("HTTP/1.1 429") >= 1
 
 
@@ -283,7 +255,7 @@ def test_names_of_the_certificate_and_of_the_machine(tmp_path):
     assert machine_names()[0] == socket.gethostname()
 
 
-def test_token_guesses_are_slowed_down(serve, cameras):
+def test_token_guesses_are_slowed_down(serve, cameras, stopped):
     """The right token is not looked at meanwhile either, but who is in stays in, and other addresses are not asked."""
     config = ServerConfig(port=0, access=Access(token=TOKEN), limits=Limits(guesses=5, visits_burst=1e9))
 
@@ -292,10 +264,10 @@ def test_token_guesses_are_slowed_down(serve, cameras):
 
     async def main():
         async with serve(config=config) as server, Client(server.url, TOKEN) as inside:
-            start, tried, answers = time.perf_counter(), 0, []
-            while time.perf_counter() - start < 1.5:
-                answers.append(await ask(server.port, bearer(f"wrong-{tried:020d}")))
-                tried += 1
+            answers = []
+            for seconds in (1.1, 1.1, 0.8):  # the hold-offs last 1 and 2 seconds
+                answers += [await ask(server.port, bearer(f"wrong-{seconds}{i:020d}")) for i in range(8)]
+                stopped.now += seconds
             right = await ask(server.port, bearer(TOKEN))
             untold = await ask(server.port, get())
             elsewhere = await ask(server.port, bearer(TOKEN), "127.0.0.2")
@@ -303,8 +275,7 @@ def test_token_guesses_are_slowed_down(serve, cameras):
             return [status(a) for a in answers], right, status(untold), status(elsewhere), answers[-1]
 
     answers, right, untold, elsewhere, last = asyncio.run(main())
-    assert answers[:6] == [401] * 6 and len(answers) > 20
-    assert answers.count(401) <= 8 and answers.count(401) + answers.count(429) == len(answers)
+    assert answers == [401] * 6 + [429] * 2 + [401] + [429] * 7 + [429] * 8
     assert status(right) == 429 and "Retry-After:" in right and untold == 401 and elsewhere == 200
     assert TOKEN not in right + last
 
@@ -437,15 +408,14 @@ def test_few_descriptors_and_a_hundred_idle_connections(cameras, how, tmp_path):
         async with Client(url) as good:
             await good.render(cameras)
             idle = []
-            start, pictures, newcomers = time.perf_counter(), 0, 0
-            while time.perf_counter() - start < 3:
+            pictures, newcomers = 0, 0
+            while pictures < 60:
                 while len(idle) < 100:
                     peer = socket.socket()
                     peer.setblocking(False)
                     peer.connect_ex(("127.0.0.1", port))
                     idle.append(peer)
                 await good.render(cameras)
-                await asyncio.sleep(1 / 240)  # no more messages a second than are read
                 pictures += 1
                 if pictures % 20 == 0:
                     async with Client(url) as new:
@@ -460,10 +430,10 @@ def test_few_descriptors_and_a_hundred_idle_connections(cameras, how, tmp_path):
     try:
         pictures, newcomers = asyncio.run(main())
         process.send_signal(signal.SIGTERM)
-        assert process.wait(10) == 0
+        assert process.wait(HANG) == 0
     finally:
         process.kill()
         process.communicate()
     text = errors.read_text().splitlines()
-    assert pictures > 20 and newcomers == pictures // 20
+    assert newcomers == pictures // 20 == 3
     assert 1 <= len(text) <= 4 and all(line.startswith("LOG ") and len(line) < 140 for line in text), text[:5]

@@ -18,6 +18,7 @@ from glsplat.net.guard.limits import Limits
 from glsplat.net.messages import WireOptions
 from glsplat.net.pages.site import Site
 from glsplat.net.server import ServerConfig
+from tests.net.wire import HANG
 
 TOKEN = "0123456789abcdef"
 GUARDED = ServerConfig(port=0, access=Access(token=TOKEN))
@@ -28,7 +29,7 @@ def ask(serve, *requests, config=None, **options):
     """(status, headers, body) of each (method, path, headers), sent byte for byte, one connection."""
 
     def talk(port):
-        connection = http.client.HTTPConnection("127.0.0.1", port, timeout=5)
+        connection = http.client.HTTPConnection("127.0.0.1", port, timeout=HANG)
         answers = []
         for method, path, headers in requests:
             connection.request(method, path, headers=headers)
@@ -147,7 +148,7 @@ def test_what_the_server_offers(serve):
     config = ServerConfig(port=0, max_clients=1, wire=WireOptions(size=(640, 480), quality=70))
 
     def session(port):
-        connection = http.client.HTTPConnection("127.0.0.1", port, timeout=5)
+        connection = http.client.HTTPConnection("127.0.0.1", port, timeout=HANG)
         with closing(connection):
             connection.request("GET", "/session")
             return json.loads(connection.getresponse().read())
