@@ -19,6 +19,7 @@ from glsplat.data import default_avatar
 from glsplat.net.backends.server import make_server
 from glsplat.net.messages import WireOptions
 from glsplat.net.server import ServerConfig
+from tests.net.wire import HANG
 
 IPD, SIZE, DISTANCE = 0.055, 128, 2.0  # metres, pixels, metres
 FOCAL = SIZE / 2 / np.tan(np.radians(65) / 2)
@@ -81,10 +82,10 @@ def thinned(avatar, step=8):
     return replace(avatar, splats=splats, skin=replace(skin, joints=skin.joints[::step], weights=skin.weights[::step]))
 
 
-async def session(frames, exchange, **wire):
+async def session(frames, exchange, own_process=True, **wire):
     """A server with the real renderer; ``exchange(ws, frame)`` for each frame. Returns its results and the stats."""
     config = ServerConfig(port=0, wire=WireOptions(size=(SIZE, SIZE), **wire))
-    server = make_server(thinned(default_avatar()), config)
+    server = make_server(thinned(default_avatar()), config, own_process=own_process)
     await server.start()
     try:
         async with aiohttp.ClientSession() as http, http.ws_connect(f"http://127.0.0.1:{server.port}/ws") as ws:
@@ -95,7 +96,7 @@ async def session(frames, exchange, **wire):
 
 
 async def binary(ws):
-    message = await ws.receive(timeout=10)
+    message = await ws.receive(timeout=HANG)
     assert message.type == aiohttp.WSMsgType.BINARY, message
     return message.data
 
@@ -145,7 +146,7 @@ def test_the_right_eye_is_shifted_by_the_distance_of_the_eyes(ipd):
         await ws.send_str(client.request())
         client.receive(await binary(ws))
 
-    asyncio.run(session(3, exchange, ipd=ipd))
+    asyncio.run(session(3, exchange, own_process=False, ipd=ipd))
     left, right = client.shown[-1]
     assert (ipd == 0) == np.array_equal(left, right)
     assert disparity(left, right) == pytest.approx(FOCAL * ipd / (DISTANCE - 0.07), rel=0.06, abs=0.02)

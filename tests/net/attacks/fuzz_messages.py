@@ -15,6 +15,7 @@ from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
 from random import Random
+from statistics import median
 from typing import Any
 
 import numpy as np
@@ -53,14 +54,15 @@ class Findings:
     outcomes: Counter[str] = field(default_factory=Counter)
     faults: list[str] = field(default_factory=list)  # tracebacks and broken promises, each with its message
     slowest: tuple[float, str] = (0.0, "")  # seconds
+    usual: float = 0.0  # seconds of the median message
     seconds: float = 0.0
     growth: float = 0.0  # MB from a tenth of the way to the end
 
     def __str__(self) -> str:
         number = sum(self.outcomes.values())
         return (
-            f"{number} messages in {self.seconds:.0f} s, {len(self.faults)} faults, slowest "
-            f"{self.slowest[0] * 1e3:.2f} ms ({self.slowest[1][:80]!r}), memory {self.growth:+.1f} MB; "
+            f"{number} messages in {self.seconds:.0f} s, {len(self.faults)} faults, usual {self.usual * 1e3:.2f} ms, "
+            f"slowest {self.slowest[0] * 1e3:.2f} ms ({self.slowest[1][:80]!r}), memory {self.growth:+.1f} MB; "
             + ", ".join(f"{name} {count}" for name, count in self.outcomes.most_common())
         )
 
@@ -195,7 +197,7 @@ def fuzz(number: int, seed: int, most_faults: int = 20) -> Findings:
     chance, findings = Random(seed), Findings()
     peer = _Peer(chance, findings)
     process = psutil.Process()
-    start, early = time.perf_counter(), 0
+    start, early, times = time.perf_counter(), 0, []
     with np.errstate(all="raise", under="ignore"):  # a warning there would be a line in a server's log
         for i in range(number):
             data = message(i, chance)
@@ -209,11 +211,12 @@ def fuzz(number: int, seed: int, most_faults: int = 20) -> Findings:
                     break
                 peer.begin()
             took = time.thread_time() - began
+            times.append(took)
             if took > findings.slowest[0]:
                 findings.slowest = took, str(data[:200])
             if i == number // 10:
                 early = process.memory_info().rss
-    findings.seconds = time.perf_counter() - start
+    findings.seconds, findings.usual = time.perf_counter() - start, median(times)
     findings.growth = (process.memory_info().rss - early) / 1e6
     return findings
 

@@ -21,7 +21,7 @@ def test_fuzzed_messages(seed):
     assert sum(findings.outcomes.values()) == 3000
     # the mutations are neither so wild that all is refused at once nor so tame that nothing is
     assert findings.outcomes["accepted"] > 300 and findings.outcomes["bad_field"] > 300
-    assert findings.slowest[0] < 0.5, findings.slowest  # seconds of this thread's own time
+    assert findings.slowest[0] < 10_000 * findings.usual, findings  # of this thread's own time
 
 
 def test_what_is_mutated_is_valid_before():

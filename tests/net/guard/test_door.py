@@ -382,9 +382,7 @@ sys.path.insert(0, sys.argv[1])
 resource.setrlimit(resource.RLIMIT_NOFILE, (48, 48))
 from glsplat.net.guard.limits import Limits
 from glsplat.net.server import Server, ServerConfig
-from tests import needs
 from tests.net.conftest import FakeBackend
-from tests import needs
 logging.basicConfig(format="LOG %(message)s")
 if sys.argv[2] == "no room kept":
     import glsplat.net.guard.listener as listener
