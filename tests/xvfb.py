@@ -47,15 +47,15 @@ def display() -> Iterator[str]:
     with os.fdopen(read) as pipe:
         number = pipe.readline().strip()
     if not number:
-        server.wait(10)
+        server.wait(60)
         pytest.skip("Xvfb does not start on this machine")
     yield f":{number}"
     server.terminate()
-    server.wait(10)
+    server.wait(60)
 
 
 def python(*arguments: str, display: str | None, cwd: Path = ROOT, **extra: Any) -> subprocess.CompletedProcess[str]:
     environment = {k: v for k, v in os.environ.items() if k not in ("DISPLAY", "WAYLAND_DISPLAY", "XDG_SESSION_TYPE")}
     environment |= {"PYTHONPATH": str(ROOT)} | ({"DISPLAY": display} if display else {})
     command = [sys.executable, "-W", "error", *arguments]
-    return subprocess.run(command, env=environment, cwd=cwd, capture_output=True, text=True, timeout=60, **extra)
+    return subprocess.run(command, env=environment, cwd=cwd, capture_output=True, text=True, timeout=250, **extra)

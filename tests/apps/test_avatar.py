@@ -2,6 +2,7 @@
 
 import json
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import glsplat_apps.cli as cli
@@ -24,9 +25,9 @@ DATA = Path(cli.__file__).parents[1] / "glsplat" / "data"
 def test_default_avatar_file():
     path = DATA / "default_avatar.glb"
     assert path.stat().st_size <= 8e6
-    began = time.perf_counter()
     avatar = load(path)
-    assert time.perf_counter() - began < 0.3
+    # loading it is 1.2 times a loop over its splats here
+    assert least_time(lambda: load(path)) < 6 * least_time(lambda: [tuple(row) for row in avatar.splats.means])
     assert isinstance(avatar, Avatar) and 39_000 <= len(avatar.splats) <= 41_000
     assert avatar.splats.sh_degree == 0 and avatar.skin.influences == 4
     assert avatar.splats.finite().all() and avatar.splats.scales.min() > 0
@@ -40,6 +41,15 @@ def test_default_avatar_file():
         assert np.isin(strongest, [wrist, *fingers]).sum() >= 3500
     licence = (DATA / "LICENSE-default-avatar.md").read_text()
     assert "CC0" in licence and "MakeHuman system assets, CC0 since 2020-09" in " ".join(licence.split())
+
+
+def least_time(call: Callable[[], object]) -> float:
+    times = []
+    for _ in range(3):
+        began = time.perf_counter()
+        call()
+        times.append(time.perf_counter() - began)
+    return min(times)
 
 
 @pytest.fixture(scope="module")

@@ -27,7 +27,7 @@ def test_the_demo_measures_and_leaves_pictures_and_no_process(tmp_path, capsys):
     report = json.loads(capsys.readouterr().out)
     assert list(report["runs"]) == ["96x96", "128x128"]
     for numbers in report["runs"].values():
-        assert numbers["shown"] >= 3 and numbers["errors"] == 0 and numbers["stages_ms"]["render"]["median"] > 0
+        assert numbers["shown"] >= 1 and numbers["errors"] == 0 and numbers["stages_ms"]["render"]["median"] > 0
     assert sorted(p.name for p in out.iterdir()) == ["clip.mp4", "contact_sheet.png"]
     sheet = cv2.imread(str(out / "contact_sheet.png"))
     assert sheet.shape[1] == 2 * 256 + 4 and sheet.max() > 100

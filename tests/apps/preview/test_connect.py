@@ -80,7 +80,7 @@ def serving(make: Callable[[], Server]) -> Iterator[str]:
         yield state["url"]
     finally:
         state["loop"].call_soon_threadsafe(state["end"].set)
-        thread.join(20)
+        thread.join(60)
 
 
 @contextmanager
@@ -100,7 +100,7 @@ def at(x: float, size: int = 32) -> Wish:
     return Wish([replace(view, viewmat=viewmat)])
 
 
-def until(condition: Callable[[], object], seconds: float = 10.0) -> bool:
+def until(condition: Callable[[], object], seconds: float = 60.0) -> bool:
     end = time.monotonic() + seconds
     while not condition() and time.monotonic() < end:
         time.sleep(0.01)
@@ -123,11 +123,12 @@ def test_the_newest_wish_is_answered_and_a_quiet_feed_asks_for_nothing() -> None
         assert shade(feed) == pytest.approx(110, abs=1) and until(lambda: woken)
         assert len(backend.requests) <= 4 and feed.take() is None and feed.notice == ""
         count = len(backend.requests)
-        time.sleep(0.1)
-        assert len(backend.requests) == count
+        feed.ask(at(1.3))
+        feed.settle()
+        assert shade(feed) == pytest.approx(130, abs=1) and len(backend.requests) == count + 1
 
 
-def test_a_server_that_goes_away_is_said_and_tried_again() -> None:
+def test_a_server_that_goes_away_is_said_and_tried_again(monkeypatch: pytest.MonkeyPatch) -> None:
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = free.getsockname()[1]
     config = ServerConfig(port=port, drain_timeout=0.2)
@@ -139,16 +140,15 @@ def test_a_server_that_goes_away_is_said_and_tried_again() -> None:
         assert shade(feed) == pytest.approx(50, abs=2)
     try:
         assert until(lambda: "trying again in" in feed.notice) and "\n" not in feed.notice, feed.notice
-        start = time.monotonic()
-        feed.ask(at(0.8))  # returns at once, whatever the network does
-        assert time.monotonic() - start < 0.1
+        feed.ask(at(0.8))  # returns although nobody answers yet
+        assert not feed.ready
         with serving(lambda: Server(Grey(), config)):
             assert until(lambda: feed.ready) and feed.notice == "" and feed.reconnects == 1
             assert shade(feed) == pytest.approx(80, abs=2)
+            monkeypatch.setattr("glsplat.net.flow._PAUSES", (1e6,))
+        assert until(lambda: "trying again in 1" in feed.notice), feed.notice
     finally:
-        start = time.monotonic()
-        feed.close()
-    assert time.monotonic() - start < 1.5
+        feed.close()  # does not wait for the next attempt
 
 
 def test_a_wish_too_large_for_the_server_is_drawn_smaller() -> None:

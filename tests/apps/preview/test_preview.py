@@ -243,7 +243,7 @@ def test_window_session(display: str, tmp_path: Path, context: Context, headless
     assert found["sizes"] == [[1, 1]] * 3 + [[1, 40]] * 3 + [[201, 151]] * 3 + [[200, 150]] * 3
     assert found["after resizing"] and set(found["gl errors"]) == {"GL_NO_ERROR"}
     rest = found["rest"]
-    assert rest["draws"] <= 1 and rest["cpu"] < 0.2 and 0.5 < rest["seconds"] < 5, rest
+    assert rest["draws"] <= 1 and 1 <= len(rest["turns"]) <= 6, rest  # it sleeps: 40 turns where it looked each frame
 
 
 def test_real_keys_and_mouse(display: str, tmp_path: Path) -> None:
@@ -255,11 +255,11 @@ def test_real_keys_and_mouse(display: str, tmp_path: Path) -> None:
 
     def do(*arguments: str) -> str:
         return subprocess.run(
-            ["xdotool", *arguments], env=environment, check=True, capture_output=True, text=True, timeout=30
+            ["xdotool", *arguments], env=environment, check=True, capture_output=True, text=True, timeout=60
         ).stdout
 
     def shots(count: int) -> list[Path]:
-        end = time.monotonic() + 10
+        end = time.monotonic() + 60
         while len(files := sorted(tmp_path.glob("glsplat-*.png"))) < count and time.monotonic() < end:
             time.sleep(0.02)
         assert len(files) == count
@@ -278,7 +278,7 @@ def test_real_keys_and_mouse(display: str, tmp_path: Path) -> None:
             do("key", "2", "key", "p")
             pictures = [cv2.imread(str(file)) for file in shots(3)]
             do("key", "Escape")
-            assert process.wait(10) == 0 and process.stderr is not None and process.stderr.read() == ""
+            assert process.wait(60) == 0 and process.stderr is not None and process.stderr.read() == ""
         finally:
             process.kill()
     plain, turned, pair = pictures

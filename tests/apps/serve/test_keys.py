@@ -108,7 +108,7 @@ def test_a_server_beyond_this_machine_just_works(state):
 
         assert len(asyncio.run(main()).images()) == 2
         process.send_signal(signal.SIGINT)
-        out, err = process.communicate(timeout=20)
+        out, err = process.communicate(timeout=60)
     finally:
         process.kill()
     assert process.returncode == 0 and token not in line + out + err

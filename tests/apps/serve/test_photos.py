@@ -80,7 +80,7 @@ def test_a_photograph_becomes_an_avatar(tmp_path: Path, shared_data: Path) -> No
         def ask(method: str, path: str, data: bytes | None = None) -> tuple[int, dict]:
             headers = {"Authorization": "Bearer 0123456789abcdef", "Content-Type": "image/jpeg"}
             request = urllib.request.Request(f"{origin}{path}", data, headers, method=method)
-            with urllib.request.urlopen(request, timeout=20) as answer:
+            with urllib.request.urlopen(request, timeout=60) as answer:
                 body = answer.read()
                 return answer.status, json.loads(body) if body else {}
 
@@ -100,10 +100,10 @@ def test_a_photograph_becomes_an_avatar(tmp_path: Path, shared_data: Path) -> No
         offered = {one["name"]: one for one in ask("GET", "/session")[1]["avatars"]}
         assert offered[name]["tracking"] and offered[name]["head"] and abs(offered[name]["height"] - 1.74) < 0.15
         with pytest.raises(urllib.error.HTTPError):
-            urllib.request.urlopen(f"{origin}/avatars/{name}", timeout=20)  # without the token
+            urllib.request.urlopen(f"{origin}/avatars/{name}", timeout=60)  # without the token
         assert ask("DELETE", f"/avatars/{name}")[0] == 204 and not list(folder.iterdir())
         process.send_signal(signal.SIGTERM)
-        _, log = process.communicate(timeout=30)
+        _, log = process.communicate(timeout=60)
         assert process.returncode == 0 and not log.strip(), log
     finally:
         process.kill()

@@ -105,7 +105,7 @@ def test_a_terminal_that_cannot_show_the_code(monkeypatch):
 def test_the_browser_here_is_opened(monkeypatch, caplog, host, page):
     asked = []
     monkeypatch.setattr(webbrowser, "open", lambda url: asked.append(url) or True)
-    open_page(Place(host, 1)).join(10)
+    open_page(Place(host, 1)).join(60)
     assert asked == [page] and caplog.messages == []
 
 
@@ -117,7 +117,7 @@ def test_no_browser_is_a_line(monkeypatch, caplog, failure):
         return False
 
     monkeypatch.setattr(webbrowser, "open", fail)
-    open_page(Place("0.0.0.0", 1, SECURE)).join(10)
+    open_page(Place("0.0.0.0", 1, SECURE)).join(60)
     assert caplog.messages == [
         "--open: no browser could be started here; the page is https://localhost:1/vr"
     ]  # which holds no token: others see what a program is started with

@@ -89,13 +89,13 @@ def test_a_crowd_is_one_command(capsys: pytest.CaptureFixture[str], tmp_path: Pa
         )
         out = json.loads(capsys.readouterr().out)
         assert [one["name"] for one in out] == ["guest 1", "guest 2", "guest 3"]
-        assert all(one["shown"] > 3 and one["errors"] == 0 for one in out)
+        assert all(one["shown"] > 0 and one["errors"] == 0 for one in out)
         people = {one.name for request in backend.drawn if request.room for one in request.room.people}
         assert people == {"guest 1", "guest 2", "guest 3"}
         assert all(request.hide == ("head",) for request in backend.drawn)
         # each is elsewhere in the recording
         heads = {tuple(np.round(request.cameras[0].position, 4)) for request in backend.drawn}
-        assert len(heads) > 10
+        assert len(heads) > 3
         assert replay.run(arguments(replay, *words, "--frames", "5", "--save", str(tmp_path / "one.png"))) == 0
         text = capsys.readouterr().out
         assert 'room "lab"' in text and "you " in text and (tmp_path / "one.png").is_file()

@@ -145,7 +145,7 @@ def test_a_server_process_draws_and_ends_with_zero(end):
 
         pair, single = asyncio.run(main())
         process.send_signal(end)
-        out, err = process.communicate(timeout=20)
+        out, err = process.communicate(timeout=60)
     finally:
         process.kill()
     assert (process.returncode, out) == (0, "")
@@ -373,10 +373,10 @@ def test_the_server_is_ready_within_two_seconds():
         process.stdout.readline()
         times.append(time.perf_counter() - start_time)
         process.send_signal(signal.SIGINT)
-        assert process.communicate(timeout=20)[1] == "" and process.returncode == 0
-        if times[-1] <= max(2.0, 5 * min(alone)):
-            break
-    assert min(times) <= max(2.0, 5 * min(alone)), (times, alone)
+        assert process.communicate(timeout=60)[1] == "" and process.returncode == 0
+        if times[-1] <= max(2.0, 5 * alone[-1]):
+            return
+    pytest.fail(f"ready after {times} s, the libraries alone {alone} s")
 
 
 def tracked(frame_id, x, **more):

@@ -87,9 +87,14 @@ def test_a_chain_of_sixty_thousand_joints() -> None:
     names = [f"spine_{k}" for k in range(count)]
     found = match_rig(names, np.arange(count) - 1, np.zeros((count, 3)))
     assert len(found.missing) == 9
-    began = time.process_time()
-    assert len(Skeleton.from_joints(names, np.arange(count) - 1, np.zeros((count, 3)))) == count
-    assert time.process_time() - began < 10  # 60 s where each level looks at all joints
+
+    def took(count: int) -> float:
+        began = time.process_time()
+        assert len(Skeleton.from_joints(names[:count], np.arange(count) - 1, np.zeros((count, 3)))) == count
+        return time.process_time() - began
+
+    # 4 times where each joint is looked at once, 16 where each level looks at all joints
+    assert min(took(60_000) for _ in range(3)) < 9 * min(took(15_000) for _ in range(3))
     limb = Skeleton.from_joints(["left_hip\n\x1b[2J", "b", "c", "d", "e"], [-1, 0, 1, 2, 3], np.full((5, 3), 1e300))
     why = why_not_driven(limb)
     assert why.isprintable() and "no joint for head" in why
