@@ -26,7 +26,7 @@ from glsplat.net.server import ServerConfig
 from glsplat.renderer import Renderer
 from glsplat.skinning.pose import Pose
 from glsplat.tracking.calibration import Calibration
-from tests.net.wire import native
+from tests.net.wire import HANG, native
 
 SIZE = (160, 128)
 PAIR = stereo_cameras(head_matrix((0.1, 1.0, 2.2), (0, 0, 0, 1)), size=SIZE)
@@ -79,9 +79,9 @@ def test_the_bytes_are_where_the_protocol_says(serve):
     async def main():
         async with serve() as server, aiohttp.ClientSession() as http, http.ws_connect(server.url) as ws:
             await ws.send_str(native(1, alpha=True))
-            asked = (await ws.receive(timeout=5)).data
+            asked = (await ws.receive(timeout=HANG)).data
             await ws.send_str(native(2, alpha=False))
-            return asked, (await ws.receive(timeout=5)).data
+            return asked, (await ws.receive(timeout=HANG)).data
 
     asked, plain = asyncio.run(main())
     offset, sizes = 9, []

@@ -294,7 +294,7 @@ def test_slow_handshakes_and_silence_are_ended(serve, ahead):
 def test_the_client_reports_a_server_that_goes_away(cameras):
     async def main():
         with pytest.raises(ProtocolError, match=r"no server at ws://127\.0\.0\.1:9/ws: start one with `glsplat serve`"):
-            await Client("ws://127.0.0.1:9/ws", timeout=2).connect()
+            await Client("ws://127.0.0.1:9/ws", timeout=HANG).connect()
 
     asyncio.run(main())
     assert request_message(1)["v"] == 1

@@ -24,7 +24,7 @@ from glsplat.rotations import rotation_matrices
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.smplx import JOINT_NAMES, PARENTS, POSE_KEYS
 from glsplat.tracking.sample import HAND_JOINTS
-from tests.net.wire import EYE
+from tests.net.wire import EYE, HANG
 
 TEXT = (Path(__file__).parents[2] / "docs" / "protocol.md").read_text(encoding="utf-8")
 WORDS = " ".join(TEXT.split())  # wherever its lines end
@@ -53,7 +53,7 @@ def test_the_example_client_runs(serve, tmp_path, monkeypatch):
             return self
 
         async def recv(self):
-            return (await self.ws.receive(timeout=5)).data
+            return (await self.ws.receive(timeout=HANG)).data
 
         async def __aexit__(self, *_):
             await self.ws.close()
