@@ -38,20 +38,19 @@ class Flood(threading.Thread):
         self.leave, self.cut_off, self.answers = threading.Event(), False, b""
 
     def run(self):
-        connection = socket.create_connection(("127.0.0.1", self.port), timeout=HANG)
-        connection.sendall(UPGRADE)
-        assert b" 101 " in connection.recv(1000)
-        try:
-            for first in range(0, self.count, 100):
-                texts = (native(i + 1).encode() for i in range(first, first + 100))
-                connection.sendall(b"".join(frame(0x1, text) for text in texts))
-            assert self.leave.wait(HANG)
-            connection.shutdown(socket.SHUT_WR)
-            while data := connection.recv(65536):
-                self.answers += data
-        except ConnectionError:
-            self.cut_off = True
-        connection.close()
+        with socket.create_connection(("127.0.0.1", self.port), timeout=HANG) as connection:
+            connection.sendall(UPGRADE)
+            assert b" 101 " in connection.recv(1000)
+            try:
+                for first in range(0, self.count, 100):
+                    texts = (native(i + 1).encode() for i in range(first, first + 100))
+                    connection.sendall(b"".join(frame(0x1, text) for text in texts))
+                assert self.leave.wait(HANG)
+                connection.shutdown(socket.SHUT_WR)
+                while data := connection.recv(65536):
+                    self.answers += data
+            except OSError:  # reset, or not connected any more
+                self.cut_off = True
 
 
 def flooded(server):
