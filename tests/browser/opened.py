@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import re
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -53,7 +54,7 @@ class Opened:
         """The value of an expression or function in the page; promises are awaited."""
         return self.page.evaluate(expression, argument)
 
-    def until(self, expression: str, timeout: float = 15.0, every: float = 0.05) -> Any:
+    def until(self, expression: str, timeout: float = 60.0, every: float = 0.05) -> Any:
         """The expression's value once it is true. AssertionError, with what the page says of itself, after seconds."""
         end = time.monotonic() + timeout
         while not (value := self.js(expression)):
@@ -61,6 +62,18 @@ class Opened:
                 raise AssertionError(f"not within {timeout:g} s: {expression}\n{self.state()}")
             self.wait(every)
         return value
+
+    def meanwhile(self, true: Callable[[], object], timeout: float = 60.0) -> None:
+        """Let the page go on until something else came true. AssertionError after seconds."""
+        end = time.monotonic() + timeout
+        while not true():
+            assert time.monotonic() < end, f"not within {timeout:g} s\n{self.state()}"
+            self.wait(0.05)
+
+    def frames(self, count: int, or_: str = "false") -> None:
+        """So many frames of the fake headset, or until that expression is true."""
+        before = self.js("fakeXR.frames")
+        self.until(f"fakeXR.frames >= {before + count} || {or_}")
 
     def wait(self, seconds: float) -> None:
         """Let the page go on; unlike time.sleep, its events are heard meanwhile."""

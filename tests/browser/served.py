@@ -71,7 +71,7 @@ class Served:
             finally:
                 self._end()
 
-    def call(self, coroutine: Any, timeout: float = 30.0) -> Any:
+    def call(self, coroutine: Any, timeout: float = 60.0) -> Any:
         """The result of a coroutine that ran on the server's loop."""
         assert self._loop is not None
         return asyncio.run_coroutine_threadsafe(coroutine, self._loop).result(timeout)
@@ -92,10 +92,10 @@ class Served:
 
     def _end(self) -> None:
         assert self._loop is not None and self._thread is not None
-        if self._config.tls:  # TLS ends with an answer, for which the server does not wait
-            self.call(asyncio.sleep(0.1))
+        if self._config.tls:
+            self.call(_all_closed())
         self._loop.call_soon_threadsafe(self._loop.stop)
-        self._thread.join(10.0)
+        self._thread.join(60.0)
         self._thread = self._loop = self.server = None
 
     @staticmethod
@@ -103,6 +103,15 @@ class Served:
         asyncio.set_event_loop(loop)
         loop.run_forever()
         loop.close()
+
+
+async def _all_closed() -> None:
+    """TLS ends with an answer, for which the server does not wait: nothing but the loop's own pipe is left then."""
+    loop: Any = asyncio.get_running_loop()
+    end = loop.time() + 50
+    while len(loop._selector.get_map()) > 1 and loop.time() < end:
+        await asyncio.sleep(0.01)
+    await asyncio.sleep(0.01)  # and is told that it is closed
 
 
 async def _value(function: Callable[[], Any]) -> Any:

@@ -112,10 +112,12 @@ def test_the_page_reaches_nothing_but_its_server(open_page: OpenPage, stored: An
     page.until("window.glsplat.stats().shown > 0")
     for name, attempt in REACH.items():
         assert page.js(attempt, elsewhere) == "blocked", name
-    page.wait(0.5)
+
+    def violated() -> set[str]:
+        return {line.split()[0] for line in page.js("watch.violations")}
+
+    page.meanwhile(lambda: {"connect-src", "img-src", "form-action"} <= violated() and len(violated()) >= 5)
     assert _Elsewhere.asked == []
-    violated = {line.split()[0] for line in page.js("watch.violations")}
-    assert {"connect-src", "img-src", "form-action"} <= violated and len(violated) >= 5, violated
     assert all(address.split("/")[2] == f"localhost:{stored.port}" for address in page.requests
                if address.startswith(("http", "ws")) and elsewhere not in address and
                elsewhere.replace("http", "ws") not in address)  # fmt: skip

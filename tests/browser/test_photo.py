@@ -51,7 +51,10 @@ def taking(serve: Any, tmp_path: Path) -> Any:
 
         def server(config: ServerConfig) -> Server:
             return Server(
-                StoredPairs(), config, OFFERED, Uploads(UploadConfig(folder=folder, make=make, **options), described)
+                StoredPairs(),
+                config,
+                OFFERED,
+                Uploads(UploadConfig(folder=folder, make=make, nice=0, **options), described),
             )
 
         served = serve(make=server)
@@ -85,10 +88,12 @@ def test_nothing_is_shown_where_the_server_takes_no_pictures(open_page: OpenPage
     assert page.page.is_hidden("#photo")
 
 
-def test_a_picture_is_sent_watched_and_worn_and_the_avatar_deleted(open_page: OpenPage, taking: Any) -> None:
+def test_a_picture_is_sent_watched_and_worn_and_the_avatar_deleted(
+    open_page: OpenPage, taking: Any, tmp_path: Path
+) -> None:
     served = taking()
     page = opened(open_page, served)
-    page.page.set_input_files("#photo-front", picture("long"))
+    page.page.set_input_files("#photo-front", picture(f"hold {tmp_path / 'go on'}"))
     assert (
         page.page.is_visible("#photo-shown") and page.js("document.getElementById('photo-shown').naturalWidth") == 320
     )
@@ -97,7 +102,8 @@ def test_a_picture_is_sent_watched_and_worn_and_the_avatar_deleted(open_page: Op
     page.page.click("#photo-make")
     page.until("document.querySelector('#photo-said').textContent === 'Looking at the picture…'")
     assert page.page.is_visible("#photo-share") and page.page.is_hidden("#photo-form")
-    page.until("!document.querySelector('#photo-wear').hidden", timeout=30)
+    (tmp_path / "go on").touch()
+    page.until("!document.querySelector('#photo-wear').hidden")
     assert said(page) == "Your avatar is ready."
     assert page.page.locator("#photo-steps li").all_text_contents() == ["looking at the picture", "making the person"]
     name = page.js("[...document.querySelector('#avatar').options].at(-1).value")
@@ -120,19 +126,19 @@ def test_a_picture_is_sent_watched_and_worn_and_the_avatar_deleted(open_page: Op
 def test_what_is_wrong_is_said_and_it_is_made_anyway(open_page: OpenPage, taking: Any) -> None:
     page = opened(open_page, taking())
     send(page, picture("doubt"))
-    page.until("!document.querySelector('#photo-anyway').hidden", timeout=30)
+    page.until("!document.querySelector('#photo-anyway').hidden")
     found = page.page.locator("#photo-findings li").all_text_contents()
     assert found == ["From the front: Come nearer.", "From behind: Make more light."]
     assert said(page) == "The picture may not do:" and page.page.is_visible("#photo-again")
     page.page.click("#photo-anyway")
-    page.until("!document.querySelector('#photo-wear').hidden", timeout=30)
+    page.until("!document.querySelector('#photo-wear').hidden")
     assert page.page.is_hidden("#photo-findings")
 
 
 def test_a_failure_is_said_and_another_picture_chosen(open_page: OpenPage, taking: Any) -> None:
     page = opened(open_page, taking())
     send(page, picture("refuse"))
-    page.until("!document.querySelector('#photo-again').hidden", timeout=30)
+    page.until("!document.querySelector('#photo-again').hidden")
     assert said(page) == "It did not work: the JPEG file is damaged; copy it again"
     assert page.page.is_hidden("#photo-anyway")
     page.page.click("#photo-again")
@@ -143,21 +149,20 @@ def test_it_can_be_cancelled(open_page: OpenPage, taking: Any) -> None:
     served = taking()
     page = opened(open_page, served)
     send(page, picture("wait"))
-    page.until("document.querySelector('#photo-said').textContent === 'Looking at the picture…'", timeout=30)
+    page.until("document.querySelector('#photo-said').textContent === 'Looking at the picture…'")
     page.page.click("#photo-cancel")
     assert page.page.is_visible("#photo-form")
-    page.until("true")
-    page.wait(0.5)
-    assert sum(served.stats()["uploads"].values()) == 0
+    page.meanwhile(lambda: sum(served.stats()["uploads"].values()) == 0)
 
 
-def test_a_page_that_is_loaded_again_goes_on_watching(open_page: OpenPage, taking: Any) -> None:
+def test_a_page_that_is_loaded_again_goes_on_watching(open_page: OpenPage, taking: Any, tmp_path: Path) -> None:
     page = opened(open_page, taking())
-    send(page, picture("long"))
-    page.until("document.querySelector('#photo-said').textContent === 'Looking at the picture…'", timeout=30)
+    send(page, picture(f"hold {tmp_path / 'go on'}"))
+    page.until("document.querySelector('#photo-said').textContent === 'Looking at the picture…'")
     page.page.reload()
     page.until("!document.querySelector('#photo-work').hidden")
-    page.until("!document.querySelector('#photo-wear').hidden", timeout=30)
+    (tmp_path / "go on").touch()
+    page.until("!document.querySelector('#photo-wear').hidden")
 
 
 @pytest.mark.parametrize(
@@ -200,7 +205,7 @@ def test_a_picture_over_the_limit_is_made_smaller_and_others_are_sent_as_they_ar
     assert got[0] == len(small["buffer"]) and got[1] <= 30_000
     assert got[2:] == [480, 320]  # upright, as EXIF says
     send(page, picture("x" * 60_000))
-    page.until("!document.querySelector('#photo-wear').hidden", timeout=30)
+    page.until("!document.querySelector('#photo-wear').hidden")
 
 
 def test_what_is_no_picture_is_refused_by_the_browser(open_page: OpenPage, taking: Any) -> None:
@@ -224,7 +229,7 @@ def test_the_keyboard_and_a_screen_reader_do(open_page: OpenPage, taking: Any) -
     page.page.focus("#photo-make")
     page.page.keyboard.press("Enter")
     page.until("document.activeElement.id === 'photo-cancel'")  # the form went away under it
-    page.until("document.activeElement.id === 'photo-wear'", timeout=30)
+    page.until("document.activeElement.id === 'photo-wear'")
     page.page.keyboard.press("Enter")
     page.until("document.querySelector('#avatar').value.startsWith('photo-')")
     nameless = page.js("""() => [...document.querySelectorAll('#photo button, #photo input, #photo img, progress')]

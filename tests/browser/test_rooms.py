@@ -51,8 +51,7 @@ def test_a_room_is_entered_and_left_by_its_field(open_page: OpenPage, served: An
     assert page.page.get_attribute("#name", "aria-invalid") == "true" and people(served) == ["Zoë"]
     page.page.select_option("#room", "")
     page.until("window.glsplat.stats().state === 'open'")
-    page.wait(0.3)
-    assert people(served) == []
+    page.meanwhile(lambda: people(served) == [])
 
 
 def test_a_page_says_that_a_name_is_taken_or_a_room_full(open_page: OpenPage, served: Any) -> None:

@@ -95,7 +95,7 @@ def steer(page: Opened, **values: Any) -> None:
     page.js("(values) => Object.assign(fakeXR.device, values)", values)
 
 
-def fresh(page: Opened, timeout: float = 15.0) -> None:
+def fresh(page: Opened, timeout: float = 60.0) -> None:
     """A frame now and then until a picture of what the device has now is on the screen; it then stands still."""
     page.js("fakeXR.stop()")
     for _ in range(2):  # the second one knows the box of what the first one showed

@@ -32,7 +32,7 @@ class Told:
         self.users.append((height, span))
         return as_tracked(height, span)
 
-    def tracked(self, page: Opened, after: int = 0, timeout: float = 15.0) -> dict[str, Any]:
+    def tracked(self, page: Opened, after: int = 0, timeout: float = 60.0) -> dict[str, Any]:
         """The newest tracking among the requests from number ``after`` on; waits for one."""
         end = time.monotonic() + timeout
         while not (told := [r.tracking for r in self.backend.requests[after:] if r.tracking is not None]):
@@ -149,7 +149,7 @@ def test_the_panel_is_pressed_by_pointing(open_page: OpenPage, serve: Any, told:
         frames = page.js("fakeXR.frames")
         page.until(f"fakeXR.frames > {frames + 1}")
         page.js("fakeXR.press('right')")
-        page.wait(0.05)
+        page.frames(5, or_="window.glsplat.stats().session === 'none'")
         left = page.stats()["session"] == "none"
         if left:
             break
@@ -172,10 +172,10 @@ def test_controllers_close_the_hands(open_page: OpenPage, serve: Any, told: Told
     curls = []
     for pressed in ({}, {"squeeze": 0.5}, {"squeeze": 1, "trigger": 1}):
         steer(page, buttons={"left": {}, "right": pressed})
-        page.wait(0.3)
+        page.frames(3)
+        sent = page.stats()["sentId"]
+        page.until(f"window.glsplat.stats().shownId > {sent}")
         count = len(told.backend.requests)
-        shown = page.stats()["shown"]
-        page.until(f"window.glsplat.stats().shown > {shown + 2}")
         tracking = told.tracked(page, after=count)
         assert tracking.get("left_grip") is None and tracking.get("right") is None
         np.testing.assert_allclose(tracking["right_grip"], grip, atol=2e-6)

@@ -170,13 +170,18 @@ def test_a_token_in_the_link_goes_nowhere_else(open_page: OpenPage, serve: Any) 
     assert "s3cret" not in page.js("JSON.stringify(localStorage)")
 
 
+def under_way(served: Any) -> int:
+    (client,) = served.stats()["clients"]
+    return client["under_way"] + client["waiting"]
+
+
 def test_a_hidden_headset_rests_and_goes_on(open_page: OpenPage, stored: Any) -> None:
     page = inside(open_page, stored)
     page.js("fakeXR.visibility('visible-blurred')")  # the system's menu: no hands, but frames
     frames = page.js("fakeXR.frames")
     page.until(f"fakeXR.frames > {frames + 3}")
     page.js("fakeXR.visibility('hidden')")
-    page.wait(0.5)
+    page.meanwhile(lambda: not under_way(stored))
     sent = page.stats()["sentId"]
     page.wait(0.5)
     assert page.stats()["sentId"] <= sent + 1
@@ -230,7 +235,7 @@ def test_a_button_and_two_pinches_change_the_view(open_page: OpenPage, stored: A
     page.until(f"fakeXR.frames > {frames + 2}")
     steer(page, buttons={"left": {}, "right": {"a": 1}})
     page.until("window.glsplat.stats().view === 'own'")
-    page.wait(0.3)
+    page.frames(10)
     assert page.stats()["view"] == "own", "a held button counts once"
     steer(page, buttons={"left": {}, "right": {}})
     pictures(page)

@@ -4,12 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-import psutil
 import pytest
 
-import glsplat
 from glsplat.net.backend import Offered
-from glsplat.net.backends.server import make_server
 from tests.browser.conftest import OpenPage
 from tests.browser.markers import Markers, as_tracked
 from tests.browser.opened import Opened
@@ -18,21 +15,7 @@ from tests.browser.vr import enter, hands, pose, steer, visit
 
 OFFERED = (Offered(name="stored", solver=as_tracked, height=1.75, parts=frozenset({"head"})),)
 WINDOW = (640, 400)  # pixels: a software rasterizer is to spend its time on little else than the pictures
-FPS = 30.0
-SHARE = 0.88  # of the pictures a second that the renderer could draw at the same time
-FRAMES = 0.6  # of the browser's own frames
-TRIES = 3
-
-
-BUSY = 30.0  # per cent of the machine
-
-
-@pytest.fixture
-def quiet() -> None:
-    """Speed is measured where nothing else runs."""
-    busy = psutil.cpu_percent(1.0)
-    if busy > BUSY:
-        pytest.skip(f"the machine is busy ({busy:.0f} % before the test does anything): no speed is measured")
+TRIES = 8  # of which one is undisturbed
 
 
 def moving(page: Opened, side: int = 256) -> Opened:
@@ -46,54 +29,20 @@ def moving(page: Opened, side: int = 256) -> Opened:
     return enter(page)
 
 
-def served(config: Any) -> Any:
-    """The renderer with the default avatar."""
-    return make_server(glsplat.default_avatar(), config)
+def test_the_renderer_does_not_wait_for_the_page(open_page: OpenPage, serve: Any) -> None:
+    """A picture is begun while the one before is on its way; with one picture under way it never would be."""
+    begun = set()
 
+    def place(request: Any) -> dict[str, list[float]]:
+        for channel in list(served.server._channels.values()):
+            status = channel.session.status()
+            if status["under_way"] + status["unacknowledged"] > 1:
+                begun.add(request.frame_id)
+        return {"red": [0, 1, 0]}
 
-def rates(page: Opened, seconds: float = 2.5) -> tuple[float, float]:
-    """Pictures shown and display frames a second, over some seconds."""
-    shown, began = page.js("[window.glsplat.stats().shown, performance.now()]")
-    page.wait(seconds)
-    later, ended = page.js("[window.glsplat.stats().shown, performance.now()]")
-    return 1e3 * (later - shown) / (ended - began), page.stats()["frameRate"]
-
-
-def test_stored_pictures_are_shown_at_speed(quiet: None, open_page: OpenPage, serve: Any) -> None:
-    served = serve(StoredPairs(), offered=OFFERED)
-    page = visit(open_page, served, {"view": "facing", "size": 512}, xr="iwer", size=WINDOW)
-    page.js("watch.reading = false")
-    enter(page, run=False)
-    page.until("window.glsplat.stats().shown > 10")
-    seen = []
-    for _ in range(TRIES):
-        shown, frames = rates(page)
-        seen.append((shown, frames))
-        # where the browser itself has no time for 50 frames a second, the machine is not free for this
-        if shown >= min(FPS, FRAMES * frames):
-            break
-    else:
-        pytest.fail(f"pictures and frames a second: {seen}")
-    print(f"pictures and frames a second: {seen}")
-
-
-@pytest.mark.gl
-@pytest.mark.slow
-def test_the_renderers_pictures_arrive(quiet: None, open_page: OpenPage, serve: Any) -> None:
-    """As many as the renderer can draw beside the browser: it never waits for the page.
-
-    With one picture under way instead of two it would be at 0.80 to 0.86 of that.
-    """
-    page = moving(visit(open_page, serve(make=served), {"view": "facing", "size": 512}, size=WINDOW))
-    page.until("window.glsplat.stats().shown > 10", 60)
-    shares = []
-    for _ in range(TRIES):
-        shown, _ = rates(page, 4)
-        shares.append(shown * 1e-3 * page.stats()["server"]["render"])
-        if shares[-1] >= SHARE:
-            break
-    print(f"of what is drawn: {shares}")
-    assert max(shares) >= SHARE
+    served = serve(Markers(place, radius=0.1, delay=0.1), offered=OFFERED)
+    page = moving(visit(open_page, served, {"view": "facing", "size": 512}, size=WINDOW))
+    page.meanwhile(lambda: len(begun) >= 20)
 
 
 def test_the_figures_are_the_servers(open_page: OpenPage, serve: Any) -> None:
@@ -121,14 +70,14 @@ def test_the_figures_are_the_servers(open_page: OpenPage, serve: Any) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(900)
+@pytest.mark.timeout(1800)
 def test_nothing_piles_up_over_2000_pictures(open_page: OpenPage, serve: Any) -> None:
     page = moving(
         visit(open_page, serve(StoredPairs(), offered=OFFERED), {"view": "mirror", "size": 512}, size=WINDOW), 64
     )
 
     def state(pictures: float) -> dict[str, float]:
-        page.until(f"window.glsplat.stats().shown >= {pictures}", 400, every=0.5)
+        page.until(f"window.glsplat.stats().shown >= {pictures}", 800, every=0.5)
         page.js("fakeXR.stop()")
         page.wait(0.7)
         page.js("() => { fakeXR.step(); fakeXR.step(); gc(); gc(); }")
