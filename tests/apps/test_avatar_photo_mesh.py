@@ -134,7 +134,7 @@ def test_a_capture_with_its_sheet(shared_data, tmp_path, capsys) -> None:
     picture = shared_data / "participants" / "capture" / "p03.jpg"
     assert photo(picture, "--as", "mesh", "-o", out, "--height", 1.64, "--texture", 1024, "--debug", tmp_path) == 0
     assert (tmp_path / "photo.png").stat().st_size > 100_000
-    mesh, person = load_item(out), capture(shared_data, "p03")
+    mesh, person = load_item(out), capture("p03")
     assert isinstance(mesh, RiggedMesh)
     with MeshRenderer(mesh, size=(256, 384)) as renderer:
         drawn = renderer.render([person.camera.resized(256, 384)], Pose(person.pose, person.trans))[0].astype(float)

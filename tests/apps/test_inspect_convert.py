@@ -21,6 +21,7 @@ from glsplat.skinning.pose import Pose
 from glsplat.splats import Splats
 from tests.formats.meshes import bends, chain, corners
 from tests.formats.scenes import assert_equal, awkward_splats, random_avatar, random_splats
+from tests.golden.stored import DATA
 
 
 def described(capsys: pytest.CaptureFixture[str], *arguments: object) -> dict[str, Any]:
@@ -254,9 +255,8 @@ def test_help(module: Any, capsys: pytest.CaptureFixture[str]) -> None:
     assert done.value.code == 0 and module.EXAMPLE in capsys.readouterr().out
 
 
-@pytest.mark.shared
-def test_real_file_from_splat_to_ply(tmp_path: Path, shared_data: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    source = shared_data / "splats" / "demosthenes_10k.splat"
+def test_real_file_from_splat_to_ply(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    source = DATA / "demosthenes_10k.splat"
     assert cli.main(["convert", str(source), str(tmp_path / "a.ply")]) == 0
     report = described(capsys, tmp_path / "a.ply")
     assert report["splats"] == 10_000 and "not_finite" not in report["unusual"]

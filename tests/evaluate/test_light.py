@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import json
-from pathlib import Path
-
 import cv2
 import numpy as np
 import pytest
@@ -102,12 +99,11 @@ def test_shade_follows_vertices_through_seams(context: Context) -> None:
 
 @pytest.mark.gl
 @pytest.mark.parametrize("name", ["p02", "p09"])
-def test_captures(context: Context, shared_data: Path, name: str) -> None:
+def test_captures(context: Context, name: str) -> None:
     """A participant under the light of their capture is the photograph's figure, but for highlights."""
-    person = capture(shared_data, name)
+    person = capture(name)
     pose, size = Pose(person.pose, person.trans), (256, 384)
-    note = json.loads((shared_data / "participants" / "capture" / f"{name}.json").read_text())["light"]
-    shade = shade_of(person.mesh, person.mesh.posed(pose), CaptureLight.of_note(note))
+    shade = shade_of(person.mesh, person.mesh.posed(pose), CaptureLight.of_note(person.light))
     config = MeshConfig(output="float32")
     with context, MeshRenderer(person.mesh, size=size, config=config, context=context) as renderer:
         camera = person.camera.resized(*size)

@@ -19,6 +19,7 @@ from glsplat.formats import load, save
 from glsplat.gl.context import Context
 from glsplat.making.surface import SamplerConfig
 from glsplat.splats import Level, Splats
+from tests.golden.stored import DATA
 from tests.scenes import camera, cloud, limb
 
 pytest.importorskip("flip_evaluator")
@@ -83,24 +84,20 @@ def test_old_orders_are_compared_at_their_oldest(context: Context) -> None:
 
 
 @pytest.mark.usefixtures("current")
-@pytest.mark.shared
 @pytest.mark.gl
-def test_exact_ties_stay_exact_under_a_given_camera(context: Context, shared_data: Path) -> None:
+def test_exact_ties_stay_exact_under_a_given_camera(context: Context) -> None:
     """Far from the origin float32 leaves splats at equal depths: their order is that of the camera as it was given."""
-    (subject,) = subjects_of(str(shared_data / "stress" / "huge_coords.ply"), 128)
+    (subject,) = subjects_of(str(DATA / "huge_coords.ply"), 128)
     settings = settings_of(subject, RenderConfig(target="32f", shape="triangle"))[:2]
     result = measure(context, subject, settings, 3, error_frames(subject, 3))
     assert result["settings"][0]["psnr"] > 110
 
 
 @pytest.mark.usefixtures("current")
-@pytest.mark.shared
 @pytest.mark.gl
-def test_a_scene_with_the_camera_of_its_golden(context: Context, shared_data: Path) -> None:
-    goldens = shared_data / "goldens"
-    (subject,) = subjects_of(
-        str(shared_data / "splats" / "playbot_lod6.ply"), 96, [f"playbot_lod6={goldens}/playbot_lod3.camera.json"]
-    )
+def test_a_scene_with_the_camera_of_its_golden(context: Context) -> None:
+    cameras = [f"playbot_lod6={DATA / 'playbot_lod3.camera.json'}"]
+    (subject,) = subjects_of(str(DATA / "playbot_lod6.ply"), 96, cameras)
     settings = settings_of(subject, base_config(context), few=True)
     result = measure(context, subject, settings, 3, error_frames(subject, 3))
     rows = {(r["knob"], r["setting"]): r for r in result["settings"]}

@@ -13,6 +13,7 @@ import pytest
 import trimesh
 
 from glsplat.camera import Camera, look_at, pinhole
+from glsplat.data import participants_folder
 from glsplat.errors import FormatError
 from glsplat.formats.gltf.mesh import save_gltf_mesh
 from glsplat.making.gltf.reader import read_gltf_person
@@ -144,9 +145,8 @@ def test_a_material_that_is_not_there(tmp_path: Path, material: object) -> None:
 
 
 @pytest.mark.gl
-@pytest.mark.shared
-def test_participants_look_the_same(shared_data: Path, tmp_path: Path) -> None:
-    person = read_person(shared_data / "participants" / "p01.npz")
+def test_participants_look_the_same(tmp_path: Path) -> None:
+    person = read_person(participants_folder() / "p01.npz")
     save_gltf_mesh(person, tmp_path / "p.glb")
     again = read_gltf_person(tmp_path / "p.glb")
     camera = Camera(look_at((0, 0.9, 2.6), (0, 0.9, 0)), pinhole(256, 256, fov=45), 256, 256)

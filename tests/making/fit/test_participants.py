@@ -43,9 +43,9 @@ def face_off(person: Capture, seen: FittedView) -> float:
 
 @pytest.mark.shared
 @pytest.mark.parametrize("name", ["p05", "p12", "p15", "p20"])  # the tables were measured on the first two
-def test_participants(shared_data, name: str) -> None:
+def test_participants(name: str) -> None:
     needs_networks()
-    person = capture(shared_data, name)
+    person = capture(name)
     read = find_person(person.picture)
     assert read is not None
     mask = person_mask(person.picture, read.body)
@@ -61,9 +61,9 @@ def test_participants(shared_data, name: str) -> None:
 
 @pytest.mark.shared
 @pytest.mark.parametrize(("name", "hidden"), [("p07", "right"), ("p08", "left")])
-def test_hair_over_an_eye(shared_data, name: str, hidden: str) -> None:
+def test_hair_over_an_eye(name: str, hidden: str) -> None:
     needs_networks()
-    picture = capture(shared_data, name).picture
+    picture = capture(name).picture
     read = find_person(picture)
     assert read is not None
     assert {side for side, look in read_eyes(picture, read.face).items() if not look.seen} == {hidden}

@@ -64,10 +64,10 @@ def test_without_the_files_it_says_how_to_get_them(tmp_path, monkeypatch) -> Non
 
 @pytest.mark.shared
 @pytest.mark.parametrize("name", ["p02", "p03"])
-def test_landmarks_lie_where_the_joints_are(shared_data, name: str) -> None:
+def test_landmarks_lie_where_the_joints_are(name: str) -> None:
     """p03's hair hides an eye: the body network alone takes her for one seen from behind."""
     needs_networks()
-    true = capture(shared_data, name)
+    true = capture(name)
     found = find_person(true.picture)
     assert found is not None and abs(found.turn) < 0.25
     height = np.ptp(np.flatnonzero(true.mask.any(axis=1)))
@@ -89,10 +89,9 @@ def test_landmarks_lie_where_the_joints_are(shared_data, name: str) -> None:
     assert again is not None and np.array_equal(again.body.points, found.body.points)
 
 
-@pytest.mark.shared
-def test_swapping_twice_is_nothing(shared_data) -> None:
+def test_swapping_twice_is_nothing() -> None:
     needs_networks()
-    body = person.find_body(capture(shared_data, "p02").picture)
+    body = person.find_body(capture("p02").picture)
     assert body is not None
     other = swapped(body)
     assert np.array_equal(other.point("left_knee"), body.point("right_knee")) and not np.array_equal(
@@ -101,7 +100,6 @@ def test_swapping_twice_is_nothing(shared_data) -> None:
     assert np.array_equal(swapped(other).points, body.points) and np.array_equal(swapped(other).world, body.world)
 
 
-@pytest.mark.shared
-def test_nobody(shared_data) -> None:
+def test_nobody() -> None:
     needs_networks()
     assert find_person(np.full((300, 200, 3), 90, np.uint8)) is None

@@ -96,12 +96,11 @@ BAD: dict[str, tuple[str, Edit]] = {
 
 
 @pytest.fixture
-def pair(shared_data) -> tuple[Capture, Capture]:
+def pair() -> tuple[Capture, Capture]:
     needs_networks()
-    return capture(shared_data, "p01"), capture(shared_data, "p02")
+    return capture("p01"), capture("p02")
 
 
-@pytest.mark.shared
 @pytest.mark.parametrize("name", GOOD)
 def test_good_pictures_pass(pair, name: str) -> None:
     view, edit = GOOD[name]
@@ -109,7 +108,6 @@ def test_good_pictures_pass(pair, name: str) -> None:
     assert found.good and found.person is not None and found.mask.any(), found.findings
 
 
-@pytest.mark.shared
 @pytest.mark.parametrize("name", BAD)
 def test_faults_are_named(pair, name: str) -> None:
     code, edit = BAD[name]
@@ -121,7 +119,6 @@ def test_faults_are_named(pair, name: str) -> None:
         assert found.person is None and found.mask.shape == picture.shape[:2] and not found.mask.any()
 
 
-@pytest.mark.shared
 def test_another_view_is_named(pair) -> None:
     finding = check_capture(pair[0].seen(pelvis=(0, np.pi, 0))).findings[0]
     assert finding.text == "this shows the person's back, not the front; give the picture to its own option"

@@ -85,11 +85,11 @@ def test_bounds() -> None:
 
 @pytest.mark.shared
 @pytest.mark.parametrize("name", ["p01", "p05", "p07"])
-def test_participants(shared_data, name: str) -> None:
+def test_participants(name: str) -> None:
     needs_networks()
     from glsplat.making.networks.people import find_person
 
-    person = capture(shared_data, name)
+    person = capture(name)
     found = find_person(person.picture)
     assert found is not None
     mask = person_mask(person.picture, found.body)

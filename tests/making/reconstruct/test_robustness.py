@@ -117,7 +117,7 @@ def test_an_avatar_that_looks_like_its_person(
     shared_data: Path, renderer_of: Callable[..., Renderer], name: str
 ) -> None:
     needs_networks()
-    person = capture(shared_data, name)
+    person = capture(name)
     data, picture = EDITS[name](person)
     avatar = made(data, height_of(shared_data, name))
     assert abs(len(avatar.splats) - SPLATS) <= SPLATS // 1000
@@ -139,7 +139,7 @@ def test_an_avatar_that_looks_like_its_person(
 
 def test_the_same_bytes_from_two_threads(shared_data: Path, tmp_path: Path) -> None:
     needs_networks()
-    data = [small(capture(shared_data, name))[0] for name in ("p09", "p12", "p09")]
+    data = [small(capture(name))[0] for name in ("p09", "p12", "p09")]
 
     def file_of(index: int) -> bytes:
         path = tmp_path / f"{index}.glb"

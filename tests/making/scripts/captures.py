@@ -16,7 +16,6 @@ import numpy as np
 
 from glsplat.making.photo.capture import check_capture
 from glsplat.making.photo.photo_file import photo_of
-from tests.conftest import SHARED_DATA
 from tests.making.captures import capture
 from tests.making.photo.test_capture import BAD
 from tests.making.reconstruct.test_robustness import EDITS
@@ -67,7 +66,7 @@ def sheet(path: Path, tiles: list[np.ndarray]) -> None:
 def main(folder: Path) -> None:
     good = []
     for name, caption in GOOD.items():
-        person = capture(SHARED_DATA, name)
+        person = capture(name)
         picture = photo_of(EDITS[name](person)[0]).picture if name in EDITS else person.picture
         findings = check_capture(picture).findings
         assert not findings, (name, findings)
@@ -76,7 +75,7 @@ def main(folder: Path) -> None:
     bad = []
     for name in FAULTS:
         _, edit = BAD[name]
-        picture = np.ascontiguousarray(edit(capture(SHARED_DATA, "p01"), capture(SHARED_DATA, "p02")))
+        picture = np.ascontiguousarray(edit(capture("p01"), capture("p02")))
         bad.append(tile(picture, ", ".join(finding.code for finding in check_capture(picture).findings)))
     sheet(folder / "photo-bad.jpg", bad)
 

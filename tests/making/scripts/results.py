@@ -81,14 +81,13 @@ def avatar_of(name: str) -> Avatar:
 
 
 def result_of(name: str, avatar: Avatar) -> Result:
-    note = json.loads((SHARED_DATA / "participants" / "capture" / f"{name}.json").read_text())["light"]
-    person = capture(SHARED_DATA, name)
+    person = capture(name)
     pose = Pose(person.pose)
     vertices = person.mesh.posed(pose)
     cameras = views_of(vertices)
     with Renderer(avatar, size=(SIZE, SIZE), views=len(cameras)) as renderer:
         drawn = renderer.render(list(cameras.values()), pose)[..., :3] / 255.0
-    shade = shade_of(person.mesh, vertices, CaptureLight.of_note(note))
+    shade = shade_of(person.mesh, vertices, CaptureLight.of_note(person.light))
     with MeshRenderer(person.mesh, size=(SIZE, SIZE)) as renderer:
         truth = renderer.render(list(cameras.values()), pose, shade=shade)[..., :3] / 255.0
     by_view = [dict(zip(cameras, pictures, strict=True)) for pictures in (truth, drawn)]

@@ -65,7 +65,7 @@ def filmed(name: str, frames: int = FRAMES, scale: float = 1.0, **words: Any) ->
     light = json.loads((folder / "capture" / f"{name}.json").read_text())["light"]
     people = json.loads((folder / "participants.json").read_text())["participants"]
     height = next(float(each["height_m"]) for each in people if each["id"] == name)
-    person, number = capture(SHARED_DATA, name), int(name[1:])
+    person, number = capture(name), int(name[1:])
     camera = person.camera.resized(round(person.camera.width * scale), round(person.camera.height * scale))
     turn = turntable(
         person.mesh,
