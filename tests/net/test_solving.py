@@ -121,12 +121,12 @@ def test_others_are_drawn_while_a_sample_is_solved(serve, fake_backend, cameras)
 
 def test_a_stream_of_samples_that_is_faster_than_the_solver_is_drawn_all_the_same(serve, fake_backend):
     """The newest sample is never solved when its turn comes, so the one that was newest when a picture was due is."""
-    solver = Gated()
+    solver, backend = Gated(), fake_backend()
 
     async def main():
         limits = Limits(samples=0.0, samples_burst=1.0)  # all others are put off until their picture is due
         async with serve(
-            fake_backend(),
+            backend,
             ServerConfig(port=0, limits=limits, session=SessionConfig(burst=1000)),
             offered=[Offered(name="default", solver=lambda height, span: solver)],
         ) as server:
@@ -138,6 +138,7 @@ def test_a_stream_of_samples_that_is_faster_than_the_solver_is_drawn_all_the_sam
                         await until(lambda i=i: server.stats()["totals"]["accepted"] == i)
                         if i % 5 == 0:
                             solver.gate.release()
+                            await until(lambda i=i: len(backend.drawn) == i // 5)
                     solver.gate.release(100)
 
                 sending, arrived = asyncio.create_task(stream()), []
@@ -147,7 +148,7 @@ def test_a_stream_of_samples_that_is_faster_than_the_solver_is_drawn_all_the_sam
                 return arrived, server.stats()["clients"][0]
 
     arrived, stats = asyncio.run(main())
-    assert len(arrived) >= 5 and arrived == sorted(arrived)
+    assert len(arrived) >= 20 and arrived == sorted(arrived)
     assert set(arrived) <= set(solver.seen) and solver.seen == sorted(solver.seen)
     assert stats["accepted"] == 100 == stats["dropped"] + stats["sent"] and stats["waiting"] == 0
 
