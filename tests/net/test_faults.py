@@ -355,6 +355,7 @@ def test_pings_do_not_keep_a_connection_without_requests(serve, ahead):
     async def main():
         ahead.lead()
         async with serve() as server:
+            start = ahead()
             reader, writer = await raw(server)
             answered, said = 0, b"\x8a\x04here"
             while said == b"\x8a\x04here" and answered < 60:
@@ -364,10 +365,10 @@ def test_pings_do_not_keep_a_connection_without_requests(serve, ahead):
                 ahead.leap(1.0)
             said += await all_of(reader)
             writer.close()
-            return answered, said
+            return answered, ahead() - start, said
 
-    answered, said = asyncio.run(main())
-    assert 9 <= answered <= 11 and b"no valid request in time" in said
+    answered, seconds, said = asyncio.run(main())
+    assert answered <= 11 and seconds >= 10 and b"no valid request in time" in said
 
 
 def test_pings_whose_pongs_are_not_read_end_the_connection(serve, ahead):
@@ -395,17 +396,17 @@ def test_answering_pings_is_not_a_message(serve, ahead):
         ahead.lead()
         async with serve() as server:
             reader, writer = await raw(server)
+            start, sent = ahead(), 0
             writer.write(frame(0x1, native(1).encode()))
             await reader.readuntil(b"VR")
-            seconds = 0
-            while server.stats()["clients"] and seconds < 120:
+            while server.stats()["clients"] and sent < 120:
                 writer.write(frame(0xA, b""))
                 ahead.leap(1.0)
-                seconds += 1
+                sent += 1
                 await asyncio.sleep(0.002)
             said = await all_of(reader)
             writer.close()
-            return seconds, said
+            return sent, ahead() - start, said
 
-    seconds, said = asyncio.run(main())
-    assert 59 <= seconds < 120 and b'"message":"idle"' in said and said.endswith(b"idle")
+    sent, seconds, said = asyncio.run(main())
+    assert sent < 120 and seconds >= 60 and b'"message":"idle"' in said and said.endswith(b"idle")
