@@ -137,7 +137,7 @@ def test_a_real_picture_that_costs_too_much(serve):
 
     answers, seconds, rebuilds = asyncio.run(main())
     assert (answers, rebuilds) == (["too_costly", b"VR"] * 3, 0)
-    assert min(seconds[::2]) < 5 * min(seconds[1::2])  # drawn to its end it takes 30 times as long as a plain picture
+    assert min(seconds[::2]) < 5 * min(seconds[1::2])  # drawn to its end it takes a hundred times a plain one
 
 
 def test_a_picture_nobody_waits_for_is_given_up(serve, cameras):
