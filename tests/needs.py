@@ -22,15 +22,24 @@ from functools import cache
 __all__ = ["NEEDS", "Need", "missing", "program", "require"]
 
 
+_LOAD = """
+import ctypes, sys
+for name in sys.argv[1:]:
+    try:
+        ctypes.CDLL(name)
+    except OSError:
+        continue
+    sys.exit(0)
+sys.exit(1)
+"""
+
+
 def _loads(names: Iterable[str]) -> bool:
-    """One of these libraries can be loaded: it may be listed and not be readable, or be of another architecture."""
-    for name in names:
-        try:
-            ctypes.CDLL(name)
-        except OSError:
-            continue
-        return True
-    return False
+    """One of these libraries can be loaded: it may be listed and not be readable, or be of another architecture.
+
+    Tried in a process of its own: in this one the library would stay, and glsplat would ask it what is current.
+    """
+    return subprocess.run([sys.executable, "-c", _LOAD, *names], capture_output=True, timeout=120).returncode == 0
 
 
 def _starts(name: str) -> bool:
