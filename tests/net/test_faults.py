@@ -265,32 +265,6 @@ def test_a_renderer_that_hangs_is_not_healthy(serve, fake_backend, cameras, stop
     assert asyncio.run(main()) == (True, True, False, True)
 
 
-def test_slow_handshakes_and_silence_are_ended(serve, ahead):
-    async def main():
-        ahead.lead()
-        async with serve() as server:
-            silent, silent_writer = await asyncio.open_connection("127.0.0.1", server.port)
-            slow, slow_writer = await asyncio.open_connection("127.0.0.1", server.port)
-            slow_writer.write(b"GET /ws HTTP/1.1\r\nHost: x\r\nX-A: ")  # never ends its headers
-            mute, mute_writer = await raw(server)
-            idle, idle_writer = await raw(server)
-            idle_writer.write(frame(0x1, native(1).encode()))
-            picture = await idle.readuntil(b"VR")
-            await until(lambda: server.stats()["waiting"] == 2)
-            ahead.leap(11.5)  # aiohttp rounds up to whole seconds
-            said = [await all_of(reader) for reader in (silent, slow, mute)]
-            await until(lambda: [client["accepted"] for client in server.stats()["clients"]] == [1])
-            ahead.leap(50.0)
-            said.append(await all_of(idle))
-            for writer in (silent_writer, slow_writer, mute_writer, idle_writer):
-                writer.close()
-            return picture, said
-
-    picture, (silent, slow, mute, idle) = asyncio.run(main())
-    assert picture and silent == b"" and b" 101 " not in slow
-    assert b"no valid request in time" in mute and b'"message":"idle"' in idle
-
-
 def test_the_client_reports_a_server_that_goes_away(cameras):
     async def main():
         with pytest.raises(ProtocolError, match=r"no server at ws://127\.0\.0\.1:9/ws: start one with `glsplat serve`"):
@@ -347,66 +321,3 @@ def test_a_lost_context(fake_backend, cameras, kind, caplog, monkeypatch):
         assert backend.opens == 4  # it was tried three times
     assert backend.closed and len(backend.threads) == 1
     assert "Traceback" not in caplog.text
-
-
-def test_pings_do_not_keep_a_connection_without_requests(serve, ahead):
-    """Not one every second: a client that pings and reads the pongs."""
-
-    async def main():
-        ahead.lead()
-        async with serve() as server:
-            start = ahead()
-            reader, writer = await raw(server)
-            answered, said = 0, b"\x8a\x04here"
-            while said == b"\x8a\x04here" and answered < 60:
-                writer.write(frame(0x9, b"here"))
-                said = await asyncio.wait_for(reader.read(100), HANG)
-                answered += said.startswith(b"\x8a")
-                ahead.leap(1.0)
-            said += await all_of(reader)
-            writer.close()
-            return answered, ahead() - start, said
-
-    answered, seconds, said = asyncio.run(main())
-    assert answered <= 11 and seconds >= 10 and b"no valid request in time" in said
-
-
-def test_pings_whose_pongs_are_not_read_end_the_connection(serve, ahead):
-    """The server gets stuck on writing them, and its time limit holds all the same."""
-
-    async def main():
-        ahead.lead()
-        async with serve(config=ServerConfig(port=0, limits=UNLIMITED, heartbeat=1e6)) as server:
-            _, writer = await raw(server)
-            (talk,) = server._talks.values()
-            while not talk._ws._writer.transport.get_write_buffer_size():
-                writer.write(frame(0x9, b"x" * 125) * 500)
-                await asyncio.sleep(0)
-            ahead.leap(10.0)
-            await until(lambda: not server.stats()["clients"])
-            writer.transport.abort()
-
-    asyncio.run(main())
-
-
-def test_answering_pings_is_not_a_message(serve, ahead):
-    """Pongs every second of the minute that a client may be silent."""
-
-    async def main():
-        ahead.lead()
-        async with serve() as server:
-            reader, writer = await raw(server)
-            start, sent = ahead(), 0
-            writer.write(frame(0x1, native(1).encode()))
-            await reader.readuntil(b"VR")
-            while server.stats()["clients"] and sent < 120:
-                writer.write(frame(0xA, b""))
-                ahead.leap(1.0)
-                sent += 1
-                await asyncio.sleep(0.002)
-            said = await all_of(reader)
-            writer.close()
-            return sent, ahead() - start, said
-
-    sent, seconds, said = asyncio.run(main())
-    assert sent < 120 and seconds >= 60 and b'"message":"idle"' in said and said.endswith(b"idle")
