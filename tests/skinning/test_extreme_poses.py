@@ -17,6 +17,8 @@ from glsplat.data import default_avatar
 from glsplat.errors import FormatError, PoseError
 from glsplat.renderer import Renderer
 from glsplat.skinning.pose import Pose
+from glsplat.skinning.rigs.humanoid import upright
+from glsplat.skinning.rigs.match import RigMap
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.skin import Skin
 from tests.scenes import camera
@@ -151,6 +153,19 @@ def test_an_avatar_far_from_the_origin(renderer_of: Make, rng: np.random.Generat
         assert turn(rotations(avatar.splats, shapes), expected.rotations).max() < 1e-3
 
 
+def test_an_avatar_modelled_far_from_the_origin(renderer_of: Make, rng: np.random.Generator) -> None:
+    """Its splats lie about a centre of their own on the GPU, and the bones take them from there: exact all the same."""
+    away = np.array([30.0, -40.0, 100.0])
+    near = chain(500, 12)
+    splats = replace(near.splats, means=near.splats.means + away.astype(np.float32))
+    names, parents, joints = near.skeleton.names, near.skeleton.parents, near.skeleton.joints + away
+    avatar = Avatar(splats, Skeleton.from_joints(names, parents, joints), near.skin)
+    renderer = renderer_of(avatar, (1, 1))
+    for trans in (np.zeros(3), -away):
+        pose = Pose(rng.normal(0, 0.5, (12, 3)), trans)
+        assert SkinError.of(renderer, avatar, pose).within(position=1e-4)
+
+
 def test_stretched_bones(renderer_of: Make, rng: np.random.Generator) -> None:
     avatar = chain(500, 12)
     renderer = renderer_of(avatar, (1, 1))
@@ -216,6 +231,20 @@ def test_cycles_are_refused() -> None:
     for parents, message in (([-1, 2, 1], "cycle through joint 1"), ([1, 2, 0], "needs a root"), ([-1, 0, 3], "-1..2")):
         with pytest.raises(PoseError, match=message):
             Skeleton.from_joints(("a", "b", "c"), parents, np.zeros((3, 3)))
+
+
+def test_a_trunk_that_is_not_above_the_legs_is_refused() -> None:
+    parts = [f"{side}_{part}" for side in ("left", "right") for part in ("hip", "knee", "shoulder")]
+    rig = RigMap({name: index for index, name in enumerate(parts)}, ())
+
+    def positions(*shoulder: float) -> np.ndarray:
+        left = np.array([[0.1, 0.9, 0], [0.1, 0.5, 0], shoulder])
+        return np.vstack([left, left * (-1, 1, 1)])
+
+    assert np.allclose(upright(rig, positions(0.2, 1.4, 0)), np.eye(3))
+    for shoulder in ((0.2, 1.1, 0.6), (0.2, 0.3, 0.0)):  # on four legs; folded over
+        with pytest.raises(PoseError, match="trunk is not above the legs"):
+            upright(rig, positions(*shoulder))
 
 
 def test_a_rest_frame_without_inverse_is_refused() -> None:
