@@ -6,13 +6,17 @@ are nowhere twice. The bounds hold from every sample to the next, but for declar
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import pytest
 
 from glsplat.skinning.skeleton import Skeleton
-from glsplat.tracking import Sample, TrackerConfig
+from glsplat.tracking import Sample, Solution, Targets, TrackerConfig
 from glsplat.tracking.solve.body import ANKLES, FEET, Body
-from tests.tracking.moves import DECLARED, Run, Stage, Track, hand_turn, head_turn
+from glsplat.tracking.solve.quat import IDENTITY
+from glsplat.tracking.solve.solver import AnalyticSolver
+from tests.tracking.moves import DECLARED, DT, Run, Stage, Track, hand_turn, head_turn
 
 SPEEDS = (0.0, 0.0, 0.3, 1.3, 1.3, 3.5)  # m/s that a stroller changes between
 HEIGHTS = (1.0, 1.0, 1.0, 0.95, 0.7, 0.5, 1.1)  # of the eyes
@@ -93,6 +97,24 @@ def test_recordings_that_begin_in_mid_stride(body: Body, track: Track, speed: fl
         bounded(track(stroll(body, 10 + seed, rate, begin=speed)), body, 24.0)
 
 
+@pytest.mark.parametrize(("moves", "hurries"), [(1, 1), (3, 1), (4, 0)])
+def test_feet_hurry_only_into_a_walk_of_the_first_moves(
+    stage: Stage, monkeypatch: pytest.MonkeyPatch, moves: int, hurries: int
+) -> None:
+    """A gait that is recognised after so many moves of the body, at once a whole walk or not."""
+    solver, calls, started = AnalyticSolver(stage.body), itertools.count(), []
+
+    def walks(*_: object) -> None:
+        solver.legs.gait.walking = next(calls) >= moves
+
+    monkeypatch.setattr(solver.legs.gait, "update", walks)
+    monkeypatch.setattr(solver.legs, "start_walking", started.append)
+    for i in range(8):
+        x, y, z = stage.eye
+        solver.solve(Targets((x, y, z + 1.3 * i * DT), IDENTITY), DT)
+    assert len(started) == hurries
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_teleports_start_anew_without_a_jump_after_them(body: Body, track: Track, seed: int) -> None:
     result = track(stroll(body, 20 + seed, 72.0, begin=1.5, jumps=True))
@@ -134,8 +156,6 @@ def test_a_slow_walk_backwards_does_not_lean_back(stage: Stage, track: Track) ->
 
 def test_feet_of_any_solver_stay_on_the_floor(stage: Stage, skeleton: Skeleton, track: Track) -> None:
     """A plugged-in solver without any sense of the floor."""
-    from glsplat.tracking import Solution, Targets
-    from glsplat.tracking.solve.quat import IDENTITY
 
     class Sinking:
         def reset(self) -> None:

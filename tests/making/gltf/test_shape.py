@@ -50,6 +50,17 @@ def quadruped() -> tuple[np.ndarray, np.ndarray]:
     return np.array(points), np.array(parents)
 
 
+def test_limbs_that_point_down_are_the_legs_though_the_arms_are_longer() -> None:
+    middle = [(0.0, y, 0.0) for y in (0.4, 0.55, 0.7, 0.75, 0.85, 1.0)]  # pelvis, spine, chest, neck, head, its tip
+    legs = [(side * 0.1, y, 0.0) for side in (1, -1) for y in (0.4, 0.22, 0.05)]
+    arms = [(side * x, 0.7, 0.0) for side in (1, -1) for x in (0.1, 0.33, 0.55)]
+    parents = [-1, 0, 1, 2, 3, 4, 0, 6, 7, 0, 9, 10, 2, 12, 13, 2, 15, 16]
+    limbs = (("hip", "knee", "ankle"), ("shoulder", "elbow", "wrist"))
+    names = [f"{side}_{part}" for parts in limbs for side in ("left", "right") for part in parts]
+    found = match_shape(parents, np.array([*middle, *legs, *arms]), np.ones(18, bool))
+    assert found["pelvis"] == 0 and [found[name] for name in names] == list(range(6, 18))
+
+
 def test_nobody_else_is() -> None:
     points, parents = quadruped()
     assert match_shape(parents, points, np.ones(len(points), bool)) == {}
