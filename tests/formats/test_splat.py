@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import struct
 from dataclasses import replace
 from pathlib import Path
@@ -11,7 +12,7 @@ import pytest
 
 from glsplat.errors import FormatError
 from glsplat.formats import load_ply, load_splat, losses, save_splat
-from glsplat.formats.splat import looks_like_splat
+from glsplat.formats.splat import looks_like_splat, read_splat
 from glsplat.splats import SH_C0
 from tests.formats.scenes import awkward_splats, random_splats
 from tests.golden.stored import DATA
@@ -70,6 +71,18 @@ def test_size(tmp_path: Path) -> None:
         load_splat(tmp_path / "a.splat")
     (tmp_path / "a.splat").write_bytes(b"")
     assert len(load_splat(tmp_path / "a.splat")) == 0
+
+
+def test_a_file_that_becomes_shorter_while_it_is_read(tmp_path: Path) -> None:
+    class Shrinking(io.BytesIO):
+        def read(self, size: int | None = -1) -> bytes:
+            data = super().read(size)
+            self.truncate(32)
+            return data
+
+    save_splat(random_splats(3, 0), tmp_path / "a.splat")
+    with pytest.raises(FormatError, match="became shorter"):
+        read_splat(Shrinking((tmp_path / "a.splat").read_bytes()), 96)
 
 
 def test_random_bytes_do_not_look_like_splats(rng: np.random.Generator) -> None:

@@ -154,6 +154,18 @@ def test_a_picture_beyond_its_budget_gets_less_at_once() -> None:
     governor.refused(7, 0.1)  # who has never asked
 
 
+def test_a_size_comes_back_that_took_little_when_it_was_last_so() -> None:
+    """Pictures whose time hardly depends on the size: by their pixels alone the next size would take too much."""
+    governor, drawn = Governor(40), []
+    for picture in range(200):
+        now = picture / 40
+        drawn.append(governor.detail(1, now).scale)
+        governor.drawn(1, (0.8 if drawn[-1] == 1 else 0.7) / 40, True, now)
+        if picture == 20:
+            governor.refused(1, now)
+    assert drawn[20:22] == [1.0, SCALES[1]] and drawn[-1] == 1.0
+
+
 def test_without_a_rate_nothing_is_taken() -> None:
     governor = Governor(None)
     for i in range(20):

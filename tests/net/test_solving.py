@@ -86,6 +86,30 @@ def test_a_client_that_left_is_not_solved_for(thread):
     assert solver.seen in ([], [4])
 
 
+class Spent(list):
+    """A share that has always something left."""
+
+    def left(self, now):
+        return True
+
+    def spend(self, seconds):
+        self.append(seconds)
+
+
+def test_samples_that_were_left_out_cost_nothing(thread):
+    """What they were expected to take is spent when they come, and given back."""
+    gate = threading.Event()
+    solver = Solver(gate)
+    solving = Solving(solver, thread, time.perf_counter, cpu=lambda: 0.0)
+    solving.share = share = Spent()
+    for frame_id in range(4, 104):
+        solving.add(request(frame_id))
+    gate.set()
+    solving.take(103).result(HANG)
+    thread.submit(lambda: None).result(HANG)
+    assert len(solver.seen) < 40 and sum(share) == pytest.approx(0, abs=1e-9) and max(share) > 0
+
+
 class Gated:
     """Solves a sample each time that it is told."""
 

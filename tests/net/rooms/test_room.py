@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
+from threading import Event, Thread
 
 import numpy as np
 import pytest
@@ -23,6 +25,7 @@ from glsplat.net.session import SessionConfig
 from glsplat.rotations import FLIP_X
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.skeleton import Skeleton
+from tests.net.wire import HANG
 
 EYE = Camera(look_at((0, 1.6, 0), (0, 1.5, 1)), pinhole(64, 64), 64, 64)
 
@@ -201,6 +204,48 @@ def test_names_and_seats() -> None:
     assert room.count(2.2) == 2
     room.lost(again)
     assert room.join("Ann", "b", 2.3, "1.2.3.4").key > again.key
+
+
+class Slow(float):
+    """A time at which whoever takes another one from it stays until they may go on."""
+
+    def __init__(self, _: float) -> None:
+        self.reached, self.go_on = Event(), Event()
+
+    def __sub__(self, other: float) -> float:
+        self.reached.set()
+        assert self.go_on.wait(HANG)
+        return float(self) - other
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda room, ann, at: room.status(at),
+        lambda room, ann, at: room.count(at),
+        lambda room, ann, at: room.evened(at),
+        lambda room, ann, at: room.join("Carl", "a", at),
+        lambda room, ann, at: room.look(ann, ask(), moved(1.0), at),
+    ],
+    ids=["status", "count", "evened", "join", "look"],
+)
+def test_who_comes_waits_until_another_thread_is_done(call: Callable[[Room, Person, float], object]) -> None:
+    room, slow = Room("lab"), Slow(1.0)
+    ann = room.join("Ann", "a", 0.0)
+    room.lost(ann)  # so that it matters how long she has been silent
+    threads = [
+        Thread(target=call, args=(room, ann, slow), daemon=True),
+        Thread(target=room.join, args=("Bob", "a", 1.0), daemon=True),
+    ]
+    threads[0].start()
+    assert slow.reached.wait(10)
+    threads[1].start()
+    threads[1].join(0.1)
+    waits = threads[1].is_alive()
+    slow.go_on.set()
+    for thread in threads:
+        thread.join(HANG)
+    assert waits and room.count(1.0) >= 2
 
 
 def asked(user: User | None = None, **query: str) -> Asked:
