@@ -19,7 +19,7 @@ from __future__ import annotations
 import argparse
 import json
 import time
-from collections.abc import Sequence
+from collections.abc import Sequence, Set
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
@@ -86,21 +86,29 @@ def _first(run: Run) -> str:
     return "" if run.code in (None, 0, 5) else f"exit {run.code} of pytest"
 
 
-def _known(result: Result, there: Sequence[str]) -> list[str]:
-    """The tests of an earlier run that this tree has: by name where they moved, and what stands in their files now."""
+def _known(result: Result, there: Sequence[str], mapped: Set[str]) -> list[str]:
+    """The tests of an earlier run that this tree has: by name where they moved, and what stands in their files now.
+
+    For a fault that they did not find also what was written since (``mapped`` are the names that were there) and what
+    is called after the module; that first.
+    """
     by_name: dict[str, list[str]] = {}
     for test in there:
         by_name.setdefault(test.split("::")[-1], []).append(test)
     wanted = [result.by, *result.tests] if "::" in result.by else result.tests
     kept: dict[str, None] = {}
     present = set(there)
+    folder = f"tests/{result.fault.package}/"
+    if result.state != "found":
+        own = f"/test_{Path(result.fault.file).stem}.py"
+        since = (t for t in there if t.startswith(folder) and mapped and t.split("::")[-1] not in mapped)
+        kept |= dict.fromkeys([*(t for t in there if t.split("::")[0].endswith(own)), *since])
     for test in wanted:
         moved = by_name.get(test.split("::")[-1], [])
         if test in present or ("::" not in test and any(t.startswith(test) for t in there)):
             kept[test] = None
         elif len(moved) == 1:
             kept[moved[0]] = None
-    folder = f"tests/{result.fault.package}/"
     files = {test.split("::")[0] for test in kept if "::" in test and test.startswith(folder)}
     kept |= {test: None for test in there if test.split("::")[0] in files}
     return list(kept) or [f"tests/{result.fault.package}"]
@@ -152,7 +160,9 @@ def main() -> None:
     if options.again:
         todo = [r for r in _load(options.again) if r.fault.package in options.only]
         there = copy.run(["--collect-only", "tests"], 600.0, FAULTS_COLLECT="1").collected
-        todo = [Result(r.fault, tests=_known(r, there)) for r in todo]
+        maps = (options.again.parent / "map").glob("*.json")
+        mapped = {test.split("::")[-1] for path in maps for test in json.loads(path.read_text())["seconds"]}
+        todo = [Result(r.fault, tests=_known(r, there, mapped)) for r in todo]
     else:
         faults = [f for p in options.only for f in drawn(copy.root, p, options.seed, options.count)]
         if any(f.package != "shaders" for f in faults):
