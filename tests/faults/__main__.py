@@ -61,11 +61,15 @@ class Trial:
                 result.state = "gone"
                 return
             left_out = [f"--deselect={t}" for t in sorted(self._red | passed)]
-            run = self._copy.run(["-x", *left_out, *untried], self._limit - (time.monotonic() - start))
+            words = list(dict.fromkeys(map(_argument, untried)))
+            run = self._copy.run(["-x", *left_out, *words], self._limit - (time.monotonic() - start))
             result.seconds = time.monotonic() - start
             self._copy.restore()
             passed |= set(run.passed)
             first = _first(run)
+            if "::" not in first and run.code == 4:  # no such test, or a conftest that cannot be imported
+                if self._copy.run(["--collect-only", *words], self._limit).code == 4:
+                    raise SystemExit(f"not all of these tests are there: {' '.join(words)}")
             if first and not self._fails_anyway(first):
                 result.state, result.by = "found", first
                 return
@@ -78,6 +82,11 @@ class Trial:
     def _fails_anyway(self, test: str) -> bool:
         """Only of single tests: where pytest itself ended, or a file cannot be imported, it is the fault."""
         return "::" in test and bool(_first(self._copy.run([test], self._limit)))
+
+
+def _argument(test: str) -> str:
+    """A name made of bytes may be another one each time: all that the function is called with then."""
+    return test.partition("[")[0] if "\\" in test else test
 
 
 def _first(run: Run) -> str:
