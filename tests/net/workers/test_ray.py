@@ -42,6 +42,12 @@ def machines():
         os.environ["RAY_AUTH_MODE"] = before
 
 
+def test_who_has_no_ray_is_told_what_to_install(monkeypatch):
+    monkeypatch.setattr("glsplat.net.workers.cluster.find_spec", {}.get)
+    with pytest.raises(GlsplatError, match="Ray is not installed; pip install"):
+        RayCluster(Sleeper)
+
+
 def half(piece: int) -> tuple[float, str, int]:
     """A piece of work: 13 ends its process, 7 is an error."""
     if piece == 13:
