@@ -2,7 +2,8 @@
 VENV ?= .venv
 PYTHON ?= python3
 DEMO ?= # more options for `make demo`, such as DEMO='--seconds 2'
-JOBS ?= 2
+# processes that run tests: one more than cores, as some tests wait
+JOBS ?= 3
 USER_THERE ?= newbie
 EVALUATE ?= # more options for `make evaluate`, such as EVALUATE=--quick
 BIN := $(VENV)/bin
@@ -21,7 +22,7 @@ style: $(VENV)/.dev
 	$(BIN)/ruff format --check .
 
 types: $(VENV)/.dev
-	$(BIN)/mypy
+	$(BIN)/mypy --num-workers 2
 
 unit: $(VENV)/.dev
 	$(BIN)/pytest --numprocesses $(JOBS) --dist worksteal

@@ -334,8 +334,8 @@ def test_bad_trackers_break_no_promise(
     calibration = fitted(skeleton, ("waist", "feet")) if calibrated else None
     result = track(spoilt, fastest=46.0, calibration=calibration)
     promised(result, body)
-    again = track(spoilt, fastest=46.0, calibration=calibration)
-    assert again.rotations.tobytes() == result.rotations.tobytes()
+    again = track(spoilt[:150], fastest=46.0, calibration=calibration)  # later samples change nothing before them
+    assert again.rotations.tobytes() == result.rotations[:150].tobytes()
 
 
 @pytest.mark.parametrize("name", TRACKERS)

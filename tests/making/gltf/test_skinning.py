@@ -101,9 +101,8 @@ def rotation(frame: np.ndarray) -> np.ndarray:
     return frame[:3, :3] / np.cbrt(np.linalg.det(frame[:3, :3]))
 
 
-def compare(path: Path, seed: int) -> float:
+def compare(file: File, mesh: RiggedMesh, seed: int) -> float:
     """The largest distance in units of the person's height, after the best similarity."""
-    file, mesh = File(path), read_gltf_person(path)
     world, bound = turned(file, mesh, seed)
     pose, unit = our_pose(file, mesh, world, bound)
     ours = mesh.posed(pose)
@@ -120,12 +119,15 @@ def compare(path: Path, seed: int) -> float:
 def test_built_people(tmp_path: Path, name: str) -> None:
     path = tmp_path / "person.glb"
     path.write_bytes(build(FAMILIES[name]).data)
+    file, mesh = File(path), read_gltf_person(path)
     for seed in range(3):
-        assert compare(path, seed) < 1e-6
+        assert compare(file, mesh, seed) < 1e-6
 
 
 @pytest.mark.shared
 @pytest.mark.parametrize("name", REAL)
 def test_real_people(shared_data: Path, name: str) -> None:
+    path = shared_data / "real" / "models" / name
+    file, mesh = File(path), read_gltf_person(path)
     for seed in range(3):
-        assert compare(shared_data / "real" / "models" / name, seed) < REAL[name]
+        assert compare(file, mesh, seed) < REAL[name]
