@@ -110,7 +110,9 @@ def _known(result: Result, there: Sequence[str], mapped: Set[str]) -> list[str]:
     folder = f"tests/{result.fault.package}/"
     if result.state != "found":
         own = f"/test_{Path(result.fault.file).stem}.py"
-        since = (t for t in there if t.startswith(folder) and mapped and t.split("::")[-1] not in mapped)
+        tried = {test.split("::")[0] for test in result.tests}
+        near = (t for t in there if mapped and (t.startswith(folder) or t.split("::")[0] in tried))
+        since = (t for t in near if t.split("::")[-1] not in mapped)
         kept |= dict.fromkeys([*(t for t in there if t.split("::")[0].endswith(own)), *since])
     for test in wanted:
         moved = by_name.get(test.split("::")[-1], [])
