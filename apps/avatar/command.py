@@ -23,8 +23,9 @@ from glsplat.making.gltf.rig_map import read_rig_map
 from glsplat.making.importers import bind_to_mesh, load_lhm_dump
 from glsplat.making.lam import FOLLOW, is_lam_zip, load_lam_zip
 from glsplat.making.on_smplx import on_smplx
+from glsplat.making.optimize.compiled import MISSING, available
+from glsplat.making.optimize.mesh import STEPS, fitted_to_mesh
 from glsplat.making.posed import posed_splats
-from glsplat.making.refine import RefineConfig, refine
 from glsplat.making.scans import read_body, read_obj_person
 from glsplat.making.surface import FEWEST, make_avatar
 from glsplat.motion.library import library, to_json
@@ -35,7 +36,7 @@ from glsplat.splats import Level
 from ..args import add_up, motion_of
 from ..convert import add_quiet, save_and_say
 from ..usage import UsageError
-from . import consent, detail, fitted, guide, photo, score, video
+from . import consent, detail, fitted, guide, photo, reduce, score, video
 from .person import add_rig, doubts, read_any_person
 from .writing import add_notes, check_name, progress_bar, write
 
@@ -57,8 +58,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     make.add_argument(
         "--steps",
         type=int,
-        default=RefineConfig().steps,
-        help="fitting steps of 1 to 2 s (default %(default)d); 0: none",
+        default=STEPS,
+        help="of fitting all parameters of the splats, a minute for the default %(default)d; 0: none",
     )
     make.add_argument(
         "--levels",
@@ -79,6 +80,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
     detail.add_arguments(commands.add_parser("levels", help="add coarser levels of detail to a file, merged from it"))
+
+    reduce.add_arguments(commands.add_parser("reduce", help="an avatar with fewer splats, fitted to its own pictures"))
 
     taken = commands.add_parser("import", help="an LHM dump, a LAM zip, an avatar of another rig, or splats on a mesh")
     taken.add_argument(
@@ -140,6 +143,7 @@ def run(args: argparse.Namespace) -> int:
         "cones": _cones,
         "consent": consent.run,
         "levels": detail.run,
+        "reduce": reduce.run,
         "guide": guide.run,
         "photo": photo.run,
         "video": video.run,
@@ -159,16 +163,18 @@ def _make(args: argparse.Namespace) -> int:
         mesh = read_any_person(args.person, args)
     else:
         mesh = read_obj_person(args.person, read_body(args.body))
+    if args.steps and not available():
+        print(f"glsplat avatar make: {MISSING}", file=sys.stderr)
     told: list[str] = []
     _say(args.person, doubts(mesh, scale=args.extra_scale), told)  # before the minutes, so that they can be saved
     with progress_bar() as show:
         avatar = make_avatar(mesh, args.splats, args.seed, progress=show)
         if args.steps:
-            avatar = refine(avatar, mesh, args.seed, RefineConfig(steps=args.steps), show)
+            avatar = fitted_to_mesh(avatar, mesh, args.seed, args.steps, show)
         if not args.no_cones:
             avatar = with_cones(avatar, progress=show)
         if counts:
-            avatar = fitted.with_fitted_levels(avatar, mesh, counts, args.seed, not args.no_cones, show)
+            avatar = fitted.with_levels(avatar, counts, args.seed, not args.no_cones, show)
     _say(args.person, doubts(mesh, avatar, args.splats, args.extra_scale), told)
     return write(avatar, args, began)
 

@@ -9,13 +9,14 @@ from itertools import pairwise
 from glsplat.avatar import Avatar
 from glsplat.making.cones import with_cones
 from glsplat.making.detail.fitted import fitted_levels
+from glsplat.making.detail.make import with_merged_levels
 from glsplat.making.detail.measure import measured
+from glsplat.making.optimize.compiled import available
 from glsplat.making.surface import FEWEST
-from glsplat.meshes import RiggedMesh
 
 from ..usage import UsageError
 
-__all__ = ["COARSEST", "counts_of", "with_fitted_levels"]
+__all__ = ["COARSEST", "counts_of", "with_levels"]
 
 COARSEST = 5000
 """Splats below which no level is made unless it is asked for."""
@@ -37,16 +38,19 @@ def counts_of(asked: Sequence[str] | None, splats: int) -> tuple[int, ...]:
     return tuple(counts)
 
 
-def with_fitted_levels(
+def with_levels(
     avatar: Avatar,
-    mesh: RiggedMesh,
     counts: Sequence[int],
     seed: int,
     cones: bool,
     progress: Callable[[str, float], None] | None = None,
 ) -> Avatar:
-    """The avatar with levels fitted to it and ``mesh``, each with ``cones`` where asked for, and its density."""
-    levels = fitted_levels(avatar, counts, mesh, seed, progress=progress)
+    """The avatar with levels, each with ``cones`` where asked for, and its density: fitted where numba is installed,
+    merged elsewhere."""
+    if not available():
+        made = with_merged_levels(avatar, counts, progress=progress)
+        return with_cones(made, progress=progress) if cones else made
+    levels = fitted_levels(avatar, counts, seed, progress=progress)
     if cones:
         levels = tuple(with_cones(level, progress=progress) for level in levels)
     return replace(avatar, levels=measured(avatar, levels, progress=progress))

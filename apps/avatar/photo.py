@@ -11,6 +11,7 @@ from typing import Any
 
 from glsplat.errors import CaptureError, FormatError
 from glsplat.making.cones import with_cones
+from glsplat.making.optimize.compiled import MISSING, available
 from glsplat.making.reconstruct.builtin import Meshing
 from glsplat.making.reconstruct.photos import (
     MeshReconstruction,
@@ -62,7 +63,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--steps",
         type=natural,
-        help=f"rounds of matching colours to the pictures (default {_DEFAULT.steps}); 0: none",
+        help=f"of fitting all parameters of the splats, half a minute for the default {_DEFAULT.steps}; 0: none",
     )
     parser.add_argument(
         "--texture", type=natural, help=f"with --as mesh: texels a side of the texture (default {_DEFAULT.texture})"
@@ -138,6 +139,8 @@ def _one(args: argparse.Namespace) -> int:
             code = write(avatar, args, began, _facts(done), _guessed(avatar.meta))
     if not args.json:
         _notes(shots)
+        if not mesh and options.steps and args.using == "builtin" and not available():
+            print(MISSING)
     return code
 
 

@@ -22,6 +22,7 @@ from glsplat.avatar import Avatar
 from glsplat.camera import Camera, look_at, pinhole
 from glsplat.errors import GlsplatError
 from glsplat.making.footprints import EPS2D, Footprints, footprints, transmittance
+from glsplat.making.optimize.compiled import available
 from glsplat.making.posed import posed_splats
 from glsplat.making.refine import random_pose
 from glsplat.making.visibility import probe_poses, sphere
@@ -161,18 +162,37 @@ def _looked_at(
     count = int(usable.sum())
     weight, way = np.empty((views, count), np.float32), np.empty((views, count, 3), np.float32)
     view = 0
+    weigh = _weigher(count, config.eps2d)
     for pose in poses:
         posed = _posed(scene, pose, usable)
         for direction in sphere(directions) @ Rotation.random(rng=rng).as_matrix():
             report("looking for hidden splats", view / views)
             camera = _far_camera(posed, direction, config.size)
-            prints = _footprints(posed, camera, config.eps2d)
             depth = posed.means @ camera.viewmat[2, :3] + camera.viewmat[2, 3]
-            made = np.bincount(prints.splat, prints.alpha * prints.transmittance, prints.count)
-            weight[view] = made * (depth / camera.K[0, 0]) ** 2
+            weight[view] = weigh(posed, camera) * (depth / camera.K[0, 0]) ** 2
             way[view] = _ways(posed, camera.position)
             view += 1
     return weight, way
+
+
+def _weigher(count: int, eps2d: float) -> Callable[[Splats, Camera], F64]:
+    """What gives [N] how much of a picture each splat makes, in pixels: compiled where it can be, else in numpy."""
+    if not available() or eps2d != EPS2D:
+
+        def weigh(posed: Splats, camera: Camera) -> F64:
+            prints = _footprints(posed, camera, eps2d)
+            return np.bincount(prints.splat, prints.alpha * prints.transmittance, prints.count).astype(np.float64)
+
+        return weigh
+    from glsplat.making.optimize.rasterizer import Rasterizer, of
+
+    drawing = Rasterizer(count)
+
+    def weigh_compiled(posed: Splats, camera: Camera) -> F64:
+        drawing.draw(of(posed), camera, antialias=False)
+        return drawing.weights()
+
+    return weigh_compiled
 
 
 def _cut(

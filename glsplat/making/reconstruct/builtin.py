@@ -18,11 +18,11 @@ from glsplat.making.fit.fit import BodyFit, fit_body
 from glsplat.making.fit.view import View
 from glsplat.making.networks.people import Person, find_person
 from glsplat.making.paint.dress import dressed_mesh
-from glsplat.making.paint.paint import paint, painter_of
+from glsplat.making.paint.paint import painter_of
 from glsplat.making.paint.scatter import even_points, scatter
-from glsplat.making.paint.sharpen import sharpened
 from glsplat.making.paint.shot import Shot
 from glsplat.making.reconstruct.reconstructor import Mask, Options, Picture
+from glsplat.making.reconstruct.sharp import sharp
 from glsplat.making.texture import baked
 from glsplat.meshes import RiggedMesh
 
@@ -83,14 +83,13 @@ class Builtin:
         body, fit, mesh, shots, looks = _fitted(pictures, masks, options)
         rng = np.random.default_rng(options.seed)
         strewn = scatter(mesh, options.splats, rng)
-        painted = paint(body, shots, strewn.points, looks)
-        options.progress("placing splats", 0.6)
+        painter = painter_of(body, shots, strewn.points, looks)
+        painted = painter.paint(strewn.points)
+        options.progress("placing splats", 0.0)
         avatar = strewn.avatar(mesh, painted.rgb, painted.busy, rng)
-        if options.steps:
-            options.progress("fitting to the pictures", 0.7)
-            avatar = sharpened(avatar, shots, options.steps)
         unseen = float(np.average(painted.seen < _HARDLY, weights=1 / strewn.density))
         options.progress("placing splats", 1.0)
+        avatar = sharp(avatar, mesh, painter.colours, shots, options)
         return Made(avatar=avatar, fit=fit, mesh=mesh, unseen=unseen, seen=_seen(shots), problem=fit.problem)
 
     def mesh(self, pictures: Mapping[str, Picture], masks: Mapping[str, Mask], options: Options) -> Dressed:

@@ -44,7 +44,7 @@ class Options:
     height: float | None = None  # metres, without shoes; None where nobody said
     splats: int = 40_000
     seed: int = 0
-    steps: int = 8  # rounds of matching the colours to the pictures; 0: none
+    steps: int = 400  # of fitting the splats to pictures; 0: none
     texture: int = 2048  # texels a side, where a mesh is made
     progress: Progress = _silent
 

@@ -19,7 +19,6 @@ from glsplat.making.fit.view import View
 from glsplat.making.paint.dress import dressed_mesh
 from glsplat.making.paint.fuse import Fusion, fusion_of
 from glsplat.making.paint.scatter import scatter
-from glsplat.making.paint.sharpen import sharpened
 from glsplat.making.paint.shot import Shot
 from glsplat.making.texture import baked
 from glsplat.making.video.body import fit_turning, key_views
@@ -29,6 +28,7 @@ from glsplat.meshes import RiggedMesh
 from .builtin import PHONE
 from .photos import today
 from .reconstructor import Options
+from .sharp import sharp
 
 __all__ = ["FORMS", "FRAMES", "Filmed", "checked_form", "from_pictures", "from_video", "reconstruct_frames"]
 
@@ -111,11 +111,8 @@ def _splats(
     painted = fusion.paint(strewn.points)
     options.progress("placing splats", 0.85)
     avatar = strewn.avatar(mesh, painted.rgb, painted.busy, rng)
-    if options.steps:
-        options.progress("fitting to the frames", 0.9)
-        some = key_views([frame.turn for frame in frames])  # all together ask for nearly the same, in gigabytes
-        avatar = sharpened(avatar, [shots[index] for index in some], options.steps)
-    return avatar
+    some = key_views([frame.turn for frame in frames])  # all together ask for nearly the same, in gigabytes
+    return sharp(avatar, mesh, fusion.colours, [shots[index] for index in some], options)
 
 
 def from_video(

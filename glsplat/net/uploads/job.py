@@ -89,7 +89,7 @@ class Job:
 
     def progress(self, step: str, share: float) -> None:
         """The work is at ``step``, ``share`` of which is done."""
-        step = step[:_WORDS]
+        step = step.partition(", error ")[0][:_WORDS]  # a number that changes is no other step
         if (not self.steps or self.steps[-1] != step) and len(self.steps) < _STEPS:
             self.steps.append(step)
         self.share = min(1.0, max(0.0, share))

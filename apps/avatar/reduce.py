@@ -1,0 +1,55 @@
+"""``glsplat avatar reduce``: an avatar of fewer splats that looks like one of many."""
+
+from __future__ import annotations
+
+import argparse
+import time
+from dataclasses import replace
+from pathlib import Path
+
+from glsplat.avatar import Avatar
+from glsplat.errors import FormatError
+from glsplat.formats import load
+from glsplat.making.detail.fitted import FittedConfig, reduced
+from glsplat.making.optimize.compiled import MISSING, available
+from glsplat.making.surface import FEWEST
+
+from ..args import natural
+from .writing import add_notes, check_name, progress_bar, write
+
+__all__ = ["add_arguments", "run"]
+
+_STEPS = 600
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The command line."""
+    parser.add_argument("avatar", type=Path, help="avatar (.glb), from wherever")
+    parser.add_argument("-o", "--out", type=Path, required=True, help="avatar to write (.glb)")
+    parser.add_argument("--splats", type=natural, required=True, help="number of Gaussians")
+    parser.add_argument(
+        "--steps", type=natural, default=_STEPS, help="of the fit (default %(default)d); 0: merged only"
+    )
+    parser.add_argument("--seed", type=natural, default=0, help="same seed, same bytes (default 0)")
+    parser.add_argument("--json", action="store_true", help="print what was made as JSON")
+    add_notes(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Fit and write; 0 on success. Raises UsageError, FormatError."""
+    check_name(args.out)
+    began = time.perf_counter()
+    if not available():
+        raise FormatError(MISSING)
+    avatar = load(args.avatar)
+    if not isinstance(avatar, Avatar):
+        raise FormatError(f"{args.avatar}: has no skeleton; reduce is for avatars, glsplat avatar levels for scenes")
+    if not FEWEST <= args.splats < len(avatar.splats):
+        raise FormatError(
+            f"{args.avatar}: has {len(avatar.splats)} splats; --splats needs {FEWEST} or more and fewer than that, "
+            f"not {args.splats}"
+        )
+    config = FittedConfig(steps=args.steps, structure=0.03, splats=min(args.splats, FittedConfig().splats))
+    with progress_bar() as show:
+        made = reduced(avatar, args.splats, args.seed, config, show)
+    return write(replace(made, meta=dict(avatar.meta)), args, began)
