@@ -70,7 +70,7 @@ def test_it_builds_and_serves():
         url = f"http://{port.stdout.split()[0]}/healthz"
         for _ in range(120):
             try:
-                assert urllib.request.urlopen(url, timeout=2).read() == b"ok"
+                assert urllib.request.urlopen(url, timeout=60).read() == b"ok"
                 return
             except OSError:
                 time.sleep(0.5)

@@ -180,11 +180,11 @@ def test_a_context_that_cannot_become_current() -> None:
     def hold() -> None:
         with context.ctx:
             taken.set()
-            done.wait(20)
+            done.wait(60)
 
     thread = threading.Thread(target=hold)
     thread.start()
-    assert taken.wait(20)
+    assert taken.wait(60)
     with pytest.raises(ContextError, match="cannot become current"):
         renderer.render(VIEWS)
     assert not asked()[0]

@@ -111,7 +111,8 @@ async def _all_closed() -> None:
     end = loop.time() + 50
     while len(loop._selector.get_map()) > 1 and loop.time() < end:
         await asyncio.sleep(0.01)
-    await asyncio.sleep(0.01)  # and is told that it is closed
+    for _ in range(10):  # and is told that it is closed: one turn of the loop after another
+        await asyncio.sleep(0)
 
 
 async def _value(function: Callable[[], Any]) -> Any:

@@ -250,7 +250,7 @@ def test_uploads_are_read_where_they_lie(modules: Opened) -> None:
 def test_a_complaint_of_the_page_is_a_fault(modules: Opened) -> None:
     modules.js("console.error('so it goes')")
     modules.js("setTimeout(() => { throw new Error('thrown'); }, 0)")
-    modules.wait(0.1)
+    modules.meanwhile(lambda: len(modules.unexpected()) >= 2)
     assert len(modules.unexpected()) == 2, modules.faults
     modules.allowed += ["so it goes", "thrown"]
     assert not modules.unexpected()

@@ -14,7 +14,7 @@ from glsplat.errors import FormatError
 from glsplat.formats import load, load_ply, losses, recognise, save
 from glsplat.formats.morton import morton_order
 from glsplat.splats import Splats
-from tests.formats.scenes import FIELDS, assert_equal, awkward_splats, random_splats
+from tests.formats.scenes import FIELDS, assert_equal, awkward_splats, random_splats, times_as_long
 
 C0 = 0.28209479177387814
 POSITION = [f"{end}_{name}" for end in ("min", "max") for name in "xyz"]
@@ -330,8 +330,10 @@ def test_a_crowd_in_one_cell_is_ordered_too() -> None:
 
 
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="the high-water mark is read from /proc")
-@pytest.mark.parametrize("degree", [0, 3])
-def test_a_million_splats_within_two_seconds_of_a_core_and_three_times_their_size(tmp_path: Path, degree: int) -> None:
+@pytest.mark.parametrize(("degree", "most"), [(0, 32), (3, 13)])  # 15 and 6 here, 52 and 16 with a loop over the splats
+def test_a_million_splats_without_a_loop_and_within_three_times_their_size(
+    tmp_path: Path, degree: int, most: float
+) -> None:
     count, rest = 1_000_000, 3 * ((degree + 1) ** 2 - 1)
     rng = np.random.default_rng(0)
     path = tmp_path / "big.compressed.ply"
@@ -340,19 +342,18 @@ def test_a_million_splats_within_two_seconds_of_a_core_and_three_times_their_siz
     path.write_bytes(header(chunks, count, rest=rest) + b"".join(parts))
     # a process of its own, because its high-water mark has not been raised by other tests
     script = (
-        "import sys, time\n"
+        "import sys\n"
         "from glsplat.formats import load\n"
         "def peak():\n"
         "    return next(int(line.split()[1]) for line in open('/proc/self/status') if line.startswith('VmHWM'))\n"
-        "before, start = peak(), time.process_time()\n"
+        "before = peak()\n"
         "splats = load(sys.argv[1])\n"
-        "print(splats.nbytes, time.process_time() - start, (peak() - before) * 1024)\n"
+        "print(splats.nbytes, (peak() - before) * 1024)\n"
     )
     done = subprocess.run([sys.executable, "-c", script, path], capture_output=True, text=True, check=True, timeout=60)
-    size, seconds, grown = map(float, done.stdout.split())
-    assert seconds < 2
+    size, grown = map(int, done.stdout.split())
     assert grown < 3 * size
-    print(f"{seconds:.3f} s, {grown / size:.2f} x the splats")
+    assert times_as_long(load, path) < most
 
 
 REAL = [

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-import time
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -26,6 +25,7 @@ from tests.formats.scenes import (
     glb_parts,
     random_avatar,
     random_splats,
+    times_as_long,
     write_glb,
 )
 from tests.golden.stored import DATA
@@ -405,12 +405,7 @@ def test_an_avatar_of_40000_splats_is_small_and_quick(tmp_path: Path) -> None:
     skin = Skin.create(rng.integers(0, 55, (count, 4)), rng.random((count, 4)), 55, 4)
     save_gltf(Avatar(random_splats(count), skeleton, skin), tmp_path / "a.glb")
     assert (tmp_path / "a.glb").stat().st_size <= 3_500_000
-    seconds = []
-    for _ in range(3):
-        start = time.perf_counter()
-        load_gltf(tmp_path / "a.glb")
-        seconds.append(time.perf_counter() - start)
-    assert min(seconds) < 0.3
+    assert times_as_long(load_gltf, tmp_path / "a.glb") < 9  # 4 here, 11 with a loop over the splats
 
 
 def test_real_scene_round_trip(tmp_path: Path) -> None:

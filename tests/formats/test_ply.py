@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import io
 import subprocess
 import sys
-import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,8 +13,9 @@ import pytest
 
 from glsplat.errors import FormatError
 from glsplat.formats import load_ply, save_ply
+from glsplat.formats.ply import read_ply
 from glsplat.splats import Splats
-from tests.formats.scenes import FIELDS, assert_equal, awkward_splats, random_splats
+from tests.formats.scenes import FIELDS, assert_equal, awkward_splats, random_splats, times_as_long
 from tests.golden.stored import DATA
 
 BASE = [
@@ -302,36 +303,35 @@ def test_comment_in_any_encoding(tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="the high-water mark is read from /proc")
-def test_a_million_splats_within_two_seconds_and_three_file_sizes(tmp_path: Path) -> None:
+def test_a_million_splats_without_a_loop_and_within_three_file_sizes(tmp_path: Path) -> None:
     count = 1_000_000
     path = tmp_path / "big.ply"
     rows = np.random.default_rng(0).normal(size=(1000, len(BASE))).astype("<f4")
     path.write_bytes(header(count) + np.tile(rows, (count // 1000, 1)).tobytes())
     # a process of its own, because its high-water mark has not been raised by other tests
     script = (
-        "import sys, time\n"
+        "import sys\n"
         "from glsplat.formats import load_ply\n"
         "def peak():\n"
         "    return next(int(line.split()[1]) for line in open('/proc/self/status') if line.startswith('VmHWM'))\n"
-        "before, start = peak(), time.perf_counter()\n"
+        "before = peak()\n"
         "splats = load_ply(sys.argv[1])\n"
-        "print(len(splats), time.perf_counter() - start, (peak() - before) * 1024)\n"
+        "print(len(splats), (peak() - before) * 1024)\n"
     )
     done = subprocess.run([sys.executable, "-c", script, path], capture_output=True, text=True, check=True, timeout=60)
-    loaded, seconds, grown = map(float, done.stdout.split())
+    loaded, grown = map(int, done.stdout.split())
     assert loaded == count
-    assert seconds < 2
     assert grown < 3 * path.stat().st_size
-    print(f"{seconds:.3f} s, {grown / path.stat().st_size:.2f} x the file")
+    assert times_as_long(load_ply, path) < 6  # 2 here, 12 with a loop over the splats
 
 
-def test_refuses_a_huge_count_at_once(tmp_path: Path) -> None:
+def test_refuses_a_huge_count_at_once() -> None:
     for form in ("ascii", "binary_big_endian"):
-        (tmp_path / "a.ply").write_bytes(header(10**17, form=form) + b"0 " * 500)
-        start = time.perf_counter()
+        start = header(10**17, form=form)
+        file = io.BytesIO(start + b"0 " * 500)
         with pytest.raises(FormatError, match="truncated"):
-            load_ply(tmp_path / "a.ply")
-        assert time.perf_counter() - start < 0.5
+            read_ply(file, len(file.getvalue()))
+        assert file.tell() == len(start)  # nothing behind the header was read
 
 
 def test_huge_ascii_count_after_a_full_chunk_allocates_nothing(tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ from tests.net.wire import HANG, UNLIMITED, all_of, frame, native, raw, until
 def test_slow_handshakes_and_silence_are_ended(serve, ahead):
     async def main():
         ahead.lead()
-        async with serve() as server:
+        async with serve(config=ServerConfig(port=0, heartbeat=1e6)) as server:
             silent, silent_writer = await asyncio.open_connection("127.0.0.1", server.port)
             slow, slow_writer = await asyncio.open_connection("127.0.0.1", server.port)
             slow_writer.write(b"GET /ws HTTP/1.1\r\nHost: x\r\nX-A: ")  # never ends its headers
@@ -79,7 +79,7 @@ def test_answering_pings_is_not_a_message(serve, ahead):
 
     async def main():
         ahead.lead()
-        async with serve() as server:
+        async with serve(config=ServerConfig(port=0, heartbeat=1e6)) as server:
             reader, writer = await raw(server)
             start, sent = ahead(), 0
             writer.write(frame(0x1, native(1).encode()))

@@ -31,8 +31,10 @@ def request(frame_id):
 class Solver:
     def __init__(self, wait=None):
         self.seen, self.now, self.wait = [], [], wait
+        self.begun = threading.Event()
 
     def solve(self, request, now):
+        self.begun.set()
         if self.wait is not None:
             self.wait.wait(HANG)
         self.seen.append(request.frame_id)
@@ -67,7 +69,9 @@ def test_what_waits_is_bounded_and_the_newest_are_kept(thread):
     gate = threading.Event()
     solver = Solver(gate)
     solving = Solving(solver, thread, time.perf_counter)
-    for frame_id in range(4, 104):
+    solving.add(request(4))
+    assert solver.begun.wait(HANG)
+    for frame_id in range(5, 104):
         solving.add(request(frame_id))
     gate.set()
     solving.take(103).result(HANG)

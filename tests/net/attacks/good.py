@@ -70,14 +70,14 @@ class GoodClient:
         talk = _Talk(reader, writer)
         asking: asyncio.Task[None] | None = None
         try:
-            async with asyncio.timeout(5):
+            async with asyncio.timeout(60):
                 writer.write(handshake(self.target))
                 head = await reader.readuntil(b"\r\n\r\n")
             if b" 101 " not in head.partition(b"\r\n")[0]:
                 raise ProtocolError(head.partition(b"\r\n")[0].decode("latin-1"), "refused")
             asking = asyncio.create_task(self._ask(talk))
             while True:
-                async with asyncio.timeout(20):
+                async with asyncio.timeout(60):
                     data = await talk.message()
                 at = time.monotonic()
                 reply = parse_reply(data)

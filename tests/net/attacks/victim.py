@@ -46,7 +46,7 @@ class Victim:
     def get(self, path: str) -> str:
         """A page, or what went wrong."""
         try:
-            with urllib.request.urlopen(f"http://127.0.0.1:{self.port}{path}", timeout=5) as answer:
+            with urllib.request.urlopen(f"http://127.0.0.1:{self.port}{path}", timeout=60) as answer:
                 return str(answer.read().decode())
         except OSError as error:
             return str(error)

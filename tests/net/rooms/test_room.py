@@ -238,7 +238,7 @@ def test_who_comes_waits_until_another_thread_is_done(call: Callable[[Room, Pers
         Thread(target=room.join, args=("Bob", "a", 1.0), daemon=True),
     ]
     threads[0].start()
-    assert slow.reached.wait(10)
+    assert slow.reached.wait(HANG)
     threads[1].start()
     threads[1].join(0.1)
     waits = threads[1].is_alive()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import time
 from pathlib import Path
 from typing import Any
 
@@ -169,7 +170,16 @@ def test_eight_in_a_room_have_equal_shares(serve: Serve, hands: Hands) -> None:
     """Of a renderer that is never idle; and each picture shows all eight, at most a tick apart."""
 
     async def talk() -> None:
-        backend = FakeBackend(delay=0.004)
+        def all_others_wait(request: RenderRequest) -> None:
+            """However long that takes: whose turn it is next is decided among all."""
+            end = time.monotonic() + GUARD
+            while started.is_set() and not over.is_set() and time.monotonic() < end:
+                others = [one for number, one in list(server._channels.items()) if number != request.viewer]
+                if all(one.session.newest is not None for one in others):
+                    return
+                time.sleep(0.001)
+
+        backend = FakeBackend(fail=all_others_wait)
         # by this clock each picture takes as long, so that nobody's rests because the machine did something else
         hands.of = lambda: 1000 + 0.004 * len(backend.drawn)
         rooms = ServerConfig(port=0, rooms={"lab": 8}, limits=Limits(work=1e9))
