@@ -49,7 +49,7 @@ def run(args: argparse.Namespace) -> int:
             f"{args.avatar}: has {len(avatar.splats)} splats; --splats needs {FEWEST} or more and fewer than that, "
             f"not {args.splats}"
         )
-    config = FittedConfig(steps=args.steps, structure=0.03, splats=min(args.splats, FittedConfig().splats))
+    config = FittedConfig(steps=args.steps, splats=min(args.splats, FittedConfig().splats))
     with progress_bar() as show:
         made = reduced(avatar, args.splats, args.seed, config, show)
     return write(replace(made, meta=dict(avatar.meta)), args, began)

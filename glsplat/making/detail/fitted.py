@@ -31,7 +31,10 @@ class FittedConfig:
     splats: int = 23_000  # ... that as many splats stand for, and fewer in smaller pictures by this power
     power: float = 0.7
     poses: int = 24
-    structure: float = 0.0  # of 1 - SSIM in the loss: levels are chosen by their squared error
+    structure: float = 0.03  # as of FitConfig
+    thrift: float = 0.0
+    growth: float = 0.3
+    recycled: float = 0.02
     merge: MergeConfig | None = None
 
 
@@ -77,5 +80,11 @@ def reduced(
     size = max(_LEAST, round(config.size * min(1.0, (count / config.splats) ** config.power)))
     views = ViewConfig(body=12, poses=config.poses, each=1, size=size, close=size // 2)
     pictures = pictures_of_splats(bare, seed, views, progress)
-    descent = FitConfig(steps=config.steps, structure=config.structure)
+    descent = FitConfig(
+        steps=config.steps,
+        structure=config.structure,
+        thrift=config.thrift,
+        growth=config.growth,
+        recycled=config.recycled,
+    )
     return fitted(merged(bare, count, config.merge), pictures, seed, descent, progress)

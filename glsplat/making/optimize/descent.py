@@ -96,6 +96,7 @@ def step(
     counts: F32,
     cells: F64,
     rates: F64,  # [COUNT]
+    shrink: F64,  # [COUNT] of the rates, by which numbers fall of themselves (decoupled decay)
     bounds: Bounds,
 ) -> None:
     """Adam (Kingma and Ba 2015) on the rows that the picture showed, with decays .9 and .99, then the bounds."""
@@ -114,7 +115,7 @@ def step(
             moments[i, k] += np.float32(0.1 * (slope[k] - moments[i, k]))
             powers[i, k] += np.float32(0.01 * (slope[k] * slope[k] - powers[i, k]))
             mean, power = moments[i, k] / first_left, powers[i, k] / second_left
-            values[i, k] -= np.float32(rates[k] * mean / (math.sqrt(power) + 1e-20))
+            values[i, k] -= np.float32(rates[k] * (mean / (math.sqrt(power) + 1e-20) + shrink[k]))
         length = math.sqrt(values[i, 0] ** 2 + values[i, 1] ** 2 + values[i, 2] ** 2)
         for k in range(3):
             if length > shift:

@@ -48,10 +48,11 @@ class FitConfig:
     colour_rate: float = 0.02
     structure: float = 0.03  # of 1 - SSIM in the loss
     shift: float = 1.0  # cells from where a splat began
-    growth: float = 0.3  # natural logarithm of its scales; more of it covers the figure better and takes longer to draw
+    growth: float = 0.6  # natural logarithm of its scales
     shrinking: float = 0.9
+    thrift: float = 0.16  # of the scales' rate, by which they shrink of themselves: what is drawn twice takes time
     turn: float = 0.6  # radians
-    recycled: float = 0.02  # share of the splats that are taken away, and as many split, each time
+    recycled: float = 0.05  # share of the splats that are taken away, and as many split, each time
     recycle_at: tuple[float, ...] = (0.15, 0.3, 0.45)  # shares of the steps
 
 
@@ -120,6 +121,7 @@ class _Fit:
         self._seen, self._wrong = np.zeros(count), np.zeros(count)
         rates = (config.mean_rate, config.scale_rate, config.turn_rate, config.opacity_rate, config.colour_rate)
         self._rates = np.repeat(rates, (3, 3, 3, 1, 3)).astype(np.float64)
+        self._shrink = np.repeat((0.0, config.thrift, 0.0, 0.0, 0.0), (3, 3, 3, 1, 3))
         self._bounds = (config.shift, -config.shrinking, config.growth, config.turn, _LOW, _HIGH)
 
     def descend(self, index: int, decay: float) -> float:
@@ -139,7 +141,9 @@ class _Fit:
         self._note(gradients, picture.share)
         state = self._values, self._moments, self._powers, self._counts
         everything = self._drawing.out
-        descent.step(0, len(self._values), everything, *state, self._start[3], self._rates * decay, self._bounds)
+        descent.step(
+            0, len(self._values), everything, *state, self._start[3], self._rates * decay, self._shrink, self._bounds
+        )
         return float(np.sqrt(loss.squares))
 
     def recycle(self, share: float) -> None:
