@@ -5,14 +5,21 @@ from __future__ import annotations
 import argparse
 import json
 import time
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
+from glsplat.avatar import Avatar
 from glsplat.errors import FormatError
 from glsplat.formats import load, save, suffixes
-from glsplat.making.detail.make import with_merged_levels
-from glsplat.making.detail.measure import MeasureConfig
+from glsplat.making.detail.fitted import FittedConfig, fitted_levels
+from glsplat.making.detail.make import halves, with_merged_levels
+from glsplat.making.detail.measure import MeasureConfig, measured
+from glsplat.making.optimize.compiled import available
+from glsplat.splats import Splats
 from glsplat.views import splats_of
 
+from ..args import natural
 from ..inspect import levels_of, levels_said
 from ..usage import UsageError
 from .writing import check_name, progress_bar
@@ -38,8 +45,29 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=default,
         help=f"dB that a level keeps where it is used (default %(default)g), or {MeasureConfig().slack:g} less",
     )
+    steps = FittedConfig().steps
+    parser.add_argument(
+        "--steps",
+        type=natural,
+        default=steps,
+        help=f"of fitting a level of an avatar to pictures of the finest (default {steps}; needs glsplat[make]); "
+        "0: merged alone, as are levels of static scenes",
+    )
+    parser.add_argument("--seed", type=natural, default=0, help="same seed, same bytes (default 0)")
     parser.add_argument("--force", action="store_true", help="make levels anew where the file has some")
     parser.add_argument("--json", action="store_true", help="print what was made as JSON")
+
+
+def _made(
+    scene: Splats | Avatar, counts: list[int] | None, args: argparse.Namespace, show: Callable[[str, float], None]
+) -> Splats | Avatar:
+    """The scene with levels: fitted, or merged."""
+    config = MeasureConfig(psnr=args.psnr)
+    if not (isinstance(scene, Avatar) and args.steps and available()):
+        return with_merged_levels(scene, counts, config, show)
+    bare = replace(scene, levels=())
+    levels = fitted_levels(bare, counts or halves(len(scene.splats)), args.seed, FittedConfig(steps=args.steps), show)
+    return replace(bare, levels=measured(bare, levels, config, show))
 
 
 def run(args: argparse.Namespace) -> int:
@@ -58,7 +86,7 @@ def run(args: argparse.Namespace) -> int:
     if counts and counts[0] >= total:
         raise FormatError(f"{args.scene}: has {total} splats; --counts needs fewer, not {counts[0]}")
     with progress_bar() as show:
-        made = with_merged_levels(scene, counts, MeasureConfig(psnr=args.psnr), show)
+        made = _made(scene, counts, args, show)
     save(made, args.out)
     levels, seconds = levels_of(made), time.perf_counter() - began
     size = args.out.stat().st_size

@@ -26,15 +26,15 @@ _LEAST = 160  # pixels a side
 class FittedConfig:
     """How fewer splats are fitted to more."""
 
-    steps: int = 400  # a level
+    steps: int = 600  # a level
     size: int = 768  # pixels a side of a whole figure at most ...
     splats: int = 23_000  # ... that as many splats stand for, and fewer in smaller pictures by this power
     power: float = 0.7
-    poses: int = 24
+    poses: int = 64
     structure: float = 0.03  # as of FitConfig
     thrift: float = 0.0
-    growth: float = 0.3
-    recycled: float = 0.02
+    growth: float = 0.6
+    recycled: float = 0.0
     merge: MergeConfig | None = None
 
 
