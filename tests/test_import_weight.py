@@ -19,6 +19,7 @@ HEAVY = (
     "moderngl",
     "cryptography",
     "segno",
+    "numba",
 )
 
 NEEDED = {
@@ -33,6 +34,7 @@ NEEDED = {
     "import glsplat.net.messages": set(),
     "import glsplat.net.client": {"aiohttp", "simplejpeg"},
     "import glsplat.making.posed": set(),
+    "import glsplat.making.cones": {"cv2", "scipy"},
     "import apps.args": set(),
     "import apps.convert": set(),
     "import apps.inspect": set(),

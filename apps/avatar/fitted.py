@@ -49,7 +49,11 @@ def with_levels(
     merged elsewhere."""
     if not available():
         made = with_merged_levels(avatar, counts, progress=progress)
-        return with_cones(made, progress=progress) if cones else made
+        if not cones:
+            return made
+        return replace(
+            made, levels=tuple(replace(one, content=with_cones(one.content, progress=progress)) for one in made.levels)
+        )
     levels = fitted_levels(avatar, counts, seed, progress=progress)
     if cones:
         levels = tuple(with_cones(level, progress=progress) for level in levels)

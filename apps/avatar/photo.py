@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import sys
 import time
 from collections.abc import Mapping
 from pathlib import Path
@@ -140,7 +141,7 @@ def _one(args: argparse.Namespace) -> int:
     if not args.json:
         _notes(shots)
         if not mesh and options.steps and args.using == "builtin" and not available():
-            print(MISSING)
+            print(f"glsplat avatar photo: {MISSING}", file=sys.stderr)
     return code
 
 

@@ -39,8 +39,8 @@ def run(args: argparse.Namespace) -> int:
     """Fit and write; 0 on success. Raises UsageError, FormatError."""
     check_name(args.out)
     began = time.perf_counter()
-    if not available():
-        raise FormatError(MISSING)
+    if args.steps and not available():
+        raise FormatError(f"{MISSING}; --steps 0 merges without it")
     avatar = load(args.avatar)
     if not isinstance(avatar, Avatar):
         raise FormatError(f"{args.avatar}: has no skeleton; reduce is for avatars, glsplat avatar levels for scenes")

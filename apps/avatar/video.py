@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import argparse
+import sys
 import time
 from pathlib import Path
 from typing import Any
 
 from glsplat.avatar import Avatar
 from glsplat.errors import CaptureError, FormatError
+from glsplat.making.optimize.compiled import MISSING, available
 from glsplat.making.reconstruct.reconstructor import Options, Progress
 from glsplat.making.reconstruct.video import FORMS, FRAMES, Filmed, from_video
 
@@ -85,6 +87,8 @@ def run(args: argparse.Namespace) -> int:
         code = write(made.thing, args, began, _facts(made), words)
     else:
         code = write_mesh(made.thing, args, began, _facts(made), words)
+    if isinstance(made.thing, Avatar) and options.steps and not available():
+        print(f"glsplat avatar video: {MISSING}", file=sys.stderr)
     if not args.json:
         for line in made.left_out:
             print(line)

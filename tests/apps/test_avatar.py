@@ -16,6 +16,7 @@ from glsplat.formats import FORMATS, load, save
 from glsplat.making.cones import ConeConfig
 from glsplat.making.detail.fitted import FittedConfig
 from glsplat.making.detail.measure import MeasureConfig
+from glsplat.making.optimize.pictures import ViewConfig
 from glsplat.making.surface import SamplerConfig
 from tests.formats.scenes import random_avatar
 
@@ -38,7 +39,7 @@ def test_default_avatar_file():
     strongest = avatar.skin.joints[:, 0]
     for side, wrist in (("left", 20), ("right", 21)):
         fingers = [i for i, name in enumerate(avatar.skeleton.names) if name.startswith(f"{side}_") and i >= 25]
-        assert np.isin(strongest, [wrist, *fingers]).sum() >= 3500
+        assert np.isin(strongest, [wrist, *fingers]).sum() >= 3400  # the fit recycles some
     licence = (DATA / "LICENSE-default-avatar.md").read_text()
     assert "CC0" in licence and "MakeHuman system assets, CC0 since 2020-09" in " ".join(licence.split())
 
@@ -84,6 +85,8 @@ def test_make_import_export(person, tmp_path, monkeypatch, capsys):
     monkeypatch.setitem(SamplerConfig.__init__.__kwdefaults__, "probe", 96)  # a box is seen as well by fewer rays
     for name, value in {"size": 48, "test_size": 64, "tests": 3, "choosing": 3}.items():
         monkeypatch.setitem(ConeConfig.__init__.__kwdefaults__, name, value)
+    for name, value in {"body": 3, "poses": 1, "size": 96}.items():
+        monkeypatch.setitem(ViewConfig.__init__.__kwdefaults__, name, value)
     out = tmp_path / "a.glb"
     words = ["avatar", "make", str(person), "-o", str(out), "--splats", "200", "--steps", "2", "--json", "--no-cones"]
     assert cli.main([*words, "--licence", "CC0-1.0"]) == 0
@@ -120,7 +123,8 @@ def test_make_import_export(person, tmp_path, monkeypatch, capsys):
 @pytest.mark.gl
 def test_levels_are_made_with_the_avatar(person, tmp_path, monkeypatch, capsys):
     monkeypatch.setitem(SamplerConfig.__init__.__kwdefaults__, "probe", 96)
-    monkeypatch.setitem(FittedConfig.__init__.__kwdefaults__, "steps", 6)
+    for name, value in {"steps": 6, "size": 200, "poses": 1}.items():
+        monkeypatch.setitem(FittedConfig.__init__.__kwdefaults__, name, value)
     monkeypatch.setitem(MeasureConfig.__init__.__kwdefaults__, "psnr", 20.0)  # what boxes of so few splats keep
     out = tmp_path / "a.glb"
     words = ["avatar", "make", str(person), "-o", str(out), "--splats", "400", "--steps", "0", "--no-cones"]

@@ -13,10 +13,13 @@ import numpy as np
 import pytest
 
 from glsplat.formats import load
+from glsplat.making.cones import ConeConfig
+from glsplat.making.optimize.compiled import MISSING
 from glsplat.making.photo.capture import Finding
 from glsplat.making.reconstruct import photos, registry
 from glsplat.models import store
 from tests.making.captures import needs_networks
+from tests.making.optimize.without import without_numba
 from tests.making.reconstruct.stubs import replace_check
 
 STUBS = "tests.making.reconstruct.stubs"
@@ -68,10 +71,22 @@ def test_an_avatar_is_made(seen, front, tmp_path, capsys) -> None:
     assert sorted(p.name for p in tmp_path.iterdir()) == ["in", "me.glb"]
 
 
-def test_cones_are_made_when_asked_for(seen, front, tmp_path) -> None:
+def test_cones_are_made_when_asked_for(seen, front, tmp_path, monkeypatch) -> None:
+    for name, value in {"directions": 16, "size": 48, "test_size": 64, "tests": 2, "choosing": 2}.items():
+        monkeypatch.setitem(ConeConfig.__init__.__kwdefaults__, name, value)
     out = tmp_path / "me.glb"
     assert photo(front, "-o", out) == 0 and load(out).splats.cones is None
     assert photo(front, "-o", out, "--cones") == 0 and load(out).splats.cones is not None
+
+
+def test_what_is_not_fitted_without_numba_is_said(seen, front, tmp_path, monkeypatch, capsys) -> None:
+    without_numba(monkeypatch)
+    out = tmp_path / "me.glb"
+    for words, said in (((), True), (("--steps", 0), False), (("--as", "mesh"), False)):
+        monkeypatch.setitem(registry.OWN, "builtin", f"{STUBS}:Meshed")
+        assert photo(front, "-o", out, *words) == 0
+        assert (MISSING in "".join(capsys.readouterr())) == said
+    assert photo(front, "-o", out, "--json") == 0 and json.loads(capsys.readouterr().out)["made_by"] == "builtin"
 
 
 def test_json(seen, front, tmp_path, capsys, monkeypatch) -> None:

@@ -27,7 +27,7 @@ def made(shared_data, tmp_path_factory) -> Path:
     needs_networks()
     out = tmp_path_factory.mktemp("photo") / "me.glb"
     picture = shared_data / "participants" / "capture" / f"{NAME}.jpg"
-    words = ["avatar", "photo", picture, "-o", out, "--height", HEIGHT, "--splats", 20_000]
+    words = ["avatar", "photo", picture, "-o", out, "--height", HEIGHT, "--splats", 20_000, "--steps", 20]
     assert cli.main([*map(str, words), "--consent", "made up", "--debug", str(out.parent / "sheets")]) == 0
     return out
 

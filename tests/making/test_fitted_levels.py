@@ -1,4 +1,4 @@
-"""Levels fitted to pictures of the finest: closer to it than merging alone, the same for the same seed."""
+"""Fewer splats fitted to pictures of more: closer to them than merging alone, the same for the same seed."""
 
 from __future__ import annotations
 
@@ -11,24 +11,21 @@ from glsplat import reference
 from glsplat.avatar import Avatar
 from glsplat.camera import Camera, look_at, pinhole
 from glsplat.errors import GlsplatError
-from glsplat.making.detail.fitted import FittedConfig, fitted_levels
+from glsplat.making.detail.fitted import FittedConfig, fitted_levels, reduced
 from glsplat.making.detail.merge import merged
+from glsplat.making.optimize.pictures import Picture, ViewConfig
+from glsplat.making.posed import posed_splats
 from glsplat.making.surface import SamplerConfig, make_avatar
-from glsplat.meshes import RiggedMesh
 from glsplat.skinning.pose import Pose
+from glsplat.splats import Level
 from tests.making.test_surface import ball, rigged
 
-QUICK = FittedConfig(steps=24, pictures=8)
+QUICK = FittedConfig(steps=8, size=200, poses=1)
 
 
 @pytest.fixture(scope="module")
-def mesh() -> RiggedMesh:
-    return rigged(ball())
-
-
-@pytest.fixture(scope="module")
-def finest(mesh: RiggedMesh) -> Avatar:
-    return make_avatar(mesh, 900, 3, SamplerConfig(probe=128))
+def finest() -> Avatar:
+    return make_avatar(rigged(ball()), 900, 3, SamplerConfig(probe=128))
 
 
 def apart(avatar: Avatar, other: Avatar) -> float:
@@ -42,27 +39,18 @@ def apart(avatar: Avatar, other: Avatar) -> float:
 
 
 def test_a_fitted_level_is_closer_to_the_finest_than_a_merged_one(finest: Avatar) -> None:
-    (level,) = fitted_levels(finest, [120], config=replace(QUICK, steps=60, pictures=10))
+    (level,) = fitted_levels(finest, [120], config=replace(QUICK, steps=80))
     assert len(level.splats) == 120 and level.splats.antialias and level.skeleton is finest.skeleton
-    assert apart(level, finest) < 0.8 * apart(merged(finest, 120), finest)
+    assert apart(level, finest) < 0.5 * apart(merged(finest, 120), finest)
 
 
-def test_the_mesh_draws_a_level_towards_itself(mesh: RiggedMesh, finest: Avatar) -> None:
-    """The finest is too dark by half; with the mesh at hand its level is less so."""
-    dark = replace(finest, splats=replace(finest.splats, sh=finest.splats.sh - 0.5))
-    (alone,) = fitted_levels(dark, [250], config=QUICK)
-    (level,) = fitted_levels(dark, [250], mesh, config=replace(QUICK, mesh_share=0.8))
-    assert apart(level, finest) < 0.6 * apart(alone, finest)
-
-
-def test_same_seed_same_bytes(mesh: RiggedMesh, finest: Avatar) -> None:
-    quick = replace(QUICK, steps=3, pictures=2)
-    once, again = (fitted_levels(finest, [300, 120], mesh, 5, quick) for _ in range(2))
+def test_same_seed_same_bytes(finest: Avatar) -> None:
+    once, again = (fitted_levels(finest, [300, 120], 5, QUICK) for _ in range(2))
     for a, b in zip(once, again, strict=True):
         assert a.splats.means.tobytes() == b.splats.means.tobytes() and a.splats.sh.tobytes() == b.splats.sh.tobytes()
-    (other,) = fitted_levels(finest, [300], mesh, 6, quick)
+    (other,) = fitted_levels(finest, [300], 6, QUICK)
     assert other.splats.means.tobytes() != once[0].splats.means.tobytes()
-    (alone,) = fitted_levels(finest, [120], mesh, 5, quick)  # a level does not hang on those beside it
+    (alone,) = fitted_levels(finest, [120], 5, QUICK)  # a level does not hang on those beside it
     assert alone.splats.means.tobytes() == once[1].splats.means.tobytes()
 
 
@@ -74,8 +62,51 @@ def test_levels_grow_fewer(finest: Avatar) -> None:
 
 
 def test_a_level_moves_as_the_finest_does(finest: Avatar) -> None:
-    (level,) = fitted_levels(finest, [250], config=replace(QUICK, steps=4, pictures=4))
+    (level,) = fitted_levels(finest, [250], config=replace(QUICK, steps=60))
     assert np.allclose(level.skin.weights.sum(axis=1), 1, atol=1e-6)
-    bones = Pose(np.array([[0.0, 0, 0], [0, 0, 0.7]])).bones(finest.skeleton)
-    middles = [reference.skin(one.splats, one.skin, bones).means.mean(axis=0) for one in (finest, level)]
-    assert np.linalg.norm(middles[0] - middles[1]) < 0.01
+    bent = Pose(np.array([[0.0, 0, 0], [0.4, 0, 0.9]]))
+    moved, still = (replace(one, splats=posed_splats(one, bent)) for one in (level, finest))
+    assert apart(moved, still) < 0.1 * apart(finest, still)
+
+
+def test_levels_and_cones_are_left_out(finest: Avatar) -> None:
+    coarse = Level(merged(finest, 100), 50.0)
+    coned = replace(finest.splats, cones=np.full((900, 4), 127, np.int8), cones_psnr=45.0)
+    small = reduced(replace(finest, splats=coned, levels=(coarse,)), 250, config=QUICK)
+    assert len(small.splats) == 250 and small.levels == () and small.splats.cones is None
+    assert small.splats.means.tobytes() == reduced(finest, 250, config=QUICK).splats.means.tobytes()
+
+
+def test_without_steps_it_is_merged(finest: Avatar) -> None:
+    small, plain = reduced(finest, 250, config=replace(QUICK, steps=0)), merged(finest, 250)
+    np.testing.assert_allclose(small.splats.means, plain.splats.means, atol=1e-6)
+    np.testing.assert_allclose(small.splats.scales, plain.splats.scales, rtol=1e-5)
+
+
+def test_fewer_splats_are_fitted_in_smaller_pictures(finest: Avatar, monkeypatch: pytest.MonkeyPatch) -> None:
+    seen: list[ViewConfig] = []
+
+    def pictures_of_splats(avatar: Avatar, seed: int, views: ViewConfig, progress: object) -> list[Picture]:
+        seen.append(views)
+        assert seed == 7
+        return []
+
+    monkeypatch.setattr("glsplat.making.optimize.pictures.pictures_of_splats", pictures_of_splats)
+    config = FittedConfig(steps=1, size=768, splats=500, power=0.7)
+    for count in (890, 500, 250, 30):
+        reduced(finest, count, 7, config)
+    assert [views.size for views in seen] == [768, 768, 473, 160]
+    assert [views.close for views in seen] == [384, 384, 236, 80]
+
+
+def test_progress_names_the_level(finest: Avatar) -> None:
+    told: list[tuple[str, float]] = []
+    fitted_levels(finest, [300, 120], config=replace(QUICK, steps=2), progress=lambda *words: told.append(words))
+    stages = list(dict.fromkeys(stage.partition(", error")[0] for stage, _ in told))
+    assert stages == [
+        f"level {number} of 2: {stage}" for number in (1, 2) for stage in ("drawing what to fit to", "fitting splats")
+    ]
+    for stage, share in told:
+        first = 0.0 if stage.startswith("level 1") else 0.5
+        assert first <= share < first + 0.5
+    assert len({share for _, share in told}) > 20

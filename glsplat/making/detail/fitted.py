@@ -71,12 +71,18 @@ def reduced(
     config: FittedConfig | None = None,
     progress: Report | None = None,
 ) -> Avatar:
-    """``count`` splats fitted to pictures of ``avatar``; SH degree 0, no levels, no cones. Needs numba."""
+    """``count`` splats fitted to pictures of ``avatar``; SH degree 0, no levels, no cones.
+
+    Needs numba; with 0 steps they are merged alone.
+    """
+    config = config or FittedConfig()
+    bare = replace(avatar, levels=(), splats=replace(avatar.splats, cones=None, cones_psnr=None))
+    start = merged(bare, count, config.merge)
+    if not config.steps:
+        return start
     from glsplat.making.optimize.fit import FitConfig, fitted
     from glsplat.making.optimize.pictures import ViewConfig, pictures_of_splats
 
-    config = config or FittedConfig()
-    bare = replace(avatar, levels=(), splats=replace(avatar.splats, cones=None, cones_psnr=None))
     size = max(_LEAST, round(config.size * min(1.0, (count / config.splats) ** config.power)))
     views = ViewConfig(body=12, poses=config.poses, each=1, size=size, close=size // 2)
     pictures = pictures_of_splats(bare, seed, views, progress)
@@ -87,4 +93,4 @@ def reduced(
         growth=config.growth,
         recycled=config.recycled,
     )
-    return fitted(merged(bare, count, config.merge), pictures, seed, descent, progress)
+    return fitted(start, pictures, seed, descent, progress)

@@ -10,9 +10,7 @@ __all__ = ["MISSING", "available", "compiled"]
 
 F = TypeVar("F", bound=Callable[..., Any])
 
-MISSING = (
-    "numba is not installed, so only colours are fitted; pip install 'glsplat[make]' fits all, for sharper avatars"
-)
+MISSING = "numba is not installed, without which splats are not fitted as they could be; pip install 'glsplat[make]'"
 """What to say where there is none."""
 
 

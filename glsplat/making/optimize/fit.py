@@ -18,7 +18,7 @@ from glsplat.avatar import Avatar
 from glsplat.making.optimize import descent
 from glsplat.making.optimize.loss import loss_of
 from glsplat.making.optimize.pictures import Picture
-from glsplat.making.optimize.rasterizer import Gradients, Placed, Rasterizer
+from glsplat.making.optimize.rasterizer import Gradients, Placed, Rasterizer, drawable
 from glsplat.making.refine import falling
 from glsplat.rotations import matrix_quaternions, nearest_rotations, quaternion_matrices
 from glsplat.skinning.pose import Pose
@@ -32,8 +32,8 @@ F64 = NDArray[np.float64]
 Report = Callable[[str, float], None]
 
 _EVERY, _MEMORY = 10, 0.95  # steps between reports; of the error that is told, a running mean
-_LOW, _HIGH = -3.0, 4.6  # logits
-_CLEAR, _SOLID = 0.048, 0.985  # opacities that a descent begins with
+_LOW, _HIGH = -5.5, 4.6  # logits
+_CLEAR, _SOLID = 0.0041, 0.985  # opacities that a descent begins with
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -71,8 +71,10 @@ def fitted(
     """
     config, report = config or FitConfig(), progress or (lambda stage, done: None)
     rng = np.random.default_rng(seed)
+    if not (config.steps and pictures):
+        return avatar
     fit = _Fit(avatar, pictures, Rasterizer(len(avatar.splats), threads), config)
-    turns = [round(config.steps * share) for share in config.recycle_at]
+    turns = [max(len(pictures), round(config.steps * share)) for share in config.recycle_at]  # all were seen by then
     queue: list[int] = []
     error = 0.0
     for step in range(config.steps):
@@ -99,8 +101,7 @@ class _Fit:
         count = len(splats)
         self._antialias = splats.antialias
         scales = splats.scales.astype(np.float64)
-        numbers = (splats.means, splats.quats, splats.opacities[:, None], splats.sh[:, 0], scales)
-        self._drawn = np.all([np.isfinite(part).all(axis=1) for part in numbers], axis=0) & (scales > 0).all(axis=1)
+        self._drawn = drawable(splats) & (scales > 0).all(axis=1) & np.isfinite(splats.sh[:, 0]).all(axis=1)
         alive = self._drawn[:, None]
         logs = np.log(np.where(alive, scales, 1.0))
         self._start = (
@@ -186,7 +187,7 @@ class _Fit:
             np.where(alive, matrix_quaternions(rotations), first.quats),
             np.where(alive, scales, first.scales),
             np.where(self._drawn, opacities, first.opacities),
-            rgb=np.where(alive, rgb, first.sh[:, 0] * SH_C0 + 0.5),
+            np.where(alive, (rgb - 0.5) / SH_C0, first.sh[:, 0])[:, None],
             antialias=self._antialias,
         )
         skin = Skin(self._joints.astype(self._avatar.skin.joints.dtype), self._weights.astype(np.float32))

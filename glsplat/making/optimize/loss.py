@@ -24,16 +24,16 @@ _CHANNELS = 4
 class Loss(NamedTuple):
     """What is wrong with a picture."""
 
-    squares: float  # mean over pixels and channels of the squared error
+    squares: float  # mean over pixels and channels of trust times the squared error
     slope: F32  # [H, W, 4] of the loss by the picture
-    error: F32  # [H, W] sum over channels of the error
+    error: F32  # [H, W] sum over channels of trust times the error
 
 
 def loss_of(picture: F32, target: U8, share: float, structure: float, trust: F32 | None = None) -> Loss:
     """Of share * trust * (sum (picture - target)^2 + structure * sum (1 - SSIM)) over pixels and channels.
 
     ``picture`` [H, W, 4] in [0, 1], ``target`` in steps of 1/255, ``trust`` [H, W]; without ``structure`` SSIM is not
-    looked at.
+    looked at. Its slope counts by the trust of the pixel that is changed, not of the windows that see it.
     """
     x, y = picture.reshape(-1), np.multiply(target, np.float32(1 / 255), dtype=np.float32)
     slope, error = np.empty_like(picture), np.empty(picture.shape[:2], np.float32)
@@ -73,16 +73,17 @@ def _slopes(
     total = 0.0
     for pixel in range(len(error)):
         wrong = np.float32(0)
-        factor = one * trust[pixel] if len(trust) else one
+        believed = trust[pixel] if len(trust) else _ONE
+        factor = one * believed
         for i in range(_CHANNELS * pixel, _CHANNELS * pixel + _CHANNELS):
             miss = x[i] - y[i]
             wrong += abs(miss)
-            total += miss * miss
+            total += believed * miss * miss
             down = _TWO * miss
             if len(by_mean):
                 down -= weight * (by_mean[i] + _TWO * x[i] * by_square[i] + y[i] * by_product[i])
             slope[i] = factor * down
-        error[pixel] = wrong
+        error[pixel] = believed * wrong
     return total
 
 

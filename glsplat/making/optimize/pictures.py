@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from glsplat.avatar import Avatar
 from glsplat.camera import Camera, look_at, pinhole
-from glsplat.errors import ContextError
+from glsplat.errors import ContextError, GlsplatError
 from glsplat.gl.context import Context, create_context
-from glsplat.making.optimize.rasterizer import Rasterizer, of
+from glsplat.making.optimize.rasterizer import Rasterizer, drawable, of
 from glsplat.making.posed import posed_splats
 from glsplat.making.raster import mesh_picture
 from glsplat.making.refine import random_pose
@@ -96,8 +96,13 @@ def pictures_of(
 def pictures_of_splats(
     avatar: Avatar, seed: int = 0, config: ViewConfig | None = None, progress: Report | None = None
 ) -> list[Picture]:
-    """Pictures of an avatar's own splats, of their colours of degree 0, drawn on the CPU. Deterministic."""
-    usable = avatar.splats.finite()
+    """Pictures of an avatar's own splats, of their colours of degree 0, drawn on the CPU. Deterministic.
+
+    Raises GlsplatError where none can be drawn.
+    """
+    usable = drawable(avatar.splats)
+    if not usable.any():
+        raise GlsplatError("pictures of an avatar need at least one finite splat")
     skin = avatar.skin
     strongest = np.take_along_axis(skin.joints, skin.weights.argmax(axis=1)[:, None], axis=1)[:, 0]
     zero = avatar.splats.take(usable)

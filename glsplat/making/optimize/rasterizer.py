@@ -17,7 +17,7 @@ from glsplat.making.optimize.kernels import GRADIENTS, RECORD, SUMS, TILE
 from glsplat.rotations import quaternion_matrices
 from glsplat.splats import SH_C0, Splats
 
-__all__ = ["Gradients", "Placed", "Rasterizer", "of"]
+__all__ = ["Gradients", "Placed", "Rasterizer", "drawable", "of"]
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -35,9 +35,14 @@ class Placed(NamedTuple):
     rgb: F64  # [N, 3]
 
 
+def drawable(splats: Splats) -> NDArray[np.bool_]:
+    """[N] what the renderer draws: finite, with a rotation."""
+    return splats.finite() & (np.abs(splats.quats).max(axis=1, initial=0) > 0)
+
+
 def of(splats: Splats) -> Placed:
-    """Splats in their own places, of their colours of degree 0; those that are not finite are left out."""
-    usable = splats.finite()
+    """Splats in their own places, of their colours of degree 0; what cannot be drawn is left out."""
+    usable = drawable(splats)
     rotations = quaternion_matrices(np.where(usable[:, None], splats.quats, (1, 0, 0, 0)))
     sign = np.where(splats.scales < 0, -1.0, 1.0)  # a negative scale turns its axis round
     colours = np.where(usable[:, None], splats.sh[:, 0], 0).astype(np.float64) * SH_C0 + 0.5

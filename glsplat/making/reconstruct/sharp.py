@@ -64,7 +64,8 @@ def _picture(avatar: Avatar, shot: Shot) -> Picture:
     part = slice(box[0], box[1]), slice(box[2], box[3])
     small = cv2.resize(shot.rgb, (width, height), interpolation=cv2.INTER_AREA)[part]
     mask = cv2.resize(shot.mask.astype(np.uint8) * 255, (width, height), interpolation=cv2.INTER_AREA)[part]
-    trust = cv2.erode((mask == 255).astype(np.float32), np.ones((2 * _EDGE + 1,) * 2, np.uint8))
+    inside, kernel = (mask == 255).astype(np.float32), np.ones((2 * _EDGE + 1,) * 2, np.uint8)
+    trust = cv2.erode(inside, kernel, borderType=cv2.BORDER_CONSTANT, borderValue=0)
     target = np.full((*mask.shape, 4), 255, np.uint8)
     target[:, :, :3] = small
     camera = Camera(view, K, mask.shape[1], mask.shape[0])

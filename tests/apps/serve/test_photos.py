@@ -22,6 +22,7 @@ from glsplat.errors import GlsplatError
 from glsplat.formats import load
 from glsplat.models.catalogue import PHOTO
 from glsplat.models.store import state_of
+from glsplat.net.uploads.job import Job
 
 ROOT = Path(__file__).parents[3]
 needs_networks = pytest.mark.skipif(
@@ -56,9 +57,24 @@ def test_not_together_with_cull_hidden(tmp_path: Path) -> None:
         upload_config(arguments("--allow-upload", tmp_path, "--cull-hidden"))
 
 
+def test_errors_that_fall_are_one_step() -> None:
+    job = Job("a", "127.0.0.1")
+    for step, share in (
+        ("painting", 0.5),
+        ("fitting splats, error 0.2000", 0.0),
+        ("fitting splats, error 0.1000", 0.5),
+        ("stopped after 30 of 400 steps, error 0.1000", 1.0),
+        ("looking at hands, feet", 0.25),
+    ):
+        job.progress(step, share)
+    assert job.steps == ["painting", "fitting splats", "stopped after 30 of 400 steps", "looking at hands, feet"]
+    assert job.status(0)["share"] == 0.25
+
+
 @pytest.mark.gl
 @pytest.mark.slow
 @pytest.mark.shared
+@pytest.mark.timeout(1200)
 @needs_networks
 def test_a_photograph_becomes_an_avatar(tmp_path: Path, shared_data: Path) -> None:
     capture = shared_data / "participants" / "capture" / "p01.jpg"
@@ -66,7 +82,7 @@ def test_a_photograph_becomes_an_avatar(tmp_path: Path, shared_data: Path) -> No
     token.write_text("0123456789abcdef")
     options = ["--port", "0", "--json", "--allow-upload", str(folder), "--token-file", str(token)]
     process = subprocess.Popen(
-        [sys.executable, "-m", "apps.cli", "serve", *options],
+        [sys.executable, "-c", "from tests.apps.serve.quick import main; main()", "serve", *options],
         cwd=ROOT,
         env=os.environ | {"XDG_STATE_HOME": str(tmp_path / "state")},
         stdout=subprocess.PIPE,
@@ -93,7 +109,7 @@ def test_a_photograph_becomes_an_avatar(tmp_path: Path, shared_data: Path) -> No
         assert told["state"] == "failed" and told["error"].startswith("front picture: "), told
         told = until_ended(ask("POST", "/avatars?consent=yes&height=1.74", capture.read_bytes())[1]["name"])
         assert told["state"] == "done", told
-        assert len(told["steps"]) > 2
+        assert "fitting splats" in told["steps"] and len(told["steps"]) == len(set(told["steps"])) > 4
         name = told["name"]
         avatar = load(folder / f"{name}.glb")
         assert "agreed" in avatar.meta["consent"]["purpose"] and "photograph" in avatar.meta["source"]

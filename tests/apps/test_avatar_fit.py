@@ -1,0 +1,200 @@
+"""What fits splats on the command line: ``avatar make``, ``avatar reduce`` and levels, with numba and without."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import glsplat_apps.cli as cli
+import numpy as np
+import pytest
+from glsplat_apps.avatar import command, detail, fitted
+
+from glsplat.avatar import Avatar
+from glsplat.formats import load, save
+from glsplat.making.detail.fitted import FittedConfig
+from glsplat.making.detail.merge import merged
+from glsplat.making.optimize.compiled import MISSING
+from glsplat.making.posed import posed_splats
+from glsplat.skinning.pose import Pose
+from glsplat.splats import Level
+from tests.making.gltf.built import FAMILIES, build
+from tests.making.optimize.without import without_numba
+from tests.making.reconstruct.stubs import small_avatar
+from tests.scenes import cloud
+
+
+@pytest.fixture
+def quick(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Few and small pictures."""
+    for name, value in {"size": 120, "poses": 1}.items():
+        monkeypatch.setitem(FittedConfig.__init__.__kwdefaults__, name, value)
+
+
+@pytest.fixture
+def many(tmp_path: Path) -> Path:
+    """An avatar of 400 splats, with notes, cones and a level."""
+    avatar = small_avatar(400)
+    count = len(avatar.splats)
+    splats = replace(avatar.splats, cones=np.full((count, 4), 127, np.int8), cones_psnr=45.0)
+    level = Level(merged(avatar, 100), 50.0)
+    save(replace(avatar, splats=splats, levels=(level,), meta={"consent": "my own", "unseen": 0.4}), tmp_path / "a.glb")
+    return tmp_path / "a.glb"
+
+
+def reduce(*words: object) -> int:
+    return cli.main(["avatar", "reduce", *map(str, words)])
+
+
+@pytest.mark.usefixtures("quick")
+def test_an_avatar_of_fewer_splats(many: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out, again, other, plain = (tmp_path / f"{name}.glb" for name in ("out", "again", "other", "plain"))
+    words = (many, "--splats", 150, "--steps", 5)
+    assert reduce(*words, "-o", out, "--licence", "mine", "--json") == 0
+    facts = json.loads(capsys.readouterr().out)
+    assert facts["splats"] == 150 and facts["bytes"] == out.stat().st_size
+    made = load(out)
+    assert isinstance(made, Avatar) and len(made.splats) == 150 and np.isfinite(made.splats.means).all()
+    assert made.splats.cones is None and made.levels == ()
+    assert (made.meta["consent"], made.meta["licence"], made.meta["unseen"]) == ("my own", "mine", 0.4)
+    assert made.skeleton.names == load(many).skeleton.names
+    posed_splats(made, Pose.zero(len(made.skeleton)))
+    assert reduce(*words, "-o", again, "--licence", "mine") == 0 and again.read_bytes() == out.read_bytes()
+    assert capsys.readouterr().out.startswith(f"{again}: 150 splats, ")
+    assert reduce(*words, "-o", other, "--licence", "mine", "--seed", 1) == 0 and other.read_bytes() != out.read_bytes()
+    assert reduce(many, "-o", plain, "--splats", 150, "--steps", 0) == 0
+    whole = load(many)
+    np.testing.assert_allclose(load(plain).splats.means, merged(replace(whole, levels=()), 150).splats.means, atol=1e-6)
+
+
+def test_what_cannot_be_reduced(many: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    count = len(load(many).splats)
+    save(cloud(300), tmp_path / "s.ply")
+    (tmp_path / "text.glb").write_text("no avatar")
+    needs = f"a.glb: has {count} splats; --splats needs 100 or more and fewer than that, not "
+    for name, splats, message in (
+        ("a.glb", 99, needs + "99"),
+        ("a.glb", 0, needs + "0"),
+        ("a.glb", count, needs + str(count)),
+        ("a.glb", 10**9, needs + str(10**9)),
+        ("s.ply", 150, "s.ply: has no skeleton; reduce is for avatars, glsplat avatar levels for scenes"),
+        ("text.glb", 150, "text.glb"),
+        ("absent.glb", 150, "absent.glb"),
+    ):
+        assert reduce(tmp_path / name, "-o", tmp_path / "out.glb", "--splats", splats) == 1
+        error = capsys.readouterr().err
+        assert message in error and error.count("\n") == 1
+    for words, message in (
+        (("-o", tmp_path / "out.ply", "--splats", 150), "written as .glb"),
+        (("-o", tmp_path / "no" / "out.glb", "--splats", 150), "there is no folder"),
+        (("-o", tmp_path / "out.glb", "--splats", "few"), "a whole number of at least 0 is needed, not 'few'"),
+        (("-o", tmp_path / "out.glb", "--splats", "-5"), "--splats"),
+        (("-o", tmp_path / "out.glb", "--splats", 150, "--steps", "-1"), "--steps"),
+        (("-o", tmp_path / "out.glb"), "--splats"),
+    ):
+        try:
+            code = reduce(many, *words)
+        except SystemExit as end:
+            code = int(end.code or 0)
+        error = capsys.readouterr().err
+        assert code in (1, 2) and message in error and error.strip().count("\n") == 0
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.glb", "s.ply", "text.glb"]
+
+
+def test_nothing_is_reduced_without_numba(
+    many: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    without_numba(monkeypatch)
+    assert reduce(many, "-o", tmp_path / "out.glb", "--splats", 150) == 1
+    said = capsys.readouterr()
+    assert (
+        said.err == f"glsplat avatar: {MISSING}; --steps 0 merges without it\n"
+        and said.out == ""
+        and not (tmp_path / "out.glb").exists()
+    )
+
+
+def test_what_is_missing_is_said_before_an_avatar_is_made(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    person = tmp_path / "person.glb"
+    person.write_bytes(build(FAMILIES["SMPL"]).data)
+    asked: list[int] = []
+
+    def fitted_to_mesh(avatar: Avatar, mesh: Any, seed: int, steps: int, show: Any) -> Avatar:
+        asked.append(steps)
+        return avatar
+
+    monkeypatch.setattr(command, "make_avatar", lambda *words, **more: small_avatar())
+    monkeypatch.setattr(command, "fitted_to_mesh", fitted_to_mesh)
+    words = ["avatar", "make", str(person), "-o", str(tmp_path / "me.glb"), "--splats", "200", "--no-cones"]
+    line = f"glsplat avatar make: {MISSING}\n"
+    assert cli.main([*words, "--steps", "7"]) == 0 and line not in capsys.readouterr().err
+    without_numba(monkeypatch)
+    assert cli.main([*words, "--steps", "7"]) == 0 and line in capsys.readouterr().err
+    assert cli.main([*words, "--steps", "0"]) == 0 and line not in capsys.readouterr().err
+    assert asked == [7, 7]
+
+
+@pytest.mark.parametrize("cones", [False, True])
+def test_levels_are_merged_without_numba(monkeypatch: pytest.MonkeyPatch, cones: bool) -> None:
+    without_numba(monkeypatch)
+    avatar = small_avatar()
+    level = Level(merged(avatar, 100), 50.0)
+    called: list[object] = []
+
+    def with_merged_levels(scene: Avatar, counts: Any, progress: Any) -> Avatar:
+        called.append(list(counts))
+        return replace(scene, levels=(level,))
+
+    def with_cones(scene: Avatar, progress: Any) -> Avatar:
+        called.append("cones")
+        return scene
+
+    monkeypatch.setattr(fitted, "with_merged_levels", with_merged_levels)
+    monkeypatch.setattr(fitted, "with_cones", with_cones)
+    made = fitted.with_levels(avatar, [100], 3, cones)
+    assert [one.content for one in made.levels] == [level.content]
+    assert called == ([[100], "cones"] if cones else [[100]])
+
+
+def test_levels_of_avatars_are_fitted_and_those_of_scenes_merged(
+    many: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    called: list[tuple[Any, ...]] = []
+
+    def fitted_levels(avatar: Avatar, counts: Any, seed: int, config: FittedConfig, show: Any) -> tuple[Avatar, ...]:
+        called.append(("fitted", list(counts), seed, config.steps, avatar.levels))
+        return tuple(merged(avatar, count) for count in counts)
+
+    def with_merged_levels(scene: Any, counts: Any, *words: Any) -> Any:
+        called.append(("merged", counts))
+        return replace(scene, levels=())
+
+    def measured(finest: Any, levels: Any, *words: Any) -> tuple[Level[Any], ...]:
+        return tuple(Level(level, 100.0 / (number + 1)) for number, level in enumerate(levels))
+
+    for name, stub in (
+        ("fitted_levels", fitted_levels),
+        ("with_merged_levels", with_merged_levels),
+        ("measured", measured),
+    ):
+        monkeypatch.setattr(detail, name, stub)
+    save(cloud(300), tmp_path / "s.ply")
+    out, count = tmp_path / "out.glb", len(load(many).splats)
+
+    def levels(name: str, *words: object) -> list[tuple[Any, ...]]:
+        called.clear()
+        arguments = ["avatar", "levels", tmp_path / name, "-o", out, "--force", *words]
+        assert cli.main([*map(str, arguments)]) == 0
+        return list(called)
+
+    assert levels("a.glb", "--counts", 200, 100, "--steps", 7, "--seed", 3) == [("fitted", [200, 100], 3, 7, ())]
+    assert [len(one.content.splats) for one in load(out).levels] == [200, 100]
+    assert levels("a.glb") == [("fitted", [count // 2], 0, FittedConfig().steps, ())]
+    assert levels("a.glb", "--counts", 200, "--steps", 0) == [("merged", [200])]
+    assert levels("s.ply", "--counts", 200, "--steps", 7) == [("merged", [200])]
+    without_numba(monkeypatch)
+    assert levels("a.glb", "--counts", 200) == [("merged", [200])]
