@@ -90,7 +90,7 @@ def load(source: Source, *, strict: bool = False, format: str | None = None) -> 
 
     >>> glsplat.save(glsplat.default_avatar(), "me.glb")
     >>> glsplat.load("me.glb")
-    Avatar(40000 splats, 55 joints, 4 a splat, 4 levels)
+    Avatar(40000 splats, 55 joints, 4 a splat, 3 levels)
     """
     with naming(source, strict), open_regular(source) as (file, size):
         known = _recognised(file, size, suffixes_of(source)) if format is None else _called(format)

@@ -9,7 +9,6 @@ import cv2
 import numpy as np
 import pytest
 
-from apps.serve.photos import make_avatar
 from glsplat.avatar import Avatar
 from glsplat.data import default_avatar
 from glsplat.models.catalogue import PHOTO
@@ -19,6 +18,7 @@ from glsplat.net.backends.server import make_server
 from glsplat.net.server import Server, ServerConfig
 from glsplat.net.uploads.job import UploadConfig
 from glsplat.net.uploads.routes import Uploads
+from tests.apps.serve.quick import make_avatar
 from tests.browser.conftest import OpenPage
 from tests.browser.markers import as_tracked
 from tests.browser.opened import Opened
