@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import cv2
@@ -17,7 +17,7 @@ from glsplat.making.cells import Cells, Cloud, SamplerConfig, avatar_of, tessell
 from glsplat.making.visibility import HEAD, Seen, seen_surface
 from glsplat.meshes import MeshPart, RiggedMesh
 
-__all__ = ["FEWEST", "SamplerConfig", "allot", "face_densities", "face_zones", "make_avatar"]
+__all__ = ["FEWEST", "SamplerConfig", "allot", "face_densities", "face_zones", "joint_zones", "make_avatar"]
 
 Progress = Callable[[str, float], None]
 FEWEST = 100
@@ -141,17 +141,17 @@ def face_densities(mesh: RiggedMesh, config: SamplerConfig) -> NDArray[np.float6
 _HAND = ("wrist", "index", "middle", "pinky", "ring", "thumb")
 
 
+def joint_zones(names: Sequence[str]) -> NDArray[np.intp]:
+    """[J] zone of what each joint moves: 0 the rest, 1 left hand, 2 right hand, 3 head."""
+    hands = [tuple(f"{side}_{part}" for part in _HAND) for side in ("left", "right")]
+    zones = [3 if name in HEAD else 1 if name.startswith(hands[0]) else 2 * name.startswith(hands[1]) for name in names]
+    return np.array(zones, np.intp)
+
+
 def face_zones(mesh: RiggedMesh) -> NDArray[np.intp]:
-    """[F] zone of each triangle by its strongest joint: 0 the rest, 1 left hand, 2 right hand, 3 head."""
-    zone_of = np.zeros(len(mesh.skeleton), np.intp)
-    for i, name in enumerate(mesh.skeleton.names):
-        for zone, side in ((1, "left"), (2, "right")):
-            if name.startswith(tuple(f"{side}_{part}" for part in _HAND)):
-                zone_of[i] = zone
-        if name in HEAD:
-            zone_of[i] = 3
+    """[F] zone of each triangle by its strongest joint (``joint_zones``)."""
     strongest = np.take_along_axis(mesh.joints, mesh.weights.argmax(axis=1)[:, None], axis=1)[:, 0]
-    return np.median(zone_of[strongest][mesh.faces], axis=1).astype(np.intp)
+    return np.median(joint_zones(mesh.skeleton.names)[strongest][mesh.faces], axis=1).astype(np.intp)
 
 
 def allot(total: int, zone: NDArray[np.intp], config: SamplerConfig) -> list[tuple[int, int]]:

@@ -3,7 +3,7 @@
     loss = share * (sum (picture - target)^2 + 0.03 * sum (1 - SSIM)),   share = metres a pixel
 
 The pictures are gone through in random order, again and again. Three times on the way, splats that hardly show in any
-picture are taken away, and those that the loss pulls at most are split in two.
+picture are taken away, and those in whose place pictures are most wrong are split in two.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from glsplat.making.optimize.loss import loss_of
 from glsplat.making.optimize.pictures import Picture
 from glsplat.making.optimize.rasterizer import Gradients, Placed, Rasterizer, drawable
 from glsplat.making.refine import falling
+from glsplat.making.surface import joint_zones
 from glsplat.rotations import matrix_quaternions, nearest_rotations, quaternion_matrices
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.skin import Skin
@@ -118,6 +119,8 @@ class _Fit:
         self._placed = Placed(*(np.zeros((count, *shape)) for shape in ((3,), (3, 3), (3,), (), (3,))))
         self._posed = Placed(np.zeros((count, 3)), np.zeros((count, 3, 3)), *self._placed[2:])
         self._joints, self._weights = avatar.skin.joints.astype(np.intp), avatar.skin.weights.astype(np.float64)
+        strongest = np.take_along_axis(self._joints, self._weights.argmax(axis=1)[:, None], axis=1)[:, 0]
+        self._zones = joint_zones(avatar.skeleton.names)[strongest]
         self._blended: dict[int, tuple[F32, F32]] = {}
         self._seen, self._wrong = np.zeros(count), np.zeros(count)
         rates = (config.mean_rate, config.scale_rate, config.turn_rate, config.opacity_rate, config.colour_rate)
@@ -148,13 +151,11 @@ class _Fit:
         return float(np.sqrt(loss.squares))
 
     def recycle(self, share: float) -> None:
-        """Take away that share of the splats, which show least, and split as many where pictures are most wrong."""
-        many = int(share * len(self._values))
-        alive = np.flatnonzero(self._drawn)
-        gone = alive[np.argsort(self._seen[alive], kind="stable")[:many]]
-        left = np.setdiff1d(alive, gone)
-        split = left[np.argsort(-self._wrong[left], kind="stable")[: len(gone)]]
-        gone = gone[: len(split)]
+        """Take away that share of the splats, which show least, and split as many where pictures are most wrong.
+
+        Hands, head and the rest each keep their number: by pixels alone the small splats of hands would go.
+        """
+        gone, split = self._chosen(share)
         self._compose()
         means, rotations, scales, opacities, rgb = self._placed
         longest = scales[split].argmax(axis=1)
@@ -175,6 +176,18 @@ class _Fit:
         for blended, turned in self._blended.values():
             blended[gone], turned[gone] = blended[split], turned[split]
         self._seen[:], self._wrong[:] = 0, 0
+
+    def _chosen(self, share: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        """As many splats that go as are split, zone by zone."""
+        gone, split = [], []
+        for zone in np.unique(self._zones):
+            mine = np.flatnonzero(self._drawn & (self._zones == zone))
+            by_sight = mine[np.argsort(self._seen[mine], kind="stable")]
+            many = min(int(share * len(mine)), len(mine) // 2)
+            left = by_sight[many:]
+            gone.append(by_sight[:many])
+            split.append(left[np.argsort(-self._wrong[left], kind="stable")[:many]])
+        return np.concatenate(gone), np.concatenate(split)
 
     def avatar(self) -> Avatar:
         """As it is now."""
