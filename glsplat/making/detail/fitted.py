@@ -32,7 +32,7 @@ class FittedConfig:
     power: float = 0.7
     poses: int = 64
     structure: float = 0.03  # as of FitConfig
-    thrift: float = 0.0
+    thrift: float = 0.08
     growth: float = 0.6
     recycled: float = 0.0
     merge: MergeConfig | None = None
