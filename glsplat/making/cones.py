@@ -23,11 +23,11 @@ from glsplat.camera import Camera, look_at, pinhole
 from glsplat.errors import GlsplatError
 from glsplat.making.footprints import EPS2D, Footprints, footprints, transmittance
 from glsplat.making.optimize.compiled import available
-from glsplat.making.posed import posed_splats
+from glsplat.making.posed import axes_of, drawable, placed, posed_splats
 from glsplat.making.refine import random_pose
 from glsplat.making.visibility import probe_poses, sphere
 from glsplat.skinning.pose import Pose
-from glsplat.splats import SH_C0, Splats
+from glsplat.splats import Splats
 
 __all__ = ["ConeConfig", "hidden", "with_cones"]
 
@@ -77,7 +77,7 @@ def with_cones(scene: Scene, config: ConeConfig | None = None, progress: Progres
     config = config or ConeConfig()
     report = progress or (lambda stage, done: None)
     splats = scene.splats if isinstance(scene, Avatar) else scene
-    usable = splats.finite() & (np.abs(splats.quats).max(axis=1, initial=0) > 0)
+    usable = drawable(splats)
     if not usable.any():
         raise GlsplatError("visibility cones need at least one finite splat")
     rng = np.random.default_rng(_SEED)
@@ -184,12 +184,12 @@ def _weigher(count: int, eps2d: float) -> Callable[[Splats, Camera], F64]:
             return np.bincount(prints.splat, prints.alpha * prints.transmittance, prints.count).astype(np.float64)
 
         return weigh
-    from glsplat.making.optimize.rasterizer import Rasterizer, of
+    from glsplat.making.optimize.rasterizer import Rasterizer
 
     drawing = Rasterizer(count)
 
     def weigh_compiled(posed: Splats, camera: Camera) -> F64:
-        drawing.draw(of(posed), camera, antialias=False)
+        drawing.draw(placed(posed), camera, antialias=False)
         return drawing.weights()
 
     return weigh_compiled
@@ -255,7 +255,7 @@ class _Picture:
         prints = _footprints(posed, camera, eps2d, posed.antialias)
         self._splat, self._pixel = prints.splat.astype(np.int32), prints.pixel.astype(np.int32)
         self._alpha = prints.alpha
-        self._rgb = _colours(posed)
+        self._rgb = placed(posed).rgb
         self._whole = self._drawn(np.zeros(len(posed), bool))
 
     def kept(self, cones: NDArray[np.int8]) -> float:
@@ -345,24 +345,12 @@ def _near_camera(posed: Splats, direction: F64, rng: np.random.Generator, size: 
     return Camera(viewmat, K, size, size, near=1e-3 * radius, far=1e3 * radius)
 
 
-def _axes(posed: Splats) -> F64:
-    """[N, 3, 3] columns: principal axes as they come out of M, where a negative scale turns one round."""
-    sign = np.where(posed.scales < 0, -1.0, 1.0)
-    return reference.quaternion_matrices(posed.quats.astype(np.float64)) * sign[:, None, :]
-
-
 def _ways(posed: Splats, eye: F64) -> F64:
     """[N, 3] unit vectors from the splats to ``eye`` in the splats' own axes."""
     way = eye - posed.means.astype(np.float64)
     way /= np.maximum(np.linalg.norm(way, axis=1, keepdims=True), 1e-30)
-    return np.asarray(np.einsum("nij,ni->nj", _axes(posed), way), np.float64)
-
-
-def _colours(posed: Splats) -> F64:
-    return np.asarray(np.clip(posed.sh[:, 0].astype(np.float64) * SH_C0 + 0.5, 0, 1))
+    return np.asarray(np.einsum("nij,ni->nj", axes_of(posed), way), np.float64)
 
 
 def _footprints(posed: Splats, camera: Camera, eps2d: float, antialias: bool = False) -> Footprints:
-    scales, opacities = np.abs(posed.scales.astype(np.float64)), np.clip(posed.opacities.astype(np.float64), 0, 1)
-    means = posed.means.astype(np.float64)
-    return footprints(means, _axes(posed), scales, opacities, camera, eps2d=eps2d, antialias=antialias)
+    return footprints(*placed(posed)[:4], camera, eps2d=eps2d, antialias=antialias)

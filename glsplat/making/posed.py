@@ -1,16 +1,56 @@
-"""An avatar in a pose as plain splats, for programs that know no skinning."""
+"""An avatar in a pose as plain splats, and splats as the numbers that drawing on the CPU takes."""
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
+from numpy.typing import NDArray
 
 from glsplat import reference
 from glsplat.avatar import Avatar
-from glsplat.rotations import matrix_quaternions, quaternion_product, sh_rotations
+from glsplat.rotations import matrix_quaternions, quaternion_matrices, quaternion_product, sh_rotations
 from glsplat.skinning.pose import Pose
-from glsplat.splats import Splats
+from glsplat.splats import SH_C0, Splats
 
-__all__ = ["posed_splats"]
+__all__ = ["Placed", "axes_of", "drawable", "placed", "posed_splats"]
+
+F64 = NDArray[np.float64]
+
+
+class Placed(NamedTuple):
+    """N splats where they are drawn, float64 and contiguous."""
+
+    means: F64  # [N, 3]
+    rotations: F64  # [N, 3, 3]
+    scales: F64  # [N, 3]
+    opacities: F64  # [N]; 0 leaves a splat out
+    rgb: F64  # [N, 3]
+
+
+def drawable(splats: Splats) -> NDArray[np.bool_]:
+    """[N] what the renderer draws: finite, with a rotation."""
+    return splats.finite() & (np.abs(splats.quats).max(axis=1, initial=0) > 0)
+
+
+def axes_of(splats: Splats) -> F64:
+    """[N, 3, 3] columns: principal axes as the renderer has them, where a negative scale turns one round."""
+    known = np.asarray(np.isfinite(splats.quats).all(axis=1))[:, None]
+    sign = np.where(splats.scales < 0, -1.0, 1.0)
+    return quaternion_matrices(np.where(known, splats.quats, (1, 0, 0, 0))) * sign[:, None, :]
+
+
+def placed(splats: Splats) -> Placed:
+    """Splats in their own places, of their colours of degree 0; what cannot be drawn is left out."""
+    usable = drawable(splats)
+    colours = np.where(usable[:, None], splats.sh[:, 0], 0).astype(np.float64) * SH_C0 + 0.5
+    return Placed(
+        np.where(usable[:, None], splats.means, 0).astype(np.float64),
+        axes_of(splats),
+        np.where(usable[:, None], np.abs(splats.scales), 1).astype(np.float64),
+        np.where(usable, np.clip(splats.opacities, 0, 1), 0).astype(np.float64),
+        colours.clip(0, 1),
+    )
 
 
 def posed_splats(avatar: Avatar, pose: Pose) -> Splats:

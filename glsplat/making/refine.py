@@ -89,12 +89,11 @@ class Fit:
         camera: Camera,
         loss: Callable[[F64], F64],
         decay: float,
-        beyond: F64 | None = None,
-        antialias: bool = False,
+        beyond: F64,
     ) -> None:
         """One step down the slope [H, W, 4] that ``loss`` gives for the picture (premultiplied RGBA) from there.
 
-        ``decay`` is the share of the full rates; ``beyond`` and ``antialias`` as of footprints().
+        ``decay`` is the share of the full rates; ``beyond`` as of footprints().
         """
         bones = np.einsum("nk,nkij->nij", self._weights, pose.bones(self._avatar.skeleton)[self._joints])
         scales = np.exp(self._log_start + self._growth.value)
@@ -103,7 +102,7 @@ class Fit:
         means = np.einsum("nij,nj->ni", bones[:, :, :3], at) + bones[:, :, 3]
         turned = Rotation.from_rotvec(self._turn.value).as_matrix()
         rotations = nearest_rotations(bones[:, :, :3]) @ self._rest @ turned
-        prints = footprints(means, rotations, scales, alpha, camera, beyond, antialias=antialias)
+        prints = footprints(means, rotations, scales, alpha, camera, beyond)
         grad = prints.backward(loss(prints.picture(self._color.value)), self._color.value, alpha, scales)
         seen = grad.weight > 0.05
         by_shift = np.einsum("nij,ni->nj", bones[:, :, :3], grad.means) * self._cell

@@ -18,7 +18,8 @@ from glsplat.avatar import Avatar
 from glsplat.making.optimize import descent
 from glsplat.making.optimize.loss import loss_of
 from glsplat.making.optimize.pictures import Picture
-from glsplat.making.optimize.rasterizer import Gradients, Placed, Rasterizer, drawable
+from glsplat.making.optimize.rasterizer import Gradients, Rasterizer
+from glsplat.making.posed import Placed, drawable
 from glsplat.making.refine import falling
 from glsplat.making.surface import joint_zones
 from glsplat.rotations import matrix_quaternions, nearest_rotations, quaternion_matrices

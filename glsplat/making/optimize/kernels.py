@@ -172,6 +172,20 @@ def _span(
 
 
 @compiled
+def _edges(tile: int, across: int, width: int, height: int) -> tuple[int, int, int, int]:
+    """First column and row of a tile, and last."""
+    left, top = (tile % across) * TILE, (tile // across) * TILE
+    return left, top, min(left + TILE, width) - 1, min(top + TILE, height) - 1
+
+
+@compiled
+def _read(record: F32, i: int) -> tuple[np.float32, ...]:
+    """u, v, conic a b c, opacity, squared extent, colour."""
+    r = record[i]
+    return r[0], r[1], r[2], r[3], r[4], r[5], r[6], r[8], r[9], r[10]
+
+
+@compiled
 def draw(
     tiles: I64,
     across: int,
@@ -185,20 +199,10 @@ def draw(
     """Some tiles of the picture."""
     height, width = passes.shape
     for tile in tiles:
-        left, top = (tile % across) * TILE, (tile // across) * TILE
-        right, bottom = min(left + TILE, width) - 1, min(top + TILE, height) - 1
+        left, top, right, bottom = _edges(tile, across, width, height)
         for entry in range(start[tile], start[tile + 1]):
             i = splat[entry]
-            u, v, a, b, c, opacity, q = (
-                record[i, 0],
-                record[i, 1],
-                record[i, 2],
-                record[i, 3],
-                record[i, 4],
-                record[i, 5],
-                record[i, 6],
-            )
-            red, green, blue = record[i, 8], record[i, 9], record[i, 10]
+            u, v, a, b, c, opacity, q, red, green, blue = _read(record, i)
             for y in range(max(box[i, 2], top), min(box[i, 3], bottom) + 1):
                 dy = np.float32(y) + _HALF - v
                 x0, x1 = _span(a, b, c, q, dy, u, left, right)
@@ -234,20 +238,10 @@ def backward(
     height, width = passes.shape
     zero = np.float32(0)
     for tile in tiles:
-        left, top = (tile % across) * TILE, (tile // across) * TILE
-        right, bottom = min(left + TILE, width) - 1, min(top + TILE, height) - 1
+        left, top, right, bottom = _edges(tile, across, width, height)
         for entry in range(start[tile], start[tile + 1]):
             i = splat[entry]
-            u, v, a, b, c, opacity, q = (
-                record[i, 0],
-                record[i, 1],
-                record[i, 2],
-                record[i, 3],
-                record[i, 4],
-                record[i, 5],
-                record[i, 6],
-            )
-            red, green, blue = record[i, 8], record[i, 9], record[i, 10]
+            u, v, a, b, c, opacity, q, red, green, blue = _read(record, i)
             sx = sy = sxx = sxy = syy = total = by_red = by_green = by_blue = seen = wrong = zero
             for y in range(max(box[i, 2], top), min(box[i, 3], bottom) + 1):
                 dy = np.float32(y) + _HALF - v

@@ -14,8 +14,8 @@ from glsplat.avatar import Avatar
 from glsplat.camera import Camera, look_at, pinhole
 from glsplat.errors import ContextError, GlsplatError
 from glsplat.gl.context import Context, create_context
-from glsplat.making.optimize.rasterizer import Rasterizer, drawable, of
-from glsplat.making.posed import posed_splats
+from glsplat.making.optimize.rasterizer import Rasterizer
+from glsplat.making.posed import drawable, placed, posed_splats
 from glsplat.making.raster import mesh_picture
 from glsplat.making.refine import random_pose
 from glsplat.making.visibility import HEAD
@@ -107,15 +107,15 @@ def pictures_of_splats(
     strongest = np.take_along_axis(skin.joints, skin.weights.argmax(axis=1)[:, None], axis=1)[:, 0]
     zero = avatar.splats.take(usable)
 
-    def placed(pose: Pose | None) -> Splats:
+    def shown(pose: Pose | None) -> Splats:
         return zero if pose is None else posed_splats(avatar, pose).take(usable)
 
     subject = _Subject(
-        avatar.skeleton.names, zero.means.astype(np.float64), strongest[usable], lambda pose: placed(pose).means
+        avatar.skeleton.names, zero.means.astype(np.float64), strongest[usable], lambda pose: shown(pose).means
     )
     views = list(_views(subject, np.random.default_rng((seed, 17)), config or ViewConfig()))
     drawing = Rasterizer(len(zero))
-    drawn = (_eight_bits(drawing.draw(of(placed(view.pose)), view.camera, zero.antialias)) for view in views)
+    drawn = (_eight_bits(drawing.draw(placed(shown(view.pose)), view.camera, zero.antialias)) for view in views)
     return _taken(views, drawn, progress)
 
 

@@ -14,45 +14,14 @@ from numpy.typing import NDArray
 from glsplat.camera import Camera
 from glsplat.making.optimize import kernels
 from glsplat.making.optimize.kernels import GRADIENTS, RECORD, SUMS, TILE
-from glsplat.rotations import quaternion_matrices
-from glsplat.splats import SH_C0, Splats
+from glsplat.making.posed import Placed
 
-__all__ = ["Gradients", "Placed", "Rasterizer", "drawable", "of"]
+__all__ = ["Gradients", "Rasterizer"]
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 
 _PARTS = 8  # of the splats and of the tiles that threads take one after the other
-
-
-class Placed(NamedTuple):
-    """N splats where they are drawn, float64 and contiguous."""
-
-    means: F64  # [N, 3]
-    rotations: F64  # [N, 3, 3]
-    scales: F64  # [N, 3]
-    opacities: F64  # [N]; 0 leaves a splat out
-    rgb: F64  # [N, 3]
-
-
-def drawable(splats: Splats) -> NDArray[np.bool_]:
-    """[N] what the renderer draws: finite, with a rotation."""
-    return splats.finite() & (np.abs(splats.quats).max(axis=1, initial=0) > 0)
-
-
-def of(splats: Splats) -> Placed:
-    """Splats in their own places, of their colours of degree 0; what cannot be drawn is left out."""
-    usable = drawable(splats)
-    rotations = quaternion_matrices(np.where(usable[:, None], splats.quats, (1, 0, 0, 0)))
-    sign = np.where(splats.scales < 0, -1.0, 1.0)  # a negative scale turns its axis round
-    colours = np.where(usable[:, None], splats.sh[:, 0], 0).astype(np.float64) * SH_C0 + 0.5
-    return Placed(
-        np.where(usable[:, None], splats.means, 0).astype(np.float64),
-        rotations * sign[:, None, :],
-        np.where(usable[:, None], np.abs(splats.scales), 1).astype(np.float64),
-        np.where(usable, np.clip(splats.opacities, 0, 1), 0).astype(np.float64),
-        colours.clip(0, 1),
-    )
 
 
 class Gradients(NamedTuple):

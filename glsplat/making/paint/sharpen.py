@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from glsplat.avatar import Avatar
-from glsplat.camera import Camera
 from glsplat.making.footprints import footprints
 from glsplat.making.paint.shot import Shot
 from glsplat.rotations import nearest_rotations, quaternion_matrices
@@ -53,14 +52,8 @@ def sharpened(avatar: Avatar, shots: Sequence[Shot], rounds: int) -> Avatar:
 
 def _equations(avatar: Avatar, shot: Shot) -> tuple[csr_array, F64]:
     """What each splat adds to each pixel of the person, and the photograph there."""
-    rows = np.flatnonzero(shot.mask.any(axis=1))
-    scale = min(1.0, _FIGURE / (rows[-1] - rows[0] + 1))
-    height, width = (round(side * scale) for side in shot.mask.shape)
-    root, pelvis = shot.view.root, shot.view.pelvis
-    view = np.eye(4)
-    view[:3, :3], view[:3, 3] = root, pelvis - root @ avatar.skeleton.joints[0]
-    focal = shot.focal * scale
-    camera = Camera(view, np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]]), width, height)
+    camera = shot.camera(avatar.skeleton.joints[0], _FIGURE)
+    height, width = camera.height, camera.width
     splats, skin = avatar.splats, avatar.skin
     bones = Pose(shot.view.rotations).bones(avatar.skeleton)
     blended = np.einsum("nk,nkij->nij", skin.weights.astype(np.float64), bones[skin.joints.astype(np.intp)])
@@ -69,8 +62,7 @@ def _equations(avatar: Avatar, shot: Shot) -> tuple[csr_array, F64]:
     prints = footprints(means, turned, splats.scales.astype(np.float64), splats.opacities.astype(np.float64), camera)
     weight = prints.alpha * prints.transmittance
     covered = np.bincount(prints.pixel, weight, minlength=height * width)
-    small = cv2.resize(shot.rgb, (width, height), interpolation=cv2.INTER_AREA)
-    mask = cv2.resize(shot.mask.astype(np.uint8) * 255, (width, height), interpolation=cv2.INTER_AREA) == 255
+    small, mask = shot.resized(camera)
     inner = cv2.erode(mask.astype(np.uint8), np.ones((3, 3), np.uint8)).ravel() > 0
     used = inner & (covered > _COVERED)
     number = np.cumsum(used) - 1

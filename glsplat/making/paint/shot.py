@@ -65,6 +65,23 @@ class Shot:
     view: FittedView
     mesh: RiggedMesh  # the dressed body; its vertices are those of ``view``
 
+    def camera(self, pelvis: F64, figure: float) -> Camera:
+        """Of the picture, made so small that the person is at most ``figure`` pixels high; in the body's axes, of which
+        the pelvis joint is at ``pelvis`` [3] in the zero pose."""
+        rows = np.flatnonzero(self.mask.any(axis=1))
+        scale = min(1.0, figure / (rows[-1] - rows[0] + 1))
+        height, width = (round(side * scale) for side in self.mask.shape)
+        view = np.eye(4)
+        view[:3, :3], view[:3, 3] = self.view.root, self.view.pelvis - self.view.root @ pelvis
+        focal = self.focal * scale
+        return Camera(view, np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]]), width, height)
+
+    def resized(self, camera: Camera) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
+        """Picture and mask as that camera has them; a pixel is the person's if all of it is."""
+        size = camera.width, camera.height
+        mask = cv2.resize(self.mask.astype(np.uint8) * 255, size, interpolation=cv2.INTER_AREA)
+        return np.asarray(cv2.resize(self.rgb, size, interpolation=cv2.INTER_AREA), np.uint8), mask == 255
+
     @cached_property
     def normals(self) -> F64:
         """[V, 3] in the camera's axes."""

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from glsplat.avatar import Avatar
 from glsplat.camera import Camera
@@ -53,22 +54,22 @@ def sharp(avatar: Avatar, mesh: RiggedMesh, colours: Colours, shots: Sequence[Sh
 
 def _picture(avatar: Avatar, shot: Shot) -> Picture:
     """The photograph as a picture that counts inside the person only."""
-    rows, columns = np.flatnonzero(shot.mask.any(axis=1)), np.flatnonzero(shot.mask.any(axis=0))
-    scale = min(1.0, _FIGURE / (rows[-1] - rows[0] + 1))
-    height, width = (round(side * scale) for side in shot.mask.shape)
-    view = np.eye(4)
-    view[:3, :3], view[:3, 3] = shot.view.root, shot.view.pelvis - shot.view.root @ avatar.skeleton.joints[0]
-    focal = shot.focal * scale
-    box = [int(edge * scale) for edge in (rows[0], rows[-1] + 1, columns[0], columns[-1] + 1)]
-    K = np.array([[focal, 0, width / 2 - box[2]], [0, focal, height / 2 - box[0]], [0, 0, 1]])
-    part = slice(box[0], box[1]), slice(box[2], box[3])
-    small = cv2.resize(shot.rgb, (width, height), interpolation=cv2.INTER_AREA)[part]
-    mask = cv2.resize(shot.mask.astype(np.uint8) * 255, (width, height), interpolation=cv2.INTER_AREA)[part]
-    inside, kernel = (mask == 255).astype(np.float32), np.ones((2 * _EDGE + 1,) * 2, np.uint8)
-    trust = cv2.erode(inside, kernel, borderType=cv2.BORDER_CONSTANT, borderValue=0)
-    target = np.full((*mask.shape, 4), 255, np.uint8)
-    target[:, :, :3] = small
-    camera = Camera(view, K, mask.shape[1], mask.shape[0])
     from glsplat.making.optimize.pictures import Picture
 
-    return Picture(camera, target, float(shot.view.pelvis[2]) / focal, Pose(shot.view.rotations), trust)
+    camera = shot.camera(avatar.skeleton.joints[0], _FIGURE)
+    small, mask = shot.resized(camera)
+    top, left, high, wide = (int(n) for n in _box(mask))
+    part = slice(top, top + high), slice(left, left + wide)
+    K = camera.K - np.array([[0, 0, left], [0, 0, top], [0, 0, 0]])
+    kernel = np.ones((2 * _EDGE + 1,) * 2, np.uint8)
+    trust = cv2.erode(mask[part].astype(np.float32), kernel, borderType=cv2.BORDER_CONSTANT, borderValue=0)
+    target = np.full((*trust.shape, 4), 255, np.uint8)
+    target[:, :, :3] = small[part]
+    share = float(shot.view.pelvis[2]) / float(K[0, 0])
+    return Picture(Camera(camera.viewmat, K, wide, high), target, share, Pose(shot.view.rotations), trust)
+
+
+def _box(mask: NDArray[np.bool_]) -> tuple[int, int, int, int]:
+    """First row and column of the person, and how many."""
+    rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
+    return rows[0], columns[0], rows[-1] - rows[0] + 1, columns[-1] - columns[0] + 1

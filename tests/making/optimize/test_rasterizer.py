@@ -14,7 +14,8 @@ from glsplat import reference
 from glsplat.camera import Camera, look_at, pinhole
 from glsplat.config import RenderConfig
 from glsplat.making.footprints import Footprints, footprints
-from glsplat.making.optimize.rasterizer import Gradients, Placed, Rasterizer, of
+from glsplat.making.optimize.rasterizer import Gradients, Rasterizer
+from glsplat.making.posed import Placed, placed
 from glsplat.splats import Splats
 from tests.making.optimize.figures import decibel
 from tests.scenes import camera, cloud, one_splat
@@ -82,7 +83,7 @@ def slopes(prints: Footprints, splats: Placed, view: Camera) -> dict[str, np.nda
     ],
 )
 def test_pictures_and_slopes_are_those_of_the_twin(scene: Any, view: Camera, antialias: bool, off: float) -> None:
-    splats = of(scene())
+    splats = placed(scene())
     drawing = Rasterizer(len(splats.means))
     picture, prints = drawing.draw(splats, view, antialias), twin(splats, view, antialias)
     assert picture[..., 3].max() > 0.01 and decibel(picture, prints.picture(splats.rgb)) > 95
@@ -98,7 +99,7 @@ def zeros(splats: Placed) -> tuple[np.ndarray, ...]:
 
 
 def test_many_layers_are_cut_short_by_a_ten_thousandth() -> None:
-    splats = of(cloud(20_000))
+    splats = placed(cloud(20_000))
     picture = Rasterizer(20_000).draw(splats, VIEW, antialias=False)
     off = np.abs(picture - twin(splats, VIEW, antialias=False).picture(splats.rgb))
     assert 1e-6 < off.max() < 1.1e-4 and decibel(off, np.zeros(1)) > 90
@@ -117,7 +118,7 @@ def answer(splats: Placed, threads: int, times: int = 1) -> list[bytes]:
 
 
 def test_any_number_of_threads_gives_the_same_bytes() -> None:
-    splats = of(cloud(3000))
+    splats = placed(cloud(3000))
     once = answer(splats, 1)
     assert once == answer(splats, 2) == answer(splats, 3) and answer(splats, 2, times=2) == once * 2
 
@@ -125,7 +126,7 @@ def test_any_number_of_threads_gives_the_same_bytes() -> None:
 def test_threads_end_with_the_rasterizer() -> None:
     before = set(threading.enumerate())
     drawing = Rasterizer(9, threads=3)
-    drawing.draw(of(cloud(9)), VIEW, antialias=False)
+    drawing.draw(placed(cloud(9)), VIEW, antialias=False)
     own = set(threading.enumerate()) - before
     assert own and all(thread.name.startswith("glsplat-fit") for thread in own)
     del drawing
@@ -159,7 +160,7 @@ TURNED = [[0.5, 0.3, 0.2, 0.7]]
 def test_one_splat_is_drawn_as_the_contract_says(changes: dict[str, Any], shown: bool, antialias: bool) -> None:
     splat, view = one_splat(**changes), camera(64)
     drawing = Rasterizer(1)
-    picture = drawing.draw(of(splat), view, antialias)
+    picture = drawing.draw(placed(splat), view, antialias)
     truth = reference.render(splat, [view], config=RenderConfig(antialias=antialias))[0]
     if "rgb" in changes:
         truth = np.clip(truth, 0, truth[..., 3:])
@@ -172,7 +173,7 @@ def test_one_splat_is_drawn_as_the_contract_says(changes: dict[str, Any], shown:
 def test_a_point_is_as_small_as_the_dilation(antialias: bool) -> None:
     drawing = Rasterizer(1)
     for scale in (1e-12, 0.0):
-        picture = drawing.draw(of(one_splat(scales=[[scale] * 3])), camera(64), antialias)
+        picture = drawing.draw(placed(one_splat(scales=[[scale] * 3])), camera(64), antialias)
         drawing.backward(*smooth(camera(64)))
         assert np.isfinite(drawing.out).all()
         if antialias:  # nothing of it is left
@@ -200,7 +201,7 @@ def test_splats_that_are_not_finite_are_left_out(name: str, value: float) -> Non
     scene = cloud(50)
     broken = getattr(scene, name).copy()
     broken[7, ...] = value
-    expect_all_but_the_seventh(of(replace(scene, **{name: broken})), of(scene.take(np.arange(50) != 7)))
+    expect_all_but_the_seventh(placed(replace(scene, **{name: broken})), placed(scene.take(np.arange(50) != 7)))
 
 
 @pytest.mark.parametrize(
@@ -209,12 +210,12 @@ def test_splats_that_are_not_finite_are_left_out(name: str, value: float) -> Non
 )
 def test_what_was_not_sorted_out_before_is_not_drawn_either(name: str, value: float) -> None:
     scene = cloud(50)
-    splats = of(scene)
+    splats = placed(scene)
     getattr(splats, name)[7] = value
-    expect_all_but_the_seventh(splats, of(scene.take(np.arange(50) != 7)))
+    expect_all_but_the_seventh(splats, placed(scene.take(np.arange(50) != 7)))
 
 
 def test_nothing_at_all() -> None:
     drawing = Rasterizer(0)
-    assert not drawing.draw(of(cloud(0)), VIEW, antialias=False).any()
+    assert not drawing.draw(placed(cloud(0)), VIEW, antialias=False).any()
     assert all(len(one) == 0 for one in drawing.backward(*smooth(VIEW)))

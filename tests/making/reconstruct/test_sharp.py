@@ -11,12 +11,12 @@ import pytest
 
 from glsplat.avatar import Avatar
 from glsplat.making.optimize.pictures import ViewConfig
-from glsplat.making.optimize.rasterizer import Rasterizer, of
+from glsplat.making.optimize.rasterizer import Rasterizer
 from glsplat.making.paint.paint import painter_of
 from glsplat.making.paint.scatter import scatter
 from glsplat.making.paint.sharpen import sharpened
 from glsplat.making.paint.shot import Shot
-from glsplat.making.posed import posed_splats
+from glsplat.making.posed import placed, posed_splats
 from glsplat.making.reconstruct.reconstructor import Options
 from glsplat.making.reconstruct.sharp import _picture, sharp
 from glsplat.making.texture.bake import Colours
@@ -45,7 +45,7 @@ def painted(scene: Scene) -> tuple[Avatar, Colours]:
 
 def drawn(avatar: Avatar, picture: Any) -> np.ndarray:
     splats = posed_splats(avatar, picture.pose)
-    return Rasterizer(len(splats)).draw(of(splats), picture.camera, splats.antialias)
+    return Rasterizer(len(splats)).draw(placed(splats), picture.camera, splats.antialias)
 
 
 def missed(avatar: Avatar, picture: Any) -> float:
