@@ -38,9 +38,7 @@ def rigged(*balls) -> RiggedMesh:
     """Two joints; the weight of the upper grows with height over the ball."""
     vertices = np.concatenate([points for points, _ in balls])
     first = np.cumsum([0] + [len(points) for points, _ in balls])
-    parts = tuple(
-        MeshPart(p.name, (p.faces + first[i]).astype(np.int32), p.uv, p.texture) for i, (_, p) in enumerate(balls)
-    )
+    parts = tuple(MeshPart(p.name, p.faces + first[i], p.uv, p.texture) for i, (_, p) in enumerate(balls))
     upper = np.clip((vertices[:, 1] - 0.7) / 0.6, 0, 1)
     skeleton = Skeleton.from_joints(("base", "top"), [-1, 0], [[0, 0.7, 0], [0, 1, 0]])
     return RiggedMesh(vertices, skeleton, np.tile([0, 1], (len(vertices), 1)), np.stack([1 - upper, upper], 1), parts)

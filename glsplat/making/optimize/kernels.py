@@ -37,7 +37,6 @@ GRADIENTS = 15
 
 _ONE, _HALF, _TWO = np.float32(1), np.float32(0.5), np.float32(2)
 _CAP = np.float32(ALPHA_MAX)
-_PASSES = np.float32(1e-4)  # less than this of what lies behind changes no picture
 _MARGIN = 0.15  # of the picture beyond its edge, where the Jacobian stands still
 
 
@@ -195,6 +194,7 @@ def draw(
     box: I32,
     picture: F32,  # [H, W, 4] premultiplied, added to
     passes: F32,  # [H, W] what passes, begins at 1
+    least: np.float32,  # of it: nothing is drawn where less passes
 ) -> None:
     """Some tiles of the picture."""
     height, width = passes.shape
@@ -208,7 +208,7 @@ def draw(
                 x0, x1 = _span(a, b, c, q, dy, u, left, right)
                 for x in range(x0, x1 + 1):
                     before = passes[y, x]
-                    if before < _PASSES:
+                    if before < least:
                         continue
                     dx = np.float32(x) + _HALF - u
                     alpha = min(opacity * _exp(-_HALF * (a * dx * dx + _TWO * b * dx * dy + c * dy * dy)), _CAP)
@@ -231,6 +231,7 @@ def backward(
     slope: F32,  # [H, W, 4] of the loss by the picture
     error: F32,  # [H, W] what is still wrong there
     passes: F32,  # [H, W] begins at 1
+    least: np.float32,  # as of draw()
     behind: F32,  # [H, W] begins at the sum over channels of slope times picture
     sums: F32,  # [E, SUMS] written
 ) -> None:
@@ -248,7 +249,7 @@ def backward(
                 x0, x1 = _span(a, b, c, q, dy, u, left, right)
                 for x in range(x0, x1 + 1):
                     before = passes[y, x]
-                    if before < _PASSES:
+                    if before < least:
                         continue
                     dx = np.float32(x) + _HALF - u
                     raw = opacity * _exp(-_HALF * (a * dx * dx + _TWO * b * dx * dy + c * dy * dy))

@@ -39,10 +39,12 @@ class Gradients(NamedTuple):
 class Rasterizer:
     """Memory for ``count`` splats. ``draw`` first, then ``backward``, as often as one likes.
 
-    ``threads``: by default as many as cores this process may use. They end with the rasterizer.
+    ``threads``: by default as many as cores this process may use. They end with the rasterizer. ``least``: nothing is
+    drawn where less than that passes all in front.
     """
 
-    def __init__(self, count: int, threads: int | None = None) -> None:
+    def __init__(self, count: int, threads: int | None = None, least: float = 1e-4) -> None:
+        self._least = np.float32(least)
         self._pool = ThreadPoolExecutor(threads or _cores(), "glsplat-fit")
         self._record, self._box = np.zeros((count, RECORD), np.float32), np.zeros((count, 4), np.int32)
         self._to_pixels, self._axes = np.zeros((count, 2, 3)), np.zeros((count, 2, 3))
@@ -74,7 +76,7 @@ class Rasterizer:
         self._work = [np.ascontiguousarray(tiles[k::_PARTS]) for k in range(_PARTS)]
         self._entries = across, start, splat, self._record, self._box
         self._picture, passes = np.zeros((height, width, 4), np.float32), np.ones((height, width), np.float32)
-        self._each(self._work, lambda tiles: kernels.draw(tiles, *self._entries, self._picture, passes))
+        self._each(self._work, lambda tiles: kernels.draw(tiles, *self._entries, self._picture, passes, self._least))
         return self._picture
 
     def backward(self, slope: F32, error: F32) -> Gradients:
@@ -85,7 +87,10 @@ class Rasterizer:
         passes = np.ones(slope.shape[:2], np.float32)
         behind = np.einsum("hwc,hwc->hw", slope, self._picture)
         self._each(
-            self._work, lambda tiles: kernels.backward(tiles, *self._entries, slope, error, passes, behind, self._sums)
+            self._work,
+            lambda tiles: kernels.backward(
+                tiles, *self._entries, slope, error, passes, self._least, behind, self._sums
+            ),
         )
         kernels.add_up(splat, self._sums, self._totals)
         shapes = self._record, self._to_pixels, self._axes, self._slope, self._scales

@@ -96,7 +96,7 @@ class MeshBuffers:
 def corners(part: MeshPart) -> tuple[NDArray[np.int32], NDArray[np.float32], NDArray[np.int64]]:
     """Vertices split where the texture has a seam: index [M] in the mesh, uv [M, 2], triangles [F, 3] of those."""
     uv = np.ascontiguousarray(part.uv.reshape(-1, 2), np.float32)
-    keys = np.concatenate([part.faces.reshape(-1, 1), uv.view(np.int32)], axis=1)
+    keys = np.concatenate([part.faces.reshape(-1, 1).astype(np.int32), uv.view(np.int32)], axis=1)
     unique, inverse = np.unique(keys, axis=0, return_inverse=True)
     return unique[:, 0], np.ascontiguousarray(unique[:, 1:]).view(np.float32), inverse.reshape(-1, 3)
 
