@@ -19,6 +19,7 @@ from glsplat.formats.files import naming, open_regular, replace_file
 from glsplat.formats.scene_file import upright
 from glsplat.formats.transform import transformed
 from glsplat.making.cones import ConeConfig, with_cones
+from glsplat.making.detail.make import with_levels
 from glsplat.making.gltf.rig_map import read_rig_map
 from glsplat.making.importers import bind_to_mesh, load_lhm_dump
 from glsplat.making.lam import FOLLOW, is_lam_zip, load_lam_zip
@@ -171,10 +172,10 @@ def _make(args: argparse.Namespace) -> int:
         avatar = make_avatar(mesh, args.splats, args.seed, progress=show)
         if args.steps:
             avatar = fitted_to_mesh(avatar, mesh, args.seed, args.steps, show)
+        if counts:
+            avatar = with_levels(avatar, counts, args.seed, progress=show)
         if not args.no_cones:
             avatar = with_cones(avatar, progress=show)
-        if counts:
-            avatar = fitted.with_levels(avatar, counts, args.seed, not args.no_cones, show)
     _say(args.person, doubts(mesh, avatar, args.splats, args.extra_scale), told)
     return write(avatar, args, began)
 

@@ -5,18 +5,13 @@ from __future__ import annotations
 import argparse
 import json
 import time
-from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
-from glsplat.avatar import Avatar
 from glsplat.errors import FormatError
 from glsplat.formats import load, save, suffixes
-from glsplat.making.detail.fitted import FittedConfig, fitted_levels
-from glsplat.making.detail.make import halves, with_merged_levels
-from glsplat.making.detail.measure import MeasureConfig, measured
-from glsplat.making.optimize.compiled import available
-from glsplat.splats import Splats
+from glsplat.making.detail.fitted import FittedConfig
+from glsplat.making.detail.make import with_levels
+from glsplat.making.detail.measure import MeasureConfig
 from glsplat.views import splats_of
 
 from ..args import natural
@@ -58,18 +53,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--json", action="store_true", help="print what was made as JSON")
 
 
-def _made(
-    scene: Splats | Avatar, counts: list[int] | None, args: argparse.Namespace, show: Callable[[str, float], None]
-) -> Splats | Avatar:
-    """The scene with levels: fitted, or merged."""
-    config = MeasureConfig(psnr=args.psnr)
-    if not (isinstance(scene, Avatar) and args.steps and available()):
-        return with_merged_levels(scene, counts, config, show)
-    bare = replace(scene, levels=())
-    levels = fitted_levels(bare, counts or halves(len(scene.splats)), args.seed, FittedConfig(steps=args.steps), show)
-    return replace(bare, levels=measured(bare, levels, config, show))
-
-
 def run(args: argparse.Namespace) -> int:
     """Make, measure and write the levels; 0 on success. Raises UsageError, FormatError."""
     check_name(args.out)
@@ -86,7 +69,7 @@ def run(args: argparse.Namespace) -> int:
     if counts and counts[0] >= total:
         raise FormatError(f"{args.scene}: has {total} splats; --counts needs fewer, not {counts[0]}")
     with progress_bar() as show:
-        made = _made(scene, counts, args, show)
+        made = with_levels(scene, counts, args.seed, args.steps, MeasureConfig(psnr=args.psnr), show)
     save(made, args.out)
     levels, seconds = levels_of(made), time.perf_counter() - began
     size = args.out.stat().st_size

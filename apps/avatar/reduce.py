@@ -19,8 +19,6 @@ from .writing import add_notes, check_name, progress_bar, write
 
 __all__ = ["add_arguments", "run"]
 
-_STEPS = 600
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command line."""
@@ -28,7 +26,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("-o", "--out", type=Path, required=True, help="avatar to write (.glb)")
     parser.add_argument("--splats", type=natural, required=True, help="number of Gaussians")
     parser.add_argument(
-        "--steps", type=natural, default=_STEPS, help="of the fit (default %(default)d); 0: merged only"
+        "--steps", type=natural, default=FittedConfig().steps, help="of the fit (default %(default)d); 0: merged only"
     )
     parser.add_argument("--seed", type=natural, default=0, help="same seed, same bytes (default 0)")
     parser.add_argument("--json", action="store_true", help="print what was made as JSON")

@@ -10,10 +10,11 @@ from typing import Any
 import glsplat_apps.cli as cli
 import numpy as np
 import pytest
-from glsplat_apps.avatar import command, detail, fitted
+from glsplat_apps.avatar import command
 
 from glsplat.avatar import Avatar
 from glsplat.formats import load, save
+from glsplat.making.detail import make as making
 from glsplat.making.detail.fitted import FittedConfig
 from glsplat.making.detail.merge import merged
 from glsplat.making.optimize.compiled import MISSING
@@ -138,28 +139,6 @@ def test_what_is_missing_is_said_before_an_avatar_is_made(
     assert asked == [7, 7]
 
 
-@pytest.mark.parametrize("cones", [False, True])
-def test_levels_are_merged_without_numba(monkeypatch: pytest.MonkeyPatch, cones: bool) -> None:
-    without_numba(monkeypatch)
-    avatar = small_avatar()
-    level = Level(merged(avatar, 100), 50.0)
-    called: list[object] = []
-
-    def with_merged_levels(scene: Avatar, counts: Any, progress: Any) -> Avatar:
-        called.append(list(counts))
-        return replace(scene, levels=(level,))
-
-    def with_cones(scene: Avatar, progress: Any) -> Avatar:
-        called.append("cones")
-        return scene
-
-    monkeypatch.setattr(fitted, "with_merged_levels", with_merged_levels)
-    monkeypatch.setattr(fitted, "with_cones", with_cones)
-    made = fitted.with_levels(avatar, [100], 3, cones)
-    assert [one.content for one in made.levels] == [level.content]
-    assert called == ([[100], "cones"] if cones else [[100]])
-
-
 def test_levels_of_avatars_are_fitted_and_those_of_scenes_merged(
     many: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -181,7 +160,7 @@ def test_levels_of_avatars_are_fitted_and_those_of_scenes_merged(
         ("with_merged_levels", with_merged_levels),
         ("measured", measured),
     ):
-        monkeypatch.setattr(detail, name, stub)
+        monkeypatch.setattr(making, name, stub)
     save(cloud(300), tmp_path / "s.ply")
     out, count = tmp_path / "out.glb", len(load(many).splats)
 

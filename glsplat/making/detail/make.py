@@ -1,4 +1,4 @@
-"""Levels of detail for what has no mesh: merged, covering as much as the finest in pictures of it, and measured."""
+"""Levels of detail: fitted, or merged and covering as much as the finest in pictures of it; then measured."""
 
 from __future__ import annotations
 
@@ -11,12 +11,14 @@ import numpy as np
 from glsplat.avatar import Avatar
 from glsplat.errors import GlsplatError
 from glsplat.gl.context import Context
+from glsplat.making.detail.fitted import FittedConfig, fitted_levels
 from glsplat.making.detail.measure import MeasureConfig, Pictures, Station, measured, stations_of
 from glsplat.making.detail.merge import Cover, MergeConfig, area_of, covered, merged_levels
+from glsplat.making.optimize.compiled import available
 from glsplat.splats import Splats
 from glsplat.views import splats_of
 
-__all__ = ["halves", "with_merged_levels"]
+__all__ = ["halves", "with_levels", "with_merged_levels"]
 
 Scene = TypeVar("Scene", bound=Splats | Avatar)
 Report = Callable[[str, float], None]
@@ -33,6 +35,27 @@ def halves(count: int) -> list[int]:
     while len(out) < _LEVELS and out[-1] // 2 >= _LEAST:
         out.append(out[-1] // 2)
     return [one for one in out if one > 0]
+
+
+def with_levels(
+    scene: Scene,
+    counts: Sequence[int] | None = None,  # falling, each below the finest's; default: halves
+    seed: int = 0,
+    steps: int = FittedConfig().steps,
+    config: MeasureConfig | None = None,
+    progress: Report | None = None,
+) -> Scene:
+    """``scene`` with levels instead of those it has: of an avatar fitted to it in so many steps, where numba is
+    installed; merged alone of static splats, with 0 steps, and elsewhere.
+
+    Raises as ``with_merged_levels``.
+    """
+    if not (isinstance(scene, Avatar) and steps and available()):
+        return with_merged_levels(scene, counts, config, progress)
+    bare = replace(scene, levels=())
+    counts = halves(len(scene.splats)) if counts is None else counts
+    levels = fitted_levels(bare, counts, seed, FittedConfig(steps=steps), progress)
+    return replace(bare, levels=measured(bare, levels, config, progress))
 
 
 def with_merged_levels(
