@@ -23,7 +23,7 @@ from tests.browser.vr import SIDE, enter, fresh, hands, pose, see, steer, visit
 BAND = 3  # pixels to either side of the silhouette
 SQUARE = 8  # pixels of the checkerboard
 PICTURES = 3
-MOST = {512: 2.5, 1024: 2.2}  # of 255, by the side of the pictures: at 512 each of their pixels covers several
+MOST = {512: 2.5, 1024: 2.0}  # of 255, by the side of the pictures: at 512 each of their pixels covers several
 
 
 class Kept(RendererBackend):
