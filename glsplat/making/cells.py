@@ -36,6 +36,7 @@ class SamplerConfig:
     hand_share: float = 0.095  # of all splats, a hand
     head_share: float = 0.19  # of all splats
     face_boost: float = 2.0  # density of the face against the rest of the head
+    eye_boost: float = 10.0  # density of the front of an eyeball against what is around it
     detail_boost: float = 2.5  # density where the texture is busy against where it is plain, less one
     color_weight: float = 0.7  # cells of unit size a colour difference of one is worth
     normal_weight: float = 0.6  # cells of unit size a right angle is worth, over sqrt(2)

@@ -13,9 +13,11 @@ from glsplat.making.raster import visible_faces
 from glsplat.meshes import RiggedMesh
 from glsplat.skinning.pose import Pose
 
-__all__ = ["HEAD", "Seen", "probe_poses", "seen_surface", "sphere"]
+__all__ = ["EYES", "HEAD", "Seen", "probe_poses", "seen_surface", "sphere"]
 
-HEAD = ("head", "jaw", "left_eye_smplhf", "right_eye_smplhf")
+EYES = ("left_eye_smplhf", "right_eye_smplhf")
+"""Joints that turn the eyeballs."""
+HEAD = ("head", "jaw", *EYES)
 """Joints that move the head's surface."""
 
 _GRAIN = 0.002  # metres; seen points are counted in cubes of this size
