@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from glsplat.errors import FormatError, GlsplatError
 
-__all__ = ["count", "frozen", "number", "own", "own_whole", "plain", "restored"]
+__all__ = ["count", "flag", "frozen", "instance", "number", "own", "own_whole", "pixels", "plain", "restored"]
 
 Kind = TypeVar("Kind", bound=np.generic)
 
@@ -78,16 +78,51 @@ def number(value: Any, what: str, error: type[GlsplatError] = FormatError) -> fl
     return value
 
 
-def count(value: Any, what: str, error: type[GlsplatError] = FormatError) -> int:
-    """``value`` as an int: any integer type, but no float, no boolean, no text."""
-    if type(value) is int:
+def count(value: Any, what: str, error: type[GlsplatError] = FormatError, least: int | None = None) -> int:
+    """``value`` as an int: any integer type, but no float, no boolean, no text; from ``least`` on."""
+    if type(value) is not int:
+        try:
+            if isinstance(value, (bool, np.bool_)):
+                raise TypeError
+            value = operator.index(value)
+        except TypeError:
+            raise error(f"{what} needs a whole number, not {_shown(value)}") from None
+    if least is not None and value < least:
+        raise error(f"{what} needs at least {least}, not {value}")
+    return value
+
+
+def flag(value: Any, what: str, error: type[GlsplatError] = FormatError) -> bool:
+    """``value`` as a bool, which it has to be: "no" is true, and so is an array of one zero in a list."""
+    if isinstance(value, (bool, np.bool_)):
+        return bool(value)
+    raise error(f"{what} is True or False, not {_shown(value)}")
+
+
+def pixels(value: Any, what: str = "size", error: type[GlsplatError] = FormatError) -> tuple[int, int]:
+    """Width and height: two whole numbers of 1 and above."""
+    if isinstance(value, np.ndarray) and value.ndim == 1:
+        value = tuple(value)
+    if not isinstance(value, (tuple, list)) or len(value) != 2:
+        raise error(f"{what} needs two whole numbers, width and height, not {_shown(value)}")
+    width, height = count(value[0], f"{what}'s width", error), count(value[1], f"{what}'s height", error)
+    if min(width, height) < 1:
+        raise error(f"{what} needs at least 1x1 pixels, not {width}x{height}")
+    return width, height
+
+
+def instance(
+    value: Any,
+    kinds: type[Any] | tuple[type[Any], ...],
+    what: str,
+    error: type[GlsplatError] = FormatError,
+    hint: str = "",
+) -> Any:
+    """``value`` if it is one of these classes; ``hint`` says what to do about another."""
+    if isinstance(value, kinds):
         return value
-    try:
-        if isinstance(value, (bool, np.bool_)):
-            raise TypeError
-        return operator.index(value)
-    except TypeError:
-        raise error(f"{what} needs a whole number, not {_shown(value)}") from None
+    names = " or ".join(kind.__name__ for kind in (kinds if isinstance(kinds, tuple) else (kinds,)))
+    raise error(f"{what} needs a {names}, not {_shown(value)}{hint and '; ' + hint}")
 
 
 def restored(kind: type[Any], values: dict[str, Any]) -> Any:

@@ -183,11 +183,12 @@ class Scene:
 
     def remove(self, item: Item) -> None:
         """Take an item out; its buffers are released with the next frame."""
-        for index, other in enumerate(self._items):
-            if other is item:
-                del self._items[index]
-                return
-        raise GlsplatError(f"{item} is not in the scene")
+        try:
+            if isinstance(item, Item):  # which equals nothing but itself
+                return self._items.remove(item)  # in one step: other threads may take out others
+        except ValueError:
+            pass
+        raise GlsplatError(f"{item!r:.60} is not in the scene")
 
     def __len__(self) -> int:
         return len(self._items)

@@ -78,7 +78,7 @@ class Context:
         return Entry(self.owner, call, self.state)
 
     def __enter__(self) -> Context:
-        stay = Entry(self.owner, "Context", None)
+        stay = Entry(self.owner, "Context", None, draws=False)
         stay.__enter__()
         self._stays.append(stay)
         return self
@@ -309,11 +309,8 @@ def _kept_current(whatever: bool = False) -> Iterator[None]:
         whatever = True
         raise
     finally:
-        if former is not None:
-            if not current.is_current(former):
-                current.bind(former)
-        elif whatever:
-            current.unbind()
+        if former is not None or whatever:
+            current.give_back(former)
 
 
 def _check_version(ctx: moderngl.Context) -> None:

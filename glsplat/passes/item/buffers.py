@@ -48,6 +48,11 @@ class Placement:
         """Whether it leaves everything where it is."""
         return self.size == 1 and not self.offset.any() and np.array_equal(self.turn, np.eye(3))
 
+    @property
+    def moved(self) -> bool:
+        """Whether things without a skeleton are drawn otherwise than they were loaded."""
+        return self.opacity != 1 or not self.unmoved
+
     def same(self, other: Placement | None) -> bool:
         """Whether the other one puts every splat at the same place."""
         if other is None or (self.size, self.opacity) != (other.size, other.opacity):
