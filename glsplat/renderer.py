@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Collection, Hashable, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
-from types import TracebackType
+from types import NoneType, TracebackType
 from typing import Any, Literal, Unpack, overload
 
 import numpy as np
@@ -20,6 +20,7 @@ from glsplat.config import RenderConfig
 from glsplat.errors import ContextError, GlsplatError
 from glsplat.gl.context import Context, create_context
 from glsplat.gl.owner import Entry, abandon
+from glsplat.passes import views as checks
 from glsplat.passes.frame.budget import Budget
 from glsplat.passes.frame.pipeline import Pipeline
 from glsplat.passes.item.levels import Look
@@ -28,7 +29,6 @@ from glsplat.passes.staged import Staged
 from glsplat.passes.stats import FrameStats
 from glsplat.passes.target import FORMATS, Target
 from glsplat.passes.target_pool import TargetPool
-from glsplat.passes.views import checked_bias, checked_mark, checked_order, checked_out, checked_views
 from glsplat.renderer_thread import RendererThread, RenderOptions
 from glsplat.scene import Item, Scene, Shown
 from glsplat.shaders import Programs, Variant
@@ -66,8 +66,7 @@ class Renderer:
         views, (width, height) = count(views, "views", GlsplatError, 1), pixels(size, error=GlsplatError)
         config = RenderConfig() if config is None else config
         self.config: RenderConfig = instance(config, RenderConfig, "config", GlsplatError)
-        if context is not None:
-            instance(context, Context, "context", GlsplatError, "create_context(given=...) makes one of moderngl's")
+        instance(context, (Context, NoneType), "context", GlsplatError, "create_context(given=...) makes one")
         waits, scene = flag(timed, "timed", GlsplatError), Scene.of(scene)
         self._staged: Staged | None = None
         self.stats: FrameStats = FrameStats(0, 0, 0)
@@ -194,18 +193,19 @@ class Renderer:
         Colours are multiplied by their alpha already (premultiplied); ``glsplat.straight(image)`` divides it out again,
         for PNG files and image libraries. float32 (unclipped) or uint8 by ``config.output``. With ``depth`` also
         [V, H, W] float32: camera z in metres, the mean of what a pixel shows by its weight in the picture, meshes
-        included; 0 where alpha is 0. The arrays are new with each call, but for ``out``. Raises PoseError for a pose
-        that does not fit, GlsplatError for cameras of another size, a ``lod_bias`` beyond 8 or a mark in float32,
+        included; 0 where alpha is 0; a 16F target is centimetres off where alpha is small, and one of 8 bits has none.
+        The arrays are new with each call, but for ``out``. Raises PoseError for a pose that does not fit, GlsplatError
+        for cameras of another size, ``without`` items of another scene, a ``lod_bias`` beyond 8, a mark in float32,
         BudgetError for a picture beyond its budget: the next one is drawn as if it had not been asked for.
         """
-        order, lod_bias = checked_order(sort_viewmat), checked_bias(lod_bias)
-        cameras = self._views(cameras)
+        order, lod_bias = checks.checked_order(sort_viewmat), checks.checked_bias(lod_bias)
+        depth, cameras = checks.checked_depth(depth, self.target_dtype), self._views(cameras)
         with self._entered("render"):
             boxed = self.config.output == "uint8"
-            tile = None if mark is None else self._marks.tile(checked_mark(mark, boxed))
-            self._begin(pose, cameras, viewer, lod_bias, frozenset(map(id, without)))
+            tile = None if mark is None else self._marks.tile(checks.checked_mark(mark, boxed))
+            self._begin(pose, cameras, viewer, lod_bias, checks.checked_without(without, self._scene.scene))
             shape = (len(cameras), self.size[1], self.size[0], 4)
-            out = checked_out(out, shape, np.uint8 if boxed else np.float32)
+            out = checks.checked_out(out, shape, np.uint8 if boxed else np.float32)
             depths = np.empty(out.shape[:3] if depth else 0, np.float32)
             for ordinal, batch in enumerate(passes_of(cameras, self.config.order == "shared" or order is not None)):
                 views, mine = [cameras[i] for i in batch], slice(batch[0], batch[0] + len(batch))
@@ -341,7 +341,7 @@ class Renderer:
         return self.context.entered(f"Renderer.{call}()")
 
     def _views(self, cameras: Sequence[Camera]) -> list[Camera]:
-        return checked_views(cameras, self.size, "; call resize() first")
+        return checks.checked_views(cameras, self.size, "; call resize() first")
 
     def _begin(
         self,

@@ -15,15 +15,17 @@ glTF (.glb, .gltf)          yes     yes     splats (KHR_gaussian_splatting), ava
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Iterator
 from typing import BinaryIO
 
 import numpy as np
 
+from glsplat.arrays import instance
 from glsplat.avatar import Avatar
 from glsplat.errors import FormatError
 from glsplat.formats.compressed_ply import COMPRESSED_PLY
-from glsplat.formats.files import Source, checked, folder_of, naming, open_regular, suffixes_of
+from glsplat.formats.files import Source, checked, folder_of, name_of, naming, open_regular, suffixes_of
 from glsplat.formats.format import Format, Start
 from glsplat.formats.gltf.splats import GLB, GLTF, load_gltf, save_gltf
 from glsplat.formats.ksplat import KSPLAT
@@ -51,6 +53,8 @@ __all__ = [
     "save_splat",
     "suffixes",
 ]
+
+log = logging.getLogger("glsplat.formats")
 
 FORMATS: list[Format] = [
     PLY,
@@ -100,19 +104,28 @@ def load(source: Source, *, strict: bool = False, format: str | None = None) -> 
         return scene
 
 
-def save(scene: Splats | Avatar, target: Source, *, format: str | None = None) -> None:
+def save(
+    scene: Splats | Avatar,
+    target: Source,
+    *,
+    format: str | None = None,
+    say: Callable[[str], object] | None = None,
+) -> None:
     """Write ``scene`` in the format of the suffix, .ply or another one in FORMATS, or of ``format``, "ply" and so on.
 
     ``target`` is a path, or a file open in binary mode, which is written to from where it stands. At a path the new
     file is complete or, on any failure, the old one as it was; a link is followed, an old file keeps its mode. An
     avatar goes into glTF with its rig; into the other formats go its splats alone, as they are stored: in the zero
-    pose, or in the pose in which another program's rig was bound. Raises FormatError for another suffix, and when the
-    file cannot be written.
+    pose, or in the pose in which another program's rig was bound. What a file does not keep beyond rounding is told to
+    ``say``, a sentence each; without it the log "glsplat.formats" has it as warnings. Raises FormatError for another
+    suffix, and when the file cannot be written.
 
     >>> glsplat.save(glsplat.default_avatar().splats, "me.ply")
     >>> len(glsplat.load("me.ply"))
     40000
     """
+    for loss in losses(scene, target, format=format):
+        say(loss) if say is not None else log.warning("%s: %s", name_of(target), loss)
     with naming(target):
         _, write = _writer(target, format)
         with np.errstate(invalid="ignore"):  # a NaN that signals, wherever it is cast
@@ -121,6 +134,7 @@ def save(scene: Splats | Avatar, target: Source, *, format: str | None = None) -
 
 def losses(scene: Splats | Avatar, target: Source, *, format: str | None = None) -> Iterator[str]:
     """What ``save`` with the same arguments does not keep of ``scene``, beyond rounding, a sentence each."""
+    instance(scene, (Splats, Avatar), "a file", hint="of a scene save the content of each item")
     with naming(target):
         known, _ = _writer(target, format)
     return known.losses(scene)

@@ -127,6 +127,10 @@ class Staged:
         self._look()
         visible = self._visible
         if pose is not None:
+            if not isinstance(pose, Pose):
+                raise PoseError(
+                    f"render needs a glsplat.Pose, not {type(pose).__name__}; make one of your values first"
+                )
             avatars = sum(is_figure(item.content) for item in (*visible, *self._visible_meshes))
             if avatars > 1:
                 raise PoseError(f"render() got one pose for {avatars} avatars; set the pose of each item instead")
@@ -140,7 +144,8 @@ class Staged:
         parts = [part for part in enumerate(levels) if id(visible[part[0]]) not in without]
         self.levels = tuple(level for _, level in parts)
         arena, before = self.arena, self.arena.runs
-        if arena.place({self._drawable.parts.index(part): places[part[0]] for part in parts}):
+        eye = look.views[0].position
+        if arena.place({self._drawable.parts.index(part): places[part[0]] for part in parts}, eye):
             timer.mark("skin")
         self.runs += arena.runs - before
 

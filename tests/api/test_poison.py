@@ -205,7 +205,9 @@ def test_threads_that_take_items_out_take_their_own() -> None:
 
 WRONG: dict[str, dict[str, Any]] = {
     "config": {"config": {"output": "float32"}},
+    "empty config": {"config": {}},
     "context": {"context": 5},
+    "empty context": {"context": ""},
     "moderngl": {"context": moderngl},
     "views": {"views": 1.5},
     "no views": {"views": 0},
