@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from glsplat.arrays import frozen_mapping, instance
 from glsplat.errors import FormatError, PoseError
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.skeleton import Skeleton
@@ -70,6 +71,7 @@ class RiggedMesh:
     meta: Mapping[str, Any] = field(default_factory=dict)  # source, licence, ... (what the file says)
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "meta", frozen_mapping(instance(self.meta, Mapping, "a mesh's meta")))
         count = len(self.vertices)
         if self.vertices.shape != (count, 3) or not np.isfinite(self.vertices).all():
             raise FormatError(f"a mesh needs finite vertices (V, 3), not {self.vertices.shape}")

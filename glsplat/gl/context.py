@@ -11,12 +11,13 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from types import TracebackType
+from types import NoneType, TracebackType
 from typing import Any
 
 import moderngl
 import numpy as np
 
+from glsplat.arrays import instance
 from glsplat.errors import ContextError, ShaderError
 from glsplat.gl import current
 from glsplat.gl.owner import Entry, Owner, check_process, destroy_when_dropped, owner_of, release_dropped
@@ -129,6 +130,12 @@ def create_context(
     >>> context.release()
     """
     check_process()
+    kinds = (int, str, NoneType)
+    if isinstance(device, bool) or not isinstance(device, kinds) or not isinstance(backend, (str, NoneType)):
+        raise ContextError(
+            f"device needs an index or a name and backend a name, not {device!r:.40} and {backend!r:.40}"
+        )
+    instance(given, (moderngl.Context, NoneType), "given", ContextError, "make it with moderngl.create_context()")
     current.look()
     release_dropped()
     if given is not None:

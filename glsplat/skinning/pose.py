@@ -59,6 +59,9 @@ class Pose:
             if most > _LIMIT:
                 unit = "radians" if name == "a rotation" else "metres"
                 raise PoseError(f"{name} needs {unit} below {_LIMIT:g}, not {most:g}")
+        if (angle := float(np.abs(turned).max(initial=0.0))) > _DEGREES:
+            joint = int(np.abs(turned).max(axis=1).argmax())
+            raise PoseError(f"joint {joint} turns by {angle:.0f} rad; angles are radians, not degrees (np.radians)")
         keep = object.__setattr__
         keep(self, "rotations", turned)
         keep(self, "trans", moved)
@@ -92,8 +95,8 @@ class Pose:
         if not isinstance(data, Mapping):
             raise PoseError(f"a pose is a mapping of {', '.join(POSE_KEYS)}, not {type(data).__name__}")
         data = _own_names(data)
-        if not any(key in data for key in POSE_KEYS):
-            raise PoseError(f"a pose needs at least one of {', '.join(POSE_KEYS)}; found {_some(data)}")
+        if not any(key in data for key in (*POSE_KEYS, "trans")):
+            raise PoseError(f"a pose needs at least one of {', '.join(POSE_KEYS)}, trans; found {_some(data)}")
         rotations = np.zeros((_COUNT, 3))
         for key, joints in POSE_KEYS.items():
             if key in data:
