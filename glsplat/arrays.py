@@ -26,12 +26,14 @@ __all__ = [
     "frozen",
     "frozen_mapping",
     "instance",
+    "listed",
     "number",
     "own",
     "own_whole",
     "pixels",
     "plain",
     "restored",
+    "rows",
     "shares",
 ]
 
@@ -89,7 +91,7 @@ def number(value: Any, what: str, error: type[GlsplatError] = FormatError) -> fl
     if type(value) is not float:
         kind = getattr(getattr(value, "dtype", None), "kind", "f")
         vector = isinstance(value, np.ndarray) and value.ndim > 0
-        if isinstance(value, (bool, str, bytes, complex)) or kind not in "iuf" or vector:
+        if isinstance(value, (bool, str, bytes, complex)) or kind not in "iuf" or vector or _masked(value):
             raise error(f"{what} needs a number, not {_shown(value)}")
         try:
             value = float(value)
@@ -109,6 +111,8 @@ def count(value: Any, what: str, error: type[GlsplatError] = FormatError, least:
             value = operator.index(value)
         except TypeError:
             raise error(f"{what} needs a whole number, not {_shown(value)}") from None
+    if abs(value) >= 2**63:
+        raise error(f"{what} needs a whole number of at most 19 digits")
     if least is not None and value < least:
         raise error(f"{what} needs at least {least}, not {value}")
     return value
@@ -223,6 +227,27 @@ def _masked(value: Any) -> bool:
     if isinstance(value, (list, tuple)):
         return any(map(_masked, value))
     return isinstance(value, np.ma.MaskedArray) and bool(np.ma.getmaskarray(value).any())
+
+
+def listed(value: Any, what: str, error: type[GlsplatError] = FormatError) -> tuple[Any, ...]:
+    """What a list, or whatever can be walked through, holds."""
+    try:
+        return tuple(value)
+    except TypeError:
+        raise error(f"{what} needs a list, not {_shown(value)}") from None
+
+
+def rows(index: ArrayLike, count: int) -> NDArray[np.intp]:
+    """An integer or boolean array that chooses among ``count`` rows, as integers; FormatError outside of them."""
+    try:
+        i = np.asarray(index)
+    except (TypeError, ValueError, RuntimeError, OverflowError):
+        i = np.zeros(())
+    if i.dtype == bool and i.shape == (count,):
+        i = np.flatnonzero(i)
+    if _masked(index) or i.ndim != 1 or (i.size and (i.dtype.kind not in "iu" or i.min() < -count or i.max() >= count)):
+        raise FormatError(f"take() needs a list of whole numbers below {count}, or {count} booleans")
+    return i.astype(np.intp)  # an empty list has no integer type
 
 
 def _constant(array: NDArray[Any]) -> bool:

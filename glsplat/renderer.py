@@ -194,12 +194,12 @@ class Renderer:
         for PNG files and image libraries. float32 (unclipped) or uint8 by ``config.output``. With ``depth`` also
         [V, H, W] float32: camera z in metres, the mean of what a pixel shows by its weight in the picture, meshes
         included; 0 where alpha is 0; a 16F target is centimetres off where alpha is small, and one of 8 bits has none.
-        The arrays are new with each call, but for ``out``. Raises PoseError for a pose that does not fit, GlsplatError
-        for cameras of another size, ``without`` items of another scene, a ``lod_bias`` beyond 8, a mark in float32,
-        BudgetError for a picture beyond its budget: the next one is drawn as if it had not been asked for.
+        The arrays are new with each call, but for ``out``. Raises PoseError for a pose that does not fit, BudgetError
+        for a picture beyond its budget, GlsplatError for all else: the next one is drawn as if it had not been asked.
         """
         order, lod_bias = checks.checked_order(sort_viewmat), checks.checked_bias(lod_bias)
         depth, cameras = checks.checked_depth(depth, self.target_dtype), self._views(cameras)
+        instance(budget, (Budget, NoneType), "budget", GlsplatError)
         with self._entered("render"):
             boxed = self.config.output == "uint8"
             tile = None if mark is None else self._marks.tile(checks.checked_mark(mark, boxed))

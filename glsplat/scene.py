@@ -8,7 +8,7 @@ from typing import TypeGuard
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from glsplat.arrays import flag, instance, number, plain
+from glsplat.arrays import flag, instance, listed, number, plain
 from glsplat.avatar import Avatar
 from glsplat.errors import GlsplatError, PoseError
 from glsplat.meshes import RiggedMesh
@@ -154,7 +154,7 @@ class Scene:
         if isinstance(items, (Splats, Avatar, RiggedMesh, Item, str)) or not isinstance(items, Iterable):
             raise GlsplatError(f"a scene needs a list of Items, not {type(items).__name__}; write Scene([Item(...)])")
         self._items: list[Item] = []
-        for item in items:
+        for item in listed(items, "a scene", GlsplatError):
             self.add(item)
 
     @classmethod

@@ -9,7 +9,7 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from glsplat.arrays import flag, frozen, number, own, own_whole, plain, restored, shares
+from glsplat.arrays import flag, frozen, listed, number, own, own_whole, plain, restored, rows, shares
 from glsplat.errors import FormatError
 
 __all__ = ["SH_C0", "Level", "Levels", "Splats", "checked_levels"]
@@ -138,7 +138,7 @@ class Splats:
             object.__setattr__(self, name, array)
         known = held is not None and cones_psnr is not None
         object.__setattr__(self, "cones_psnr", number(cones_psnr, "cones_psnr") if known else None)
-        found = levels if isinstance(levels, Levels) else tuple(levels)
+        found = levels if isinstance(levels, Levels) else listed(levels, "levels")
         sizes = [n, *(len(one.content) for one in found if isinstance(getattr(one, "content", None), Splats))]
         object.__setattr__(self, "levels", checked_levels(found, self, self.arrays, sizes) if found else ())
         if any(level.content.levels for level in self.levels):
@@ -205,13 +205,7 @@ class Splats:
 
         Raises FormatError outside of them.
         """
-        i = np.asarray(index)
-        n = len(self)
-        if i.dtype == bool and i.shape == (n,):
-            i = np.flatnonzero(i)
-        if i.ndim != 1 or (i.size and (i.dtype.kind not in "iu" or i.min() < -n or i.max() >= n)):
-            raise FormatError(f"take() needs a list of whole numbers below {n}, or {n} booleans")
-        i = i.astype(np.intp)  # an empty list has no integer type
+        i = rows(index, len(self))
         arrays = (self.means, self.quats, self.scales, self.opacities, self.sh)
         means, quats, scales, opacities, sh = (frozen(a.take(i, axis=0)) for a in arrays)
         cones = None if self.cones is None else frozen(self.cones.take(i, axis=0))

@@ -83,7 +83,7 @@ def checked_depth(depth: bool, dtype: str) -> bool:
 
 def checked_without(without: Collection[Item], scene: Scene) -> frozenset[int]:
     """The id() of each of these items. Raises GlsplatError for what is no Item."""
-    if isinstance(without, (Item, str)) or not isinstance(without, Collection):
+    if isinstance(without, (Item, str, np.ndarray)) or not isinstance(without, Collection):
         raise GlsplatError(f"without needs a list of Items, not {type(without).__name__}; write without=[item]")
     found = frozenset(map(id, without))
     if not found:

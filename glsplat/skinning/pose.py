@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from glsplat.arrays import count, own, plain, restored
+from glsplat.arrays import count, instance, own, plain, restored
 from glsplat.errors import PoseError
 from glsplat.skinning.rigs.driven import why_not_driven
 from glsplat.skinning.skeleton import Skeleton
@@ -108,6 +108,7 @@ class Pose:
         """A pose object of either layout: SMPL-X keys, or {"joints": {NAME: [3]}, "translations": {NAME: [3]}}."""
         if not isinstance(data, Mapping):
             raise PoseError(f"a pose is a JSON object, not {type(data).__name__}")
+        instance(skeleton, Skeleton, "from_json()", PoseError, "an avatar has one: avatar.skeleton")
         if "joints" not in data and "translations" not in data:
             if why := why_not_driven(skeleton):
                 raise PoseError(f'this avatar takes poses {{"joints": {{NAME: [x, y, z]}}}} only: {why}')
@@ -137,6 +138,7 @@ class Pose:
 
     def bones(self, skeleton: Skeleton) -> NDArray[np.float64]:
         """Skinning matrices [J, 3, 4] of this pose on ``skeleton``."""
+        instance(skeleton, Skeleton, "bones()", PoseError, "an avatar has one: avatar.skeleton")
         return skeleton.bone_matrices(self.rotations, self.trans, self.translations)
 
 
