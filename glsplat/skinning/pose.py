@@ -22,6 +22,7 @@ __all__ = ["Pose", "load_pose"]
 
 _COUNT = len(JOINT_NAMES)
 _LIMIT = 1e6  # metres, radians; more is a mistake of units
+_TURNS = 20 * np.pi  # radians; nobody counts more than ten turns, and a right angle in degrees is more
 _DEGREES = 4 * np.pi  # radians; an angle beyond two turns in a file was meant in degrees
 
 
@@ -59,7 +60,7 @@ class Pose:
             if most > _LIMIT:
                 unit = "radians" if name == "a rotation" else "metres"
                 raise PoseError(f"{name} needs {unit} below {_LIMIT:g}, not {most:g}")
-        if (angle := float(np.abs(turned).max(initial=0.0))) > _DEGREES:
+        if (angle := float(np.abs(turned).max(initial=0.0))) > _TURNS:
             joint = int(np.abs(turned).max(axis=1).argmax())
             raise PoseError(f"joint {joint} turns by {angle:.0f} rad; angles are radians, not degrees (np.radians)")
         keep = object.__setattr__
