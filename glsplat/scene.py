@@ -233,7 +233,7 @@ def similarity(
 
 
 def _checked(transform: ArrayLike) -> NDArray[np.float64]:
-    matrix = np.array(plain(transform, "a transform", GlsplatError), np.float64)
+    matrix = np.array(plain(transform, "a transform (a 4x4 matrix of numbers)", GlsplatError), np.float64)
     if matrix.shape != (4, 4):
         raise GlsplatError(f"a transform is a 4x4 matrix, not {matrix.shape}; see glsplat.scene.similarity")
     if not np.isfinite(matrix).all():
