@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from glsplat.avatar import Avatar
 from glsplat.errors import FormatError
-from glsplat.formats import losses, save, suffixes
+from glsplat.formats import save, suffixes
 from glsplat.formats.fidelity import read_back
 from glsplat.formats.scene_file import upright
 from glsplat.formats.transform import transformed
@@ -65,10 +65,12 @@ def save_and_say(scene: Splats | Avatar, output: str | Path, command: str, quiet
 
     "largest (mean)" over all splats; nothing is said where nothing is lost. Raises FormatError.
     """
-    if not quiet:
-        for loss in losses(scene, output):
+
+    def say(loss: str) -> None:
+        if not quiet:
             print(f"{command}: {output}: {loss}", file=sys.stderr)
-    save(scene, output)
+
+    save(scene, output, say=say)
     if not quiet and (words := ", ".join(read_back(scene, output).words())):
         print(f"{command}: {output}: read back, off by at most (mean): {words}", file=sys.stderr)
 

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from glsplat.config import RenderConfig
     from glsplat.data import default_avatar
     from glsplat.errors import GlsplatError
-    from glsplat.formats import load, save
+    from glsplat.formats.registry import load, save
     from glsplat.gl.context import create_context
     from glsplat.meshes import RiggedMesh
     from glsplat.pictures import straight
@@ -71,10 +71,10 @@ _HOME = {
     "Splats": "splats",
     "create_context": "gl.context",
     "default_avatar": "data",
-    "load": "formats",
+    "load": "formats.registry",
     "look_at": "camera",
     "pinhole": "camera",
-    "save": "formats",
+    "save": "formats.registry",
     "similarity": "scene",
     "stereo_cameras": "camera",
     "straight": "pictures",

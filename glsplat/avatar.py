@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+from glsplat.arrays import frozen_mapping, listed
 from glsplat.errors import FormatError
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.skin import Skin
@@ -42,7 +43,7 @@ class Avatar:
         if len(self.skin) and int(self.skin.joints.max()) >= len(self.skeleton):
             raise FormatError(f"the skin names joint {self.skin.joints.max()} of {len(self.skeleton)}")
         object.__setattr__(self, "skin", self.skin.anchored(self.skeleton.parents))
-        object.__setattr__(self, "meta", dict(self.meta))
+        object.__setattr__(self, "meta", frozen_mapping(self.meta))
         self._check_levels()
 
     def without(self, joint: str) -> Avatar:
@@ -80,7 +81,7 @@ class Avatar:
     def _check_levels(self) -> None:
         if self.splats.levels:
             raise FormatError("levels belong to the avatar, not to its splats")
-        found = self.levels if isinstance(self.levels, Levels) else tuple(self.levels)
+        found = self.levels if isinstance(self.levels, Levels) else listed(self.levels, "levels")
         sizes = [
             len(self.splats),
             *(len(one.content.splats) for one in found if isinstance(getattr(one, "content", None), Avatar)),

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from glsplat.arrays import frozen_mapping, instance, plain
 from glsplat.errors import FormatError, PoseError
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.skeleton import Skeleton
@@ -70,7 +71,13 @@ class RiggedMesh:
     meta: Mapping[str, Any] = field(default_factory=dict)  # source, licence, ... (what the file says)
 
     def __post_init__(self) -> None:
-        count = len(self.vertices)
+        object.__setattr__(self, "meta", frozen_mapping(instance(self.meta, Mapping, "a mesh's meta")))
+        instance(self.skeleton, Skeleton, "a mesh's skeleton")
+        for name in ("vertices", "joints", "weights"):
+            plain(instance(getattr(self, name), np.ndarray, f"a mesh's {name}"), f"a mesh's {name}")
+        for part in instance(self.parts, tuple, "a mesh's parts"):
+            instance(part, MeshPart, "a mesh's parts")
+        count = self.vertices.shape[0] if self.vertices.ndim else 0
         if self.vertices.shape != (count, 3) or not np.isfinite(self.vertices).all():
             raise FormatError(f"a mesh needs finite vertices (V, 3), not {self.vertices.shape}")
         if self.joints.shape != self.weights.shape or self.joints.shape[:1] != (count,) or self.joints.ndim != 2:

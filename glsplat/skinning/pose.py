@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from glsplat.arrays import count, own, plain, restored
+from glsplat.arrays import count, instance, own, plain, restored
 from glsplat.errors import PoseError
 from glsplat.skinning.rigs.driven import why_not_driven
 from glsplat.skinning.skeleton import Skeleton
@@ -22,6 +22,7 @@ __all__ = ["Pose", "load_pose"]
 
 _COUNT = len(JOINT_NAMES)
 _LIMIT = 1e6  # metres, radians; more is a mistake of units
+_TURNS = 20 * np.pi  # radians; nobody counts more than ten turns, and a right angle in degrees is more
 _DEGREES = 4 * np.pi  # radians; an angle beyond two turns in a file was meant in degrees
 
 
@@ -59,6 +60,9 @@ class Pose:
             if most > _LIMIT:
                 unit = "radians" if name == "a rotation" else "metres"
                 raise PoseError(f"{name} needs {unit} below {_LIMIT:g}, not {most:g}")
+        if (angle := float(np.abs(turned).max(initial=0.0))) > _TURNS:
+            joint = int(np.abs(turned).max(axis=1).argmax())
+            raise PoseError(f"joint {joint} turns by {angle:.0f} rad; angles are radians, not degrees (np.radians)")
         keep = object.__setattr__
         keep(self, "rotations", turned)
         keep(self, "trans", moved)
@@ -92,8 +96,8 @@ class Pose:
         if not isinstance(data, Mapping):
             raise PoseError(f"a pose is a mapping of {', '.join(POSE_KEYS)}, not {type(data).__name__}")
         data = _own_names(data)
-        if not any(key in data for key in POSE_KEYS):
-            raise PoseError(f"a pose needs at least one of {', '.join(POSE_KEYS)}; found {_some(data)}")
+        if not any(key in data for key in (*POSE_KEYS, "trans")):
+            raise PoseError(f"a pose needs at least one of {', '.join(POSE_KEYS)}, trans; found {_some(data)}")
         rotations = np.zeros((_COUNT, 3))
         for key, joints in POSE_KEYS.items():
             if key in data:
@@ -105,6 +109,7 @@ class Pose:
         """A pose object of either layout: SMPL-X keys, or {"joints": {NAME: [3]}, "translations": {NAME: [3]}}."""
         if not isinstance(data, Mapping):
             raise PoseError(f"a pose is a JSON object, not {type(data).__name__}")
+        instance(skeleton, Skeleton, "from_json()", PoseError, "an avatar has one: avatar.skeleton")
         if "joints" not in data and "translations" not in data:
             if why := why_not_driven(skeleton):
                 raise PoseError(f'this avatar takes poses {{"joints": {{NAME: [x, y, z]}}}} only: {why}')
@@ -134,6 +139,7 @@ class Pose:
 
     def bones(self, skeleton: Skeleton) -> NDArray[np.float64]:
         """Skinning matrices [J, 3, 4] of this pose on ``skeleton``."""
+        instance(skeleton, Skeleton, "bones()", PoseError, "an avatar has one: avatar.skeleton")
         return skeleton.bone_matrices(self.rotations, self.trans, self.translations)
 
 

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from glsplat.arrays import flag, instance
 from glsplat.errors import PoseError
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.skeleton import Skeleton
@@ -21,7 +22,7 @@ from glsplat.tracking.filters import Device, PositionFilter, RotationFilter
 from glsplat.tracking.fingers import Fingers
 from glsplat.tracking.guard import Guard
 from glsplat.tracking.learned.solver import LearnedSolver
-from glsplat.tracking.reading import read_pose
+from glsplat.tracking.reading import invalid, read_pose
 from glsplat.tracking.sample import Sample, Transform
 from glsplat.tracking.solve.body import HAND_FRAMES, HEAD_FRAME, Body
 from glsplat.tracking.solve.quat import IDENTITY, Quat, Vec, conj, mul, rotation_vector, to_quat
@@ -60,13 +61,15 @@ class Tracker:
         solver: Solver | SolverName | None = None,
         head_only: bool = False,
     ) -> None:
-        self.skeleton = skeleton
-        self.calibration: Calibration = calibration or Calibration()
-        self.config = c = config or TrackerConfig()
+        self.skeleton: Skeleton = instance(
+            skeleton, Skeleton, "a tracker", PoseError, "an avatar has its own: .skeleton"
+        )
+        self.calibration: Calibration = instance(calibration or Calibration(), Calibration, "calibration", PoseError)
+        self.config = c = instance(config or TrackerConfig(), TrackerConfig, "config", PoseError)
         self.body: Body = Body.of(skeleton)
         self.solver: Solver = solver_of(solver, self.body)
         self._trusted = type(self.solver) in (AnalyticSolver, LearnedSolver)
-        self.head_only = head_only
+        self.head_only: bool = flag(head_only, "head_only", PoseError)
         self._root = self.body.joints[0]
         self._stretch = Stretch(self.body, c.stretch)
         self._guard = Guard(self.body, c.joint_speed, c.root_speed, c.foot_speed)
@@ -304,10 +307,11 @@ class Tracker:
             turn = None if hand is None else hand[1]
             fit = slow or self._count % 2 == side
             try:
+                if joints is not None and (len(joints) != 25 or min(map(len, joints)) < 3):
+                    raise ValueError
                 rotations[first : first + 15] = fingers.update(joints, turn, curl, seconds, fit)
             except (TypeError, ValueError, IndexError):  # not 25 joints of numbers
-                if "invalid" not in flags:
-                    flags.append("invalid")
+                invalid(flags)
                 rotations[first : first + 15] = fingers.update(None, turn, None, seconds)
         root = self._root
         x, y, z = solution.pelvis
