@@ -97,4 +97,5 @@ def turned(scene: Content, up: str) -> Content:
 
 
 def _turned(avatar: Avatar, turn: NDArray[np.float64], skeleton: Skeleton) -> Avatar:
-    return replace(avatar, splats=transformed(avatar.splats, turn), skeleton=skeleton, levels=())
+    shapes = None if avatar.shapes is None else avatar.shapes.turned(turn[:3, :3])
+    return replace(avatar, splats=transformed(avatar.splats, turn), skeleton=skeleton, shapes=shapes, levels=())
