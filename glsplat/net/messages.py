@@ -33,6 +33,7 @@ from glsplat.net.fields import (
 from glsplat.net.guard.duplicates import has_duplicates
 from glsplat.net.rooms.view import RoomView
 from glsplat.rotations import FLIP_X, FLIP_Z
+from glsplat.skinning.expression import checked_expression
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.smplx import POSE_KEYS
@@ -286,6 +287,7 @@ class Decoder:
                 raise ProtocolError(f"tracking.{name} needs metres below {self.options.max_distance:g}")
             if not 1e-9 < hypot(*value[3:]) < 1e3:  # no matrix is made of it here: that takes 0.1 ms
                 raise ProtocolError(f"tracking.{name} needs a quaternion of about unit length", "bad_camera")
+        checked_expression(tracking.expression)
         body = tracking.body or {}
         if len(body) > MOST_JOINTS:
             raise ProtocolError(f"tracking.body needs at most {MOST_JOINTS} joints, not {len(body)}")

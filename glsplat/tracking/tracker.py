@@ -280,6 +280,18 @@ class Tracker:
 
     # -- out
 
+    @staticmethod
+    def _expression(sample: Sample, flags: list[str]) -> dict[str, float]:
+        """The sample's, as it is, without what is not finite."""
+        given = sample.expression or {}
+        try:
+            found = {str(name): float(weight) for name, weight in given.items() if isfinite(weight)}
+        except (AttributeError, TypeError, ValueError, OverflowError):  # not a mapping of numbers
+            found = {}
+        if len(found) < len(given) and "invalid" not in flags:
+            flags.append("invalid")
+        return found
+
     def _finish(
         self,
         solution: Solution,
@@ -313,7 +325,7 @@ class Tracker:
         x, y, z = solution.pelvis
         trans = np.array((x - root[0], y - root[1], z - root[2]))
         rotations.flags.writeable = trans.flags.writeable = False  # a repeated time gives the same pose again
-        pose = Pose(rotations, trans, longer)
+        pose = Pose(rotations, trans, longer, self._expression(sample, flags))
         scale = self.calibration.scale
         left, right = solution.reach
         self.reach_error = (

@@ -117,3 +117,17 @@ def test_what_is_no_calibration_is_refused(text: str, tmp_path: Any) -> None:
         Calibration.load(path)
     Calibration(scale=1.1, eye_height=1.6).save(path)
     assert Calibration.load(path) == Calibration(scale=1.1, eye_height=1.6)
+
+
+def test_the_face_of_a_sample_is_that_of_the_pose() -> None:
+    tracker = Tracker(default_avatar().skeleton)
+    head = (0.0, 1.6, 0.0, 0.0, 0.0, 0.0, 1.0)
+    assert tracker.update(Sample(0.0, head)).expression == {}
+    assert tracker.update(Sample(0.1, head, expression={"jawOpen": 0.5})).expression == {"jawOpen": 0.5}
+    assert "invalid" not in tracker.flags
+    bad = {"jawOpen": float("nan"), "cheekPuff": 0.25, "tongueOut": float("inf")}
+    assert tracker.update(Sample(0.2, head, expression=bad)).expression == {"cheekPuff": 0.25}
+    assert "invalid" in tracker.flags
+    for nonsense in ("jawOpen", [0.5], {"jawOpen": "wide"}, {"jawOpen": None}):
+        assert tracker.update(Sample(tracker._time + 0.1, head, expression=nonsense)).expression == {}  # type: ignore[arg-type, operator]
+        assert "invalid" in tracker.flags
