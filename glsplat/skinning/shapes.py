@@ -150,6 +150,12 @@ class Shapes:
         return len(self.starts) - 1
 
     @property
+    def nbytes(self) -> int:
+        """Bytes of the arrays."""
+        arrays = (self.starts, self.targets, self.moves, self.bends, self.sizes, self.limits)
+        return sum(array.nbytes for array in arrays)
+
+    @property
     def rows(self) -> NDArray[np.int64]:
         """[E] the splat of each entry."""
         return np.repeat(np.arange(self.splats), np.diff(self.starts))

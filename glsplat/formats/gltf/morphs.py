@@ -9,7 +9,6 @@ what viewers do not need is in the primitive's ``extras.glsplat``: ``shape_sizes
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -20,6 +19,7 @@ from glsplat.formats.gltf.container import Accessor, Container, Mesh, Primitive,
 from glsplat.formats.gltf.nodes import Instance
 from glsplat.formats.gltf.output import Output
 from glsplat.formats.gltf.primitive import our_extras
+from glsplat.meshes import Morphs
 from glsplat.skinning.expression import MOST_NAMES, arkit_name
 from glsplat.skinning.shapes import BEND, LIMITS, Shapes
 
@@ -30,26 +30,6 @@ _ROWS = 1 << 23  # of all targets together, 134 MB: targets may share data, and 
 _AXES = ("_AXIS_0", "_AXIS_1")
 _SIZES, _LIMITS = "shape_sizes", "shape_limits"
 _ENTRIES = 1 << 24
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class Morphs:
-    """Offsets of vertices in metres in the mesh's own space, those that are not zero: T targets, M offsets in all.
-
-    Target t, called ``names[t]``, at weight w moves vertex ``vertices[i]`` by w ``offsets[i]`` for the i from
-    ``starts[t]`` to ``starts[t + 1]``; targets add up (glTF 2.0, 3.7.2.2).
-    """
-
-    names: tuple[str, ...]
-    starts: NDArray[np.int64]  # [T + 1]
-    vertices: NDArray[np.uint32]  # [M]
-    offsets: NDArray[np.float32]  # [M, 3]
-
-    def __len__(self) -> int:
-        return len(self.names)
-
-    def __repr__(self) -> str:
-        return f"Morphs({len(self.names)} targets, {len(self.vertices)} offsets)"
 
 
 def read_morphs(container: Container, mesh: Mesh, primitive: Primitive) -> Morphs:
