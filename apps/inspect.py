@@ -335,7 +335,8 @@ def _text(report: dict[str, Any]) -> str:
         )
         if shapes := rig["shapes"]:
             names = ", ".join([*shapes["names"][:4], "..."] if len(shapes["names"]) > 4 else shapes["names"])
-            said = f"{len(shapes['names'])} ({names}), {shapes['arkit']} of ARKit's 52; they move {shapes['splats']} splats"
+            said = f"{len(shapes['names'])} ({names}), {shapes['arkit']} of ARKit's 52"
+            said += f"; they move {shapes['splats']} splats"
             if still := len(report["levels"]) - shapes["levels"]:
                 said += f"; {still} coarser level{'s keep' if still > 1 else ' keeps'} a still face"
             rows.append(("shapes", said))

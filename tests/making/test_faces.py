@@ -12,6 +12,7 @@ import pytest
 from glsplat import reference
 from glsplat.avatar import Avatar
 from glsplat.errors import FormatError
+from glsplat.making.cones import ConeConfig, with_cones
 from glsplat.making.detail.merge import merged
 from glsplat.making.faces.carry import carried
 from glsplat.making.faces.shapes import body_morphs, with_shapes
@@ -226,3 +227,20 @@ def test_an_avatar_of_the_open_body_has_its_52(tmp_path: Path) -> None:
     assert -0.06 < moved[:, 1].min() < -0.01
     head = avatar.skeleton.joints[avatar.skeleton.names.index("head"), 1]
     assert avatar.splats.means[np.linalg.norm(moved, axis=1) > 1e-3, 1].min() > head - 0.15
+
+
+def test_cones_hide_nothing_that_a_face_moves_or_uncovers() -> None:
+    """Two opaque walls of discs, of which each hides the other, and half of the nearer one moves."""
+    thin = discs(400).splats
+    scales, means = np.tile(np.float32((0.06, 0.05, 0.001)), (400, 1)), thin.means.copy()
+    means[::2, 2] -= 0.2
+    avatar = replace(discs(400), splats=replace(thin, scales=scales, means=means, opacities=np.full(400, 0.97)))
+    half = np.where(sheet().vertices[:, :1] > 0.2, 1.0, 0.0) * (0, 0, 0.02)
+    face = with_shapes(avatar, sheet({"jawOpen": half}))
+    few = ConeConfig(directions=16, poses=2, size=64, choosing=2, tests=2, rounds=1, test_size=64, psnr=25.0)
+    cones, still = (with_cones(one, few).splats.cones for one in (face, avatar))
+    assert cones is not None and still is not None and face.shapes is not None
+    near = (means[:, 0] > 0.2) & (means[:, 2] > -0.1)
+    assert (cones[near, 3] == -127).all() and (still[near, 3] > -127).mean() > 0.5
+    assert np.array_equal(cones[means[:, 0] < 0.0], still[means[:, 0] < 0.0])
+    assert (cones[np.diff(face.shapes.starts) > 0, 3] == -127).all()

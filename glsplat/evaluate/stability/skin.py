@@ -270,7 +270,14 @@ def _bad_weight(context: Context) -> Outcome:
         expected = drawn.render([camera()], pose)
     # past the checks of Skin, as from an old pickle
     skin = restored(Skin, {"joints": avatar.skin.joints, "weights": weights, "lost": 0.0, "repaired": 0})
-    parts = {"splats": avatar.splats, "skeleton": avatar.skeleton, "skin": skin, "meta": {}, "levels": ()}
+    parts = {
+        "splats": avatar.splats,
+        "skeleton": avatar.skeleton,
+        "skin": skin,
+        "meta": {},
+        "levels": (),
+        "shapes": None,
+    }
     with renderer(restored(Avatar, parts), context) as drawn:
         error = _largest(drawn.render([camera()], pose) - expected)
         count = drawn.stats.culled["out of range"]

@@ -24,7 +24,8 @@ def merged_shapes(shapes: Shapes, splats: Splats, label: NDArray[np.intp], weigh
     keys, place = np.unique(label[rows] * count + shapes.targets, return_inverse=True)
     share = weight[rows] / total[label[rows]]
     values = np.concatenate([shapes.metres, _gradients(shapes, splats).reshape(-1, 9)], axis=1) * share[:, None]
-    summed = np.stack([np.bincount(place, column, len(keys)) for column in values.T], axis=1).reshape(len(keys), 12)
+    summed: F64 = np.zeros((len(keys), 12))
+    np.add.at(summed, place, values)
     of = keys // count
     bends = _bends(summed[:, 3:].reshape(-1, 3, 3), made, of)
     return Shapes.create(
@@ -63,6 +64,6 @@ def _bends(gradients: F64, splats: Splats, rows: NDArray[np.integer]) -> F64:
 
 def _axes(splats: Splats) -> F64:
     """[N, 3, 3] columns: the two long axes and the thin one."""
-    known = np.isfinite(splats.quats).all(axis=1)[:, None]
+    known = np.asarray(np.isfinite(splats.quats).all(axis=1))[:, None]
     axes = quaternion_matrices(np.where(known, splats.quats, (1, 0, 0, 0)))
     return np.take_along_axis(axes, long_axes(splats.scales)[:, None, :], axis=2)
