@@ -241,6 +241,6 @@ def test_cones_hide_nothing_that_a_face_moves_or_uncovers() -> None:
     cones, still = (with_cones(one, few).splats.cones for one in (face, avatar))
     assert cones is not None and still is not None and face.shapes is not None
     near = (means[:, 0] > 0.2) & (means[:, 2] > -0.1)
-    assert (cones[near, 3] == -127).all() and (still[near, 3] > -127).mean() > 0.5
+    assert (cones[near, 3] == -127).all() and (still[near, 3] > -127).mean() > 0.3
     assert np.array_equal(cones[means[:, 0] < 0.0], still[means[:, 0] < 0.0])
     assert (cones[np.diff(face.shapes.starts) > 0, 3] == -127).all()
