@@ -60,6 +60,8 @@ class Tracking(msgspec.Struct):
     right_foot: list[float] | None = None
     body: dict[str, list[float] | None] | None = None
     expression: Expression | None = None
+    leftEye: list[float] | None = None  # noqa: N815 - names of the wire
+    rightEye: list[float] | None = None  # noqa: N815
 
 
 class PoseFields(msgspec.Struct):

@@ -11,6 +11,7 @@ Frames are those of OpenXR and WebXR: world right-handed, y up, metres; a pose i
   lose the palm.
 * ``waist``, ``left_foot``, ``right_foot``: trackers on the body, mounted anyhow; ``Tracker`` learns how.
 * ``expression``: weights of ARKit's shapes by name, or 52 numbers in its order (skinning/expression.py); missing is 0.
+* ``leftEye``, ``rightEye``: where an eye looks, [x, y, z] of any length in the head's axes (-z ahead).
 * ``body``: joints of the WebXR Body Tracking Module by name (OpenXR's XR_FB_body_tracking behind it); places are used,
   of ``BODY_JOINTS`` alone.
 """
@@ -76,6 +77,8 @@ class Sample:
     right_foot: Transform | None = None
     body: Mapping[str, tuple[float, ...]] | None = None  # of BODY_JOINTS, 3 or 7 numbers
     expression: Mapping[str, float] | None = None  # weights by name
+    left_eye: tuple[float, ...] | None = None  # a direction in the head's axes
+    right_eye: tuple[float, ...] | None = None
 
     @classmethod
     def from_json(cls, data: Any, t: float | None = None) -> Sample:
@@ -109,6 +112,8 @@ class Sample:
             right_foot=_transform(data.get("right_foot"), "right_foot"),
             body=_body(data.get("body")),
             expression=_expression(data.get("expression")),
+            left_eye=_direction(data.get("leftEye"), "leftEye"),
+            right_eye=_direction(data.get("rightEye"), "rightEye"),
         )
 
     def to_json(self) -> dict[str, Any]:
@@ -133,6 +138,9 @@ class Sample:
             out["body"] = {name: list(joint) for name, joint in self.body.items()}
         if self.expression is not None:
             out["expression"] = dict(self.expression)
+        for key, value in (("leftEye", self.left_eye), ("rightEye", self.right_eye)):
+            if value is not None:
+                out[key] = list(value)
         return out
 
 
@@ -209,6 +217,10 @@ def _joints(value: Any, key: str) -> tuple[tuple[float, ...], ...] | None:
     if len(value) not in (25, 26):
         raise PoseError(f'"{key}" of a tracking sample needs 25 joints, not {len(value)}')
     return tuple([_numbers(joint, key, (3, 7)) for joint in value[len(value) - 25 :]])
+
+
+def _direction(value: Any, key: str) -> tuple[float, ...] | None:
+    return None if value is None else _numbers(value, key, (3,))
 
 
 def _expression(value: Any) -> Mapping[str, float] | None:

@@ -140,6 +140,21 @@ def test_an_expression_of_no_number_is_refused(number):
     assert refused(text).code in ("bad_json", "bad_pose", "bad_field")
 
 
+def test_where_eyes_look_comes_with_tracking():
+    tracking = {"head": LEVEL, "leftEye": [0, 0, -1], "rightEye": [0.1, 0, -0.9]}
+    request = decode({"v": 1, "frame_id": 1, "tracking": tracking})
+    sample = Sample.from_json(request.tracking, 0.0)
+    assert sample.left_eye == (0, 0, -1) and sample.right_eye == (0.1, 0, -0.9)
+
+
+@pytest.mark.parametrize(
+    ("gaze", "code"),
+    [([0, 0, 0], "bad_request"), ([0, 1], "bad_request"), ([1e300, 1, 0], "bad_request"), ("ahead", "bad_field")],
+)
+def test_what_is_no_direction_is_refused(gaze, code):
+    refused({"v": 1, "frame_id": 1, "tracking": {"head": LEVEL, "leftEye": gaze}}, code)
+
+
 def test_tracking_in_place_of_a_pose():
     tracking = {"head": [0, 1.6, 0.2, 0, 0, 0, 1], "left": None, "right": [0.3, 1, 0.2, 0, 0, 0, 2]}
     request = decode({"v": 1, "frame_id": 1, "tracking": tracking, "size": [64, 64]}, WireOptions(ipd=0.064))
@@ -364,7 +379,8 @@ fields = {
         st.sampled_from(["trans", "body_pose", "joints", "jaw_pose", "expression"]), numbers | json_values
     ),
     "tracking": st.dictionaries(
-        st.sampled_from(["head", "left", "left_joints", "waist", "body", "expression"]), numbers | json_values
+        st.sampled_from(["head", "left", "left_joints", "waist", "body", "expression", "leftEye"]),
+        numbers | json_values,
     ),
     "cameras": st.lists(st.dictionaries(st.sampled_from(["pos_x", "rot_w", "eye"]), json_values), max_size=3),
     "camera": json_values,

@@ -39,6 +39,8 @@ def test_joint_lists_may_be_flat_and_may_carry_the_palm() -> None:
         {"head": [0, 1, 2, 0, 0, 0, "x"]},
         {"head": HEAD, "t": "now"},
         {"head": HEAD, "expression": [0.5] * 51},
+        {"head": HEAD, "leftEye": [0.0, 1.0]},
+        {"head": HEAD, "rightEye": "ahead"},
         {"head": HEAD, "expression": "jawOpen"},
         {"head": HEAD, "expression": {"jawOpen": "wide"}},
         {"head": HEAD, "expression": {"jawOpen": True}},
@@ -62,6 +64,9 @@ def test_an_expression_is_named_or_in_arkit_s_order() -> None:
         sample = Sample.from_json({"head": HEAD, "expression": wire})
         assert sample.expression == {"jawOpen": 0.5}
         assert Sample.from_json(json.loads(json.dumps(sample.to_json()))) == sample
+    looking = Sample.from_json({"head": HEAD, "leftEye": [0.0, 0.1, -1.0], "rightEye": None})
+    assert looking.left_eye == (0.0, 0.1, -1.0) and looking.right_eye is None
+    assert Sample.from_json(json.loads(json.dumps(looking.to_json()))) == looking
     assert "expression" not in Sample.from_json({"head": HEAD}).to_json()
 
 
