@@ -86,11 +86,11 @@ def write_shapes(out: Output, shapes: Shapes, mesh: Mesh, primitive: Primitive) 
         indices = out.add_bytes(splats.astype("<u4").tobytes())
         metres = np.ascontiguousarray(shapes.metres[mine], np.float32)
         bends = np.pad(shapes.bends[mine], ((0, 0), (0, 0), (0, 1)))
-        attributes = {"POSITION": _sparse(out, shapes.splats, indices, metres, "VEC3")}
+        attributes = {"POSITION": add_sparse(out, shapes.splats, indices, metres, "VEC3")}
         if bends.any():
             for axis, name in enumerate(_AXES):
                 values = np.ascontiguousarray(bends[:, axis])
-                attributes[name] = _sparse(out, shapes.splats, indices, values, "VEC4")
+                attributes[name] = add_sparse(out, shapes.splats, indices, values, "VEC4")
         primitive.targets.append(attributes)
     extras = mesh.extras if isinstance(mesh.extras, dict) else {}
     mesh.extras = extras | {"targetNames": list(shapes.names)}
@@ -101,7 +101,7 @@ def write_shapes(out: Output, shapes: Shapes, mesh: Mesh, primitive: Primitive) 
     primitive.extras = {"glsplat": known | ours}
 
 
-def _sparse(out: Output, count: int, indices: int, values: NDArray[Any], kind: str) -> int:
+def add_sparse(out: Output, count: int, indices: int, values: NDArray[Any], kind: str) -> int:
     """Index of a new accessor that is ``values`` where the bufferView ``indices`` says, and zero elsewhere."""
     code = 5126 if values.dtype == np.float32 else 5120
     accessor = Accessor(component_type=code, count=count, type=kind, normalized=code == 5120)
