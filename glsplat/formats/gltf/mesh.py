@@ -36,8 +36,9 @@ def save_gltf_mesh(mesh: RiggedMesh, target: Source, *, embedded: bool | None = 
     """Write a .glb, or where ``target`` ends in .gltf one JSON file with its buffer ``embedded``.
 
     A primitive and a material for each part, named as it is, the mesh's expressions as morph targets; the nodes of the
-    joints have the joints' names; ``meta`` goes into ``asset.extras``. Positions, weights and texture coordinates are float32, of each vertex's influences
-    the eight strongest. Raises FormatError when ``target`` cannot be written or the notes are not JSON.
+    joints have the joints' names; ``meta`` goes into ``asset.extras``. Positions, weights and texture coordinates are
+    float32, of each vertex's influences the eight strongest. Raises FormatError when ``target`` cannot be written or
+    the notes are not JSON.
     """
     out = Output()
     gltf = out.gltf
