@@ -93,10 +93,12 @@ def turned(scene: Content, up: str) -> Content:
     rig = scene.skeleton
     skeleton = Skeleton(rig.names, rig.parents, turn @ rig.rest, rig.inverse_bind @ turn.T)
     if isinstance(scene, RiggedMesh):
-        return replace(scene, vertices=scene.vertices @ turn[:3, :3].T, skeleton=skeleton)
+        morphs = None if scene.morphs is None else scene.morphs.turned(turn[:3, :3])
+        return replace(scene, vertices=scene.vertices @ turn[:3, :3].T, skeleton=skeleton, morphs=morphs)
     levels = [replace(level, content=_turned(level.content, turn, skeleton)) for level in scene.levels]
     return replace(_turned(scene, turn, skeleton), levels=tuple(levels))
 
 
 def _turned(avatar: Avatar, turn: NDArray[np.float64], skeleton: Skeleton) -> Avatar:
-    return replace(avatar, splats=transformed(avatar.splats, turn), skeleton=skeleton, levels=())
+    shapes = None if avatar.shapes is None else avatar.shapes.turned(turn[:3, :3])
+    return replace(avatar, splats=transformed(avatar.splats, turn), skeleton=skeleton, shapes=shapes, levels=())

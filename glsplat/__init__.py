@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from glsplat.renderer import Renderer
     from glsplat.scene import Item, Scene, similarity
     from glsplat.skinning.pose import Pose
+    from glsplat.skinning.shapes import Shapes
     from glsplat.skinning.skeleton import Skeleton
     from glsplat.skinning.skin import Skin
     from glsplat.splats import Splats
@@ -42,6 +43,7 @@ __all__ = [
     "Renderer",
     "RiggedMesh",
     "Scene",
+    "Shapes",
     "Skeleton",
     "Skin",
     "Splats",
@@ -66,6 +68,7 @@ _HOME = {
     "Renderer": "renderer",
     "RiggedMesh": "meshes",
     "Scene": "scene",
+    "Shapes": "skinning.shapes",
     "Skeleton": "skinning.skeleton",
     "Skin": "skinning.skin",
     "Splats": "splats",

@@ -77,6 +77,8 @@ class Format:
                 "zero pose" if _bound_at_rest(scene) else "pose it was bound in (glsplat avatar export writes others)"
             )
             yield f"the rig of {len(scene.skeleton)} joints is dropped, the file holds the {pose}"
+            if scene.shapes is not None:
+                yield f"the {len(scene.shapes)} shapes of the face are dropped"
             if isinstance(scene.meta.get(CONSENT), dict):
                 yield "the signed consent is dropped, only a .glb carries one"
         if splats_of(scene).cones is not None and not self.cones:

@@ -33,6 +33,7 @@ from glsplat.net.fields import (
 from glsplat.net.guard.duplicates import has_duplicates
 from glsplat.net.rooms.view import RoomView
 from glsplat.rotations import FLIP_X, FLIP_Z, nearest_rotations
+from glsplat.skinning.expression import checked_expression
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.smplx import POSE_KEYS
@@ -291,6 +292,10 @@ class Decoder:
                 raise ProtocolError(f"tracking.{name} needs metres below {self.options.max_distance:g}")
             if not 1e-9 < hypot(*value[3:]) < 1e3:  # no matrix is made of it here: that takes 0.1 ms
                 raise ProtocolError(f"tracking.{name} needs a quaternion of about unit length", "bad_camera")
+        checked_expression(tracking.expression)
+        for name, gaze in (("leftEye", tracking.leftEye), ("rightEye", tracking.rightEye)):
+            if gaze is not None and not (len(gaze) == 3 and 1e-6 < hypot(*gaze) < 1e6):
+                raise ProtocolError(f"tracking.{name} needs a direction of 3 numbers that are not all 0")
         body = tracking.body or {}
         if len(body) > MOST_JOINTS:
             raise ProtocolError(f"tracking.body needs at most {MOST_JOINTS} joints, not {len(body)}")

@@ -302,14 +302,14 @@ class Staged:
     def _buffers_of(self, content: Splats | Avatar) -> ItemBuffers:
         context, config = self._context, self._config
         splats = content.splats if isinstance(content, Avatar) else content
-        skin, joints = None, 0
+        skin, shapes, joints = None, None, 0
         if isinstance(content, Avatar):
-            skin, joints = content.skin, len(content.skeleton)
+            skin, shapes, joints = content.skin, content.shapes, len(content.skeleton)
             if config.influences:
                 skin = skin.reduced(config.influences).anchored(content.skeleton.parents)
             if joints > context.max_size:
                 raise ContextError(f"{joints} joints, but a texture of {context.driver} holds {context.max_size}")
-        return ItemBuffers(context, self._programs, splats, skin, joints, config.rotation == "raw")
+        return ItemBuffers(context, self._programs, splats, skin, joints, config.rotation == "raw", shapes)
 
     def _arena_of(self, buffers: Sequence[ItemBuffers], posed: bool, kinds: Sequence[int]) -> Arena:
         config = self._config
@@ -322,12 +322,15 @@ class Staged:
         transform = item.transform
         linear = transform[:3, :3]
         size = 1.0 if np.array_equal(transform, np.eye(4)) else float(np.cbrt(np.linalg.det(linear)))
-        bones = None
+        bones = weights = None
         if not isinstance(item.content, Splats):
             skeleton = item.content.skeleton
             wanted = pose if pose is not None and is_figure(item.content) else item.pose
-            bones = checked_pose(wanted, len(skeleton), "avatar").bones(skeleton)
-        return Placement(linear / size, transform[:3, 3], size, bones, item.opacity)
+            posed = checked_pose(wanted, len(skeleton), "avatar")
+            bones = posed.bones(skeleton)
+            if isinstance(item.content, Avatar):
+                weights = item.content.weights(posed)
+        return Placement(linear / size, transform[:3, 3], size, bones, item.opacity, weights)
 
 
 def _culled(splats: Splats, config: RenderConfig) -> bool:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from glsplat.arrays import flag, instance
 from glsplat.errors import PoseError
+from glsplat.skinning.expression import checked_expression
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.tracking.calibration import Calibration
@@ -20,6 +21,7 @@ from glsplat.tracking.config import TrackerConfig
 from glsplat.tracking.extra.devices import Extras
 from glsplat.tracking.filters import Device, PositionFilter, RotationFilter
 from glsplat.tracking.fingers import Fingers
+from glsplat.tracking.gaze import EYES, eye_turn
 from glsplat.tracking.guard import Guard
 from glsplat.tracking.learned.solver import LearnedSolver
 from glsplat.tracking.reading import invalid, read_pose
@@ -283,6 +285,21 @@ class Tracker:
 
     # -- out
 
+    @staticmethod
+    def _expression(sample: Sample, flags: list[str]) -> Mapping[str, float]:
+        """The sample's, as it is, without what is not finite; none where it is no expression."""
+        if not sample.expression:
+            return {}
+        try:
+            given = sample.expression.items()
+            finite_ones = {name: weight for name, weight in given if isfinite(weight)}
+            found, whole = checked_expression(finite_ones), len(finite_ones) == len(given)
+        except (AttributeError, TypeError, ValueError, OverflowError, PoseError):  # not a mapping of numbers
+            found, whole = {}, False
+        if not whole and "invalid" not in flags:
+            flags.append("invalid")
+        return found
+
     def _finish(
         self,
         solution: Solution,
@@ -298,6 +315,8 @@ class Tracker:
         longer = self._stretch.step(solution, targets, dt)
         rotations = np.zeros((55, 3))
         rotations[:22] = [rotation_vector(turn) for turn in solution.rotations]
+        for joint, gaze in zip(EYES, (sample.left_eye, sample.right_eye), strict=True):
+            rotations[joint] = eye_turn(gaze, flags)
         seconds, slow = dt or 1.0, not 0 < dt < FINGERS_IN_TURN
         self._count += 1
         for side, fingers in enumerate(self._fingers):
@@ -317,7 +336,7 @@ class Tracker:
         x, y, z = solution.pelvis
         trans = np.array((x - root[0], y - root[1], z - root[2]))
         rotations.flags.writeable = trans.flags.writeable = False  # a repeated time gives the same pose again
-        pose = Pose(rotations, trans, longer)
+        pose = Pose(rotations, trans, longer, self._expression(sample, flags))
         scale = self.calibration.scale
         left, right = solution.reach
         self.reach_error = (
