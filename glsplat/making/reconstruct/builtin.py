@@ -17,7 +17,9 @@ from glsplat.making.fit.eyes import EyeLook, read_eyes
 from glsplat.making.fit.fit import BodyFit, fit_body
 from glsplat.making.fit.view import View
 from glsplat.making.networks.people import Person, find_person
+from glsplat.making.networks.person import LANDMARKS
 from glsplat.making.paint.dress import dressed_mesh
+from glsplat.making.paint.layers.segments import segments_of
 from glsplat.making.paint.paint import painter_of
 from glsplat.making.paint.scatter import even_points, scatter
 from glsplat.making.paint.shot import Shot
@@ -30,6 +32,7 @@ __all__ = ["PHONE", "SIDES", "Builtin", "Dressed", "Made", "Meshing", "Telling"]
 
 SIDES = ("front", "back", "left", "right")
 _HARDLY = 0.1  # of a point that a picture shows too flatly to be believed
+_SURE = 0.4  # visibility of an arm that is where the network has it
 _LIT = 20_000  # points that light and unseen share are found on
 PHONE = 1.37
 """Focal length of a usual phone camera, in heights of an upright picture."""
@@ -128,7 +131,7 @@ def _fitted(pictures: Mapping[str, Picture], masks: Mapping[str, Mask], options:
     options.progress("painting", 0.35)
     mesh = dressed_mesh(body, fit)
     shots = [
-        Shot(pictures[side].rgb, masks[side], view.focal, fitted, mesh)
+        Shot(pictures[side].rgb, masks[side], view.focal, fitted, mesh, segments_of(), _arms(people[side]))
         for side, view, fitted in zip(sides, views, fit.views, strict=True)
     ]
     return _Fitted(body, fit, mesh, shots, read_eyes(pictures["front"].rgb, people["front"].face))
@@ -143,6 +146,13 @@ def _person(picture: Picture, side: str) -> Person:
     if person is None:
         raise FormatError(f"nobody is found in the {side} picture; show one whole person, upright")
     return person
+
+
+def _arms(person: Person) -> NDArray[np.float64]:
+    """[2, 3, 2] pixels of shoulders, elbows and wrists, left and right; NaN where the network does not believe them."""
+    names = [[LANDMARKS.index(f"{side}_{joint}") for joint in ("shoulder", "elbow", "wrist")] for side in ("left", "right")]
+    seen = person.body.visible[names] > _SURE
+    return np.where(seen[..., None], person.body.points[names], np.nan)
 
 
 def _view(side: str, picture: Picture, mask: Mask, person: Person) -> View:
