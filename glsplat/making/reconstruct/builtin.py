@@ -157,4 +157,4 @@ def _arms(person: Person) -> NDArray[np.float64]:
 
 def _view(side: str, picture: Picture, mask: Mask, person: Person) -> View:
     focal = picture.focal or PHONE * max(picture.rgb.shape[:2])
-    return View(mask, person.body.points, person.body.visible, focal, side=side)
+    return View(mask, person.body.points, person.body.visible, focal, side=side, world=person.body.world)
