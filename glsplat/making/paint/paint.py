@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from glsplat.making.fit.body import Body
 from glsplat.making.fit.eyes import EyeLook
 from glsplat.making.paint.colour import to_srgb
-from glsplat.making.paint.head import back_of_head
+from glsplat.making.paint.head import BackOfHead, back_of_head
 from glsplat.making.paint.inside import with_inside
 from glsplat.making.paint.layers.segments import trunk_of, twins_across
 from glsplat.making.paint.light import Light, find_light
@@ -50,6 +50,7 @@ class Painter:
     light: Light
     plain: F64  # [V, 3] smooth linear colours without light
     twins: Twins
+    head: BackOfHead
 
     def paint(self, points: SurfacePoints) -> Paint:
         """What is known and guessed of the points."""
@@ -80,7 +81,7 @@ class Painter:
         ratio = (shade[:, 0] / self.light.shade(behind.normals)).clip(*_SHADE)
         round_parts = np.isin(body.part, [JOINT_NAMES.index(name) for name in _NO_TWINS])
         trust = behind.trust * (1 - points.at(round_parts.astype(float)[:, None])[:, 0])
-        covered, colour = back_of_head(body, front, self.light, points)
+        covered, colour = self.head.at(points)
         # side by side, not one over the other: where neck and back meet, no third colour shows between them
         rest = 1 - trust - covered
         guess = (rest[:, None] * points.at(self.plain) + covered[:, None] * colour) * shade
@@ -98,7 +99,8 @@ def painter_of(
     sight = front.look(points)
     normals, up = points.directions(front.normals), front.view.root[:, 1]
     light = find_light(normals, sight.linear, sight.trust, up, np.array([0.0, 0, -1]))
-    return Painter(body, shots, looks or {}, light, _smooth_colours(body, shots, light), find_twins(front.mesh, trunk_of(body)))
+    plain, twins = _smooth_colours(body, shots, light), find_twins(front.mesh, trunk_of(body))
+    return Painter(body, shots, looks or {}, light, plain, twins, back_of_head(body, front, light))
 
 
 def paint(

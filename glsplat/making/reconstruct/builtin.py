@@ -23,6 +23,7 @@ from glsplat.making.paint.layers.segments import segments_of
 from glsplat.making.paint.paint import painter_of
 from glsplat.making.paint.scatter import even_points, scatter
 from glsplat.making.paint.shot import Shot
+from glsplat.making.paint.skirt import hem_of, with_skirt
 from glsplat.making.reconstruct.reconstructor import Mask, Options, Picture
 from glsplat.making.reconstruct.sharp import sharp
 from glsplat.making.texture import baked
@@ -129,12 +130,18 @@ def _fitted(pictures: Mapping[str, Picture], masks: Mapping[str, Mask], options:
     fit = fit_body(views, options.height, body)
     fit = fit_details(fit, views, [people[side] for side in sides], body)
     options.progress("painting", 0.35)
-    mesh = dressed_mesh(body, fit)
+    mesh, seen = dressed_mesh(body, fit), fit.views
+    hem = hem_of(body, fit, mesh, views[0])
+    if hem is not None:
+        mesh, seen = with_skirt(body, mesh, views, seen, hem)
     shots = [
         Shot(pictures[side].rgb, masks[side], view.focal, fitted, mesh, segments_of(), _arms(people[side]))
-        for side, view, fitted in zip(sides, views, fit.views, strict=True)
+        for side, view, fitted in zip(sides, views, seen, strict=True)
     ]
-    return _Fitted(body, fit, mesh, shots, read_eyes(pictures["front"].rgb, people["front"].face))
+    looks = read_eyes(pictures["front"].rgb, people["front"].face)
+    if not any(look.seen for look in looks.values()):
+        looks = {}  # closed lids and dark glasses stay what they are
+    return _Fitted(body, fit, mesh, shots, looks)
 
 
 def _seen(shots: Sequence[Shot]) -> NDArray[np.float64]:

@@ -31,7 +31,8 @@ _LIKELY = 0.4, 2.0  # area of an arm against its projection; other answers are n
 _FEWEST = 12  # pixels of a segment that is asked for
 _ISLAND = 0.006  # of the person's area; smaller pieces of the trunk beyond an arm are nobody's
 _ROOM = 12.0, 0.25  # squared distance to the room's colours, at most, and against the person's
-_EDGE = 0.015  # of the height: deeper in the projected trunk there is no room
+_HAIR = 0.4
+_EDGE = 0.02  # of the height: deeper in the projected trunk there is no room
 _HELD, _THING = 0.06, 0.0012  # of the height to a hand; of its square
 _APART = 0.012  # of the height between the body and what is beside it
 _NOBODY = (255, 0, 255)  # a colour that no person has
@@ -121,8 +122,8 @@ def _room(lab: NDArray[np.uint8], mask: Mask, segment: Labels, head: Mask, heigh
     cores = [inner & (cv2.erode((layer == k).astype(np.uint8), _disc(3)) > 0) for k in range(LAYERS)]
     person = np.minimum.reduce([_unlike(colours, core, 0.03 * height) for core in cores])
     shallow = cv2.distanceTransform((layer == 0).astype(np.uint8), cv2.DIST_L2, 3) < _EDGE * height
-    beside = mask & shallow & ~(_distance(head) < _UNSURE * height)
-    found = beside & (room < _ROOM[0]) & (room < _ROOM[1] * person)
+    strict = np.where(_distance(head) < _UNSURE * height, np.float32(_HAIR), np.float32(1))  # hair may be fair, or thin
+    found = mask & shallow & (room < _ROOM[0] * strict) & (room < _ROOM[1] * strict * person)
     return np.asarray(cv2.morphologyEx(found.astype(np.uint8), cv2.MORPH_OPEN, _disc(1)) > 0)
 
 
