@@ -25,7 +25,7 @@ from glsplat.splats import Splats
 
 __all__ = ["Cells", "Cloud", "SamplerConfig", "avatar_of", "tessellate"]
 
-_USUAL = 5.0  # samples that a cell's expected size is worth where few were drawn
+_USUAL = 6.0  # samples that a cell's expected size is worth where few were drawn
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

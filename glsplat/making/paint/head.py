@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from glsplat.making.fit.body import Body
 from glsplat.making.fit.offsets import face_of
+from glsplat.making.paint.colour import to_linear
 from glsplat.making.paint.layers.segments import trunk_of
 from glsplat.making.paint.light import Light
 from glsplat.making.paint.shot import Shot, SurfacePoints
@@ -79,8 +80,10 @@ def back_of_head(body: Body, shot: Shot, light: Light) -> BackOfHead:
     # whatever is not skin beside a face is worn all around it: hair, and a hat above it
     worn = (head | neck) & ~face_of(body) & seen & (_away(look, skin) > _LIKE * _away(hair, skin))
     worn &= rest[:, 1] > ends - _STEP
-    cloth = np.median(look[trunk_of(body) & seen], axis=0) if (trunk_of(body) & seen).any() else skin
-    worn &= _away(look, cloth) > _LIKE * _away(hair, cloth)  # collars are not hair
+    chest = trunk_of(body) & (shot.trust > 0.5)
+    cloth = np.median(look[chest], axis=0) if chest.any() else np.full(3, np.nan)
+    for other in (cloth, _room(shot, head)):  # collars and walls are not hair
+        worn &= ~(_away(look, other) < _LIKE * _away(hair, other))  # neither is what there is none of, not a number
     trust = shot.trust * worn
     around = smoothest(body, trust, trust[:, None] * plain, True) if worn.any() else np.tile(hair**2, (count, 1))
     above = ((rest[:, 1] - ends) / _SOFT).clip(0, 1)
@@ -119,6 +122,15 @@ def _fallen(body: Body, shot: Shot, look: F64, hair: F64, skin: F64, ends: float
     wide = float(np.quantile(np.abs(rest[fell, 0]), 0.9))
     back = _ramp(nape - rest[:, 2]) * trunk
     return np.asarray(back * _ramp(rest[:, 1] - lowest) * _ramp(wide - np.abs(rest[:, 0])))
+
+
+def _room(shot: Shot, head: NDArray[np.bool_]) -> F64:
+    """[3] what lies beside the head, as ``look`` in ``back_of_head``; not a number where nothing does."""
+    height, width = shot.mask.shape
+    pixels = shot.view.pixels[head].astype(np.intp).clip(0, (width - 1, height - 1))
+    box = np.s_[pixels[:, 1].min() : pixels[:, 1].max() + 1, pixels[:, 0].min() : pixels[:, 0].max() + 1]
+    beside = shot.rgb[box][~shot.mask[box]]
+    return np.sqrt(to_linear(np.median(beside, axis=0) / 255)) if len(beside) else np.full(3, np.nan)
 
 
 def _away(colours: F64, other: F64) -> F64:

@@ -16,7 +16,7 @@ _SMALL = 360.0  # pixels of the person's height that colours are continued at
 _REACHES = (0.012, 0.025, 0.05, 0.1, 0.2)  # of the height, the nearer the sooner
 _FLAT = 0.35  # how far cloth is continued down against across
 _SIDES = 0.7, 0.95  # halves of a trunk's width between which it is taken to look all around as it does there
-_ALIKE, _LEVEL = (16.0, 8.0, 8.0), 0.06  # of Lab, and metres of height: colours nearer than that are the same
+_ALIKE, _LEVEL = (22.0, 8.0, 8.0), 0.06  # of Lab, and metres of height: colours nearer than that are the same
 _FEWEST = 50  # pixels
 _SEVERAL = 6  # pixels of the sides that a colour has to be found at
 _GRAIN = 0.012  # of the height: what is finer is grain
@@ -37,23 +37,29 @@ def nearest_known(known: Mask) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
 
 
 def only_in_the_middle(picture: Picture, place: NDArray[np.float64], known: Mask) -> Mask:
-    """[H, W] where the front of a trunk has colours that its sides have at no height nearby: prints, ties, openings.
+    """[H, W] where the front of a trunk has colours that one of its sides has not at a height nearby: prints, ties, openings.
 
     ``place`` [H, W, 2] says how far each pixel lies to the side, in halves of the width, and how high, in metres; NaN
     beside the trunk. ``picture`` is linear; sides are looked at where they are ``known``.
     """
-    side = np.abs(place[..., 0])
-    at_sides, between = known & (side > _SIDES[0]) & (side < _SIDES[1]), side < _SIDES[1]
-    if at_sides.sum() < _FEWEST:
-        return np.zeros(known.shape, bool)
+    aside = place[..., 0]
+    between = np.abs(aside) < _SIDES[1]
     lab = cv2.cvtColor(np.sqrt(picture.clip(0, 1)), cv2.COLOR_RGB2LAB)
     features = np.concatenate([lab / np.array(_ALIKE), place[..., 1:] / _LEVEL], axis=2)
-    away = cKDTree(features[at_sides]).query(features[between], _SEVERAL)[0][:, -1]
+    away = np.zeros(int(between.sum()))
+    for sign in (-1.0, 1.0):
+        at_side = known & (sign * aside > _SIDES[0]) & (sign * aside < _SIDES[1])
+        if at_side.sum() < _FEWEST:
+            continue
+        height, levels = features[between][:, 3], np.sort(features[at_side][:, 3])
+        many = np.searchsorted(levels, height + 0.5) - np.searchsorted(levels, height - 0.5)
+        unlike = cKDTree(features[at_side]).query(features[between], _SEVERAL)[0][:, -1]
+        away = np.maximum(away, np.where(many > 2 * _SEVERAL, unlike, 0))
     found = np.zeros(known.shape, np.uint8)
     found[between] = away > 1
     kernel = np.ones((3, 3), np.uint8)
     found = cv2.dilate(cv2.morphologyEx(found, cv2.MORPH_OPEN, kernel), kernel, iterations=2)
-    return np.asarray((found > 0) & np.isfinite(side))
+    return np.asarray((found > 0) & np.isfinite(aside))
 
 
 def continued(picture: Picture, known: Mask, hole: Mask, height: float) -> Picture:
