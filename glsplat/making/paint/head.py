@@ -25,6 +25,7 @@ _NAPE = 0.2  # share of the head's height below which short hair ends
 _STEP = 0.015  # metres of height in which hair and skin are told apart beside the face
 _SOFT = 0.02  # metres over which one becomes the other
 _SEEN = 0.1
+_WORN = 0.75  # of the way from skin to hair: what is farther from skin is worn on the head
 _LIKE = 0.5  # of the way from hair to skin or cloth: what is nearer is hair
 _WIDE = 0.17  # metres from the middle within which long hair falls
 _FEWEST = 4
@@ -78,12 +79,12 @@ def back_of_head(body: Body, shot: Shot, light: Light) -> BackOfHead:
     beside = (head | neck) & (rest[:, 2] < ear + 0.02) & seen
     ends = _ends(rest[:, 1], beside, nearer, low + _NAPE * (top - low))
     # whatever is not skin beside a face is worn all around it: hair, and a hat above it
-    worn = (head | neck) & ~face_of(body) & seen & (_away(look, skin) > _LIKE * _away(hair, skin))
+    worn = (head | neck) & ~face_of(body) & seen & (_away(look, skin) > _WORN * _away(hair, skin))
     worn &= rest[:, 1] > ends - _STEP
     chest = trunk_of(body) & (shot.trust > 0.5)
-    cloth = np.median(look[chest], axis=0) if chest.any() else np.full(3, np.nan)
+    cloth = np.median(look[chest], axis=0) if chest.any() else np.full(3, np.nan)  # unlike all
     for other in (cloth, _room(shot, head)):  # collars and walls are not hair
-        worn &= ~(_away(look, other) < _LIKE * _away(hair, other))  # neither is what there is none of, not a number
+        worn &= ~(_away(look, other) < np.minimum(_away(look, hair), _LIKE * _away(hair, other)))
     trust = shot.trust * worn
     around = smoothest(body, trust, trust[:, None] * plain, True) if worn.any() else np.tile(hair**2, (count, 1))
     above = ((rest[:, 1] - ends) / _SOFT).clip(0, 1)
@@ -95,8 +96,12 @@ def back_of_head(body: Body, shot: Shot, light: Light) -> BackOfHead:
     bright = plain[crown & (shot.trust > 0.5)].mean(axis=1)
     contrast = np.asarray(np.std(bright) / max(float(np.mean(bright)), 0.02) if len(bright) > _FEWEST else 0.0)
     return BackOfHead(
-        rest, np.maximum(covered, fallen), np.maximum(above * (head | neck), fallen), colour,
-        contrast.clip(0, _CONTRAST), middle
+        rest,
+        np.maximum(covered, fallen),
+        np.maximum(above * (head | neck), fallen),
+        colour,
+        contrast.clip(0, _CONTRAST),
+        middle,
     )
 
 

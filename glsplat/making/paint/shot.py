@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from glsplat.camera import Camera
+from glsplat.making.fit.body import open_body
 from glsplat.making.fit.fit import FittedView
 from glsplat.making.paint.colour import to_linear
-from glsplat.making.fit.body import open_body
 from glsplat.making.paint.layers.fill import continued, nearest_known, only_in_the_middle
 from glsplat.making.paint.layers.labels import labels_of
 from glsplat.making.paint.layers.segments import HANDS, LAYERS, half_width, layer_of, trunk_of
@@ -77,7 +77,9 @@ class Shot:
     mesh: RiggedMesh  # the dressed body; its vertices are those of ``view``
     segment: NDArray[np.intp] | None = None  # [V] of segments.py; None: nothing of the body hides anything else of it
 
-    bones: F64 | None = None  # [2, 3, 2] pixels of shoulders, elbows, wrists as a network saw them; NaN where it did not
+    bones: F64 | None = (
+        None  # [2, 3, 2] pixels of shoulders, elbows, wrists as a network saw them; NaN where it did not
+    )
 
     @cached_property
     def layer(self) -> NDArray[np.intp]:
@@ -126,7 +128,7 @@ class Shot:
 
     @cached_property
     def shown(self) -> F64:
-        """[V] 1 where nothing of its layer hides a vertex on or before the outline and its colour is not carried far."""
+        """[V] 1 where nothing of its layer hides a vertex on or before the outline and its colour is near, else 0."""
         shown = self._facing(self.view.vertices, self.normals, self.view.pixels, self.layer, *_TURNED)
         far = self._at([seen.far for seen in self._layers], self.view.pixels, self.layer) / self._height
         return np.asarray(shown * (1 - (far - _CARRIED) / _CARRIED).clip(0, 1))
@@ -176,9 +178,7 @@ class Shot:
         height, width = self.mask.shape
         return np.asarray(where[:, :2] / where[:, 2:] * self.focal + (width / 2, height / 2))
 
-    def _facing(
-        self, where: F64, normals: F64, pixels: F64, layer: NDArray[np.intp], least: float, most: float
-    ) -> F64:
+    def _facing(self, where: F64, normals: F64, pixels: F64, layer: NDArray[np.intp], least: float, most: float) -> F64:
         """[M] from 0, turned away or hidden by its own layer, to 1."""
         height, width = self.mask.shape
         inside = ((pixels >= 0) & (pixels < (width // _COARSE * _COARSE, height // _COARSE * _COARSE))).all(axis=1)
@@ -208,16 +208,14 @@ class Shot:
         out[0] = replace(trunk, picture=filled, detail=_busy(filled), far=np.zeros_like(trunk.far))
         return out
 
-    def _layer_of(
-        self, own: NDArray[np.bool_], known: NDArray[np.float32], faces: NDArray[np.int32]
-    ) -> _Layer:
+    def _layer_of(self, own: NDArray[np.bool_], known: NDArray[np.float32], faces: NDArray[np.int32]) -> _Layer:
         table = to_linear(np.arange(256) / 255).astype(np.float32)
         row, column = nearest_known(own)
         picture = table[self.rgb[row, column]]
         there = np.indices(own.shape, np.int32)
         far = np.hypot(row - there[0], column - there[1]).astype(np.float32)
         ids, bary = self._drawn(faces, 1 / _COARSE)
-        depth = np.full(ids.shape, np.inf)
+        depth = np.full(ids.shape, np.inf, np.float32)
         hit = ids >= 0
         depth[hit] = (bary[hit] * self.view.vertices[faces[ids[hit]], 2]).sum(axis=1)
         return _Layer(picture, _busy(picture), depth, known, far)
@@ -232,7 +230,7 @@ class Shot:
         """[H, W] where the picture shows what the fitted body shows."""
         if self.segment is None:
             return self.mask
-        label, segment = self._labelled
+        segment = self._labelled[1]
         there = _grown(layer_of(segment), self.mask.shape)
         return np.asarray(self.mask & ((self._label == there) | ((there < 0) & (self._label >= 0))))
 
@@ -298,7 +296,7 @@ class _Layer:
 
     picture: NDArray[np.float32]  # [H, W, 3] linear light, carried on beyond what is its own
     detail: NDArray[np.float32]  # [H, W] the local spread of colour, as a share of what counts as full of detail
-    depth: F64  # [H / 2, W / 2] camera z of its nearest surface, infinite where there is none
+    depth: NDArray[np.float32]  # [H / 2, W / 2] camera z of its nearest surface, infinite where there is none
     known: NDArray[np.float32]  # [H, W] 1 where a pixel shows it
     far: NDArray[np.float32]  # [H, W] pixels that the colour was carried
 

@@ -65,7 +65,12 @@ def hem_of(body: Body, fit: BodyFit, mesh: RiggedMesh, view: View) -> float | No
     if not bared.any():
         return None  # nothing tells a gown from legs that are not apart
     last = int(bared.argmax())
-    if last == 0 or share[:last].mean() < _FILLED or wide[last] < _HEM * view.figure or rows[last] - rows[0] < _LENGTH * view.figure:
+    if (
+        last == 0
+        or share[:last].mean() < _FILLED
+        or wide[last] < _HEM * view.figure
+        or rows[last] - rows[0] < _LENGTH * view.figure
+    ):
         return None
     near = (_leg(body, "left") | _leg(body, "right")) & (np.abs(pixels[:, 1] - rows[last]) < 0.01 * view.figure)
     return float(np.median(mesh.vertices[near, 1])) if near.any() else None

@@ -26,7 +26,7 @@ _STIFF = 0.003  # how much neighbours agree against how much a vertex obeys what
 
 @lru_cache(maxsize=2)
 def _around(body: Body, hair: bool) -> csr_matrix:
-    """``body.neighbours`` with less than one where an edge runs along a limb: cloth is the same around it, not along."""
+    """``body.neighbours``, less than one where an edge runs along a limb: cloth is the same around it, not along."""
     edges = body.neighbours.tocoo()
     way = body.vertices[edges.row] - body.vertices[edges.col]
     along = np.where(np.isin(body.part, _ARMS)[edges.row], np.abs(way[:, 0]), np.abs(way[:, 1]))
@@ -34,14 +34,15 @@ def _around(body: Body, hair: bool) -> csr_matrix:
     if not hair:
         along[np.isin(body.part, _ROUND)[edges.row] | np.isin(body.part, _ROUND)[edges.col]] = 0
     share = _ALONG + (1 - _ALONG) * (1 - along**2) ** 2
-    share = (share + np.asarray(coo_matrix((share, (edges.row, edges.col)), edges.shape).tocsr()[edges.col, edges.row]).ravel()) / 2
-    return coo_matrix((share, (edges.row, edges.col)), edges.shape).tocsr()
+    one_way = coo_matrix((share, (edges.row, edges.col)), edges.shape).tocsr()
+    return (one_way + one_way.T) / 2
 
 
 def smoothest(body: Body, known: F64, target: F64, hair: bool = False) -> F64:
     """[V, 3] linear colours near ``target / known`` where ``known`` [V] is large, the smoothest between.
 
-    With ``hair`` a head is a limb, too. ``target`` [V, 3] is the sum of the colours seen at each vertex, ``known`` the sum of their weights.
+    ``target`` [V, 3] is the sum of the colours seen at each vertex, ``known`` the sum of their weights. With ``hair``
+    a head is a limb, too.
     """
     mean = target.sum(axis=0) / max(known.sum(), 1e-9)
     neighbours = _around(body, hair)

@@ -94,4 +94,3 @@ def find_twins(mesh: RiggedMesh, trunk: NDArray[np.bool_]) -> Twins:
         sides.append(SurfacePoints(corners, weights))
     whole = np.where(vertices[:, 0] < 0, -1.0, 1.0)  # limbs are not taken in halves
     return Twins((sides[0], sides[1]), np.where(trunk, vertices[:, 0], whole))
-

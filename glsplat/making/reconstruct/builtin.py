@@ -157,7 +157,9 @@ def _person(picture: Picture, side: str) -> Person:
 
 def _arms(person: Person) -> NDArray[np.float64]:
     """[2, 3, 2] pixels of shoulders, elbows and wrists, left and right; NaN where the network does not believe them."""
-    names = [[LANDMARKS.index(f"{side}_{joint}") for joint in ("shoulder", "elbow", "wrist")] for side in ("left", "right")]
+    names = [
+        [LANDMARKS.index(f"{side}_{joint}") for joint in ("shoulder", "elbow", "wrist")] for side in ("left", "right")
+    ]
     seen = person.body.visible[names] > _SURE
     return np.where(seen[..., None], person.body.points[names], np.nan)
 

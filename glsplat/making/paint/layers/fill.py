@@ -37,7 +37,7 @@ def nearest_known(known: Mask) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
 
 
 def only_in_the_middle(picture: Picture, place: NDArray[np.float64], known: Mask) -> Mask:
-    """[H, W] where the front of a trunk has colours that one of its sides has not at a height nearby: prints, ties, openings.
+    """[H, W] where a trunk has colours that one of its sides has not at a height nearby: prints, ties, openings.
 
     ``place`` [H, W, 2] says how far each pixel lies to the side, in halves of the width, and how high, in metres; NaN
     beside the trunk. ``picture`` is linear; sides are looked at where they are ``known``.
@@ -76,9 +76,9 @@ def continued(picture: Picture, known: Mask, hole: Mask, height: float) -> Pictu
     total, sure = np.zeros_like(small), np.zeros(small.shape[:2], np.float32)
     for share in _REACHES:
         reach = share * height * scale
-        blur = {"sigmaX": reach, "sigmaY": max(_FLAT * reach, 1.0)}
-        near = cv2.GaussianBlur(weight, (0, 0), **blur)
-        mean = cv2.GaussianBlur(small, (0, 0), **blur) / np.maximum(near, 1e-6)[..., None]
+        near = cv2.GaussianBlur(weight, (0, 0), reach, sigmaY=max(_FLAT * reach, 1.0))
+        mean = cv2.GaussianBlur(small, (0, 0), reach, sigmaY=max(_FLAT * reach, 1.0))
+        mean /= np.maximum(near, 1e-6)[..., None]
         more = np.minimum(near / 0.05, 1) * np.clip(1 - sure, 0, 1)
         total += more[..., None] * mean
         sure += more

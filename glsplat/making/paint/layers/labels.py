@@ -61,9 +61,7 @@ def labels_of(
     return label
 
 
-def _arm(
-    lab: NDArray[np.uint8], mask: Mask, segment: Labels, layer: int, height: float, bones: F64 | None
-) -> Mask:
+def _arm(lab: NDArray[np.uint8], mask: Mask, segment: Labels, layer: int, height: float, bones: F64 | None) -> Mask:
     """Where the arm of this layer shows."""
     parts = [segment == number for number in (2 * layer - 1, 2 * layer)]
     away = [_distance(part) for part in parts]
@@ -138,9 +136,7 @@ def _unlike(colours: NDArray[np.float32], some: Mask, reach: float) -> NDArray[n
     return np.where(total > 2e-3, away, np.float32(1e6))
 
 
-def _held_things(
-    lab: NDArray[np.uint8], mask: Mask, segment: Labels, label: Labels, hand: Mask, height: float
-) -> Mask:
+def _held_things(lab: NDArray[np.uint8], mask: Mask, segment: Labels, label: Labels, hand: Mask, height: float) -> Mask:
     """Bags, balls: what the mask holds beside the body near a hand, and what of the body has its colours."""
     out = np.zeros(mask.shape, bool)
     if not hand.any():
