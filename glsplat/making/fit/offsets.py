@@ -23,7 +23,7 @@ _BARE = {"index": 0.006, "middle": 0.006, "pinky": 0.006, "ring": 0.006, "thumb"
 _STIFF = 0.12  # how much neighbours agree against how much a vertex on the outline obeys
 _SHY = 2e-3  # how much what no outline shows stays on the body
 
-_HAIR_SHY = 1e-5  # hair is as thick behind as beside the face
+_HAIR_SHY = 3e-4  # hair is about as thick behind as beside the face
 
 _EARS = 0.06  # metres of z in the zero pose, behind which the head's directions are smoothed
 _FACE = 0.08, 0.94  # metres of z and y in the zero pose: before the one and below the other a head is face
