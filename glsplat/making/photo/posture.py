@@ -34,7 +34,7 @@ class PostureConfig:
     """Visibility from which on a landmark is believed to be in the picture."""
     head: float = 0.05
     """Of the length from nose to ankles that has to be in the picture above the nose: less is half a face."""
-    side: float = 0.3
+    side: float = 0.5
     """Of the person's height that may reach out of the picture at its left or right edge."""
 
 
@@ -60,7 +60,8 @@ def cut_off(person: Person, mask: NDArray[np.bool_], config: PostureConfig) -> F
     if top and points["nose"][1] < config.head * long:
         return Finding("cut_off", f"the head reaches out of the picture; {_ROOM}")
     rows = max(mask[:, :2].any(axis=1).sum(), mask[:, -2:].any(axis=1).sum())
-    if rows > config.side * max(mask.any(axis=1).sum(), 1):
+    trunk = [points[f"{side}_{joint}"][0] for side in _SIDES for joint in ("shoulder", "hip")]
+    if rows > config.side * max(mask.any(axis=1).sum(), 1) or min(trunk) < 0 or max(trunk) > width:
         return Finding("cut_off", f"a side of the person reaches out of the picture; {_ROOM}")
     parts = {
         "the hair": top,

@@ -11,7 +11,7 @@ from typing import Any, Literal
 from glsplat.avatar import Avatar
 from glsplat.errors import GlsplatError
 
-__all__ = ["VIEWS", "DoubtfulError", "Finding", "Job", "Make", "Order", "Progress", "UploadConfig"]
+__all__ = ["VIEWS", "DoubtfulError", "Finding", "Job", "Make", "Order", "Progress", "UploadConfig", "notes_of"]
 
 VIEWS = ("front", "back", "left", "right")
 """The sides of a person that pictures may show; the first is needed."""

@@ -18,7 +18,7 @@ from glsplat.making.fit.prior import HINGES, MEAN, POSED, SPREAD, Stance
 from glsplat.making.fit.view import View
 from glsplat.skinning.smplx import JOINT_NAMES
 
-__all__ = ["stances_of"]
+__all__ = ["misread", "stances_of"]
 
 F64 = NDArray[np.float64]
 
@@ -58,6 +58,21 @@ def stances_of(view: View, body: Body) -> tuple[Stance, ...]:
         ]
     )
     return POSED, Stance("at ease", MEAN, loose), Stance("read", angles, about, turn)
+
+
+def misread(world: F64, joints: F64) -> float:
+    """How far the arms of fitted ``joints`` [55, 3] point elsewhere than those of the network's metres [33, 3].
+
+    Mean distance between unit vectors along upper arms and forearms, 0 to 2; both in camera axes.
+    """
+    apart = []
+    for start, end in _BONES:
+        if _plain(start) in _ARMS:
+            said = _at(world, end) - _at(world, start)
+            found = joints[JOINT_NAMES.index(end)] - joints[JOINT_NAMES.index(start)]
+            lengths = max(float(np.linalg.norm(said)), 1e-6), max(float(np.linalg.norm(found)), 1e-6)
+            apart.append(float(np.linalg.norm(said / lengths[0] - found / lengths[1])))
+    return float(np.mean(apart))
 
 
 def _plain(name: str) -> str:
