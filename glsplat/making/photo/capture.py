@@ -93,13 +93,14 @@ def check_capture(
     """
     config = config or CaptureConfig()
     people = people_mask(picture)
-    person = find_person(picture, people)
+    # grey people in busy rooms: the first network sees nothing, the others may
+    person = find_person(picture, people) or find_person(picture, np.ones_like(people))
     if person is None or not _is_somebody(picture, person, people, config):
         nothing = np.zeros(picture.shape[:2], bool)
         return Capture((_instead(picture, person, people, config),), None, nothing)
     mask = person_mask(picture, person.body) if given is None else given
     several = _several(picture, person, people, config)
-    cut = cut_off(person, mask, config.posture)
+    cut = cut_off(person, mask, view, config.posture)
     half = cut is not None and cut.refusal
     down = None if half else lying(person, config.posture)
     if down is not None:  # the networks know upright people only, so nothing else can be believed
@@ -128,7 +129,7 @@ def _instead(
         return _SEVERAL
     if person is not None and (person.body.presence >= config.presence or person.face.presence > config.sure_face):
         if person.body.presence > config.half_presence:
-            cut = cut_off(person, person.body.mask > 0.5, config.posture)
+            cut = cut_off(person, person.body.mask > 0.5, None, config.posture)
             if cut is not None and cut.refusal:
                 return cut
     for quarters in (1, 3, 2):
@@ -165,13 +166,15 @@ def _faces(picture: NDArray[np.uint8], people: NDArray[np.float32], config: Capt
 def _is_somebody(
     picture: NDArray[np.uint8], person: Person, people: NDArray[np.float32], config: CaptureConfig
 ) -> bool:
-    """The two networks have to agree: one sees bodies in anything, the other people in any foreground."""
+    """Two networks have to agree, for one sees bodies in anything and the other people in any foreground; or a face."""
     body = person.body
     seen = _seen(picture, people)
     own = body.mask > 0.5
     sure = person.face.presence > config.sure_face
     if body.presence < (config.face_presence if sure else config.presence) or not own.any():
         return False
+    if sure and body.presence >= config.presence and own.mean() > 0.002:
+        return True
     shared = (seen & own).sum() / own.sum()
     inside = _inside(own, body.points[11:33], 0.02 * float(np.ptp(np.flatnonzero(own.any(axis=1)))))
     return bool(shared > 0.5 and own.mean() > 0.002 and (sure or inside.mean() > 0.6))

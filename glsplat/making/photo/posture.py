@@ -32,8 +32,10 @@ class PostureConfig:
     """Degrees that the line from shoulder to wrist leaves the trunk's axis."""
     seen: float = 0.5
     """Visibility from which on a landmark is believed to be in the picture."""
-    head: float = 0.05
-    """Of the length from nose to ankles that has to be in the picture above the nose: less is half a face."""
+    feet: float = 0.6
+    """The same of ankles, where the person reaches to the picture's lower edge."""
+    head: float = 0.065
+    """Of the length from nose to ankles that has to be in the picture above the nose: less is no forehead."""
     side: float = 0.5
     """Of the person's height that may reach out of the picture at its left or right edge."""
 
@@ -45,26 +47,28 @@ _LEGS = (("hip", "waist"), ("knee", "thighs"), ("ankle", "shins"))
 _ROOM = "leave room on all four sides"
 
 
-def cut_off(person: Person, mask: NDArray[np.bool_], config: PostureConfig) -> Finding | None:
+def cut_off(person: Person, mask: NDArray[np.bool_], view: str | None, config: PostureConfig) -> Finding | None:
     """What of the person is beyond the picture's edges. Half of somebody is refused, a foot or an elbow is guessed."""
     height, width = mask.shape
     points = dict(zip(LANDMARKS, person.body.points, strict=True))
     sure = dict(zip(LANDMARKS, person.body.visible, strict=True))
     legs = {place: [f"{side}_{joint}" for side in _SIDES] for joint, place in _LEGS}
     beyond = {place: max(points[name][1] for name in names) >= height for place, names in legs.items()}
+    beyond["shins"] |= bool(mask[-2:].sum() > 2) and max(sure[name] for name in legs["shins"]) < config.feet
     if any(beyond[place] or max(sure[name] for name in names) < config.seen for place, names in legs.items()):
         ends = (place for place, names in legs.items() if beyond[place] or min(sure[n] for n in names) < config.seen)
         return Finding("cut_off", f"the person is seen down to the {next(ends)} only; show them whole, shoes included")
     long = max(points[f"{side}_ankle"][1] for side in _SIDES) - points["nose"][1]
     top = bool(mask[:2].sum() > 2 or points["nose"][1] < 0)
-    if top and points["nose"][1] < config.head * long:
+    faceless = view == "front" and person.face.presence < config.seen
+    if top and (faceless or points["nose"][1] < config.head * long):
         return Finding("cut_off", f"the head reaches out of the picture; {_ROOM}")
     rows = max(mask[:, :2].any(axis=1).sum(), mask[:, -2:].any(axis=1).sum())
     trunk = [points[f"{side}_{joint}"][0] for side in _SIDES for joint in ("shoulder", "hip")]
     if rows > config.side * max(mask.any(axis=1).sum(), 1) or min(trunk) < 0 or max(trunk) > width:
         return Finding("cut_off", f"a side of the person reaches out of the picture; {_ROOM}")
     parts = {
-        "the hair": top,
+        "the top of the head": top,
         "the feet": mask[-2:].sum() > 2 or max(points[f"{s}_{p}"][1] for s in _SIDES for p in _FOOT) > height,
         "a hand or an elbow": mask[:, :2].sum() + mask[:, -2:].sum() > 4
         or any(not 0 <= points[f"{s}_{p}"][0] <= width for s in _SIDES for p in _HAND),
