@@ -40,6 +40,7 @@ __all__ = [
     "render_scene",
     "rest",
     "skin",
+    "steadiness",
 ]
 
 F64 = NDArray[np.float64]
@@ -105,6 +106,19 @@ def blended_rotations(blended: F64, anchor: F64, shift: float = 1.0) -> F64:
     column the answer steps by at most 0.3 degrees. ``shift`` is 1 for blends of rotations and 3 where a bone scales or
     reflects, so that Q + shift I has no negative eigenvalue.
     """
+    toward, column = _swing(blended, anchor, shift)
+    sign = np.where(np.einsum("ni,ni->n", toward, column) < 0, -1.0, 1.0)
+    quats = toward + (SELECT * sign)[:, None] * column
+    return quaternion_matrices(quats / np.linalg.norm(quats, axis=1, keepdims=True))
+
+
+def steadiness(blended: F64, anchor: F64, shift: float = 1.0) -> F64:
+    """[N] the length of P v (``blended_rotations``): near 1 far from a collapse, and what float32 divides by at one."""
+    return np.asarray(np.linalg.norm(_swing(blended, anchor, shift)[0], axis=1))
+
+
+def _swing(blended: F64, anchor: F64, shift: float) -> tuple[F64, F64]:
+    """[N, 4] P v, and the dominant column of P."""
     size = np.sqrt((blended**2).sum(axis=(1, 2)) / 3)
     scaled = blended / np.maximum(size, 1)[:, None, None]
     values, vectors = np.linalg.eigh(_davenport(scaled) + shift * np.eye(4))
@@ -112,11 +126,7 @@ def blended_rotations(blended: F64, anchor: F64, shift: float = 1.0) -> F64:
     relative /= relative.sum(axis=1, keepdims=True)
     power = np.einsum("nik,nk,njk->nij", vectors, relative, vectors)
     start = _dominant_column(_davenport(anchor) + np.eye(4))
-    toward = np.einsum("nij,nj->ni", power, start)
-    column = _dominant_column(power)
-    sign = np.where(np.einsum("ni,ni->n", toward, column) < 0, -1.0, 1.0)
-    quats = toward + (SELECT * sign)[:, None] * column
-    return quaternion_matrices(quats / np.linalg.norm(quats, axis=1, keepdims=True))
+    return np.einsum("nij,nj->ni", power, start), _dominant_column(power)
 
 
 def expressed(splats: Splats, shapes: Shapes, weights: F64) -> Posed:
