@@ -41,7 +41,7 @@ ORTHONORMAL = 2e-5
 
 _LARGEST = 1e12  # of pixels and metres; squares of it still fit into float32
 _CLOSE = 1e-12  # metres, or of the eye's own distance: float64 knows no direction any more
-_WIDEST = 1.0  # metres between two eyes; more are millimetres
+_WIDEST = 2.0  # metres between two eyes; more are millimetres
 
 PAPER_IPD = 0.055
 PAPER_FOV = 65.0

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-import glsplat.formats as formats
 from glsplat.avatar import Avatar
 from glsplat.errors import FormatError
+from glsplat.formats import registry
 from glsplat.formats.files import Source
 from glsplat.splats import SH_C0, Splats
 from glsplat.views import splats_of
@@ -70,10 +70,10 @@ class Fidelity:
 
 def read_back(scene: Splats | Avatar, path: Source) -> Fidelity:
     """What the file at ``path``, which ``scene`` was saved in, holds of its splats. Raises FormatError."""
-    name = formats.recognise(path)
-    order = next(known.order for known in formats.FORMATS if known.name == name)
+    name = registry.recognise(path)
+    order = next(known.order for known in registry.FORMATS if known.name == name)
     saved = splats_of(scene)
-    return fidelity(saved, splats_of(formats.load(path, format=name)), None if order is None else order(saved))
+    return fidelity(saved, splats_of(registry.load(path, format=name)), None if order is None else order(saved))
 
 
 def fidelity(saved: Splats, found: Splats, order: NDArray[np.intp] | None = None) -> Fidelity:

@@ -68,7 +68,7 @@ class Pose:
                 raise PoseError(f"{name} needs {unit} below {_LIMIT:g}, not {most:g}")
         if (angle := float(np.abs(turned).max(initial=0.0))) > _TURNS:
             joint = int(np.abs(turned).max(axis=1).argmax())
-            raise PoseError(f"joint {joint} turns by {angle:.0f} rad; angles are radians, not degrees (np.radians)")
+            raise _degrees(f"joint {joint}", angle)
         keep = object.__setattr__
         keep(self, "rotations", turned)
         keep(self, "trans", moved)
@@ -134,6 +134,8 @@ class Pose:
                 if name not in index:
                     raise PoseError(f'no joint "{name}"; this avatar has {_some(skeleton.names)}')
                 array[index[name]] = _numbers(value, name, 1)[0]
+                if key == "joints" and (angle := float(np.abs(array[index[name]]).max())) > _TURNS:
+                    raise _degrees(name, angle)
         trans = _numbers(data.get("trans", (0, 0, 0)), "trans", 1)[0]
         stretched = arrays["translations"] if data.get("translations") else None
         return cls(arrays["joints"], trans, stretched, data.get(EXPRESSION))
@@ -156,6 +158,10 @@ class Pose:
         return skeleton.bone_matrices(self.rotations, self.trans, self.translations)
 
 
+def _degrees(name: str, angle: float) -> PoseError:
+    return PoseError(f"{name} turns by {angle:.0f} rad; angles are radians, not degrees (np.radians)")
+
+
 def load_pose(path: str | Path, skeleton: Skeleton) -> Pose:
     """Read one pose file (JSON, either layout). Raises PoseError naming the file; also for angles in degrees."""
     try:
@@ -163,7 +169,7 @@ def load_pose(path: str | Path, skeleton: Skeleton) -> Pose:
         angles = np.linalg.norm(pose.rotations, axis=1)
         if angles.max(initial=0) > _DEGREES:
             name, angle = skeleton.names[int(angles.argmax())], angles.max()
-            raise PoseError(f"{name} turns by {angle:.0f} rad; angles are radians, not degrees")
+            raise _degrees(name, angle)
         return pose
     except OSError as error:
         raise PoseError(f"{path}: cannot read the pose ({error.strerror})") from None

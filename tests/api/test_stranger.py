@@ -127,7 +127,7 @@ def test_a_rotation_that_is_none_is_refused(off: float) -> None:
     assert Camera(glsplat.look_at((0.3, 0.4, 3), (0.1, 0, 0)).astype(np.float32), K, 64, 64)
 
 
-@pytest.mark.parametrize("ipd", [63, 6.3, 1.1, -0.063, np.nan, np.inf, *NO_NUMBERS])
+@pytest.mark.parametrize("ipd", [63, 6.3, 2.1, -0.063, np.nan, np.inf, *NO_NUMBERS])
 def test_an_ipd_is_metres(ipd: Any) -> None:
     refused(lambda: glsplat.stereo_cameras(np.eye(4), ipd=ipd), "ipd needs")
 

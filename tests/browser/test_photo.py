@@ -94,9 +94,8 @@ def test_a_picture_is_sent_watched_and_worn_and_the_avatar_deleted(
     served = taking()
     page = opened(open_page, served)
     page.page.set_input_files("#photo-front", picture(f"hold {tmp_path / 'go on'}"))
-    assert (
-        page.page.is_visible("#photo-shown") and page.js("document.getElementById('photo-shown').naturalWidth") == 320
-    )
+    page.until("document.getElementById('photo-shown').naturalWidth === 320")
+    assert page.page.is_visible("#photo-shown")
     page.page.fill("#photo-height", "1.62")
     page.page.check("#photo-consent")
     page.page.click("#photo-make")
