@@ -153,9 +153,9 @@ def test_where_the_avatar_is(own_process: bool) -> None:
             assert (np.ptp(box, axis=0) < 1.25 * np.ptp(means, axis=0) + 0.1).all()
             bare = np.reshape(rendered(pose=pose, box=True, hide=("head",)).box, (2, 3))
             assert (bare[0] >= box[0]).all() and (bare[1] <= box[1]).all()  # of what is shown
-            if pose is None:  # the box falls by nearly as much as the highest splat does
+            if pose is None:  # boxes are of joints, and wider than what is seen; the nape has hair
                 lower = PERSON.splats.means[:, 1].max() - PERSON.without("head").splats.means[:, 1].max()
-                assert lower > 0.15 and bare[1, 1] < box[1, 1] - 0.8 * 1.2 * lower
+                assert lower > 0.15 and bare[1, 1] < box[1, 1] - 0.35 * 1.2 * lower
     finally:
         backend.close()
 
