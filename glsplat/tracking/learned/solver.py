@@ -5,10 +5,12 @@ from __future__ import annotations
 from math import acos
 
 from glsplat.tracking.learned.doubt import Doubt
-from glsplat.tracking.learned.feet import Feet
+from glsplat.tracking.learned.feet import Feet, Rest
 from glsplat.tracking.learned.hints import Hint, Hints
 from glsplat.tracking.learned.network import Network
 from glsplat.tracking.learned.seat import Seat
+from glsplat.tracking.learned.signs import Signs
+from glsplat.tracking.learned.trust import Trust, Weigher
 from glsplat.tracking.solve.arms import Arm
 from glsplat.tracking.solve.body import PELVIS, Body
 from glsplat.tracking.solve.ground import Ground
@@ -49,18 +51,22 @@ SWING = 0.7  # radians at most that the torso swings about the neck to bring the
 class LearnedSolver:
     """What ``Solver`` asks for. Head and reachable hands are exact, whatever the network says; feet do not slide.
 
-    Where the network has learned nothing (``Doubt``) torso and feet are those of the analytic solver.
+    The body is a mixture of the network's and the analytic solver's, by what each is expected to be off (``Weigher``).
+    Where the network has learned nothing (``Doubt``) all of it is the analytic solver's.
     """
 
-    def __init__(self, body: Body, network: Network) -> None:
+    def __init__(self, body: Body, network: Network, trust: Trust) -> None:
         self.body = body
         self.ground: Ground = Ground(body.eye_height)
         self.hints: Hints = Hints(body, network)
         self.doubt: Doubt = Doubt(body.eye_height)
+        self.signs: Signs = Signs(body)
+        self.weigher: Weigher = Weigher(trust)
         self.plain: AnalyticSolver = AnalyticSolver(body)
         self.seat: Seat = Seat(body.joints[PELVIS][1] - body.ground)
         self.spine: Spine = Spine(body)
         self.feet: Feet = Feet(body)
+        self.rest: Rest = Rest(body.eye_height / 1.6)
         self.pelvis: Pelvis = Pelvis()  # a tracked one
         self.arms: tuple[Arm, Arm] = (Arm(body, 0), Arm(body, 1))
         self.hands: Hands = Hands(self.arms)
@@ -71,59 +77,86 @@ class LearnedSolver:
         self.ground.reset()
         self.hints.reset()
         self.doubt.reset()
+        self.signs.reset()
+        self.weigher.reset()
         self.plain.reset()
         self.seat.reset()
         self.spine.reset()
         self.feet.reset()
+        self.rest.reset()
         self.pelvis.reset()
         self.hands.reset()
         for arm in self.arms:
             arm.reset()
         self._missed = 0.0  # metres that the worse arm missed its hand by
-        self._stepping: Feet | Legs | None = None  # whose feet these are; None before the first moment
+        self._steps: Feet | Legs | None = None  # whose feet are shown; None before the first moment
+        self._dt = 0.0  # seconds since the last signs
 
     def solve(self, targets: Targets, dt: float) -> Solution:
         """One moment."""
-        before = self._stepping or self.feet
+        before = self._steps or self.feet
         targets = self.ground.bring(targets, before.slack, before.clearance.tiptoe, dt)
         hint = self.hints.update(targets, dt)
         if targets.left is None and targets.right is None:
             self._face(hint, targets.head)
-        share = self.doubt.update(targets, self._missed, dt)
-        self.pelvis.update(targets.pelvis, targets.pelvis_turn, targets.eye, dt)
-        steps = self._whose(share)
-        torso = self._guessed(targets, hint, dt) if share < 1 else None
-        if share > 0:
-            torso = self._mixed(torso, self.plain.torso(targets, dt), targets, share)
-            limbs = self.plain.stepped(targets, torso, dt)
-        else:
-            assert torso is not None
-            yaw = swing_twist_y(torso.pelvis) or 0.0
-            limbs = self.feet.update(hint.feet, torso.pelvis_at, torso.pelvis, yaw, dt, targets.feet, targets.knees)
-        arms = reaching(self.arms, self.hands, targets, torso, dt)
-        self._missed = max(arms[0].miss, arms[1].miss)
-        notes = [*self.ground.notes, *(["sitting"] if self.seat.sits and share < 1 else [])]
-        return self.ground.lift(assembled(torso, limbs, arms, steps.legs, steps.feet, self.body.sole, steps.air, notes))
-
-    def _whose(self, share: float) -> Feet | Legs:
-        """Whose feet these are: one takes over where the other has them."""
-        before, steps = self._stepping, self.plain.legs if share > 0 else self.feet
-        if steps is not before:
-            if steps is self.plain.legs:
-                self.plain.reset()
-            if before is not None:
-                steps.reset(before.feet)
-        self._stepping = steps
-        return steps
-
-    def _guessed(self, targets: Targets, hint: Hint, dt: float) -> Torso:
-        """The hinted torso, its pelvis on its seat or where it is tracked."""
-        torso = self._torso(targets, hint, hint.pelvis_at)
-        place = self.seat.update(torso.pelvis_at, dt)
+        rests = self.rest.update(targets.eye, swing_twist_y(targets.head) or 0.0, dt)
+        lost = self.doubt.update(targets, self._missed, dt)
+        steps = self._whose(lost)
+        plain = self.plain.torso(targets, dt)
+        if steps is self.feet:
+            self.plain.stepped(targets, plain, dt)
+        guessed = self._torso(targets, hint, hint.pelvis_at)
+        trunk, legs = self._shares(targets, hint, guessed, plain, dt)
+        torso = self._mixed(targets, hint, guessed, plain, trunk + (1 - trunk) * lost)
+        place = self.seat.update(torso.pelvis_at, dt) if lost < 1 else None
         if place is not None:
             torso = self._torso(targets, hint, place)
-            self._seated(hint, torso)
-        return self.pelvis.bring(self.spine, targets.eye, targets.head, torso)
+        self.pelvis.update(targets.pelvis, targets.pelvis_turn, targets.eye, dt)
+        torso = self.pelvis.bring(self.spine, targets.eye, targets.head, torso)
+        if steps is self.feet:
+            self._between(hint, legs * self.signs.standing)  # half way between two steps is none
+            if place is not None:
+                self._seated(hint, torso)
+            yaw = swing_twist_y(torso.pelvis) or 0.0
+            under = (torso.pelvis_at, torso.pelvis, yaw, dt, targets.feet, targets.knees)
+            limbs = self.feet.update(hint.feet, *under, rests)
+        else:
+            limbs = self.plain.stepped(targets, torso, dt)
+        arms = reaching(self.arms, self.hands, targets, torso, dt)
+        self._missed = max(arms[0].miss, arms[1].miss)
+        notes = [*self.ground.notes, *(["sitting"] if self.seat.sits and lost < 1 else [])]
+        return self.ground.lift(assembled(torso, limbs, arms, steps.legs, steps.feet, self.body.sole, steps.air, notes))
+
+    def _whose(self, lost: float) -> Feet | Legs:
+        """Whose feet are shown: one takes over where the other has them."""
+        before, steps = self._steps, self.plain.legs if lost > 0 else self.feet
+        if steps is not before and before is not None:
+            steps.reset(before.feet)
+        self._steps = steps
+        return steps
+
+    def _shares(self, targets: Targets, hint: Hint, guessed: Torso, plain: Torso, dt: float) -> list[float]:
+        """The analytic body's shares of trunk and legs."""
+        self._dt += dt
+        signs = None
+        if self.weigher.due(dt):
+            signs = self.signs.update(targets, hint, guessed, plain, self.plain.legs, self._dt)
+            self._dt = 0.0
+        return [share.plain for share in self.weigher.update(signs, dt)]
+
+    def _mixed(self, targets: Targets, hint: Hint, guessed: Torso, plain: Torso, share: float) -> Torso:
+        """``share`` of the analytic torso; the eyes stay. The hint then says that mixture."""
+        hint.pelvis, hint.chest = slerp(hint.pelvis, plain.pelvis, share), slerp(hint.chest, plain.spine3, share)
+        return self._torso(targets, hint, pull(guessed.pelvis_at, plain.pelvis_at, share))
+
+    def _between(self, hint: Hint, share: float) -> None:
+        """``share`` of where the analytic solver's feet go."""
+        for foot, other in zip(hint.feet, self.plain.legs.feet, strict=True):
+            foot.ball = pull(foot.ball, other.ball, share)
+            foot.speed = pull(foot.speed, (other.x.speed, other.y.speed, other.z.speed), share)
+            foot.yaw += share * wrap(other.yaw - foot.yaw)
+            foot.pitch += share * (other.tilt.at - foot.pitch)
+            foot.stands += share * (float(other.planted) - foot.stands)
 
     def _seated(self, hint: Hint, torso: Torso) -> None:
         """Feet towards where those of somebody on a chair are: below the knees, the thighs ahead."""
@@ -133,13 +166,6 @@ class LearnedSolver:
                 add(torso.pelvis_at, rotate(torso.pelvis, leg.hip)), rotate(yaw, (0.0, 0.0, AHEAD * leg.length))
             )
             foot.ball = pull(foot.ball, (x, min(foot.ball[1], self.body.sole), z), UNDER * self.seat.share)
-
-    def _mixed(self, guessed: Torso | None, plain: Torso, targets: Targets, share: float) -> Torso:
-        """``share`` of the analytic torso; the eyes stay."""
-        if guessed is None:
-            return plain
-        pelvis, chest = slerp(guessed.pelvis, plain.pelvis, share), slerp(guessed.spine3, plain.spine3, share)
-        return self.spine.hang(targets.eye, targets.head, pelvis, chest)
 
     def _face(self, hint: Hint, head: Quat) -> None:
         """Nearer to the head's heading: which way a body faces is hard to tell without hands."""

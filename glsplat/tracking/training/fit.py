@@ -15,7 +15,7 @@ from glsplat.tracking.learned.network import Network
 from glsplat.tracking.training.clips import Clip, targets_of
 from glsplat.tracking.training.disturbed import disturbed
 
-__all__ = ["FitConfig", "evaluate", "fit", "network_of"]
+__all__ = ["FitConfig", "evaluate", "fit", "network_of", "torch_or_error"]
 
 F32 = NDArray[np.float32]
 
@@ -36,7 +36,7 @@ class FitConfig:
     seed: int = 0
 
 
-def _torch() -> Any:
+def torch_or_error() -> Any:
     try:
         import torch
     except ImportError:
@@ -46,7 +46,7 @@ def _torch() -> Any:
 
 def module(config: FitConfig) -> Any:
     """The network as PyTorch has it."""
-    torch = _torch()
+    torch = torch_or_error()
 
     class Net(torch.nn.Module):  # type: ignore[name-defined, misc]
         def __init__(self) -> None:
@@ -86,7 +86,7 @@ def fit(
     clips: Sequence[Clip], unit: float, config: FitConfig, progress: Callable[[int, float], None] | None = None
 ) -> tuple[Any, F32, F32]:
     """The network, and mean and spread [INPUTS] by which its inputs are normalised."""
-    torch = _torch()
+    torch = torch_or_error()
 
     torch.manual_seed(config.seed)
     rng = np.random.default_rng(config.seed)
@@ -152,7 +152,7 @@ def _seen_from(truth: F32, clean: Seen, odd: Seen, unit: float) -> F32:
 
 
 def _loss(said: Any, truth: Any, known: Any) -> Any:
-    torch = _torch()
+    torch = torch_or_error()
 
     b, t = known.shape
     weights = torch.tensor(WEIGHTS)
@@ -175,7 +175,7 @@ def _normal(clips: Sequence[Clip], unit: float) -> tuple[F32, F32]:
 
 def evaluate(net: Any, mean: F32, spread: F32, clips: Sequence[Clip], unit: float) -> dict[str, float]:
     """Mean distances in cm of the undisturbed clips, point by point, by what the network alone says."""
-    torch = _torch()
+    torch = torch_or_error()
 
     errors, right = [], []
     with torch.no_grad():
