@@ -23,14 +23,14 @@ FAR = 0.07  # metres, that a goal must be away before a foot is lifted for it
 LOST = 0.16  # metres a planted foot is at most from its goal (of a 1.7 m person)
 TURNED = 0.6  # radians likewise
 FOLLOW = 0.1  # seconds: of the low pass by which a lifted foot follows its goal
-UP = 0.07  # seconds: likewise, upwards
+UP = 0.09  # seconds: likewise, upwards
 SURGE = 0.15  # metres it is at most told to rise at once; in a jump it hangs
 OFF = 0.3  # of CLEAR that a foot is up when it moves over as fast as it may
 RISE = 0.05  # seconds: likewise, upwards where its leg does not reach
-FORESIGHT = 0.06  # seconds: a foot leaves the ground before its leg is stretched
+FORESIGHT = 0.08  # seconds: a foot leaves the ground before its leg is stretched
 LEAD = 0.065  # seconds that this is behind
 BRIEFEST = 0.14  # seconds a foot is in the air at least
-SET = 0.12  # seconds in which it is set down, and of these
+SET = 0.14  # seconds in which it is set down, and of these
 OVER = 0.05  # seconds in which it only goes down
 REST = 0.18  # seconds it then stands at least
 SLOW, CALM = 0.2, 0.6  # m/s, seconds: slower for longer is standing, where it is not
@@ -192,7 +192,7 @@ class Feet:
             foot.y.approach(ground, foot.left + dt, dt)
             foot.tilt.approach(0.0, foot.left + dt, dt)
             astride = hypot(hip[0] - foot.x.at, hip[2] - foot.z.at) > ASTRIDE * leg.length
-            if foot.strained and astride and foot.left > OVER:  # the body has gone on: another step
+            if foot.strained and astride:  # the body has gone on: another step
                 foot.left = 0.0
                 self._since[foot.index] = 0.0
                 return

@@ -102,11 +102,12 @@ class LearnedSolver:
         rests = self.rest.update(targets.eye, swing_twist_y(targets.head) or 0.0, dt)
         lost = self.doubt.update(targets, self._missed, dt)
         steps = self._whose(lost)
+        due = self.weigher.due(dt)
         plain = self.plain.torso(targets, dt)
         if steps is self.feet:
-            self.plain.stepped(targets, plain, dt)
+            self.plain.stepped(targets, plain, dt, due)
         guessed = self._torso(targets, hint, hint.pelvis_at)
-        trunk, legs = self._shares(targets, hint, guessed, plain, dt)
+        trunk, legs = self._shares(targets, hint, guessed, plain, dt, due)
         torso = self._mixed(targets, hint, guessed, plain, trunk + (1 - trunk) * lost)
         place = self.seat.update(torso.pelvis_at, dt) if lost < 1 else None
         if place is not None:
@@ -119,7 +120,7 @@ class LearnedSolver:
                 self._seated(hint, torso)
             yaw = swing_twist_y(torso.pelvis) or 0.0
             under = (torso.pelvis_at, torso.pelvis, yaw, dt, targets.feet, targets.knees)
-            limbs = self.feet.update(hint.feet, *under, rests)
+            limbs = self.feet.update(hint.feet, *under, rests and place is None)
         else:
             limbs = self.plain.stepped(targets, torso, dt)
         arms = reaching(self.arms, self.hands, targets, torso, dt)
@@ -135,18 +136,21 @@ class LearnedSolver:
         self._steps = steps
         return steps
 
-    def _shares(self, targets: Targets, hint: Hint, guessed: Torso, plain: Torso, dt: float) -> list[float]:
+    def _shares(
+        self, targets: Targets, hint: Hint, guessed: Torso, plain: Torso, dt: float, due: bool
+    ) -> list[float]:
         """The analytic body's shares of trunk and legs."""
         self._dt += dt
         signs = None
-        if self.weigher.due(dt):
+        if due:
             signs = self.signs.update(targets, hint, guessed, plain, self.plain.legs, self._dt)
             self._dt = 0.0
         return [share.plain for share in self.weigher.update(signs, dt)]
 
     def _mixed(self, targets: Targets, hint: Hint, guessed: Torso, plain: Torso, share: float) -> Torso:
         """``share`` of the analytic torso; the eyes stay. The hint then says that mixture."""
-        hint.pelvis, hint.chest = slerp(hint.pelvis, plain.pelvis, share), slerp(hint.chest, plain.spine3, share)
+        hint.pelvis = slerp(guessed.pelvis, plain.pelvis, share)
+        hint.chest = slerp(guessed.spine3, plain.spine3, share)
         return self._torso(targets, hint, pull(guessed.pelvis_at, plain.pelvis_at, share))
 
     def _between(self, hint: Hint, share: float) -> None:
