@@ -106,13 +106,13 @@ class LearnedSolver:
         plain = self.plain.torso(targets, dt)
         if steps is self.feet:
             self.plain.stepped(targets, plain, dt, due)
-        guessed = self._torso(targets, hint, hint.pelvis_at)
-        trunk, legs = self._shares(targets, hint, guessed, plain, dt, due)
-        torso = self._mixed(targets, hint, guessed, plain, trunk + (1 - trunk) * lost)
+        self.pelvis.update(targets.pelvis, targets.pelvis_turn, targets.eye, dt)
+        trunk, legs = self._shares(targets, hint, plain, dt, due)
+        trunk *= 1 - self.pelvis.share  # a pelvis that is tracked is known better than by either
+        torso = self._mixed(targets, hint, plain, trunk, lost)
         place = self.seat.update(torso.pelvis_at, dt) if lost < 1 else None
         if place is not None:
             torso = self._torso(targets, hint, place)
-        self.pelvis.update(targets.pelvis, targets.pelvis_turn, targets.eye, dt)
         torso = self.pelvis.bring(self.spine, targets.eye, targets.head, torso)
         if steps is self.feet:
             self._between(hint, legs * self.signs.standing)  # half way between two steps is none
@@ -136,22 +136,24 @@ class LearnedSolver:
         self._steps = steps
         return steps
 
-    def _shares(
-        self, targets: Targets, hint: Hint, guessed: Torso, plain: Torso, dt: float, due: bool
-    ) -> list[float]:
+    def _shares(self, targets: Targets, hint: Hint, plain: Torso, dt: float, due: bool) -> list[float]:
         """The analytic body's shares of trunk and legs."""
         self._dt += dt
         signs = None
         if due:
+            guessed = self._torso(targets, hint, hint.pelvis_at)
             signs = self.signs.update(targets, hint, guessed, plain, self.plain.legs, self._dt)
             self._dt = 0.0
         return [share.plain for share in self.weigher.update(signs, dt)]
 
-    def _mixed(self, targets: Targets, hint: Hint, guessed: Torso, plain: Torso, share: float) -> Torso:
-        """``share`` of the analytic torso; the eyes stay. The hint then says that mixture."""
-        hint.pelvis = slerp(guessed.pelvis, plain.pelvis, share)
-        hint.chest = slerp(guessed.spine3, plain.spine3, share)
-        return self._torso(targets, hint, pull(guessed.pelvis_at, plain.pelvis_at, share))
+    def _mixed(self, targets: Targets, hint: Hint, plain: Torso, share: float, lost: float) -> Torso:
+        """``share`` of the analytic pelvis, and all of its torso where the network is ``lost``; the eyes stay.
+
+        The chest is the network's, which has seen the hands that arms must reach from it.
+        """
+        share += (1 - share) * lost
+        hint.pelvis, hint.chest = slerp(hint.pelvis, plain.pelvis, share), slerp(hint.chest, plain.spine3, lost)
+        return self._torso(targets, hint, pull(hint.pelvis_at, plain.pelvis_at, share))
 
     def _between(self, hint: Hint, share: float) -> None:
         """``share`` of where the analytic solver's feet go."""
