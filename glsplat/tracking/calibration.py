@@ -181,7 +181,7 @@ def calibrate(
         head_pitch=pitch if abs(pitch) < 0.35 else 0.0,
         eye_height=eyes,
         arm_span=span,
-        **_mounts(samples, middle, body, scale, floor),
+        **_mounts(samples, middle, body, scale, floor),  # type: ignore[arg-type]
     )
 
 

@@ -221,7 +221,9 @@ class Tracker:
     def _find(self, finder: Finder, sample: Sample, dt: float) -> None:
         """The scale that is known by now; a hand in nonsense places is no hand."""
         unseen: list[str] = []
-        head, *hands = [read_pose(p, 1.0, self.calibration.floor, unseen) for p in (sample.head, sample.left, sample.right)]
+        head, *hands = [
+            read_pose(p, 1.0, self.calibration.floor, unseen) for p in (sample.head, sample.left, sample.right)
+        ]
         if head is None or dt <= 0 or dt > self.config.gap:
             return
         up = rotate(mul(head[1], self._frames[0]), (0.0, 1.0, 0.0))[1]

@@ -91,7 +91,11 @@ class Signs:
         seen = [hand for hand in hands if hand] or [(0.0, -0.7 / k, 0.0)]
         out = [eye[1] * k, up, ahead, abs(side), *map(_log, speed), *map(_log, rise[:2]), *map(_log, turn[1:])]
         out += [*map(_log, away[1:]), height[2] - eye[1] * k, (self._tall - eye[1]) * k]
-        out += [float(sum(hand is not None for hand in hands)), max(v[1] for v in seen) * k, min(v[1] for v in seen) * k]
+        out += [
+            float(sum(hand is not None for hand in hands)),
+            max(v[1] for v in seen) * k,
+            min(v[1] for v in seen) * k,
+        ]
         far = [hypot(v[0], v[2]) * k for v in seen]
         out += [max(far), min(far), *map(_log, waves[:2]), length(sub(seen[0], seen[-1])) * k]
 
@@ -105,7 +109,7 @@ class Signs:
         out += [0.0 if a is None or b is None else abs(wrap(a - b))]
         for torso, feet in zip((guessed, plain), balls, strict=True):
             x, y, z = rotate(level, sub(torso.pelvis_at, eye))
-            middle = rotate(level, sub(tuple([0.5 * (p + q) for p, q in zip(*feet, strict=True)]), torso.pelvis_at))  # type: ignore[arg-type]
+            middle = rotate(level, sub(tuple([0.5 * (p + q) for p, q in zip(*feet, strict=True)]), torso.pelvis_at))
             out += [z * k, abs(x) * k, y * k, middle[2] * k, abs(middle[0]) * k]
             out += [hypot(feet[0][0] - feet[1][0], feet[0][2] - feet[1][2]) * k]
         stands = [foot.stands for foot in hint.feet]

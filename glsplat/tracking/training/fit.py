@@ -37,6 +37,7 @@ class FitConfig:
 
 
 def torch_or_error() -> Any:
+    """PyTorch. Raises GlsplatError that says how to install it."""
     try:
         import torch
     except ImportError:

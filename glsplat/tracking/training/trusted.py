@@ -47,7 +47,9 @@ def fit_trust(watched: Sequence[Watched], seed: int = 0) -> Trust:
     for one in watched:
         sizes[one.group] = sizes.get(one.group, 0) + len(one.signs)
     # everybody counts, whether they were captured for a minute or for ten
-    worth = torch.from_numpy(np.concatenate([np.full(len(w.signs), sizes[w.group] ** -0.5, np.float32) for w in watched]))
+    worth = torch.from_numpy(
+        np.concatenate([np.full(len(w.signs), sizes[w.group] ** -0.5, np.float32) for w in watched])
+    )
     front, back = torch.nn.Linear(SIGNS, HIDDEN), torch.nn.Linear(HIDDEN, SAID)
     drop = torch.nn.Dropout(DROP)
     best = torch.optim.AdamW([*front.parameters(), *back.parameters()], lr=RATE, weight_decay=DECAY)
