@@ -141,7 +141,9 @@ class LearnedSolver:
         self._dt += dt
         signs = None
         if due:
+            turned = self.spine.turned  # of the torso that is shown
             guessed = self._torso(targets, hint, hint.pelvis_at)
+            self.spine.turned = turned
             signs = self.signs.update(targets, hint, guessed, plain, self.plain.legs, self._dt)
             self._dt = 0.0
         return [share.plain for share in self.weigher.update(signs, dt)]
@@ -151,6 +153,8 @@ class LearnedSolver:
 
         The chest is the network's, which has seen the hands that arms must reach from it.
         """
+        if lost >= 1:
+            return plain
         share += (1 - share) * lost
         hint.pelvis, hint.chest = slerp(hint.pelvis, plain.pelvis, share), slerp(hint.chest, plain.spine3, lost)
         return self._torso(targets, hint, pull(hint.pelvis_at, plain.pelvis_at, share))
