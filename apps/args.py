@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,6 +21,7 @@ from glsplat.making.items import is_scene, load_item
 from glsplat.making.items import load_scene as load_file
 from glsplat.motion.kinds import KINDS, split_choice
 from glsplat.scene import Content, Figure, is_figure
+from glsplat.skinning.expression import checked_expression
 from glsplat.skinning.rigs.driven import why_not_tracked
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.splats import Splats
@@ -39,6 +41,7 @@ __all__ = [
     "degrees",
     "detail_of",
     "driven",
+    "expression",
     "load_avatar",
     "load_scene",
     "motion_of",
@@ -290,6 +293,21 @@ def point(text: str) -> tuple[float, float, float]:
     if not np.isfinite((x, y, z)).all():
         raise argparse.ArgumentTypeError(f"a point is three finite numbers, not {text!r}")
     return x, y, z
+
+
+def expression(text: str) -> Mapping[str, float]:
+    """argparse type: NAME=WEIGHT,... of an avatar's shapes."""
+    pairs = [part.partition("=") for part in text.split(",") if part.strip()]
+    try:
+        found = {name.strip(): float(weight) for name, _, weight in pairs}
+        checked_expression(found)
+        if not found or len(found) < len(pairs):
+            raise ValueError
+    except (ValueError, PoseError):
+        raise argparse.ArgumentTypeError(
+            f"an expression is NAME=WEIGHT,..., for example jawOpen=0.7,eyeBlinkLeft=1, not {text!r:.60}"
+        ) from None
+    return found  # also those of 0, which a motion may not have
 
 
 def colour(text: str) -> tuple[float, float, float]:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from glsplat.avatar import Avatar
 from glsplat.errors import FormatError
-from glsplat.formats import losses, save, suffixes
+from glsplat.formats import save, suffixes
 from glsplat.formats.fidelity import read_back
 from glsplat.formats.scene_file import upright
 from glsplat.formats.transform import transformed
@@ -65,10 +65,12 @@ def save_and_say(scene: Splats | Avatar, output: str | Path, command: str, quiet
 
     "largest (mean)" over all splats; nothing is said where nothing is lost. Raises FormatError.
     """
-    if not quiet:
-        for loss in losses(scene, output):
+
+    def say(loss: str) -> None:
+        if not quiet:
             print(f"{command}: {output}: {loss}", file=sys.stderr)
-    save(scene, output)
+
+    save(scene, output, say=say)
     if not quiet and (words := ", ".join(read_back(scene, output).words())):
         print(f"{command}: {output}: read back, off by at most (mean): {words}", file=sys.stderr)
 
@@ -91,10 +93,12 @@ def turned(scene: Content, up: str) -> Content:
     rig = scene.skeleton
     skeleton = Skeleton(rig.names, rig.parents, turn @ rig.rest, rig.inverse_bind @ turn.T)
     if isinstance(scene, RiggedMesh):
-        return replace(scene, vertices=scene.vertices @ turn[:3, :3].T, skeleton=skeleton)
+        morphs = None if scene.morphs is None else scene.morphs.turned(turn[:3, :3])
+        return replace(scene, vertices=scene.vertices @ turn[:3, :3].T, skeleton=skeleton, morphs=morphs)
     levels = [replace(level, content=_turned(level.content, turn, skeleton)) for level in scene.levels]
     return replace(_turned(scene, turn, skeleton), levels=tuple(levels))
 
 
 def _turned(avatar: Avatar, turn: NDArray[np.float64], skeleton: Skeleton) -> Avatar:
-    return replace(avatar, splats=transformed(avatar.splats, turn), skeleton=skeleton, levels=())
+    shapes = None if avatar.shapes is None else avatar.shapes.turned(turn[:3, :3])
+    return replace(avatar, splats=transformed(avatar.splats, turn), skeleton=skeleton, shapes=shapes, levels=())

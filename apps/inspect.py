@@ -18,6 +18,7 @@ from glsplat.formats.scene_file import SceneFile
 from glsplat.making.items import is_scene
 from glsplat.meshes import RiggedMesh
 from glsplat.scene import is_figure
+from glsplat.skinning.expression import ARKIT
 from glsplat.skinning.rigs.driven import why_not_driven, why_not_tracked
 from glsplat.splats import Level, Splats
 from glsplat.views import box_of, splats_of
@@ -180,6 +181,7 @@ def describe(scene: Splats | Avatar, path: str | Path | None) -> dict[str, Any]:
         report["avatar"] = _rig(scene)
         report["consent"] = consent.report(OnFile(nobody=True) if path is None else on_file(path))
         report["memory_bytes"] += scene.skin.joints.nbytes + scene.skin.weights.nbytes
+        report["memory_bytes"] += scene.shapes.nbytes if scene.shapes is not None else 0
     report["memory_bytes"] += sum(level["memory_bytes"] for level in report["levels"])
     return report
 
@@ -228,8 +230,27 @@ def _rig(avatar: Avatar) -> dict[str, Any]:
         "not_driven": why_not_driven(skeleton),  # "": motions move it
         "not_tracked": why_not_tracked(skeleton),  # "": a headset does
         "rest_offset": float(np.abs(offset).max()),  # 0: the zero pose shows the splats as they are stored
+        "shapes": _shapes(avatar),
         "splats_per_joint": {name: int(n) for name, n in zip(skeleton.names, strongest, strict=True) if n},
         "meta": dict(avatar.meta),
+    }
+
+
+def _shapes(avatar: Avatar) -> dict[str, Any] | None:
+    """The expressions of the face; None where there are none."""
+    shapes = avatar.shapes
+    if shapes is None:
+        return None
+    farthest = np.zeros(len(shapes))
+    np.maximum.at(farthest, shapes.targets, np.linalg.norm(shapes.metres, axis=1))
+    return {
+        "names": list(shapes.names),
+        "arkit": len(set(shapes.names) & set(ARKIT)),
+        "entries": len(shapes.targets),
+        "splats": int((np.diff(shapes.starts) > 0).sum()),  # that any of them moves
+        "farthest": {name: float(metres) for name, metres in zip(shapes.names, farthest, strict=True)},
+        "limits": shapes.limits.tolist(),
+        "levels": sum(level.content.shapes is not None for level in avatar.levels),  # that move with the face
     }
 
 
@@ -312,6 +333,13 @@ def _text(report: dict[str, Any]) -> str:
         rows.append(
             ("weights", f"{rig['weight_lost']:.3g} lost by truncation, {rig['weights_repaired']} splats repaired")
         )
+        if shapes := rig["shapes"]:
+            names = ", ".join([*shapes["names"][:4], "..."] if len(shapes["names"]) > 4 else shapes["names"])
+            said = f"{len(shapes['names'])} ({names}), {shapes['arkit']} of ARKit's 52"
+            said += f"; they move {shapes['splats']} splats"
+            if still := len(report["levels"]) - shapes["levels"]:
+                said += f"; {still} coarser level{'s keep' if still > 1 else ' keeps'} a still face"
+            rows.append(("shapes", said))
         rows.append(("driven", _driven(rig["not_driven"], rig["not_tracked"])))
         if rig["rest_offset"] > 1e-4:
             rows.append(("rest", f"inverse bind matrices are {rig['rest_offset']:.3g} off the rest pose"))

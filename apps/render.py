@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, replace
 from itertools import chain
 from pathlib import Path
@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
+from glsplat.avatar import Avatar
 from glsplat.camera import PAPER_FOV, PAPER_IPD, Camera, read_cameras
 from glsplat.config import RenderConfig
 from glsplat.errors import FormatError
@@ -33,6 +34,7 @@ from .args import (
     degrees,
     detail_of,
     driven,
+    expression,
     motion_of,
     not_negative,
     open_scene,
@@ -73,6 +75,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="FILE",
         help=f"{KINDS}, or an embedded motion's name; of several in a file, FILE#NAME; "
         "of one that is not read as it was meant, FILE#up=z and the like (docs/rigs.md)",
+    )
+    parser.add_argument(
+        "--expression",
+        type=expression,
+        metavar="NAME=W,...",
+        help="weights of the avatar's shapes: jawOpen=0.7,eyeBlinkLeft=1; over those of a pose or motion",
     )
     parser.add_argument(
         "--frame", type=int, metavar="N", help="frame of the motion, or picture of a scene file's clip (default: all)"
@@ -199,6 +207,7 @@ def _check_output(args: argparse.Namespace, sequence: bool) -> None:
 
 def _shots(args: argparse.Namespace, scene: SceneFile, plays: bool) -> tuple[int, Iterator[_Shot]]:
     """How many pictures, and each one's cameras and pose. ``plays``: the motions of the scene file."""
+    face = _face(args, scene)
     if args.frame is not None and args.motion is None and not scene.motions:
         raise UsageError("--frame needs --motion, or a scene file with motions")
     pose: Pose | None = None
@@ -214,6 +223,7 @@ def _shots(args: argparse.Namespace, scene: SceneFile, plays: bool) -> tuple[int
             raise UsageError(f"--frame needs 0 to {count - 1} for {args.motion or 'this scene'}, not {args.frame}")
         seconds = args.frame / (args.fps if motion is None else motion.fps)
         pose = pose if motion is None else motion.pose(args.frame)
+    pose = face(pose)
     if args.turntable is not None:
         if args.turntable < 1:
             raise UsageError(f"--turntable needs at least 1 view, not {args.turntable}")
@@ -226,8 +236,30 @@ def _shots(args: argparse.Namespace, scene: SceneFile, plays: bool) -> tuple[int
         # on the motion's clock, so that a clip plays at the speed it was recorded
         count = max(1, round((scene.duration if motion is None else motion.duration) * args.fps))
         times = (i / args.fps for i in range(count))
-        return count, (_Shot(cameras, None if motion is None else motion.at(t), several, t) for t in times)
+        return count, (_Shot(cameras, pose if motion is None else face(motion.at(t)), several, t) for t in times)
     return 1, iter([_Shot(cameras, pose, several, seconds)])
+
+
+def _face(args: argparse.Namespace, scene: SceneFile) -> Callable[[Pose | None], Pose | None]:
+    """What sets the weights of --expression in a pose, the others as they are. Raises UsageError."""
+    if args.expression is None:
+        return lambda pose: pose
+    if scene.motions:
+        raise UsageError("--expression is for an avatar, not for the motions of a scene file; write it into the poses")
+    avatar = driven(scene, "--expression")
+    shapes = avatar.shapes if isinstance(avatar, Avatar) else None
+    if shapes is None:
+        raise UsageError("--expression needs an avatar with shapes, this one has none (docs/avatars.md)")
+    if unknown := [name for name in args.expression if name not in shapes.names]:
+        some = ", ".join([*shapes.names[:6], "..."] if len(shapes) > 6 else shapes.names)
+        raise UsageError(f"this avatar has no shape {unknown[0][:40]!r}; it has {some}")
+    item = scene.avatar
+
+    def with_face(pose: Pose | None) -> Pose:
+        held = pose or (item.pose if item is not None else None) or Pose.zero(len(avatar.skeleton))
+        return replace(held, expression={**held.expression, **args.expression})
+
+    return with_face
 
 
 def _rendered(renderer: Renderer, scene: SceneFile, shot: _Shot) -> NDArray[Any]:

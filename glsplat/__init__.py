@@ -19,13 +19,14 @@ if TYPE_CHECKING:
     from glsplat.config import RenderConfig
     from glsplat.data import default_avatar
     from glsplat.errors import GlsplatError
-    from glsplat.formats import load, save
+    from glsplat.formats.registry import load, save
     from glsplat.gl.context import create_context
     from glsplat.meshes import RiggedMesh
     from glsplat.pictures import straight
     from glsplat.renderer import Renderer
     from glsplat.scene import Item, Scene, similarity
     from glsplat.skinning.pose import Pose
+    from glsplat.skinning.shapes import Shapes
     from glsplat.skinning.skeleton import Skeleton
     from glsplat.skinning.skin import Skin
     from glsplat.splats import Splats
@@ -42,6 +43,7 @@ __all__ = [
     "Renderer",
     "RiggedMesh",
     "Scene",
+    "Shapes",
     "Skeleton",
     "Skin",
     "Splats",
@@ -66,15 +68,16 @@ _HOME = {
     "Renderer": "renderer",
     "RiggedMesh": "meshes",
     "Scene": "scene",
+    "Shapes": "skinning.shapes",
     "Skeleton": "skinning.skeleton",
     "Skin": "skinning.skin",
     "Splats": "splats",
     "create_context": "gl.context",
     "default_avatar": "data",
-    "load": "formats",
+    "load": "formats.registry",
     "look_at": "camera",
     "pinhole": "camera",
-    "save": "formats",
+    "save": "formats.registry",
     "similarity": "scene",
     "stereo_cameras": "camera",
     "straight": "pictures",

@@ -8,7 +8,10 @@ kept as it is, so that a million splats are not copied by every ``replace()``.
 from __future__ import annotations
 
 import operator
+import sys
+from collections.abc import Mapping
 from math import isfinite
+from types import NoneType
 from typing import Any, TypeVar
 
 import numpy as np
@@ -16,7 +19,23 @@ from numpy.typing import ArrayLike, NDArray
 
 from glsplat.errors import FormatError, GlsplatError
 
-__all__ = ["count", "frozen", "number", "own", "own_whole", "plain", "restored"]
+__all__ = [
+    "colour",
+    "count",
+    "flag",
+    "frozen",
+    "frozen_mapping",
+    "instance",
+    "listed",
+    "number",
+    "own",
+    "own_whole",
+    "pixels",
+    "plain",
+    "restored",
+    "rows",
+    "shares",
+]
 
 Kind = TypeVar("Kind", bound=np.generic)
 
@@ -28,7 +47,12 @@ def frozen(array: NDArray[Kind]) -> NDArray[Kind]:
 
 
 def plain(value: ArrayLike, what: str, error: type[GlsplatError] = FormatError) -> NDArray[Any]:
-    """``value`` as an array of integers or floats, not copied. Text, booleans, complex numbers and None are refused."""
+    """``value`` as an array of integers or floats, not copied. Text, booleans, complex numbers and None are refused,
+
+    and arrays some of whose values are masked: nothing here could leave those out.
+    """
+    if _masked(value):
+        raise error(f"{what} needs an array without masked values; fill them (filled()) or leave them out")
     try:
         array = np.asarray(value)
     except (TypeError, ValueError, RuntimeError, OverflowError):  # ragged lists, tensors on a GPU
@@ -67,7 +91,7 @@ def number(value: Any, what: str, error: type[GlsplatError] = FormatError) -> fl
     if type(value) is not float:
         kind = getattr(getattr(value, "dtype", None), "kind", "f")
         vector = isinstance(value, np.ndarray) and value.ndim > 0
-        if isinstance(value, (bool, str, bytes, complex)) or kind not in "iuf" or vector:
+        if isinstance(value, (bool, str, bytes, complex)) or kind not in "iuf" or vector or _masked(value):
             raise error(f"{what} needs a number, not {_shown(value)}")
         try:
             value = float(value)
@@ -78,16 +102,114 @@ def number(value: Any, what: str, error: type[GlsplatError] = FormatError) -> fl
     return value
 
 
-def count(value: Any, what: str, error: type[GlsplatError] = FormatError) -> int:
-    """``value`` as an int: any integer type, but no float, no boolean, no text."""
-    if type(value) is int:
+def count(value: Any, what: str, error: type[GlsplatError] = FormatError, least: int | None = None) -> int:
+    """``value`` as an int: any integer type, but no float, no boolean, no text; from ``least`` on."""
+    if type(value) is not int:
+        try:
+            if isinstance(value, (bool, np.bool_)):
+                raise TypeError
+            value = operator.index(value)
+        except TypeError:
+            raise error(f"{what} needs a whole number, not {_shown(value)}") from None
+    if abs(value) >= 2**63:
+        raise error(f"{what} needs a whole number of at most 19 digits")
+    if least is not None and value < least:
+        raise error(f"{what} needs at least {least}, not {value}")
+    return value
+
+
+def flag(value: Any, what: str, error: type[GlsplatError] = FormatError) -> bool:
+    """``value`` as a bool, which it has to be: "no" is true, and so is an array of one zero in a list."""
+    if isinstance(value, (bool, np.bool_)):
+        return bool(value)
+    raise error(f"{what} is True or False, not {_shown(value)}")
+
+
+def pixels(value: Any, what: str = "size", error: type[GlsplatError] = FormatError) -> tuple[int, int]:
+    """Width and height: two whole numbers of 1 and above."""
+    if isinstance(value, np.ndarray) and value.ndim == 1:
+        value = tuple(value)
+    if not isinstance(value, (tuple, list)) or len(value) != 2:
+        raise error(f"{what} needs two whole numbers, width and height, not {_shown(value)}")
+    width, height = count(value[0], f"{what}'s width", error), count(value[1], f"{what}'s height", error)
+    if min(width, height) < 1:
+        raise error(f"{what} needs at least 1x1 pixels, not {width}x{height}")
+    return width, height
+
+
+def shares(value: ArrayLike, what: str, error: type[GlsplatError] = FormatError, hint: str = "") -> NDArray[Any]:
+    """``value`` as an array of numbers that are meant as 0 to 1, a little outside at most: none of 0 to 255.
+
+    Floats may lie between -1 and 2, as views of spherical harmonics do; NaN and infinity have fates of their own.
+    """
+    array = plain(value, what, error)
+    finite = array[np.isfinite(array)]
+    brightest, darkest = finite.max(initial=0), finite.min(initial=0)
+    if brightest > (2 if array.dtype.kind == "f" else 1):
+        raise error(f"{what} needs 0 to 1, found {brightest:g}; divide 0 to 255 by 255{hint}")
+    if darkest < -1:
+        raise error(f"{what} needs 0 to 1, found {darkest:g}")
+    return array
+
+
+def colour(value: ArrayLike, what: str, error: type[GlsplatError] = FormatError) -> tuple[float, float, float]:
+    """Red, green and blue, 0 to 1."""
+    array = shares(value, what, error)
+    if array.shape != (3,) or not np.isfinite(array).all():
+        raise error(f"{what} is three finite numbers, not {value!r:.60}")
+    red, green, blue = map(float, array.tolist())
+    return red, green, blue
+
+
+class FrozenDict(dict[Any, Any]):
+    """A dict that nobody changes: it says so instead. ``dict(it)`` can be changed."""
+
+    def _refuse(self, *_: Any, **__: Any) -> Any:
+        raise TypeError(
+            "this belongs to a value and cannot be changed; make a dict or list of it, and replace() the value"
+        )
+
+    __setitem__ = __delitem__ = __ior__ = clear = pop = popitem = setdefault = update = _refuse
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return FrozenDict, (dict(self),)
+
+
+class FrozenList(list[Any]):
+    """A list that nobody changes."""
+
+    _refuse = FrozenDict._refuse
+    __setitem__ = __delitem__ = __iadd__ = __imul__ = append = clear = extend = insert = pop = remove = _refuse
+    reverse = sort = _refuse
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return FrozenList, (list(self),)
+
+
+def frozen_mapping(value: Mapping[str, Any]) -> Mapping[str, Any]:
+    """A copy of what JSON could hold, all the way down, that nobody can change."""
+    return value if isinstance(value, FrozenDict) else FrozenDict({key: _frozen(one) for key, one in value.items()})
+
+
+def _frozen(value: Any) -> Any:
+    if isinstance(value, dict):
+        return frozen_mapping(value)
+    return FrozenList(map(_frozen, value)) if type(value) is list else value
+
+
+def instance(
+    value: Any,
+    kinds: type[Any] | tuple[type[Any], ...],
+    what: str,
+    error: type[GlsplatError] = FormatError,
+    hint: str = "",
+) -> Any:
+    """``value`` if it is one of these classes; ``hint`` says what to do about another."""
+    if isinstance(value, kinds):
         return value
-    try:
-        if isinstance(value, (bool, np.bool_)):
-            raise TypeError
-        return operator.index(value)
-    except TypeError:
-        raise error(f"{what} needs a whole number, not {_shown(value)}") from None
+    listed = kinds if isinstance(kinds, tuple) else (kinds,)
+    names = " or ".join(kind.__name__ for kind in listed if kind is not NoneType)
+    raise error(f"{what} needs a {names}, not {_shown(value)}{hint and '; ' + hint}")
 
 
 def restored(kind: type[Any], values: dict[str, Any]) -> Any:
@@ -96,6 +218,36 @@ def restored(kind: type[Any], values: dict[str, Any]) -> Any:
     for name, value in values.items():
         object.__setattr__(made, name, frozen(value) if isinstance(value, np.ndarray) else value)
     return made
+
+
+def _masked(value: Any) -> bool:
+    """Whether some of it is masked (numpy.ma), also in lists of arrays."""
+    if "numpy.ma" not in sys.modules:  # nobody has made such an array
+        return False
+    if isinstance(value, (list, tuple)):
+        return any(map(_masked, value))
+    return isinstance(value, np.ma.MaskedArray) and bool(np.ma.getmaskarray(value).any())
+
+
+def listed(value: Any, what: str, error: type[GlsplatError] = FormatError) -> tuple[Any, ...]:
+    """What a list, or whatever can be walked through, holds."""
+    try:
+        return tuple(value)
+    except TypeError:
+        raise error(f"{what} needs a list, not {_shown(value)}") from None
+
+
+def rows(index: ArrayLike, count: int) -> NDArray[np.intp]:
+    """An integer or boolean array that chooses among ``count`` rows, as integers; FormatError outside of them."""
+    try:
+        i = np.asarray(index)
+    except (TypeError, ValueError, RuntimeError, OverflowError):
+        i = np.zeros(())
+    if i.dtype == bool and i.shape == (count,):
+        i = np.flatnonzero(i)
+    if _masked(index) or i.ndim != 1 or (i.size and (i.dtype.kind not in "iu" or i.min() < -count or i.max() >= count)):
+        raise FormatError(f"take() needs a list of whole numbers below {count}, or {count} booleans")
+    return i.astype(np.intp)  # an empty list has no integer type
 
 
 def _constant(array: NDArray[Any]) -> bool:

@@ -6,7 +6,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
+from glsplat.arrays import frozen_mapping, listed
 from glsplat.errors import FormatError
+from glsplat.skinning.pose import Pose
+from glsplat.skinning.shapes import Shapes
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.skin import Skin
 from glsplat.splats import Level, Levels, Splats, checked_levels
@@ -32,6 +38,7 @@ class Avatar:
     skin: Skin
     meta: Mapping[str, Any] = field(default_factory=dict)  # asset.extras.glsplat: version, source, licence, ...
     levels: tuple[Level[Avatar], ...] = ()  # coarser, on the same skeleton, finest first; of these splats
+    shapes: Shapes | None = None  # the face's expressions; a level has the same names, or none and keeps a still face
 
     def __post_init__(self) -> None:
         for name, kind in (("splats", Splats), ("skeleton", Skeleton), ("skin", Skin), ("meta", Mapping)):
@@ -39,11 +46,19 @@ class Avatar:
                 raise FormatError(f"an avatar's {name} needs {kind.__name__}, not {type(getattr(self, name)).__name__}")
         if len(self.skin) != len(self.splats):
             raise FormatError(f"an avatar needs one skin row a splat, not {len(self.skin)} for {len(self.splats)}")
+        if self.shapes is not None and not isinstance(self.shapes, Shapes):
+            raise FormatError(f"an avatar's shapes needs Shapes, not {type(self.shapes).__name__}")
+        if self.shapes is not None and self.shapes.splats != len(self.splats):
+            raise FormatError(f"shapes of {self.shapes.splats} splats are not of the avatar's {len(self.splats)}")
         if len(self.skin) and int(self.skin.joints.max()) >= len(self.skeleton):
             raise FormatError(f"the skin names joint {self.skin.joints.max()} of {len(self.skeleton)}")
         object.__setattr__(self, "skin", self.skin.anchored(self.skeleton.parents))
-        object.__setattr__(self, "meta", dict(self.meta))
+        object.__setattr__(self, "meta", frozen_mapping(self.meta))
         self._check_levels()
+
+    def weights(self, pose: Pose) -> NDArray[np.float64] | None:
+        """[T] of the shapes in that pose, within their limits; None where all are 0, or there are no shapes."""
+        return None if self.shapes is None else self.shapes.weights(pose.expression)
 
     def without(self, joint: str) -> Avatar:
         """The same without the splats that mostly follow ``joint`` and what hangs from it: for a view from inside.
@@ -52,7 +67,7 @@ class Avatar:
 
         >>> person = glsplat.default_avatar()
         >>> person, person.without("head")
-        (Avatar(40000 splats, 55 joints, 4 a splat, 3 levels), Avatar(32402 splats, 55 joints, 4 a splat, 3 levels))
+        (Avatar(40000 splats, 55 joints, 4 a splat, 3 levels), Avatar(32400 splats, 55 joints, 4 a splat, 3 levels))
         """
         return self._part(joint, False)
 
@@ -60,7 +75,7 @@ class Avatar:
         """The splats that ``without(joint)`` leaves out, on the same skeleton.
 
         >>> glsplat.default_avatar().only("head")
-        Avatar(7598 splats, 55 joints, 4 a splat, 3 levels)
+        Avatar(7600 splats, 55 joints, 4 a splat, 3 levels)
         """
         return self._part(joint, True)
 
@@ -75,12 +90,14 @@ class Avatar:
             if 0 < len(rest.splats) < count:
                 levels.append(replace(level, content=rest))
                 count = len(rest.splats)
-        return replace(self, splats=self.splats.take(keep), skin=self.skin.take(keep), levels=tuple(levels))
+        shapes = None if self.shapes is None else self.shapes.take(keep)
+        splats, skin = self.splats.take(keep), self.skin.take(keep)
+        return replace(self, splats=splats, skin=skin, shapes=shapes, levels=tuple(levels))
 
     def _check_levels(self) -> None:
         if self.splats.levels:
             raise FormatError("levels belong to the avatar, not to its splats")
-        found = self.levels if isinstance(self.levels, Levels) else tuple(self.levels)
+        found = self.levels if isinstance(self.levels, Levels) else listed(self.levels, "levels")
         sizes = [
             len(self.splats),
             *(len(one.content.splats) for one in found if isinstance(getattr(one, "content", None), Avatar)),
@@ -89,9 +106,15 @@ class Avatar:
         for i, level in enumerate(self.levels):
             if not level.content.skeleton.same(self.skeleton):
                 raise FormatError(f"level {i + 1}: another skeleton than the avatar's")
+            if level.content.shapes is not None and (
+                self.shapes is None or level.content.shapes.names != self.shapes.names
+            ):
+                raise FormatError(f"level {i + 1}: its shapes need the avatar's names, in their order")
             if level.content.levels:
                 raise FormatError(f"level {i + 1}: a level has no levels of its own")
 
     def __repr__(self) -> str:
         levels = f", {len(self.levels)} levels" if self.levels else ""
-        return f"Avatar({len(self.splats)} splats, {len(self.skeleton)} joints, {self.skin.influences} a splat{levels})"
+        shapes = f", {len(self.shapes)} shapes" if self.shapes is not None else ""
+        parts = f"{len(self.splats)} splats, {len(self.skeleton)} joints, {self.skin.influences} a splat"
+        return f"Avatar({parts}{shapes}{levels})"

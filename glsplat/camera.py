@@ -17,11 +17,12 @@ import numpy as np
 import pyrr
 from numpy.typing import ArrayLike, NDArray
 
-from glsplat.arrays import count, number, own, plain, restored
+from glsplat.arrays import colour, count, number, own, pixels, plain, restored
 from glsplat.errors import FormatError
 from glsplat.rotations import FLIP_YZ
 
 __all__ = [
+    "ORTHONORMAL",
     "Camera",
     "camera_from_json",
     "head_matrix",
@@ -35,7 +36,12 @@ __all__ = [
 ]
 
 _NO_ROTATION = "viewmat needs a rotation (or reflection) with the last row 0 0 0 1"
+ORTHONORMAL = 2e-5
+"""Largest entry of R R^T - I of a viewmat: its numbers may be rounded to five digits, a centimetre at 1000 m."""
+
 _LARGEST = 1e12  # of pixels and metres; squares of it still fit into float32
+_CLOSE = 1e-12  # metres, or of the eye's own distance: float64 knows no direction any more
+_WIDEST = 1.0  # metres between two eyes; more are millimetres
 
 PAPER_IPD = 0.055
 PAPER_FOV = 65.0
@@ -84,10 +90,7 @@ class Camera:
         size = count(width, "width"), count(height, "height")
         if min(size) < 1:
             raise FormatError(f"a camera needs a size of at least 1x1, not {size[0]}x{size[1]}")
-        colour = [float(c) for c in plain(background, "background").reshape(-1).tolist()]
-        if np.shape(background) != (3,) or not all(abs(c) <= _LARGEST for c in colour):
-            raise FormatError(f"a background is three finite numbers, not {background!r:.60}")
-        red, green, blue = colour
+        behind = colour(background, "a background")
         depths = number(near, "near"), number(far, "far")
         if not 0 < depths[0] < depths[1]:
             raise FormatError(f"a camera needs 0 < near < far, not near {depths[0]:g} and far {depths[1]:g}")
@@ -101,7 +104,7 @@ class Camera:
         keep(self, "K", k)
         keep(self, "width", size[0])
         keep(self, "height", size[1])
-        keep(self, "background", (red, green, blue))
+        keep(self, "background", behind)
         keep(self, "near", depths[0])
         keep(self, "far", depths[1])
         keep(self, "sh_degree", degree)
@@ -140,7 +143,8 @@ class Camera:
             "bg": list(self.background),
             "sh_degree": self.sh_degree,
             "near": self.near,
-        }
+            "far": self.far,
+        } | ({"name": self.name} if self.name else {})
 
 
 def pinhole(width: SupportsIndex, height: SupportsIndex, fov: SupportsFloat = PAPER_FOV) -> NDArray[np.float64]:
@@ -169,13 +173,24 @@ def look_at(eye: ArrayLike, target: ArrayLike, up: ArrayLike = (0.0, 1.0, 0.0)) 
     [0.0, 0.0, 3.0]
     """
     start, end, above = _vector(eye, "eye", 3), _vector(target, "target", 3), _vector(up, "up", 3)
-    forward = end - start
-    if not np.linalg.norm(forward) > 0:
+    if max(np.abs(start).max(), np.abs(end).max()) > _LARGEST:
+        raise FormatError(f"eye and target need metres below {_LARGEST:g}")
+    forward, most = end - start, float(np.abs(above).max())
+    if not np.linalg.norm(forward) > _CLOSE * max(1.0, float(np.abs(start).max())):
         raise FormatError("eye and target are the same point; move one of them")
-    if np.linalg.norm(np.cross(forward, above)) < 1e-9 * np.linalg.norm(forward):
-        above = np.array([0.0, 0.0, -1.0])
+    if not most > 0:
+        raise FormatError("up needs a direction, not zero")
+    if not 1e-6 < most < 1e6:  # the squares of its numbers may be too large or too small
+        above = above / most
+    others = (above, np.array([0.0, 0.0, -1.0]), np.array([0.0, 1.0, 0.0]))
+    above = next(one for one in others if _apart(forward, one))
     opengl = pyrr.matrix44.create_look_at(start, end, above, dtype=np.float64).T  # pyrr stores columns as rows
     return FLIP_YZ @ np.asarray(opengl)
+
+
+def _apart(one: NDArray[np.float64], other: NDArray[np.float64]) -> bool:
+    """Whether two directions are none."""
+    return bool(np.linalg.norm(np.cross(one, other)) >= 1e-9 * np.linalg.norm(one) * np.linalg.norm(other))
 
 
 def head_matrix(position: ArrayLike, quat_xyzw: ArrayLike) -> NDArray[np.float64]:
@@ -212,12 +227,13 @@ def stereo_cameras(
     head = plain(head_pose, "a head pose").astype(np.float64)
     if head.shape != (4, 4):
         raise FormatError(f"a head pose is a 4x4 matrix, not {head.shape}")
-    if not isinstance(size, Sequence) or isinstance(size, str) or len(size) != 2:
-        raise FormatError(f"size needs width and height, not {size!r:.40}")
-    ks = pinhole(*size, fov) if K is None else own(K, np.float64, "K")  # type: ignore[arg-type]
+    width, height = pixels(size)
+    ks = pinhole(width, height, fov) if K is None else own(K, np.float64, "K")  # type: ignore[arg-type]
     if ks.shape not in ((3, 3), (2, 3, 3)):
         raise FormatError(f"K needs shape (3, 3), or (2, 3, 3) for one a side, not {ks.shape}")
     ks, half = np.broadcast_to(ks, (2, 3, 3)), 0.5 * number(ipd, "ipd")
+    if not 0 <= 2 * half <= _WIDEST:
+        raise FormatError(f"ipd needs metres from 0 to {_WIDEST:g}, not {2 * half:g}; 63 mm are 0.063")
     eyes = []
     for index, (name, sign) in enumerate((("left", -1.0), ("right", 1.0))):
         world_from_eye = head.copy()
@@ -226,7 +242,7 @@ def stereo_cameras(
             viewmat = FLIP_YZ @ np.linalg.inv(world_from_eye)
         except np.linalg.LinAlgError:
             raise FormatError("a head pose needs a rotation and a place; this matrix has no inverse") from None
-        eyes.append(Camera(viewmat, ks[index], *size, background=background, name=name))
+        eyes.append(Camera(viewmat, ks[index], width, height, background=background, name=name))
     return eyes[0], eyes[1]
 
 
@@ -295,8 +311,9 @@ def _check_matrices(view: list[list[float]], k: list[list[float]]) -> None:
     for i in range(3):
         for j in range(i, 3):
             a, b = view[i], view[j]
-            if abs(a[0] * b[0] + a[1] * b[1] + a[2] * b[2] - (i == j)) > 1e-3:
-                raise FormatError(_NO_ROTATION)
+            off = abs(a[0] * b[0] + a[1] * b[1] + a[2] * b[2] - (i == j))
+            if off > ORTHONORMAL:
+                raise FormatError(f"{_NO_ROTATION}; R R^T is off by {off:.2g}, more than rounding is")
     x, y, z, w = view[3]
     if max(abs(x), abs(y), abs(z), abs(w - 1)) > 1e-6:
         raise FormatError(_NO_ROTATION)
@@ -325,17 +342,18 @@ def camera_from_json(view: Any, where: str) -> Camera:
         width, height = _whole(view["width"], "width"), _whole(view["height"], "height")
         fx, fy = _number(view["fx"], "fx"), _number(view["fy"], "fy")
         cx, cy = _number(view.get("cx", width / 2), "cx"), _number(view.get("cy", height / 2), "cy")
-        red, green, blue = (_number(v, "bg") for v in _list(view.get("bg", [0, 0, 0]), "bg", 3))
+        background = [_number(v, "bg") for v in _list(view.get("bg", [0, 0, 0]), "bg", 3)]
         rows = [[_number(v, "w2c") for v in _list(row, "w2c", 4)] for row in _list(view["w2c"], "w2c", 4)]
         return Camera(
             np.array(rows, np.float64),
             np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]]),
             width,
             height,
-            background=(red, green, blue),
+            background=background,
             near=_number(view.get("near", 0.01), "near"),
             far=_number(view.get("far", 1e10), "far"),
             sh_degree=_whole(view.get("sh_degree", 3), "sh_degree"),
+            name=view.get("name", ""),
         )
     except FormatError as error:
         raise FormatError(f"{where}: {error}") from None

@@ -84,13 +84,18 @@ class RenderConfig:
         for name, values in allowed.items():
             value = getattr(self, name)
             # True == 1 and 32.0 == 32: what is kept is the value meant, and a switch is no number
-            fit = [v for v in values if np.isscalar(value) == np.isscalar(v) and _is_switch(v) == _is_switch(value)]
+            several = isinstance(value, np.ndarray)  # equals nothing
+            fit = [
+                v
+                for v in values
+                if not several and np.isscalar(value) == np.isscalar(v) and _is_switch(v) == _is_switch(value)
+            ]
             chosen = next((v for v in fit if v == value), _NOTHING)
             if chosen is _NOTHING:
                 raise GlsplatError(f"{name} needs one of {', '.join(map(str, values))}, not {value!r:.60}")
             object.__setattr__(self, name, chosen)
         object.__setattr__(self, "sort_period", count(self.sort_period, "sort_period", GlsplatError))
-        if self.level != "auto":
+        if not (isinstance(self.level, str) and self.level == "auto"):
             object.__setattr__(self, "level", count(self.level, "level", GlsplatError))
             if not 0 <= int(self.level) <= MAX_LEVELS:
                 raise GlsplatError(f"level needs 0 to {MAX_LEVELS} or auto, not {self.level}")

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from glsplat.arrays import frozen_mapping, instance, plain
 from glsplat.errors import FormatError, PoseError
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.skeleton import Skeleton
 
-__all__ = ["MeshPart", "RiggedMesh", "standing", "vertex_normals"]
+__all__ = ["MeshPart", "Morphs", "RiggedMesh", "standing", "vertex_normals"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,6 +47,58 @@ class MeshPart:
         return (top * (1 - fy) + (t[y1, x0] * (1 - fx) + t[y1, x1] * fx) * fy) / 255.0
 
 
+@dataclass(frozen=True, eq=False, repr=False)
+class Morphs:
+    """Offsets of vertices in metres in the mesh's own space, those that are not zero: T targets, M offsets in all.
+
+    Target t, called ``names[t]``, at weight w moves vertex ``vertices[i]`` by w ``offsets[i]`` for the i from
+    ``starts[t]`` to ``starts[t + 1]``; targets add up (glTF 2.0, 3.7.2.2).
+    """
+
+    names: tuple[str, ...]
+    starts: NDArray[np.int64]  # [T + 1]
+    vertices: NDArray[np.uint32]  # [M]
+    offsets: NDArray[np.float32]  # [M, 3]
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    def __repr__(self) -> str:
+        return f"Morphs({len(self.names)} targets, {len(self.vertices)} offsets)"
+
+    @classmethod
+    def of(
+        cls, parts: Mapping[str, Sequence[tuple[NDArray[np.integer], NDArray[np.floating]]]]
+    ) -> Morphs:  # name -> vertices [K] and offsets [K, 3], of as many meshes as there are
+        """All of them in one, in that order."""
+        nothing = [(np.empty(0, np.uint32), np.empty((0, 3)))]
+        held = {name: list(of) or nothing for name, of in parts.items()}
+        sizes = [sum(len(vertices) for vertices, _ in of) for of in held.values()]
+        every = [one for of in held.values() for one in of]
+        vertices = [v for v, _ in every] or [np.empty(0, np.uint32)]
+        offsets = [o for _, o in every] or [np.empty((0, 3))]
+        return cls(
+            tuple(held),
+            np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64),
+            np.concatenate(vertices).astype(np.uint32),
+            np.concatenate(offsets).astype(np.float32),
+        )
+
+    def moved(self, pose: Pose, count: int) -> NDArray[np.float64]:
+        """[count, 3] offsets of all vertices with the pose's expression, weights within 0 and 1."""
+        out = np.zeros((count, 3))
+        for target, name in enumerate(self.names):
+            weight = min(max(pose.expression.get(name, 0.0), 0.0), 1.0)
+            part = slice(*self.starts[target : target + 2])
+            if weight:
+                np.add.at(out, self.vertices[part], weight * self.offsets[part].astype(np.float64))
+        return out
+
+    def turned(self, linear: NDArray[np.float64]) -> Morphs:
+        """Those of a mesh that was moved by ``linear`` [3, 3]."""
+        return replace(self, offsets=(self.offsets @ linear.T).astype(np.float32))
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class RiggedMesh:
     """Textured triangles as the rig that moves them was bound: a person, or with one joint a thing that stands.
@@ -68,9 +121,16 @@ class RiggedMesh:
     weights: NDArray[np.float64]  # [V, K] >= 0
     parts: tuple[MeshPart, ...]
     meta: Mapping[str, Any] = field(default_factory=dict)  # source, licence, ... (what the file says)
+    morphs: Morphs | None = None  # its face's expressions, by ARKit's names, in the space of ``vertices``
 
     def __post_init__(self) -> None:
-        count = len(self.vertices)
+        object.__setattr__(self, "meta", frozen_mapping(instance(self.meta, Mapping, "a mesh's meta")))
+        instance(self.skeleton, Skeleton, "a mesh's skeleton")
+        for name in ("vertices", "joints", "weights"):
+            plain(instance(getattr(self, name), np.ndarray, f"a mesh's {name}"), f"a mesh's {name}")
+        for part in instance(self.parts, tuple, "a mesh's parts"):
+            instance(part, MeshPart, "a mesh's parts")
+        count = self.vertices.shape[0] if self.vertices.ndim else 0
         if self.vertices.shape != (count, 3) or not np.isfinite(self.vertices).all():
             raise FormatError(f"a mesh needs finite vertices (V, 3), not {self.vertices.shape}")
         if self.joints.shape != self.weights.shape or self.joints.shape[:1] != (count,) or self.joints.ndim != 2:
@@ -79,6 +139,9 @@ class RiggedMesh:
             raise FormatError(f"a vertex is bound to joint {self.joints.max()} of {len(self.skeleton)}")
         if not self.parts or not sum(len(part.faces) for part in self.parts):
             raise FormatError("a mesh needs at least one triangle")
+        if self.morphs is not None:
+            if int(self.morphs.vertices.max(initial=0)) >= count or not np.isfinite(self.morphs.offsets).all():
+                raise FormatError(f"morph targets need finite offsets of the mesh's {count} vertices")
         for part in self.parts:
             if part.faces.size and not 0 <= part.faces.min() <= part.faces.max() < count:
                 raise FormatError(f'part "{part.name}" names vertex {part.faces.max()} of {count}')
@@ -110,11 +173,12 @@ class RiggedMesh:
         return replace(self, parts=parts)
 
     def posed(self, pose: Pose) -> NDArray[np.float64]:
-        """[V, 3] vertices under linear blend skinning."""
+        """[V, 3] vertices under linear blend skinning, after the pose's expression with weights from 0 to 1."""
         bones = pose.bones(self.skeleton)
+        vertices = self.vertices if self.morphs is None else self.vertices + self.morphs.moved(pose, len(self.vertices))
         total = self.weights.sum(axis=1, keepdims=True)
         blended = np.einsum("vk,vkij->vij", self.weights / np.where(total > 0, total, 1), bones[self.joints])
-        return np.einsum("vij,vj->vi", blended[:, :, :3], self.vertices) + blended[:, :, 3]
+        return np.einsum("vij,vj->vi", blended[:, :, :3], vertices) + blended[:, :, 3]
 
 
 def standing(vertices: NDArray[np.float64], parts: tuple[MeshPart, ...], source: str) -> RiggedMesh:

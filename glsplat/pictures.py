@@ -7,7 +7,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from glsplat.arrays import plain
+from glsplat.arrays import colour
 from glsplat.errors import GlsplatError
 
 __all__ = ["lifted", "straight"]
@@ -31,19 +31,17 @@ def straight(image: NDArray[Depth], background: ArrayLike = (0.0, 0.0, 0.0)) -> 
     if not isinstance(image, np.ndarray) or image.dtype not in (np.uint8, np.float32) or image.shape[-1:] != (4,):
         found = f"{image.dtype} of {image.shape}" if isinstance(image, np.ndarray) else type(image).__name__
         raise GlsplatError(f"straight() takes uint8 or float32 pictures [..., 4] as render() returns them, not {found}")
-    behind = plain(background, "background", GlsplatError).astype(np.float64)
-    if behind.shape != (3,) or not np.isfinite(behind).all():
-        raise GlsplatError(f"a background is three finite numbers, not {background!r:.60}")
+    behind = np.array(colour(background, "a background", GlsplatError))
     alpha, full = image[..., 3:], 1.0
     if image.dtype == np.uint8:
         # float64 divides two bytes exactly enough that a half is a half
         alpha, full = alpha.astype(np.float64), 255.0
     with np.errstate(all="ignore"):
-        colour = (image[..., :3] - (behind * (full - alpha)).astype(alpha.dtype)) * full / alpha
+        rgb = (image[..., :3] - (behind * (full - alpha)).astype(alpha.dtype)) * full / alpha
     if image.dtype == np.uint8:
-        colour = np.clip(np.floor(colour + 0.5), 0, 255)
+        rgb = np.clip(np.floor(rgb + 0.5), 0, 255)
     out = np.empty_like(image, order="C")
-    out[..., :3] = np.where(alpha > 0, colour, 0)
+    out[..., :3] = np.where(alpha > 0, rgb, 0)
     out[..., 3] = image[..., 3]
     return out
 

@@ -17,6 +17,7 @@ from glsplat.camera import Camera, passes_of, sorting_camera
 from glsplat.config import RenderConfig
 from glsplat.pictures import lifted
 from glsplat.rotations import is_rigid, quaternion_matrices, sh_basis
+from glsplat.skinning.shapes import BEND, Shapes, long_axes
 from glsplat.skinning.skin import Skin
 from glsplat.splats import Splats
 
@@ -28,6 +29,7 @@ __all__ = [
     "depth_order",
     "dilated_covariances",
     "evaluate_sh",
+    "expressed",
     "jacobians",
     "joined",
     "lifted",
@@ -38,6 +40,7 @@ __all__ = [
     "render_scene",
     "rest",
     "skin",
+    "steadiness",
 ]
 
 F64 = NDArray[np.float64]
@@ -103,6 +106,19 @@ def blended_rotations(blended: F64, anchor: F64, shift: float = 1.0) -> F64:
     column the answer steps by at most 0.3 degrees. ``shift`` is 1 for blends of rotations and 3 where a bone scales or
     reflects, so that Q + shift I has no negative eigenvalue.
     """
+    toward, column = _swing(blended, anchor, shift)
+    sign = np.where(np.einsum("ni,ni->n", toward, column) < 0, -1.0, 1.0)
+    quats = toward + (SELECT * sign)[:, None] * column
+    return quaternion_matrices(quats / np.linalg.norm(quats, axis=1, keepdims=True))
+
+
+def steadiness(blended: F64, anchor: F64, shift: float = 1.0) -> F64:
+    """[N] the length of P v (``blended_rotations``): near 1 far from a collapse, and what float32 divides by at one."""
+    return np.asarray(np.linalg.norm(_swing(blended, anchor, shift)[0], axis=1))
+
+
+def _swing(blended: F64, anchor: F64, shift: float) -> tuple[F64, F64]:
+    """[N, 4] P v, and the dominant column of P."""
     size = np.sqrt((blended**2).sum(axis=(1, 2)) / 3)
     scaled = blended / np.maximum(size, 1)[:, None, None]
     values, vectors = np.linalg.eigh(_davenport(scaled) + shift * np.eye(4))
@@ -110,22 +126,47 @@ def blended_rotations(blended: F64, anchor: F64, shift: float = 1.0) -> F64:
     relative /= relative.sum(axis=1, keepdims=True)
     power = np.einsum("nik,nk,njk->nij", vectors, relative, vectors)
     start = _dominant_column(_davenport(anchor) + np.eye(4))
-    toward = np.einsum("nij,nj->ni", power, start)
-    column = _dominant_column(power)
-    sign = np.where(np.einsum("ni,ni->n", toward, column) < 0, -1.0, 1.0)
-    quats = toward + (SELECT * sign)[:, None] * column
-    return quaternion_matrices(quats / np.linalg.norm(quats, axis=1, keepdims=True))
+    return np.einsum("nij,nj->ni", power, start), _dominant_column(power)
 
 
-def skin(splats: Splats, binding: Skin, bones: F64, mode: str = "polar") -> Posed:
-    """Linear blend skinning (paper, p_i' and Sigma_i'): ``bones`` [J, 3, 4], ``mode`` polar or raw (skin.glsl)."""
+def expressed(splats: Splats, shapes: Shapes, weights: F64) -> Posed:
+    """Splats at rest with an expression: ``weights`` [T] of the shapes (shapes.glsl)."""
+    still, rows = rest(splats), shapes.rows
+    amount = weights[shapes.targets]
+    means = still.means.copy()
+    units = shapes.sizes[shapes.targets].astype(np.float64)
+    np.add.at(means, rows, (amount * units)[:, None] * shapes.moves)
+    bends = np.zeros((len(splats), 2, 3))
+    np.add.at(bends, rows, (amount * BEND)[:, None, None] * shapes.bends)
+    moved = np.flatnonzero(np.diff(shapes.starts))  # the others are as they were, to the last bit
+    axes, order = quaternion_matrices(splats.quats[moved]), long_axes(splats.scales[moved])
+    a, b = (np.take_along_axis(axes, order[:, None, k, None], axis=2)[:, :, 0] + bends[moved, k] for k in (0, 1))
+    normal = np.cross(a, b)
+    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-20)
+    bent = np.empty_like(axes)
+    np.put_along_axis(bent, order[:, None, :], np.stack([a, b, normal], axis=2), axis=2)
+    shaped = still.shapes.copy()
+    shaped[moved] = bent * splats.scales[moved, None, :].astype(np.float64)
+    return Posed(means, shaped, still.rotations)
+
+
+def skin(
+    splats: Splats,
+    binding: Skin,
+    bones: F64,  # [J, 3, 4]
+    mode: str = "polar",  # or raw
+    shapes: Shapes | None = None,
+    expression: F64 | None = None,  # [T] weights of the shapes; None: all 0
+) -> Posed:
+    """An expression, then linear blend skinning (paper, p_i' and Sigma_i'; skin.glsl)."""
+    still = rest(splats) if shapes is None or expression is None else expressed(splats, shapes, expression)
     weights = binding.weights.astype(np.float64)
     blended = np.einsum("nk,nkij->nij", weights, bones[binding.joints])
-    means = np.einsum("nij,nj->ni", blended[:, :, :3], splats.means.astype(np.float64)) + blended[:, :, 3]
+    means = np.einsum("nij,nj->ni", blended[:, :, :3], still.means) + blended[:, :, 3]
     shift = 1.0 if is_rigid(bones) else 3.0
     rotations = blended_rotations(blended[:, :, :3], bones[binding.joints[:, 0], :, :3], shift)
     linear = rotations if mode == "polar" else blended[:, :, :3]
-    return Posed(means, linear @ rest(splats).shapes, rotations)
+    return Posed(means, linear @ still.shapes, rotations)
 
 
 def placed(posed: Posed, transform: F64) -> Posed:
@@ -260,10 +301,14 @@ def render(
     bones: F64 | None = None,  # [J, 3, 4]
     config: RenderConfig | None = None,
     sort_viewmat: F64 | None = None,  # [4, 4] default: the common centre of the views of a pass (camera.passes_of)
+    shapes: Shapes | None = None,
+    expression: F64 | None = None,  # [T] weights of the shapes
 ) -> F64:
     """The whole frame: [V, H, W, 4] RGB over the background (unclipped) and accumulated alpha, rows top down."""
     config = config or RenderConfig()
-    posed = rest(splats) if binding is None or bones is None else skin(splats, binding, bones, config.rotation)
+    posed = rest(splats)
+    if binding is not None and bones is not None:
+        posed = skin(splats, binding, bones, config.rotation, shapes, expression)
     images = []
     for indices in passes_of(cameras, config.order == "shared"):
         views = [cameras[i] for i in indices]

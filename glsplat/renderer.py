@@ -8,17 +8,19 @@ from __future__ import annotations
 from collections.abc import Collection, Hashable, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
-from types import TracebackType
-from typing import Any, Literal, overload
+from types import NoneType, TracebackType
+from typing import Any, Literal, Unpack, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from glsplat.arrays import count, flag, instance, pixels
 from glsplat.camera import Camera, passes_of, sorting_camera
 from glsplat.config import RenderConfig
 from glsplat.errors import ContextError, GlsplatError
 from glsplat.gl.context import Context, create_context
 from glsplat.gl.owner import Entry, abandon
+from glsplat.passes import views as checks
 from glsplat.passes.frame.budget import Budget
 from glsplat.passes.frame.pipeline import Pipeline
 from glsplat.passes.item.levels import Look
@@ -27,8 +29,7 @@ from glsplat.passes.staged import Staged
 from glsplat.passes.stats import FrameStats
 from glsplat.passes.target import FORMATS, Target
 from glsplat.passes.target_pool import TargetPool
-from glsplat.passes.views import checked_bias, checked_mark, checked_order, checked_out, checked_views
-from glsplat.renderer_thread import RendererThread
+from glsplat.renderer_thread import RendererThread, RenderOptions
 from glsplat.scene import Item, Scene, Shown
 from glsplat.shaders import Programs, Variant
 from glsplat.shaders.variant import MAX_VIEWS
@@ -61,26 +62,29 @@ class Renderer:
         context: Context | None = None,
         timed: bool = False,  # wait for the GPU at every stage mark: exact stages, slower frames
     ) -> None:
-        if views < 1:
-            raise GlsplatError(f"views needs at least 1, not {views}")
-        self.config: RenderConfig = config or RenderConfig()
-        self._owns_context = context is None
-        self.context: Context = context or create_context()
-        self.context.owner.check("Renderer()")
-        self._released = False
-        self._programs = Programs(self.context.ctx)
-        self.timer: StageTimer = StageTimer(self.context.ctx.finish if timed else None)
+        # all arguments first: what is refused must leave nothing behind, a context least of all
+        views, (width, height) = count(views, "views", GlsplatError, 1), pixels(size, error=GlsplatError)
+        config = RenderConfig() if config is None else config
+        self.config: RenderConfig = instance(config, RenderConfig, "config", GlsplatError)
+        instance(context, (Context, NoneType), "context", GlsplatError, "create_context(given=...) makes one")
+        waits, scene = flag(timed, "timed", GlsplatError), Scene.of(scene)
         self._staged: Staged | None = None
-        self._targets = TargetPool(self.context, self.target_dtype)
-        self._marks = Marks(self.context)
         self.stats: FrameStats = FrameStats(0, 0, 0)
         self.variant: Variant = Variant()  # of the last pass
         self.size: tuple[int, int] = (0, 0)
+        self._owns_context = context is None
+        self.context: Context = context or create_context()
+        self.context.owner.check("Renderer()")
+        self._programs = Programs(self.context.ctx)
+        self.timer: StageTimer = StageTimer(self.context.ctx.finish if waits else None)
+        self._targets = TargetPool(self.context, self.target_dtype)
+        self._marks = Marks(self.context)
+        self._released = False
         if self.context.state is not None and (self.config.sorter != "cpu" or self.config.fetch != "attributes"):
             self.context.state.look_after_storage()
         try:
             with self.context.entered("Renderer()"):
-                self._open(scene, size, views)
+                self._open(scene, width, height, views)
             if self._owns_context:
                 self.context.owner.leave()  # a new context stays current where none was
         except BaseException:
@@ -125,18 +129,23 @@ class Renderer:
 
         Not counted: the bone texture and the uniform blocks, which do not grow with the splats.
         """
+        self._check("nbytes")
         staged = self._staged.nbytes() if self._staged else {"splats": 0, "meshes": 0, "sh": 0, "work": 0}
         return staged | {"targets": self._targets.nbytes + self._marks.nbytes}
 
     def load(self, scene: Shown) -> None:
         """Replace the scene. The old one is kept until the new one is on the GPU, and stays if that fails."""
         with self._entered("load"):
-            self._load(scene)
+            self._load(Scene.of(scene))
 
     def resize(self, width: int, height: int) -> None:
         """Set the size of all views in pixels. Targets of a few sizes used before are kept: see drop_targets()."""
+        self._check("resize")
+        self._resize(*pixels((width, height), error=ContextError))
+
+    def _resize(self, width: int, height: int) -> None:
         limit = self.context.max_size
-        if not (0 < width <= limit and 0 < height <= limit):
+        if max(width, height) > limit:
             raise ContextError(f"size needs 1 to {limit} pixels a side on {self.driver}, not {width}x{height}")
         self.size = (width, height)
 
@@ -151,14 +160,8 @@ class Renderer:
         cameras: Sequence[Camera],
         pose: Pose | None = ...,
         *,
-        sort_viewmat: ArrayLike | None = ...,
-        budget: Budget | None = ...,
         depth: Literal[False] = ...,
-        out: NDArray[Any] | None = ...,
-        viewer: Hashable = ...,
-        lod_bias: float = ...,
-        without: Collection[Item] = ...,
-        mark: Mark | None = ...,
+        **options: Unpack[RenderOptions],
     ) -> NDArray[Any]: ...
 
     @overload
@@ -167,14 +170,8 @@ class Renderer:
         cameras: Sequence[Camera],
         pose: Pose | None = ...,
         *,
-        sort_viewmat: ArrayLike | None = ...,
-        budget: Budget | None = ...,
         depth: Literal[True],
-        out: NDArray[Any] | None = ...,
-        viewer: Hashable = ...,
-        lod_bias: float = ...,
-        without: Collection[Item] = ...,
-        mark: Mark | None = ...,
+        **options: Unpack[RenderOptions],
     ) -> tuple[NDArray[Any], NDArray[np.float32]]: ...
 
     def render(
@@ -196,18 +193,19 @@ class Renderer:
         Colours are multiplied by their alpha already (premultiplied); ``glsplat.straight(image)`` divides it out again,
         for PNG files and image libraries. float32 (unclipped) or uint8 by ``config.output``. With ``depth`` also
         [V, H, W] float32: camera z in metres, the mean of what a pixel shows by its weight in the picture, meshes
-        included; 0 where alpha is 0. The arrays are new with each call, but for ``out``. Raises PoseError for a pose
-        that does not fit, GlsplatError for cameras of another size, a ``lod_bias`` beyond 8 or a mark in float32,
-        BudgetError for a picture beyond its budget: the next one is drawn as if it had not been asked for.
+        included; 0 where alpha is 0; a 16F target is centimetres off where alpha is small, and one of 8 bits has none.
+        The arrays are new with each call, but for ``out``. Raises PoseError for a pose that does not fit, BudgetError
+        for a picture beyond its budget, GlsplatError for all else: the next one is drawn as if it had not been asked.
         """
-        order, lod_bias = checked_order(sort_viewmat), checked_bias(lod_bias)
-        cameras = self._views(cameras)
+        order, lod_bias = checks.checked_order(sort_viewmat), checks.checked_bias(lod_bias)
+        depth, cameras = checks.checked_depth(depth, self.target_dtype), self._views(cameras)
+        instance(budget, (Budget, NoneType), "budget", GlsplatError)
         with self._entered("render"):
             boxed = self.config.output == "uint8"
-            tile = None if mark is None else self._marks.tile(checked_mark(mark, boxed))
-            self._begin(pose, cameras, viewer, lod_bias, frozenset(map(id, without)))
+            tile = None if mark is None else self._marks.tile(checks.checked_mark(mark, boxed))
+            self._begin(pose, cameras, viewer, lod_bias, checks.checked_without(without, self._scene.scene))
             shape = (len(cameras), self.size[1], self.size[0], 4)
-            out = checked_out(out, shape, np.uint8 if boxed else np.float32)
+            out = checks.checked_out(out, shape, np.uint8 if boxed else np.float32)
             depths = np.empty(out.shape[:3] if depth else 0, np.float32)
             for ordinal, batch in enumerate(passes_of(cameras, self.config.order == "shared" or order is not None)):
                 views, mine = [cameras[i] for i in batch], slice(batch[0], batch[0] + len(batch))
@@ -287,8 +285,8 @@ class Renderer:
                 self.context.owner.check("Renderer.release()")
                 if self._owns_context:
                     stack.callback(self.context.release)
-                stack.enter_context(self.context.entered("Renderer.release()"))
-                self._free(stack)
+                with self.context.entered("Renderer.release()"), ExitStack() as own:
+                    self._free(own)
             self._owns_context, self._released = False, True
 
     def __enter__(self) -> Renderer:
@@ -305,7 +303,7 @@ class Renderer:
             label = f"a Renderer ({splats} splats, {self.size[0]}x{self.size[1]})"
             abandon(label, self.context.owner, self._forget, self._owns_context)
 
-    def _open(self, scene: Shown, size: tuple[int, int], views: int) -> None:
+    def _open(self, scene: Scene, width: int, height: int, views: int) -> None:
         """Check what the driver can do, and make what does not wait for the first frame."""
         geometry = self.config.layers == "geometry"
         if self.config.layers == "vertex" and not self.context.vertex_layers:
@@ -316,12 +314,12 @@ class Renderer:
             raise ContextError(f"{self.driver} has no storage buffers in the vertex shader; use fetch='attributes'")
         self._geometry = geometry or not self.context.vertex_layers
         self._triangle = self.config.shape == "triangle" or (self.config.shape == "auto" and self.context.software)
-        self.resize(*size)
+        self._resize(width, height)
         self._load(scene)
         self._targets.float_target(self.size, min(views, MAX_VIEWS))
 
-    def _load(self, scene: Shown) -> None:
-        made = Staged(self.context, self._programs, Scene.of(scene), self.config, self._geometry, self._triangle)
+    def _load(self, scene: Scene) -> None:
+        made = Staged(self.context, self._programs, scene, self.config, self._geometry, self._triangle)
         old, self._staged = self._staged, made
         if old is not None:
             old.release()
@@ -332,13 +330,18 @@ class Renderer:
             raise GlsplatError("this renderer has no scene: load() did not finish; call it again")
         return self._staged
 
-    def _entered(self, call: str) -> Entry:
+    def _check(self, call: str) -> None:
+        """Raise what a call raises that cannot be done here and now."""
         if self._released:
             raise GlsplatError("this renderer was released; make a new one")
+        self.context.owner.check(f"Renderer.{call}()")
+
+    def _entered(self, call: str) -> Entry:
+        self._check(call)
         return self.context.entered(f"Renderer.{call}()")
 
     def _views(self, cameras: Sequence[Camera]) -> list[Camera]:
-        return checked_views(cameras, self.size, "; call resize() first")
+        return checks.checked_views(cameras, self.size, "; call resize() first")
 
     def _begin(
         self,
@@ -384,10 +387,8 @@ class Renderer:
 
     def _free(self, stack: ExitStack) -> None:
         """Delete what this renderer made, whatever fails, when ``stack`` closes."""
-        stack.callback(self._programs.release)
-        stack.callback(self._marks.release)
-        stack.callback(self._targets.release)
-        stack.callback(self._drop_scene)
+        for free in (self._programs.release, self._marks.release, self._targets.release, self._drop_scene):
+            stack.callback(free)
 
     def _forget(self) -> None:
         """Release what was dropped. A context of its own goes with whoever still holds it."""

@@ -8,7 +8,7 @@ from typing import TypeGuard
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from glsplat.arrays import number
+from glsplat.arrays import flag, instance, listed, number, plain
 from glsplat.avatar import Avatar
 from glsplat.errors import GlsplatError, PoseError
 from glsplat.meshes import RiggedMesh
@@ -74,7 +74,7 @@ class Item:
         self._transform = _checked(np.eye(4) if transform is None else transform)
         self.visible = visible
         self.opacity = opacity
-        self._name = str(name)
+        self._name: str = instance(name, str, "an item's name", GlsplatError)
 
     @property
     def content(self) -> Content:
@@ -119,7 +119,7 @@ class Item:
 
     @visible.setter
     def visible(self, visible: bool) -> None:
-        self._visible = bool(visible)
+        self._visible = flag(visible, "an item's visible", GlsplatError)
 
     @property
     def opacity(self) -> float:
@@ -151,8 +151,10 @@ class Scene:
     """
 
     def __init__(self, items: Iterable[Item] = ()) -> None:
+        if isinstance(items, (Splats, Avatar, RiggedMesh, Item, str)) or not isinstance(items, Iterable):
+            raise GlsplatError(f"a scene needs a list of Items, not {type(items).__name__}; write Scene([Item(...)])")
         self._items: list[Item] = []
-        for item in items:
+        for item in listed(items, "a scene", GlsplatError):
             self.add(item)
 
     @classmethod
@@ -183,11 +185,12 @@ class Scene:
 
     def remove(self, item: Item) -> None:
         """Take an item out; its buffers are released with the next frame."""
-        for index, other in enumerate(self._items):
-            if other is item:
-                del self._items[index]
-                return
-        raise GlsplatError(f"{item} is not in the scene")
+        try:
+            if isinstance(item, Item):  # which equals nothing but itself
+                return self._items.remove(item)  # in one step: other threads may take out others
+        except ValueError:
+            pass
+        raise GlsplatError(f"{item!r:.60} is not in the scene")
 
     def __len__(self) -> int:
         return len(self._items)
@@ -213,16 +216,13 @@ def similarity(
     >>> (glsplat.similarity((0, 1, 0), scale=2) @ (1, 0, 0, 1)).tolist()
     [2.0, 1.0, 0.0, 1.0]
     """
-    try:
-        quat = np.asarray(rotation, np.float64)
-        offset = np.asarray(translation, np.float64)
-        size = float(scale)
-    except (TypeError, ValueError):
-        raise GlsplatError("a transform needs numbers: translation [3], rotation xyzw [4], scale") from None
+    quat = plain(rotation, "a rotation xyzw", GlsplatError).astype(np.float64)
+    offset = plain(translation, "a translation", GlsplatError).astype(np.float64)
+    size = number(scale, "a scale", GlsplatError)
     if quat.shape != (4,) or offset.shape != (3,):
         raise GlsplatError(f"a transform needs translation [3] and rotation xyzw [4], not {offset.shape}, {quat.shape}")
-    if not np.isfinite([size, *offset]).all():
-        raise GlsplatError(f"a transform needs finite numbers, not scale {size:g} and translation {offset.tolist()}")
+    if not np.isfinite(offset).all():
+        raise GlsplatError(f"a translation needs finite numbers, not {offset.tolist()}")
     norm = np.linalg.norm(quat) if np.abs(quat).max() < 1e100 else np.inf
     if not 1e-9 < norm < np.inf:
         raise GlsplatError(f"a rotation needs a finite quaternion xyzw of non-zero length, not {quat.tolist()}")
@@ -233,10 +233,7 @@ def similarity(
 
 
 def _checked(transform: ArrayLike) -> NDArray[np.float64]:
-    try:
-        matrix = np.array(transform, np.float64)
-    except (TypeError, ValueError):
-        raise GlsplatError("a transform is a 4x4 matrix of numbers") from None
+    matrix = np.array(plain(transform, "a transform (a 4x4 matrix of numbers)", GlsplatError), np.float64)
     if matrix.shape != (4, 4):
         raise GlsplatError(f"a transform is a 4x4 matrix, not {matrix.shape}; see glsplat.scene.similarity")
     if not np.isfinite(matrix).all():

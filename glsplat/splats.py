@@ -9,7 +9,7 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from glsplat.arrays import frozen, own, own_whole, plain, restored
+from glsplat.arrays import flag, frozen, listed, number, own, own_whole, plain, restored, rows, shares
 from glsplat.errors import FormatError
 
 __all__ = ["SH_C0", "Level", "Levels", "Splats", "checked_levels"]
@@ -115,6 +115,8 @@ class Splats:
         levels: Iterable[Level[Splats]] = (),
     ) -> None:
         arrays = {"means": means, "quats": quats, "scales": scales, "opacities": opacities, "sh": sh}
+        if plain(opacities, "opacities").dtype.kind != "f":  # whole numbers: 0 and 1, or 0 to 255
+            shares(opacities, "opacities")
         own_ones = {name: own(array, np.float32, name) for name, array in arrays.items()}
         n = own_ones["means"].shape[0] if own_ones["means"].ndim else 1
         shapes = {"means": (n, 3), "quats": (n, 4), "scales": (n, 3), "opacities": (n,)}
@@ -132,13 +134,11 @@ class Splats:
         held = None if cones is None else own_whole(cones, np.int8, "cones")
         if held is not None and held.shape != (n, 4):
             raise FormatError(f"cones needs int8 of shape ({n}, 4), not {held.shape}")
-        if not isinstance(antialias, (bool, np.bool_)):
-            raise FormatError(f"antialias is True or False, not {antialias!r:.40}")
-        for name, array in {**own_ones, "antialias": bool(antialias), "cones": held}.items():
+        for name, array in {**own_ones, "antialias": flag(antialias, "antialias"), "cones": held}.items():
             object.__setattr__(self, name, array)
         known = held is not None and cones_psnr is not None
-        object.__setattr__(self, "cones_psnr", float(cones_psnr) if known and cones_psnr is not None else None)
-        found = levels if isinstance(levels, Levels) else tuple(levels)
+        object.__setattr__(self, "cones_psnr", number(cones_psnr, "cones_psnr") if known else None)
+        found = levels if isinstance(levels, Levels) else listed(levels, "levels")
         sizes = [n, *(len(one.content) for one in found if isinstance(getattr(one, "content", None), Splats))]
         object.__setattr__(self, "levels", checked_levels(found, self, self.arrays, sizes) if found else ())
         if any(level.content.levels for level in self.levels):
@@ -205,13 +205,7 @@ class Splats:
 
         Raises FormatError outside of them.
         """
-        i = np.asarray(index)
-        n = len(self)
-        if i.dtype == bool and i.shape == (n,):
-            i = np.flatnonzero(i)
-        if i.ndim != 1 or (i.size and (i.dtype.kind not in "iu" or i.min() < -n or i.max() >= n)):
-            raise FormatError(f"take() needs a list of whole numbers below {n}, or {n} booleans")
-        i = i.astype(np.intp)  # an empty list has no integer type
+        i = rows(index, len(self))
         arrays = (self.means, self.quats, self.scales, self.opacities, self.sh)
         means, quats, scales, opacities, sh = (frozen(a.take(i, axis=0)) for a in arrays)
         cones = None if self.cones is None else frozen(self.cones.take(i, axis=0))
@@ -224,6 +218,10 @@ class Splats:
             ok &= np.isfinite(array).all(axis=1)
         ok &= np.isfinite(self.sh).all(axis=(1, 2))
         return ok
+
+    def drawable(self) -> NDArray[np.bool_]:
+        """[N] True where every attribute is finite and there is a rotation; no other splat is ever drawn."""
+        return self.finite() & self.quats.any(axis=1)
 
 
 def normalised(quats: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -249,15 +247,9 @@ def _are_unit(quats: NDArray[np.float32]) -> bool:
 
 def _sh_of(rgb: ArrayLike) -> NDArray[np.float32]:
     """[N, 1, 3] coefficients of plain colours."""
-    colours = plain(rgb, "rgb")
+    colours = shares(rgb, "rgb", hint=", or give sh for more light")
     colours = colours.reshape(0, 3) if colours.shape == (0,) else colours
     if colours.ndim != 2 or colours.shape[1] != 3:
         raise FormatError(f"rgb needs shape (N, 3), not {colours.shape}")
-    finite = colours[np.isfinite(colours)]
-    brightest, darkest = finite.max(initial=0), finite.min(initial=0)
-    if brightest > (2 if colours.dtype.kind == "f" else 1):
-        raise FormatError(f"rgb needs 0 to 1, found {brightest:g}; divide 0 to 255 by 255, or give sh for more light")
-    if darkest < -1:
-        raise FormatError(f"rgb needs 0 to 1, found {darkest:g}")
     with np.errstate(over="ignore"):
         return frozen(((colours.astype(np.float64) - 0.5) / SH_C0)[:, None, :].astype(np.float32))

@@ -19,7 +19,8 @@ def run_chunk(
     outputs: Mapping[str, int],  # name -> floats
     variant: Variant | SkinVariant | MeshVariant | None = None,
     frame: NDArray[np.void] | None = None,
-    textures: Mapping[str, NDArray[np.float32]] | None = None,  # sampler -> [rows, columns, components]
+    # sampler -> [rows, columns, components] of uint32, or of what becomes float32
+    textures: Mapping[str, NDArray[np.generic]] | None = None,
     uniforms: Mapping[str, float | tuple[float, ...]] | None = None,
     vertices: int | None = None,  # where there are no inputs
 ) -> dict[str, NDArray[np.float32]]:
@@ -51,7 +52,8 @@ def run_chunk(
         block.bind_to_uniform_block(0)
     for unit, (name, texels) in enumerate((textures or {}).items()):
         rows, columns, components = texels.shape
-        buffers.append(ctx.texture((columns, rows), components, np.ascontiguousarray(texels, np.float32), dtype="f4"))
+        dtype, kind = ("u4", np.uint32) if texels.dtype.kind == "u" else ("f4", np.float32)
+        buffers.append(ctx.texture((columns, rows), components, np.ascontiguousarray(texels, kind), dtype=dtype))
         buffers[-1].use(unit)
         program[name] = unit
     for name, value in (uniforms or {}).items():

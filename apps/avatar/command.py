@@ -20,6 +20,7 @@ from glsplat.formats.scene_file import upright
 from glsplat.formats.transform import transformed
 from glsplat.making.cones import ConeConfig, with_cones
 from glsplat.making.detail.make import with_levels
+from glsplat.making.faces.shapes import with_shapes
 from glsplat.making.gltf.rig_map import read_rig_map
 from glsplat.making.importers import bind_to_mesh, load_lhm_dump
 from glsplat.making.lam import FOLLOW, is_lam_zip, load_lam_zip
@@ -174,6 +175,7 @@ def _make(args: argparse.Namespace) -> int:
             avatar = fitted_to_mesh(avatar, mesh, args.seed, args.steps, show)
         if counts:
             avatar = with_levels(avatar, counts, args.seed, progress=show)
+        avatar = with_shapes(avatar, mesh)
         if not args.no_cones:
             avatar = with_cones(avatar, progress=show)
     _say(args.person, doubts(mesh, avatar, args.splats, args.extra_scale), told)
@@ -232,7 +234,8 @@ def _import(args: argparse.Namespace) -> int:
     scene = load(args.dump)
     splats = scene.splats if isinstance(scene, Avatar) else scene
     try:
-        avatar = bind_to_mesh(splats, read_any_person(args.mesh), args.reach / 100)
+        mesh = read_any_person(args.mesh)
+        avatar = with_shapes(bind_to_mesh(splats, mesh, args.reach / 100), mesh)
     except FormatError as error:
         text = str(error)
         raise FormatError(text if text.startswith(str(args.mesh)) else f"{args.dump}: {text}") from None

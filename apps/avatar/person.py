@@ -77,7 +77,8 @@ def _turned(mesh: RiggedMesh, turn: NDArray[np.float64]) -> RiggedMesh:
     whole[:3, :3] = turn
     old = mesh.skeleton
     skeleton = Skeleton(old.names, old.parents, whole @ old.rest, old.inverse_bind @ whole.T)
-    return replace(mesh, vertices=mesh.vertices @ turn.T, skeleton=skeleton)
+    morphs = None if mesh.morphs is None else mesh.morphs.turned(turn)
+    return replace(mesh, vertices=mesh.vertices @ turn.T, skeleton=skeleton, morphs=morphs)
 
 
 def doubts(mesh: RiggedMesh, avatar: Avatar | None = None, asked: int = 0, scale: float = 1.0) -> Iterator[str]:

@@ -45,8 +45,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "front",
         type=Path,
-        help="the whole person from the front, arms off the body (.jpg, .png); or a folder of such pictures, and "
-        "--out is one, too",
+        help="the whole person from the front, best with arms off the body (.jpg, .png); or a folder of such "
+        "pictures, and --out is one, too",
     )
     for side in _OTHERS:
         parser.add_argument(f"--{side}", type=Path, help=f"the same person in the same pose, seen from the {side}")
@@ -80,7 +80,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help=f"what makes the avatar: {', '.join(names())} (default %(default)s; docs/photo.md)",
     )
     parser.add_argument("--check", action="store_true", help="say whether the pictures will do, and make nothing")
-    parser.add_argument("--anyway", action="store_true", help="go on with pictures in which the check found faults")
+    parser.add_argument("--anyway", action="store_true", help="go on with pictures that the check refuses")
     parser.add_argument(
         "--cones", action="store_true", help="make visibility cones, too (minutes; --cull-hidden needs them)"
     )
@@ -127,7 +127,9 @@ def _one(args: argparse.Namespace) -> int:
         except CaptureError as error:
             _sheet(args, shots, done)
             if args.json:
-                found = [{"side": side, "code": code, "text": text} for side, code, text in error.findings]
+                found = [
+                    {"side": side, "code": code, "kind": "refusal", "text": text} for side, code, text in error.findings
+                ]
                 print(json.dumps({"out": None, "findings": found}))
             hopeless = args.anyway or any(shot.capture.person is None for shot in shots.values())
             hint = "" if hopeless else "; --anyway goes on all the same"
@@ -139,7 +141,7 @@ def _one(args: argparse.Namespace) -> int:
             avatar = with_cones(done.avatar, progress=show) if args.cones else done.avatar
             code = write(avatar, args, began, _facts(done), _guessed(avatar.meta))
     if not args.json:
-        _notes(shots)
+        _notes(shots, guessed=True)
         if not mesh and options.steps and args.using == "builtin" and not available():
             print(f"glsplat avatar photo: {MISSING}", file=sys.stderr)
     return code
@@ -172,23 +174,27 @@ def _shots(args: argparse.Namespace, show: Progress) -> dict[str, Shot]:
 
 
 def _report(shots: Mapping[str, Shot], args: argparse.Namespace) -> int:
-    """The check alone: a line for everything found."""
-    good = all(shot.capture.good for shot in shots.values())
+    """The check alone: a line for everything found, and 1 if a picture is refused."""
+    good = not any(shot.capture.refused for shot in shots.values())
     _sheet(args, shots)
     if args.json:
         print(json.dumps({"good": good, "pictures": _pictures(shots)}))
         return 0 if good else 1
     for shot in shots.values():
         for finding in shot.capture.findings:
-            print(f"{shot.name}: {finding.code}: {finding.text}")
-        if shot.capture.good:
+            kind = "" if finding.refusal else "note: "
+            print(f"{shot.name}: {kind}{finding.code}: {finding.text}")
+        if not shot.capture.refused:
             print(f"{shot.name}: will do as the {shot.side}")
     _notes(shots)
     return 0 if good else 1
 
 
-def _notes(shots: Mapping[str, Shot]) -> None:
+def _notes(shots: Mapping[str, Shot], guessed: bool = False) -> None:
+    """What the files tell, and with ``guessed`` what the avatar was guessed from."""
     for shot in shots.values():
+        for finding in shot.capture.findings if guessed else ():
+            print(f"{shot.name}: {finding.text}")
         for note in shot.photo.notes:
             print(f"{shot.name}: {note}")
 
@@ -199,7 +205,9 @@ def _pictures(shots: Mapping[str, Shot]) -> list[dict[str, Any]]:
             "side": shot.side,
             "file": shot.name,
             "size": shot.photo.size,
-            "findings": [{"code": finding.code, "text": finding.text} for finding in shot.capture.findings],
+            "findings": [
+                {"code": finding.code, "kind": finding.kind, "text": finding.text} for finding in shot.capture.findings
+            ],
             "notes": shot.photo.notes,
         }
         for shot in shots.values()

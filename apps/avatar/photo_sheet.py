@@ -99,7 +99,7 @@ def _outline(shot: Shot) -> Image:
     cv2.drawContours(shown, contours, -1, _OUTLINE, 2, cv2.LINE_AA)
     found = [finding.code for finding in shot.capture.findings]
     shown = _titled(shown, f"{shot.side}: {', '.join(found) or 'nothing wrong found'}")
-    if found:
+    if shot.capture.refused:
         cv2.rectangle(shown, (0, 0), (_CELL[0] - 1, _CELL[1] - 1), _WRONG, 4)
     return shown
 

@@ -6,16 +6,18 @@ import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
+from zlib import crc32
 
 import cv2
 import moderngl
 import numpy as np
+from numpy.typing import NDArray
 
 from glsplat.camera import Camera
 from glsplat.errors import GlsplatError
 from glsplat.passes.target import Target
 from glsplat.scene import Shown
-from glsplat.skinning.pose import Pose
+from glsplat.skinning.pose import EXPRESSION, Pose
 from glsplat.skinning.smplx import JOINT_NAMES
 
 from ..replay.command import Recording, load_drive
@@ -160,6 +162,8 @@ def _wish(cameras: Sequence[Camera], player: Player | None) -> Wish:
     joints: dict[str, Any] = {"joints": dict(zip(names, pose.rotations, strict=True)), "trans": pose.trans}
     if pose.translations is not None:
         joints["translations"] = dict(zip(names, pose.translations, strict=True))
+    if pose.expression:
+        joints[EXPRESSION] = dict(pose.expression)
     return Wish(cameras, joints)
 
 
@@ -170,8 +174,15 @@ def _same(a: Wish, b: Wish) -> bool:
 def _numbers(wish: Wish) -> np.ndarray[Any, np.dtype[np.float64]]:
     parts = [np.append(np.append(c.viewmat, c.K), (c.width, c.height)) for c in wish.cameras]
     if isinstance(wish.pose, Pose):
-        parts += [wish.pose.rotations.ravel(), wish.pose.trans]
+        parts += [wish.pose.rotations.ravel(), wish.pose.trans, _weights(wish.pose.expression)]
     elif wish.pose is not None:
         parts += [wish.pose["trans"]]
         parts += [value for key in ("joints", "translations") for value in wish.pose.get(key, {}).values()]
+        parts += [_weights(wish.pose.get(EXPRESSION, {}))]
     return np.concatenate(parts)
+
+
+def _weights(expression: Mapping[str, float]) -> NDArray[np.float64]:
+    """Told apart by names, too."""
+    numbers = [(float(crc32(name.encode())), weight) for name, weight in sorted(expression.items())]
+    return np.array(numbers, np.float64).ravel()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from math import isfinite
 from pathlib import Path
@@ -73,7 +73,8 @@ def _solved(name: str, skeleton: Skeleton) -> Motion:
     chosen = np.searchsorted(moments, moments[0] + (np.arange(count) + 0.5) * step) - 1
     rotations = np.stack([poses[i].rotations for i in chosen])
     trans = np.stack([poses[i].trans for i in chosen])
-    return Motion(1 / step, rotations, trans, skeleton.names, Path(name).stem)
+    motion = Motion(1 / step, rotations, trans, skeleton.names, Path(name).stem)
+    return replace(motion, expressions=tuple(poses[i].expression for i in chosen))
 
 
 def read_dropped(name: str, skeleton: Skeleton | None) -> Dropped:

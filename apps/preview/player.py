@@ -142,7 +142,7 @@ class Player:
         rotations: NDArray[np.float64] = pose.rotations.copy()
         for joint, turn in self._turns.items():
             rotations[joint] = quaternion_vectors(quaternion_product(vector_quaternions(rotations[joint]), turn))
-        return Pose(rotations, pose.trans, pose.translations)
+        return Pose(rotations, pose.trans, pose.translations, pose.expression)
 
 
 def players_of(file: SceneFile) -> tuple[Player | None, Others]:

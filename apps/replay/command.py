@@ -26,8 +26,9 @@ from glsplat.motion.motion import Motion, embedded_motions
 from glsplat.net.client import Client
 from glsplat.net.guard.access import read_token
 from glsplat.net.reply import Reply
+from glsplat.skinning.pose import EXPRESSION
 from glsplat.skinning.smplx import JOINT_NAMES
-from glsplat.tracking.derive import derive, truth_from_motion
+from glsplat.tracking.derive import derive, truth_from_motion, with_expressions
 from glsplat.tracking.recording import embedded_recording
 from glsplat.tracking.recording import replay as read_samples
 from glsplat.tracking.sample import Sample
@@ -215,7 +216,8 @@ class Played:
         if self.motion.names == JOINT_NAMES:
             return Driven(pose, root=pose.trans)
         joints = dict(zip(self.motion.names, pose.rotations.tolist(), strict=True))
-        return Driven({"joints": joints, "trans": pose.trans.tolist()}, root=pose.trans)
+        sent: dict[str, Any] = {"joints": joints, "trans": pose.trans.tolist()}
+        return Driven(sent | ({EXPRESSION: dict(pose.expression)} if pose.expression else {}), root=pose.trans)
 
 
 def load_drive(
@@ -240,7 +242,8 @@ def load_drive(
     motion = motion_of(name or default_motion(), skeleton, option)
     if tracking or name is None:
         truth = truth_from_motion(skeleton, motion.rotations, motion.trans, motion.fps, _TRACKING_RATE)
-        return _recording(derive(skeleton, truth), motion.label), motion.duration
+        samples = with_expressions(derive(skeleton, truth), motion)
+        return _recording(samples, motion.label), motion.duration
     return Played(motion), motion.duration
 
 

@@ -16,7 +16,7 @@ from glsplat.errors import PoseError
 from glsplat.evaluate.tracking_score import Score, score
 from glsplat.skinning.pose import Pose
 from glsplat.tracking.calibration import Calibration, calibrate
-from glsplat.tracking.derive import EXTRAS, Disturbance, Truth, derive, disturb, truth_from_motion
+from glsplat.tracking.derive import EXTRAS, Disturbance, Truth, derive, disturb, truth_from_motion, with_expressions
 from glsplat.tracking.recording import read_poses, record, replay, write_lines
 from glsplat.tracking.sample import TRACKERS, Sample
 from glsplat.tracking.solve.body import Body
@@ -108,7 +108,7 @@ def from_motion(args: argparse.Namespace) -> int:
         latency_s=args.latency_ms / 1000,
         seed=args.seed,
     )
-    samples = derive(skeleton, truth, fingers=not args.no_fingers, trackers=trackers)
+    samples = with_expressions(derive(skeleton, truth, fingers=not args.no_fingers, trackers=trackers), motion)
     record(args.output, disturb(samples, how) if how != Disturbance(seed=args.seed) else samples)
     if args.truth:
         write_lines(args.truth, truth_lines(truth))

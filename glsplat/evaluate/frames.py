@@ -115,7 +115,7 @@ class Bench:
                 pose_at(i / 30)
             pair.render(eyes, pose)
             total = pair.timings["total"]
-            with self._context.entered("Bench"), query:
+            with self._context, query:
                 lowest = pair.redraw(eyes)
             two = 0.0
             for eye in eyes:

@@ -17,7 +17,7 @@ from glsplat.tracking.learned.network import Network
 from glsplat.tracking.learned.solver import LearnedSolver
 from glsplat.tracking.solve.body import Body
 from glsplat.tracking.solve.solver import AnalyticSolver
-from glsplat.tracking.solvers import embedded_network, embedded_trust
+from glsplat.tracking.solvers import embedded_network
 from glsplat.tracking.tracker import Tracker, TrackerConfig
 
 __all__ = ["SOLVERS", "Row", "rows_of"]
@@ -51,7 +51,7 @@ def rows_of(
     samples = derive(skeleton, truth)
     network = network or embedded_network()
     for name_of in SOLVERS[2:]:
-        solver = AnalyticSolver(body) if name_of == "analytic" else LearnedSolver(body, network, embedded_trust())
+        solver = AnalyticSolver(body) if name_of == "analytic" else LearnedSolver(body, network)
         tracker = Tracker(skeleton, config=config, head_only=name_of == SOLVERS[-1], solver=solver)
         rotations, trans, spent = np.empty_like(truth.rotations), np.empty_like(truth.trans), []
         for i, sample in enumerate(samples):

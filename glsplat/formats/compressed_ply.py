@@ -183,12 +183,8 @@ def save_compressed_ply(splats: Splats, target: Source) -> None:
 
 def _order(splats: Splats) -> NDArray[np.intp]:
     """Which splats a file has, in the order it has them in."""
-    kept = np.flatnonzero(_drawable(splats))
+    kept = np.flatnonzero(splats.drawable())
     return kept[morton_order(splats.means[kept])]
-
-
-def _drawable(splats: Splats) -> NDArray[np.bool_]:
-    return splats.finite() & splats.quats.any(axis=1)
 
 
 def _packed(splats: Splats, order: NDArray[np.intp]) -> Iterator[bytes]:
@@ -255,7 +251,7 @@ def _word(parts: NDArray[np.floating], bits: tuple[int, ...]) -> NDArray[np.uint
 
 def _loses(scene: Splats | Avatar) -> Iterator[str]:
     splats = splats_of(scene)
-    drawable = _drawable(splats)
+    drawable = splats.drawable()
     if not drawable.all():
         yield f"{int((~drawable).sum())} splats with NaN, infinity or a zero quaternion, never drawn, are left out"
     yield "the splats are put into Morton order (neighbours in space are neighbours in the file)"

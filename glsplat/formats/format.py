@@ -16,7 +16,7 @@ from glsplat.formats.files import Source, sampled
 from glsplat.splats import Splats
 from glsplat.views import splats_of
 
-__all__ = ["Format", "Start", "clamped_opacities", "positive_scales"]
+__all__ = ["Format", "Start", "clamped_opacities", "hidden", "positive_scales"]
 
 
 _PLACED = 1e-3  # metres, or of an axis
@@ -77,6 +77,8 @@ class Format:
                 "zero pose" if _bound_at_rest(scene) else "pose it was bound in (glsplat avatar export writes others)"
             )
             yield f"the rig of {len(scene.skeleton)} joints is dropped, the file holds the {pose}"
+            if scene.shapes is not None:
+                yield f"the {len(scene.shapes)} shapes of the face are dropped"
             if isinstance(scene.meta.get(CONSENT), dict):
                 yield "the signed consent is dropped, only a .glb carries one"
         if splats_of(scene).cones is not None and not self.cones:
@@ -95,11 +97,16 @@ def _bound_at_rest(avatar: Avatar) -> bool:
 
 def clamped_opacities(scene: Splats | Avatar) -> Iterator[str]:
     """The sentence of a format whose opacities are those between 0 and 1."""
-    opacities = splats_of(scene).opacities
-    with np.errstate(invalid="ignore"):
-        outside = int(((opacities < 0) | (opacities > 1)).sum())
+    splats = splats_of(scene)
+    outside = int((splats.drawable() & ((splats.opacities < 0) | (splats.opacities > 1))).sum())
     if outside:
         yield f"{outside} opacities outside 0 to 1 are clamped"
+
+
+def hidden(which: NDArray[np.bool_]) -> Iterator[str]:
+    """The sentence of a format without the numbers that keep ``which`` [N] splats from being drawn."""
+    if which.any():
+        yield f"{int(which.sum())} splats that are never drawn (not finite, or a zero quaternion) become transparent"
 
 
 def positive_scales(scene: Splats | Avatar) -> Iterator[str]:

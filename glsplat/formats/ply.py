@@ -95,7 +95,8 @@ def _packed(header: bytes, splats: Splats) -> Iterator[bytes | memoryview]:
         part = slice(at, at + _CHUNK)
         sh = splats.sh[part]
         with np.errstate(all="ignore"):
-            opacity = np.clip(splats.opacities[part, None].astype(np.float64), 0, 1)
+            opacity = splats.opacities[part, None].astype(np.float64)
+            opacity = np.where(np.isfinite(opacity), np.clip(opacity, 0, 1), np.nan)  # infinite, it was never drawn
             logit = np.clip(np.log(opacity) - np.log1p(-opacity), -_LOGIT_LIMIT, _LOGIT_LIMIT)
             log = np.maximum(np.log(np.abs(splats.scales[part].astype(np.float64))), _LOG_ZERO)
             rest = sh[:, 1:].transpose(0, 2, 1).reshape(len(sh), -1)

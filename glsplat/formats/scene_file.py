@@ -17,6 +17,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from glsplat.arrays import colour
 from glsplat.errors import FormatError, GlsplatError
 from glsplat.formats import load
 from glsplat.formats.files import open_regular
@@ -150,9 +151,8 @@ class _Reading:
             raise FormatError(f"{path}: a scene file holds at most {MOST_ITEMS} items, it and those it names")
         if not trail:
             self.out.background, self.out.up = data.background, data.up
-            if not np.isfinite(data.background).all() or np.abs(data.background).max() > 1e12:
-                raise FormatError(f"{path}: background needs three finite numbers")
         try:
+            colour(data.background, "background")
             turn = place @ upright(data.up)
         except GlsplatError as error:
             raise FormatError(f"{path}: {error}") from None

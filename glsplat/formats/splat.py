@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from glsplat.avatar import Avatar
 from glsplat.errors import FormatError
 from glsplat.formats.files import Source, checked, naming, open_regular, replace_file, sampled
-from glsplat.formats.format import Format, Start, clamped_opacities, positive_scales
+from glsplat.formats.format import Format, Start, clamped_opacities, hidden, positive_scales
 from glsplat.splats import SH_C0, Splats, normalised
 from glsplat.views import splats_of
 
@@ -83,18 +83,27 @@ def _holes(rows: NDArray[np.void]) -> float:
 def save_splat(splats: Splats, target: Source) -> None:
     """Write a .splat file: degree 0 of the colour only, colour, opacity and rotation rounded to 8 bits.
 
-    A negative scale is written as its magnitude, a rotation by the quaternion with w >= 0: the same splat. Raises
+    A negative scale is written as its magnitude, a rotation by the quaternion with w >= 0: the same splat. A splat
+    whose colour, opacity or rotation is not finite, which is never drawn, becomes transparent. Raises
     FormatError when ``target`` cannot be written.
     """
     replace_file(target, _packed(splats))
 
 
+def _hidden(splats: Splats) -> NDArray[np.bool_]:
+    """[N] True where what keeps a splat from being drawn is no number of 8 bits."""
+    kept = np.isfinite(splats.quats).all(axis=1) & np.isfinite(splats.opacities)
+    return ~(kept & np.isfinite(splats.sh).all(axis=(1, 2)))
+
+
 def _packed(splats: Splats) -> Iterator[bytes]:
+    unseen = _hidden(splats)
     for at in range(0, len(splats), _CHUNK):
         part = slice(at, at + _CHUNK)
         rows = np.empty(len(splats.means[part]), _RECORD)
         rows["mean"], rows["scale"] = splats.means[part], np.abs(splats.scales[part])
-        rgba = np.hstack([splats.sh[part, 0] * np.float32(SH_C0) + np.float32(0.5), splats.opacities[part, None]])
+        opacities = np.where(unseen[part], 0, splats.opacities[part])
+        rgba = np.hstack([splats.sh[part, 0] * np.float32(SH_C0) + np.float32(0.5), opacities[:, None]])
         rows["rgba"] = np.rint(np.clip(np.nan_to_num(rgba), 0, 1) * 255)
         quats = np.clip(np.nan_to_num(splats.quats[part]), -1, 1)
         quats = np.where(quats[:, :1] < 0, -quats, quats)  # a byte of 128 or more in each splat: it is never text
@@ -117,6 +126,7 @@ def _loses(scene: Splats | Avatar) -> Iterator[str]:
         yield f"spherical harmonics of degree {splats.sh_degree} are dropped, the file holds degree 0"
     if splats.antialias:
         yield "that the splats want opacity compensation is dropped; draw them with --antialias"
+    yield from hidden(_hidden(splats))
     yield from clamped_opacities(scene)
     yield from positive_scales(scene)
     with np.errstate(invalid="ignore"):  # below 0 they are drawn as 0

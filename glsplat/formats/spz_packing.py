@@ -26,6 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.arrays import frozen
+from glsplat.formats.format import hidden
 from glsplat.rotations import sh_rotations
 from glsplat.splats import Splats, normalised
 
@@ -110,7 +111,7 @@ def packed(splats: Splats, header: Header) -> Iterator[bytes]:
     A splat that is never drawn, since something of it is not finite or its quaternion is zero, becomes a transparent
     one in the origin: SPZ has no such numbers.
     """
-    drawn = _drawn(splats)
+    drawn = splats.drawable()
     parts = [slice(at, at + _CHUNK) for at in range(0, len(splats), _CHUNK)]
     axes = HALF_TURN.diagonal().astype(np.float32)
     with np.errstate(all="ignore"):  # what is not drawn may be anything
@@ -146,9 +147,8 @@ def position_bits(splats: Splats) -> int:
 
 def lost(splats: Splats) -> Iterator[str]:
     """What ``packed`` does not keep, rounding apart, a sentence each."""
-    drawn = _drawn(splats)
-    if not drawn.all():
-        yield f"{int((~drawn).sum())} splats that are never drawn (not finite, or a zero quaternion) become transparent"
+    drawn = splats.drawable()
+    yield from hidden(~drawn)
     with np.errstate(all="ignore"):
         limit = (_LARGEST + 1) / 2 ** position_bits(splats)
         beyond = int((np.abs(splats.means[drawn]) > limit).any(axis=1).sum())
@@ -171,10 +171,6 @@ def lost(splats: Splats) -> Iterator[str]:
                 "spherical harmonics keep 5 bits in degree 1 and 4 above, between -1 and 1"
                 + f"; {high} of {rest.size} coefficients are clamped" * bool(high)
             )
-
-
-def _drawn(splats: Splats) -> NDArray[np.bool_]:
-    return splats.finite() & splats.quats.any(axis=1)
 
 
 def _buckets(splats: Splats) -> F32:

@@ -11,12 +11,13 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from types import TracebackType
+from types import NoneType, TracebackType
 from typing import Any
 
 import moderngl
 import numpy as np
 
+from glsplat.arrays import instance
 from glsplat.errors import ContextError, ShaderError
 from glsplat.gl import current
 from glsplat.gl.owner import Entry, Owner, check_process, destroy_when_dropped, owner_of, release_dropped
@@ -78,7 +79,7 @@ class Context:
         return Entry(self.owner, call, self.state)
 
     def __enter__(self) -> Context:
-        stay = Entry(self.owner, "Context", None)
+        stay = Entry(self.owner, "Context", None, draws=False)
         stay.__enter__()
         self._stays.append(stay)
         return self
@@ -129,6 +130,12 @@ def create_context(
     >>> context.release()
     """
     check_process()
+    kinds = (int, str, NoneType)
+    if isinstance(device, bool) or not isinstance(device, kinds) or not isinstance(backend, (str, NoneType)):
+        raise ContextError(
+            f"device needs an index or a name and backend a name, not {device!r:.40} and {backend!r:.40}"
+        )
+    instance(given, (moderngl.Context, NoneType), "given", ContextError, "make it with moderngl.create_context()")
     current.look()
     release_dropped()
     if given is not None:
@@ -207,7 +214,7 @@ def _egl(wanted: int | str | None) -> moderngl.Context:
             matches = [int(text)] if int(text) < len(names) else []
         if not matches:
             listed = "; ".join(f"{i}: {name}" for i, name in enumerate(names))
-            raise ContextError(f"no EGL device {text!r}; there are {listed}")
+            raise ContextError(f"no EGL device {text!r:.40}; there are {listed}")
         index = matches[0]
     # glcontext lets this variable override the argument it is given
     variable = os.environ.pop("GLCONTEXT_DEVICE_INDEX", None)
@@ -309,11 +316,8 @@ def _kept_current(whatever: bool = False) -> Iterator[None]:
         whatever = True
         raise
     finally:
-        if former is not None:
-            if not current.is_current(former):
-                current.bind(former)
-        elif whatever:
-            current.unbind()
+        if former is not None or whatever:
+            current.give_back(former)
 
 
 def _check_version(ctx: moderngl.Context) -> None:

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 from glsplat.errors import ContextError
 
-__all__ = ["Binding", "bind", "binding", "is_current", "look", "unbind"]
+__all__ = ["Binding", "bind", "binding", "give_back", "is_current", "look", "unbind"]
 
 Handle = int | None
 
@@ -209,6 +209,17 @@ def bind(mine: Binding) -> None:
         )
     if mine.api is not _OSMESA:
         _OSMESA.note(mine.context)
+
+
+def give_back(former: Binding | None) -> None:
+    """What was current before is again; nothing is where that was nothing, or was destroyed, current as it was."""
+    if former is None:
+        unbind()
+    elif not is_current(former):
+        try:
+            bind(former)
+        except ContextError:
+            unbind()
 
 
 def unbind() -> None:

@@ -12,7 +12,7 @@ import threading
 import warnings
 import weakref
 from collections.abc import Callable
-from types import TracebackType
+from types import FrameType, TracebackType
 from typing import Any, Protocol
 
 import moderngl
@@ -57,6 +57,7 @@ class Owner:
         global _made_after
         self.orphans: list[Callable[[], None]] = []  # what releases things that were dropped without release()
         self.inside = 0  # stays that are not over
+        self._busy: tuple[str, FrameType] | None = None  # the call that draws, and where
         self.destroyed = False
         self.warned = False
         self.adopt(binding)
@@ -78,7 +79,7 @@ class Owner:
         return self.thread == threading.get_ident() and not self.forked
 
     def check(self, call: str) -> None:
-        """ContextError on any thread but the owner's, and in a forked child."""
+        """ContextError on any thread but the owner's, in a forked child, and within a call that draws."""
         if self._forks != _forks:
             raise ContextError(f"{call}: the OpenGL context {_FORKED}")
         if self.thread != threading.get_ident():
@@ -86,6 +87,26 @@ class Owner:
                 f"{call} was called on thread {threading.current_thread().name!r}, but its OpenGL context belongs to "
                 f"thread {self._name!r}; call it there, or use Renderer.run_in_thread()"
             )
+        if self._busy is None:
+            return
+        # one that was broken off while it ended is still noted, but nobody's caller any more
+        former, begun = self._busy
+        frame: FrameType | None = sys._getframe()
+        while frame is not None and frame is not begun:
+            frame = frame.f_back
+        if frame is not None:
+            raise ContextError(
+                f"{call} was called within {former}, by a signal handler or a callback, and both draw in one context; "
+                "call it when that is over"
+            )
+
+    def begin(self, call: str, frame: FrameType) -> None:
+        """From now on ``call`` draws, which was called in ``frame``."""
+        self._busy = call, frame
+
+    def end(self) -> None:
+        """Nothing draws any more."""
+        self._busy = None
 
     def entered(self, call: str, state: State | None = None) -> Entry:
         """``with`` it the context is current; then what was before is again. Raises ContextError as check() does."""
@@ -100,10 +121,11 @@ class Owner:
 class Entry:
     """One stay in a context."""
 
-    __slots__ = ("_call", "_former", "_owner", "_state", "_switched", "_was")
+    __slots__ = ("_call", "_draws", "_former", "_owner", "_state", "_switched", "_was")
 
-    def __init__(self, owner: Owner, call: str, state: State | None) -> None:
+    def __init__(self, owner: Owner, call: str, state: State | None, draws: bool = True) -> None:
         self._owner, self._call, self._state = owner, call, state
+        self._draws = draws  # else others may draw within it
         self._switched, self._was = False, None
         self._former: current.Binding | None = None
 
@@ -122,6 +144,8 @@ class Entry:
                 self._was = self._state.save()
             while owner.orphans and owner.inside == 1:
                 owner.orphans.pop()()
+            if self._draws:
+                owner.begin(self._call, sys._getframe(1))
         except BaseException:  # Ctrl-C as well: what was current must not be lost
             self._leave()
             raise
@@ -133,14 +157,14 @@ class Entry:
 
     def _leave(self) -> None:
         self._owner.inside -= 1
+        if self._draws:
+            self._owner.end()
         try:
             if self._state is not None and self._was is not None:
                 self._state.restore(self._was)
         finally:
-            if self._switched and self._former is not None:
-                current.bind(self._former)
-            elif self._switched:
-                current.unbind()
+            if self._switched:
+                current.give_back(self._former)
 
 
 _owners: weakref.WeakKeyDictionary[moderngl.Context, Owner] = weakref.WeakKeyDictionary()

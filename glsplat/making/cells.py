@@ -25,6 +25,8 @@ from glsplat.splats import Splats
 
 __all__ = ["Cells", "Cloud", "SamplerConfig", "avatar_of", "tessellate"]
 
+_USUAL = 6.0  # samples that a cell's expected size is worth where few were drawn
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SamplerConfig:
@@ -36,6 +38,7 @@ class SamplerConfig:
     hand_share: float = 0.095  # of all splats, a hand
     head_share: float = 0.19  # of all splats
     face_boost: float = 2.0  # density of the face against the rest of the head
+    eye_boost: float = 10.0  # density of the front of an eyeball against what is around it
     detail_boost: float = 2.5  # density where the texture is busy against where it is plain, less one
     color_weight: float = 0.7  # cells of unit size a colour difference of one is worth
     normal_weight: float = 0.6  # cells of unit size a right angle is worth, over sqrt(2)
@@ -94,7 +97,7 @@ def tessellate(cloud: Cloud, count: int, config: SamplerConfig, rng: np.random.G
     for _ in range(config.rounds):
         label = _nearest(sites, some)
         sites = _cell_means(label, some, np.ones(len(some)), sites)
-    return _gaussians(cloud, _nearest(sites, features), count, config)
+    return _gaussians(cloud, _nearest(sites, features), count, size, config)
 
 
 def avatar_of(cells: Sequence[Cells], skeleton: Skeleton, opacity: float, meta: Mapping[str, Any]) -> Avatar:
@@ -125,7 +128,10 @@ def _cell_means(
     return np.where(total[:, None] > 0, sums / np.where(total > 0, total, 1)[:, None], empty)
 
 
-def _gaussians(cloud: Cloud, label: NDArray[np.intp], count: int, config: SamplerConfig) -> Cells:
+def _gaussians(
+    cloud: Cloud, label: NDArray[np.intp], count: int, size: NDArray[np.float64], config: SamplerConfig
+) -> Cells:
+    """``size`` [M] is the side of a cell that has the density wanted there, metres."""
     used = np.bincount(label, minlength=count) > 0
     label, count = (np.cumsum(used) - 1)[label], int(used.sum())
     points, normals = cloud.points, cloud.normals
@@ -151,7 +157,9 @@ def _gaussians(cloud: Cloud, label: NDArray[np.intp], count: int, config: Sample
         members = np.bincount(label, minlength=count)[:, None]
         even = variance.mean(axis=1, keepdims=True)
         variance = (members * variance + config.round_off * even) / (members + config.round_off)
-        variance *= members / np.maximum(members - 1, 1)
+        # and one of a few samples says little of its own size: holes would show where it is thought too small
+        usual = _cell_means(label, np.square(size)[:, None] / 12, area, np.zeros((count, 1)))
+        variance = (members * variance + _USUAL * usual) / (members - 1 + _USUAL)
     typical = np.median(variance.sum(axis=1) / 2)
     variance = np.maximum(variance, 0.15 * variance.sum(axis=1, keepdims=True) / 2 + 0.02 * typical)
     tangent = np.einsum("nia,nab->nib", basis, axes)

@@ -15,6 +15,7 @@ from typing import TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from glsplat import reference
@@ -27,6 +28,7 @@ from glsplat.making.posed import axes_of, drawable, placed, posed_splats
 from glsplat.making.refine import random_pose
 from glsplat.making.visibility import probe_poses, sphere
 from glsplat.skinning.pose import Pose
+from glsplat.skinning.shapes import Shapes
 from glsplat.splats import Splats
 
 __all__ = ["ConeConfig", "hidden", "with_cones"]
@@ -38,6 +40,8 @@ _EVERYWHERE = np.array([0, 0, 0, -127], np.int8)  # a cone without an axis: visi
 _DECADES = 6  # between the smallest threshold and the largest weight
 _STEPS = 8  # halvings of the interval of thresholds
 _FLAT = 1e-15  # metres: what is thinner has no direction in float32 (cone.glsl has its square)
+_MOVES = 1e-3  # metres that a splat moves with an expression, from which it uncovers what is near
+_BEHIND = 0.08  # metres from such a splat within which it does: lips, teeth, tongue, eyes
 _FILL = 0.92  # of the picture that the sphere around the splats' means takes: those on its rim reach beyond
 Progress = Callable[[str, float], None]
 Scene = TypeVar("Scene", bound=Splats | Avatar)
@@ -71,6 +75,7 @@ def with_cones(scene: Scene, config: ConeConfig | None = None, progress: Progres
     last further pictures say what is kept: where one of them keeps less, all cones are widened by the least with
     which further ones all keep it, and others look again. ``cones_psnr`` is the worst of the last ones, over the whole
     of a picture that the scene fills, before black.
+    Poses are without expressions: what those move, and what lies within 8 cm of it, has a cone that hides nothing.
     Levels get cones of their own. About two minutes of one core at 40,000 splats.
     Raises GlsplatError for a scene without a finite splat.
     """
@@ -107,8 +112,23 @@ def with_cones(scene: Scene, config: ConeConfig | None = None, progress: Progres
         smallest = smallest - _wide_enough(_pictures(scene, usable, rng, many, config), axis, smallest, config, report)
     cones = np.tile(_EVERYWHERE, (len(splats), 1))
     cones[usable] = _packed(axis, smallest)
+    if isinstance(scene, Avatar) and scene.shapes is not None:
+        cones[_uncovered(scene.splats, scene.shapes)] = _EVERYWHERE
     done = replace(splats, cones=cones, cones_psnr=round(kept, 2))
     return cast("Scene", _with_levels(scene, done, config, progress))
+
+
+def _uncovered(splats: Splats, shapes: Shapes) -> NDArray[np.bool_]:
+    """[N] what an expression moves or may uncover: poses alone do not say from where it can be seen."""
+    out = np.diff(shapes.starts) > 0
+    far = np.zeros(len(splats), bool)
+    far[shapes.rows[np.linalg.norm(shapes.metres, axis=1) > _MOVES]] = True
+    far &= splats.finite()
+    if far.any():
+        rows = np.flatnonzero(splats.finite())
+        near = cKDTree(splats.means[far]).query(splats.means[rows], distance_upper_bound=_BEHIND)[0]
+        out[rows[np.isfinite(near)]] = True
+    return np.asarray(out)
 
 
 def _with_levels(

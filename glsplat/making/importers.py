@@ -22,7 +22,7 @@ from glsplat.skinning.skin import Skin
 from glsplat.skinning.smplx import JOINT_NAMES
 from glsplat.splats import Splats
 
-__all__ = ["bind_to_mesh", "load_lhm_dump", "nearest_weights"]
+__all__ = ["bind_to_mesh", "load_lhm_dump", "nearest_on", "nearest_weights"]
 
 F64 = NDArray[np.float64]
 
@@ -126,16 +126,21 @@ def bind_to_mesh(splats: Splats, mesh: RiggedMesh, reach: float = 0.05, influenc
 
 def nearest_weights(mesh: RiggedMesh, points: F64) -> tuple[NDArray[np.int64], F64, F64]:
     """Joints and weights [N, J] of the surface points nearest to ``points`` [N, 3], and their distances [N]."""
-    surface = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False, validate=False)
-    at, distance, face = _nearest_on(surface, points)
+    _, distance, face, bary = nearest_on(mesh.vertices, mesh.faces, points)
     corners = mesh.faces[face]
-    bary = trimesh.triangles.points_to_barycentric(surface.triangles[face], at)
-    bary = np.clip(np.nan_to_num(bary, nan=1 / 3), 0, 1)
     count = len(mesh.skeleton)
     dense = np.zeros((len(points), count))  # the three corners may share joints
     values = (bary[:, :, None] * mesh.weights[corners]).reshape(len(points), -1)
     np.add.at(dense, (np.arange(len(points))[:, None], mesh.joints[corners].reshape(len(points), -1)), values)
     return np.broadcast_to(np.arange(count), dense.shape), dense, distance
+
+
+def nearest_on(vertices: F64, faces: NDArray[np.integer], points: F64) -> tuple[F64, F64, NDArray[np.intp], F64]:
+    """Of triangles [F, 3] the places nearest to ``points`` [N, 3]: where, how far, in which, barycentric [N, 3]."""
+    surface = trimesh.Trimesh(vertices, faces, process=False, validate=False)
+    at, distance, face = _nearest_on(surface, points)
+    bary = trimesh.triangles.points_to_barycentric(surface.triangles[face], at)
+    return at, distance, face, np.clip(np.nan_to_num(bary, nan=1 / 3), 0, 1)
 
 
 def _nearest_on(surface: trimesh.Trimesh, points: F64) -> tuple[F64, F64, NDArray[np.intp]]:

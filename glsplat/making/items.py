@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import os
 import struct
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.errors import FormatError
 from glsplat.formats import load
-from glsplat.formats.files import naming, open_regular
+from glsplat.formats.files import naming, open_regular, path_of
 from glsplat.formats.npz import array_names
 from glsplat.formats.scene_file import SceneFile, load_scene_file, looks_like_scene_file
 from glsplat.meshes import MeshPart, RiggedMesh, standing
@@ -20,12 +22,13 @@ from glsplat.scene import Content
 __all__ = ["is_scene", "load_item", "load_scene"]
 
 
-def load_scene(path: str | Path, *, strict: bool = False) -> SceneFile:
+def load_scene(path: str | bytes | os.PathLike[Any], *, strict: bool = False) -> SceneFile:
     """A scene file with all it names; any other file is a scene of one. Raises FormatError naming the file."""
+    path = Path(path_of(path))
     if is_scene(path):
         return load_scene_file(path, strict=strict, read=load_item)
-    file = SceneFile.of(load_item(Path(path), strict))
-    file.sources = [(file.scene.items[0], Path(path))]
+    file = SceneFile.of(load_item(path, strict))
+    file.sources = [(file.scene.items[0], path)]
     return file
 
 
@@ -35,13 +38,14 @@ def is_scene(path: str | Path) -> bool:
         return looks_like_scene_file(file.read(65536))
 
 
-def load_item(path: Path, strict: bool = False) -> Content:
+def load_item(path: str | bytes | os.PathLike[Any], strict: bool = False) -> Content:
     """Splats or an Avatar (``glsplat.load``), or a mesh: glTF without splats, OBJ, or a person archive (.npz).
 
     A glTF or VRM with skinned triangles gives all that its rig moves, a person on SMPL-X's joints
     (``read_gltf_person``). All other meshes stand: one joint, in the place the file's nodes give them. Raises
     FormatError naming the file.
     """
+    path = Path(path_of(path))
     suffix = path.suffix.lower()
     if is_motion(path):
         raise FormatError(f"{path}: a motion, which shows nothing; give it to render, preview or replay as --motion")

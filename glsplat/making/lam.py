@@ -16,10 +16,13 @@ from glsplat.avatar import Avatar
 from glsplat.errors import FormatError
 from glsplat.formats.files import naming
 from glsplat.formats.gltf.container import Container, Mesh, item, parse
-from glsplat.formats.gltf.morphs import Morphs, read_morphs
+from glsplat.formats.gltf.morphs import read_morphs, shape_names
 from glsplat.formats.gltf.nodes import Graph, Instance, graph_of
 from glsplat.formats.gltf.rig import read_skeleton, read_skin
 from glsplat.formats.ply import load_ply
+from glsplat.meshes import Morphs
+from glsplat.skinning.expression import MOST_NAMES
+from glsplat.skinning.shapes import Shapes
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.skin import Skin
 from glsplat.splats import Splats
@@ -54,7 +57,7 @@ def is_lam_zip(path: str | Path) -> bool:
 
 
 def load_lam_zip(path: str | Path, influences: int = 4, follow: Follow = "weights") -> Avatar:
-    """The avatar of ``read_lam_zip``, without the expressions."""
+    """The avatar of ``read_lam_zip``."""
     return read_lam_zip(path, influences, follow).avatar
 
 
@@ -70,7 +73,7 @@ def read_lam_zip(path: str | Path, influences: int = 4, follow: Follow = "weight
     ``follow`` "weights": splats move and turn with the joints of their vertices, so that neck and shoulders stay
     where they are when the head turns. "head": all follow the joint called head, as in the public renderer
     (gaussian-splat-renderer-for-lam 0.0.8), which does so because splats far from their vertices, hair above all, are
-    pulled apart where weights change. Morph targets are kept beside the avatar and do not move it yet.
+    pulled apart where weights change. Morph targets move the splats of their vertices, and do not bend them.
 
     Raises FormatError naming the zip and the member. Nothing is unpacked before the directory's sizes are checked,
     and nothing under a name from the zip.
@@ -150,7 +153,16 @@ def _head(folder: Path, source: Path, influences: int, follow: Follow) -> LamHea
         "body_model": f"{len(names)} joints of skin.glb",
         "licence": "as the picture and LAM's weights (CC BY-NC 4.0) allow",
     }
-    return LamHead(Avatar(placed, mesh.skeleton, skin, meta), mesh.morphs)
+    return LamHead(Avatar(placed, mesh.skeleton, skin, meta, shapes=_shapes(mesh.morphs, count)), mesh.morphs)
+
+
+def _shapes(morphs: Morphs, count: int) -> Shapes | None:
+    """Splats go with their vertices and keep their own axes: the export says nothing of triangles between them."""
+    if not len(morphs) or len(morphs) > MOST_NAMES or not np.isfinite(morphs.offsets).all():
+        return None
+    targets = np.repeat(np.arange(len(morphs)), np.diff(morphs.starts))
+    names = shape_names(morphs.names)
+    return Shapes.create(names, count, splats=morphs.vertices, targets=targets, moves=morphs.offsets)
 
 
 def _mesh(path: Path, source: Path) -> _Mesh:

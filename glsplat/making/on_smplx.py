@@ -12,6 +12,7 @@ from glsplat.errors import FormatError, PoseError
 from glsplat.formats.transform import transformed
 from glsplat.making.fit.body import open_body
 from glsplat.making.posed import posed_splats
+from glsplat.rotations import nearest_rotations
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.rigs.humanoid import seated
 from glsplat.skinning.rigs.match import match_rig
@@ -52,10 +53,15 @@ def _put(avatar: Avatar, given: Mapping[str, int | None]) -> Avatar:
         raise PoseError(f"no joint for {', '.join(found.missing)}; name them in a --rig-map")
     turn, as_bound, of = seated(found, skeleton.parents, bound, skeleton.rest, open_body().joints)
     skin = _merged(of[avatar.skin.joints], avatar.skin)
-    splats = posed_splats(Avatar(transformed(avatar.splats, turn), as_bound, skin), Pose.zero())
+    first = Avatar(transformed(avatar.splats, turn), as_bound, skin)
+    splats, shapes = posed_splats(first, Pose.zero()), avatar.shapes
+    if shapes is not None:
+        bones = Pose.zero().bones(as_bound)
+        linear = np.einsum("nk,nkij->nij", skin.weights.astype(np.float64), bones[skin.joints, :, :3]) @ turn[:3, :3]
+        shapes = shapes.turned(linear, nearest_rotations(linear))
     rig = {joint: skeleton.names[index] for joint, index in found.joints.items()}
     meta = {**avatar.meta, "body_model": "SMPL-X joints (55)", "rig": rig}
-    return Avatar(splats, Skeleton(JOINT_NAMES, PARENTS, as_bound.rest), skin, meta)
+    return Avatar(splats, Skeleton(JOINT_NAMES, PARENTS, as_bound.rest), skin, meta, shapes=shapes)
 
 
 def _merged(joints: NDArray[np.integer], skin: Skin) -> Skin:

@@ -56,16 +56,24 @@ def placed(splats: Splats) -> Placed:
 def posed_splats(avatar: Avatar, pose: Pose) -> Splats:
     """The avatar's splats under ``pose``, in the avatar's order: float64 linear blend skinning with polar rotations.
 
-    Spherical harmonics of degree 1 and above turn with each splat, so that colours stay where the body has them.
+    Spherical harmonics of degree 1 and above turn with each splat, so that colours stay where the body has them. With
+    an expression, splats that it bends get the axes of their new covariance, and cones are left out.
     """
     splats = avatar.splats
-    posed = reference.skin(splats, avatar.skin, pose.bones(avatar.skeleton))
+    weights = avatar.weights(pose)
+    bones = pose.bones(avatar.skeleton)
+    posed = reference.skin(splats, avatar.skin, bones, shapes=avatar.shapes, expression=weights)
     sh = splats.sh.astype(np.float64)
     if splats.sh_degree:
         for first in range(0, len(sh), 4096):  # bounds the memory
             part = slice(first, first + 4096)
             sh[part] = sh_rotations(posed.rotations[part], splats.sh_degree) @ sh[part]
     quats = quaternion_product(matrix_quaternions(posed.rotations), splats.quats)
-    return Splats.create(
-        posed.means, quats, splats.scales, splats.opacities, sh, antialias=splats.antialias, cones=splats.cones
-    )
+    scales, cones = splats.scales, splats.cones
+    if weights is not None and avatar.shapes is not None:
+        bent = np.diff(avatar.shapes.starts) > 0
+        axes, sizes, _ = np.linalg.svd(np.where(np.isfinite(posed.shapes[bent]), posed.shapes[bent], 0))
+        axes[:, :, 2] *= np.linalg.det(axes)[:, None]
+        quats[bent], scales, cones = matrix_quaternions(axes), np.array(scales), None  # cones are along the old axes
+        scales[bent] = sizes
+    return Splats.create(posed.means, quats, scales, splats.opacities, sh, antialias=splats.antialias, cones=cones)

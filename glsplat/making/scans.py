@@ -13,15 +13,18 @@ from numpy.typing import NDArray
 from glsplat.errors import FormatError, PoseError
 from glsplat.formats.files import naming, open_regular
 from glsplat.formats.npz import read_arrays
+from glsplat.making.faces.shapes import body_morphs
 from glsplat.making.importers import nearest_weights
 from glsplat.making.obj import flat, parse_obj, textures_of
-from glsplat.meshes import MeshPart, RiggedMesh
+from glsplat.meshes import MeshPart, Morphs, RiggedMesh
+from glsplat.skinning.expression import MOST_NAMES
 from glsplat.skinning.skeleton import Skeleton
 
 __all__ = ["read_body", "read_obj_person", "read_skeleton"]
 
 _JOINTS = ("joint_names", "parents", "joints")
 _BODY = ("v_template", "faces", *_JOINTS, "skin_indices", "skin_weights")
+_FACE = ("expr_names", "expr_ptr", "expr_idx", "expr_val")
 _TYPICAL, _WORST = 0.06, 0.2  # metres a scan may lie off the body: the median, and 95 % of its vertices
 
 
@@ -32,7 +35,7 @@ def read_body(path: str | Path) -> RiggedMesh:
     """
     with naming(path):
         with open_regular(path) as (file, _):
-            data = read_arrays(file, "a body", _BODY)
+            data = read_arrays(file, "a body", _BODY, optional=_FACE)
         try:
             faces = data["faces"].astype(np.int32)
             part = MeshPart("body", faces, np.zeros((*faces.shape, 2)), np.full((4, 4, 4), 255, np.uint8))
@@ -42,6 +45,7 @@ def read_body(path: str | Path) -> RiggedMesh:
                 data["skin_indices"].astype(np.int64),
                 data["skin_weights"].astype(np.float64),
                 (part,),
+                morphs=_face(data),
             )
         except (PoseError, TypeError, ValueError) as error:
             raise FormatError(str(error)) from None
@@ -56,6 +60,21 @@ def read_skeleton(path: str | Path) -> Skeleton:
             return _skeleton(data)
         except (PoseError, TypeError, ValueError) as error:
             raise FormatError(str(error)) from None
+
+
+def _face(data: Mapping[str, NDArray[Any]]) -> Morphs | None:
+    """The expressions of a body: expr_names (T), expr_ptr (T + 1), expr_idx (M) and expr_val (M, 3) metres."""
+    if any(key not in data for key in _FACE):
+        return None
+    names = tuple(map(str, data["expr_names"]))
+    starts, rows = data["expr_ptr"].astype(np.int64), data["expr_idx"].astype(np.int64)
+    offsets = data["expr_val"].astype(np.float32)
+    whole = starts.shape == (len(names) + 1,) and starts[0] == 0 and starts[-1] == len(rows)
+    if not (whole and (np.diff(starts) >= 0).all() and offsets.shape == (len(rows), 3) and (rows >= 0).all()):
+        raise FormatError("the expressions of a body need expr_ptr (T + 1), expr_idx (M) and expr_val (M, 3) that fit")
+    if len(set(names)) != len(names) or len(names) > MOST_NAMES:
+        raise FormatError(f"a body has at most {MOST_NAMES} expressions of distinct names")
+    return Morphs(names, starts, rows.astype(np.uint32), offsets)
 
 
 def _skeleton(data: Mapping[str, NDArray[Any]]) -> Skeleton:
@@ -92,7 +111,8 @@ def read_obj_person(path: str | Path, body: RiggedMesh) -> RiggedMesh:
             "it needs to stand in a T-pose, y up, facing +z"
         )
     part = MeshPart(source.stem, faces, corner, _texture(source, obj.library))
-    return RiggedMesh(at, fitted.skeleton, joints, weights, (part,), {"source": source.name})
+    morphs = body_morphs(fitted, at)
+    return RiggedMesh(at, fitted.skeleton, joints, weights, (part,), {"source": source.name}, morphs)
 
 
 def _fitted(body: RiggedMesh, low: NDArray[np.float64], high: NDArray[np.float64]) -> RiggedMesh:
@@ -103,7 +123,8 @@ def _fitted(body: RiggedMesh, low: NDArray[np.float64], high: NDArray[np.float64
     centre = (own.max(axis=0) + own.min(axis=0)) / 2
     origin = np.array([centre[0], own[:, 1].min(), centre[2]])
     skeleton = Skeleton.from_joints(body.skeleton.names, body.skeleton.parents, (body.skeleton.joints - origin) * scale)
-    return replace(body, vertices=(own - origin) * scale, skeleton=skeleton)
+    morphs = None if body.morphs is None else body.morphs.turned(scale * np.eye(3))
+    return replace(body, vertices=(own - origin) * scale, skeleton=skeleton, morphs=morphs)
 
 
 def _texture(source: Path, library: str | None) -> NDArray[np.uint8]:

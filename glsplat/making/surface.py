@@ -14,7 +14,7 @@ from scipy.sparse import csr_array
 from glsplat.avatar import Avatar
 from glsplat.errors import FormatError
 from glsplat.making.cells import Cells, Cloud, SamplerConfig, avatar_of, tessellate
-from glsplat.making.visibility import HEAD, Seen, seen_surface
+from glsplat.making.visibility import EYES, HEAD, Seen, seen_surface
 from glsplat.meshes import MeshPart, RiggedMesh
 
 __all__ = ["FEWEST", "SamplerConfig", "allot", "face_densities", "face_zones", "joint_zones", "make_avatar"]
@@ -126,7 +126,7 @@ def _detail(part: MeshPart) -> MeshPart:
 
 
 def face_densities(mesh: RiggedMesh, config: SamplerConfig) -> NDArray[np.float64]:
-    """[F] relative density of splats: the front of the head counts more."""
+    """[F] relative density of splats: the front of the head counts more, and the front of an eyeball still more."""
     names = mesh.skeleton.names
     density = np.ones(len(mesh.vertices))
     if "head" in names:
@@ -135,7 +135,20 @@ def face_densities(mesh: RiggedMesh, config: SamplerConfig) -> NDArray[np.float6
         amount = (mesh.weights * owns[mesh.joints]).sum(axis=1) / np.maximum(mesh.weights.sum(axis=1), 1e-9)
         front = np.clip((mesh.vertices[:, 2] - head[2]) / 0.06, 0, 1)
         density *= 1 + (config.face_boost - 1) * amount * front
-    return np.asarray(density[mesh.faces].mean(axis=1))
+    return np.asarray(density[mesh.faces].mean(axis=1)) * _eye_densities(mesh, config.eye_boost)
+
+
+def _eye_densities(mesh: RiggedMesh, boost: float) -> NDArray[np.float64]:
+    """[F] an iris is a centimetre wide and needs more splats than skin; the back of an eyeball shows to nobody."""
+    density = np.ones(len(mesh.faces))
+    owner = np.take_along_axis(mesh.joints, mesh.weights.argmax(axis=1)[:, None], axis=1)[mesh.faces[:, 0], 0]
+    middle = mesh.vertices[mesh.faces].mean(axis=1)
+    for joint, name in enumerate(mesh.skeleton.names):
+        ball = owner == joint
+        if name in EYES and ball.any():
+            away = middle[ball] - mesh.vertices[mesh.faces[ball]].mean(axis=(0, 1))
+            density[ball] = np.where(away[:, 2] > 0.5 * np.linalg.norm(away, axis=1), boost, 0.2)
+    return density
 
 
 _HAND = ("wrist", "index", "middle", "pinky", "ring", "thumb")

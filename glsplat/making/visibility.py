@@ -13,10 +13,15 @@ from glsplat.making.raster import visible_faces
 from glsplat.meshes import RiggedMesh
 from glsplat.skinning.pose import Pose
 
-__all__ = ["HEAD", "Seen", "probe_poses", "seen_surface", "sphere"]
+__all__ = ["EYES", "HEAD", "Seen", "probe_poses", "seen_surface", "sphere"]
 
-HEAD = ("head", "jaw", "left_eye_smplhf", "right_eye_smplhf")
+EYES = ("left_eye_smplhf", "right_eye_smplhf")
+"""Joints that turn the eyeballs."""
+HEAD = ("head", "jaw", *EYES)
 """Joints that move the head's surface."""
+
+_OPENED = (("jawOpen",), ("jawOpen", "tongueOut"), ("eyeBlinkLeft", "eyeBlinkRight"))
+"""Expressions that show what a still face hides: teeth and tongue, and the lids."""
 
 _GRAIN = 0.002  # metres; seen points are counted in cubes of this size
 _GLIMPSES = 3  # pixels, over all views, in a cube that counts as well seen
@@ -64,7 +69,11 @@ def seen_surface(mesh: RiggedMesh, size: int = 512) -> Seen:
     counts: list[NDArray[np.intp]] = []
     corners, part_of = mesh.vertices[mesh.faces], mesh.face_parts
     low = mesh.vertices.min(axis=0) - 1
-    for pose in probe_poses(mesh.skeleton.names):
+    poses = probe_poses(mesh.skeleton.names)
+    if mesh.morphs is not None:
+        still = np.zeros((len(mesh.skeleton), 3))
+        poses += [Pose(still, expression=dict.fromkeys(names, 1.0)) for names in _OPENED]
+    for pose in poses:
         vertices = mesh.posed(pose)
         shown = vertices[np.unique(mesh.faces)]
         spheres = [(shown, 20)]

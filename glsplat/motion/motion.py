@@ -29,6 +29,7 @@ from glsplat.rotations import (
     slerp,
     vector_quaternions,
 )
+from glsplat.skinning.expression import mixed
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.rigs.driven import why_not_driven
 from glsplat.skinning.skeleton import Skeleton
@@ -59,6 +60,8 @@ class Motion:
     """What a user should know: of several in a file, which one this is; what was left out of it."""
     known_up: bool = field(default=False, compare=False)
     """The format says what is up, as glTF does, or the user."""
+    expressions: tuple[Mapping[str, float], ...] = ()
+    """T weights of an avatar's shapes by name; empty: none in any frame."""
 
     def __post_init__(self) -> None:
         frames, joints = len(self.rotations), len(self.names)
@@ -66,6 +69,10 @@ class Motion:
             raise PoseError(
                 f"a motion of {joints} joints needs rotations (T, {joints}, 3) and trans (T, 3), "
                 f"not {self.rotations.shape} and {self.trans.shape}"
+            )
+        if len(self.expressions) not in (0, frames):
+            raise PoseError(
+                f"a motion of {frames} frames needs as many expressions, or none, not {len(self.expressions)}"
             )
         if not frames:
             raise PoseError("a motion needs at least one frame, found none")
@@ -92,7 +99,13 @@ class Motion:
         """The pose of a frame; negative indices count from the end."""
         if not -len(self) <= frame < len(self):
             raise PoseError(f"frame {frame} does not exist; this motion has {len(self)}")
-        return Pose(self.rotations[frame], self.trans[frame])
+        return Pose(self.rotations[frame], self.trans[frame], expression=self._face(frame % len(self)))
+
+    def _face(self, first: int, second: int = 0, part: float = 0.0) -> Mapping[str, float]:
+        """The expression of a frame, or of ``part`` of the way to the ``second``."""
+        if not self.expressions:
+            return {}
+        return mixed(self.expressions[first], self.expressions[second], part) if part else self.expressions[first]
 
     def at(self, seconds: float, loop: bool = True) -> Pose:
         """The pose at a time: rotations by slerp, translation linearly.
@@ -110,19 +123,22 @@ class Motion:
         if part == 0 or first == second:
             return self.pose(first)
         rotations = slerp(self.rotations[first], self.rotations[second], part)
-        return Pose(rotations, self.trans[first] * (1 - part) + self.trans[second] * part)
+        trans = self.trans[first] * (1 - part) + self.trans[second] * part
+        return Pose(rotations, trans, expression=self._face(first, second, part))
 
     def resampled(self, fps: float) -> Motion:
         """The same motion at another rate (slerp)."""
         count = max(1, round((len(self) - 1) * fps / self.fps) + 1)
         times = np.minimum(np.arange(count) / fps * self.fps, len(self) - 1)
         if len(self) == 1:
-            return Motion(fps, self.rotations, self.trans, self.names, self.label)
+            return Motion(fps, self.rotations, self.trans, self.names, self.label, expressions=self.expressions)
         frames = np.arange(len(self))
         first = np.minimum(times.astype(np.intp), len(self) - 2)
         rotations = slerp(self.rotations[first], self.rotations[first + 1], (times - first)[:, None])
         trans = np.stack([np.interp(times, frames, column) for column in self.trans.T], axis=1)
-        return Motion(fps, rotations, trans, self.names, self.label)
+        parts = zip(first.tolist(), (times - first).tolist(), strict=True) if self.expressions else ()
+        faces = tuple(self._face(i, i + 1, part) for i, part in parts)
+        return Motion(fps, rotations, trans, self.names, self.label, expressions=faces)
 
 
 def embedded_motions() -> tuple[str, ...]:
@@ -253,7 +269,7 @@ def _of_json(data: Any, skeleton: Skeleton) -> Motion:
     motion = _of_frames(frames, fps, skeleton, [f"frame {i}" for i in range(len(frames))])
     if made_for is None or skeleton.names != JOINT_NAMES:
         return motion
-    return Motion(fps, motion.rotations, fitted(motion.rotations, motion.trans, made_for, skeleton))
+    return replace(motion, trans=fitted(motion.rotations, motion.trans, made_for, skeleton))
 
 
 def _of_frames(frames: Sequence[Any], fps: float, skeleton: Skeleton, where: Sequence[str]) -> Motion:
@@ -274,7 +290,8 @@ def _of_frames(frames: Sequence[Any], fps: float, skeleton: Skeleton, where: Seq
         trans = trans - trans[0] * (1, 0, 1)
         Motion(fps, rotations, trans, skeleton.names)
         trans = _grounded(rotations, trans, skeleton)
-    return Motion(fps, rotations, trans, skeleton.names)
+    faces = tuple(p.expression for p in poses) if any(p.expression for p in poses) else ()
+    return Motion(fps, rotations, trans, skeleton.names, expressions=faces)
 
 
 def _turned(rotations: F64, trans: F64, turn: F64, skeleton: Skeleton) -> tuple[F64, F64]:

@@ -15,6 +15,7 @@ import aiohttp
 import msgspec
 import numpy as np
 
+from glsplat.arrays import count, flag, number
 from glsplat.camera import Camera
 from glsplat.errors import GlsplatError, ProtocolError
 from glsplat.net.client_connection import Connection
@@ -61,13 +62,23 @@ class Client:
         timeout: float = 10.0,
     ) -> None:
         self.url: str = _checked_url(url)
+        _check_token(token)
+        mirror = flag(mirror, "mirror", GlsplatError)
+        window = None if window is None else count(window, "window", GlsplatError, 1)
+        height = None if height is None else number(height, "height", GlsplatError)
+        span = None if span is None else number(span, "span", GlsplatError)
         asked = {"avatar": avatar, "window": window, "mirror": int(mirror) or None, "height": height, "span": span}
-        place = None if at is None else ",".join(f"{v:g}" for v in at)
+        place = None
+        if at is not None:
+            x, z, degrees = (number(v, "at", GlsplatError) for v in _three(at))
+            place = f"{x:g},{z:g},{degrees:g}"
         asked |= {"room": room, "name": name, "at": place}
         self._query = {key: value for key, value in asked.items() if value is not None}
         self._headers = {"Authorization": f"Bearer {token}"} if token else {}
         self._cafile = cafile
-        self._timeout = timeout
+        self._timeout: float = number(timeout, "timeout", GlsplatError)
+        if self._timeout <= 0:
+            raise GlsplatError(f"timeout needs seconds above 0, not {self._timeout:g}")
         self._connection: Connection | None = None
 
     @property
@@ -108,7 +119,7 @@ class Client:
                 ws = await http.ws_connect(url, headers=self._headers, ssl=tls, max_msg_size=_MAX_REPLY, compress=0)
         except (aiohttp.ClientError, OSError, TimeoutError) as error:
             await http.close()
-            raise await _not_connected(self.url, error) from None
+            raise await _not_connected(self.url, error, self._timeout) from None
         except BaseException:
             await http.close()
             raise
@@ -282,10 +293,10 @@ def _checked_url(url: str) -> str:
     try:
         parts = urlsplit(url)
         valid = parts.scheme in ("ws", "wss") and bool(parts.hostname) and parts.port != 0
-    except ValueError:
+    except (ValueError, AttributeError, TypeError):  # no text at all
         valid = False
-    if not valid:
-        raise GlsplatError(f"{url}: expected ws://HOST:PORT/ws or wss://HOST:PORT/ws")
+    if not valid or not isinstance(url, str):
+        raise GlsplatError(f"{url!s:.80}: expected ws://HOST:PORT/ws or wss://HOST:PORT/ws")
     return parts._replace(path="/ws").geturl() if parts.path in ("", "/") else url
 
 
@@ -296,8 +307,26 @@ def _client_tls(cafile: str | Path) -> ssl.SSLContext:
         raise GlsplatError(f"{cafile}: expected a certificate in PEM") from None
 
 
-async def _not_connected(url: str, error: Exception) -> ProtocolError:
+def _check_token(token: Any) -> None:
+    """A header's value: printable text without blanks, that is."""
+    if token is not None and not (
+        isinstance(token, str) and token.isascii() and token.isprintable() and " " not in token
+    ):
+        kind = "one with blanks, line ends or other signs" if isinstance(token, str) else type(token).__name__
+        raise GlsplatError(f"a token is a word of printable ASCII, not {kind}; strip() what was read from a file")
+
+
+def _three(at: Any) -> Sequence[Any]:
+    if isinstance(at, str) or not isinstance(at, Sequence) or len(at) != 3:
+        raise GlsplatError(f"at needs x, z in metres and degrees about y, not {at!r:.40}")
+    return at
+
+
+async def _not_connected(url: str, error: Exception, seconds: float) -> ProtocolError:
     """What stands between us and the server, and what to do about it."""
+    if isinstance(error, TimeoutError):
+        why = "is it a glsplat server, is it overloaded, is the timeout too short?"
+        return ProtocolError(f"{url}: no answer within {seconds:g} s; {why}", "timeout")
     if isinstance(error, aiohttp.ClientConnectorCertificateError):
         return ProtocolError(f"{url}: its certificate is not trusted; give it with --tls-ca", "tls")
     if isinstance(error, aiohttp.ClientConnectorSSLError):
@@ -305,7 +334,7 @@ async def _not_connected(url: str, error: Exception) -> ProtocolError:
         if reason in _NO_TLS:
             return ProtocolError(f"{url}: this server does not speak TLS; the address begins with ws://", "tls")
         return ProtocolError(f"{url}: no agreement on TLS ({reason or error.os_error})", "tls")
-    reached = not isinstance(error, aiohttp.ClientConnectorError | TimeoutError)
+    reached = not isinstance(error, aiohttp.ClientConnectorError)
     if reached and url.startswith("ws:") and await _speaks_tls(url):
         return ProtocolError(f"{url}: this server speaks TLS; the address begins with wss://", "tls")
     if isinstance(error, aiohttp.WSServerHandshakeError):

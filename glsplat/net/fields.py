@@ -27,6 +27,8 @@ NEAR, FAR, SH_DEGREE = 0.01, 1e10, 3  # of an eye whose request is silent: Camer
 
 Numbers = list[float | list[float]]  # flat or nested once
 
+Expression = dict[str, float] | list[float]  # by name, or in ARKit's order
+
 Alpha = bool | Literal["straight"]
 """Whether alpha is sent too: with colours over black (premultiplied), or with straight ones (codec/straight.py)."""
 
@@ -57,6 +59,9 @@ class Tracking(msgspec.Struct):
     left_foot: list[float] | None = None
     right_foot: list[float] | None = None
     body: dict[str, list[float] | None] | None = None
+    expression: Expression | None = None
+    leftEye: list[float] | None = None  # noqa: N815 - names of the wire
+    rightEye: list[float] | None = None  # noqa: N815
 
 
 class PoseFields(msgspec.Struct):
@@ -70,6 +75,7 @@ class PoseFields(msgspec.Struct):
     reye_pose: Numbers | None = None
     lhand_pose: Numbers | None = None
     rhand_pose: Numbers | None = None
+    expression: Expression | None = None
     joints: dict[str, list[float]] | None = None
     translations: dict[str, list[float]] | None = None
 

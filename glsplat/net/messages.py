@@ -15,7 +15,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from glsplat.camera import PAPER_FOV, PAPER_IPD, Camera, head_matrix, stereo_cameras
+from glsplat.camera import ORTHONORMAL, PAPER_FOV, PAPER_IPD, Camera, head_matrix, stereo_cameras
 from glsplat.errors import FormatError, PoseError, ProtocolError
 from glsplat.net.fields import (
     FAR,
@@ -32,7 +32,8 @@ from glsplat.net.fields import (
 )
 from glsplat.net.guard.duplicates import has_duplicates
 from glsplat.net.rooms.view import RoomView
-from glsplat.rotations import FLIP_X, FLIP_Z
+from glsplat.rotations import FLIP_X, FLIP_Z, nearest_rotations
+from glsplat.skinning.expression import checked_expression
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.smplx import POSE_KEYS
@@ -254,6 +255,11 @@ class Decoder:
             raise ProtocolError(f"an eye needs {NEAREST:g} <= near < far <= {FAR:g} (metres)", "bad_camera")
         if not 0 <= eye.sh_degree <= SH_DEGREE:
             raise ProtocolError(f"sh_degree needs a whole number from 0 to {SH_DEGREE}", "bad_camera")
+        if off > ORTHONORMAL:  # the same eye looks from there, by the nearest rotation
+            exact = np.eye(4)
+            exact[:3, :3] = nearest_rotations(rotation[None])[0]
+            exact[:3, 3] = exact[:3, :3] @ np.linalg.solve(rotation, viewmat[:3, 3])
+            viewmat = exact
         k = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]])
         return self._placed(Camera(viewmat, k, *size, near=eye.near, far=eye.far, sh_degree=eye.sh_degree))
 
@@ -286,6 +292,10 @@ class Decoder:
                 raise ProtocolError(f"tracking.{name} needs metres below {self.options.max_distance:g}")
             if not 1e-9 < hypot(*value[3:]) < 1e3:  # no matrix is made of it here: that takes 0.1 ms
                 raise ProtocolError(f"tracking.{name} needs a quaternion of about unit length", "bad_camera")
+        checked_expression(tracking.expression)
+        for name, gaze in (("leftEye", tracking.leftEye), ("rightEye", tracking.rightEye)):
+            if gaze is not None and not (len(gaze) == 3 and 1e-6 < hypot(*gaze) < 1e6):
+                raise ProtocolError(f"tracking.{name} needs a direction of 3 numbers that are not all 0")
         body = tracking.body or {}
         if len(body) > MOST_JOINTS:
             raise ProtocolError(f"tracking.body needs at most {MOST_JOINTS} joints, not {len(body)}")

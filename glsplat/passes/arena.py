@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from glsplat.errors import ContextError
 from glsplat.gl.context import Context
-from glsplat.passes.item.buffers import NEAR, ROW, ItemBuffers, Placement, numbers_of, upload_rows, write_rows
+from glsplat.passes.item.buffers import NEAR, ROW, ItemBuffers, Placement, near_eye, numbers_of, upload_rows, write_rows
 from glsplat.shaders.slots import UNITS
 from glsplat.shaders.variant import COLOUR_TEXELS
 
@@ -125,13 +125,16 @@ class Arena:
         """Indices in ``ranges`` that are nobody's splat."""
         return sum(count for _, count in self.ranges) - self.shown_splats
 
-    def place(self, places: Mapping[int, Placement]) -> bool:
-        """Show the items of these numbers, in their order; pose and place what moved. True if anything moved."""
+    def place(self, places: Mapping[int, Placement], eye: NDArray[np.float64]) -> bool:
+        """Show the items of these numbers, in their order; pose and place what moved. True if anything moved.
+
+        ``eye`` [3]: where they are looked at from, in the world.
+        """
         self.shown = tuple(places)
         if not self.posed:
             return False
         before = self.version
-        origin = self._origin(places)
+        origin = self._origin(places, eye)
         if not np.array_equal(origin, self.origin):
             self._written = [None] * len(self.items)
             self.origin = origin
@@ -164,12 +167,13 @@ class Arena:
         """Delete textures and buffers, not the items."""
         self._owned.close()
 
-    def _origin(self, places: Mapping[int, Placement]) -> NDArray[np.float64]:
+    def _origin(self, places: Mapping[int, Placement], eye: NDArray[np.float64]) -> NDArray[np.float64]:
         """Near the items: float32 has no bits left for splats far from it."""
         anchors = np.array([self.items[index].anchor(place) for index, place in places.items()])
         if len(self.items) == 1 == len(anchors):  # nothing else has to move with it
             return anchors[0] if np.abs(anchors[0]).max() > NEAR else np.zeros(3)
         middle = np.median(anchors, axis=0) if len(anchors) else np.zeros(3)
+        middle = near_eye(middle, anchors, eye)
         wanted = np.rint(middle / NEAR) * NEAR if np.abs(middle).max() > NEAR else np.zeros(3)
         return wanted if np.abs(wanted - self.origin).max() > 2 * NEAR else self.origin
 

@@ -71,9 +71,13 @@ class Staged:
         self.levels: tuple[int, ...] = ()  # of the splat items that are shown
         self.arenas = 0  # made so far
         self.runs = 0  # of items that were posed or placed so far, each level of each once a movement
+        self._present: tuple[Item, ...] = ()  # of the scene as the frame's beginning finds it: other threads change it
+        self._visible: list[Item] = []  # the visible splat items among them, in order
+        self._visible_meshes: list[Item] = []
         try:
-            visible = self._visible()
-            self._stage(visible, [self._at_first(item) for item in visible])
+            self._look()
+            places = [self._placement(item, None) for item in self._visible]
+            self._stage(self._visible, [self._at_first(item) for item in self._visible], places)
         except BaseException:
             self.release()
             raise
@@ -87,7 +91,7 @@ class Staged:
     @property
     def coarsest(self) -> bool:
         """Whether nothing in view may be drawn with a coarser level than it was."""
-        return self._fixed(self._visible()) or self._choices.coarsest
+        return self._fixed(self._visible) or self._choices.coarsest
 
     @property
     def splats(self) -> int:
@@ -120,14 +124,19 @@ class Staged:
         ``pose`` is for the one avatar of a scene, if there is one. Items whose id() is in ``without`` are not shown.
         """
         self._left_out = without
-        visible = self._visible()
+        self._look()
+        visible = self._visible
         if pose is not None:
-            avatars = len(self.scene.figures)
+            if not isinstance(pose, Pose):
+                raise PoseError(
+                    f"render needs a glsplat.Pose, not {type(pose).__name__}; make one of your values first"
+                )
+            avatars = sum(is_figure(item.content) for item in (*visible, *self._visible_meshes))
             if avatars > 1:
                 raise PoseError(f"render() got one pose for {avatars} avatars; set the pose of each item instead")
         places = [self._placement(item, pose) for item in visible]
         levels = self._choose(visible, places, look)
-        self._stage(visible, levels)
+        self._stage(visible, levels, places)
         self._stand(pose)
         if self._standing or any(place.bones is not None for place in places):
             timer.mark("pose")
@@ -135,7 +144,8 @@ class Staged:
         parts = [part for part in enumerate(levels) if id(visible[part[0]]) not in without]
         self.levels = tuple(level for _, level in parts)
         arena, before = self.arena, self.arena.runs
-        if arena.place({self._drawable.parts.index(part): places[part[0]] for part in parts}):
+        eye = look.views[0].position
+        if arena.place({self._drawable.parts.index(part): places[part[0]] for part in parts}, eye):
             timer.mark("skin")
         self.runs += arena.runs - before
 
@@ -196,17 +206,20 @@ class Staged:
         for _, levels in items.values():
             levels.release()
 
-    def _visible(self) -> list[Item]:
-        """The visible splat items, in order."""
-        return [item for item in self.scene if item.visible and not isinstance(item.content, RiggedMesh)]
+    def _look(self) -> None:
+        """Which items there are, and which of them are visible, once a frame."""
+        self._present = self.scene.items
+        visible = [item for item in self._present if item.visible]
+        self._visible = [item for item in visible if not isinstance(item.content, RiggedMesh)]
+        self._visible_meshes = [item for item in visible if isinstance(item.content, RiggedMesh)]
 
-    def _stage(self, visible: Sequence[Item], levels: Sequence[int]) -> None:
+    def _stage(self, visible: Sequence[Item], levels: Sequence[int], places: Sequence[Placement]) -> None:
         """Buffers for what is new, an arena that holds what is visible at these levels of detail.
 
         Nothing of what stands is given up before what replaces it is there.
         """
         parts = self._with_others(visible, levels)
-        posed = len(visible) != 1 or isinstance(visible[0].content, Avatar) or _moved(visible[0])
+        posed = len(visible) != 1 or isinstance(visible[0].content, Avatar) or places[0].moved
         shown = (posed, *map(id, visible))
         if shown != self._shown or self._drawable is None:
             made = self._made(visible, parts, posed)
@@ -216,7 +229,7 @@ class Staged:
             self._drawable = self._drawables.get(parts, lambda: made)
         else:
             self._drawable = self._drawables.get(parts, lambda: self._made(visible, parts, posed))
-        present = {id(item) for item in self.scene}
+        present = {id(item) for item in self._present}
         for gone in [key for key in self._items if key not in present]:
             self._items.pop(gone)[1].release()
 
@@ -269,9 +282,10 @@ class Staged:
     def _stand(self, pose: Pose | None) -> None:
         """Where the visible meshes are; what is gone is released."""
         standing = []
-        for item in self.scene:
-            if item.visible and id(item) not in self._left_out and isinstance(item.content, RiggedMesh):
+        for item in self._visible_meshes:
+            if id(item) not in self._left_out:
                 if id(item) not in self._meshes:
+                    assert isinstance(item.content, RiggedMesh)
                     self._meshes[id(item)] = item, MeshItem(self._context, item.content, self._config.mesh_anisotropy)
                 standing.append((self._meshes[id(item)][1], self._placement(item, pose)))
         same = len(standing) == len(self._standing) and all(
@@ -281,21 +295,21 @@ class Staged:
         if not same:
             self._standing_version += 1
         self._standing = standing
-        present = {id(item) for item in self.scene}
+        present = {id(item) for item in self._present}
         for gone in [key for key in self._meshes if key not in present]:
             self._meshes.pop(gone)[1].release()
 
     def _buffers_of(self, content: Splats | Avatar) -> ItemBuffers:
         context, config = self._context, self._config
         splats = content.splats if isinstance(content, Avatar) else content
-        skin, joints = None, 0
+        skin, shapes, joints = None, None, 0
         if isinstance(content, Avatar):
-            skin, joints = content.skin, len(content.skeleton)
+            skin, shapes, joints = content.skin, content.shapes, len(content.skeleton)
             if config.influences:
                 skin = skin.reduced(config.influences).anchored(content.skeleton.parents)
             if joints > context.max_size:
                 raise ContextError(f"{joints} joints, but a texture of {context.driver} holds {context.max_size}")
-        return ItemBuffers(context, self._programs, splats, skin, joints, config.rotation == "raw")
+        return ItemBuffers(context, self._programs, splats, skin, joints, config.rotation == "raw", shapes)
 
     def _arena_of(self, buffers: Sequence[ItemBuffers], posed: bool, kinds: Sequence[int]) -> Arena:
         config = self._config
@@ -305,14 +319,18 @@ class Staged:
         return Arena(self._context, buffers, posed=posed, degree=degree, signed=mixed, culled=culled, kinds=kinds)
 
     def _placement(self, item: Item, pose: Pose | None) -> Placement:
-        linear = item.transform[:3, :3]
-        size = float(np.cbrt(np.linalg.det(linear))) if _moved(item) else 1.0
-        bones = None
+        transform = item.transform
+        linear = transform[:3, :3]
+        size = 1.0 if np.array_equal(transform, np.eye(4)) else float(np.cbrt(np.linalg.det(linear)))
+        bones = weights = None
         if not isinstance(item.content, Splats):
             skeleton = item.content.skeleton
             wanted = pose if pose is not None and is_figure(item.content) else item.pose
-            bones = checked_pose(wanted, len(skeleton), "avatar").bones(skeleton)
-        return Placement(linear / size, item.transform[:3, 3], size, bones, item.opacity)
+            posed = checked_pose(wanted, len(skeleton), "avatar")
+            bones = posed.bones(skeleton)
+            if isinstance(item.content, Avatar):
+                weights = item.content.weights(posed)
+        return Placement(linear / size, transform[:3, 3], size, bones, item.opacity, weights)
 
 
 def _culled(splats: Splats, config: RenderConfig) -> bool:
@@ -320,8 +338,3 @@ def _culled(splats: Splats, config: RenderConfig) -> bool:
     if config.cull_hidden == "auto":
         return splats.cones_psnr is not None and splats.cones_psnr >= CULL_PSNR
     return config.cull_hidden
-
-
-def _moved(item: Item) -> bool:
-    """Whether it is drawn otherwise than it was loaded."""
-    return item.opacity != 1 or not np.array_equal(item.transform, np.eye(4))

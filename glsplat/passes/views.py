@@ -2,20 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
-from glsplat.arrays import number, own
+from glsplat.arrays import flag, instance, number, own
 from glsplat.camera import Camera
 from glsplat.config import MAX_BIAS
 from glsplat.errors import GlsplatError, PoseError
+from glsplat.scene import Item, Scene
 from glsplat.skinning.pose import Pose
 from glsplat.watermark.mark import Mark
 
-__all__ = ["checked_bias", "checked_mark", "checked_order", "checked_out", "checked_pose", "checked_views"]
+__all__ = [
+    "checked_bias",
+    "checked_depth",
+    "checked_mark",
+    "checked_order",
+    "checked_out",
+    "checked_pose",
+    "checked_views",
+    "checked_without",
+]
 
 
 def checked_views(cameras: Iterable[Camera], size: tuple[int, int], what_to_do: str = "") -> list[Camera]:
@@ -40,8 +50,7 @@ def checked_pose(pose: Pose | None, joints: int, what: str) -> Pose:
     """The pose, or the zero pose for none. Raises PoseError if it does not fit ``what`` has so many joints."""
     if pose is None:
         return Pose.zero(joints)
-    if not isinstance(pose, Pose):
-        raise PoseError(f"render needs a glsplat.Pose, not {type(pose).__name__}; make one of your values first")
+    instance(pose, Pose, "render", PoseError, "make one of your values first")
     if len(pose.rotations) != joints:
         raise PoseError(f"the pose has {len(pose.rotations)} joints, the {what} {joints}")
     return pose
@@ -65,10 +74,33 @@ def checked_bias(lod_bias: float) -> float:
     return lod_bias
 
 
+def checked_depth(depth: bool, dtype: str) -> bool:
+    """Whether depths are wanted. Raises GlsplatError for a target whose alpha is too coarse to divide them by."""
+    if flag(depth, "depth", GlsplatError) and dtype == "f1":
+        raise GlsplatError("depth needs a float target, 8 bits of alpha make it metres off; use target='16f' or '32f'")
+    return bool(depth)
+
+
+def checked_without(without: Collection[Item], scene: Scene) -> frozenset[int]:
+    """The id() of each of these items. Raises GlsplatError for what is no Item."""
+    if isinstance(without, (Item, str, np.ndarray)) or not isinstance(without, Collection):
+        raise GlsplatError(f"without needs a list of Items, not {type(without).__name__}; write without=[item]")
+    found = frozenset(map(id, without))
+    if not found:
+        return found
+    if strange := [item for item in without if not isinstance(item, Item)]:
+        raise GlsplatError(f"without needs a list of Items, this one holds {type(strange[0]).__name__}")
+    if found - set(map(id, scene.items)):
+        raise GlsplatError("without names an item that is not in the scene; leave it out, or add it first")
+    return found
+
+
 def checked_out(out: NDArray[Any] | None, shape: tuple[int, ...], dtype: DTypeLike) -> NDArray[Any]:
     """``out``, or a new array if there is none. Raises GlsplatError where images of ``shape`` cannot be put into it."""
     if out is None:
         return np.empty(shape, dtype)
+    if not isinstance(out, np.ndarray):
+        raise GlsplatError(f"out needs a contiguous array {shape} of {np.dtype(dtype)}, not {type(out).__name__}")
     if out.shape != shape or out.dtype != dtype or not (out.flags.c_contiguous and out.flags.writeable):
         raise GlsplatError(f"out needs a contiguous array {shape} of {np.dtype(dtype)}, not {out.shape} {out.dtype}")
     return out

@@ -2,6 +2,9 @@
 #include "covariance.glsl"
 #include "skin.glsl"
 #include "rotation.glsl"
+#if SHAPED
+#include "shapes.glsl"
+#endif
 
 uniform float shift;  // of the rotation average's eigenvalues: 1 for rigid bones, 3 where one scales or reflects
 uniform float size;   // s: the scale the item stands in the scene at; its rotation and place are in the bones
@@ -17,6 +20,11 @@ out vec4 posed_x, posed_y, posed_z;  // columns of M'; w: modified Rodrigues par
 void main() {
     Affine b = blended_bones();
     vec4 mean = vec4(mean_opacity.xyz, 1.0);
+#if SHAPED
+    mat3 rest = expressed(mean.xyz, quat, scale);
+#else
+    mat3 rest = shape_matrix(quat, scale);
+#endif
     posed_mean = vec4(size * vec3(dot(b.x, mean), dot(b.y, mean), dot(b.z, mean)), signed_opacity * mean_opacity.w);
     mat3 linear = transpose(mat3(b.x.xyz, b.y.xyz, b.z.xyz));
 #if !RAW || TURNED
@@ -27,7 +35,7 @@ void main() {
 #if !RAW
     linear = quaternion_matrix(turned);
 #endif
-    mat3 shape = size * (linear * shape_matrix(quat, scale));
+    mat3 shape = size * (linear * rest);
 #if TURNED
     vec3 rodrigues = turned.yzw / (1.0 + turned.x);  // no bad case for w >= 0
 #else

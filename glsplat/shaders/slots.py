@@ -19,6 +19,8 @@ UNITS = {
     "mesh_colour_2": 7,
     "mesh_samples": 8,
     "mesh_samples_2": 9,
+    "entries": 0,  # shapes of an avatar (shapes.glsl)
+    "amounts": 1,
     "skin_texture": 5,  # of a mesh
     "target": 0,  # float layers (resolve.frag.glsl, present.frag.glsl)
     "mark": 1,  # a tile (resolve.frag.glsl)

@@ -74,6 +74,7 @@ class SkinVariant:
     influences: int = 4  # joints a splat: 1, 2, 4, 8
     raw: int = 0  # by the blended matrix as it is instead of its nearest rotation
     turned: int = 0  # R_i is handed on (SH that turns with the splat)
+    shaped: int = 0  # an expression moves the splats first (shapes.glsl)
 
     def __post_init__(self) -> None:
         if self.influences not in (1, 2, 4, 8):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from math import isfinite
 from pathlib import Path
 from typing import Any
@@ -12,16 +12,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from glsplat.arrays import count, own, plain, restored
+from glsplat.arrays import count, instance, own, plain, restored
 from glsplat.errors import PoseError
+from glsplat.skinning.expression import checked_expression
 from glsplat.skinning.rigs.driven import why_not_driven
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.smplx import JOINT_NAMES, POSE_KEYS, SMPLX_NAMES
 
-__all__ = ["Pose", "load_pose"]
+__all__ = ["EXPRESSION", "Pose", "load_pose"]
+
+EXPRESSION = "expression"
+"""Key of a pose object, of a tracking sample and of a request: weights by name, or 52 in ARKit's order."""
 
 _COUNT = len(JOINT_NAMES)
 _LIMIT = 1e6  # metres, radians; more is a mistake of units
+_TURNS = 20 * np.pi  # radians; nobody counts more than ten turns, and a right angle in degrees is more
 _DEGREES = 4 * np.pi  # radians; an angle beyond two turns in a file was meant in degrees
 
 
@@ -38,12 +43,14 @@ class Pose:
     rotations: NDArray[np.float64]  # [J, 3] axis-angle, radians, in each joint's rest frame
     trans: NDArray[np.float64]  # [3] metres, moves the roots
     translations: NDArray[np.float64] | None = None  # [J, 3] metres added to rest offsets; for rigs that stretch
+    expression: Mapping[str, float] = field(default_factory=dict)  # weights of an avatar's shapes by name, 0 left out
 
     def __init__(
         self,
         rotations: ArrayLike,  # [J, 3]
         trans: ArrayLike = (0.0, 0.0, 0.0),  # [3]
         translations: ArrayLike | None = None,  # [J, 3]
+        expression: Mapping[str, float] | ArrayLike | None = None,  # by name, or 52 in ARKit's order
     ) -> None:
         turned, moved = own(rotations, np.float64, "rotations", PoseError), own(trans, np.float64, "trans", PoseError)
         if turned.ndim != 2 or turned.shape[1] != 3 or moved.shape != (3,):
@@ -59,19 +66,25 @@ class Pose:
             if most > _LIMIT:
                 unit = "radians" if name == "a rotation" else "metres"
                 raise PoseError(f"{name} needs {unit} below {_LIMIT:g}, not {most:g}")
+        if (angle := float(np.abs(turned).max(initial=0.0))) > _TURNS:
+            joint = int(np.abs(turned).max(axis=1).argmax())
+            raise PoseError(f"joint {joint} turns by {angle:.0f} rad; angles are radians, not degrees (np.radians)")
         keep = object.__setattr__
         keep(self, "rotations", turned)
         keep(self, "trans", moved)
         keep(self, "translations", stretched)
+        keep(self, "expression", checked_expression(expression))
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return restored, (type(self), {f.name: getattr(self, f.name) for f in fields(self)})
+        values = {f.name: getattr(self, f.name) for f in fields(self)}
+        return restored, (type(self), values | {"expression": dict(self.expression)})
 
     def __repr__(self) -> str:
         turned = int(self.rotations.any(axis=1).sum())
         x, y, z = self.trans
-        stretched = "" if self.translations is None else ", with translations"
-        return f"Pose({len(self.rotations)} joints, {turned} turned, trans ({x:.4g}, {y:.4g}, {z:.4g}){stretched})"
+        more = "" if self.translations is None else ", with translations"
+        more += f", {len(self.expression)} shapes" if self.expression else ""
+        return f"Pose({len(self.rotations)} joints, {turned} turned, trans ({x:.4g}, {y:.4g}, {z:.4g}){more})"
 
     @classmethod
     def zero(cls, joints: int = _COUNT) -> Pose:
@@ -92,19 +105,21 @@ class Pose:
         if not isinstance(data, Mapping):
             raise PoseError(f"a pose is a mapping of {', '.join(POSE_KEYS)}, not {type(data).__name__}")
         data = _own_names(data)
-        if not any(key in data for key in POSE_KEYS):
-            raise PoseError(f"a pose needs at least one of {', '.join(POSE_KEYS)}; found {_some(data)}")
+        if not any(key in data for key in (*POSE_KEYS, "trans", EXPRESSION)):
+            raise PoseError(f"a pose needs at least one of {', '.join(POSE_KEYS)}, trans; found {_some(data)}")
         rotations = np.zeros((_COUNT, 3))
         for key, joints in POSE_KEYS.items():
             if key in data:
                 rotations[joints] = _numbers(data[key], key, joints.stop - joints.start)
-        return cls(rotations, _numbers(data.get("trans", (0, 0, 0)), "trans", 1)[0])
+        trans = _numbers(data.get("trans", (0, 0, 0)), "trans", 1)[0]
+        return cls(rotations, trans, expression=data.get(EXPRESSION))
 
     @classmethod
     def from_json(cls, data: Any, skeleton: Skeleton) -> Pose:
         """A pose object of either layout: SMPL-X keys, or {"joints": {NAME: [3]}, "translations": {NAME: [3]}}."""
         if not isinstance(data, Mapping):
             raise PoseError(f"a pose is a JSON object, not {type(data).__name__}")
+        instance(skeleton, Skeleton, "from_json()", PoseError, "an avatar has one: avatar.skeleton")
         if "joints" not in data and "translations" not in data:
             if why := why_not_driven(skeleton):
                 raise PoseError(f'this avatar takes poses {{"joints": {{NAME: [x, y, z]}}}} only: {why}')
@@ -120,20 +135,24 @@ class Pose:
                     raise PoseError(f'no joint "{name}"; this avatar has {_some(skeleton.names)}')
                 array[index[name]] = _numbers(value, name, 1)[0]
         trans = _numbers(data.get("trans", (0, 0, 0)), "trans", 1)[0]
-        return cls(arrays["joints"], trans, arrays["translations"] if data.get("translations") else None)
+        stretched = arrays["translations"] if data.get("translations") else None
+        return cls(arrays["joints"], trans, stretched, data.get(EXPRESSION))
 
-    def to_smplx(self) -> dict[str, list[Any]]:
+    def to_smplx(self) -> dict[str, Any]:
         """The pose object of docs/conventions.md; only for the 55 joints of SMPL-X."""
         if len(self.rotations) != _COUNT:
             raise PoseError(f"an SMPL-X pose has {_COUNT} joints, not {len(self.rotations)}")
-        out: dict[str, list[Any]] = {"trans": self.trans.tolist()}
+        out: dict[str, Any] = {"trans": self.trans.tolist()}
         for key, joints in POSE_KEYS.items():
             value = self.rotations[joints]
             out[key] = value[0].tolist() if len(value) == 1 else value.tolist()
+        if self.expression:
+            out[EXPRESSION] = dict(self.expression)
         return out
 
     def bones(self, skeleton: Skeleton) -> NDArray[np.float64]:
         """Skinning matrices [J, 3, 4] of this pose on ``skeleton``."""
+        instance(skeleton, Skeleton, "bones()", PoseError, "an avatar has one: avatar.skeleton")
         return skeleton.bone_matrices(self.rotations, self.trans, self.translations)
 
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from glsplat.arrays import frozen, own, own_whole, plain
+from glsplat.arrays import frozen, instance, own, own_whole, plain
 from glsplat.errors import PoseError
 from glsplat.rotations import rotation_matrices
 
@@ -105,6 +105,7 @@ class Skeleton:
         """Whether a pose means the same to both: names, parents, and frames to float32."""
         if self is other:
             return True
+        instance(other, Skeleton, "same()", PoseError)
         if self.names != other.names or not np.array_equal(self.parents, other.parents):
             return False
         pairs = ((self.rest, other.rest), (self.inverse_bind, other.inverse_bind))
@@ -117,8 +118,8 @@ class Skeleton:
 
     def under(self, name: str) -> NDArray[np.bool_]:
         """[J] True for the joint of that name and all that hang from it. Raises PoseError where there is none."""
-        if name not in self.names:
-            raise PoseError(f'this skeleton has no joint "{name:.40}"; it has {", ".join(self.names[:6])}, ...')
+        if not isinstance(name, str) or name not in self.names:
+            raise PoseError(f'this skeleton has no joint "{name!s:.40}"; it has {", ".join(self.names[:6])}, ...')
         found = np.arange(len(self)) == self.names.index(name)
         for ids, parents in self._levels[1:]:  # roots first
             found[ids] |= found[parents]

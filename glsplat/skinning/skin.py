@@ -8,7 +8,7 @@ from typing import Any, SupportsFloat, SupportsIndex
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from glsplat.arrays import count, frozen, number, own, own_whole, plain, restored
+from glsplat.arrays import count, frozen, number, own, own_whole, plain, restored, rows
 from glsplat.errors import FormatError
 
 __all__ = ["INFLUENCES", "Skin"]
@@ -97,7 +97,7 @@ class Skin:
             raise FormatError(f"joint_count needs 1 to 65536, not {joint_count}")
         if ids.ndim != 2 or ids.shape != w.shape or ids.shape[1] < 1:
             raise FormatError(f"joints and weights need one shape (N, K), not {ids.shape} and {w.shape}")
-        if influences not in INFLUENCES:
+        if count(influences, "influences") not in INFLUENCES:
             raise FormatError(f"influences needs one of {INFLUENCES}, not {influences}")
         bad = ~np.isfinite(w) | (w < 0)
         w = np.where(bad, 0.0, w)
@@ -131,13 +131,14 @@ class Skin:
         """Joints a splat, K."""
         return self.joints.shape[1]
 
-    def take(self, index: NDArray[np.bool_] | NDArray[np.integer]) -> Skin:
-        """The rows at ``index``, unchanged."""
+    def take(self, index: ArrayLike) -> Skin:
+        """The rows at ``index`` (an integer or boolean array), unchanged. Raises FormatError outside of them."""
+        index = rows(index, len(self))
         return replace(self, joints=frozen(self.joints[index]), weights=frozen(self.weights[index]))
 
     def reduced(self, influences: int) -> Skin:
         """The same skin with at most ``influences`` joints a splat."""
-        if influences >= self.influences:
+        if count(influences, "influences", least=1) >= self.influences:
             return self
         return Skin.create(self.joints, self.weights, int(self.joints.max(initial=0)) + 1, influences)
 
@@ -147,31 +148,41 @@ class Skin:
         The anchor is the weighted median of the splat's joints in the tree ``parents`` [J]: whichever joint turns, at
         least half of the weight moves with the anchor (as long as the median is among the splat's joints). The rotation
         rule leans on it where a blend collapses (reference.blended_rotations); leaning on the strongest joint, outvoted
-        by two weaker ones on the other side of the turning joint, would make the splat spin.
+        by two weaker ones on the other side of the turning joint, would make the splat spin. Raises FormatError for
+        parents that are no tree.
         """
-        rows = np.flatnonzero(self.weights[:, 0] < 0.5)  # with half of the weight the strongest is the median
-        if not len(rows):
+        parents = own_whole(parents, np.int32, "parents")
+        joints = int(self.joints.max(initial=0)) + bool(self.joints.size)
+        if parents.ndim != 1 or len(parents) < joints or (parents >= len(parents)).any():
+            raise FormatError(f"parents needs the index of its parent, or -1, for each of {joints} joints or more")
+        outvoted = np.flatnonzero(self.weights[:, 0] < 0.5)  # with half of the weight the strongest is the median
+        if not len(outvoted):
             return self
         below = np.eye(len(parents), dtype=np.float32)  # [a, b]: b is a or hangs from it
-        above = np.asarray(parents)
-        while (above >= 0).any():
+        above = parents
+        for _ in range(len(parents) + 1):
+            if not (above >= 0).any():
+                break
             below[above[above >= 0], np.flatnonzero(above >= 0)] = 1
-            above = np.where(above >= 0, np.asarray(parents)[above], -1)
+            above = np.where(above >= 0, parents[above], -1)
+        else:
+            raise FormatError("parents has a cycle")
         depth = below.sum(axis=0)
         hops = depth[:, None] + depth - 2 * (below.T @ below)
-        ids, weights = self.joints[rows], self.weights[rows]
+        ids, weights = self.joints[outvoted], self.weights[outvoted]
         cost = np.einsum("nck,nk->nc", hops[ids[:, :, None], ids[:, None, :]], weights)
         first = cost.argmin(axis=1)
         order = np.argsort(np.arange(self.influences) != first[:, None], axis=1, kind="stable")
         ids, weights = np.take_along_axis(ids, order, axis=1), np.take_along_axis(weights, order, axis=1)
         all_ids, all_weights = self.joints.copy(), self.weights.copy()
-        all_ids[rows] = np.where(weights > 0, ids, ids[:, :1])
-        all_weights[rows] = weights
+        all_ids[outvoted] = np.where(weights > 0, ids, ids[:, :1])
+        all_weights[outvoted] = weights
         return replace(self, joints=frozen(all_ids), weights=frozen(all_weights))
 
     def dense(self, joint_count: int) -> NDArray[np.float64]:
         """[N, J] weights, for comparisons."""
-        out = np.zeros((len(self), joint_count))
+        least = int(self.joints.max(initial=0)) + 1
+        out = np.zeros((len(self), count(joint_count, "joint_count", least=least)))
         np.add.at(out, (np.arange(len(self))[:, None], self.joints), self.weights)
         return out
 

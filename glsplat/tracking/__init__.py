@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
-from glsplat.tracking.calibration import Calibration, calibrate
-from glsplat.tracking.recording import record, replay
-from glsplat.tracking.sample import Sample
-from glsplat.tracking.solve.solution import Solution, Solver, Targets
-from glsplat.tracking.solve.solver import AnalyticSolver
-from glsplat.tracking.tracker import Tracker, TrackerConfig
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from glsplat.tracking.calibration import Calibration, calibrate
+    from glsplat.tracking.config import TrackerConfig
+    from glsplat.tracking.recording import record, replay
+    from glsplat.tracking.sample import Sample
+    from glsplat.tracking.solve.solution import Solution, Solver, Targets
+    from glsplat.tracking.solve.solver import AnalyticSolver
+    from glsplat.tracking.tracker import Tracker
 
 __all__ = [
     "AnalyticSolver",
@@ -22,3 +27,26 @@ __all__ = [
     "record",
     "replay",
 ]
+
+_HOME = {
+    "AnalyticSolver": "solve.solver",
+    "Calibration": "calibration",
+    "Sample": "sample",
+    "Solution": "solve.solution",
+    "Solver": "solve.solution",
+    "Targets": "solve.solution",
+    "Tracker": "tracker",
+    "TrackerConfig": "config",
+    "calibrate": "calibration",
+    "record": "recording",
+    "replay": "recording",
+}
+
+
+def __getattr__(name: str) -> object:
+    # on demand, as the root: who needs one module loads that one
+    if name in _HOME:
+        value = getattr(import_module(f"glsplat.tracking.{_HOME[name]}"), name)
+        globals()[name] = value
+        return value
+    raise AttributeError(f"module 'glsplat.tracking' has no attribute {name!r}")

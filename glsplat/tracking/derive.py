@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.errors import PoseError
+from glsplat.motion.motion import Motion
 from glsplat.rotations import matrix_quaternions, quaternion_product, vector_quaternions
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.tracking.batch import forward_all, resample
@@ -17,7 +18,7 @@ from glsplat.tracking.sample import BODY_JOINTS, TRACKERS, Sample, Transform
 from glsplat.tracking.solve.body import ANKLES, FEET, HAND_FRAMES, HEAD, HIPS, KNEES, PELVIS, SPINE1, WRISTS, Body
 from glsplat.tracking.solve.quat import Vec
 
-__all__ = ["EXTRAS", "MOUNTS", "Disturbance", "Truth", "derive", "disturb", "truth_from_motion"]
+__all__ = ["EXTRAS", "MOUNTS", "Disturbance", "Truth", "derive", "disturb", "truth_from_motion", "with_expressions"]
 
 Array = NDArray[np.float64]
 
@@ -104,6 +105,13 @@ def derive(skeleton: Skeleton, truth: Truth, fingers: bool = True, trackers: Seq
         bodies = [dict(zip(BODY_JOINTS, map(tuple, joints), strict=True)) for joints in places]
         samples = [replace(s, body=joints) for s, joints in zip(samples, bodies, strict=True)]
     return samples
+
+
+def with_expressions(samples: Sequence[Sample], motion: Motion) -> list[Sample]:
+    """The samples with the face that ``motion`` has at their times."""
+    if not motion.expressions:
+        return list(samples)
+    return [replace(sample, expression=motion.at(sample.t, loop=False).expression) for sample in samples]
 
 
 def disturb(samples: list[Sample], how: Disturbance) -> list[Sample]:

@@ -7,7 +7,7 @@ from math import sqrt
 
 from glsplat.tracking.solve.quat import Quat, Vec
 
-__all__ = ["read_place", "read_pose"]
+__all__ = ["invalid", "read_place", "read_pose"]
 
 FAR = 1e4  # metres; a device farther away is not tracked
 
@@ -26,7 +26,7 @@ def read_pose(pose: Sequence[float] | None, scale: float, floor: float, flags: l
             return None
         n = 1 / sqrt(n)
     except (TypeError, ValueError):  # not seven numbers
-        _invalid(flags)
+        invalid(flags)
         return None
     k = 1 / scale
     return (x * k, (y - floor) * k, z * k), (qw * n, qx * n, qy * n, qz * n)
@@ -42,10 +42,11 @@ def read_place(joint: Sequence[float] | None, scale: float, floor: float, flags:
             return None
         return (x / scale, (y - floor) / scale, z / scale)
     except (TypeError, ValueError):
-        _invalid(flags)
+        invalid(flags)
         return None
 
 
-def _invalid(flags: list[str]) -> None:
+def invalid(flags: list[str]) -> None:
+    """Something is not what a sample holds."""
     if "invalid" not in flags:
         flags.append("invalid")

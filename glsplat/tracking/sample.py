@@ -10,6 +10,8 @@ Frames are those of OpenXR and WebXR: world right-handed, y up, metres; a pose i
   to little finger, each from the palm outwards), [x, y, z] or [x, y, z, qx, qy, qz, qw] each; OpenXR's 26 (palm first)
   lose the palm.
 * ``waist``, ``left_foot``, ``right_foot``: trackers on the body, mounted anyhow; ``Tracker`` learns how.
+* ``expression``: weights of ARKit's shapes by name, or 52 numbers in its order (skinning/expression.py); missing is 0.
+* ``leftEye``, ``rightEye``: where an eye looks, [x, y, z] of any length in the head's axes (-z ahead).
 * ``body``: joints of the WebXR Body Tracking Module by name (OpenXR's XR_FB_body_tracking behind it); places are used,
   of ``BODY_JOINTS`` alone.
 """
@@ -22,6 +24,7 @@ from numbers import Real
 from typing import Any
 
 from glsplat.errors import PoseError
+from glsplat.skinning.expression import ARKIT, MOST_NAMES
 
 __all__ = ["BODY_JOINTS", "HAND_JOINTS", "MOST_JOINTS", "TRACKERS", "Sample", "Transform", "wrist_from_grip"]
 
@@ -73,6 +76,9 @@ class Sample:
     left_foot: Transform | None = None
     right_foot: Transform | None = None
     body: Mapping[str, tuple[float, ...]] | None = None  # of BODY_JOINTS, 3 or 7 numbers
+    expression: Mapping[str, float] | None = None  # weights by name
+    left_eye: tuple[float, ...] | None = None  # a direction in the head's axes
+    right_eye: tuple[float, ...] | None = None
 
     @classmethod
     def from_json(cls, data: Any, t: float | None = None) -> Sample:
@@ -105,6 +111,9 @@ class Sample:
             left_foot=_transform(data.get("left_foot"), "left_foot"),
             right_foot=_transform(data.get("right_foot"), "right_foot"),
             body=_body(data.get("body")),
+            expression=_expression(data.get("expression")),
+            left_eye=_direction(data.get("leftEye"), "leftEye"),
+            right_eye=_direction(data.get("rightEye"), "rightEye"),
         )
 
     def to_json(self) -> dict[str, Any]:
@@ -127,6 +136,11 @@ class Sample:
                 out[key] = list(value)
         if self.body is not None:
             out["body"] = {name: list(joint) for name, joint in self.body.items()}
+        if self.expression is not None:
+            out["expression"] = dict(self.expression)
+        for key, value in (("leftEye", self.left_eye), ("rightEye", self.right_eye)):
+            if value is not None:
+                out[key] = list(value)
         return out
 
 
@@ -203,6 +217,24 @@ def _joints(value: Any, key: str) -> tuple[tuple[float, ...], ...] | None:
     if len(value) not in (25, 26):
         raise PoseError(f'"{key}" of a tracking sample needs 25 joints, not {len(value)}')
     return tuple([_numbers(joint, key, (3, 7)) for joint in value[len(value) - 25 :]])
+
+
+def _direction(value: Any, key: str) -> tuple[float, ...] | None:
+    return None if value is None else _numbers(value, key, (3,))
+
+
+def _expression(value: Any) -> Mapping[str, float] | None:
+    """Weights by name; null, as a whole or for a name, is not tracked. NaN is left for the tracker to handle."""
+    if value is None:
+        return None
+    if isinstance(value, Mapping):
+        pairs = value.items()
+        if len(value) > MOST_NAMES:
+            raise PoseError(f'"expression" of a tracking sample needs at most {MOST_NAMES} names, not {len(value)}')
+    else:
+        pairs = zip(ARKIT, _numbers(value, "expression", (len(ARKIT),)), strict=True)  # type: ignore[assignment]
+    found = {str(name)[:64]: _number(weight, f"expression.{name!s:.40}") for name, weight in pairs}
+    return {name: weight for name, weight in found.items() if weight}  # not a number is true
 
 
 def _body(value: Any) -> dict[str, tuple[float, ...]] | None:

@@ -9,12 +9,11 @@ from typing import Literal
 from glsplat.errors import PoseError
 from glsplat.tracking.learned.network import Network, load_network
 from glsplat.tracking.learned.solver import LearnedSolver
-from glsplat.tracking.learned.trust import Trust, load_trust
 from glsplat.tracking.solve.body import Body
 from glsplat.tracking.solve.solution import Solver
 from glsplat.tracking.solve.solver import AnalyticSolver
 
-__all__ = ["SOLVERS", "SolverName", "embedded_network", "embedded_trust", "solver_of"]
+__all__ = ["SOLVERS", "SolverName", "embedded_network", "solver_of"]
 
 SolverName = Literal["analytic", "learned"]
 SOLVERS: tuple[SolverName, ...] = ("learned", "analytic")
@@ -30,19 +29,12 @@ def embedded_network() -> Network:
         return load_network(path)
 
 
-@lru_cache(maxsize=1)
-def embedded_trust() -> Trust:
-    """How far that network is to be trusted. Raises FormatError where the file is damaged."""
-    with resources.as_file(resources.files("glsplat.data") / "tracking-trust.npz") as path:
-        return load_trust(path)
-
-
 def solver_of(solver: Solver | SolverName | None, body: Body) -> Solver:
     """A solver by name ("learned" for None), or the one given. Raises PoseError for what is neither."""
     if solver == "analytic":
         return AnalyticSolver(body)
     if solver is None or solver == "learned":
-        return LearnedSolver(body, embedded_network(), embedded_trust())
+        return LearnedSolver(body, embedded_network())
     if isinstance(solver, str):
         raise PoseError(f"a solver is one of {', '.join(SOLVERS)}, or an object of your own, not {solver!r:.60}")
     if not all(callable(getattr(solver, name, None)) for name in ("reset", "solve")):

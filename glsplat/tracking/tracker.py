@@ -11,7 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from glsplat.arrays import flag, instance
 from glsplat.errors import PoseError
+from glsplat.skinning.expression import checked_expression
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.tracking.calibration import Calibration
@@ -21,9 +23,10 @@ from glsplat.tracking.extra.devices import Extras
 from glsplat.tracking.filters import Device, PositionFilter, RotationFilter
 from glsplat.tracking.finding import Finder
 from glsplat.tracking.fingers import Fingers
+from glsplat.tracking.gaze import EYES, eye_turn
 from glsplat.tracking.guard import Guard
 from glsplat.tracking.learned.solver import LearnedSolver
-from glsplat.tracking.reading import read_pose
+from glsplat.tracking.reading import invalid, read_pose
 from glsplat.tracking.sample import Sample, Transform
 from glsplat.tracking.solve.body import HAND_FRAMES, HEAD_FRAME, Body
 from glsplat.tracking.solve.quat import IDENTITY, Quat, Vec, conj, mul, rotate, rotation_vector, to_quat
@@ -63,13 +66,15 @@ class Tracker:
         solver: Solver | SolverName | None = None,
         head_only: bool = False,
     ) -> None:
-        self.skeleton = skeleton
-        self.calibration: Calibration = calibration or Calibration()
-        self.config = c = config or TrackerConfig()
+        self.skeleton: Skeleton = instance(
+            skeleton, Skeleton, "a tracker", PoseError, "an avatar has its own: .skeleton"
+        )
+        self.calibration: Calibration = instance(calibration or Calibration(), Calibration, "calibration", PoseError)
+        self.config = c = instance(config or TrackerConfig(), TrackerConfig, "config", PoseError)
         self.body: Body = Body.of(skeleton)
         self.solver: Solver = solver_of(solver, self.body)
         self._trusted = type(self.solver) in (AnalyticSolver, LearnedSolver)
-        self.head_only = head_only
+        self.head_only: bool = flag(head_only, "head_only", PoseError)
         self._root = self.body.joints[0]
         self._stretch = Stretch(self.body, c.stretch)
         self._guard = Guard(self.body, c.joint_speed, c.root_speed, c.foot_speed)
@@ -300,6 +305,21 @@ class Tracker:
 
     # -- out
 
+    @staticmethod
+    def _expression(sample: Sample, flags: list[str]) -> Mapping[str, float]:
+        """The sample's, as it is, without what is not finite; none where it is no expression."""
+        if not sample.expression:
+            return {}
+        try:
+            given = sample.expression.items()
+            finite_ones = {name: weight for name, weight in given if isfinite(weight)}
+            found, whole = checked_expression(finite_ones), len(finite_ones) == len(given)
+        except (AttributeError, TypeError, ValueError, OverflowError, PoseError):  # not a mapping of numbers
+            found, whole = {}, False
+        if not whole and "invalid" not in flags:
+            flags.append("invalid")
+        return found
+
     def _finish(
         self,
         solution: Solution,
@@ -315,6 +335,8 @@ class Tracker:
         longer = self._stretch.step(solution, targets, dt)
         rotations = np.zeros((55, 3))
         rotations[:22] = [rotation_vector(turn) for turn in solution.rotations]
+        for joint, gaze in zip(EYES, (sample.left_eye, sample.right_eye), strict=True):
+            rotations[joint] = eye_turn(gaze, flags)
         seconds, slow = dt or 1.0, not 0 < dt < FINGERS_IN_TURN
         self._count += 1
         for side, fingers in enumerate(self._fingers):
@@ -324,16 +346,17 @@ class Tracker:
             turn = None if hand is None else hand[1]
             fit = slow or self._count % 2 == side
             try:
+                if joints is not None and (len(joints) != 25 or min(map(len, joints)) < 3):
+                    raise ValueError
                 rotations[first : first + 15] = fingers.update(joints, turn, curl, seconds, fit)
             except (TypeError, ValueError, IndexError):  # not 25 joints of numbers
-                if "invalid" not in flags:
-                    flags.append("invalid")
+                invalid(flags)
                 rotations[first : first + 15] = fingers.update(None, turn, None, seconds)
         root = self._root
         x, y, z = solution.pelvis
         trans = np.array((x - root[0], y - root[1], z - root[2]))
         rotations.flags.writeable = trans.flags.writeable = False  # a repeated time gives the same pose again
-        pose = Pose(rotations, trans, longer)
+        pose = Pose(rotations, trans, longer, self._expression(sample, flags))
         scale = self.calibration.scale
         left, right = solution.reach
         self.reach_error = (

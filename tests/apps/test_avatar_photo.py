@@ -97,7 +97,7 @@ def test_json(seen, front, tmp_path, capsys, monkeypatch) -> None:
     said = capsys.readouterr()
     assert json.loads(said.out) == {
         "out": None,
-        "findings": [{"side": "front", "code": "arms", "text": ARMS.text}],
+        "findings": [{"side": "front", "code": "arms", "kind": "refusal", "text": ARMS.text}],
     }
     assert photo(front, "-o", out, "--json", "--anyway") == 0
     facts = json.loads(capsys.readouterr().out)
@@ -107,7 +107,7 @@ def test_json(seen, front, tmp_path, capsys, monkeypatch) -> None:
             "side": "front",
             "file": str(front),
             "size": [60, 90],
-            "findings": [{"code": "arms", "text": ARMS.text}],
+            "findings": [{"code": "arms", "kind": "refusal", "text": ARMS.text}],
             "notes": [],
         }
     ]
@@ -123,6 +123,26 @@ def test_the_check_alone(seen, front, capsys) -> None:
     assert photo(front, "--back", front, "--check", "--json") == 1
     facts = json.loads(capsys.readouterr().out)
     assert not facts["good"] and [p["side"] for p in facts["pictures"]] == ["front", "back"]
+
+
+def test_notes_refuse_nothing(seen, front, tmp_path, monkeypatch, capsys) -> None:
+    monkeypatch.setitem(registry.OWN, "builtin", f"{STUBS}:Plain")
+    guessed = Finding("arms", "both arms hang along the body", refusal=False)
+    seen["front"] = (guessed,)
+    assert photo(front, "--check") == 0
+    assert capsys.readouterr().out.splitlines() == [
+        f"{front}: note: arms: {guessed.text}",
+        f"{front}: will do as the front",
+    ]
+    out = tmp_path / "me.glb"
+    assert photo(front, "-o", out) == 0 and f"{front}: {guessed.text}" in capsys.readouterr().out
+    assert load(out).meta["guessed"] == [{"side": "front", "code": "arms", "text": guessed.text}]
+    assert photo(front, "-o", out, "--json") == 0
+    findings = json.loads(capsys.readouterr().out)["pictures"][0]["findings"]
+    assert findings == [{"code": "arms", "kind": "note", "text": guessed.text}]
+    seen["front"] = (guessed, Finding("dark", "too dark"))
+    assert photo(front, "-o", out) == 1
+    assert "too dark" in (error := capsys.readouterr().err) and guessed.text not in error
 
 
 def test_a_refusal_leaves_the_sheet_and_no_avatar(seen, front, tmp_path, capsys) -> None:

@@ -15,9 +15,11 @@ import pytest
 from apps.cli import joined, main
 from glsplat import reference
 from glsplat.formats import save
+from glsplat.skinning.pose import Pose
 from glsplat.splats import Splats
 from tests.compare import assert_contract
 from tests.scenes import camera, cloud, eyes, limb, one_splat
+from tests.skinning.faces import expressive
 
 pytestmark = pytest.mark.gl
 
@@ -43,6 +45,31 @@ def fails(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
     assert code == (2 if err.endswith("--help\n") else 1)  # bad usage says where help is
     assert out == "" and err.count("\n") == 1 and "Traceback" not in err
     return err
+
+
+def test_an_expression_moves_the_face(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    avatar, view = expressive(400), tmp_path / "view.json"
+    save(avatar, tmp_path / "face.glb")
+    view.write_text(json.dumps(camera(48, 2.5).to_json()))
+    out = tmp_path / "out.npy"
+    common = ["render", str(tmp_path / "face.glb"), "--cameras", str(view), "-o", str(out)]
+    assert main([*common, "--expression", "jawOpen=0.7,eyeBlinkLeft=1"]) == 0
+    pose = Pose(np.zeros((4, 3)), expression={"jawOpen": 0.7, "eyeBlinkLeft": 1.0})
+    bones, weights = pose.bones(avatar.skeleton), avatar.weights(pose)
+    wanted = reference.render(
+        avatar.splats, [camera(48, 2.5)], avatar.skin, bones, shapes=avatar.shapes, expression=weights
+    )
+    assert_contract(np.load(out)[None], wanted)
+    (tmp_path / "pose.json").write_text(json.dumps({"joints": {}, "expression": {"jawOpen": 0.7, "eyeBlinkLeft": 0.1}}))
+    assert main([*common, "--pose", str(tmp_path / "pose.json"), "--expression", "eyeBlinkLeft=1"]) == 0
+    assert_contract(np.load(out)[None], wanted)
+    assert "no shape 'cheekPuff'; it has jawOpen, eyeBlinkLeft" in fails(capsys, *common, "--expression", "cheekPuff=1")
+    for bad in ("jawOpen=wide", "jawOpen=nan", "jawOpen=1,jawOpen=0", ""):
+        with pytest.raises(SystemExit):
+            main([*common, "--expression", bad])
+        assert "NAME=WEIGHT" in capsys.readouterr().err
+    save(limb(50), tmp_path / "face.glb")
+    assert "this one has none" in fails(capsys, *common, "--expression", "jawOpen=1")
 
 
 def test_camera_files(scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

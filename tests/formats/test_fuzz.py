@@ -35,6 +35,7 @@ from tests.formats.scenes import (
     write_glb,
 )
 from tests.formats.test_ply import columns, ply
+from tests.skinning.faces import expressive
 
 EXAMPLES = 120
 LIMIT = 8_000_000  # bytes a load of a file of a few kB may allocate
@@ -66,6 +67,7 @@ def seeds() -> list[bytes]:
             "c.gltf": random_avatar(8, influences=8),
             "c.glb": avatar_with_levels(),
             "d.glb": splats_with_levels(),
+            "e.glb": expressive(12),
             "d.splat": random_splats(8),
             "e.ply": awkward_splats(),
             "f.compressed.ply": random_splats(6, 1),

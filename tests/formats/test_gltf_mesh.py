@@ -20,7 +20,7 @@ from glsplat.making.gltf.reader import read_gltf_person
 from glsplat.making.items import load_item
 from glsplat.making.people import read_person
 from glsplat.mesh import MeshRenderer
-from glsplat.meshes import RiggedMesh
+from glsplat.meshes import Morphs, RiggedMesh
 from glsplat.skinning.pose import Pose
 from tests.formats.meshes import bends, chain, coloured, corners
 
@@ -155,3 +155,17 @@ def test_participants_look_the_same(tmp_path: Path) -> None:
         with MeshRenderer(mesh, size=(256, 256)) as renderer:
             pictures.append(renderer.render([camera], Pose.zero())[0].astype(int))
     assert pictures[0][..., 3].max() == 255 and np.abs(pictures[0] - pictures[1]).max() <= 2
+
+
+@pytest.mark.parametrize("name", ["a.glb", "a.gltf"])
+def test_expressions_are_morph_targets(tmp_path: Path, name: str) -> None:
+    mesh = chain()
+    rows = np.array([3, 7, 20])
+    offsets = np.random.default_rng(4).normal(0, 0.02, (3, 3))
+    mesh = replace(mesh, morphs=Morphs.of({"eyeBlinkLeft": [(rows[:1], offsets[:1])], "jawOpen": [(rows, offsets)]}))
+    save_gltf_mesh(mesh, tmp_path / name)
+    found = read_gltf_person(tmp_path / name)
+    assert found.morphs is not None and found.morphs.names == ("eyeBlinkLeft", "jawOpen")
+    for face in ({"eyeBlinkLeft": 1.0}, {"jawOpen": 0.5}, {}):
+        pose = Pose(bends(mesh).rotations, expression=face)
+        assert corners(found, pose) == pytest.approx(corners(mesh, pose), abs=1e-6)

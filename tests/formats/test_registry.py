@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 
 from apps import cli
-from glsplat import formats
 from glsplat.avatar import Avatar
 from glsplat.errors import FormatError
 from glsplat.formats import Format, load, losses, recognise, save, suffixes
+from glsplat.formats import registry as formats
 from glsplat.formats.files import Source, replace_file
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.splats import Splats

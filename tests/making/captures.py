@@ -75,7 +75,11 @@ class Capture:
         pose = self.pose.copy()
         for name, turn in turns.items():
             pose[self.mesh.skeleton.names.index(name)] = turn
-        drawn = mesh_picture(self.mesh, self.mesh.posed(Pose(pose, self.trans)), self.camera, 1)
+        return self.shown(Pose(pose, self.trans))
+
+    def shown(self, pose: Pose) -> np.ndarray:
+        """The person before the room in a pose, without light and shadow."""
+        drawn = mesh_picture(self.mesh, self.mesh.posed(pose), self.camera, 1)
         solid = drawn[..., 3:] > 0.5
         return np.where(solid, drawn[..., :3] * 255, self.room()).astype(np.uint8)
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from glsplat.making.fit import prior
@@ -25,11 +27,18 @@ def made(side: str = "front", *, tilt: float = 0.08, seed: int = 3) -> tuple[Vie
 
 
 def posed_view(
-    side: str = "front", *, tilt: float = 0.08, seed: int = 3, turn: float | None = None, told: float | None = None
+    side: str = "front",
+    *,
+    tilt: float = 0.08,
+    seed: int = 3,
+    turn: float | None = None,
+    told: float | None = None,
+    bent: Mapping[tuple[str, int], float] | None = None,
 ) -> tuple[View, Posed, Solver]:
     """The same with the posed body and the solver that holds its numbers.
 
-    With a ``turn`` in degrees they stand that way, and the view says that it were ``told``.
+    With a ``turn`` in degrees they stand that way, and the view says that it were ``told``. ``bent`` are angles in
+    radians by joint and axis, in place of the mean pose's.
     """
     rng = np.random.default_rng(seed)
     body = open_body()
@@ -39,11 +48,17 @@ def posed_view(
     solver.x[1:BETAS] = rng.normal(0, 0.7, BETAS - 1)
     place = [0.05, 0.1, 3.0, tilt, 0.1, 0.02]
     solver.x[BETAS:] = np.concatenate([place, prior.MEAN + rng.normal(0, 0.4, len(prior.MEAN)) * prior.SPREAD])
+    for hinge, angle in (bent or {}).items():
+        solver.angles(0)[prior.HINGES.names.index(hinge)] = angle
     posed = solver.posed(0)
     pixels = projected(posed.points(body.points(np.arange(len(body.vertices)))), FOCAL, view.centre)[0]
     marks = np.zeros((LANDMARK_COUNT, 2))
     table = landmarks()
-    marks[table.numbers] = projected(posed.points(table.points(body)), FOCAL, view.centre)[0]
+    where = posed.points(table.points(body))
+    marks[table.numbers] = projected(where, FOCAL, view.centre)[0]
+    world = np.zeros((LANDMARK_COUNT, 3))
+    world[table.numbers] = where - where[np.isin(table.numbers, (23, 24))].mean(axis=0)
     mask = projected_mask(pixels, body.faces, SIZE)
-    seen = View(mask, marks, np.ones(LANDMARK_COUNT), FOCAL, side=side, turn=turn if told is None else told)
+    said = turn if told is None else told
+    seen = View(mask, marks, np.ones(LANDMARK_COUNT), FOCAL, side=side, turn=said, world=world)
     return seen, posed, solver

@@ -13,7 +13,7 @@ from glsplat.errors import FormatError
 from glsplat.making.footprints import footprints
 from glsplat.making.raster import mesh_picture
 from glsplat.making.refine import RefineConfig, refine
-from glsplat.making.surface import SamplerConfig, make_avatar
+from glsplat.making.surface import SamplerConfig, face_densities, make_avatar
 from glsplat.meshes import MeshPart, RiggedMesh
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.splats import SH_C0
@@ -65,6 +65,20 @@ def test_splats_lie_flat_on_the_surface(avatar):
     assert (scales[:, 2] <= 0.31 * scales[:, :2].min(axis=1)).all() and scales.min() > 0
     assert avatar.splats.sh_degree == 0
     assert ((avatar.splats.opacities >= 0.9) & (avatar.splats.opacities < 1)).all()
+
+
+def test_an_iris_gets_more_splats_than_skin():
+    head, eye = ball(), ball(0.012, name="eye")
+    eye[0][:] += (0.03, 0.0, 0.29)  # out of the front of the ball
+    mesh = rigged(head, eye)
+    skeleton = Skeleton.from_joints(("head", "left_eye_smplhf"), [-1, 0], [[0, 0.7, 0], [0.03, 1, 0.29]])
+    joints = (np.arange(len(mesh.vertices)) >= len(head[0])).astype(int)[:, None]
+    mesh = RiggedMesh(mesh.vertices, skeleton, joints, np.ones(joints.shape), mesh.parts)
+    density = face_densities(mesh, SamplerConfig(face_boost=1.0, eye_boost=6.0))
+    faces, (skin, iris) = mesh.faces, (mesh.face_parts == 0, mesh.face_parts == 1)
+    ahead = mesh.vertices[faces].mean(axis=1)[:, 2] - 0.29
+    assert (density[skin] == 1).all()
+    assert (density[iris & (ahead > 0.008)] == 6).all() and (density[iris & (ahead < 0.004)] == 0.2).all()
 
 
 def test_splats_are_well_spaced(avatar):

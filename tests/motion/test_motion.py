@@ -132,6 +132,29 @@ def test_interpolation_is_slerp_and_loops():
     assert motion.duration == pytest.approx(0.4)
 
 
+def test_expressions_play_and_mix(tmp_path, skeleton):
+    faces = [{"jawOpen": 0.0}, {"jawOpen": 1.0, "cheekPuff": 0.5}]
+    path = tmp_path / "a.json"
+    path.write_text(json.dumps({"fps": 10, "frames": [frame(expression=face) for face in faces]}))
+    motion = load_motion(path, skeleton)
+    assert motion.pose(0).expression == {} and motion.pose(-1).expression == faces[1]
+    assert motion.at(0.05).expression == pytest.approx({"jawOpen": 0.5, "cheekPuff": 0.25})
+    assert motion.at(0.15).expression == pytest.approx({"jawOpen": 0.5, "cheekPuff": 0.25})  # on the way back
+    assert motion.resampled(20).pose(1).expression == pytest.approx({"jawOpen": 0.5, "cheekPuff": 0.25})
+    fitted = {"fps": 10, "joints": skeleton.joints.tolist(), "frames": [frame(expression=face) for face in faces]}
+    path.write_text(json.dumps(fitted))
+    assert load_motion(path, skeleton).pose(1).expression == faces[1]
+    path.write_text(json.dumps([frame(), frame()]))
+    assert load_motion(path, skeleton).expressions == ()
+    path.write_text(json.dumps([frame(expression={"jawOpen": "x"})]))
+    refused(path, skeleton, "frame 0", "jawOpen")
+
+
+def test_expressions_of_another_number_are_refused():
+    with pytest.raises(PoseError, match="2 frames needs as many expressions"):
+        Motion(30.0, np.zeros((2, 55, 3)), np.zeros((2, 3)), expressions=({},))
+
+
 def test_resampling_keeps_the_path():
     turn = np.linspace(0, 3, 61)
     rotations = np.zeros((61, 55, 3))

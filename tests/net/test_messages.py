@@ -108,6 +108,53 @@ def test_waist_feet_and_body_go_to_the_solver_as_they_came():
     assert sample.body == {"hips": (0, 1, 0), "left-foot-ball": tuple(body["left-foot-ball"])}
 
 
+def test_an_expression_comes_with_a_pose_or_with_tracking():
+    numbers = [0.0] * 52
+    numbers[17] = 0.5
+    for sent in ({"jawOpen": 0.5, "cheekPuff": 0}, numbers):
+        assert decode(GOOD | {"pose": {"expression": sent}}).pose.expression == {"jawOpen": 0.5}
+        request = decode({"v": 1, "frame_id": 1, "tracking": {"head": LEVEL, "expression": sent}})
+        assert Sample.from_json(request.tracking, 0.0).expression == {"jawOpen": 0.5}
+    assert decode(GOOD).pose.expression == {}
+    skeleton = Skeleton.from_joints(("a", "b"), [-1, 0], np.zeros((2, 3)))
+    pose = {"joints": {"b": [0, 0, 1]}, "expression": {"Fcl_Joy": 2}}
+    assert decode(GOOD | {"pose": pose}, skeleton=skeleton).pose.expression == {"Fcl_Joy": 2.0}
+
+
+@pytest.mark.parametrize("expression", [[0.5] * 51, [], {"": 1.0}, {"x" * 65: 1}, {str(i): 1 for i in range(257)}])
+@pytest.mark.parametrize("of", ["pose", "tracking"])
+def test_what_is_no_expression_is_refused(of, expression):
+    given = {"root_pose": [0, 0, 0]} if of == "pose" else {"head": LEVEL}
+    refused(GOOD | {"pose": None, of: given | {"expression": expression}}, "bad_pose")
+
+
+@pytest.mark.parametrize("expression", [1, "jawOpen", {"jawOpen": "wide"}, {"jawOpen": None}, [None] * 52, [[0]] * 52])
+@pytest.mark.parametrize("of", ["pose", "tracking"])
+def test_an_expression_of_another_type_is_a_bad_field(of, expression):
+    refused(GOOD | {"pose": None, of: {"expression": expression}}, "bad_field")
+
+
+@pytest.mark.parametrize("number", ["NaN", "1e999", "-1e999"])
+def test_an_expression_of_no_number_is_refused(number):
+    text = json.dumps(GOOD | {"pose": {"expression": {"jawOpen": 17.25}}}).replace("17.25", number)
+    assert refused(text).code in ("bad_json", "bad_pose", "bad_field")
+
+
+def test_where_eyes_look_comes_with_tracking():
+    tracking = {"head": LEVEL, "leftEye": [0, 0, -1], "rightEye": [0.1, 0, -0.9]}
+    request = decode({"v": 1, "frame_id": 1, "tracking": tracking})
+    sample = Sample.from_json(request.tracking, 0.0)
+    assert sample.left_eye == (0, 0, -1) and sample.right_eye == (0.1, 0, -0.9)
+
+
+@pytest.mark.parametrize(
+    ("gaze", "code"),
+    [([0, 0, 0], "bad_request"), ([0, 1], "bad_request"), ([1e300, 1, 0], "bad_request"), ("ahead", "bad_field")],
+)
+def test_what_is_no_direction_is_refused(gaze, code):
+    refused({"v": 1, "frame_id": 1, "tracking": {"head": LEVEL, "leftEye": gaze}}, code)
+
+
 def test_tracking_in_place_of_a_pose():
     tracking = {"head": [0, 1.6, 0.2, 0, 0, 0, 1], "left": None, "right": [0.3, 1, 0.2, 0, 0, 0, 2]}
     request = decode({"v": 1, "frame_id": 1, "tracking": tracking, "size": [64, 64]}, WireOptions(ipd=0.064))
@@ -328,9 +375,12 @@ fields = {
     "size": st.lists(st.integers(-5, 5000), max_size=3) | json_values,
     "quality": st.integers(-5, 200) | json_values,
     "crop": st.booleans() | json_values,
-    "pose": st.dictionaries(st.sampled_from(["trans", "body_pose", "joints", "jaw_pose"]), numbers | json_values),
+    "pose": st.dictionaries(
+        st.sampled_from(["trans", "body_pose", "joints", "jaw_pose", "expression"]), numbers | json_values
+    ),
     "tracking": st.dictionaries(
-        st.sampled_from(["head", "left", "left_joints", "waist", "body"]), numbers | json_values
+        st.sampled_from(["head", "left", "left_joints", "waist", "body", "expression", "leftEye"]),
+        numbers | json_values,
     ),
     "cameras": st.lists(st.dictionaries(st.sampled_from(["pos_x", "rot_w", "eye"]), json_values), max_size=3),
     "camera": json_values,

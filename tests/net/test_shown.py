@@ -35,6 +35,7 @@ from tests import needs
 from tests.compare import Difference
 from tests.net.test_legacy import thinned
 from tests.scenes import limb
+from tests.skinning.faces import expressive
 
 SIZE = (96, 80)
 PAIR = stereo_cameras(head_matrix((0.1, 1.2, 2.2), (0, 0, 0, 1)), size=SIZE)
@@ -158,6 +159,31 @@ def test_where_the_avatar_is(own_process: bool) -> None:
 
 
 @pytest.mark.gl
+@pytest.mark.gl
+@pytest.mark.parametrize("own_process", [False, True])
+def test_the_box_holds_what_a_face_moves(own_process: bool) -> None:
+    avatar = expressive(400)
+    make = partial(RendererBackend, avatar, SIZE)
+    backend = ProcessBackend(make, 128) if own_process else make()
+    backend.open()
+    try:
+        boxes, images = [], []
+        for face in ({}, {"jawOpen": 1.0}, {"jawOpen": 1.0, "eyeBlinkLeft": 1.0}):
+            pose = Pose(np.zeros((4, 3)), expression=face)
+            out = backend.render(request(pose=pose, box=True))
+            boxes.append(np.reshape(out.box, (2, 3)))
+            images.append(np.array(out.images))
+            if out.done is not None:
+                out.done()
+            bones, weights = pose.bones(avatar.skeleton), avatar.weights(pose)
+            means = reference.skin(avatar.splats, avatar.skin, bones, "polar", avatar.shapes, weights).means
+            assert ((means >= boxes[-1][0]) & (means <= boxes[-1][1])).all()
+        assert (np.diff([np.ptp(box, axis=0) for box in boxes], axis=0) > 0.05).all()
+        assert (images[0] != images[1]).any() and (images[1] != images[2]).any()
+    finally:
+        backend.close()
+
+
 def test_a_reply_has_the_box_in_the_room_of_its_client() -> None:
     """Also where the user is smaller than the avatar and stands on another floor; the mirror changes nothing."""
     calibration = Calibration(scale=0.8, floor=-0.25)

@@ -25,6 +25,7 @@ from glsplat.splats import Splats
 from glsplat.watermark.mark import LEVELS, Mark, marked
 from glsplat.watermark.pattern import TILE
 from tests.glsl import run_chunk
+from tests.skinning.faces import random_shapes
 
 pytestmark = pytest.mark.gl
 
@@ -143,6 +144,38 @@ def test_the_skin_pass_is_the_reference(gl: Context, rng: np.random.Generator, i
     assert apart(shapes[clear], 1.5 * posed.shapes[clear], splats.take(clear)) < 3e-4
     assert np.abs(rotations_of(rodrigues)[clear] - posed.rotations[clear]).max() < 3e-4
     assert np.linalg.norm(rodrigues, axis=1).max() <= 1 + 1e-6
+
+
+def test_expressed_is_the_reference(gl: Context, rng: np.random.Generator) -> None:
+    """More entries than a row of the texture has, every axis the thin one somewhere, and splats without any."""
+    splats, shapes = random_splats(rng), random_shapes(COUNT)
+    scales = splats.scales.copy()
+    scales[:3] = [[1, 2, 2], [2, 1, 1], [1, 1, 1]]  # of equals the first
+    splats = Splats(splats.means, splats.quats, scales, splats.opacities, splats.sh)
+    weights = np.array([0.7, 0.0, 1.0, 0.2])
+    texels = shapes.texels()
+    rows = np.zeros((-(-len(texels) // ROW) * ROW, 4), np.uint32)
+    rows[: len(texels)] = texels
+    assert len(rows) > 2 * ROW
+    text = """
+    #include "covariance.glsl"
+    #include "shapes.glsl"
+    in vec3 mean; in vec4 quat; in vec3 scale; out vec3 at, x, y, z;
+    void main() { at = mean; mat3 m = expressed(at, quat, scale); x = m[0]; y = m[1]; z = m[2]; gl_Position = vec4(0); }
+    """
+    out = run_chunk(
+        gl, text,
+        {"mean": splats.means, "quat": splats.quats, "scale": splats.scales,
+         "range": np.stack([shapes.starts[:-1], shapes.starts[1:]], axis=1).astype(np.uint32)},
+        {"at": 3, "x": 3, "y": 3, "z": 3}, SkinVariant(shaped=1),
+        textures={"entries": rows.reshape(-1, ROW, 4), "amounts": shapes.amounts(weights)[None]},
+    )  # fmt: skip
+    wanted = reference.expressed(splats, shapes, weights)
+    assert np.abs(out["at"] - wanted.means).max() < 1e-6
+    assert apart(np.stack([out["x"], out["y"], out["z"]], axis=-1), wanted.shapes, splats) < 2e-6
+    still = np.flatnonzero(np.diff(shapes.starts) == 0)
+    assert len(still) > 100
+    np.testing.assert_array_equal(out["at"][still], splats.means[still])
 
 
 @pytest.mark.parametrize(

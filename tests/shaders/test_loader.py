@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from importlib import resources
 
 import moderngl
@@ -135,6 +136,7 @@ def rows() -> list[Variant]:
 
 ROWS = rows()
 SKINS = [SkinVariant(influences=k, raw=raw, turned=turned) for k in (1, 2, 4, 8) for raw in (0, 1) for turned in (0, 1)]
+SKINS += [replace(skin, shaped=1) for skin in SKINS]
 RESOLVES = [ResolveVariant(cull_hidden=hidden, marked=marked) for hidden in (0, 1) for marked in (0, 1)]
 MESHES = [MeshVariant(), MeshVariant(logarithmic=1), MeshVariant(shaded=1)]
 OTHERS = [*SKINS, *MESHES, *RESOLVES]

@@ -207,7 +207,8 @@ def test_bad_weights_behind_the_checks_cost_only_their_splats(renderer_of: Make)
     with pytest.raises(FormatError, match=r"found nan; Skin.create\(joints, weights, joint_count\) repairs"):
         Skin(avatar.skin.joints, weights)
     unchecked = restored(Skin, {"joints": avatar.skin.joints, "weights": weights, "lost": 0.0, "repaired": 0})
-    parts = {"splats": avatar.splats, "skeleton": avatar.skeleton, "skin": unchecked, "meta": {}, "levels": ()}
+    parts = {"splats": avatar.splats, "skeleton": avatar.skeleton, "skin": unchecked, "meta": {}}
+    parts |= {"levels": (), "shapes": None}
     broken = restored(Avatar, parts)
     renderer = renderer_of(broken)
     assert np.array_equal(renderer.render([camera()], pose), expected) and not np.array_equal(good, expected)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,9 +11,7 @@ from glsplat.errors import FormatError
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.tracking import Calibration, Tracker
 from glsplat.tracking.finding import POSTURE
-from glsplat.tracking.learned.trust import load_trust, save_trust
 from glsplat.tracking.solve.body import FEET
-from glsplat.tracking.solvers import embedded_trust
 from tests.tracking.moves import Stage, Track, seconds
 
 
@@ -66,15 +63,3 @@ def test_a_hand_raised_beside_a_still_head_moves_no_foot(stage: Stage, track: Tr
         samples.append(stage.sample(t, left=(0.25 + 0.3 * up, 1.07 + 0.8 * up, 0.15 + 0.1 * up)))
     feet = track(samples, solver="learned").joints[72:, list(FEET)]
     assert np.ptp(feet, axis=0).max() < 0.01
-
-
-def test_a_trust_that_is_none_is_a_clear_error(tmp_path: Path) -> None:
-    path, known = tmp_path / "trust.npz", embedded_trust()
-    save_trust(path, known)
-    np.testing.assert_array_equal(load_trust(path).front, known.front)
-    save_trust(path, replace(known, back=known.back[:3]))
-    with pytest.raises(FormatError, match=r"trust.npz: back is"):
-        load_trust(path)
-    path.write_bytes(b"no archive")
-    with pytest.raises(FormatError, match=r"trust.npz"):
-        load_trust(path)

@@ -19,7 +19,7 @@ from glsplat.tracking.derive import Disturbance, derive, disturb, truth_from_mot
 from glsplat.tracking.learned.network import Network
 from glsplat.tracking.learned.solver import LearnedSolver
 from glsplat.tracking.solve.body import FEET, HEAD, WRISTS, Body
-from glsplat.tracking.solvers import embedded_network, embedded_trust, solver_of
+from glsplat.tracking.solvers import embedded_network, solver_of
 from tests.tracking.moves import DT, Stage, Track, hand_turn, head_turn, seconds
 
 
@@ -115,7 +115,7 @@ def test_any_network_at_all_is_kept_in_bounds(skeleton: Skeleton, stage: Stage, 
             stage.sample(t, head=(np.sin(t), stage.eye[1] * (0.6 + 0.4 * np.cos(3 * t)), t), turn=head_turn(2 * t))
             for t in seconds(3.0)
         ]
-        result = track(samples, solver=LearnedSolver(stage.body, wild, embedded_trust()))
+        result = track(samples, solver=LearnedSolver(stage.body, wild))
         lowest = result.joints[:, list(FEET), 1].min()
         assert lowest > stage.body.sole - 0.011
         assert not result.tracker.solver_error
@@ -159,7 +159,7 @@ def test_the_analytic_solver_steps_in_near_the_ground_and_leaves_again(stage: St
         return (x, y * (1 - 0.62 * low), z + 0.5 * low)
 
     samples = [stage.sample(t, head=head(t), left=None, right=None) for t in seconds(7.0)]
-    solver = LearnedSolver(stage.body, embedded_network(), embedded_trust())
+    solver = LearnedSolver(stage.body, embedded_network())
     shares = []
     update = solver.doubt.update
     solver.doubt.update = lambda *seen: shares.append(update(*seen)) or shares[-1]  # type: ignore[method-assign]

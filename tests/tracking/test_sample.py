@@ -38,6 +38,13 @@ def test_joint_lists_may_be_flat_and_may_carry_the_palm() -> None:
         {"head": "abcdefg"},
         {"head": [0, 1, 2, 0, 0, 0, "x"]},
         {"head": HEAD, "t": "now"},
+        {"head": HEAD, "expression": [0.5] * 51},
+        {"head": HEAD, "leftEye": [0.0, 1.0]},
+        {"head": HEAD, "rightEye": "ahead"},
+        {"head": HEAD, "expression": "jawOpen"},
+        {"head": HEAD, "expression": {"jawOpen": "wide"}},
+        {"head": HEAD, "expression": {"jawOpen": True}},
+        {"head": HEAD, "expression": {str(i): 1.0 for i in range(257)}},
         {"head": HEAD, "left_joints": [[0, 0, 0]] * 24},
         {"head": HEAD, "left_joints": [1.0] * 70},
         {"head": HEAD, "left_joints": 3},
@@ -48,6 +55,19 @@ def test_joint_lists_may_be_flat_and_may_carry_the_palm() -> None:
 def test_malformed_samples_are_refused(wire: object) -> None:
     with pytest.raises(PoseError):
         Sample.from_json(wire)
+
+
+def test_an_expression_is_named_or_in_arkit_s_order() -> None:
+    numbers = [0.0] * 52
+    numbers[17] = 0.5
+    for wire in ({"jawOpen": 0.5, "cheekPuff": 0.0, "tongueOut": None}, numbers):
+        sample = Sample.from_json({"head": HEAD, "expression": wire})
+        assert sample.expression == {"jawOpen": 0.5}
+        assert Sample.from_json(json.loads(json.dumps(sample.to_json()))) == sample
+    looking = Sample.from_json({"head": HEAD, "leftEye": [0.0, 0.1, -1.0], "rightEye": None})
+    assert looking.left_eye == (0.0, 0.1, -1.0) and looking.right_eye is None
+    assert Sample.from_json(json.loads(json.dumps(looking.to_json()))) == looking
+    assert "expression" not in Sample.from_json({"head": HEAD}).to_json()
 
 
 def test_nan_is_left_to_the_tracker() -> None:

@@ -117,3 +117,52 @@ def test_what_is_no_calibration_is_refused(text: str, tmp_path: Any) -> None:
         Calibration.load(path)
     Calibration(scale=1.1, eye_height=1.6).save(path)
     assert Calibration.load(path) == Calibration(scale=1.1, eye_height=1.6)
+
+
+def test_the_face_of_a_sample_is_that_of_the_pose() -> None:
+    tracker = Tracker(default_avatar().skeleton)
+    head = (0.0, 1.6, 0.0, 0.0, 0.0, 0.0, 1.0)
+    assert tracker.update(Sample(0.0, head)).expression == {}
+    assert tracker.update(Sample(0.1, head, expression={"jawOpen": 0.5})).expression == {"jawOpen": 0.5}
+    assert "invalid" not in tracker.flags
+    bad = {"jawOpen": float("nan"), "cheekPuff": 0.25, "tongueOut": float("inf")}
+    assert tracker.update(Sample(0.2, head, expression=bad)).expression == {"cheekPuff": 0.25}
+    assert "invalid" in tracker.flags
+    many = {str(i): 1.0 for i in range(300)}
+    for nonsense in ("jawOpen", [0.5], {"jawOpen": "wide"}, {"jawOpen": None}, {"": 1.0}, {3: 1.0}, many):
+        assert tracker.update(Sample(tracker._time + 0.1, head, expression=nonsense)).expression == {}  # type: ignore[arg-type, operator]
+        assert "invalid" in tracker.flags
+
+
+@pytest.mark.parametrize(
+    "gaze, at",
+    [
+        ((0, 0, -1), (0, 0, 1)),  # ahead
+        ((0.3, 0, -1), (-0.3, 0, 1)),  # to the user's right, which is the body's -x
+        ((0, 0.4, -1), (0, 0.4, 1)),  # up
+        ((-0.2, -0.3, -2), (0.2, -0.3, 2)),
+    ],
+)
+def test_eyes_turn_to_where_they_look(gaze: tuple[float, ...], at: tuple[float, ...]) -> None:
+    tracker = Tracker(default_avatar().skeleton)
+    head = (0.0, 1.6, 0.0, 0.0, 0.0, 0.0, 1.0)
+    pose = tracker.update(Sample(0.0, head, left_eye=gaze))
+    looks = rotation_matrices(pose.rotations[23]) @ (0, 0, 1)
+    assert looks == pytest.approx(np.array(at) / np.linalg.norm(at), abs=1e-9)
+    assert not pose.rotations[24].any()
+    axis = pose.rotations[23]
+    assert axis[2] == pytest.approx(0, abs=1e-9)  # no roll
+
+
+def test_eyes_stay_in_their_sockets_and_at_rest_without_a_direction() -> None:
+    tracker = Tracker(default_avatar().skeleton)
+    head = (0.0, 1.6, 0.0, 0.0, 0.0, 0.0, 1.0)
+    for count, gaze in enumerate(((1, 0, 0), (0, 0, 1), (0, -5, 1e-9))):
+        turn = tracker.update(Sample(0.1 * count, head, right_eye=gaze)).rotations[24]
+        assert np.linalg.norm(turn) == pytest.approx(0.75)
+    for count, gaze in enumerate(((0, 0, 0), (float("nan"), 0, -1), (float("inf"), 0, 0), None), 5):
+        assert not tracker.update(Sample(0.1 * count, head, right_eye=gaze)).rotations[24].any()
+        assert "invalid" not in tracker.flags
+    for count, bad in enumerate(("ahead", (1, 2), ("a", "b", "c"), 7), 10):
+        pose = tracker.update(Sample(0.1 * count, head, right_eye=bad))  # type: ignore[arg-type]
+        assert not pose.rotations[24].any() and "invalid" in tracker.flags

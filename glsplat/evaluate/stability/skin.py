@@ -16,6 +16,7 @@ from glsplat.errors import FormatError, GlsplatError, PoseError
 from glsplat.evaluate.stability.frame import Case, Outcome, camera, refused, renderer
 from glsplat.gl.context import Context
 from glsplat.skinning.pose import Pose
+from glsplat.skinning.shapes import Shapes
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.skin import Skin
 from glsplat.splats import Splats
@@ -31,7 +32,7 @@ _TWIN = "as the float64 twin, rotations stay rotations"
 
 def skin_cases() -> list[Case]:
     """Poses, weights and rigs at their limits."""
-    rows = [*_pose_cases(), *_rig_cases(), *_refusals(), *_weight_cases()]
+    rows = [*_pose_cases(), *_rig_cases(), *_refusals(), *_weight_cases(), *_expression_cases()]
     return [Case("skinning", *row) for row in rows]
 
 
@@ -136,26 +137,72 @@ def _turned(joints: int, joint: int, axis: ArrayLike, degrees: float) -> Pose:
     return Pose(rotations, np.zeros(3))
 
 
-def _posed(avatar: Avatar, poses: Iterable[Pose], covariance: float = COVARIANCE) -> Callable[[Context], Outcome]:
-    """The skin pass against reference.skin, in every pose."""
+def _expression_cases() -> list[Row]:
+    limb = chain(300, 12)
+    rng = np.random.default_rng(8)
+    splats, targets = np.nonzero(rng.random((300, 6)) < 0.5)
+    moves, bends = rng.normal(0, 0.02, (len(splats), 3)), rng.normal(0, 0.4, (len(splats), 2, 3))
+    names = [f"shape {k}" for k in range(6)]
+    shapes = Shapes.create(names, 300, splats=splats, targets=targets, moves=moves, bends=bends)
+    face = replace(limb, shapes=shapes)
+
+    def at(weight: float) -> Pose:
+        return Pose(np.full((12, 3), 0.1), expression=dict.fromkeys(names, weight))
+
+    same = "an expression within its limits"
+    return [
+        (same, "six shapes at 1", "as the float64 twin", _posed(face, [at(1.0)], proper=False)),
+        ("weights of 0", "six shapes at 0", "the bytes of an avatar without shapes", _alike(face, at(0), limb, at(0))),
+        ("weights of 2", "six shapes at 2", "the bytes of weights of 1", _alike(face, at(2), face, at(1))),
+        ("weights of -1", "six shapes at -1", "the bytes of weights of 0", _alike(face, at(-1), face, at(0))),
+        (
+            "weights from -1 to 2",
+            "an avatar whose limits are -2 and 3, its shapes at -1 and 2",
+            "as the float64 twin",
+            _posed(
+                replace(face, shapes=replace(shapes, limits=np.tile((-2, 3), (6, 1)))), [at(-1), at(2)], proper=False
+            ),
+        ),
+        ("NaN in an expression", "one weight", "PoseError", refused(PoseError, "finite", lambda: at(float("nan")))),
+    ]
+
+
+def _alike(one: Avatar, pose: Pose, other: Avatar, its: Pose) -> Callable[[Context], Outcome]:
+    """Two avatars in two poses give the same bytes."""
+
+    def check(context: Context) -> Outcome:
+        with renderer(one, context) as drawn, renderer(other, context) as wanted:
+            image = drawn.render([camera()], pose)
+            expected = wanted.render([camera()], its)
+            return Outcome(np.array_equal(image, expected), _largest(image - expected), "of 1")
+
+    return check
+
+
+def _posed(
+    avatar: Avatar, poses: Iterable[Pose], covariance: float = COVARIANCE, proper: bool = True
+) -> Callable[[Context], Outcome]:
+    """The skin pass against reference.skin, in every pose; ``proper``: and splats turn without being bent."""
 
     def check(context: Context) -> Outcome:
         position = shape = 0.0
-        proper = True
+        rigid = True
         with renderer(avatar, context, 1) as drawn:
             for pose in poses:
                 drawn.render([camera(1)], pose)
                 means, shapes = drawn.posed()
-                expected = reference.skin(avatar.splats, avatar.skin, pose.bones(avatar.skeleton))
+                bones, weights = pose.bones(avatar.skeleton), avatar.weights(pose)
+                expected = reference.skin(avatar.splats, avatar.skin, bones, shapes=avatar.shapes, expression=weights)
                 position = max(position, _largest(means - expected.means))
                 got, wanted = _covariances(shapes), _covariances(expected.shapes)
                 size = np.maximum(np.linalg.norm(wanted, axis=(1, 2)), 1e-300)
                 shape = max(shape, _largest(np.linalg.norm(got - wanted, axis=(1, 2)) / size))
                 turned = _rotations(avatar.splats, shapes)
                 gram = np.abs(turned @ np.swapaxes(turned, 1, 2) - np.eye(3)).max()
-                proper &= bool(gram <= 1e-5 and np.linalg.det(turned).min() > 0.9)
-        held = position <= POSITION and shape <= covariance and proper
-        return Outcome(held, position, "m", f"covariance {shape:.1e}, {'rotations' if proper else 'NOT rotations'}")
+                rigid &= bool(gram <= 1e-5 and np.linalg.det(turned).min() > 0.9)
+        held = position <= POSITION and shape <= covariance and rigid >= proper
+        said = ("rotations" if rigid else "NOT rotations") if proper else "bent"
+        return Outcome(held, position, "m", f"covariance {shape:.1e}, {said}")
 
     return check
 
@@ -223,7 +270,14 @@ def _bad_weight(context: Context) -> Outcome:
         expected = drawn.render([camera()], pose)
     # past the checks of Skin, as from an old pickle
     skin = restored(Skin, {"joints": avatar.skin.joints, "weights": weights, "lost": 0.0, "repaired": 0})
-    parts = {"splats": avatar.splats, "skeleton": avatar.skeleton, "skin": skin, "meta": {}, "levels": ()}
+    parts = {
+        "splats": avatar.splats,
+        "skeleton": avatar.skeleton,
+        "skin": skin,
+        "meta": {},
+        "levels": (),
+        "shapes": None,
+    }
     with renderer(restored(Avatar, parts), context) as drawn:
         error = _largest(drawn.render([camera()], pose) - expected)
         count = drawn.stats.culled["out of range"]

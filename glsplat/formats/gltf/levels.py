@@ -18,6 +18,7 @@ from glsplat.avatar import Avatar
 from glsplat.errors import FormatError
 from glsplat.formats.files import left_out
 from glsplat.formats.gltf.container import Container, Mesh, Node, item
+from glsplat.formats.gltf.morphs import shapes_of, write_shapes
 from glsplat.formats.gltf.nodes import Graph, Instance
 from glsplat.formats.gltf.output import Output
 from glsplat.formats.gltf.primitive import ANTIALIAS, EXTENSION, number_of, our_extras, read_splats, write_splats
@@ -61,6 +62,8 @@ def write_levels(out: Output, scene: Splats | Avatar) -> None:
         node = Node(name=f"splats level {number}", mesh=len(gltf.meshes), extras={"glsplat": ours})
         node.skin = gltf.nodes[0].skin
         gltf.meshes.append(Mesh(primitives=[primitive]))
+        if isinstance(content, Avatar) and content.shapes is not None:
+            write_shapes(out, content.shapes, gltf.meshes[-1], primitive)
         gltf.nodes.append(node)
     gltf.nodes[0].extensions = {LOD: {"ids": list(range(first, len(gltf.nodes)))}}
     gltf.nodes[0].extras = {_COVERAGE: _coverages(finest, [level.density for level in levels])}
@@ -200,4 +203,7 @@ class _Reading:
         if not same and not read_skeleton(self._container, instance, self._graph).same(scene.skeleton):
             raise FormatError("it is bound to another skeleton than the finest")
         skin = read_skin(self._container, instance, len(scene.skeleton), len(splats), ours.get(SKIN_WEIGHTS))
-        return Avatar(splats, scene.skeleton, skin, scene.meta)
+        shapes = shapes_of(self._container, instance, len(splats))
+        if shapes is not None and (scene.shapes is None or shapes.names != scene.shapes.names):
+            raise FormatError("its morph targets are not called as those of the finest")
+        return Avatar(splats, scene.skeleton, skin, scene.meta, shapes=shapes)

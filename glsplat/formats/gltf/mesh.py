@@ -12,14 +12,16 @@ from typing import Any
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from glsplat.errors import FormatError
 from glsplat.formats.files import Source
 from glsplat.formats.gltf.container import Mesh, Node, Primitive, Scene
 from glsplat.formats.gltf.fallback import UNLIT, unlit_material
+from glsplat.formats.gltf.morphs import add_sparse
 from glsplat.formats.gltf.output import INDICES, Output
 from glsplat.formats.gltf.rig import write_influences, write_skeleton
-from glsplat.meshes import MeshPart, RiggedMesh
+from glsplat.meshes import MeshPart, Morphs, RiggedMesh
 from glsplat.skinning.skin import INFLUENCES, Skin
 
 __all__ = ["save_gltf_mesh"]
@@ -33,9 +35,10 @@ _LINEAR, _MIPMAPS = 9729, 9987
 def save_gltf_mesh(mesh: RiggedMesh, target: Source, *, embedded: bool | None = None) -> None:
     """Write a .glb, or where ``target`` ends in .gltf one JSON file with its buffer ``embedded``.
 
-    A primitive and a material for each part, named as it is; the nodes of the joints have the joints' names; ``meta``
-    goes into ``asset.extras``. Positions, weights and texture coordinates are float32, of each vertex's influences
-    the eight strongest. Raises FormatError when ``target`` cannot be written or the notes are not JSON.
+    A primitive and a material for each part, named as it is, the mesh's expressions as morph targets; the nodes of the
+    joints have the joints' names; ``meta`` goes into ``asset.extras``. Positions, weights and texture coordinates are
+    float32, of each vertex's influences the eight strongest. Raises FormatError when ``target`` cannot be written or
+    the notes are not JSON.
     """
     out = Output()
     gltf = out.gltf
@@ -52,7 +55,8 @@ def save_gltf_mesh(mesh: RiggedMesh, target: Source, *, embedded: bool | None = 
         gltf.materials.append(_material(part, sources[id(part.texture)]))
         primitives.append(_primitive(out, mesh, skin, part, len(gltf.materials) - 1))
     gltf.samplers = [{"magFilter": _LINEAR, "minFilter": _MIPMAPS}]
-    gltf.meshes = [Mesh(primitives=primitives)]
+    names = None if mesh.morphs is None else {"targetNames": list(mesh.morphs.names)}
+    gltf.meshes = [Mesh(primitives=primitives, extras=names)]
     gltf.nodes = [Node(name="mesh", mesh=0)]
     gltf.scene, gltf.scenes = 0, [Scene(nodes=[0])]
     write_skeleton(out, mesh.skeleton)
@@ -75,7 +79,22 @@ def _primitive(out: Output, mesh: RiggedMesh, skin: Skin, part: MeshPart, materi
     write_influences(out, skin.take(vertex), len(mesh.skeleton), attributes)
     wide = index.reshape(-1, 1).astype(np.uint16 if len(first) < 0xFFFF else np.uint32)
     indices = out.add(wide, "SCALAR", target=INDICES)
-    return Primitive(attributes=attributes, indices=indices, material=material)
+    targets = [] if mesh.morphs is None else _targets(out, mesh.morphs, len(mesh.vertices), vertex)
+    return Primitive(attributes=attributes, indices=indices, material=material, targets=targets)
+
+
+def _targets(out: Output, morphs: Morphs, count: int, vertex: NDArray[np.int32]) -> list[dict[str, int]]:
+    """Morph targets of a part whose vertices are ``vertex`` of the mesh's ``count``: those that move, sparse."""
+    targets = []
+    for target in range(len(morphs)):
+        part = slice(*morphs.starts[target : target + 2])
+        offsets = np.zeros((count, 3), np.float32)
+        np.add.at(offsets, morphs.vertices[part], morphs.offsets[part])
+        moved = offsets[vertex]
+        rows = np.flatnonzero(moved.any(axis=1))
+        indices = out.add_bytes(rows.astype("<u4").tobytes())
+        targets.append({"POSITION": add_sparse(out, len(vertex), indices, moved[rows], "VEC3")})
+    return targets
 
 
 def _material(part: MeshPart, texture: int) -> dict[str, Any]:

@@ -1,39 +1,35 @@
-"""Morph targets of a glTF primitive: how far each of its vertices moves for each named expression."""
+"""Morph targets of a glTF primitive (2.0, 3.7.2.2): of a mesh's vertices, and of splats, which are an avatar's shapes.
+
+Of splats POSITION holds metres as the renderer has them, so that a viewer of morph targets moves the same points as
+far; the attributes _AXIS_0 and _AXIS_1 (vectors of normalised signed bytes, the fourth 0) hold what else a splat does.
+All are sparse accessors over nothing, of one list of splats a target. Names are in the mesh's ``extras.targetNames``;
+what viewers do not need is in the primitive's ``extras.glsplat``: ``shape_sizes`` and, where they are not 0 and 1,
+``shape_limits``.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.errors import FormatError
-from glsplat.formats.gltf.container import Container, Mesh, Primitive, item
+from glsplat.formats.gltf.container import Accessor, Container, Mesh, Primitive, item
+from glsplat.formats.gltf.nodes import Instance
+from glsplat.formats.gltf.output import Output
+from glsplat.formats.gltf.primitive import our_extras
+from glsplat.meshes import Morphs
+from glsplat.skinning.expression import MOST_NAMES, arkit_name
+from glsplat.skinning.shapes import BEND, LIMITS, Shapes
 
-__all__ = ["Morphs", "read_morphs"]
+__all__ = ["Morphs", "read_morphs", "shape_names", "shapes_of", "write_shapes"]
 
 _TARGETS = 1024
 _ROWS = 1 << 23  # of all targets together, 134 MB: targets may share data, and a small file must not become a huge one
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class Morphs:
-    """Offsets of vertices in metres in the mesh's own space, those that are not zero: T targets, M offsets in all.
-
-    Target t, called ``names[t]``, at weight w moves vertex ``vertices[i]`` by w ``offsets[i]`` for the i from
-    ``starts[t]`` to ``starts[t + 1]``; targets add up (glTF 2.0, 3.7.2.2).
-    """
-
-    names: tuple[str, ...]
-    starts: NDArray[np.int64]  # [T + 1]
-    vertices: NDArray[np.uint32]  # [M]
-    offsets: NDArray[np.float32]  # [M, 3]
-
-    def __len__(self) -> int:
-        return len(self.names)
-
-    def __repr__(self) -> str:
-        return f"Morphs({len(self.names)} targets, {len(self.vertices)} offsets)"
+_AXES = ("_AXIS_0", "_AXIS_1")
+_SIZES, _LIMITS = "shape_sizes", "shape_limits"
+_ENTRIES = 1 << 24
 
 
 def read_morphs(container: Container, mesh: Mesh, primitive: Primitive) -> Morphs:
@@ -69,6 +65,8 @@ def _target(container: Container, index: int, where: str, count: int) -> tuple[N
     accessor = item(container.gltf.accessors, index, f"accessor of {where}")
     if accessor.count != count:
         raise FormatError(f"{where} needs {count} offsets, as there are vertices, not {accessor.count}")
+    if accessor.sparse is None and accessor.buffer_view is None:  # zeros (glTF 2.0, 5.1.1)
+        return np.empty(0, np.uint32), np.empty((0, 3), np.float32)
     if accessor.sparse is None or accessor.buffer_view is not None:
         values = container.numbers(index, where, ("VEC3",))
         rows = np.flatnonzero(values.any(axis=1))
@@ -77,3 +75,156 @@ def _target(container: Container, index: int, where: str, count: int) -> tuple[N
     if offsets.dtype.kind != "f":
         raise FormatError(f"{where} needs offsets of three floats")
     return which.astype(np.uint32), np.ascontiguousarray(offsets, np.float32)
+
+
+def write_shapes(out: Output, shapes: Shapes, mesh: Mesh, primitive: Primitive) -> None:
+    """Add targets to ``primitive``, the one of ``mesh``, and what says more of them."""
+    rows = shapes.rows
+    for target in range(len(shapes)):
+        mine = np.flatnonzero(shapes.targets == target)
+        splats = np.ascontiguousarray(rows[mine], np.uint32)
+        indices = out.add_bytes(splats.astype("<u4").tobytes())
+        metres = np.ascontiguousarray(shapes.metres[mine], np.float32)
+        bends = np.pad(shapes.bends[mine], ((0, 0), (0, 0), (0, 1)))
+        attributes = {"POSITION": add_sparse(out, shapes.splats, indices, metres, "VEC3")}
+        if bends.any():
+            for axis, name in enumerate(_AXES):
+                values = np.ascontiguousarray(bends[:, axis])
+                attributes[name] = add_sparse(out, shapes.splats, indices, values, "VEC4")
+        primitive.targets.append(attributes)
+    extras = mesh.extras if isinstance(mesh.extras, dict) else {}
+    mesh.extras = extras | {"targetNames": list(shapes.names)}
+    ours: dict[str, Any] = {_SIZES: [float(size) for size in shapes.sizes]}
+    if not np.array_equal(shapes.limits, np.tile(np.array(LIMITS, np.float32), (len(shapes), 1))):
+        ours[_LIMITS] = shapes.limits.tolist()
+    known = primitive.extras["glsplat"] if isinstance(primitive.extras, dict) else {}
+    primitive.extras = {"glsplat": known | ours}
+
+
+def add_sparse(out: Output, count: int, indices: int, values: NDArray[Any], kind: str) -> int:
+    """Index of a new accessor that is ``values`` where the bufferView ``indices`` says, and zero elsewhere."""
+    code = 5126 if values.dtype == np.float32 else 5120
+    accessor = Accessor(component_type=code, count=count, type=kind, normalized=code == 5120)
+    if len(values):
+        view = out.add_bytes(np.ascontiguousarray(values, values.dtype.newbyteorder("<")).tobytes())
+        accessor.sparse = {
+            "count": len(values),
+            "indices": {"bufferView": indices, "componentType": 5125},
+            "values": {"bufferView": view},
+        }
+    if kind == "VEC3":  # required of POSITION; what is not named is zero
+        least, most = values.min(axis=0, initial=0), values.max(axis=0, initial=0)
+        accessor.min, accessor.max = least.tolist(), most.tolist()
+    out.gltf.accessors.append(accessor)
+    return len(out.gltf.accessors) - 1
+
+
+def shapes_of(container: Container, instance: Instance, count: int) -> Shapes | None:
+    """The shapes of an instance's ``count`` splats; None where its primitive has no targets. Raises FormatError."""
+    primitive, mesh = instance.primitive, instance.node.mesh
+    if not primitive.targets or mesh is None:
+        return None
+    ours = our_extras(primitive.extras)
+    if len(primitive.targets) > MOST_NAMES:
+        raise FormatError(f"an avatar has at most {MOST_NAMES} shapes, this one {len(primitive.targets)}")
+    morphs = read_morphs(container, item(container.gltf.meshes, mesh, "mesh"), primitive)
+    if not np.isfinite(morphs.offsets).all():
+        raise FormatError("the morph targets need finite offsets, found NaN or infinity")
+    names = shape_names(morphs.names)
+    splats, targets = morphs.vertices.astype(np.int64), np.repeat(np.arange(len(names)), np.diff(morphs.starts))
+    bends = np.zeros((len(splats), 2, 3))
+    bent = [number for number, target in enumerate(primitive.targets) if any(name in target for name in _AXES)]
+    more: list[tuple[NDArray[np.int64], int, NDArray[Any]]] = []
+    for number in bent:
+        rows, values = _axes(container, primitive.targets[number], f"morph target {number}", count)
+        at = slice(*morphs.starts[number : number + 2])
+        if np.array_equal(rows, splats[at]):
+            bends[at] = values
+        else:
+            more.append((rows, number, values))
+    moves = morphs.offsets.astype(np.float64)
+    if more:
+        splats, targets, moves, bends = _together(count, (splats, targets, moves, bends), more)
+    sizes, limits = _numbers(ours.get(_SIZES), (len(names),)), _numbers(ours.get(_LIMITS), (len(names), 2))
+    if sizes is not None and not _fits(moves, sizes[targets]):
+        sizes = None
+    pairs = splats * len(names) + targets
+    if len(np.unique(pairs)) != len(pairs):
+        raise FormatError("a morph target names a splat twice")
+    return Shapes.create(
+        names, count, splats=splats, targets=targets, moves=moves, bends=bends, sizes=sizes, limits=limits
+    )
+
+
+def shape_names(names: tuple[str, ...]) -> list[str]:
+    """Names of ARKit where a target is one of its shapes, whoever named it; each once, others as they are."""
+    out: list[str] = []
+    own = set(names)
+    for number, name in enumerate(names):
+        known = arkit_name(name)
+        taken = known is None or known in out or (known != name and known in own)
+        chosen = (name if taken or known is None else known)[:64] or f"target_{number}"
+        out.append(chosen if chosen not in out else f"{chosen[:56]}_{number}")
+    return out
+
+
+def _axes(
+    container: Container, target: dict[str, int], where: str, count: int
+) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """[K] which splats a target bends, and [K, 2, 3] how far."""
+    found: list[tuple[NDArray[np.int64], NDArray[Any]]] = []
+    for name in _AXES:
+        if name not in target:
+            raise FormatError(f"{where} needs both {' and '.join(_AXES)}")
+        accessor = item(container.gltf.accessors, target[name], f"accessor of {where}")
+        if accessor.count != count or accessor.component_type != 5120:
+            raise FormatError(f"{where}: {name} needs {count} elements of signed bytes")
+        if accessor.sparse is not None and accessor.buffer_view is None:
+            which, values = container.sparse(target[name], f"{where} {name}", ("VEC4",))
+            found.append((which.astype(np.int64), values[:, :3]))
+        elif accessor.buffer_view is not None:
+            found.append((np.arange(count), container.read(target[name], f"{where} {name}", ("VEC4",))[:, :3]))
+        else:
+            found.append((np.empty(0, np.int64), np.empty((0, 3), np.int8)))
+    (rows, first), (others, second) = found
+    if not np.array_equal(rows, others):
+        raise FormatError(f"{where}: {' and '.join(_AXES)} need the same splats")
+    return rows, np.maximum(np.stack([first, second], axis=1).astype(np.float64), -127) * BEND
+
+
+def _together(
+    count: int,
+    known: tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]],
+    more: list[tuple[NDArray[np.int64], int, NDArray[Any]]],
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
+    """Entries of which some move and others bend, one for each splat and target."""
+    splats = np.concatenate([known[0], *(rows for rows, _, _ in more)])
+    targets = np.concatenate([known[1], *(np.full(len(rows), number) for rows, number, _ in more)])
+    if len(splats) > _ENTRIES:
+        raise FormatError(f"the morph targets have more than {_ENTRIES} entries altogether")
+    keys, place = np.unique(targets * count + splats, return_inverse=True)
+    moves, bends = np.zeros((len(keys), 3)), np.zeros((len(keys), 2, 3))
+    moves[place[: len(known[0])]] = known[2]
+    bends[place[: len(known[0])]] = known[3]
+    at = len(known[0])
+    for rows, _, values in more:
+        bends[place[at : at + len(rows)]] = values
+        at += len(rows)
+    return keys % count, keys // count, moves, bends
+
+
+def _numbers(value: Any, shape: tuple[int, ...]) -> NDArray[np.float32] | None:
+    """A list of finite numbers of that shape; None for all else: notes of others are no reason to refuse a file."""
+    try:
+        array = np.asarray(value, np.float64)
+    except (TypeError, ValueError):
+        return None
+    if array.shape != shape or not np.isfinite(array).all() or (np.abs(array) > 1e30).any():
+        return None
+    return array.astype(np.float32)
+
+
+def _fits(moves: NDArray[np.float64], units: NDArray[np.float32]) -> bool:
+    """Whether all moves are whole numbers of those units, as a file that was written here has them."""
+    steps = moves / np.maximum(units, np.float32(1e-30))[:, None]
+    return bool((units >= 0).all() and (np.abs(steps - np.rint(steps)) < 0.01).all() and (np.abs(steps) < 32768).all())

@@ -20,6 +20,7 @@ from glsplat.formats.format import Format
 from glsplat.formats.gltf.container import Container, Mesh, Node, Scene, read_container
 from glsplat.formats.gltf.fallback import UNLIT, unlit_material
 from glsplat.formats.gltf.levels import finest_of, read_levels, write_levels
+from glsplat.formats.gltf.morphs import shapes_of, write_shapes
 from glsplat.formats.gltf.nodes import Graph, Instance, graph_of, instances
 from glsplat.formats.gltf.output import Output
 from glsplat.formats.gltf.primitive import ANTIALIAS, EXTENSION, SPZ_EXTENSION, packed_view, read_splats, write_splats
@@ -86,6 +87,8 @@ def save_gltf(scene: Splats | Avatar, target: Source, *, embedded: bool | None =
     gltf.scene, gltf.scenes = 0, [Scene(nodes=[0])]
     note: dict[str, Any] = {"version": _VERSION}
     if isinstance(scene, Avatar):
+        if scene.shapes is not None:
+            write_shapes(out, scene.shapes, gltf.meshes[0], primitive)
         write_influences(out, scene.skin, len(scene.skeleton), primitive.attributes)
         write_skeleton(out, scene.skeleton)
         note |= dict(scene.meta)
@@ -118,7 +121,8 @@ def _scene(container: Container) -> Splats | Avatar:
         note.pop(ANTIALIAS, None)
         stored = note.pop(SKIN_WEIGHTS, None)
         skin = read_skin(container, skinned[0], len(skeleton), len(splats), stored)
-        return read_levels(container, graph, skinned, Avatar(splats, skeleton, skin, note))
+        shapes = shapes_of(container, skinned[0], len(splats))
+        return read_levels(container, graph, skinned, Avatar(splats, skeleton, skin, note, shapes=shapes))
     return _merged(container, graph, found)
 
 

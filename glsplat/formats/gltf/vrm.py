@@ -8,7 +8,7 @@ from glsplat.errors import FormatError
 from glsplat.formats.gltf.container import Gltf
 from glsplat.skinning.rigs.match import spine_of
 
-__all__ = ["human_bones"]
+__all__ = ["face_binds", "human_bones"]
 
 _BONES = {"hips": "pelvis", "neck": "neck", "head": "head", "jaw": "jaw"}
 _LIMBS = {
@@ -40,6 +40,27 @@ def human_bones(gltf: Gltf) -> dict[str, int]:
             bones = [entries[side + theirs + name] for name in names if side + theirs + name in entries]
             out |= {f"{side}_{ours}{place}": node for place, node in enumerate(bones[:3], 1)}
     return out
+
+
+def face_binds(gltf: Gltf) -> dict[str, list[tuple[int | None, int | None, int, float]]]:
+    """Expression -> (node, or mesh, number of the morph target, weight from 0 to 1) of each target it moves.
+
+    VRM 1.0 names nodes, VRM 0.x meshes. What is malformed is left out: nobody is lost without an expression.
+    """
+    out: dict[str, list[tuple[int | None, int | None, int, float]]] = {}
+    try:
+        found = gltf.extensions.get("VRMC_vrm", {}).get("expressions") or {}
+        for kind in ("custom", "preset"):
+            for name, expression in (found.get(kind) or {}).items():
+                binds = expression.get("morphTargetBinds") or []
+                out[str(name)] = [(int(b["node"]), None, int(b["index"]), float(b["weight"])) for b in binds]
+        for group in gltf.extensions.get("VRM", {}).get("blendShapeMaster", {}).get("blendShapeGroups", []):
+            binds = group.get("binds") or []
+            of = [(None, int(b["mesh"]), int(b["index"]), float(b["weight"]) / 100) for b in binds]
+            out[str(group.get("name"))] = [*of]
+    except (AttributeError, KeyError, TypeError, ValueError, OverflowError):
+        return {}
+    return {name: binds for name, binds in out.items() if binds and all(abs(weight) < 1e3 for *_, weight in binds)}
 
 
 def _entries(extensions: dict[str, Any]) -> dict[str, int]:

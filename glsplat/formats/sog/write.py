@@ -31,13 +31,13 @@ Image = NDArray[np.uint8]
 
 def drawn(splats: Splats) -> Splats:
     """The splats that a SOG can hold: those that are finite and have a rotation. No other is ever drawn."""
-    kept = splats.finite() & splats.quats.any(axis=1)
+    kept = splats.drawable()
     return splats if kept.all() else splats.take(kept)
 
 
 def stored_order(splats: Splats) -> NDArray[np.intp]:
     """Which of the splats a SOG has, in the order it has them in."""
-    kept = np.flatnonzero(splats.finite() & splats.quats.any(axis=1))
+    kept = np.flatnonzero(splats.drawable())
     return kept[_along(_steps(splats.means[kept])[2])]
 
 

@@ -14,6 +14,7 @@ from itertools import pairwise
 from glsplat.avatar import Avatar
 from glsplat.errors import GlsplatError
 from glsplat.making.detail.merge import MergeConfig, merged
+from glsplat.making.faces.carry import carried
 
 __all__ = ["FittedConfig", "fitted_levels", "reduced"]
 
@@ -93,4 +94,6 @@ def reduced(
         growth=config.growth,
         recycled=config.recycled,
     )
-    return fitted(start, pictures, seed, descent, progress)
+    made = fitted(replace(start, shapes=None), pictures, seed, descent, progress)
+    shapes = None if start.shapes is None else carried(start.shapes, start.splats, made.splats)
+    return replace(made, shapes=shapes)

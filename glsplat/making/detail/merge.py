@@ -20,6 +20,7 @@ from scipy.spatial.transform import Rotation
 
 from glsplat.avatar import Avatar
 from glsplat.errors import GlsplatError
+from glsplat.making.faces.carry import merged_shapes
 from glsplat.rotations import quaternion_matrices
 from glsplat.skinning.skin import Skin
 from glsplat.splats import SH_C0, Splats
@@ -59,8 +60,8 @@ class Cover:
 def merged(scene: Scene, count: int, config: MergeConfig | None = None, progress: Report | None = None) -> Scene:
     """``count`` splats in place of more, without levels; the scene itself if it has no more. Deterministic.
 
-    Splats that are not finite or transparent are left out. An avatar's splats take the mean of their weights. Raises
-    GlsplatError for a count below 1 or a scene without a splat that can be drawn.
+    Splats that are not finite or transparent are left out. An avatar's splats take the mean of their weights and
+    shapes. Raises GlsplatError for a count below 1 or a scene without a splat that can be drawn.
     """
     if count >= len(scene.splats if isinstance(scene, Avatar) else scene):
         return scene
@@ -261,7 +262,8 @@ def _made(scene: Any, usable: NDArray[np.intp], work: _Clusters) -> Any:
     )
     weights = (rows @ each).toarray() / total
     skin = Skin.create(np.broadcast_to(np.arange(joints), weights.shape), weights, joints, scene.skin.influences)
-    return Avatar(made, scene.skeleton, skin, scene.meta)
+    shapes = None if scene.shapes is None else merged_shapes(scene.shapes.take(usable), few, label, weight, made)
+    return Avatar(made, scene.skeleton, skin, scene.meta, shapes=shapes)
 
 
 def _parts(rows: csr_array) -> Iterator[tuple[slice, csr_array]]:

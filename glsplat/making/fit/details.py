@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -66,7 +67,9 @@ def fit_details(
     ]
     moved = (body.skin_weights * np.isin(body.skin_joints, _MOVED)).sum(axis=1)
     offsets = moved * dressed(body, bare, poses, views, fit.offsets) + (1 - moved) * fit.offsets
-    return assembled(body, bare, joints, offsets, poses, rotations, views, [seen.strays for seen in fit.views])
+    detailed = assembled(body, bare, joints, offsets, poses, rotations, views, [seen.strays for seen in fit.views])
+    told = [replace(seen, doubts=old.doubts) for seen, old in zip(detailed.views, fit.views, strict=True)]
+    return replace(detailed, views=tuple(told))
 
 
 def _set_hand(

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,8 +14,11 @@ from glsplat.making.fit.kinematics import Posed, projected
 from glsplat.making.fit.landmarks import landmarks
 from glsplat.making.fit.offsets import face_of, outward, smooth_offsets, soles_of
 from glsplat.making.fit.outline import Rim, find_rim, half_gaps, overlap, projected_mask
-from glsplat.making.fit.prior import HINGES
+from glsplat.making.fit.prior import HINGES, POSED, Stance
 from glsplat.making.fit.solver import Solver
+from glsplat.making.fit.standing.doubt import doubts_of, unseen
+from glsplat.making.fit.standing.limbs import TRUNK, beside_arms, hidden_arms, layers
+from glsplat.making.fit.standing.stances import misread, stances_of
 from glsplat.making.fit.view import View
 from glsplat.meshes import vertex_normals
 from glsplat.skinning.smplx import JOINT_NAMES
@@ -48,7 +51,13 @@ _PLAIN = 0.8  # cosine between normal and offset; a vertex below it, in an ear's
 _SOLE = 0.020  # metres; a thicker one would be height that the body lacks
 _FEW = 4  # views whose outlines hardly cross each other
 _HEIGHTS = 0.5, 2.5  # metres
-_GOOD = 0.94, 2.0  # least overlap with the mask, most mean distance of landmarks in shares of the figure (%)
+_ARM_REACH, _ARM_REACH_DRESSED = 0.015, 0.03  # shares of the figure: so near an arm no outline is a trunk's
+_ARM_MARKS, _WRIST_MARKS = (13, 14, 15, 16), (15, 16)  # landmarks of elbows and wrists
+# Against a fit speak: a percent uncovered, a percent that landmarks and those of arms stray, an arm hidden that is seen
+# or seen that is hidden, arms that point elsewhere than the network's metres by their length; and that it is an unusual
+# stance. Weights chosen on four made-up people in nine poses.
+_AGAINST, _UNUSUAL = (1.0, 2.0, 0.5, 4.0, 4.0), 1.0
+_GOOD = 0.88, 2.0  # least overlap with the mask, most mean distance of landmarks in shares of the figure (%)
 
 _TRUST = {"wrist": 1.0, "elbow": 1.0, "head": 0.35, "neck": 0.35, "jaw": 0.35, "foot": 0.5, "ankle": 0.5}
 _CLOTHED = 0.6
@@ -67,6 +76,7 @@ class FittedView:
     pixels: F64  # [V, 2] where the picture has it
     overlap: float  # intersection over union of the dressed surface and the mask
     strays: float  # mean distance of the landmarks from where the body has them, in percent of the figure's height
+    doubts: Mapping[str, float] = field(default_factory=dict)  # by limb, 0 to 1; see ``doubts_of``
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,14 +109,32 @@ def fit_body(views: Sequence[View], height: float | None = None, body: Body | No
     if height is not None and not _HEIGHTS[0] <= height <= _HEIGHTS[1]:
         raise FormatError(f"a height needs metres from {_HEIGHTS[0]} to {_HEIGHTS[1]}, not {height:g}")
     body = body or open_body()
-    small = [view.smaller(FIGURE) for view in views]
-    solver = Solver(body, landmarks(), small, height)
+    fits = [_begun_with(stance, views, height, body) for stance in stances_of(views[0], body)]
+    fit = min(fits, key=lambda fitted: fitted[1])[0]
+    missing = [line for seen, view in zip(fit.views, views, strict=True) if (line := unseen(seen.doubts, view.side))]
+    return replace(fit, problem="; ".join([fit.problem] * bool(fit.problem) + missing))
+
+
+def _begun_with(stance: Stance, views: Sequence[View], height: float | None, body: Body) -> tuple[BodyFit, float]:
+    """The fit of somebody who may stand so, and how much speaks against it."""
+    solver = Solver(body, landmarks(), [view.smaller(FIGURE) for view in views], height, stance=stance)
     converge(solver)
     poses = [solver.posed(index) for index in range(len(views))]
     rotations = [HINGES.rotations(solver.angles(index)) for index in range(len(views))]
     bare, joints = body.shaped(solver.betas)
     offsets = dressed(body, bare, poses, views)
-    return assembled(body, bare, joints, offsets, poses, rotations, views, strays_of(solver))
+    fit = assembled(body, bare, joints, offsets, poses, rotations, views, strays_of(solver))
+    against, told = 0.0 if stance is POSED else _UNUSUAL, []
+    for index, (seen, view) in enumerate(zip(fit.views, views, strict=True)):
+        arms = np.linalg.norm(solver.strayed(index, pixels=True)[np.isin(solver.table.numbers, _ARM_MARKS)], axis=1)
+        hidden = hidden_arms(body, seen.vertices, seen.pixels, view.focal, view.mask.shape)
+        percents = (1 - seen.overlap) * 100, seen.strays, arms.mean() / solver.views[index].figure * 100
+        shown, behind = view.visibility[list(_WRIST_MARKS)], np.array(hidden)
+        mistaken = float((shown * behind + (1 - shown) * (1 - behind)).sum())
+        otherwise = 0.0 if view.world is None else misread(view.world, seen.joints)
+        against += float(np.dot(_AGAINST, np.array([*percents, mistaken, otherwise])))
+        told.append(replace(seen, doubts=doubts_of(view, hidden)))
+    return replace(fit, views=tuple(told)), against
 
 
 def converge(solver: Solver, rounds: int = _ROUNDS) -> None:
@@ -155,7 +183,10 @@ def _rim(body: Body, posed: Posed, view: View, moved: F64 | None) -> Rim:
     gaps = rim.gaps
     if moved is not None:  # bare legs do not meet
         gaps = np.where(np.isfinite(gaps), gaps, half_gaps(view.mask, drawn, rim.pixels, rim.normals, reach))
-    found = np.isfinite(gaps)
+    around = (_ARM_REACH if moved is None else _ARM_REACH_DRESSED) * view.figure
+    column, row = np.floor(rim.pixels).astype(int).T
+    of_arms = beside_arms(body, pixels, view.mask.shape, around)[row, column]
+    found = np.isfinite(gaps) & ~(of_arms & (layers(body)[rim.vertices] == TRUNK))
     return Rim(rim.vertices[found], rim.pixels[found], rim.normals[found], gaps[found])
 
 

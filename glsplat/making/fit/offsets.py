@@ -23,6 +23,8 @@ _BARE = {"index": 0.006, "middle": 0.006, "pinky": 0.006, "ring": 0.006, "thumb"
 _STIFF = 0.12  # how much neighbours agree against how much a vertex on the outline obeys
 _SHY = 2e-3  # how much what no outline shows stays on the body
 
+_HAIR_SHY = 3e-4  # hair is about as thick behind as beside the face
+
 _EARS = 0.06  # metres of z in the zero pose, behind which the head's directions are smoothed
 _FACE = 0.08, 0.94  # metres of z and y in the zero pose: before the one and below the other a head is face
 _DOWN = -0.5  # cosine; a sole turns to the floor
@@ -58,6 +60,12 @@ def soles_of(body: Body) -> NDArray[np.bool_]:
     return np.asarray(np.isin(body.part, feet) & down)
 
 
+def _hairy(body: Body) -> NDArray[np.bool_]:
+    """[V] the vertices that hair may lie on: head and neck but for face and throat."""
+    head = np.isin(body.part, [JOINT_NAMES.index(name) for name in ("neck", "head")])
+    return np.asarray(head & body.skin & (body.vertices[:, 2] < _EARS))
+
+
 def smooth_offsets(body: Body, vertices: NDArray[np.intp], wanted: F64, weights: F64) -> F64:
     """[V] metres along the normals: close to ``wanted`` [K] at ``vertices`` [K], the smoothest elsewhere."""
     of_joint = [next((most for part, most in _BARE.items() if part in name), MOST[1]) for name in JOINT_NAMES]
@@ -67,7 +75,8 @@ def smooth_offsets(body: Body, vertices: NDArray[np.intp], wanted: F64, weights:
     np.add.at(pull, vertices, weights)
     np.add.at(target, vertices, weights * wanted.clip(least[vertices], most[vertices]))
     degree = np.asarray(body.neighbours.sum(axis=1)).ravel()
-    scale = pull + _STIFF * degree + _SHY
+    shy = np.where(_hairy(body), _HAIR_SHY, _SHY)
+    scale = pull + _STIFF * degree + shy
     matrix = diags(scale) - _STIFF * body.neighbours
     offsets, _ = cg(matrix, target, rtol=1e-4, maxiter=300, M=diags(1 / scale))
     return np.asarray(np.where(body.skin, offsets, 0.0).clip(least, most))

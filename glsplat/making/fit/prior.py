@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.making.fit.kinematics import Hinges
 
-__all__ = ["CAMERA_HEIGHT", "HINGES", "MEAN", "SHAPE_DOUBT", "SPREAD", "STATURE", "TURN_DOUBT"]
+__all__ = ["CAMERA_HEIGHT", "HINGES", "MEAN", "POSED", "SHAPE_DOUBT", "SPREAD", "STATURE", "TURN_DOUBT", "Stance"]
 
 F64 = NDArray[np.float64]
 
@@ -42,6 +44,20 @@ SPREAD: F64 = np.array([spread for _, _, _, spread in _TABLE])
 
 TURN_DOUBT: tuple[float, float] = 0.25, 0.05
 """Standard deviation in radians of how a person is turned about the vertical, and of how a camera is rolled."""
+
+
+@dataclass(frozen=True, eq=False)
+class Stance:
+    """How somebody may stand: what a fit begins with, and what it is drawn back to where a picture says nothing."""
+
+    name: str
+    mean: F64  # [D] radians
+    spread: F64  # [D] radians, one standard deviation
+    turn: float = 0.0  # radians about the vertical, from what the view says
+
+
+POSED = Stance("posed", MEAN, SPREAD)
+"""Somebody who stands for the picture, as they were asked to."""
 
 SHAPE_DOUBT = 1.3
 """Standard deviation of the numbers of shape: a little more than by the body's making (measured on known people)."""

@@ -43,14 +43,20 @@ class Solver:
     """Shape, and of each view the place and the pose, as one vector: [BETAS], then [6 + D] a view.
 
     ``height`` is the stature in metres, None where nobody gave one; ``known`` is what need not be found out, or hardly.
-    Residuals are in standard deviations.
+    ``stance`` is how the person may stand, where that is not known. Residuals are in standard deviations.
     """
 
     def __init__(
-        self, body: Body, table: Landmarks, views: Sequence[View], height: float | None, known: Known | None = None
+        self,
+        body: Body,
+        table: Landmarks,
+        views: Sequence[View],
+        height: float | None,
+        known: Known | None = None,
+        stance: prior.Stance = prior.POSED,
     ) -> None:
         self.body, self.table, self.views = body, table, tuple(views)
-        self._height, self._known = height, known
+        self._height, self._known, self._stance = height, known, stance
         self._marks = table.points(body)
         self._block = PLACE + len(prior.MEAN)
         self._rims: list[tuple[Rim, Points, F64] | None] = [None] * len(views)
@@ -106,7 +112,7 @@ class Solver:
         self.x = least_squares(self._rows, self.x, steps)
 
     def _start(self) -> F64:
-        """A person of the height asked for, in the mean pose, where the hips are and as large as the mask."""
+        """A person of the height asked for, in the stance's pose, where the hips are and as large as the mask."""
         x = np.zeros(BETAS + self._block * len(self.views))
         size, grows = self.body.stature
         height = prior.STATURE[0] if self._height is None else self._height
@@ -120,7 +126,8 @@ class Solver:
             hips = view.landmarks[[23, 24]].mean(axis=0)
             block[:2] = (hips - view.centre) * depth / view.focal
             block[2] = depth
-            block[PLACE:] = prior.MEAN if self._known is None else self._known.angles
+            block[4] = self._stance.turn
+            block[PLACE:] = self._stance.mean if self._known is None else self._known.angles
         return x
 
     def _sided(self, index: int) -> F64:
@@ -199,7 +206,7 @@ class Solver:
         count = len(prior.MEAN)
         angles = x[BETAS + index * self._block + PLACE :][:count]
         moves = np.zeros((count, BETAS + self._block))
-        mean, spread = prior.MEAN, prior.SPREAD
+        mean, spread = self._stance.mean, self._stance.spread
         if self._known is not None:
             mean, spread = self._known.angles, np.minimum(spread, _SAME_POSE)
         moves[:, BETAS + PLACE :] = np.diag(1 / spread)
@@ -228,7 +235,7 @@ class Solver:
         hips, rises = self.body.hip_height
         turn, roll = prior.TURN_DOUBT
         height = hips + rises @ x[:BETAS] - up @ block[:3]  # the camera is at the origin of its axes
-        residual = np.array([block[4] / turn, block[5] / roll, (height / stature - mean) / doubt])
+        residual = np.array([(block[4] - self._stance.turn) / turn, block[5] / roll, (height / stature - mean) / doubt])
         moves = np.zeros((3, BETAS + self._block))
         moves[0, BETAS + 4], moves[1, BETAS + 5] = 1 / turn, 1 / roll
         moves[2, :BETAS] = (rises / stature - height / stature**2 * grows) / doubt

@@ -41,7 +41,8 @@ class View:
 
     ``focal`` in pixels, ``centre`` [2] the pixel of the optical axis (default: the picture's middle; pixel centres at
     +0.5), ``side`` the side of the person that is seen: front, back, left or right; or ``turn``, about how many degrees
-    they have turned to their own left from facing the camera. Raises FormatError.
+    they have turned to their own left from facing the camera. ``world`` [33, 3] are the landmarks as rough metres about
+    the hips, x right, y down, z away, where a network gave them. Raises FormatError.
     """
 
     mask: NDArray[np.bool_] = field(repr=False)
@@ -51,6 +52,7 @@ class View:
     centre: F64
     side: str
     turn: float  # degrees
+    world: F64 | None = field(repr=False)
     figure: float  # pixels from the mask's top to its bottom
 
     def __init__(
@@ -62,6 +64,7 @@ class View:
         centre: ArrayLike | None = None,
         side: str = "front",
         turn: float | None = None,
+        world: ArrayLike | None = None,
     ) -> None:
         seen = np.asarray(mask)
         if seen.ndim != 2 or seen.dtype != np.bool_:
@@ -77,6 +80,9 @@ class View:
                 f"a view needs landmarks ({LANDMARK_COUNT}, 2) and visibility ({LANDMARK_COUNT},), "
                 f"not {where.shape} and {sure.shape}"
             )
+        metres = None if world is None else own(world, np.float64, "world landmarks")
+        if metres is not None and (metres.shape != (LANDMARK_COUNT, 3) or not np.isfinite(metres).all()):
+            raise FormatError(f"world landmarks need finite numbers ({LANDMARK_COUNT}, 3), not {metres.shape}")
         middle = own(np.array(seen.shape[::-1]) / 2 if centre is None else centre, np.float64, "centre")
         finite = np.isfinite(where).all() and np.isfinite(sure).all() and np.isfinite(middle).all()
         if not finite or middle.shape != (2,):
@@ -97,6 +103,7 @@ class View:
         keep(self, "centre", middle)
         keep(self, "side", side)
         keep(self, "turn", SIDES[side] if turn is None else float(turn))
+        keep(self, "world", metres)
         keep(self, "figure", figure)
 
     @property
@@ -115,4 +122,4 @@ class View:
         mask = cv2.resize(self.mask.astype(np.uint8) * 255, size, interpolation=cv2.INTER_AREA) > 127
         focal = self.focal * float(factors.mean())
         marks, centre = self.landmarks * factors, self.centre * factors
-        return View(mask, marks, self.visibility, focal, centre, turn=self.turn)
+        return View(mask, marks, self.visibility, focal, centre, turn=self.turn, world=self.world)

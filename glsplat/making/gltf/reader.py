@@ -17,6 +17,7 @@ from glsplat.formats.gltf.nodes import Graph, Instance, graph_of, instances
 from glsplat.formats.gltf.rig import read_influences, read_skeleton
 from glsplat.formats.gltf.vrm import human_bones
 from glsplat.making.fit.body import open_body
+from glsplat.making.gltf.faces import Faces
 from glsplat.making.gltf.ground import faces_back, on_the_floor
 from glsplat.making.gltf.left_out import TRIANGLES, Left, apart, carried, nearest, refuse_packed, survey
 from glsplat.making.gltf.rig import Rig, rig_of
@@ -161,6 +162,7 @@ def _rigged(
     vertices, joints, weights, parts, first = [], [], [], [], 0
     materials: Materials = {}
     morphed: set[int] = set()
+    faces = Faces(container)
     for instance in shown:
         if _skinned(instance) and instance.node.skin in strangers:
             left.add("meshes of another skeleton are left out", 1, instance.node.name or instance.name)
@@ -174,7 +176,8 @@ def _rigged(
         if on is None:
             left.add("meshes beside the person are left out", 1, instance.node.name or instance.name)
             continue
-        points, moved, shares = _bound(container, instance, node, on, surface, rig)
+        points, moved, shares, linear = _bound(container, instance, node, on, surface, rig)
+        still = faces.add(instance, node, first, linear)
         vertices.append(points)
         joints.append(moved)
         weights.append(shares)
@@ -182,7 +185,7 @@ def _rigged(
         first += len(points)
         if node not in morphed:  # all primitives of a mesh have the same
             morphed.add(node)
-            left.add("morph targets stay at their default weights", len(instance.primitive.targets))
+            left.add("morph targets stay at their default weights", still)
     survey(container, list(instances(gltf, graph.world)), left)
     at, skeleton = np.concatenate(vertices), rig.skeleton
     all_joints, all_weights = _wide(joints), _wide(weights)
@@ -204,7 +207,7 @@ def _rigged(
         meta["no_map"] = rig.why
     if left.counts:
         meta["left_out"] = left.lines()
-    return RiggedMesh(at, skeleton, all_joints, all_weights, tuple(parts), meta)
+    return RiggedMesh(at, skeleton, all_joints, all_weights, tuple(parts), meta, faces.morphs())
 
 
 def _holding(container: Container, shown: Sequence[Instance], rigid: Sequence[int]) -> NDArray[np.bool_]:
@@ -248,13 +251,16 @@ def _given(container: Container, rig_map: Mapping[str, str | None]) -> dict[str,
 
 def _bound(
     container: Container, instance: Instance, node: int, on: int, surface: Surface, rig: Rig
-) -> tuple[F64, NDArray[np.int64], F64]:
-    """Points [V, 3] as they were bound, and joints and weights [V, K] of the rig; without a skin they go ``on`` one."""
+) -> tuple[F64, NDArray[np.int64], F64, F64]:
+    """Points [V, 3] as they were bound, and joints and weights [V, K] of the rig; without a skin they go ``on`` one.
+
+    At last what turned offsets of the points: [3, 3], or [V, 3, 3].
+    """
     points = np.column_stack([surface.points, np.ones(len(surface.points))])
     if not _skinned(instance):
         place = rig.place(np.array([node]), np.eye(4)[None])[0]
         joints = np.full((len(points), 1), rig.joint[on])
-        return (points @ place.T)[:, :3], joints, np.ones((len(points), 1))
+        return (points @ place.T)[:, :3], joints, np.ones((len(points), 1)), place[:3, :3]
     skin = instance.node.skin or 0
     nodes = np.array(container.gltf.skins[skin].joints)
     ids, weights, _ = _influences(container, instance, len(points), len(nodes))
@@ -264,13 +270,13 @@ def _bound(
         raise FormatError(f"{instance.name}: no vertex has a weight")
     first = places[used[0]]
     if np.abs(places[used] - first).max() <= _ALIKE * np.abs(places[used]).max():
-        at = points @ first.T
+        at, linear = points @ first.T, first[:3, :3]
     else:
-        at = np.zeros_like(points)
+        at, linear = np.zeros_like(points), np.einsum("vk,vkij->vij", weights, places[ids, :3, :3])
         for column in range(ids.shape[1]):
             at += weights[:, column, None] * np.einsum("vij,vj->vi", places[ids[:, column]], points)
     joints, shares = _merged(rig.joint[nodes][ids], weights)
-    return at[:, :3], joints, shares
+    return at[:, :3], joints, shares, linear
 
 
 def _influences(
@@ -308,9 +314,11 @@ def _plain(
     """A person on the joints of SMPL-X already: stored points, as the file has them."""
     vertices, joints, weights, parts, first = [], [], [], [], 0
     materials: Materials = {}
+    faces = Faces(container)
     for instance in shown:
         if not _skinned(instance) or instance.node.skin != skin:
             continue
+        faces.add(instance, instance.index, first, np.eye(3))
         surface = surface_of(container, folder, instance, _weights(container, instance), materials)
         ids, shares, _ = _influences(container, instance, len(surface.points), len(skeleton))
         wide = np.zeros((len(ids), 8), np.int64), np.zeros((len(ids), 8))
@@ -323,7 +331,13 @@ def _plain(
     meta = {"source": source} | container.note()
     meta.pop("version", None)
     return RiggedMesh(
-        np.concatenate(vertices), skeleton, np.concatenate(joints), np.concatenate(weights), tuple(parts), meta
+        np.concatenate(vertices),
+        skeleton,
+        np.concatenate(joints),
+        np.concatenate(weights),
+        tuple(parts),
+        meta,
+        faces.morphs(),
     )
 
 

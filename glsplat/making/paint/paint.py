@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from glsplat.making.fit.body import Body
 from glsplat.making.fit.eyes import EyeLook
 from glsplat.making.paint.colour import to_srgb
-from glsplat.making.paint.head import back_of_head
+from glsplat.making.paint.head import BackOfHead, back_of_head
 from glsplat.making.paint.inside import with_inside
+from glsplat.making.paint.layers.segments import trunk_of, twins_across
 from glsplat.making.paint.light import Light, find_light
 from glsplat.making.paint.shot import Shot, Sight, SurfacePoints
 from glsplat.making.paint.smooth import smoothest
@@ -24,9 +25,9 @@ __all__ = ["Paint", "Painter", "paint", "painter_of"]
 F64 = NDArray[np.float64]
 
 _NO_TWINS = ("neck", "head", "jaw", "left_eye_smplhf", "right_eye_smplhf")  # faces and chins have no counterpart
-_TRUNK = ("pelvis", "spine", "collar")
 _GUESSED = 0.6  # of the splats that detail is worth, where it is a guess
 _DIGITS = 6  # of a colour; see sharpen.py
+_LENT = 0.003  # what one half of the body says of the other, where nobody looks
 _SHADE = 0.3, 1.4  # brightness of an unseen point against the seen one its colour comes from
 
 
@@ -49,6 +50,7 @@ class Painter:
     light: Light
     plain: F64  # [V, 3] smooth linear colours without light
     twins: Twins
+    head: BackOfHead
 
     def paint(self, points: SurfacePoints) -> Paint:
         """What is known and guessed of the points."""
@@ -79,7 +81,7 @@ class Painter:
         ratio = (shade[:, 0] / self.light.shade(behind.normals)).clip(*_SHADE)
         round_parts = np.isin(body.part, [JOINT_NAMES.index(name) for name in _NO_TWINS])
         trust = behind.trust * (1 - points.at(round_parts.astype(float)[:, None])[:, 0])
-        covered, colour = back_of_head(body, front, self.light, points)
+        covered, colour = self.head.at(points)
         # side by side, not one over the other: where neck and back meet, no third colour shows between them
         rest = 1 - trust - covered
         guess = (rest[:, None] * points.at(self.plain) + covered[:, None] * colour) * shade
@@ -93,12 +95,12 @@ def painter_of(
 
     The light is found on ``points``, which should lie evenly over the surface.
     """
-    trunk = np.array([any(word in name for word in _TRUNK) for name in JOINT_NAMES])[body.part]
     front = shots[0]
     sight = front.look(points)
     normals, up = points.directions(front.normals), front.view.root[:, 1]
     light = find_light(normals, sight.linear, sight.trust, up, np.array([0.0, 0, -1]))
-    return Painter(body, shots, looks or {}, light, _smooth_colours(body, shots, light), find_twins(front.mesh, trunk))
+    plain, twins = _smooth_colours(body, shots, light), find_twins(front.mesh, trunk_of(body))
+    return Painter(body, shots, looks or {}, light, plain, twins, back_of_head(body, front, light))
 
 
 def paint(
@@ -126,5 +128,7 @@ def _smooth_colours(body: Body, shots: Sequence[Shot], light: Light) -> F64:
         # every picture is of the same room: normals are turned back into the first camera's axes
         shade = light.shade(shot.normals @ (shot.view.root @ first.view.root.T))
         known += trust
-        target += trust[:, None] * shot.sample(shot.view.pixels) / shade[:, None]
-    return smoothest(body, known, target)
+        target += trust[:, None] * shot.sample(shot.view.pixels, shot.layer) / shade[:, None]
+    twin = twins_across()
+    lent = _LENT * known[twin] * (known < _LENT)
+    return smoothest(body, known + lent, target + _LENT * target[twin] * (known < _LENT)[:, None])

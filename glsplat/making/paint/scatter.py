@@ -18,9 +18,7 @@ __all__ = ["PHOTO_SAMPLER", "Scatter", "even_points", "scatter"]
 
 F64 = NDArray[np.float64]
 
-_EYE_DENSITY = 10.0
-
-PHOTO_SAMPLER = SamplerConfig(samples=16, candidates=5, rounds=6, sigma=2.0, inset=0.002, round_off=8)
+PHOTO_SAMPLER = SamplerConfig(samples=16, candidates=5, rounds=6, sigma=2.1, inset=0.002, round_off=8)
 """Fewer samples and rounds than a textured mesh gets: seconds, and a photograph has less to show."""
 
 
@@ -63,24 +61,11 @@ class Scatter:
         return avatar_of(cells, mesh.skeleton, PHOTO_SAMPLER.opacity, mesh.meta)
 
 
-def _eye_densities(mesh: RiggedMesh) -> F64:
-    """[F] an iris is a centimetre wide and needs more splats than skin; the back of an eyeball shows to nobody."""
-    density = np.ones(len(mesh.faces))
-    for index, part in enumerate(mesh.parts):
-        if part.name == "eyes":
-            middle = mesh.vertices[part.faces].mean(axis=1)
-            for side in (middle[:, 0] > 0, middle[:, 0] <= 0):
-                away = middle[side] - mesh.vertices[part.faces[side]].mean(axis=(0, 1))
-                front = away[:, 2] > 0.5 * np.linalg.norm(away, axis=1)
-                density[np.flatnonzero(mesh.face_parts == index)[side]] = np.where(front, _EYE_DENSITY, 0.2)
-    return density
-
-
 def scatter(mesh: RiggedMesh, splats: int, rng: np.random.Generator) -> Scatter:
     """Points for so many splats, in proportion to area and density; every triangle gets its share."""
     faces = mesh.faces
     area = _areas(mesh)
-    density = face_densities(mesh, PHOTO_SAMPLER) * _eye_densities(mesh)
+    density = face_densities(mesh, PHOTO_SAMPLER)
     label = face_zones(mesh)
     chosen, weights, zones, first = [], [], [], 0
     for zone, count in allot(splats, label, PHOTO_SAMPLER):

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.camera import Camera, look_at
+from glsplat.making.paint.layers.segments import half_width
 from glsplat.making.paint.shot import Shot, SurfacePoints
 from glsplat.making.raster import visible_faces
 from glsplat.meshes import RiggedMesh
@@ -55,10 +56,15 @@ class Sighted:
 
 def _half(shot: Shot, points: SurfacePoints, twin: SurfacePoints) -> F64:
     """[M, 8] colours, normals, trust and detail."""
-    vertices = np.hstack([twin.at(shot.view.pixels), twin.directions(shot.normals), twin.at(shot.shown[:, None])])
+    layer = shot.layers_at(points)
+    own = (shot.layer[twin.corners[:, 0]] == shot.layer)[:, None]  # no back has its colours from an arm before it
+    vertices = np.hstack([twin.at(shot.view.pixels), twin.directions(shot.normals), twin.at(shot.shown[:, None]) * own])
     there = points.at(vertices)
     pixels = there[:, :2]
-    return np.hstack([shot.sample(pixels), there[:, 2:], shot.detail(pixels)[:, None]])
+    colours = shot.sample(pixels, layer)
+    away = points.directions(shot.normals)[:, 2] > 0
+    colours[away] = shot.sample(pixels[away], layer[away], behind=True)
+    return np.hstack([colours, there[:, 2:], shot.detail(pixels, layer)[:, None]])
 
 
 def find_twins(mesh: RiggedMesh, trunk: NDArray[np.bool_]) -> Twins:
@@ -74,7 +80,7 @@ def find_twins(mesh: RiggedMesh, trunk: NDArray[np.bool_]) -> Twins:
         _PIXELS,
     )
     ids, bary = visible_faces(mesh, vertices, camera)
-    half = _half_width(vertices, trunk)
+    half = half_width(vertices, trunk)
     sides = []
     for sign in (1.0, -1.0):
         wanted = vertices.copy()
@@ -88,13 +94,3 @@ def find_twins(mesh: RiggedMesh, trunk: NDArray[np.bool_]) -> Twins:
         sides.append(SurfacePoints(corners, weights))
     whole = np.where(vertices[:, 0] < 0, -1.0, 1.0)  # limbs are not taken in halves
     return Twins((sides[0], sides[1]), np.where(trunk, vertices[:, 0], whole))
-
-
-def _half_width(vertices: F64, trunk: NDArray[np.bool_]) -> F64:
-    """[V] half the width of the trunk at each vertex's height, metres."""
-    rows = np.round(vertices[:, 1] / 0.03).astype(np.intp)
-    rows -= rows.min()
-    widest = np.zeros(rows.max() + 3)
-    np.maximum.at(widest, rows[trunk] + 1, np.abs(vertices[trunk, 0]))
-    smooth = (widest[:-2] + widest[1:-1] + widest[2:]) / 3
-    return np.asarray(smooth[rows])

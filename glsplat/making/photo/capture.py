@@ -3,21 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from itertools import pairwise
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from glsplat.making.networks.face import shows_face
 from glsplat.making.networks.people import Person, find_person
-from glsplat.making.networks.person import LANDMARKS, body_in, bounds, people_mask, whole
+from glsplat.making.networks.person import body_in, bounds, people_mask, whole
 
+from .finding import Finding, note
 from .mask import person_mask
+from .posture import LYING, VIEWS, PostureConfig, arms, cut_off, lying, turned
 from .sharpness import blur_of
 
-__all__ = ["VIEWS", "Capture", "CaptureConfig", "Finding", "check_capture"]
-
-VIEWS = {"front": 0.0, "left": -90.0, "back": 180.0, "right": 90.0}
-"""Which side of the person is seen, and how many degrees the person has turned to show it, to their own left."""
+__all__ = ["VIEWS", "Capture", "CaptureConfig", "Finding", "check_capture", "is_outline"]
 
 
 @dataclass(frozen=True)
@@ -28,14 +29,21 @@ class CaptureConfig:
     """Of the body network: people have more, dolls, animals and drawings less."""
     face: float = 0.5
     """Of the face network, in a picture from the front."""
+    no_face: float = 0.05
+    no_hand: float = 0.3
+    """Of the networks of face and hands, both: dolls have less."""
+    sure_face: float = 0.9
+    """Of the face network: nothing but a face gives it."""
+    face_presence: float = 0.95
+    """Of the body network, where there surely is a face."""
+    half_presence: float = 0.5
+    """Of the body network, where half of somebody may be seen."""
+    apart: float = 0.08
+    """Between two faces of a group, in shares of the picture's width."""
     smallest: float = 400.0
     """Pixels that a person has to be high."""
-    turned: float = 20.0
-    """Degrees that the shoulders may be turned from the view that was asked for."""
-    leaning: float = 20.0
-    """Degrees between the trunk and the picture's upright."""
-    arms: float = 14.0
-    """Degrees that the line from shoulder to wrist leaves the trunk's axis."""
+    posture: PostureConfig = field(default_factory=PostureConfig)
+    """How the person has to stand."""
     blur: float = 0.62
     """Of ``blur_of``: 0 sharp, 1 nothing but blur."""
     burnt: float = 0.12
@@ -52,16 +60,6 @@ class CaptureConfig:
     """Of the body network, for a second person, whom both networks have to see."""
 
 
-@dataclass(frozen=True)
-class Finding:
-    """One thing that is wrong with a capture."""
-
-    code: str
-    """For programs: nobody, several, cut_off, small, lying, turned, face, arms, blurred, bright, dark or mask."""
-    text: str
-    """One line for people: what was found, and what to do."""
-
-
 @dataclass(frozen=True, eq=False)
 class Capture:
     """What the check found, and what it had to work out for that."""
@@ -75,6 +73,11 @@ class Capture:
     def good(self) -> bool:
         """Nothing was found."""
         return not self.findings
+
+    @property
+    def refused(self) -> bool:
+        """No avatar worth having can be made of it."""
+        return any(finding.refusal for finding in self.findings)
 
 
 def check_capture(
@@ -90,55 +93,91 @@ def check_capture(
     """
     config = config or CaptureConfig()
     people = people_mask(picture)
-    person = find_person(picture, people)
-    nothing = np.zeros(picture.shape[:2], bool)
+    # grey people in busy rooms: the first network sees nothing, the others may
+    person = find_person(picture, people) or find_person(picture, np.ones_like(people))
     if person is None or not _is_somebody(picture, person, people, config):
-        return Capture((_elsewhere(picture, config),), None, nothing)
+        nothing = np.zeros(picture.shape[:2], bool)
+        return Capture((_instead(picture, person, people, config),), None, nothing)
     mask = person_mask(picture, person.body) if given is None else given
-    lying = _lying(person, config)
-    if lying is not None:  # the networks know upright people only, so nothing else can be believed
-        return Capture((lying,), person, mask)
+    several = _several(picture, person, people, config)
+    cut = cut_off(person, mask, view, config.posture)
+    half = cut is not None and cut.refusal
+    down = None if half else lying(person, config.posture)
+    if down is not None:  # the networks know upright people only, so nothing else can be believed
+        return Capture((several or down,), person, mask)
     small = _small(mask, config)
     found = [
-        _several(picture, person, people, config),
-        _cut_off(person, mask),
+        several,
+        cut,
         small,
-        _turned(person, view, config) if view is not None else None,
+        turned(person, view, config.posture) if view is not None else None,
         _face(person, view, config),
-        _arms(person, view, config),
+        None if half else arms(person, view, config.posture),
         _blurred(picture, mask, config) if small is None else None,
         _exposure(picture, person, mask, config),
-        _mask(person, mask, given is not None) if small is None else None,
+        _mask(person, mask, given is not None) if small is None and not half else None,
     ]
     return Capture(tuple(finding for finding in found if finding is not None), person, mask)
 
 
-def _elsewhere(picture: NDArray[np.uint8], config: CaptureConfig) -> Finding:
-    """What to say where nobody stands upright: perhaps the picture has to be turned."""
+def _instead(
+    picture: NDArray[np.uint8], person: Person | None, people: NDArray[np.float32], config: CaptureConfig
+) -> Finding:
+    """What to say where nobody stands whole and upright: half of somebody, a group, or the picture on its side."""
+    several = len(_faces(picture, people, config)) > 1
+    if several:
+        return _SEVERAL
+    if person is not None and (person.body.presence >= config.presence or person.face.presence > config.sure_face):
+        if person.body.presence > config.half_presence:
+            cut = cut_off(person, person.body.mask > 0.5, None, config.posture)
+            if cut is not None and cut.refusal:
+                return cut
     for quarters in (1, 3, 2):
         turned = np.ascontiguousarray(np.rot90(picture, quarters))
         people = people_mask(turned)
-        person = find_person(turned, people)
-        if person is not None and _is_somebody(turned, person, people, config) and _lying(person, config) is None:
-            return _LYING
+        upright = find_person(turned, people)
+        if upright is not None and _is_somebody(turned, upright, people, config):
+            if lying(upright, config.posture) is None:
+                return LYING
     return Finding("nobody", "nobody is found in the picture; show one whole person, upright")
 
 
-_LYING = Finding("lying", "the person does not stand upright in the picture; turn the picture, and stand straight")
+def _faces(picture: NDArray[np.uint8], people: NDArray[np.float32], config: CaptureConfig) -> list[float]:
+    """Where people stand from left to right who show their faces, in shares of the picture's width.
+
+    The body network looks at one person, and at a row of people sees none: so at halves and thirds of the row.
+    """
+    height, width = picture.shape[:2]
+    row = bounds(_seen(picture, people))
+    left, right = (row[0], row[2]) if row[2] > row[0] else (0.0, float(width))
+    found: list[float] = []
+    for count in (2, 3):
+        edges = np.linspace(left, right, count + 1)
+        for start, end in pairwise(edges):
+            body = body_in(picture, np.array([start, 0.0, end, height]))
+            if body.presence < config.half_presence or shows_face(picture, body) < config.sure_face:
+                continue
+            at = float(body.point("nose")[0]) / width
+            if all(abs(at - other) > config.apart for other in found):
+                found.append(at)
+    return found
 
 
 def _is_somebody(
     picture: NDArray[np.uint8], person: Person, people: NDArray[np.float32], config: CaptureConfig
 ) -> bool:
-    """The two networks have to agree: one sees bodies in anything, the other people in any foreground."""
+    """Two networks have to agree, for one sees bodies in anything and the other people in any foreground; or a face."""
     body = person.body
     seen = _seen(picture, people)
     own = body.mask > 0.5
-    if body.presence < config.presence or not own.any():
+    sure = person.face.presence > config.sure_face
+    if body.presence < (config.face_presence if sure else config.presence) or not own.any():
         return False
+    if sure and body.presence >= config.presence and own.mean() > 0.002:
+        return True
     shared = (seen & own).sum() / own.sum()
     inside = _inside(own, body.points[11:33], 0.02 * float(np.ptp(np.flatnonzero(own.any(axis=1)))))
-    return bool(shared > 0.5 and own.mean() > 0.002 and inside.mean() > 0.6)
+    return bool(shared > 0.5 and own.mean() > 0.002 and (sure or inside.mean() > 0.6))
 
 
 def _inside(mask: NDArray[np.bool_], points: NDArray[np.float64], reach: float) -> NDArray[np.bool_]:
@@ -164,7 +203,10 @@ def _several(
         without = _painted_over(picture, near)
         if not _is_second(without, _seen(without, people_mask(without)), near, own, config):
             return None
-    return Finding("several", "more than one person is in the picture; show one person alone")
+    return _SEVERAL
+
+
+_SEVERAL = Finding("several", "more than one person is in the picture; show one person alone")
 
 
 def _seen(picture: NDArray[np.uint8], people: NDArray[np.float32]) -> NDArray[np.bool_]:
@@ -201,27 +243,6 @@ def _painted_over(picture: NDArray[np.uint8], area: NDArray[np.bool_]) -> NDArra
     return np.where(area[..., None], cv2.resize(filled, picture.shape[1::-1]), picture).astype(np.uint8)
 
 
-def _cut_off(person: Person, mask: NDArray[np.bool_]) -> Finding | None:
-    height, width = mask.shape
-    points = dict(zip(LANDMARKS, person.body.points, strict=True))
-    parts = {
-        "the head": mask[:2].sum() > 2 or points["nose"][1] < 0,
-        "the feet": mask[-2:].sum() > 2 or max(points[f"{s}_{p}"][1] for s in _SIDES for p in _FOOT) > height,
-        "a hand": mask[:, :2].sum() + mask[:, -2:].sum() > 4
-        or any(not 0 <= points[f"{s}_{p}"][0] <= width for s in _SIDES for p in _HAND),
-    }
-    cut = [name for name, beyond in parts.items() if beyond]
-    if not cut:
-        return None
-    reach = "reaches" if len(cut) == 1 and "feet" not in cut[0] else "reach"
-    return Finding("cut_off", f"{' and '.join(cut)} {reach} out of the picture; leave room on all four sides")
-
-
-_SIDES = ("left", "right")
-_FOOT = ("ankle", "heel", "foot_index")
-_HAND = ("wrist", "index", "pinky", "thumb")
-
-
 def _small(mask: NDArray[np.bool_], config: CaptureConfig) -> Finding | None:
     rows = np.flatnonzero(mask.any(axis=1))
     high = int(rows[-1] - rows[0] + 1) if len(rows) else 0
@@ -233,47 +254,14 @@ def _small(mask: NDArray[np.bool_], config: CaptureConfig) -> Finding | None:
     )
 
 
-def _lying(person: Person, config: CaptureConfig) -> Finding | None:
-    up = person.body.points[[11, 12]].mean(axis=0) - person.body.points[[23, 24]].mean(axis=0)
-    return _LYING if abs(np.degrees(np.arctan2(up[0], -up[1]))) > config.leaning else None
-
-
-def _turned(person: Person, view: str, config: CaptureConfig) -> Finding | None:
-    """Whether another side is shown than the one that was asked for."""
-
-    def away(name: str) -> float:
-        return float(abs((np.degrees(person.turn) - VIEWS[name] + 180) % 360 - 180))
-
-    allowed = config.turned if view in ("front", "back") else 2 * config.turned  # from the side depth is a rough guess
-    if away(view) <= allowed:
-        return None
-    seen = min(VIEWS, key=away)
-    if seen != view:
-        return Finding("turned", f"this shows the person's {seen}, not the {view}; give the picture to its own option")
-    return Finding("turned", f"the person is turned by {away(view):.0f} degrees; stand straight before the camera")
-
-
 def _face(person: Person, view: str | None, config: CaptureConfig) -> Finding | None:
+    """A face that is hidden is guessed; dolls have neither face nor hands."""
     if view != "front" or person.face.presence > config.face or person.body.point("nose")[1] < 0:
         return None
-    return Finding("face", "no face is found; look into the camera, hair and hat out of the face")
-
-
-def _arms(person: Person, view: str | None, config: CaptureConfig) -> Finding | None:
-    if view not in ("front", "back"):
-        return None
-    body = person.body
-    down = body.points[[23, 24]].mean(axis=0) - body.points[[11, 12]].mean(axis=0)
-    angles = []
-    for side, other in (_SIDES, _SIDES[::-1]):
-        arm = body.point(f"{side}_wrist") - body.point(f"{side}_shoulder")
-        out = np.sign((body.point(f"{side}_shoulder") - body.point(f"{other}_shoulder"))[0])
-        angle = np.degrees(np.arctan2(arm[0], arm[1]) - np.arctan2(down[0], down[1])) * out
-        angles.append((angle + 180) % 360 - 180)
-    if min(angles) >= config.arms:
-        return None
-    which = "the arms lie" if max(angles) < config.arms else "an arm lies"
-    return Finding("arms", f"{which} against the body; hold both well away from it, palms to the camera or down")
+    hands = max(person.left_hand.presence, person.right_hand.presence)
+    if max(person.face.presence / config.no_face, hands / config.no_hand) < 1:
+        return Finding("face", "neither face nor hands are found; show a person who looks into the camera")
+    return note("face", "no face is seen, it is guessed; look into the camera, hands, hair and hat out of the face")
 
 
 def _blurred(picture: NDArray[np.uint8], mask: NDArray[np.bool_], config: CaptureConfig) -> Finding | None:
@@ -304,15 +292,30 @@ def _exposure(
     return None
 
 
+def is_outline(person: Person, mask: NDArray[np.bool_]) -> bool:
+    """Whether a mask [H, W] is about the person's outline, and not a frame's or a picture's round corners."""
+    return min(_agreement(person, mask)) > _AGREES
+
+
 def _mask(person: Person, mask: NDArray[np.bool_], given: bool) -> Finding | None:
     """The outline at full resolution has to be the network's, but for its edge, and hold the landmarks."""
-    coarse = person.body.mask > 0.5
-    agree = (mask & coarse).sum() / max((mask | coarse).sum(), 1)
-    reach = 0.015 * person.body.crop.side
-    seen = person.body.visible > 0.5
-    inside = _inside(mask, person.body.points, reach)[seen]
-    if agree > 0.85 and inside.mean() > 0.85:
+    agreement = min(_agreement(person, mask))
+    if agreement > _AGREES:
         return None
     if given:
         return Finding("mask", "the given mask is not the person's outline; make the person white, all else black")
+    if agreement > _HARDLY:
+        return note("mask", "the person's outline is hard to find; choose a plain background, or give a mask")
     return Finding("mask", "the person's outline is not found; choose a plain background, or give a mask")
+
+
+_AGREES, _HARDLY = 0.85, 0.75
+
+
+def _agreement(person: Person, mask: NDArray[np.bool_]) -> tuple[float, float]:
+    """Intersection over union with the network's own mask, and the share of seen landmarks that lie in it."""
+    coarse = person.body.mask > 0.5
+    agree = (mask & coarse).sum() / max((mask | coarse).sum(), 1)
+    reach = 0.015 * person.body.crop.side
+    inside = _inside(mask, person.body.points, reach)[person.body.visible > 0.5]
+    return float(agree), float(inside.mean()) if len(inside) else 0.0

@@ -17,10 +17,13 @@ from glsplat.making.fit.eyes import EyeLook, read_eyes
 from glsplat.making.fit.fit import BodyFit, fit_body
 from glsplat.making.fit.view import View
 from glsplat.making.networks.people import Person, find_person
+from glsplat.making.networks.person import LANDMARKS
 from glsplat.making.paint.dress import dressed_mesh
+from glsplat.making.paint.layers.segments import segments_of
 from glsplat.making.paint.paint import painter_of
 from glsplat.making.paint.scatter import even_points, scatter
 from glsplat.making.paint.shot import Shot
+from glsplat.making.paint.skirt import hem_of, with_skirt
 from glsplat.making.reconstruct.reconstructor import Mask, Options, Picture
 from glsplat.making.reconstruct.sharp import sharp
 from glsplat.making.texture import baked
@@ -30,6 +33,7 @@ __all__ = ["PHONE", "SIDES", "Builtin", "Dressed", "Made", "Meshing", "Telling"]
 
 SIDES = ("front", "back", "left", "right")
 _HARDLY = 0.1  # of a point that a picture shows too flatly to be believed
+_SURE = 0.4  # visibility of an arm that is where the network has it
 _LIT = 20_000  # points that light and unseen share are found on
 PHONE = 1.37
 """Focal length of a usual phone camera, in heights of an upright picture."""
@@ -126,12 +130,18 @@ def _fitted(pictures: Mapping[str, Picture], masks: Mapping[str, Mask], options:
     fit = fit_body(views, options.height, body)
     fit = fit_details(fit, views, [people[side] for side in sides], body)
     options.progress("painting", 0.35)
-    mesh = dressed_mesh(body, fit)
+    mesh, seen = dressed_mesh(body, fit), fit.views
+    hem = hem_of(body, fit, mesh, views[0])
+    if hem is not None:
+        mesh, seen = with_skirt(body, mesh, views, seen, hem)
     shots = [
-        Shot(pictures[side].rgb, masks[side], view.focal, fitted, mesh)
-        for side, view, fitted in zip(sides, views, fit.views, strict=True)
+        Shot(pictures[side].rgb, masks[side], view.focal, fitted, mesh, segments_of(), _arms(people[side]))
+        for side, view, fitted in zip(sides, views, seen, strict=True)
     ]
-    return _Fitted(body, fit, mesh, shots, read_eyes(pictures["front"].rgb, people["front"].face))
+    looks = read_eyes(pictures["front"].rgb, people["front"].face)
+    if not any(look.seen for look in looks.values()):
+        looks = {}  # closed lids and dark glasses stay what they are
+    return _Fitted(body, fit, mesh, shots, looks)
 
 
 def _seen(shots: Sequence[Shot]) -> NDArray[np.float64]:
@@ -145,6 +155,15 @@ def _person(picture: Picture, side: str) -> Person:
     return person
 
 
+def _arms(person: Person) -> NDArray[np.float64]:
+    """[2, 3, 2] pixels of shoulders, elbows and wrists, left and right; NaN where the network does not believe them."""
+    names = [
+        [LANDMARKS.index(f"{side}_{joint}") for joint in ("shoulder", "elbow", "wrist")] for side in ("left", "right")
+    ]
+    seen = person.body.visible[names] > _SURE
+    return np.where(seen[..., None], person.body.points[names], np.nan)
+
+
 def _view(side: str, picture: Picture, mask: Mask, person: Person) -> View:
     focal = picture.focal or PHONE * max(picture.rgb.shape[:2])
-    return View(mask, person.body.points, person.body.visible, focal, side=side)
+    return View(mask, person.body.points, person.body.visible, focal, side=side, world=person.body.world)

@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 from glsplat.avatar import Avatar
 from glsplat.errors import CaptureError, FormatError, GlsplatError
 from glsplat.making.networks.people import find_person
-from glsplat.making.photo.capture import VIEWS, Capture, check_capture
+from glsplat.making.photo.capture import VIEWS, Capture, check_capture, is_outline
 from glsplat.making.photo.mask import person_mask
 from glsplat.making.photo.mask_file import MaskSource, mask_of
 from glsplat.making.photo.photo_file import Photo, read_photo
@@ -89,10 +89,11 @@ def check_photos(
     masks: Mapping[str, MaskSource] | None = None,
     progress: Progress | None = None,
 ) -> dict[str, Shot]:
-    """Read all pictures, then check each; findings are in ``Shot.capture``, nobody is refused yet.
+    """Read all pictures, then check each; findings are in ``Shot.capture``, nobody is refused yet (``refuse``).
 
-    ``masks`` by side; a picture that is transparent about the person is its own. Where nobody is found, whoever is
-    most like a person is kept beside that finding. Raises FormatError for files that cannot be read or used.
+    ``masks`` by side; a picture that is transparent about the person is its own. Findings are refusals or notes. Where
+    nobody is found, whoever is most like a person is kept beside that finding. Raises FormatError for files that
+    cannot be read or used.
     """
     show = progress or _silent
     given = {"front": front, "back": back, "left": left, "right": right}
@@ -107,11 +108,11 @@ def check_photos(
         photo = photos[side] = source if isinstance(source, Photo) else read_photo(source)
         if masks is not None and side in masks:
             outlines[side] = mask_of(masks[side], photo)
-        elif photo.alpha is not None:
-            outlines[side] = photo.alpha > 127
     shots = {}
     for index, (side, photo) in enumerate(photos.items()):
         show(f"checking the {side}", index / len(photos))
+        if side not in outlines and photo.alpha is not None:
+            photo = _with_own_mask(photo, side, outlines)
         capture = check_capture(photo.picture, side, given=outlines.get(side))
         if capture.person is None and (person := find_person(photo.picture)) is not None:
             mask = outlines[side] if side in outlines else person_mask(photo.picture, person.body)
@@ -122,9 +123,26 @@ def check_photos(
     return shots
 
 
+def _with_own_mask(photo: Photo, side: str, outlines: dict[str, Mask]) -> Photo:
+    """The transparency as the person's outline, where it is one: corners and frames are transparent, too."""
+    assert photo.alpha is not None
+    solid = photo.alpha > 127
+    person = find_person(photo.picture)
+    if person is None or not solid.any() or is_outline(person, solid):
+        outlines[side] = solid
+        return photo
+    said = "its transparent parts are not the room around the person, the outline is found without them"
+    return replace(photo, notes=(*photo.notes, said))
+
+
 def refuse(shots: Mapping[str, Shot], made: Dressed | None = None) -> None:
-    """Raise CaptureError, one line for all that the check found and for a body that does not fit; else silent."""
-    found = [(shot, finding.code, finding.text) for shot in shots.values() for finding in shot.capture.findings]
+    """Raise CaptureError, one line for what refuses a picture and for a body that does not fit; else silent."""
+    found = [
+        (shot, finding.code, finding.text)
+        for shot in shots.values()
+        for finding in shot.capture.findings
+        if finding.refusal
+    ]
     if made is not None and made.problem:
         text = f"the body does not fit the picture ({made.problem}); take another one"
         found.append((shots["front"], "fit", text))
@@ -230,6 +248,14 @@ def _notes(
     notes["source"] = f"{len(shots)} photograph{'s' * (len(shots) > 1)} ({', '.join(shots)})"
     notes["made_by"] = f"glsplat {version('glsplat')}, {name}"
     notes["date"] = day
+    guessed = [
+        {"side": side, "code": finding.code, "text": finding.text}
+        for side, shot in shots.items()
+        for finding in shot.capture.findings
+        if not finding.refusal
+    ]
+    if guessed:
+        notes["guessed"] = guessed
     notes.setdefault("consent", "not stated")
     notes.setdefault("body_model", "SMPL-X joints (55)")
     if made is not None:

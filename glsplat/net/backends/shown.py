@@ -83,7 +83,13 @@ class Stand:
         bones = item.transform[:3, :3] @ posed.bones(avatar.skeleton)
         bones[:, :, 3] += item.transform[:3, 3]
         box = self._extent.box(bones)
-        return None if box is None else tuple(box.ravel().tolist())
+        if box is None:
+            return None
+        weights = avatar.weights(posed) if isinstance(avatar, Avatar) else None
+        if weights is not None and isinstance(avatar, Avatar) and avatar.shapes is not None:
+            size = float(np.cbrt(np.linalg.det(item.transform[:3, :3])))
+            box = box + size * avatar.shapes.farthest(weights) * np.array([[-1.0], [1.0]])
+        return tuple(box.ravel().tolist())
 
     def release(self) -> None:
         """Delete what draws it."""

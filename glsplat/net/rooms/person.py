@@ -124,10 +124,10 @@ def _between(first: Moved, second: Moved) -> float:
 
 
 def _ahead(first: Pose, second: Pose, part: float) -> Pose:
-    """The movement from one pose to another, continued by ``part`` of it."""
+    """The movement from one pose to another, continued by ``part`` of it; the face stays as it is."""
     angles = np.linalg.norm(turn_between(first.rotations, second.rotations), axis=1)
     parts = np.minimum(part, _FASTEST / np.maximum(angles, 1e-12))
     rotations = slerp(first.rotations, second.rotations, 1 + parts)
     step = second.trans - first.trans
     moved = min(part, _FARTHEST / max(float(np.linalg.norm(step)), 1e-12))
-    return Pose(rotations, second.trans + step * moved, second.translations)
+    return Pose(rotations, second.trans + step * moved, second.translations, second.expression)

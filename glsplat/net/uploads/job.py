@@ -11,7 +11,7 @@ from typing import Any, Literal
 from glsplat.avatar import Avatar
 from glsplat.errors import GlsplatError
 
-__all__ = ["VIEWS", "DoubtfulError", "Finding", "Job", "Make", "Order", "Progress", "UploadConfig"]
+__all__ = ["VIEWS", "DoubtfulError", "Finding", "Job", "Make", "Order", "Progress", "UploadConfig", "notes_of"]
 
 VIEWS = ("front", "back", "left", "right")
 """The sides of a person that pictures may show; the first is needed."""
@@ -83,7 +83,8 @@ class Job:
     steps: list[str] = field(default_factory=list)
     share: float = 0.0  # of the last step
     error: str = ""
-    findings: tuple[Finding, ...] = ()
+    findings: tuple[Finding, ...] = ()  # what refused it
+    notes: tuple[Finding, ...] = ()  # what the avatar was guessed from
     ended: float | None = None  # on the clock of time.monotonic()
     cancelled: bool = False
 
@@ -98,11 +99,12 @@ class Job:
         """It comes to nothing."""
         self.state, self.order, self.ended = "failed", None, time.monotonic()
         self.error = error[:_WORDS]
-        self.findings = tuple((side[:_WORDS], code[:_WORDS], text[:_WORDS]) for side, code, text in findings[:_STEPS])
+        self.findings = _kept(findings)
 
-    def done(self) -> None:
+    def done(self, notes: Sequence[Finding] = ()) -> None:
         """The avatar is offered."""
         self.state, self.share, self.ended = "done", 1.0, time.monotonic()
+        self.notes = _kept(notes)
 
     def status(self, ahead: int) -> dict[str, Any]:
         """What clients are told; ``ahead``: jobs that come before this one."""
@@ -113,5 +115,20 @@ class Job:
             "steps": list(self.steps),
             "share": round(self.share, 3),
             "error": self.error or None,
-            "findings": [{"side": side, "code": code, "text": text} for side, code, text in self.findings],
+            "findings": [
+                {"side": side, "code": code, "kind": kind, "text": text}
+                for kind, found in (("refusal", self.findings), ("note", self.notes))
+                for side, code, text in found
+            ],
         }
+
+
+def notes_of(meta: Mapping[str, Any]) -> tuple[Finding, ...]:
+    """What an avatar's own notes say that it was guessed from; nothing where they say it otherwise."""
+    told = meta.get("guessed")
+    found = [each for each in told if isinstance(each, Mapping)] if isinstance(told, (list, tuple)) else []
+    return tuple((str(one.get("side")), str(one.get("code")), str(one.get("text"))) for one in found)
+
+
+def _kept(findings: Sequence[Finding]) -> tuple[Finding, ...]:
+    return tuple((side[:_WORDS], code[:_WORDS], text[:_WORDS]) for side, code, text in findings[:_STEPS])

@@ -11,7 +11,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 from glsplat.avatar import Avatar
 from glsplat.errors import GlsplatError
-from glsplat.net.uploads.job import DoubtfulError, Job, Order, UploadConfig
+from glsplat.net.uploads.job import DoubtfulError, Job, Order, UploadConfig, notes_of
 from glsplat.net.uploads.shelf import Shelf
 from glsplat.net.uploads.work import Maker, MakerFaultError, UnwantedError
 
@@ -123,7 +123,7 @@ class Workshop:
                 await work(self._thread, self._shelf.remove, job.name)
                 return
             self._made(job.name, avatar)
-            job.done()
+            job.done(notes_of(avatar.meta))
         except UnwantedError:
             pass
         except DoubtfulError as error:

@@ -7,7 +7,7 @@ skin.vert.glsl for an avatar, writes its range of the arena, once a movement and
 from __future__ import annotations
 
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import moderngl
@@ -15,20 +15,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.gl.context import Context
+from glsplat.passes.item.shape_buffers import ShapeBuffers
 from glsplat.rotations import is_rigid, rodrigues_parameters
 from glsplat.shaders import Programs, SkinVariant, Variant
 from glsplat.shaders.slots import UNITS
 from glsplat.shaders.variant import COLOUR_TEXELS
+from glsplat.skinning.shapes import Shapes
 from glsplat.skinning.skin import Skin
 from glsplat.splats import Splats
 
-__all__ = ["NEAR", "ROW", "ItemBuffers", "Placement", "numbers_of", "upload_rows", "write_rows"]
+__all__ = ["NEAR", "ROW", "ItemBuffers", "Placement", "near_eye", "numbers_of", "upload_rows", "write_rows"]
 
 ROW = 1024
 """Splats a row of the arena's textures (arena.glsl)."""
 
 NEAR = 16.0
 """Metres from the origin within which float32 is left alone."""
+
+_APART = 1000.0
+"""Metres from their origin within which items lie at least as exactly as anybody sees: 0.06 mm."""
 
 _POSED = ("posed_mean", "posed_x", "posed_y", "posed_z")
 
@@ -42,22 +47,38 @@ class Placement:
     size: float
     bones: NDArray[np.float64] | None = None  # [J, 3, 4] skinning matrices; None: no skeleton
     opacity: float = 1.0  # by which all opacities are multiplied
+    weights: NDArray[np.float64] | None = None  # [T] of the avatar's shapes; None: all 0
 
     @property
     def unmoved(self) -> bool:
         """Whether it leaves everything where it is."""
         return self.size == 1 and not self.offset.any() and np.array_equal(self.turn, np.eye(3))
 
+    @property
+    def moved(self) -> bool:
+        """Whether things without a skeleton are drawn otherwise than they were loaded."""
+        return self.opacity != 1 or not self.unmoved
+
     def same(self, other: Placement | None) -> bool:
         """Whether the other one puts every splat at the same place."""
         if other is None or (self.size, self.opacity) != (other.size, other.opacity):
             return False
-        if (self.bones is None) != (other.bones is None):
-            return False
         pairs = [(self.turn, other.turn), (self.offset, other.offset)]
-        if self.bones is not None and other.bones is not None:
-            pairs.append((self.bones, other.bones))
+        for mine, theirs in ((self.bones, other.bones), (self.weights, other.weights)):
+            if (mine is None) != (theirs is None):
+                return False
+            if mine is not None and theirs is not None:
+                pairs.append((mine, theirs))
         return all(np.array_equal(a, b) for a, b in pairs)
+
+
+def near_eye(
+    origin: NDArray[np.float64], anchors: NDArray[np.float64], eye: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """``origin`` [3] where all ``anchors`` [I, 3] are near it, else that of them which is nearest to the eye."""
+    if len(anchors) and np.abs(anchors - origin).max() > _APART:
+        return np.asarray(anchors[np.linalg.norm(anchors - eye, axis=1).argmin()])
+    return origin
 
 
 class ItemBuffers:
@@ -71,8 +92,9 @@ class ItemBuffers:
         skin: Skin | None,
         joints: int,
         raw: bool,  # skinning by the blended matrix
+        shapes: Shapes | None = None,
     ) -> None:
-        usable = splats.finite() & (np.abs(splats.quats).max(axis=1, initial=0) > 0)
+        usable = splats.drawable()
         self.skipped = int(len(splats) - usable.sum())
         if self.skipped:
             splats = splats.take(usable)
@@ -86,6 +108,7 @@ class ItemBuffers:
             median = np.median(splats.means[:: max(1, self.count // 65536)].astype(np.float64), axis=0)
             self.centre = median if np.abs(median).max() > NEAR else np.zeros(3)
         self.rest: moderngl.Texture | None = None
+        self._shapes: ShapeBuffers | None = None
         self._arrays: dict[SkinVariant | Variant, moderngl.VertexArray] = {}
         ctx = self._ctx = context.ctx
         self._place = Variant(numbered=int(not context.vertex_ids))
@@ -113,14 +136,16 @@ class ItemBuffers:
                 self.bones = ctx.texture((3, joints), 4, dtype="f4")
                 stack.callback(self.bones.release)
                 self.bones.filter = (moderngl.NEAREST, moderngl.NEAREST)
+                if shapes is not None and len(shapes.targets):
+                    self._shapes = ShapeBuffers(ctx, shapes.take(usable) if self.skipped else shapes, stack)
             self._owned = stack.pop_all()
 
     @property
     def nbytes(self) -> int:
         """GPU bytes without the bone texture."""
-        if self.rest is not None:
-            return self.rest.width * self.rest.height * 16 + sum(buffer.size for buffer in self._buffers)
-        return sum(buffer.size for buffer in self._buffers)
+        rest = 0 if self.rest is None else self.rest.width * self.rest.height * 16
+        shapes = 0 if self._shapes is None else self._shapes.nbytes
+        return rest + shapes + sum(buffer.size for buffer in self._buffers)
 
     def anchor(self, place: Placement) -> NDArray[np.float64]:
         """[3] world position near which all of it lies: its root, or its centre."""
@@ -140,13 +165,16 @@ class ItemBuffers:
             assert self.rest is not None
             self.rest.use(UNITS["splats"])
         else:
-            array = self._array(SkinVariant(influences=self._skin.influences, raw=self._skin.raw, turned=int(turned)))
+            shaped = self._shapes is not None and place.weights is not None
+            array = self._array(replace(self._skin, turned=int(turned), shaped=int(shaped)))
             program = array.program
             shift = program.get("shift", None)
             if isinstance(shift, moderngl.Uniform):
                 shift.value = 1.0 if is_rigid(place.bones) else 3.0
             self.bones.write(self._local_bones(place, origin).astype(np.float32))
             self.bones.use(UNITS["bones"])
+            if self._shapes is not None and place.weights is not None:
+                self._shapes.use(place.weights)
         program["size"], program["signed_opacity"] = place.size, opacity
         return array
 
@@ -172,7 +200,10 @@ class ItemBuffers:
         if variant not in self._arrays:
             name = "skin" if self.skinned else "place"
             program = self._programs.feedback(name, variant, _POSED)
-            self._arrays[variant] = self._ctx.vertex_array(program, self._content)
+            content = self._content
+            if self._shapes is not None and isinstance(variant, SkinVariant) and variant.shaped:
+                content = [*content, self._shapes.content]
+            self._arrays[variant] = self._ctx.vertex_array(program, content)
         return self._arrays[variant]
 
     def _fill(self, rows: NDArray[np.float32]) -> None:

@@ -20,7 +20,7 @@ from glsplat.config import RenderConfig
 from glsplat.gl.context import Context
 from glsplat.meshes import RiggedMesh
 from glsplat.passes.block import FrameBlock
-from glsplat.passes.item.buffers import Placement
+from glsplat.passes.item.buffers import Placement, near_eye
 from glsplat.passes.item.mesh_buffers import INFLUENCES, MeshBuffers
 from glsplat.passes.item.reach import depth_range, fitted, reach_of
 from glsplat.shaders import MeshVariant, Programs
@@ -116,7 +116,8 @@ class Ground:
         if state == self._drawn:
             return
         self._drawn = None
-        origin = items[0][0].anchor(items[0][1])  # float32 has no bits left far from zero
+        anchors = np.array([item.anchor(place) for item, place in items])
+        origin = near_eye(anchors[0], anchors, cameras[0].position)  # float32 has no bits left far from zero
         for item, place in items:
             item.place(place, origin)
         self._ctx.enable_only(moderngl.DEPTH_TEST)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from math import hypot
 
@@ -10,7 +10,7 @@ from glsplat.tracking.config import TrackerConfig
 from glsplat.tracking.extra.mounts import JOINTS, MOST, Mean, Pose, between, mounted, standing, within
 from glsplat.tracking.extra.places import Places
 from glsplat.tracking.filters import Device, PositionFilter, RotationFilter
-from glsplat.tracking.reading import read_place, read_pose
+from glsplat.tracking.reading import invalid, read_place, read_pose
 from glsplat.tracking.sample import TRACKERS, Sample, Transform
 from glsplat.tracking.solve.body import ANKLES, HIPS, KNEES, PELVIS, Body
 from glsplat.tracking.solve.quat import IDENTITY, Vec, add, length, mul, rotate, sub, swing_twist_y, yaw_quat
@@ -89,14 +89,14 @@ class Extras:
         """Add to the targets what is tracked. ``eye``: the head as it is, before any prediction."""
         trackers = (sample.waist, sample.left_foot, sample.right_foot)
         joints = sample.body
+        if joints is not None and not isinstance(joints, Mapping):
+            invalid(flags)
+            joints = None
         if joints is None and trackers == (None, None, None) and not any([slot.ever for slot in self._slots]):
             return
 
         def at(name: str) -> Vec | None:
-            try:
-                joint = None if joints is None else joints.get(name)
-            except AttributeError:  # no mapping
-                return None
+            joint = None if joints is None else joints.get(name)
             return read_place(joint, self.scale, self.floor, flags)
 
         feet: list[Pose | None] = [None, None]

@@ -9,8 +9,6 @@ from glsplat.tracking.learned.feet import Feet, Rest
 from glsplat.tracking.learned.hints import Hint, Hints
 from glsplat.tracking.learned.network import Network
 from glsplat.tracking.learned.seat import Seat
-from glsplat.tracking.learned.signs import Signs
-from glsplat.tracking.learned.trust import Trust, Weigher
 from glsplat.tracking.solve.arms import Arm
 from glsplat.tracking.solve.body import PELVIS, Body
 from glsplat.tracking.solve.ground import Ground
@@ -42,6 +40,7 @@ from glsplat.tracking.solve.tracked import Pelvis
 
 __all__ = ["LearnedSolver"]
 
+PLAIN = 0.3  # of the pelvis that the analytic solver places
 BACK, FURTHER = 0.035, 0.2  # tangent of a lean back, and the share of what is beyond that is shown
 SHRINK = 0.6  # of what a body is said to be turned away from its head, that is shown without hands
 AHEAD, UNDER = 0.55, 0.75  # of a leg's length from below the hips to the balls of feet on a chair, and how surely
@@ -51,17 +50,16 @@ SWING = 0.7  # radians at most that the torso swings about the neck to bring the
 class LearnedSolver:
     """What ``Solver`` asks for. Head and reachable hands are exact, whatever the network says; feet do not slide.
 
-    The body is a mixture of the network's and the analytic solver's, by what each is expected to be off (``Weigher``).
+    PLAIN of the pelvis is the analytic solver's: the two are off in different ways, so that a mean is nearer than the
+    worse of them, and where the network knows least of a person often nearer than either.
     Where the network has learned nothing (``Doubt``) all of it is the analytic solver's.
     """
 
-    def __init__(self, body: Body, network: Network, trust: Trust) -> None:
+    def __init__(self, body: Body, network: Network) -> None:
         self.body = body
         self.ground: Ground = Ground(body.eye_height)
         self.hints: Hints = Hints(body, network)
         self.doubt: Doubt = Doubt(body.eye_height)
-        self.signs: Signs = Signs(body)
-        self.weigher: Weigher = Weigher(trust)
         self.plain: AnalyticSolver = AnalyticSolver(body)
         self.seat: Seat = Seat(body.joints[PELVIS][1] - body.ground)
         self.spine: Spine = Spine(body)
@@ -77,8 +75,6 @@ class LearnedSolver:
         self.ground.reset()
         self.hints.reset()
         self.doubt.reset()
-        self.signs.reset()
-        self.weigher.reset()
         self.plain.reset()
         self.seat.reset()
         self.spine.reset()
@@ -90,7 +86,6 @@ class LearnedSolver:
             arm.reset()
         self._missed = 0.0  # metres that the worse arm missed its hand by
         self._steps: Feet | Legs | None = None  # whose feet are shown; None before the first moment
-        self._dt = 0.0  # seconds since the last signs
 
     def solve(self, targets: Targets, dt: float) -> Solution:
         """One moment."""
@@ -102,20 +97,17 @@ class LearnedSolver:
         rests = self.rest.update(targets.eye, swing_twist_y(targets.head) or 0.0, dt)
         lost = self.doubt.update(targets, self._missed, dt)
         steps = self._whose(lost)
-        due = self.weigher.due(dt)
         plain = self.plain.torso(targets, dt)
         if steps is self.feet:
-            self.plain.stepped(targets, plain, dt, due)
+            self.plain.stepped(targets, plain, dt, shown=False)
         self.pelvis.update(targets.pelvis, targets.pelvis_turn, targets.eye, dt)
-        trunk, legs = self._shares(targets, hint, plain, dt, due)
-        trunk *= 1 - self.pelvis.share  # a pelvis that is tracked is known better than by either
-        torso = self._mixed(targets, hint, plain, trunk, lost)
+        # a pelvis that is tracked is known better than by either
+        torso = self._mixed(targets, hint, plain, PLAIN * (1 - self.pelvis.share), lost)
         place = self.seat.update(torso.pelvis_at, dt) if lost < 1 else None
         if place is not None:
             torso = self._torso(targets, hint, place)
         torso = self.pelvis.bring(self.spine, targets.eye, targets.head, torso)
         if steps is self.feet:
-            self._between(hint, legs * self.signs.standing)  # half way between two steps is none
             if place is not None:
                 self._seated(hint, torso)
             yaw = swing_twist_y(torso.pelvis) or 0.0
@@ -136,18 +128,6 @@ class LearnedSolver:
         self._steps = steps
         return steps
 
-    def _shares(self, targets: Targets, hint: Hint, plain: Torso, dt: float, due: bool) -> list[float]:
-        """The analytic body's shares of trunk and legs."""
-        self._dt += dt
-        signs = None
-        if due:
-            turned = self.spine.turned  # of the torso that is shown
-            guessed = self._torso(targets, hint, hint.pelvis_at)
-            self.spine.turned = turned
-            signs = self.signs.update(targets, hint, guessed, plain, self.plain.legs, self._dt)
-            self._dt = 0.0
-        return [share.plain for share in self.weigher.update(signs, dt)]
-
     def _mixed(self, targets: Targets, hint: Hint, plain: Torso, share: float, lost: float) -> Torso:
         """``share`` of the analytic pelvis, and all of its torso where the network is ``lost``; the eyes stay.
 
@@ -158,15 +138,6 @@ class LearnedSolver:
         share += (1 - share) * lost
         hint.pelvis, hint.chest = slerp(hint.pelvis, plain.pelvis, share), slerp(hint.chest, plain.spine3, lost)
         return self._torso(targets, hint, pull(hint.pelvis_at, plain.pelvis_at, share))
-
-    def _between(self, hint: Hint, share: float) -> None:
-        """``share`` of where the analytic solver's feet go."""
-        for foot, other in zip(hint.feet, self.plain.legs.feet, strict=True):
-            foot.ball = pull(foot.ball, other.ball, share)
-            foot.speed = pull(foot.speed, (other.x.speed, other.y.speed, other.z.speed), share)
-            foot.yaw += share * wrap(other.yaw - foot.yaw)
-            foot.pitch += share * (other.tilt.at - foot.pitch)
-            foot.stands += share * (float(other.planted) - foot.stands)
 
     def _seated(self, hint: Hint, torso: Torso) -> None:
         """Feet towards where those of somebody on a chair are: below the knees, the thighs ahead."""

@@ -15,7 +15,7 @@ from glsplat.tracking.learned.network import Network
 from glsplat.tracking.training.clips import Clip, targets_of
 from glsplat.tracking.training.disturbed import disturbed
 
-__all__ = ["FitConfig", "evaluate", "fit", "network_of", "torch_or_error"]
+__all__ = ["FitConfig", "evaluate", "fit", "network_of"]
 
 F32 = NDArray[np.float32]
 
@@ -36,8 +36,7 @@ class FitConfig:
     seed: int = 0
 
 
-def torch_or_error() -> Any:
-    """PyTorch. Raises GlsplatError that says how to install it."""
+def _torch() -> Any:
     try:
         import torch
     except ImportError:
@@ -47,7 +46,7 @@ def torch_or_error() -> Any:
 
 def module(config: FitConfig) -> Any:
     """The network as PyTorch has it."""
-    torch = torch_or_error()
+    torch = _torch()
 
     class Net(torch.nn.Module):  # type: ignore[name-defined, misc]
         def __init__(self) -> None:
@@ -87,7 +86,7 @@ def fit(
     clips: Sequence[Clip], unit: float, config: FitConfig, progress: Callable[[int, float], None] | None = None
 ) -> tuple[Any, F32, F32]:
     """The network, and mean and spread [INPUTS] by which its inputs are normalised."""
-    torch = torch_or_error()
+    torch = _torch()
 
     torch.manual_seed(config.seed)
     rng = np.random.default_rng(config.seed)
@@ -153,7 +152,7 @@ def _seen_from(truth: F32, clean: Seen, odd: Seen, unit: float) -> F32:
 
 
 def _loss(said: Any, truth: Any, known: Any) -> Any:
-    torch = torch_or_error()
+    torch = _torch()
 
     b, t = known.shape
     weights = torch.tensor(WEIGHTS)
@@ -176,7 +175,7 @@ def _normal(clips: Sequence[Clip], unit: float) -> tuple[F32, F32]:
 
 def evaluate(net: Any, mean: F32, spread: F32, clips: Sequence[Clip], unit: float) -> dict[str, float]:
     """Mean distances in cm of the undisturbed clips, point by point, by what the network alone says."""
-    torch = torch_or_error()
+    torch = _torch()
 
     errors, right = [], []
     with torch.no_grad():

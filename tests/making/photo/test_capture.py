@@ -8,9 +8,10 @@ import cv2
 import numpy as np
 import pytest
 
-from glsplat.making.photo.capture import check_capture
+from glsplat.making.photo.capture import check_capture, is_outline
 from glsplat.making.photo.sharpness import blur_of
 from tests.making.captures import Capture, capture, needs_networks
+from tests.making.poses import standing
 
 Edit = Callable[[Capture, Capture], np.ndarray]
 
@@ -31,6 +32,11 @@ def jpeg(picture: np.ndarray, quality: int) -> np.ndarray:
 
 def small(picture: np.ndarray, factor: float) -> np.ndarray:
     return cv2.resize(picture, None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA)
+
+
+def level(person: Capture, joint: str, other: str = "pelvis", share: float = 0.0) -> int:
+    """A row of the picture: at a joint, or so far on the way to another."""
+    return int((1 - share) * person.joint(joint)[1] + share * person.joint(other)[1])
 
 
 def arms(degrees: float) -> dict[str, tuple[float, float, float]]:
@@ -88,11 +94,19 @@ BAD: dict[str, tuple[str, Edit]] = {
     "half turned": ("turned", lambda a, b: a.seen(pelvis=(0, np.radians(40), 0))),
     "from behind": ("turned", lambda a, b: a.seen(pelvis=(0, np.pi, 0))),
     "arms down": ("arms", lambda a, b: a.seen(**arms(82))),
+    "three people": ("several", lambda a, b: np.hstack([a.picture, b.picture, a.picture])),
+    "down to the waist": ("cut_off", lambda a, b: a.picture[: level(a, "left_hip", "left_shoulder", 0.2)]),
+    "down to the thighs": ("cut_off", lambda a, b: a.picture[: level(a, "left_hip", "left_knee", 0.5)]),
+    "down to the shins": ("cut_off", lambda a, b: a.picture[: level(a, "left_knee", "left_ankle", 0.6)]),
+    "three halves": ("several", lambda a, b: np.hstack([a.picture, b.picture, a.picture])[: level(a, "left_hip")]),
     "blurred": ("blurred", lambda a, b: cv2.GaussianBlur(a.picture, (0, 0), 3)),
     "shaken": ("blurred", lambda a, b: cv2.blur(a.picture, (17, 1))),
     "too bright": ("bright", lambda a, b: light(a.picture, 5)),
     "too dark": ("dark", lambda a, b: light(a.picture, 1 / 30)),
 }
+
+NOTES = ("no feet", "no hand", "half turned", "arms down")
+"""Of BAD: what an avatar is made of all the same."""
 
 
 @pytest.fixture
@@ -115,8 +129,41 @@ def test_faults_are_named(pair, name: str) -> None:
     found = check_capture(picture)
     assert code in [finding.code for finding in found.findings], found.findings
     assert not found.good and all("\n" not in finding.text for finding in found.findings)
+    assert found.refused == (name not in NOTES), found.findings
+    assert next(finding for finding in found.findings if finding.code == code).refusal == (name not in NOTES)
     if code == "nobody":
         assert found.person is None and found.mask.shape == picture.shape[:2] and not found.mask.any()
+
+
+@pytest.mark.parametrize(
+    ("pose", "words"),
+    [
+        ("a hand on the belly", "the left hand is before the belly and the right arm hangs along the body"),
+        ("arms at 3 degrees", "both arms hang along the body"),
+        ("a hand behind the back", "the right hand is hidden"),
+    ],
+)
+def test_arms_are_named(pair, pose: str, words: str) -> None:
+    person = pair[0]
+    posed = standing(person, pose)
+    found = check_capture(person.shown(posed))
+    assert not found.refused and [finding.code for finding in found.findings] == ["arms"]
+    assert words in found.findings[0].text
+
+
+def test_half_of_somebody_is_told_by_what_is_seen(pair) -> None:
+    for name, place in (("down to the thighs", "thighs"), ("down to the shins", "shins")):
+        findings = check_capture(np.ascontiguousarray(BAD[name][1](*pair))).findings
+        assert findings[0].text == f"the person is seen down to the {place} only; show them whole, shoes included"
+
+
+def test_a_frame_is_no_outline(pair) -> None:
+    person = pair[0]
+    found = check_capture(person.picture)
+    assert found.person is not None and is_outline(found.person, person.mask)
+    frame = np.zeros(person.mask.shape, bool)
+    frame[20:-20, 20:-20] = True
+    assert not is_outline(found.person, frame)
 
 
 def test_another_view_is_named(pair) -> None:

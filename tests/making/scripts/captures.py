@@ -76,7 +76,9 @@ def main(folder: Path) -> None:
     for name in FAULTS:
         _, edit = BAD[name]
         picture = np.ascontiguousarray(edit(capture("p01"), capture("p02")))
-        bad.append(tile(picture, ", ".join(finding.code for finding in check_capture(picture).findings)))
+        found = check_capture(picture).findings
+        words = [f"{finding.code}{'' if finding.refusal else ' (note)'}" for finding in found]
+        bad.append(tile(picture, ", ".join(words)))
     sheet(folder / "photo-bad.jpg", bad)
 
 

@@ -44,6 +44,14 @@ def moved(at: float, turn: float = 0.0, frame_id: int | None = None, t: float | 
     return Moved(pose(turn), at, t, frame_id)
 
 
+def test_a_face_is_held_and_not_extrapolated() -> None:
+    person = Person(1, "Ann", "a", seat(0, 2), "", 0.0)
+    for at, open_ in ((0.0, 0.1), (0.05, 0.6)):
+        person.moved(Moved(Pose(np.zeros((55, 3)), expression={"jawOpen": open_}), at))
+    found = person.at(0.1)
+    assert found is not None and found[0].expression == {"jawOpen": 0.6} and found[1] > 0
+
+
 def test_people_stand_around_the_centre_and_face_it() -> None:
     for seats in (2, 5, 8, 16):
         taken: set[int] = set()

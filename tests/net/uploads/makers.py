@@ -50,7 +50,11 @@ def make(order: Order, progress: Progress) -> Avatar:
         for step in range(1000):
             progress(f"step {step}", 2.0)
     progress("making the person", 1.0)
-    return thinned(default_avatar(), 1 if "large" in word else 100, dict(order.pictures), order.height)
+    avatar = thinned(default_avatar(), 1 if "large" in word else 100, dict(order.pictures), order.height)
+    if "guess" in word:
+        noted = [{"side": "front", "code": "arms", "text": "Hold your arms away."}, "no finding"]
+        avatar = replace(avatar, meta=dict(avatar.meta) | {"guessed": noted})
+    return avatar
 
 
 def _until_there(file: Path) -> None:

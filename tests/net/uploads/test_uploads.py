@@ -69,10 +69,22 @@ def test_what_is_wrong_with_a_picture_is_told_and_it_is_made_anyway(takes):
             told = await client.until(told["name"], "failed")
             assert told["error"] == "the picture has two faults"
             assert (
-                told["findings"][0] == {"side": "front", "code": "small", "text": "Come nearer."}
+                told["findings"][0] == {"side": "front", "code": "small", "kind": "refusal", "text": "Come nearer."}
                 and len(told["findings"]) == 2
             )
             await client.made(b"doubt", query="?consent=yes&anyway=yes")
+
+    asyncio.run(main())
+
+
+def test_what_was_guessed_is_told(takes):
+    async def main():
+        async with takes() as client:
+            _, told = await client.post(b"guess")
+            told = await client.until(told["name"], "done")
+            assert told["findings"] == [
+                {"side": "front", "code": "arms", "kind": "note", "text": "Hold your arms away."}
+            ]
 
     asyncio.run(main())
 

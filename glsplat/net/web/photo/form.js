@@ -198,6 +198,7 @@ export class PhotoForm {
     if (state === 'sending') return `Sending the picture: ${Math.round(100 * share)} %`;
     if (state === 'waiting') return ahead ? `Waiting for ${ahead} before you` : 'Waiting to begin';
     if (state === 'making') return `${capital(steps.at(-1) ?? 'beginning')}…`;
+    if (state === 'done' && findings.length) return 'Your avatar is ready. A better picture would make a better one:';
     if (state === 'done') return 'Your avatar is ready.';
     if (state === 'failed' && findings.length) return 'The picture may not do:';
     return state === 'failed' ? `It did not work: ${error}` : '';

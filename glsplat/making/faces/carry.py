@@ -1,0 +1,69 @@
+"""Shapes carried over to other splats: to fewer that stand for them, and to the same ones in other places."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glsplat.rotations import quaternion_matrices
+from glsplat.skinning.shapes import BEND, Shapes, long_axes
+from glsplat.splats import Splats
+
+__all__ = ["carried", "merged_shapes"]
+
+F64 = NDArray[np.float64]
+
+
+def merged_shapes(shapes: Shapes, splats: Splats, label: NDArray[np.intp], weight: F64, made: Splats) -> Shapes:
+    """Of ``made``, each of which stands for the ``splats`` [N] of its ``label`` [N]: means by ``weight`` [N].
+
+    What the deformation of the place does to a splat is averaged as a matrix, and applied to the axes of what is made.
+    """
+    rows, count = shapes.rows, len(shapes)
+    total = np.bincount(label, weight, len(made))
+    keys, place = np.unique(label[rows] * count + shapes.targets, return_inverse=True)
+    share = weight[rows] / total[label[rows]]
+    values = np.concatenate([shapes.metres, _gradients(shapes, splats).reshape(-1, 9)], axis=1) * share[:, None]
+    summed: F64 = np.zeros((len(keys), 12))
+    np.add.at(summed, place, values)
+    of = keys // count
+    bends = _bends(summed[:, 3:].reshape(-1, 3, 3), made, of)
+    return Shapes.create(
+        shapes.names, len(made), splats=of, targets=keys % count, moves=summed[:, :3], bends=bends, limits=shapes.limits
+    )
+
+
+def carried(shapes: Shapes, before: Splats, after: Splats) -> Shapes:
+    """Of the splats ``after``, which are those ``before`` moved a little, turned and scaled."""
+    rows, gradients = shapes.rows, _gradients(shapes, before)
+    way = after.means.astype(np.float64) - before.means
+    moves = shapes.metres + np.einsum("eij,ej->ei", gradients, np.where(np.isfinite(way), way, 0)[rows])
+    return Shapes.create(
+        shapes.names,
+        len(after),
+        splats=rows,
+        targets=shapes.targets,
+        moves=moves,
+        bends=_bends(gradients, after, rows),
+        limits=shapes.limits,
+    )
+
+
+def _gradients(shapes: Shapes, splats: Splats) -> F64:
+    """[E, 3, 3] by how much an entry deforms the place, less one: its two axes say it, and the normal follows."""
+    axes = _axes(splats)[shapes.rows]
+    one, other, normal = axes[:, :, 0], axes[:, :, 1], axes[:, :, 2]
+    first, second = (shapes.bends[:, k] * BEND for k in (0, 1))
+    lean = -np.einsum("ei,ei->e", first, normal)[:, None] * one - np.einsum("ei,ei->e", second, normal)[:, None] * other
+    return np.asarray(np.einsum("kei,kej->eij", np.stack([first, second, lean]), np.stack([one, other, normal])))
+
+
+def _bends(gradients: F64, splats: Splats, rows: NDArray[np.integer]) -> F64:
+    return np.asarray(np.einsum("eij,ejk->eki", gradients, _axes(splats)[rows][:, :, :2]))
+
+
+def _axes(splats: Splats) -> F64:
+    """[N, 3, 3] columns: the two long axes and the thin one."""
+    known = np.asarray(np.isfinite(splats.quats).all(axis=1))[:, None]
+    axes = quaternion_matrices(np.where(known, splats.quats, (1, 0, 0, 0)))
+    return np.take_along_axis(axes, long_axes(splats.scales)[:, None, :], axis=2)

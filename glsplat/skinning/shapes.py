@@ -1,0 +1,225 @@
+"""Shapes: how far the named expressions of a face move and bend each splat, as a sparse list; what the GPU reads."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from glsplat.arrays import frozen, own, own_whole, plain, restored
+from glsplat.errors import FormatError
+from glsplat.skinning.expression import MOST_NAMES
+
+__all__ = ["BEND", "LIMITS", "Shapes", "long_axes"]
+
+F64 = NDArray[np.float64]
+
+BEND = 3.0 / 127
+"""A unit of ``Shapes.bends``: of an axis of length one."""
+
+LIMITS = (0.0, 1.0)
+"""Least and largest weight of a shape of which the avatar says nothing else."""
+
+_MOST = 1 << 24  # entries: rows of a texture
+_STEPS = 32767
+_WIDEST = 100.0  # metres; more is a mistake of units
+
+
+@dataclass(frozen=True, slots=True, eq=False, init=False, repr=False)
+class Shapes:
+    """T named shapes of N splats: E entries, those of splat i from ``starts[i]`` to ``starts[i + 1]``.
+
+    Entry e at weight w moves its splat by w ``sizes[t] moves[e]`` metres, t = ``targets[e]``, and its two long axes
+    (``long_axes``), which are units, by w BEND ``bends[e]``; the shapes of a splat add up. The third axis is the
+    normal of the two and stays as thick as it is. Numbers are as the GPU reads them, nothing is rounded later.
+
+    Read-only copies; raises FormatError. ``create`` makes them of metres.
+
+    >>> shapes = glsplat.Shapes.create(["jawOpen"], 2, splats=[1], targets=[0], moves=[[0, -0.02, 0]])
+    >>> shapes
+    Shapes(1 shapes, 1 entries of 2 splats)
+    >>> shapes.weights({"jawOpen": 2, "cheekPuff": 1}).tolist()
+    [1.0]
+    """
+
+    names: tuple[str, ...]
+    starts: NDArray[np.int64]  # [N + 1]
+    targets: NDArray[np.uint8]  # [E] rising within a splat
+    moves: NDArray[np.int16]  # [E, 3]
+    bends: NDArray[np.int8]  # [E, 2, 3]
+    sizes: NDArray[np.float32]  # [T] metres a unit of ``moves``
+    limits: NDArray[np.float32]  # [T, 2] least and largest weight
+
+    def __init__(
+        self,
+        names: Sequence[str],
+        starts: ArrayLike,  # [N + 1]
+        targets: ArrayLike,  # [E]
+        moves: ArrayLike,  # [E, 3]
+        bends: ArrayLike,  # [E, 2, 3]
+        sizes: ArrayLike,  # [T]
+        limits: ArrayLike | None = None,  # [T, 2]; None: LIMITS
+    ) -> None:
+        listed = isinstance(names, Sequence) and not isinstance(names, str)
+        if not listed or not all(isinstance(name, str) and 0 < len(name) <= 64 for name in names):
+            raise FormatError("shapes need names of 1 to 64 characters as a sequence of text")
+        names, count = tuple(names), len(names)
+        if not 1 <= count <= MOST_NAMES or len(set(names)) != count:
+            raise FormatError(f"shapes need 1 to {MOST_NAMES} distinct names, found {len(set(names))} of {count}")
+        first, of = own_whole(starts, np.int64, "starts"), own_whole(targets, np.uint8, "targets")
+        moved, bent = own_whole(moves, np.int16, "moves"), own_whole(bends, np.int8, "bends")
+        if first.ndim != 1 or not len(first) or of.ndim != 1:
+            raise FormatError(f"shapes need starts (N + 1,) and targets (E,), not {first.shape} and {of.shape}")
+        if moved.shape != (len(of), 3) or bent.shape != (len(of), 2, 3):
+            raise FormatError(f"{len(of)} entries need as many moves and bends, not {moved.shape} and {bent.shape}")
+        if len(of) > _MOST:
+            raise FormatError(f"shapes have at most {_MOST} entries, not {len(of)}")
+        if first[0] != 0 or first[-1] != len(of) or (np.diff(first) < 0).any():
+            raise FormatError(f"starts need to rise from 0 to the number of entries, {len(of)}")
+        splats = np.repeat(np.arange(len(first) - 1), np.diff(first))
+        if of.max(initial=0) >= count or (np.diff(splats * MOST_NAMES + of) <= 0).any():
+            raise FormatError(f"targets need to rise within each splat, and name shapes below {count}")
+        size = own(sizes, np.float32, "sizes")
+        wide = own(np.tile(LIMITS, (count, 1)) if limits is None else limits, np.float32, "limits")
+        if size.shape != (count,) or not ((size >= 0) & (size <= _WIDEST / _STEPS)).all():
+            raise FormatError(f"shapes need {count} sizes in metres a unit, from 0 to {_WIDEST / _STEPS:.3g}")
+        if wide.shape != (count, 2) or not (np.isfinite(wide).all() and (np.abs(wide) <= 1e3).all()):
+            raise FormatError(f"shapes need limits ({count}, 2) of finite weights below 1000, not {wide.shape}")
+        if not ((wide[:, 0] <= 0) & (wide[:, 1] >= 0)).all():
+            raise FormatError("the limits of a shape's weight need to hold 0 between them")
+        values = (names, first, of, moved, bent, size, wide)
+        for one, value in zip(fields(self), values, strict=True):
+            object.__setattr__(self, one.name, value)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return restored, (type(self), {f.name: getattr(self, f.name) for f in fields(self)})
+
+    def __repr__(self) -> str:
+        return f"Shapes({len(self)} shapes, {len(self.targets)} entries of {self.splats} splats)"
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    @classmethod
+    def create(
+        cls,
+        names: Sequence[str],
+        count: int,  # splats
+        *,
+        splats: ArrayLike,  # [E] which splat an entry is of, in any order
+        targets: ArrayLike,  # [E] of which shape, in any order; no pair twice
+        moves: ArrayLike,  # [E, 3] metres at weight 1
+        bends: ArrayLike | None = None,  # [E, 2, 3] change of the two long axes, units, at weight 1; None: none
+        sizes: ArrayLike | None = None,  # [T] metres a unit, where moves are such units already
+        limits: ArrayLike | None = None,
+    ) -> Shapes:
+        """Shapes of metres: rounded to 16 bits of the largest move of each shape, axes to 8 bits within three units.
+
+        Entries that are nothing then are left out. Raises FormatError for what is not finite or has no place.
+        """
+        rows, of = plain(splats, "splats").astype(np.int64).reshape(-1), plain(targets, "targets").reshape(-1)
+        of, metres = of.astype(np.int64), plain(moves, "moves").astype(np.float64).reshape(-1, 3)
+        axes = np.zeros((len(rows), 2, 3)) if bends is None else plain(bends, "bends").astype(np.float64)
+        if not (len(rows) == len(of) == len(metres)) or axes.shape != (len(rows), 2, 3):
+            raise FormatError(f"{len(rows)} entries need as many targets, moves (E, 3) and bends (E, 2, 3)")
+        if not (np.isfinite(metres).all() and np.isfinite(axes).all()) or np.abs(metres).max(initial=0) > _WIDEST:
+            raise FormatError(f"shapes need finite moves below {_WIDEST:g} m and finite bends")
+        if len(rows) and not (0 <= rows.min() and rows.max() < count and 0 <= of.min() and of.max() < len(names)):
+            raise FormatError(f"entries need splats below {count} and targets below {len(names)}")
+        if sizes is None:
+            most = np.zeros(len(names))
+            np.maximum.at(most, of, np.abs(metres).max(axis=1, initial=0))
+            unit = (most / _STEPS).astype(np.float32)
+        else:
+            unit = own(sizes, np.float32, "sizes")
+        steps = np.rint(metres / np.maximum(unit, np.float32(1e-30))[of, None]).clip(-_STEPS, _STEPS)
+        steps = np.where(unit[of, None] > 0, steps, 0).astype(np.int16)
+        bent = np.rint(axes / BEND).clip(-127, 127).astype(np.int8)
+        kept = steps.any(axis=1) | bent.any(axis=(1, 2))
+        order = np.lexsort((of[kept], rows[kept]))
+        rows, of, steps, bent = rows[kept][order], of[kept][order], steps[kept][order], bent[kept][order]
+        starts = np.concatenate([[0], np.cumsum(np.bincount(rows, minlength=count))])
+        return cls(names, frozen(starts.astype(np.int64)), frozen(of.astype(np.uint8)), steps, bent, unit, limits)
+
+    @property
+    def splats(self) -> int:
+        """N."""
+        return len(self.starts) - 1
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of the arrays."""
+        arrays = (self.starts, self.targets, self.moves, self.bends, self.sizes, self.limits)
+        return sum(array.nbytes for array in arrays)
+
+    @property
+    def rows(self) -> NDArray[np.int64]:
+        """[E] the splat of each entry."""
+        return np.repeat(np.arange(self.splats), np.diff(self.starts))
+
+    @property
+    def metres(self) -> NDArray[np.float32]:
+        """[E, 3] how far an entry moves its splat at weight 1."""
+        return self.moves * self.sizes[self.targets, None]
+
+    def weights(self, expression: Mapping[str, float]) -> F64 | None:
+        """[T] of the shapes within their limits; None where all are 0. Names that there are no shapes of are nothing.
+
+        Finite weights are the caller's business (``Pose`` sees to it).
+        """
+        if not expression:
+            return None
+        wanted = np.array([expression.get(name, 0.0) for name in self.names], np.float64)
+        found: F64 = np.clip(wanted, self.limits[:, 0], self.limits[:, 1]).astype(np.float64)
+        return found if found.any() else None
+
+    def farthest(self, weights: F64) -> float:
+        """Metres by which no splat moves farther under ``weights`` [T]."""
+        most = np.zeros(len(self))
+        np.maximum.at(most, self.targets, np.linalg.norm(self.metres, axis=1))
+        return float(np.abs(weights) @ most)
+
+    def take(self, index: NDArray[np.bool_] | NDArray[np.integer]) -> Shapes:
+        """Those of the splats at ``index``, unchanged."""
+        chosen = np.flatnonzero(index) if index.dtype == bool else np.asarray(index)
+        each = np.diff(self.starts)[chosen]
+        starts = np.concatenate([[0], np.cumsum(each)]).astype(np.int64)
+        at = np.repeat(self.starts[:-1][chosen] - starts[:-1], each) + np.arange(starts[-1])
+        parts = (frozen(array[at]) for array in (self.targets, self.moves, self.bends))
+        targets, moves, bends = parts
+        return replace(self, starts=frozen(starts), targets=targets, moves=moves, bends=bends)
+
+    def turned(self, linear: F64, axes: F64 | None = None) -> Shapes:
+        """Those of splats that were moved by ``linear`` [3, 3] or [N, 3, 3], whose axes turned by ``axes`` likewise."""
+        turns = linear if axes is None else axes
+        if linear.ndim == 3:
+            linear = linear[self.rows]
+        if turns.ndim == 3:
+            turns = turns[self.rows, None]
+        moved = np.einsum("...ij,...j->...i", linear, self.metres.astype(np.float64))
+        bent = np.einsum("...ij,...j->...i", turns, self.bends * BEND)
+        limits, rows, targets = self.limits, self.rows, self.targets
+        return Shapes.create(
+            self.names, self.splats, splats=rows, targets=targets, moves=moved, bends=bent, limits=limits
+        )
+
+    def texels(self) -> NDArray[np.uint32]:
+        """[E, 4] entries as shapes.glsl reads them."""
+        bytes_ = np.zeros((len(self.targets), 16), np.uint8)
+        bytes_[:, :6] = np.ascontiguousarray(self.moves, "<i2").view(np.uint8).reshape(-1, 6)
+        bytes_[:, 6:12] = self.bends.reshape(-1, 6).view(np.uint8)
+        bytes_[:, 12] = self.targets
+        return bytes_.view("<u4").astype(np.uint32)
+
+    def amounts(self, weights: F64) -> NDArray[np.float32]:
+        """[T, 2] metres a unit of ``moves`` and units of axis a unit of ``bends``, at those weights [T]."""
+        return np.stack([weights * self.sizes, weights * BEND], axis=1).astype(np.float32)
+
+
+def long_axes(scales: NDArray[np.float32]) -> NDArray[np.intp]:
+    """[N, 3] which of a splat's axes are its two long ones and its thin one, the first of equals, in cyclic order."""
+    thin = np.abs(scales).argmin(axis=1)
+    return np.stack([(thin + 1) % 3, (thin + 2) % 3, thin], axis=1)

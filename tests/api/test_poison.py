@@ -1,0 +1,360 @@
+"""Calls that must not wait for ever, and failures that must not spoil the calls after them."""
+
+from __future__ import annotations
+
+import gc
+import signal
+import subprocess
+import sys
+import threading
+import time
+import warnings
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+import moderngl
+import numpy as np
+import pytest
+
+import glsplat
+from glsplat.errors import ContextError, GlsplatError
+from glsplat.gl.context import create_context
+from glsplat.renderer import Renderer
+from glsplat.scene import Scene
+from tests.api.current_context import nothing_current
+from tests.api.variants import SIZE, VIEWS, sheet
+from tests.scenes import cloud, limb
+
+pytestmark = pytest.mark.gl
+ROOT = Path(__file__).resolve().parents[2]
+SPLATS = cloud(40)
+
+
+@pytest.fixture(autouse=True)
+def _nothing_before() -> Iterator[None]:
+    nothing_current()
+    yield
+    nothing_current()
+
+
+@pytest.fixture(scope="module")
+def picture() -> np.ndarray[Any, Any]:
+    with Renderer(SPLATS, size=(SIZE, SIZE)) as renderer:
+        return renderer.render(VIEWS)
+
+
+def within(seconds: float, call: Callable[[], Any]) -> Any:
+    """What ``call`` returns or raises on a thread that may hang without taking the tests with it."""
+    done: Future[Any] = Future()
+
+    def run() -> None:
+        try:
+            done.set_result(call())
+        except BaseException as error:
+            done.set_exception(error)
+
+    threading.Thread(target=run, daemon=True).start()
+    return done.result(seconds)
+
+
+# ------------------------------------------------------------------------------------------------- a thread of its own
+
+
+def test_rendering_inside_of_submit_does_not_wait_for_itself(picture: np.ndarray[Any, Any]) -> None:
+    def program() -> Any:
+        with Renderer.run_in_thread(SPLATS, size=(SIZE, SIZE)) as thread:
+            inner = thread.submit(lambda renderer: thread.render(VIEWS)).result()
+            twice = thread.submit(lambda renderer: thread.submit(lambda r: r.render(VIEWS)).result()).result()
+            with pytest.raises(ZeroDivisionError):
+                thread.submit(lambda renderer: thread.submit(lambda r: 1 / 0).result()).result()
+            return inner, twice, thread.render(VIEWS)
+
+    assert all(np.array_equal(one, picture) for one in within(30, program))
+
+
+def test_leaving_the_block_inside_of_submit_does_not_wait_for_itself(picture: np.ndarray[Any, Any]) -> None:
+    def program() -> Any:
+        thread = Renderer.run_in_thread(SPLATS, size=(SIZE, SIZE))
+        started = threading.Event()
+
+        def leave(renderer: Renderer) -> Any:
+            started.wait(10)
+            with thread:
+                return thread.render(VIEWS)
+
+        first = thread.submit(leave)
+        asked_before = thread.submit(Renderer.render, VIEWS)  # what was asked for is finished
+        started.set()
+        pictures = first.result(), asked_before.result()
+        thread.release()
+        with pytest.raises(GlsplatError, match="released"):
+            thread.render(VIEWS)
+        return pictures
+
+    assert all(np.array_equal(one, picture) for one in within(30, program))
+
+
+def test_release_and_calls_of_other_threads_end_in_one_line() -> None:
+    """Whoever comes too late is told so; nobody waits for ever and nobody sees an error of the pool."""
+
+    def program() -> list[BaseException]:
+        others: list[BaseException] = []
+        for _ in range(5):
+            thread = Renderer.run_in_thread(SPLATS, size=(SIZE, SIZE))
+
+            def ask(of: Any = thread) -> None:
+                try:
+                    for _ in range(1000):
+                        of.render(VIEWS)
+                except GlsplatError as error:
+                    assert "released" in str(error)
+                except BaseException as error:
+                    others.append(error)
+
+            asking = [threading.Thread(target=ask) for _ in range(3)]
+            for one in asking:
+                one.start()
+            thread.render(VIEWS)
+            thread.release()
+            for one in asking:
+                one.join(20)
+                assert not one.is_alive()
+        return others
+
+    assert within(100, program) == []
+
+
+def test_items_come_and_go_while_another_thread_draws(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A frame shows the scene as its beginning finds it. What changes in between comes with the next one."""
+    mine = glsplat.Item(SPLATS), glsplat.Item(limb()), glsplat.Item(sheet())
+    scene, moving = glsplat.Scene(mine), True
+    items = Scene.items.fget
+    assert items is not None
+
+    def read(self: Scene) -> tuple[glsplat.Item, ...]:
+        found = items(self)
+        if moving:  # another thread's turn, whenever the scene is looked at
+            for item in mine[1:]:
+                (self.remove if item in found else self.add)(item)
+                item.visible = not item.visible
+        return found
+
+    monkeypatch.setattr(Scene, "items", property(read))
+    with Renderer(scene, size=(SIZE, SIZE)) as renderer:
+        for step in range(40):
+            renderer.render(VIEWS)
+            mine[step % 3].visible = True
+        moving = False
+        for item in mine:
+            item.visible = True
+            if item not in scene.items:
+                scene.add(item)
+        last = renderer.render(VIEWS)
+    with Renderer(scene, size=(SIZE, SIZE)) as renderer:
+        assert np.array_equal(renderer.render(VIEWS), last)
+
+
+def test_a_busy_thread_changes_the_scene_of_a_renderer_thread() -> None:
+    mine = glsplat.Item(SPLATS), glsplat.Item(limb()), glsplat.Item(SPLATS, transform=glsplat.similarity((0.3, 0, 0)))
+    scene, failed, over = glsplat.Scene(mine), [], threading.Event()
+
+    def change() -> None:
+        try:
+            while not over.is_set():
+                for item in mine[1:]:
+                    scene.remove(item)
+                    time.sleep(0.0003)
+                    scene.add(item)
+                    item.transform = glsplat.similarity((0.2, 0, 0))
+        except BaseException as error:
+            failed.append(error)
+
+    with Renderer.run_in_thread(scene, size=(SIZE, SIZE)) as thread:
+        changing = threading.Thread(target=change)
+        changing.start()
+        try:
+            for _ in range(100):
+                thread.render(VIEWS)
+        finally:
+            over.set()
+            changing.join()
+    assert not failed
+
+
+def test_threads_that_take_items_out_take_their_own() -> None:
+    mine = [[glsplat.Item(SPLATS) for _ in range(300)] for _ in range(4)]
+    scene = glsplat.Scene([item for pack in mine for item in pack])
+    stays = scene.add(glsplat.Item(SPLATS))
+    interval = sys.getswitchinterval()
+    sys.setswitchinterval(1e-6)
+    try:
+        threads = [threading.Thread(target=lambda pack=pack: [scene.remove(item) for item in pack]) for pack in mine]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+    finally:
+        sys.setswitchinterval(interval)
+    assert scene.items == (stays,)
+
+
+# ------------------------------------------------------------------------------------------- what a failure leaves over
+
+WRONG: dict[str, dict[str, Any]] = {
+    "config": {"config": {"output": "float32"}},
+    "empty config": {"config": {}},
+    "context": {"context": 5},
+    "empty context": {"context": ""},
+    "moderngl": {"context": moderngl},
+    "views": {"views": 1.5},
+    "no views": {"views": 0},
+    "size": {"size": 64},
+    "fractions": {"size": (64.0, 48.0)},
+    "timed": {"timed": "no"},
+}
+
+
+@pytest.mark.parametrize("scene", [SPLATS, 5], ids=["scene", "no scene"])
+@pytest.mark.parametrize("wrong", [*WRONG, "scene"])
+def test_a_refused_renderer_leaves_nothing(
+    picture: np.ndarray[Any, Any], wrong: str, scene: Any, recwarn: pytest.WarningsRecorder
+) -> None:
+    """No context, no warning, no noise from a destructor, and the calls after it are right."""
+    if wrong == "scene" and scene is SPLATS:
+        scene = "avatar.glb"
+    gc.collect()
+    recwarn.clear()
+    for _ in range(3):
+        with pytest.raises(GlsplatError) as caught:
+            Renderer(scene, **WRONG.get(wrong, {}))
+        assert "\n" not in str(caught.value)
+        del caught
+        gc.collect()
+    with Renderer(SPLATS, size=(SIZE, SIZE)) as renderer:
+        assert np.array_equal(renderer.render(VIEWS), picture)
+    assert not recwarn.list
+
+
+def test_a_context_that_was_released_while_it_was_current_spoils_nothing(picture: np.ndarray[Any, Any]) -> None:
+    """Neither before a renderer is made, nor before a frame, nor where a context was given."""
+
+    def dead() -> None:
+        context = moderngl.create_context(standalone=True, backend="egl")
+        context.release()
+
+    dead()
+    with Renderer(SPLATS, size=(SIZE, SIZE)) as renderer:
+        for _ in range(3):
+            dead()
+            assert np.array_equal(renderer.render(VIEWS), picture)
+    users = moderngl.create_context(standalone=True, backend="egl")
+    given = create_context(given=users)
+    dead()
+    with Renderer(SPLATS, size=(SIZE, SIZE), context=given) as renderer:
+        assert np.array_equal(renderer.render(VIEWS), picture)
+        dead()
+        assert np.array_equal(renderer.render(VIEWS), picture)
+    given.release()
+    dead()
+    create_context().release()
+    users.release()
+
+
+def test_a_context_dropped_while_it_was_current_spoils_nothing(picture: np.ndarray[Any, Any]) -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ResourceWarning)
+        context: Any = create_context()  # stays current
+        again: Any = create_context()
+        cycle: list[Any] = [context, again]
+        cycle.append(cycle)
+        del context, again, cycle  # the collector comes while another renderer works
+        with Renderer(SPLATS, size=(SIZE, SIZE)) as renderer:
+            gc.collect()
+            assert np.array_equal(renderer.render(VIEWS), picture)
+
+
+# ----------------------------------------------------------------------------------------------- a frame within a frame
+
+
+@pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="no timers on this system")
+def test_a_signal_handler_that_renders_is_refused_and_the_picture_is_right() -> None:
+    """Some signals fall between two frames: what they draw is right, too."""
+    near = [glsplat.Camera(glsplat.look_at((0, 0, 1.5), (0, 0, 0)), VIEWS[0].K, SIZE, SIZE)]
+    with Renderer(cloud(4000), size=(SIZE, SIZE)) as renderer:
+        expected, inner = renderer.render(VIEWS), renderer.render(near)
+        refused, drawn, wrong = 0, 0, []
+
+        def handler(number: int, frame: FrameType | None) -> None:
+            nonlocal refused, drawn
+            for call in (lambda: renderer.render(near), lambda: renderer.load(SPLATS), renderer.release):
+                try:
+                    got = call()
+                except ContextError as error:
+                    assert "\n" not in str(error)
+                    refused += 1
+                    continue
+                drawn += 1
+                if not np.array_equal(got, inner):
+                    wrong.append("inner")
+                break  # not within a frame: the other calls would be carried out
+
+        former = signal.signal(signal.SIGALRM, handler)
+        try:
+            for _ in range(40):
+                signal.setitimer(signal.ITIMER_REAL, 0.001)
+                picture = renderer.render(VIEWS)
+                signal.setitimer(signal.ITIMER_REAL, 0)
+                if not np.array_equal(picture, expected):
+                    wrong.append("outer")
+        finally:
+            signal.setitimer(signal.ITIMER_REAL, 0)
+            signal.signal(signal.SIGALRM, former)
+        assert not wrong and refused > 30
+        assert np.array_equal(renderer.render(VIEWS), expected)
+
+
+def test_two_renderers_of_one_context_do_not_draw_within_each_other() -> None:
+    context = create_context()
+    with (
+        Renderer(SPLATS, size=(SIZE, SIZE), context=context) as one,
+        Renderer(SPLATS, size=(SIZE, SIZE), context=context) as other,
+        Renderer(SPLATS, size=(SIZE, SIZE)) as elsewhere,
+    ):
+        expected = one.render(VIEWS)
+        calls: list[Any] = []
+
+        def views() -> Iterator[glsplat.Camera]:
+            yield from VIEWS
+
+        class Without(list[Any]):
+            """A collection that renders when it is read, in the middle of a call."""
+
+            def __iter__(self) -> Iterator[Any]:
+                for renderer in (other, elsewhere):
+                    try:
+                        calls.append(renderer.render(list(views())))
+                    except ContextError as error:
+                        calls.append(error)
+                return iter(())
+
+        assert np.array_equal(one.render(VIEWS, without=Without()), expected)
+        with context:  # a stay is no frame
+            assert np.array_equal(one.render(VIEWS), expected)
+        refusals = [call for call in calls if isinstance(call, ContextError)]
+        assert all(np.array_equal(call, expected) for call in calls if not isinstance(call, ContextError))
+        assert len(calls) >= 2 and all("Renderer.render()" in str(error) for error in refusals)
+    context.release()
+
+
+def test_an_interpreter_that_ends_inside_of_submit_ends(tmp_path: Path) -> None:
+    program = tmp_path / "program.py"
+    program.write_text(
+        "import glsplat\n"
+        "splats = glsplat.Splats.create([[0, 0, 0]], [[1, 0, 0, 0]], [[.1, .1, .1]], [.9], rgb=[[1, 0, 0]])\n"
+        "thread = glsplat.Renderer.run_in_thread(splats, size=(8, 8))\n"
+        "thread.submit(lambda renderer: thread.release())\n"
+    )
+    subprocess.run([sys.executable, "-W", "error", program], cwd=ROOT, timeout=60, check=True)

@@ -1,0 +1,255 @@
+"""Shapes in glTF: kept to the bit, plain morph targets to other readers, and hostile ones refused in a line."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from glsplat import reference
+from glsplat.avatar import Avatar
+from glsplat.errors import FormatError
+from glsplat.formats import load, losses, save
+from glsplat.formats.gltf.morphs import shape_names
+from glsplat.skinning.shapes import Shapes
+from glsplat.splats import Level
+from tests.formats.scenes import assert_equal, edit_glb, glb_parts, write_glb
+from tests.skinning.faces import NAMES, expressive, random_shapes
+
+FIELDS = ("starts", "targets", "moves", "bends", "sizes", "limits")
+Document = dict[str, Any]
+
+
+def assert_same_shapes(found: Avatar, wanted: Avatar) -> None:
+    one, other = found.shapes, wanted.shapes
+    assert (one is None) == (other is None)
+    if one is not None and other is not None:
+        assert one.names == other.names
+        for name in FIELDS:
+            np.testing.assert_array_equal(getattr(one, name), getattr(other, name), name, strict=True)
+
+
+def loaded(path: Path) -> Avatar:
+    found = load(path, strict=True)
+    assert isinstance(found, Avatar)
+    return found
+
+
+@pytest.mark.parametrize("suffix", [".glb", ".gltf"])
+def test_round_trip_is_exact(tmp_path: Path, suffix: str) -> None:
+    avatar = expressive(300)
+    assert avatar.shapes is not None
+    limits = np.array([[-1, 1], [0, 1], [0, 2], [0, 1]])
+    for shapes in (avatar.shapes, replace(avatar.shapes, limits=limits)):
+        path, again = tmp_path / f"a{suffix}", tmp_path / f"b{suffix}"
+        save(replace(avatar, shapes=shapes), path)
+        found = loaded(path)
+        assert_same_shapes(found, replace(avatar, shapes=shapes))
+        assert_equal(found.splats, avatar.splats)
+        save(found, again)
+        assert path.read_bytes() == again.read_bytes()
+
+
+def test_an_avatar_without_shapes_is_written_as_ever(tmp_path: Path) -> None:
+    save(replace(expressive(50), shapes=None), tmp_path / "a.glb")
+    document, _ = glb_parts((tmp_path / "a.glb").read_bytes())
+    assert "targets" not in document["meshes"][0]["primitives"][0] and "extras" not in document["meshes"][0]
+    assert loaded(tmp_path / "a.glb").shapes is None
+
+
+def test_a_shape_that_moves_nothing_keeps_its_name(tmp_path: Path) -> None:
+    avatar = expressive(50)
+    nothing = Shapes.create(["a", "jawOpen"], 50, splats=[3], targets=[1], moves=[[0, 0, 0.01]])
+    save(replace(avatar, shapes=nothing), tmp_path / "a.glb")
+    assert_same_shapes(loaded(tmp_path / "a.glb"), replace(avatar, shapes=nothing))
+
+
+def test_levels_keep_theirs_or_have_none(tmp_path: Path) -> None:
+    avatar = expressive(300)
+    coarse, still = expressive(100), expressive(40)
+    coarse = replace(coarse, skeleton=avatar.skeleton)
+    still = replace(still, skeleton=avatar.skeleton, shapes=None)
+    whole = replace(avatar, levels=(Level(coarse, 100.0), Level(still, 10.0)))
+    save(whole, tmp_path / "a.glb")
+    found = loaded(tmp_path / "a.glb")
+    assert len(found.levels) == 2
+    for one, other in zip(found.levels, whole.levels, strict=True):
+        assert_same_shapes(one.content, other.content)
+
+
+def test_formats_without_a_rig_say_that_they_drop_them() -> None:
+    assert any("4 shapes of the face are dropped" in line for line in losses(expressive(20), "a.ply"))
+
+
+def accessor(document: Document, blob: bytes, index: int) -> np.ndarray:
+    """As any viewer of morph targets reads an accessor of floats: [count, 3]."""
+    found = document["accessors"][index]
+    out = np.zeros((found["count"], 3))
+    views = document["bufferViews"]
+    if "bufferView" in found:
+        start = views[found["bufferView"]].get("byteOffset", 0)
+        out[:] = np.frombuffer(blob, "<f4", found["count"] * 3, start).reshape(-1, 3)
+    if "sparse" in found:
+        sparse = found["sparse"]
+        at, values = (views[sparse[key]["bufferView"]].get("byteOffset", 0) for key in ("indices", "values"))
+        rows = np.frombuffer(blob, "<u4", sparse["count"], at)
+        assert (np.diff(rows.astype(np.int64)) > 0).all()  # as the specification wants them
+        out[rows] = np.frombuffer(blob, "<f4", sparse["count"] * 3, values).reshape(-1, 3)
+    return out
+
+
+def test_viewers_of_morph_targets_show_the_same_places(tmp_path: Path) -> None:
+    avatar = expressive(300)
+    save(avatar, tmp_path / "a.glb")
+    document, blob = glb_parts((tmp_path / "a.glb").read_bytes())
+    mesh = document["meshes"][0]
+    primitive = mesh["primitives"][0]
+    assert mesh["extras"]["targetNames"] == list(NAMES)
+    weights = np.array([0.3, 1.0, 0.7, 0.05])
+    places = accessor(document, blob, primitive["attributes"]["POSITION"])
+    for weight, target in zip(weights, primitive["targets"], strict=True):
+        moved = accessor(document, blob, target["POSITION"])
+        places = places + weight * moved
+        said = document["accessors"][target["POSITION"]]
+        assert said["min"] == moved.min(axis=0).tolist() and said["max"] == moved.max(axis=0).tolist()
+        assert {document["accessors"][index]["count"] for index in target.values()} == {300}
+    assert avatar.shapes is not None
+    assert np.abs(places - reference.expressed(avatar.splats, avatar.shapes, weights).means).max() < 1e-6
+
+
+def foreign(path: Path, change: Callable[[Document, bytearray], None]) -> Path:
+    """The file of an expressive avatar as another program might have changed it."""
+    avatar = replace(expressive(40), shapes=random_shapes(40, seed=7))
+    save(avatar, path)
+    document, blob = glb_parts(path.read_bytes())
+    more = bytearray(blob)
+    change(document, more)
+    document["buffers"][0]["byteLength"] = len(more)
+    write_glb(path, document, bytes(more))
+    return path
+
+
+def targets_of(document: Document) -> list[dict[str, int]]:
+    targets: list[dict[str, int]] = document["meshes"][0]["primitives"][0]["targets"]
+    return targets
+
+
+def test_plain_dense_targets_are_read(tmp_path: Path) -> None:
+    """No notes of ours, no axes, dense floats: the splats move and keep their shapes."""
+    wanted = np.random.default_rng(1).normal(0, 0.01, (40, 3)).astype(np.float32)
+
+    def change(document: Document, blob: bytearray) -> None:
+        view = {"buffer": 0, "byteOffset": len(blob), "byteLength": wanted.nbytes}
+        blob += wanted.tobytes()
+        document["bufferViews"].append(view)
+        document["accessors"].append(
+            {"bufferView": len(document["bufferViews"]) - 1, "componentType": 5126, "count": 40, "type": "VEC3"}
+        )
+        primitive = document["meshes"][0]["primitives"][0]
+        primitive["targets"] = [{"POSITION": len(document["accessors"]) - 1}]
+        del primitive["extras"]
+        document["meshes"][0]["extras"] = {"targetNames": ["EyeBlink_L"]}
+
+    shapes = loaded(foreign(tmp_path / "a.glb", change)).shapes
+    assert shapes is not None and shapes.names == ("eyeBlinkLeft",) and not shapes.bends.any()
+    assert len(shapes.targets) == 40 and shapes.metres == pytest.approx(wanted, abs=float(shapes.sizes[0]))
+
+
+@pytest.mark.parametrize(
+    ("names", "found"),
+    [
+        (("jaw_open", "Fcl_ALL_Joy"), ["jawOpen", "Fcl_ALL_Joy"]),
+        (("JawOpen", "jawOpen"), ["JawOpen", "jawOpen"]),  # who has ARKit's own name keeps it
+        (("JawOpen", "jaw_open"), ["jawOpen", "jaw_open"]),
+        (("a", "a", ""), ["a", "a_1", "target_2"]),
+        (("x" * 80, "x" * 80), ["x" * 64, "x" * 56 + "_1"]),
+    ],
+)
+def test_names_are_arkit_s_where_they_are_known(names: tuple[str, ...], found: list[str]) -> None:
+    assert shape_names(names) == found
+
+
+def lying_count(document: Document, blob: bytearray) -> None:
+    document["accessors"][targets_of(document)[0]["POSITION"]]["count"] = 10**9
+
+
+def lying_entries(document: Document, blob: bytearray) -> None:
+    document["accessors"][targets_of(document)[0]["POSITION"]]["sparse"]["count"] = 10**9
+
+
+def both_lie(document: Document, blob: bytearray) -> None:
+    for accessor in document["accessors"]:
+        if accessor["count"] == 40:
+            accessor["count"] = 10**9
+        if "sparse" in accessor:
+            accessor["sparse"]["count"] = 10**9
+
+
+def nan(document: Document, blob: bytearray) -> None:
+    sparse = document["accessors"][targets_of(document)[1]["POSITION"]]["sparse"]
+    at = document["bufferViews"][sparse["values"]["bufferView"]].get("byteOffset", 0)
+    blob[at : at + 4] = struct.pack("<f", float("nan"))
+
+
+def far(document: Document, blob: bytearray) -> None:
+    sparse = document["accessors"][targets_of(document)[1]["POSITION"]]["sparse"]
+    at = document["bufferViews"][sparse["values"]["bufferView"]].get("byteOffset", 0)
+    blob[at : at + 4] = struct.pack("<f", 1e30)
+
+
+def no_such_splat(document: Document, blob: bytearray) -> None:
+    sparse = document["accessors"][targets_of(document)[1]["POSITION"]]["sparse"]
+    at = document["bufferViews"][sparse["indices"]["bufferView"]].get("byteOffset", 0)
+    blob[at : at + 4] = struct.pack("<I", 40)
+
+
+def a_splat_twice(document: Document, blob: bytearray) -> None:
+    sparse = document["accessors"][targets_of(document)[1]["POSITION"]]["sparse"]
+    at = document["bufferViews"][sparse["indices"]["bufferView"]].get("byteOffset", 0)
+    blob[at : at + 4] = blob[at + 4 : at + 8]
+
+
+def one_axis(document: Document, blob: bytearray) -> None:
+    del targets_of(document)[0]["_AXIS_1"]
+
+
+def axes_of_floats(document: Document, blob: bytearray) -> None:
+    target = targets_of(document)[0]
+    target["_AXIS_0"] = target["_AXIS_1"] = target["POSITION"]
+
+
+def many_targets(document: Document, blob: bytearray) -> None:
+    primitive = document["meshes"][0]["primitives"][0]
+    primitive["targets"] = primitive["targets"] * 100
+
+
+def no_accessor(document: Document, blob: bytearray) -> None:
+    targets_of(document)[0]["POSITION"] = 9999
+
+
+HOSTILE = [lying_count, lying_entries, both_lie, nan, far, no_such_splat, a_splat_twice, one_axis, axes_of_floats]
+HOSTILE += [many_targets, no_accessor]
+
+
+@pytest.mark.parametrize("change", HOSTILE)
+def test_hostile_shapes_are_refused_in_a_line(tmp_path: Path, change: Callable[[Document, bytearray], None]) -> None:
+    path = foreign(tmp_path / "a.glb", change)
+    with pytest.raises(FormatError) as caught:
+        load(path)
+    assert str(caught.value).startswith(str(path)) and "\n" not in str(caught.value) and len(str(caught.value)) < 300
+
+
+@pytest.mark.parametrize("notes", [{"shape_sizes": [1, 2]}, {"shape_sizes": [1e-9] * 4}, {"shape_limits": "all"}, 7])
+def test_notes_that_are_none_do_not_matter(tmp_path: Path, notes: Any) -> None:
+    path = tmp_path / "a.glb"
+    avatar = expressive(40)
+    save(avatar, path)
+    edit_glb(path, lambda document: document["meshes"][0]["primitives"][0].update(extras={"glsplat": notes}))
+    shapes = loaded(path).shapes
+    assert shapes is not None and avatar.shapes is not None
+    assert shapes.metres == pytest.approx(avatar.shapes.metres, abs=1e-7)

@@ -1,0 +1,124 @@
+"""Arms that lie over the trunk are found on the side where they are, and say nothing of the trunk's outline."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from glsplat.making.fit.body import open_body
+from glsplat.making.fit.fit import BodyFit, fit_body
+from glsplat.making.fit.kinematics import Posed
+from glsplat.making.fit.standing.doubt import LIMBS, doubts_of
+from glsplat.making.fit.standing.limbs import TRUNK, beside_arms, forearms, hidden_arms, layers
+from glsplat.making.fit.standing.stances import misread, stances_of
+from glsplat.making.fit.view import View
+from glsplat.skinning.smplx import JOINT_NAMES
+from tests.making.made_up import FOCAL, posed_view
+
+ARMS = [JOINT_NAMES.index(f"{side}_{name}") for side in ("left", "right") for name in ("elbow", "wrist")]
+
+BELLY = {("left_shoulder", 2): -1.15, ("left_shoulder", 1): -0.2, ("left_elbow", 1): -1.5}
+BACK = {
+    ("left_shoulder", 2): -1.3,
+    ("left_shoulder", 1): 0.9,
+    ("left_shoulder", 0): 1.5,
+    ("left_elbow", 1): -1.4,
+}  # the hand lies on the small of the back
+DOWN = {("left_shoulder", 2): -1.4, ("right_shoulder", 2): 1.4, ("left_elbow", 1): -0.1, ("right_elbow", 1): 0.1}
+
+
+def blind(view: View) -> View:
+    """The view without its metres."""
+    return View(view.mask, view.landmarks, view.visibility, view.focal, turn=view.turn)
+
+
+def arms_off(fit: BodyFit, posed: Posed) -> float:
+    """Millimetres, the pelvis held, mean over elbows and wrists."""
+    found = fit.views[0].joints
+    return float(np.linalg.norm((found - found[0] - posed.joints + posed.joints[0])[ARMS], axis=1).mean() * 1000)
+
+
+def surface(posed: Posed) -> tuple[np.ndarray, np.ndarray]:
+    where = posed.points(open_body().points(np.arange(len(open_body().vertices))))
+    return where, where[:, :2] / where[:, 2:] * FOCAL + (160, 240)
+
+
+@pytest.mark.parametrize(("bent", "most"), [(BELLY, 35), (DOWN, 50)], ids=["a hand on the belly", "arms down"])
+def test_arms_over_the_trunk(bent: dict[tuple[str, int], float], most: float) -> None:
+    view, posed, _ = posed_view(bent=bent)
+    fit = fit_body([view], 1.7)
+    assert fit.problem == "" and fit.views[0].overlap > 0.97
+    assert arms_off(fit, posed) < most
+
+
+def test_an_arm_before_the_trunk_is_not_found_without_metres() -> None:
+    view, posed, _ = posed_view(bent=BELLY)
+    assert arms_off(fit_body([blind(view)], 1.7), posed) > 150
+
+
+def test_metres_turn_the_person() -> None:
+    view, posed, _ = posed_view(turn=35, told=0, bent=DOWN)
+    read = next(stance for stance in stances_of(view, open_body()) if stance.name == "read")
+    assert abs(np.degrees(read.turn)) == pytest.approx(35, abs=9)
+    found = fit_body([view], 1.7).views[0].root
+    assert np.degrees(np.arccos((np.trace(found.T @ posed.frames[0]) - 1) / 2)) < 5
+
+
+def test_without_metres_there_is_one_stance() -> None:
+    view = posed_view()[0]
+    assert [stance.name for stance in stances_of(blind(view), open_body())] == ["posed"]
+    assert [stance.name for stance in stances_of(view, open_body())] == ["posed", "at ease", "read"]
+
+
+def test_hidden_arms() -> None:
+    for bent, least, most in ((BELLY, 0.0, 0.25), (BACK, 0.5, 1.0), (DOWN, 0.0, 0.2)):
+        posed = posed_view(bent=bent)[1]
+        left, right = hidden_arms(open_body(), *surface(posed), FOCAL, (480, 320))
+        assert least <= left <= most and right < 0.2, bent
+
+
+def test_layers_are_mirrored() -> None:
+    body = open_body()
+    layer = layers(body)
+    assert (layer == 1).sum() == pytest.approx((layer == 2).sum(), rel=0.02)
+    assert (body.vertices[layer == 1, 0] > 0.15).all() and (body.vertices[layer == 2, 0] < -0.15).all()
+    assert (layer[forearms(body)] != TRUNK).all()
+
+
+def test_beside_arms() -> None:
+    posed = posed_view(bent=DOWN)[1]
+    _, pixels = surface(posed)
+    near, wide = (beside_arms(open_body(), pixels, (480, 320), reach) for reach in (0.0, 6.0))
+    assert near.sum() < wide.sum() and not (near & ~wide).any()
+    column, row = np.floor(pixels[forearms(open_body())]).astype(int).T
+    assert wide[row, column].all()
+    head = posed.joints[JOINT_NAMES.index("head")]
+    x, y = head[:2] / head[2] * FOCAL + (160, 240)
+    assert not wide[int(y), int(x)]
+
+
+def test_arms_that_point_elsewhere_are_misread() -> None:
+    view, posed, _ = posed_view(bent=BELLY)
+    assert view.world is not None
+    assert misread(view.world, posed.joints) < 0.25 < 0.35 < misread(view.world, posed_view(bent=DOWN)[1].joints)
+
+
+def test_doubts_by_limb() -> None:
+    view, _, _ = posed_view(bent=DOWN)
+    doubts = fit_body([view], 1.7).views[0].doubts
+    assert set(doubts) == set(LIMBS) and max(doubts.values()) < 0.3
+    dim = view.visibility.copy()
+    dim[[14, 16]] = 0.9, 0.2  # the right elbow and wrist
+    found = doubts_of(View(view.mask, view.landmarks, dim, FOCAL), (0.1, 0.0))
+    assert found == pytest.approx({"head": 0, "left arm": 0.1, "right arm": 0.8, "left leg": 0, "right leg": 0})
+
+
+def test_legs_that_are_not_seen_are_a_problem() -> None:
+    view, _, _ = posed_view()
+    sure = view.visibility.copy()
+    sure[[27, 29, 31]] = 0.1
+    one = View(view.mask, view.landmarks, sure, FOCAL)
+    assert fit_body([one]).problem == ""
+    sure[[28, 30, 32]] = 0.1
+    both = View(view.mask, view.landmarks, sure, FOCAL)
+    assert fit_body([both]).problem == "the legs are not seen in the front picture"
