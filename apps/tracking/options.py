@@ -31,6 +31,9 @@ def add_recording(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("recording", nargs="?", metavar="RECORDING", help="samples (.jsonl); default: the embedded one")
     parser.add_argument("--calibration", metavar="JSON", help="from `glsplat tracking calibrate`")
     parser.add_argument("--height", type=float, help="the user's stature in metres, instead of a calibration")
+    parser.add_argument(
+        "--find-size", action="store_true", help="find the user's size from the recording as it goes on"
+    )
     parser.add_argument("--head-only", action="store_true", help="ignore the hands")
     add_solver(parser)
     parser.add_argument("--no-filter", action="store_true", help="switch the One Euro filters off")
@@ -63,6 +66,10 @@ def tracker_of(args: argparse.Namespace, skeleton: Skeleton) -> Tracker:
         calibration = Calibration.load(args.calibration)
     elif args.height is not None:
         calibration = Calibration.of_height(skeleton, args.height)
+    if args.find_size:
+        if args.calibration or args.height is not None:
+            raise UsageError("--find-size finds what --calibration or --height tells; give one of them")
+        calibration = Calibration(automatic=True)
     settings = {"prediction": args.predict_ms / 1000}
     config = TrackerConfig.raw(**settings) if args.no_filter else TrackerConfig(**settings)
     return Tracker(skeleton, calibration, config, solver=args.solver, head_only=args.head_only)

@@ -44,6 +44,7 @@ class Calibration:
     waist: Transform | None = None
     left_foot: Transform | None = None
     right_foot: Transform | None = None
+    automatic: bool = False  # the scale is found while the session runs, from this one on
 
     def __post_init__(self) -> None:
         if not SMALLEST <= self.scale <= LARGEST:
@@ -105,7 +106,11 @@ class Calibration:
             raise FormatError(f"{path}: {error}") from None
 
 
-def _number(value: Any, key: str) -> float | Transform | None:
+def _number(value: Any, key: str) -> float | bool | Transform | None:
+    if key == "automatic":
+        if not isinstance(value, bool):
+            raise ValueError("automatic is neither true nor false")
+        return value
     if value is None and key in ("eye_height", "arm_span", *TRACKERS):
         return None
     if key in TRACKERS:
@@ -176,7 +181,7 @@ def calibrate(
         head_pitch=pitch if abs(pitch) < 0.35 else 0.0,
         eye_height=eyes,
         arm_span=span,
-        **_mounts(samples, middle, body, scale, floor),
+        **_mounts(samples, middle, body, scale, floor),  # type: ignore[arg-type]
     )
 
 

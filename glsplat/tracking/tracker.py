@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Mapping
+from dataclasses import replace
 from math import isfinite, sqrt
 from typing import Any
 
@@ -20,6 +21,7 @@ from glsplat.tracking.checked import checked, finite, standing, still
 from glsplat.tracking.config import TrackerConfig
 from glsplat.tracking.extra.devices import Extras
 from glsplat.tracking.filters import Device, PositionFilter, RotationFilter
+from glsplat.tracking.finding import Finder
 from glsplat.tracking.fingers import Fingers
 from glsplat.tracking.gaze import EYES, eye_turn
 from glsplat.tracking.guard import Guard
@@ -27,7 +29,7 @@ from glsplat.tracking.learned.solver import LearnedSolver
 from glsplat.tracking.reading import invalid, read_pose
 from glsplat.tracking.sample import Sample, Transform
 from glsplat.tracking.solve.body import HAND_FRAMES, HEAD_FRAME, Body
-from glsplat.tracking.solve.quat import IDENTITY, Quat, Vec, conj, mul, rotation_vector, to_quat
+from glsplat.tracking.solve.quat import IDENTITY, Quat, Vec, conj, mul, rotate, rotation_vector, to_quat
 from glsplat.tracking.solve.solution import Solution, Solver, Targets
 from glsplat.tracking.solve.solver import AnalyticSolver
 from glsplat.tracking.solvers import SolverName, solver_of
@@ -38,6 +40,7 @@ __all__ = ["Tracker", "TrackerConfig"]
 log = logging.getLogger("glsplat.tracking")
 
 SHORTEST = 1e-4  # seconds; samples closer than this are the same moment
+CHANGED = 1e-5  # of the scale that is found, below which it is the same
 FINGERS_IN_TURN = 0.04  # seconds between samples below which the hands' fingers are fitted in turn
 
 
@@ -88,6 +91,7 @@ class Tracker:
         known = self.calibration
         self._extras = Extras(self.body, c, known.scale, known.floor, known.mounts)
         head = mul(conj(HEAD_FRAME), to_quat((-known.head_pitch, 0.0, 0.0)))
+        self._finder = Finder(self.body.eye_height, known.scale) if known.automatic else None
         self._frames = (head, conj(HAND_FRAMES["left"]), conj(HAND_FRAMES["right"]))
         self.reset()
 
@@ -128,6 +132,8 @@ class Tracker:
         if dt is None and self._pose is not None:
             self.flags = tuple(flags)
             return self._pose
+        if self._finder is not None:
+            self._find(self._finder, sample, dt or 0.0)
         head = self._read(sample.head, 0, flags)
         seen = None if head is None else sample.head
         hands: list[tuple[Vec, Quat] | None] = [None, None]
@@ -216,6 +222,20 @@ class Tracker:
         """Place and joint rotation in the avatar's space; None for a pose that is absent or cannot be one."""
         found = read_pose(pose, self.calibration.scale, self.calibration.floor, flags)
         return None if found is None else (found[0], mul(found[1], self._frames[device]))
+
+    def _find(self, finder: Finder, sample: Sample, dt: float) -> None:
+        """The scale that is known by now; a hand in nonsense places is no hand."""
+        unseen: list[str] = []
+        head, *hands = [
+            read_pose(p, 1.0, self.calibration.floor, unseen) for p in (sample.head, sample.left, sample.right)
+        ]
+        if head is None or dt <= 0 or dt > self.config.gap:
+            return
+        up = rotate(mul(head[1], self._frames[0]), (0.0, 1.0, 0.0))[1]
+        scale = finder.update(head[0], up, [hand[0] for hand in hands if hand is not None], dt)
+        if abs(scale - self.calibration.scale) > CHANGED:
+            self.calibration = replace(self.calibration, scale=scale)
+            self._extras.scale = scale
 
     def _frozen(self, head: Transform, flags: list[str]) -> None:
         device, raw = self._head, tuple(head)

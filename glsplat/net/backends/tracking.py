@@ -47,20 +47,21 @@ class TrackingSolver:
 
     def __init__(self, skeleton: Skeleton, calibration: Calibration, solver: SolverName = SOLVERS[0]) -> None:
         self._tracker = Tracker(skeleton, calibration, solver=solver)
-        self._scale, self._floor = calibration.scale, calibration.floor
-        self._moved = self._scale != 1 or self._floor != 0
         self._clock = OneClock()
 
     def solve(self, request: RenderRequest, now: float) -> Solved:
         """Filter and solve the next sample, bring the cameras to the avatar's scale."""
         t = self._clock.time(request.t, now)
         pose = self._tracker.update(Sample.from_json(request.tracking, t / 1e3))
-        cameras = tuple(map(self._camera, request.cameras)) if self._moved else request.cameras
-        return Solved(pose, cameras, self._tracker.flags, self._scale, self._floor)
+        known = self._tracker.calibration
+        moved = known.scale != 1 or known.floor != 0
+        cameras = tuple(map(self._camera, request.cameras)) if moved else request.cameras
+        return Solved(pose, cameras, self._tracker.flags, known.scale, known.floor)
 
     def _camera(self, camera: Camera) -> Camera:
         place = np.eye(4)
         place[:3, 3] = camera.position
         viewmat = camera.viewmat.copy()
         viewmat[:3, 3] = -viewmat[:3, :3] @ self._tracker.to_avatar(place)[:3, 3]
-        return replace(camera, viewmat=viewmat, near=camera.near / self._scale, far=camera.far / self._scale)
+        scale = self._tracker.calibration.scale
+        return replace(camera, viewmat=viewmat, near=camera.near / scale, far=camera.far / scale)

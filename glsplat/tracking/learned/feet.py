@@ -7,13 +7,13 @@ from math import exp, hypot, sqrt
 
 from glsplat.tracking.learned.hints import FootHint
 from glsplat.tracking.solve.body import Body
-from glsplat.tracking.solve.quat import Quat, Vec, add, clamp, pull, rotate, scale, sub, wrap
+from glsplat.tracking.solve.quat import Quat, Vec, add, clamp, length, pull, rotate, scale, sub, wrap
 from glsplat.tracking.solve.stepping.clearance import Clearance
 from glsplat.tracking.solve.stepping.foot import Foot
 from glsplat.tracking.solve.stepping.leg import TIPTOE, Leg
 from glsplat.tracking.solve.tracked import Follow
 
-__all__ = ["Feet"]
+__all__ = ["Feet", "Rest"]
 
 LIFT, DROP = 0.55, 0.75  # of a foot's standing: below, it is lifted; above, it is set down; at most this share ...
 AMONG = (0.5, 0.75)  # ... of the way from the least to the most it was lately: a network in doubt says neither 0 nor 1
@@ -23,14 +23,14 @@ FAR = 0.07  # metres, that a goal must be away before a foot is lifted for it
 LOST = 0.16  # metres a planted foot is at most from its goal (of a 1.7 m person)
 TURNED = 0.6  # radians likewise
 FOLLOW = 0.1  # seconds: of the low pass by which a lifted foot follows its goal
-UP = 0.07  # seconds: likewise, upwards
+UP = 0.09  # seconds: likewise, upwards
 SURGE = 0.15  # metres it is at most told to rise at once; in a jump it hangs
 OFF = 0.3  # of CLEAR that a foot is up when it moves over as fast as it may
 RISE = 0.05  # seconds: likewise, upwards where its leg does not reach
-FORESIGHT = 0.06  # seconds: a foot leaves the ground before its leg is stretched
+FORESIGHT = 0.08  # seconds: a foot leaves the ground before its leg is stretched
 LEAD = 0.065  # seconds that this is behind
 BRIEFEST = 0.14  # seconds a foot is in the air at least
-SET = 0.12  # seconds in which it is set down, and of these
+SET = 0.14  # seconds in which it is set down, and of these
 OVER = 0.05  # seconds in which it only goes down
 REST = 0.18  # seconds it then stands at least
 SLOW, CALM = 0.2, 0.6  # m/s, seconds: slower for longer is standing, where it is not
@@ -38,9 +38,31 @@ STEP_UP = 0.2  # metres or more over the ground
 CLEAR = 0.045  # metres the ball is over the ground while it moves
 HELPS = 0.06  # metres or more by which a step must help a strained leg
 DRAGS = 0.1  # metres from below its hip that a foot is dragged at by a leg that does not reach it
+RESTS, RESTED = (0.04, 0.3), 0.4  # metres, radians, seconds: who keeps the head as still as that takes no step
 ASTRIDE = 0.3  # of its length that a leg's foot is from below the hip, beyond which a strained leg steps at once
 HEEL = 0.5  # of its rise on tiptoes that an ankle may have where a foot is put down
 REACH = 0.985  # of its length to which a lifted foot is put
+
+
+class Rest:
+    """Whether a head rests: it has not left a small ball, nor turned far, for a while."""
+
+    def __init__(self, size: float) -> None:
+        self.size = size
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the past."""
+        self._at: Vec | None = None
+        self._yaw = self._for = 0.0
+
+    def update(self, eye: Vec, yaw: float, dt: float) -> bool:
+        """Whether it rests at this moment."""
+        near, turned = RESTS
+        if self._at is None or length(sub(eye, self._at)) > near * self.size or abs(wrap(yaw - self._yaw)) > turned:
+            self._at, self._yaw, self._for = eye, yaw, 0.0
+        self._for += dt
+        return self._for > RESTED
 
 
 class Feet:
@@ -78,6 +100,7 @@ class Feet:
         dt: float,
         goals: Sequence[tuple[Vec, Quat] | None] = (None, None),  # ankles and feet that are tracked
         knees: Sequence[Vec | None] = (None, None),
+        rests: bool = False,  # the head is still: a foot is lifted only where its leg does not reach
     ) -> list[tuple[Quat, Quat, Quat]]:
         """World rotation of thigh, local rotation of the knee, and world rotation of the foot, for left and right."""
         hips = [add(pelvis_at, rotate(pelvis, leg.hip)) for leg in self.legs]
@@ -106,7 +129,7 @@ class Feet:
             lift, drop = self._bounds(foot.index, hint.stands, dt)
             slow = hypot(hint.speed[0], hint.speed[2]) * hint.sure < SLOW
             self._calm[foot.index] = self._calm[foot.index] + dt if slow else 0.0
-            if foot.planted and self._leaves(foot, hint, leg, hip, pelvis, lift):
+            if foot.planted and self._leaves(foot, hint, leg, hip, pelvis, lift, rests):
                 foot.planted, foot.left = False, 0.0
                 self._since[foot.index] = self._calm[foot.index] = 0.0
             if foot.planted:
@@ -125,7 +148,7 @@ class Feet:
         low, high = [least + share * (most - least) for share in AMONG]
         return min(LIFT, low), min(DROP, high)
 
-    def _leaves(self, foot: Foot, hint: FootHint, leg: Leg, hip: Vec, pelvis: Quat, lift: float) -> bool:
+    def _leaves(self, foot: Foot, hint: FootHint, leg: Leg, hip: Vec, pelvis: Quat, lift: float, rests: bool) -> bool:
         """Whether a planted foot should be lifted."""
         if foot.strained and self._since[foot.index] > 0.04 and hypot(hip[0] - foot.x.at, hip[2] - foot.z.at) > DRAGS:
             return True
@@ -137,7 +160,7 @@ class Feet:
             and hypot(ahead[0] - foot.x.at, ahead[2] - foot.z.at) > ASTRIDE * leg.length
         ):
             return True
-        if self._since[foot.index] < REST:
+        if self._since[foot.index] < REST or (rests and not strained):
             return False
         away = hypot(hint.ball[0] - foot.x.at, hint.ball[2] - foot.z.at) / self.size
         moves = hypot(hint.speed[0], hint.speed[2]) / self.size
@@ -169,7 +192,7 @@ class Feet:
             foot.y.approach(ground, foot.left + dt, dt)
             foot.tilt.approach(0.0, foot.left + dt, dt)
             astride = hypot(hip[0] - foot.x.at, hip[2] - foot.z.at) > ASTRIDE * leg.length
-            if foot.strained and astride and foot.left > OVER:  # the body has gone on: another step
+            if foot.strained and astride:  # the body has gone on: another step
                 foot.left = 0.0
                 self._since[foot.index] = 0.0
                 return

@@ -34,7 +34,7 @@ __all__ = ["FootHint", "Hint", "Hints"]
 Array = NDArray[np.float32]
 
 TORSO = (0.024, 0.024, 0.024)  # seconds: low passes, one after the other, by which torso and knees take up a guess
-JUMP = 0.025  # seconds in which a foot's goal takes up what a tick says otherwise than the one before
+JUMP = 0.04  # seconds in which a foot's goal takes up what a tick says otherwise than the one before
 NEVER = 1e-6
 
 

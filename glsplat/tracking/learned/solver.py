@@ -5,7 +5,7 @@ from __future__ import annotations
 from math import acos
 
 from glsplat.tracking.learned.doubt import Doubt
-from glsplat.tracking.learned.feet import Feet
+from glsplat.tracking.learned.feet import Feet, Rest
 from glsplat.tracking.learned.hints import Hint, Hints
 from glsplat.tracking.learned.network import Network
 from glsplat.tracking.learned.seat import Seat
@@ -40,6 +40,7 @@ from glsplat.tracking.solve.tracked import Pelvis
 
 __all__ = ["LearnedSolver"]
 
+PLAIN = 0.3  # of the pelvis that the analytic solver places
 BACK, FURTHER = 0.035, 0.2  # tangent of a lean back, and the share of what is beyond that is shown
 SHRINK = 0.6  # of what a body is said to be turned away from its head, that is shown without hands
 AHEAD, UNDER = 0.55, 0.75  # of a leg's length from below the hips to the balls of feet on a chair, and how surely
@@ -49,7 +50,9 @@ SWING = 0.7  # radians at most that the torso swings about the neck to bring the
 class LearnedSolver:
     """What ``Solver`` asks for. Head and reachable hands are exact, whatever the network says; feet do not slide.
 
-    Where the network has learned nothing (``Doubt``) torso and feet are those of the analytic solver.
+    PLAIN of the pelvis is the analytic solver's: the two are off in different ways, so that a mean is nearer than the
+    worse of them, and where the network knows least of a person often nearer than either.
+    Where the network has learned nothing (``Doubt``) all of it is the analytic solver's.
     """
 
     def __init__(self, body: Body, network: Network) -> None:
@@ -61,6 +64,7 @@ class LearnedSolver:
         self.seat: Seat = Seat(body.joints[PELVIS][1] - body.ground)
         self.spine: Spine = Spine(body)
         self.feet: Feet = Feet(body)
+        self.rest: Rest = Rest(body.eye_height / 1.6)
         self.pelvis: Pelvis = Pelvis()  # a tracked one
         self.arms: tuple[Arm, Arm] = (Arm(body, 0), Arm(body, 1))
         self.hands: Hands = Hands(self.arms)
@@ -75,55 +79,65 @@ class LearnedSolver:
         self.seat.reset()
         self.spine.reset()
         self.feet.reset()
+        self.rest.reset()
         self.pelvis.reset()
         self.hands.reset()
         for arm in self.arms:
             arm.reset()
         self._missed = 0.0  # metres that the worse arm missed its hand by
-        self._stepping: Feet | Legs | None = None  # whose feet these are; None before the first moment
+        self._steps: Feet | Legs | None = None  # whose feet are shown; None before the first moment
 
     def solve(self, targets: Targets, dt: float) -> Solution:
         """One moment."""
-        before = self._stepping or self.feet
+        before = self._steps or self.feet
         targets = self.ground.bring(targets, before.slack, before.clearance.tiptoe, dt)
         hint = self.hints.update(targets, dt)
         if targets.left is None and targets.right is None:
             self._face(hint, targets.head)
-        share = self.doubt.update(targets, self._missed, dt)
+        rests = self.rest.update(targets.eye, swing_twist_y(targets.head) or 0.0, dt)
+        lost = self.doubt.update(targets, self._missed, dt)
+        steps = self._whose(lost)
+        plain = self.plain.torso(targets, dt)
+        if steps is self.feet:
+            self.plain.stepped(targets, plain, dt, shown=False)
         self.pelvis.update(targets.pelvis, targets.pelvis_turn, targets.eye, dt)
-        steps = self._whose(share)
-        torso = self._guessed(targets, hint, dt) if share < 1 else None
-        if share > 0:
-            torso = self._mixed(torso, self.plain.torso(targets, dt), targets, share)
-            limbs = self.plain.stepped(targets, torso, dt)
-        else:
-            assert torso is not None
-            yaw = swing_twist_y(torso.pelvis) or 0.0
-            limbs = self.feet.update(hint.feet, torso.pelvis_at, torso.pelvis, yaw, dt, targets.feet, targets.knees)
-        arms = reaching(self.arms, self.hands, targets, torso, dt)
-        self._missed = max(arms[0].miss, arms[1].miss)
-        notes = [*self.ground.notes, *(["sitting"] if self.seat.sits and share < 1 else [])]
-        return self.ground.lift(assembled(torso, limbs, arms, steps.legs, steps.feet, self.body.sole, steps.air, notes))
-
-    def _whose(self, share: float) -> Feet | Legs:
-        """Whose feet these are: one takes over where the other has them."""
-        before, steps = self._stepping, self.plain.legs if share > 0 else self.feet
-        if steps is not before:
-            if steps is self.plain.legs:
-                self.plain.reset()
-            if before is not None:
-                steps.reset(before.feet)
-        self._stepping = steps
-        return steps
-
-    def _guessed(self, targets: Targets, hint: Hint, dt: float) -> Torso:
-        """The hinted torso, its pelvis on its seat or where it is tracked."""
-        torso = self._torso(targets, hint, hint.pelvis_at)
-        place = self.seat.update(torso.pelvis_at, dt)
+        # a pelvis that is tracked is known better than by either
+        torso = self._mixed(targets, hint, plain, PLAIN * (1 - self.pelvis.share), lost)
+        place = self.seat.update(torso.pelvis_at, dt) if lost < 1 else None
         if place is not None:
             torso = self._torso(targets, hint, place)
-            self._seated(hint, torso)
-        return self.pelvis.bring(self.spine, targets.eye, targets.head, torso)
+        torso = self.pelvis.bring(self.spine, targets.eye, targets.head, torso)
+        if steps is self.feet:
+            if place is not None:
+                self._seated(hint, torso)
+            yaw = swing_twist_y(torso.pelvis) or 0.0
+            under = (torso.pelvis_at, torso.pelvis, yaw, dt, targets.feet, targets.knees)
+            limbs = self.feet.update(hint.feet, *under, rests and place is None)
+        else:
+            limbs = self.plain.stepped(targets, torso, dt)
+        arms = reaching(self.arms, self.hands, targets, torso, dt)
+        self._missed = max(arms[0].miss, arms[1].miss)
+        notes = [*self.ground.notes, *(["sitting"] if self.seat.sits and lost < 1 else [])]
+        return self.ground.lift(assembled(torso, limbs, arms, steps.legs, steps.feet, self.body.sole, steps.air, notes))
+
+    def _whose(self, lost: float) -> Feet | Legs:
+        """Whose feet are shown: one takes over where the other has them."""
+        before, steps = self._steps, self.plain.legs if lost > 0 else self.feet
+        if steps is not before and before is not None:
+            steps.reset(before.feet)
+        self._steps = steps
+        return steps
+
+    def _mixed(self, targets: Targets, hint: Hint, plain: Torso, share: float, lost: float) -> Torso:
+        """``share`` of the analytic pelvis, and all of its torso where the network is ``lost``; the eyes stay.
+
+        The chest is the network's, which has seen the hands that arms must reach from it.
+        """
+        if lost >= 1:
+            return plain
+        share += (1 - share) * lost
+        hint.pelvis, hint.chest = slerp(hint.pelvis, plain.pelvis, share), slerp(hint.chest, plain.spine3, lost)
+        return self._torso(targets, hint, pull(hint.pelvis_at, plain.pelvis_at, share))
 
     def _seated(self, hint: Hint, torso: Torso) -> None:
         """Feet towards where those of somebody on a chair are: below the knees, the thighs ahead."""
@@ -133,13 +147,6 @@ class LearnedSolver:
                 add(torso.pelvis_at, rotate(torso.pelvis, leg.hip)), rotate(yaw, (0.0, 0.0, AHEAD * leg.length))
             )
             foot.ball = pull(foot.ball, (x, min(foot.ball[1], self.body.sole), z), UNDER * self.seat.share)
-
-    def _mixed(self, guessed: Torso | None, plain: Torso, targets: Targets, share: float) -> Torso:
-        """``share`` of the analytic torso; the eyes stay."""
-        if guessed is None:
-            return plain
-        pelvis, chest = slerp(guessed.pelvis, plain.pelvis, share), slerp(guessed.spine3, plain.spine3, share)
-        return self.spine.hang(targets.eye, targets.head, pelvis, chest)
 
     def _face(self, hint: Hint, head: Quat) -> None:
         """Nearer to the head's heading: which way a body faces is hard to tell without hands."""

@@ -102,8 +102,8 @@ class AnalyticSolver:
         )
         return self.pelvis.bring(spine, targets.eye, targets.head, torso)
 
-    def stepped(self, targets: Targets, torso: Torso, dt: float) -> list[Limb]:
-        """Legs under a torso, which ``torso`` returned for these targets, or another one."""
+    def stepped(self, targets: Targets, torso: Torso, dt: float, shown: bool = True) -> list[Limb]:
+        """Legs under a torso, which ``torso`` returned for these targets, or another one; see ``Legs.update``."""
         legs = self.legs
         base = self._base(torso)
         self._motion(base, dt)
@@ -113,7 +113,7 @@ class AnalyticSolver:
             legs.start_walking(speed)
         course = (self._travel, self._slow, speed, dt)
         yaw = self.heading.yaw
-        return legs.update(base, torso.pelvis_at, torso.pelvis, yaw, *course, targets.feet, targets.knees)
+        return legs.update(base, torso.pelvis_at, torso.pelvis, yaw, *course, targets.feet, targets.knees, shown)
 
     def _motion(self, base: Vec, dt: float) -> None:
         if self._before is None:

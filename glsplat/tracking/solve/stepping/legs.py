@@ -111,8 +111,12 @@ class Legs:
         dt: float,
         goals: Sequence[tuple[Vec, Quat] | None] = (None, None),  # ankles and feet that are tracked
         knees: Sequence[Vec | None] = (None, None),
+        shown: bool = True,
     ) -> list[tuple[Quat, Quat, Quat]]:
-        """World rotation of thigh, local rotation of the knee, and world rotation of the foot, for left and right."""
+        """World rotation of thigh, local rotation of the knee, and world rotation of the foot, for left and right.
+
+        Nothing for legs that are not ``shown``: whether they strain is then as it was when they were solved last.
+        """
         hips = [add(pelvis_at, rotate(pelvis, leg.hip)) for leg in self.legs]
         if not self.started:
             for foot in self.feet:
@@ -147,6 +151,8 @@ class Legs:
                 self._walk(base, yaw, velocity, speed, dt)
             else:
                 self._stand(base, yaw, slow, speed, pelvis_at[1], dt)
+        if not shown:
+            return []
         return [
             follow.solve(foot, hip, pelvis, yaw) or follow.leg.solve(foot, hip, pelvis, yaw)
             for follow, foot, hip in zip(self.follow, self.feet, hips, strict=True)
