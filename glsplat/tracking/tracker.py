@@ -20,10 +20,10 @@ from glsplat.tracking.calibration import Calibration
 from glsplat.tracking.checked import checked, finite, standing, still
 from glsplat.tracking.config import TrackerConfig
 from glsplat.tracking.extra.devices import Extras
+from glsplat.tracking.extra.gaze import EYES, eye_turn
 from glsplat.tracking.filters import Device, PositionFilter, RotationFilter
 from glsplat.tracking.finding import Finder
 from glsplat.tracking.fingers import Fingers
-from glsplat.tracking.gaze import EYES, eye_turn
 from glsplat.tracking.guard import Guard
 from glsplat.tracking.learned.solver import LearnedSolver
 from glsplat.tracking.reading import invalid, read_pose
