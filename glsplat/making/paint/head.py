@@ -70,7 +70,8 @@ def back_of_head(body: Body, shot: Shot, light: Light) -> BackOfHead:
     plain = shot.sample(shot.view.pixels, shot.layer) / light.shade(shot.normals)[:, None]
     look = np.sqrt(plain)  # about as eyes see it
     seen = shot.trust > _SEEN
-    crown = head & (rest[:, 1] > top - _CROWN * (top - low)) & seen
+    highest = rest[head & seen, 1].max(initial=low)  # a fitted skull may reach over the person's own
+    crown = head & (rest[:, 1] > highest - _CROWN * (top - low)) & seen
     throat, face = neck & (shot.trust > 0.5), head & face_of(body) & (shot.trust > 0.5)
     if not crown.any() or not throat.any() or not face.any():
         return BackOfHead(rest, np.zeros(count), np.zeros(count), np.zeros((count, 3)), np.zeros(()), middle)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import copy
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from glsplat.making.paint.colour import to_linear, to_srgb
+from glsplat.making.paint.head import back_of_head
 from glsplat.making.paint.light import find_light
 from glsplat.making.paint.paint import paint, painter_of
 from glsplat.making.paint.scatter import even_points, scatter
@@ -148,3 +150,16 @@ def test_no_face_on_the_back_of_the_head() -> None:
     assert behind.sum() > 20
     assert greenness[painted.seen > 0.9].max() > 0.8
     assert greenness[behind].max() < 0.1
+
+
+def test_a_skull_that_reaches_over_the_hair_has_its_back_all_the_same() -> None:
+    scene = photographed("front")
+    shot, names = copy.copy(scene.shots[0]), scene.mesh.skeleton.names
+    strongest = scene.mesh.joints[np.arange(len(scene.mesh.vertices)), scene.mesh.weights.argmax(axis=1)]
+    head = strongest == names.index("head")
+    height = scene.mesh.vertices[:, 1]
+    top = height[head].max()
+    object.__setattr__(shot, "trust", np.where(height > top - 0.05, 0.0, shot.trust))
+    found = back_of_head(scene.body, shot, scene.light)
+    behind = head & (scene.mesh.vertices[:, 2] < np.quantile(scene.mesh.vertices[head, 2], 0.2))
+    assert found.covered[behind].mean() > 0.9
