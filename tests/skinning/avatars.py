@@ -27,7 +27,7 @@ class SkinError:
     """The skin pass of one pose against reference.skin."""
 
     position: float  # metres
-    covariance: float  # largest relative Frobenius error; near a collapse, where float32 divides by little, of its part
+    covariance: float  # largest relative Frobenius error; three tenths of it near a collapse (steadiness)
     orthonormal: float  # largest entry of R R^T - I
     determinant: float  # smallest det R
 
@@ -47,7 +47,7 @@ class SkinError:
         gram = turned @ np.swapaxes(turned, 1, 2)
         return cls(
             float(np.abs(means - expected.means).max()),
-            float((np.linalg.norm(sigma - wanted, axis=(1, 2)) / scale * np.minimum(1, 100 * steady)).max()),
+            float((np.linalg.norm(sigma - wanted, axis=(1, 2)) / scale * np.clip(100 * steady, 0.3, 1)).max()),
             float(np.abs(gram - np.eye(3)).max()),
             float(np.linalg.det(turned).min()),
         )
