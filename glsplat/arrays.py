@@ -103,19 +103,25 @@ def number(value: Any, what: str, error: type[GlsplatError] = FormatError) -> fl
 
 
 def count(value: Any, what: str, error: type[GlsplatError] = FormatError, least: int | None = None) -> int:
-    """``value`` as an int: any integer type, but no float, no boolean, no text; from ``least`` on."""
-    if type(value) is not int:
-        try:
-            if isinstance(value, (bool, np.bool_)):
-                raise TypeError
-            value = operator.index(value)
-        except TypeError:
-            raise error(f"{what} needs a whole number, not {_shown(value)}") from None
+    """``value`` as an int of 63 bits: any integer type, but no float, no boolean, no text; from ``least`` on."""
+    value = bits(value, what, error)
     if abs(value) >= 2**63:
         raise error(f"{what} needs a whole number of at most 19 digits")
     if least is not None and value < least:
         raise error(f"{what} needs at least {least}, not {value}")
     return value
+
+
+def bits(value: Any, what: str, error: type[GlsplatError] = FormatError) -> int:
+    """``value`` as an int of any length, -1 for all bits: any integer type, but no float, no boolean, no text."""
+    if type(value) is int:
+        return value
+    try:
+        if isinstance(value, (bool, np.bool_)):
+            raise TypeError
+        return operator.index(value)
+    except TypeError:
+        raise error(f"{what} needs a whole number, not {_shown(value)}") from None
 
 
 def flag(value: Any, what: str, error: type[GlsplatError] = FormatError) -> bool:

@@ -17,7 +17,7 @@ import numpy as np
 import pyrr
 from numpy.typing import ArrayLike, NDArray
 
-from glsplat.arrays import colour, count, number, own, pixels, plain, restored
+from glsplat.arrays import bits, colour, count, number, own, pixels, plain, restored
 from glsplat.errors import FormatError
 from glsplat.rotations import FLIP_YZ
 
@@ -70,6 +70,7 @@ class Camera:
     far: float = 1e10
     sh_degree: int = 3  # evaluate at most this degree
     name: str = field(default="", compare=False)
+    layers: int = 1  # bits; items without one of them are not drawn (Item.layers)
 
     def __init__(
         self,
@@ -82,6 +83,7 @@ class Camera:
         far: SupportsFloat = 1e10,
         sh_degree: SupportsIndex = 3,
         name: str = "",
+        layers: SupportsIndex = 1,
     ) -> None:
         view, k = own(viewmat, np.float64, "viewmat"), own(K, np.float64, "K")
         if view.shape != (4, 4) or k.shape != (3, 3):
@@ -109,6 +111,7 @@ class Camera:
         keep(self, "far", depths[1])
         keep(self, "sh_degree", degree)
         keep(self, "name", name)
+        keep(self, "layers", bits(layers, "layers"))
 
     def __reduce__(self) -> tuple[Any, ...]:
         return restored, (type(self), {f.name: getattr(self, f.name) for f in fields(self)})
@@ -131,7 +134,7 @@ class Camera:
         return replace(self, K=scale @ self.K, width=width, height=height)
 
     def to_json(self) -> dict[str, Any]:
-        """The camera-file object of docs/conventions.md."""
+        """The camera-file object of docs/conventions.md, which knows no layers."""
         return {
             "width": self.width,
             "height": self.height,

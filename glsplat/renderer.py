@@ -5,39 +5,40 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Hashable, Sequence
+import math
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
-from types import NoneType, TracebackType
-from typing import Any, Literal, Unpack, overload
+from types import NoneType
+from typing import Any, Literal, Self, overload
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from glsplat.arrays import count, flag, instance, pixels
 from glsplat.camera import Camera, passes_of, sorting_camera
 from glsplat.config import RenderConfig
+from glsplat.detail.selector import Selector
 from glsplat.errors import ContextError, GlsplatError
 from glsplat.gl.context import Context, create_context
 from glsplat.gl.owner import Entry, abandon
 from glsplat.passes import views as checks
-from glsplat.passes.frame.budget import Budget
+from glsplat.passes.frame.draw import Slices
 from glsplat.passes.frame.pipeline import Pipeline
-from glsplat.passes.item.levels import Look
-from glsplat.passes.marks import Marks
 from glsplat.passes.staged import Staged
 from glsplat.passes.stats import FrameStats
+from glsplat.passes.step import ResolveStep, StepTextures, checked_step
 from glsplat.passes.target import FORMATS, Target
 from glsplat.passes.target_pool import TargetPool
-from glsplat.renderer_thread import RendererThread, RenderOptions
-from glsplat.scene import Item, Scene, Shown
+from glsplat.passes.views import Depths, Images, Views
+from glsplat.renderer_thread import OnThread
+from glsplat.scene import Scene, Shown
 from glsplat.shaders import Programs, Variant
 from glsplat.shaders.variant import MAX_VIEWS
 from glsplat.skinning.pose import Pose
 from glsplat.timing import StageTimer
-from glsplat.watermark.mark import Mark
 
-__all__ = ["FrameStats", "Renderer"]
+__all__ = ["FrameStats", "Prepared", "Renderer", "RendererThread"]
 
 
 class Renderer:
@@ -68,6 +69,8 @@ class Renderer:
         self.config: RenderConfig = instance(config, RenderConfig, "config", GlsplatError)
         instance(context, (Context, NoneType), "context", GlsplatError, "create_context(given=...) makes one")
         waits, scene = flag(timed, "timed", GlsplatError), Scene.of(scene)
+        self.selector: Selector = Selector()  # who looks; where several do in turn each has their own
+        self.step: ResolveStep | None = None  # drawn into 8-bit pictures before they are rounded, such as a Mark
         self._staged: Staged | None = None
         self.stats: FrameStats = FrameStats(0, 0, 0)
         self.variant: Variant = Variant()  # of the last pass
@@ -78,13 +81,17 @@ class Renderer:
         self._programs = Programs(self.context.ctx)
         self.timer: StageTimer = StageTimer(self.context.ctx.finish if waits else None)
         self._targets = TargetPool(self.context, self.target_dtype)
-        self._marks = Marks(self.context)
+        self._textures = StepTextures(self.context)
+        self._prepared: Prepared | None = None  # nothing was drawn since
         self._released = False
         if self.context.state is not None and (self.config.sorter != "cpu" or self.config.fetch != "attributes"):
             self.context.state.look_after_storage()
         try:
             with self.context.entered("Renderer()"):
-                self._open(scene, width, height, views)
+                checks.check_driver(self.config, self.context)
+                self._resize(width, height)
+                self._load(scene)
+                self._targets.float_target(self.size, min(views, MAX_VIEWS))
             if self._owns_context:
                 self.context.owner.leave()  # a new context stays current where none was
         except BaseException:
@@ -92,7 +99,7 @@ class Renderer:
             raise
 
     @classmethod
-    def run_in_thread(cls, scene: Shown, **options: Any) -> RendererThread[Renderer]:
+    def run_in_thread(cls, scene: Shown, **options: Any) -> RendererThread:
         """A renderer on a thread of its own, with the options of ``Renderer()``: all threads may call it.
 
         ::
@@ -130,8 +137,8 @@ class Renderer:
         Not counted: the bone texture and the uniform blocks, which do not grow with the splats.
         """
         self._check("nbytes")
-        staged = self._staged.nbytes() if self._staged else {"splats": 0, "meshes": 0, "sh": 0, "work": 0}
-        return staged | {"targets": self._targets.nbytes + self._marks.nbytes}
+        staged = self._staged.nbytes() if self._staged else dict.fromkeys(("splats", "meshes", "sh", "work"), 0)
+        return staged | {"targets": self._targets.nbytes + self._textures.nbytes}
 
     def load(self, scene: Shown) -> None:
         """Replace the scene. The old one is kept until the new one is on the GPU, and stays if that fails."""
@@ -148,6 +155,7 @@ class Renderer:
         if max(width, height) > limit:
             raise ContextError(f"size needs 1 to {limit} pixels a side on {self.driver}, not {width}x{height}")
         self.size = (width, height)
+        self._prepared = None
 
     def drop_targets(self) -> None:
         """Give back the memory of all targets; the next frame makes its own."""
@@ -156,125 +164,74 @@ class Renderer:
 
     @overload
     def render(
-        self,
-        cameras: Sequence[Camera],
-        pose: Pose | None = ...,
-        *,
-        depth: Literal[False] = ...,
-        **options: Unpack[RenderOptions],
-    ) -> NDArray[Any]: ...
+        self, views: Views, pose: Pose | None = ..., *, depth: Literal[False] = ..., out: Images | None = ...
+    ) -> Images: ...
 
     @overload
     def render(
-        self,
-        cameras: Sequence[Camera],
-        pose: Pose | None = ...,
-        *,
-        depth: Literal[True],
-        **options: Unpack[RenderOptions],
-    ) -> tuple[NDArray[Any], NDArray[np.float32]]: ...
+        self, views: Views, pose: Pose | None = ..., *, depth: Literal[True], out: Images | None = ...
+    ) -> tuple[Images, Depths]: ...
 
     def render(
         self,
-        cameras: Sequence[Camera],
+        views: Views,
         pose: Pose | None = None,  # of the one avatar; default: the item's own, else zero; ignored without a skeleton
         *,
-        sort_viewmat: ArrayLike | None = None,  # [4, 4] orders all views; default: see docs/frame.md
-        budget: Budget | None = None,  # what this picture may cost; none: whatever it takes
         depth: bool = False,  # return expected depths beside the images
-        out: NDArray[Any] | None = None,  # [V, H, W, 4] where the images go; default: a new array
-        viewer: Hashable = None,  # who looks, where several do in turn: their levels of detail are kept apart
-        lod_bias: float = 0.0,  # added to that of the config; -8 to 8
-        without: Collection[Item] = (),  # items that this picture leaves out; others are not staged anew for it
-        mark: Mark | None = None,  # drawn into uint8 pictures where alpha is not 0 (docs/watermark.md)
-    ) -> NDArray[Any] | tuple[NDArray[Any], NDArray[np.float32]]:
+        out: Images | None = None,  # [V, H, W, 4] where the images go; default: a new array
+    ) -> Images | tuple[Images, Depths]:
         """The images [V, H, W, 4], row 0 at the top: RGB over the background and accumulated alpha.
 
         Colours are multiplied by their alpha already (premultiplied); ``glsplat.straight(image)`` divides it out again,
         for PNG files and image libraries. float32 (unclipped) or uint8 by ``config.output``. With ``depth`` also
         [V, H, W] float32: camera z in metres, the mean of what a pixel shows by its weight in the picture, meshes
         included; 0 where alpha is 0; a 16F target is centimetres off where alpha is small, and one of 8 bits has none.
-        The arrays are new with each call, but for ``out``. Raises PoseError for a pose that does not fit, BudgetError
-        for a picture beyond its budget, GlsplatError for all else: the next one is drawn as if it had not been asked.
+        The arrays are new with each call, but for ``out``. Raises PoseError for a pose that does not fit, GlsplatError
+        for all else: the next one is drawn as if it had not been asked.
         """
-        order, lod_bias = checks.checked_order(sort_viewmat), checks.checked_bias(lod_bias)
-        depth, cameras = checks.checked_depth(depth, self.target_dtype), self._views(cameras)
-        instance(budget, (Budget, NoneType), "budget", GlsplatError)
+        depth, asked = checks.checked_depth(depth, self.target_dtype), self._views(views)
         with self._entered("render"):
-            boxed = self.config.output == "uint8"
-            tile = None if mark is None else self._marks.tile(checks.checked_mark(mark, boxed))
-            self._begin(pose, cameras, viewer, lod_bias, checks.checked_without(without, self._scene.scene))
-            shape = (len(cameras), self.size[1], self.size[0], 4)
-            out = checks.checked_out(out, shape, np.uint8 if boxed else np.float32)
-            depths = np.empty(out.shape[:3] if depth else 0, np.float32)
-            for ordinal, batch in enumerate(passes_of(cameras, self.config.order == "shared" or order is not None)):
-                views, mine = [cameras[i] for i in batch], slice(batch[0], batch[0] + len(batch))
-                pipeline, target = self._draw(views, order, boxed, ordinal, budget, depth)
-                byte_target = self._targets.byte_target(self.size, len(views)) if boxed else None
-                pipeline.read(target, byte_target, views, out[mine], self.timer, tile)
-                if depth:
-                    depths[mine] = target.read_depth()
-                    self.timer.mark("read")
-                self.stats = pipeline.added(self.stats)
-            self.timer.stop()
-            return (out, depths) if depth else out
+            self._follow(asked, pose)
+            both = self._pictures(asked, out, depth)
+        return both if depth else both[0]
 
-    def draw(self, cameras: Sequence[Camera], pose: Pose | None = None) -> Target:
+    def prepare(self, views: Views, pose: Pose | None = None) -> Prepared:
+        """Do all of ``render()`` that comes before drawing, and say what drawing costs. Raises what that raises.
+
+        >>> with glsplat.Renderer(glsplat.default_avatar(), size=(32, 24), views=2) as renderer:
+        ...     prepared = renderer.prepare(glsplat.stereo_cameras(np.eye(4), size=(32, 24)))
+        ...     image = prepared.render() if prepared.cost < 1e9 else None
+        """
+        asked, cost = self._views(views), 0
+        with self._entered("prepare"):
+            self._follow(asked, pose)
+            for ordinal, batch in enumerate(self._passes(asked)):
+                some = [asked[i] for i in batch]
+                self._scene.ground(some, ordinal, self.target_dtype, self.timer)
+                cost += self._ordered(some, ordinal, costed=True).cost or 0
+            self._prepared = Prepared(self, asked, cost)
+            return self._prepared
+
+    def draw(self, views: Views, pose: Pose | None = None) -> Target:
         """Draw one view or a pair and leave it on the GPU: the float target, layer 0 the left eye, row 0 at the top.
 
         For windows: nothing is read back. The layers hold what ``render()`` makes of the same views. The target
         belongs to the renderer and is overwritten by the next call. Where hidden splats were left out it is not lifted
         yet (``Target.lift``; Present does it).
         """
-        cameras = self._views(cameras)
-        if len(cameras) > 2:
-            raise GlsplatError(f"draw() takes one view or a pair, not {len(cameras)}; render() takes any number")
+        asked = self._views(views)
+        if len(asked) > 2:
+            raise GlsplatError(f"draw() takes one view or a pair, not {len(asked)}; render() takes any number")
         with self._entered("draw"):
-            self._begin(pose, cameras)
-            passes = passes_of(cameras, self.config.order == "shared")
-            for ordinal, batch in enumerate(passes):
-                views = [cameras[i] for i in batch]
-                pipeline, target = self._draw(views, None, boxed=False, ordinal=ordinal)
-                if len(passes) > 1:  # eyes that do not share an order: drawn one by one into the pair's layers
-                    pair = self._targets.float_target(self.size, len(cameras))
-                    pair.copy_layer(self.context.ctx, batch[0], target)
+            self._follow(asked, pose)
+            for mine, views, _, target in self._drawn(asked):
+                if len(views) < len(asked):  # eyes that do not share an order: drawn one by one into the pair's layers
+                    pair = self._targets.float_target(self.size, len(asked))
+                    pair.copy_layer(self.context.ctx, mine.start, target)
                     target = pair
-                self.stats = pipeline.added(self.stats)
-            lifted = pipeline.variant.cull_hidden
-            target.lift = tuple(camera.background for camera in cameras) if lifted else None
+            target.lift = tuple(view.background for view in asked) if self.variant.cull_hidden else None
             self.timer.stop()
             return target
-
-    def redraw(self, cameras: Sequence[Camera]) -> float:
-        """Step 4 alone on the records the last call left, for one view or a pair: milliseconds until the GPU is done.
-
-        The draw floor: what the picture costs once everything before it is known (``glsplat bench``). Raises
-        GlsplatError for views that are not drawn in one pass.
-        """
-        cameras = self._views(cameras)
-        if len(passes_of(cameras, self.config.order == "shared")) > 1:
-            raise GlsplatError("redraw() takes views of one pass: one view, or a pair that looks the same way")
-        with self._entered("redraw"):
-            pipeline, target = self._scene.pipeline(cameras, 0), self._targets.float_target(self.size, len(cameras))
-            ground = self._scene.ground(cameras, 0, self.target_dtype, self.timer)
-            self.context.ctx.finish()
-            timer = StageTimer(self.context.ctx.finish)
-            timer.start()
-            pipeline.draw(target, cameras, timer, self.config.output == "uint8", ground=ground)
-            return timer.ms["draw"]
-
-    def posed(self) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
-        """What the skin pass made of the last pose: world means [N, 3] and shapes M [N, 3, 3], Sigma = M M^T.
-
-        Read back for measurements. N leaves out the splats in ``stats.skipped``. Raises GlsplatError for a scene that
-        is not skinned or not rendered yet.
-        """
-        with self._entered("posed"):
-            arena = self._scene.arena
-            if not (arena.posed and arena.written()):
-                why = "this scene is not skinned or not rendered yet"
-                raise GlsplatError(f"posed() needs an avatar that was rendered; {why}")
-            return arena.read()
 
     def release(self) -> None:
         """Delete every GL object, and the context if it was made here. May be called twice."""
@@ -289,12 +246,10 @@ class Renderer:
                     self._free(own)
             self._owns_context, self._released = False, True
 
-    def __enter__(self) -> Renderer:
+    def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.release()
 
     def __del__(self) -> None:
@@ -303,23 +258,8 @@ class Renderer:
             label = f"a Renderer ({splats} splats, {self.size[0]}x{self.size[1]})"
             abandon(label, self.context.owner, self._forget, self._owns_context)
 
-    def _open(self, scene: Scene, width: int, height: int, views: int) -> None:
-        """Check what the driver can do, and make what does not wait for the first frame."""
-        geometry = self.config.layers == "geometry"
-        if self.config.layers == "vertex" and not self.context.vertex_layers:
-            raise ContextError(f"{self.driver} cannot write gl_Layer in the vertex shader; use layers='geometry'")
-        if self.config.sorter == "gpu" and not self.context.compute:
-            raise ContextError(f"the GPU sorter needs OpenGL 4.3, this is {self.driver}; use sorter='cpu'")
-        if self.config.fetch == "storage" and not self.context.vertex_storage:
-            raise ContextError(f"{self.driver} has no storage buffers in the vertex shader; use fetch='attributes'")
-        self._geometry = geometry or not self.context.vertex_layers
-        self._triangle = self.config.shape == "triangle" or (self.config.shape == "auto" and self.context.software)
-        self._resize(width, height)
-        self._load(scene)
-        self._targets.float_target(self.size, min(views, MAX_VIEWS))
-
     def _load(self, scene: Scene) -> None:
-        made = Staged(self.context, self._programs, scene, self.config, self._geometry, self._triangle)
+        made = Staged(self.context, self._programs, scene, self.config)
         old, self._staged = self._staged, made
         if old is not None:
             old.release()
@@ -338,47 +278,73 @@ class Renderer:
 
     def _entered(self, call: str) -> Entry:
         self._check(call)
+        self._prepared = None
         return self.context.entered(f"Renderer.{call}()")
 
-    def _views(self, cameras: Sequence[Camera]) -> list[Camera]:
-        return checks.checked_views(cameras, self.size, "; call resize() first")
+    def _views(self, views: Views) -> list[Camera]:
+        return checks.checked_views(views, self.size, "; call resize() first")
 
-    def _begin(
-        self,
-        pose: Pose | None,
-        cameras: Sequence[Camera],
-        viewer: Hashable = None,
-        lod_bias: float = 0.0,
-        without: frozenset[int] = frozenset(),  # by id()
-    ) -> None:
+    def _passes(self, views: Sequence[Camera]) -> list[list[int]]:
+        """Which of the views are drawn together."""
+        return passes_of(views, self.config.order == "shared")
+
+    def _order(self, views: Sequence[Camera]) -> NDArray[np.float64]:
+        """[4, 4] the viewmat by whose z the splats of a pass are sorted."""
+        return sorting_camera(views)
+
+    def _follow(self, views: Sequence[Camera], pose: Pose | None) -> None:
+        """Begin a frame: what came, went, moved; which level of detail who looks gets of it."""
         self.timer.start()
-        scene = self._scene
-        before = scene.runs
-        scene.update(pose, self.timer, Look(tuple(cameras), viewer, self.config.lod_bias + lod_bias), without)
-        posed, levels = scene.runs - before, scene.levels
-        self.stats = FrameStats(
-            scene.splats, 0, scene.skipped, sorted=False, posed=posed, levels=levels, coarsest=scene.coarsest
-        )
+        selector = instance(self.selector, Selector, "selector", GlsplatError)
+        self.stats = self._scene.update(views, pose, selector, self.timer)
 
-    def _draw(
-        self,
-        views: Sequence[Camera],
-        sort_viewmat: NDArray[np.float64] | None,
-        boxed: bool,
-        ordinal: int = 0,  # of the pass in this call
-        budget: Budget | None = None,
-        depth: bool = False,
-    ) -> tuple[Pipeline, Target]:
-        """Steps 1 to 4 for one pass."""
-        ground = self._scene.ground(views, ordinal, self.target_dtype, self.timer, depth)
-        pipeline = self._scene.pipeline(views, ordinal, depth)
-        target = self._targets.float_target(self.size, len(views), depth)
-        order = sorting_camera(views) if sort_viewmat is None else sort_viewmat
-        resorted = pipeline.geometry(views, order, self.timer, budget, self._scene.shared(ordinal))
-        pipeline.draw(target, views, self.timer, boxed, budget, ground)
+    def _pictures(
+        self, asked: Sequence[Camera], out: Images | None, depth: bool = False, slices: Slices | None = None
+    ) -> tuple[Images, Depths]:
+        """The frame (docs/frame.md) after what moved was posed: drawn, and brought to the host."""
+        boxed, size, timer = self.config.output == "uint8", self.size, self.timer
+        out = checks.checked_out(out, (len(asked), size[1], size[0], 4), np.uint8 if boxed else np.float32)
+        depths = np.empty(out.shape[:3] if depth else 0, np.float32)
+        step = checked_step(self.step, boxed)
+        texture = None if step is None else self._textures.of(step)
+        for mine, views, pipeline, target in self._drawn(asked, depth, boxed, slices):
+            byte_target = self._targets.byte_target(size, len(views)) if boxed else None
+            if byte_target is not None:  # 5 resolve: to 8 bits, by way of the owner's step
+                pipeline.resolve(target, byte_target, views, timer, step, texture)
+            pipeline.read(target, byte_target, views, out[mine], timer)  # 6 read: to the host
+            if depth:
+                depths[mine] = target.read_depth()
+                timer.mark("read")
+        timer.stop()
+        return out, depths
+
+    def _drawn(
+        self, asked: Sequence[Camera], depth: bool = False, boxed: bool = False, slices: Slices | None = None
+    ) -> Iterator[tuple[slice, list[Camera], Pipeline, Target]]:
+        """Pass by pass, of one view or both eyes. With ``slices`` it was prepared: most records are there."""
+        scene = self._scene
+        for ordinal, batch in enumerate(self._passes(asked)):
+            views, mine = [asked[i] for i in batch], slice(batch[0], batch[0] + len(batch))
+            # meshes, opaque, by a depth buffer: what the splats are drawn over and tested against
+            ground = scene.ground(views, ordinal, self.target_dtype, self.timer, depth)
+            # 1 key, 2 sort, 3 project: what these views show of the arena, as records from far to near
+            pipeline = self._ordered(views, ordinal, depth, slices is not None, done=slices is not None)
+            # 4 draw: all records in one instanced draw, an eye a layer
+            target = self._targets.float_target(self.size, len(views), depth)
+            pipeline.draw(target, views, self.timer, boxed, ground, slices)
+            yield mine, views, pipeline, target
+            self.stats = pipeline.added(self.stats)
+
+    def _ordered(
+        self, views: Sequence[Camera], ordinal: int, depth: bool = False, costed: bool = False, done: bool = False
+    ) -> Pipeline:
+        """What draws these views as pass number ``ordinal`` of a call, steps 1 to 3 done."""
+        pipeline, shared = self._scene.pipeline(views, ordinal, depth), self._scene.shared(ordinal)
+        if shared or not done:
+            resorted = pipeline.geometry(views, self._order(views), self.timer, costed, shared)
+            self.stats = replace(self.stats, sorted=self.stats.sorted or resorted)
         self.variant = pipeline.variant
-        self.stats = replace(self.stats, sorted=self.stats.sorted or resorted)
-        return pipeline, target
+        return pipeline
 
     def _drop_scene(self) -> None:
         staged, self._staged = self._staged, None  # forgotten first: what is broken off must not be used again
@@ -387,8 +353,9 @@ class Renderer:
 
     def _free(self, stack: ExitStack) -> None:
         """Delete what this renderer made, whatever fails, when ``stack`` closes."""
-        for free in (self._programs.release, self._marks.release, self._targets.release, self._drop_scene):
-            stack.callback(free)
+        for owner in (self._programs, self._textures, self._targets):
+            stack.callback(owner.release)
+        stack.callback(self._drop_scene)
 
     def _forget(self) -> None:
         """Release what was dropped. A context of its own goes with whoever still holds it."""
@@ -398,3 +365,34 @@ class Renderer:
         self._released = True
         if self._owns_context:
             self.context.loosen()
+
+
+class Prepared:
+    """Pictures of which all but the drawing is done; until the renderer does something else. ``Renderer.prepare()``."""
+
+    def __init__(self, renderer: Renderer, views: Sequence[Camera], cost: int) -> None:
+        self._renderer, self._views = renderer, views
+        self.cost: int = cost
+        """Covered pixels: of all views and splats drawn those of the box around the splat, in whole blocks of 4x4."""
+
+    def render(
+        self,
+        *,
+        out: Images | None = None,  # as that of Renderer.render()
+        between: Callable[[], None] | None = None,  # called between two slices; what it raises ends the picture
+        slice_cost: float = math.inf,  # covered pixels of a pass; what costs more is drawn in slices of about that much
+    ) -> Images:
+        """What ``Renderer.render()`` gives, to the same bytes, whatever the slices."""
+        renderer = self._renderer
+        if renderer._prepared is not self:
+            raise GlsplatError("the renderer did something else since prepare(), or drew this already; prepare() again")
+        with renderer._entered("render"):
+            return renderer._pictures(self._views, out, slices=Slices(between, slice_cost))[0]
+
+
+class RendererThread(OnThread[Renderer], Renderer, of=Renderer):
+    """Made by ``Renderer.run_in_thread()``: all that a Renderer has, on a thread of its own. Any thread may use it.
+
+    Calls are done one by one; reading or setting an attribute is a call, too. What is called on the renderer's own
+    thread, by a function given to ``submit``, is done at once: it would wait for itself.
+    """

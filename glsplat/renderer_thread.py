@@ -1,76 +1,67 @@
-"""RendererThread: a renderer on a thread of its own, for programs that call from many."""
+"""OnThread: an object on a thread of its own, for programs that call from many (renderer.RendererThread)."""
 
 from __future__ import annotations
 
+import functools
+import inspect
 import sys
 import threading
 import warnings
-from collections.abc import Callable, Collection, Hashable, Sequence
+from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
-from types import TracebackType
-from typing import Any, Concatenate, Generic, Literal, ParamSpec, Protocol, TypedDict, TypeVar, Unpack, overload
+from typing import Any, Concatenate, Generic, ParamSpec, Protocol, Self, TypeVar
 
-import numpy as np
-from numpy.typing import ArrayLike, NDArray
-
-from glsplat.camera import Camera
 from glsplat.errors import GlsplatError
-from glsplat.passes.frame.budget import Budget
-from glsplat.scene import Item
-from glsplat.skinning.pose import Pose
-from glsplat.watermark.mark import Mark
 
-__all__ = ["RenderOptions", "RendererThread"]
-
-Depths = tuple[NDArray[Any], NDArray[np.float32]]
+__all__ = ["OnThread"]
 
 
-class RenderOptions(TypedDict, total=False):
-    """What ``Renderer.render`` takes by name, but for ``depth``, which decides what it returns."""
-
-    sort_viewmat: ArrayLike | None
-    budget: Budget | None
-    out: NDArray[Any] | None
-    viewer: Hashable
-    lod_bias: float
-    without: Collection[Item]
-    mark: Mark | None
-
-
-class _Renderer(Protocol):
-    """What is asked of glsplat.renderer.Renderer here."""
-
-    @property
-    def render(self) -> Callable[..., Any]: ...
-
+class _Owner(Protocol):
     def release(self) -> None: ...
 
 
 P = ParamSpec("P")
 T = TypeVar("T")
-R = TypeVar("R", bound=_Renderer)
+R = TypeVar("R", bound=_Owner)
 
 
-class RendererThread(Generic[R]):
-    """Made by ``Renderer.run_in_thread()``. Every method may be called on any thread; calls are done one by one.
+class OnThread(Generic[R]):
+    """Has every public method, property and attribute of ``of``, done on the thread: nothing is written twice."""
 
-    What is called on the renderer's own thread, by a function given to ``submit``, is done at once: it would wait for
-    itself.
-    """
+    def __init_subclass__(cls, of: type[R], **options: Any) -> None:
+        super().__init_subclass__(**options)
+        for name in dir(of):
+            if not (name.startswith("_") or hasattr(OnThread, name)):
+                member = inspect.getattr_static(of, name)
+                if inspect.isfunction(member):
+                    setattr(cls, name, _method(member))
+                elif isinstance(member, property):
+                    setattr(cls, name, property(functools.partial(_read, name), doc=member.__doc__))
 
     def __init__(self, make: Callable[..., R], scene: object, options: dict[str, Any]) -> None:
         if options.get("context") is not None:
             raise GlsplatError("run_in_thread() makes a context on its own thread; leave context out")
         self._pool = ThreadPoolExecutor(1, "glsplat renderer")
         self._turn = threading.RLock()  # of those who ask and release: nobody asks a pool that was shut down
-        self._open = True
+        self._alive = True
         try:
             self._thread: int = self._pool.submit(threading.get_ident).result()
-            self._renderer: R = self._pool.submit(make, scene, **options).result()
+            self._made: R = self._pool.submit(make, scene, **options).result()
         except BaseException:
-            self._open = False
+            self._alive = False
             self._pool.shutdown()
             raise
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("_"):
+            raise AttributeError(f"{type(self).__name__} has no attribute {name!r}")
+        return _read(name, self)
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        if name.startswith("_"):
+            super().__setattr__(name, value)
+        else:
+            self.submit(setattr, name, value).result()
 
     def submit(self, function: Callable[Concatenate[R, P], T], *arguments: P.args, **options: P.kwargs) -> Future[T]:
         """``function(renderer, ...)`` on the renderer's thread, such as ``submit(Renderer.render, [camera])``.
@@ -78,47 +69,16 @@ class RendererThread(Generic[R]):
         With asyncio: ``await asyncio.wrap_future(thread.submit(...))``.
         """
         with self._turn:
-            if not self._open:
+            if not self._alive:
                 raise GlsplatError("this renderer was released; make a new one")
             if threading.get_ident() != self._thread:
-                return self._pool.submit(function, self._renderer, *arguments, **options)
+                return self._pool.submit(function, self._made, *arguments, **options)
         done: Future[T] = Future()
         try:
-            done.set_result(function(self._renderer, *arguments, **options))
+            done.set_result(function(self._made, *arguments, **options))
         except BaseException as error:
             done.set_exception(error)
         return done
-
-    @overload
-    def render(
-        self,
-        cameras: Sequence[Camera],
-        pose: Pose | None = ...,
-        *,
-        depth: Literal[False] = ...,
-        **options: Unpack[RenderOptions],
-    ) -> NDArray[Any]: ...
-
-    @overload
-    def render(
-        self,
-        cameras: Sequence[Camera],
-        pose: Pose | None = ...,
-        *,
-        depth: Literal[True],
-        **options: Unpack[RenderOptions],
-    ) -> Depths: ...
-
-    def render(
-        self,
-        cameras: Sequence[Camera],
-        pose: Pose | None = None,
-        *,
-        depth: bool = False,
-        **options: Unpack[RenderOptions],
-    ) -> NDArray[Any] | Depths:
-        """Renderer.render(), waited for."""
-        return self.submit(lambda renderer: renderer.render(cameras, pose, depth=depth, **options)).result()
 
     def release(self) -> None:
         """Finish what was asked for, delete every GL object and end the thread. May be called twice.
@@ -126,28 +86,38 @@ class RendererThread(Generic[R]):
         Called on the thread itself it returns before that is done.
         """
         with self._turn:
-            if not self._open:
+            if not self._alive:
                 return
-            self._open = False
-            done = self._pool.submit(self._renderer.release)
+            self._alive = False
+            done = self._pool.submit(self._made.release)
         here = threading.get_ident() == self._thread
         self._pool.shutdown(wait=not here)
         if not here:
             done.result()
 
-    def __enter__(self) -> RendererThread[R]:
+    def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.release()
 
     def __del__(self) -> None:
-        if getattr(self, "_open", False) and not sys.is_finalizing():
-            self._open = False
-            self._pool.submit(self._renderer.release)
+        if getattr(self, "_alive", False) and not sys.is_finalizing():
+            self._alive = False
+            self._pool.submit(self._made.release)
             self._pool.shutdown(wait=False)
             warnings.warn(
                 "a RendererThread was never released; call release() or use a with block", ResourceWarning, 2, self
             )
+
+
+def _method(function: Callable[..., Any]) -> Callable[..., Any]:
+    @functools.wraps(function)
+    def call(self: OnThread[Any], *arguments: Any, **options: Any) -> Any:
+        return self.submit(function, *arguments, **options).result()
+
+    return call
+
+
+def _read(name: str, thread: OnThread[Any]) -> Any:
+    return thread.submit(getattr, name).result()

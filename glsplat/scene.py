@@ -8,7 +8,7 @@ from typing import TypeGuard
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from glsplat.arrays import flag, instance, listed, number, plain
+from glsplat.arrays import bits, flag, instance, listed, number, plain
 from glsplat.avatar import Avatar
 from glsplat.errors import GlsplatError, PoseError
 from glsplat.meshes import RiggedMesh
@@ -55,7 +55,7 @@ class Item:
     Item(Avatar 'Ann' at (0, 0, 2))
     """
 
-    __slots__ = ("_content", "_name", "_opacity", "_pose", "_transform", "_visible")
+    __slots__ = ("_content", "_layers", "_name", "_opacity", "_pose", "_transform", "_visible")
 
     def __init__(
         self,
@@ -66,6 +66,7 @@ class Item:
         visible: bool = True,
         opacity: float = 1.0,
         name: str = "",
+        layers: int = 1,
     ) -> None:
         if not isinstance(content, (Splats, Avatar, RiggedMesh)):
             raise GlsplatError(f"an item shows Splats, an Avatar or a RiggedMesh, not {type(content).__name__}")
@@ -74,6 +75,7 @@ class Item:
         self._transform = _checked(np.eye(4) if transform is None else transform)
         self.visible = visible
         self.opacity = opacity
+        self.layers = layers
         self._name: str = instance(name, str, "an item's name", GlsplatError)
 
     @property
@@ -120,6 +122,15 @@ class Item:
     @visible.setter
     def visible(self, visible: bool) -> None:
         self._visible = flag(visible, "an item's visible", GlsplatError)
+
+    @property
+    def layers(self) -> int:
+        """Bits: a view draws it if ``layers & camera.layers`` is not 0. Nothing is staged anew for another view."""
+        return self._layers
+
+    @layers.setter
+    def layers(self, layers: int) -> None:
+        self._layers = bits(layers, "an item's layers", GlsplatError)
 
     @property
     def opacity(self) -> float:

@@ -13,8 +13,8 @@ import pytest
 
 from glsplat.avatar import Avatar
 from glsplat.config import RenderConfig
+from glsplat.evaluate.probe import Probe
 from glsplat.gl.context import Context, create_context
-from glsplat.renderer import Renderer
 from glsplat.splats import Splats
 
 SHARED_DATA = Path(__file__).resolve().parents[1].parent / "shared" / "data"
@@ -99,14 +99,14 @@ def current(context: Context) -> Iterator[None]:
 
 
 @pytest.fixture
-def renderer_of(context: Context) -> Iterator[Callable[..., Renderer]]:
+def renderer_of(context: Context) -> Iterator[Callable[..., Probe]]:
     """Makes renderers on the shared context and releases them after the test."""
-    made: list[Renderer] = []
+    made: list[Probe] = []
 
-    def make(scene: Splats | Avatar, size: tuple[int, int] = (64, 64), views: int = 1, **config: Any) -> Renderer:
+    def make(scene: Splats | Avatar, size: tuple[int, int] = (64, 64), views: int = 1, **config: Any) -> Probe:
         config.setdefault("output", "float32")
         config.setdefault("target", "32f")
-        renderer = Renderer(scene, size=size, views=views, config=RenderConfig(**config), context=context)
+        renderer = Probe(scene, size=size, views=views, config=RenderConfig(**config), context=context)
         made.append(renderer)
         return renderer
 

@@ -37,7 +37,7 @@ FLOORS = [
     ["glsplat.shaders"],
     ["glsplat.gl"],
     ["glsplat.passes.stats", "glsplat.passes.views", "glsplat.passes.block", "glsplat.passes.kept"],
-    ["glsplat.passes.item"],
+    ["glsplat.passes.item", "glsplat.passes.step"],
     ["glsplat.passes.arena", "glsplat.passes.target"],
     ["glsplat.passes.frame", "glsplat.passes.target_pool", "glsplat.passes.present"],
     ["glsplat.passes"],

@@ -61,7 +61,7 @@ def test_each_eye_of_a_pair_is_its_single_render(renderer_of: Make, scene: str, 
     views = eyes()
     pair = renderer_of(model, views=2).render(views, pose)
     for eye in (0, 1):
-        alone = renderer_of(model).render([views[eye]], pose, sort_viewmat=sorting_camera(views))
+        alone = renderer_of(model).in_order(sorting_camera(views), [views[eye]], pose)
         assert np.array_equal(alone[0], pair[eye])
 
 
@@ -133,7 +133,7 @@ def test_pair_and_singles_at_an_odd_size_in_8_bit(renderer_of: Make, layers: str
     config = {"layers": layers, "target": target, "output": "uint8"}
     pair = renderer_of(scene, (113, 79), 2, **config).render(views)
     for eye, view in enumerate(views):
-        alone = renderer_of(scene, (113, 79), 1, **config).render([view], sort_viewmat=sorting_camera(views))
+        alone = renderer_of(scene, (113, 79), 1, **config).in_order(sorting_camera(views), [view])
         assert np.array_equal(alone[0], pair[eye])
     assert len(np.unique(pair[0, 0], axis=0)) == 1 and np.array_equal(pair[0, 0, 0], pair[0, -1, -1])  # no seam
 
@@ -307,8 +307,8 @@ def test_clear_errors(renderer_of: Make, context: Context) -> None:
         renderer.render([camera()], Pose.zero(2))
     with pytest.raises(ContextError, match="size needs 1 to"):
         renderer.resize(context.max_size + 1, 4)
-    with pytest.raises(GlsplatError, match="sort_viewmat needs 4x4 finite numbers"):
-        renderer.render([camera()], sort_viewmat=np.full((4, 4), np.nan))
+    with pytest.raises(GlsplatError, match="viewmat needs 4x4 finite numbers"):
+        renderer.in_order(np.full((4, 4), np.nan), [camera()])
     with pytest.raises(GlsplatError, match="views needs at least 1"):
         Renderer(limb(), views=0, context=context)
     with pytest.raises(GlsplatError, match="an item shows Splats, an Avatar or a RiggedMesh, not NoneType"):

@@ -12,6 +12,7 @@ import numpy as np
 from glsplat.avatar import Avatar
 from glsplat.camera import Camera
 from glsplat.config import RenderConfig
+from glsplat.evaluate.probe import Probe
 from glsplat.gl.context import Context
 from glsplat.meshes import RiggedMesh
 from glsplat.motion.motion import Motion
@@ -169,7 +170,7 @@ class Bench:
         """The skin stage by joints a splat, interleaved, and the pose upload it needs."""
         counts = [k for k in (1, 2, 4, 8) if k <= avatar.skin.influences]
         renderers = {
-            k: Renderer(
+            k: Probe(
                 avatar,
                 size=pixels,
                 views=2,
@@ -205,8 +206,8 @@ class Bench:
             total += renderer.timings["total"]
         return total
 
-    def _renderer(self, scene: Shown, pixels: tuple[int, int], views: int, timed: int) -> Renderer:
-        return Renderer(scene, size=pixels, views=views, config=self._config, context=self._context, timed=bool(timed))
+    def _renderer(self, scene: Shown, pixels: tuple[int, int], views: int, timed: int) -> Probe:
+        return Probe(scene, size=pixels, views=views, config=self._config, context=self._context, timed=bool(timed))
 
     def eyes(self, scene: Shown, pixels: tuple[int, int], frame: int) -> list[Camera]:
         """The pair of a head that orbits one degree a frame."""

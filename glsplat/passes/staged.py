@@ -14,6 +14,7 @@ import numpy as np
 from glsplat.avatar import Avatar
 from glsplat.camera import Camera
 from glsplat.config import CULL_PSNR, RenderConfig
+from glsplat.detail.selector import Selector
 from glsplat.errors import ContextError, GlsplatError, PoseError
 from glsplat.gl.context import Context
 from glsplat.meshes import RiggedMesh
@@ -23,8 +24,9 @@ from glsplat.passes.frame.draw import PULLED
 from glsplat.passes.frame.pipeline import Pipeline, view_state
 from glsplat.passes.item.buffers import ItemBuffers, Placement
 from glsplat.passes.item.ground import Ground, GroundKind, MeshItem
-from glsplat.passes.item.levels import Choices, LevelBuffers, Look
+from glsplat.passes.item.levels import LevelBuffers
 from glsplat.passes.kept import Kept
+from glsplat.passes.stats import FrameStats
 from glsplat.passes.views import checked_pose
 from glsplat.scene import Item, Scene, is_figure
 from glsplat.shaders import Programs, variant_for
@@ -48,16 +50,14 @@ _MOST_SPLATS = 2_000_000
 class Staged:
     """Owns the buffers of all items, the arena and the pipelines; scene, context and programs are borrowed."""
 
-    def __init__(
-        self, context: Context, programs: Programs, scene: Scene, config: RenderConfig, geometry: bool, triangle: bool
-    ) -> None:
+    def __init__(self, context: Context, programs: Programs, scene: Scene, config: RenderConfig) -> None:
         self.scene = scene
         self._context, self._programs, self._config = context, programs, config
-        self._geometry, self._triangle = geometry, triangle
-        automatic = config.fetch == "auto" and context.software and context.vertex_storage and triangle
+        self._geometry = config.layers == "geometry" or not context.vertex_layers
+        self._triangle = config.shape == "triangle" or (config.shape == "auto" and context.software)
+        automatic = config.fetch == "auto" and context.software and context.vertex_storage and self._triangle
         self._pulled = config.fetch == "storage" or automatic
         self._items: dict[int, tuple[Item, LevelBuffers]] = {}  # by id(); the item is kept, so the id stays its own
-        self._staged_items = 0  # so far
         self._meshes: dict[int, tuple[Item, MeshItem]] = {}
         self._standing: list[tuple[MeshItem, Placement]] = []  # the visible meshes of this frame
         self._standing_version = 0
@@ -66,16 +66,14 @@ class Staged:
         self._drawables: Kept[tuple[Part, ...], Drawable] = Kept(_KEPT, _KEPT_BYTES)
         self._drawable: Drawable | None = None  # the one in use
         self._shown: tuple[object, ...] = ()  # what the drawables are made of
-        self._choices = Choices()
-        self._left_out: frozenset[int] = frozenset()  # items that it does not, by id()
-        self.levels: tuple[int, ...] = ()  # of the splat items that are shown
+        self._coarsest = True  # nothing in view may be drawn with a coarser level than it was
+        self._unseen: frozenset[int] = frozenset()  # visible items in none of the views' layers, by id()
         self.arenas = 0  # made so far
-        self.runs = 0  # of items that were posed or placed so far, each level of each once a movement
         self._present: tuple[Item, ...] = ()  # of the scene as the frame's beginning finds it: other threads change it
         self._visible: list[Item] = []  # the visible splat items among them, in order
         self._visible_meshes: list[Item] = []
         try:
-            self._look()
+            self._look(-1)
             places = [self._placement(item, None) for item in self._visible]
             self._stage(self._visible, [self._at_first(item) for item in self._visible], places)
         except BaseException:
@@ -89,19 +87,9 @@ class Staged:
         return self._drawable.arena
 
     @property
-    def coarsest(self) -> bool:
-        """Whether nothing in view may be drawn with a coarser level than it was."""
-        return self._fixed(self._visible) or self._choices.coarsest
-
-    @property
     def splats(self) -> int:
         """Splats of what is shown, drawable or not."""
         return sum(item.count + item.skipped for item in self._shown_items)
-
-    @property
-    def skipped(self) -> int:
-        """Splats that were never uploaded: not finite, or without a rotation."""
-        return sum(item.skipped for item in self._shown_items)
 
     @property
     def _shown_items(self) -> list[ItemBuffers]:
@@ -118,13 +106,12 @@ class Staged:
             "work": sum(drawable.pipelines.nbytes for drawable in drawables),
         }
 
-    def update(self, pose: Pose | None, timer: StageTimer, look: Look, without: frozenset[int] = frozenset()) -> None:
-        """Follow the scene: what came, went, moved, and how near it is looked at.
+    def update(self, views: Sequence[Camera], pose: Pose | None, selector: Selector, timer: StageTimer) -> FrameStats:
+        """Follow the scene: what came, went, moved, and how near it is looked at. Gives what is known before drawing.
 
-        ``pose`` is for the one avatar of a scene, if there is one. Items whose id() is in ``without`` are not shown.
+        ``pose`` is for the one avatar of a scene, if there is one. Items in none of the views' layers are not shown.
         """
-        self._left_out = without
-        self._look()
+        self._look(views[0].layers)
         visible = self._visible
         if pose is not None:
             if not isinstance(pose, Pose):
@@ -135,19 +122,20 @@ class Staged:
             if avatars > 1:
                 raise PoseError(f"render() got one pose for {avatars} avatars; set the pose of each item instead")
         places = [self._placement(item, pose) for item in visible]
-        levels = self._choose(visible, places, look)
+        levels = self._choose(visible, places, views, selector)
         self._stage(visible, levels, places)
         self._stand(pose)
         if self._standing or any(place.bones is not None for place in places):
             timer.mark("pose")
         assert self._drawable is not None
-        parts = [part for part in enumerate(levels) if id(visible[part[0]]) not in without]
-        self.levels = tuple(level for _, level in parts)
+        parts = [part for part in enumerate(levels) if id(visible[part[0]]) not in self._unseen]
         arena, before = self.arena, self.arena.runs
-        eye = look.views[0].position
+        eye = views[0].position
         if arena.place({self._drawable.parts.index(part): places[part[0]] for part in parts}, eye):
             timer.mark("skin")
-        self.runs += arena.runs - before
+        skipped = sum(item.skipped for item in self._shown_items)
+        of_shown, posed = tuple(level for _, level in parts), arena.runs - before
+        return FrameStats(self.splats, 0, skipped, sorted=False, posed=posed, levels=of_shown, coarsest=self._coarsest)
 
     def ground(
         self, views: Sequence[Camera], ordinal: int, dtype: str, timer: StageTimer, depth: bool = False
@@ -206,10 +194,11 @@ class Staged:
         for _, levels in items.values():
             levels.release()
 
-    def _look(self) -> None:
-        """Which items there are, and which of them are visible, once a frame."""
+    def _look(self, layers: int) -> None:
+        """Which items there are, and which of them are visible and in the views' layers, once a frame."""
         self._present = self.scene.items
         visible = [item for item in self._present if item.visible]
+        self._unseen = frozenset(id(item) for item in visible if not item.layers & layers)
         self._visible = [item for item in visible if not isinstance(item.content, RiggedMesh)]
         self._visible_meshes = [item for item in visible if isinstance(item.content, RiggedMesh)]
 
@@ -259,8 +248,7 @@ class Staged:
         if id(item) not in self._items:
             content = item.content
             assert not isinstance(content, RiggedMesh)
-            self._staged_items += 1
-            self._items[id(item)] = item, LevelBuffers(content, self._buffers_of, self._staged_items)
+            self._items[id(item)] = item, LevelBuffers(content, self._buffers_of)
         return self._items[id(item)][1]
 
     def _at_first(self, item: Item) -> int:
@@ -272,18 +260,24 @@ class Staged:
         """Whether levels do not depend on the view."""
         return self._config.level != "auto" or not any(self._at_first(item) for item in visible)
 
-    def _choose(self, visible: Sequence[Item], places: Sequence[Placement], look: Look) -> list[int]:
+    def _choose(
+        self, visible: Sequence[Item], places: Sequence[Placement], views: Sequence[Camera], selector: Selector
+    ) -> list[int]:
         """The level of each visible item for what is looked at."""
+        self._coarsest = True
         if self._fixed(visible):
             return [self._at_first(item) for item in visible]
-        levels = [self._levels_of(item) for item in visible]
-        return self._choices.choose(levels, places, look)
+        things = zip(map(self._levels_of, visible), places, strict=True)
+        seen = [(thing.number, thing.densities, thing.density(place, views)) for thing, place in things]
+        levels = selector.choose(seen, self._config.lod_bias)
+        self._coarsest = selector.coarsest
+        return levels
 
     def _stand(self, pose: Pose | None) -> None:
         """Where the visible meshes are; what is gone is released."""
         standing = []
         for item in self._visible_meshes:
-            if id(item) not in self._left_out:
+            if id(item) not in self._unseen:
                 if id(item) not in self._meshes:
                     assert isinstance(item.content, RiggedMesh)
                     self._meshes[id(item)] = item, MeshItem(self._context, item.content, self._config.mesh_anisotropy)

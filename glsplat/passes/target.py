@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from glsplat.camera import Camera
 from glsplat.errors import ContextError
+from glsplat.passes.step import ResolveStep
 from glsplat.shaders import Programs, ResolveVariant, Variant
 from glsplat.shaders.slots import UNITS
-from glsplat.watermark.mark import LEVELS
 
 __all__ = ["FORMATS", "Box", "ByteTarget", "Clear", "Resolve", "Target"]
 
@@ -160,13 +160,13 @@ class Clear:
 
 
 class Resolve:
-    """Clamps and rounds the float target to 8 bit, inside the covered box only, and marks what it shows."""
+    """Clamps and rounds the float target to 8 bit, inside the covered box only, after the step of its owner."""
 
     def __init__(self, ctx: moderngl.Context, programs: Programs, variant: Variant) -> None:
         self._ctx, self._programs = ctx, programs
         self._cull_hidden = variant.cull_hidden
-        self._ways: dict[bool, tuple[moderngl.Program, moderngl.VertexArray]] = {}  # by whether there is a mark
-        self._way(False)
+        self._ways: dict[str, tuple[moderngl.Program, moderngl.VertexArray]] = {}  # by the step's source
+        self._way("")
 
     def run(
         self,
@@ -174,13 +174,14 @@ class Resolve:
         into: ByteTarget,
         cameras: Sequence[Camera],
         box: Box,
-        mark: moderngl.Texture | None = None,  # a tile (glsplat.watermark)
+        step: ResolveStep | None = None,
+        texture: moderngl.Texture | None = None,  # of the step
     ) -> None:
         """Convert the pixels of ``box`` of every view."""
         x, y, width, height = box
-        program, array = self._way(mark is not None)
-        if mark is not None:
-            mark.use(UNITS["mark"])
+        program, array = self._way("" if step is None else step.source)
+        if texture is not None:
+            texture.use(UNITS["step_texture"])
         into.framebuffer.use()
         self._ctx.enable_only(moderngl.NOTHING)
         source.texture.use(UNITS["target"])
@@ -194,15 +195,12 @@ class Resolve:
             array.render(moderngl.TRIANGLES, vertices=3)
         self._ctx.viewport = (0, 0, into.shape[2], views * rows)
 
-    def _way(self, marked: bool) -> tuple[moderngl.Program, moderngl.VertexArray]:
-        if marked not in self._ways:
-            variant = ResolveVariant(cull_hidden=self._cull_hidden, marked=int(marked))
-            program = self._programs.draw("screen", "resolve", variant)
-            levels = program.get("levels", None)
-            if isinstance(levels, moderngl.Uniform):
-                levels.value = tuple(level / 255 for level in LEVELS)
-            self._ways[marked] = program, self._ctx.vertex_array(program, [])
-        return self._ways[marked]
+    def _way(self, source: str) -> tuple[moderngl.Program, moderngl.VertexArray]:
+        if source not in self._ways:
+            variant = ResolveVariant(cull_hidden=self._cull_hidden)
+            program = self._programs.draw("screen", "resolve", variant, {"step.glsl": source} if source else {})
+            self._ways[source] = program, self._ctx.vertex_array(program, [])
+        return self._ways[source]
 
     def release(self) -> None:
         """Delete the vertex arrays."""

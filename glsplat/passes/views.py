@@ -1,34 +1,41 @@
-"""What a caller hands to render(): cameras, a pose, where images go, checked before anything is drawn."""
+"""What a caller hands to render(): views, a pose, where images go, checked before anything is drawn."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, DTypeLike, NDArray
+from numpy.typing import DTypeLike, NDArray
 
-from glsplat.arrays import flag, instance, number, own
+from glsplat.arrays import flag, instance
 from glsplat.camera import Camera
-from glsplat.config import MAX_BIAS
-from glsplat.errors import GlsplatError, PoseError
-from glsplat.scene import Item, Scene
+from glsplat.config import RenderConfig
+from glsplat.errors import ContextError, GlsplatError, PoseError
+from glsplat.gl.context import Context
 from glsplat.skinning.pose import Pose
-from glsplat.watermark.mark import Mark
 
-__all__ = [
-    "checked_bias",
-    "checked_depth",
-    "checked_mark",
-    "checked_order",
-    "checked_out",
-    "checked_pose",
-    "checked_views",
-    "checked_without",
-]
+__all__ = ["Depths", "Images", "Views", "check_driver", "checked_depth", "checked_out", "checked_pose", "checked_views"]
+
+Views = Iterable[Camera]
+Images = NDArray[Any]
+"""[V, H, W, 4] uint8 or float32, as the config says."""
+Depths = NDArray[np.float32]
+"""[V, H, W] metres."""
 
 
-def checked_views(cameras: Iterable[Camera], size: tuple[int, int], what_to_do: str = "") -> list[Camera]:
+def check_driver(config: RenderConfig, context: Context) -> None:
+    """Raises ContextError where the driver cannot do what the config asks for by name."""
+    driver = context.driver
+    if config.layers == "vertex" and not context.vertex_layers:
+        raise ContextError(f"{driver} cannot write gl_Layer in the vertex shader; use layers='geometry'")
+    if config.sorter == "gpu" and not context.compute:
+        raise ContextError(f"the GPU sorter needs OpenGL 4.3, this is {driver}; use sorter='cpu'")
+    if config.fetch == "storage" and not context.vertex_storage:
+        raise ContextError(f"{driver} has no storage buffers in the vertex shader; use fetch='attributes'")
+
+
+def checked_views(cameras: Views, size: tuple[int, int], what_to_do: str = "") -> list[Camera]:
     """The cameras as a list: at least one, all of ``size`` (width, height). Raises GlsplatError."""
     if isinstance(cameras, Camera):
         raise GlsplatError("render needs a list of cameras, not one Camera; write render([camera])")
@@ -43,6 +50,8 @@ def checked_views(cameras: Iterable[Camera], size: tuple[int, int], what_to_do: 
             raise GlsplatError(f"render needs a list of glsplat.Camera, this one holds {type(view).__name__}")
     if any((view.width, view.height) != size for view in views):
         raise GlsplatError(f"cameras need the renderer's size {size[0]}x{size[1]}{what_to_do}")
+    if len({view.layers for view in views}) > 1:
+        raise GlsplatError("the views of one call need the same layers; call render() once for each")
     return views
 
 
@@ -56,24 +65,6 @@ def checked_pose(pose: Pose | None, joints: int, what: str) -> Pose:
     return pose
 
 
-def checked_order(sort_viewmat: ArrayLike | None) -> NDArray[np.float64] | None:
-    """The matrix [4, 4] whose third row orders the splats, or None. Raises GlsplatError for what is no such matrix."""
-    if sort_viewmat is None:
-        return None
-    order = own(sort_viewmat, np.float64, "sort_viewmat", GlsplatError)
-    if not (order.shape == (4, 4) and np.isfinite(order).all()):
-        raise GlsplatError("sort_viewmat needs 4x4 finite numbers")
-    return order
-
-
-def checked_bias(lod_bias: float) -> float:
-    """``lod_bias`` as a number. Raises GlsplatError for what is none, or too large."""
-    lod_bias = number(lod_bias, "lod_bias", GlsplatError)
-    if not -MAX_BIAS <= lod_bias <= MAX_BIAS:
-        raise GlsplatError(f"lod_bias needs -{MAX_BIAS:g} to {MAX_BIAS:g}, not {lod_bias:g}")
-    return lod_bias
-
-
 def checked_depth(depth: bool, dtype: str) -> bool:
     """Whether depths are wanted. Raises GlsplatError for a target whose alpha is too coarse to divide them by."""
     if flag(depth, "depth", GlsplatError) and dtype == "f1":
@@ -81,21 +72,7 @@ def checked_depth(depth: bool, dtype: str) -> bool:
     return bool(depth)
 
 
-def checked_without(without: Collection[Item], scene: Scene) -> frozenset[int]:
-    """The id() of each of these items. Raises GlsplatError for what is no Item."""
-    if isinstance(without, (Item, str, np.ndarray)) or not isinstance(without, Collection):
-        raise GlsplatError(f"without needs a list of Items, not {type(without).__name__}; write without=[item]")
-    found = frozenset(map(id, without))
-    if not found:
-        return found
-    if strange := [item for item in without if not isinstance(item, Item)]:
-        raise GlsplatError(f"without needs a list of Items, this one holds {type(strange[0]).__name__}")
-    if found - set(map(id, scene.items)):
-        raise GlsplatError("without names an item that is not in the scene; leave it out, or add it first")
-    return found
-
-
-def checked_out(out: NDArray[Any] | None, shape: tuple[int, ...], dtype: DTypeLike) -> NDArray[Any]:
+def checked_out(out: Images | None, shape: tuple[int, ...], dtype: DTypeLike) -> Images:
     """``out``, or a new array if there is none. Raises GlsplatError where images of ``shape`` cannot be put into it."""
     if out is None:
         return np.empty(shape, dtype)
@@ -104,12 +81,3 @@ def checked_out(out: NDArray[Any] | None, shape: tuple[int, ...], dtype: DTypeLi
     if out.shape != shape or out.dtype != dtype or not (out.flags.c_contiguous and out.flags.writeable):
         raise GlsplatError(f"out needs a contiguous array {shape} of {np.dtype(dtype)}, not {out.shape} {out.dtype}")
     return out
-
-
-def checked_mark(mark: Mark, bytes_: bool) -> Mark:
-    """The mark, which only 8-bit pictures carry. Raises GlsplatError."""
-    if not isinstance(mark, Mark):
-        raise GlsplatError(f"render needs a glsplat.watermark.mark.Mark, not {type(mark).__name__}")
-    if not bytes_:
-        raise GlsplatError("a mark is drawn into 8-bit pictures; use RenderConfig(output='uint8')")
-    return mark

@@ -66,7 +66,7 @@ def _read(name: str) -> tuple[str, ...]:
 def flatten(name: str, defines: Mapping[str, int], version: str = VERSION, overrides: Mapping[str, str] = {}) -> Source:
     """Text of program stage ``name`` with its chunks, after ``version`` and one #define a flag.
 
-    ``overrides`` replaces the text of chunks (tests). Raises ShaderError for an unknown chunk or an undefined flag.
+    ``overrides`` replaces the text of chunks. Raises ShaderError for an unknown chunk or an undefined flag.
     """
     lines: list[str] = []
     origin: list[tuple[str, int]] = []
@@ -118,7 +118,13 @@ class Programs:
         """Program ``name``.vert.glsl that captures ``varyings`` (into one buffer, or one each) and draws nothing."""
         return self._get(name, {"vertex_shader": f"{name}.vert.glsl"}, variant, varyings, separate)
 
-    def draw(self, vertex: str, fragment: str, variant: Variant | MeshVariant | ResolveVariant) -> moderngl.Program:
+    def draw(
+        self,
+        vertex: str,
+        fragment: str,
+        variant: Variant | MeshVariant | ResolveVariant,
+        overrides: Mapping[str, str] = {},  # texts of chunks
+    ) -> moderngl.Program:
         """Program of two stages; with ``variant.geometry`` ``vertex``.geom.glsl routes the layers.
 
         With ``variant.pulled`` it needs OpenGL 4.3.
@@ -126,7 +132,7 @@ class Programs:
         stages = {"vertex_shader": f"{vertex}.vert.glsl", "fragment_shader": f"{fragment}.frag.glsl"}
         if variant.defines().get("GEOMETRY"):
             stages["geometry_shader"] = f"{vertex}.geom.glsl"
-        return self._get(vertex, stages, variant)
+        return self._get(vertex, stages, variant, overrides=overrides)
 
     def _get(
         self,
@@ -135,8 +141,9 @@ class Programs:
         variant: Variant | SkinVariant | MeshVariant | ResolveVariant,
         varyings: Sequence[str] = (),
         separate: bool = False,
+        overrides: Mapping[str, str] = {},
     ) -> moderngl.Program:
-        sources = {stage: flatten(file, variant.defines()) for stage, file in stages.items()}
+        sources = {stage: flatten(file, variant.defines(), overrides=overrides) for stage, file in stages.items()}
         key = (*(source.text for source in sources.values()), *varyings, separate)
         if key not in self._cache:
             self._cache[key] = bind_slots(link(self._ctx, name, sources, varyings, separate))

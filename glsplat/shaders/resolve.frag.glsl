@@ -4,11 +4,7 @@
 #include "lift.glsl"
 uniform vec3 background;  // of the view that is being resolved
 #endif
-#if MARKED
-#include "mark.glsl"
-uniform sampler2D mark;  // one tile, which repeats from the top left pixel of each view on
-uniform vec2 levels;
-#endif
+#include "step.glsl"
 uniform sampler2DArray target;
 uniform ivec2 view;  // the layer, and the row of the 8-bit target at which it begins
 out vec4 fragment;
@@ -19,8 +15,5 @@ void main() {
 #if CULL_HIDDEN
     colour = lifted(colour, background);
 #endif
-#if MARKED
-    colour = marked(colour, texelFetch(mark, pixel & 63, 0).r, levels);
-#endif
-    fragment = clamp(colour, 0.0, 1.0);
+    fragment = clamp(stepped(colour, pixel), 0.0, 1.0);
 }

@@ -23,7 +23,7 @@ UNITS = {
     "amounts": 1,
     "skin_texture": 5,  # of a mesh
     "target": 0,  # float layers (resolve.frag.glsl, present.frag.glsl)
-    "mark": 1,  # a tile (resolve.frag.glsl)
+    "step_texture": 1,  # of a step (resolve.frag.glsl)
     "text": 1,  # over a window (present.frag.glsl)
     "large": 5,  # the larger picture of a mesh (mesh_resolve.frag.glsl)
 }

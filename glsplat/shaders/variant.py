@@ -103,7 +103,6 @@ class ResolveVariant:
     """The pass that makes 8-bit pictures, one view at a time."""
 
     cull_hidden: int = 0  # what was left out is made up for
-    marked: int = 0  # a mark is drawn (glsplat/watermark)
 
     def defines(self) -> dict[str, int]:
         """Name -> number for the preprocessor."""

@@ -1,9 +1,11 @@
-"""Mark: what a renderer draws into a picture, as a value. No OpenGL and no OpenCV here."""
+"""Mark: a step of a renderer's resolve pass (``Renderer.step``), as a value. No OpenGL and no OpenCV here."""
 
 from __future__ import annotations
 
 import secrets
 from dataclasses import dataclass, field
+from functools import cache
+from importlib import resources
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,6 +46,11 @@ class Mark:
             found = f"{len(self.key)}" if isinstance(self.key, bytes) else type(self.key).__name__
             raise GlsplatError(f"a mark's key is at least {KEY_BYTES} bytes, not {found}")
 
+    @property
+    def source(self) -> str:
+        """The step, in GLSL."""
+        return _source()
+
     def tile(self) -> NDArray[np.float32]:
         """[TILE, TILE], mean 0 and variance 1: what repeats over the picture from its top left pixel on."""
         return pattern_of(self.key).tile(encode(Payload(self.server, self.session)))
@@ -62,6 +69,13 @@ class Watermark:
     def new_mark(self) -> Mark:
         """The mark of a new session: 32 bits of chance, so that who knows one id cannot tell another."""
         return Mark(self.server, secrets.randbits(32), self.key)
+
+
+@cache
+def _source() -> str:
+    low, high = (level / 255 for level in LEVELS)
+    text = (resources.files("glsplat.watermark") / "mark.glsl").read_text(encoding="utf-8")
+    return f"const vec2 LEVELS = vec2({low!r}, {high!r});\n{text}"
 
 
 def marked(image: NDArray[np.float32], mark: Mark) -> NDArray[np.float32]:

@@ -25,6 +25,7 @@ from glsplat import (
     Skin,
     Splats,
 )
+from glsplat.evaluate.probe import Probe
 
 pytestmark = [pytest.mark.gl, pytest.mark.timeout(60)]
 
@@ -32,16 +33,25 @@ cam = Camera(glsplat.look_at((0, 1, 3), (0, 1, 0)), glsplat.pinhole(32, 32), 32,
 sp = glsplat.default_avatar().splats.take(np.arange(500))
 sk = glsplat.default_avatar().skeleton
 small = Avatar(sp, sk, glsplat.default_avatar().skin.take(np.arange(500)))
-_held: list[Renderer] = []
+_held: list[Probe] = []
 
 
-def held() -> Renderer:
+def held() -> Probe:
     return _held[0]
+
+
+def drawn_with(name: str, value: Any) -> None:
+    former = getattr(held(), name)
+    setattr(held(), name, value)
+    try:
+        held().render([cam])
+    finally:
+        setattr(held(), name, former)
 
 
 @pytest.fixture(scope="module", autouse=True)
 def _renderer() -> Iterator[None]:
-    with Renderer(Scene([Item(small), Item(sp)]), size=(32, 32)) as renderer:
+    with Probe(Scene([Item(small), Item(sp)]), size=(32, 32)) as renderer:
         _held.append(renderer)
         yield
     _held.clear()
@@ -188,14 +198,16 @@ CALLS: dict[str, Any] = {
     "render": lambda v: held().render(v),
     "render.in": lambda v: held().render([v]),
     "render.pose": lambda v: held().render([cam], v),
-    "render.sort": lambda v: held().render([cam], sort_viewmat=v),
-    "render.budget": lambda v: held().render([cam], budget=v),
+    "in_order": lambda v: held().in_order(v, [cam]),
+    "prepare": lambda v: held().prepare(v),
+    "prepare.pose": lambda v: held().prepare([cam], v),
+    "Prepared.out": lambda v: held().prepare([cam]).render(out=v),
     "render.depth": lambda v: held().render([cam], depth=v),
     "render.out": lambda v: held().render([cam], out=v),
-    "render.viewer": lambda v: held().render([cam], viewer=v),
-    "render.lod": lambda v: held().render([cam], lod_bias=v),
-    "render.without": lambda v: held().render([cam], without=v),
-    "render.mark": lambda v: held().render([cam], mark=v),
+    "selector": lambda v: drawn_with("selector", v),
+    "selector.bias": lambda v: setattr(held().selector, "bias", v),
+    "step": lambda v: drawn_with("step", v),
+    "layers": lambda v: held().render([replace(cam, layers=v)]),
     "draw": lambda v: held().draw(v),
     "draw.pose": lambda v: held().draw([cam], v),
     "redraw": lambda v: held().redraw(v),

@@ -17,6 +17,7 @@ import pytest
 from numpy.typing import NDArray
 
 from glsplat.errors import ContextError, GlsplatError, PoseError
+from glsplat.evaluate.probe import Probe
 from glsplat.gl.context import create_context
 from glsplat.renderer import Renderer
 from tests import needs
@@ -72,7 +73,7 @@ def test_releasing_one_leaves_the_other() -> None:
     a.release()
 
 
-def every_call(renderer: Renderer, pose: Any) -> Iterator[Callable[[], object]]:
+def every_call(renderer: Probe, pose: Any) -> Iterator[Callable[[], object]]:
     yield lambda: renderer.render(VIEWS, pose)
     yield lambda: renderer.draw(VIEWS, pose)
     yield lambda: renderer.redraw(VIEWS)
@@ -95,7 +96,7 @@ def test_every_call_gives_back_what_was_current(before: str) -> None:
         users = create_context()
     was = asked()
     assert bool(was[0]) == (before != "none")
-    renderer = Renderer(limb(), size=(SIZE, SIZE))
+    renderer = Probe(limb(), size=(SIZE, SIZE))
     assert asked() == was
     for call in every_call(renderer, bent()):
         call()

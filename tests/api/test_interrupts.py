@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 
 import glsplat
 from glsplat.camera import Camera, look_at
+from glsplat.evaluate.probe import Probe
 from glsplat.gl.context import create_context
 from glsplat.passes.arena import Arena
 from glsplat.renderer import Renderer
@@ -242,7 +243,7 @@ def test_posed_after_a_frame_that_failed() -> None:
     """The bones of one pose with the skin pass of another would be a body that never was."""
     avatar, far = limb(), bent()
     far = replace(far, trans=np.array([4000.0, 0, 0]))
-    with Renderer(avatar, size=(SIZE, SIZE)) as renderer:
+    with Probe(avatar, size=(SIZE, SIZE)) as renderer:
         renderer.render(VIEWS, bent())
         means, shapes = renderer.posed()
         write = Arena._write

@@ -19,9 +19,11 @@ import pytest
 import glsplat
 from glsplat import Avatar, Camera, GlsplatError, Item, Pose, RenderConfig, Renderer, Scene, Skeleton, Skin, Splats
 from glsplat.camera import camera_from_json, read_cameras
+from glsplat.detail.selector import Selector
 from glsplat.errors import ContextError
 from glsplat.meshes import RiggedMesh
 from glsplat.net.client import Client
+from glsplat.renderer import RendererThread
 from glsplat.tracking import Calibration, Sample, Tracker, TrackerConfig
 from tests.scenes import cloud, limb
 
@@ -396,11 +398,31 @@ def test_a_renderer_thread_renders_all_that_a_renderer_does() -> None:
     item = Item(cloud(50))
     options: dict[str, Any] = {"size": (8, 8), "config": RenderConfig(output="float32")}
     with Renderer(item, **options) as renderer, Renderer.run_in_thread(item, **options) as thread:
-        for more in ({}, {"depth": True}, {"lod_bias": 1.0, "viewer": "a"}, {"sort_viewmat": np.eye(4)}):
+        for more in ({}, {"depth": True}):
             one, other = renderer.render([camera], **more), thread.render([camera], **more)
             assert all(map(np.array_equal, one, other))
         out = np.empty((1, 8, 8, 4), np.float32)
         assert thread.render([camera], out=out) is out and out.any()
+        assert (
+            isinstance(thread, Renderer)
+            and thread.stats.drawn == renderer.stats.drawn
+            and thread.nbytes() == renderer.nbytes()
+        )
+        assert thread.driver == renderer.driver and thread.config == options["config"]
+        thread.selector = mine = Selector(1.0)
+        assert thread.submit(lambda renderer: renderer.selector).result() is mine is thread.selector
+        thread.resize(4, 4)
+        assert thread.size == (4, 4) and thread.prepare([camera.resized(4, 4)]).cost > 0
+        with pytest.raises(AttributeError):
+            thread.nothing  # noqa: B018
+
+
+def test_a_renderer_thread_has_every_name_of_a_renderer() -> None:
+    public = {name for name in vars(Renderer) if not name.startswith("_")}
+    assert len(public) > 10
+    for name in public - {"run_in_thread"}:
+        assert getattr(Renderer, name) is not getattr(RendererThread, name)
+        assert getattr(Renderer, name).__doc__ and "_method" not in repr(getattr(RendererThread, name).__doc__)
 
 
 # ------------------------------------------------------------------------------------------------ tracking and clients

@@ -60,10 +60,9 @@ def test_another_thread_is_told_so(kind: object) -> None:
     if isinstance(renderer, Renderer):
         calls += [
             lambda: renderer.draw(VIEWS),
-            lambda: renderer.redraw(VIEWS),
             lambda: renderer.load(cloud()),
             renderer.drop_targets,
-            renderer.posed,
+            lambda: renderer.prepare(VIEWS),
             lambda: Renderer(cloud(), context=renderer.context),
         ]
     for call in calls:
@@ -233,7 +232,7 @@ child = os.fork()
 if child == 0:
     signal.alarm(20)  # it used to hang
     said = []
-    for call in (lambda: renderer.render(eyes()), lambda: Renderer(cloud()), create_context, renderer.posed):
+    for call in (lambda: renderer.render(eyes()), lambda: Renderer(cloud()), create_context, renderer.drop_targets):
         try:
             call()
         except Exception as error:

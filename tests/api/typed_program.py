@@ -57,8 +57,7 @@ def main(folder: Path) -> int:
     context = glsplat.create_context()
     with glsplat.Renderer(scene, size=(size, size), views=2, config=config, context=context) as renderer:
         for step in range(3):
-            order = single(size).viewmat.astype(np.float32)
-            pair: NDArray[np.uint8] = renderer.render(eyes(head, size), moved(2, step), sort_viewmat=order)
+            pair: NDArray[np.uint8] = renderer.render(eyes(head, size), moved(2, step))
             picture: NDArray[np.uint8] = glsplat.straight(pair, background=(1, 1, 1))
             total += int(picture[..., 3].astype(np.int64).sum())
     context.release()

@@ -91,7 +91,7 @@ def test_each_eye_is_its_single_render_bit_for_bit(renderer_of: Make, layers: st
     single = renderer_of(scene, (256, 256), 1)
     assert np.abs(pair[0] - pair[1]).max() > 0.1  # the eyes differ, so the comparison can fail
     for eye, camera in enumerate(cameras):
-        alone = single.render([camera], sort_viewmat=sorting_camera(cameras))
+        alone = single.in_order(sorting_camera(cameras), [camera])
         assert np.array_equal(pair[eye], alone[0])
 
 

@@ -30,4 +30,4 @@ def test_the_person_in_motion(renderer_of: Callable[..., Renderer], motion: str,
     assert_contract(pair, expected)
     single = renderer_of(avatar, (128, 128))
     for eye, view in enumerate(eyes):
-        assert np.array_equal(single.render([view], pose, sort_viewmat=sorting_camera(eyes))[0], pair[eye])
+        assert np.array_equal(single.in_order(sorting_camera(eyes), [view], pose)[0], pair[eye])

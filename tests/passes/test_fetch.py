@@ -15,9 +15,9 @@ from glsplat.camera import Camera
 from glsplat.config import RenderConfig
 from glsplat.errors import BudgetError, ContextError
 from glsplat.gl.context import Context
+from glsplat.net.backends.budget import Budget
 from glsplat.passes import staged
 from glsplat.passes.frame import draw, pipeline
-from glsplat.passes.frame.budget import Budget
 from glsplat.renderer import Renderer
 from glsplat.scene import Item, Scene
 from glsplat.shaders import Variant
@@ -99,9 +99,9 @@ def test_parts_and_slices(renderer_of: Make, storage: None, monkeypatch: pytest.
         return False
 
     budget = Budget(slice_cost=5000, abandoned=count)
-    assert np.array_equal(renderer.render(views, budget=budget), expected) and len(asked) > 3
+    assert np.array_equal(budget.render(renderer, views), expected) and len(asked) > 3
     with pytest.raises(BudgetError):
-        renderer.render(views, budget=Budget(slice_cost=5000, abandoned=lambda: True))
+        Budget(slice_cost=5000, abandoned=lambda: True).render(renderer, views)
     assert np.array_equal(renderer.render(views), expected)  # what was broken off leaves nothing behind
 
 

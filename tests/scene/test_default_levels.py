@@ -12,9 +12,9 @@ from glsplat.camera import Camera, look_at, pinhole
 from glsplat.config import CULL_PSNR, LEAN
 from glsplat.data import default_avatar
 from glsplat.detail.proxy import Proxy
+from glsplat.detail.selector import BAND, Selector
 from glsplat.evaluate.metrics.pixels import psnr
 from glsplat.motion.motion import load_motion
-from glsplat.passes.item.levels import BAND
 from glsplat.renderer import Renderer
 from glsplat.skinning.pose import Pose
 
@@ -94,8 +94,8 @@ def test_somebody_who_stands_still_never_sees_it_change(renderer_of: Make, rng: 
     for level in avatar.levels:
         edge = limit_of(avatar, level.density * 8, 0.0)  # pictures of 64 pixels: as dense from an eighth of the way
         for start in (edge / 1.001, edge, edge * 1.001):
-            seen = set()
+            seen, renderer.selector = set(), Selector()
             for noise in rng.normal(0, 1e-3, 12):
-                renderer.render([seen_from(start + float(noise), 0.0, size=64)], pose, viewer=start)
+                renderer.render([seen_from(start + float(noise), 0.0, size=64)], pose)
                 seen.add(renderer.stats.levels)
             assert len(seen) == 1

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -82,14 +83,26 @@ def test_a_pose_of_another_skeleton_is_refused_also_of_a_mesh(renderer_of: Make)
             renderer_of(thing).render([camera(SIZE)], Pose.zero(7))
 
 
-def test_items_left_out_are_of_the_scene(renderer_of: Make) -> None:
-    mine, other = Item(cloud(50)), Item(cloud(50))
+def test_a_view_shows_the_items_of_its_layers(renderer_of: Make) -> None:
+    mine, view = Item(cloud(50)), camera(SIZE)
     renderer = renderer_of(Scene([mine]))
-    for without in ([other], {mine, other}, [5], ["mine"], mine, 5, None, "mine", [cloud(50)]):
-        with pytest.raises(GlsplatError, match="without n"):
-            renderer.render([camera(SIZE)], without=without)  # type: ignore[arg-type]
-    assert not renderer.render([camera(SIZE)], without=[mine]).any()
-    assert renderer.render([camera(SIZE)], without=()).any()
+    for item, seen, drawn in (
+        (1, 1, True),
+        (1, 2, False),
+        (6, 2, True),
+        (-5, 4, False),
+        (~4, 1 << 99, True),
+        (0, -1, 0),
+    ):
+        mine.layers = item
+        assert renderer.render([replace(view, layers=seen)]).any() == drawn
+    for wrong in (1.0, True, "all", None, [1]):
+        with pytest.raises(GlsplatError, match="layers needs a whole number"):
+            replace(view, layers=wrong)
+        with pytest.raises(GlsplatError, match="layers needs a whole number"):
+            mine.layers = wrong  # type: ignore[assignment]
+    with pytest.raises(GlsplatError, match="the views of one call need the same layers"):
+        renderer.render([view, replace(view, layers=2)])
 
 
 @pytest.mark.parametrize("out", [[], 5, "out", (1, 2), np.zeros(3), np.zeros((1, SIZE, SIZE, 4))])

@@ -9,9 +9,9 @@ import pytest
 
 from glsplat.config import RenderConfig
 from glsplat.data import default_avatar
+from glsplat.detail.selector import Selector
 from glsplat.errors import GlsplatError
 from glsplat.gl.context import Context
-from glsplat.passes.frame.budget import Budget
 from glsplat.renderer import Renderer
 from glsplat.scene import Item, Scene, similarity
 from glsplat.splats import Splats
@@ -36,12 +36,16 @@ def test_what_is_left_out_is_as_if_it_were_not_there(renderer_of: Make, context:
     renderer.render(eyes())
     made = renderer._staged.arenas if renderer._staged else 0
     for out in ([mist], [rod, extra], [screen], [rod, mist, extra], [], [rod, mist, extra, screen], [extra]):
+        for item in scene:
+            item.layers = 1
         rest = Scene(item for item in scene if item not in out)
         config = RenderConfig(output="float32", sorter=sorter)
         with Renderer(rest, size=(64, 64), config=config, context=context) as alone:
-            wanted = alone.render(eyes(), budget=Budget())
+            wanted = alone.prepare(eyes()).render()
             expected = alone.stats
-        assert np.array_equal(renderer.render(eyes(), without=out, budget=Budget()), wanted)
+        for item in scene:
+            item.layers = 2 if item in out else 1
+        assert np.array_equal(renderer.prepare(eyes()).render(), wanted)
         now = renderer.stats
         assert (now.splats, now.drawn, now.culled, now.cost) == (
             *(expected.splats, expected.drawn, expected.culled, expected.cost),
@@ -55,7 +59,8 @@ def test_an_old_order_is_not_taken_for_another_selection(renderer_of: Make) -> N
     renderer, new = (renderer_of(Scene([one, two]), sort_period=4) for _ in range(2))
     renderer.render([camera()])
     one.transform = similarity((0, 0.01, 0))
-    assert np.array_equal(renderer.render([camera()], without=[two]), new.render([camera()], without=[two]))
+    two.layers = 2
+    assert np.array_equal(renderer.render([camera()]), new.render([camera()]))
 
 
 @pytest.mark.gl
@@ -84,9 +89,10 @@ def test_an_item_is_posed_once_for_all_viewers(renderer_of: Make) -> None:
     items = [Item(leveled_limb()), Item(leveled_limb(), transform=similarity((0, 0, -4)))]
     renderer = renderer_of(Scene(items), level="auto")
     places = {"near": 2.0, "far": 12.0, "behind": -6.0}
-    levels = {}
+    levels, selectors = {}, {name: Selector() for name in places}
     for name, distance in places.items():
-        renderer.render([seen_from(distance)], viewer=name)
+        renderer.selector = selectors[name]
+        renderer.render([seen_from(distance)])
         levels[name] = renderer.stats.levels
     assert len(set(levels.values())) == 3
     in_use = {(i, level) for chosen in levels.values() for i, level in enumerate(chosen)}
@@ -98,7 +104,8 @@ def test_an_item_is_posed_once_for_all_viewers(renderer_of: Make) -> None:
         posed = 0
         for _ in range(3):
             for name, distance in places.items():
-                renderer.render([seen_from(distance)], viewer=name)
+                renderer.selector = selectors[name]
+                renderer.render([seen_from(distance)])
                 assert renderer.stats.levels == levels[name]
                 posed += renderer.stats.posed
         assert posed == len(in_use)

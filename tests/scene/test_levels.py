@@ -14,10 +14,10 @@ from glsplat.avatar import Avatar
 from glsplat.camera import Camera, look_at, pinhole
 from glsplat.config import LEAN, RenderConfig
 from glsplat.detail.proxy import Proxy
+from glsplat.detail.selector import BAND, Selector, chosen
 from glsplat.errors import FormatError, GlsplatError
 from glsplat.gl.context import Context
 from glsplat.passes import staged
-from glsplat.passes.item.levels import BAND, chosen
 from glsplat.renderer import Renderer
 from glsplat.scene import Item, Scene, similarity
 from glsplat.skinning.skeleton import Skeleton
@@ -140,7 +140,8 @@ def test_levels_can_be_asked_for(renderer_of: Make) -> None:
     renderer = renderer_of(scene, level="auto", lod_bias=1.0)  # as if it were seen from half as far
     renderer.render([seen_from(6.0)])
     assert renderer.stats.levels == (0,)
-    renderer.render([seen_from(6.0)], lod_bias=-2.0)
+    renderer.selector.bias = -2.0
+    renderer.render([seen_from(6.0)])
     assert renderer.stats.levels == (2,)
 
 
@@ -150,21 +151,26 @@ def test_viewers_do_not_undo_each_others_levels(renderer_of: Make, context: Cont
     renderer = renderer_of(leveled(), level="auto")
     places = {"near": 2.0, "far": 12.0, "between": 4.02}
     first: dict[str, tuple[int, ...]] = {}
+    selectors = {name: Selector() for name in places}
     for name in ("near", "between", "far"):
-        renderer.render([seen_from(places[name])], viewer=name)
+        renderer.selector = selectors[name]
+        renderer.render([seen_from(places[name])])
         first[name] = renderer.stats.levels
     assert renderer._staged is not None
     made = renderer._staged.arenas
     for name in np.random.default_rng(3).choice(list(places), 60):
-        renderer.render([seen_from(places[name])], viewer=name)
+        renderer.selector = selectors[name]
+        renderer.render([seen_from(places[name])])
         assert renderer.stats.levels == first[name]
     assert renderer._staged.arenas == made
 
 
 @pytest.mark.gl
-def test_a_viewer_that_cannot_be_remembered_is_refused(renderer_of: Make) -> None:
-    with pytest.raises(GlsplatError, match="viewer needs something hashable, not list"):
-        renderer_of(leveled(), level="auto").render([seen_from(2.0)], viewer=["left"])  # type: ignore[arg-type]
+def test_what_is_no_selector_is_refused(renderer_of: Make) -> None:
+    renderer = renderer_of(leveled(), level="auto")
+    renderer.selector = ["left"]  # type: ignore[assignment]
+    with pytest.raises(GlsplatError, match="selector needs a Selector, not list"):
+        renderer.render([seen_from(2.0)])
 
 
 @pytest.mark.gl
@@ -307,11 +313,12 @@ def test_config_refuses_what_is_no_bias(value: Any) -> None:
 
 @pytest.mark.gl
 @pytest.mark.parametrize("value", [1e5, -1e5, np.nan, "1"])
-def test_a_view_refuses_what_is_no_bias(renderer_of: Make, value: Any) -> None:
+def test_a_selector_refuses_what_is_no_bias(renderer_of: Make, value: Any) -> None:
     renderer = renderer_of(leveled(), level="auto")
-    with pytest.raises(GlsplatError, match="lod_bias"):
-        renderer.render([seen_from(5.0)], lod_bias=value)
-    renderer.render([seen_from(5.0)], lod_bias=-8)
+    with pytest.raises(GlsplatError, match="bias needs"):
+        renderer.selector.bias = value
+    renderer.selector.bias = -8
+    renderer.render([seen_from(5.0)])
     assert renderer.stats.levels == (2,)
 
 

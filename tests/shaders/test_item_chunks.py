@@ -22,7 +22,7 @@ from glsplat.scene import similarity
 from glsplat.shaders import SkinVariant, Variant
 from glsplat.skinning.skin import Skin
 from glsplat.splats import Splats
-from glsplat.watermark.mark import LEVELS, Mark, marked
+from glsplat.watermark.mark import Mark, marked
 from glsplat.watermark.pattern import TILE
 from tests.glsl import run_chunk
 from tests.skinning.faces import random_shapes
@@ -340,20 +340,28 @@ def test_every_chunk_has_a_function_test() -> None:
     assert chunks - tested == {"radix.glsl"} and len(chunks) > 10
 
 
+def test_step(gl: Context, rng: np.random.Generator) -> None:
+    """Where nobody has registered one it changes nothing."""
+    text = """
+    #include "step.glsl"
+    in vec4 pixel; out vec4 result;
+    void main() { result = stepped(pixel, ivec2(3, 5)); gl_Position = vec4(0); }"""
+    pixels = rng.normal(size=(COUNT, 4)).astype(np.float32)
+    np.testing.assert_array_equal(run_chunk(gl, text, {"pixel": pixels}, {"result": 4})["result"], pixels)
+
+
 def test_mark(gl: Context, rng: np.random.Generator) -> None:
     """The chunk over the pixels of a row, whose tile values it gets, against the twin, which finds them itself."""
     mark = Mark(1, 2, b"sixteen bytes 01")
     image = np.concatenate([rng.random((1, COUNT, 3)) * 1.5 - 0.2, rng.random((1, COUNT, 1))], axis=2)
     image = image.astype(np.float32)
     image[0, :2] = (0, 0.5, 1, 0), (1, 1, 1, 1)  # nothing, and white
-    text = """
-    #include "mark.glsl"
-    uniform vec2 levels;
+    text = f"""
+    {mark.source}
     in vec4 pixel; in float tile; out vec4 result;
-    void main() { result = marked(pixel, tile, levels); gl_Position = vec4(0); }"""
+    void main() {{ result = marked(pixel, tile, LEVELS); gl_Position = vec4(0); }}"""
     inputs = {"pixel": image[0], "tile": mark.tile()[0, np.arange(COUNT) % TILE]}
-    levels = {"levels": (LEVELS[0] / 255, LEVELS[1] / 255)}
-    result = run_chunk(gl, text, inputs, {"result": 4}, uniforms=levels)["result"]
+    result = run_chunk(gl, text, inputs, {"result": 4})["result"]
     assert np.abs(result - marked(image, mark)[0]).max() < 1e-6 and np.abs(result - image[0]).max() > 0.01
     np.testing.assert_array_equal(result[0], image[0, 0])
     assert (result[:, :3] <= np.maximum(image[0, :, :3], image[0, :, 3:])).all()

@@ -18,6 +18,7 @@ from glsplat.passes.frame.project import record_layout
 from glsplat.shaders import Programs, Variant, flatten, link
 from glsplat.shaders.slots import UNITS
 from glsplat.shaders.variant import MeshVariant, ResolveVariant, SkinVariant, variant_for
+from glsplat.watermark.mark import Mark
 
 FILES = [file for file in resources.files("glsplat.shaders").iterdir() if file.name.endswith(".glsl")]
 
@@ -137,7 +138,7 @@ def rows() -> list[Variant]:
 ROWS = rows()
 SKINS = [SkinVariant(influences=k, raw=raw, turned=turned) for k in (1, 2, 4, 8) for raw in (0, 1) for turned in (0, 1)]
 SKINS += [replace(skin, shaped=1) for skin in SKINS]
-RESOLVES = [ResolveVariant(cull_hidden=hidden, marked=marked) for hidden in (0, 1) for marked in (0, 1)]
+RESOLVES = [ResolveVariant(cull_hidden=hidden) for hidden in (0, 1)]
 MESHES = [MeshVariant(), MeshVariant(logarithmic=1), MeshVariant(shaded=1)]
 OTHERS = [*SKINS, *MESHES, *RESOLVES]
 
@@ -217,8 +218,9 @@ def test_the_variants_that_matter_compile(gl: Context) -> None:
     for mesh in MESHES:
         programs.draw("ground", "ground", mesh)
     for resolve in RESOLVES:
-        program = programs.draw("screen", "resolve", resolve)
-        assert ("mark" in program, "background" in program) == (bool(resolve.marked), bool(resolve.cull_hidden))
+        for step in ({}, {"step.glsl": Mark(1, 2, b"sixteen bytes 01").source}):
+            program = programs.draw("screen", "resolve", resolve, step)
+            assert ("step_texture" in program, "background" in program) == (bool(step), bool(resolve.cull_hidden))
     programs.release()
 
 

@@ -122,8 +122,8 @@ def test_a_new_expression_poses_anew_and_the_same_does_not(renderer_of: Make) ->
     runs = []
     for face in (FACE, FACE, {}, FACE):
         renderer.render([view], turned(face))
-        runs.append(renderer._staged.runs)
-    assert np.diff(runs).tolist() == [0, 1, 1]
+        runs.append(renderer.stats.posed)
+    assert runs == [1, 0, 1, 1]
 
 
 def test_splats_that_are_never_drawn_take_their_entries_along(renderer_of: Make) -> None:

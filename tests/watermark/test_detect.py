@@ -38,8 +38,9 @@ def clips(context: Context) -> tuple[Pictures, Pictures, Mark]:
     with context.ctx, Renderer(avatar, size=(SIDE, SIDE), context=context) as renderer:
         for frame in range(WINDOW):
             pose = motion.pose(frame)
-            plain.append(renderer.render(eyes, pose)[0])
-            marked.append(renderer.render(eyes, pose, mark=mark)[0])
+            for step, pictures in ((None, plain), (mark, marked)):
+                renderer.step = step
+                pictures.append(renderer.render(eyes, pose)[0])
     return np.stack(plain), np.stack(marked), mark
 
 

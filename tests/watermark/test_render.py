@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from glsplat.camera import Camera, stereo_cameras
 from glsplat.errors import GlsplatError
-from glsplat.passes import marks
+from glsplat.passes import step
 from glsplat.renderer import Renderer
 from glsplat.watermark.mark import Mark, marked
 from glsplat.watermark.pattern import TILE
@@ -24,6 +26,14 @@ def pair(width: int = 150, height: int = 100) -> list[Camera]:
     head = np.eye(4)
     head[2, 3] = 2.5
     return [replace(eye, background=(0.1, 0.0, 0.2)) for eye in stereo_cameras(head, 0.2, size=(width, height))]
+
+
+def marked_by(renderer: Renderer, views: list[Camera], mark: Mark = MARK) -> NDArray[Any]:
+    renderer.step = mark
+    try:
+        return renderer.render(views)
+    finally:
+        renderer.step = None
 
 
 def test_the_tile() -> None:
@@ -45,7 +55,7 @@ def test_pictures_are_those_of_the_twin(renderer_of: Make, cull_hidden: bool) ->
     exact = renderer_of(scene, size=(150, 100), views=2, cull_hidden=cull_hidden).render(views)
     renderer = renderer_of(scene, size=(150, 100), views=2, cull_hidden=cull_hidden, output="uint8")
     plain = renderer.render(views)
-    drawn = renderer.render(views, mark=MARK)
+    drawn = marked_by(renderer, views)
     twin = np.floor(np.clip(marked(exact, MARK), 0, 1) * 255 + 0.5)
     assert abs(drawn - twin).max() <= 1 and (drawn != twin).mean() < 1e-3  # rounding at a half
     off = drawn[..., :3].astype(int) - plain[..., :3]
@@ -54,14 +64,14 @@ def test_pictures_are_those_of_the_twin(renderer_of: Make, cull_hidden: bool) ->
     assert nothing.any() and not off[nothing].any()
     assert (drawn[..., :3] <= np.maximum(plain[..., :3], drawn[..., 3:])).all()
     assert np.array_equal(renderer.render(views), plain)  # and none is left behind
-    np.testing.assert_array_equal(renderer.render(views[1:], mark=MARK)[0], drawn[1])  # a pair is two singles
+    np.testing.assert_array_equal(marked_by(renderer, views[1:])[0], drawn[1])  # a pair is two singles
 
 
 @pytest.mark.gl
 def test_both_eyes_have_the_same_mark_on_the_screen(renderer_of: Make) -> None:
     views = pair()
     renderer = renderer_of(cloud(300), size=(150, 100), views=2, output="uint8")
-    off = renderer.render(views, mark=MARK)[..., 1].astype(float) - renderer.render(views)[..., 1]
+    off = marked_by(renderer, views)[..., 1].astype(float) - renderer.render(views)[..., 1]
     both = (off != 0).all(axis=0)
     tile = MARK.tile()[np.arange(100)[:, None] % TILE, np.arange(150) % TILE]
     assert both.sum() > 500
@@ -72,20 +82,21 @@ def test_both_eyes_have_the_same_mark_on_the_screen(renderer_of: Make) -> None:
 @pytest.mark.gl
 def test_a_mark_is_for_bytes(renderer_of: Make) -> None:
     scene, views = cloud(5), pair()
-    with pytest.raises(GlsplatError, match="a mark is drawn into 8-bit pictures; use"):
-        renderer_of(scene, size=(150, 100)).render(views, mark=MARK)
-    with pytest.raises(GlsplatError, match=r"render needs a glsplat\.watermark\.mark\.Mark, not str"):
-        renderer_of(scene, size=(150, 100), output="uint8").render(views, mark="mark")  # type: ignore[call-overload]
+    with pytest.raises(GlsplatError, match="a step is drawn into 8-bit pictures; use"):
+        marked_by(renderer_of(scene, size=(150, 100)), views)
+    for wrong in ("mark", 5, object(), Mark):
+        with pytest.raises(GlsplatError, match=r"a step needs source and tile\(\), as a glsplat\.wat"):
+            marked_by(renderer_of(scene, size=(150, 100), output="uint8"), views, wrong)  # type: ignore[arg-type]
 
 
 @pytest.mark.gl
 def test_tiles_are_kept_and_let_go(renderer_of: Make, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(marks, "_KEPT", 2)
+    monkeypatch.setattr(step, "_KEPT", 2)
     renderer, views = renderer_of(cloud(5), size=(150, 100), views=2, output="uint8"), pair()
     renderer.render(views)
     before = renderer.nbytes()["targets"]
     sizes = []
     for session in (1, 2, 1, 3, 4):
-        renderer.render(views, mark=Mark(1, session, MARK.key))
+        marked_by(renderer, views, Mark(1, session, MARK.key))
         sizes.append((renderer.nbytes()["targets"] - before) // (4 * TILE**2))
     assert sizes == [1, 2, 2, 2, 2]

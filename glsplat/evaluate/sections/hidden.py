@@ -19,11 +19,11 @@ from glsplat.config import RenderConfig
 from glsplat.errors import GlsplatError
 from glsplat.evaluate.difference import Difference
 from glsplat.evaluate.frames import FOV, WARM_UP, Series
+from glsplat.evaluate.probe import Probe
 from glsplat.evaluate.sections.measure import Tick, frame_cost
 from glsplat.evaluate.subjects import Subject
 from glsplat.gl.context import Context
 from glsplat.motion.motion import embedded_motions, load_motion
-from glsplat.renderer import Renderer
 from glsplat.skinning.pose import Pose
 from glsplat.views import splats_of, view_of, viewing_point
 
@@ -80,8 +80,8 @@ def _price(context: Context, subject: Subject, size: int, frames: int) -> dict[s
     """Whole frames with and without hidden splats, and the draw floor of all, interleaved; how far apart they are."""
     seen = replace(subject, size=size)
 
-    def make(config: RenderConfig) -> Renderer:
-        return Renderer(seen.scene, size=(size, size), views=2, config=config, context=context)
+    def make(config: RenderConfig) -> Probe:
+        return Probe(seen.scene, size=(size, size), views=2, config=config, context=context)
 
     whole: list[float] = []
     floor: list[float] = []
@@ -124,8 +124,8 @@ def _worst(
     found: list[float] = []
     picture = np.zeros((search.size, 2 * search.size, 4), np.float32)
     with (
-        Renderer(subject.scene, size=size, config=_float(RenderConfig()), context=context) as plain,
-        Renderer(subject.scene, size=size, config=_float(CULLED), context=context) as less,
+        Probe(subject.scene, size=size, config=_float(RenderConfig()), context=context) as plain,
+        Probe(subject.scene, size=size, config=_float(CULLED), context=context) as less,
     ):
         for name, pose in _poses(subject, search):
             for text, views in _directions(subject, search):

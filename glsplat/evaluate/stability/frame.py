@@ -14,8 +14,8 @@ from glsplat.camera import Camera, look_at, pinhole, sorting_camera, stereo_came
 from glsplat.config import RenderConfig
 from glsplat.errors import GlsplatError
 from glsplat.evaluate.difference import Difference
+from glsplat.evaluate.probe import Probe
 from glsplat.gl.context import Context
-from glsplat.renderer import Renderer
 from glsplat.splats import SH_C0, Splats
 
 __all__ = ["Case", "Outcome", "camera", "cloud", "frame_cases", "judge", "picture_case", "refused", "renderer"]
@@ -75,10 +75,10 @@ def camera(size: int = SIZE) -> Camera:
     return Camera(look_at((0, 0, 3.0), (0, 0, 0)), pinhole(size, size), size, size)
 
 
-def renderer(scene: Splats | Avatar, context: Context, size: int = SIZE, views: int = 1, **config: Any) -> Renderer:
+def renderer(scene: Splats | Avatar, context: Context, size: int = SIZE, views: int = 1, **config: Any) -> Probe:
     """One whose pictures are the float target."""
     settings = RenderConfig(**{"output": "float32", "target": "32f", **config})
-    return Renderer(scene, size=(size, size), views=views, config=settings, context=context)
+    return Probe(scene, size=(size, size), views=views, config=settings, context=context)
 
 
 def cloud(count: int = 300, degree: int = 0, centre: Sequence[float] = (0, 0, 0)) -> Splats:
@@ -217,7 +217,7 @@ def _pair_is_singles(context: Context) -> Outcome:
     scene, views = cloud(degree=1), list(stereo_cameras(_head(3.0), 0.2, size=(SIZE, SIZE)))
     with renderer(scene, context, views=2) as both, renderer(scene, context) as one:
         pair = both.render(views)
-        alone = [one.render([view], sort_viewmat=sorting_camera(views))[0] for view in views]
+        alone = [one.in_order(sorting_camera(views), [view])[0] for view in views]
     error = float(np.abs(pair - np.stack(alone)).max())
     return Outcome(error == 0, error, "of 1", "identical" if error == 0 else "different")
 

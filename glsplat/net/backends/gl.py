@@ -14,8 +14,8 @@ from glsplat.camera import Camera, look_at, pinhole
 from glsplat.config import LEAN, RenderConfig
 from glsplat.errors import BudgetError, ContextLostError, FormatError, GlsplatError, PoseError
 from glsplat.net.backend import Rendered
+from glsplat.net.backends.budget import Budget
 from glsplat.net.messages import RenderRequest
-from glsplat.passes.frame.budget import Budget
 from glsplat.passes.stats import union
 from glsplat.scene import Figure, Shown
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 __all__ = ["MAX_COST", "MAX_TIME", "RendererBackend", "most_cost"]
 
 MAX_COST = 1e9
-"""Covered pixels of a picture (passes/frame/budget.py): eight times what a person needs who fills two eyes of 2048^2,
+"""Covered pixels of a picture (renderer.Prepared.cost): eight times what a person needs who fills two eyes of 2048^2,
 and more than twice what one needs whose face is in front of the eyes (docs/protocol.md, section 5)."""
 
 _LEAN_SHARE = 0.5  # of the covered pixels of a picture, where splats end as early as LEAN has them end
@@ -86,10 +86,11 @@ class RendererBackend:
             self._stands = Stands(self._scene, self._avatars, make, self._rooms)
             renderer = self._stands.get().renderer
             view = Camera(look_at((0, 1.2, 2.0), (0, 1, 0)), pinhole(*self._pixels), *self._pixels)
-            renderer.render([view, view], budget=Budget())
+            renderer.prepare([view, view]).render()
             start = time.perf_counter()
-            renderer.render([view, view], budget=Budget())  # nothing is compiled or sorted this time
-            rate = renderer.stats.cost / (time.perf_counter() - start)
+            prepared = renderer.prepare([view, view])  # nothing is compiled or sorted this time
+            prepared.render()
+            rate = prepared.cost / (time.perf_counter() - start)
             self._slice_cost = max(_SLICE_LEAST, rate * _SLICE)
         except BaseException:
             self._context.release()
@@ -118,16 +119,9 @@ class RendererBackend:
             if self._pose_at is not None:
                 self._pose_at(seconds)
             stand.follow(request, seconds)
-            images = renderer.render(
-                request.cameras,
-                request.pose,
-                budget=budget,
-                out=self.place,
-                viewer=request.viewer,
-                lod_bias=request.detail,
-                without=stand.left_out(request),
-                mark=request.mark,
-            )
+            renderer.selector, renderer.step = stand.selector(request.viewer), request.mark
+            renderer.selector.bias = request.detail
+            images = budget.render(renderer, stand.views(request), request.pose, self.place)
             if self._context.ctx.error != "GL_NO_ERROR":  # reading it clears it
                 raise GlsplatError(f"{renderer.driver} reports an OpenGL error: the picture is not to be trusted")
         except (PoseError, BudgetError):  # before anything was drawn, or the next picture is drawn over it

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.avatar import Avatar
+from glsplat.camera import Camera
+from glsplat.detail.selector import Selector
 from glsplat.errors import PoseError
 from glsplat.formats.scene_file import SceneFile
 from glsplat.net.backends.labels import Label
@@ -22,6 +25,12 @@ __all__ = ["RoomStand", "label_place"]
 
 _ABOVE = 0.3  # metres from the joint of the head to the middle of the label, of a person of the height ...
 _TALL = 1.7  # ... metres
+
+_VIEWERS = 64
+"""Whose levels of detail are remembered, of one thing that is shown."""
+
+_ROOM, _HEADS = 1, 2
+"""Layers: of all, and of who sees everybody's head. All others are somebody's own."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,6 +56,7 @@ class RoomStand:
         self._people: dict[int, _Shown] = {}
         self.scene = Scene(background.scene)
         self.renderer = make(self.scene)
+        self.selector = selectors()
 
     @property
     def nbytes(self) -> int:
@@ -71,16 +81,27 @@ class RoomStand:
         for one in view.people:
             for item in self._people[one.key].items:
                 item.pose, item.transform, item.opacity = one.pose, one.transform, one.opacity
+        self._set_layers(view)
         self._background.pose_at(seconds)
 
-    def left_out(self, request: RenderRequest) -> list[Item]:
-        """Items that a picture is drawn without: of the viewer what the request hides, and who has faded."""
-        out: list[Item] = []
-        for key, one in self._people.items():
-            own = key == _view(request).viewer and "head" in request.hide
-            part = one.head if own else one.headless
-            out += [item for item in one.items if item.opacity == 0 or item is part]
-        return out
+    def views(self, request: RenderRequest) -> list[Camera]:
+        """The cameras of a request that ``follow`` was given, in the layers of what its viewer sees."""
+        view = _view(request)
+        keys = [one.key for one in view.people]
+        hidden = "head" in request.hide and view.viewer in keys
+        layers = _ROOM | (_own(keys.index(view.viewer)) if hidden else _HEADS)
+        return [replace(camera, layers=layers) for camera in request.cameras]
+
+    def _set_layers(self, view: RoomView) -> None:
+        """Who has faded is in none."""
+        for place, one in enumerate(view.people):
+            shown = self._people[one.key]
+            for item in shown.items:
+                item.layers = 0 if item.opacity == 0 else _ROOM
+            if shown.head is not None and shown.head.layers:
+                shown.head.layers = ~(_ROOM | _own(place))
+            if shown.headless is not None and shown.headless.layers:
+                shown.headless.layers = _own(place)
 
     def labels(self, request: RenderRequest) -> list[Label]:
         """What stands over the heads; over the viewer's own only where that head is seen."""
@@ -101,6 +122,16 @@ class RoomStand:
     def release(self) -> None:
         """Delete what draws it."""
         self.renderer.release()
+
+
+def selectors() -> Callable[[int], Selector]:
+    """Gives each viewer, by number, the one that it had."""
+    return lru_cache(_VIEWERS)(lambda viewer: Selector())
+
+
+def _own(place: int) -> int:
+    """The layer of pictures from the own eyes of who is in that place, without a head."""
+    return 4 << place
 
 
 def _view(request: RenderRequest) -> RoomView:

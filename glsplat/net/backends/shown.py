@@ -6,16 +6,17 @@ different ones do not undo each other's work, and a server of one thing makes on
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.avatar import Avatar
+from glsplat.camera import Camera
 from glsplat.errors import GlsplatError
 from glsplat.formats.scene_file import SceneFile
 from glsplat.net.backends.labels import Label, notice
-from glsplat.net.backends.room import RoomStand, label_place
+from glsplat.net.backends.room import RoomStand, label_place, selectors
 from glsplat.net.messages import RenderRequest
 from glsplat.passes.kept import Kept
 from glsplat.passes.views import checked_pose
@@ -46,6 +47,7 @@ class Stand:
             self._item = _without(self._source, hide)
             self.scene = Scene(self._item if item is self._source else item for item in scene)
         self.renderer = make(self.scene)
+        self.selector = selectors()
 
     @property
     def nbytes(self) -> int:
@@ -58,9 +60,9 @@ class Stand:
             assert self._item is not None and self._source is not None
             self._item.pose, self._item.transform = self._source.pose, self._source.transform
 
-    def left_out(self, request: RenderRequest) -> tuple[Item, ...]:
-        """Nothing: it was made without what its requests hide."""
-        return ()
+    def views(self, request: RenderRequest) -> Sequence[Camera]:
+        """As they are asked for: it was made without what its requests hide."""
+        return request.cameras
 
     def labels(self, request: RenderRequest) -> list[Label]:
         """What stands over the head of the one avatar, if the request has words for it."""

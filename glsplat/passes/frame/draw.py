@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import moderngl
 
 from glsplat.gl.context import Context
-from glsplat.passes.frame.budget import Budget
 from glsplat.passes.frame.project import record_layout
 from glsplat.passes.target import Target
 from glsplat.shaders import Programs, Variant
 
-__all__ = ["PULLED", "DrawPass", "corners_of", "fits"]
+__all__ = ["PULLED", "DrawPass", "Slices", "corners_of", "fits"]
 
 PULLED = 500_000
 """Records up to which software rasterizers pull them unasked: 0.8 of the draw up to 320,000, 1.1 of a million."""
@@ -20,6 +21,14 @@ PULLED = 500_000
 PART, PARTS = 4096, 10
 """Records, at least, and parts, at most, in which a software rasterizer is handed what is pulled: it bins a part while
 it draws the one before, and a small part's bins stay in the cache; but each part costs what the picture covers."""
+
+
+@dataclass(frozen=True, slots=True)
+class Slices:
+    """How a costly picture is drawn: in parts of about ``cost`` covered pixels, with a call between two of them."""
+
+    between: Callable[[], None] | None = None  # what it raises ends the picture
+    cost: float = math.inf
 
 
 def corners_of(variant: Variant) -> int:
@@ -61,17 +70,17 @@ class DrawPass:
         """Blend ``count`` records, first to last; ``indirect`` holds the number where only the GPU knows it."""
         self._run(target, 0, count, indirect)
 
-    def run_slices(self, target: Target, ends: Sequence[int], budget: Budget) -> None:
+    def run_slices(self, target: Target, ends: Sequence[int], between: Callable[[], None]) -> None:
         """The same picture in several draws, each up to one of the record numbers ``ends``, growing.
 
-        Waits for each and asks the budget whether to go on. Raises what it raises; the target is then half drawn.
+        Waits for each and calls ``between``. Raises what that raises; the target is then half drawn.
         """
         begin = 0
         try:
             for end in ends:
                 if begin:
                     self._ctx.finish()
-                    budget.check()
+                    between()
                 self._begin_at(begin)
                 self._run(target, begin, end)
                 begin = end

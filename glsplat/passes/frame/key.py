@@ -12,7 +12,10 @@ from glsplat.passes.arena import Arena
 from glsplat.passes.frame.sort import NOT_SHOWN
 from glsplat.shaders import Programs, Variant
 
-__all__ = ["KeyPass"]
+__all__ = ["BLOCK_PIXELS", "KeyPass"]
+
+BLOCK_PIXELS = 16
+"""Pixels of a block of 4x4: the unit in which key.vert.glsl counts costs, and the least that rasterizers work on."""
 
 _ROW_BYTES = 12  # key, tiles, cost
 

@@ -16,14 +16,14 @@ from glsplat.config import RenderConfig
 from glsplat.gl.context import Context
 from glsplat.passes.arena import Arena
 from glsplat.passes.block import FrameBlock
-from glsplat.passes.frame.budget import BLOCK_PIXELS, Budget
-from glsplat.passes.frame.draw import DrawPass, corners_of, fits
+from glsplat.passes.frame.draw import DrawPass, Slices, corners_of, fits
 from glsplat.passes.frame.gpu_sort import GpuSorter
-from glsplat.passes.frame.key import KeyPass
+from glsplat.passes.frame.key import BLOCK_PIXELS, KeyPass
 from glsplat.passes.frame.project import ProjectPass
 from glsplat.passes.frame.sort import FIRST_CULLED, count_culled, covered_box, sorted_indices
 from glsplat.passes.item.ground import Ground
 from glsplat.passes.stats import FrameStats
+from glsplat.passes.step import ResolveStep
 from glsplat.passes.target import Box, ByteTarget, Clear, Resolve, Target
 from glsplat.pictures import lifted
 from glsplat.shaders import Programs, Variant
@@ -57,12 +57,13 @@ class Pipeline:
         self._seen: tuple[Any, ...] | None = None  # what the records were made for
         self._counted = True
         self._order: NDArray[np.uint32] = np.empty(0, np.uint32)  # among what is shown
+        self._listed = self._order  # what of it the records are
         self._shown: tuple[int, ...] = ()  # what it is the order of
         self._order_age = config.sort_period  # moved frames since the sort; at first more than may pass
         self.culled: dict[str, int] = {}
         self.covered: Box = (0, 0, 0, 0)
-        self.cost: int | None = None  # covered pixels of the current records; known only under a budget
-        self._costs: NDArray[np.uint32] | None = None  # of the records, in their order, in blocks
+        self.cost: int | None = None  # covered pixels of the current records; known only where it was asked for
+        self._costs: NDArray[np.uint32] | None = None  # of what is shown, in blocks
         with ExitStack() as stack:  # releases what was made if a later pass cannot be
 
             def own(item: P) -> P:
@@ -101,13 +102,10 @@ class Pipeline:
         views: Sequence[Camera],
         sort_viewmat: NDArray[np.float64],
         timer: StageTimer,
-        budget: Budget | None = None,
+        costed: bool = False,  # and count what drawing them costs
         shared: bool = False,  # other passes of the frame come here, too: an old order may be theirs
     ) -> bool:
-        """Steps 1 to 3, up to the records in drawing order. True if the splats were sorted again.
-
-        Raises BudgetError if drawing them would cost too much; with the CPU sorter before they are sorted.
-        """
+        """Steps 1 to 3, up to the records in drawing order. True if the splats were sorted again."""
         arena = self._arena
         self._frame.write(views, sort_viewmat, arena.origin, self._config)
         arena.use()
@@ -116,12 +114,10 @@ class Pipeline:
         # an unmoved scene seen by unmoved cameras keeps its order and its records
         state = (arena.version, arena.shown, sort_viewmat.tobytes(), tuple(map(view_state, views)))
         moved = state != self._seen
-        if not moved and self._order_age == 0 and (budget is None or self.cost is not None):
-            if budget is not None:
-                budget.spend(self.cost or 0)
+        if not moved and self._order_age == 0 and not (costed and self.cost is None):
             return False
         resort = shared or not moved or self._order_age + 1 >= self._config.sort_period
-        if self._sorter and budget is not None:
+        if self._sorter and costed:
             resort = True  # it is the sorter that adds up the costs
         resort |= self._shown != arena.shown  # the old order is one among others
         age = 0 if resort else self._order_age + 1
@@ -141,26 +137,24 @@ class Pipeline:
             self._key.run(ranges)  # with an old order too: it knows which box is covered
             timer.mark("key")
             keys, tiles, costs = self._key.read()
-            if budget is not None:
+            if costed:
                 self.cost = BLOCK_PIXELS * int(costs.sum(dtype=np.uint64))
-                budget.spend(self.cost)
-                self._costs = costs if self.cost > budget.slice_cost else None
+                self._costs = costs
             self.culled = self._without_padding(count_culled(keys))
             self.covered = covered_box(tiles[keys < FIRST_CULLED], views[0].width, views[0].height)
             if resort:
                 self._order = order = sorted_indices(keys, self._config.sort_bits)
             else:  # an old order without what is culled by now: the covered box does not hold that
                 order = self._order[keys[self._order] < FIRST_CULLED]
+            self._listed = order
             self._project.write_order(_in_arena(order, ranges))
-            self._costs = self._costs[order] if self._costs is not None else None
         timer.mark("sort")
         self._project.run()
         timer.mark("project")
         self._order_age = age
         self._seen = state
-        if self._sorter and budget is not None:
+        if self._sorter and costed:
             self._count()
-            budget.spend(self.cost or 0)
         return resort
 
     def draw(
@@ -169,22 +163,35 @@ class Pipeline:
         views: Sequence[Camera],
         timer: StageTimer,
         boxed: bool,
-        budget: Budget | None = None,
         ground: Ground | None = None,  # with variant.occluded
+        slices: Slices | None = None,
     ) -> None:
         """Step 4: backgrounds (``boxed``: where splats fall, nothing else will be read), then every record.
 
-        Raises BudgetError when the budget says so while slices are drawn.
+        Raises what is raised between two slices.
         """
         if ground is not None:
             ground.use()
             self.covered = (0, 0, views[0].width, views[0].height)
         self._clear.run(target, views, self.covered if boxed else (0, 0, views[0].width, views[0].height))
-        if budget is not None and (self.cost or 0) > budget.slice_cost:
-            self._draw.run_slices(target, self._slices(budget.slice_cost), budget)
+        if slices is not None and slices.between is not None and (self.cost or 0) > slices.cost:
+            self._draw.run_slices(target, self._slices(slices.cost), slices.between)
         else:
             self._draw.run(target, self._project.count, self._sorter.indirect if self._sorter else None)
         timer.mark("draw")
+
+    def resolve(
+        self,
+        target: Target,
+        into: ByteTarget,
+        views: Sequence[Camera],
+        timer: StageTimer,
+        step: ResolveStep | None,
+        texture: moderngl.Texture | None,  # of the step
+    ) -> None:
+        """Step 5: to 8 bits, by way of what somebody else draws into the picture."""
+        self._resolve.run(target, into, views, self.covered, step, texture)
+        timer.mark("resolve")
 
     def read(
         self,
@@ -193,17 +200,14 @@ class Pipeline:
         views: Sequence[Camera],
         out: NDArray[Any],  # [V, H, W, 4] uint8 if there is a byte target, else float32
         timer: StageTimer,
-        mark: moderngl.Texture | None = None,  # a tile, for 8-bit pictures
     ) -> None:
-        """Steps 5 and 6: 8-bit conversion where asked for, and the picture to the host."""
+        """Step 6: the picture to the host."""
         if byte_target is None:
             target.read(out)
             if self.variant.cull_hidden:
                 for picture, view in zip(out, views, strict=True):
                     picture[:] = lifted(picture, view.background)
         else:
-            self._resolve.run(target, byte_target, views, self.covered, mark)
-            timer.mark("resolve")
             byte_target.read(out, self.covered)
         if self._sorter and not self._counted:
             self._count()  # after the read, so that nothing waits twice
@@ -231,7 +235,7 @@ class Pipeline:
         wanted = max(1, min(count, int(-(-(self.cost or 0) // cost))))
         if self._costs is None:  # only the GPU knows what each costs
             return [count * i // wanted for i in range(1, wanted + 1)]
-        sums = np.cumsum(self._costs, dtype=np.uint64)
+        sums = np.cumsum(self._costs[self._listed], dtype=np.uint64)
         cuts = np.searchsorted(sums, int(sums[-1]) * np.arange(1, wanted) // wanted) + 1
         return sorted({*map(int, cuts), count})
 

@@ -1,50 +1,28 @@
-"""Levels of detail of one item on the GPU: each is staged when it is first drawn; and which of them a view gets."""
+"""Levels of detail of one item on the GPU: each is staged when it is first drawn."""
 
 from __future__ import annotations
 
-from collections import OrderedDict
-from collections.abc import Callable, Hashable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from itertools import count
 
 import numpy as np
 
 from glsplat.avatar import Avatar
 from glsplat.camera import Camera
 from glsplat.detail.proxy import Proxy
-from glsplat.errors import GlsplatError
 from glsplat.passes.item.buffers import ItemBuffers, Placement
 from glsplat.splats import Splats
 
-__all__ = ["BAND", "Choices", "LevelBuffers", "Look", "chosen"]
+__all__ = ["LevelBuffers"]
 
-BAND = 1.05
-"""Hysteresis: a level is kept until the view wants that much more than it has, or less than the coarser one has."""
-
-
-_VIEWERS = 64
-"""Viewers whose levels are remembered."""
-
-
-@dataclass(frozen=True, slots=True)
-class Look:
-    """Who looks at the scene, from where, and how closely."""
-
-    views: tuple[Camera, ...] = ()
-    viewer: Hashable = None
-    bias: float = 0.0  # as RenderConfig.lod_bias
-
-    def __post_init__(self) -> None:
-        try:
-            hash(self.viewer)
-        except TypeError:
-            raise GlsplatError(f"viewer needs something hashable, not {type(self.viewer).__name__}") from None
+_numbers = count()  # in the whole process: a Selector may follow its viewer from one renderer to another
 
 
 class LevelBuffers:
     """The buffers of an item's levels. ``make`` makes those of one level; ``number`` is no other item's."""
 
-    def __init__(self, content: Splats | Avatar, make: Callable[[Splats | Avatar], ItemBuffers], number: int) -> None:
-        self.number = number
+    def __init__(self, content: Splats | Avatar, make: Callable[[Splats | Avatar], ItemBuffers]) -> None:
+        self.number: int = next(_numbers)
         self.contents: tuple[Splats | Avatar, ...] = (content, *(level.content for level in content.levels))
         self.densities: tuple[float, ...] = tuple(level.density for level in content.levels)
         self._make = make
@@ -93,52 +71,3 @@ class LevelBuffers:
         made, self._made = self._made, {}
         for buffers in made.values():
             buffers.release()
-
-
-class Choices:
-    """The level that each viewer had of each thing, so that it does not flicker between two."""
-
-    def __init__(self) -> None:
-        self.coarsest = True  # no thing in view had a coarser level than it got last
-        self._memory: OrderedDict[Hashable, dict[int, int]] = OrderedDict()  # by viewer: level by number
-
-    def choose(self, levels: Sequence[LevelBuffers], places: Sequence[Placement], look: Look) -> list[int]:
-        """The level of each thing."""
-        before = self._memory.get(look.viewer, {})
-        finer = 2.0**look.bias
-        found: dict[int, int] = {}
-        self.coarsest = True
-        for one, place in zip(levels, places, strict=True):
-            key, last = one.number, before.get(one.number)
-            density = one.density(place, look.views)
-            if density > 0:
-                found[key] = chosen(one.densities, density * finer, last)
-                self.coarsest &= found[key] == one.coarsest
-            else:  # what nobody sees keeps the level it has
-                found[key] = one.coarsest if last is None else last
-        self._memory[look.viewer] = found
-        self._memory.move_to_end(look.viewer)
-        while len(self._memory) > _VIEWERS:
-            self._memory.popitem(last=False)
-        return list(found.values())
-
-
-def chosen(densities: Sequence[float], wanted: float, before: int | None = None) -> int:
-    """The coarsest level that suffices where a view has ``wanted`` pixels a metre; 0 is the finest.
-
-    ``densities`` are those of the coarser levels, falling (Splats.levels). ``before`` is the level that the same view
-    had: near the limit between two it stays.
-
-    >>> chosen((800, 400, 200), 300), chosen((800, 400, 200), 405), chosen((800, 400, 200), 405, before=2)
-    (2, 1, 2)
-    """
-
-    def suffices(least: float) -> int:
-        return sum(density >= least for density in densities)
-
-    level = suffices(wanted)
-    if before is None or level == before:
-        return level
-    if level > before:
-        return max(before, suffices(wanted * BAND))
-    return min(before, suffices(wanted / BAND))

@@ -20,8 +20,9 @@ from glsplat.formats.scene_file import SceneFile
 from glsplat.gl.context import Context, create_context
 from glsplat.net.backends.labels import Label, notice
 from glsplat.net.backends.lettering import draw_labels
+from glsplat.net.backends.room import RoomStand
 from glsplat.net.backends.server import make_server
-from glsplat.net.backends.shown import Stands
+from glsplat.net.backends.shown import Stand, Stands
 from glsplat.net.client import Client
 from glsplat.net.codec.encode import Encoder
 from glsplat.net.messages import RenderRequest, WireOptions
@@ -139,7 +140,8 @@ def test_each_person_is_skinned_once_a_tick(context: Context, person: Avatar) ->
             )
             stand = stands.of(request)
             stand.follow(request, 0.0)
-            stand.renderer.render(request.cameras, viewer=viewer, without=stand.left_out(request))
+            stand.renderer.selector = stand.selector(viewer)
+            stand.renderer.render(stand.views(request))
             posed.append(stand.renderer.stats.posed)
     stands.release()
     assert sum(posed) == 2 * 6 * 4 - 1  # nobody has looked at the last viewer's head since
@@ -155,6 +157,10 @@ def context() -> Iterator[Context]:
 
 def drawing(context: Context) -> Callable[[Scene], Renderer]:
     return partial(Renderer, size=(SIZE, SIZE), config=RenderConfig(output="uint8"), context=context)
+
+
+def left_out(stand: Stand | RoomStand, request: RenderRequest) -> list[Item]:
+    return [item for item in stand.scene if not item.layers & stand.views(request)[0].layers]
 
 
 def standing(context: Context, person: Figure) -> Stands:
@@ -174,10 +180,10 @@ def test_labels_cannot_be_left_out_and_fade_with_their_people(context: Context, 
     stand.follow(request, 0.0)
     assert [label.text for label in stand.labels(request)] == ["driven by Ann", "driven by Bob"]
     assert [label.opacity for label in stand.labels(request)] == [1.0, 0.0]
-    assert [item.name for item in stand.left_out(request)] == ["Bob", "Bob"]
+    assert [item.name for item in left_out(stand, request)] == ["Bob", "Bob"]
     own = replace(request, hide=("head",))
     assert [label.text for label in stand.labels(own)] == ["driven by Bob"]
-    assert len(stand.left_out(own)) == 3
+    assert len(left_out(stand, own)) == 3
     gone = replace(request, room=RoomView("lab", 1, 1, two[:1]))
     stand.follow(gone, 0.0)
     assert len(stand.scene) == 2
@@ -194,7 +200,7 @@ def test_a_person_of_triangles_loses_the_head_for_their_own_eyes_only(context: C
         request = RenderRequest(frame_id=1, cameras=tuple(EYES), hide=hide, room=RoomView("lab", 0, viewer, two))
         stand = stands.of(request)
         stand.follow(request, 0.0)
-        images = stand.renderer.render(request.cameras, without=stand.left_out(request))
+        images = stand.renderer.render(stand.views(request))
         shown = [mesh.without("head") if hide and i == viewer else mesh for i in range(2)]
         whole = Scene(Item(one, pose=poses[i], transform=places[i]) for i, one in enumerate(shown))
         with drawing(context)(whole) as renderer:

@@ -1,25 +1,25 @@
-"""Budget: what one picture may cost. Its cost is known before it is drawn, and a costly one is drawn in slices."""
+"""Budget: what one picture may cost. That is known before it is drawn, and a costly one is drawn in slices."""
 
 from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING
 
+from glsplat.camera import Camera
 from glsplat.errors import BudgetError
+from glsplat.skinning.pose import Pose
 
-__all__ = ["BLOCK_PIXELS", "Budget"]
+if TYPE_CHECKING:
+    from glsplat.passes.views import Images
+    from glsplat.renderer import Renderer
 
-BLOCK_PIXELS = 16
-"""Pixels of a block of 4x4: the unit in which key.vert.glsl counts, and the least that rasterizers work on."""
+__all__ = ["Budget"]
 
 
 class Budget:
-    """Limits of one picture; make a new one for each.
-
-    Cost is in covered pixels: over all views and all splats that are drawn, the pixels of the box around the splat
-    inside the picture, in whole blocks of 4x4.
-    """
+    """Limits of one picture; make a new one for each. Costs are in covered pixels (``renderer.Prepared.cost``)."""
 
     def __init__(
         self,
@@ -29,21 +29,22 @@ class Budget:
         abandoned: Callable[[], bool] = lambda: False,  # asked between slices: does nobody want it any more?
         clock: Callable[[], float] = time.perf_counter,
     ) -> None:
-        self.cost = 0  # of the passes so far
-        self.slice_cost = slice_cost
-        self._max_cost, self._seconds = max_cost, seconds
+        self._max_cost, self._seconds, self._slice_cost = max_cost, seconds, slice_cost
         self._abandoned, self._clock = abandoned, clock
         self._start = clock()
 
-    def spend(self, cost: int) -> None:
-        """A pass of that cost is about to be drawn. Raises BudgetError (too_costly) if that is more than is left."""
-        self.cost += cost
-        if self.cost > self._max_cost:
+    def render(
+        self, renderer: Renderer, views: Sequence[Camera], pose: Pose | None = None, out: Images | None = None
+    ) -> Images:
+        """``renderer.render()`` within these limits. Raises BudgetError (too_costly, abandoned, too_slow)."""
+        prepared = renderer.prepare(views, pose)
+        if prepared.cost > self._max_cost:
             raise BudgetError(
-                f"the picture covers {self.cost:.3g} pixels splat by splat, at most {self._max_cost:.3g} are drawn; "
-                "ask for a smaller size or look from further away",
+                f"the picture covers {prepared.cost:.3g} pixels splat by splat, at most {self._max_cost:.3g} are drawn;"
+                " ask for a smaller size or look from further away",
                 "too_costly",
             )
+        return prepared.render(between=self.check, slice_cost=self._slice_cost, out=out)
 
     def check(self) -> None:
         """Go on? Raises BudgetError (abandoned, too_slow) if not."""
