@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from importlib import import_module
 from typing import TYPE_CHECKING
+
+from glsplat import on_demand
 
 if TYPE_CHECKING:
     from glsplat.tracking.calibration import Calibration, calibrate
@@ -43,10 +44,4 @@ _HOME = {
 }
 
 
-def __getattr__(name: str) -> object:
-    # on demand, as the root: who needs one module loads that one
-    if name in _HOME:
-        value = getattr(import_module(f"glsplat.tracking.{_HOME[name]}"), name)
-        globals()[name] = value
-        return value
-    raise AttributeError(f"module 'glsplat.tracking' has no attribute {name!r}")
+__getattr__ = on_demand(__name__, _HOME)
