@@ -52,7 +52,7 @@ def run(args: argparse.Namespace) -> int:
         raise FormatError(f"{args.input}: expected one thing, found a scene file; convert what it names")
     scene = turned(found, args.up)
     if isinstance(scene, RiggedMesh):
-        _save_mesh(scene, args.output)
+        save(scene, args.output)
         return 0
     save_and_say(scene, args.output, "glsplat convert", args.quiet)
     return 0
@@ -76,14 +76,6 @@ def save_and_say(scene: Splats | Avatar, output: str | Path, command: str, quiet
     save(scene, output, say=say)
     if not quiet and (words := ", ".join(read_back(scene, output).words())):
         print(f"{command}: {output}: read back, off by at most (mean): {words}", file=sys.stderr)
-
-
-def _save_mesh(mesh: RiggedMesh, output: str) -> None:
-    if Path(output).suffix.lower() not in (".glb", ".gltf"):
-        raise FormatError(f"{output}: a mesh is written as .glb or .gltf; change the name")
-    from glsplat.formats.gltf.meshes.write import save_gltf_mesh  # here: images need OpenCV
-
-    save_gltf_mesh(mesh, output)
 
 
 def turned(scene: Content, up: str) -> Content:

@@ -100,6 +100,7 @@ class Format:
     cones: bool = False  # holds visibility cones
     levels: bool = False  # holds levels of detail
     order: Callable[[Splats], NDArray[np.intp]] | None = None
+    save_mesh: Callable[[RiggedMesh, Source], None] | None = None  # writes meshes, too
     marked: bool = True  # begins with a mark of its own; formats without one are tried last
 
     def read(self, opened: Opened, strict: bool) -> Content:

@@ -91,7 +91,7 @@ def read(start: Opened, strict: bool, format: str | None = None) -> Content:
 
 
 def save(
-    scene: Splats | Avatar,
+    scene: Content,
     target: Source,
     *,
     format: str | None = None,
@@ -101,10 +101,10 @@ def save(
 
     ``target`` is a path, or a file open in binary mode, which is written to from where it stands. At a path the new
     file is complete or, on any failure, the old one as it was; a link is followed, an old file keeps its mode. An
-    avatar goes into glTF with its rig; into the other formats go its splats alone, as they are stored: in the zero
-    pose, or in the pose in which another program's rig was bound. What a file does not keep beyond rounding is told to
-    ``say``, a sentence each; without it the log "glsplat.formats" has it as warnings. Raises FormatError for another
-    suffix, and when the file cannot be written.
+    avatar goes into glTF with its rig, a mesh goes nowhere else; into the other formats go an avatar's splats alone, as
+    they are stored: in the zero pose, or in the pose in which another program's rig was bound. What a file does not
+    keep beyond rounding is told to ``say``, a sentence each; without it the log "glsplat.formats" has it as warnings.
+    Raises FormatError for another suffix, and when the file cannot be written.
 
     >>> glsplat.save(glsplat.default_avatar().splats, "me.ply")
     >>> len(glsplat.load("me.ply"))
@@ -112,18 +112,23 @@ def save(
     """
     for loss in losses(scene, target, format=format):
         say(loss) if say is not None else log.warning("%s: %s", name_of(target), loss)
-    with naming(target):
-        _, write = _writer(target, format)
-        with np.errstate(invalid="ignore"):  # a NaN that signals, wherever it is cast
+    with naming(target), np.errstate(invalid="ignore"):  # a NaN that signals, wherever it is cast
+        known, write = _writer(target, format)
+        if not isinstance(scene, RiggedMesh):
             write(scene, target)
+        elif known.save_mesh is not None:
+            known.save_mesh(scene, target)
 
 
-def losses(scene: Splats | Avatar, target: Source, *, format: str | None = None) -> Iterator[str]:
+def losses(scene: Content, target: Source, *, format: str | None = None) -> Iterator[str]:
     """What ``save`` with the same arguments does not keep of ``scene``, beyond rounding, a sentence each."""
-    instance(scene, (Splats, Avatar), "a file", hint="of a scene save the content of each item")
+    instance(scene, (Splats, Avatar, RiggedMesh), "a file", hint="of a scene save the content of each item")
     with naming(target):
         known, _ = _writer(target, format)
-    return known.losses(scene)
+        if isinstance(scene, RiggedMesh) and known.save_mesh is None:
+            those = _either([suffix for one in FORMATS if one.save_mesh for suffix in one.suffixes], " or ")
+            raise FormatError(f"a mesh is written as {those}; change the name")
+    return iter(()) if isinstance(scene, RiggedMesh) else known.losses(scene)
 
 
 def suffixes(*, last: str = "or", rigs: bool = False, written: bool = False) -> str:

@@ -33,6 +33,7 @@ from glsplat.formats.gltf.rig import (
 )
 from glsplat.formats.transform import transformed
 from glsplat.io.files import Source
+from glsplat.meshes import RiggedMesh
 from glsplat.scene import Content
 from glsplat.splats import Splats
 
@@ -170,6 +171,12 @@ def _merged(container: Container, graph: Graph, found: list[Instance]) -> Splats
     )
 
 
+def _save_mesh(mesh: RiggedMesh, target: Source, *, embedded: bool) -> None:
+    from glsplat.formats.gltf.meshes.write import save_gltf_mesh  # here: images need OpenCV
+
+    save_gltf_mesh(mesh, target, embedded=embedded)
+
+
 def _begins_json(head: bytes) -> bool:
     """An object's brace and a key, or the end: numbers of a .splat may look like text from end to end."""
     text = head.removeprefix(b"\xef\xbb\xbf").lstrip()
@@ -185,6 +192,7 @@ GLB = Format(
     sniff=lambda start: start.head.startswith(b"glTF"),
     load=read_gltf,
     save=lambda scene, target: save_gltf(scene, target, embedded=False),
+    save_mesh=lambda mesh, target: _save_mesh(mesh, target, embedded=False),
     rigs=True,
     cones=True,
     levels=True,
@@ -197,6 +205,7 @@ GLTF = Format(
     sniff=lambda start: start.text and _begins_json(start.head),  # else it is a number of a .splat like a brace
     load=read_gltf,
     save=lambda scene, target: save_gltf(scene, target, embedded=True),
+    save_mesh=lambda mesh, target: _save_mesh(mesh, target, embedded=True),
     rigs=True,
     cones=True,
     levels=True,
