@@ -10,17 +10,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from glsplat.avatar import Avatar
 from glsplat.config import CULL_PSNR, LEAN, MAX_LEVELS
 from glsplat.data import default_avatar
 from glsplat.errors import FormatError, PoseError
-from glsplat.formats import load, suffixes
-from glsplat.formats.scene_file import UPS, SceneFile, upright
+from glsplat.formats import suffixes
 from glsplat.formats.transform import transformed
-from glsplat.making.items import is_scene, load_item
-from glsplat.making.items import load_scene as load_file
 from glsplat.motion.kinds import KINDS, split_choice
-from glsplat.scene import Content, Figure, is_figure
+from glsplat.scene import Content, Figure, Scene, is_figure
+from glsplat.scenes.loading import load
+from glsplat.scenes.scene_file import UPS, SceneFile, load_scene, upright
 from glsplat.skinning.expression import checked_expression
 from glsplat.skinning.rigs.driven import why_not_tracked
 from glsplat.skinning.skeleton import Skeleton
@@ -43,7 +41,6 @@ __all__ = [
     "driven",
     "expression",
     "load_avatar",
-    "load_scene",
     "motion_of",
     "natural",
     "not_negative",
@@ -58,7 +55,7 @@ __all__ = [
 
 def add_scene(parser: argparse.ArgumentParser) -> None:
     """The positional SCENE, --up and --strict."""
-    what = f"a {suffixes()}, a mesh (OBJ, glTF, .npz), or a scene file (JSON); default: the embedded avatar"
+    what = f"a {suffixes()}, or a scene file (JSON); default: the embedded avatar"
     parser.add_argument("scene", nargs="?", metavar="SCENE", help=what)
     add_up(parser)
     parser.add_argument("--strict", action="store_true", help="refuse files with NaN or infinity instead of skipping")
@@ -76,27 +73,18 @@ def add_solver(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def load_scene(args: argparse.Namespace) -> Splats | Avatar:
-    """The splats or the avatar that the arguments name, or the default avatar; no meshes, no scene files."""
-    if args.scene is None:
-        return default_avatar()
-    if not Path(args.scene).exists():
-        raise FormatError(f"{args.scene}: no such file; give a {suffixes()}, or nothing for the default avatar")
-    return load(args.scene, strict=getattr(args, "strict", False))
-
-
 def open_scene(args: argparse.Namespace) -> SceneFile:
     """All that the arguments name, turned so that --up is up: a scene file, or one thing as a scene."""
     if args.scene is None:
         return SceneFile.of(default_avatar())
     if not Path(args.scene).exists():
-        raise FormatError(f"{args.scene}: no such file; give a {suffixes()}, a mesh or a scene file, or nothing")
-    file = load_file(args.scene, strict=args.strict)
+        raise FormatError(f"{args.scene}: no such file; give a {suffixes()} or a scene file, or nothing")
+    file = load_scene(args.scene, strict=args.strict)
     _say_doubts(file, args.scene)
     turn = upright(args.up)
     if args.up == "y":
         return file
-    if len(file.scene) == 1 and isinstance(splats := file.scene.items[0].content, Splats) and not is_scene(args.scene):
+    if len(file.scene) == 1 and isinstance(splats := file.scene.items[0].content, Splats) and not file.composed:
         return SceneFile.of(transformed(splats, turn))  # static splats stay the leanest scene
     for item in file.scene:
         item.transform = turn @ item.transform
@@ -128,9 +116,9 @@ def load_avatar(path: str | Path, option: str, *, strict: bool = False) -> Figur
     """What an option names as an avatar: splats with a skin, or a rigged mesh. Raises UsageError for anything else."""
     if not Path(path).exists():
         raise UsageError(f"{option} {path}: no such file")
-    if is_scene(path):
+    content = load(path, strict=strict)
+    if isinstance(content, Scene):
         raise UsageError(f"{option} {path}: expected one avatar, found a scene file")
-    content = load_item(Path(path), strict)
     if not is_figure(content):
         found = "splats without a skeleton" if isinstance(content, Splats) else "a mesh without joints to move"
         raise UsageError(f"{option} {path}: expected an avatar (a .glb with a skin, a rigged mesh), found {found}")

@@ -15,11 +15,11 @@ from glsplat.evaluate.frames import WARM_UP, Bench
 from glsplat.evaluate.machine import machine
 from glsplat.evaluate.speed.budget import search
 from glsplat.evaluate.speed.profile import profile
-from glsplat.formats.scene_file import SceneFile
 from glsplat.gl.context import Context, create_context
 from glsplat.meshes import RiggedMesh
 from glsplat.motion.motion import Motion
 from glsplat.scene import Content, Shown, is_figure
+from glsplat.scenes.scene_file import SceneFile
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.rigs.driven import why_not_driven
 

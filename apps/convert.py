@@ -14,11 +14,11 @@ from glsplat.avatar import Avatar
 from glsplat.errors import FormatError
 from glsplat.formats import save, suffixes
 from glsplat.formats.fidelity import read_back
-from glsplat.formats.scene_file import upright
 from glsplat.formats.transform import transformed
-from glsplat.making.items import load_item
 from glsplat.meshes import RiggedMesh
-from glsplat.scene import Content
+from glsplat.scene import Content, Scene
+from glsplat.scenes.loading import load
+from glsplat.scenes.scene_file import upright
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.splats import Splats
 
@@ -36,7 +36,7 @@ EXAMPLE = "glsplat convert scene.ply scene.glb"
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command line."""
-    parser.add_argument("input", metavar="IN", help=f"a {suffixes()}, recognised by content, or a mesh")
+    parser.add_argument("input", metavar="IN", help=f"a {suffixes()}, recognised by content")
     parser.add_argument("output", metavar="OUT", help=f"file to write, ending in {suffixes(written=True)}")
     add_up(parser)
     parser.add_argument("--strict", action="store_true", help="refuse a file with NaN or infinity")
@@ -47,9 +47,12 @@ def run(args: argparse.Namespace) -> int:
     """Convert one file; what the output does not hold is said on stderr, in numbers. Raises FormatError."""
     if not Path(args.input).exists():
         raise FormatError(f"{args.input}: no such file; give a {suffixes()}")
-    scene = turned(load_item(Path(args.input), args.strict), args.up)
+    found = load(args.input, strict=args.strict)
+    if isinstance(found, Scene):
+        raise FormatError(f"{args.input}: expected one thing, found a scene file; convert what it names")
+    scene = turned(found, args.up)
     if isinstance(scene, RiggedMesh):
-        _save_mesh(scene, args.output)
+        save(scene, args.output)
         return 0
     save_and_say(scene, args.output, "glsplat convert", args.quiet)
     return 0
@@ -73,14 +76,6 @@ def save_and_say(scene: Splats | Avatar, output: str | Path, command: str, quiet
     save(scene, output, say=say)
     if not quiet and (words := ", ".join(read_back(scene, output).words())):
         print(f"{command}: {output}: read back, off by at most (mean): {words}", file=sys.stderr)
-
-
-def _save_mesh(mesh: RiggedMesh, output: str) -> None:
-    if Path(output).suffix.lower() not in (".glb", ".gltf"):
-        raise FormatError(f"{output}: a mesh is written as .glb or .gltf; change the name")
-    from glsplat.formats.gltf.mesh import save_gltf_mesh  # here: images need OpenCV
-
-    save_gltf_mesh(mesh, output)
 
 
 def turned(scene: Content, up: str) -> Content:

@@ -18,7 +18,7 @@ from tqdm import tqdm
 from glsplat.config import LEAN, RenderConfig
 from glsplat.data import default_avatar
 from glsplat.errors import FormatError, GlsplatError
-from glsplat.formats.files import replace_file
+from glsplat.io.files import replace_file
 from glsplat.net.client import Client
 
 from .args import add_detail, detail_of, size

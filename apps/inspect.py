@@ -11,17 +11,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from glsplat.avatar import Avatar
+from glsplat.avatar import Avatar, splats_of
 from glsplat.consent.file import OnFile, on_file
 from glsplat.formats import recognise
-from glsplat.formats.scene_file import SceneFile
-from glsplat.making.items import is_scene
 from glsplat.meshes import RiggedMesh
 from glsplat.scene import is_figure
+from glsplat.scenes.scene_file import SceneFile
 from glsplat.skinning.expression import ARKIT
 from glsplat.skinning.rigs.driven import why_not_driven, why_not_tracked
 from glsplat.splats import Level, Splats
-from glsplat.views import box_of, splats_of
+from glsplat.views import box_of
 
 from .args import add_scene, open_scene, single
 from .avatar import consent
@@ -56,8 +55,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Print the description; a file that cannot be read raises FormatError."""
     file = open_scene(args)
-    scene = single(file) if args.scene is None or not is_scene(args.scene) else None
-    if args.up != "y" and scene is None and len(file.scene) == 1 and not is_scene(args.scene):
+    scene = None if file.composed else single(file)
+    if args.up != "y" and scene is None and len(file.scene) == 1 and not file.composed:
         scene = file.scene.items[0].content  # a rig does not tell which way is up
     if isinstance(scene, (Splats, Avatar)):
         report = describe(scene, args.scene)
@@ -96,7 +95,7 @@ def describe_scene(file: SceneFile, path: str) -> dict[str, Any]:
     different = {id(item.content): item.content for item in file.scene}.values()
     return {
         "file": path,
-        "kind": "scene" if is_scene(path) else "mesh",
+        "kind": "scene" if file.composed else "mesh",
         "file_bytes": Path(path).stat().st_size,
         "up": file.up,
         "background": list(file.background),

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.errors import FormatError
-from glsplat.formats.files import replace_file
+from glsplat.io.files import replace_file
 from glsplat.pictures import straight
 
 __all__ = ["Image", "eight_bit", "joined_views", "label", "save_depth", "save_npy", "save_png", "side_by_side", "stack"]

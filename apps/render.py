@@ -19,11 +19,11 @@ from glsplat.avatar import Avatar
 from glsplat.camera import PAPER_FOV, PAPER_IPD, Camera, read_cameras
 from glsplat.config import RenderConfig
 from glsplat.errors import FormatError
-from glsplat.formats.scene_file import SceneFile
 from glsplat.gl.context import create_context
 from glsplat.motion.kinds import KINDS
 from glsplat.motion.motion import Motion
 from glsplat.renderer import Renderer
+from glsplat.scenes.scene_file import SceneFile
 from glsplat.skinning.pose import Pose, load_pose
 from glsplat.views import view_of, viewing_point
 

@@ -10,6 +10,8 @@
 
 from __future__ import annotations
 
+import sys
+from collections.abc import Callable, Mapping
 from importlib import import_module
 from typing import TYPE_CHECKING
 
@@ -19,12 +21,13 @@ if TYPE_CHECKING:
     from glsplat.config import RenderConfig
     from glsplat.data import default_avatar
     from glsplat.errors import GlsplatError
-    from glsplat.formats.registry import load, save
+    from glsplat.formats.registry import save
     from glsplat.gl.context import create_context
     from glsplat.meshes import RiggedMesh
     from glsplat.pictures import straight
     from glsplat.renderer import Renderer
     from glsplat.scene import Item, Scene, similarity
+    from glsplat.scenes.loading import load
     from glsplat.skinning.pose import Pose
     from glsplat.skinning.shapes import Shapes
     from glsplat.skinning.skeleton import Skeleton
@@ -74,7 +77,7 @@ _HOME = {
     "Splats": "splats",
     "create_context": "gl.context",
     "default_avatar": "data",
-    "load": "formats.registry",
+    "load": "scenes.loading",
     "look_at": "camera",
     "pinhole": "camera",
     "save": "formats.registry",
@@ -84,10 +87,20 @@ _HOME = {
 }
 
 
-def __getattr__(name: str) -> object:
-    # on demand: the tracking and the wire protocol are usable without loading OpenGL
-    if name in _HOME:
-        value = getattr(import_module(f"glsplat.{_HOME[name]}"), name)
-        globals()[name] = value
+def on_demand(package: str, homes: Mapping[str, str]) -> Callable[[str], object]:
+    """A package's ``__getattr__`` (PEP 562) that loads a name's module, as ``homes`` has it, once it is asked for.
+
+    Who needs one module loads that one: tracking and the wire protocol are usable without OpenGL.
+    """
+
+    def found(name: str) -> object:
+        if name not in homes:
+            raise AttributeError(f"module {package!r} has no attribute {name!r}")
+        value = getattr(import_module(f"{package}.{homes[name]}"), name)
+        setattr(sys.modules[package], name, value)
         return value
-    raise AttributeError(f"module 'glsplat' has no attribute {name!r}")
+
+    return found
+
+
+__getattr__ = on_demand(__name__, _HOME)

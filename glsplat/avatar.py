@@ -17,7 +17,7 @@ from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.skin import Skin
 from glsplat.splats import Level, Levels, Splats, checked_levels
 
-__all__ = ["Avatar"]
+__all__ = ["Avatar", "splats_of"]
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -118,3 +118,8 @@ class Avatar:
         shapes = f", {len(self.shapes)} shapes" if self.shapes is not None else ""
         parts = f"{len(self.splats)} splats, {len(self.skeleton)} joints, {self.skin.influences} a splat"
         return f"Avatar({parts}{shapes}{levels})"
+
+
+def splats_of(scene: Splats | Avatar) -> Splats:
+    """The splats of either."""
+    return scene.splats if isinstance(scene, Avatar) else scene

@@ -15,6 +15,18 @@
 Commands print the message of a GlsplatError as one line and exit with 1; anything else is a bug.
 """
 
+__all__ = [
+    "BudgetError",
+    "CaptureError",
+    "ContextError",
+    "ContextLostError",
+    "FormatError",
+    "GlsplatError",
+    "PoseError",
+    "ProtocolError",
+    "ShaderError",
+]
+
 
 class GlsplatError(Exception):
     """Base of all errors raised on purpose. The message is one line: expected, came, what to do.

@@ -1,4 +1,4 @@
-"""Pictures as the renderer gives them: colours that are already multiplied by their alpha."""
+"""Pictures: colours that are already multiplied by their alpha, as the renderer gives them; sRGB and linear light."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from glsplat.arrays import colour
 from glsplat.errors import GlsplatError
 
-__all__ = ["lifted", "straight"]
+__all__ = ["lifted", "straight", "to_linear", "to_srgb"]
 
 Depth = TypeVar("Depth", np.uint8, np.float32)
 Float = TypeVar("Float", np.float32, np.float64)
@@ -54,3 +54,14 @@ def lifted(image: NDArray[Float], background: tuple[float, float, float]) -> NDA
     alpha = image[..., 3:]
     more = alpha * alpha * (1 - alpha)
     return image * (1 + more) - more * np.asarray((*background, 0), image.dtype)
+
+
+def to_linear(srgb: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Linear light of sRGB values from 0 to 1, any shape (IEC 61966-2-1)."""
+    return np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
+
+
+def to_srgb(linear: NDArray[np.float64]) -> NDArray[np.float64]:
+    """sRGB of linear light, clipped to [0, 1]."""
+    light = np.clip(linear, 0.0, 1.0)
+    return np.where(light <= 0.0031308, light * 12.92, 1.055 * light ** (1 / 2.4) - 0.055)

@@ -5,20 +5,14 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from glsplat.avatar import Avatar
+from glsplat.avatar import splats_of
 from glsplat.camera import Camera, look_at, pinhole, stereo_cameras
 from glsplat.meshes import RiggedMesh
 from glsplat.rotations import FLIP_YZ
 from glsplat.scene import Item, Scene, Shown
 from glsplat.skinning.pose import Pose
-from glsplat.splats import Splats
 
-__all__ = ["box_of", "splats_of", "view_of", "viewing_point"]
-
-
-def splats_of(scene: Splats | Avatar) -> Splats:
-    """The splats of either kind of scene."""
-    return scene.splats if isinstance(scene, Avatar) else scene
+__all__ = ["box_of", "view_of", "viewing_point"]
 
 
 def viewing_point(scene: Shown, fov: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -9,8 +9,6 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 
-import pytest
-
 from glsplat import reference
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -91,8 +89,8 @@ def known(path: str) -> bool:
     return any(file == path or file.endswith(f"/{path}") for file in ALL)
 
 
-@pytest.mark.parametrize(("place", "text"), TEXTS, ids=[p.relative_to(ROOT).as_posix() for p, _ in TEXTS])
-def test_what_is_named_exists(place: Path, text: str) -> None:
+def lost_in(text: str) -> list[str]:
+    """What a text names that is not there."""
     lost = []
     for path in PATH.findall(text):
         if path in FOREIGN or path.startswith("."):
@@ -112,11 +110,16 @@ def test_what_is_named_exists(place: Path, text: str) -> None:
         elif any(file.startswith(f"glsplat/{folder.split('/')[0]}/") for file in ALL) and not known(f"{folder}.{name}"):
             lost.append(f"{folder}.{name}")
     lost += [f"reference.{name}" for name in ORACLE.findall(text) if not hasattr(reference, name)]
-    assert not lost, f"{place.relative_to(ROOT)} names what is not there: {lost}"
+    return lost
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
-def test_links_lead_somewhere(page: Path) -> None:
+def test_what_is_named_exists() -> None:
+    found = {place.relative_to(ROOT).as_posix(): lost for place, text in TEXTS if (lost := lost_in(text))}
+    assert not found, f"named, and not there: {found}"
+
+
+def dead_links(page: Path) -> list[str]:
+    """The links of a page that lead nowhere."""
     lost = []
     for target, anchor in LINK.findall(page.read_text(encoding="utf-8")):
         file = (page.parent / target).resolve()
@@ -127,7 +130,13 @@ def test_links_lead_somewhere(page: Path) -> None:
             anchors = {re.sub(r"[^\w\- ]", "", head.lower()).strip().replace(" ", "-") for head in heads}
             if anchor not in anchors:
                 lost.append(f"{target}#{anchor}")
-    assert not lost
+    return lost
+
+
+def test_links_lead_somewhere(tmp_path: Path) -> None:
+    assert PAGES and not {page.name: lost for page in PAGES if (lost := dead_links(page))}
+    (tmp_path / "a.md").write_text("# One head\n[a](a.md#one-head) [b](b.md) [c](a.md#two)")
+    assert dead_links(tmp_path / "a.md") == ["b.md", "a.md#two"]
 
 
 def test_sections_that_are_quoted_exist() -> None:
@@ -146,6 +155,11 @@ def test_sections_that_are_quoted_exist() -> None:
 def test_the_rules_can_fail() -> None:
     assert not known("glsplat/nothing.py") and known("passes/arena.py") and known("glsplat/scene.py")
     assert not resolves("glsplat.skinning.cones") and resolves("glsplat.making.cones.hidden")
+    assert lost_in("glsplat/nothing.py, glsplat.camera.nothing, making/cones.nothing, glsplat/scene.py") == [
+        "glsplat/nothing.py",
+        "glsplat.camera.nothing",
+        "making/cones.nothing",
+    ]
     assert PATH.findall("see `glsplat/shaders/skin.glsl` and docs/frame.md.") == [
         "glsplat/shaders/skin.glsl",
         "docs/frame.md",

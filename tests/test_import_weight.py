@@ -30,7 +30,7 @@ NEEDED = {
     "from glsplat import Renderer": {"moderngl"},
     "import glsplat.motion.motion": set(),
     "import glsplat.tracking.tracker": set(),
-    "import glsplat.formats.scene_file": set(),
+    "import glsplat.scenes.scene_file": set(),
     "import glsplat.net.messages": set(),
     "import glsplat.net.client": {"aiohttp", "simplejpeg"},
     "import glsplat.making.posed": set(),

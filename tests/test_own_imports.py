@@ -14,7 +14,7 @@ MOST = {  # own modules, the root among them
     "glsplat": 1,
     "glsplat.errors": 2,
     "glsplat.formats": 2,
-    "glsplat.formats.npz": 5,
+    "glsplat.io.npz": 5,
     "glsplat.tracking": 2,
     "glsplat.tracking.sample": 6,  # the names of expressions among them
     "glsplat.net.messages": 30,

@@ -14,23 +14,24 @@ from pathlib import Path
 from glsplat.avatar import Avatar
 from glsplat.data import default_avatar
 from glsplat.errors import FormatError, GlsplatError
-from glsplat.formats import load, save, suffixes
-from glsplat.formats.files import naming, open_regular, replace_file
-from glsplat.formats.scene_file import upright
+from glsplat.formats import load_splats, save, suffixes
+from glsplat.formats.gltf.meshes.rig_map import read_rig_map
+from glsplat.formats.person import read_body
 from glsplat.formats.transform import transformed
+from glsplat.io.files import naming, open_regular, replace_file
 from glsplat.making.cones import ConeConfig, with_cones
 from glsplat.making.detail.make import with_levels
 from glsplat.making.faces.shapes import with_shapes
-from glsplat.making.gltf.rig_map import read_rig_map
 from glsplat.making.importers import bind_to_mesh, load_lhm_dump
 from glsplat.making.lam import FOLLOW, is_lam_zip, load_lam_zip
 from glsplat.making.on_smplx import on_smplx
 from glsplat.making.optimize.compiled import MISSING, available
 from glsplat.making.optimize.mesh import STEPS, fitted_to_mesh
 from glsplat.making.posed import posed_splats
-from glsplat.making.scans import read_body, read_obj_person
+from glsplat.making.scans import read_obj_person
 from glsplat.making.surface import FEWEST, make_avatar
 from glsplat.motion.library import library, to_json
+from glsplat.scenes.scene_file import upright
 from glsplat.skinning.pose import Pose, load_pose
 from glsplat.skinning.rigs.driven import why_not_driven
 from glsplat.splats import Level
@@ -199,7 +200,7 @@ def _cones(args: argparse.Namespace) -> int:
         raise UsageError(f"--directions needs 8 to 4096, not {args.directions}")
     began = time.perf_counter()
     with progress_bar() as show:
-        made = with_cones(load(args.scene), ConeConfig(psnr=args.psnr, directions=args.directions), show)
+        made = with_cones(load_splats(args.scene), ConeConfig(psnr=args.psnr, directions=args.directions), show)
     save(made, args.out)
     print(f"{args.out}: {args.out.stat().st_size / 1e6:.2f} MB, {time.perf_counter() - began:.1f} s")
     return 0
@@ -217,7 +218,7 @@ def _import(args: argparse.Namespace) -> int:
     if args.follow is not None:
         raise UsageError(f"{args.dump}: --follow is for LAM zips; leave it out")
     if args.mesh is None and _is_gltf(args.dump):
-        scene = load(args.dump)
+        scene = load_splats(args.dump)
         if scene.levels:
             print(f"glsplat avatar: {args.dump}: coarser levels of detail are left out", file=sys.stderr)
         if not isinstance(scene, Avatar):
@@ -231,7 +232,7 @@ def _import(args: argparse.Namespace) -> int:
         return write(load_lhm_dump(args.dump), args, began)
     if not 0 < args.reach < 1000:
         raise UsageError(f"--reach needs centimetres above 0, not {args.reach:g}")
-    scene = load(args.dump)
+    scene = load_splats(args.dump)
     splats = scene.splats if isinstance(scene, Avatar) else scene
     try:
         mesh = read_any_person(args.mesh)
@@ -249,7 +250,7 @@ def _is_gltf(path: Path) -> bool:
 
 
 def _export(args: argparse.Namespace) -> int:
-    scene = default_avatar() if args.avatar is None else load(args.avatar)
+    scene = default_avatar() if args.avatar is None else load_splats(args.avatar)
     if not isinstance(scene, Avatar):
         raise FormatError(f"{args.avatar}: has no skeleton to pose; give an avatar (.glb with a skin)")
     pose = Pose.zero(len(scene.skeleton))
@@ -278,7 +279,7 @@ def _is_single_pose(path: str) -> bool:
 
 
 def _score(args: argparse.Namespace) -> int:
-    scene = default_avatar() if args.avatar is None else load(args.avatar)
+    scene = default_avatar() if args.avatar is None else load_splats(args.avatar)
     if not isinstance(scene, Avatar):
         raise FormatError(f"{args.avatar}: has no skeleton to pose; give an avatar (.glb with a skin)")
     if why := why_not_driven(scene.skeleton):

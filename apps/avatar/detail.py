@@ -7,12 +7,12 @@ import json
 import time
 from pathlib import Path
 
+from glsplat.avatar import splats_of
 from glsplat.errors import FormatError
-from glsplat.formats import load, save, suffixes
+from glsplat.formats import load_splats, save, suffixes
 from glsplat.making.detail.fitted import FittedConfig
 from glsplat.making.detail.make import with_levels
 from glsplat.making.detail.measure import MeasureConfig
-from glsplat.views import splats_of
 
 from ..args import natural
 from ..inspect import levels_of, levels_said
@@ -62,7 +62,7 @@ def run(args: argparse.Namespace) -> int:
     if counts and (min(counts) < 1 or sorted(set(counts), reverse=True) != counts):
         raise UsageError(f"--counts needs falling numbers above 0, not {' '.join(map(str, counts))}")
     began = time.perf_counter()
-    scene = load(args.scene)
+    scene = load_splats(args.scene)
     if scene.levels and not args.force:
         raise FormatError(f"{args.scene}: has {len(scene.levels)} coarser levels already; --force makes them anew")
     total = len(splats_of(scene))

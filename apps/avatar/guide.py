@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from glsplat.camera import Camera, look_at, pinhole
 from glsplat.data import default_avatar
-from glsplat.formats.files import replace_file
+from glsplat.io.files import replace_file
 from glsplat.renderer import Renderer
 from glsplat.skinning.pose import Pose
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from glsplat.avatar import Avatar
 from glsplat.errors import FormatError
-from glsplat.formats import load
+from glsplat.formats import load_splats
 from glsplat.making.detail.fitted import FittedConfig, reduced
 from glsplat.making.optimize.compiled import MISSING, available
 from glsplat.making.surface import FEWEST
@@ -39,7 +39,7 @@ def run(args: argparse.Namespace) -> int:
     began = time.perf_counter()
     if args.steps and not available():
         raise FormatError(f"{MISSING}; --steps 0 merges without it")
-    avatar = load(args.avatar)
+    avatar = load_splats(args.avatar)
     if not isinstance(avatar, Avatar):
         raise FormatError(f"{args.avatar}: has no skeleton; reduce is for avatars, glsplat avatar levels for scenes")
     if not FEWEST <= args.splats < len(avatar.splats):

@@ -17,7 +17,7 @@ from glsplat.avatar import Avatar
 from glsplat.config import RenderConfig
 from glsplat.evaluate.avatar_poses import SCORE_POSES
 from glsplat.evaluate.avatar_score import Score, score
-from glsplat.formats.files import replace_file
+from glsplat.io.files import replace_file
 from glsplat.mesh import MeshConfig, MeshRenderer
 from glsplat.meshes import RiggedMesh
 from glsplat.renderer import Renderer

@@ -23,7 +23,7 @@ from glsplat.evaluate.comparison.performance import TASKS
 from glsplat.evaluate.comparison.protocol import EXTRA_MEASURES, LIGHTS, VIEWS, Protocol
 from glsplat.evaluate.comparison.work import Result, Task, alone, finished
 from glsplat.evaluate.comparison.workers import run_tasks
-from glsplat.formats.files import locked, replace_file
+from glsplat.io.files import locked, replace_file
 from glsplat.motion.kinds import split_choice
 from glsplat.motion.motion import embedded_motions
 

@@ -20,8 +20,8 @@ from glsplat.evaluate.frames import WARM_UP
 from glsplat.evaluate.metrics.lpips import Lpips
 from glsplat.evaluate.sections.costs import SIZES, costs
 from glsplat.gl.context import create_context
-from glsplat.making.items import load_item
 from glsplat.scene import Figure, is_figure
+from glsplat.scenes.loading import load
 
 from ..report import latency
 
@@ -40,7 +40,7 @@ def timed(
         return {}
     figures: dict[str, Figure] = {}
     for method, file in files[chosen.name].items():
-        loaded = load_item(file, False)
+        loaded = load(file)
         if is_figure(loaded):  # as it was when it was written
             figures[method] = loaded
     sizes = SIZES[:1] if quick else SIZES

@@ -12,11 +12,11 @@ from statistics import median
 import numpy as np
 
 from glsplat.errors import FormatError, GlsplatError
-from glsplat.formats.scene_file import SceneFile
-from glsplat.making.items import is_scene, load_item, load_scene
+from glsplat.formats.format import opened
 from glsplat.motion.kinds import is_gltf, is_motion
 from glsplat.motion.motion import Motion, embedded_motions
 from glsplat.scene import Content, Shown
+from glsplat.scenes.scene_file import SceneFile, load_scene
 from glsplat.skinning.pose import Pose, load_pose
 from glsplat.skinning.rigs.driven import why_not_driven
 from glsplat.skinning.skeleton import Skeleton
@@ -84,7 +84,8 @@ def read_dropped(name: str, skeleton: Skeleton | None) -> Dropped:
         raise FormatError(f"{path}: no such file")
     kind = _kind(path)
     if kind == "scene":
-        return Dropped(load_scene(path) if is_scene(path) else load_item(path), path.name)
+        file = load_scene(path)
+        return Dropped(file if file.composed else file.scene.items[0].content, path.name)
     if skeleton is None:
         raise GlsplatError(f"{path.name}: this scene has no skeleton to move; open an avatar (.glb with a skin) first")
     if kind == "pose":
@@ -97,13 +98,10 @@ def _kind(path: Path) -> str:
     if path.is_dir():
         return "motion"
     try:
-        with open(path, "rb") as file:
-            head = file.read(512).removeprefix(b"\xef\xbb\xbf").lstrip()
-        if (
-            (is_gltf(head) and is_motion(path))
-            or head.startswith((b"PK", b"HIERARCHY", b"["))
-            or path.suffix.lower() in (".amc", ".bvh", ".npz", ".jsonl")
-        ):
+        with opened(path) as start:
+            head = start.head.removeprefix(b"\xef\xbb\xbf").lstrip()
+            moves = (is_gltf(head) or head.startswith(b"PK")) and is_motion(start)
+        if moves or head.startswith((b"HIERARCHY", b"[")) or path.suffix.lower() in (".amc", ".bvh", ".jsonl"):
             return "motion"
         if head.startswith(b"{") and path.stat().st_size <= _MAX_JSON:
             keys = json.loads(path.read_text(encoding="utf-8"))

@@ -16,7 +16,7 @@ from typing import Any
 
 from tqdm import tqdm
 
-from glsplat.avatar import Avatar
+from glsplat.avatar import Avatar, splats_of
 from glsplat.errors import FormatError
 from glsplat.evaluate.difference import require_extra
 from glsplat.evaluate.frames import WARM_UP
@@ -32,10 +32,9 @@ from glsplat.evaluate.stability.skin import skin_cases
 from glsplat.evaluate.stability.tracking import tracking_cases
 from glsplat.evaluate.subjects import PERSON_SPLATS, Subject, check_cameras, subjects_of
 from glsplat.formats import suffixes
-from glsplat.formats.files import replace_file
 from glsplat.gl.context import Context, create_context
+from glsplat.io.files import replace_file
 from glsplat.skinning.rigs.driven import why_not_driven
-from glsplat.views import splats_of
 
 from ..usage import UsageError
 from . import latency as report_latency

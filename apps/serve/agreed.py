@@ -13,10 +13,10 @@ from glsplat.consent.document import ANYBODY
 from glsplat.consent.file import OnFile, on_file, on_file_data, sign_data
 from glsplat.consent.keys import PrivateKey, public_key
 from glsplat.consent.policy import ConsentPolicy
-from glsplat.formats.scene_file import SceneFile
 from glsplat.net.guard.kept import kept_key, state_folder
 from glsplat.net.uploads.job import UploadConfig
 from glsplat.scene import is_figure
+from glsplat.scenes.scene_file import SceneFile
 
 __all__ = ["add_consent", "policy_of", "signing"]
 

@@ -6,11 +6,10 @@ import argparse
 import re
 from dataclasses import dataclass
 
-from glsplat.formats.scene_file import SceneFile
-from glsplat.making.items import load_scene
 from glsplat.net.backends.server import SEATS
 from glsplat.net.options import NAME
 from glsplat.scene import Scene
+from glsplat.scenes.scene_file import SceneFile, load_scene
 
 from ..usage import UsageError
 

@@ -15,7 +15,7 @@ from tqdm import tqdm
 from glsplat.errors import FormatError
 from glsplat.evaluate.tracking_rows import SOLVERS, Row, rows_of
 from glsplat.evaluate.tracking_score import mean_score
-from glsplat.formats.files import replace_file
+from glsplat.io.files import replace_file
 from glsplat.motion.motion import embedded_motions
 from glsplat.tracking.learned.network import load_network
 from glsplat.tracking.tracker import TrackerConfig

@@ -6,7 +6,7 @@ import argparse
 
 from glsplat.data import default_avatar
 from glsplat.errors import FormatError
-from glsplat.making.scans import read_skeleton
+from glsplat.formats.person import read_skeleton
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.tracking.calibration import Calibration
 from glsplat.tracking.recording import embedded_recording, replay

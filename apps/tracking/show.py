@@ -15,8 +15,8 @@ from tqdm import tqdm
 
 from glsplat.camera import Camera, look_at, pinhole
 from glsplat.data import default_avatar
-from glsplat.formats.files import open_regular
-from glsplat.formats.npz import array_names
+from glsplat.io.files import open_regular
+from glsplat.io.npz import array_names
 from glsplat.scene import Figure
 from glsplat.skinning.pose import Pose
 from glsplat.tracking.recording import PoseTrack, read_poses

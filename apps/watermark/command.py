@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.errors import FormatError
-from glsplat.formats.files import open_regular
+from glsplat.io.files import open_regular
 from glsplat.making.photo.photo_file import MOST_PIXELS
 from glsplat.making.video.film import each_frame, is_video
 from glsplat.net.guard.kept import WATERMARK, state_folder

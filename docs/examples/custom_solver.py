@@ -8,17 +8,14 @@ import sys
 import cv2
 
 import glsplat
-from glsplat.skinning.smplx import JOINT_NAMES
-from glsplat.tracking.recording import embedded_recording
-from glsplat.tracking.solve.body import Body
-from glsplat.tracking.solve.quat import mul
-from glsplat.tracking.solve.solution import Solution, Targets
-from glsplat.tracking.solve.solver import AnalyticSolver
-from glsplat.tracking.tracker import Tracker
+from glsplat.rotations import quaternion_product
+from glsplat.skinning import JOINT_NAMES
+from glsplat.tracking import AnalyticSolver, Body, Solution, Targets, Tracker, embedded_recording
 
 out = sys.argv[1] if len(sys.argv) > 1 else "solved.png"
 avatar = glsplat.default_avatar()
 NECK = JOINT_NAMES.index("neck")
+BOW = (0.966, 0.259, 0.0, 0.0)  # wxyz, 30 degrees forward
 
 
 class Bowing:
@@ -34,7 +31,7 @@ class Bowing:
     def solve(self, targets: Targets, dt: float) -> Solution:
         """22 local rotations (wxyz) and the pelvis' place, ``dt`` seconds after the last."""
         solution = self.inner.solve(targets, dt)
-        solution.rotations[NECK] = mul(solution.rotations[NECK], (0.966, 0.259, 0.0, 0.0))  # 30 degrees forward
+        solution.rotations[NECK] = quaternion_product(solution.rotations[NECK], BOW)
         return solution
 
 

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import glsplat
 from glsplat.camera import head_matrix
-from glsplat.motion.motion import load_motion
-from glsplat.net.client import Client
+from glsplat.motion import load_motion
+from glsplat.net import Client
 
 url = sys.argv[1] if len(sys.argv) > 1 else "ws://127.0.0.1:8000/ws"
 out = Path(sys.argv[2] if len(sys.argv) > 2 else "served.jpg")

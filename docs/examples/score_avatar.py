@@ -1,19 +1,16 @@
 """How well an avatar shows the mesh it was made from: python score_avatar.py AVATAR.glb MESH.npz|MESH.glb [POSES]"""
 
 import sys
-from pathlib import Path
 
 import numpy as np
 
 import glsplat
-from glsplat.evaluate.avatar_poses import SCORE_POSES
-from glsplat.evaluate.avatar_score import score
-from glsplat.making.items import load_item
+from glsplat.evaluate import SCORE_POSES, score
 from glsplat.mesh import MeshConfig, MeshRenderer
 
 if len(sys.argv) < 3:
     sys.exit(__doc__)
-avatar, mesh = glsplat.load(sys.argv[1]), load_item(Path(sys.argv[2]))
+avatar, mesh = glsplat.load(sys.argv[1]), glsplat.load(sys.argv[2])
 if not isinstance(avatar, glsplat.Avatar) or not isinstance(mesh, glsplat.RiggedMesh):
     sys.exit("needs an avatar and the rigged mesh it was made from")
 names = list(SCORE_POSES)[: int(sys.argv[3]) if len(sys.argv) > 3 else 3]

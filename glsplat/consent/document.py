@@ -13,9 +13,9 @@ from dataclasses import dataclass
 from datetime import UTC, date, datetime, timedelta
 from typing import Any
 
-from glsplat.consent.canonical import canonical
 from glsplat.consent.keys import PrivateKey, signature_of, signed_by
 from glsplat.errors import FormatError
+from glsplat.formats.gltf.record import canonical
 
 __all__ = ["ANYBODY", "Consent", "read_record", "signed_record"]
 

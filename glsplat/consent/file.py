@@ -14,13 +14,13 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from glsplat.consent.canonical import CONSENT, file_digest, record_of, without_record
 from glsplat.consent.digest import level_digest
 from glsplat.consent.document import Consent, read_record, signed_record
 from glsplat.consent.keys import PrivateKey
 from glsplat.errors import FormatError
-from glsplat.formats.files import naming, open_regular, replace_file
-from glsplat.formats.gltf.container import JSON_CHUNK, MAGIC, Container, read_container
+from glsplat.formats.gltf.container import JSON_CHUNK, MAGIC, Container, chunks, glb_length, read_container
+from glsplat.formats.gltf.record import CONSENT, file_digest, record_of, without_record
+from glsplat.io.files import naming, open_regular, replace_file
 
 __all__ = ["NONE", "OnFile", "on_file", "on_file_data", "sign_data", "sign_file"]
 
@@ -119,13 +119,13 @@ class _Glb:
     def __init__(self, data: bytes) -> None:
         self._data = data
         container = self.container()  # which checks what is said of lengths
-        length, size = struct.unpack_from("<I", data, 8)[0], struct.unpack_from("<I", data, 12)[0]
+        text, _ = chunks(io.BytesIO(data), len(data))
         try:
-            document = json.loads(data[20 : 20 + size])
+            document = json.loads(text.part(0, len(text)))
         except (ValueError, RecursionError):
             raise FormatError("the glTF JSON is broken") from None
         self.document: dict[str, Any] = document
-        self._rest = data[20 + size : length]
+        self._rest = data[text.start + len(text) : glb_length(data)]
         if any(buffer.uri is not None and not buffer.uri.startswith("data:") for buffer in container.gltf.buffers):
             raise FormatError(f"its buffers are files of their own; {_ONLY_GLB}")
         if any(isinstance(one, dict) and not _within(one.get("uri")) for one in container.gltf.images):

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from glsplat.errors import FormatError
-from glsplat.formats.files import naming, open_regular, replace_file
+from glsplat.io.files import naming, open_regular, replace_file
 
 if TYPE_CHECKING:
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat import reference
-from glsplat.avatar import Avatar
+from glsplat.avatar import Avatar, splats_of
 from glsplat.camera import Camera
 from glsplat.config import RenderConfig
 from glsplat.errors import GlsplatError
@@ -18,7 +18,6 @@ from glsplat.evaluate.metrics.flip import flip as mean_flip
 from glsplat.evaluate.metrics.pixels import decibel
 from glsplat.skinning.pose import Pose
 from glsplat.splats import Splats
-from glsplat.views import splats_of
 
 __all__ = ["PSNR_CAP", "Difference", "Truth", "pareto", "require_extra"]
 

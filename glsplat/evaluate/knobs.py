@@ -6,12 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
-from glsplat.avatar import Avatar
+from glsplat.avatar import Avatar, splats_of
 from glsplat.config import RenderConfig
 from glsplat.evaluate.frames import WARM_UP
 from glsplat.evaluate.subjects import Subject
 from glsplat.gl.context import Context
-from glsplat.views import splats_of
 
 __all__ = ["CONFIG_KNOBS", "LONGEST_PERIOD", "Drawn", "Setting", "base_config", "error_frames", "settings_of"]
 

@@ -10,15 +10,15 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from glsplat.avatar import Avatar
+from glsplat.avatar import Avatar, splats_of
 from glsplat.camera import Camera, load_cameras
 from glsplat.data import default_avatar
 from glsplat.errors import FormatError, GlsplatError
 from glsplat.evaluate.frames import FOV
-from glsplat.formats import load
+from glsplat.formats import load_splats
+from glsplat.formats.person import read_person
 from glsplat.making.detail.merge import merged
 from glsplat.making.importers import nearest_weights
-from glsplat.making.people import read_person
 from glsplat.making.surface import SamplerConfig, make_avatar
 from glsplat.motion.motion import Motion, load_motion
 from glsplat.scene import Content
@@ -27,7 +27,7 @@ from glsplat.skinning.rigs.driven import why_not_driven
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.skin import Skin
 from glsplat.splats import Splats
-from glsplat.views import splats_of, view_of, viewing_point
+from glsplat.views import view_of, viewing_point
 
 __all__ = [
     "PERSON_SPLATS",
@@ -108,7 +108,7 @@ def subjects_of(path: str | None, size: int, cameras: Sequence[str] = ()) -> lis
         return [dense_person(Path(path), PERSON_SPLATS, size)]
     if path is not None and not Path(path).exists():
         raise FormatError(f"{path}: no such file; give a PLY, .splat or glTF")
-    scene = default_avatar() if path is None else load(path)
+    scene = default_avatar() if path is None else load_splats(path)
     name = "default avatar" if path is None else Path(path).name
     file = cameras_for(Path(path), cameras) if path is not None else None
     if file is not None:

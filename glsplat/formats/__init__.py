@@ -1,4 +1,4 @@
-"""Readers and writers of splat files. ``load`` looks at the content, ``save`` at the suffix; FORMATS is what there is.
+"""Readers and writers of splats, avatars and meshes. ``load`` looks at the content, ``save`` at the suffix.
 
 ==========================  ======  ======  ============================================================
 format                      read    write   holds
@@ -10,19 +10,23 @@ KSPLAT (.ksplat)            yes     no      splats, SH degree 0 to 2
 SPZ 1 to 4 (.spz)           yes     2, 3    splats, SH degree 0 to 3 of 5 and 4 bits, 24-bit positions
 SOG (.sog, meta.json)       yes     yes     splats, SH degree 0 to 3 from tables
 glTF (.glb, .gltf)          yes     yes     splats (KHR_gaussian_splatting), avatars (with a skin)
+glTF, VRM of triangles      yes     no      meshes, rigged or standing (written by gltf.meshes.write)
+OBJ (.obj)                  yes     no      standing meshes
+a person or body (.npz)     yes     no      rigged meshes
 ==========================  ======  ======  ============================================================
 """
 
 from __future__ import annotations
 
-from importlib import import_module
 from typing import TYPE_CHECKING
+
+from glsplat import on_demand
 
 if TYPE_CHECKING:
     from glsplat.formats.format import Format
     from glsplat.formats.gltf.splats import load_gltf, save_gltf
     from glsplat.formats.ply import load_ply, save_ply
-    from glsplat.formats.registry import FORMATS, load, losses, recognise, save, suffixes
+    from glsplat.formats.registry import FORMATS, load, load_splats, losses, recognise, save, suffixes
     from glsplat.formats.sog.sog import load_sog, save_sog
     from glsplat.formats.splat import load_splat, save_splat
 
@@ -34,6 +38,7 @@ __all__ = [
     "load_ply",
     "load_sog",
     "load_splat",
+    "load_splats",
     "losses",
     "recognise",
     "save",
@@ -52,6 +57,7 @@ _HOME = {
     "load_ply": "ply",
     "load_sog": "sog.sog",
     "load_splat": "splat",
+    "load_splats": "registry",
     "losses": "registry",
     "recognise": "registry",
     "save": "registry",
@@ -63,10 +69,4 @@ _HOME = {
 }
 
 
-def __getattr__(name: str) -> object:
-    # on demand, as the root: who needs one module loads that one
-    if name in _HOME:
-        value = getattr(import_module(f"glsplat.formats.{_HOME[name]}"), name)
-        globals()[name] = value
-        return value
-    raise AttributeError(f"module 'glsplat.formats' has no attribute {name!r}")
+__getattr__ = on_demand(__name__, _HOME)

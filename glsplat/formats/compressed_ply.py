@@ -24,14 +24,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.arrays import frozen
-from glsplat.avatar import Avatar
+from glsplat.avatar import Avatar, splats_of
 from glsplat.errors import FormatError
-from glsplat.formats.files import Source, replace_file
 from glsplat.formats.format import Format, clamped_opacities, positive_scales
 from glsplat.formats.morton import morton_order
 from glsplat.formats.ply_header import ANTIALIAS, PACKED, Element, is_compressed, read_header, sh_degree
+from glsplat.io.files import Source, replace_file
 from glsplat.splats import SH_C0, Splats
-from glsplat.views import splats_of
 
 __all__ = ["COMPRESSED_PLY", "read_compressed_ply", "save_compressed_ply"]
 
@@ -271,7 +270,7 @@ COMPRESSED_PLY = Format(
     title="compressed PLY",
     suffixes=(".compressed.ply",),
     sniff=is_compressed,
-    load=lambda file, size, _: read_compressed_ply(file, size),
+    load=lambda opened: read_compressed_ply(opened.file, opened.size),
     save=lambda scene, target: save_compressed_ply(splats_of(scene), target),
     loses=_loses,
     order=_order,

@@ -8,12 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from glsplat.avatar import Avatar
+from glsplat.avatar import Avatar, splats_of
 from glsplat.errors import FormatError
 from glsplat.formats import registry
-from glsplat.formats.files import Source
+from glsplat.io.files import Source
 from glsplat.splats import SH_C0, Splats
-from glsplat.views import splats_of
 
 __all__ = ["Error", "Fidelity", "fidelity", "read_back"]
 
@@ -73,7 +72,7 @@ def read_back(scene: Splats | Avatar, path: Source) -> Fidelity:
     name = registry.recognise(path)
     order = next(known.order for known in registry.FORMATS if known.name == name)
     saved = splats_of(scene)
-    return fidelity(saved, splats_of(registry.load(path, format=name)), None if order is None else order(saved))
+    return fidelity(saved, splats_of(registry.load_splats(path, format=name)), None if order is None else order(saved))
 
 
 def fidelity(saved: Splats, found: Splats, order: NDArray[np.intp] | None = None) -> Fidelity:

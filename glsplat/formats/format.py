@@ -1,44 +1,77 @@
-"""What a file format is to the rest of the house. Each format's module has one of these; __init__.py lists them."""
+"""What a file format is to the rest of the house. Each format's module has one of these; registry.py lists them."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
-from glsplat.avatar import Avatar
-from glsplat.consent.canonical import CONSENT
-from glsplat.formats.files import Source, sampled
+from glsplat.avatar import Avatar, splats_of
+from glsplat.errors import FormatError
+from glsplat.formats.gltf.record import CONSENT
+from glsplat.io.files import Source, folder_of, name_of, naming, open_regular, sampled, suffixes_of
+from glsplat.meshes import RiggedMesh
+from glsplat.scene import Content
 from glsplat.splats import Splats
-from glsplat.views import splats_of
 
-__all__ = ["Format", "Start", "clamped_opacities", "hidden", "positive_scales"]
+__all__ = ["Format", "Opened", "checked", "clamped_opacities", "hidden", "opened", "positive_scales"]
 
-
+_BOM = b"\xef\xbb\xbf"  # of UTF-8
 _PLACED = 1e-3  # metres, or of an axis
 
 
 @dataclass(frozen=True, eq=False)
-class Start:
-    """What recognising a file goes by."""
+class Opened:
+    """A file that is open: what it is recognised by, and what its reader gets. Every reader begins where it likes."""
 
-    head: bytes  # the first 512 bytes; empty where the file is
-    size: int
-    named: bool  # whether the name ends in one of the format's suffixes
     file: BinaryIO
+    size: int
+    name: str  # for messages: the path, or what an open file is called
+    folder: Path | None  # of its other files; None where it has none
+    endings: tuple[str, ...]  # that its name may be said to have (io.files.suffixes_of)
+
+    @cached_property
+    def head(self) -> bytes:
+        """The first 512 bytes; empty where the file is."""
+        return self.begin(512)
 
     @property
     def text(self) -> bool:
         """Whether the head may be text: no control characters but tabs and line ends."""
         return not any(byte < 32 and byte not in b"\t\n\r" for byte in self.head)
 
+    @property
+    def json(self) -> bytes:
+        """The first 64 KiB of what may be a JSON object, from its brace on; b"" of all else."""
+        begins = self.head.removeprefix(_BOM).lstrip()[:1] in (b"{", b"")
+        text = self.begin(1 << 16).removeprefix(_BOM).lstrip() if begins else b""
+        return text if text.startswith(b"{") else b""
+
+    def named(self, *suffixes: str) -> bool:
+        """Whether the name ends in one of them."""
+        return any(ending in suffixes for ending in self.endings)
+
+    def begin(self, count: int) -> bytes:
+        """The first ``count`` bytes, or all."""
+        self.file.seek(0)
+        return self.file.read(count)
+
     def spread(self) -> bytes:
-        """The file, or of a large one blocks spread evenly over it (files.sampled)."""
+        """The file, or of a large one blocks spread evenly over it (io.files.sampled)."""
         return sampled(self.file, 0, self.size)
+
+
+@contextmanager
+def opened(source: Source, strict: bool = False) -> Iterator[Opened]:
+    """A path or an open file (io.files.open_regular); errors within the ``with`` name it (io.files.naming)."""
+    with naming(source, strict), open_regular(source) as (file, size):
+        yield Opened(file, size, name_of(source), folder_of(source), tuple(suffixes_of(source)))
 
 
 def _nothing(_: Splats | Avatar) -> Iterator[str]:
@@ -49,26 +82,34 @@ def _nothing(_: Splats | Avatar) -> Iterator[str]:
 class Format:
     """One file format: how it is called, recognised, read and written.
 
-    ``load`` gets an open file at its start, its size, and the folder of its other files (None where it has none);
-    ``save`` a scene and where it goes (files.replace_file writes), and is None where a format is read only. Both raise
-    FormatError. ``loses`` says, a sentence each, what a saved file does not keep of a scene, rounding apart; that a
-    rig, visibility cones or levels are dropped is said already where ``rigs``, ``cones`` or ``levels`` is False.
-    ``order`` says which splats of a scene a file has, in the order it has them in, for a format that does not have all
-    as they come.
+    ``load`` gets an open file at its start; ``save`` a scene and where it goes (io.files.replace_file writes), and is
+    None where a format is read only. Both raise FormatError. ``loses`` says, a sentence each, what a saved file does
+    not keep of a scene, rounding apart; that a rig, visibility cones or levels are dropped is said already where
+    ``rigs``, ``cones`` or ``levels`` is False. ``order`` says which splats of a scene a file has, in the order it has
+    them in, for a format that does not have all as they come.
     """
 
     name: str  # as ``format=`` takes it
     title: str  # as messages say it
     suffixes: tuple[str, ...]  # lower case, with the dot, or "meta.json"; the first is the usual, the longest counts
-    sniff: Callable[[Start], bool]
-    load: Callable[[BinaryIO, int, Path | None], Splats | Avatar]
-    save: Callable[[Splats | Avatar, Source], None] | None
+    sniff: Callable[[Opened], bool]
+    load: Callable[[Opened], Content]
+    save: Callable[[Splats | Avatar, Source], None] | None = None
     loses: Callable[[Splats | Avatar], Iterator[str]] = _nothing
     rigs: bool = False  # holds avatars
     cones: bool = False  # holds visibility cones
     levels: bool = False  # holds levels of detail
     order: Callable[[Splats], NDArray[np.intp]] | None = None
+    save_mesh: Callable[[RiggedMesh, Source], None] | None = None  # writes meshes, too
     marked: bool = True  # begins with a mark of its own; formats without one are tried last
+
+    def read(self, opened: Opened, strict: bool) -> Content:
+        """What an open file of this format holds; with ``strict`` nothing in it is NaN or infinity."""
+        opened.file.seek(0)
+        content = self.load(opened)
+        if not isinstance(content, RiggedMesh):
+            checked(splats_of(content), opened.name, strict)
+        return content
 
     def losses(self, scene: Splats | Avatar) -> Iterator[str]:
         """What a file of this format does not keep of ``scene``, beyond rounding, a sentence each."""
@@ -115,3 +156,13 @@ def positive_scales(scene: Splats | Avatar) -> Iterator[str]:
         negative = int((splats_of(scene).scales < 0).any(axis=1).sum())
     if negative:
         yield f"{negative} splats with negative scales are written with positive ones (their shape is the same)"
+
+
+def checked(splats: Splats, name: str, strict: bool) -> Splats:
+    """``splats`` as they are; with ``strict``, a FormatError with the count when some are not finite."""
+    bad = len(splats) - int(splats.finite().sum()) if strict else 0
+    if bad:
+        raise FormatError(
+            f"{name}: {bad} of {len(splats)} splats hold NaN or infinity; repair the file or load it without strict"
+        )
+    return splats

@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 
 from glsplat.arrays import frozen
 from glsplat.errors import FormatError
-from glsplat.formats.format import Format, Start
+from glsplat.formats.format import Format, Opened
 from glsplat.splats import SH_C0, Splats, normalised
 
 __all__ = ["KSPLAT", "read_ksplat"]
@@ -187,9 +187,9 @@ def _rows(file: BinaryIO, at: int, count: int, dtype: np.dtype[_Row], size: int)
     return np.frombuffer(data, dtype, count)
 
 
-def _sniff(start: Start) -> bool:
+def _sniff(start: Opened) -> bool:
     """By the header's first bytes: a font that begins with the same four has huge numbers behind them."""
-    if start.named:  # of other versions too, to be refused by name
+    if start.named(*KSPLAT.suffixes):  # of other versions too, to be refused by name
         return start.head.startswith(b"\0") and start.head[2:4] == b"\0\0"
     sections, level = (int.from_bytes(start.head[at:to], "little") for at, to in ((4, 8), (20, 22)))
     return start.head.startswith(b"\0\1\0\0") and sections <= _MOST_SECTIONS and level <= 2
@@ -200,6 +200,6 @@ KSPLAT = Format(
     title="KSPLAT",
     suffixes=(".ksplat",),
     sniff=_sniff,
-    load=lambda file, size, _: read_ksplat(file, size),
+    load=lambda start: read_ksplat(start.file, start.size),
     save=None,
 )

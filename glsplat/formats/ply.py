@@ -17,10 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.arrays import frozen
-from glsplat.avatar import Avatar
+from glsplat.avatar import Avatar, splats_of
 from glsplat.errors import FormatError
-from glsplat.formats.files import Source, checked, naming, open_regular, replace_file
-from glsplat.formats.format import Format, clamped_opacities, positive_scales
+from glsplat.formats.format import Format, checked, clamped_opacities, opened, positive_scales
 from glsplat.formats.ply_header import (
     ANTIALIAS,
     PACKED,
@@ -32,8 +31,8 @@ from glsplat.formats.ply_header import (
     read_header,
     sh_degree,
 )
+from glsplat.io.files import Source, replace_file
 from glsplat.splats import SH_C0, Splats, normalised
-from glsplat.views import splats_of
 
 __all__ = ["PLY", "load_ply", "read_ply", "save_ply"]
 
@@ -56,8 +55,8 @@ def load_ply(source: Source, *, strict: bool = False) -> Splats:
     or with ``strict`` refused. Raises FormatError: no PLY, a PLY of something else than splats (names the missing
     properties), truncated, or longer than its header says.
     """
-    with naming(source), open_regular(source) as (file, size):
-        return checked(read_ply(file, size), source, strict)
+    with opened(source) as start:
+        return checked(read_ply(start.file, start.size), start.name, strict)
 
 
 def read_ply(file: BinaryIO, size: int) -> Splats:
@@ -244,7 +243,7 @@ PLY = Format(
     title="3DGS PLY",
     suffixes=(".ply",),
     sniff=lambda start: is_ply(start) and not is_compressed(start),
-    load=lambda file, size, _: read_ply(file, size),
+    load=lambda start: read_ply(start.file, start.size),
     save=lambda scene, target: save_ply(splats_of(scene), target),
     loses=_loses,
 )

@@ -9,7 +9,7 @@ from typing import BinaryIO
 import numpy as np
 
 from glsplat.errors import FormatError
-from glsplat.formats.format import Start
+from glsplat.formats.format import Opened
 
 __all__ = ["ANTIALIAS", "Element", "Header", "is_compressed", "is_ply", "listed", "read_header", "sh_degree"]
 
@@ -65,17 +65,16 @@ class Header:
         return self.elements[: self.elements.index(element)]
 
 
-def is_ply(start: Start) -> bool:
+def is_ply(opened: Opened) -> bool:
     """Whether a file begins like a PLY."""
-    return start.head.startswith((b"ply\n", b"ply\r", b"ply "))
+    return opened.head.startswith((b"ply\n", b"ply\r", b"ply "))
 
 
-def is_compressed(start: Start) -> bool:
+def is_compressed(opened: Opened) -> bool:
     """Whether it is a PLY whose header declares packed positions."""
-    if not is_ply(start):
+    if not is_ply(opened):
         return False
-    start.file.seek(0)
-    head = start.file.read(_LIMIT)
+    head = opened.begin(_LIMIT)
     header = head[: head.find(b"\nend_header") + 1]
     return re.search(rb"\nproperty[^\n]*[ \t]%b\s" % PACKED.encode(), header) is not None
 

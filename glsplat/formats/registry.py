@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import logging
+import re
 from collections.abc import Callable, Iterator
-from typing import BinaryIO
 
 import numpy as np
 
@@ -12,18 +12,31 @@ from glsplat.arrays import instance
 from glsplat.avatar import Avatar
 from glsplat.errors import FormatError
 from glsplat.formats.compressed_ply import COMPRESSED_PLY
-from glsplat.formats.files import Source, checked, folder_of, name_of, naming, open_regular, suffixes_of
-from glsplat.formats.format import Format, Start
+from glsplat.formats.format import Format, Opened, opened
 from glsplat.formats.gltf.splats import GLB, GLTF
 from glsplat.formats.ksplat import KSPLAT
+from glsplat.formats.obj import OBJ
+from glsplat.formats.person import PERSON
 from glsplat.formats.ply import PLY
 from glsplat.formats.sog.sog import SOG
 from glsplat.formats.splat import SPLAT
 from glsplat.formats.spz import SPZ
+from glsplat.io.files import Source, name_of, naming, suffixes_of
+from glsplat.meshes import RiggedMesh
+from glsplat.scene import Content
 from glsplat.splats import Splats
-from glsplat.views import splats_of
 
-__all__ = ["FORMATS", "load", "losses", "recognise", "save", "suffixes"]
+__all__ = [
+    "FORMATS",
+    "is_scene_file",
+    "load",
+    "load_splats",
+    "losses",
+    "read",
+    "recognise",
+    "save",
+    "suffixes",
+]
 
 log = logging.getLogger("glsplat.formats")
 
@@ -36,6 +49,8 @@ FORMATS: list[Format] = [
     SOG,
     GLB,
     GLTF,
+    OBJ,
+    PERSON,
 ]
 """Every format, in the order in which messages name them. A new one is a module and a line here."""
 
@@ -49,34 +64,34 @@ _FOREIGN = {
 def recognise(source: Source) -> str:
     """The name of the format (one of FORMATS), by content; FormatError when it is none of them.
 
-    The name helps only where the content does not tell: .splat files have no mark of their own.
+    The name helps only where the content does not tell: .splat and OBJ files have no mark of their own.
     """
-    with naming(source), open_regular(source) as (file, size):
-        return _recognised(file, size, suffixes_of(source)).name
+    with opened(source) as start:
+        return _recognised(start).name
 
 
-def load(source: Source, *, strict: bool = False, format: str | None = None) -> Splats | Avatar:
-    """Read a scene or an avatar from a path or from a file that is open in binary mode.
+def load(source: Source, *, strict: bool = False, format: str | None = None) -> Content:
+    """As ``glsplat.load``, without scene files: splats, an avatar or a mesh."""
+    with opened(source, strict) as start:
+        return read(start, strict, format)
 
-    The format is recognised by content, whatever the file's name, unless ``format`` says it, "ply" or another name
-    in FORMATS. An open file is read from where it stands and stays open. A level of detail that is broken is left out,
-    which is logged. With ``strict`` it is refused, as are NaN and infinity, which are kept otherwise. Raises
-    FormatError, one line that names the file.
 
-    >>> glsplat.save(glsplat.default_avatar(), "me.glb")
-    >>> glsplat.load("me.glb")
-    Avatar(40000 splats, 55 joints, 4 a splat, 3 levels)
-    """
-    with naming(source, strict), open_regular(source) as (file, size):
-        known = _recognised(file, size, suffixes_of(source)) if format is None else _called(format)
-        file.seek(0)
-        scene = known.load(file, size, folder_of(source))
-        checked(splats_of(scene), source, strict)
-        return scene
+def load_splats(source: Source, *, strict: bool = False, format: str | None = None) -> Splats | Avatar:
+    """The same of a file that needs to hold splats; FormatError for a mesh."""
+    with opened(source, strict) as start:
+        content = read(start, strict, format)
+        if isinstance(content, RiggedMesh):
+            raise FormatError("expected splats or an avatar, found a mesh; glsplat avatar make makes an avatar of one")
+        return content
+
+
+def read(start: Opened, strict: bool, format: str | None = None) -> Content:
+    """What an open file holds, in the format that it is recognised by, or in that called ``format``."""
+    return (_recognised(start) if format is None else _called(format)).read(start, strict)
 
 
 def save(
-    scene: Splats | Avatar,
+    scene: Content,
     target: Source,
     *,
     format: str | None = None,
@@ -86,10 +101,10 @@ def save(
 
     ``target`` is a path, or a file open in binary mode, which is written to from where it stands. At a path the new
     file is complete or, on any failure, the old one as it was; a link is followed, an old file keeps its mode. An
-    avatar goes into glTF with its rig; into the other formats go its splats alone, as they are stored: in the zero
-    pose, or in the pose in which another program's rig was bound. What a file does not keep beyond rounding is told to
-    ``say``, a sentence each; without it the log "glsplat.formats" has it as warnings. Raises FormatError for another
-    suffix, and when the file cannot be written.
+    avatar goes into glTF with its rig, a mesh goes nowhere else; into the other formats go an avatar's splats alone, as
+    they are stored: in the zero pose, or in the pose in which another program's rig was bound. What a file does not
+    keep beyond rounding is told to ``say``, a sentence each; without it the log "glsplat.formats" has it as warnings.
+    Raises FormatError for another suffix, and when the file cannot be written.
 
     >>> glsplat.save(glsplat.default_avatar().splats, "me.ply")
     >>> len(glsplat.load("me.ply"))
@@ -97,18 +112,23 @@ def save(
     """
     for loss in losses(scene, target, format=format):
         say(loss) if say is not None else log.warning("%s: %s", name_of(target), loss)
-    with naming(target):
-        _, write = _writer(target, format)
-        with np.errstate(invalid="ignore"):  # a NaN that signals, wherever it is cast
+    with naming(target), np.errstate(invalid="ignore"):  # a NaN that signals, wherever it is cast
+        known, write = _writer(target, format)
+        if not isinstance(scene, RiggedMesh):
             write(scene, target)
+        elif known.save_mesh is not None:
+            known.save_mesh(scene, target)
 
 
-def losses(scene: Splats | Avatar, target: Source, *, format: str | None = None) -> Iterator[str]:
+def losses(scene: Content, target: Source, *, format: str | None = None) -> Iterator[str]:
     """What ``save`` with the same arguments does not keep of ``scene``, beyond rounding, a sentence each."""
-    instance(scene, (Splats, Avatar), "a file", hint="of a scene save the content of each item")
+    instance(scene, (Splats, Avatar, RiggedMesh), "a file", hint="of a scene save the content of each item")
     with naming(target):
         known, _ = _writer(target, format)
-    return known.losses(scene)
+        if isinstance(scene, RiggedMesh) and known.save_mesh is None:
+            those = _either([suffix for one in FORMATS if one.save_mesh for suffix in one.suffixes], " or ")
+            raise FormatError(f"a mesh is written as {those}; change the name")
+    return iter(()) if isinstance(scene, RiggedMesh) else known.losses(scene)
 
 
 def suffixes(*, last: str = "or", rigs: bool = False, written: bool = False) -> str:
@@ -120,20 +140,25 @@ def suffixes(*, last: str = "or", rigs: bool = False, written: bool = False) -> 
     return _either([suffix for known in those for suffix in known.suffixes], f" {last} ")
 
 
-def _recognised(file: BinaryIO, size: int, endings: list[str]) -> Format:
-    head = file.read(512)
+def _recognised(start: Opened) -> Format:
+    """The format of an open file. Raises FormatError when it is none of FORMATS."""
+    if is_scene_file(start):
+        raise FormatError("this is a scene file, which names several things; glsplat.load reads it")
     marked_first = sorted(FORMATS, key=lambda known: not known.marked)
-    expected = _either(list(dict.fromkeys(known.title for known in marked_first)), ", or ")
     for known in marked_first:
-        if not known.sniff(Start(head, size, any(ending in known.suffixes for ending in endings), file)):
-            continue
-        if known is GLTF and b'"items"' in head and b'"asset"' not in head:
-            raise FormatError(f"expected {expected}, but this is a scene file; see glsplat.making.items.load_scene")
-        return known
-    if not head:
+        if known.sniff(start):
+            return known
+    expected = _either(list(dict.fromkeys(known.title for known in marked_first)), ", or ")
+    if not start.head:
         raise FormatError(f"the file is empty; expected {expected}")
-    foreign = next((name for magic, name in _FOREIGN.items() if head.startswith(magic)), None)
+    foreign = next((name for magic, name in _FOREIGN.items() if start.head.startswith(magic)), None)
     raise FormatError(f"expected {expected}, but this is {foreign or 'none of them'}; convert it first")
+
+
+def is_scene_file(start: Opened) -> bool:
+    """Whether a file is a scene file (JSON with items; scenes/scene_file.py) and not of another JSON format."""
+    text = start.json
+    return bool(re.search(rb'"items"\s*:', text) and not re.search(rb'"asset"\s*:', text))
 
 
 def _called(name: str) -> Format:

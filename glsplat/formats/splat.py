@@ -10,12 +10,11 @@ from typing import BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from glsplat.avatar import Avatar
+from glsplat.avatar import Avatar, splats_of
 from glsplat.errors import FormatError
-from glsplat.formats.files import Source, checked, naming, open_regular, replace_file, sampled
-from glsplat.formats.format import Format, Start, clamped_opacities, hidden, positive_scales
+from glsplat.formats.format import Format, Opened, checked, clamped_opacities, hidden, opened, positive_scales
+from glsplat.io.files import Source, replace_file, sampled
 from glsplat.splats import SH_C0, Splats, normalised
-from glsplat.views import splats_of
 
 __all__ = ["SPLAT", "load_splat", "looks_like_splat", "read_splat", "save_splat"]
 
@@ -30,8 +29,8 @@ def load_splat(source: Source, *, strict: bool = False) -> Splats:
 
     Raises FormatError when the size is no multiple of 32 bytes. An empty file holds no splats.
     """
-    with naming(source), open_regular(source) as (file, size):
-        return checked(read_splat(file, size), source, strict)
+    with opened(source) as start:
+        return checked(read_splat(start.file, start.size), start.name, strict)
 
 
 def read_splat(file: BinaryIO, size: int) -> Splats:
@@ -111,13 +110,13 @@ def _packed(splats: Splats) -> Iterator[bytes]:
         yield rows.tobytes()
 
 
-def _sniff(start: Start) -> bool:
+def _sniff(start: Opened) -> bool:
     if not start.head:
-        return start.named  # no splats
+        return start.named(*SPLAT.suffixes)  # no splats
     if start.size % _RECORD.itemsize:
         return False
     data = start.spread()
-    return looks_like_splat(data) or (start.named and looks_like_splat(data, named=True))
+    return looks_like_splat(data) or (start.named(*SPLAT.suffixes) and looks_like_splat(data, named=True))
 
 
 def _loses(scene: Splats | Avatar) -> Iterator[str]:
@@ -140,7 +139,7 @@ SPLAT = Format(
     title=".splat",
     suffixes=(".splat",),
     sniff=_sniff,
-    load=lambda file, size, _: read_splat(file, size),
+    load=lambda start: read_splat(start.file, start.size),
     save=lambda scene, target: save_splat(splats_of(scene), target),
     loses=_loses,
     marked=False,

@@ -19,14 +19,13 @@ from typing import BinaryIO
 
 import numpy as np
 
-from glsplat.avatar import Avatar
+from glsplat.avatar import Avatar, splats_of
 from glsplat.errors import FormatError
-from glsplat.formats.files import Source, checked, naming, open_regular, replace_file
-from glsplat.formats.format import Format, Start, clamped_opacities
+from glsplat.formats.format import Format, Opened, checked, clamped_opacities, opened
 from glsplat.formats.spz_packing import HALF_TURN, Bytes, Header, lost, packed, position_bits, unpacked
 from glsplat.formats.transform import transformed
+from glsplat.io.files import Source, replace_file
 from glsplat.splats import Splats
-from glsplat.views import splats_of
 
 __all__ = ["SPZ", "load_spz", "read_spz", "save_spz", "spz_splats"]
 
@@ -53,8 +52,8 @@ def load_spz(source: Source, *, strict: bool = False) -> Splats:
     hold, are kept, or with ``strict`` refused. Raises FormatError: no SPZ, truncated, a count that the file cannot
     hold, a broken stream, or a level-of-detail tree, whose splats are not meant to be drawn at once.
     """
-    with naming(source), open_regular(source) as (file, size):
-        return checked(read_spz(file, size), source, strict)
+    with opened(source) as start:
+        return checked(read_spz(start.file, start.size), start.name, strict)
 
 
 def read_spz(file: BinaryIO, size: int, *, turn: bool = True) -> Splats:
@@ -244,7 +243,7 @@ def _turned(splats: Splats, extensions: Bytes) -> Splats:
     return transformed(splats, matrix)
 
 
-def _sniff(start: Start) -> bool:
+def _sniff(start: Opened) -> bool:
     if start.head[:2] == _GZIP:
         try:
             head = zlib.decompressobj(31).decompress(start.head, 8)
@@ -267,7 +266,7 @@ SPZ = Format(
     title="SPZ",
     suffixes=(".spz",),
     sniff=_sniff,
-    load=lambda file, size, _: read_spz(file, size),
+    load=lambda start: read_spz(start.file, start.size),
     save=lambda scene, target: save_spz(splats_of(scene), target),
     loses=_loses,
 )

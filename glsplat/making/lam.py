@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 
 from glsplat.avatar import Avatar
 from glsplat.errors import FormatError
-from glsplat.formats.files import naming
 from glsplat.formats.gltf.container import Container, Mesh, item, parse
 from glsplat.formats.gltf.morphs import read_morphs, shape_names
 from glsplat.formats.gltf.nodes import Graph, Instance, graph_of
 from glsplat.formats.gltf.rig import read_skeleton, read_skin
 from glsplat.formats.ply import load_ply
+from glsplat.io.files import naming
 from glsplat.meshes import Morphs
 from glsplat.skinning.expression import MOST_NAMES
 from glsplat.skinning.shapes import Shapes

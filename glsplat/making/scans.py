@@ -2,83 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from glsplat.errors import FormatError, PoseError
-from glsplat.formats.files import naming, open_regular
-from glsplat.formats.npz import read_arrays
+from glsplat.errors import FormatError
+from glsplat.formats.obj import flat, parse_obj, textures_of
 from glsplat.making.faces.shapes import body_morphs
 from glsplat.making.importers import nearest_weights
-from glsplat.making.obj import flat, parse_obj, textures_of
-from glsplat.meshes import MeshPart, Morphs, RiggedMesh
-from glsplat.skinning.expression import MOST_NAMES
+from glsplat.meshes import MeshPart, RiggedMesh
 from glsplat.skinning.skeleton import Skeleton
 
-__all__ = ["read_body", "read_obj_person", "read_skeleton"]
+__all__ = ["read_obj_person"]
 
-_JOINTS = ("joint_names", "parents", "joints")
-_BODY = ("v_template", "faces", *_JOINTS, "skin_indices", "skin_weights")
-_FACE = ("expr_names", "expr_ptr", "expr_idx", "expr_val")
 _TYPICAL, _WORST = 0.06, 0.2  # metres a scan may lie off the body: the median, and 95 % of its vertices
-
-
-def read_body(path: str | Path) -> RiggedMesh:
-    """An untextured rigged body (.npz): v_template, faces, joints, parents, joint_names, skin_indices, skin_weights.
-
-    Raises FormatError naming the file and the key.
-    """
-    with naming(path):
-        with open_regular(path) as (file, _):
-            data = read_arrays(file, "a body", _BODY, optional=_FACE)
-        try:
-            faces = data["faces"].astype(np.int32)
-            part = MeshPart("body", faces, np.zeros((*faces.shape, 2)), np.full((4, 4, 4), 255, np.uint8))
-            return RiggedMesh(
-                data["v_template"].astype(np.float64),
-                _skeleton(data),
-                data["skin_indices"].astype(np.int64),
-                data["skin_weights"].astype(np.float64),
-                (part,),
-                morphs=_face(data),
-            )
-        except (PoseError, TypeError, ValueError) as error:
-            raise FormatError(str(error)) from None
-
-
-def read_skeleton(path: str | Path) -> Skeleton:
-    """The skeleton of a body or a person archive (.npz). Raises FormatError naming the file and the key."""
-    with naming(path):
-        with open_regular(path) as (file, _):
-            data = read_arrays(file, "a body", _JOINTS)
-        try:
-            return _skeleton(data)
-        except (PoseError, TypeError, ValueError) as error:
-            raise FormatError(str(error)) from None
-
-
-def _face(data: Mapping[str, NDArray[Any]]) -> Morphs | None:
-    """The expressions of a body: expr_names (T), expr_ptr (T + 1), expr_idx (M) and expr_val (M, 3) metres."""
-    if any(key not in data for key in _FACE):
-        return None
-    names = tuple(map(str, data["expr_names"]))
-    starts, rows = data["expr_ptr"].astype(np.int64), data["expr_idx"].astype(np.int64)
-    offsets = data["expr_val"].astype(np.float32)
-    whole = starts.shape == (len(names) + 1,) and starts[0] == 0 and starts[-1] == len(rows)
-    if not (whole and (np.diff(starts) >= 0).all() and offsets.shape == (len(rows), 3) and (rows >= 0).all()):
-        raise FormatError("the expressions of a body need expr_ptr (T + 1), expr_idx (M) and expr_val (M, 3) that fit")
-    if len(set(names)) != len(names) or len(names) > MOST_NAMES:
-        raise FormatError(f"a body has at most {MOST_NAMES} expressions of distinct names")
-    return Morphs(names, starts, rows.astype(np.uint32), offsets)
-
-
-def _skeleton(data: Mapping[str, NDArray[Any]]) -> Skeleton:
-    return Skeleton.from_joints(tuple(map(str, data["joint_names"])), data["parents"], data["joints"])
 
 
 def read_obj_person(path: str | Path, body: RiggedMesh) -> RiggedMesh:

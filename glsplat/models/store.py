@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from glsplat.errors import FormatError, GlsplatError
-from glsplat.formats.files import replace_file
+from glsplat.io.files import replace_file
 
 from . import catalogue
 from .archives import members, sha256

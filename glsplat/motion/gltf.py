@@ -8,12 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.errors import FormatError, PoseError
-from glsplat.formats.files import open_regular
 from glsplat.formats.gltf.animation import Animation, Tracks, animations_of, names_of, tracks_of
 from glsplat.formats.gltf.bound import bound_of, joint_names
 from glsplat.formats.gltf.container import Container, item, read_container
 from glsplat.formats.gltf.nodes import Graph, graph_of, instances
 from glsplat.formats.gltf.vrm import human_bones
+from glsplat.io.files import open_regular
 from glsplat.motion.clip import Clip, check_size
 from glsplat.rotations import nearest_rotations
 

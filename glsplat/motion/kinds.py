@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import struct
 from pathlib import Path
 
-from glsplat.errors import GlsplatError
-from glsplat.formats.files import open_regular
-from glsplat.formats.npz import array_names
+from glsplat.errors import FormatError
+from glsplat.formats.format import Opened
+from glsplat.formats.gltf.container import chunks
+from glsplat.io.npz import array_names
 
 __all__ = ["KINDS", "is_bvh", "is_gltf", "is_motion", "split_choice"]
 
@@ -29,24 +29,22 @@ def is_gltf(head: bytes) -> bool:
     return head.startswith(b"glTF") or (head.removeprefix(b"\xef\xbb\xbf").lstrip()[:1] == b"{" and b'"asset"' in head)
 
 
-def is_motion(path: Path) -> bool:
+def is_motion(start: Opened) -> bool:
     """Whether a file is a motion and nothing else: a glTF that shows something is a model, whatever moves in it."""
     try:
-        with open_regular(path) as (file, size):
-            head = file.read(_LOOKED_AT)
-            if head.startswith(b"glTF") and len(head) >= 20:
-                length = min(struct.unpack_from("<I", head, 12)[0], size - 20, _LONGEST)
-                file.seek(20)
-                return _only_moves(file.read(length))
-            if head.startswith(b"PK"):
-                names = set(array_names(file))
-                return bool(names & _AMASS) and not names & {"v_template", "vertices", "faces"}
-            text = head.removeprefix(b"\xef\xbb\xbf").lstrip()
-            if text[:1] == b"{" and b'"asset"' in text:
-                return _only_moves(text + file.read(_LONGEST))
-            poses = text[:1] in (b"[", b"{") and (b'"frames"' in text or b'"body_pose"' in text)
-            return is_bvh(head) or text.startswith((b"#!OML", b":FULLY", b":DEGREES")) or poses
-    except GlsplatError:
+        head = start.begin(_LOOKED_AT)
+        if head.startswith(b"PK"):
+            start.file.seek(0)
+            names = set(array_names(start.file))
+            return bool(names & _AMASS) and not names & {"v_template", "vertices", "faces"}
+        if is_gltf(head):
+            blob, _ = chunks(start.file, start.size)
+            gltf = blob.part(0, min(len(blob), _LONGEST))
+            return b'"animations"' in gltf and b'"primitives"' not in gltf
+        text = head.removeprefix(b"\xef\xbb\xbf").lstrip()
+        poses = text[:1] in (b"[", b"{") and (b'"frames"' in text or b'"body_pose"' in text)
+        return is_bvh(head) or text.startswith((b"#!OML", b":FULLY", b":DEGREES")) or poses
+    except FormatError:  # whoever reads it says what is wrong
         return False
 
 
@@ -58,7 +56,3 @@ def split_choice(name: str) -> tuple[Path, str | None]:
             return Path(name[:at]), name[at + 1 :]
         at = name.find("#", at + 1)
     return Path(name), None
-
-
-def _only_moves(gltf: bytes) -> bool:
-    return b'"animations"' in gltf and b'"primitives"' not in gltf

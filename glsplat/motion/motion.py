@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.errors import FormatError, PoseError
-from glsplat.formats.npz import read_arrays
+from glsplat.io.npz import read_arrays
 from glsplat.motion.bvh import parse_acclaim, parse_bvh, skeleton_file
 from glsplat.motion.corrections import HELP, Corrections, split_corrections
 from glsplat.motion.fitted import body_of, fitted

@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
-from importlib import import_module
 from typing import TYPE_CHECKING
+
+from glsplat import on_demand
 
 if TYPE_CHECKING:
     from glsplat.tracking.calibration import Calibration, calibrate
     from glsplat.tracking.config import TrackerConfig
-    from glsplat.tracking.recording import record, replay
+    from glsplat.tracking.recording import embedded_recording, record, replay
     from glsplat.tracking.sample import Sample
+    from glsplat.tracking.solve.body import Body
     from glsplat.tracking.solve.solution import Solution, Solver, Targets
     from glsplat.tracking.solve.solver import AnalyticSolver
     from glsplat.tracking.tracker import Tracker
 
 __all__ = [
     "AnalyticSolver",
+    "Body",
     "Calibration",
     "Sample",
     "Solution",
@@ -24,12 +27,14 @@ __all__ = [
     "Tracker",
     "TrackerConfig",
     "calibrate",
+    "embedded_recording",
     "record",
     "replay",
 ]
 
 _HOME = {
     "AnalyticSolver": "solve.solver",
+    "Body": "solve.body",
     "Calibration": "calibration",
     "Sample": "sample",
     "Solution": "solve.solution",
@@ -38,15 +43,9 @@ _HOME = {
     "Tracker": "tracker",
     "TrackerConfig": "config",
     "calibrate": "calibration",
+    "embedded_recording": "recording",
     "record": "recording",
     "replay": "recording",
 }
 
-
-def __getattr__(name: str) -> object:
-    # on demand, as the root: who needs one module loads that one
-    if name in _HOME:
-        value = getattr(import_module(f"glsplat.tracking.{_HOME[name]}"), name)
-        globals()[name] = value
-        return value
-    raise AttributeError(f"module 'glsplat.tracking' has no attribute {name!r}")
+__getattr__ = on_demand(__name__, _HOME)

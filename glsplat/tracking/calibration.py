@@ -11,7 +11,7 @@ from statistics import median
 from typing import Any
 
 from glsplat.errors import FormatError, PoseError
-from glsplat.formats.files import replace_file
+from glsplat.io.files import replace_file
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.tracking.extra.mounts import MOST, Mean, between, numbers, standing, within
 from glsplat.tracking.reading import read_pose

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.errors import FormatError, PoseError
-from glsplat.formats.files import open_regular, replace_file
+from glsplat.io.files import open_regular, replace_file
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.smplx import JOINT_NAMES
 from glsplat.tracking.sample import Sample

@@ -1,1 +1,16 @@
 """An invisible mark in the rendered avatar that leads from a leaked clip to the session that was served it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from glsplat import on_demand
+
+if TYPE_CHECKING:
+    from glsplat.watermark.mark import Mark
+
+__all__ = ["Mark", "detect"]  # the second is a module
+
+_HOME = {"Mark": "mark"}
+
+__getattr__ = on_demand(__name__, _HOME)

@@ -329,15 +329,15 @@ def test_a_name_is_text(name: Any) -> None:
 
 
 def test_an_item_is_read_from_whatever_names_a_file(tmp_path: Path) -> None:
-    from glsplat.making.items import load_item, load_scene
+    from glsplat.scenes import load, load_scene
 
     path = tmp_path / "a.glb"
     glsplat.save(limb(20), path)
     for name in (path, str(path), bytes(path)):
-        assert isinstance(load_item(name), Avatar) and len(load_scene(name).scene) == 1
+        assert isinstance(load(name), Avatar) and len(load_scene(name).scene) == 1
     for name in (5, None, tmp_path / "b.glb", str(tmp_path)):
-        for load in (load_item, load_scene):
-            refused(lambda name=name, load=load: load(name))
+        for read in (load, load_scene):
+            refused(lambda name=name, read=read: read(name))
 
 
 # ---------------------------------------------------------------------------------------------------------- renderers

@@ -12,8 +12,7 @@ import pytest
 
 from glsplat.errors import CaptureError, GlsplatError
 from glsplat.formats import load
-from glsplat.formats.gltf.mesh import save_gltf_mesh
-from glsplat.making.items import load_item
+from glsplat.formats.gltf.meshes.write import save_gltf_mesh
 from glsplat.making.photo.capture import Finding
 from glsplat.making.reconstruct import mesh_from_photos, registry
 from glsplat.mesh import MeshRenderer
@@ -61,7 +60,7 @@ def test_a_mesh_is_made(seen, front, tmp_path, capsys, suffix) -> None:
     assert said.startswith(f"{out}: 27420 triangles, 256 x 256 texels, ") and said.endswith(
         "43% of the surface is guessed\n"
     )
-    mesh = load_item(out)
+    mesh = load(out)
     assert isinstance(mesh, RiggedMesh) and dict(mesh.meta) == NOTES and len(mesh.faces) == 27420
     assert [part.name for part in mesh.parts] == ["skin", "eyes", "mouth"]
     first = out.read_bytes()
@@ -134,7 +133,7 @@ def test_a_capture_with_its_sheet(shared_data, tmp_path, capsys) -> None:
     picture = shared_data / "participants" / "capture" / "p03.jpg"
     assert photo(picture, "--as", "mesh", "-o", out, "--height", 1.64, "--texture", 1024, "--debug", tmp_path) == 0
     assert (tmp_path / "photo.png").stat().st_size > 100_000
-    mesh, person = load_item(out), capture("p03")
+    mesh, person = load(out), capture("p03")
     assert isinstance(mesh, RiggedMesh)
     with MeshRenderer(mesh, size=(256, 384)) as renderer:
         drawn = renderer.render([person.camera.resized(256, 384)], Pose(person.pose, person.trans))[0].astype(float)
@@ -147,4 +146,4 @@ def test_a_capture_with_its_sheet(shared_data, tmp_path, capsys) -> None:
     assert eyes.texture.shape == (128, 256, 4) and eyes.texture[..., :3].min() < 30
     again = tmp_path / "again.glb"
     save_gltf_mesh(mesh, again)
-    assert isinstance(load_item(again), RiggedMesh)
+    assert isinstance(load(again), RiggedMesh)

@@ -12,7 +12,7 @@ from glsplat_apps.cli import main
 
 from glsplat.avatar import Avatar
 from glsplat.formats import load
-from glsplat.making.gltf.reader import read_gltf_person
+from glsplat.formats.gltf.meshes.reader import read_gltf_person
 from glsplat.making.surface import SamplerConfig, make_avatar
 from glsplat.motion.motion import load_motion
 from glsplat.skinning.pose import Pose

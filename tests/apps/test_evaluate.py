@@ -17,7 +17,7 @@ from glsplat.errors import GlsplatError
 from glsplat.evaluate.comparison import measure
 from glsplat.evaluate.comparison.work import work
 from glsplat.evaluate.metrics.lpips import Lpips
-from glsplat.formats.files import locked
+from glsplat.io.files import locked
 from tests.evaluate.comparison.conftest import Pixels, plugged  # noqa: F401
 
 QUICK = ["--views", "front", "--poses", "standing", "--size", "96", "--light", "none", "--jobs", "1", "--no-timing"]

@@ -13,7 +13,7 @@ from apps.cli import main
 from glsplat import reference
 from glsplat.avatar import Avatar
 from glsplat.formats import load, save
-from glsplat.formats.scene_file import upright
+from glsplat.scenes.scene_file import upright
 from glsplat.skinning.pose import Pose
 from glsplat.splats import Level
 from tests.skinning.faces import NAMES, expressive

@@ -14,9 +14,9 @@ from glsplat_apps import args, cli, convert, inspect
 
 from glsplat.avatar import Avatar
 from glsplat.formats import load, save
-from glsplat.formats.gltf.mesh import save_gltf_mesh
-from glsplat.formats.scene_file import upright
-from glsplat.making.gltf.reader import read_gltf_person
+from glsplat.formats.gltf.meshes.reader import read_gltf_person
+from glsplat.formats.gltf.meshes.write import save_gltf_mesh
+from glsplat.scenes.scene_file import upright
 from glsplat.skinning.pose import Pose
 from glsplat.splats import Splats
 from tests.formats.meshes import bends, chain, corners

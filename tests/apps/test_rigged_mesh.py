@@ -17,7 +17,7 @@ from apps.serve.command import other_avatars
 from apps.tracking.options import skeleton_of
 from apps.usage import UsageError
 from glsplat.formats import save
-from glsplat.making.items import load_scene
+from glsplat.scenes import load_scene
 from tests.scene.people import boxes, save_person
 from tests.scenes import cloud
 

@@ -17,8 +17,6 @@ from glsplat.camera import Camera, look_at, pinhole
 from glsplat.data import default_avatar
 from glsplat.errors import PoseError
 from glsplat.formats import load, save
-from glsplat.formats.scene_file import upright
-from glsplat.making.items import load_scene
 from glsplat.net.backends.gl import RendererBackend
 from glsplat.net.backends.server import make_server
 from glsplat.net.messages import RenderRequest
@@ -26,6 +24,8 @@ from glsplat.net.server import ServerConfig
 from glsplat.pictures import straight
 from glsplat.renderer import Renderer
 from glsplat.scene import Item, Scene
+from glsplat.scenes import load_scene
+from glsplat.scenes.scene_file import upright
 from glsplat.skinning.pose import Pose
 from tests.compare import Difference
 from tests.scene.worlds import reference_of

@@ -13,12 +13,12 @@ import numpy as np
 import pytest
 
 import glsplat
-from glsplat.consent.canonical import canonical
 from glsplat.consent.document import read_record, signed_record
 from glsplat.consent.file import on_file, on_file_data, sign_data, sign_file
 from glsplat.consent.keys import new_key, private_key, public_key, signature_of
 from glsplat.errors import FormatError
-from glsplat.formats.gltf.mesh import save_gltf_mesh
+from glsplat.formats.gltf.meshes.write import save_gltf_mesh
+from glsplat.formats.gltf.record import canonical
 from glsplat.meshes import MeshPart, RiggedMesh
 from glsplat.splats import Level
 from tests.consent.conftest import FIELDS, person

@@ -13,7 +13,7 @@ from glsplat.config import RenderConfig
 from glsplat.data import default_avatar
 from glsplat.evaluate.avatar_poses import SCORE_POSES, score_pose
 from glsplat.evaluate.avatar_score import DISTANCE, FILL, camera_around, compare, score
-from glsplat.making.people import read_person
+from glsplat.formats.person import read_person
 from glsplat.mesh import MeshConfig, MeshRenderer
 from glsplat.renderer import Renderer
 from glsplat.rotations import rotation_matrices

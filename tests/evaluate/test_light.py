@@ -11,9 +11,9 @@ from glsplat.camera import Camera, look_at, pinhole
 from glsplat.errors import GlsplatError
 from glsplat.evaluate.light import CaptureLight, shade_of
 from glsplat.gl.context import Context
-from glsplat.making.paint.colour import to_linear, to_srgb
 from glsplat.mesh import MeshConfig, MeshRenderer
 from glsplat.meshes import MeshPart, RiggedMesh, standing, vertex_normals
+from glsplat.pictures import to_linear, to_srgb
 from glsplat.skinning.pose import Pose
 from tests.making.captures import capture
 from tests.scene.people import boxes

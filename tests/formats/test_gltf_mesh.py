@@ -15,12 +15,12 @@ import trimesh
 from glsplat.camera import Camera, look_at, pinhole
 from glsplat.data import participants_folder
 from glsplat.errors import FormatError
-from glsplat.formats.gltf.mesh import save_gltf_mesh
-from glsplat.making.gltf.reader import read_gltf_person
-from glsplat.making.items import load_item
-from glsplat.making.people import read_person
+from glsplat.formats.gltf.meshes.reader import read_gltf_person
+from glsplat.formats.gltf.meshes.write import save_gltf_mesh
+from glsplat.formats.person import read_person
 from glsplat.mesh import MeshRenderer
 from glsplat.meshes import Morphs, RiggedMesh
+from glsplat.scenes import load
 from glsplat.skinning.pose import Pose
 from tests.formats.meshes import bends, chain, coloured, corners
 
@@ -39,7 +39,7 @@ def test_what_is_written_is_read_back(tmp_path: Path, suffix: str, influences: i
     for old, new in zip(mesh.parts, again.parts, strict=True):
         assert new.name == old.name and new.cutout == old.cutout
         assert np.array_equal(new.texture, old.texture) and np.abs(new.uv - old.uv).max() < 1e-6
-    assert isinstance(load_item(path), RiggedMesh)
+    assert isinstance(load(path), RiggedMesh)
     first = path.read_bytes()
     save_gltf_mesh(mesh, path)
     assert path.read_bytes() == first

@@ -11,7 +11,7 @@ import pytest
 from glsplat.avatar import Avatar
 from glsplat.errors import FormatError
 from glsplat.formats import load, recognise, save
-from glsplat.formats.files import open_regular, replace_file
+from glsplat.io.files import open_regular, replace_file
 from glsplat.splats import Splats
 from tests.formats.scenes import assert_equal, awkward_splats, random_avatar, random_splats
 from tests.golden.stored import DATA
@@ -47,7 +47,7 @@ def test_strict(tmp_path: Path, suffix: str) -> None:
 def test_suffix_in_capitals_and_unknown(tmp_path: Path) -> None:
     save(random_splats(), tmp_path / "a.PLY")
     assert recognise(tmp_path / "a.PLY") == "ply"
-    for name in ("a", "a.obj", "a.ply.gz", ".ply"):
+    for name in ("a", "a.stl", "a.ply.gz", ".ply"):
         with pytest.raises(FormatError, match="needs to end in"):
             save(random_splats(), tmp_path / name)
 
@@ -65,7 +65,7 @@ def test_an_avatar_keeps_its_rig_only_in_gltf(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        (b"", r"is empty; expected 3DGS PLY, .*glTF/GLB with KHR_gaussian_splatting, or \.splat"),
+        (b"", r"is empty; expected 3DGS PLY, .*glTF/GLB with KHR_gaussian_splatting or triangles, OBJ, .*, or \.splat"),
         (b"hello", "none of them"),
         (b"\x1f\x8b" + bytes(30), "gzip"),
         (b"PK\x03\x04" + bytes(28), "ZIP"),

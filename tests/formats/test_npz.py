@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from glsplat.errors import FormatError, GlsplatError, PoseError
-from glsplat.formats.npz import array_names, read_arrays
+from glsplat.io.npz import array_names, read_arrays
 
 
 def archive(**arrays: object) -> bytes:

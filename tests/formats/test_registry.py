@@ -6,26 +6,25 @@ import io
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import BinaryIO
 
 import numpy as np
 import pytest
 
 from apps import cli
-from glsplat.avatar import Avatar
+from glsplat.avatar import Avatar, splats_of
 from glsplat.errors import FormatError
 from glsplat.formats import Format, load, losses, recognise, save, suffixes
 from glsplat.formats import registry as formats
-from glsplat.formats.files import Source, replace_file
+from glsplat.formats.format import Opened
+from glsplat.io.files import Source, replace_file
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.splats import Splats
-from glsplat.views import splats_of
 from tests.formats.scenes import random_avatar, random_splats
 
 
-def load_toy(file: BinaryIO, size: int, folder: Path | None) -> Splats:
+def load_toy(start: Opened) -> Splats:
     """Positions as text, a splat a line; all else is made up."""
-    lines = file.read(size).decode().splitlines()[1:]
+    lines = start.file.read(start.size).decode().splitlines()[1:]
     means = np.array([[float(word) for word in line.split()] for line in lines]).reshape(-1, 3)
     count = len(means)
     quats = np.tile([1.0, 0, 0, 0], (count, 1))
@@ -78,10 +77,10 @@ def test_every_text_names_a_new_format(tmp_path: Path, capsys: pytest.CaptureFix
     (tmp_path / "none").write_bytes(b"hello")
     with pytest.raises(FormatError, match=r"expected 3DGS PLY, .*glTF/GLB .*, a toy of points, or \.splat, but"):
         load(tmp_path / "none")
-    with pytest.raises(FormatError, match=r"needs to end in \.ply, .*\.gltf, \.toy or \.points, not '\.obj'"):
-        save(random_splats(), tmp_path / "a.obj")
-    with pytest.raises(FormatError, match=r"format is one of ply, .*glb, gltf, toy, not 'obj'"):
-        save(random_splats(), io.BytesIO(), format="obj")
+    with pytest.raises(FormatError, match=r"needs to end in \.ply, .*\.gltf, \.toy or \.points, not '\.stl'"):
+        save(random_splats(), tmp_path / "a.stl")
+    with pytest.raises(FormatError, match=r"format is one of ply, .*glb, gltf, .*toy, not 'stl'"):
+        save(random_splats(), io.BytesIO(), format="stl")
     for command in ("convert", "inspect", "render"):
         with pytest.raises(SystemExit):
             cli.main([command, "--help"])
@@ -151,8 +150,8 @@ def test_what_formats_lose_is_theirs_to_say(tmp_path: Path) -> None:
     bound[2, 0, 3] += 0.1  # a rig of others, bound in another pose than it rests in
     rig = Skeleton(avatar.skeleton.names, avatar.skeleton.parents, avatar.skeleton.rest, bound)
     assert "the file holds the pose it was bound in" in next(losses(replace(avatar, skeleton=rig), "a.ply"))
-    with pytest.raises(FormatError, match=r"a\.obj: the name needs to end in"):
-        losses(avatar, "a.obj")
+    with pytest.raises(FormatError, match=r"a\.stl: the name needs to end in"):
+        losses(avatar, "a.stl")
     assert suffixes(rigs=True) == ".glb or .gltf"
 
 

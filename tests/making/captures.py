@@ -14,8 +14,8 @@ from scipy.spatial import cKDTree
 
 from glsplat.camera import Camera
 from glsplat.data import participants_folder
+from glsplat.formats.person import read_person
 from glsplat.making.fit.body import open_body
-from glsplat.making.people import read_person
 from glsplat.making.raster import mesh_picture, visible_faces
 from glsplat.models import store
 from glsplat.models.catalogue import PHOTO

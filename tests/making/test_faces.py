@@ -12,13 +12,14 @@ import pytest
 from glsplat import reference
 from glsplat.avatar import Avatar
 from glsplat.errors import FormatError
+from glsplat.formats.gltf.meshes.reader import read_gltf_person
+from glsplat.formats.person import read_body
 from glsplat.making.cones import ConeConfig, with_cones
 from glsplat.making.detail.merge import merged
 from glsplat.making.faces.carry import carried
 from glsplat.making.faces.shapes import body_morphs, with_shapes
-from glsplat.making.gltf.reader import read_gltf_person
 from glsplat.making.posed import posed_splats
-from glsplat.making.scans import read_body, read_obj_person
+from glsplat.making.scans import read_obj_person
 from glsplat.making.surface import make_avatar
 from glsplat.meshes import MeshPart, Morphs, RiggedMesh
 from glsplat.skinning.expression import ARKIT

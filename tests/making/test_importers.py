@@ -12,7 +12,7 @@ from glsplat import reference
 from glsplat.avatar import Avatar
 from glsplat.camera import Camera, look_at, pinhole
 from glsplat.errors import FormatError
-from glsplat.making.gltf.reader import read_gltf_person
+from glsplat.formats.gltf.meshes.reader import read_gltf_person
 from glsplat.making.importers import bind_to_mesh, load_lhm_dump
 from glsplat.making.posed import posed_splats
 from glsplat.meshes import MeshPart, RiggedMesh

@@ -16,9 +16,9 @@ from glsplat.camera import Camera, look_at, pinhole
 from glsplat.data import default_avatar
 from glsplat.errors import FormatError
 from glsplat.formats import save
-from glsplat.making.items import load_item, load_scene
 from glsplat.meshes import RiggedMesh
 from glsplat.scene import Item, Scene, similarity
+from glsplat.scenes import load, load_scene
 from glsplat.splats import Splats
 from glsplat.views import viewing_point
 from tests.scenes import cloud
@@ -29,7 +29,7 @@ def test_splats_and_avatars_stay_what_they_are(tmp_path: Path) -> None:
     save(cloud(5), tmp_path / "a.ply")
     save(cloud(5), tmp_path / "a.gltf")
     save(part(default_avatar(), np.arange(9)), tmp_path / "a.glb")
-    kinds = [type(load_item(tmp_path / name)) for name in ("a.ply", "a.gltf", "a.glb")]
+    kinds = [type(load(tmp_path / name)) for name in ("a.ply", "a.gltf", "a.glb")]
     assert kinds == [Splats, Splats, Avatar]
 
 
@@ -58,7 +58,7 @@ def test_a_standing_gltf_is_where_its_nodes_put_it(tmp_path: Path, ending: str) 
         for name, data in world.export(file_type="gltf").items():
             (tmp_path / name).write_bytes(data)
         (tmp_path / "model.gltf").rename(file)
-    mesh = load_item(file)
+    mesh = load(file)
     assert isinstance(mesh, RiggedMesh) and len(mesh.skeleton) == 1 and len(mesh.faces) == 24
     expected = trimesh.load(file, force="scene").to_geometry().triangles.reshape(-1, 3)
     assert np.allclose(corners(mesh), expected[np.lexsort(expected.round(4).T)], atol=1e-5)
@@ -77,13 +77,13 @@ def test_obj_with_materials(tmp_path: Path) -> None:
     (tmp_path / "room.obj").write_text(OBJ)
     (tmp_path / "room.mtl").write_text("newmtl red\nKd 1 0 0\nnewmtl tiles\nKd 0 0 0\nmap_Kd tiles.png\nKd 0 0 1\n")
     cv2.imwrite(str(tmp_path / "tiles.png"), np.full((8, 8, 3), (0, 255, 0), np.uint8))
-    mesh = load_item(tmp_path / "room.obj")
+    mesh = load(tmp_path / "room.obj")
     assert isinstance(mesh, RiggedMesh) and [p.name for p in mesh.parts] == ["red", "tiles", "unknown"]
     assert [p.texture[0, 0].tolist()[:3] for p in mesh.parts] == [[255, 0, 0], [0, 255, 0], [200, 200, 200]]
     assert mesh.parts[1].faces.tolist() == [[0, 2, 3]] and mesh.parts[1].uv[0].tolist() == [[0, 0], [1, 1], [0, 1]]
     (tmp_path / "room.mtl").write_text("newmtl tiles\nmap_Kd ../tiles.png\n")
     with pytest.raises(FormatError, match="not beside it"):
-        load_item(tmp_path / "room.obj")
+        load(tmp_path / "room.obj")
 
 
 @pytest.mark.parametrize(
@@ -101,7 +101,7 @@ def test_obj_with_materials(tmp_path: Path) -> None:
 def test_no_items(tmp_path: Path, name: str, data: bytes, message: str) -> None:
     (tmp_path / name).write_bytes(data)
     with pytest.raises(FormatError, match=message) as caught:
-        load_item(tmp_path / name)
+        load(tmp_path / name)
     assert str(caught.value).startswith(str(tmp_path / name)) and "\n" not in str(caught.value)
 
 
@@ -119,7 +119,7 @@ def test_no_items(tmp_path: Path, name: str, data: bytes, message: str) -> None:
     ],
 )
 def test_real_meshes_in_a_scene(shared_data: Path, renderer_of, path: str, joints: int | None) -> None:
-    mesh = load_item(shared_data / path)
+    mesh = load(shared_data / path)
     assert isinstance(mesh, RiggedMesh) and len(mesh.skeleton) == (joints or len(mesh.skeleton)) > 1
     scene = Scene([Item(mesh, transform=similarity((0, 1, 0), scale=0.01)), Item(cloud(50))])
     eye, target = viewing_point(mesh, 40)
@@ -143,7 +143,7 @@ def test_a_real_model_whose_skin_is_dropped_stands(shared_data: Path, tmp_path: 
     rest = data[20 + size :]
     head = b"glTF" + (2).to_bytes(4, "little") + (20 + len(text) + len(rest)).to_bytes(4, "little")
     (tmp_path / "man.glb").write_bytes(head + len(text).to_bytes(4, "little") + b"JSON" + text + rest)
-    mesh, rigged = load_item(tmp_path / "man.glb"), load_item(shared_data / "real/models/cesium_man.glb")
+    mesh, rigged = load(tmp_path / "man.glb"), load(shared_data / "real/models/cesium_man.glb")
     assert isinstance(mesh, RiggedMesh) and isinstance(rigged, RiggedMesh)
     assert len(mesh.skeleton) == 1 and len(mesh.faces) == len(rigged.faces)
     expected = trimesh.load(tmp_path / "man.glb", force="scene").to_geometry()
@@ -160,7 +160,7 @@ def test_splats_need_no_mesh_readers(tmp_path: Path) -> None:
     save(cloud(5), tmp_path / "a.ply")
     (tmp_path / "s.json").write_text('{"version": 1, "items": [{"path": "a.ply"}]}')
     script = (
-        "import sys; from glsplat.making.items import load_scene; load_scene(sys.argv[1]); "
+        "import sys; from glsplat.scenes import load_scene; load_scene(sys.argv[1]); "
         "assert not {'cv2', 'trimesh', 'moderngl'} & set(sys.modules), sorted(sys.modules)"
     )
     subprocess.run([sys.executable, "-c", script, str(tmp_path / "s.json")], check=True)

@@ -12,7 +12,8 @@ import pytest
 
 from glsplat.camera import Camera, look_at, pinhole
 from glsplat.errors import FormatError
-from glsplat.making.people import decode_texture, read_person
+from glsplat.formats.person import read_person
+from glsplat.formats.texture import decode_texture
 from glsplat.making.raster import mesh_picture, mesh_picture_and_depth, visible_faces
 from glsplat.meshes import MeshPart, RiggedMesh
 from glsplat.skinning.pose import Pose

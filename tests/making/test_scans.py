@@ -8,8 +8,8 @@ import pytest
 import trimesh
 
 from glsplat.errors import FormatError
-from glsplat.making.people import read_person
-from glsplat.making.scans import read_body, read_obj_person
+from glsplat.formats.person import read_body, read_person
+from glsplat.making.scans import read_obj_person
 
 
 def body_file(path, **changes):

@@ -14,8 +14,8 @@ from numpy.typing import ArrayLike, NDArray
 from glsplat.camera import Camera, look_at, pinhole, stereo_cameras
 from glsplat.data import default_avatar
 from glsplat.errors import ContextError, GlsplatError, PoseError
+from glsplat.formats.person import read_person
 from glsplat.gl.context import Context
-from glsplat.making.people import read_person
 from glsplat.mesh import MeshConfig, MeshRenderer
 from glsplat.meshes import MeshPart, RiggedMesh
 from glsplat.passes.item.mesh_buffers import corners

@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from glsplat.errors import PoseError
-from glsplat.making.people import read_person
+from glsplat.formats.person import read_person
 from glsplat.motion.bvh import parse_acclaim, parse_bvh
 from glsplat.motion.motion import load_motion
 from glsplat.motion.retarget import retarget

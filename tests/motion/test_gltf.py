@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import struct
 from pathlib import Path
@@ -12,9 +13,10 @@ from scipy.spatial.transform import Rotation
 
 from glsplat.data import default_avatar
 from glsplat.errors import PoseError
-from glsplat.making.items import load_item
+from glsplat.formats.format import opened
 from glsplat.motion.kinds import is_motion
 from glsplat.motion.motion import load_motion
+from glsplat.scenes import load
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.smplx import JOINT_NAMES
 from tests.motion.clips import NODES, glb, turned, write
@@ -127,11 +129,13 @@ def test_keys_give_the_rate(tmp_path: Path, skeleton: Skeleton) -> None:
 
 def test_an_animation_is_a_motion_and_no_scene(tmp_path: Path) -> None:
     path = glb(tmp_path / "a.glb", [{"channels": [lift()]}])
-    assert is_motion(path)
+    with opened(path) as start:
+        assert is_motion(start)
     with pytest.raises(Exception, match=r"a\.glb: a motion, which shows nothing; give it .* --motion"):
-        load_item(path)
-    (tmp_path / "b.bvh").write_text("HIERARCHY\nROOT x")
-    assert is_motion(tmp_path / "b.bvh") and not is_motion(tmp_path / "nothing.bvh")
+        load(path)
+    for text, moves in ((b"HIERARCHY\nROOT x", True), (b"", False)):
+        with opened(io.BytesIO(text)) as start:
+            assert is_motion(start) is moves
 
 
 def parts(path: Path) -> tuple[dict, bytes]:

@@ -18,7 +18,6 @@ from glsplat.camera import Camera, head_matrix, look_at, pinhole, stereo_cameras
 from glsplat.config import RenderConfig
 from glsplat.data import default_avatar
 from glsplat.errors import GlsplatError, ProtocolError
-from glsplat.formats.scene_file import SceneFile
 from glsplat.net.backend import Rendered
 from glsplat.net.backends.gl import RendererBackend
 from glsplat.net.backends.process import ProcessBackend
@@ -29,6 +28,7 @@ from glsplat.net.messages import RenderRequest
 from glsplat.net.server import ServerConfig
 from glsplat.renderer import Renderer
 from glsplat.scene import Item, Scene, similarity
+from glsplat.scenes.scene_file import SceneFile
 from glsplat.skinning.pose import Pose
 from glsplat.tracking.calibration import Calibration
 from tests import needs

@@ -26,7 +26,7 @@ def test_the_serving_process():
 import argparse, json
 import numpy as np
 from apps.serve import command as serve
-from apps.args import load_scene
+from apps.args import open_scene
 from glsplat.net.backends.server import make_server
 from glsplat.net.codec.encode import Encoder
 from glsplat.net.messages import Decoder
@@ -34,7 +34,7 @@ from glsplat.net.messages import Decoder
 parser = argparse.ArgumentParser()
 serve.add_arguments(parser)
 args = parser.parse_args([])
-server = make_server(load_scene(args), serve.server_config(args))
+server = make_server(open_scene(args), serve.server_config(args))
 head = {"head": [0, 1.5, 0, 0, 0, 0, 1]}
 request = Decoder().decode(json.dumps({"v": 1, "frame_id": 1, "t": 0.0, "tracking": head}))
 server._offers["default"].solver(1.7, None).solve(request, 0.0)

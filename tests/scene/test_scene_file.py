@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 from collections.abc import Callable
@@ -15,10 +16,12 @@ from scipy.spatial.transform import Rotation
 from glsplat.data import default_avatar
 from glsplat.errors import FormatError
 from glsplat.formats import load, save
-from glsplat.formats.scene_file import MOST_ITEMS, load_scene_file, looks_like_scene_file, upright
-from glsplat.making.items import load_scene
+from glsplat.formats.format import Opened, opened
+from glsplat.formats.registry import is_scene_file
 from glsplat.motion.motion import load_embedded_motion
 from glsplat.scene import similarity
+from glsplat.scenes import load_scene, scene_file
+from glsplat.scenes.scene_file import MOST_ITEMS, upright
 from tests.motion.clips import glb, turned
 from tests.scenes import cloud, limb
 from tests.skinning.avatars import part
@@ -103,17 +106,18 @@ def test_no_items(scene: Writer) -> None:
     assert len(load_scene(scene()).scene) == 0
 
 
-def test_many_items_of_one_file_read_it_once(scene: Writer) -> None:
-    read: list[Path] = []
+def test_many_items_of_one_file_read_it_once(scene: Writer, monkeypatch: pytest.MonkeyPatch) -> None:
+    read: list[str] = []
 
-    def count(path: Path, strict: bool) -> Any:
-        read.append(path)
+    def count(start: Opened, strict: bool) -> Any:
+        read.append(start.name)
         return cloud(3)
 
+    monkeypatch.setattr(scene_file, "read_item", count)
     file = scene(*[{"path": "cloud.ply", "translation": [i, 0, 0]} for i in range(MOST_ITEMS)])
-    assert len(load_scene_file(file, read=count).scene) == MOST_ITEMS and len(read) == 1
+    assert len(load_scene(file).scene) == MOST_ITEMS and len(read) == 1
     with pytest.raises(FormatError, match=f"at most {MOST_ITEMS} items"):
-        load_scene_file(scene(*[{"path": "cloud.ply"}] * 10_000), read=count)
+        load_scene(scene(*[{"path": "cloud.ply"}] * 10_000))
     assert len(read) == 1  # refused before anything is read
 
 
@@ -186,7 +190,11 @@ def test_circles_and_bombs(scene: Writer) -> None:
 
 
 def test_what_is_a_scene_file(scene: Writer) -> None:
-    assert looks_like_scene_file(b'\xef\xbb\xbf {"version": 1, "items" : [{"path": "x", "name": "asset"}]}')
-    assert not looks_like_scene_file(b'{"asset": {"version": "2.0"}, "items": []}')
+    for whole, text in (
+        (True, b'\xef\xbb\xbf {"version": 1, "items" : [{"path": "x", "name": "asset"}]}'),
+        (False, b'{"asset": {"version": "2.0"}, "items": []}'),
+    ):
+        with opened(io.BytesIO(text)) as start:
+            assert is_scene_file(start) is whole
     with pytest.raises(FormatError, match="this is a scene file"):
         load(scene())

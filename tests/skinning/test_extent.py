@@ -13,7 +13,7 @@ from glsplat import reference
 from glsplat.avatar import Avatar
 from glsplat.data import default_avatar
 from glsplat.errors import PoseError
-from glsplat.making.people import read_person
+from glsplat.formats.person import read_person
 from glsplat.motion.motion import embedded_motions, load_motion
 from glsplat.rotations import rotation_matrices
 from glsplat.skinning.extent import Extent

@@ -13,7 +13,7 @@ from glsplat.avatar import Avatar
 from glsplat.camera import Camera, look_at, pinhole, stereo_cameras
 from glsplat.data import default_avatar
 from glsplat.errors import GlsplatError
-from glsplat.making.people import read_person
+from glsplat.formats.person import read_person
 from glsplat.motion.motion import embedded_motions, load_motion
 from glsplat.renderer import Renderer
 from glsplat.skinning.pose import Pose

@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 
 from glsplat.camera import Camera, look_at, pinhole
 from glsplat.config import RenderConfig
-from glsplat.making.items import load_item
 from glsplat.motion.motion import load_motion
 from glsplat.renderer import Renderer
+from glsplat.scenes import load
 from glsplat.watermark.detect import WINDOW, detect
 from glsplat.watermark.mark import Mark, marked
 from tests.watermark.attacks import ATTACKS
@@ -32,7 +32,7 @@ VIEWS = {"whole": (0.5, 1.0), "waist up": (0.28, 0.55), "head": (0.14, 0.3)}  # 
 
 def drawn(avatar: Path, motion: str, view: str, count: int) -> tuple[NDArray[np.float32], tuple[slice, slice]]:
     """[count, SIDE, SIDE, 4] float pictures from frame 40 on, and where head and shoulders are in the middle one."""
-    figure = load_item(avatar, False)
+    figure = load(avatar, False)
     moving = load_motion(motion, figure.skeleton).resampled(30)
     poses = [moving.pose(min(40 + i, len(moving) - 1)) for i in range(count)]
     focal = pinhole(SIDE, SIDE)

@@ -9,9 +9,8 @@ from typing import Any, Protocol
 
 from glsplat.errors import FormatError, GlsplatError
 from glsplat.evaluate.comparison.participant import Participant
-from glsplat.formats import FORMATS
+from glsplat.formats import FORMATS, load
 from glsplat.making.importers import bind_to_mesh
-from glsplat.making.items import load_item
 from glsplat.making.reconstruct.plugins import Plugins
 from glsplat.scene import Figure
 from glsplat.splats import Splats
@@ -30,7 +29,7 @@ OWN = {
 
 # files with a rig count before those without
 _FORMATS = sorted(FORMATS, key=lambda form: not form.rigs)
-_SUFFIXES = (*(s for form in _FORMATS for s in form.suffixes if s.startswith(".")), ".npz")
+_SUFFIXES = tuple(s for form in _FORMATS for s in form.suffixes if s.startswith("."))
 PLUGINS = Plugins("method", GROUP, "make", OWN)
 
 
@@ -69,7 +68,7 @@ class Folder:
 
 def read_figure(file: Path, participant: Participant) -> Figure:
     """An avatar or mesh of a file; splats without a skeleton are bound to the participant's mesh. FormatError."""
-    content = load_item(file, False)
+    content = load(file)
     return bind_to_mesh(content, participant.mesh) if isinstance(content, Splats) else content
 
 

@@ -12,9 +12,9 @@ from typing import Any
 
 from glsplat.camera import Camera, camera_from_json
 from glsplat.errors import FormatError
-from glsplat.formats.files import open_regular
-from glsplat.making.items import load_item
+from glsplat.io.files import open_regular
 from glsplat.meshes import RiggedMesh
+from glsplat.scenes.loading import load
 from glsplat.skinning.pose import Pose
 
 __all__ = ["Participant", "digest_of", "participants_in"]
@@ -55,7 +55,7 @@ class Participant:
     @cached_property
     def mesh(self) -> RiggedMesh:
         """The truth in its zero pose, soles on y = 0. Raises FormatError."""
-        found = load_item(self.mesh_file, False)
+        found = load(self.mesh_file)
         if not isinstance(found, RiggedMesh) or len(found.skeleton) < 2:
             raise FormatError(f"{self.mesh_file}: a participant is a textured mesh with a skeleton, this is none")
         return found

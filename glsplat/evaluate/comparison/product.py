@@ -16,11 +16,11 @@ from glsplat.errors import FormatError, GlsplatError
 from glsplat.evaluate.comparison.method import Folder, method_named, read_figure
 from glsplat.evaluate.comparison.participant import Participant, digest_of
 from glsplat.formats import save
-from glsplat.formats.files import replace_file
-from glsplat.formats.gltf.mesh import save_gltf_mesh
-from glsplat.making.items import load_item
+from glsplat.formats.gltf.meshes.write import save_gltf_mesh
+from glsplat.io.files import replace_file
 from glsplat.making.reconstruct.plugins import one_line
 from glsplat.scene import Figure, is_figure
+from glsplat.scenes.loading import load
 
 __all__ = ["Product", "key_of", "product"]
 
@@ -57,7 +57,7 @@ def product(
             save_gltf_mesh(figure, file)
         kept = {"key": wanted, "seconds": seconds, "sha256": digest_of(file)}  # of this file and no other
         replace_file(note, [json.dumps(kept).encode()])
-    figure = _checked(load_item(file, False), name)
+    figure = _checked(load(file), name)
     return Product(figure, _facts(figure, file.stat().st_size, kept["seconds"]))
 
 

@@ -27,7 +27,7 @@ from glsplat.evaluate.comparison.protocol import Protocol
 from glsplat.evaluate.comparison.sheet import Sheet
 from glsplat.evaluate.comparison.stage import Stage
 from glsplat.evaluate.machine import commit
-from glsplat.formats.files import replace_file
+from glsplat.io.files import replace_file
 from glsplat.making.reconstruct.plugins import one_line
 from glsplat.skinning.pose import Pose
 from glsplat.tracking.sample import Sample

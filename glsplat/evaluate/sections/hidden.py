@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from glsplat.avatar import Avatar
+from glsplat.avatar import Avatar, splats_of
 from glsplat.camera import Camera
 from glsplat.config import RenderConfig
 from glsplat.errors import GlsplatError
@@ -25,7 +25,7 @@ from glsplat.evaluate.subjects import Subject
 from glsplat.gl.context import Context
 from glsplat.motion.motion import embedded_motions, load_motion
 from glsplat.skinning.pose import Pose
-from glsplat.views import splats_of, view_of, viewing_point
+from glsplat.views import view_of, viewing_point
 
 __all__ = ["Search", "hidden", "hidden_cost", "with_hidden"]
 

@@ -10,7 +10,7 @@ from typing import Any
 import moderngl
 import numpy as np
 
-from glsplat.avatar import Avatar
+from glsplat.avatar import Avatar, splats_of
 from glsplat.config import RenderConfig
 from glsplat.evaluate.frames import STAGES, WARM_UP, Series
 from glsplat.evaluate.sections.measure import Tick
@@ -21,7 +21,6 @@ from glsplat.skinning.pose import Pose
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.skin import Skin
 from glsplat.splats import Splats
-from glsplat.views import splats_of
 
 __all__ = ["Feature", "features_of", "left_out", "unmoved"]
 

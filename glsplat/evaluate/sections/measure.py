@@ -12,7 +12,7 @@ import numpy as np
 import simplejpeg
 from numpy.typing import NDArray
 
-from glsplat.avatar import Avatar
+from glsplat.avatar import Avatar, splats_of
 from glsplat.camera import Camera
 from glsplat.evaluate.difference import Difference, Truth, pareto
 from glsplat.evaluate.frames import WARM_UP, Bench, Series
@@ -21,7 +21,6 @@ from glsplat.evaluate.subjects import Subject
 from glsplat.gl.context import Context
 from glsplat.net.codec.encode import encode_picture
 from glsplat.renderer import Renderer
-from glsplat.views import splats_of
 
 __all__ = ["Tick", "agreement", "agreement_cost", "better_than_default", "frame_cost", "measure", "measure_cost"]
 

@@ -22,7 +22,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.errors import FormatError
-from glsplat.formats.files import left_out, open_regular, sampled
 from glsplat.formats.gltf.meshopt import unpacked
 from glsplat.formats.gltf.schema import (
     Accessor,
@@ -39,6 +38,7 @@ from glsplat.formats.gltf.schema import (
     Skin,
     Sparse,
 )
+from glsplat.io.files import left_out, open_regular, sampled
 
 __all__ = [
     "Accessor",
@@ -53,7 +53,7 @@ __all__ = [
     "Primitive",
     "Scene",
 ]
-__all__ += ["Index", "Skin", "item", "parse", "read_container"]
+__all__ += ["Index", "Skin", "chunks", "glb_length", "item", "parse", "read_container"]
 
 log: logging.Logger = logging.getLogger(__name__)
 
@@ -271,13 +271,18 @@ class Container:
             data = self._blob
         else:
             if buffer.uri not in self._uris:
-                self._uris[buffer.uri] = self._fetch(buffer.uri)
+                self._uris[buffer.uri] = self._fetch(buffer.uri, "buffer")
             data = self._uris[buffer.uri]
         if len(data) < buffer.byte_length:
             raise FormatError(f"truncated: buffer {index} declares {buffer.byte_length} bytes, {len(data)} are there")
         return replace(data, length=buffer.byte_length)
 
-    def _fetch(self, uri: str) -> Blob:
+    def fetched(self, uri: str, what: str) -> bytes:
+        """What a URI names: data in it, or a file in this one's folder. Raises FormatError for anything else."""
+        blob = self._fetch(uri, what)
+        return blob.part(0, len(blob))
+
+    def _fetch(self, uri: str, what: str) -> Blob:
         if uri.startswith("data:"):
             head, comma, body = uri.partition(",")
             try:
@@ -285,20 +290,20 @@ class Container:
                     raise ValueError("no ;base64")
                 return Blob.of(base64.b64decode(body, validate=True))
             except (ValueError, binascii.Error) as error:
-                raise FormatError(f"a data URI of a buffer is not base64 ({str(error)[:60]})") from None
+                raise FormatError(f"the data URI of a {what} is not base64 ({str(error)[:60]})") from None
         name = unquote(uri)
         if self._folder is None:
             raise FormatError(
-                f"the buffer {name[:60]!r} is a file of its own, and an open file has no folder; give its path"
+                f"the {what} {name[:60]!r} is a file of its own, and an open file has no folder; give its path"
             )
         folder = self._folder.resolve()
         try:
             target = (folder / name).resolve()
         except (OSError, ValueError, RuntimeError):
-            raise FormatError(f"the buffer {name[:60]!r} is no path of a file") from None
+            raise FormatError(f"the {what} {name[:60]!r} is no path of a file") from None
         # also catches absolute paths and symbolic links that lead out
         if "\\" in name or ":" in name or not target.is_relative_to(folder):
-            raise FormatError(f"the buffer {name[:60]!r} lies outside the file's own folder; put it beside the file")
+            raise FormatError(f"the {what} {name[:60]!r} lies outside the file's own folder; put it beside the file")
         with open_regular(target) as (_, size):
             return Blob(target, 0, size)
 
@@ -317,11 +322,7 @@ def parse(data: bytes, folder: Path) -> Container:
 
 def read_container(file: BinaryIO, size: int, folder: Path | None) -> Container:
     """The same of an open file of ``size`` bytes; it has to stay open while the container is read from."""
-    text, blob = Blob(file, 0, size), None
-    file.seek(0)
-    head = file.read(20)
-    if head[:4] == b"glTF":
-        text, blob = _chunks(file, size, head)
+    text, blob = chunks(file, size)
     # a hole in a file is not read: JSON has no zero bytes
     if text.length > _SAMPLED and b"\0" in sampled(file, text.start, text.length):
         raise FormatError("the glTF JSON is broken: it has zero bytes (a hole in the file?)")
@@ -334,10 +335,20 @@ def read_container(file: BinaryIO, size: int, folder: Path | None) -> Container:
     return Container(gltf, blob, folder)
 
 
-def _chunks(file: BinaryIO, have: int, head: bytes) -> tuple[Blob, Blob | None]:
+def glb_length(head: bytes) -> int:
+    """The bytes that a GLB says to have; what is behind them is none of it. ``head`` are its first 12 or more."""
+    return int(struct.unpack_from("<I", head, 8)[0])
+
+
+def chunks(file: BinaryIO, have: int) -> tuple[Blob, Blob | None]:
+    """The JSON of an open file of ``have`` bytes, and a GLB's binary chunk (glTF 2.0, 4.4). Raises FormatError."""
+    file.seek(0)
+    head = file.read(20)
+    if head[:4] != b"glTF":
+        return Blob(file, 0, have), None
     if have < 20:
         raise FormatError(f"truncated: a GLB has a header of 20 bytes, this file has {have}")
-    _, version, length = struct.unpack_from("<III", head)
+    version, length = struct.unpack_from("<I", head, 4)[0], glb_length(head)
     if version != 2:
         raise FormatError(f"needs GLB version 2, found {version}")
     if length > have:

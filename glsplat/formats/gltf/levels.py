@@ -14,9 +14,8 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from glsplat.avatar import Avatar
+from glsplat.avatar import Avatar, splats_of
 from glsplat.errors import FormatError
-from glsplat.formats.files import left_out
 from glsplat.formats.gltf.container import Container, Mesh, Node, item
 from glsplat.formats.gltf.morphs import shapes_of, write_shapes
 from glsplat.formats.gltf.nodes import Graph, Instance
@@ -24,8 +23,8 @@ from glsplat.formats.gltf.output import Output
 from glsplat.formats.gltf.primitive import ANTIALIAS, EXTENSION, number_of, our_extras, read_splats, write_splats
 from glsplat.formats.gltf.rig import SKIN_WEIGHTS, read_skeleton, read_skin, weights_note, write_influences
 from glsplat.formats.transform import transformed
+from glsplat.io.files import left_out
 from glsplat.splats import Level, Splats
-from glsplat.views import splats_of
 
 __all__ = ["LOD", "MOST_LEVELS", "finest_of", "read_levels", "write_levels"]
 

@@ -12,10 +12,10 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from glsplat.consent.canonical import CONSENT, file_digest
 from glsplat.errors import FormatError
-from glsplat.formats.files import Source, left_out, naming, replace_file, suffix_of
 from glsplat.formats.gltf.container import BINARY_CHUNK, JSON_CHUNK, MAGIC, Accessor, Asset, Buffer, BufferView, Gltf
+from glsplat.formats.gltf.record import CONSENT, is_of
+from glsplat.io.files import Source, left_out, naming, replace_file, suffix_of
 
 __all__ = ["INDICES", "VERTICES", "Output"]
 
@@ -89,7 +89,7 @@ class Output:
             return
         document = msgspec.json.decode(_encode(self.gltf))
         rest = struct.pack("<II", len(blob), BINARY_CHUNK) + blob
-        if embedded or record.get("file_sha256") != file_digest(document, rest):
+        if embedded or not is_of(record, document, rest):
             del note[CONSENT]
             why = "only a .glb carries one" if embedded else "it was signed for other content; sign it anew"
             left_out(log, f"the consent is left out: {why}")

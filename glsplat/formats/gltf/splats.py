@@ -8,16 +8,15 @@ the zero pose.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import numpy as np
 
 from glsplat.arrays import frozen
-from glsplat.avatar import Avatar
+from glsplat.avatar import Avatar, splats_of
 from glsplat.errors import FormatError
-from glsplat.formats.files import Source, checked, folder_of, naming, open_regular
-from glsplat.formats.format import Format
-from glsplat.formats.gltf.container import Container, Mesh, Node, Scene, read_container
+from glsplat.formats.format import Format, Opened, checked, opened
+from glsplat.formats.gltf.container import Container, Gltf, Mesh, Node, Scene, read_container
 from glsplat.formats.gltf.fallback import UNLIT, unlit_material
 from glsplat.formats.gltf.levels import finest_of, read_levels, write_levels
 from glsplat.formats.gltf.morphs import shapes_of, write_shapes
@@ -33,6 +32,9 @@ from glsplat.formats.gltf.rig import (
     write_skeleton,
 )
 from glsplat.formats.transform import transformed
+from glsplat.io.files import Source
+from glsplat.meshes import RiggedMesh
+from glsplat.scene import Content
 from glsplat.splats import Splats
 
 __all__ = ["EXTENSION", "GLB", "GLTF", "load_gltf", "read_gltf", "save_gltf"]
@@ -56,18 +58,30 @@ def load_gltf(source: Source, *, strict: bool = False) -> Splats | Avatar:
     Raises FormatError: no glTF, no splats in it, an attribute missing, truncated or of another kind, a colour space
     other than display sRGB, splats compressed by anything but SPZ, or an external buffer outside the file's own folder.
     """
-    with naming(source, strict), open_regular(source) as (file, size):
-        scene = read_gltf(file, size, folder_of(source))
-        checked(scene.splats if isinstance(scene, Avatar) else scene, source, strict)
+    with opened(source, strict) as start:
+        container = read_container(start.file, start.size, start.folder)
+        scene = _scene(container)
+        container.tell()
+        checked(splats_of(scene), start.name, strict)
         return scene
 
 
-def read_gltf(file: BinaryIO, size: int, folder: Path | None) -> Splats | Avatar:
-    """The scene of an open file of ``size`` bytes, whose other buffers lie in ``folder``."""
-    container = read_container(file, size, folder)
+def read_gltf(start: Opened) -> Content:
+    """What an open file shows: its splats, or where it has none its triangles (meshes/reader.py)."""
+    container = read_container(start.file, start.size, start.folder)
+    if not _has_splats(container.gltf):
+        from glsplat.formats.gltf.meshes.reader import mesh_of  # here: images need OpenCV
+
+        return mesh_of(container, Path(start.name).name)
     scene = _scene(container)
     container.tell()
     return scene
+
+
+def _has_splats(gltf: Gltf) -> bool:
+    """Whether the file says so, also where none of its meshes has any."""
+    named = (gltf.extensions_used, gltf.extensions_required)
+    return any(EXTENSION in names for names in (*named, *(p.extensions for m in gltf.meshes for p in m.primitives)))
 
 
 def save_gltf(scene: Splats | Avatar, target: Source, *, embedded: bool | None = None) -> None:
@@ -78,7 +92,7 @@ def save_gltf(scene: Splats | Avatar, target: Source, *, embedded: bool | None =
     Raises FormatError when ``target`` cannot be written or an avatar's metadata is not JSON.
     """
     out = Output()
-    splats = scene.splats if isinstance(scene, Avatar) else scene
+    splats = splats_of(scene)
     primitive = write_splats(out, splats)
     gltf = out.gltf
     gltf.meshes = [Mesh(primitives=[primitive])]
@@ -157,13 +171,19 @@ def _merged(container: Container, graph: Graph, found: list[Instance]) -> Splats
     )
 
 
+def _save_mesh(mesh: RiggedMesh, target: Source, *, embedded: bool) -> None:
+    from glsplat.formats.gltf.meshes.write import save_gltf_mesh  # here: images need OpenCV
+
+    save_gltf_mesh(mesh, target, embedded=embedded)
+
+
 def _begins_json(head: bytes) -> bool:
     """An object's brace and a key, or the end: numbers of a .splat may look like text from end to end."""
     text = head.removeprefix(b"\xef\xbb\xbf").lstrip()
     return text[:1] == b"{" and text[1:].lstrip()[:1] in (b'"', b"}", b"")
 
 
-_TITLE = f"glTF/GLB with {EXTENSION}"
+_TITLE = f"glTF/GLB with {EXTENSION} or triangles"
 
 GLB = Format(
     name="glb",
@@ -172,6 +192,7 @@ GLB = Format(
     sniff=lambda start: start.head.startswith(b"glTF"),
     load=read_gltf,
     save=lambda scene, target: save_gltf(scene, target, embedded=False),
+    save_mesh=lambda mesh, target: _save_mesh(mesh, target, embedded=False),
     rigs=True,
     cones=True,
     levels=True,
@@ -184,6 +205,7 @@ GLTF = Format(
     sniff=lambda start: start.text and _begins_json(start.head),  # else it is a number of a .splat like a brace
     load=read_gltf,
     save=lambda scene, target: save_gltf(scene, target, embedded=True),
+    save_mesh=lambda mesh, target: _save_mesh(mesh, target, embedded=True),
     rigs=True,
     cones=True,
     levels=True,

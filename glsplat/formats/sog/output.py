@@ -14,8 +14,8 @@ from pathlib import Path
 import msgspec
 
 from glsplat.errors import FormatError
-from glsplat.formats.files import Source, replace_file
 from glsplat.formats.sog.package import META
+from glsplat.io.files import Source, replace_file
 
 __all__ = ["write_folder", "write_zip"]
 

@@ -11,7 +11,7 @@ from pathlib import Path, PurePosixPath
 from typing import BinaryIO, Protocol
 
 from glsplat.errors import FormatError
-from glsplat.formats.files import open_regular
+from glsplat.io.files import open_regular
 
 __all__ = ["META", "Folder", "Package", "Zip", "is_zip"]
 

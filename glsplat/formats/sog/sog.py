@@ -6,18 +6,17 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 
-from glsplat.avatar import Avatar
+from glsplat.avatar import Avatar, splats_of
 from glsplat.errors import FormatError
-from glsplat.formats.files import Source, checked, folder_of, naming, open_regular
-from glsplat.formats.format import Format, Start, clamped_opacities
+from glsplat.formats.format import Format, Opened, checked, clamped_opacities, opened
 from glsplat.formats.sog.meta import MOST_SPLATS
 from glsplat.formats.sog.output import write_folder, write_zip
 from glsplat.formats.sog.package import META, is_zip
 from glsplat.formats.sog.palette import palette_size
 from glsplat.formats.sog.read import read_sog
 from glsplat.formats.sog.write import drawn, packed, stored_order
+from glsplat.io.files import Source, naming
 from glsplat.splats import Splats
-from glsplat.views import splats_of
 
 __all__ = ["SOG", "load_sog", "save_sog"]
 
@@ -30,8 +29,8 @@ def load_sog(source: Source, *, strict: bool = False) -> Splats:
     Coordinates are those of the PLY that the file was made of; the format names no axis that points up. What the file
     says of antialiasing is in ``Splats.antialias``. Raises FormatError.
     """
-    with naming(source), open_regular(source) as (file, size):
-        return checked(read_sog(file, size, folder_of(source)), source, strict)
+    with opened(source) as start:
+        return checked(read_sog(start.file, start.size, start.folder), start.name, strict)
 
 
 def save_sog(splats: Splats, target: Source) -> None:
@@ -72,9 +71,9 @@ def _folder(target: Source) -> Path | None:
     return None
 
 
-def _sniff(start: Start) -> bool:
+def _sniff(start: Opened) -> bool:
     if start.head.startswith(b"PK"):
-        return start.named or is_zip(start.file, start.size)
+        return start.named(*SOG.suffixes) or is_zip(start.file, start.size)
     head = start.head.removeprefix(b"\xef\xbb\xbf").lstrip()
     if not start.text or not head.startswith(b"{") or start.size > _LARGEST:
         return False
@@ -103,7 +102,7 @@ SOG = Format(
     title="SOG (.sog, or its meta.json)",
     suffixes=(".sog", META),
     sniff=_sniff,
-    load=read_sog,
+    load=lambda start: read_sog(start.file, start.size, start.folder),
     save=lambda scene, target: save_sog(splats_of(scene), target),
     loses=_loses,
     order=stored_order,

@@ -8,7 +8,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from glsplat.avatar import Avatar
+from glsplat.avatar import Avatar, splats_of
 from glsplat.errors import GlsplatError
 from glsplat.gl.context import Context
 from glsplat.making.detail.fitted import FittedConfig, fitted_levels
@@ -16,7 +16,6 @@ from glsplat.making.detail.measure import MeasureConfig, Pictures, Station, meas
 from glsplat.making.detail.merge import Cover, MergeConfig, area_of, covered, merged_levels
 from glsplat.making.optimize.compiled import available
 from glsplat.splats import Splats
-from glsplat.views import splats_of
 
 __all__ = ["halves", "with_levels", "with_merged_levels"]
 

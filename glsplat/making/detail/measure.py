@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from glsplat.avatar import Avatar
+from glsplat.avatar import Avatar, splats_of
 from glsplat.camera import Camera, look_at
 from glsplat.config import RenderConfig
 from glsplat.detail.proxy import Proxy
@@ -30,7 +30,6 @@ from glsplat.making.visibility import probe_poses, sphere
 from glsplat.renderer import Renderer
 from glsplat.skinning.pose import Pose
 from glsplat.splats import Level, Splats
-from glsplat.views import splats_of
 
 __all__ = ["MeasureConfig", "Pictures", "Station", "difference", "measured", "stations_of"]
 

@@ -17,11 +17,11 @@ from numpy.typing import NDArray
 from glsplat.making.fit.body import Body
 from glsplat.making.fit.eyes import EyeLook
 from glsplat.making.fit.offsets import face_of
-from glsplat.making.paint.colour import to_srgb
 from glsplat.making.paint.inside import with_inside
 from glsplat.making.paint.paint import Paint
 from glsplat.making.paint.shot import Shot, SurfacePoints
 from glsplat.making.paint.smooth import smoothest
+from glsplat.pictures import to_srgb
 from glsplat.skinning.smplx import JOINT_NAMES
 
 __all__ = ["Fusion", "fusion_of"]

@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 
 from glsplat.making.fit.body import Body
 from glsplat.making.fit.offsets import face_of
-from glsplat.making.paint.colour import to_linear
 from glsplat.making.paint.layers.segments import trunk_of
 from glsplat.making.paint.light import Light
 from glsplat.making.paint.shot import Shot, SurfacePoints
 from glsplat.making.paint.smooth import smoothest
+from glsplat.pictures import to_linear
 from glsplat.skinning.smplx import JOINT_NAMES
 
 __all__ = ["BackOfHead", "back_of_head"]

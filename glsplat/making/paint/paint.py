@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from glsplat.making.fit.body import Body
 from glsplat.making.fit.eyes import EyeLook
-from glsplat.making.paint.colour import to_srgb
 from glsplat.making.paint.head import BackOfHead, back_of_head
 from glsplat.making.paint.inside import with_inside
 from glsplat.making.paint.layers.segments import trunk_of, twins_across
@@ -18,6 +17,7 @@ from glsplat.making.paint.light import Light, find_light
 from glsplat.making.paint.shot import Shot, Sight, SurfacePoints
 from glsplat.making.paint.smooth import smoothest
 from glsplat.making.paint.twins import Twins, find_twins
+from glsplat.pictures import to_srgb
 from glsplat.skinning.smplx import JOINT_NAMES
 
 __all__ = ["Paint", "Painter", "paint", "painter_of"]

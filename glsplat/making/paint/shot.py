@@ -13,12 +13,12 @@ from scipy.sparse import csr_array
 from glsplat.camera import Camera
 from glsplat.making.fit.body import open_body
 from glsplat.making.fit.fit import FittedView
-from glsplat.making.paint.colour import to_linear
 from glsplat.making.paint.layers.fill import continued, nearest_known, only_in_the_middle
 from glsplat.making.paint.layers.labels import labels_of
 from glsplat.making.paint.layers.segments import HANDS, LAYERS, half_width, layer_of, trunk_of
 from glsplat.making.raster import visible_faces
 from glsplat.meshes import MeshPart, RiggedMesh, vertex_normals
+from glsplat.pictures import to_linear
 from glsplat.skinning.smplx import JOINT_NAMES
 
 __all__ = ["Shot", "Sight", "SurfacePoints"]

@@ -13,11 +13,11 @@ import simplejpeg
 from numpy.typing import NDArray
 
 from glsplat.errors import FormatError
-from glsplat.formats.files import open_regular
+from glsplat.io.files import open_regular
+from glsplat.io.png import clean_png
 
 from .exif import Exif, read_exif
 from .headers import Header, read_header
-from .png import clean_png
 
 __all__ = ["MOST_BYTES", "MOST_PIXELS", "SIDE", "Photo", "photo_of", "read_photo"]
 

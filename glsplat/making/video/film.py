@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.errors import FormatError
-from glsplat.formats.files import open_regular
+from glsplat.io.files import open_regular
 from glsplat.making.photo.photo_file import MOST_PIXELS, SIDE
 
 __all__ = ["FEWEST", "each_frame", "is_video", "read_frames"]

@@ -23,7 +23,7 @@ from pathlib import Path
 import msgspec
 
 from glsplat.errors import FormatError, GlsplatError
-from glsplat.formats.files import naming, open_regular, replace_file
+from glsplat.io.files import naming, open_regular, replace_file
 
 __all__ = ["ANY", "Accounts", "User", "new_user", "read_users", "write_users"]
 

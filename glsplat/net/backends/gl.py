@@ -20,7 +20,7 @@ from glsplat.passes.stats import union
 from glsplat.scene import Figure, Shown
 
 if TYPE_CHECKING:
-    from glsplat.formats.scene_file import SceneFile
+    from glsplat.scenes.scene_file import SceneFile
 
 __all__ = ["MAX_COST", "MAX_TIME", "RendererBackend", "most_cost"]
 

@@ -14,12 +14,12 @@ from glsplat.avatar import Avatar
 from glsplat.camera import Camera
 from glsplat.detail.selector import Selector
 from glsplat.errors import PoseError
-from glsplat.formats.scene_file import SceneFile
 from glsplat.net.backends.labels import Label
 from glsplat.net.messages import RenderRequest
 from glsplat.net.rooms.view import Present, RoomView
 from glsplat.renderer import Renderer
 from glsplat.scene import Figure, Item, Scene
+from glsplat.scenes.scene_file import SceneFile
 
 __all__ = ["RoomStand", "label_place"]
 

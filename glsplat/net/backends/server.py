@@ -13,7 +13,6 @@ from glsplat.config import RenderConfig
 from glsplat.consent.file import on_file
 from glsplat.consent.policy import ConsentPolicy
 from glsplat.errors import GlsplatError
-from glsplat.formats.scene_file import SceneFile
 from glsplat.net.backend import Backend, Offered
 from glsplat.net.backends.gl import MAX_TIME, RendererBackend
 from glsplat.net.backends.process import ProcessBackend
@@ -27,6 +26,7 @@ from glsplat.net.uploads.shelf import SUFFIX
 from glsplat.net.workers.farm import Farm
 from glsplat.net.workers.options import Workers
 from glsplat.scene import Figure, Shown, is_figure
+from glsplat.scenes.scene_file import SceneFile
 from glsplat.skinning.rigs.driven import why_not_driven, why_not_tracked
 from glsplat.tracking.calibration import EYES_OF_STATURE, Calibration
 from glsplat.tracking.solve.body import Body

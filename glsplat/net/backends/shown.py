@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from glsplat.avatar import Avatar
 from glsplat.camera import Camera
 from glsplat.errors import GlsplatError
-from glsplat.formats.scene_file import SceneFile
 from glsplat.net.backends.labels import Label, notice
 from glsplat.net.backends.room import RoomStand, label_place, selectors
 from glsplat.net.messages import RenderRequest
@@ -22,6 +21,7 @@ from glsplat.passes.kept import Kept
 from glsplat.passes.views import checked_pose
 from glsplat.renderer import Renderer
 from glsplat.scene import Figure, Item, Scene, Shown, is_figure
+from glsplat.scenes.scene_file import SceneFile
 from glsplat.skinning.extent import Extent
 from glsplat.skinning.skin import Skin
 

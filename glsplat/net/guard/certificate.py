@@ -21,7 +21,7 @@ from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption,
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from glsplat.errors import GlsplatError
-from glsplat.formats.files import open_regular, replace_file
+from glsplat.io.files import open_regular, replace_file
 from glsplat.net.guard.kept import lock_of
 
 __all__ = ["CERTIFICATE", "KEY", "Kept", "holds", "kept_certificate"]

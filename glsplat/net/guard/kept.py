@@ -10,7 +10,7 @@ from pathlib import Path
 
 from glsplat.consent.keys import PrivateKey, new_key, private_key
 from glsplat.errors import GlsplatError
-from glsplat.formats.files import locked, replace_file
+from glsplat.io.files import locked, replace_file
 from glsplat.net.guard.access import read_token
 from glsplat.watermark.keys import new_watermark, read_watermark, text_of
 from glsplat.watermark.mark import Watermark

@@ -12,7 +12,7 @@ from pathlib import Path
 from glsplat.avatar import Avatar
 from glsplat.errors import FormatError, GlsplatError
 from glsplat.formats import load
-from glsplat.formats.files import replace_file
+from glsplat.io.files import replace_file
 
 __all__ = ["SUFFIX", "NoRoomError", "Shelf"]
 

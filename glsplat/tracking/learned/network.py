@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.errors import FormatError
-from glsplat.formats.npz import read_arrays
+from glsplat.io.npz import read_arrays
 from glsplat.tracking.learned.frames import INPUTS, OUTPUTS, RATE
 
 __all__ = ["VERSION", "Network", "load_network", "save_network"]

@@ -22,8 +22,8 @@ from glsplat.evaluate.comparison.participant import participants_in
 from glsplat.evaluate.comparison.performance import perform
 from glsplat.evaluate.comparison.protocol import Protocol
 from glsplat.evaluate.comparison.stage import Stage
-from glsplat.making.items import load_item
 from glsplat.scene import is_figure
+from glsplat.scenes import load
 
 ROOT = Path(__file__).resolve().parents[3]
 METHODS = {"photo": "photo (splats)", "mesh-image": "mesh-image", "mesh-video": "mesh-video", "scan": "scan (splats)"}
@@ -56,7 +56,7 @@ def main() -> None:
     with Stage(one.mesh, performance, protocol) as stage:
         figures = {}
         for method in METHODS:
-            figure = load_item(out / "avatars" / method / f"{name}.glb")
+            figure = load(out / "avatars" / method / f"{name}.glb")
             assert is_figure(figure)
             pose = true_poses(performance, one.mesh.skeleton, figure.skeleton)[0]
             figures[method] = stage.add(figure), pose

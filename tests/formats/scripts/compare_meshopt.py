@@ -16,7 +16,7 @@ import sys
 
 import numpy as np
 
-from glsplat.making.gltf.reader import read_gltf_person
+from glsplat.formats.gltf.meshes.reader import read_gltf_person
 
 
 def main(packed: str, plain: str) -> int:

@@ -21,13 +21,12 @@ from typing import Any
 
 import numpy as np
 
-from glsplat.avatar import Avatar
+from glsplat.avatar import Avatar, splats_of
 from glsplat.data import default_avatar
 from glsplat.formats import load, save
-from glsplat.formats.gltf.mesh import save_gltf_mesh
+from glsplat.formats.gltf.meshes.write import save_gltf_mesh
 from glsplat.formats.gltf.splats import EXTENSION
 from glsplat.skinning.pose import Pose
-from glsplat.views import splats_of
 from tests.formats.meshes import chain
 from tests.formats.scenes import edit_glb, random_avatar, random_splats
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from glsplat.data import default_avatar
+from glsplat.formats.gltf.meshes.reader import read_gltf_person
 from glsplat.making.fit.body import open_body
-from glsplat.making.gltf.reader import read_gltf_person
 from glsplat.meshes import RiggedMesh
 from glsplat.motion.fitted import leg_length
 from glsplat.motion.motion import load_motion

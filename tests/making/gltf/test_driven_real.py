@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from glsplat.formats.gltf.meshes.reader import read_gltf_person
 from glsplat.making.fit.body import open_body
-from glsplat.making.gltf.reader import read_gltf_person
 from glsplat.meshes import RiggedMesh
 from glsplat.motion.motion import load_motion
 from glsplat.skinning.pose import Pose

@@ -17,7 +17,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from glsplat.errors import FormatError
-from glsplat.making.gltf.reader import read_gltf_person
+from glsplat.formats.gltf.meshes.reader import read_gltf_person
 from glsplat.meshes import RiggedMesh
 from glsplat.skinning.rigs.driven import why_not_driven
 from glsplat.skinning.rigs.match import match_rig
@@ -73,7 +73,7 @@ def test_a_small_file_that_shows_its_mesh_often(tmp_path: Path, monkeypatch: pyt
     write_glb(tmp_path / "a.glb", document, blob)
     read = read_gltf_person(tmp_path / "a.glb")
     assert len(read.parts) >= 12 and len({id(part.texture) for part in read.parts}) < 5
-    monkeypatch.setattr("glsplat.making.gltf.reader._MOST", 1 << 17)
+    monkeypatch.setattr("glsplat.formats.gltf.meshes.reader._MOST", 1 << 17)
     document["nodes"] += [skinned] * 400
     document["scenes"][0]["nodes"] += range(len(document["nodes"]) - 400, len(document["nodes"]))
     write_glb(tmp_path / "a.glb", document, blob)

@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 
 from glsplat.errors import FormatError
-from glsplat.making.gltf.reader import read_gltf_mesh, read_gltf_person
+from glsplat.formats import load
+from glsplat.formats.gltf.meshes.reader import read_gltf_person
 from glsplat.meshes import RiggedMesh
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.smplx import JOINT_NAMES
@@ -124,7 +125,7 @@ def test_packed_geometry_is_refused_before_all_else(tmp_path: Path) -> None:
         for accessor in document["accessors"][:4]:
             del accessor["bufferView"]
 
-    for how in (read_gltf_person, read_gltf_mesh):
+    for how in (read_gltf_person, load):
         with pytest.raises(FormatError, match=r"KHR_draco_mesh_compression.*gltf-transform"):
             read(tmp_path, draco, how)
 
@@ -189,7 +190,7 @@ def test_parts_that_are_no_body_are_refused(tmp_path: Path) -> None:
 
     with pytest.raises(FormatError, match="needs triangles with a skin"):
         read(tmp_path, boxes)
-    assert len(read(tmp_path, boxes, read_gltf_mesh).skeleton) == 1
+    assert len(read(tmp_path, boxes, load).skeleton) == 1
 
 
 @pytest.mark.parametrize("away", [2.5, 0.0])

@@ -18,10 +18,12 @@ import pytest
 from glsplat.avatar import Avatar
 from glsplat.errors import FormatError
 from glsplat.formats import load, save
-from glsplat.formats.gltf.mesh import save_gltf_mesh
-from glsplat.making.gltf import reader
-from glsplat.making.gltf.reader import read_gltf_mesh, read_gltf_person
-from glsplat.making.items import load_item
+from glsplat.formats.format import opened
+from glsplat.formats.gltf.container import read_container
+from glsplat.formats.gltf.meshes import reader
+from glsplat.formats.gltf.meshes.reader import read_gltf_person
+from glsplat.formats.gltf.meshes.write import save_gltf_mesh
+from glsplat.formats.gltf.nodes import graph_of
 from glsplat.making.lam import load_lam_zip
 from glsplat.meshes import RiggedMesh
 from glsplat.skinning.pose import Pose
@@ -114,9 +116,11 @@ def test_a_vertex_without_any_other_goes_with_the_root(
         others = np.setdiff1d(np.arange(len(whole.vertices)), list(rows))
         np.testing.assert_allclose(posed(mesh)[others], posed(whole)[others], atol=1e-9)
         assert mesh.meta["rig"] == whole.meta["rig"]
-    container, _, graph = reader._opened(tmp_path / "b.glb")  # joints are told apart by what they move, too:
-    holds = reader._holding(container, reader._shown(container, graph), [])  # what is there for want of a weight is no
-    assert not holds[[node.name for node in container.gltf.nodes].index("root")] and holds.sum() > 20  # sign of that
+    with opened(tmp_path / "b.glb") as start:
+        container = read_container(start.file, start.size, start.folder)
+        shown = reader._shown(container, graph_of(container.gltf))
+        holds = reader._holding(container, shown, [])  # what is there for want of a weight is no sign of a joint
+    assert not holds[[node.name for node in container.gltf.nodes].index("root")] and holds.sum() > 20
 
 
 def test_zero_weights_stay_where_they_were(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
@@ -243,14 +247,14 @@ def test_on_the_command_line_it_is_one_line(tmp_path: Path, command: list[str]) 
     if command[0] == "inspect":
         assert json.loads(done.stdout)["kind"] == "mesh"
     if command[0] == "convert":
-        again = load_item(tmp_path / "out.glb", strict=True)
+        again = load(tmp_path / "out.glb", strict=True)
         assert isinstance(again, RiggedMesh) and all(np.isfinite(part.uv).all() for part in again.parts)
 
 
 def test_strict_refuses_it(tmp_path: Path) -> None:
     path = everything(tmp_path / "in.glb")
     with pytest.raises(FormatError) as caught:
-        load_item(path, strict=True)
+        load(path, strict=True)
     assert str(caught.value) == f"{path}: holds NaN or infinity: {SAID}; repair the file or load it without strict"
 
 
@@ -307,4 +311,4 @@ def test_a_head_of_lam_names_the_zip(tmp_path: Path, caplog: pytest.LogCaptureFi
 def test_real_files(shared_data: Path) -> None:
     """Whatever their weights are: they sum to one, and no pose makes NaN of them."""
     for path in sorted((shared_data / "real" / "models").iterdir()):
-        posed(read_gltf_mesh(path))
+        posed(load(path))

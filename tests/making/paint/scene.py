@@ -12,12 +12,12 @@ from glsplat.making.fit.body import Body, open_body
 from glsplat.making.fit.fit import BodyFit, FittedView
 from glsplat.making.fit.kinematics import projected
 from glsplat.making.fit.prior import HINGES
-from glsplat.making.paint.colour import to_srgb
 from glsplat.making.paint.dress import dressed_mesh
 from glsplat.making.paint.light import Light
 from glsplat.making.paint.shot import Shot
 from glsplat.making.raster import visible_faces
 from glsplat.meshes import RiggedMesh, vertex_normals
+from glsplat.pictures import to_srgb
 from tests.making.made_up import FOCAL, posed_view
 
 __all__ = ["Scene", "albedo", "photographed"]

@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from glsplat.making.paint.colour import to_linear, to_srgb
 from glsplat.making.paint.head import back_of_head
 from glsplat.making.paint.light import find_light
 from glsplat.making.paint.paint import paint, painter_of
@@ -16,6 +15,7 @@ from glsplat.making.paint.scatter import even_points, scatter
 from glsplat.making.paint.shot import SurfacePoints
 from glsplat.making.paint.twins import find_twins
 from glsplat.meshes import vertex_normals
+from glsplat.pictures import to_linear, to_srgb
 from tests.making.paint.scene import Scene, albedo, photographed
 
 

@@ -16,7 +16,6 @@ from glsplat.avatar import Avatar
 from glsplat.camera import Camera, head_matrix, look_at, pinhole, stereo_cameras
 from glsplat.config import RenderConfig
 from glsplat.data import default_avatar
-from glsplat.formats.scene_file import SceneFile
 from glsplat.gl.context import Context, create_context
 from glsplat.net.backends.labels import Label, notice
 from glsplat.net.backends.lettering import draw_labels
@@ -30,6 +29,7 @@ from glsplat.net.rooms.view import Present, RoomView
 from glsplat.net.server import ServerConfig
 from glsplat.renderer import Renderer
 from glsplat.scene import Figure, Item, Scene, similarity
+from glsplat.scenes.scene_file import SceneFile
 from glsplat.skinning.pose import Pose
 from tests.scene.people import boxes
 from tests.scenes import cloud

@@ -7,8 +7,6 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any
@@ -19,8 +17,10 @@ from numpy.typing import NDArray
 
 from glsplat.arrays import colour
 from glsplat.errors import FormatError, GlsplatError
-from glsplat.formats import load
-from glsplat.formats.files import open_regular
+from glsplat.formats.format import Opened, opened
+from glsplat.formats.registry import is_scene_file, read
+from glsplat.io.files import Source
+from glsplat.motion.kinds import is_motion
 from glsplat.scene import Content, Item, Scene, Shown, similarity
 from glsplat.skinning.pose import Pose, load_pose
 from glsplat.skinning.skeleton import Skeleton
@@ -29,7 +29,7 @@ from glsplat.splats import Splats
 if TYPE_CHECKING:
     from glsplat.motion.motion import Motion
 
-__all__ = ["MOST_ITEMS", "UPS", "SceneFile", "load_scene_file", "looks_like_scene_file", "upright"]
+__all__ = ["MOST_ITEMS", "UPS", "SceneFile", "load_scene", "read_item", "read_scene", "upright"]
 
 VERSION = 1
 MOST_ITEMS = 1000
@@ -72,6 +72,7 @@ class SceneFile:
     up: str = "y"  # as the file says; its items are turned already
     motions: dict[str, tuple[Item, Motion]] = field(default_factory=dict)  # by the item's place in the file: "2", "1.0"
     sources: list[tuple[Item, Path]] = field(default_factory=list)  # the files that items were read from
+    composed: bool = False  # by a scene file; else a scene of one thing
 
     @classmethod
     def of(cls, thing: Shown) -> SceneFile:
@@ -98,13 +99,6 @@ class SceneFile:
             item.pose = motion.at(seconds)
 
 
-def looks_like_scene_file(data: bytes) -> bool:
-    """Whether the start of a file is that of a scene file (JSON with items) and not of another JSON format."""
-    return data.removeprefix(b"\xef\xbb\xbf").lstrip().startswith(b"{") and bool(
-        re.search(rb'"items"\s*:', data) and not re.search(rb'"asset"\s*:', data)
-    )
-
-
 def upright(up: str) -> NDArray[np.float64]:
     """[4, 4] the rotation that turns a world whose ``up`` axis is up into one with y up."""
     half = np.sqrt(0.5)
@@ -114,36 +108,50 @@ def upright(up: str) -> NDArray[np.float64]:
     return np.round(similarity(rotation=turns[up]), 15)
 
 
-def load_scene_file(
-    path: str | Path,
-    *,
-    strict: bool = False,
-    read: Callable[[Path, bool], Content] | None = None,  # of an item's file; default: splats and avatars
-) -> SceneFile:
-    """Read a scene file and all it names. Paths are relative to it and stay inside its folder.
+def load_scene(path: Source, *, strict: bool = False) -> SceneFile:
+    """A scene file with all that it names; any other file that ``glsplat.load`` reads is a scene of one.
 
-    ``glsplat.making.items.load_scene`` reads meshes as well. Raises FormatError that names the file and the item: a
-    file that is not there, leads out of the folder or back to a scene file that is being read, numbers that are no
-    transform, more than MOST_ITEMS items. No items are legal.
+    Paths in a scene file are relative to it and stay inside its folder. Raises FormatError that names the file and the
+    item: a file that is not there, leads out of the folder or back to a scene file that is being read, numbers that
+    are no transform, more than MOST_ITEMS items. No items are legal.
     """
-    reading = _Reading(read or _read_thing, strict)
-    reading.file(Path(path), np.eye(4), "", ())
+    with opened(path, strict) as start:
+        return read_scene(start, strict)
+
+
+def read_scene(start: Opened, strict: bool) -> SceneFile:
+    """The same of a file that is open already."""
+    if not is_scene_file(start):
+        file = SceneFile.of(read_item(start, strict))
+        file.sources = [(item, Path(start.name)) for item in file.scene] if start.folder is not None else []
+        return file
+    if start.folder is None:
+        raise FormatError("a scene file names others beside it, and an open file has no folder; give its path")
+    reading = _Reading(strict)
+    reading.file(start, Path(start.name), np.eye(4), "", ())
     return reading.out
+
+
+def read_item(start: Opened, strict: bool, format: str | None = None) -> Content:
+    """What an item of a scene shows. Raises FormatError for a motion, which shows nothing, and as ``formats.load``."""
+    if format is None and is_motion(start):
+        raise FormatError("a motion, which shows nothing; give it to render, preview or replay as --motion")
+    return read(start, strict, format)
 
 
 class _Reading:
     """One scene file and those it names; what several items show, or do, is read once."""
 
-    def __init__(self, read: Callable[[Path, bool], Content], strict: bool) -> None:
-        self.out = SceneFile(Scene())
-        self._read, self._strict = read, strict
+    def __init__(self, strict: bool) -> None:
+        self.out = SceneFile(Scene(), composed=True)
+        self._strict = strict
         self._files = 0
         self._contents: dict[Path, Content] = {}
         self._motions: dict[tuple[str | Path, str | None, int], Motion] = {}  # by file, animation, id() of a skeleton
 
-    def file(self, path: Path, place: NDArray[np.float64], prefix: str, trail: tuple[Path, ...]) -> None:
+    def file(self, start: Opened, path: Path, place: NDArray[np.float64], prefix: str, trail: tuple[Path, ...]) -> None:
         """Add the items of one file, placed by ``place``."""
-        data = _parsed(path)
+        data = _parsed(start)
         if len(trail) >= _DEEPEST:
             raise FormatError(f"{path}: scene files are nested more than {_DEEPEST} deep")
         self._files += 1
@@ -162,25 +170,32 @@ class _Reading:
             try:
                 file = _inside(entry.path, here.parent)
                 transform = turn @ similarity(entry.translation, entry.rotation, entry.scale)
-                if _is_scene(file):
-                    self._nested(file, entry, transform, f"{prefix}{index}.", (*trail, here))
-                else:
-                    self._item(file, entry, transform, here.parent, f"{prefix}{index}")
+                if file in (*trail, here):
+                    raise FormatError(f"{entry.path} is being read already: no scene file may lead to itself")
+                if file not in self._contents:
+                    with opened(file, self._strict) as one:
+                        if is_scene_file(one):
+                            self._nested(one, file, entry, transform, f"{prefix}{index}.", (*trail, here))
+                            continue
+                        self._contents[file] = read_item(one, self._strict)
+                self._item(file, entry, transform, here.parent, f"{prefix}{index}")
             except GlsplatError as error:
                 raise FormatError(f"{where}: {error}") from None
 
     def _nested(
-        self, file: Path, entry: _Item, transform: NDArray[np.float64], prefix: str, trail: tuple[Path, ...]
+        self,
+        start: Opened,
+        file: Path,
+        entry: _Item,
+        transform: NDArray[np.float64],
+        prefix: str,
+        trail: tuple[Path, ...],
     ) -> None:
-        if file in trail:
-            raise FormatError(f"{entry.path} is being read already: no scene file may lead to itself")
         if entry.pose is not None or entry.motion is not None or not entry.visible:
             raise FormatError("a scene file as an item takes a place and nothing else")
-        self.file(file, transform, prefix, trail)
+        self.file(start, file, transform, prefix, trail)
 
     def _item(self, file: Path, entry: _Item, transform: NDArray[np.float64], folder: Path, key: str) -> None:
-        if file not in self._contents:
-            self._contents[file] = self._read(file, self._strict)
         item = Item(self._contents[file], transform=transform, visible=entry.visible, name=entry.name or file.stem)
         if entry.pose is not None or entry.motion is not None:
             self._move(item, entry, folder, key)
@@ -220,19 +235,17 @@ class _Reading:
         return self._motions[key]
 
 
-def _parsed(path: Path) -> _File:
+def _parsed(start: Opened) -> _File:
+    if start.size > _LARGEST:
+        raise FormatError(f"a scene file has at most {_LARGEST} bytes, this one {start.size}")
     try:
-        with open_regular(path) as (file, size):
-            if size > _LARGEST:
-                raise FormatError(f"{path}: a scene file has at most {_LARGEST} bytes, this one {size}")
-            text = file.read()
-        data = _decoder.decode(text.decode("utf-8-sig"))
+        data = _decoder.decode(start.begin(start.size).decode("utf-8-sig"))
     except (msgspec.DecodeError, UnicodeError) as error:
-        raise FormatError(f"{path}: no scene file of version {VERSION}: {error}") from None
+        raise FormatError(f"no scene file of version {VERSION}: {error}") from None
     except RecursionError:
-        raise FormatError(f"{path}: no scene file: nested too deeply") from None
+        raise FormatError("no scene file: nested too deeply") from None
     if data.version != VERSION:
-        raise FormatError(f"{path}: expected a scene file of version {VERSION}, found {data.version}")
+        raise FormatError(f"expected a scene file of version {VERSION}, found {data.version}")
     return data
 
 
@@ -249,14 +262,3 @@ def _inside(name: str, folder: Path) -> Path:
     except (OSError, ValueError, RuntimeError):  # too long, no text, a circle of links
         raise FormatError(f"{name!r:.60} is no path of a file") from None
     return file
-
-
-def _is_scene(file: Path) -> bool:
-    if file.suffix.lower() != ".json":
-        return False
-    with open_regular(file) as (source, _):
-        return looks_like_scene_file(source.read(65536))
-
-
-def _read_thing(file: Path, strict: bool) -> Content:
-    return load(file, strict=strict)

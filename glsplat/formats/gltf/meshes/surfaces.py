@@ -4,16 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.errors import FormatError
 from glsplat.formats.gltf.container import Container, Primitive
+from glsplat.formats.gltf.meshes.material import Material, material_of
+from glsplat.formats.gltf.meshes.vertex_colours import painted
 from glsplat.formats.gltf.nodes import Instance
-from glsplat.making.gltf.material import Material, material_of
-from glsplat.making.gltf.vertex_colours import painted
 
 __all__ = ["Materials", "Surface", "surface_of"]
 
@@ -36,9 +35,7 @@ class Surface:
     name: str
 
 
-def surface_of(
-    container: Container, folder: Path, instance: Instance, weights: Sequence[float], materials: Materials
-) -> Surface:
+def surface_of(container: Container, instance: Instance, weights: Sequence[float], materials: Materials) -> Surface:
     """Triangles of an instance of mode TRIANGLES; ``weights`` of its morph targets. Raises FormatError."""
     primitive, where = instance.primitive, instance.name
     points = container.numbers(primitive.attributes["POSITION"], f"{where} POSITION", ("VEC3",)).astype(np.float64)
@@ -50,7 +47,7 @@ def surface_of(
             points = points + weight * moved.astype(np.float64)
     faces = _faces(container, primitive, where, len(points))
     if primitive.material not in materials:  # a picture is decoded once, and held once
-        materials[primitive.material] = material_of(container, folder, primitive.material)
+        materials[primitive.material] = material_of(container, primitive.material)
     material = materials[primitive.material]
     uv = _corners(container, primitive, where, material, faces, len(points))
     texture = material.texture

@@ -1,4 +1,4 @@
-"""Textured, skinned meshes as glTF 2.0 that other programs open; ``glsplat.making.gltf.reader`` reads them back.
+"""Textured, skinned meshes as glTF 2.0 that other programs open; reader.py reads them back.
 
 Colours are shown as they are (KHR_materials_unlit): a picture's light is in them already. Where a texture has holes
 (alpha below one half) the material is MASK. A texture that is large and whole is a JPEG of quality 95 without chroma
@@ -15,12 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.errors import FormatError
-from glsplat.formats.files import Source
 from glsplat.formats.gltf.container import Mesh, Node, Primitive, Scene
 from glsplat.formats.gltf.fallback import UNLIT, unlit_material
 from glsplat.formats.gltf.morphs import add_sparse
 from glsplat.formats.gltf.output import INDICES, Output
 from glsplat.formats.gltf.rig import write_influences, write_skeleton
+from glsplat.io.files import Source
 from glsplat.meshes import MeshPart, Morphs, RiggedMesh
 from glsplat.skinning.skin import INFLUENCES, Skin
 

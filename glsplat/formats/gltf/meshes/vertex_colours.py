@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from glsplat.making.paint.colour import to_linear, to_srgb
 from glsplat.meshes import MeshPart
+from glsplat.pictures import to_linear, to_srgb
 
 __all__ = ["painted"]
 

@@ -18,11 +18,9 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from glsplat.errors import FormatError
-from glsplat.splats import Splats
 
 __all__ = [
     "Source",
-    "checked",
     "folder_of",
     "left_out",
     "locked",
@@ -214,18 +212,6 @@ def sampled(file: BinaryIO, start: int, size: int, whole: int = _BLOCKS * _BLOCK
         file.seek(start + (size - _BLOCK) * index // (_BLOCKS - 1) // 64 * 64)
         parts.append(file.read(_BLOCK))
     return b"".join(parts)
-
-
-def checked(splats: Splats, source: Source, strict: bool) -> Splats:
-    """``splats`` as they are; with ``strict``, a FormatError with the count when some are not finite."""
-    if strict:
-        bad = len(splats) - int(splats.finite().sum())
-        if bad:
-            raise FormatError(
-                f"{name_of(source)}: {bad} of {len(splats)} splats hold NaN or infinity; "
-                "repair the file or load it without strict"
-            )
-    return splats
 
 
 class _Rest(io.RawIOBase):

@@ -1,27 +1,19 @@
-"""People: the reader of the person archives (.npz), and of their textures."""
+"""Textures of meshes: JPEG, PNG and WebP to RGBA, checked before a pixel is unpacked."""
 
 from __future__ import annotations
 
 import struct
-from collections.abc import Mapping
-from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
 import simplejpeg
 from numpy.typing import NDArray
 
-from glsplat.errors import FormatError, PoseError
-from glsplat.formats.files import naming, open_regular
-from glsplat.formats.npz import read_arrays
-from glsplat.making.photo.png import clean_png
-from glsplat.meshes import MeshPart, RiggedMesh
-from glsplat.skinning.skeleton import Skeleton
+from glsplat.errors import FormatError
+from glsplat.io.png import clean_png
 
-__all__ = ["decode_texture", "read_person"]
+__all__ = ["decode_texture"]
 
-_NEEDED = ("vertices", "joints", "parents", "joint_names", "skin_indices", "skin_weights", "part_names")
 _LONGEST = 16_384  # pixels; what GL takes
 _MOST = 1 << 26  # pixels: a small file may claim more than there is memory
 
@@ -95,42 +87,3 @@ def _size(head: bytes, data: NDArray[np.uint8]) -> tuple[int, int]:
         except (ValueError, RuntimeError, KeyError):
             pass
     return 0, 0
-
-
-def read_person(path: str | Path) -> RiggedMesh:
-    """Read a person archive: an .npz of a rigged mesh with textured parts.
-
-    Keys: vertices (V, 3) metres, joints (J, 3) rest positions with frames parallel to the world, parents (J,),
-    joint_names (J,), skin_indices and skin_weights (V, K), part_names (P,), and for part i: faces_i, faces_uv_i (F, 3),
-    uv_i (T, 2) with v up, texture_i (bytes of a JPEG or PNG). Raises FormatError naming the file and the key.
-    """
-    with naming(path):
-        with open_regular(path) as (file, _):
-            data = read_arrays(file, "a person")
-        try:
-            return _person(data, path)
-        except (PoseError, TypeError, ValueError) as error:
-            raise FormatError(str(error)) from None
-
-
-def _person(data: Mapping[str, NDArray[Any]], path: str | Path) -> RiggedMesh:
-    count = np.size(data.get("part_names", ()))
-    needed = [*_NEEDED, *(f"{key}_{i}" for i in range(count) for key in ("faces", "faces_uv", "uv", "texture"))]
-    missing = [key for key in needed if key not in data]
-    if missing:
-        raise FormatError(f"a person needs the key {missing[0]}; found {', '.join(list(data)[:8])}")
-    skeleton = Skeleton.from_joints(tuple(map(str, data["joint_names"])), data["parents"], data["joints"])
-    parts = tuple(_part(data, i, str(name), str(path)) for i, name in enumerate(data["part_names"]))
-    indices, weights = data["skin_indices"].astype(np.int64), data["skin_weights"].astype(np.float64)
-    vertices = data["vertices"].astype(np.float64)
-    return RiggedMesh(vertices, skeleton, indices, weights, parts, {"source": Path(path).name})
-
-
-def _part(data: Mapping[str, NDArray[Any]], i: int, name: str, path: str) -> MeshPart:
-    faces, faces_uv, uv = data[f"faces_{i}"], data[f"faces_uv_{i}"], data[f"uv_{i}"]
-    if faces.ndim != 2 or faces.shape[1] != 3 or faces_uv.shape != faces.shape or uv.ndim != 2 or uv.shape[1] != 2:
-        raise FormatError(f"faces_{i} and faces_uv_{i} need one shape (F, 3) and uv_{i} needs (T, 2)")
-    if faces_uv.size and not 0 <= faces_uv.min() <= faces_uv.max() < len(uv):
-        raise FormatError(f"faces_uv_{i} names texture coordinate {faces_uv.max()} of {len(uv)}")
-    texture = decode_texture(data[f"texture_{i}"], f"{path}: texture_{i}")
-    return MeshPart(name, faces.astype(np.int32), uv[faces_uv].astype(np.float64), texture)

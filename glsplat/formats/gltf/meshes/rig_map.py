@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 
 from glsplat.errors import FormatError
-from glsplat.formats.files import naming, open_regular
+from glsplat.io.files import naming, open_regular
 from glsplat.skinning.smplx import JOINT_NAMES
 
 __all__ = ["read_rig_map"]

@@ -1,4 +1,7 @@
-"""The JSON of a .glb and the record of consent in it: the bytes that are signed, and what is hashed of the file."""
+"""The signed record in a .glb: the bytes that are signed, and what is hashed of the file.
+
+What the record says is consent's; here it is an object that goes with one content, which its file_sha256 names.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +12,7 @@ from typing import Any
 
 from glsplat.errors import FormatError
 
-__all__ = ["CONSENT", "canonical", "file_digest", "record_of", "without_record"]
+__all__ = ["CONSENT", "canonical", "file_digest", "is_of", "record_of", "without_record"]
 
 CONSENT = "consent"
 """In asset.extras.glsplat: the record, an object; files without one may have a line of text there."""
@@ -26,6 +29,11 @@ def canonical(value: Any) -> bytes:
 def file_digest(document: dict[str, Any], rest: bytes) -> str:
     """SHA-256 (hex) of ``canonical`` of a .glb's JSON without its record, a zero byte, and ``rest``, all behind it."""
     return hashlib.sha256(canonical(without_record(document)) + b"\0" + rest).hexdigest()
+
+
+def is_of(record: dict[str, Any], document: dict[str, Any], rest: bytes) -> bool:
+    """Whether a record was signed for the .glb of that JSON and, behind it, ``rest``."""
+    return bool(record.get("file_sha256") == file_digest(document, rest))
 
 
 def record_of(document: dict[str, Any]) -> Any:

@@ -10,23 +10,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.errors import FormatError
-from glsplat.formats.files import naming, open_regular
+from glsplat.formats.format import opened
 from glsplat.formats.gltf.bound import inverse_binds
-from glsplat.formats.gltf.container import Container, item, parse
+from glsplat.formats.gltf.container import Container, item, read_container
+from glsplat.formats.gltf.meshes.faces import Faces
+from glsplat.formats.gltf.meshes.ground import faces_back, on_the_floor
+from glsplat.formats.gltf.meshes.left_out import TRIANGLES, Left, apart, carried, nearest, refuse_packed, survey
+from glsplat.formats.gltf.meshes.rig import Rig, rig_of
+from glsplat.formats.gltf.meshes.surfaces import Materials, Surface, surface_of
 from glsplat.formats.gltf.nodes import Graph, Instance, graph_of, instances
 from glsplat.formats.gltf.rig import read_influences, read_skeleton
 from glsplat.formats.gltf.vrm import human_bones
-from glsplat.making.fit.body import open_body
-from glsplat.making.gltf.faces import Faces
-from glsplat.making.gltf.ground import faces_back, on_the_floor
-from glsplat.making.gltf.left_out import TRIANGLES, Left, apart, carried, nearest, refuse_packed, survey
-from glsplat.making.gltf.rig import Rig, rig_of
-from glsplat.making.gltf.surfaces import Materials, Surface, surface_of
 from glsplat.meshes import MeshPart, RiggedMesh, standing
 from glsplat.skinning.skeleton import Skeleton
-from glsplat.skinning.smplx import JOINT_NAMES
+from glsplat.skinning.smplx import JOINT_NAMES, reference_joints
 
-__all__ = ["read_gltf_mesh", "read_gltf_person"]
+__all__ = ["mesh_of", "read_gltf_person"]
 
 F64 = NDArray[np.float64]
 
@@ -55,43 +54,40 @@ def read_gltf_person(
     dropped, (0, 0) and white, which is logged, or with ``strict`` refused. Raises FormatError naming the file: nothing
     with a rig, compressed geometry, a texture that is no picture, points that are not finite.
     """
-    with naming(path, strict), np.errstate(all="ignore"):  # what overflows or is no number is refused by RiggedMesh
-        container, folder, graph = _opened(path)
+    with opened(path, strict) as start, np.errstate(all="ignore"):  # what is no number is refused by RiggedMesh
+        container = read_container(start.file, start.size, start.folder)
+        graph = graph_of(container.gltf)
         shown = _shown(container, graph)
         if not shown:
             raise FormatError(_NO_SKIN)
-        mesh = _rigged(container, folder, graph, shown, Path(path).name, own_joints, rig_map or {}, scale)
+        mesh = _rigged(container, graph, shown, Path(start.name).name, own_joints, rig_map or {}, scale)
         container.tell()
         return mesh
 
 
-def read_gltf_mesh(path: str | Path, *, strict: bool = False, **how: Any) -> RiggedMesh:
-    """As ``read_gltf_person``, and where nothing has a skin all that is shown, standing on one joint at the origin."""
-    with naming(path, strict), np.errstate(all="ignore"):
-        container, folder, graph = _opened(path)
+def mesh_of(container: Container, source: str) -> RiggedMesh:
+    """As ``read_gltf_person``, and where nothing has a skin all that is shown, standing on one joint at the origin.
+
+    ``source`` is the file's name, without its folder.
+    """
+    with np.errstate(all="ignore"):
+        graph = graph_of(container.gltf)
         shown = _shown(container, graph)
         if not shown:
             raise FormatError("a mesh needs triangles, this glTF has neither those nor splats (KHR_gaussian_splatting)")
         if any(_skinned(i) for i in shown):
-            return read_gltf_person(path, strict=strict, **how)
-        vertices, parts, first = [], [], 0
-        materials: Materials = {}
-        for instance in shown:
-            surface = surface_of(container, folder, instance, _weights(container, instance), materials)
-            vertices.append(surface.points @ instance.matrix[:3, :3].T + instance.matrix[:3, 3])
-            parts.append(_part(surface, first))
-            first += len(surface.points)
-        mesh = standing(np.concatenate(vertices), tuple(parts), Path(path).name)
+            mesh = _rigged(container, graph, shown, source, False, {}, 1.0)
+        else:
+            vertices, parts, first = [], [], 0
+            materials: Materials = {}
+            for instance in shown:
+                surface = surface_of(container, instance, _weights(container, instance), materials)
+                vertices.append(surface.points @ instance.matrix[:3, :3].T + instance.matrix[:3, 3])
+                parts.append(_part(surface, first))
+                first += len(surface.points)
+            mesh = standing(np.concatenate(vertices), tuple(parts), source)
         container.tell()
         return mesh
-
-
-def _opened(path: str | Path) -> tuple[Container, Path, Graph]:
-    folder = Path(path).parent
-    with open_regular(path) as (file, _):
-        data = file.read()
-    container = parse(data, folder)
-    return container, folder, graph_of(container.gltf)
 
 
 def _shown(container: Container, graph: Graph) -> list[Instance]:
@@ -122,7 +118,6 @@ def _weights(container: Container, instance: Instance) -> Sequence[float]:
 
 def _rigged(
     container: Container,
-    folder: Path,
     graph: Graph,
     shown: Sequence[Instance],
     source: str,
@@ -146,11 +141,11 @@ def _rigged(
     if skins:
         ready = read_skeleton(container, next(i for i in shown if i.node.skin == skins[0] and _skinned(i)), graph)
         if len(skins) == 1 and (container.note() or ready.names == JOINT_NAMES):  # our own is taken to the bit
-            return _plain(container, folder, shown, skins[0], ready, source)
+            return _plain(container, shown, skins[0], ready, source)
     rigid = [node_of[id(i.node)] for i in shown if not _skinned(i)]
     given = _given(container, rig_map)
     known = {} if own_joints else turned or given
-    reference, holds = open_body().joints, _holding(container, shown, rigid)
+    reference, holds = reference_joints(), _holding(container, shown, rigid)
     rig = rig_of(container, graph, skins, rigid, known, reference, scale, own_joints, holds)
     if not skins and rig.map is None:
         raise FormatError(_NO_SKIN)
@@ -167,7 +162,7 @@ def _rigged(
         if _skinned(instance) and instance.node.skin in strangers:
             left.add("meshes of another skeleton are left out", 1, instance.node.name or instance.name)
             continue
-        surface = surface_of(container, folder, instance, _weights(container, instance), materials)
+        surface = surface_of(container, instance, _weights(container, instance), materials)
         node = node_of[id(instance.node)]
         on: int | None = node
         if mapped and not _skinned(instance) and not under[node]:
@@ -193,7 +188,7 @@ def _rigged(
         skeleton, at = on_the_floor(skeleton, at, all_joints, all_weights, rig.map.joints)
         if not known and faces_back(skeleton, at, all_joints, all_weights, rig.map.joints):
             other = {_mirrored(name): node for name, node in rig.map.joints.items()}
-            return _rigged(container, folder, graph, shown, source, own_joints, rig_map, scale, other, rig.guessed)
+            return _rigged(container, graph, shown, source, own_joints, rig_map, scale, other, rig.guessed)
     meta: dict[str, Any] = {"source": source} | container.note()
     meta.pop("version", None)
     names = [node.name or f"node {index}" for index, node in enumerate(gltf.nodes)]
@@ -308,9 +303,7 @@ def _merged(joints: NDArray[np.intp], weights: F64) -> tuple[NDArray[np.int64], 
     return ids.astype(np.int64), shares / shares.sum(axis=1, keepdims=True)
 
 
-def _plain(
-    container: Container, folder: Path, shown: Sequence[Instance], skin: int, skeleton: Skeleton, source: str
-) -> RiggedMesh:
+def _plain(container: Container, shown: Sequence[Instance], skin: int, skeleton: Skeleton, source: str) -> RiggedMesh:
     """A person on the joints of SMPL-X already: stored points, as the file has them."""
     vertices, joints, weights, parts, first = [], [], [], [], 0
     materials: Materials = {}
@@ -319,7 +312,7 @@ def _plain(
         if not _skinned(instance) or instance.node.skin != skin:
             continue
         faces.add(instance, instance.index, first, np.eye(3))
-        surface = surface_of(container, folder, instance, _weights(container, instance), materials)
+        surface = surface_of(container, instance, _weights(container, instance), materials)
         ids, shares, _ = _influences(container, instance, len(surface.points), len(skeleton))
         wide = np.zeros((len(ids), 8), np.int64), np.zeros((len(ids), 8))
         wide[0][:, : ids.shape[1]], wide[1][:, : ids.shape[1]] = ids, shares

@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
-from urllib.parse import unquote
 
 import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.errors import FormatError
-from glsplat.formats.files import open_regular
 from glsplat.formats.gltf.container import Accessor, Container
-from glsplat.making.paint.colour import to_linear, to_srgb
-from glsplat.making.people import decode_texture
+from glsplat.formats.texture import decode_texture
+from glsplat.pictures import to_linear, to_srgb
 
 __all__ = ["Material", "material_of"]
 
@@ -44,7 +40,7 @@ class Material:
         return texture if self.alpha is None else np.dstack([texture[..., :3], _halved(texture[..., 3], self.cut)])
 
 
-def material_of(container: Container, folder: Path, index: int | None) -> Material:
+def material_of(container: Container, index: int | None) -> Material:
     """The base colour of a material; white without one. Raises FormatError naming the material."""
     gltf = container.gltf
     try:
@@ -57,7 +53,7 @@ def material_of(container: Container, folder: Path, index: int | None) -> Materi
         if "baseColorTexture" in base:
             used = base["baseColorTexture"]
             turn, coordinates = _transform(used.get("extensions", {}).get(_TRANSFORM, {}), int(used.get("texCoord", 0)))
-            image = _image(container, folder, gltf.textures[used["index"]])
+            image = _image(container, gltf.textures[used["index"]])
         name, mode = str(entry.get("name") or ""), entry.get("alphaMode", "OPAQUE")
         if mode == "OPAQUE":
             texture = np.concatenate([_tinted(image, factor), np.full((*image.shape[:2], 1), 255, np.uint8)], axis=-1)
@@ -99,7 +95,7 @@ def _transform(entry: Mapping[str, Any], coordinates: int) -> tuple[NDArray[np.f
     return np.column_stack([turn, offset]), int(entry.get("texCoord", coordinates))
 
 
-def _image(container: Container, folder: Path, texture: Mapping[str, Any]) -> NDArray[np.uint8]:
+def _image(container: Container, texture: Mapping[str, Any]) -> NDArray[np.uint8]:
     more = texture.get("extensions", {})
     source = more[_WEBP]["source"] if _WEBP in more else texture.get("source")
     if source is None:
@@ -108,10 +104,10 @@ def _image(container: Container, folder: Path, texture: Mapping[str, Any]) -> ND
             f"a texture is in a format of graphics cards{kind}; "
             "unpack it: npx @gltf-transform/cli ktxdecompress IN.glb OUT.glb"
         )
-    return decode_texture(_bytes_of(container, container.gltf.images[source], folder), f"image {source}")
+    return decode_texture(_bytes_of(container, container.gltf.images[source]), f"image {source}")
 
 
-def _bytes_of(container: Container, image: Mapping[str, Any], folder: Path) -> bytes:
+def _bytes_of(container: Container, image: Mapping[str, Any]) -> bytes:
     if "bufferView" in image:
         view = container.gltf.buffer_views[image["bufferView"]]
         # read through an accessor of bytes, so that the bounds are checked in one place
@@ -119,11 +115,4 @@ def _bytes_of(container: Container, image: Mapping[str, Any], folder: Path) -> b
             Accessor(component_type=5121, count=view.byte_length, type="SCALAR", buffer_view=image["bufferView"])
         )
         return container.read(len(container.gltf.accessors) - 1, "image", ("SCALAR",)).tobytes()
-    uri = str(image["uri"])
-    if uri.startswith("data:"):
-        return base64.b64decode(uri.partition(",")[2])
-    target = (folder / unquote(uri)).resolve()  # a zero byte in it is a ValueError
-    if not target.is_relative_to(folder.resolve()):
-        raise FormatError(f"image {uri[:60]!r} lies outside the file's own folder")
-    with open_regular(target) as (file, _):
-        return file.read()
+    return container.fetched(str(image["uri"]), "image")

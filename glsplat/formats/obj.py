@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,11 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.errors import FormatError
-from glsplat.making.people import decode_texture
+from glsplat.formats.format import Format, Opened
+from glsplat.meshes import MeshPart, RiggedMesh, standing
 
-__all__ = ["Obj", "flat", "parse_obj", "textures_of"]
+__all__ = ["OBJ", "Obj", "flat", "parse_obj", "textures_of"]
 
 _GREY = 200  # of a face without a material
+_BEGINS = re.compile(rb"(?:[ \t]*(?:#[^\n]*)?\r?\n)*[ \t]*(?:mtllib|usemtl|vt|vn|v|o|g)[ \t]+\S")  # behind comments
 
 
 @dataclass(frozen=True)
@@ -73,6 +76,8 @@ def textures_of(source: Path, library: str | None) -> Iterator[tuple[str, NDArra
 
     Raises FormatError for an image that is not beside the file.
     """
+    from glsplat.formats.texture import decode_texture  # here: it needs OpenCV
+
     file = None if library is None else _beside(source, library)
     if file is None:
         return
@@ -117,3 +122,29 @@ def _index(word: str, count: int) -> int:
     if not 1 <= value <= count:
         raise ValueError(f"a face names element {word} of {count}")
     return value
+
+
+def _read(start: Opened) -> RiggedMesh:
+    """All that the file shows, standing."""
+    try:
+        obj = parse_obj(start.file.read().decode("utf-8", "replace"))
+    except (ValueError, IndexError) as error:
+        raise FormatError(f"not a usable OBJ ({str(error)[:80]})") from None
+    source, textures = Path(start.name), dict[str, tuple[NDArray[np.uint8], bool]]()
+    library = obj.library if start.folder is not None else None  # an open file has none beside it
+    for name, texture, mapped in textures_of(source, library):
+        if name in obj.names and (mapped or name not in textures or not textures[name][1]):
+            textures[name] = texture, mapped
+    parts = tuple(
+        MeshPart(name or source.stem, obj.faces[mine], obj.uv[mine], textures[name][0] if name in textures else flat())
+        for index, name in enumerate(obj.names)
+        if (mine := obj.material == index).any()
+    )
+    return standing(obj.vertices, parts, source.name)
+
+
+def _sniff(start: Opened) -> bool:
+    return start.named(*OBJ.suffixes) or (start.text and _BEGINS.match(start.head) is not None)
+
+
+OBJ = Format(name="obj", title="OBJ", suffixes=(".obj",), sniff=_sniff, load=_read)
