@@ -1,0 +1,87 @@
+"""The core is run without what stands around it: drawing, the command ``render``, the preview's viewer, a golden.
+
+What a server needs is not among it: ``net`` still imports rooms, accounts, uploads, workers and consent at its top.
+"""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+
+REFUSING = """
+import importlib.abc, sys
+
+HIDDEN = ("making", "evaluate", "consent", "watermark", "net.workers", "net.rooms", "net.uploads", "net.accounts",
+          "tracking.training")
+
+class Refusing(importlib.abc.MetaPathFinder):
+    def find_spec(self, name, path=None, target=None):
+        if any(name == f"glsplat.{room}" or name.startswith(f"glsplat.{room}.") for room in HIDDEN):
+            raise ModuleNotFoundError(f"hidden: {name}", name=name)
+
+sys.meta_path.insert(0, Refusing())
+"""
+
+COMMAND = """
+from apps.cli import main
+options = ["--motion", "walk", "--frame", "5", "--stereo", "--size", "64x64"]
+assert main(["render", *options, "-o", sys.argv[1]]) in (0, None)
+"""
+
+GOLDEN = """
+import json
+import cv2, numpy as np
+import glsplat
+from tests.golden.test_goldens import CASES, FOLDER
+name = "sh3_pair"
+scene, cameras, pose, config = CASES[name]()
+size = cameras[0].width, cameras[0].height
+settings = glsplat.RenderConfig(target="32f", shape="triangle", **config)
+with glsplat.Renderer(scene, size=size, views=len(cameras), config=settings) as renderer:
+    image = np.concatenate(list(renderer.render(cameras, pose)), axis=1)
+    driver = renderer.driver
+expected = cv2.cvtColor(cv2.imread(str(FOLDER / f"{name}.png"), cv2.IMREAD_UNCHANGED), cv2.COLOR_BGRA2RGBA)
+error = np.abs(image.astype(int) - expected).max(axis=-1)
+same = json.loads((FOLDER / f"{name}.json").read_text())["driver"] == driver
+assert image.any() and (error.max() <= 1 if same else (error > 5).mean() <= 0.001)
+"""
+
+VIEWER = """
+import glsplat
+from apps.preview.cameras import Options
+from apps.preview.viewer import Viewer
+context = glsplat.create_context()
+with context:
+    options = Options(eye=(0.4, 0.3, 3.0), target=(0.7, 0.0, 0.0), background=(0.1, 0.2, 0.3))
+    viewer = Viewer(glsplat.default_avatar(), context, (64, 48), options, "scene")
+    for layout in "123":
+        viewer.press(layout)
+        assert viewer.capture().any()
+    viewer.release()
+context.release()
+"""
+
+
+def alone(program: str, *arguments: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-c", REFUSING + program, *arguments]
+    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=200, check=False)
+
+
+@pytest.mark.gl
+@pytest.mark.parametrize("program", [COMMAND, GOLDEN, VIEWER], ids=["render", "golden", "preview"])
+def test_the_core_runs_alone(program: str, tmp_path: Path) -> None:
+    picture = tmp_path / "pair.png"
+    done = alone(program, str(picture))
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert program is not COMMAND or picture.stat().st_size > 500
+
+
+@pytest.mark.parametrize("module", ["glsplat.making", "glsplat.watermark.mark", "glsplat.net.rooms.view"])
+def test_what_is_hidden_is_refused(module: str) -> None:
+    done = alone(f"import {module}")
+    assert done.returncode == 1 and "hidden: glsplat." in done.stderr
