@@ -17,7 +17,7 @@ class FrameStats:
     culled: dict[str, int] = field(default_factory=dict)  # by reason
     sorted: bool = True  # False where the previous order still held
     covered: tuple[int, int, int, int] = (0, 0, 0, 0)  # x, y, width, height outside of which is only background
-    cost: int = 0  # covered pixels (passes/frame/budget.py); counted only under a budget
+    cost: int = 0  # covered pixels (renderer.Prepared); counted only where it was prepared
     posed: int = 0  # items that were skinned or placed anew, each level of detail by itself
     levels: tuple[int, ...] = ()  # of detail, one an item of splats that is shown; 0 is the finest
     coarsest: bool = True  # no visible item has a coarser level than it was drawn with
