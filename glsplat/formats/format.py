@@ -20,7 +20,10 @@ from glsplat.meshes import RiggedMesh
 from glsplat.scene import Content
 from glsplat.splats import Splats
 
-__all__ = ["Format", "Opened", "checked", "clamped_opacities", "hidden", "opened", "positive_scales"]
+__all__ = ["A_MOTION", "Format", "Opened", "checked", "clamped_opacities", "hidden", "opened", "positive_scales"]
+
+A_MOTION = "a motion, which shows nothing; give it to render, preview or replay as --motion"
+"""What is said where something to show is expected."""
 
 _BOM = b"\xef\xbb\xbf"  # of UTF-8
 _PLACED = 1e-3  # metres, or of an axis

@@ -6,7 +6,8 @@ from pathlib import Path
 
 from glsplat.errors import FormatError
 from glsplat.formats.format import Opened
-from glsplat.formats.gltf.container import chunks
+from glsplat.formats.gltf.container import read_container
+from glsplat.formats.gltf.nodes import only_moves
 from glsplat.io.npz import array_names
 
 __all__ = ["KINDS", "is_bvh", "is_gltf", "is_motion", "split_choice"]
@@ -15,7 +16,6 @@ KINDS = "JSON poses, BVH, .amc with its .asf, AMASS .npz, a glTF or VRM animatio
 """All that ``load_motion`` reads."""
 
 _LOOKED_AT = 1 << 16  # bytes
-_LONGEST = 1 << 26  # bytes of a glTF's JSON that are looked through
 _AMASS = {"poses", "pose_body"}
 
 
@@ -38,9 +38,7 @@ def is_motion(start: Opened) -> bool:
             names = set(array_names(start.file))
             return bool(names & _AMASS) and not names & {"v_template", "vertices", "faces"}
         if is_gltf(head):
-            blob, _ = chunks(start.file, start.size)
-            gltf = blob.part(0, min(len(blob), _LONGEST))
-            return b'"animations"' in gltf and b'"primitives"' not in gltf
+            return only_moves(read_container(start.file, start.size, start.folder).gltf)
         text = head.removeprefix(b"\xef\xbb\xbf").lstrip()
         poses = text[:1] in (b"[", b"{") and (b'"frames"' in text or b'"body_pose"' in text)
         return is_bvh(head) or text.startswith((b"#!OML", b":FULLY", b":DEGREES")) or poses

@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 
 from glsplat.arrays import colour
 from glsplat.errors import FormatError, GlsplatError
-from glsplat.formats.format import Opened, opened
+from glsplat.formats.format import A_MOTION, Opened, opened
 from glsplat.formats.registry import is_scene_file, read
 from glsplat.io.files import Source
-from glsplat.motion.kinds import is_motion
+from glsplat.motion.kinds import is_gltf, is_motion
 from glsplat.scene import Content, Item, Scene, Shown, similarity
 from glsplat.skinning.pose import Pose, load_pose
 from glsplat.skinning.skeleton import Skeleton
@@ -134,8 +134,8 @@ def read_scene(start: Opened, strict: bool) -> SceneFile:
 
 def read_item(start: Opened, strict: bool, format: str | None = None) -> Content:
     """What an item of a scene shows. Raises FormatError for a motion, which shows nothing, and as ``formats.load``."""
-    if format is None and is_motion(start):
-        raise FormatError("a motion, which shows nothing; give it to render, preview or replay as --motion")
+    if format is None and not is_gltf(start.head) and is_motion(start):  # of glTF its reader says so
+        raise FormatError(A_MOTION)
     return read(start, strict, format)
 
 

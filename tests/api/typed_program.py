@@ -49,7 +49,7 @@ def main(folder: Path) -> int:
     avatar, size = person(), 32
     config = glsplat.RenderConfig(output="uint8", sh_degree=0)
     glsplat.save(avatar, folder / "person.glb")
-    scene: glsplat.Splats | glsplat.Avatar = glsplat.load(folder / "person.glb")
+    scene: glsplat.Splats | glsplat.Avatar | glsplat.RiggedMesh | glsplat.Scene = glsplat.load(folder / "person.glb")
     pose = glsplat.Pose.from_smplx({"global_orient": np.zeros(3, np.float32), "transl": [0.0, 0.0, 0.0]})
     head: Matrix = np.eye(4, dtype=np.float32)
     head[2, 3] = 3.0

@@ -67,7 +67,7 @@ def test_save_says_it_in_the_log_unless_somebody_listens(caplog: pytest.LogCaptu
 def test_what_is_no_scene_is_refused_in_one_line(thing: Any) -> None:
     file = io.BytesIO()
     for call in (lambda: glsplat.save(thing, file, format="ply"), lambda: list(losses(thing, "a.glb"))):
-        with pytest.raises(glsplat.GlsplatError, match="Splats or Avatar, not") as caught:
+        with pytest.raises(glsplat.GlsplatError, match="Splats or Avatar or RiggedMesh, not") as caught:
             call()
         assert "\n" not in str(caught.value)
     assert not file.getvalue()

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from glsplat.errors import FormatError
 from glsplat.formats.gltf.container import Gltf, Node, Primitive, item
 
-__all__ = ["Graph", "Instance", "graph_of", "instances"]
+__all__ = ["Graph", "Instance", "graph_of", "instances", "only_moves"]
 
 F64 = NDArray[np.float64]
 
@@ -34,6 +34,11 @@ class Graph:
     parents: NDArray[np.int64]  # [N] index of the parent node, -1 for a root
     order: list[int]  # parents before children
     world: F64  # [N, 4, 4] global matrices
+
+
+def only_moves(gltf: Gltf) -> bool:
+    """Whether a file has animations and shows nothing."""
+    return bool(gltf.animations) and not any(mesh.primitives for mesh in gltf.meshes)
 
 
 def graph_of(gltf: Gltf) -> Graph:

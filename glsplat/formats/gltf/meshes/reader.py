@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.errors import FormatError
-from glsplat.formats.format import opened
+from glsplat.formats.format import A_MOTION, opened
 from glsplat.formats.gltf.bound import inverse_binds
 from glsplat.formats.gltf.container import Container, item, read_container
 from glsplat.formats.gltf.meshes.faces import Faces
@@ -18,7 +18,7 @@ from glsplat.formats.gltf.meshes.ground import faces_back, on_the_floor
 from glsplat.formats.gltf.meshes.left_out import TRIANGLES, Left, apart, carried, nearest, refuse_packed, survey
 from glsplat.formats.gltf.meshes.rig import Rig, rig_of
 from glsplat.formats.gltf.meshes.surfaces import Materials, Surface, surface_of
-from glsplat.formats.gltf.nodes import Graph, Instance, graph_of, instances
+from glsplat.formats.gltf.nodes import Graph, Instance, graph_of, instances, only_moves
 from glsplat.formats.gltf.rig import read_influences, read_skeleton
 from glsplat.formats.gltf.vrm import human_bones
 from glsplat.meshes import MeshPart, RiggedMesh, standing
@@ -73,6 +73,8 @@ def mesh_of(container: Container, source: str) -> RiggedMesh:
     with np.errstate(all="ignore"):
         graph = graph_of(container.gltf)
         shown = _shown(container, graph)
+        if only_moves(container.gltf):
+            raise FormatError(A_MOTION)
         if not shown:
             raise FormatError("a mesh needs triangles, this glTF has neither those nor splats (KHR_gaussian_splatting)")
         if any(_skinned(i) for i in shown):

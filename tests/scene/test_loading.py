@@ -1,8 +1,10 @@
-"""Meshes as items of a scene: rigged and standing glTF, OBJ with materials, person archives."""
+"""Whatever a file is, one call reads it: meshes as rigged and standing glTF, OBJ with materials, person archives."""
 
 from __future__ import annotations
 
+import contextlib
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -15,10 +17,11 @@ from glsplat.avatar import Avatar
 from glsplat.camera import Camera, look_at, pinhole
 from glsplat.data import default_avatar
 from glsplat.errors import FormatError
-from glsplat.formats import save
-from glsplat.meshes import RiggedMesh
+from glsplat.formats import load_splats, save
+from glsplat.meshes import MeshPart, RiggedMesh
 from glsplat.scene import Item, Scene, similarity
 from glsplat.scenes import load, load_scene
+from glsplat.skinning.skeleton import Skeleton
 from glsplat.splats import Splats
 from glsplat.views import viewing_point
 from tests.scenes import cloud
@@ -164,3 +167,53 @@ def test_splats_need_no_mesh_readers(tmp_path: Path) -> None:
         "assert not {'cv2', 'trimesh', 'moderngl'} & set(sys.modules), sorted(sys.modules)"
     )
     subprocess.run([sys.executable, "-c", script, str(tmp_path / "s.json")], check=True)
+
+
+@pytest.mark.parametrize(
+    "name", ["a.ply", "a.splat", "a.glb", "a.gltf", "a.spz", "mesh.glb", "room.obj", "s.json", "no"]
+)
+def test_a_file_is_opened_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+    """By either door, and whatever it turns out to be, is read or refused."""
+    for ending in ("ply", "splat", "glb", "gltf", "spz"):
+        save(cloud(32), tmp_path / f"a.{ending}")
+    box = trimesh.creation.box((1, 2, 3))
+    (tmp_path / "mesh.glb").write_bytes(box.export(file_type="glb"))
+    (tmp_path / "room.obj").write_text(OBJ.replace("mtllib room.mtl", ""))
+    (tmp_path / "s.json").write_text('{"version": 1, "items": []}')
+    (tmp_path / "no").write_bytes(b"nothing")
+    opened: list[str] = []
+    real = os.open
+
+    def counted(path: str, *more: int) -> int:
+        opened.append(os.path.basename(path))
+        return real(path, *more)
+
+    monkeypatch.setattr("glsplat.io.files.os.open", counted)
+    for door in (load, load_scene):
+        opened.clear()
+        with contextlib.suppress(FormatError):
+            door(tmp_path / name)
+        assert opened == [name]
+
+
+def test_every_kind_is_what_it_is(tmp_path: Path) -> None:
+    """Also without a name that says so, and from an open file."""
+    (tmp_path / "one").write_text(OBJ.replace("mtllib room.mtl", "# nothing beside it"))
+    (tmp_path / "s.txt").write_text('{"version": 1, "items": [{"path": "one", "scale": 2}]}')
+    person = RiggedMesh(
+        np.eye(3), Skeleton.from_joints(["a", "b"], [-1, 0], np.eye(3)[:2]), np.zeros((3, 1), int), np.ones((3, 1)),
+        (MeshPart("a", np.array([[0, 1, 2]], np.int32), np.zeros((1, 3, 2)), np.full((4, 4, 4), 255, np.uint8)),),
+    )  # fmt: skip
+    save(person, tmp_path / "person.glb")
+    assert isinstance(load(tmp_path / "one"), RiggedMesh)
+    scene = load(tmp_path / "s.txt")
+    assert isinstance(scene, Scene) and scene.items[0].transform[0, 0] == 2
+    with open(tmp_path / "person.glb", "rb") as file:
+        again = load(file)
+    assert isinstance(again, RiggedMesh) and again.skeleton.names == ("a", "b")
+    with open(tmp_path / "s.txt", "rb") as file, pytest.raises(FormatError, match="give its path"):
+        load(file)
+    with pytest.raises(FormatError, match=r"a\.ply: a mesh is written as \.glb or \.gltf; change the name"):
+        save(person, tmp_path / "a.ply")
+    with pytest.raises(FormatError, match=r"person\.glb: expected splats or an avatar, found a mesh"):
+        load_splats(tmp_path / "person.glb")
