@@ -5,10 +5,10 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-import glsplat_apps.cli as cli
 import numpy as np
 import pytest
 
+import apps.cli as cli
 from glsplat.camera import Camera, look_at, pinhole
 from glsplat.data import default_avatar
 from glsplat.formats import load
