@@ -17,8 +17,8 @@ from glsplat.evaluate.metrics.lpips import Lpips
 from glsplat.evaluate.metrics.weights import BACKBONES, Backbone, read_weights
 from glsplat.models.catalogue import LPIPS
 from glsplat.models.store import state_of
+from tests.evaluate.metrics.lpips_pairs import DATA, small_pairs
 from tests.evaluate.metrics.test_network import correlated
-from tests.evaluate.scripts.lpips_reference import DATA, small_pairs
 
 Tree = dict[str, dict[str, dict[str, Any]]]
 
