@@ -73,7 +73,8 @@ def main(argv: Sequence[str] | None = None) -> int:
             formatter_class=argparse.RawDescriptionHelpFormatter,
         )
         module.add_arguments(command)
-        args = command.parse_args(joined(arguments[1:]))
+        words = joined(arguments[1:])
+        args = module.parsed(command, words) if hasattr(module, "parsed") else command.parse_args(words)
         code = int(module.run(args) or 0)
         sys.stdout.flush()  # here, where a full disk can still be reported
         return code

@@ -19,11 +19,14 @@ class UsageError(GlsplatError):
 class CommandParser(argparse.ArgumentParser):
     """argparse without its usage block, which buries what was wrong under a screen of options."""
 
+    context = ""
+    """What the words that are parsed come from, said first: "server.toml: "; "" for the command line."""
+
     def error(self, message: str) -> NoReturn:
         """Print one line, exit with 2."""
         text = re.sub(r"^argument ([^:]+): ", r"\1: ", message).replace("\n", " ")
         text = re.sub(r"^the following arguments are required: ", "missing: ", text)
-        self.exit(2, f"{self.prog}: {text}; see {self.prog} --help\n")
+        self.exit(2, f"{self.prog}: {self.context}{text}; see {self.prog} --help\n")
 
 
 def output_kind(option: str, name: str, endings: tuple[str, ...], what: str, folder: str = "") -> str:

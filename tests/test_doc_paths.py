@@ -26,14 +26,14 @@ SOURCES = sorted(
 )
 
 PATH = re.compile(r"(?<![\w./-])((?:[\w.-]+/)*[\w.-]*\w\.(?:py|glsl|md|toml|yml|vert|frag|comp|geom))(?![\w-])")
-MODULE = re.compile(r"(?<!window\.)\b((?:glsplat|apps|tests)(?:\.[a-z_]\w*)+)")
+MODULE = re.compile(r"(?<!window\.)\b((?:glsplat|apps|tests|tools)(?:\.[a-z_]\w*)+)")
 LINK = re.compile(r"\]\((?!https?:)([^)#\s]+)(?:#([\w-]+))?\)")
 
 MEMBER = re.compile(r"(?<![\w./-])((?:[a-z_]+/)+[a-z_]+)\.([a-z_]\w*)\b")  # making/cones.hidden
 ORACLE = re.compile(r"\breference\.(?!py\b)([a-z_]\w*)")
 
 # patterns of names, files of others, a group of entry points
-FOREIGN = {"noun.glsl", "name.stage.glsl", "LICENSE.md", "glsplat.methods", "glsplat.reconstructors"}
+FOREIGN = {"server.toml", "noun.glsl", "name.stage.glsl", "LICENSE.md", "glsplat.methods", "glsplat.reconstructors"}
 
 
 def files() -> list[str]:

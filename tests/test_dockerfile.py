@@ -12,8 +12,8 @@ import urllib.request
 from pathlib import Path
 
 import pytest
-from glsplat_apps.serve import command as serve
 
+from apps.serve import command as serve
 from tests import needs
 
 ROOT = Path(__file__).resolve().parents[1]

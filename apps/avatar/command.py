@@ -9,6 +9,7 @@ import sys
 import time
 from collections.abc import Iterable
 from dataclasses import replace
+from importlib import resources
 from pathlib import Path
 
 from glsplat.avatar import Avatar
@@ -30,7 +31,7 @@ from glsplat.making.optimize.mesh import STEPS, fitted_to_mesh
 from glsplat.making.posed import posed_splats
 from glsplat.making.scans import read_obj_person
 from glsplat.making.surface import FEWEST, make_avatar
-from glsplat.motion.library import library, to_json
+from glsplat.motion.motion import embedded_motions, load_embedded_motion
 from glsplat.scenes.scene_file import upright
 from glsplat.skinning.pose import Pose, load_pose
 from glsplat.skinning.rigs.driven import why_not_driven
@@ -292,9 +293,9 @@ def _motions(args: argparse.Namespace) -> int:
         args.out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise GlsplatError(f"{args.out}: cannot make the folder ({error.strerror})") from None
-    skeleton = default_avatar().skeleton
-    for name, motion in library(skeleton).items():
+    for name in embedded_motions():
         file = args.out / f"{name}.json"
-        replace_file(file, [to_json(motion, skeleton).encode()])
+        replace_file(file, [resources.files("glsplat.data").joinpath(file.name).read_bytes()])
+        motion = load_embedded_motion(name, default_avatar().skeleton)
         print(f"{file}: {len(motion)} frames, {motion.duration:.1f} s")
     return 0

@@ -30,6 +30,7 @@ from .keys import Keys, add_keys, keys_of, watermark_of
 from .photos import add_photos, upload_config
 from .ready import Place, add_ready, announce, open_page
 from .rooms import add_rooms, check_rooms, open_rooms
+from .settings import add_settings, parsed, written
 from .workers import add_workers, workers_of
 
 HELP = (
@@ -39,6 +40,7 @@ HELP = (
     "and requests a second (bursts and the rest: docs/deploying.md, Limits)."
 )
 EXAMPLE = "glsplat serve me.glb --port 8000"
+__all__ = ["EXAMPLE", "HELP", "add_arguments", "check", "other_avatars", "parsed", "run", "scene_name", "server_config"]
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -112,6 +114,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_ready(parser)
     add_log_format(parser)
     parser.add_argument("--verbose", action="store_true", help="log tracebacks of failed pictures")
+    add_settings(parser)
 
 
 def check(args: argparse.Namespace) -> None:
@@ -198,6 +201,11 @@ def other_avatars(args: argparse.Namespace) -> dict[str, Figure]:
 
 def run(args: argparse.Namespace) -> int:
     """Serve until SIGINT or SIGTERM; 0 after an orderly stop."""
+    if args.write_config:
+        parser = argparse.ArgumentParser()
+        add_arguments(parser)
+        print(written(parser), end="")
+        return 0
     start_logging(args.log_format, logging.INFO if args.verbose else logging.WARNING)
     check(args)
     workers = workers_of(args)

@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from glsplat_apps.output import save_png
 from PIL import Image
 
 import glsplat
+from apps.output import save_png
 from glsplat import Camera, GlsplatError
 
 SIZE = 192

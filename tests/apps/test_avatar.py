@@ -5,11 +5,11 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-import glsplat_apps.cli as cli
 import numpy as np
 import pytest
-from glsplat_apps.avatar.fitted import counts_of
 
+import apps.cli as cli
+from apps.avatar.fitted import counts_of
 from glsplat.avatar import Avatar
 from glsplat.data import default_avatar
 from glsplat.formats import FORMATS, load, save

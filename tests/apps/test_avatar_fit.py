@@ -7,11 +7,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import glsplat_apps.cli as cli
 import numpy as np
 import pytest
-from glsplat_apps.avatar import command
 
+import apps.cli as cli
+from apps.avatar import command
 from glsplat.avatar import Avatar
 from glsplat.formats import load, save
 from glsplat.making.detail import make as making

@@ -8,10 +8,10 @@ import sys
 from pathlib import Path
 
 import cv2
-import glsplat_apps.cli as cli
 import numpy as np
 import pytest
 
+import apps.cli as cli
 from glsplat.formats import load
 from glsplat.making.cones import ConeConfig
 from glsplat.making.optimize.compiled import MISSING
@@ -160,8 +160,8 @@ def test_a_refusal_leaves_the_sheet_and_no_avatar(seen, front, tmp_path, capsys)
 @pytest.mark.gl
 def test_a_body_that_does_not_fit_leaves_the_whole_sheet(seen, front, tmp_path, monkeypatch, capsys) -> None:
     monkeypatch.setitem(registry.OWN, "builtin", f"{STUBS}:misfitting")
-    monkeypatch.setattr("glsplat_apps.avatar.photo_sheet._fitted", lambda shot, view: np.zeros((720, 480, 3), np.uint8))
-    monkeypatch.setattr("glsplat_apps.avatar.photo_sheet._seen", lambda avatar, made, sides: avatar)
+    monkeypatch.setattr("apps.avatar.photo_sheet._fitted", lambda shot, view: np.zeros((720, 480, 3), np.uint8))
+    monkeypatch.setattr("apps.avatar.photo_sheet._seen", lambda avatar, made, sides: avatar)
     words = (front, "-o", tmp_path / "me.glb", "--debug", tmp_path / "a")
     assert photo(*words) == 1
     error = capsys.readouterr().err
@@ -241,7 +241,7 @@ def test_what_cannot_be_written_is_said_before_the_work(seen, front, tmp_path, m
 FULL = f"""
 import resource, sys
 import pytest
-from glsplat_apps.cli import main
+from apps.cli import main
 from glsplat.making.reconstruct import registry
 from {STUBS} import replace_check
 registry.OWN["builtin"] = "{STUBS}:Detailed"

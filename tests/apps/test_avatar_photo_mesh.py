@@ -6,10 +6,10 @@ import json
 from pathlib import Path
 
 import cv2
-import glsplat_apps.cli as cli
 import numpy as np
 import pytest
 
+import apps.cli as cli
 from glsplat.errors import CaptureError, GlsplatError
 from glsplat.formats import load
 from glsplat.formats.gltf.meshes.write import save_gltf_mesh

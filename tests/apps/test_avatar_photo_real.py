@@ -5,14 +5,14 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-import glsplat_apps.cli as cli
 import numpy as np
 import pytest
 
+import apps.cli as cli
 from glsplat.camera import Camera, look_at, pinhole
 from glsplat.data import default_avatar
 from glsplat.formats import load
-from glsplat.motion.library import library
+from glsplat.motion.motion import load_embedded_motion
 from glsplat.renderer import Renderer
 from glsplat.skinning.pose import Pose
 from tests.making.captures import needs_networks
@@ -66,7 +66,7 @@ def test_it_moves_and_turns_its_eyes(made) -> None:
         turned = renderer.render([eye], Pose(rotations))[0].astype(int)
     changed = np.abs(turned - rest).max(axis=2) > 40
     assert 5 < changed.sum() < 1500  # the irises, and nothing else
-    walk = library(avatar.skeleton)["walk"]
+    walk = load_embedded_motion("walk", avatar.skeleton)
     with Renderer(avatar, size=(128, 128), views=1) as renderer:
         frames = [renderer.render([whole], walk.at(t))[0].astype(int) for t in (0.0, 0.5)]
     assert all((frame[..., 3] > 200).sum() > 400 for frame in frames)

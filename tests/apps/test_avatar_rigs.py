@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from glsplat_apps.cli import main
 
+from apps.cli import main
 from glsplat.avatar import Avatar
 from glsplat.formats import load
 from glsplat.formats.gltf.meshes.reader import read_gltf_person
@@ -35,7 +35,7 @@ def coarse(monkeypatch: pytest.MonkeyPatch) -> None:
     def quickly(mesh, splats, seed, **more):
         return make_avatar(mesh, splats, seed, SamplerConfig(probe=96), **more)
 
-    monkeypatch.setattr("glsplat_apps.avatar.command.make_avatar", quickly)
+    monkeypatch.setattr("apps.avatar.command.make_avatar", quickly)
 
 
 def written(tmp_path: Path, family: Family) -> Path:

@@ -8,11 +8,11 @@ from types import SimpleNamespace
 from typing import Any
 
 import cv2
-import glsplat_apps.avatar.video as video
-import glsplat_apps.cli as cli
 import numpy as np
 import pytest
 
+import apps.avatar.video as video
+import apps.cli as cli
 from glsplat.data import default_avatar
 from glsplat.errors import CaptureError
 from glsplat.formats import load

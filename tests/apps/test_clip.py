@@ -9,9 +9,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from glsplat_apps import clip as module
-from glsplat_apps.clip import Clip
 
+from apps import clip as module
+from apps.clip import Clip
 from glsplat.errors import FormatError
 from tests import needs
 
@@ -77,7 +77,7 @@ def test_an_opencv_without_vp9_says_what_it_wrote(tmp_path, monkeypatch):
 )
 def test_a_full_disk_is_one_line_and_leaves_nothing(tmp_path, ending, limit, count, code):
     script = (
-        "import sys, numpy as np; from glsplat_apps import clip; from glsplat.errors import FormatError\n"
+        "import sys, numpy as np; from apps import clip; from glsplat.errors import FormatError\n"
         "if sys.argv[2] != '6': clip.CLIPS['.mp4'] = clip.CLIPS['.webm'] = sys.argv[3]\n"
         "noise = np.random.default_rng(1)\n"
         "try:\n"

@@ -8,9 +8,9 @@ import re
 from pathlib import Path
 
 import pytest
-from glsplat_apps.cli import main
-from glsplat_apps.evaluate import command, ready
 
+from apps.cli import main
+from apps.evaluate import command, ready
 from glsplat import data
 from glsplat.data import participants_folder
 from glsplat.errors import GlsplatError

@@ -5,7 +5,8 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import pytest
-from glsplat_apps.cli import main
+
+from apps.cli import main
 
 
 @pytest.mark.gl

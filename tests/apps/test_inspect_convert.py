@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from glsplat_apps import args, cli, convert, inspect
 
+from apps import args, cli, convert, inspect
 from glsplat.avatar import Avatar
 from glsplat.formats import load, save
 from glsplat.formats.gltf.meshes.reader import read_gltf_person

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from glsplat_apps import cli
-from glsplat_apps.avatar import detail
 
+from apps import cli
+from apps.avatar import detail
 from glsplat.avatar import Avatar
 from glsplat.formats import load, save
 from glsplat.making.detail.measure import MeasureConfig

@@ -10,8 +10,9 @@ from collections.abc import Iterator
 from datetime import UTC, datetime
 
 import pytest
-from glsplat_apps.logs import start_logging
-from glsplat_apps.serve import command as serve
+
+from apps.logs import start_logging
+from apps.serve import command as serve
 
 STAMP = r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\.\d{3}Z"
 

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from glsplat_apps.cli import main
 
+from apps.cli import main
 from apps.serve import command as serve
 from glsplat.avatar import Avatar
 from glsplat.data import default_avatar

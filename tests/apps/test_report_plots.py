@@ -6,9 +6,10 @@ from itertools import combinations
 
 import numpy as np
 import pytest
-from glsplat_apps.report import plots as report_plots
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.text import Text
+
+from apps.report import plots as report_plots
 
 
 def scene(points: dict[str, list[tuple[float, float]]]) -> dict:

@@ -5,8 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from glsplat_apps import cli
-from glsplat_apps.cli import main
+
+from apps import cli
+from apps.cli import main
 
 
 def mistake(capsys: pytest.CaptureFixture[str], *words: object) -> str:

@@ -5,10 +5,10 @@ from dataclasses import replace
 from pathlib import Path
 
 import cv2
-import glsplat_apps.cli as cli
 import numpy as np
 import pytest
 
+import apps.cli as cli
 from glsplat.config import RenderConfig
 from glsplat.data import default_avatar
 from glsplat.evaluate.avatar_poses import SCORE_POSES, score_pose

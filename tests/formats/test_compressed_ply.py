@@ -171,21 +171,6 @@ def test_round_trip_within_half_a_step(tmp_path: Path, degree: int, count: int) 
     assert degree == 0 or np.abs(again.sh[:, 1:] - moved.sh[:, 1:]).max() <= 1 / 64 + 1e-6
 
 
-def test_the_same_scene_gives_the_same_bytes(tmp_path: Path) -> None:
-    splats = random_splats(1000, 1)
-    save(splats, tmp_path / "a.compressed.ply")
-    save(splats, tmp_path / "b.compressed.ply")
-    assert (tmp_path / "a.compressed.ply").read_bytes() == (tmp_path / "b.compressed.ply").read_bytes()
-
-
-def test_no_splats(tmp_path: Path) -> None:
-    for degree in (0, 2):
-        save(random_splats(0, degree), tmp_path / "a.compressed.ply")
-        again = load(tmp_path / "a.compressed.ply")
-        assert isinstance(again, Splats) and len(again) == 0
-        assert recognise(tmp_path / "a.compressed.ply") == "compressed-ply" and again.sh_degree == degree
-
-
 def test_equal_positions_and_wide_chunks(tmp_path: Path) -> None:
     base = random_splats(600)
     means = np.zeros((600, 3), np.float32)

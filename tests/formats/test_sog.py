@@ -181,13 +181,6 @@ def test_same_bytes_and_every_form(tmp_path: Path) -> None:
     assert_equal(load_sog(tmp_path / "x" / "meta.json"), load_sog(tmp_path / "a.sog"))
 
 
-def test_few_and_none(tmp_path: Path) -> None:
-    for count in (0, 1, 2, 17):
-        save(random_splats(count, 1), tmp_path / "a.sog")
-        scene = load_sog(tmp_path / "a.sog")
-        assert len(scene) == count and scene.finite().all() and scene.sh_degree == (1 if count else 0)
-
-
 def test_colours_under_an_opacity_of_zero(tmp_path: Path) -> None:
     splats = random_splats(50)
     save(replace(splats, opacities=np.zeros(50)), tmp_path / "a.sog")

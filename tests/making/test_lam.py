@@ -5,12 +5,12 @@ import struct
 import tracemalloc
 import zipfile
 
-import glsplat_apps.cli as cli
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+import apps.cli as cli
 from glsplat.errors import FormatError
 from glsplat.formats import load
 from glsplat.formats.gltf import morphs

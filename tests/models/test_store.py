@@ -14,8 +14,8 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from glsplat_apps.cli import main
 
+from apps.cli import main
 from glsplat.errors import FormatError, GlsplatError
 from glsplat.models import catalogue, download, store
 from glsplat.models.catalogue import Model, Source

@@ -6,14 +6,14 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.errors import GlsplatError
 from glsplat.models.store import path_of
 
-from .layers import Convolution, Layer, Pooling
-from .network import Network
+from .onnx import model, output
 from .pixels import checked
 from .weights import BACKBONES, read_weights
 
@@ -39,34 +39,27 @@ class Lpips:
         backbone = BACKBONES[kind]
         self._least = backbone.least
         weights = read_weights(path or path_of(backbone.model), backbone)
-        layers: list[Layer] = []
-        seen = []
-        for index, (kernel, bias) in enumerate(zip(weights.kernels, weights.biases, strict=True)):
-            if index in backbone.pooled:
-                layers.append(Pooling(backbone.pool, 2, 0))
-            stride = 1 if index else backbone.stride
-            if index in backbone.seen:
-                seen.append(len(layers))
-            layers.append(Convolution(len(kernel), stride, backbone.padding[index], kernel, bias))
-        self._network = Network(layers, seen)
+        data = np.frombuffer(model(weights, backbone), np.uint8)
+        engine = [cv2.dnn.ENGINE_CLASSIC] if hasattr(cv2.dnn, "ENGINE_CLASSIC") else []  # the one of OpenCV 4
+        self._network = cv2.dnn.readNetFromONNX(data, *engine)
+        self._outputs = [output(index) for index in backbone.seen]
         self._roots = [np.sqrt(head) for head in weights.heads]
 
     def features(self, picture: NDArray[np.floating]) -> list[F32]:
         """What the network sees of a picture [H, W, 3] in [0, 1], [h, w, C] a layer; see ``distance``.
 
-        Of 512 x 512 pixels these are 11 MB (alex) or 128 MB (vgg). The more of the picture has the colour of its
-        corner, the quicker.
+        Of 512 x 512 pixels these are 11 MB (alex) or 128 MB (vgg).
         """
         checked(picture, picture)
         height, width = picture.shape[:2]
         if min(height, width) < self._least:
             raise GlsplatError(f"LPIPS ({self.kind}) needs {self._least} pixels each way, not {width} x {height}")
         values = np.asarray(picture * (2 / _SCALE) - (1 + _SHIFT) / _SCALE, np.float32)
-        features = self._network(values)
-        for layer, root in zip(features, self._roots, strict=True):
-            length = np.sqrt(np.einsum("hwc,hwc->hw", layer, layer)) + np.float32(1e-10)
-            layer *= (1 / length)[..., None]
-            layer *= root
+        self._network.setInput(np.ascontiguousarray(values.transpose(2, 0, 1)[None]))
+        features = []
+        for layer, root in zip(self._network.forward(self._outputs), self._roots, strict=True):
+            length = np.sqrt(np.einsum("ichw,ichw->hw", layer, layer)) + np.float32(1e-10)
+            features.append(np.asarray(layer[0].transpose(1, 2, 0) * (1 / length)[..., None] * root, np.float32))
         return features
 
     def distance(self, picture: Sequence[F32], truth: Sequence[F32]) -> float:

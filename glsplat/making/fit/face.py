@@ -69,7 +69,7 @@ class FacePlaces:
 
 @lru_cache(maxsize=1)
 def face_places() -> FacePlaces:
-    """The embedded table (face_places.json beside this file), made by calibrate.py."""
+    """The embedded table (face_places.json beside this file), made by tools/data/calibrate.py."""
     text = (resources.files("glsplat.making.fit") / "face_places.json").read_text(encoding="utf-8")
     rows = json.loads(text)["landmarks"]
     weights = np.array([row["weights"] for row in rows], np.float64)

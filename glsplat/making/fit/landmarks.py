@@ -73,7 +73,7 @@ class Landmarks:
 
 @lru_cache(maxsize=1)
 def landmarks() -> Landmarks:
-    """The embedded table (landmark_offsets.json beside this file), made by calibrate.py."""
+    """The embedded table (landmark_offsets.json beside this file), made by tools/data/calibrate.py."""
     table = json.loads((resources.files("glsplat.making.fit") / "landmark_offsets.json").read_text(encoding="utf-8"))
     rows = table["landmarks"]
     return Landmarks(

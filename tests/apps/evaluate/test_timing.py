@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from glsplat_apps.cli import main
-from glsplat_apps.evaluate import timing
 
+from apps.cli import main
+from apps.evaluate import timing
 from glsplat.data import default_avatar
 from glsplat.errors import GlsplatError
 from glsplat.evaluate.comparison import measure
@@ -26,9 +26,9 @@ def words(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """A quick run over two people; a method has an avatar of the second alone."""
     monkeypatch.setattr(measure, "_network", lambda kind: Pixels())
     monkeypatch.setattr(timing, "Lpips", lambda kind: Pixels())
-    monkeypatch.setattr("glsplat_apps.evaluate.ready.Lpips", lambda kind: None)
+    monkeypatch.setattr("apps.evaluate.ready.Lpips", lambda kind: None)
     monkeypatch.setattr(
-        "glsplat_apps.evaluate.command.run_tasks",
+        "apps.evaluate.command.run_tasks",
         lambda tasks, jobs, show: [work(task, lambda *said: None) for task in tasks],
     )
     for name, people in (("both", ("p01", "p02")), ("second", ("p02",))):

@@ -8,6 +8,7 @@ import pickle
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 from numpy.lib.stride_tricks import sliding_window_view
@@ -17,8 +18,7 @@ from glsplat.evaluate.metrics.lpips import Lpips
 from glsplat.evaluate.metrics.weights import BACKBONES, Backbone, read_weights
 from glsplat.models.catalogue import LPIPS
 from glsplat.models.store import state_of
-from tests.evaluate.metrics.test_network import correlated
-from tests.evaluate.scripts.lpips_reference import DATA, small_pairs
+from tests.evaluate.metrics.lpips_pairs import DATA, small_pairs
 
 Tree = dict[str, dict[str, dict[str, Any]]]
 
@@ -40,6 +40,13 @@ def made_up(backbone: Backbone) -> Tree:
     return {backbone.key: convolutions, **heads}
 
 
+def correlated(picture: np.ndarray, kernel: np.ndarray, bias: np.ndarray, stride: int, padding: int) -> np.ndarray:
+    """A convolution as it is written in books, in float64."""
+    padded = np.pad(picture.astype(np.float64), ((padding,) * 2, (padding,) * 2, (0, 0)))
+    windows = sliding_window_view(padded, kernel.shape[:2], axis=(0, 1))[::stride, ::stride]
+    return np.maximum(np.einsum("hwcij,ijco->hwo", windows, kernel.astype(np.float64), optimize=True) + bias, 0)
+
+
 @pytest.fixture(scope="module")
 def alex(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("weights") / "alex.ckpt"
@@ -47,29 +54,53 @@ def alex(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def test_the_distance_written_out(alex: Path, rng: np.random.Generator) -> None:
+# stride and padding of each convolution; before which of them the maximum is taken, over how many pixels; which count
+BOOKS: dict[Any, Any] = {
+    "alex": ([(4, 2), (1, 2), (1, 1), (1, 1), (1, 1)], (1, 2), 3, (0, 1, 2, 3, 4)),
+    "vgg": ([(1, 1)] * 13, (2, 4, 7, 10), 2, (1, 3, 6, 9, 12)),
+}
+
+
+@pytest.mark.parametrize("kind", BOOKS)
+def test_the_distance_written_out(kind: Any, tmp_path: Path, rng: np.random.Generator) -> None:
     """Without the store: the publication's formula on made-up weights, in float64."""
-    tree = made_up(BACKBONES["alex"])
+    tree, (convolutions, pooled, side, seen) = made_up(BACKBONES[kind]), BOOKS[kind]
+    (tmp_path / "w.ckpt").write_bytes(pickle.dumps(tree, protocol=3))
     pair = rng.random((2, 47, 40, 3))
 
     def layers(picture: np.ndarray) -> list[np.ndarray]:
         values = (2 * picture - 1 - [-0.030, -0.088, -0.188]) / [0.458, 0.448, 0.450]
         found = []
-        for index, (stride, padding) in enumerate([(4, 2), (1, 2), (1, 1), (1, 1), (1, 1)]):
-            if index in (1, 2):
-                values = sliding_window_view(values, (3, 3), axis=(0, 1))[::2, ::2].max(axis=(3, 4))
-            weights = tree["AlexNet_0"][f"Conv_{index}"]
+        for index, (stride, padding) in enumerate(convolutions):
+            if index in pooled:
+                values = sliding_window_view(values, (side, side), axis=(0, 1))[::2, ::2].max(axis=(3, 4))
+            weights = tree[BACKBONES[kind].key][f"Conv_{index}"]
             values = correlated(values, weights["kernel"], weights["bias"], stride, padding)
-            found.append(values / np.linalg.norm(values, axis=2, keepdims=True))
+            if index in seen:
+                found.append(values / np.linalg.norm(values, axis=2, keepdims=True))
         return found
 
     heads = [tree[f"NetLinLayer_{index}"]["Conv_0"]["kernel"].ravel() for index in range(5)]
     right = sum(((a - b) ** 2 @ head).mean() for a, b, head in zip(*map(layers, pair), heads, strict=True))
-    lpips = Lpips("alex", alex)
+    lpips = Lpips(kind, tmp_path / "w.ckpt")
     first, second = (lpips.features(picture) for picture in pair)
     assert lpips.distance(first, second) == pytest.approx(right, abs=1e-6) and right > 0.01
     assert lpips.distance(second, first) == lpips.distance(first, second) and lpips.distance(first, first) == 0
     assert lpips.distance(lpips.features(pair[0].astype(np.float32)), second) == pytest.approx(right, abs=1e-5)
+
+
+def test_sizes_in_turn_and_the_same_again(alex: Path, rng: np.random.Generator) -> None:
+    """One network takes pictures of any size, one after another, with any number of threads, and keeps nothing."""
+    pictures = [rng.random((*size, 3)) for size in ((64, 64), (47, 90), (64, 64), (120, 31))]
+    alone = [Lpips("alex", alex).features(picture) for picture in pictures]
+    lpips, threads = Lpips("alex", alex), cv2.getNumThreads()
+    cv2.setNumThreads(1)
+    try:
+        in_turn = [lpips.features(picture) for picture in pictures]
+    finally:
+        cv2.setNumThreads(threads)
+    for one, other in zip(alone, in_turn, strict=True):
+        assert all(np.array_equal(a, b) for a, b in zip(one, other, strict=True))
 
 
 @pytest.mark.skipif(

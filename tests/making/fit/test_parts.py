@@ -10,7 +10,16 @@ import pytest
 
 from glsplat.errors import FormatError
 from glsplat.making.fit.body import open_body
-from glsplat.making.fit.calibrate import (
+from glsplat.making.fit.face import face_places
+from glsplat.making.fit.hands import CARRIERS, hand_places
+from glsplat.making.fit.landmarks import LANDMARK_COUNT, LANDMARKS, landmarks, twin
+from glsplat.making.fit.levenberg import least_squares
+from glsplat.making.fit.offsets import MOST, smooth_offsets
+from glsplat.making.fit.outline import edge_distances, overlap, projected_mask
+from glsplat.making.fit.view import SIDES, View, facing
+from glsplat.rotations import rotation_matrices
+from glsplat.skinning.smplx import JOINT_NAMES
+from tools.data.calibrate import (
     KnownFace,
     KnownHand,
     KnownPicture,
@@ -21,15 +30,6 @@ from glsplat.making.fit.calibrate import (
     write_hand_table,
     write_table,
 )
-from glsplat.making.fit.face import face_places
-from glsplat.making.fit.hands import CARRIERS, hand_places
-from glsplat.making.fit.landmarks import LANDMARK_COUNT, LANDMARKS, landmarks, twin
-from glsplat.making.fit.levenberg import least_squares
-from glsplat.making.fit.offsets import MOST, smooth_offsets
-from glsplat.making.fit.outline import edge_distances, overlap, projected_mask
-from glsplat.making.fit.view import SIDES, View, facing
-from glsplat.rotations import rotation_matrices
-from glsplat.skinning.smplx import JOINT_NAMES
 
 MASK = np.zeros((200, 150), bool)
 MASK[40:160, 50:100] = True

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -13,6 +14,8 @@ import pytest
 
 from glsplat.making.optimize.compiled import available, compiled
 from tests.making.optimize.without import without_numba
+
+ROOT = Path(__file__).parents[3]
 
 
 def added(values: np.ndarray, times: int) -> float:
@@ -49,15 +52,16 @@ def test_functions_are_compiled_where_nothing_may_be_cached(monkeypatch: pytest.
 WITHOUT = """
 import sys
 sys.modules["numba"] = None  # an import of it fails
-import glsplat_apps.cli, glsplat_apps.avatar.command
+import apps.cli, apps.avatar.command
 import glsplat.evaluate.comparison.own_methods, glsplat.making.reconstruct.video
 from glsplat.making.optimize.compiled import available
 assert not available()
-raise SystemExit(glsplat_apps.cli.main(["avatar", "reduce", "no.glb", "-o", "out.glb", "--splats", "200"]))
+raise SystemExit(apps.cli.main(["avatar", "reduce", "no.glb", "-o", "out.glb", "--splats", "200"]))
 """
 
 
 def test_all_that_can_do_without_it_does(tmp_path: Path) -> None:
     words = [sys.executable, "-c", WITHOUT]
-    done = subprocess.run(words, capture_output=True, text=True, cwd=tmp_path, check=False)
+    at = {**os.environ, "PYTHONPATH": str(ROOT)}
+    done = subprocess.run(words, capture_output=True, text=True, cwd=tmp_path, env=at, check=False)
     assert done.returncode == 1 and done.stderr.count("\n") == 1 and "pip install 'glsplat[make]'" in done.stderr

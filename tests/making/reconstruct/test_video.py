@@ -12,7 +12,7 @@ from glsplat.making.reconstruct.reconstructor import Options
 from glsplat.making.reconstruct.video import from_pictures, from_video, reconstruct_frames
 from glsplat.meshes import RiggedMesh
 from tests.making.captures import needs_networks
-from tests.making.scripts.videos import cameras_of, compared, drawn, filmed
+from tests.making.filmed import cameras_of, compared, drawn, filmed
 
 
 def test_what_nobody_can_want(tmp_path: Path) -> None:

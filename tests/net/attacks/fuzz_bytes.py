@@ -1,4 +1,4 @@
-"""Raw byte streams at the real port of a real server: ``python -m tests.net.attacks.fuzz_bytes 100000``.
+"""Raw byte streams at the real port of a real server.
 
 A stream is HTTP that was once a request, or a handshake followed by WebSocket frames that were once a session, both
 changed at random. The server has to stay up, answer others in time, and leave no traceback in its log.
@@ -6,24 +6,21 @@ changed at random. The server has to stay up, answer others in time, and leave n
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import queue
 import socket
 import struct
-import sys
 import threading
 import time
 from collections import Counter, deque
 from dataclasses import dataclass, field
-from pathlib import Path
 from random import Random
 
 from tests.net.attacks.fuzz_messages import message
 from tests.net.attacks.handshakes import BROKEN, GARBAGE
 from tests.net.attacks.requests import request
 from tests.net.attacks.sockets import Target, abort, connect, frame, handshake
-from tests.net.attacks.victim import Victim, victim
+from tests.net.attacks.victim import Victim
 
 __all__ = ["Sent", "send", "stream"]
 
@@ -236,36 +233,3 @@ def finish(sock: socket.socket, chance: Random) -> str:
         abort(sock)
     sock.close()
     return answer
-
-
-def main() -> None:
-    """The command line."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("number", type=int, nargs="?", default=5000)
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--log", help="write the server's log to this file")
-    args = parser.parse_args()
-    with victim("--size", "64x64") as server:
-        send(server, args.number // 20, args.seed + 1)  # what is made once is made now
-        early = server.rss()
-        sent = send(server, args.number, args.seed)
-        late = server.rss()
-        alive, log = server.alive(), server.log
-    if args.log:
-        Path(args.log).write_text(log)
-    print(
-        f"{sent.streams} streams in {sent.seconds:.0f} s; alive: {alive and not sent.dead}; "
-        f"{log.count('Traceback')} tracebacks and {log.count(chr(10))} lines in the log ({len(log)} bytes); "
-        f"/healthz meanwhile: median {sorted(sent.probes)[len(sent.probes) // 2] * 1e3:.0f} ms, "
-        f"slowest {max(sent.probes) * 1e3:.0f} ms; memory {early['server']:.1f} → {late['server']:.1f} MB serving, "
-        f"{early['all']:.1f} → {late['all']:.1f} MB in all"
-    )
-    print(", ".join(f"{name!r} {count}" for name, count in sent.answers.most_common(20)))
-    if sent.faults:
-        print(f"the server's own faults: streams {sent.faults[:50]} of seed {args.seed}", file=sys.stderr)
-    if "Traceback" in log:
-        print(log[log.index("Traceback") - 200 :][:4000], file=sys.stderr)
-
-
-if __name__ == "__main__":
-    main()

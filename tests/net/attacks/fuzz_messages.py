@@ -1,4 +1,4 @@
-"""Fuzzed messages through decoder and session, without sockets: ``python -m tests.net.attacks.fuzz_messages 1000000``.
+"""Fuzzed messages through decoder and session, without sockets.
 
 Every message has to end in an answer the protocol knows, every request that is accepted has to be one the renderer may
 draw, and a session has to stay within its window, whatever order messages and pictures come in.
@@ -6,7 +6,6 @@ draw, and a session has to stay within its window, whatever order messages and p
 
 from __future__ import annotations
 
-import argparse
 import json
 import re
 import time
@@ -219,19 +218,3 @@ def fuzz(number: int, seed: int, most_faults: int = 20) -> Findings:
     findings.seconds, findings.usual = time.perf_counter() - start, median(times)
     findings.growth = (process.memory_info().rss - early) / 1e6
     return findings
-
-
-def main() -> None:
-    """The command line."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("number", type=int, nargs="?", default=10_000)
-    parser.add_argument("--seed", type=int, default=1)
-    args = parser.parse_args()
-    findings = fuzz(args.number, args.seed)
-    for fault in findings.faults:
-        print(fault)
-    print(findings)
-
-
-if __name__ == "__main__":
-    main()

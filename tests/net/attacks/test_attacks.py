@@ -1,6 +1,6 @@
 """A real server under attack, in short: what a well-behaved client keeps while somebody else does not behave.
 
-The campaign (``python -m tests.net.attacks.campaign``) runs all attacks for longer and prints a table.
+The campaign (``python -m tools.attacks.campaign``) runs all attacks for longer and prints a table.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """How fast the page is: the table of docs/vr.md, with stored pictures and with the real renderer.
 
-    python -m tests.browser.scripts.speed [--seconds 8]
+    python -m tools.docs.page_speed [--seconds 8]
 
 Browser (software OpenGL), server and renderer share this machine: compare rows. "replay" is `glsplat replay` against
 the same server without a browser.
@@ -17,10 +17,10 @@ from typing import Any
 import glsplat
 from glsplat.net.backends.server import make_server
 from tests.browser.markers import offered
-from tests.browser.scripts.browser import chromium, page_of
 from tests.browser.served import Served
 from tests.browser.stored import StoredPairs
 from tests.browser.vr import enter, hands, pose, settings, steer
+from tools.docs.chromium import chromium, page_of
 
 MOVING = """() => { fakeXR.motion = (time, device) => {
   const turn = 0.1 * Math.sin(time / 400);
@@ -45,7 +45,7 @@ def page_row(browser: Any, served: Served, size: int, where: str, seconds: float
 def replay_fps(served: Served, size: int, seconds: float) -> float:
     """Pictures a second that `glsplat replay` shows."""
     address = f"{served.origin.replace('http', 'ws', 1)}/ws"
-    command = [sys.executable, "-m", "glsplat_apps.cli", "replay", "--url", address, "--size", str(size)]
+    command = [sys.executable, "-m", "apps.cli", "replay", "--url", address, "--size", str(size)]
     command += ["--frames", str(round(72 * seconds)), "--crop", "--json"]
     done = subprocess.run(command, capture_output=True, text=True, check=True)
     return json.loads(done.stdout)["fps"]

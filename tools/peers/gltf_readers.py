@@ -1,7 +1,7 @@
 """Holds glTF files as glsplat writes them against the Khronos validator and three.js, both in node.
 
     npm install gltf-validator three        (in a folder of its own, FOLDER)
-    python -m tests.formats.scripts.gltf_readers FOLDER
+    python -m tools.peers.gltf_readers FOLDER
 
 A static scene, an avatar, an avatar with cones and the embedded one, and a textured skinned mesh, as .glb and .gltf.
 The validator may say only that it does not know KHR_gaussian_splatting and its attributes. three.js has to find the

@@ -1,6 +1,6 @@
 """Draws the good and the bad captures of docs/photo.md anew, each with what the check says of it.
 
-    python -m tests.making.scripts.captures [docs/images]
+    python -m tools.docs.captures [docs/images]
 
 The pictures are those of tests/making/photo/test_capture.py and tests/making/reconstruct/test_robustness.py. Look at
 both sheets.

@@ -1,7 +1,7 @@
 """Prints the tables of docs/evaluation.md ("Results") and of the README from an evaluation of 24 people.
 
 glsplat evaluate --participants DIR -o OUT
-python -m tests.evaluate.scripts.results OUT
+python -m tools.docs.evaluation_results OUT
 """
 
 from __future__ import annotations

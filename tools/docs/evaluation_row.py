@@ -1,7 +1,7 @@
 """Writes docs/images/evaluation.jpg: the person of an evaluation whose avatar of one photograph is the median one.
 
     glsplat evaluate --participants DIR -o OUT
-    python -m tests.evaluate.scripts.row DIR OUT
+    python -m tools.docs.evaluation_row DIR OUT
 
 From left to right: the photograph, the participant, and the avatars of all methods, driven by the true pose; below, the
 same from behind. Methods have to be the project's own.
@@ -25,7 +25,7 @@ from glsplat.evaluate.comparison.stage import Stage
 from glsplat.scene import is_figure
 from glsplat.scenes import load
 
-ROOT = Path(__file__).resolve().parents[3]
+ROOT = Path(__file__).resolve().parents[2]
 METHODS = {"photo": "photo (splats)", "mesh-image": "mesh-image", "mesh-video": "mesh-video", "scan": "scan (splats)"}
 TASK, PIXELS = "waving", 512
 

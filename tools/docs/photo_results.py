@@ -1,6 +1,6 @@
 """Makes an avatar of each participant's capture and holds it against the participant, for docs/photo-results.md.
 
-    python -m tests.making.scripts.results OUT [--avatars DIR] [p01 p02 ...]
+    python -m tools.docs.photo_results OUT [--avatars DIR] [p01 p02 ...]
 
 With --avatars, DIR/p01.glb ... are shown instead of made.
 OUT gets photo-results-1.jpg and -2.jpg (of everybody the photograph, then the avatar from the front, the left and the
@@ -18,7 +18,6 @@ import cv2
 import numpy as np
 
 from glsplat.avatar import Avatar
-from glsplat.camera import Camera, look_at
 from glsplat.evaluate.light import CaptureLight, shade_of
 from glsplat.formats import load
 from glsplat.making.photo.capture import check_capture
@@ -30,9 +29,9 @@ from glsplat.renderer import Renderer
 from glsplat.skinning.pose import Pose
 from tests.conftest import SHARED_DATA
 from tests.making.captures import capture
+from tests.making.filmed import SIZE, VIEWS, views_of
 
-SIZE, CROP = 320, 0.66  # pixels; share of the square's width that the sheets show
-VIEWS = {"front": 0, "left": 90, "back": 180, "right": 270}  # degrees to the person's left
+CROP = 0.66  # share of the square's width that the sheets show
 SHOWN = ("front", "left", "back")
 WORST, DOZEN = 5, 12
 
@@ -55,17 +54,6 @@ class Result:
         """Intersection over union of the two figures."""
         a, b = (pictures[view].max(axis=2) > 0.02 for pictures in (self.truth, self.drawn))
         return float((a & b).sum() / (a | b).sum())
-
-
-def views_of(vertices: np.ndarray) -> dict[str, Camera]:
-    """Cameras around the person, who fills 88 % of the height."""
-    low, high = vertices.min(axis=0), vertices.max(axis=0)
-    middle, extent, focal = (low + high) / 2, float((high - low)[:2].max()), 1.37 * SIZE
-    k = [[focal, 0, SIZE / 2], [0, focal, SIZE / 2], [0, 0, 1]]
-    away = focal * extent / (0.88 * SIZE)
-    turns = {name: np.radians(degrees) for name, degrees in VIEWS.items()}
-    eyes = {name: middle + away * np.array([np.sin(turn), 0, np.cos(turn)]) for name, turn in turns.items()}
-    return {name: Camera(look_at(eye, middle), k, SIZE, SIZE) for name, eye in eyes.items()}
 
 
 def avatar_of(name: str) -> Avatar:

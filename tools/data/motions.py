@@ -1,15 +1,20 @@
-"""The motions that come with glsplat, made from joint-angle curves: idle, walk (on the spot), wave-and-turn."""
+"""Makes the motions that come with glsplat from joint-angle curves: idle, walk (on the spot), wave-and-turn.
+
+python -m tools.data.motions
+"""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
+from glsplat.data import default_avatar
 from glsplat.motion.motion import Motion
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.smplx import JOINT_NAMES, POSE_KEYS
@@ -197,3 +202,9 @@ def _ease(time: F64, start: float, end: float) -> F64:
     """0 before ``start``, 1 after ``end``, smooth to the second derivative between."""
     x = np.clip((time - start) / (end - start), 0, 1)
     return x**3 * (x * (6 * x - 15) + 10)
+
+
+if __name__ == "__main__":
+    body = default_avatar().skeleton
+    for name, motion in library(body).items():
+        Path(__file__).parents[2].joinpath("glsplat", "data", f"{name}.json").write_text(to_json(motion, body))

@@ -1,6 +1,6 @@
 """Turns the red irises of MakeHuman's `brown_eye` brown, in a person archive: what the embedded avatar is made of.
 
-python -m tests.making.scripts.irises PERSON.npz OUT.npz
+python -m tools.data.irises PERSON.npz OUT.npz
 """
 
 from __future__ import annotations

@@ -1,25 +1,16 @@
-"""Makes a mesh of each participant's turntable, and an avatar of their photograph, and holds both against them.
-
-    python -m tests.making.scripts.videos OUT [p13 p14 ...]
-
-OUT gets p13.png ...: two poses that no frame shows, from the front, the left and the back, of the participant, the mesh
-and the photograph's avatar. A table is printed: PSNR and overlap of eight poses, the frames' overlap, joints.
-"""
+"""Participants on a turntable, filmed, and the mesh or avatar made of it, drawn around them."""
 
 from __future__ import annotations
 
-import argparse
 import json
 from collections.abc import Iterator
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 
 from glsplat.avatar import Avatar
-from glsplat.camera import Camera
+from glsplat.camera import Camera, look_at
 from glsplat.evaluate.avatar_poses import SCORE_POSES, score_pose
 from glsplat.evaluate.turntable import Turntable, turntable
 from glsplat.making.reconstruct.reconstructor import Options
@@ -30,11 +21,22 @@ from glsplat.renderer import Renderer
 from glsplat.skinning.pose import Pose
 from tests.conftest import SHARED_DATA
 from tests.making.captures import Capture, capture
-from tests.making.scripts.results import SIZE, avatar_of, views_of
 
-SHOWN = "T-pose", "stride"
-VIEWS = "front", "left", "back"
+SIZE = 320  # pixels
+VIEWS = {"front": 0, "left": 90, "back": 180, "right": 270}  # degrees to the person's left
+SHOWN = ("front", "left", "back")
 FRAMES = 30
+
+
+def views_of(vertices: np.ndarray) -> dict[str, Camera]:
+    """Cameras around the person, who fills 88 % of the height."""
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    middle, extent, focal = (low + high) / 2, float((high - low)[:2].max()), 1.37 * SIZE
+    k = [[focal, 0, SIZE / 2], [0, focal, SIZE / 2], [0, 0, 1]]
+    away = focal * extent / (0.88 * SIZE)
+    turns = {name: np.radians(degrees) for name, degrees in VIEWS.items()}
+    eyes = {name: middle + away * np.array([np.sin(turn), 0, np.cos(turn)]) for name, turn in turns.items()}
+    return {name: Camera(look_at(eye, middle), k, SIZE, SIZE) for name, eye in eyes.items()}
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,34 +110,5 @@ def cameras_of(mesh: RiggedMesh) -> dict[tuple[str, str], Camera]:
     found = {}
     for pose in SCORE_POSES:
         around = views_of(mesh.posed(score_pose(pose, mesh.skeleton))[used])
-        found |= {(pose, view): around[view] for view in VIEWS}
+        found |= {(pose, view): around[view] for view in SHOWN}
     return found
-
-
-def main(folder: Path, names: list[str]) -> None:
-    folder.mkdir(parents=True, exist_ok=True)
-    print("| | video: dB front, left, back | overlap | photo: dB front, left, back | overlap | frames | joints mm |")
-    for name in names:
-        filming = filmed(name)
-        cameras = cameras_of(filming.person.mesh)
-        truth, rows, cells = list(drawn(filming.person.mesh, cameras)), [], []
-        for thing in (filming.made.thing, avatar_of(name)):
-            pictures = list(drawn(thing, cameras))
-            rows.append(pictures)
-            levels = []
-            for view in VIEWS:
-                mine = [index for index, key in enumerate(cameras) if key[1] == view]
-                levels.append(compared([truth[index] for index in mine], [pictures[index] for index in mine])[0])
-            cells += [", ".join(f"{level:.1f}" for level in levels), f"{compared(truth, pictures)[1]:.3f}"]
-        print("|", " | ".join([name, *cells, f"{filming.overlap():.3f}", f"{filming.joints():.0f}"]), "|", flush=True)
-        chosen = [index for index, key in enumerate(cameras) if key[0] in SHOWN]
-        sheet = np.vstack([np.hstack([each[index][..., :3] for index in chosen]) for each in (truth, *rows)])
-        cv2.imwrite(str(folder / f"{name}.png"), (255 * sheet.clip(0, 1)).astype(np.uint8)[..., ::-1])
-
-
-if __name__ == "__main__":
-    parser = argparse.ArgumentParser()
-    parser.add_argument("out", type=Path)
-    parser.add_argument("names", nargs="*", default=["p13", "p14", "p15", "p16"])
-    given = parser.parse_args()
-    main(given.out, given.names)

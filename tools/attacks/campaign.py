@@ -1,4 +1,4 @@
-"""The campaign, by hand: ``python -m tests.net.attacks.campaign`` prints a table of what a good client sees.
+"""The campaign, by hand: ``python -m tools.attacks.campaign`` prints a table of what a good client sees.
 
 For each attack a real ``glsplat serve`` of its own, with default options: the good client alone, then under attack, and
 that several times over; ratios of the phases that follow each other, and their median. Attackers and client run on the

@@ -1,6 +1,6 @@
 """Seconds, bytes and memory of a million splats in every format: the table of docs/formats.md.
 
-    python -m tests.formats.scripts.million [DEGREE]
+    python -m tools.docs.million [DEGREE]
 
 Each file is read and written by a process of its own; memory is what the process takes beyond what it had before.
 """
@@ -66,7 +66,7 @@ def main(degree: int) -> None:
             seconds = time.perf_counter() - begun
             size = sum(file.stat().st_size for file in Path(folder).iterdir()) / COUNT
             print(f"{form.suffixes[0]:16} {size:6.1f} bytes a splat, write {seconds:5.2f} s, ", end="", flush=True)
-            subprocess.run([sys.executable, "-m", "tests.formats.scripts.million", "--read", str(path)], check=True)
+            subprocess.run([sys.executable, "-m", "tools.docs.million", "--read", str(path)], check=True)
             for file in Path(folder).iterdir():
                 file.unlink()
 

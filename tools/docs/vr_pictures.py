@@ -1,6 +1,6 @@
 """Draws the pictures of docs/vr.md anew: both eyes of a headset in each view, and the flat page.
 
-    python -m tests.browser.scripts.pictures [docs/images]
+    python -m tools.docs.vr_pictures [docs/images]
 
 The avatar is glsplat's own, the headset the fake one with a Quest 3's frusta. Look at every picture.
 """
@@ -16,9 +16,9 @@ import numpy as np
 
 import glsplat
 from glsplat.net.backends.server import make_server
-from tests.browser.scripts.browser import chromium, page_of
 from tests.browser.served import Served
 from tests.browser.vr import enter, fresh, hands, pose, see, settings, steer
+from tools.docs.chromium import chromium, page_of
 
 QUALITY = 88  # JPEG
 

@@ -1,0 +1,1 @@
+"""Longer runs of the attackers and fuzzers of tests/net/attacks."""

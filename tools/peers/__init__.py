@@ -1,0 +1,1 @@
+"""Other programs, held against ours by hand."""
