@@ -118,7 +118,7 @@ def _aside(body: Body, shot: Shot) -> F64:
     trunk, rest = trunk_of(body), shot.mesh.vertices
     hair = np.isin(body.part, [JOINT_NAMES.index(name) for name in ("neck", "head")]) & ~face_of(body)
     share = np.abs(rest[:, 0]) / np.maximum(half_width(rest, trunk), 1e-3)
-    return ~hair * np.where(trunk, ((share - _ASIDE[0]) / (_ASIDE[1] - _ASIDE[0])).clip(0, 1), 1.0)
+    return np.where(hair, 0.0, np.where(trunk, ((share - _ASIDE[0]) / (_ASIDE[1] - _ASIDE[0])).clip(0, 1), 1.0))
 
 
 def paint(
