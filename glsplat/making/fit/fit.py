@@ -56,7 +56,7 @@ _ARM_MARKS, _WRIST_MARKS = (13, 14, 15, 16), (15, 16)  # landmarks of elbows and
 # Against a fit speak: a percent uncovered, a percent that landmarks and those of arms stray, an arm hidden that is seen
 # or seen that is hidden, arms that point elsewhere than the network's metres by their length; and that it is an unusual
 # stance. Weights chosen on eight made-up people in nine poses.
-_AGAINST, _UNUSUAL = (1.0, 2.0, 0.5, 6.0, 12.0), 1.0
+_AGAINST, _UNUSUAL = (1.0, 2.0, 0.5, 6.0, 12.0), 2.0
 _GOOD = 0.88, 2.0  # least overlap with the mask, most mean distance of landmarks in shares of the figure (%)
 
 _TRUST = {"wrist": 1.0, "elbow": 1.0, "head": 0.35, "neck": 0.35, "jaw": 0.35, "foot": 0.5, "ankle": 0.5}
