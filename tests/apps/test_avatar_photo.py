@@ -14,6 +14,7 @@ import pytest
 import apps.cli as cli
 from glsplat.formats import load
 from glsplat.making.cones import ConeConfig
+from glsplat.making.fit.standing.doubt import LIMBS
 from glsplat.making.optimize.compiled import MISSING
 from glsplat.making.photo.capture import Finding
 from glsplat.making.reconstruct import photos, registry
@@ -305,6 +306,7 @@ def test_a_capture_with_its_sheet(shared_data, tmp_path, monkeypatch, capsys) ->
     assert photo(front, "-o", tmp_path / "me.glb", "--debug", tmp_path / "a", "--json") == 0
     facts = json.loads(capsys.readouterr().out)
     assert facts["overlap"][0] > 0.94 and 1.4 < facts["stature"] < 2 and facts["problem"] == ""
+    assert set(facts["doubts"][0]) == set(LIMBS) and max(facts["doubts"][0].values()) < 0.3
     sheet = cv2.imread(str(tmp_path / "a" / "photo.png"))
     assert sheet.shape == (3 * 720 + 2 * 4, 4 * 480 + 3 * 4, 3)
     front_view, back_view = sheet[730:1440, :480].astype(int), sheet[730:1440, 968:1448].astype(int)

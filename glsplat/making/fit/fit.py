@@ -17,8 +17,8 @@ from glsplat.making.fit.outline import Rim, find_rim, half_gaps, overlap, projec
 from glsplat.making.fit.prior import HINGES, POSED, Stance
 from glsplat.making.fit.solver import Solver
 from glsplat.making.fit.standing.doubt import doubts_of, unseen
-from glsplat.making.fit.standing.limbs import TRUNK, beside_arms, hidden_arms, layers
-from glsplat.making.fit.standing.stances import misread, stances_of
+from glsplat.making.fit.standing.limbs import TRUNK, before_trunk, beside_arms, hidden_arms, layers
+from glsplat.making.fit.standing.stances import metres_of, misread, stances_of
 from glsplat.making.fit.view import View
 from glsplat.meshes import vertex_normals
 from glsplat.skinning.smplx import JOINT_NAMES
@@ -55,8 +55,8 @@ _ARM_REACH, _ARM_REACH_DRESSED = 0.015, 0.03  # shares of the figure: so near an
 _ARM_MARKS, _WRIST_MARKS = (13, 14, 15, 16), (15, 16)  # landmarks of elbows and wrists
 # Against a fit speak: a percent uncovered, a percent that landmarks and those of arms stray, an arm hidden that is seen
 # or seen that is hidden, arms that point elsewhere than the network's metres by their length; and that it is an unusual
-# stance. Weights chosen on four made-up people in nine poses.
-_AGAINST, _UNUSUAL = (1.0, 2.0, 0.5, 4.0, 4.0), 1.0
+# stance. Weights chosen on eight made-up people in nine poses.
+_AGAINST, _UNUSUAL = (1.0, 2.0, 0.5, 6.0, 12.0), 2.0
 _GOOD = 0.88, 2.0  # least overlap with the mask, most mean distance of landmarks in shares of the figure (%)
 
 _TRUST = {"wrist": 1.0, "elbow": 1.0, "head": 0.35, "neck": 0.35, "jaw": 0.35, "foot": 0.5, "ankle": 0.5}
@@ -131,7 +131,8 @@ def _begun_with(stance: Stance, views: Sequence[View], height: float | None, bod
         percents = (1 - seen.overlap) * 100, seen.strays, arms.mean() / solver.views[index].figure * 100
         shown, behind = view.visibility[list(_WRIST_MARKS)], np.array(hidden)
         mistaken = float((shown * behind + (1 - shown) * (1 - behind)).sum())
-        otherwise = 0.0 if view.world is None else misread(view.world, seen.joints)
+        metres = metres_of(view)
+        otherwise = 0.0 if metres is None else misread(metres, seen.joints)
         against += float(np.dot(_AGAINST, np.array([*percents, mistaken, otherwise])))
         told.append(replace(seen, doubts=doubts_of(view, hidden)))
     return replace(fit, views=tuple(told)), against
@@ -155,6 +156,8 @@ def follow_outlines(solver: Solver, rounds: int, moved: F64 | None = None) -> No
         for index, view in enumerate(solver.views):
             rim, weights = _pulled(_rim(solver.body, solver.posed(index), view, moved), trust, view)
             solver.pull_to(index, rim, moved, weights)
+            if view.world is not None:
+                solver.keep_before(index, *_shown_arms(solver.body, solver.posed(index), view))
         solver.solve(2)
         solver.weigh_landmarks()
 
@@ -188,6 +191,13 @@ def _rim(body: Body, posed: Posed, view: View, moved: F64 | None) -> Rim:
     of_arms = beside_arms(body, pixels, view.mask.shape, around)[row, column]
     found = np.isfinite(gaps) & ~(of_arms & (layers(body)[rim.vertices] == TRUNK))
     return Rim(rim.vertices[found], rim.pixels[found], rim.normals[found], gaps[found])
+
+
+def _shown_arms(body: Body, posed: Posed, view: View) -> tuple[NDArray[np.intp], F64]:
+    """Vertices of forearms that are seen, and how deep the trunk behind them lets them be; see ``before_trunk``."""
+    where = posed.points(body.points(np.arange(len(body.vertices))))
+    pixels = projected(where, view.focal, view.centre)[0]
+    return before_trunk(body, where, pixels, view.focal, view.mask.shape, view.visibility[list(_WRIST_MARKS)])
 
 
 def _pulled(rim: Rim, trust: F64, view: View) -> tuple[Rim, F64]:

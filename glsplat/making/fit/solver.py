@@ -27,6 +27,8 @@ _FRONT_DOUBT, _BACK_DOUBT, _SIDE_DOUBT = 1.0, 1.5, 3.0  # the offsets were measu
 _HEIGHT_DOUBT = 0.01  # metres; how well people know their height
 _PLAIN_SIDE = 0.8  # cosine of the turn; from there on left and right are where they are in a front or a back
 _SAME_SHAPE = 1e-3  # standard deviations of a shape that is known
+_BEFORE, _BEFORE_WORTH = 0.01, 12.0  # metres that a limb may lie too deep; as many measurements as that is
+_ARMS = np.array([any(part in name for part in ("shoulder", "elbow")) for name, _ in prior.HINGES.names], float)
 _SAME_CAMERA = 0.01  # shares of the stature that the height of a standing camera may seem to change
 
 
@@ -60,6 +62,7 @@ class Solver:
         self._marks = table.points(body)
         self._block = PLACE + len(prior.MEAN)
         self._rims: list[tuple[Rim, Points, F64] | None] = [None] * len(views)
+        self._before: list[tuple[Points, F64] | None] = [None] * len(views)
         self._trust = [np.ones(len(table.numbers)) for _ in views]
         self.x = self._start()
         self._seen = [self._sided(index) for index in range(len(views))]
@@ -106,6 +109,10 @@ class Solver:
         ``weights`` [K] turn pixels into standard deviations; ``moved`` [V, 3] metres is the surface's offset at rest.
         """
         self._rims[view] = rim, self.body.points(rim.vertices, moved), weights
+
+    def keep_before(self, view: int, vertices: NDArray[np.intp], depths: F64) -> None:
+        """From now on the bare body's ``vertices`` [K] are pushed to ``depths`` [K] metres where they are deeper."""
+        self._before[view] = (self.body.points(vertices), depths) if len(vertices) else None
 
     def solve(self, steps: int) -> None:
         """Improve all unknowns."""
@@ -155,6 +162,8 @@ class Solver:
             parts.append((*self._camera_rows(index, posed, x), index, None))
             if self._rims[index] is not None:
                 parts.append((*self._rim_rows(index, view, posed, derive), index, None))
+            if self._before[index] is not None:
+                parts.append((*self._before_rows(index, posed, derive), index, None))
         residual = np.concatenate([row for row, *_ in parts])
         if not derive:
             return residual, np.zeros((0, 0))
@@ -200,6 +209,19 @@ class Solver:
             pixels, moves = projected(posed.points(points), view.focal, view.centre)
         residual = (((pixels - rim.pixels) * rim.normals).sum(axis=1) - rim.gaps) * weights
         return residual, np.einsum("kcp,kc->kp", moves, rim.normals * weights[:, None])
+
+    def _before_rows(self, index: int, posed: Posed, derive: bool) -> tuple[F64, F64]:
+        """What is seen before the trunk is not in it: arms make way, for a body that does would lean back."""
+        pushed = self._before[index]
+        assert pushed is not None
+        points, depths = pushed
+        where, moves = posed.derivatives(points) if derive else (posed.points(points), np.zeros((len(depths), 3, 0)))
+        weight = np.sqrt(_BEFORE_WORTH / len(depths)) / _BEFORE
+        deeper = where[:, 2] > depths
+        slope = moves[:, 2] * (deeper * weight)[:, None]
+        if derive:
+            slope *= np.concatenate([np.zeros(BETAS + PLACE), _ARMS])
+        return (where[:, 2] - depths).clip(0) * weight, slope
 
     def _pose_rows(self, index: int, x: F64) -> tuple[F64, F64]:
         """The prior of the pose."""

@@ -90,7 +90,8 @@ def back_of_head(body: Body, shot: Shot, light: Light) -> BackOfHead:
     around = smoothest(body, trust, trust[:, None] * plain, True) if worn.any() else np.tile(hair**2, (count, 1))
     above = ((rest[:, 1] - ends) / _SOFT).clip(0, 1)
     behind = _ramp(ear - rest[:, 2]) * head + _ramp(nape - rest[:, 2]) * neck
-    covered = np.maximum(behind, _ramp(rest[:, 1] - top + 0.05) * head)
+    beside_face = above * (head & ~face_of(body))  # what nobody saw beside a face is hair, not hair and skin mixed
+    covered = np.maximum.reduce([behind, _ramp(rest[:, 1] - top + 0.05) * head, beside_face])
     colour = above[:, None] * around + (1 - above[:, None]) * np.median(plain[throat], axis=0)
     fallen = _fallen(body, shot, look, hair, skin, ends, nape) if ends < rest[neck, 1].min() + 2 * _STEP else 0 * above
     colour = np.where((fallen > 0)[:, None], np.median(plain[worn], axis=0) if worn.any() else hair**2, colour)

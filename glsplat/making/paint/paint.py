@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 
 from glsplat.making.fit.body import Body
 from glsplat.making.fit.eyes import EyeLook
+from glsplat.making.fit.offsets import face_of
 from glsplat.making.paint.head import BackOfHead, back_of_head
 from glsplat.making.paint.inside import with_inside
-from glsplat.making.paint.layers.segments import trunk_of, twins_across
+from glsplat.making.paint.layers.segments import half_width, trunk_of, twins_across
 from glsplat.making.paint.light import Light, find_light
 from glsplat.making.paint.shot import Shot, Sight, SurfacePoints
 from glsplat.making.paint.smooth import smoothest
@@ -28,6 +29,7 @@ _NO_TWINS = ("neck", "head", "jaw", "left_eye_smplhf", "right_eye_smplhf")  # fa
 _GUESSED = 0.6  # of the splats that detail is worth, where it is a guess
 _DIGITS = 6  # of a colour; see sharpen.py
 _LENT = 0.003  # what one half of the body says of the other, where nobody looks
+_ASIDE = 0.35, 0.6  # of the trunk's half width: nearer to its middle than that nothing is mirrored, for signs are there
 _SHADE = 0.3, 1.4  # brightness of an unseen point against the seen one its colour comes from
 
 
@@ -51,6 +53,7 @@ class Painter:
     plain: F64  # [V, 3] smooth linear colours without light
     twins: Twins
     head: BackOfHead
+    aside: F64  # [V] how much the other half of the body says of a vertex that is not seen
 
     def paint(self, points: SurfacePoints) -> Paint:
         """What is known and guessed of the points."""
@@ -85,7 +88,14 @@ class Painter:
         # side by side, not one over the other: where neck and back meet, no third colour shows between them
         rest = 1 - trust - covered
         guess = (rest[:, None] * points.at(self.plain) + covered[:, None] * colour) * shade
-        return guess + (trust * ratio)[:, None] * behind.linear, behind.busy * trust
+        guess += (trust * ratio)[:, None] * behind.linear
+        # what one half of the body hides, the other one shows
+        across = SurfacePoints(twins_across()[points.corners], points.weights)
+        other = front.look(across)
+        lent = other.trust * points.at(self.aside[:, None])[:, 0]
+        ratio = (shade[:, 0] / self.light.shade(across.directions(front.normals))).clip(*_SHADE)
+        guess += lent[:, None] * (ratio[:, None] * other.linear - guess)
+        return guess, np.maximum(behind.busy * trust, other.busy * lent)
 
 
 def painter_of(
@@ -100,7 +110,15 @@ def painter_of(
     normals, up = points.directions(front.normals), front.view.root[:, 1]
     light = find_light(normals, sight.linear, sight.trust, up, np.array([0.0, 0, -1]))
     plain, twins = _smooth_colours(body, shots, light), find_twins(front.mesh, trunk_of(body))
-    return Painter(body, shots, looks or {}, light, plain, twins, back_of_head(body, front, light))
+    return Painter(body, shots, looks or {}, light, plain, twins, back_of_head(body, front, light), _aside(body, front))
+
+
+def _aside(body: Body, shot: Shot) -> F64:
+    """[V] 1, but 0 about the middle of the trunk and on hair, whose edges are mixed with the room."""
+    trunk, rest = trunk_of(body), shot.mesh.vertices
+    hair = np.isin(body.part, [JOINT_NAMES.index(name) for name in ("neck", "head")]) & ~face_of(body)
+    share = np.abs(rest[:, 0]) / np.maximum(half_width(rest, trunk), 1e-3)
+    return np.where(hair, 0.0, np.where(trunk, ((share - _ASIDE[0]) / (_ASIDE[1] - _ASIDE[0])).clip(0, 1), 1.0))
 
 
 def paint(

@@ -78,7 +78,7 @@ class Shot:
     segment: NDArray[np.intp] | None = None  # [V] of segments.py; None: nothing of the body hides anything else of it
 
     bones: F64 | None = (
-        None  # [2, 3, 2] pixels of shoulders, elbows, wrists as a network saw them; NaN where it did not
+        None  # [2, 24, 2] pixels of shoulders, elbows, wrists, hands as networks saw them; NaN where they did not
     )
 
     @cached_property

@@ -27,7 +27,7 @@ class PostureConfig:
     far_turned: float = 57.0
     """Degrees from which on the picture is refused: of somebody turned by 45 the network says up to this."""
     leaning: float = 20.0
-    """Degrees between the trunk and the picture's upright."""
+    """Degrees between the picture's upright and the trunk, and the way from the ankles to the nose."""
     arms: float = 14.0
     """Degrees that the line from shoulder to wrist leaves the trunk's axis."""
     seen: float = 0.5
@@ -84,9 +84,13 @@ LYING = Finding("lying", "the person does not stand upright in the picture; turn
 
 
 def lying(person: Person, config: PostureConfig) -> Finding | None:
-    """Whether the trunk is far from upright."""
-    up = person.body.points[[11, 12]].mean(axis=0) - person.body.points[[23, 24]].mean(axis=0)
-    return LYING if abs(np.degrees(np.arctan2(up[0], -up[1]))) > config.leaning else None
+    """Whether the trunk is far from upright, or all of the person: a picture askew has its trunks put right."""
+    points = person.body.points
+    ups = (
+        points[[11, 12]].mean(axis=0) - points[[23, 24]].mean(axis=0),
+        points[0] - points[[LANDMARKS.index(f"{side}_ankle") for side in _SIDES]].mean(axis=0),
+    )
+    return LYING if max(abs(np.degrees(np.arctan2(up[0], -up[1]))) for up in ups) > config.leaning else None
 
 
 def turned(person: Person, view: str, config: PostureConfig) -> Finding | None:

@@ -34,6 +34,7 @@ __all__ = ["PHONE", "SIDES", "Builtin", "Dressed", "Made", "Meshing", "Telling"]
 SIDES = ("front", "back", "left", "right")
 _HARDLY = 0.1  # of a point that a picture shows too flatly to be believed
 _SURE = 0.4  # visibility of an arm that is where the network has it
+_HAND, _NEAR = 0.8, 0.4  # presence of a hand; how far its wrist is from the arm's, in forearms
 _LIT = 20_000  # points that light and unseen share are found on
 PHONE = 1.37
 """Focal length of a usual phone camera, in heights of an upright picture."""
@@ -156,12 +157,16 @@ def _person(picture: Picture, side: str) -> Person:
 
 
 def _arms(person: Person) -> NDArray[np.float64]:
-    """[2, 3, 2] pixels of shoulders, elbows and wrists, left and right; NaN where the network does not believe them."""
-    names = [
-        [LANDMARKS.index(f"{side}_{joint}") for joint in ("shoulder", "elbow", "wrist")] for side in ("left", "right")
-    ]
-    seen = person.body.visible[names] > _SURE
-    return np.where(seen[..., None], person.body.points[names], np.nan)
+    """[2, 24, 2] pixels of shoulders, elbows, wrists and hands, left and right; NaN where no network believes them."""
+    arms = []
+    for side, hand in (("left", person.left_hand), ("right", person.right_hand)):
+        names = [LANDMARKS.index(f"{side}_{joint}") for joint in ("shoulder", "elbow", "wrist")]
+        arm, fingers = person.body.points[names], hand.points[:, :2]
+        long = max(float(np.linalg.norm(arm[2] - arm[1])), 1.0)
+        seen = hand.presence > _HAND and float(np.linalg.norm(fingers[0] - arm[2])) < _NEAR * long
+        sure = person.body.visible[names][:, None] > _SURE
+        arms.append(np.concatenate([np.where(sure, arm, np.nan), np.where(seen, fingers, np.nan)]))
+    return np.stack(arms)
 
 
 def _view(side: str, picture: Picture, mask: Mask, person: Person) -> View:

@@ -5,12 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from glsplat.making.fit.body import open_body
+from glsplat.making.fit.body import BETAS, open_body
 from glsplat.making.fit.fit import BodyFit, fit_body
-from glsplat.making.fit.kinematics import Posed
+from glsplat.making.fit.kinematics import PLACE, Posed
+from glsplat.making.fit.prior import HINGES
+from glsplat.making.fit.solver import Solver
 from glsplat.making.fit.standing.doubt import LIMBS, doubts_of
-from glsplat.making.fit.standing.limbs import TRUNK, beside_arms, forearms, hidden_arms, layers
-from glsplat.making.fit.standing.stances import misread, stances_of
+from glsplat.making.fit.standing.limbs import TRUNK, before_trunk, beside_arms, forearms, hidden_arms, layers
+from glsplat.making.fit.standing.stances import metres_of, misread, stances_of
 from glsplat.making.fit.view import View
 from glsplat.skinning.smplx import JOINT_NAMES
 from tests.making.made_up import FOCAL, posed_view
@@ -18,6 +20,7 @@ from tests.making.made_up import FOCAL, posed_view
 ARMS = [JOINT_NAMES.index(f"{side}_{name}") for side in ("left", "right") for name in ("elbow", "wrist")]
 
 BELLY = {("left_shoulder", 2): -1.15, ("left_shoulder", 1): -0.2, ("left_elbow", 1): -1.5}
+OVER = BELLY | {("left_shoulder", 1): -0.6}  # all of the forearm is before the trunk
 BACK = {
     ("left_shoulder", 2): -1.3,
     ("left_shoulder", 1): 0.9,
@@ -68,6 +71,51 @@ def test_without_metres_there_is_one_stance() -> None:
     view = posed_view()[0]
     assert [stance.name for stance in stances_of(blind(view), open_body())] == ["posed"]
     assert [stance.name for stance in stances_of(view, open_body())] == ["posed", "at ease", "read"]
+
+
+def test_metres_that_take_the_front_for_another_side_are_not_believed() -> None:
+    view = posed_view()[0]
+    assert view.world is not None and metres_of(view) is view.world and metres_of(blind(view)) is None
+    behind = view.world * (-1.0, 1.0, -1.0)  # the network saw a back
+    wrong = View(view.mask, view.landmarks, view.visibility, view.focal, world=behind)
+    assert metres_of(wrong) is None
+    assert [stance.name for stance in stances_of(wrong, open_body())] == ["posed", "at ease"]
+
+
+def test_forearms_that_are_seen_may_not_be_as_deep_as_the_trunk() -> None:
+    body, seen = open_body(), np.array([1.0, 0.2])
+    before, behind = (surface(posed_view(bent=bent)[1]) for bent in (OVER, BACK))
+    vertices, depths = before_trunk(body, *before, FOCAL, (480, 320), seen)
+    assert len(vertices) > 10 and (layers(body)[vertices] == 1).all() and forearms(body)[vertices].all()
+    assert (before[0][vertices, 2] < depths).mean() > 0.9
+    vertices, depths = before_trunk(body, *behind, FOCAL, (480, 320), seen)
+    assert (behind[0][vertices, 2] > depths).mean() > 0.9
+    assert not len(before_trunk(body, *before, FOCAL, (480, 320), 0 * seen)[0])
+
+
+def test_an_arm_that_is_too_deep_comes_forward_and_the_body_stays() -> None:
+    solver = posed_view(bent=BACK)[2]
+    deep = surface(solver.posed(0))
+    vertices, depths = before_trunk(open_body(), *deep, FOCAL, (480, 320), np.array([1.0, 0.0]))
+    x = solver.x.copy()
+    bare = solver._rows(x, True)
+    solver.keep_before(0, vertices, depths)
+    residual, slope = solver._rows(x, True)
+    pushed = len(bare[0])
+    assert residual[pushed:].max() > 0.1 and (residual[pushed:] >= 0).all()
+    step = 1e-6
+    moved = np.abs(slope[pushed:]).sum(axis=0) > 0
+    assert {solver_name(solver, index) for index in np.flatnonzero(moved)} <= {"left_shoulder", "left_elbow"}
+    for index in np.flatnonzero(moved):
+        there = x.copy()
+        there[index] += step
+        change = (solver._rows(there, False)[0] - residual)[pushed:] / step
+        assert np.allclose(change, slope[pushed:, index], atol=1e-3 * np.abs(slope[pushed:]).max())
+
+
+def solver_name(solver: Solver, index: int) -> str:
+    """The joint of an unknown, or nothing where it is none's."""
+    return HINGES.names[index - BETAS - PLACE][0] if index >= BETAS + PLACE else ""
 
 
 def test_hidden_arms() -> None:

@@ -52,6 +52,41 @@ def test_colours_say_where_an_arm_is_that_the_fit_has_beside_it() -> None:
     assert np.array_equal(label, labels_of(picture, mask, segment, nobody, nobody))
 
 
+def test_an_arm_lies_along_its_bones_even_in_the_trunks_colour() -> None:
+    """A sleeve of the trunk's own cloth, which the fit has beside the true arm: landmarks tell where it ends."""
+    picture, mask, truth, segment = crossing()
+    picture = picture.copy()
+    picture[truth == 1] = picture[truth == 0][: (truth == 1).sum()]
+    bones = np.full((2, 24, 2), np.nan)
+    bones[0, :3] = (185, 80), (162, 170), (140, 260)
+    nobody = np.zeros(mask.shape, bool)
+    far = cv2.distanceTransform((truth != 1).astype(np.uint8), cv2.DIST_L2, 3) > 12
+    spilt = [((labels_of(picture, mask, segment, nobody, nobody, told) == 1) & far).sum() for told in (None, bones)]
+    assert spilt[1] < 0.2 * spilt[0]
+
+
+def test_the_landmarks_of_a_hand_are_the_hand() -> None:
+    """Fingers spread over the trunk beyond the hand of the fit."""
+    picture, mask, _, segment = crossing()
+    picture, segment = picture.copy(), segment.copy()
+    bones = np.full((2, 24, 2), np.nan)
+    bones[0, :3] = (185, 80), (162, 170), (140, 260)
+    fan = np.radians([150, 120, 95, 70, 45])
+    chains = [np.array([140, 260]) + 7 * (1 + np.arange(4))[:, None] * (np.cos(a), np.sin(a)) for a in fan]
+    bones[0, 3:] = np.concatenate([[(140, 260)], *chains])
+    hand = np.zeros(mask.shape, np.uint8)
+    for chain in chains:
+        cv2.polylines(hand, [np.vstack([(140, 260), chain]).astype(np.int32)], False, 1, 6)
+    picture[hand > 0] = RED
+    nobody = np.zeros(mask.shape, bool)
+    without = bones.copy()
+    without[0, 3:] = np.nan
+    fingers = (hand > 0) & (np.arange(480)[:, None] > 274)
+    told = without, bones
+    found = [(labels_of(picture, mask, segment, nobody, nobody, each) == 1)[fingers].mean() for each in told]
+    assert found[1] > 0.8 > 0.6 > found[0], found
+
+
 def test_a_thing_in_a_hand_is_not_the_body() -> None:
     picture, mask, _, segment = crossing()
     picture, mask, hand = picture.copy(), mask.copy(), np.zeros(mask.shape, bool)

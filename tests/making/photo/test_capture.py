@@ -44,6 +44,14 @@ def arms(degrees: float) -> dict[str, tuple[float, float, float]]:
     return {"left_shoulder": (0, 0, -turn), "right_shoulder": (0, 0, turn)}
 
 
+def askew(picture: np.ndarray, degrees: float) -> np.ndarray:
+    """The picture turned about its middle, with room around it."""
+    wide = cv2.copyMakeBorder(small(picture, 0.7), 150, 150, 400, 400, cv2.BORDER_REPLICATE)
+    height, width = wide.shape[:2]
+    turn = cv2.getRotationMatrix2D((width / 2, height / 2), degrees, 1)
+    return cv2.warpAffine(wide, turn, (width, height), borderMode=cv2.BORDER_REPLICATE)
+
+
 def behind(person: Capture, other: Capture) -> np.ndarray:
     """The other person 60 % as high, farther back on the right."""
     used = rows(other)
@@ -71,6 +79,7 @@ GOOD: dict[str, tuple[str, Edit]] = {
         "front",
         lambda a, b: cv2.copyMakeBorder(small(a.picture, 0.6), 60, 30, 350, 350, cv2.BORDER_REPLICATE),
     ),
+    "askew by 10 degrees": ("front", lambda a, b: askew(a.picture, 10)),
     "back": ("back", lambda a, b: a.seen(pelvis=(0, np.pi, 0))),
     "left": ("left", lambda a, b: a.seen(pelvis=(0, -np.pi / 2, 0))),
     "right": ("right", lambda a, b: a.seen(pelvis=(0, np.pi / 2, 0))),
@@ -91,6 +100,7 @@ BAD: dict[str, tuple[str, Edit]] = {
     ),
     "on its side": ("lying", lambda a, b: np.ascontiguousarray(np.rot90(a.picture))),
     "upside down": ("lying", lambda a, b: np.ascontiguousarray(a.picture[::-1, ::-1])),
+    "askew by 35 degrees": ("lying", lambda a, b: askew(a.picture, 35)),
     "half turned": ("turned", lambda a, b: a.seen(pelvis=(0, np.radians(40), 0))),
     "from behind": ("turned", lambda a, b: a.seen(pelvis=(0, np.pi, 0))),
     "arms down": ("arms", lambda a, b: a.seen(**arms(82))),

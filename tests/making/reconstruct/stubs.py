@@ -80,7 +80,8 @@ class Detailed(Plain):
 
     def tell(self, pictures: Any, masks: Any, options: Any) -> Made:
         self.calls.append((pictures, masks, options))
-        mesh, fit = None, SimpleNamespace(views=[SimpleNamespace(overlap=0.5, strays=9.0)] * len(pictures), stature=1.7)
+        view = SimpleNamespace(overlap=0.5, strays=9.0, doubts={})
+        mesh, fit = None, SimpleNamespace(views=[view] * len(pictures), stature=1.7)
         if self.fitted:
             views = []
             for side, picture in pictures.items():
@@ -100,7 +101,7 @@ class Meshed(Detailed):
         self.calls.append((pictures, masks, options))
         person = photographed("front")
         mesh = baked(person.mesh, lambda points: np.full((len(points.corners), 3), 0.3), options.texture)
-        view = SimpleNamespace(overlap=0.5, strays=9.0)
+        view = SimpleNamespace(overlap=0.5, strays=9.0, doubts={})
         fit: Any = SimpleNamespace(views=[view] * len(pictures), stature=1.7)
         return Dressed(fit=fit, mesh=mesh, unseen=0.43, seen=np.zeros(0), problem=self.problem)
 

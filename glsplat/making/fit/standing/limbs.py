@@ -16,7 +16,7 @@ from glsplat.meshes import MeshPart, RiggedMesh, vertex_normals
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.smplx import JOINT_NAMES, PARENTS
 
-__all__ = ["TRUNK", "beside_arms", "forearms", "hidden_arms", "layers"]
+__all__ = ["TRUNK", "before_trunk", "beside_arms", "forearms", "hidden_arms", "layers"]
 
 F64 = NDArray[np.float64]
 
@@ -28,6 +28,9 @@ _DISTAL = 0.35  # share of the upper arm that goes with the trunk, since sleeves
 _FOREARM = ("elbow", "wrist", "index", "middle", "pinky", "ring", "thumb")
 _COARSE = 300.0  # pixels of the person's height that depths are compared with
 _BEHIND = 0.01  # metres
+_SHOWN = 0.6  # visibility of a wrist from which on its forearm is taken to lie before the trunk
+_SOME = 60  # of a forearm's vertices
+_WITHIN = 0.015  # of the person's height that it lies within the trunk's outline; nearer to it an arm may hang beside
 
 
 @lru_cache(maxsize=1)
@@ -70,6 +73,36 @@ def hidden_arms(body: Body, where: F64, pixels: F64, focal: float, shape: tuple[
     ``where`` [V, 3] is the surface in camera axes, metres, which a picture of ``shape`` has at ``pixels`` [V, 2]. Of
     what turns to the camera; an arm that turns nothing there has nothing to hide.
     """
+    behind = where[:, 2] > _trunk_depth(body, where, pixels, focal, shape) + _BEHIND
+    turned = (vertex_normals(where, body.faces) * where).sum(axis=1) < 0
+    arms = [(layers(body) == layer) & forearms(body) & turned for layer in (1, 2)]
+    left, right = (float(behind[arm].mean()) if arm.any() else 0.0 for arm in arms)
+    return left, right
+
+
+def before_trunk(
+    body: Body, where: F64, pixels: F64, focal: float, shape: tuple[int, int], visible: F64
+) -> tuple[NDArray[np.intp], F64]:
+    """Vertices [K] of forearms that a picture shows over the trunk, and metres [K] of depth that they may have there.
+
+    ``visible`` [2] is how well the left wrist and the right one are seen; the others as in ``hidden_arms``.
+    """
+    depth = _trunk_depth(body, where, pixels, focal, shape, _WITHIN)
+    chosen = [np.zeros(0, np.intp)]
+    for layer in np.flatnonzero(visible > _SHOWN) + 1:
+        arm = np.flatnonzero((layers(body) == layer) & forearms(body))
+        total = np.cumsum(_areas(body)[arm])  # a hand has as many vertices as a leg
+        arm = arm[np.unique(np.searchsorted(total, np.linspace(0, total[-1], _SOME)))]
+        chosen.append(arm[np.isfinite(depth[arm])])
+    vertices = np.concatenate(chosen)
+    return vertices, depth[vertices]
+
+
+def _trunk_depth(body: Body, where: F64, pixels: F64, focal: float, shape: tuple[int, int], within: float = 0.0) -> F64:
+    """[V] metres of depth that the trunk has at each vertex's pixel, infinite beside it; see ``hidden_arms``.
+
+    Infinite, too, nearer to its outline than ``within``, a share of the person's height.
+    """
     scale = min(_COARSE / max(float(np.ptp(pixels[:, 1])), 1.0), 1.0)
     height, width = (max(round(side * scale), 1) for side in shape)
     x, y = (pixels - where[:, :2] / where[:, 2:] * focal).mean(axis=0) * scale
@@ -79,12 +112,19 @@ def hidden_arms(body: Body, where: F64, pixels: F64, focal: float, shape: tuple[
     depth = np.full(faces.shape, np.inf)
     hit = faces >= 0
     depth[hit] = (weights[hit] * where[trunk.faces[faces[hit]], 2]).sum(axis=1)
-    turned = (vertex_normals(where, body.faces) * where).sum(axis=1) < 0
+    if within:
+        inside = cv2.distanceTransform(hit.astype(np.uint8), cv2.DIST_L2, 3)
+        depth[inside < within * float(np.ptp(pixels[:, 1])) * scale] = np.inf
     column, row = np.floor(pixels * scale).astype(int).T
-    behind = where[:, 2] > depth[row.clip(0, height - 1), column.clip(0, width - 1)] + _BEHIND
-    arms = [behind[(layers(body) == layer) & forearms(body) & turned] for layer in (1, 2)]
-    left, right = (float(arm.mean()) if len(arm) else 0.0 for arm in arms)
-    return left, right
+    return np.asarray(depth[row.clip(0, height - 1), column.clip(0, width - 1)])
+
+
+@lru_cache(maxsize=1)
+def _areas(body: Body) -> F64:
+    """[V] square metres of the surface around each vertex."""
+    corner = body.vertices[body.faces]
+    area = np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1) / 6
+    return np.asarray(np.bincount(body.faces.ravel(), np.repeat(area, 3), len(body.vertices)), np.float64)
 
 
 @lru_cache(maxsize=1)

@@ -15,10 +15,10 @@ from glsplat.making.fit.body import BETAS, Body, Points
 from glsplat.making.fit.kinematics import PLACE, Posed
 from glsplat.making.fit.levenberg import least_squares
 from glsplat.making.fit.prior import HINGES, MEAN, POSED, SPREAD, Stance
-from glsplat.making.fit.view import View
+from glsplat.making.fit.view import View, apart
 from glsplat.skinning.smplx import JOINT_NAMES
 
-__all__ = ["misread", "stances_of"]
+__all__ = ["metres_of", "misread", "stances_of"]
 
 F64 = NDArray[np.float64]
 
@@ -32,6 +32,7 @@ _BONES = tuple(
 )
 _ACROSS = tuple((f"left_{name}", f"right_{name}") for name in ("shoulder", "hip"))
 _DIRECTION = 0.12  # how far off a bone's rough direction is, as a share of its length
+_TURNED = 60.0  # degrees between the shoulders' turn and the view's: a network that errs there errs in all depths
 _FREE = 1.2  # radians that an angle may leave the mean for it
 _READ = {"shoulder": 0.35, "elbow": 0.35, "hip": 0.15, "knee": 0.15}  # radians about what was read
 _LOOSE: dict[tuple[str, int], float] = {
@@ -44,20 +45,33 @@ _LOOSE: dict[tuple[str, int], float] = {
 
 
 def stances_of(view: View, body: Body) -> tuple[Stance, ...]:
-    """How the person of a view may stand: posed as asked; at ease; and, where the view has metres, as these say."""
+    """How the person of a view may stand: posed as asked; where the view has metres, at ease; and as these say."""
     if view.world is None:
         return (POSED,)
+    metres = metres_of(view)
     loose = SPREAD.copy()
     for column, (name, axis) in enumerate(HINGES.names):
         loose[column] = max(loose[column], _LOOSE.get((_plain(name), axis), 0.0))
-    angles, turn = _read(view, body)
+    at_ease = Stance("at ease", MEAN, loose)
+    if metres is None:
+        return POSED, at_ease
+    angles, turn = _read(metres, view, body)
     about = np.array(
         [
             max(wide, _READ[_plain(name)]) if _plain(name) in _LEGS else _READ.get(_plain(name), wide)
             for (name, _), wide in zip(HINGES.names, loose, strict=True)
         ]
     )
-    return POSED, Stance("at ease", MEAN, loose), Stance("read", angles, about, turn)
+    return POSED, at_ease, Stance("read", angles, about, turn)
+
+
+def metres_of(view: View) -> F64 | None:
+    """[33, 3] the network's metres of a view where it has any that face the side that the view shows, else None."""
+    if view.world is None:
+        return None
+    across = _at(view.world, "left_shoulder") - _at(view.world, "right_shoulder")
+    turn = float(np.degrees(np.arctan2(across[2], across[0])))
+    return view.world if apart(turn, view.turn) <= _TURNED else None
 
 
 def misread(world: F64, joints: F64) -> float:
@@ -80,12 +94,11 @@ def _plain(name: str) -> str:
     return name.removeprefix("left_").removeprefix("right_")
 
 
-def _read(view: View, body: Body) -> tuple[F64, float]:
-    """[D] angles of arms and legs, and the turn, that point the bones as the network's metres do."""
-    assert view.world is not None
+def _read(metres: F64, view: View, body: Body) -> tuple[F64, float]:
+    """[D] angles of arms and legs, and the turn, that point the bones as the network's ``metres`` [33, 3] do."""
     columns = np.array([k for k, (name, _) in enumerate(HINGES.names) if _plain(name) in _ARMS + _LEGS])
     bones = _BONES + _ACROSS
-    said = np.array([_at(view.world, end) - _at(view.world, start) for start, end in bones])
+    said = np.array([_at(metres, end) - _at(metres, start) for start, end in bones])
     said = said / np.maximum(np.linalg.norm(said, axis=1, keepdims=True), 1e-6)
     ends = _joint_points(body, [name for bone in bones for name in bone])
     place = np.array([0.0, 0.0, 3.0, 0.0, 0.0, 0.0])

@@ -14,7 +14,7 @@ Picture = NDArray[np.float32]
 
 _SMALL = 360.0  # pixels of the person's height that colours are continued at
 _REACHES = (0.012, 0.025, 0.05, 0.1, 0.2)  # of the height, the nearer the sooner
-_FLAT = 0.35  # how far cloth is continued down against across
+_FLAT = 0.12  # how far cloth is continued down against across
 _SIDES = 0.7, 0.95  # halves of a trunk's width between which it is taken to look all around as it does there
 _ALIKE, _LEVEL = (22.0, 8.0, 8.0), 0.06  # of Lab, and metres of height: colours nearer than that are the same
 _FEWEST = 50  # pixels

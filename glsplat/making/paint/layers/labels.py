@@ -26,6 +26,9 @@ NOTHING = -1
 _UNSURE = 0.03  # of the person's height: how far from a projected arm its pixels may lie
 _CORE = 0.014  # of it: so deep inside a projected arm nothing else is
 _BONE = 0.016  # of it, the width that an arm at least has
+_WIDE = 0.018, 0.035  # of it: so far aside of a bone an arm surely is, and may be
+_BEYOND = 0.5  # of the forearm's length: how far beyond the wrist the hand reaches
+_FINGER = 0.006  # of it, the width that a finger at least has
 _BELOW = 0.45  # of the upper arm: where its own layer begins for sure
 _LIKELY = 0.4, 2.0  # area of an arm against its projection; other answers are not believed
 _FEWEST = 12  # pixels of a segment that is asked for
@@ -44,7 +47,8 @@ def labels_of(
     """[H, W] the layer that each pixel shows, NOTHING outside the ``mask`` and where the mask holds other things.
 
     ``segment`` [H, W] is what the fitted body shows there, NOTHING beside it; ``hand`` and ``head`` where that is one.
-    ``bones`` [2, 3, 2] are pixels of shoulders, elbows and wrists, left and right, not finite where they are not seen.
+    ``bones`` [2, 24, 2] are pixels of shoulders, elbows, wrists and 21 landmarks of the hands, left and right, not
+    finite where they are not seen.
     """
     rows = np.flatnonzero(mask.any(axis=1))
     height = float(rows[-1] - rows[0] + 1)
@@ -71,26 +75,47 @@ def _arm(lab: NDArray[np.uint8], mask: Mask, segment: Labels, layer: int, height
         if part.sum() < _FEWEST:
             continue
         near = mask & (away[index] <= _UNSURE * height) & (away[index] <= away[1 - index])
+        likely = part
         deep = cv2.distanceTransform(part.astype(np.uint8), cv2.DIST_L2, 3)
         core = mask & (deep > min(_CORE * height, 0.6 * float(deep.max())))
-        if bones is not None and np.isfinite(bones).all():
+        if bones is not None and np.isfinite(bones[:3]).all():
             # the landmarks are nearer to the truth than the fit's depth
-            bone = np.zeros(mask.shape, np.uint8)
             first, last = bones[index], bones[index + 1]
-            first = first if index else first + _BELOW * (last - first)
-            ends = [tuple(int(side) for side in point.clip(-1e4, 1e4)) for point in (first, last)]
-            cv2.line(bone, ends[0], ends[1], 1, max(3, round(_BONE * height)))
-            near |= mask & (bone > 0) & (away[index] <= 2 * _UNSURE * height)
-            core = mask & (bone > 0) & near
+            bone = _line(first if index else first + _BELOW * (last - first), last, mask.shape, height)
+            fingers = np.zeros_like(bone)
+            if index and np.isfinite(bones[3:]).all():
+                fingers = _hand(bones[3:], mask.shape, height)
+            reached = _line(first, last + index * _BEYOND * (last - first), mask.shape, height)
+            aside = _distance((reached | fingers) > 0)
+            near |= mask & ((fingers > 0) | ((bone > 0) & (away[index] <= 2 * _UNSURE * height)))
+            near &= aside <= _WIDE[1] * height
+            likely = part & (aside <= _WIDE[0] * height)
+            core = mask & ((bone | fingers) > 0) & near
         seen = lab.copy()
         seen[~mask | (parts[1 - index] & ~near)] = _NOBODY
-        mine = _cut(seen, near, part & near, core & near, away[index] <= 3 * _UNSURE * height)
-        likely = _LIKELY[0] * part.sum() < mine.sum() < _LIKELY[1] * part.sum()
-        total |= (mine if likely else part) & mask
+        mine = _cut(seen, near, likely & near, core & near, away[index] <= 3 * _UNSURE * height)
+        believed = _LIKELY[0] * part.sum() < mine.sum() < _LIKELY[1] * part.sum()
+        total |= (mine if believed else part) & mask
     arm = cv2.morphologyEx(total.astype(np.uint8), cv2.MORPH_OPEN, _disc(1))
     arm = cv2.morphologyEx(arm, cv2.MORPH_CLOSE, _disc(2))
     _, pieces = cv2.connectedComponents(arm)
     return np.asarray((arm > 0) & np.isin(pieces, np.unique(pieces[whole & (arm > 0)])))
+
+
+def _line(first: F64, last: F64, shape: tuple[int, ...], height: float) -> NDArray[np.uint8]:
+    """[H, W] one along a bone between two pixels [2]."""
+    ends = [tuple(int(side) for side in point.clip(-1e4, 1e4)) for point in (first, last)]
+    return np.asarray(cv2.line(np.zeros(shape, np.uint8), ends[0], ends[1], 1, max(3, round(_BONE * height))))
+
+
+def _hand(points: F64, shape: tuple[int, ...], height: float) -> NDArray[np.uint8]:
+    """[H, W] one on the palm and along the fingers of a hand's landmarks [21, 2]."""
+    drawn = np.zeros(shape, np.uint8)
+    at = points.clip(-1e4, 1e4).astype(np.int32)
+    cv2.fillConvexPoly(drawn, cv2.convexHull(at[[0, 1, 5, 9, 13, 17]]), 1)
+    chains = [at[[0, *range(first, first + 4)]] for first in (1, 5, 9, 13, 17)]
+    cv2.polylines(drawn, chains, False, 1, max(1, round(_FINGER * height)))
+    return drawn
 
 
 def _cut(seen: NDArray[np.uint8], near: Mask, likely: Mask, sure: Mask, around: Mask) -> Mask:
