@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from glsplat.avatar import Avatar
 from glsplat.errors import PoseError
 from glsplat.formats.scene_file import SceneFile
+from glsplat.net.backend import RenderJob
 from glsplat.net.backends.labels import Label
-from glsplat.net.messages import RenderRequest
 from glsplat.net.rooms.view import Present, RoomView
 from glsplat.renderer import Renderer
 from glsplat.scene import Figure, Item, Scene
@@ -53,12 +53,12 @@ class RoomStand:
         """GPU bytes."""
         return sum(self.renderer.nbytes().values())
 
-    def follow(self, request: RenderRequest, seconds: float) -> None:
+    def follow(self, job: RenderJob, seconds: float) -> None:
         """Bring everybody to where they are; ``seconds`` is the time of the background's motions.
 
         Raises GlsplatError where an avatar cannot be had: nobody else is touched.
         """
-        view = _view(request)
+        view = _view(job)
         new = {one.key: _shown(one, self._figure_of(one.avatar)) for one in view.people if one.key not in self._people}
         here = {one.key for one in view.people}
         for gone in [key for key in self._people if key not in here]:
@@ -73,19 +73,20 @@ class RoomStand:
                 item.pose, item.transform, item.opacity = one.pose, one.transform, one.opacity
         self._background.pose_at(seconds)
 
-    def left_out(self, request: RenderRequest) -> list[Item]:
-        """Items that a picture is drawn without: of the viewer what the request hides, and who has faded."""
+    def left_out(self, job: RenderJob) -> list[Item]:
+        """Items that a picture is drawn without: of the viewer what the job hides, and who has faded."""
         out: list[Item] = []
         for key, one in self._people.items():
-            own = key == _view(request).viewer and "head" in request.hide
+            own = key == _view(job).viewer and "head" in job.options.hide
             part = one.head if own else one.headless
             out += [item for item in one.items if item.opacity == 0 or item is part]
         return out
 
-    def labels(self, request: RenderRequest) -> list[Label]:
+    def labels(self, job: RenderJob) -> list[Label]:
         """What stands over the heads; over the viewer's own only where that head is seen."""
-        view = _view(request)
-        people = [one for one in view.people if one.label and not (one.key == view.viewer and "head" in request.hide)]
+        view = _view(job)
+        headless = "head" in job.options.hide
+        people = [one for one in view.people if one.label and not (one.key == view.viewer and headless)]
         return [
             Label(
                 one.label,
@@ -95,7 +96,7 @@ class RoomStand:
             for one in people
         ]
 
-    def box(self, request: RenderRequest) -> None:
+    def box(self, job: RenderJob) -> None:
         """Nothing: there are several."""
 
     def release(self) -> None:
@@ -103,9 +104,9 @@ class RoomStand:
         self.renderer.release()
 
 
-def _view(request: RenderRequest) -> RoomView:
-    assert request.room is not None
-    return request.room
+def _view(job: RenderJob) -> RoomView:
+    assert job.room is not None
+    return job.room
 
 
 def label_place(item: Item, figure: Figure) -> NDArray[np.float64]:
