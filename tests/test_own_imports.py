@@ -8,6 +8,7 @@ import sys
 import pytest
 
 import glsplat.formats
+import glsplat.net
 import glsplat.tracking
 
 MOST = {  # own modules, the root among them
@@ -33,7 +34,9 @@ def test_an_import_loads_what_it_needs(module: str) -> None:
     assert module in found and len(found) <= MOST[module], sorted(found)
 
 
-@pytest.mark.parametrize("package", [glsplat, glsplat.formats, glsplat.tracking], ids=lambda package: package.__name__)
+@pytest.mark.parametrize(
+    "package", [glsplat, glsplat.formats, glsplat.net, glsplat.tracking], ids=lambda package: package.__name__
+)
 def test_a_lazy_package_has_all_that_it_says(package: object) -> None:
     name, names = package.__name__, package.__all__  # type: ignore[attr-defined]
     assert set(names) == set(package._HOME)  # type: ignore[attr-defined]

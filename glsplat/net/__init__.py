@@ -1,4 +1,4 @@
-"""Streaming: messages, sans-I/O session, JPEG, server and client (docs/protocol.md). Imports no OpenGL."""
+"""The network: ``Server`` and ``Client``, and what a renderer or a solver behind them is given. No OpenGL."""
 
 from __future__ import annotations
 
@@ -7,12 +7,36 @@ from typing import TYPE_CHECKING
 from glsplat import on_demand
 
 if TYPE_CHECKING:
+    from glsplat.net.backend import Backend, Offered, PoseSolver, Rendered, RenderJob, Solved
     from glsplat.net.backends.server import make_server
     from glsplat.net.client import Client
-    from glsplat.net.server import ServerConfig
+    from glsplat.net.messages import PictureOptions, Request
+    from glsplat.net.reply import Reply
+    from glsplat.net.server import Server, ServerConfig
 
-__all__ = ["Client", "ServerConfig", "make_server"]
+__all__ = [
+    "Backend",
+    "Client",
+    "Offered",
+    "PictureOptions",
+    "PoseSolver",
+    "RenderJob",
+    "Rendered",
+    "Reply",
+    "Request",
+    "Server",
+    "ServerConfig",
+    "Solved",
+    "make_server",
+]
 
-_HOME = {"Client": "client", "ServerConfig": "server", "make_server": "backends.server"}
+_HOME = {
+    **dict.fromkeys(("Backend", "Offered", "PoseSolver", "RenderJob", "Rendered", "Solved"), "backend"),
+    **dict.fromkeys(("PictureOptions", "Request"), "messages"),
+    **dict.fromkeys(("Server", "ServerConfig"), "server"),
+    "Client": "client",
+    "Reply": "reply",
+    "make_server": "backends.server",
+}
 
 __getattr__ = on_demand(__name__, _HOME)

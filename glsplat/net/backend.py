@@ -10,21 +10,40 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.camera import Camera
-from glsplat.net.messages import RenderRequest
+from glsplat.net.messages import DEFAULT, PictureOptions, Request
+from glsplat.net.rooms.view import RoomView
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.skeleton import Skeleton
+from glsplat.watermark.mark import Mark
 
-__all__ = ["Backend", "Interruptible", "Offered", "Placing", "PoseSolver", "Rendered", "Solved"]
+__all__ = ["Backend", "Interruptible", "Offered", "Placing", "PoseSolver", "RenderJob", "Rendered", "Solved"]
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class RenderJob:
+    """What a renderer needs of a request: made once, when its picture is due, and never changed."""
+
+    cameras: tuple[Camera, ...]  # one or two, left first
+    pose: Pose | None = None  # None: the rest pose
+    frame_id: int | None = None  # of its request
+    options: PictureOptions = DEFAULT
+    avatar: str = ""  # which of those the server offers; empty: its first, or the scene
+    room: RoomView | None = None  # everybody in a room, instead of ``avatar`` alone
+    viewer: int = 0  # who asks, for what a renderer keeps from picture to picture
+    detail: float = 0.0  # added to RenderConfig.lod_bias: below 0 for coarser levels
+    label: str = ""  # drawn near the head of the avatar
+    notice: str = ""  # written into the picture
+    mark: Mark | None = None  # of the session
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rendered:
-    """One rendered request. The server reads ``images`` while the next frame is drawn, until it calls ``done``.
+    """One picture that was drawn. The server reads ``images`` while the next frame is drawn, until it calls ``done``.
 
     Outside ``covered`` the images are zero: transparent black.
     """
 
-    images: NDArray[np.uint8]  # [V, H, W, 4] RGBA, rows top-down, one a camera of the request
+    images: NDArray[np.uint8]  # [V, H, W, 4] RGBA, rows top-down, one a camera of the job
     timings: Mapping[str, float] = field(default_factory=dict)  # ms by stage (skin, sort, ...)
     driver: str = ""
     covered: tuple[int, int, int, int] | None = None  # x, y, width, height: all outside is background; None: unknown
@@ -33,7 +52,7 @@ class Rendered:
     coarsest: bool = True  # there are no coarser ones
     posed: int = 0  # people who were skinned anew for it
     box: tuple[float, ...] | None = None
-    """Where the one avatar is, if the request asked: x, y, z lowest, then highest, metres in the cameras' world."""
+    """Where the one avatar is, if the job asks for it: x, y, z lowest, then highest, metres in the cameras' world."""
 
 
 class Backend(Protocol):
@@ -46,8 +65,8 @@ class Backend(Protocol):
         """
         ...
 
-    def render(self, request: RenderRequest) -> Rendered:
-        """Draw ``request.cameras`` at ``request.pose`` (None: the rest pose), of ``avatar`` without what it hides.
+    def render(self, job: RenderJob) -> Rendered:
+        """Draw ``job.cameras`` at ``job.pose`` (None: the rest pose), of ``avatar`` without what ``options`` hide.
 
         Raises ContextLostError if the context is lost: the server then calls ``close`` and ``open`` again. BudgetError
         if the picture costs more than it may. Any other error costs this picture only.
@@ -96,8 +115,8 @@ class Solved:
 class PoseSolver(Protocol):
     """Raw tracking to a pose, one instance a session because it filters over time (inverse kinematics)."""
 
-    def solve(self, request: RenderRequest, now: float) -> Solved:
-        """Solve ``request.tracking`` at its ``t`` (ms), or at ``now`` (ms), when it arrived, where it has none.
+    def solve(self, request: Request, now: float) -> Solved:
+        """Solve ``request.tracking`` at its time, or at ``now`` (seconds), when it arrived, where it has none.
 
         Called for every request of the session in order, also for those that are never drawn; one call at a time, on
         a thread that is neither the event loop's nor the renderer's. May raise PoseError.

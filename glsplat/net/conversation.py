@@ -15,6 +15,7 @@ from glsplat.errors import ProtocolError
 from glsplat.net.guard.door import Door, connection_of
 from glsplat.net.guard.meter import POLICY_VIOLATION, Breach
 from glsplat.net.guard.reading import Reading
+from glsplat.net.messages import Request
 from glsplat.net.pace.channel import Channel
 from glsplat.net.pump import Pump
 from glsplat.net.session import Close, Warn
@@ -87,7 +88,7 @@ class Conversation:
         session, count = self.channel.session, 0
         while True:
             text: str | None = None
-            outcome: Warn | Close | None = None
+            outcome: Request | Warn | Close | None = None
             now = clock()
             try:
                 # not receive(timeout=...): that begins anew with each ping or pong, and leaves out writing the pongs
@@ -119,7 +120,7 @@ class Conversation:
                 await self._farewell(outcome)
                 return
             elif text is not None:
-                self._pump.received(self.channel)
+                self._pump.received(self.channel, outcome)
             count += 1
             if count % _TURN == 0:  # receive() does not give way while more has arrived
                 await asyncio.sleep(0)

@@ -13,7 +13,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 
 from glsplat.net.backend import Backend, Interruptible, Rendered
 from glsplat.net.codec.encode import Encoded, Encoder
-from glsplat.net.messages import RenderRequest
+from glsplat.net.messages import PictureOptions
 from glsplat.net.pace.channel import Frame
 from glsplat.net.pump import Pump
 
@@ -64,14 +64,14 @@ class FramePump(Pump):
 
     def _draw(self, frame: Frame) -> Future[Encoded]:
         """On the render thread: the pose where tracking was sent, the picture, and its encoding under way."""
-        request, scale, floor = self._posed(frame)
+        job, scale, floor = self._job(frame)
         start = self._begin(frame)
-        rendered = self._backend.render(request)
+        rendered = self._backend.render(job)
         done = rendered.done or _nothing
         try:
             self._note(frame, rendered, start, scale, floor)
             # from here: the event loop need not hear of it first
-            encoded = self._encode_threads.submit(encode, self._encoder, rendered, frame.request)
+            encoded = self._encode_threads.submit(encode, self._encoder, rendered, job.options)
         except BaseException:
             done()
             raise
@@ -86,9 +86,9 @@ class FramePump(Pump):
         self._encoder.close()
 
 
-def encode(encoder: Encoder, rendered: Rendered, request: RenderRequest) -> Encoded:
-    """The JPEGs of what was drawn for a request, here or in a worker. On an encoding thread."""
-    return encoder.encode(rendered.images, request.quality, request.crop, rendered.covered, request.alpha)
+def encode(encoder: Encoder, rendered: Rendered, options: PictureOptions) -> Encoded:
+    """The JPEGs of what was drawn, here or in a worker. On an encoding thread."""
+    return encoder.encode(rendered.images, options.quality, options.crop, rendered.covered, options.alpha)
 
 
 def _nothing() -> None: ...

@@ -1,13 +1,28 @@
 """The fields of a request as they stand on the wire (docs/protocol.md, section 3): their types, not their limits.
 
-Unknown keys are ignored. Types bound the depth of what is read; messages.py checks the rest.
+Unknown keys are ignored. Types bound the depth of what is read; messages.py checks the rest, but for tracking, which
+becomes a Sample here.
 """
 
 from __future__ import annotations
 
-from typing import Literal
+from math import hypot
+from typing import Any, Literal
 
 import msgspec
+
+from glsplat.errors import PoseError, ProtocolError
+from glsplat.skinning.expression import checked_expression
+from glsplat.tracking.sample import (
+    BODY_JOINTS,
+    MOST_JOINTS,
+    TRACKERS,
+    WRISTS,
+    Sample,
+    grouped,
+    hand_joints,
+    wrist_from_grip,
+)
 
 __all__ = [
     "FAR",
@@ -21,6 +36,8 @@ __all__ = [
     "Message",
     "PoseFields",
     "Tracking",
+    "given",
+    "sample_of",
 ]
 
 NEAR, FAR, SH_DEGREE = 0.01, 1e10, 3  # of an eye whose request is silent: Camera's own defaults
@@ -28,6 +45,8 @@ NEAR, FAR, SH_DEGREE = 0.01, 1e10, 3  # of an eye whose request is silent: Camer
 Numbers = list[float | list[float]]  # flat or nested once
 
 Expression = dict[str, float] | list[float]  # by name, or in ARKit's order
+
+Joints = tuple[tuple[float, ...], ...]
 
 Alpha = bool | Literal["straight"]
 """Whether alpha is sent too: with colours over black (premultiplied), or with straight ones (codec/straight.py)."""
@@ -46,22 +65,22 @@ class Eye(msgspec.Struct):
 class Tracking(msgspec.Struct):
     """The fields of glsplat.tracking.sample; null means not tracked."""
 
-    head: list[float] | None = None
-    left: list[float] | None = None
-    right: list[float] | None = None
-    left_grip: list[float] | None = None
-    right_grip: list[float] | None = None
+    head: tuple[float, ...] | None = None
+    left: tuple[float, ...] | None = None
+    right: tuple[float, ...] | None = None
+    left_grip: tuple[float, ...] | None = None
+    right_grip: tuple[float, ...] | None = None
     left_joints: Numbers | None = None
     right_joints: Numbers | None = None
     left_curl: float | None = None
     right_curl: float | None = None
-    waist: list[float] | None = None
-    left_foot: list[float] | None = None
-    right_foot: list[float] | None = None
-    body: dict[str, list[float] | None] | None = None
+    waist: tuple[float, ...] | None = None
+    left_foot: tuple[float, ...] | None = None
+    right_foot: tuple[float, ...] | None = None
+    body: dict[str, tuple[float, ...] | None] | None = None
     expression: Expression | None = None
-    leftEye: list[float] | None = None  # noqa: N815 - names of the wire
-    rightEye: list[float] | None = None  # noqa: N815
+    leftEye: tuple[float, ...] | None = None  # noqa: N815 - names of the wire
+    rightEye: tuple[float, ...] | None = None  # noqa: N815
 
 
 class PoseFields(msgspec.Struct):
@@ -122,3 +141,84 @@ class LegacyMessage(msgspec.Struct):
 
 PICTURE = ("eyes", "size", "quality", "crop", "alpha", "mirror", "hide", "box", "pose", "tracking")
 """Fields that only a request for a picture has."""
+
+
+def given(fields: PoseFields | Tracking) -> dict[str, Any]:
+    """What of it is there, by the wire's names."""
+    return {key: value for key, value in msgspec.structs.asdict(fields).items() if value is not None}
+
+
+def sample_of(m: Tracking, t: float, farthest: float) -> tuple[Sample, str]:
+    """The sample at ``t`` seconds, and why there is none, which is said once its picture is due ("": there is one).
+
+    Types, counts and metres (up to ``farthest``) are looked at here and nowhere else; what a body can do is the
+    tracker's to judge. Raises ProtocolError and, of an expression, PoseError for what is refused at once.
+    """
+    poses: dict[str, Any] = {}
+    for name in (*WRISTS, *TRACKERS):
+        pose = poses[name] = getattr(m, name)
+        if pose is None:
+            continue
+        if len(pose) != 7:
+            raise ProtocolError(f"tracking.{name} needs [x, y, z, qx, qy, qz, qw], not {len(pose)} numbers")
+        if max(map(abs, pose[:3])) > farthest:
+            raise ProtocolError(f"tracking.{name} needs metres below {farthest:g}")
+        if not 1e-9 < hypot(*pose[3:]) < 1e3:  # no matrix is made of it here: that takes 0.1 ms
+            raise ProtocolError(f"tracking.{name} needs a quaternion of about unit length", "bad_camera")
+    expression = checked_expression(m.expression)
+    for name, gaze in (("leftEye", m.leftEye), ("rightEye", m.rightEye)):
+        if gaze is not None and not (len(gaze) == 3 and 1e-6 < hypot(*gaze) < 1e6):
+            raise ProtocolError(f"tracking.{name} needs a direction of 3 numbers that are not all 0")
+    body = _body(m.body, farthest)
+    try:
+        if all(poses[name] is None for name in WRISTS):
+            return Sample.from_json(given(m), t), ""  # which says what is missing
+        left_joints, right_joints = _hand(m.left_joints, "left_joints"), _hand(m.right_joints, "right_joints")
+    except PoseError as error:
+        return Sample(t), str(error)
+    for side in ("left", "right"):
+        grip = poses.pop(f"{side}_grip")
+        if poses[side] is None and grip is not None:
+            poses[side] = wrist_from_grip(grip, side)
+    sample = Sample(
+        t,
+        **poses,
+        left_joints=left_joints,
+        right_joints=right_joints,
+        left_curl=m.left_curl,
+        right_curl=m.right_curl,
+        body=body,
+        expression=None if m.expression is None else expression,
+        left_eye=m.leftEye,
+        right_eye=m.rightEye,
+    )
+    return sample, ""
+
+
+def _hand(value: Numbers | None, key: str) -> Joints | None:
+    """As ``hand_joints``, without another look at numbers that are known to be some."""
+    if value is None:
+        return None
+    joints = grouped(value, key)
+    if len({*map(type, value)}) > 1 or not {*map(len, joints)} <= {3, 7}:
+        return hand_joints(value, key)  # which says what is wrong
+    return tuple(map(tuple, joints))
+
+
+def _body(body: dict[str, tuple[float, ...] | None] | None, farthest: float) -> dict[str, tuple[float, ...]] | None:
+    """The joints that are used; the others are not looked at."""
+    if body is None:
+        return None
+    if len(body) > MOST_JOINTS:
+        raise ProtocolError(f"tracking.body needs at most {MOST_JOINTS} joints, not {len(body)}")
+    found: dict[str, tuple[float, ...]] = {}
+    for name in BODY_JOINTS:
+        joint = body.get(name)
+        if joint is None:
+            continue
+        if len(joint) not in (3, 7):
+            raise ProtocolError(f"tracking.body.{name} needs 3 or 7 numbers, not {len(joint)}")
+        if max(map(abs, joint[:3])) > farthest:
+            raise ProtocolError(f"tracking.body.{name} needs metres below {farthest:g}")
+        found[name] = joint
+    return found

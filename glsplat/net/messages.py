@@ -1,4 +1,4 @@
-"""Requests: JSON text to a checked, frozen RenderRequest (docs/protocol.md). No I/O, no state.
+"""Requests: JSON text to a checked, frozen Request (docs/protocol.md). No I/O, no state.
 
 Three forms arrive on the same socket: the native one, which names its version (``v``), and two that older clients send,
 which know none (``cameras`` with ``smplx``, and one ``camera`` with ``smplx``).
@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from math import hypot
 from typing import Any, Literal
 
 import msgspec
@@ -27,27 +26,26 @@ from glsplat.net.fields import (
     LegacyCamera,
     LegacyMessage,
     Message,
-    PoseFields,
-    Tracking,
+    given,
+    sample_of,
 )
 from glsplat.net.guard.duplicates import has_duplicates
-from glsplat.net.rooms.view import RoomView
 from glsplat.rotations import FLIP_X, FLIP_Z, nearest_rotations
-from glsplat.skinning.expression import checked_expression
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.smplx import POSE_KEYS
-from glsplat.tracking.sample import BODY_JOINTS, MOST_JOINTS, TRACKERS
-from glsplat.watermark.mark import Mark
+from glsplat.tracking.sample import Sample
 
 __all__ = [
+    "DEFAULT",
     "MAX_BYTES",
     "MAX_ID",
     "PARTS",
     "VERSION",
     "Ack",
     "Decoder",
-    "RenderRequest",
+    "PictureOptions",
+    "Request",
     "WireOptions",
     "error_text",
     "eye_fields",
@@ -79,30 +77,34 @@ class WireOptions:
     max_distance: float = 1e4  # metres from the origin for eyes and tracked points
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PictureOptions:
+    """How a client wants its pictures: one object from the message to what draws and to what encodes."""
+
+    quality: int = 80  # JPEG
+    crop: bool = False
+    alpha: Alpha = False  # the accumulated alpha too
+    hide: tuple[str, ...] = ()  # parts of the avatar to leave out, each once, sorted
+    box: bool = False  # where the avatar is, too
+
+
+DEFAULT = PictureOptions()
+
+
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class RenderRequest:
+class Request:
     """One picture (of one or two eyes) that a client asks for. ``frame_id`` is None where an old client sent none."""
 
     frame_id: int | None
     cameras: tuple[Camera, ...]  # one or two, left first
     pose: Pose | None = None  # None and no tracking: the rest pose
-    tracking: Mapping[str, Any] | None = None  # head, left, right, left_joints, right_joints as sent
-    t: float | None = None  # client milliseconds, echoed
+    tracking: Sample | None = None  # its time means nothing where ``t`` is None
+    fault: str = ""  # why ``tracking`` cannot be solved, told when the picture is due
+    t: float | None = None  # milliseconds of the client's clock as they came, echoed
     ack: int | None = None  # newest frame_id the client has received
-    quality: int = 80
-    crop: bool = False
-    alpha: Alpha = False  # the accumulated alpha too
-    avatar: str = ""  # which of those the server offers; empty: its first, or the scene
-    hide: tuple[str, ...] = ()  # parts of the avatar to leave out, each once, sorted
-    box: bool = False  # where the avatar is, too
+    options: PictureOptions = DEFAULT
     form: Form = "native"
     eyes: tuple[int, ...] = (0, 1)  # eye numbers of the cameras: 0 left, 1 right
-    viewer: int = 0  # who asks, for what a renderer keeps from picture to picture
-    detail: float = 0.0  # added to RenderConfig.lod_bias: below 0 for coarser levels
-    room: RoomView | None = None  # everybody in a room, instead of ``avatar`` alone
-    label: str = ""  # drawn near the head of the avatar
-    notice: str = ""  # written into the picture
-    mark: Mark | None = None  # of the session, by the server
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,7 +120,7 @@ _encoder = msgspec.json.Encoder()
 
 
 class Decoder:
-    """Turns text into requests for one session, which shows ``avatar``.
+    """Turns text into requests for one session.
 
     ``skeleton`` None means the 55 joints of SMPL-X; ``parts`` are those of the avatar that can be left out.
     """
@@ -127,14 +129,12 @@ class Decoder:
         self,
         options: WireOptions | None = None,
         skeleton: Skeleton | None = None,
-        avatar: str = "",
         parts: frozenset[str] = frozenset(),
     ) -> None:
         self.options: WireOptions = options or WireOptions()
-        self.skeleton = skeleton
-        self.avatar, self.parts = avatar, parts
+        self.skeleton, self.parts = skeleton, parts
 
-    def decode(self, data: str | bytes) -> RenderRequest | Ack:
+    def decode(self, data: str | bytes) -> Request | Ack:
         """One message. Raises ProtocolError (code, and frame_id where it could be read) for anything malformed."""
         size = len(data) if isinstance(data, bytes) else len(data.encode("utf-8", "replace"))
         if size > MAX_BYTES:
@@ -161,7 +161,7 @@ class Decoder:
         except ProtocolError as error:
             raise ProtocolError(_line(str(error)), error.code, _safe_id(message.frame_id)) from None
 
-    def _native(self, m: Message) -> RenderRequest | Ack:
+    def _native(self, m: Message) -> Request | Ack:
         _check_ids(m)
         if m.v != VERSION:
             found = "none" if m.v is None else f"{m.v}"[:20]
@@ -178,8 +178,9 @@ class Decoder:
         quality = o.quality if m.quality is None else m.quality
         if not 1 <= quality <= 100:
             raise ProtocolError("quality needs a whole number from 1 to 100")
+        sample, fault = None, ""
         if m.tracking is not None:
-            self._check_tracking(m.tracking)
+            sample, fault = sample_of(m.tracking, (m.t or 0.0) / 1e3, o.max_distance)
         if m.eyes is not None:
             if not 1 <= len(m.eyes) <= 2:
                 raise ProtocolError(f"eyes needs one or two entries, not {len(m.eyes)}")
@@ -189,23 +190,21 @@ class Decoder:
             cameras = stereo_cameras(_head(head[:3], head[3:]), o.ipd, o.fov, size=size)
         else:
             raise ProtocolError('a request needs "eyes": one or two of {"viewmat", "K"}')
-        return RenderRequest(
+        pose = None if m.pose is None else self._pose(given(m.pose))
+        alpha, hide = _alpha(m.alpha), self._hidden(m.hide or [])
+        return Request(
             frame_id=m.frame_id,
             cameras=_mirrored(cameras) if (o.mirror if m.mirror is None else m.mirror) else cameras,
-            pose=None if m.pose is None else self._pose(_given(m.pose)),
-            tracking=None if m.tracking is None else _given(m.tracking),
+            pose=pose,
+            tracking=sample,
+            fault=fault,
             t=m.t,
             ack=m.ack,
-            quality=quality,
-            crop=m.crop,
-            alpha=_alpha(m.alpha),
-            avatar=self.avatar,
-            hide=self._hidden(m.hide or []),
-            box=m.box,
+            options=PictureOptions(quality=quality, crop=m.crop, alpha=alpha, hide=hide, box=m.box),
             eyes=tuple(range(len(cameras))),
         )
 
-    def _legacy(self, m: Message, old: LegacyMessage) -> RenderRequest:
+    def _legacy(self, m: Message, old: LegacyMessage) -> Request:
         """Head poses in Unity's frame, both eyes alike; IPD, field of view and size are the server's."""
         _check_ids(m)
         o = self.options
@@ -217,14 +216,13 @@ class Decoder:
         for head in heads:
             pair = stereo_cameras(_head_from_unity(head), o.ipd, o.fov, size=o.size)
             cameras.append(self._placed(pair[head.eye == "right"]))
-        given = {} if old.smplx is None else _given(old.smplx)
-        pose = {key: value for key, value in given.items() if key in POSE_KEYS}  # trans is ignored, as in their server
-        return RenderRequest(
+        smplx = {} if old.smplx is None else given(old.smplx)
+        pose = {key: value for key, value in smplx.items() if key in POSE_KEYS}  # trans is ignored, as in their server
+        return Request(
             frame_id=m.frame_id,
             cameras=_mirrored(cameras) if o.mirror else tuple(cameras),
             pose=Pose.from_smplx(pose) if pose else None,
-            quality=o.quality,
-            avatar=self.avatar,
+            options=PictureOptions(quality=o.quality),
             form="single-legacy" if old.camera is not None else "bundle-legacy",
             eyes=tuple(int(head.eye == "right") for head in heads),
         )
@@ -280,33 +278,6 @@ class Decoder:
 
     def _pose(self, pose: Mapping[str, Any]) -> Pose:
         return Pose.from_smplx(pose) if self.skeleton is None else Pose.from_json(pose, self.skeleton)
-
-    def _check_tracking(self, tracking: Tracking) -> None:
-        for name in ("head", "left", "right", "left_grip", "right_grip", *TRACKERS):
-            value = getattr(tracking, name)
-            if value is None:
-                continue
-            if len(value) != 7:
-                raise ProtocolError(f"tracking.{name} needs [x, y, z, qx, qy, qz, qw], not {len(value)} numbers")
-            if max(abs(v) for v in value[:3]) > self.options.max_distance:
-                raise ProtocolError(f"tracking.{name} needs metres below {self.options.max_distance:g}")
-            if not 1e-9 < hypot(*value[3:]) < 1e3:  # no matrix is made of it here: that takes 0.1 ms
-                raise ProtocolError(f"tracking.{name} needs a quaternion of about unit length", "bad_camera")
-        checked_expression(tracking.expression)
-        for name, gaze in (("leftEye", tracking.leftEye), ("rightEye", tracking.rightEye)):
-            if gaze is not None and not (len(gaze) == 3 and 1e-6 < hypot(*gaze) < 1e6):
-                raise ProtocolError(f"tracking.{name} needs a direction of 3 numbers that are not all 0")
-        body = tracking.body or {}
-        if len(body) > MOST_JOINTS:
-            raise ProtocolError(f"tracking.body needs at most {MOST_JOINTS} joints, not {len(body)}")
-        for name in BODY_JOINTS:  # the others are not looked at
-            joint = body.get(name)
-            if joint is None:
-                continue
-            if len(joint) not in (3, 7):
-                raise ProtocolError(f"tracking.body.{name} needs 3 or 7 numbers, not {len(joint)}")
-            if max(abs(v) for v in joint[:3]) > self.options.max_distance:
-                raise ProtocolError(f"tracking.body.{name} needs metres below {self.options.max_distance:g}")
 
 
 def _mirrored(cameras: Sequence[Camera]) -> tuple[Camera, ...]:
@@ -364,10 +335,6 @@ def _head_from_unity(head: LegacyCamera) -> NDArray[np.float64]:
     """T_W_H [4, 4] from Unity's left-handed frame: position S_x p, rotation S_x R S_z (docs/conventions.md)."""
     unity = _head((head.pos_x, head.pos_y, head.pos_z), (head.rot_x, head.rot_y, head.rot_z, head.rot_w))
     return FLIP_X @ unity @ FLIP_Z
-
-
-def _given(fields: PoseFields | Tracking) -> dict[str, Any]:
-    return {key: value for key, value in msgspec.structs.asdict(fields).items() if value is not None}
 
 
 def _safe_id(frame_id: int | None) -> int | None:

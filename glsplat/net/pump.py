@@ -13,13 +13,12 @@ from abc import ABC, abstractmethod
 from collections.abc import Awaitable, Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
-from dataclasses import replace
 
 from glsplat.errors import BudgetError, ContextError, ContextLostError, GlsplatError, PoseError
-from glsplat.net.backend import Offered, PoseSolver, Rendered
+from glsplat.net.backend import Offered, PoseSolver, Rendered, RenderJob
 from glsplat.net.codec.encode import Encoded
 from glsplat.net.guard.blame import Blame
-from glsplat.net.messages import RenderRequest
+from glsplat.net.messages import Request
 from glsplat.net.pace.channel import ANYTHING, Channel, Frame
 from glsplat.net.pace.governor import Governor
 from glsplat.net.pace.stages import StageTimes
@@ -73,7 +72,7 @@ class Pump(ABC):
 
     @abstractmethod
     async def _picture(self, frame: Frame) -> Awaitable[Encoded]:
-        """Draw, and have it encoded meanwhile. Calls ``_posed`` and ``_note``; raises what a renderer raises."""
+        """Draw, and have it encoded meanwhile. Calls ``_job`` and ``_note``; raises what a renderer raises."""
 
     @property
     def drawing_for(self) -> float:
@@ -150,9 +149,8 @@ class Pump(ABC):
         if channel.solving is not None:
             channel.solving.clear()
 
-    def received(self, channel: Channel) -> None:
-        """A message of this client was taken: its tracking is solved while others are drawn."""
-        request = channel.session.accepted
+    def received(self, channel: Channel, request: Request | None) -> None:
+        """A message of this client was taken: the tracking of a ``request`` is solved while others are drawn."""
         if request is not None and request.tracking is not None and channel.solving is not None:
             channel.solving.add(request)
         if request is not None and channel.member is not None:
@@ -188,7 +186,7 @@ class Pump(ABC):
         if request.form == "single-legacy":
             return [pack_single(request.eyes[0], encoded.pictures[0])]
         assert request.frame_id is not None
-        info = frame.info(encoded.boxes, channel)
+        info = frame.info(encoded.boxes)
         return [pack_reply(request.frame_id, request.eyes, encoded.pictures, info, encoded.alphas)]
 
     async def _run(self) -> None:
@@ -255,15 +253,11 @@ class Pump(ABC):
 
     def _next_frame(self, channel: Channel) -> Frame:
         request, waited, solution = channel.take(self._clock())
-        frame = Frame(request, self._clock() - waited, {"wait": waited * 1e3}, solution=solution)
+        arrived, times = self._clock() - waited, {"wait": waited * 1e3}
+        frame = Frame(channel, request, arrived, times, request.cameras, channel.notice(), solution=solution)
         if request.form == "native":  # older clients know one size
             frame.detail = self._governor.detail(channel.number, self._clock())
-        mark, words = channel.session.mark, channel.notice()
-        request = replace(request, viewer=channel.number, label=channel.label, notice=words, mark=mark)
-        frame.request = frame.detail.of(request)
-        frame.member = channel.member
-        if why := channel.shown.untracked:
-            frame.untracked = f" for what it shows: {why}"
+            frame.cameras = frame.detail.resized(request.cameras)
         return frame
 
     def _failed(self, channel: Channel, frame: Frame, error: Exception) -> None:
@@ -281,7 +275,7 @@ class Pump(ABC):
         )
         frame.error = ("render", "the picture could not be drawn")  # no details: they may name files
 
-    def _over_budget(self, channel: Channel, request: RenderRequest, error: BudgetError) -> str:
+    def _over_budget(self, channel: Channel, request: Request, error: BudgetError) -> str:
         """Why that ends the connection, or nothing. Only what a client asked for is at fault, so nothing is rebuilt."""
         if error.code == "too_slow":
             log.warning("frame %s of client %d took too long; it is abandoned", request.frame_id, channel.number)
@@ -308,24 +302,40 @@ class Pump(ABC):
         self.rebuilds += 1
         self.failures = 0  # it has drawn a picture
 
-    def _posed(self, frame: Frame) -> tuple[RenderRequest, float, float]:
-        """The request with the pose where tracking was sent, or with everybody of the room; the user's scale and floor.
+    def _job(self, frame: Frame) -> tuple[RenderJob, float, float]:
+        """What is to be drawn, at the pose that tracking came to, or everybody of the room; the user's scale and floor.
 
         Raises PoseError where tracking is not solved.
         """
-        request, solved = frame.request, None
+        request, channel = frame.request, frame.channel
+        pose, cameras, room, solved, scale, floor = request.pose, frame.cameras, None, None, 1.0, 0.0
         if request.tracking is not None:
             if frame.solution is None:
-                raise PoseError(f"this server has no tracking solver{frame.untracked}")
+                why = channel.shown.untracked
+                how = f" for what it shows: {why}" if why else ": send pose instead of tracking"
+                raise PoseError(f"this server has no tracking solver{how}")
             solved, frame.times["ik"] = frame.solution.result()
             frame.notes = solved.notes
-        if frame.member is not None:
-            request = frame.member.look(request, solved, frame.arrived, self._clock())
-            frame.view = request.room
+        if channel.member is not None:
+            pose = None
+            cameras, room = channel.member.look(request, cameras, solved, frame.arrived, self._clock())
         elif solved is not None:
-            frame.drawn = frame.detail.resized(solved.cameras)
-            return replace(request, pose=solved.pose, cameras=frame.drawn), solved.scale, solved.floor
-        return request, 1.0, 0.0
+            pose, scale, floor = solved.pose, solved.scale, solved.floor
+            cameras = frame.drawn = frame.detail.resized(solved.cameras)
+        frame.job = job = RenderJob(
+            cameras=cameras,
+            pose=pose,
+            frame_id=request.frame_id,
+            options=request.options,
+            avatar=channel.shown.name,
+            room=room,
+            viewer=channel.number,
+            detail=frame.detail.bias,
+            label=channel.label,
+            notice=frame.notice,
+            mark=channel.session.mark,
+        )
+        return job, scale, floor
 
     def _begin(self, frame: Frame) -> float:
         """The time at which drawing begins."""
@@ -338,13 +348,13 @@ class Pump(ABC):
         now = self._clock()
         frame.times["render"] = (now - start) * 1e3
         frame.levels = rendered.levels
-        self._governor.drawn(frame.request.viewer, now - start, rendered.coarsest, now)
+        self._governor.drawn(frame.channel.number, now - start, rendered.coarsest, now)
         if len(rendered.images) != len(frame.request.eyes):
             raise RuntimeError(f"{len(frame.request.eyes)} pictures were asked for, {len(rendered.images)} drawn")
         if rendered.box is not None:
             frame.box = [round(v * scale + floor * (i % 3 == 1), 5) for i, v in enumerate(rendered.box)]
-        if frame.member is not None:
-            frame.member.room.posed(rendered.posed)
+        if frame.channel.member is not None:
+            frame.channel.member.room.posed(rendered.posed)
         frame.times |= {name: ms for name, ms in rendered.timings.items() if name not in ("render", "total")}
 
     def _end_threads(self) -> None:

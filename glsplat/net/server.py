@@ -276,7 +276,7 @@ class Server:
         notice = partial(rights.label, user, asked.avatar)
         owner = f"account {user.name}" if user is not None else address
         member = self._rooms.join(asked, one, number, owner, clock(), lambda: self._replace(number), notice())
-        session = Session(Decoder(asked.wire, one.skeleton, one.name, one.parts), asked.session, clock())
+        session = Session(Decoder(asked.wire, one.skeleton, one.parts), asked.session, clock())
         session.refusal = partial(rights.refusal, user, asked.avatar)
         channel = self.pump.open(number, session, solver, address, one, member)
         channel.driver = asked.name if member is None else member.person.name

@@ -15,7 +15,7 @@ from typing import Any
 from glsplat.errors import ProtocolError
 from glsplat.net.guard.limits import Bucket
 from glsplat.net.guard.meter import POLICY_VIOLATION, Breach
-from glsplat.net.messages import MAX_ID, Ack, Decoder, RenderRequest, error_text
+from glsplat.net.messages import MAX_ID, Ack, Decoder, Request, error_text
 from glsplat.watermark.mark import Mark, Watermark
 
 __all__ = ["Close", "Counts", "Session", "SessionConfig", "Warn"]
@@ -84,15 +84,14 @@ class Session:
         self.config: SessionConfig = config or SessionConfig()
         self.counts: Counts = Counts()
         self.refusal: Callable[[], str] | None = None  # why nothing is shown any more, "" while it is
-        self.accepted: RenderRequest | None = None  # what the last message brought, if it asked for a picture
         self.last_form: str = ""  # of the newest request, for /stats
         self.last_size: tuple[int, int] = (0, 0)
         watermark = self.config.watermark
         self.mark: Mark | None = None if watermark is None else watermark.new_mark()
         self._decoder = decoder
         self._opened = self._heard = self._noticed = now
-        self._pending: dict[int, tuple[RenderRequest, float]] = {}  # by eye for the oldest form, else one
-        self._kept: tuple[RenderRequest, float] | None = None
+        self._pending: dict[int, tuple[Request, float]] = {}  # by eye for the oldest form, else one
+        self._kept: tuple[Request, float] | None = None
         self._under_way: set[int] = set()
         self._unacked: deque[int] = deque()
         self._newest = -1  # frame_id accepted
@@ -106,10 +105,9 @@ class Session:
         if self.mark is not None:
             log.info("client %d at %s is marked as session %08x", number, address, self.mark.session)
 
-    def receive(self, data: str | bytes, now: float) -> Warn | Close | None:
-        """Take one text message. None: nothing to say (accepted, acknowledged or dropped as too old)."""
+    def receive(self, data: str | bytes, now: float) -> Request | Warn | Close | None:
+        """Take one text message: the request that it is, or what to say; None: acknowledged, or dropped as too old."""
         self._heard = now
-        self.accepted = None
         self.counts.received += 1
         if not self._rate.take(now):
             return self._limited(now)
@@ -119,11 +117,10 @@ class Session:
             message = self._decoder.decode(data)
             if isinstance(message, Ack):
                 self._acknowledge(message.frame_id)
-            else:
-                self._accept(message, now)
+                return None
+            return self._accept(message, now)
         except ProtocolError as error:
             return self.malformed(error, now)
-        return None
 
     def malformed(self, error: ProtocolError, now: float) -> Warn | Close:
         """Count a message that could not be used; repeated ones end the connection."""
@@ -153,12 +150,12 @@ class Session:
         return waits and len(self._under_way.union(self._unacked)) < self.config.window
 
     @property
-    def newest(self) -> RenderRequest | None:
+    def newest(self) -> Request | None:
         """The request that ``next_request`` gives."""
         return next(iter(self._pending.values()))[0] if self._pending else None
 
     @property
-    def kept(self) -> RenderRequest | None:
+    def kept(self) -> Request | None:
         """The request that ``keep`` held back, until it or a newer one is taken."""
         return None if self._kept is None else self._kept[0]
 
@@ -166,7 +163,7 @@ class Session:
         """Hold the newest request back although newer ones may come: what it needs is being made."""
         self._kept = next(iter(self._pending.values()))
 
-    def next_request(self, now: float, kept: bool = False) -> tuple[RenderRequest, float] | None:
+    def next_request(self, now: float, kept: bool = False) -> tuple[Request, float] | None:
         """The newest request (or the ``kept`` one) and the seconds it waited, or None.
 
         It stays under way until ``sent`` or ``failed``.
@@ -183,21 +180,21 @@ class Session:
         self._under_way.add(request.frame_id)
         return request, now - arrived
 
-    def sending(self, request: RenderRequest) -> None:
+    def sending(self, request: Request) -> None:
         """The picture of ``request`` is about to be written; from here on the client may acknowledge it."""
         assert request.frame_id is not None
         self._newest_sent = max(self._newest_sent, request.frame_id)
         if request.ack is not None:  # a client that never acknowledges is held back by its socket alone
             self._unacked.append(request.frame_id)
 
-    def sent(self, request: RenderRequest, nbytes: int) -> None:
+    def sent(self, request: Request, nbytes: int) -> None:
         """The socket has taken the picture of ``request``."""
         assert request.frame_id is not None
         self._under_way.discard(request.frame_id)
         self.counts.sent += 1
         self.counts.bytes_sent += nbytes
 
-    def failed(self, request: RenderRequest, code: str, message: str) -> str:
+    def failed(self, request: Request, code: str, message: str) -> str:
         """The picture of ``request`` cannot be drawn; returns the error text to send."""
         assert request.frame_id is not None
         self._under_way.discard(request.frame_id)
@@ -227,7 +224,7 @@ class Session:
             "waiting": len({id(entry) for entry in (*self._pending.values(), self._kept) if entry is not None}),
         }
 
-    def _accept(self, request: RenderRequest, now: float) -> None:
+    def _accept(self, request: Request, now: float) -> Request | None:
         if request.ack is not None:
             self._acknowledge(request.ack)
         elif self._unacked:
@@ -238,10 +235,11 @@ class Session:
         assert frame_id is not None
         if frame_id <= self._newest:
             self.counts.stale += 1
-            return
+            return None
         if frame_id > MAX_ID:  # counted here, behind a number that could not be higher
             raise ProtocolError(f"there is no frame_id after {MAX_ID}; connect again", "bad_request")
-        request = replace(request, frame_id=frame_id)
+        if frame_id != request.frame_id:
+            request = replace(request, frame_id=frame_id)
         self._newest = frame_id
         self.last_form = request.form
         self.last_size = (request.cameras[0].width, request.cameras[0].height)
@@ -252,7 +250,7 @@ class Session:
         for key in keys:
             self.counts.dropped += self._pending.pop(key) is not self._kept
         self._pending[slot] = (request, now)
-        self.accepted = request
+        return request
 
     def _acknowledge(self, frame_id: int) -> None:
         """Free the window up to ``frame_id``. Clients that received nothing yet send 0, which is always legal."""

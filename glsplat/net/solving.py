@@ -14,9 +14,10 @@ from concurrent.futures import Executor, Future
 from threading import Lock
 from time import thread_time
 
+from glsplat.errors import PoseError
 from glsplat.net.backend import PoseSolver, Solved
 from glsplat.net.guard.limits import Bucket, Share
-from glsplat.net.messages import RenderRequest
+from glsplat.net.messages import Request
 
 __all__ = ["Solution", "Solving"]
 
@@ -37,7 +38,7 @@ class Solving:
         thread: Executor,
         clock: Callable[[], float],
         cpu: Callable[[], float] = thread_time,  # seconds the calling thread has worked
-        heard: Callable[[RenderRequest, Solved, float], None] | None = None,  # what was solved, and when it came
+        heard: Callable[[Request, Solved, float], None] | None = None,  # what was solved, and when it came
     ) -> None:
         self.share: Share | None = None  # of the time for solving; None: no limit
         self.samples: Bucket | None = None  # solved one by one; None: no limit
@@ -46,13 +47,13 @@ class Solving:
         self._solver, self._thread, self._clock = solver, thread, clock
         self._solutions: deque[tuple[int | None, Solution]] = deque()  # by frame_id, oldest first
         self._cost = _FIRST  # seconds of work the next sample is expected to take
-        self._unsolved: deque[tuple[RenderRequest, float, Solution, float]] = deque()  # and what was spent
+        self._unsolved: deque[tuple[Request, float, Solution, float]] = deque()  # and what was spent
         self._due: int | None = None  # frame_id of the sample that a picture waits for
-        self._put_off: tuple[RenderRequest, float] | None = None  # the newest sample, beyond the budget
+        self._put_off: tuple[Request, float] | None = None  # the newest sample, beyond the budget
         self._lock = Lock()  # over _unsolved and _running
         self._running = False  # a job of ours is with the thread
 
-    def add(self, request: RenderRequest) -> None:
+    def add(self, request: Request) -> None:
         """A request with tracking was accepted."""
         now = self._clock()
         self.merged += self._put_off is not None
@@ -105,7 +106,7 @@ class Solving:
     def _find(self, frame_id: int | None) -> Solution | None:
         return next((solution for number, solution in reversed(self._solutions) if number == frame_id), None)
 
-    def _queue(self, request: RenderRequest, now: float) -> None:
+    def _queue(self, request: Request, now: float) -> None:
         solution: Solution = Future()
         self._solutions.append((request.frame_id, solution))
         cost = self._cost
@@ -137,7 +138,9 @@ class Solving:
                 self._spend(-cost)
         start, worked = self._clock(), self._cpu()
         try:
-            result = self._solver.solve(request, arrived * 1e3)
+            if request.fault:
+                raise PoseError(request.fault)
+            result = self._solver.solve(request, arrived)
         except BaseException as error:
             solution.set_exception(error)
         else:

@@ -26,7 +26,18 @@ from typing import Any
 from glsplat.errors import PoseError
 from glsplat.skinning.expression import ARKIT, MOST_NAMES
 
-__all__ = ["BODY_JOINTS", "HAND_JOINTS", "MOST_JOINTS", "TRACKERS", "Sample", "Transform", "wrist_from_grip"]
+__all__ = [
+    "BODY_JOINTS",
+    "HAND_JOINTS",
+    "MOST_JOINTS",
+    "TRACKERS",
+    "WRISTS",
+    "Sample",
+    "Transform",
+    "grouped",
+    "hand_joints",
+    "wrist_from_grip",
+]
 
 Transform = tuple[float, float, float, float, float, float, float]
 """x, y, z in metres, then the quaternion x, y, z, w."""
@@ -57,7 +68,8 @@ GRIP_TO_WRIST = 0.09
 _BASIS = {"left": (-0.5, 0.5, 0.5, 0.5), "right": (-0.5, -0.5, -0.5, 0.5)}
 """Quaternions xyzw whose columns are the wrist's axes in the grip's."""
 
-_KEYS = ("head", "left", "right", "left_grip", "right_grip")
+WRISTS = ("head", "left", "right", "left_grip", "right_grip")
+"""Keys of JSON of which a sample needs one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,14 +100,14 @@ class Sample:
         """
         if not isinstance(data, Mapping):
             raise PoseError(f'a tracking sample is an object {{"head": [7 numbers], ...}}, not {type(data).__name__}')
-        if not any(key in data for key in _KEYS):
+        if not any(key in data for key in WRISTS):
             raise PoseError(f'a tracking sample needs "head" or a hand; found {", ".join(map(str, data)) or "nothing"}')
-        poses: dict[str, Transform | None] = {key: _transform(data.get(key), key) for key in _KEYS}
+        poses: dict[str, Transform | None] = {key: _transform(data.get(key), key) for key in WRISTS}
         for side in ("left", "right"):
             grip = poses[f"{side}_grip"]
             if poses[side] is None and grip is not None:
                 poses[side] = wrist_from_grip(grip, side)
-        joints = {key: _joints(data.get(key), key) for key in ("left_joints", "right_joints")}
+        joints = {key: hand_joints(data.get(key), key) for key in ("left_joints", "right_joints")}
         curl = {key: _number(data.get(key), key) for key in ("left_curl", "right_curl")}
         time = _number(data.get("t", 0.0) if t is None else t, "t")
         return cls(
@@ -204,11 +216,20 @@ def _transform(value: Any, key: str) -> Transform | None:
     return None if value is None else _numbers(value, key, (7,))  # type: ignore[return-value]
 
 
-def _joints(value: Any, key: str) -> tuple[tuple[float, ...], ...] | None:
+def hand_joints(value: Any, key: str) -> tuple[tuple[float, ...], ...] | None:
+    """25 joints of 3 or 7 numbers from what JSON holds of them; None: not tracked. Raises PoseError."""
     if value is None:
         return None
     if not isinstance(value, Sequence) or isinstance(value, (str, bytes)):
         raise PoseError(f'"{key}" of a tracking sample is a list of joints, not {type(value).__name__}')
+    return tuple([_numbers(joint, key, (3, 7)) for joint in grouped(value, key)])
+
+
+def grouped(value: Sequence[Any], key: str) -> Sequence[Any]:
+    """The 25 joints of a hand from nested or flat numbers, without a palm in front. Raises PoseError for other counts.
+
+    What each joint holds is not looked at.
+    """
     if value and isinstance(value[0], (int, float)):  # a flat list
         size = {75: 3, 175: 7, 78: 3, 182: 7}.get(len(value))
         if size is None:
@@ -216,7 +237,7 @@ def _joints(value: Any, key: str) -> tuple[tuple[float, ...], ...] | None:
         value = [value[i : i + size] for i in range(0, len(value), size)]
     if len(value) not in (25, 26):
         raise PoseError(f'"{key}" of a tracking sample needs 25 joints, not {len(value)}')
-    return tuple([_numbers(joint, key, (3, 7)) for joint in value[len(value) - 25 :]])
+    return value[len(value) - 25 :]
 
 
 def _direction(value: Any, key: str) -> tuple[float, ...] | None:

@@ -17,9 +17,9 @@ from glsplat.camera import Camera, look_at, pinhole
 from glsplat.data import default_avatar
 from glsplat.errors import PoseError
 from glsplat.formats import load, save
+from glsplat.net.backend import RenderJob
 from glsplat.net.backends.gl import RendererBackend
 from glsplat.net.backends.server import make_server
-from glsplat.net.messages import RenderRequest
 from glsplat.net.server import ServerConfig
 from glsplat.pictures import straight
 from glsplat.renderer import Renderer
@@ -157,8 +157,8 @@ def test_motions_play(walkers: Callable[..., Path], tmp_path: Path, capsys: pyte
 def test_a_client_poses_the_one_avatar(walkers: Callable[..., Path]) -> None:
     cam = Camera(look_at((0.4, 1, 4), (0.4, 1, 0)), pinhole(40, 40), 40, 40)
 
-    def request(pose: Pose | None) -> RenderRequest:
-        return RenderRequest(frame_id=1, cameras=(cam,), pose=pose)
+    def request(pose: Pose | None) -> RenderJob:
+        return RenderJob(frame_id=1, cameras=(cam,), pose=pose)
 
     wave = Pose.from_smplx({"body_pose": np.full((21, 3), 0.3)})
     file = load_scene(walkers({}, {"visible": False}))

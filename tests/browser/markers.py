@@ -11,14 +11,15 @@ from numpy.typing import ArrayLike, NDArray
 from glsplat.avatar import Avatar
 from glsplat.camera import Camera
 from glsplat.data import default_avatar
-from glsplat.net.backend import Offered, Rendered, Solved
-from glsplat.net.messages import RenderRequest
+from glsplat.net.backend import Offered, Rendered, RenderJob, Solved
+from glsplat.net.messages import Request
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.skin import Skin
 from glsplat.splats import Splats
+from glsplat.tracking.sample import Sample
 from tests.browser.stored import stamp
 
-__all__ = ["COLOURS", "Markers", "as_tracked", "draw_blob", "marked_avatar", "offered"]
+__all__ = ["COLOURS", "Markers", "as_tracked", "draw_blob", "marked_avatar", "offered", "samples"]
 
 COLOURS = {"red": (255, 0, 0), "green": (0, 255, 0), "blue": (0, 0, 255), "white": (255, 255, 255)}
 Places = Mapping[str, ArrayLike]
@@ -32,7 +33,7 @@ class Markers:
 
     def __init__(
         self,
-        places: Callable[[RenderRequest], Places],
+        places: Callable[[RenderJob], Places],
         radius: float = 0.015,
         delay: float = 0.0,
         stamped: bool = False,
@@ -41,12 +42,12 @@ class Markers:
         self._radius = radius
         self._stamped = stamped
         self.delay = delay
-        self.requests: dict[int, RenderRequest] = {}
+        self.requests: dict[int, RenderJob] = {}
 
     def open(self) -> str:
         return "blobs"
 
-    def render(self, request: RenderRequest) -> Rendered:
+    def render(self, request: RenderJob) -> Rendered:
         end = time.monotonic() + self.delay
         self.requests[request.frame_id or 0] = request
         camera = request.cameras[0]
@@ -81,10 +82,16 @@ def draw_blob(
     part[:] = np.round(alpha * np.array([*colour, 255]) + (1 - alpha) * part).astype(np.uint8)
 
 
+samples: dict[int, Sample] = {}
+"""By frame_id, what pages have sent of a user: their renderers are told poses alone."""
+
+
 class _AsTracked:
     """A solver that leaves cameras where they are."""
 
-    def solve(self, request: RenderRequest, now: float) -> Solved:
+    def solve(self, request: Request, now: float) -> Solved:
+        assert request.frame_id is not None and request.tracking is not None
+        samples[request.frame_id] = request.tracking
         return Solved(Pose(np.zeros((55, 3))), request.cameras)
 
 

@@ -10,8 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from glsplat.net.backend import Rendered
-from glsplat.net.messages import RenderRequest
+from glsplat.net.backend import Rendered, RenderJob
 
 __all__ = ["COLUMNS", "PAIRS", "ROWS", "SQUARE", "Picture", "StoredPairs", "read_stamp", "stamp"]
 
@@ -28,16 +27,16 @@ class StoredPairs:
     Pictures are [V, H, W, 4] RGBA, premultiplied, with the stamp in the upper left corner.
     """
 
-    def __init__(self, delay: float = 0.0, paint: Callable[[Picture, RenderRequest], None] | None = None) -> None:
+    def __init__(self, delay: float = 0.0, paint: Callable[[Picture, RenderJob], None] | None = None) -> None:
         self.delay = delay  # seconds a picture takes
         self.paint = paint
-        self.requests: list[RenderRequest] = []
+        self.requests: list[RenderJob] = []
         self._count = 0
 
     def open(self) -> str:
         return "stored pictures"
 
-    def render(self, request: RenderRequest) -> Rendered:
+    def render(self, request: RenderJob) -> Rendered:
         self.requests.append(request)
         if self.delay:
             time.sleep(self.delay)

@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from glsplat.net.backend import Offered
-from glsplat.net.messages import RenderRequest
+from glsplat.net.backend import Offered, RenderJob
 from glsplat.net.server import ServerConfig
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.smplx import JOINT_NAMES
@@ -22,7 +21,7 @@ CONFIG = ServerConfig(port=0, rooms={"lab": 2, "hall": 2})
 OPPOSITE = (0.3, 1.4, 1.2)  # in the room: before who stands on the other side
 
 
-def of_the_room(request: RenderRequest) -> dict[str, Any]:
+def of_the_room(request: RenderJob) -> dict[str, Any]:
     """A red blob at a place of the room, a green one two metres above the room's centre."""
     return {"red": OPPOSITE, "green": (0, 2, 0)}
 
@@ -83,4 +82,4 @@ def test_in_vr_the_room_is_around_its_user(open_page: OpenPage, served: Any) -> 
         assert np.linalg.norm(centroid(seen[side], "red") - project(seen["eyes"][side], expected)) < 3
     requests = served.server.pump._backend.requests
     request = requests[max(requests)]
-    assert request.hide == ("head",) and request.room is not None and request.room.room == "lab"
+    assert request.options.hide == ("head",) and request.room is not None and request.room.room == "lab"

@@ -13,8 +13,7 @@ import numpy as np
 import pytest
 
 from glsplat.camera import head_matrix, stereo_cameras
-from glsplat.net.backend import Rendered
-from glsplat.net.messages import RenderRequest
+from glsplat.net.backend import Rendered, RenderJob
 from glsplat.net.server import Server, ServerConfig
 from tests.net.clocks import Ahead, Stopped, given_to_servers
 from tests.net.wire import HANG
@@ -26,19 +25,19 @@ class FakeBackend:
 
     delay: float = 0.0
     gate: threading.Event = field(default_factory=lambda: _open_gate())  # while it is not set, drawing waits
-    fail: Callable[[RenderRequest], Exception | None] = lambda request: None
+    fail: Callable[[RenderJob], Exception | None] = lambda request: None
     noise: bool = False  # pictures that do not compress
     opened: bool = False
     closed: bool = False
     threads: set[int] = field(default_factory=set)
-    drawn: list[RenderRequest] = field(default_factory=list)
+    drawn: list[RenderJob] = field(default_factory=list)
 
     def open(self) -> str:
         self.threads.add(threading.get_ident())
         self.opened = True
         return "numpy <fake>"
 
-    def render(self, request: RenderRequest) -> Rendered:
+    def render(self, request: RenderJob) -> Rendered:
         self.threads.add(threading.get_ident())
         self.drawn.append(request)
         time.sleep(self.delay)

@@ -10,8 +10,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from glsplat.net.backend import Rendered
-from glsplat.net.messages import RenderRequest
+from glsplat.net.backend import Rendered, RenderJob
 from glsplat.net.server import Server, ServerConfig
 from tests.net.clocks import Stopped
 from tests.net.conftest import FakeBackend
@@ -24,15 +23,15 @@ __all__ = ["Contested", "contest"]
 class Contested(FakeBackend):
     """Draws once every other client waits for a picture, too: who comes next is the server's choice alone."""
 
-    cost: Callable[[RenderRequest], float] = lambda request: 0.0  # seconds
+    cost: Callable[[RenderJob], float] = lambda request: 0.0  # seconds
     others: int = 0
     clock: Stopped = field(default_factory=Stopped)
     seconds: float = 1.0  # on the clock, after which it is over
     over: threading.Event = field(default_factory=threading.Event)
-    contested: list[RenderRequest] = field(default_factory=list)  # what was drawn until then
+    contested: list[RenderJob] = field(default_factory=list)  # what was drawn until then
     server: Server | None = None
 
-    def render(self, request: RenderRequest) -> Rendered:
+    def render(self, request: RenderJob) -> Rendered:
         assert self.server is not None
         until, since = time.monotonic() + HANG, self.clock.now
         while not self.over.is_set() and self._waiting() < self.others:

@@ -124,7 +124,7 @@ def test_a_reply_with_alpha_is_told_from_one_without():
 def test_alpha_is_true_false_or_straight(value, words):
     with pytest.raises(ProtocolError, match=words):
         Decoder().decode(native(1, alpha=value))
-    assert Decoder().decode(native(1, alpha="straight")).alpha == "straight"
+    assert Decoder().decode(native(1, alpha="straight")).options.alpha == "straight"
 
 
 def test_alpha_without_a_number_is_no_acknowledgement():

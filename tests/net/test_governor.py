@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from glsplat.camera import Camera, look_at, pinhole
-from glsplat.net.messages import RenderRequest
 from glsplat.net.pace.governor import BIAS, FULL, SCALES, Detail, Governor
 
 Cost = Callable[[Detail, float], float]
@@ -100,13 +99,12 @@ def test_viewers_share_the_time() -> None:
     assert len(governor._states) == 1  # who has left is forgotten
 
 
-def test_a_request_with_less_detail() -> None:
+def test_eyes_with_less_detail() -> None:
     view = Camera(look_at((0, 0, 2), (0, 0, 0)), pinhole(640, 480), 640, 480)
-    request = RenderRequest(frame_id=1, cameras=(view, view))
-    less = Detail(-1.5, 0.75).of(request)
-    assert less.detail == -1.5 and (less.cameras[0].width, less.cameras[1].height) == (480, 360)
-    assert np.allclose(less.cameras[0].K[0, 0], 0.75 * view.K[0, 0])
-    assert FULL.of(request).cameras == request.cameras
+    less = Detail(-1.5, 0.75).resized((view, view))
+    assert (less[0].width, less[1].height) == (480, 360)
+    assert np.allclose(less[0].K[0, 0], 0.75 * view.K[0, 0])
+    assert FULL.resized((view, view)) == (view, view)
     tiny = Camera(view.viewmat, pinhole(1, 1), 1, 1)
     assert Detail(0, SCALES[-1]).resized([tiny])[0].width == 1
 

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from glsplat.camera import head_matrix, stereo_cameras
 from glsplat.errors import ProtocolError
-from glsplat.net.messages import MAX_BYTES, Ack, Decoder, RenderRequest, WireOptions, error_text, eye_fields
+from glsplat.net.messages import MAX_BYTES, Ack, Decoder, Request, WireOptions, error_text, eye_fields
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.tracking.sample import Sample
 
@@ -50,7 +50,13 @@ def refused(message, code=None):
 def test_a_native_request():
     body = np.linspace(-1, 1, 63).reshape(21, 3).tolist()
     request = decode(GOOD | {"quality": 90, "crop": True, "pose": {"body_pose": body, "root_pose": [0.1, 0, 0]}})
-    assert (request.frame_id, request.ack, request.t, request.quality, request.crop) == (7, 6, 1234.5, 90, True)
+    assert (request.frame_id, request.ack, request.t, request.options.quality, request.options.crop) == (
+        7,
+        6,
+        1234.5,
+        90,
+        True,
+    )
     assert request.form == "native" and request.eyes == (0, 1)
     camera = request.cameras[1]
     assert (camera.width, camera.height) == (64, 48)
@@ -75,7 +81,7 @@ def test_unknown_fields_are_left_for_the_future():
 def test_defaults_are_the_servers():
     message = {"v": 1, "frame_id": 0, "eyes": [EYE]}
     request = decode(message, WireOptions(size=(320, 200), quality=55))
-    assert (request.cameras[0].width, request.cameras[0].height, request.quality) == (320, 200, 55)
+    assert (request.cameras[0].width, request.cameras[0].height, request.options.quality) == (320, 200, 55)
     assert request.eyes == (0,) and request.ack is None
 
 
@@ -102,8 +108,8 @@ def test_waist_feet_and_body_go_to_the_solver_as_they_came():
     body = {"hips": [0, 1, 0], "left-foot-ball": [0.1, 0, 0.2, 0, 0, 0, 1], "chest": None}
     tracking = {"head": LEVEL, "waist": LEVEL, "left_foot": LEVEL, "body": body, "tail": [1, 2]}
     request = decode({"v": 1, "frame_id": 1, "tracking": tracking, "eyes": [EYE]})
-    assert request.tracking == {key: value for key, value in tracking.items() if key != "tail"}
-    sample = Sample.from_json(request.tracking, 0.0)
+    sample = request.tracking
+    assert sample == Sample.from_json(tracking)
     assert sample.waist == tuple(LEVEL)
     assert sample.body == {"hips": (0, 1, 0), "left-foot-ball": tuple(body["left-foot-ball"])}
 
@@ -114,7 +120,7 @@ def test_an_expression_comes_with_a_pose_or_with_tracking():
     for sent in ({"jawOpen": 0.5, "cheekPuff": 0}, numbers):
         assert decode(GOOD | {"pose": {"expression": sent}}).pose.expression == {"jawOpen": 0.5}
         request = decode({"v": 1, "frame_id": 1, "tracking": {"head": LEVEL, "expression": sent}})
-        assert Sample.from_json(request.tracking, 0.0).expression == {"jawOpen": 0.5}
+        assert request.tracking.expression == {"jawOpen": 0.5}
     assert decode(GOOD).pose.expression == {}
     skeleton = Skeleton.from_joints(("a", "b"), [-1, 0], np.zeros((2, 3)))
     pose = {"joints": {"b": [0, 0, 1]}, "expression": {"Fcl_Joy": 2}}
@@ -143,7 +149,7 @@ def test_an_expression_of_no_number_is_refused(number):
 def test_where_eyes_look_comes_with_tracking():
     tracking = {"head": LEVEL, "leftEye": [0, 0, -1], "rightEye": [0.1, 0, -0.9]}
     request = decode({"v": 1, "frame_id": 1, "tracking": tracking})
-    sample = Sample.from_json(request.tracking, 0.0)
+    sample = request.tracking
     assert sample.left_eye == (0, 0, -1) and sample.right_eye == (0.1, 0, -0.9)
 
 
@@ -158,7 +164,7 @@ def test_what_is_no_direction_is_refused(gaze, code):
 def test_tracking_in_place_of_a_pose():
     tracking = {"head": [0, 1.6, 0.2, 0, 0, 0, 1], "left": None, "right": [0.3, 1, 0.2, 0, 0, 0, 2]}
     request = decode({"v": 1, "frame_id": 1, "tracking": tracking, "size": [64, 64]}, WireOptions(ipd=0.064))
-    assert request.tracking == {"head": tracking["head"], "right": tracking["right"]}
+    assert request.tracking == Sample.from_json(tracking)
     np.testing.assert_allclose(request.cameras[1].position, [0.032, 1.6, 0.2], atol=1e-12)
     assert decode({"v": 1, "frame_id": 1, "tracking": tracking, "eyes": [EYE]}).eyes == (0,)
 
@@ -273,10 +279,9 @@ def test_a_request_may_ask_for_the_mirror_image_or_for_none(connection, asked):
 
 def test_parts_that_are_left_out():
     def hide(parts, known=frozenset({"head"})):
-        return Decoder(avatar="ann", parts=known).decode(json.dumps(GOOD | {"hide": parts}))
+        return Decoder(parts=known).decode(json.dumps(GOOD | {"hide": parts}))
 
-    assert hide(["head", "head"]).hide == ("head",) and hide([]).hide == () == decode(GOOD).hide
-    assert hide(["head"]).avatar == "ann" and decode(GOOD).avatar == ""
+    assert hide(["head", "head"]).options.hide == ("head",) and hide([]).options.hide == () == decode(GOOD).options.hide
     for parts, known, words in (
         (["foot"], {"head"}, "hide knows head; found another word"),
         (["head"], set(), "needs one avatar that has a joint of that name"),
@@ -289,7 +294,7 @@ def test_parts_that_are_left_out():
 
 
 def test_the_box_is_asked_for():
-    assert decode(GOOD | {"box": True}).box and not decode(GOOD).box
+    assert decode(GOOD | {"box": True}).options.box and not decode(GOOD).options.box
     assert refused(GOOD | {"box": 1}, "bad_field") and refused(GOOD | {"mirror": "yes"}, "bad_field")
 
 
@@ -329,7 +334,7 @@ def test_old_forms():
     options = WireOptions(size=(512, 256), quality=70)
     request = decode({"camera": head, "smplx": smplx}, options)
     assert request.form == "single-legacy" and request.eyes == (1,) and request.frame_id is None
-    assert (request.cameras[0].width, request.cameras[0].height, request.quality) == (512, 256, 70)
+    assert (request.cameras[0].width, request.cameras[0].height, request.options.quality) == (512, 256, 70)
     np.testing.assert_array_equal(request.pose.trans, 0)  # ignored, as their server does
     np.testing.assert_allclose(request.pose.rotations[0], [0, 0.5, 0])
     np.testing.assert_allclose(request.pose.rotations[25:40], 0.1)
@@ -416,7 +421,7 @@ def _survives(data):
         assert error.code and len(str(error)) <= 300 and str(error).isprintable()
         json.loads(error_text(error.code, str(error), error.frame_id))
         return
-    if isinstance(request, RenderRequest):
+    if isinstance(request, Request):
         assert all(np.isfinite(c.viewmat).all() and np.isfinite(c.K).all() for c in request.cameras)
         assert all(1 <= side <= 2048 for c in request.cameras for side in (c.width, c.height))
         assert request.pose is None or np.isfinite(request.pose.rotations).all()

@@ -9,10 +9,9 @@ from glsplat.camera import head_matrix, stereo_cameras
 from glsplat.config import RenderConfig
 from glsplat.data import default_avatar
 from glsplat.errors import GlsplatError
-from glsplat.net.backend import Placing
+from glsplat.net.backend import Placing, RenderJob
 from glsplat.net.backends.gl import RendererBackend
 from glsplat.net.backends.slots import Slots, SlotWriter
-from glsplat.net.messages import RenderRequest
 from glsplat.renderer import Renderer
 
 
@@ -29,7 +28,7 @@ def test_a_slot_gets_the_same_picture_without_a_copy():
     try:
         assert isinstance(backend, Placing)
         for side in (96, 64, 80):  # what is left of a larger picture must not shine through
-            request, shape = RenderRequest(frame_id=1, cameras=pair(side)), (2, side, side, 4)
+            request, shape = RenderJob(frame_id=1, cameras=pair(side)), (2, side, side, 4)
             backend.place = None
             expected = backend.render(request).images
             slot = slots.take(int(np.prod(shape)))

@@ -14,10 +14,10 @@ import pytest
 
 from glsplat.camera import Camera
 from glsplat.errors import ContextError, ContextLostError, GlsplatError, PoseError, ProtocolError
+from glsplat.net.backend import RenderJob
 from glsplat.net.backends import process, slots
 from glsplat.net.backends.process import ProcessBackend
 from glsplat.net.client import Client
-from glsplat.net.messages import RenderRequest
 from glsplat.net.server import ServerConfig
 from tests.net.backends import Boxed
 from tests.net.wire import until
@@ -25,7 +25,7 @@ from tests.net.wire import until
 
 def request(frame_id=1, x=10, y=20, grey=100, size=(64, 48), eyes=2):
     K = np.array([[grey, 0, x], [0, 50, y], [0, 0, 1.0]])
-    return RenderRequest(frame_id=frame_id, cameras=(Camera(np.eye(4), K, *size),) * eyes)
+    return RenderJob(frame_id=frame_id, cameras=(Camera(np.eye(4), K, *size),) * eyes)
 
 
 def expected(x=10, y=20, grey=100, size=(64, 48), eyes=2):

@@ -8,9 +8,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import pytest
 
-from glsplat.net.backend import Rendered
+from glsplat.net.backend import Rendered, RenderJob
 from glsplat.net.client import Client
-from glsplat.net.messages import RenderRequest
 from glsplat.net.reply import Reply
 from glsplat.net.server import Server, ServerConfig
 from tests.net.clocks import Stopped
@@ -25,7 +24,7 @@ class Levels(FakeBackend):
     slow: float = 0.05
     last: int = 1
 
-    def render(self, request: RenderRequest) -> Rendered:
+    def render(self, request: RenderJob) -> Rendered:
         level = min(int(request.detail <= -1), self.last)
         self.clock.now += self.slow * 0.1**level * (1 if request.cameras[0].width > 40 else 0.05)
         return replace(super().render(request), levels=(level,), coarsest=level == self.last)

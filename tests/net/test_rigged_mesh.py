@@ -13,11 +13,12 @@ from numpy.typing import NDArray
 from glsplat.camera import head_matrix, stereo_cameras
 from glsplat.config import RenderConfig
 from glsplat.errors import GlsplatError, PoseError
+from glsplat.net.backend import RenderJob
 from glsplat.net.backends.gl import RendererBackend
 from glsplat.net.backends.process import ProcessBackend
 from glsplat.net.backends.server import make_server
 from glsplat.net.client import Client
-from glsplat.net.messages import RenderRequest
+from glsplat.net.messages import PictureOptions
 from glsplat.net.server import ServerConfig
 from glsplat.renderer import Renderer
 from glsplat.scene import Item, Scene, Shown, similarity
@@ -41,8 +42,9 @@ def direct(scene: Shown, pose: Pose | None = None) -> NDArray[np.uint8]:
         return renderer.render(PAIR, pose)
 
 
-def request(**more: object) -> RenderRequest:
-    return RenderRequest(frame_id=1, cameras=tuple(PAIR), **more)  # type: ignore[arg-type]
+def request(**more: object) -> RenderJob:
+    options = PictureOptions(**{key: more.pop(key) for key in ("hide", "box") if key in more})
+    return RenderJob(frame_id=1, cameras=tuple(PAIR), options=options, **more)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("own_process", [False, True])

@@ -18,6 +18,7 @@ from glsplat.net.guard.access import Access
 from glsplat.net.messages import WireOptions
 from glsplat.net.server import Server, ServerConfig
 from glsplat.skinning.pose import Pose
+from glsplat.tracking.sample import Sample
 from tests.net.contested import Contested, contest
 from tests.net.wire import HANG, until
 
@@ -212,7 +213,7 @@ def test_tracking_goes_through_the_sessions_own_solver(serve, fake_backend):
     reply = asyncio.run(main())
     assert [len(solver.calls) for solver in made] == [2, 1]
     assert [solver.height for solver in made] == [None, 1.8]
-    assert made[0].calls[0].tracking == {k: v for k, v in tracking.items() if v is not None}
+    assert made[0].calls[0].tracking == Sample.from_json(tracking, made[0].calls[0].t / 1e3)
     assert made[0].calls[1].t > made[0].calls[0].t
     assert reply.info["tracking"] == ["left_lost"] and "ik" in reply.info["times"]
     assert backend.drawn[0].pose is not None
@@ -342,4 +343,4 @@ def test_size_and_quality_defaults_come_from_the_server(serve, fake_backend, cam
 
     asyncio.run(main())
     request = backend.drawn[-1]
-    assert (request.cameras[0].width, request.cameras[0].height, request.quality) == (48, 32, 33)
+    assert (request.cameras[0].width, request.cameras[0].height, request.options.quality) == (48, 32, 33)

@@ -18,13 +18,13 @@ from glsplat.camera import Camera, head_matrix, look_at, pinhole, stereo_cameras
 from glsplat.config import RenderConfig
 from glsplat.data import default_avatar
 from glsplat.errors import GlsplatError, ProtocolError
-from glsplat.net.backend import Rendered
+from glsplat.net.backend import Rendered, RenderJob
 from glsplat.net.backends.gl import RendererBackend
 from glsplat.net.backends.process import ProcessBackend
 from glsplat.net.backends.server import make_server
 from glsplat.net.backends.shown import KEPT
 from glsplat.net.client import Client
-from glsplat.net.messages import RenderRequest
+from glsplat.net.messages import PictureOptions
 from glsplat.net.server import ServerConfig
 from glsplat.renderer import Renderer
 from glsplat.scene import Item, Scene, similarity
@@ -46,8 +46,9 @@ BIG = replace(PERSON, splats=replace(PERSON.splats, sh=PERSON.splats.sh * -1))  
 HEADS = ({}, {"hide": ("head",)})
 
 
-def request(cameras=PAIR, **more) -> RenderRequest:
-    return RenderRequest(frame_id=1, cameras=tuple(cameras), **more)
+def request(cameras=PAIR, **more) -> RenderJob:
+    options = PictureOptions(**{key: more.pop(key) for key in ("hide", "box") if key in more})
+    return RenderJob(frame_id=1, cameras=tuple(cameras), options=options, **more)
 
 
 def direct(avatar: Avatar, cameras=PAIR, pose: Pose | None = None) -> np.ndarray:

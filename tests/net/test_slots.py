@@ -13,18 +13,18 @@ import pytest
 
 from glsplat.camera import Camera
 from glsplat.errors import ContextError, GlsplatError
+from glsplat.net.backend import RenderJob
 from glsplat.net.backends import slots
 from glsplat.net.backends.process import ProcessBackend
-from glsplat.net.messages import RenderRequest
 from tests.net.backends import Boxed
 
 MIB = 2**20
 SIDE = 1200  # a pair takes 11 MiB, of which 8 are set aside at the start
 
 
-def request(side: int) -> RenderRequest:
+def request(side: int) -> RenderJob:
     K = np.array([[100, 0, side - 20], [0, 50, side - 20], [0, 0, 1.0]])
-    return RenderRequest(frame_id=1, cameras=(Camera(np.eye(4), K, side, side),) * 2)
+    return RenderJob(frame_id=1, cameras=(Camera(np.eye(4), K, side, side),) * 2)
 
 
 def no_room(descriptor: int, start: int, length: int) -> None:

@@ -14,18 +14,19 @@ from glsplat.errors import PoseError
 from glsplat.net.backend import Offered, Solved
 from glsplat.net.client import Client
 from glsplat.net.guard.limits import Limits
-from glsplat.net.messages import RenderRequest
+from glsplat.net.messages import Request
 from glsplat.net.server import ServerConfig
 from glsplat.net.session import SessionConfig
 from glsplat.net.solving import Solving
 from glsplat.skinning.pose import Pose
+from glsplat.tracking.sample import Sample
 from tests.net.wire import HANG, until
 
 HEAD = {"head": [0, 1.6, 0, 0, 0, 0, 1]}
 
 
 def request(frame_id):
-    return RenderRequest(frame_id=frame_id, cameras=(), tracking=HEAD, t=frame_id * 10.0)
+    return Request(frame_id=frame_id, cameras=(), tracking=Sample.from_json(HEAD, frame_id / 100), t=frame_id * 10.0)
 
 
 class Solver:

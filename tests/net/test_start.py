@@ -58,6 +58,7 @@ from functools import partial
 from glsplat.data import default_avatar
 from glsplat.net.backends import process
 from glsplat.net.backends.gl import RendererBackend
+from glsplat.net.backend import RenderJob
 from glsplat.net.messages import Decoder
 
 backend = pickle.loads(pickle.dumps(partial(RendererBackend, default_avatar(), (64, 64))))()
@@ -65,7 +66,8 @@ backend.open()
 eye = {"viewmat": [1, 0, 0, 0, 0, -1, 0, 1.2, 0, 0, -1, 2, 0, 0, 0, 1], "K": [50, 50, 32, 32]}
 message = {"v": 1, "frame_id": 1, "eyes": [eye], "size": [64, 64]}
 import json
-assert backend.render(Decoder().decode(json.dumps(message))).images.any()
+job = RenderJob(cameras=Decoder().decode(json.dumps(message)).cameras)
+assert backend.render(job).images.any()
 backend.close()
 """)
     assert not loaded & (ABSENT | {"aiohttp", "simplejpeg"})

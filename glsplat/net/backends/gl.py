@@ -13,9 +13,8 @@ from numpy.typing import NDArray
 from glsplat.camera import Camera, look_at, pinhole
 from glsplat.config import LEAN, RenderConfig
 from glsplat.errors import BudgetError, ContextLostError, FormatError, GlsplatError, PoseError
-from glsplat.net.backend import Rendered
+from glsplat.net.backend import Rendered, RenderJob
 from glsplat.net.backends.budget import Budget
-from glsplat.net.messages import RenderRequest
 from glsplat.passes.stats import union
 from glsplat.scene import Figure, Shown
 
@@ -57,7 +56,7 @@ class RendererBackend:
         max_cost: float | None = None,  # None: most_cost(config)
         max_time: float = MAX_TIME,
         pose_at: Callable[[float], None] | None = None,  # brings the scene to a time in seconds since open()
-        avatars: Mapping[str, Figure] | None = None,  # by RenderRequest.avatar; any other name is the scene
+        avatars: Mapping[str, Figure] | None = None,  # by RenderJob.avatar; any other name is the scene
         rooms: Mapping[str, SceneFile] | None = None,  # the background of each
         name: str | None = None,  # of the scene: then any other name is an avatar that is missing here
     ) -> None:
@@ -98,7 +97,7 @@ class RendererBackend:
             raise
         return renderer.driver
 
-    def render(self, request: RenderRequest) -> Rendered:
+    def render(self, request: RenderJob) -> Rendered:
         """Draw all eyes of a request in one call. Raises ContextLostError, and BudgetError for too much.
 
         FormatError for an avatar that is not there, or cannot be read.

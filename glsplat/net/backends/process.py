@@ -23,9 +23,8 @@ from typing import Any
 import numpy as np
 
 from glsplat.errors import ContextError, ContextLostError, GlsplatError
-from glsplat.net.backend import Backend, Interruptible, Placing, Rendered
+from glsplat.net.backend import Backend, Interruptible, Placing, Rendered, RenderJob
 from glsplat.net.backends.slots import Slots, SlotWriter
-from glsplat.net.messages import RenderRequest
 
 __all__ = ["ProcessBackend"]
 
@@ -79,10 +78,10 @@ class ProcessBackend:
             self._slots.unlink()
         return driver
 
-    def render(self, request: RenderRequest) -> Rendered:
+    def render(self, job: RenderJob) -> Rendered:
         """Draw; the pictures lie in shared memory until ``done`` of what is returned is called, once."""
-        slots, camera = self._slots, request.cameras[0]
-        shape = (len(request.cameras), camera.height, camera.width, 4)
+        slots, camera = self._slots, job.cameras[0]
+        shape = (len(job.cameras), camera.height, camera.width, 4)
         nbytes = int(np.prod(shape))
         if nbytes > self._slot_bytes:
             raise GlsplatError(f"{camera.width}x{camera.height} pixels are more than the server was started for")
@@ -90,7 +89,7 @@ class ProcessBackend:
         try:
             self._number += 1
             try:
-                self._pipe.send((self._number, slot, shape, replace(request, tracking=None)))
+                self._pipe.send((self._number, slot, shape, job))
             except OSError:
                 raise ContextLostError("the renderer's process has ended") from None
             rendered = self._answer(self._seconds + _HANG, self._number)
@@ -145,7 +144,7 @@ class ProcessBackend:
 
 
 def _work(make: Callable[[], Backend], pipe: Connection, path: str, nbytes: int) -> None:
-    """The process: a driver string or an error, then an answer for each request until None comes or the pipe ends."""
+    """The process: a driver string or an error, then an answer for each job until None comes or the pipe ends."""
     for signal_number in (signal.SIGINT, signal.SIGTERM):  # they may reach all processes; the server ends this one
         signal.signal(signal_number, signal.SIG_IGN)
     slots = SlotWriter(path, nbytes)
@@ -157,13 +156,13 @@ def _work(make: Callable[[], Backend], pipe: Connection, path: str, nbytes: int)
         return
     with suppress(EOFError, OSError):
         while (task := pipe.recv()) is not None:
-            number, slot, shape, request = task
+            number, slot, shape, job = task
             if isinstance(backend, Interruptible):
                 backend.abandoned = partial(slots.abandoned, number)
             try:
                 if isinstance(backend, Placing):
                     backend.place = slots.place(slot, shape)
-                rendered = backend.render(request)
+                rendered = backend.render(job)
                 slots.put(slot, rendered, shape)
                 pipe.send(replace(rendered, images=np.empty(0, np.uint8)))
             except GlsplatError as error:

@@ -14,8 +14,8 @@ from glsplat.avatar import Avatar
 from glsplat.camera import Camera
 from glsplat.detail.selector import Selector
 from glsplat.errors import PoseError
+from glsplat.net.backend import RenderJob
 from glsplat.net.backends.labels import Label
-from glsplat.net.messages import RenderRequest
 from glsplat.net.rooms.view import Present, RoomView
 from glsplat.renderer import Renderer
 from glsplat.scene import Figure, Item, Scene
@@ -63,12 +63,12 @@ class RoomStand:
         """GPU bytes."""
         return sum(self.renderer.nbytes().values())
 
-    def follow(self, request: RenderRequest, seconds: float) -> None:
+    def follow(self, job: RenderJob, seconds: float) -> None:
         """Bring everybody to where they are; ``seconds`` is the time of the background's motions.
 
         Raises GlsplatError where an avatar cannot be had: nobody else is touched.
         """
-        view = _view(request)
+        view = _view(job)
         new = {one.key: _shown(one, self._figure_of(one.avatar)) for one in view.people if one.key not in self._people}
         here = {one.key for one in view.people}
         for gone in [key for key in self._people if key not in here]:
@@ -84,13 +84,13 @@ class RoomStand:
         self._set_layers(view)
         self._background.pose_at(seconds)
 
-    def views(self, request: RenderRequest) -> list[Camera]:
+    def views(self, job: RenderJob) -> list[Camera]:
         """The cameras of a request that ``follow`` was given, in the layers of what its viewer sees."""
-        view = _view(request)
+        view = _view(job)
         keys = [one.key for one in view.people]
-        hidden = "head" in request.hide and view.viewer in keys
+        hidden = "head" in job.options.hide and view.viewer in keys
         layers = _ROOM | (_own(keys.index(view.viewer)) if hidden else _HEADS)
-        return [replace(camera, layers=layers) for camera in request.cameras]
+        return [replace(camera, layers=layers) for camera in job.cameras]
 
     def _set_layers(self, view: RoomView) -> None:
         """Who has faded is in none."""
@@ -103,10 +103,11 @@ class RoomStand:
             if shown.headless is not None and shown.headless.layers:
                 shown.headless.layers = _own(place)
 
-    def labels(self, request: RenderRequest) -> list[Label]:
+    def labels(self, job: RenderJob) -> list[Label]:
         """What stands over the heads; over the viewer's own only where that head is seen."""
-        view = _view(request)
-        people = [one for one in view.people if one.label and not (one.key == view.viewer and "head" in request.hide)]
+        view = _view(job)
+        headless = "head" in job.options.hide
+        people = [one for one in view.people if one.label and not (one.key == view.viewer and headless)]
         return [
             Label(
                 one.label,
@@ -116,7 +117,7 @@ class RoomStand:
             for one in people
         ]
 
-    def box(self, request: RenderRequest) -> None:
+    def box(self, job: RenderJob) -> None:
         """Nothing: there are several."""
 
     def release(self) -> None:
@@ -134,9 +135,9 @@ def _own(place: int) -> int:
     return 4 << place
 
 
-def _view(request: RenderRequest) -> RoomView:
-    assert request.room is not None
-    return request.room
+def _view(job: RenderJob) -> RoomView:
+    assert job.room is not None
+    return job.room
 
 
 def label_place(item: Item, figure: Figure) -> NDArray[np.float64]:

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from glsplat.avatar import Avatar
 from glsplat.camera import Camera
 from glsplat.errors import GlsplatError
+from glsplat.net.backend import RenderJob
 from glsplat.net.backends.labels import Label, notice
 from glsplat.net.backends.room import RoomStand, label_place, selectors
-from glsplat.net.messages import RenderRequest
 from glsplat.passes.kept import Kept
 from glsplat.passes.views import checked_pose
 from glsplat.renderer import Renderer
@@ -54,17 +54,17 @@ class Stand:
         """GPU bytes."""
         return sum(self.renderer.nbytes().values())
 
-    def follow(self, request: RenderRequest, seconds: float) -> None:
+    def follow(self, request: RenderJob, seconds: float) -> None:
         """Put what stands in for the scene's avatar where that is now."""
         if self._item is not self._source:
             assert self._item is not None and self._source is not None
             self._item.pose, self._item.transform = self._source.pose, self._source.transform
 
-    def views(self, request: RenderRequest) -> Sequence[Camera]:
+    def views(self, request: RenderJob) -> Sequence[Camera]:
         """As they are asked for: it was made without what its requests hide."""
         return request.cameras
 
-    def labels(self, request: RenderRequest) -> list[Label]:
+    def labels(self, request: RenderJob) -> list[Label]:
         """What stands over the head of the one avatar, if the request has words for it."""
         if not request.label or self._item is None or not is_figure(self._item.content):
             return []
@@ -72,10 +72,10 @@ class Stand:
         posed = Item(self._item.content, pose=pose, transform=self._item.transform)
         return [Label(request.label, label_place(posed, self._item.content))]
 
-    def box(self, request: RenderRequest) -> tuple[float, ...] | None:
+    def box(self, request: RenderJob) -> tuple[float, ...] | None:
         """x, y, z lowest and highest, metres, of the one avatar as it is posed; None without one, or not asked for."""
         item, pose = self._item, request.pose
-        if item is None or not request.box:
+        if item is None or not request.options.box:
             return None
         avatar = item.content
         assert is_figure(avatar)
@@ -117,10 +117,10 @@ class Stands:
     def __len__(self) -> int:
         return len(self._kept)
 
-    def of(self, request: RenderRequest) -> Stand | RoomStand:
+    def of(self, request: RenderJob) -> Stand | RoomStand:
         """What ``request`` asks to see. Raises GlsplatError where that has no such part."""
         if request.room is None:
-            return self.get(request.avatar, request.hide)
+            return self.get(request.avatar, request.options.hide)
         background = self._rooms[request.room.room]
         return self._kept.get((request.room.room, None), lambda: RoomStand(background, self._figure, self._make))
 
@@ -130,7 +130,7 @@ class Stands:
         return self._kept.get((shown, hide), lambda: self._stand(shown, hide))
 
     @staticmethod
-    def write(stand: Stand | RoomStand, request: RenderRequest, images: NDArray[np.uint8]) -> tuple[int, int, int, int]:
+    def write(stand: Stand | RoomStand, request: RenderJob, images: NDArray[np.uint8]) -> tuple[int, int, int, int]:
         """Write the words of a request into its images [V, H, W, 4]; the box of what changed, which may be empty."""
         words = stand.labels(request)
         if request.notice:

@@ -8,16 +8,15 @@ import numpy as np
 
 from glsplat.camera import Camera
 from glsplat.net.backend import Solved
-from glsplat.net.messages import RenderRequest
+from glsplat.net.messages import Request
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.tracking.calibration import Calibration
-from glsplat.tracking.sample import Sample
 from glsplat.tracking.solvers import SOLVERS, SolverName
 from glsplat.tracking.tracker import Tracker
 
 __all__ = ["OneClock", "TrackingSolver"]
 
-_CLOCK = 1e15  # milliseconds; a clock beyond has no room for a frame's time in a double
+_CLOCK = 1e12  # seconds; a clock beyond has no room for a frame's time in a double
 
 
 class OneClock:
@@ -29,11 +28,11 @@ class OneClock:
 
     def __init__(self) -> None:
         self._theirs: bool | None = None  # whether the last sample carried a time
-        self._shift = 0.0  # ms from the clock in use to the time line
-        self._last = self._arrived = 0.0  # ms
+        self._shift = 0.0  # seconds from the clock in use to the time line
+        self._last = self._arrived = 0.0  # seconds
 
     def time(self, t: float | None, now: float) -> float:
-        """Milliseconds of a sample that says ``t`` and arrived at ``now``."""
+        """Seconds of a sample that says ``t`` and arrived at ``now``."""
         theirs = t is not None and abs(t) < _CLOCK
         stamp = t if t is not None and theirs else now
         if self._theirs is not None and theirs != self._theirs:
@@ -49,10 +48,12 @@ class TrackingSolver:
         self._tracker = Tracker(skeleton, calibration, solver=solver)
         self._clock = OneClock()
 
-    def solve(self, request: RenderRequest, now: float) -> Solved:
+    def solve(self, request: Request, now: float) -> Solved:
         """Filter and solve the next sample, bring the cameras to the avatar's scale."""
-        t = self._clock.time(request.t, now)
-        pose = self._tracker.update(Sample.from_json(request.tracking, t / 1e3))
+        sample = request.tracking
+        assert sample is not None
+        t = self._clock.time(None if request.t is None else sample.t, now)
+        pose = self._tracker.update(sample if t == sample.t else replace(sample, t=t))
         known = self._tracker.calibration
         moved = known.scale != 1 or known.floor != 0
         cameras = tuple(map(self._camera, request.cameras)) if moved else request.cameras

@@ -8,13 +8,13 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from glsplat.camera import Camera
-from glsplat.net.backend import Offered
+from glsplat.net.backend import Offered, RenderJob
 from glsplat.net.codec.encode import Encoded
 from glsplat.net.guard.limits import Share
-from glsplat.net.messages import RenderRequest, eye_fields
+from glsplat.net.messages import Request, eye_fields
 from glsplat.net.pace.governor import FULL, Detail
 from glsplat.net.rooms.member import Member
-from glsplat.net.rooms.view import RoomView, room_fields
+from glsplat.net.rooms.view import room_fields
 from glsplat.net.session import Session
 from glsplat.net.solving import Solution, Solving
 
@@ -25,17 +25,20 @@ ANYTHING = Offered(name="")
 
 @dataclass(eq=False, slots=True)
 class Frame:
-    """One picture on its way from the renderer to the socket."""
+    """One picture on its way from the renderer to the socket, and what the server notes of it."""
 
-    request: RenderRequest
+    channel: Channel  # whose it is
+    request: Request
     arrived: float  # clock seconds
     times: dict[str, float]  # ms
+    cameras: tuple[Camera, ...]  # those of the request, in the size that is drawn
+    notice: str = ""  # what has to stand in it
+    job: RenderJob | None = None  # what is drawn, once its pose is known
     encoded: Awaitable[Encoded] | None = None  # None: it could not be drawn
     error: tuple[str, str] = ("", "")  # code and message in that case
     notes: tuple[str, ...] | None = None  # of the tracking solver
     drawn: tuple[Camera, ...] | None = None  # the eyes in the avatar's space, where tracking was solved
     box: list[float] | None = None  # of the avatar in the client's room, where it was asked for
-    untracked: str = ": send pose instead of tracking"  # what is said where tracking is not solved
     ends: str = ""  # why the connection ends after this answer and its address is held off, if it does
     detail: Detail = FULL  # less than was asked for, where a rate is held
     levels: tuple[int, ...] = ()  # of detail that were drawn
@@ -44,17 +47,15 @@ class Frame:
     again: asyncio.Future[None] | None = None  # it is being drawn anew: done once it is
     moved: bool = False  # whoever had it cannot draw it, another may
     losses: int = 0  # of those who were drawing it
-    member: Member | None = None  # of the client, in a room
-    view: RoomView | None = None  # what of the room was drawn
 
-    def info(self, boxes: Sequence[tuple[int, int, int, int]] | None, channel: Channel) -> dict[str, Any]:
+    def info(self, boxes: Sequence[tuple[int, int, int, int]] | None) -> dict[str, Any]:
         """The JSON object of the reply (docs/protocol.md, section 4)."""
-        request, first = self.request, self.request.cameras[0]
+        channel, request, first = self.channel, self.request, self.cameras[0]
         info: dict[str, Any] = {
             "t": request.t,
             "times": {name: round(ms, 3) for name, ms in self.times.items()},
             "size": (first.width, first.height),
-            "eyes": [eye_fields(camera) for camera in request.cameras],
+            "eyes": [eye_fields(camera) for camera in self.cameras],
             "crop": boxes,
             "dropped": channel.session.counts.dropped,
             "driver": self.driver,
@@ -71,10 +72,10 @@ class Frame:
             info["box"] = self.box
         if any(self.levels) or self.detail != FULL:
             info["detail"] = {"levels": self.levels, "bias": self.detail.bias, "scale": self.detail.scale}
-        if request.alpha == "straight":
-            info["alpha"] = request.alpha
-        if self.view is not None:
-            info["room"] = room_fields(self.view)
+        if request.options.alpha == "straight":
+            info["alpha"] = "straight"
+        if self.job is not None and self.job.room is not None:
+            info["room"] = room_fields(self.job.room)
         return info
 
 
@@ -120,7 +121,7 @@ class Channel:
             self.solving.begin(newest.frame_id, solved)
         return self._solved(session.kept)
 
-    def take(self, now: float) -> tuple[RenderRequest, float, Solution | None]:
+    def take(self, now: float) -> tuple[Request, float, Solution | None]:
         """The newest request that is ready, the seconds it waited, and its solution."""
         newest = self.session.newest
         kept = self.solving is not None and (newest is None or not self._solved(newest))
@@ -129,6 +130,6 @@ class Channel:
         request, waited = taken
         return request, waited, None if self.solving is None else self.solving.take(request.frame_id)
 
-    def _solved(self, request: RenderRequest | None) -> bool:
+    def _solved(self, request: Request | None) -> bool:
         solving = self.solving
         return request is None or request.tracking is None or solving is None or solving.solved(request.frame_id)

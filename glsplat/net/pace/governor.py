@@ -8,12 +8,11 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from glsplat.camera import Camera
-from glsplat.net.messages import RenderRequest
 
 __all__ = ["FULL", "Detail", "Governor"]
 
@@ -41,10 +40,6 @@ class Detail:
 
     bias: float = 0.0  # RenderConfig.lod_bias and this
     scale: float = 1.0  # of its sides
-
-    def of(self, request: RenderRequest) -> RenderRequest:
-        """The request with that much detail."""
-        return replace(request, cameras=self.resized(request.cameras), detail=self.bias)
 
     def resized(self, cameras: Sequence[Camera]) -> tuple[Camera, ...]:
         """The same views with fewer pixels, at least one a side."""

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 
+from glsplat.camera import Camera
 from glsplat.net.backend import Solved
-from glsplat.net.messages import RenderRequest
+from glsplat.net.messages import Request
 from glsplat.net.rooms.person import Moved, Person
 from glsplat.net.rooms.room import Room
+from glsplat.net.rooms.view import RoomView
 from glsplat.skinning.pose import Pose
 
 __all__ = ["Member"]
@@ -21,20 +24,21 @@ class Member:
     person: Person
     rest: Pose
 
-    def solved(self, request: RenderRequest, solved: Solved, at: float) -> None:
+    def solved(self, request: Request, solved: Solved, at: float) -> None:
         """Tracking that came ``at`` seconds was solved."""
         self.room.moved(self.person, self._moved(request, solved, at))
 
-    def received(self, request: RenderRequest, at: float) -> None:
+    def received(self, request: Request, at: float) -> None:
         """A request came ``at`` seconds; its tracking is solved elsewhere, perhaps much later."""
         self.room.heard(self.person, at)
         if request.tracking is None:
             self.room.moved(self.person, self._moved(request, None, at))
 
-    def look(self, request: RenderRequest, solved: Solved | None, at: float, now: float) -> RenderRequest:
-        """``request``, which came ``at`` seconds, with everybody in it."""
-        own = self._moved(request, solved, at)
-        return self.room.look(self.person, replace(request, tracking=None), own, now)
+    def look(
+        self, request: Request, cameras: Sequence[Camera], solved: Solved | None, at: float, now: float
+    ) -> tuple[tuple[Camera, ...], RoomView]:
+        """The ``cameras`` of a request that came ``at`` seconds, in the room's space, and everybody in it."""
+        return self.room.look(self.person, cameras, self._moved(request, solved, at), now)
 
     def end(self, goodbye: bool) -> None:
         """The connection is over; ``goodbye``: as the client wanted it."""
@@ -43,7 +47,7 @@ class Member:
         else:
             self.room.lost(self.person)
 
-    def _moved(self, request: RenderRequest, solved: Solved | None, at: float) -> Moved:
+    def _moved(self, request: Request, solved: Solved | None, at: float) -> Moved:
         if solved is not None:
             return Moved(solved.pose, at, request.t, request.frame_id, solved.scale, solved.floor)
         return Moved(self.rest if request.pose is None else request.pose, at, request.t, request.frame_id)

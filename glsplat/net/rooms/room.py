@@ -7,7 +7,7 @@ asked for, so that nobody's own hands lag behind; who asked for none in the last
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from threading import Lock
 from typing import Any
@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from glsplat.camera import Camera
 from glsplat.errors import ProtocolError
-from glsplat.net.messages import RenderRequest
 from glsplat.net.rooms.person import SILENT, Moved, Person
 from glsplat.net.rooms.seats import free_seat, seat
 from glsplat.net.rooms.view import Present, RoomView
@@ -115,8 +114,10 @@ class Room:
         with self._lock:
             person.moved(sample)
 
-    def look(self, person: Person, request: RenderRequest, own: Moved, now: float) -> RenderRequest:
-        """The picture that ``person`` asks for, with everybody in it; ``own`` is the pose it was asked for."""
+    def look(
+        self, person: Person, cameras: Sequence[Camera], own: Moved, now: float
+    ) -> tuple[tuple[Camera, ...], RoomView]:
+        """The ``cameras`` of a ``person`` in the room's space, and everybody in it; ``own`` is their own pose then."""
         with self._lock:
             self._forget(now)
             if person.key in self._drawn:
@@ -134,8 +135,7 @@ class Room:
             )
             view = RoomView(self.name, self._tick, person.key, people)
         from_room = person.from_room()
-        cameras = tuple(_moved(camera, from_room) for camera in request.cameras)
-        return replace(request, pose=None, cameras=cameras, room=view)
+        return tuple(_moved(camera, from_room) for camera in cameras), view
 
     def posed(self, count: int) -> None:
         """A picture took so many people to be skinned anew."""

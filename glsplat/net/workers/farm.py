@@ -17,6 +17,7 @@ from typing import Any
 from glsplat.errors import ContextError, ContextLostError, GlsplatError
 from glsplat.net.backend import Offered, PoseSolver
 from glsplat.net.guard.blame import Blame
+from glsplat.net.messages import Request
 from glsplat.net.pace.channel import ANYTHING, Channel, Frame
 from glsplat.net.pace.stages import StageTimes
 from glsplat.net.rooms.member import Member
@@ -132,9 +133,9 @@ class Farm:
             pump.remove(channel)
         self._balance()
 
-    def received(self, channel: Channel) -> None:
-        """A message of this client was taken."""
-        (self._pump_of(channel) or self._pumps[0]).received(channel)
+    def received(self, channel: Channel, request: Request | None) -> None:
+        """A message of this client was taken, as a pump's."""
+        (self._pump_of(channel) or self._pumps[0]).received(channel, request)
 
     def wake(self, channel: Channel) -> None:
         """Its window has room again."""

@@ -15,8 +15,8 @@ from typing import Any
 import msgspec
 
 from glsplat.errors import ContextError, GlsplatError
+from glsplat.net.backend import RenderJob
 from glsplat.net.codec.encode import Encoded
-from glsplat.net.messages import RenderRequest
 from glsplat.net.workers.wire import (
     HEAD,
     MAX_ANSWER,
@@ -85,9 +85,7 @@ class Link(asyncio.Protocol):
         """False once it has ended, or is about to."""
         return self._ending is None and not self._closing
 
-    def draw(
-        self, request: RenderRequest, patient: bool = False
-    ) -> tuple[asyncio.Future[Drawn], asyncio.Future[Encoded]]:
+    def draw(self, job: RenderJob, patient: bool = False) -> tuple[asyncio.Future[Drawn], asyncio.Future[Encoded]]:
         """Ask for a picture; both futures may raise what a renderer raises, and WorkerLostError.
 
         One at a time: the next after the first future is done. ``patient``: it may take longer than usual.
@@ -99,7 +97,7 @@ class Link(asyncio.Protocol):
         drawn, encoded = self._drawing[number], self._encoding[number] = loop.create_future(), loop.create_future()
         encoded.add_done_callback(_look)  # perhaps nobody waits for it any more
         self._since, self._patient, self._begun = clock(), patient, False
-        self._transport.write(self._writer.pack(Kind.DRAW, number, request))
+        self._transport.write(self._writer.pack(Kind.DRAW, number, job))
         return drawn, encoded
 
     def cancel(self) -> None:

@@ -6,7 +6,6 @@ import asyncio
 import logging
 from collections import OrderedDict
 from collections.abc import Awaitable, Callable
-from dataclasses import replace
 from itertools import chain, repeat
 from typing import Protocol
 
@@ -181,14 +180,13 @@ class WorkerPump(Pump):
     async def _picture(self, frame: Frame) -> Awaitable[Encoded]:
         if frame.solution is not None and not frame.solution.done():
             await asyncio.wait([asyncio.wrap_future(frame.solution)])
-        request, scale, floor = self._posed(frame)
+        job, scale, floor = self._job(frame)
         start = self._begin(frame)
-        channel, link = self._drawing, self._link
-        assert channel is not None
+        channel, link = frame.channel, self._link
         if link is None:
             raise WorkerLostError("the worker has ended")
-        what = request.avatar, request.hide
-        drawn, encoded = link.draw(replace(request, tracking=None), what not in self._has)
+        what = job.avatar, job.options.hide
+        drawn, encoded = link.draw(job, what not in self._has)
         said = await drawn
         self._has[what] = None
         self._has.move_to_end(what)
@@ -205,7 +203,7 @@ class WorkerPump(Pump):
 
     def _failed(self, channel: Channel, frame: Frame, error: Exception) -> None:
         """A picture that its worker did not survive is drawn by another once; its client is not let kill them all."""
-        avatar = frame.request.avatar
+        avatar = channel.shown.name
         if isinstance(error, FormatError):
             self._refuses[avatar] = self._clock() + _REFUSED
             frame.moved = self._others.elsewhere(self, channel)

@@ -16,10 +16,9 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 
 from glsplat.errors import GlsplatError
-from glsplat.net.backend import Backend, Interruptible, Rendered
+from glsplat.net.backend import Backend, Interruptible, Rendered, RenderJob
 from glsplat.net.codec.encode import Encoder
 from glsplat.net.drawing import encode
-from glsplat.net.messages import RenderRequest
 from glsplat.net.workers.wire import Drawn, Kind, Reader, failure_of, greet, pack
 
 __all__ = ["GREETING", "work"]
@@ -46,7 +45,7 @@ def work(
 class _Worker:
     def __init__(self, connection: socket.socket, key: bytes, make: Callable[[], Backend]) -> None:
         self._connection, self._reader, self._make = connection, Reader(connection, key), make
-        self._orders: queue.SimpleQueue[tuple[int, RenderRequest] | None] = queue.SimpleQueue()
+        self._orders: queue.SimpleQueue[tuple[int, RenderJob] | None] = queue.SimpleQueue()
         self._sending = threading.Lock()
         self._abandoned = 0  # the newest picture that nobody wants
         self._encoder = Encoder()
@@ -88,11 +87,11 @@ class _Worker:
             pass
         os._exit(0)
 
-    def _draw(self, backend: Backend, number: int, request: RenderRequest) -> None:
+    def _draw(self, backend: Backend, number: int, job: RenderJob) -> None:
         if isinstance(backend, Interruptible):
             backend.abandoned = lambda: self._abandoned == number
         try:
-            rendered = backend.render(request)
+            rendered = backend.render(job)
         except Exception as error:
             text = "" if isinstance(error, GlsplatError) else traceback.format_exc()  # for the gateway's log
             self._send(pack(Kind.FAILED, number, failure_of(error, text)))
@@ -101,11 +100,11 @@ class _Worker:
         levels, box = tuple(map(int, rendered.levels)), rendered.box
         drawn = Drawn(len(rendered.images), timings, levels, rendered.coarsest, rendered.posed, box)
         self._send(pack(Kind.DRAWN, number, drawn))
-        self._encode_threads.submit(self._encode, number, rendered, request)
+        self._encode_threads.submit(self._encode, number, rendered, job)
 
-    def _encode(self, number: int, rendered: Rendered, request: RenderRequest) -> None:
+    def _encode(self, number: int, rendered: Rendered, job: RenderJob) -> None:
         try:
-            message = pack(Kind.ENCODED, number, encode(self._encoder, rendered, request))
+            message = pack(Kind.ENCODED, number, encode(self._encoder, rendered, job.options))
         except Exception as error:
             message = pack(Kind.FAILED, number, failure_of(error, traceback.format_exc()))
         finally:

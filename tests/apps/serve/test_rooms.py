@@ -15,7 +15,7 @@ from apps.serve import command as serve
 from apps.serve.rooms import RoomChoice, check_rooms, open_rooms, room_choice
 from apps.usage import UsageError
 from glsplat.net.backend import Offered, Solved
-from glsplat.net.messages import RenderRequest
+from glsplat.net.messages import Request
 from glsplat.net.server import ServerConfig
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.skeleton import Skeleton
@@ -27,7 +27,7 @@ RIG = Skeleton.from_joints(JOINT_NAMES, [-1] + [0] * 54, np.zeros((55, 3)))
 
 
 class Solver:
-    def solve(self, request: RenderRequest, now: float) -> Solved:
+    def solve(self, request: Request, now: float) -> Solved:
         return Solved(Pose.zero(55), request.cameras)
 
 
@@ -92,7 +92,7 @@ def test_a_crowd_is_one_command(capsys: pytest.CaptureFixture[str], tmp_path: Pa
         assert all(one["shown"] > 0 and one["errors"] == 0 for one in out)
         people = {one.name for request in backend.drawn if request.room for one in request.room.people}
         assert people == {"guest 1", "guest 2", "guest 3"}
-        assert all(request.hide == ("head",) for request in backend.drawn)
+        assert all(request.options.hide == ("head",) for request in backend.drawn)
         # each is elsewhere in the recording
         heads = {tuple(np.round(request.cameras[0].position, 4)) for request in backend.drawn}
         assert len(heads) > 3

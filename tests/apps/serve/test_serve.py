@@ -30,13 +30,14 @@ from glsplat.camera import head_matrix, stereo_cameras
 from glsplat.data import default_avatar
 from glsplat.errors import GlsplatError, PoseError, ProtocolError
 from glsplat.formats import save
+from glsplat.net.backend import RenderJob
 from glsplat.net.backends.gl import RendererBackend
 from glsplat.net.backends.server import make_server
 from glsplat.net.backends.tracking import TrackingSolver
 from glsplat.net.client import Client
 from glsplat.net.codec.encode import encode_picture
 from glsplat.net.guard.limits import Limits
-from glsplat.net.messages import Decoder, RenderRequest, eye_fields
+from glsplat.net.messages import Decoder, eye_fields
 from glsplat.net.reply import decode_picture
 from glsplat.net.server import Server, ServerConfig
 from glsplat.skinning.pose import Pose
@@ -172,8 +173,8 @@ def test_the_mirror_image_is_the_picture_of_the_mirrored_view():
         images = {}
         for mirror in (False, True):
             request = Decoder(WireOptions(mirror=mirror)).decode(text)
-            object.__setattr__(request, "pose", Pose(pose, np.zeros(3)))
-            images[mirror] = backend.render(request).images[..., :3].astype(int)
+            job = RenderJob(cameras=request.cameras, pose=Pose(pose, np.zeros(3)))
+            images[mirror] = backend.render(job).images[..., :3].astype(int)
     finally:
         backend.close()
     flipped = images[False][::-1, :, ::-1]
@@ -237,7 +238,7 @@ def test_viewers_get_their_own_pictures():
     viewers = list(parameters(64))
     backend = RendererBackend(default_avatar(), (64, 64))
     backend.open()
-    alone = [backend.render(RenderRequest(frame_id=1, cameras=eyes, pose=pose)).images for eyes, pose in viewers]
+    alone = [backend.render(RenderJob(frame_id=1, cameras=eyes, pose=pose)).images for eyes, pose in viewers]
     backend.close()
     assert len({image.tobytes() for image in alone}) == 3
 
@@ -387,7 +388,6 @@ def tracked(frame_id, x, **more):
 def test_tracking_becomes_a_pose_in_the_avatars_space():
     from glsplat.net.messages import Decoder
     from glsplat.tracking.calibration import Calibration
-    from glsplat.tracking.sample import Sample
     from glsplat.tracking.tracker import Tracker
 
     skeleton = default_avatar().skeleton
@@ -396,7 +396,7 @@ def test_tracking_becomes_a_pose_in_the_avatars_space():
     decoder = Decoder()
     requests = [decoder.decode(json.dumps(tracked(i, i * 0.005))) for i in range(20)]
     for request in requests:
-        expected = alone.update(Sample.from_json(request.tracking, request.t / 1e3))
+        expected = alone.update(request.tracking)
     for request in requests:
         solved = solver.solve(request, 0.0)
     np.testing.assert_array_equal(solved.pose.rotations, expected.rotations)

@@ -12,11 +12,10 @@ import simplejpeg
 from numpy.typing import NDArray
 
 import glsplat
-from glsplat.net.backend import Rendered
+from glsplat.net.backend import Rendered, RenderJob
 from glsplat.net.backends.gl import RendererBackend
 from glsplat.net.backends.server import offered
 from glsplat.net.codec.encode import Encoder
-from glsplat.net.messages import RenderRequest
 from tests.browser.conftest import OpenPage
 from tests.browser.vr import SIDE, enter, fresh, hands, pose, see, steer, visit
 
@@ -31,9 +30,9 @@ class Kept(RendererBackend):
 
     def __init__(self, avatar: glsplat.Avatar) -> None:
         super().__init__(avatar, (512, 512))
-        self.kept: dict[int, tuple[RenderRequest, Rendered]] = {}
+        self.kept: dict[int, tuple[RenderJob, Rendered]] = {}
 
-    def render(self, request: RenderRequest) -> Rendered:
+    def render(self, request: RenderJob) -> Rendered:
         rendered = super().render(request)
         kept = replace(rendered, images=rendered.images.copy())
         self.kept = dict(list(self.kept.items())[-8:]) | {request.frame_id or 0: (request, kept)}

@@ -12,8 +12,9 @@ import pytest
 
 from glsplat.net.backend import Offered
 from glsplat.tracking.recording import replay
+from glsplat.tracking.sample import Sample, wrist_from_grip
 from tests.browser.conftest import OpenPage
-from tests.browser.markers import as_tracked
+from tests.browser.markers import as_tracked, samples
 from tests.browser.opened import Opened
 from tests.browser.stored import StoredPairs
 from tests.browser.vr import enter, hands, pose, steer, visit
@@ -32,13 +33,13 @@ class Told:
         self.users.append((height, span))
         return as_tracked(height, span)
 
-    def tracked(self, page: Opened, after: int = 0, timeout: float = 60.0) -> dict[str, Any]:
+    def tracked(self, page: Opened, after: int = 0, timeout: float = 60.0) -> Sample:
         """The newest tracking among the requests from number ``after`` on; waits for one."""
         end = time.monotonic() + timeout
-        while not (told := [r.tracking for r in self.backend.requests[after:] if r.tracking is not None]):
+        while not (told := [job for job in self.backend.requests[after:] if job.frame_id in samples]):
             assert time.monotonic() < end, f"no tracking within {timeout:g} s\n{page.state()}"
             page.wait(0.05)
-        return told[-1]
+        return samples[told[-1].frame_id or 0]
 
 
 @pytest.fixture
@@ -84,7 +85,7 @@ def test_a_typed_height_finds_the_floor(open_page: OpenPage, serve: Any, told: T
     page.until(f"window.glsplat.stats().shown > {shown + 5}")
     assert told.users[-1][0] == pytest.approx(1.75)
     tracking = told.tracked(page, after=count)
-    assert tracking["head"][1] == pytest.approx(0.936 * 1.75, abs=0.002)
+    assert tracking.head[1] == pytest.approx(0.936 * 1.75, abs=0.002)
 
 
 def test_only_arms_that_the_server_takes_are_told(modules: Opened) -> None:
@@ -177,7 +178,7 @@ def test_controllers_close_the_hands(open_page: OpenPage, serve: Any, told: Told
         page.until(f"window.glsplat.stats().shownId > {sent}")
         count = len(told.backend.requests)
         tracking = told.tracked(page, after=count)
-        assert tracking.get("left_grip") is None and tracking.get("right") is None
-        np.testing.assert_allclose(tracking["right_grip"], grip, atol=2e-6)
-        curls.append(tracking["right_curl"])
+        assert tracking.left is None
+        np.testing.assert_allclose(tracking.right, wrist_from_grip(tuple(grip), "right"), atol=4e-6)
+        curls.append(tracking.right_curl)
     assert 0 <= curls[0] < curls[1] < curls[2] == pytest.approx(1)

@@ -11,7 +11,7 @@ from glsplat.net.backend import Offered
 from glsplat.net.guard.access import Access
 from glsplat.net.server import ServerConfig
 from tests.browser.conftest import OpenPage
-from tests.browser.markers import as_tracked
+from tests.browser.markers import as_tracked, samples
 from tests.browser.opened import Opened
 from tests.browser.stored import StoredPairs
 from tests.browser.vr import enter, hands, pose, steer, visit
@@ -86,13 +86,13 @@ def test_what_is_sent_is_what_the_device_says(open_page: OpenPage, serve: Any) -
     count = len(backend.requests)
     page.until(f"(() => {{ fakeXR.step(); return window.glsplat.stats().shown > {count + 1}; }})()")
     request = backend.requests[-1]
-    assert request.tracking is not None
-    np.testing.assert_allclose(request.tracking["head"], head, atol=2e-6)
-    np.testing.assert_allclose(request.tracking["left"], left, atol=2e-6)
-    np.testing.assert_allclose(request.tracking["right"], right, atol=2e-6)
-    joints = np.reshape(request.tracking["left_joints"], (25, -1))[:, :3]
+    sample = samples[request.frame_id or 0]
+    np.testing.assert_allclose(sample.head, head, atol=2e-6)
+    np.testing.assert_allclose(sample.left, left, atol=2e-6)
+    np.testing.assert_allclose(sample.right, right, atol=2e-6)
+    joints = np.reshape(sample.left_joints, (25, -1))[:, :3]
     np.testing.assert_allclose(joints, [j[:3] for j in hands(left, None)["left"]["joints"]], atol=2e-6)
-    assert request.hide == ("head",)
+    assert request.options.hide == ("head",)
     apart = [camera.position for camera in request.cameras]
     assert np.linalg.norm(apart[1] - apart[0]) == pytest.approx(0.063, abs=1e-5)
     for name, camera in zip(("left", "right"), request.cameras, strict=True):
@@ -269,6 +269,6 @@ def test_another_emulated_headset_is_served_as_well(open_page: OpenPage, serve: 
           return [window.glsplat.stats().shownId, [0, 1].map((eye) => stamps.findLast((u) => u.eye === eye).id)];
         }""")
         assert held == [told, told]
-    tracking = backend.requests[-1].tracking
-    assert tracking is not None and len(np.ravel(tracking["right_joints"])) in (75, 175)
-    assert np.ptp([r.tracking["right"][1] for r in backend.requests if (r.tracking or {}).get("right")]) > 0.01
+    sent = [samples[job.frame_id] for job in backend.requests if job.frame_id in samples]
+    assert len(np.ravel(sent[-1].right_joints)) in (75, 175)
+    assert np.ptp([sample.right[1] for sample in sent if sample.right is not None]) > 0.01

@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from glsplat.net.backend import Rendered
-from glsplat.net.messages import RenderRequest
+from glsplat.net.backend import Rendered, RenderJob
+from glsplat.tracking.sample import Sample
 from tests.browser.conftest import OpenPage
-from tests.browser.markers import Markers, offered
+from tests.browser.markers import Markers, offered, samples
 from tests.browser.opened import Opened
 from tests.browser.vr import angle, centroid, enter, fresh, hands, pose, project, see, steer, visit
 
@@ -27,10 +27,10 @@ SIDES = ("left", "right")
 GUARD = 60.0  # seconds after which something hangs
 
 
-def at_hands(request: RenderRequest) -> dict[str, Any]:
+def at_hands(job: RenderJob) -> dict[str, Any]:
     """Red on the right hand, green on the left."""
-    tracking = request.tracking or {}
-    hands = {"red": tracking.get("right"), "green": tracking.get("left")}
+    sample = samples.get(job.frame_id or 0, Sample(0.0))
+    hands = {"red": sample.right, "green": sample.left}
     return {colour: wrist[:3] for colour, wrist in hands.items() if wrist}
 
 
@@ -134,7 +134,7 @@ class Held(Markers):
 
     begun, last = 0, 1 << 53
 
-    def render(self, request: RenderRequest) -> Rendered:
+    def render(self, request: RenderJob) -> Rendered:
         self.begun = request.frame_id or 0
         end = time.monotonic() + GUARD
         while self.begun > self.last and time.monotonic() < end:

@@ -22,7 +22,7 @@ import psutil
 
 from glsplat.data import default_avatar
 from glsplat.errors import GlsplatError
-from glsplat.net.messages import MAX_ID, Decoder, RenderRequest, WireOptions
+from glsplat.net.messages import MAX_ID, Decoder, Request, WireOptions
 from glsplat.net.session import Close, Session, SessionConfig, Warn
 from glsplat.tracking.calibration import Calibration
 from tests.net.attacks.mutations import damaged, mutated, written
@@ -108,8 +108,8 @@ class _Peer:
         parts = frozenset({"head"} if self.chance.random() < 0.8 else ())
         options = WireOptions(mirror=self.chance.random() < 0.2)
         self.window = self.chance.randint(1, 8)
-        self.session = Session(Decoder(options, skeleton, "", parts), SessionConfig(window=self.window), self.now)
-        self.taken: list[RenderRequest] = []
+        self.session = Session(Decoder(options, skeleton, parts), SessionConfig(window=self.window), self.now)
+        self.taken: list[Request] = []
         self.newest = -1
         self.limit = options.max_side
         from glsplat.net.backends.tracking import TrackingSolver
@@ -129,26 +129,25 @@ class _Peer:
                 self.begin()
                 return "closed"
             return str(error["code"])
-        accepted = self.session.accepted
-        if accepted is not None:
-            self.check(accepted)
+        if outcome is not None:
+            self.check(outcome)
         self.pump()
-        return "nothing asked" if accepted is None else "accepted"
+        return "nothing asked" if outcome is None else "accepted"
 
-    def check(self, r: RenderRequest) -> None:
+    def check(self, r: Request) -> None:
         """What the renderer is promised."""
         assert r.frame_id is not None and self.newest < r.frame_id <= MAX_ID
         self.newest = r.frame_id
         assert 1 <= len(r.cameras) <= 2 and len(r.eyes) == len(r.cameras) and set(r.eyes) <= {0, 1}
-        assert r.hide in ((), ("head",)) and r.avatar == ""
-        assert 1 <= r.quality <= 100 and np.isfinite(r.t or 0.0)
+        assert r.options.hide in ((), ("head",))
+        assert 1 <= r.options.quality <= 100 and np.isfinite(r.t or 0.0)
         for camera in r.cameras:
             assert 1 <= camera.width <= self.limit and 1 <= camera.height <= self.limit
             assert np.isfinite(camera.viewmat).all() and np.isfinite(camera.K).all()
         pose = r.pose
-        if r.tracking is not None and self.chance.random() < 0.05:
+        if r.tracking is not None and not r.fault and self.chance.random() < 0.05:
             try:
-                pose = self.solver.solve(r, self.now * 1e3).pose
+                pose = self.solver.solve(r, self.now).pose
             except GlsplatError:
                 return
         if pose is not None and len(pose.rotations) == len(self.skeleton) and self.chance.random() < 0.2:

@@ -15,7 +15,7 @@ from glsplat.camera import Camera, look_at, pinhole
 from glsplat.errors import ProtocolError
 from glsplat.net.accounts.users import User
 from glsplat.net.backend import Offered
-from glsplat.net.messages import RenderRequest, WireOptions
+from glsplat.net.messages import WireOptions
 from glsplat.net.options import NAME, NOT_ALLOWED, Asked, client_options
 from glsplat.net.rooms.person import AHEAD, FADE, SILENT, Moved, Person
 from glsplat.net.rooms.room import Room, RoomError
@@ -34,10 +34,6 @@ def pose(turn: float = 0.0, x: float = 0.0, joint: int = 16) -> Pose:
     rotations = np.zeros((55, 3))
     rotations[joint, 2] = turn
     return Pose(rotations, (x, 0, 0))
-
-
-def ask(frame_id: int = 1, camera: Camera = EYE) -> RenderRequest:
-    return RenderRequest(frame_id=frame_id, cameras=(camera,), hide=("head",))
 
 
 def moved(at: float, turn: float = 0.0, frame_id: int | None = None, t: float | None = None) -> Moved:
@@ -76,16 +72,15 @@ def test_everybody_is_shown_where_they_are() -> None:
     bob = room.join("Bob", "b", 0.0, place=place_at(1.0, 2.0, np.pi / 2))
     for person, turn in ((ann, 0.1), (bob, 0.2)):
         room.moved(person, replace(moved(0.0, turn), scale=1.1, floor=0.2))
-        room.look(person, ask(), moved(0.0, turn), 0.0)
-    asked = room.look(ann, ask(7), replace(moved(0.1, 0.3, 7), scale=1.1, floor=0.2), 0.1)
-    assert asked.room is not None and asked.pose is None
-    shown = {one.name: one for one in asked.room.people}
-    assert asked.room.viewer == shown["Ann"].key and shown["Ann"].frame_id == 7
+        room.look(person, (EYE,), moved(0.0, turn), 0.0)
+    cameras, view = room.look(ann, (EYE,), replace(moved(0.1, 0.3, 7), scale=1.1, floor=0.2), 0.1)
+    shown = {one.name: one for one in view.people}
+    assert view.viewer == shown["Ann"].key and shown["Ann"].frame_id == 7
     assert shown["Ann"].pose is not None and shown["Ann"].pose.rotations[16, 2] == 0.3
     # x = 1 of Bob's own, on his floor, of an avatar that is 1.1 times larger in the room
     there = shown["Bob"].transform @ (1, 0, 0, 1)
     assert np.allclose(there[:3], (1.0, 0.2, 2.0 - 1.1))
-    (camera,) = asked.cameras
+    (camera,) = cameras
     point = ann.seat @ (0.3, 1.5, 1.0, 1.0)  # what Ann has before her, in the room
     assert np.allclose(camera.viewmat @ point, EYE.viewmat @ (0.3, 1.5, 1.0, 1.0))
 
@@ -94,7 +89,7 @@ def test_the_mirror_is_that_of_the_users_own_space() -> None:
     room = Room("lab")
     person = room.join("Ann", "a", 0.0, place=place_at(3, 1, 0.7))
     mirrored = Camera(EYE.viewmat @ FLIP_X, EYE.K, 64, 64)
-    (camera,) = room.look(person, ask(camera=mirrored), moved(0.0), 0.0).cameras
+    ((camera,), _) = room.look(person, (mirrored,), moved(0.0), 0.0)
     seen = camera.viewmat @ person.seat @ (0.4, 1.5, 1, 1)
     assert np.allclose(seen, EYE.viewmat @ (-0.4, 1.5, 1, 1))
 
@@ -109,7 +104,7 @@ def test_in_a_tick_everybody_changes_once() -> None:
             now = round_ + 0.1 * number
             own = moved(now, 0.01 * round_ + 0.001 * number)
             room.moved(person, own)
-            view = room.look(person, ask(round_), own, now).room
+            _, view = room.look(person, (EYE,), own, now)
             assert view is not None and view.tick == round_
             for one in view.people:
                 poses = seen[one.name]
@@ -126,7 +121,7 @@ def test_who_asks_for_no_pictures_moves_on_with_the_ticks() -> None:
     for tick in range(4):
         now = 0.02 * tick
         room.moved(bob, moved(now, 0.1 * tick, tick, 20.0 * tick))
-        view = room.look(ann, ask(tick), moved(now), now).room
+        _, view = room.look(ann, (EYE,), moved(now), now)
         assert view is not None
         bobs = [one for one in view.people if one.name == "Bob"]
         assert [one.frame_id for one in bobs] == ([] if tick == 0 else [tick])
@@ -168,12 +163,12 @@ def test_who_is_silent_fades_and_who_is_lost_goes() -> None:
     ann, bob = room.join("Ann", "a", 0.0), room.join("Bob", "a", 0.0)
 
     def bobs(now: float) -> list[float]:
-        view = room.look(ann, ask(), moved(now), now).room
+        _, view = room.look(ann, (EYE,), moved(now), now)
         assert view is not None
         return [round(one.opacity, 6) for one in view.people if one.name == "Bob"]
 
     room.moved(bob, moved(1.0))
-    room.look(bob, ask(), moved(1.0), 1.0)
+    room.look(bob, (EYE,), moved(1.0), 1.0)
     room.lost(bob)
     assert bobs(1.0 + SILENT - 0.01) == [1.0]
     assert bobs(1.0 + SILENT + FADE / 2) == [0.5]
@@ -181,11 +176,11 @@ def test_who_is_silent_fades_and_who_is_lost_goes() -> None:
     # a connection that only sends nothing: gone from sight, not from the room
     carl = room.join("Carl", "a", 5.0)
     room.moved(carl, moved(5.0))
-    room.look(carl, ask(), moved(5.0), 5.0)
-    view = room.look(ann, ask(), moved(9.0), 9.0).room
+    room.look(carl, (EYE,), moved(5.0), 5.0)
+    _, view = room.look(ann, (EYE,), moved(9.0), 9.0)
     assert view is not None and {one.name: one.opacity for one in view.people}["Carl"] == 0.0
     room.moved(carl, moved(9.5))
-    view = room.look(ann, ask(), moved(9.6), 9.6).room
+    _, view = room.look(ann, (EYE,), moved(9.6), 9.6)
     assert view is not None and {one.name: one.opacity for one in view.people}["Carl"] == 1.0
     room.left(carl)
     assert room.count(9.7) == 1
@@ -233,7 +228,7 @@ class Slow(float):
         lambda room, ann, at: room.count(at),
         lambda room, ann, at: room.evened(at),
         lambda room, ann, at: room.join("Carl", "a", at),
-        lambda room, ann, at: room.look(ann, ask(), moved(1.0), at),
+        lambda room, ann, at: room.look(ann, (EYE,), moved(1.0), at),
     ],
     ids=["status", "count", "evened", "join", "look"],
 )

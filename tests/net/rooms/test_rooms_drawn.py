@@ -17,6 +17,7 @@ from glsplat.camera import Camera, head_matrix, look_at, pinhole, stereo_cameras
 from glsplat.config import RenderConfig
 from glsplat.data import default_avatar
 from glsplat.gl.context import Context, create_context
+from glsplat.net.backend import RenderJob
 from glsplat.net.backends.labels import Label, notice
 from glsplat.net.backends.lettering import draw_labels
 from glsplat.net.backends.room import RoomStand
@@ -24,7 +25,7 @@ from glsplat.net.backends.server import make_server
 from glsplat.net.backends.shown import Stand, Stands
 from glsplat.net.client import Client
 from glsplat.net.codec.encode import Encoder
-from glsplat.net.messages import RenderRequest, WireOptions
+from glsplat.net.messages import PictureOptions, WireOptions
 from glsplat.net.rooms.view import Present, RoomView
 from glsplat.net.server import ServerConfig
 from glsplat.renderer import Renderer
@@ -37,6 +38,7 @@ from tests.scenes import cloud
 SIZE = 128
 # 1.6 m high, looking along +z: to the middle of the room
 EYES = stereo_cameras(head_matrix((0, 1.5, 0.1), (0, 1, 0, 0)), size=(SIZE, SIZE))
+HEADLESS = PictureOptions(hide=("head",))
 
 
 @pytest.fixture(scope="module")
@@ -135,8 +137,8 @@ def test_each_person_is_skinned_once_a_tick(context: Context, person: Avatar) ->
     for tick in range(4):
         for viewer in range(6):
             people[viewer] = replace(people[viewer], pose=arm(tick + viewer))
-            request = RenderRequest(
-                frame_id=1, cameras=tuple(EYES), hide=("head",), room=RoomView("lab", tick, viewer, tuple(people))
+            request = RenderJob(
+                frame_id=1, cameras=tuple(EYES), options=HEADLESS, room=RoomView("lab", tick, viewer, tuple(people))
             )
             stand = stands.of(request)
             stand.follow(request, 0.0)
@@ -159,7 +161,7 @@ def drawing(context: Context) -> Callable[[Scene], Renderer]:
     return partial(Renderer, size=(SIZE, SIZE), config=RenderConfig(output="uint8"), context=context)
 
 
-def left_out(stand: Stand | RoomStand, request: RenderRequest) -> list[Item]:
+def left_out(stand: Stand | RoomStand, request: RenderJob) -> list[Item]:
     return [item for item in stand.scene if not item.layers & stand.views(request)[0].layers]
 
 
@@ -175,13 +177,13 @@ def test_labels_cannot_be_left_out_and_fade_with_their_people(context: Context, 
         Present(1, "Ann", "", arm(0), np.eye(4), label="driven by Ann"),
         Present(2, "Bob", "", arm(1), similarity((0, 0, 2)), opacity=0.0, label="driven by Bob"),
     )
-    request = RenderRequest(frame_id=1, cameras=tuple(EYES), room=RoomView("lab", 0, 1, two))
+    request = RenderJob(frame_id=1, cameras=tuple(EYES), room=RoomView("lab", 0, 1, two))
     stand = stands.of(request)
     stand.follow(request, 0.0)
     assert [label.text for label in stand.labels(request)] == ["driven by Ann", "driven by Bob"]
     assert [label.opacity for label in stand.labels(request)] == [1.0, 0.0]
     assert [item.name for item in left_out(stand, request)] == ["Bob", "Bob"]
-    own = replace(request, hide=("head",))
+    own = replace(request, options=HEADLESS)
     assert [label.text for label in stand.labels(own)] == ["driven by Bob"]
     assert len(left_out(stand, own)) == 3
     gone = replace(request, room=RoomView("lab", 1, 1, two[:1]))
@@ -197,7 +199,8 @@ def test_a_person_of_triangles_loses_the_head_for_their_own_eyes_only(context: C
     places = (np.eye(4), similarity((0.5, 0, 2)))
     two = tuple(Present(i, f"P{i}", "", poses[i], places[i]) for i in range(2))
     for viewer, hide in ((0, ("head",)), (1, ("head",)), (0, ())):
-        request = RenderRequest(frame_id=1, cameras=tuple(EYES), hide=hide, room=RoomView("lab", 0, viewer, two))
+        room = RoomView("lab", 0, viewer, two)
+        request = RenderJob(frame_id=1, cameras=tuple(EYES), options=PictureOptions(hide=hide), room=room)
         stand = stands.of(request)
         stand.follow(request, 0.0)
         images = stand.renderer.render(stand.views(request))

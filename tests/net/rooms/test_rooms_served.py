@@ -14,10 +14,10 @@ import pytest
 
 from glsplat.camera import head_matrix, stereo_cameras
 from glsplat.errors import ProtocolError
-from glsplat.net.backend import Offered, Solved
+from glsplat.net.backend import Offered, RenderJob, Solved
 from glsplat.net.client import Client
 from glsplat.net.guard.limits import Limits
-from glsplat.net.messages import RenderRequest
+from glsplat.net.messages import Request
 from glsplat.net.rooms.person import FADE, SILENT
 from glsplat.net.server import Server, ServerConfig
 from glsplat.skinning.pose import Pose
@@ -35,9 +35,9 @@ POSE = {"root_pose": [0, 0.1, 0]}
 class Solver:
     """Puts the head's x into the root."""
 
-    def solve(self, request: RenderRequest, now: float) -> Solved:
+    def solve(self, request: Request, now: float) -> Solved:
         assert request.tracking is not None
-        return Solved(Pose(np.zeros((55, 3)), (request.tracking["head"][0], 0, 0)), request.cameras, scale=2.0)
+        return Solved(Pose(np.zeros((55, 3)), (request.tracking.head[0], 0, 0)), request.cameras, scale=2.0)
 
 
 OFFERS = (
@@ -68,7 +68,7 @@ def test_each_sees_the_others_and_is_named(serve: Serve) -> None:
                 ]
                 assert room["people"][1]["frame_id"] == reply.frame_id
                 drawn = backend.drawn[-1]
-                assert drawn.room is not None and drawn.tracking is None and drawn.hide == ("head",)
+                assert drawn.room is not None and drawn.options.hide == ("head",)
                 bobs = drawn.room.people[1]
                 assert bobs.pose is not None and bobs.pose.trans[0] == 0.25 and bobs.label == "driven by Bob, synthetic"
                 assert np.allclose(np.linalg.det(bobs.transform[:3, :3]), 8)  # twice his avatar's size
@@ -170,7 +170,7 @@ def test_eight_in_a_room_have_equal_shares(serve: Serve, hands: Hands) -> None:
     """Of a renderer that is never idle; and each picture shows all eight, at most a tick apart."""
 
     async def talk() -> None:
-        def all_others_wait(request: RenderRequest) -> None:
+        def all_others_wait(request: RenderJob) -> None:
             """However long that takes: whose turn it is next is decided among all."""
             end = time.monotonic() + GUARD
             while started.is_set() and not over.is_set() and time.monotonic() < end:

@@ -10,8 +10,7 @@ from collections.abc import Callable
 import numpy as np
 
 from glsplat.errors import BudgetError, ContextError, FormatError, PoseError
-from glsplat.net.backend import Rendered
-from glsplat.net.messages import RenderRequest
+from glsplat.net.backend import Rendered, RenderJob
 
 __all__ = ["STEP", "Sleeper"]
 
@@ -34,7 +33,7 @@ class Sleeper:
             raise ContextError("no EGL device here")
         return f"sleeper {os.getpid()}"
 
-    def render(self, request: RenderRequest) -> Rendered:
+    def render(self, request: RenderJob) -> Rendered:
         camera = request.cameras[0]
         act = int(camera.K[0, 2])
         if request.avatar and request.avatar == self._without:

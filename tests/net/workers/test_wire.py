@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 from glsplat.errors import BudgetError, ContextError, FormatError, GlsplatError, PoseError
+from glsplat.net.backend import RenderJob
 from glsplat.net.codec.encode import Encoded
-from glsplat.net.messages import RenderRequest
+from glsplat.net.messages import PictureOptions
 from glsplat.net.workers import wire
 from glsplat.net.workers.wire import Drawn, Kind, Reader, WorkerLostError, Writer, greet, pack
 from tests.net.workers.fakes import camera
@@ -67,7 +68,7 @@ def test_what_was_said_cannot_be_said_back():
 
 def messages(count: int) -> list[bytes]:
     writer = Writer(b"k" * 32)
-    request = RenderRequest(frame_id=7, cameras=(camera(3),), quality=61, avatar="ann")
+    request = RenderJob(frame_id=7, cameras=(camera(3),), options=PictureOptions(quality=61), avatar="ann")
     return [writer.pack(Kind.DRAW, number, request) for number in range(1, count + 1)]
 
 
@@ -84,7 +85,7 @@ def test_a_request_arrives_as_it_is():
     first, second = messages(2)
     (_, one, _), (kind, two, request) = read(first + second, 2)
     assert (kind, one, two) == (Kind.DRAW, 1, 2)
-    assert (request.frame_id, request.quality, request.avatar) == (7, 61, "ann")
+    assert (request.frame_id, request.options.quality, request.avatar) == (7, 61, "ann")
     np.testing.assert_array_equal(request.cameras[0].K, camera(3).K)
 
 
