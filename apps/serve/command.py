@@ -215,7 +215,7 @@ def run(args: argparse.Namespace) -> int:
     scene = open_scene(args)
     avatars = other_avatars(args)
     policy = policy_of(args, scene, scene_name(args))
-    calibration = Calibration.load(args.calibration) if args.calibration else Calibration()
+    calibration = Calibration.load(args.calibration) if args.calibration else None
     server = make_server(
         scene,
         config,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import re
 
 from glsplat.data import default_avatar
 from glsplat.errors import FormatError
@@ -47,6 +48,14 @@ def skeleton_of(name: str | None) -> Skeleton:
         return default_avatar().skeleton
     skeleton = read_skeleton(name) if name.endswith(".npz") else load_avatar(name, "--avatar").skeleton
     return tracked(skeleton, name)
+
+
+def pattern_of(text: str, option: str) -> re.Pattern[str]:
+    """A regular expression; UsageError for one that is none."""
+    try:
+        return re.compile(text)
+    except re.error as error:
+        raise UsageError(f"{option} is no regular expression ({error})") from None
 
 
 def samples_of(name: str | None) -> list[Sample]:

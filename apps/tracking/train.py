@@ -13,13 +13,16 @@ import numpy as np
 from tqdm import tqdm
 
 from glsplat.errors import FormatError
-from glsplat.motion.motion import load_motion
+from glsplat.motion.motion import Motion, load_motion
 from glsplat.tracking.learned.network import save_network
+from glsplat.tracking.solve.body import Body
 from glsplat.tracking.training.clips import Clip, clips_of, looks_away, unit_of_skeleton
+from glsplat.tracking.training.doubting import doubting
 from glsplat.tracking.training.fit import FitConfig, evaluate, fit, network_of
+from glsplat.tracking.training.standing import Stance, stances_of, stood
 
 from ..usage import UsageError
-from .options import add_skeleton, skeleton_of
+from .options import add_skeleton, pattern_of, skeleton_of
 
 __all__ = ["add_train"]
 
@@ -52,24 +55,31 @@ def train(args: argparse.Namespace) -> int:
     """Read, fit, write, say."""
     if not (1 <= args.steps <= 10**6 and 1 <= args.units <= 1024):
         raise UsageError("--steps needs 1 to 1,000,000, --units 1 to 1024")
-    try:
-        groups = re.compile(args.groups)
-    except re.error as error:
-        raise UsageError(f"--groups is no regular expression ({error})") from None
+    groups = pattern_of(args.groups, "--groups")
     held = _part(args.hold_out)
     skeleton = skeleton_of(args.avatar)
     unit = unit_of_skeleton(skeleton)
     quiet = not sys.stderr.isatty()
     clips: list[Clip] = []
     dropped: list[str] = []
+    kept: list[tuple[str, Motion]] = []
+    stances: dict[str, list[Stance]] = {}
     for path in tqdm(_files(args.motions), unit="motion", disable=quiet, leave=False):
         match = groups.match(path.stem)
         group = match[1] if match and match.groups() else path.stem
-        some = clips_of(group, load_motion(str(path), skeleton), skeleton)
+        motion = load_motion(str(path), skeleton)
+        some = clips_of(group, motion, skeleton)
         if some and looks_away(some[0]):
             dropped.append(path.name)
-        else:
-            clips += some
+            continue
+        clips += some
+        kept.append((group, motion))
+        stances.setdefault(group, []).extend(stances_of(motion, skeleton))
+    rng = np.random.default_rng(args.seed)
+    for group, motion in kept:
+        standing = stood(motion, stances[group], skeleton, rng)
+        if standing is not None:
+            clips += clips_of(group, standing, skeleton, made=True)
     if dropped:
         print(f"left out, as the head looks away from the body throughout: {', '.join(dropped)}", file=sys.stderr)
     out = _left_out(sorted({clip.group for clip in clips}), held)
@@ -84,11 +94,15 @@ def train(args: argparse.Namespace) -> int:
 
         config = FitConfig(steps=args.steps, units=args.units, seed=args.seed)
         net, mean, spread = fit(seen, unit, config, show)
-    save_network(args.output, network_of(net, mean, spread, args.note))
+    network = network_of(net, mean, spread, args.note)
+    once = [clip for clip in seen if clip.plain]
+    save_network(args.output, doubting(network, once, Body.of(skeleton)))
     seconds = sum(len(clip.points) for clip in seen) / 30
     result = {"motions": len(seen), "seconds": round(seconds), "left_out": sorted(out)}
     if out:  # the motions as they are, not their mirror images or other speeds
-        result |= evaluate(net, mean, spread, [clip for clip in clips if clip.group in out and clip.plain], unit)
+        result |= evaluate(
+            net, mean, spread, [clip for clip in clips if clip.group in out and clip.plain and not clip.made], unit
+        )
     print(json.dumps(result) if args.json else "\n".join(f"{key:10} {value}" for key, value in result.items()))
     return 0
 

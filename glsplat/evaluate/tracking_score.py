@@ -11,13 +11,14 @@ from glsplat.errors import PoseError
 from glsplat.rotations import rotation_matrices
 from glsplat.tracking.solve.body import FEET, WRISTS
 
-__all__ = ["Score", "mean_score", "score"]
+__all__ = ["WINDOW", "Score", "mean_score", "score", "windows"]
 
 Array = NDArray[np.float64]
 
 BODY = slice(0, 22)  # the 22 joints of SMPL that the literature scores
 LOWER = (1, 2, 4, 5, 7, 8, 10, 11)
 UPPER = (3, 6, 9, 12, 13, 14, 15, 16, 17, 18, 19, 20, 21)
+WINDOW = 10.0  # seconds over which an error is a mean where the worst are looked for
 CONTACT = 0.02  # metres the ball of a foot may lie above its height on flat ground and count as planted
 
 
@@ -82,6 +83,12 @@ def score(
         skate_truth=_skate(truth[:, list(FEET)], sole, rate),
         penetration=float(np.maximum(sole - feet[..., 1].min(1), 0).mean() * 100),
     )
+
+
+def windows(positions: Array, truth: Array, rate: float) -> tuple[float, ...]:
+    """MPJPE in cm of each WINDOW seconds at least, all of one length."""
+    error = np.linalg.norm(positions - truth, axis=-1)[:, BODY].mean(1) * 100
+    return tuple([float(part.mean()) for part in np.array_split(error, max(1, int(len(error) / (WINDOW * rate))))])
 
 
 def mean_score(scores: list[Score]) -> Score:

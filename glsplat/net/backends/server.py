@@ -160,14 +160,15 @@ def offered(
 ) -> Offered:
     """What clients may ask of an avatar.
 
-    ``calibration`` is of users who tell neither height nor arm span. Tracking is solved for SMPL-X's rig.
+    ``calibration`` is of users who tell neither height nor arm span; without it their size is found.
+    Tracking is solved for SMPL-X's rig.
     """
     skeleton = avatar.skeleton
     parts = frozenset(part for part in PARTS if part in skeleton.names)
     if why := why_not_tracked(skeleton):
         return Offered(name=name, skeleton=skeleton, parts=parts, untracked=why)
     height = Body.of(skeleton).eye_height / EYES_OF_STATURE
-    base = calibration or Calibration()
+    base = calibration or Calibration(automatic=True)
 
     def solving(height: float | None, span: float | None) -> TrackingSolver:
         fitted = base if height is None else Calibration.of_height(skeleton, height, base.floor)

@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.errors import GlsplatError
-from glsplat.tracking.learned.frames import INPUTS, OUTPUTS, Seen, inputs_of, slower
+from glsplat.tracking.learned.frames import INPUTS, KNOWN, Seen, inputs_of, slower
 from glsplat.tracking.learned.network import Network
 from glsplat.tracking.training.clips import Clip, targets_of
 from glsplat.tracking.training.disturbed import disturbed
 
-__all__ = ["FitConfig", "evaluate", "fit", "network_of"]
+__all__ = ["FitConfig", "alone", "evaluate", "features", "fit", "network_of", "shares_of"]
 
 F32 = NDArray[np.float32]
 
@@ -36,6 +36,10 @@ class FitConfig:
     seed: int = 0
 
 
+MADE = 0.35  # of the sequences that are of clips made of parts of several
+ALIKE = 0.5  # power of a group's hours by which it is drawn: 1 would draw every hour alike, 0 everybody
+
+
 def _torch() -> Any:
     try:
         import torch
@@ -54,7 +58,7 @@ def module(config: FitConfig) -> Any:
             self.front = torch.nn.Linear(INPUTS, config.width)
             self.cell = torch.nn.GRU(config.width, config.units, batch_first=True)
             self.skip = torch.nn.Linear(config.units, config.width)
-            self.back = torch.nn.Linear(config.width, OUTPUTS)
+            self.back = torch.nn.Linear(config.width, KNOWN)
             self.drop = torch.nn.Dropout(0.1)
 
         def forward(self, x: Any) -> Any:
@@ -78,7 +82,8 @@ def features(seen: Seen, unit: float) -> F32:
     return inputs_of(one, before, means.reshape(b * t, 3, 2), unit).reshape(b, t, INPUTS)
 
 
-def _alone(seen: Seen) -> Seen:
+def alone(seen: Seen) -> Seen:
+    """A batch [1, T] of one sequence [T]."""
     return Seen(*[getattr(seen, name)[None] for name in Seen.__slots__])
 
 
@@ -92,15 +97,14 @@ def fit(
     rng = np.random.default_rng(config.seed)
     mean, spread = _normal(clips, unit)
     truths = [targets_of(clip, unit) for clip in clips]
-    sizes = np.array([len(clip.points) for clip in clips], np.float64)
-    share = sizes / sizes.sum()
+    share = shares_of(clips)
     net = module(config)
     best = torch.optim.AdamW(net.parameters(), lr=config.rate, weight_decay=0.02)
     plan = torch.optim.lr_scheduler.OneCycleLR(best, config.rate, total_steps=config.steps, pct_start=0.1)
     net.train()
     for step in range(config.steps):
         drawn = []
-        y = np.zeros((config.batch, config.length, OUTPUTS), np.float32)
+        y = np.zeros((config.batch, config.length, KNOWN), np.float32)
         known = np.zeros((config.batch, config.length), np.float32)
         for b, i in enumerate(rng.choice(len(clips), config.batch, p=share)):
             seen, whole = clips[i].seen, len(clips[i].points)
@@ -123,6 +127,20 @@ def fit(
         if progress:
             progress(step, float(loss.detach()))
     return net.eval(), mean, spread
+
+
+def shares_of(clips: Sequence[Clip]) -> NDArray[np.float64]:
+    """How often each clip is drawn: by its length, its group's, and whether it is made of several; sum 1."""
+    sizes = np.array([len(clip.points) for clip in clips], np.float64)
+    hours: dict[str, float] = {}
+    for clip, size in zip(clips, sizes.tolist(), strict=True):
+        hours[clip.group] = hours.get(clip.group, 0.0) + size
+    share = sizes * [hours[clip.group] ** (ALIKE - 1) for clip in clips]
+    made = np.array([clip.made for clip in clips])
+    if made.any() and not made.all():
+        share[made] *= MADE / share[made].sum()
+        share[~made] *= (1 - MADE) / share[~made].sum()
+    return np.asarray(share / share.sum())
 
 
 def _stacked(drawn: Sequence[Seen], length: int) -> Seen:
@@ -169,7 +187,7 @@ def _loss(said: Any, truth: Any, known: Any) -> Any:
 
 
 def _normal(clips: Sequence[Clip], unit: float) -> tuple[F32, F32]:
-    every = np.concatenate([features(_alone(clip.seen), unit)[0, ::7] for clip in clips])
+    every = np.concatenate([features(alone(clip.seen), unit)[0, ::7] for clip in clips])
     return every.mean(0), np.maximum(every.std(0), 0.05).astype(np.float32)
 
 
@@ -180,7 +198,7 @@ def evaluate(net: Any, mean: F32, spread: F32, clips: Sequence[Clip], unit: floa
     errors, right = [], []
     with torch.no_grad():
         for clip in clips:
-            said = net(torch.from_numpy((features(_alone(clip.seen), unit) - mean) / spread))[0].numpy()
+            said = net(torch.from_numpy((features(alone(clip.seen), unit) - mean) / spread))[0].numpy()
             truth = targets_of(clip, unit)
             errors.append(np.linalg.norm((said - truth)[:, :21].reshape(-1, 7, 3), axis=-1) * unit * 100)
             right.append((said[:, 45:] > 0) == (truth[:, 45:] > 0.5))
