@@ -184,10 +184,12 @@ def test_a_lying_count_is_refused_or_harmless_and_allocates_little(tmp_path: Pat
     if known.name in UNCOUNTED:
         assert not lies(data)
         return
-    while not refusals or made:
+    while True:
         path.write_bytes(pack(change, data))
         assert peak_of(read) < SMALL + 3 * (splats.nbytes + len(data))
-    assert len(refusals) >= 3
+        if not made:
+            break
+    assert refusals  # at least of what claims more than the file holds
     assert all(one.startswith(f"{path}: ") and "\n" not in one and len(one) < 600 for one in refusals)
 
 
