@@ -15,7 +15,21 @@ from random import Random
 from glsplat.skinning.expression import arkit_name
 from glsplat.tracking.reading import read_place, read_pose
 from glsplat.tracking.sample import Sample
-from glsplat.tracking.solve.quat import Quat, Vec, add, between, clamp, conj, dot, mul, rotate, scale, sub, unit
+from glsplat.tracking.solve.quat import (
+    Quat,
+    Vec,
+    add,
+    between,
+    clamp,
+    conj,
+    dot,
+    mul,
+    normalized,
+    rotate,
+    scale,
+    sub,
+    unit,
+)
 
 __all__ = ["IdleFace"]
 
@@ -27,6 +41,7 @@ FARTHEST = radians(22)  # of the eyes from straight ahead; farther, the head has
 NOTICED = radians(30)  # a face within this angle of straight ahead is looked at
 AT_FACE = 0.75  # of the leaps go to the face, from eye to eye to mouth, the others beside it
 FEATURES: tuple[Vec, ...] = ((-0.03, 0.0, 0.0), (0.03, 0.0, 0.0), (0.0, -0.07, 0.0))  # metres from between the eyes
+LEVEL = 0.5  # of a leap up or down: most of what there is to see lies at the height of the eyes
 BLINKS = 15 / 60  # a second
 SPARED = 1.0  # seconds after a blink without another
 SHIFT = radians(30)  # a leap of gaze beyond this is made with closed eyes
@@ -126,8 +141,8 @@ class IdleFace:
         size = radians(min(22.7, -6.9 * log(self._chance.uniform(0.6, 15.0) / 15.7)))
         way = self._chance.choice((0.0, 0.0, 0.5, 1.0, 1.0, 1.5)) * pi + self._chance.gauss(0.0, 0.25)
         # a turn about an axis across the line of sight, in the head's own axes
-        axis = rotate(turn, (-sin(way), cos(way), 0.0))
-        aside = rotate((cos(0.5 * size), *scale(axis, sin(0.5 * size))), base)
+        axis = rotate(turn, (-LEVEL * sin(way), cos(way), 0.0))
+        aside = rotate(normalized((cos(0.5 * size), *scale(axis, sin(0.5 * size)))), base)
         return add(place, scale(_within(aside, ahead), far))
 
     def _eye(self, place: Vec, turn: Quat, side: int, t: float) -> Vec:
