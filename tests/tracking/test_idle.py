@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 from math import cos, degrees, radians, sin
 
 import numpy as np
@@ -69,7 +70,7 @@ def test_while_the_head_turns_the_eyes_stay_on_their_point():
     samples = played(20, yaw=lambda t: 30 * np.sin(t))
     still = [
         degrees_between(in_world(a), in_world(b)) * RATE
-        for a, b in zip(samples, samples[1:], strict=False)
+        for a, b in pairwise(samples)
         if degrees_between(in_world(a), in_world(b)) * RATE < 30
     ]
     assert len(still) > 0.8 * len(samples)
