@@ -68,7 +68,7 @@ def stances_of(motion: Motion, skeleton: Skeleton) -> list[Stance]:
     for i in np.flatnonzero(stands):
         if i - last < EACH * RATE:
             continue
-        last = i
+        last = float(i)
         yaw = float(yaw_of(frames[i, PELVIS]))
         c, s = np.cos(yaw), np.sin(yaw)
         back = np.array([[c, 0, -s], [0, 1, 0], [s, 0, c]])
