@@ -72,7 +72,7 @@ class Guess:
         points = numbers[:, :21].reshape(n, 7, 3) * unit
         ahead = numbers[:, 21:33].reshape(n, 4, 3) * unit
         axes = numbers[:, 33:45].reshape(n, 2, 3, 2)
-        off = np.exp(np.clip(numbers[:, KNOWN:], SURE, UNSURE)) * unit
+        off = np.exp(np.clip(numbers[:, KNOWN:], SURE, UNSURE)) * np.float32(unit)
         return cls(points, ahead, axes[:, 0], axes[:, 1], numbers[:, 45:KNOWN], off.reshape(n, 2, -1))
 
 

@@ -44,7 +44,7 @@ def doubting(network: Network, clips: Sequence[Clip], body: Body) -> Network:
                 clip = replace(clip, seen=replace(clip.seen, tracked=np.zeros_like(clip.seen.tracked)))
             hidden, guessed = _guessed(network, clip, body)
             truth = clip.points[:, list(DOUBTED)]
-            both = np.stack((guessed, _solved(clip, body)), 1) - truth[:, None]
+            both = np.stack((guessed, _solved(clip, body)), 1) - truth[:, None].astype(float)
             seen.append(hidden)
             off.append(np.linalg.norm(both, axis=-1).reshape(len(truth), -1) / unit_of(body.eye_height))
             weight.append(np.full(len(truth), share / len(truth)))
