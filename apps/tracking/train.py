@@ -15,9 +15,7 @@ from tqdm import tqdm
 from glsplat.errors import FormatError
 from glsplat.motion.motion import Motion, load_motion
 from glsplat.tracking.learned.network import save_network
-from glsplat.tracking.solve.body import Body
 from glsplat.tracking.training.clips import Clip, clips_of, looks_away, unit_of_skeleton
-from glsplat.tracking.training.doubting import doubting
 from glsplat.tracking.training.fit import FitConfig, evaluate, fit, network_of
 from glsplat.tracking.training.standing import Stance, stances_of, stood
 
@@ -94,9 +92,7 @@ def train(args: argparse.Namespace) -> int:
 
         config = FitConfig(steps=args.steps, units=args.units, seed=args.seed)
         net, mean, spread = fit(seen, unit, config, show)
-    network = network_of(net, mean, spread, args.note)
-    once = [clip for clip in seen if clip.plain]
-    save_network(args.output, doubting(network, once, Body.of(skeleton)))
+    save_network(args.output, network_of(net, mean, spread, args.note))
     seconds = sum(len(clip.points) for clip in seen) / 30
     result = {"motions": len(seen), "seconds": round(seconds), "left_out": sorted(out)}
     if out:  # the motions as they are, not their mirror images or other speeds

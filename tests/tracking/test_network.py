@@ -25,7 +25,7 @@ from glsplat.tracking.solvers import embedded_network
 from glsplat.tracking.tracker import Tracker, TrackerConfig
 from glsplat.tracking.training.clips import clips_of, mirrored, targets_of, unit_of_skeleton
 from glsplat.tracking.training.disturbed import disturbed
-from glsplat.tracking.training.fit import _seen_from, alone, features
+from glsplat.tracking.training.fit import _alone, _seen_from, features
 
 F32 = NDArray[np.float32]
 
@@ -95,7 +95,7 @@ def test_broken_files_are_told_in_a_line(tmp_path: Path, rng: np.random.Generato
     save_network(path, replace(n, back_bias=n.back_bias * np.float32(np.nan)))
     says("back_bias is not finite")
     save_network(path, replace(n, back=n.back[:-1]))
-    says(r"back is float32 \(52, 5\)")
+    says(r"back is float32 \(46, 5\)")
     save_network(path, replace(n, cell=n.cell.astype(np.float64)))  # type: ignore[arg-type]
     says("cell is float64")
     arrays = {name: getattr(n, name) for name in ARRAYS}
@@ -154,7 +154,7 @@ def test_training_and_run_time_see_the_same(skeleton: Skeleton, rng: np.random.G
         hints.update(targets, 1 / rate)
     motion = load_motion("wave-and-turn", skeleton)
     clip = clips_of("somebody", motion, skeleton, (1.0,))[0]
-    want = features(alone(clip.seen), unit_of_skeleton(skeleton))[0]
+    want = features(_alone(clip.seen), unit_of_skeleton(skeleton))[0]
     heard = np.array(listening.heard)
     count = min(len(want), len(heard))
     assert count >= len(want) - 2

@@ -12,10 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = [
-    *("DOUBTED", "INPUTS", "KNOWN", "OUTPUTS", "RATE", "TICK"),
-    *("Guess", "Seen", "inputs_of", "level", "slower", "unit_of", "yaw_of"),
-]
+__all__ = ["INPUTS", "OUTPUTS", "RATE", "TICK", "Guess", "Seen", "inputs_of", "level", "slower", "unit_of", "yaw_of"]
 
 F32 = NDArray[np.float32]
 
@@ -28,18 +25,8 @@ INPUTS = 1 + 6 + 3 + 1 + 2 * len(MEMORIES) + 2 * HAND
 """Numbers in: eye height, two axes of the head, its velocity, its turning, where it was lately, two hands."""
 
 POINTS = ("pelvis", "left_knee", "right_knee", "left_ankle", "right_ankle", "left_foot", "right_foot")
-KNOWN = 3 * len(POINTS) + 12 + 12 + 2
-"""Numbers out that a truth has: POINTS, ankles and feet one tick ahead, two axes of pelvis and chest, logits of both
-feet's contact."""
-
-DOUBTED = (0, 5, 6)
-"""Of POINTS: pelvis and feet, of which it also says how far off they are."""
-
-OUTPUTS = KNOWN + 2 * len(DOUBTED)
-"""Numbers out: KNOWN, then logarithms of the mean distances, in units, that DOUBTED are off: its own, then those of the
-analytic solver."""
-
-SURE, UNSURE = -5.0, 1.0  # bounds of these logarithms: 7 mm, 2.7 m
+OUTPUTS = 3 * len(POINTS) + 12 + 12 + 2
+"""Numbers out: POINTS, ankles and feet one tick ahead, two axes of pelvis and chest, logits of both feet's contact."""
 
 
 @dataclass(slots=True)
@@ -63,17 +50,15 @@ class Guess:
     pelvis: F32  # [N, 3, 2] x and z axes of the pelvis, columns; not quite orthonormal
     chest: F32  # [N, 3, 2]
     contact: F32  # [N, 2] logits: above 0, the foot stands
-    off: F32  # [N, 2, 3] metres DOUBTED are off in the mean: its own, the analytic solver's; [N, 2, 0] of a truth
 
     @classmethod
     def of(cls, numbers: F32, unit: float) -> Guess:
-        """From [N, OUTPUTS], or a truth's [N, KNOWN]."""
+        """From [N, OUTPUTS]."""
         n = len(numbers)
         points = numbers[:, :21].reshape(n, 7, 3) * unit
         ahead = numbers[:, 21:33].reshape(n, 4, 3) * unit
         axes = numbers[:, 33:45].reshape(n, 2, 3, 2)
-        off: F32 = np.exp(np.clip(numbers[:, KNOWN:], SURE, UNSURE)) * np.float32(unit)
-        return cls(points, ahead, axes[:, 0], axes[:, 1], numbers[:, 45:KNOWN], off.reshape(n, 2, -1))
+        return cls(points, ahead, axes[:, 0], axes[:, 1], numbers[:, 45:])
 
 
 def unit_of(eye_height: float) -> float:

@@ -29,16 +29,13 @@ from glsplat.tracking.solve.quat import (
 )
 from glsplat.tracking.solve.solution import Targets
 
-__all__ = ["FootHint", "Hint", "Hints", "Off"]
+__all__ = ["FootHint", "Hint", "Hints"]
 
 Array = NDArray[np.float32]
 
 TORSO = (0.024, 0.024, 0.024)  # seconds: low passes, one after the other, by which torso and knees take up a guess
 JUMP = 0.04  # seconds in which a foot's goal takes up what a tick says otherwise than the one before
 NEVER = 1e-6
-
-Off = tuple[list[float], list[float]]
-"""Metres that pelvis, left and right foot are off in the mean, as the network says: its own, the analytic solver's."""
 
 
 @dataclass(slots=True)
@@ -62,7 +59,6 @@ class Hint:
     pelvis: Quat
     chest: Quat
     feet: tuple[FootHint, FootHint]
-    off: Off
 
 
 @dataclass(slots=True)
@@ -76,7 +72,6 @@ class _Said:
     now: tuple[Vec, Vec, Vec, Vec]  # ankles, feet
     ahead: tuple[Vec, Vec, Vec, Vec]  # one tick later
     stands: tuple[float, float]
-    off: Off
 
 
 _Pose = tuple[Quat, Quat, Vec, Vec, Vec, float, float]
@@ -199,7 +194,7 @@ class Hints:
                     add(eye, knees[side]),
                 )
             )
-        return Hint(add(eye, at), pelvis, chest, (feet[0], feet[1]), said.off)
+        return Hint(add(eye, at), pelvis, chest, (feet[0], feet[1]))
 
 
 def _between(a: Targets, b: Targets, part: float) -> Targets:
@@ -240,7 +235,6 @@ def _plain(guess: Guess, eye: Vec, yaw: float) -> _Said:
 
     feet = [world(v) for v in points[3:]]
     later = [world(v) for v in ahead]
-    mine, its = guess.off[0].tolist()
     stands = [1 / (1 + exp(-max(-30.0, min(30.0, c)))) for c in guess.contact[0].tolist()]
     return _Said(
         mul(facing, _rotation(guess.pelvis[0])),
@@ -250,7 +244,6 @@ def _plain(guess: Guess, eye: Vec, yaw: float) -> _Said:
         (feet[0], feet[1], feet[2], feet[3]),
         (later[0], later[1], later[2], later[3]),
         (stands[0], stands[1]),
-        (mine, its),
     )
 
 

@@ -18,7 +18,7 @@ __all__ = ["VERSION", "Network", "load_network", "save_network"]
 
 F32 = NDArray[np.float32]
 
-VERSION = 2
+VERSION = 1
 """Of the file and of what the numbers in and out mean (``frames.py``); another one is refused."""
 
 MOST = 1024  # units and width at most: a file that says more is not one of these

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from math import acos
 
 from glsplat.tracking.learned.doubt import Doubt
 from glsplat.tracking.learned.feet import Feet, Rest
 from glsplat.tracking.learned.hints import Hint, Hints
-from glsplat.tracking.learned.mixture import Mixture
 from glsplat.tracking.learned.network import Network
 from glsplat.tracking.learned.seat import Seat
 from glsplat.tracking.learned.steady import Steady
@@ -28,7 +26,6 @@ from glsplat.tracking.solve.quat import (
     mul,
     pull,
     rotate,
-    scale,
     slerp,
     sub,
     swing_twist_y,
@@ -44,6 +41,7 @@ from glsplat.tracking.solve.tracked import Pelvis
 
 __all__ = ["LearnedSolver"]
 
+PLAIN = 0.3  # of the pelvis that the analytic solver places
 BACK, FURTHER = 0.035, 0.2  # tangent of a lean back, and the share of what is beyond that is shown
 SHRINK = 0.6  # of what a body is said to be turned away from its head, that is shown without hands
 AHEAD, UNDER = 0.55, 0.75  # of a leg's length from below the hips to the balls of feet on a chair, and how surely
@@ -53,7 +51,8 @@ SWING = 0.7  # radians at most that the torso swings about the neck to bring the
 class LearnedSolver:
     """What ``Solver`` asks for. Head and reachable hands are exact, whatever the network says; feet do not slide.
 
-    Pelvis and feet are between the network's and the analytic solver's, nearer to what is less off (``Mixture``).
+    PLAIN of the pelvis is the analytic solver's: the two are off in different ways, so that a mean is nearer than the
+    worse of them, and where the network knows least of a person often nearer than either.
     Where the network has learned nothing (``Doubt``) all of it is the analytic solver's.
     """
 
@@ -62,7 +61,6 @@ class LearnedSolver:
         self.ground: Ground = Ground(body.eye_height)
         self.hints: Hints = Hints(body, network)
         self.doubt: Doubt = Doubt(body.eye_height)
-        self.mixture: Mixture = Mixture()
         self.steady: Steady = Steady()
         self.plain: AnalyticSolver = AnalyticSolver(body)
         self.seat: Seat = Seat(body.joints[PELVIS][1] - body.ground)
@@ -79,7 +77,6 @@ class LearnedSolver:
         self.ground.reset()
         self.hints.reset()
         self.doubt.reset()
-        self.mixture.reset()
         self.steady.reset()
         self.plain.reset()
         self.seat.reset()
@@ -107,15 +104,13 @@ class LearnedSolver:
         if steps is self.feet:
             self.plain.stepped(targets, plain, dt, shown=False)
         self.pelvis.update(targets.pelvis, targets.pelvis_turn, targets.eye, dt)
-        trunk, *legs = self.mixture.update(hint.off, dt)
         # a pelvis that is tracked is known better than by either
-        torso = self._mixed(targets, hint, plain, trunk * (1 - self.pelvis.share), lost, dt)
+        torso = self._mixed(targets, hint, plain, PLAIN * (1 - self.pelvis.share), lost, dt)
         place = self.seat.update(torso.pelvis_at, dt) if lost < 1 else None
         if place is not None:
             torso = self._torso(targets, hint, place)
         torso = self.pelvis.bring(self.spine, targets.eye, targets.head, torso)
         if steps is self.feet:
-            self._between(hint, legs)
             if place is not None:
                 self._seated(hint, torso)
             yaw = swing_twist_y(torso.pelvis) or 0.0
@@ -146,18 +141,7 @@ class LearnedSolver:
             return plain
         share += (1 - share) * lost
         hint.pelvis, hint.chest = slerp(hint.pelvis, plain.pelvis, share), slerp(hint.chest, plain.spine3, lost)
-        goal = pull(hint.pelvis_at, plain.pelvis_at, share)
-        return self._torso(targets, hint, self.steady.update(goal, dt))
-
-    def _between(self, hint: Hint, shares: Sequence[float]) -> None:
-        """Feet go to ``shares`` of where the analytic solver's are, and stand by as much as these do."""
-        for foot, other, share in zip(hint.feet, self.plain.legs.feet, shares, strict=True):
-            foot.knee = add(foot.knee, scale(sub(other.ball, foot.ball), 0.5 * share))
-            foot.ball = pull(foot.ball, other.ball, share)
-            foot.speed = pull(foot.speed, (other.x.speed, other.y.speed, other.z.speed), share)
-            foot.yaw += share * wrap(other.yaw - foot.yaw)
-            foot.pitch += share * (other.tilt.at - foot.pitch)
-            foot.stands += share * (float(other.planted) - foot.stands)
+        return self._torso(targets, hint, self.steady.update(pull(hint.pelvis_at, plain.pelvis_at, share), dt))
 
     def _seated(self, hint: Hint, torso: Torso) -> None:
         """Feet towards where those of somebody on a chair are: below the knees, the thighs ahead."""

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from glsplat.motion.motion import Motion
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.tracking.derive import truth_from_motion
-from glsplat.tracking.learned.frames import KNOWN, RATE, Seen, level, unit_of, yaw_of
+from glsplat.tracking.learned.frames import OUTPUTS, RATE, Seen, level, unit_of, yaw_of
 from glsplat.tracking.solve.body import ANKLES, FEET, HEAD, KNEES, PELVIS, SPINE3, WRISTS, Body
 
 __all__ = ["Clip", "clips_of", "looks_away", "mirrored"]
@@ -101,7 +101,7 @@ def looks_away(clip: Clip) -> bool:
 
 
 def targets_of(clip: Clip, unit: float) -> F32:
-    """[T, KNOWN] that the network should say; contacts 0 or 1. The last moment repeats what is ahead."""
+    """[T, OUTPUTS] that the network should say; contacts 0 or 1. The last moment repeats what is ahead."""
     t, yaw = len(clip.points), clip.seen.yaw
     ground = clip.seen.eye * np.array([1, 0, 1], np.float32)
     points = level(clip.points - ground[:, None], yaw)
@@ -112,7 +112,7 @@ def targets_of(clip: Clip, unit: float) -> F32:
         for m in (clip.pelvis, clip.chest)
     ]
     out = np.concatenate((points.reshape(t, 21) / unit, ahead.reshape(t, 12) / unit, *axes, clip.contact), -1)
-    assert out.shape[1] == KNOWN
+    assert out.shape[1] == OUTPUTS
     return out.astype(np.float32)
 
 

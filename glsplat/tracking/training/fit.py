@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.errors import GlsplatError
-from glsplat.tracking.learned.frames import INPUTS, KNOWN, Seen, inputs_of, slower
+from glsplat.tracking.learned.frames import INPUTS, OUTPUTS, Seen, inputs_of, slower
 from glsplat.tracking.learned.network import Network
 from glsplat.tracking.training.clips import Clip, targets_of
 from glsplat.tracking.training.disturbed import disturbed
 
-__all__ = ["FitConfig", "alone", "evaluate", "features", "fit", "network_of", "shares_of"]
+__all__ = ["FitConfig", "evaluate", "fit", "network_of", "shares_of"]
 
 F32 = NDArray[np.float32]
 
@@ -58,7 +58,7 @@ def module(config: FitConfig) -> Any:
             self.front = torch.nn.Linear(INPUTS, config.width)
             self.cell = torch.nn.GRU(config.width, config.units, batch_first=True)
             self.skip = torch.nn.Linear(config.units, config.width)
-            self.back = torch.nn.Linear(config.width, KNOWN)
+            self.back = torch.nn.Linear(config.width, OUTPUTS)
             self.drop = torch.nn.Dropout(0.1)
 
         def forward(self, x: Any) -> Any:
@@ -82,8 +82,7 @@ def features(seen: Seen, unit: float) -> F32:
     return inputs_of(one, before, means.reshape(b * t, 3, 2), unit).reshape(b, t, INPUTS)
 
 
-def alone(seen: Seen) -> Seen:
-    """A batch [1, T] of one sequence [T]."""
+def _alone(seen: Seen) -> Seen:
     return Seen(*[getattr(seen, name)[None] for name in Seen.__slots__])
 
 
@@ -104,7 +103,7 @@ def fit(
     net.train()
     for step in range(config.steps):
         drawn = []
-        y = np.zeros((config.batch, config.length, KNOWN), np.float32)
+        y = np.zeros((config.batch, config.length, OUTPUTS), np.float32)
         known = np.zeros((config.batch, config.length), np.float32)
         for b, i in enumerate(rng.choice(len(clips), config.batch, p=share)):
             seen, whole = clips[i].seen, len(clips[i].points)
@@ -187,7 +186,7 @@ def _loss(said: Any, truth: Any, known: Any) -> Any:
 
 
 def _normal(clips: Sequence[Clip], unit: float) -> tuple[F32, F32]:
-    every = np.concatenate([features(alone(clip.seen), unit)[0, ::7] for clip in clips])
+    every = np.concatenate([features(_alone(clip.seen), unit)[0, ::7] for clip in clips])
     return every.mean(0), np.maximum(every.std(0), 0.05).astype(np.float32)
 
 
@@ -198,7 +197,7 @@ def evaluate(net: Any, mean: F32, spread: F32, clips: Sequence[Clip], unit: floa
     errors, right = [], []
     with torch.no_grad():
         for clip in clips:
-            said = net(torch.from_numpy((features(alone(clip.seen), unit) - mean) / spread))[0].numpy()
+            said = net(torch.from_numpy((features(_alone(clip.seen), unit) - mean) / spread))[0].numpy()
             truth = targets_of(clip, unit)
             errors.append(np.linalg.norm((said - truth)[:, :21].reshape(-1, 7, 3), axis=-1) * unit * 100)
             right.append((said[:, 45:] > 0) == (truth[:, 45:] > 0.5))

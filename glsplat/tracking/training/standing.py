@@ -65,7 +65,7 @@ def stances_of(motion: Motion, skeleton: Skeleton) -> list[Stance]:
     out: list[Stance] = []
     rest = [np.arctan2(*np.subtract(body.rest[FEET[i]], body.rest[ANKLES[i]])[[0, 2]]) for i in (0, 1)]
     last = -np.inf
-    for i in np.flatnonzero(stands):
+    for i in np.flatnonzero(stands).tolist():
         if i - last < EACH * RATE:
             continue
         last = float(i)
