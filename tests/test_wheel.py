@@ -23,7 +23,7 @@ def test_the_wheel_renders_from_elsewhere(tmp_path: Path) -> None:
     assert "glsplat/py.typed" in names and "glsplat/data/default_avatar.glb" in names
     tables = {f"glsplat/making/fit/{name}.json" for name in ("landmark_offsets", "hand_offsets", "face_places")}
     assert "glsplat/data/open_body.npz" in names and tables <= set(names)
-    shaders = {p.name for p in (ROOT / "glsplat" / "shaders").glob("*.glsl")}
+    shaders = {p.name for p in (ROOT / "glsplat").rglob("*.glsl")}
     assert shaders == {Path(n).name for n in names if n.endswith(".glsl")}
     page = {p.relative_to(ROOT).as_posix() for p in (ROOT / "glsplat" / "net" / "web").rglob("*") if p.is_file()}
     assert "glsplat/net/web/index.html" in page and page <= set(names)

@@ -19,7 +19,7 @@ from glsplat.making.fit.solver import Solver
 from glsplat.making.fit.standing.doubt import doubts_of, unseen
 from glsplat.making.fit.standing.limbs import TRUNK, before_trunk, beside_arms, hidden_arms, layers
 from glsplat.making.fit.standing.stances import metres_of, misread, stances_of
-from glsplat.making.fit.view import View
+from glsplat.making.fit.view import View, apart
 from glsplat.meshes import vertex_normals
 from glsplat.skinning.smplx import JOINT_NAMES
 
@@ -57,6 +57,7 @@ _ARM_MARKS, _WRIST_MARKS = (13, 14, 15, 16), (15, 16)  # landmarks of elbows and
 # or seen that is hidden, arms that point elsewhere than the network's metres by their length; and that it is an unusual
 # stance. Weights chosen on eight made-up people in nine poses.
 _AGAINST, _UNUSUAL = (1.0, 2.0, 0.5, 6.0, 12.0), 2.0
+_FRONT = 45.0  # degrees; somebody who has turned so far still shows both forearms before the trunk
 _GOOD = 0.88, 2.0  # least overlap with the mask, most mean distance of landmarks in shares of the figure (%)
 
 _TRUST = {"wrist": 1.0, "elbow": 1.0, "head": 0.35, "neck": 0.35, "jaw": 0.35, "foot": 0.5, "ankle": 0.5}
@@ -156,7 +157,7 @@ def follow_outlines(solver: Solver, rounds: int, moved: F64 | None = None) -> No
         for index, view in enumerate(solver.views):
             rim, weights = _pulled(_rim(solver.body, solver.posed(index), view, moved), trust, view)
             solver.pull_to(index, rim, moved, weights)
-            if view.world is not None:
+            if apart(view.turn, 0.0) <= _FRONT and metres_of(view) is not None:  # from aside arms hide each other
                 solver.keep_before(index, *_shown_arms(solver.body, solver.posed(index), view))
         solver.solve(2)
         solver.weigh_landmarks()

@@ -275,14 +275,14 @@ def test_an_opengl_error_costs_that_picture_only(backend, caplog):
     async def main():
         server = Server(backend, ServerConfig(port=0))
         await server.start()
-        draw, gl = backend._stands.get().renderer.render, ctypes.CDLL("libGL.so.1")
+        prepare, gl = backend._stands.get().renderer.prepare, ctypes.CDLL("libGL.so.1")
 
-        def faulty(cameras, pose, **options):
+        def faulty(cameras, pose):
             if cameras[0].width == 80:
                 gl.glEnable(0x1234)  # GL_INVALID_ENUM
-            return draw(cameras, pose, **options)
+            return prepare(cameras, pose)
 
-        backend._stands.get().renderer.render = faulty
+        backend._stands.get().renderer.prepare = faulty
         try:
             async with Client(server.url) as good, Client(server.url) as bad:
                 before = await good.render(eyes, pose=pose)
@@ -291,7 +291,7 @@ def test_an_opengl_error_costs_that_picture_only(backend, caplog):
                         await bad.render(wide)
                     after = await good.render(eyes, pose=pose)
                     assert after.pictures == before.pictures
-                backend._stands.get().renderer.render = draw
+                backend._stands.get().renderer.prepare = prepare
                 assert (await bad.render(wide)).images()[0].shape == (64, 80, 3)
                 return server.stats()
         finally:

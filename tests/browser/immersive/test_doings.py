@@ -130,12 +130,12 @@ def test_a_body_that_the_device_tracks_is_sent(open_page: OpenPage, serve: Any, 
     """Places of the joints that drive the avatar, of a body that has more; without one there is no key."""
     body = {"hips": pose([0, 0.95, 0.02]), "left-foot-ball": pose([-0.1, 0.02, 0]), "chest": pose([0, 1.3, 0])}
     page = inside(open_page, serve, told, {"body": body})
-    found = told.tracked(page)["body"]
+    found = told.tracked(page).body
     assert found == {name: pytest.approx(body[name][:3], abs=2e-6) for name in ("hips", "left-foot-ball")}
     steer(page, body=None)
     count = len(told.backend.requests)
     page.until(f"window.glsplat.stats().shown > {page.stats()['shown'] + 3}")
-    assert "body" not in told.tracked(page, count)
+    assert told.tracked(page, count).body is None
 
 
 def test_the_panel_is_pressed_by_pointing(open_page: OpenPage, serve: Any, told: Told) -> None:
@@ -164,7 +164,7 @@ def test_a_device_without_a_floor_has_one_all_the_same(open_page: OpenPage, serv
     page = inside(open_page, serve, told, device)
     assert "local-floor" not in page.js("fakeXR.session.enabledFeatures")
     # where the head was at the beginning is taken for the eyes of somebody who stands
-    assert told.tracked(page)["head"][1] == pytest.approx(1.6, abs=0.001)
+    assert told.tracked(page).head[1] == pytest.approx(1.6, abs=0.001)
 
 
 def test_controllers_close_the_hands(open_page: OpenPage, serve: Any, told: Told) -> None:

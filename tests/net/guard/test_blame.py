@@ -190,8 +190,7 @@ def test_clients_that_leave_take_no_picture_slot_with_them():
         for i in range(150):
             channel = pump.open(i, Session(Decoder()), None)
             pump.add(channel)
-            channel.session.receive(native(1), 0.0)
-            pump.received(channel)
+            pump.received(channel, channel.session.receive(native(1), 0.0))
             frame = await asyncio.wait_for(channel.frames.get(), HANG)
             packing = asyncio.create_task(pump.pack(channel, frame))
             for _ in range(i % 3):
