@@ -101,6 +101,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--calibration", type=Path, metavar="FILE", help="of the users whose tracking is sent")
     add_solver(parser)
+    parser.add_argument(
+        "--no-idle", action="store_true", help="eyes of tracked users that no sensor sees neither look around nor blink"
+    )
     add_photos(parser)
     add_consent(parser)
     add_keys(parser)
@@ -230,6 +233,7 @@ def run(args: argparse.Namespace) -> int:
         solver=args.solver,
         rooms=open_rooms(args),
         workers=workers,
+        idle=not args.no_idle,
     )
 
     def started() -> None:

@@ -56,6 +56,7 @@ def make_server(
     rooms: Mapping[str, Shown | SceneFile] | None = None,  # in which clients meet: what stands there already
     consent: ConsentPolicy | None = None,  # of all that is shown, by the same names; None: nobody asks for it
     workers: Workers | None = None,  # that draw and encode instead (docs/scaling.md)
+    idle: bool = False,  # eyes of tracked users that no sensor sees look around and blink
 ) -> Server:
     """A server that draws ``scene`` with OpenGL, and solves tracking if its one avatar has SMPL-X's rig.
 
@@ -77,12 +78,12 @@ def make_server(
     avatar = item.content if item is not None and is_figure(item.content) else None
     others = _checked(avatars or {}, name, rendering)
     choices: Mapping[str, Figure] = others
-    first = _nobody(name, file) if avatar is None else offered(name, avatar, calibration, solver)
-    offers = [first, *(offered(one, what, calibration, solver) for one, what in others.items())]
+    first = _nobody(name, file) if avatar is None else offered(name, avatar, calibration, solver, idle)
+    offers = [first, *(offered(one, what, calibration, solver, idle) for one, what in others.items())]
     takes = None
     if uploads is not None:
         choices = Wardrobe(others, uploads.folder, name)
-        takes, kept = _uploads(uploads, rendering, calibration, {name, *others}, solver, consent)
+        takes, kept = _uploads(uploads, rendering, calibration, {name, *others}, solver, consent, idle)
         offers += kept
     for one in offers:
         _say(one)
@@ -126,12 +127,13 @@ def _uploads(
     taken: Collection[str],
     solver: SolverName,
     consent: ConsentPolicy | None,
+    idle: bool,
 ) -> tuple[Uploads, list[Offered]]:
     """What makes avatars, and what is offered of its folder; GlsplatError where a name there is ``taken``."""
 
     def describe(one: str, avatar: Figure) -> Offered:
         _checked({one: avatar}, "", rendering)
-        return replace(offered(one, avatar, calibration, solver), made=uploads.shelf.made_here(one))
+        return replace(offered(one, avatar, calibration, solver, idle), made=uploads.shelf.made_here(one))
 
     uploads = Uploads(config, describe)
     uploads.shelf.open()
@@ -156,7 +158,11 @@ def _agreed(name: str, config: UploadConfig, consent: ConsentPolicy | None) -> b
 
 
 def offered(
-    name: str, avatar: Figure, calibration: Calibration | None = None, solver: SolverName = SOLVERS[0]
+    name: str,
+    avatar: Figure,
+    calibration: Calibration | None = None,
+    solver: SolverName = SOLVERS[0],
+    idle: bool = False,
 ) -> Offered:
     """What clients may ask of an avatar.
 
@@ -172,7 +178,7 @@ def offered(
 
     def solving(height: float | None, span: float | None) -> TrackingSolver:
         fitted = base if height is None else Calibration.of_height(skeleton, height, base.floor)
-        return TrackingSolver(skeleton, fitted if span is None else fitted.with_span(skeleton, span), solver)
+        return TrackingSolver(skeleton, fitted if span is None else fitted.with_span(skeleton, span), solver, idle)
 
     return Offered(name=name, skeleton=skeleton, solver=solving, height=height, parts=parts)
 

@@ -11,6 +11,7 @@ from glsplat.net.backend import Solved
 from glsplat.net.messages import Request
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.tracking.calibration import Calibration
+from glsplat.tracking.extra.idle import IdleFace
 from glsplat.tracking.solvers import SOLVERS, SolverName
 from glsplat.tracking.tracker import Tracker
 
@@ -42,18 +43,22 @@ class OneClock:
 
 
 class TrackingSolver:
-    """Tracking to pose for one user."""
+    """Tracking to pose for one user. ``idle``: eyes that no sensor sees look around and blink."""
 
-    def __init__(self, skeleton: Skeleton, calibration: Calibration, solver: SolverName = SOLVERS[0]) -> None:
+    def __init__(
+        self, skeleton: Skeleton, calibration: Calibration, solver: SolverName = SOLVERS[0], idle: bool = False
+    ) -> None:
         self._tracker = Tracker(skeleton, calibration, solver=solver)
         self._clock = OneClock()
+        self._idle = IdleFace() if idle else None
 
     def solve(self, request: Request, now: float) -> Solved:
         """Filter and solve the next sample, bring the cameras to the avatar's scale."""
         sample = request.tracking
         assert sample is not None
         t = self._clock.time(None if request.t is None else sample.t, now)
-        pose = self._tracker.update(sample if t == sample.t else replace(sample, t=t))
+        sample = sample if t == sample.t else replace(sample, t=t)
+        pose = self._tracker.update(sample if self._idle is None else self._idle.fill(sample))
         known = self._tracker.calibration
         moved = known.scale != 1 or known.floor != 0
         cameras = tuple(map(self._camera, request.cameras)) if moved else request.cameras

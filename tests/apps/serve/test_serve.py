@@ -407,6 +407,22 @@ def test_tracking_becomes_a_pose_in_the_avatars_space():
         np.testing.assert_array_equal(mine.viewmat[:3, :3], theirs.viewmat[:3, :3])
 
 
+def test_eyes_that_no_sensor_sees_look_around_where_the_server_says_so():
+    """The rest of the body is that of a server which does not."""
+    skeleton, decoder = default_avatar().skeleton, Decoder()
+    idle, plain = (TrackingSolver(skeleton, Calibration(), idle=on) for on in (True, False))
+    eyes = [skeleton.names.index(f"{side}_eye_smplhf") for side in ("left", "right")]
+    looks = []
+    for i in range(1, 200):
+        request = decoder.decode(json.dumps(tracked(i, 0.0)))
+        one, other = idle.solve(request, 0.0).pose.rotations, plain.solve(request, 0.0).pose.rotations
+        assert not other[eyes].any()
+        np.testing.assert_array_equal(np.delete(one, eyes, axis=0), np.delete(other, eyes, axis=0))
+        looks.append(one[eyes])
+    assert 1 < np.degrees(np.abs(looks).max()) < 25
+    assert np.ptp(looks, axis=0).max() > 0.02
+
+
 numbers = st.floats(-1.5, 1.5) | st.floats(allow_nan=False, allow_infinity=False)
 poses = st.none() | st.lists(numbers, min_size=7, max_size=7)
 hands = st.none() | st.lists(numbers, min_size=75, max_size=75) | st.lists(numbers, max_size=4)
