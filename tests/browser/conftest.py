@@ -11,6 +11,7 @@ import pytest
 
 from tests import needs
 from tests.browser.iwer import EMULATE, iwer_script
+from tests.browser.markers import samples
 from tests.browser.opened import FAKE_XR, WATCH, Opened
 from tests.browser.served import Served
 
@@ -37,6 +38,12 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 # of this package, not of the session: playwright's loop occupies the main thread for as long as it lives
+@pytest.fixture(autouse=True)
+def nothing_sent() -> None:
+    """What the pages of other tests sent has the same numbers."""
+    samples.clear()
+
+
 @pytest.fixture(scope="package")
 def chromium() -> Iterator[Any]:
     """Playwright's Browser, headless, software WebGL."""

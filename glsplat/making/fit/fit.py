@@ -157,7 +157,7 @@ def follow_outlines(solver: Solver, rounds: int, moved: F64 | None = None) -> No
         for index, view in enumerate(solver.views):
             rim, weights = _pulled(_rim(solver.body, solver.posed(index), view, moved), trust, view)
             solver.pull_to(index, rim, moved, weights)
-            if apart(view.turn, 0.0) <= _FRONT and metres_of(view) is not None:  # from aside arms hide each other
+            if apart(view.turn, 0.0) <= _FRONT and view.world is not None:  # from aside arms hide each other
                 solver.keep_before(index, *_shown_arms(solver.body, solver.posed(index), view))
         solver.solve(2)
         solver.weigh_landmarks()

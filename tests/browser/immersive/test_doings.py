@@ -36,7 +36,9 @@ class Told:
     def tracked(self, page: Opened, after: int = 0, timeout: float = 60.0) -> Sample:
         """The newest tracking among the requests from number ``after`` on; waits for one."""
         end = time.monotonic() + timeout
-        while not (told := [job for job in self.backend.requests[after:] if job.frame_id in samples]):
+        while not (
+            told := [job for job in self.backend.requests[after:] if job.pose is not None and job.frame_id in samples]
+        ):
             assert time.monotonic() < end, f"no tracking within {timeout:g} s\n{page.state()}"
             page.wait(0.05)
         return samples[told[-1].frame_id or 0]
