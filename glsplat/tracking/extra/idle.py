@@ -23,7 +23,6 @@ from glsplat.tracking.solve.quat import (
     clamp,
     conj,
     dot,
-    mul,
     normalized,
     rotate,
     scale,
@@ -182,7 +181,7 @@ def _within(looks: Vec, ahead: Vec) -> Vec:
     half = acos(clamp(turn[0], -1.0, 1.0))
     share = sin(half * FARTHEST / angle) / max(sin(half), 1e-9)
     part = (cos(half * FARTHEST / angle), turn[1] * share, turn[2] * share, turn[3] * share)
-    return rotate(mul(part, (1.0, 0.0, 0.0, 0.0)), ahead)
+    return rotate(part, ahead)
 
 
 def _lids(left: Vec, right: Vec) -> dict[str, float]:
