@@ -99,7 +99,9 @@ def fresh(page: Opened, timeout: float = 60.0) -> None:
     """A frame now and then until a picture of what the device has now is on the screen; it then stands still."""
     page.js("fakeXR.stop()")
     for _ in range(2):  # the second one knows the box of what the first one showed
-        page.js("fakeXR.step()")
+        # what is under way already may be of what the device had before
+        before = page.stats()["sentId"]
+        page.until(f"(() => {{ fakeXR.step(); return window.glsplat.stats().sentId > {before}; }})()", timeout)
         sent = page.stats()["sentId"]
         page.until(f"(() => {{ fakeXR.step(); return window.glsplat.stats().shownId >= {sent}; }})()", timeout)
 
