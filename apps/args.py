@@ -16,7 +16,7 @@ from glsplat.errors import FormatError, PoseError
 from glsplat.formats import suffixes
 from glsplat.formats.transform import transformed
 from glsplat.motion.kinds import KINDS, split_choice
-from glsplat.scene import Content, Figure, Scene, is_figure
+from glsplat.scene import Content, Rigged, Scene, is_rigged
 from glsplat.scenes.loading import load
 from glsplat.scenes.scene_file import UPS, SceneFile, load_scene, upright
 from glsplat.skinning.expression import checked_expression
@@ -99,7 +99,7 @@ def _say_doubts(file: SceneFile, name: str) -> None:
 
     said = set()
     for place, (item, motion) in file.motions.items():
-        if is_figure(item.content) and id(motion) not in said:
+        if is_rigged(item.content) and id(motion) not in said:
             said.add(id(motion))
             if line := doubt(motion, item.content.skeleton, "FILE"):
                 print(f"{name}: item {place}, motion {motion.label}: {line}", file=sys.stderr)
@@ -112,23 +112,23 @@ def single(file: SceneFile) -> Content | None:
     return items[0].content if alone and np.array_equal(items[0].transform, np.eye(4)) else None
 
 
-def load_avatar(path: str | Path, option: str, *, strict: bool = False) -> Figure:
+def load_avatar(path: str | Path, option: str, *, strict: bool = False) -> Rigged:
     """What an option names as an avatar: splats with a skin, or a rigged mesh. Raises UsageError for anything else."""
     if not Path(path).exists():
         raise UsageError(f"{option} {path}: no such file")
     content = load(path, strict=strict)
     if isinstance(content, Scene):
         raise UsageError(f"{option} {path}: expected one avatar, found a scene file")
-    if not is_figure(content):
+    if not is_rigged(content):
         found = "splats without a skeleton" if isinstance(content, Splats) else "a mesh without joints to move"
         raise UsageError(f"{option} {path}: expected an avatar (a .glb with a skin, a rigged mesh), found {found}")
     return content
 
 
-def driven(file: SceneFile, what: str) -> Figure:
+def driven(file: SceneFile, what: str) -> Rigged:
     """The one visible avatar, whose pose an option or a client sets. Raises UsageError where there is not just one."""
     if file.avatar is not None:
-        assert is_figure(file.avatar.content)
+        assert is_rigged(file.avatar.content)
         return file.avatar.content
     if file.scene.figures:
         raise UsageError(f"{what} is for one avatar, this scene has several; say in the scene file what each does")

@@ -18,7 +18,7 @@ from glsplat.evaluate.speed.profile import profile
 from glsplat.gl.context import Context, create_context
 from glsplat.meshes import RiggedMesh
 from glsplat.motion.motion import Motion
-from glsplat.scene import Content, Shown, is_figure
+from glsplat.scene import Content, SceneLike, is_rigged
 from glsplat.scenes.scene_file import SceneFile
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.rigs.driven import why_not_driven
@@ -96,7 +96,7 @@ def _other(
     bench: Bench,
     context: Context,
     config: RenderConfig,
-    kind: tuple[str, Shown, list[Pose | None]],
+    kind: tuple[str, SceneLike, list[Pose | None]],
     file: SceneFile,
 ) -> int:
     """--profile and --budget: of what moves, if anything does, at each size."""
@@ -125,7 +125,7 @@ def _motion(args: argparse.Namespace, scene: Content | None) -> Motion | None:
     name = args.scene or "the default avatar"
     if args.static:
         return None
-    if scene is None or not is_figure(scene):
+    if scene is None or not is_rigged(scene):
         if args.motion:
             raise UsageError(f"--motion is for one avatar that stands where its file puts it; {name} is none")
         return None
@@ -138,9 +138,9 @@ def _motion(args: argparse.Namespace, scene: Content | None) -> Motion | None:
 
 def kinds_of(
     bench: Bench, scene: Content | None, motion: Motion | None, file: SceneFile, frames: int
-) -> list[tuple[str, Shown, list[Pose | None]]]:
+) -> list[tuple[str, SceneLike, list[Pose | None]]]:
     """(name, scene, poses) of what is measured: one thing as ever, a scene of several as it plays."""
-    if scene is None or (isinstance(scene, RiggedMesh) and not is_figure(scene)):
+    if scene is None or (isinstance(scene, RiggedMesh) and not is_rigged(scene)):
         return [("in motion" if file.motions else "static", file.scene, [None] * frames)]
     return [*bench.kinds(scene, motion)]
 

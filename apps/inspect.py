@@ -15,7 +15,7 @@ from glsplat.avatar import Avatar, splats_of
 from glsplat.consent.file import OnFile, on_file
 from glsplat.formats import recognise
 from glsplat.meshes import RiggedMesh
-from glsplat.scene import is_figure
+from glsplat.scene import is_rigged
 from glsplat.scenes.scene_file import SceneFile
 from glsplat.skinning.expression import ARKIT
 from glsplat.skinning.rigs.driven import why_not_driven, why_not_tracked
@@ -89,7 +89,7 @@ def describe_scene(file: SceneFile, path: str) -> dict[str, Any]:
             motion = next((motion for other, motion in file.motions.values() if other is item), None)
             entry |= {"joints": len(content.skeleton), "posed": item.pose is not None}
             entry["driven"] = item is file.avatar  # poses of options and clients are for it
-            entry["consent"] = consent.report(on_file(files[id(item)])) if is_figure(content) else None
+            entry["consent"] = consent.report(on_file(files[id(item)])) if is_rigged(content) else None
             entry["motion"] = None if motion is None else {"name": motion.label, "seconds": motion.duration}
         items.append(entry | {"item": index})
     different = {id(item.content): item.content for item in file.scene}.values()

@@ -53,7 +53,7 @@ class RenderConfig:
     sh_degree: int = 3  # evaluate at most this degree
     antialias: bool | None = None  # opacity compensation (Mip-Splatting's 2D filter); None: if the splats ask for it
     cull_hidden: bool | Literal["auto"] = False  # leave out splats that are seen from outside their visibility cone
-    # (making/cones.py); auto: of things whose worst picture keeps CULL_PSNR without them
+    # (authoring/cones.py); auto: of things whose worst picture keeps CULL_PSNR without them
     cull_margin: float = 0.0  # added to the smallest cosine of every cone: above 0 leaves out more
     eps2d: float = 0.3  # px^2 added to the diagonal of the projected covariance
     max_sigma: float = 3.33  # standard deviations at which a quad ends at the latest

@@ -22,7 +22,7 @@ from glsplat.skinning.skin import Skin
 from glsplat.splats import Splats
 
 __all__ = [
-    "Ground",
+    "MeshLayer",
     "Posed",
     "Projected",
     "blended_rotations",
@@ -62,7 +62,7 @@ class Posed:
 
 
 @dataclass(frozen=True)
-class Ground:
+class MeshLayer:
     """What opaque meshes leave at the pixel centres of one view, before any splat."""
 
     colours: F64  # [H, W, 3]
@@ -260,7 +260,7 @@ def depth_order(means: F64, viewmat: F64) -> NDArray[np.intp]:
     return np.argsort(np.nan_to_num(depths, nan=np.inf), kind="stable")[::-1]
 
 
-def composite(view: Projected, order: NDArray[np.intp], camera: Camera, ground: Ground | None = None) -> F64:
+def composite(view: Projected, order: NDArray[np.intp], camera: Camera, ground: MeshLayer | None = None) -> F64:
     """[H, W, 5]: premultiplied over, far to near, on the camera's background (splat.frag.glsl); then weighted z.
 
     With ``ground`` splats whose mean lies behind a mesh are not drawn there. Channel 4 is the sum of weight times z.
@@ -320,7 +320,7 @@ def render(
 def render_scene(
     parts: Sequence[tuple[Posed, Splats]],  # the items in their order, posed and placed
     cameras: Sequence[Camera],
-    grounds: Sequence[Ground] | None = None,  # one a camera
+    grounds: Sequence[MeshLayer] | None = None,  # one a camera
     config: RenderConfig | None = None,
 ) -> tuple[F64, F64]:
     """A scene of several items: images [V, H, W, 4], and expected depths [V, H, W] in metres, 0 where alpha is 0."""

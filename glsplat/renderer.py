@@ -21,18 +21,18 @@ from glsplat.config import RenderConfig
 from glsplat.detail.selector import Selector
 from glsplat.errors import ContextError, GlsplatError
 from glsplat.gl.context import Context, create_context
-from glsplat.gl.owner import Entry, abandon
+from glsplat.gl.owner import ContextGuard, release_later
 from glsplat.passes import views as checks
 from glsplat.passes.frame.draw import Slices
 from glsplat.passes.frame.pipeline import Pipeline
-from glsplat.passes.staged import Staged
+from glsplat.passes.gpu_scene import GpuScene
 from glsplat.passes.stats import FrameStats
 from glsplat.passes.step import ResolveStep, StepTextures, checked_step
 from glsplat.passes.target import FORMATS, Target
 from glsplat.passes.target_pool import TargetPool
 from glsplat.passes.views import Depths, Images, Views
-from glsplat.renderer_thread import OnThread
-from glsplat.scene import Scene, Shown
+from glsplat.renderer_thread import ThreadProxy
+from glsplat.scene import Scene, SceneLike
 from glsplat.shaders import Programs, Variant
 from glsplat.shaders.variant import MAX_VIEWS
 from glsplat.skinning.pose import Pose
@@ -55,7 +55,7 @@ class Renderer:
 
     def __init__(
         self,
-        scene: Shown,
+        scene: SceneLike,
         *,
         size: tuple[int, int] = (1024, 1024),  # width, height
         views: int = 1,  # expected; targets are made for them now instead of with the first frame
@@ -70,8 +70,8 @@ class Renderer:
         instance(context, (Context, NoneType), "context", GlsplatError, "create_context(given=...) makes one")
         waits, scene = flag(timed, "timed", GlsplatError), Scene.of(scene)
         self.selector: Selector = Selector()  # who looks; where several do in turn each has their own
-        self.step: ResolveStep | None = None  # drawn into 8-bit pictures before they are rounded, such as a Mark
-        self._staged: Staged | None = None
+        self.step: ResolveStep | None = None  # drawn into 8-bit pictures before they are rounded, such as a Watermark
+        self._staged: GpuScene | None = None
         self.stats: FrameStats = FrameStats(0, 0, 0)
         self.variant: Variant = Variant()  # of the last pass
         self.size: tuple[int, int] = (0, 0)
@@ -99,7 +99,7 @@ class Renderer:
             raise
 
     @classmethod
-    def run_in_thread(cls, scene: Shown, **options: Any) -> RendererThread:
+    def run_in_thread(cls, scene: SceneLike, **options: Any) -> RendererThread:
         """A renderer on a thread of its own, with the options of ``Renderer()``: all threads may call it.
 
         ::
@@ -140,7 +140,7 @@ class Renderer:
         staged = self._staged.nbytes() if self._staged else dict.fromkeys(("splats", "meshes", "sh", "work"), 0)
         return staged | {"targets": self._targets.nbytes + self._textures.nbytes}
 
-    def load(self, scene: Shown) -> None:
+    def load(self, scene: SceneLike) -> None:
         """Replace the scene. The old one is kept until the new one is on the GPU, and stays if that fails."""
         with self._entered("load"):
             self._load(Scene.of(scene))
@@ -256,16 +256,16 @@ class Renderer:
         if not getattr(self, "_released", True):
             splats = self._staged.splats if self._staged else 0
             label = f"a Renderer ({splats} splats, {self.size[0]}x{self.size[1]})"
-            abandon(label, self.context.owner, self._forget, self._owns_context)
+            release_later(label, self.context.owner, self._forget, self._owns_context)
 
     def _load(self, scene: Scene) -> None:
-        made = Staged(self.context, self._programs, scene, self.config)
+        made = GpuScene(self.context, self._programs, scene, self.config)
         old, self._staged = self._staged, made
         if old is not None:
             old.release()
 
     @property
-    def _scene(self) -> Staged:
+    def _scene(self) -> GpuScene:
         if self._staged is None:
             raise GlsplatError("this renderer has no scene: load() did not finish; call it again")
         return self._staged
@@ -276,7 +276,7 @@ class Renderer:
             raise GlsplatError("this renderer was released; make a new one")
         self.context.owner.check(f"Renderer.{call}()")
 
-    def _entered(self, call: str) -> Entry:
+    def _entered(self, call: str) -> ContextGuard:
         self._check(call)
         self._prepared = None
         return self.context.entered(f"Renderer.{call}()")
@@ -390,7 +390,7 @@ class Prepared:
             return renderer._pictures(self._views, out, slices=Slices(between, slice_cost))[0]
 
 
-class RendererThread(OnThread[Renderer], Renderer, of=Renderer):
+class RendererThread(ThreadProxy[Renderer], Renderer, of=Renderer):
     """Made by ``Renderer.run_in_thread()``: all that a Renderer has, on a thread of its own. Any thread may use it.
 
     Calls are done one by one; reading or setting an attribute is a call, too. What is called on the renderer's own

@@ -1,4 +1,4 @@
-"""OnThread: an object on a thread of its own, for programs that call from many (renderer.RendererThread)."""
+"""ThreadProxy: an object on a thread of its own, for programs that call from many (renderer.RendererThread)."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from typing import Any, Concatenate, Generic, ParamSpec, Protocol, Self, TypeVar
 
 from glsplat.errors import GlsplatError
 
-__all__ = ["OnThread"]
+__all__ = ["ThreadProxy"]
 
 
 class _Owner(Protocol):
@@ -25,13 +25,13 @@ T = TypeVar("T")
 R = TypeVar("R", bound=_Owner)
 
 
-class OnThread(Generic[R]):
+class ThreadProxy(Generic[R]):
     """Has every public method, property and attribute of ``of``, done on the thread: nothing is written twice."""
 
     def __init_subclass__(cls, of: type[R], **options: Any) -> None:
         super().__init_subclass__(**options)
         for name in dir(of):
-            if not (name.startswith("_") or hasattr(OnThread, name)):
+            if not (name.startswith("_") or hasattr(ThreadProxy, name)):
                 member = inspect.getattr_static(of, name)
                 if inspect.isfunction(member):
                     setattr(cls, name, _method(member))
@@ -113,11 +113,11 @@ class OnThread(Generic[R]):
 
 def _method(function: Callable[..., Any]) -> Callable[..., Any]:
     @functools.wraps(function)
-    def call(self: OnThread[Any], *arguments: Any, **options: Any) -> Any:
+    def call(self: ThreadProxy[Any], *arguments: Any, **options: Any) -> Any:
         return self.submit(function, *arguments, **options).result()
 
     return call
 
 
-def _read(name: str, thread: OnThread[Any]) -> Any:
+def _read(name: str, thread: ThreadProxy[Any]) -> Any:
     return thread.submit(getattr, name).result()

@@ -17,30 +17,30 @@ from glsplat.skinning.pose import Pose
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.splats import Splats
 
-__all__ = ["Content", "Figure", "Item", "Scene", "Shown", "is_figure", "similarity", "skeleton_of"]
+__all__ = ["Content", "Item", "Rigged", "Scene", "SceneLike", "is_rigged", "similarity", "skeleton_of"]
 
 Content = Splats | Avatar | RiggedMesh
 """What an item may show."""
 
-Figure = Avatar | RiggedMesh
-"""What a pose may move (``is_figure``), in short an avatar: splats with a skin, or a mesh with joints."""
+Rigged = Avatar | RiggedMesh
+"""What a pose may move (``is_rigged``), in short an avatar: splats with a skin, or a mesh with joints."""
 
 _LARGEST = 1e6  # metres, and of a scale; beyond it is a mistake of units
 _SMALLEST = 1e-6
 
 
-def is_figure(thing: object) -> TypeGuard[Figure]:
+def is_rigged(thing: object) -> TypeGuard[Rigged]:
     """Whether a pose may move it: an Avatar, or a RiggedMesh of more than one joint; on one joint a mesh just stands.
 
-    >>> glsplat.scene.is_figure(glsplat.default_avatar()), glsplat.scene.is_figure(glsplat.default_avatar().splats)
+    >>> glsplat.scene.is_rigged(glsplat.default_avatar()), glsplat.scene.is_rigged(glsplat.default_avatar().splats)
     (True, False)
     """
     return isinstance(thing, Avatar) or (isinstance(thing, RiggedMesh) and len(thing.skeleton) > 1)
 
 
 def skeleton_of(thing: Content) -> Skeleton | None:
-    """What a pose moves of it; None of what only stands (``is_figure``)."""
-    return thing.skeleton if is_figure(thing) else None
+    """What a pose moves of it; None of what only stands (``is_rigged``)."""
+    return thing.skeleton if is_rigged(thing) else None
 
 
 class Item:
@@ -169,7 +169,7 @@ class Scene:
             self.add(item)
 
     @classmethod
-    def of(cls, thing: Shown) -> Scene:
+    def of(cls, thing: SceneLike) -> Scene:
         """The scene itself, or a scene of that one thing."""
         if isinstance(thing, Scene):
             return thing
@@ -183,7 +183,7 @@ class Scene:
     @property
     def figures(self) -> tuple[Item, ...]:
         """The visible items that a pose may move."""
-        return tuple(item for item in self._items if item.visible and is_figure(item.content))
+        return tuple(item for item in self._items if item.visible and is_rigged(item.content))
 
     def add(self, item: Item) -> Item:
         """Put an item behind the others; returns it."""
@@ -213,7 +213,7 @@ class Scene:
         return f"Scene({len(self._items)} items)"
 
 
-Shown = Scene | Item | Content
+SceneLike = Scene | Item | Content
 """What a renderer takes: a scene, or one thing, which is then a scene of one."""
 
 

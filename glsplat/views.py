@@ -9,13 +9,13 @@ from glsplat.avatar import splats_of
 from glsplat.camera import Camera, look_at, pinhole, stereo_cameras
 from glsplat.meshes import RiggedMesh
 from glsplat.rotations import FLIP_YZ
-from glsplat.scene import Item, Scene, Shown
+from glsplat.scene import Item, Scene, SceneLike
 from glsplat.skinning.pose import Pose
 
 __all__ = ["box_of", "view_of", "viewing_point"]
 
 
-def viewing_point(scene: Shown, fov: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def viewing_point(scene: SceneLike, fov: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """(eye, target) from the front (+z) that shows 98 % of the splats and vertices of each visible item."""
     boxes = [box for item in Scene.of(scene) if item.visible and (box := box_of(item)) is not None]
     if not boxes:

@@ -16,7 +16,7 @@ ROOT = Path(__file__).resolve().parents[1]
 REFUSING = """
 import importlib.abc, sys
 
-HIDDEN = ("making", "evaluate", "consent", "watermark", "net.workers", "net.rooms", "net.uploads", "net.accounts",
+HIDDEN = ("authoring", "evaluate", "consent", "watermark", "net.workers", "net.rooms", "net.uploads", "net.accounts",
           "tracking.training")
 
 class Refusing(importlib.abc.MetaPathFinder):
@@ -81,7 +81,7 @@ def test_the_core_runs_alone(program: str, tmp_path: Path) -> None:
     assert program is not COMMAND or picture.stat().st_size > 500
 
 
-@pytest.mark.parametrize("module", ["glsplat.making", "glsplat.watermark.mark", "glsplat.net.rooms.view"])
+@pytest.mark.parametrize("module", ["glsplat.authoring", "glsplat.watermark.mark", "glsplat.net.rooms.view"])
 def test_what_is_hidden_is_refused(module: str) -> None:
     done = alone(f"import {module}")
     assert done.returncode == 1 and "hidden: glsplat." in done.stderr

@@ -29,7 +29,7 @@ PATH = re.compile(r"(?<![\w./-])((?:[\w.-]+/)*[\w.-]*\w\.(?:py|glsl|md|toml|yml|
 MODULE = re.compile(r"(?<!window\.)\b((?:glsplat|apps|tests|tools)(?:\.[a-z_]\w*)+)")
 LINK = re.compile(r"\]\((?!https?:)([^)#\s]+)(?:#([\w-]+))?\)")
 
-MEMBER = re.compile(r"(?<![\w./-])((?:[a-z_]+/)+[a-z_]+)\.([a-z_]\w*)\b")  # making/cones.hidden
+MEMBER = re.compile(r"(?<![\w./-])((?:[a-z_]+/)+[a-z_]+)\.([a-z_]\w*)\b")  # authoring/cones.hidden
 ORACLE = re.compile(r"\breference\.(?!py\b)([a-z_]\w*)")
 
 # patterns of names, files of others, a group of entry points
@@ -154,11 +154,11 @@ def test_sections_that_are_quoted_exist() -> None:
 
 def test_the_rules_can_fail() -> None:
     assert not known("glsplat/nothing.py") and known("passes/arena.py") and known("glsplat/scene.py")
-    assert not resolves("glsplat.skinning.cones") and resolves("glsplat.making.cones.hidden")
-    assert lost_in("glsplat/nothing.py, glsplat.camera.nothing, making/cones.nothing, glsplat/scene.py") == [
+    assert not resolves("glsplat.skinning.cones") and resolves("glsplat.authoring.cones.hidden")
+    assert lost_in("glsplat/nothing.py, glsplat.camera.nothing, authoring/cones.nothing, glsplat/scene.py") == [
         "glsplat/nothing.py",
         "glsplat.camera.nothing",
-        "making/cones.nothing",
+        "authoring/cones.nothing",
     ]
     assert PATH.findall("see `glsplat/shaders/skin.glsl` and docs/frame.md.") == [
         "glsplat/shaders/skin.glsl",

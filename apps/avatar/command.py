@@ -12,6 +12,17 @@ from dataclasses import replace
 from importlib import resources
 from pathlib import Path
 
+from glsplat.authoring.cones import ConeConfig, with_cones
+from glsplat.authoring.detail.make import with_levels
+from glsplat.authoring.faces.shapes import with_shapes
+from glsplat.authoring.importers import bind_to_mesh, load_lhm_dump
+from glsplat.authoring.lam import FOLLOW, is_lam_zip, load_lam_zip
+from glsplat.authoring.on_smplx import on_smplx
+from glsplat.authoring.optimize.compiled import MISSING, available
+from glsplat.authoring.optimize.mesh import STEPS, fitted_to_mesh
+from glsplat.authoring.posed import posed_splats
+from glsplat.authoring.scans import read_obj_person
+from glsplat.authoring.surface import FEWEST, make_avatar
 from glsplat.avatar import Avatar
 from glsplat.data import default_avatar
 from glsplat.errors import FormatError, GlsplatError
@@ -20,17 +31,6 @@ from glsplat.formats.gltf.meshes.rig_map import read_rig_map
 from glsplat.formats.person import read_body
 from glsplat.formats.transform import transformed
 from glsplat.io.files import naming, open_regular, replace_file
-from glsplat.making.cones import ConeConfig, with_cones
-from glsplat.making.detail.make import with_levels
-from glsplat.making.faces.shapes import with_shapes
-from glsplat.making.importers import bind_to_mesh, load_lhm_dump
-from glsplat.making.lam import FOLLOW, is_lam_zip, load_lam_zip
-from glsplat.making.on_smplx import on_smplx
-from glsplat.making.optimize.compiled import MISSING, available
-from glsplat.making.optimize.mesh import STEPS, fitted_to_mesh
-from glsplat.making.posed import posed_splats
-from glsplat.making.scans import read_obj_person
-from glsplat.making.surface import FEWEST, make_avatar
 from glsplat.motion.motion import embedded_motions, load_embedded_motion
 from glsplat.scenes.scene_file import upright
 from glsplat.skinning.pose import Pose, load_pose

@@ -7,12 +7,12 @@ import json
 import time
 from pathlib import Path
 
+from glsplat.authoring.detail.fitted import FittedConfig
+from glsplat.authoring.detail.make import with_levels
+from glsplat.authoring.detail.measure import MeasureConfig
 from glsplat.avatar import splats_of
 from glsplat.errors import FormatError
 from glsplat.formats import load_splats, save, suffixes
-from glsplat.making.detail.fitted import FittedConfig
-from glsplat.making.detail.make import with_levels
-from glsplat.making.detail.measure import MeasureConfig
 
 from ..args import natural
 from ..inspect import levels_of, levels_said

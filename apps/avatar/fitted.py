@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from itertools import pairwise
 
-from glsplat.making.surface import FEWEST
+from glsplat.authoring.surface import FEWEST
 
 from ..usage import UsageError
 

@@ -10,21 +10,21 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from glsplat.errors import CaptureError, FormatError
-from glsplat.making.cones import with_cones
-from glsplat.making.optimize.compiled import MISSING, available
-from glsplat.making.reconstruct.builtin import Meshing
-from glsplat.making.reconstruct.photos import (
+from glsplat.authoring.cones import with_cones
+from glsplat.authoring.optimize.compiled import MISSING, available
+from glsplat.authoring.reconstruct.builtin import MeshReconstructor
+from glsplat.authoring.reconstruct.photos import (
+    CheckedPhoto,
     MeshReconstruction,
     Reconstruction,
-    Shot,
     check_photos,
     reconstruct,
     reconstruct_mesh,
     refuse,
 )
-from glsplat.making.reconstruct.reconstructor import Options, Progress
-from glsplat.making.reconstruct.registry import named, names
+from glsplat.authoring.reconstruct.reconstructor import Options, Progress
+from glsplat.authoring.reconstruct.registry import named, names
+from glsplat.errors import CaptureError, FormatError
 
 from ..args import natural, positive
 from ..farming import add_ray
@@ -113,7 +113,7 @@ def _one(args: argparse.Namespace) -> int:
     with progress_bar() as show:
         options = _options(args, show)
         maker = named(args.using)  # a name that nobody knows is said before the pictures are looked at
-        if mesh and not isinstance(maker, Meshing):
+        if mesh and not isinstance(maker, MeshReconstructor):
             raise UsageError(f"--with {args.using} makes splats, no mesh: leave out --as mesh or --with")
         shots = _shots(args, show)
         done: Reconstruction | MeshReconstruction | None = None
@@ -166,14 +166,14 @@ def _options(args: argparse.Namespace, show: Progress) -> Options:
         raise UsageError(str(error)) from None
 
 
-def _shots(args: argparse.Namespace, show: Progress) -> dict[str, Shot]:
+def _shots(args: argparse.Namespace, show: Progress) -> dict[str, CheckedPhoto]:
     given = {"front": args.mask} | {side: getattr(args, f"{side}_mask") for side in _OTHERS}
     masks = {side: path for side, path in given.items() if path is not None}
     others = {side: getattr(args, side) for side in _OTHERS}
     return check_photos(args.front, **others, masks=masks, progress=show)
 
 
-def _report(shots: Mapping[str, Shot], args: argparse.Namespace) -> int:
+def _report(shots: Mapping[str, CheckedPhoto], args: argparse.Namespace) -> int:
     """The check alone: a line for everything found, and 1 if a picture is refused."""
     good = not any(shot.capture.refused for shot in shots.values())
     _sheet(args, shots)
@@ -190,7 +190,7 @@ def _report(shots: Mapping[str, Shot], args: argparse.Namespace) -> int:
     return 0 if good else 1
 
 
-def _notes(shots: Mapping[str, Shot], guessed: bool = False) -> None:
+def _notes(shots: Mapping[str, CheckedPhoto], guessed: bool = False) -> None:
     """What the files tell, and with ``guessed`` what the avatar was guessed from."""
     for shot in shots.values():
         for finding in shot.capture.findings if guessed else ():
@@ -199,7 +199,7 @@ def _notes(shots: Mapping[str, Shot], guessed: bool = False) -> None:
             print(f"{shot.name}: {note}")
 
 
-def _pictures(shots: Mapping[str, Shot]) -> list[dict[str, Any]]:
+def _pictures(shots: Mapping[str, CheckedPhoto]) -> list[dict[str, Any]]:
     return [
         {
             "side": shot.side,
@@ -230,7 +230,7 @@ def _facts(done: Reconstruction | MeshReconstruction) -> dict[str, Any]:
 
 
 def _sheet(
-    args: argparse.Namespace, shots: Mapping[str, Shot], done: Reconstruction | MeshReconstruction | None = None
+    args: argparse.Namespace, shots: Mapping[str, CheckedPhoto], done: Reconstruction | MeshReconstruction | None = None
 ) -> None:
     """Draw what there is, where it was asked for."""
     if args.debug is not None:

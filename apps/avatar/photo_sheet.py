@@ -10,15 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from glsplat.authoring.fit.body import open_body
+from glsplat.authoring.fit.fit import FittedView
+from glsplat.authoring.networks.person import LANDMARKS
+from glsplat.authoring.paint.shot import SurfacePoints
+from glsplat.authoring.reconstruct.builtin import FittedBody
+from glsplat.authoring.reconstruct.photos import CheckedPhoto
+from glsplat.authoring.texture.texels import texels_of
 from glsplat.avatar import Avatar
 from glsplat.camera import Camera, look_at, pinhole
-from glsplat.making.fit.body import open_body
-from glsplat.making.fit.fit import FittedView
-from glsplat.making.networks.person import LANDMARKS
-from glsplat.making.paint.shot import SurfacePoints
-from glsplat.making.reconstruct.builtin import Dressed
-from glsplat.making.reconstruct.photos import Shot
-from glsplat.making.texture.texels import texels_of
 from glsplat.mesh import MeshRenderer
 from glsplat.meshes import MeshPart, RiggedMesh, vertex_normals
 from glsplat.renderer import Renderer
@@ -48,7 +48,9 @@ _LIMBS = (
 _FINGERS = [[0, *range(first, first + 4)] for first in (1, 5, 9, 13, 17)]
 
 
-def draw(shots: Mapping[str, Shot], avatar: Avatar | RiggedMesh | None = None, made: Dressed | None = None) -> Image:
+def draw(
+    shots: Mapping[str, CheckedPhoto], avatar: Avatar | RiggedMesh | None = None, made: FittedBody | None = None
+) -> Image:
     """RGB uint8 [H, W, 3]: a row for each picture, then what was seen and the result where there are such."""
     rows = []
     for index, shot in enumerate(shots.values()):
@@ -69,7 +71,7 @@ def draw(shots: Mapping[str, Shot], avatar: Avatar | RiggedMesh | None = None, m
 class _Frame:
     """The part of a picture about the person, as one cell shows it."""
 
-    def __init__(self, shot: Shot) -> None:
+    def __init__(self, shot: CheckedPhoto) -> None:
         picture, mask = shot.photo.picture, shot.capture.mask
         shown = mask if mask.any() else np.ones(picture.shape[:2], bool)
         rows, columns = np.flatnonzero(shown.any(axis=1)), np.flatnonzero(shown.any(axis=0))
@@ -90,7 +92,7 @@ class _Frame:
         return np.asarray(points[:, :2] * self.scale + self.shift)
 
 
-def _outline(shot: Shot) -> Image:
+def _outline(shot: CheckedPhoto) -> Image:
     frame = _Frame(shot)
     shown = frame.picture.copy()
     if frame.mask.any():
@@ -104,7 +106,7 @@ def _outline(shot: Shot) -> Image:
     return shown
 
 
-def _landmarks(shot: Shot) -> Image:
+def _landmarks(shot: CheckedPhoto) -> Image:
     frame, person = _Frame(shot), shot.capture.person
     shown = (frame.picture // 2).astype(np.uint8)
     if person is None:
@@ -128,7 +130,7 @@ def _landmarks(shot: Shot) -> Image:
     return _titled(shown, "landmarks (hollow: not believed)")
 
 
-def _details(shot: Shot) -> Image:
+def _details(shot: CheckedPhoto) -> Image:
     """The face above, both hands below, as the networks cut them out of the picture."""
     person = shot.capture.person
     assert person is not None
@@ -148,7 +150,7 @@ def _details(shot: Shot) -> Image:
     return cell
 
 
-def _cut(shot: Shot, points: F64, side: int, ink: tuple[int, int, int] | None = None) -> Image:
+def _cut(shot: CheckedPhoto, points: F64, side: int, ink: tuple[int, int, int] | None = None) -> Image:
     """A square about the points with the points in it; with ``ink`` as a hand."""
     low, high = points[:, :2].min(axis=0), points[:, :2].max(axis=0)
     size = max(1.3 * float((high - low).max()), 4.0)
@@ -185,7 +187,7 @@ def _at(point: F64) -> tuple[int, int]:
     return round(float(point[0])), round(float(point[1]))
 
 
-def _fitted(shot: Shot, view: FittedView) -> Image:
+def _fitted(shot: CheckedPhoto, view: FittedView) -> Image:
     frame = _Frame(shot)
     faces = open_body().faces
     light = _shades(view.vertices, faces)
@@ -215,7 +217,7 @@ def _painted(pixels: F64, depth: F64, faces: NDArray[np.int32], colours: F64) ->
     return drawn
 
 
-def _seen(avatar: Avatar | RiggedMesh, made: Dressed, sides: Sequence[str]) -> Avatar | RiggedMesh:
+def _seen(avatar: Avatar | RiggedMesh, made: FittedBody, sides: Sequence[str]) -> Avatar | RiggedMesh:
     """The avatar in the colours of the pictures that show its surface, light and dark as it is itself."""
     colours = np.tile(np.array(_GUESSED, np.float64), (len(made.mesh.vertices), 1)) / 255
     for side, view in reversed(list(zip(sides, made.fit.views, strict=True))):  # the front has the last word

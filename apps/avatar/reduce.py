@@ -7,12 +7,12 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
+from glsplat.authoring.detail.fitted import FittedConfig, reduced
+from glsplat.authoring.optimize.compiled import MISSING, available
+from glsplat.authoring.surface import FEWEST
 from glsplat.avatar import Avatar
 from glsplat.errors import FormatError
 from glsplat.formats import load_splats
-from glsplat.making.detail.fitted import FittedConfig, reduced
-from glsplat.making.optimize.compiled import MISSING, available
-from glsplat.making.surface import FEWEST
 
 from ..args import natural
 from .writing import add_notes, check_name, progress_bar, write

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from glsplat.avatar import Avatar
 from glsplat.config import RenderConfig
 from glsplat.evaluate.avatar_poses import SCORE_POSES
-from glsplat.evaluate.avatar_score import Score, score
+from glsplat.evaluate.avatar_score import AvatarScore, score
 from glsplat.io.files import replace_file
 from glsplat.mesh import MeshConfig, MeshRenderer
 from glsplat.meshes import RiggedMesh
@@ -124,7 +124,7 @@ def _summary(values: NDArray[np.float64], digits: int = 2) -> dict[str, float]:
     return {"min": round(float(values.min()), digits), "mean": round(float(values.mean()), digits)}
 
 
-def _write_sheet(path: Path, scores: list[Score], views: int) -> None:
+def _write_sheet(path: Path, scores: list[AvatarScore], views: int) -> None:
     """A row a pose, for each view the avatar, the mesh and four times their difference, at half size."""
     rows = []
     for first in range(0, len(scores), views):

@@ -8,11 +8,11 @@ import time
 from pathlib import Path
 from typing import Any
 
+from glsplat.authoring.optimize.compiled import MISSING, available
+from glsplat.authoring.reconstruct.reconstructor import Options, Progress
+from glsplat.authoring.reconstruct.video import FORMS, FRAMES, VideoResult, from_video
 from glsplat.avatar import Avatar
 from glsplat.errors import CaptureError, FormatError
-from glsplat.making.optimize.compiled import MISSING, available
-from glsplat.making.reconstruct.reconstructor import Options, Progress
-from glsplat.making.reconstruct.video import FORMS, FRAMES, Filmed, from_video
 
 from ..args import natural, positive
 from ..usage import UsageError
@@ -110,7 +110,7 @@ def _options(args: argparse.Namespace, show: Progress) -> Options:
         raise UsageError(str(error)) from None
 
 
-def _facts(made: Filmed) -> dict[str, Any]:
+def _facts(made: VideoResult) -> dict[str, Any]:
     """For --json, beside what all commands say."""
     return {
         "unseen": round(made.unseen, 4),

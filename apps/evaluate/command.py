@@ -17,7 +17,7 @@ from tqdm import tqdm
 
 from glsplat.data import default_avatar, participants_folder
 from glsplat.errors import FormatError, GlsplatError
-from glsplat.evaluate.comparison.method import OWN, Folder, method_of
+from glsplat.evaluate.comparison.method import OWN, MadeElsewhere, method_of
 from glsplat.evaluate.comparison.participant import Participant, participants_in
 from glsplat.evaluate.comparison.performance import TASKS
 from glsplat.evaluate.comparison.protocol import EXTRA_MEASURES, LIGHTS, VIEWS, Protocol
@@ -109,7 +109,7 @@ def run(args: argparse.Namespace) -> int:
 
 def _run(
     args: argparse.Namespace,
-    methods: Mapping[str, str | Folder],
+    methods: Mapping[str, str | MadeElsewhere],
     people: Sequence[Participant],
     protocol: Protocol,
     jobs: int,

@@ -20,7 +20,7 @@ from glsplat.evaluate.frames import WARM_UP
 from glsplat.evaluate.metrics.lpips import Lpips
 from glsplat.evaluate.sections.costs import SIZES, costs
 from glsplat.gl.context import create_context
-from glsplat.scene import Figure, is_figure
+from glsplat.scene import Rigged, is_rigged
 from glsplat.scenes.loading import load
 
 from ..report import latency
@@ -38,10 +38,10 @@ def timed(
     chosen = max(people, key=lambda one: len(files[one.name]))
     if not files[chosen.name]:
         return {}
-    figures: dict[str, Figure] = {}
+    figures: dict[str, Rigged] = {}
     for method, file in files[chosen.name].items():
         loaded = load(file)
-        if is_figure(loaded):  # as it was when it was written
+        if is_rigged(loaded):  # as it was when it was written
             figures[method] = loaded
     sizes = SIZES[:1] if quick else SIZES
     frames = _FRAMES[quick]
@@ -70,7 +70,7 @@ def _files(results: Sequence[Result], one: Participant, folder: Path) -> dict[st
     return {method: file for method, file in files.items() if file.is_file()}
 
 
-def _likeness(one: Participant, figures: Mapping[str, Figure], protocol: Protocol) -> dict[str, float]:
+def _likeness(one: Participant, figures: Mapping[str, Rigged], protocol: Protocol) -> dict[str, float]:
     """Method -> mean LPIPS over the tasks, from the front, by the true pose, at the protocol's size."""
     performance = perform(one.mesh, protocol.tasks)
     network = Lpips("alex")

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from glsplat.camera import Camera
 from glsplat.errors import GlsplatError
 from glsplat.passes.target import Target
-from glsplat.scene import Shown
+from glsplat.scene import SceneLike
 from glsplat.skinning.pose import EXPRESSION, Pose
 from glsplat.skinning.smplx import JOINT_NAMES
 
@@ -93,7 +93,7 @@ class Watched:
             self._upload(self._picture, size)
         return self._target
 
-    def load(self, scene: Shown) -> None:
+    def load(self, scene: SceneLike) -> None:
         """Not here."""
         raise GlsplatError("the server chooses what is shown: start it with `glsplat serve FILE`")
 

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from glsplat.camera import Camera
 from glsplat.errors import GlsplatError, ProtocolError
 from glsplat.net.client import Client
-from glsplat.net.flow import Arrived, Backoff
+from glsplat.net.flow import Backoff, ReceivedReply
 from glsplat.skinning.pose import Pose
 
 __all__ = ["PACE", "Feed", "Picture", "Wish"]
@@ -209,7 +209,7 @@ class Feed:
         number = client.flow.about(frame_id)
         return number if isinstance(number, int) else self._settled[0]
 
-    def _put(self, arrived: Arrived, number: int) -> None:
+    def _put(self, arrived: ReceivedReply, number: int) -> None:
         """Decode and lay ready."""
         reply, start = arrived.reply, time.perf_counter()
         decoded = reply.images()

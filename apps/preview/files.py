@@ -15,7 +15,7 @@ from glsplat.errors import FormatError, GlsplatError
 from glsplat.formats.format import opened
 from glsplat.motion.kinds import is_gltf, is_motion
 from glsplat.motion.motion import Motion, embedded_motions
-from glsplat.scene import Content, Shown
+from glsplat.scene import Content, SceneLike
 from glsplat.scenes.scene_file import SceneFile, load_scene
 from glsplat.skinning.pose import Pose, load_pose
 from glsplat.skinning.rigs.driven import why_not_driven
@@ -39,7 +39,7 @@ class Dropped:
     label: str
 
 
-def shown(scene: Shown | SceneFile) -> Shown:
+def shown(scene: SceneLike | SceneFile) -> SceneLike:
     """What a renderer takes."""
     return scene.scene if isinstance(scene, SceneFile) else scene
 

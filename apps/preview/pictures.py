@@ -14,7 +14,7 @@ from glsplat.errors import GlsplatError
 from glsplat.gl.context import Context
 from glsplat.passes.target import Target
 from glsplat.renderer import Renderer
-from glsplat.scene import Shown
+from glsplat.scene import SceneLike
 from glsplat.timing import StageTimer
 
 from .overlay import Line
@@ -50,7 +50,7 @@ class Pictures(Protocol):
         """The layers to show, one a view; ``exact`` waits at each stage, so that its time is its own."""
         ...
 
-    def load(self, scene: Shown) -> None:
+    def load(self, scene: SceneLike) -> None:
         """Show another scene from now on. GlsplatError leaves all as it was."""
         ...
 
@@ -79,7 +79,7 @@ class Drawn:
     fresh = False
 
     def __init__(
-        self, scene: Shown, context: Context, size: tuple[int, int], config: RenderConfig | None = None
+        self, scene: SceneLike, context: Context, size: tuple[int, int], config: RenderConfig | None = None
     ) -> None:
         config = replace(config or RenderConfig(), output="float32")  # nothing is read back: the window rounds to 8 bit
         self._scene, self._context = scene, context
@@ -99,7 +99,7 @@ class Drawn:
         renderer.resize(cameras[0].width, cameras[0].height)
         return renderer.draw(cameras, None if player is None else player.pose())
 
-    def load(self, scene: Shown) -> None:
+    def load(self, scene: SceneLike) -> None:
         """Replace the scene."""
         try:
             self._renderer.load(scene)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from glsplat.motion.motion import Motion
 from glsplat.rotations import quaternion_product, quaternion_vectors, vector_quaternions
-from glsplat.scene import Item, is_figure
+from glsplat.scene import Item, is_rigged
 from glsplat.scenes.scene_file import SceneFile
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.skeleton import Skeleton
@@ -148,7 +148,7 @@ class Player:
 def players_of(file: SceneFile) -> tuple[Player | None, Others]:
     """A player for the one visible avatar, if there is one, at what the file says of it; and the other motions."""
     item = file.avatar
-    if item is None or not is_figure(item.content):
+    if item is None or not is_rigged(item.content):
         return None, Others(file)
     player = Player(item.content.skeleton)
     motion = next((motion for other, motion in file.motions.values() if other is item), None)

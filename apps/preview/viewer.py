@@ -18,7 +18,7 @@ from glsplat.errors import GlsplatError
 from glsplat.gl.context import Context
 from glsplat.motion.motion import Motion
 from glsplat.passes.present import Layout, Present, view_size
-from glsplat.scene import Shown
+from glsplat.scene import SceneLike
 from glsplat.scenes.scene_file import SceneFile
 from glsplat.skinning.pose import Pose
 from glsplat.views import viewing_point
@@ -44,7 +44,7 @@ class Viewer:
 
     def __init__(
         self,
-        scene: Shown | SceneFile,  # for its skeleton and where to look from; drawn if there are no other pictures
+        scene: SceneLike | SceneFile,  # for its skeleton and where to look from; drawn if there are no other pictures
         context: Context,
         size: tuple[int, int],
         options: Options,
@@ -348,7 +348,7 @@ class Viewer:
 
     # ------------------------------------------------------------------------------------------------ internals
 
-    def _show(self, scene: Shown | SceneFile, label: str) -> None:
+    def _show(self, scene: SceneLike | SceneFile, label: str) -> None:
         """Take over a scene the renderer has loaded."""
         before, self._label = self.player, label
         self.player, self.others = players_of(scene if isinstance(scene, SceneFile) else SceneFile.of(scene))

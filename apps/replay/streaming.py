@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from glsplat.camera import Camera, look_at, stereo_cameras
 from glsplat.errors import ProtocolError
 from glsplat.net.client import Client
-from glsplat.net.flow import POLICIES, Arrived
+from glsplat.net.flow import POLICIES, ReceivedReply
 from glsplat.net.pace.stages import median_p95
 from glsplat.net.reply import Reply
 from glsplat.rotations import FLIP_YZ
@@ -110,7 +110,7 @@ class Result:
         the next one at the longest. 95th percentiles of solving, rendering and encoding, and a request interval."""
         return self.interval + sum(median_p95(self.times.get(stage, ()))[1] for stage in ("ik", "render", "encode"))
 
-    def add(self, arrived: Arrived, decode_ms: float, done: float) -> None:
+    def add(self, arrived: ReceivedReply, decode_ms: float, done: float) -> None:
         """Account for one decoded reply."""
         server = arrived.reply.info.get("times", {})
         row = {
@@ -258,11 +258,11 @@ class _Stream:
         self.threads = ThreadPoolExecutor(2, thread_name_prefix="decode")
         self._client = client
         self._keep = keep
-        self._arrived: Arrived | None = None
+        self._arrived: ReceivedReply | None = None
         self._decoding = False
         self._wake = asyncio.Event()
-        self._decoded: Arrived | None = None
-        self._on_show: Arrived | None = None
+        self._decoded: ReceivedReply | None = None
+        self._on_show: ReceivedReply | None = None
         self.decoded = client.newest  # frame_id of the newest decoded picture
 
     @property

@@ -15,7 +15,7 @@ from glsplat.consent.keys import PrivateKey, public_key
 from glsplat.consent.policy import ConsentPolicy
 from glsplat.net.guard.kept import kept_key, state_folder
 from glsplat.net.uploads.job import UploadConfig
-from glsplat.scene import is_figure
+from glsplat.scene import is_rigged
 from glsplat.scenes.scene_file import SceneFile
 
 __all__ = ["add_consent", "policy_of", "signing"]
@@ -49,7 +49,7 @@ def policy_of(args: argparse.Namespace, scene: SceneFile, name: str) -> ConsentP
     if args.scene is None:
         policy.add(name, [OnFile(nobody=True)])
     else:
-        files = dict.fromkeys(path for item, path in scene.sources if is_figure(item.content))
+        files = dict.fromkeys(path for item, path in scene.sources if is_rigged(item.content))
         policy.add(name, [on_file(path) for path in files], driven=scene.avatar is not None)
     for path in args.avatar:
         policy.add(path.stem, [on_file(path)])

@@ -18,9 +18,9 @@ from glsplat.net.guard.limits import Limits
 from glsplat.net.messages import WireOptions
 from glsplat.net.server import ServerConfig
 from glsplat.net.session import SessionConfig
-from glsplat.scene import Figure
+from glsplat.scene import Rigged
 from glsplat.tracking.calibration import Calibration
-from glsplat.watermark.mark import Watermark
+from glsplat.watermark.mark import WatermarkKey
 
 from ..args import add_detail, add_scene, add_solver, detail_of, load_avatar, open_scene, size
 from ..logs import add_log_format, start_logging
@@ -146,7 +146,7 @@ def check(args: argparse.Namespace) -> None:
 
 
 def server_config(
-    args: argparse.Namespace, keys: Keys | None = None, watermark: Watermark | None = None
+    args: argparse.Namespace, keys: Keys | None = None, watermark: WatermarkKey | None = None
 ) -> ServerConfig:
     """The checked configuration, with TLS and token of ``keys``, else those that the arguments name.
 
@@ -190,9 +190,9 @@ def scene_name(args: argparse.Namespace) -> str:
     return Path(args.scene).stem if args.scene else "default"
 
 
-def other_avatars(args: argparse.Namespace) -> dict[str, Figure]:
+def other_avatars(args: argparse.Namespace) -> dict[str, Rigged]:
     """The avatars of --avatar by the names of their files. Raises UsageError for two of one name and for none."""
-    found: dict[str, Figure] = {}
+    found: dict[str, Rigged] = {}
     for path in args.avatar:
         if path.stem in (scene_name(args), *found):
             raise UsageError(
@@ -241,10 +241,10 @@ def run(args: argparse.Namespace) -> int:
         if args.insecure and not place.local:
             logging.getLogger("glsplat.serve").warning("anybody who reaches this port can use it (--insecure)")
         if args.json:
-            fields = {"url": server.url, "port": server.port, "driver": server.pump.driver}
+            fields = {"url": server.url, "port": server.port, "driver": server.render_loop.driver}
             print(json.dumps(fields | {"page": place.page(place.names[0])}), flush=True)
         else:
-            print(f"{config.scene}, drawn by {server.pump.driver}")
+            print(f"{config.scene}, drawn by {server.render_loop.driver}")
             announce(place, sys.stdout, args.qr)
         if args.open:
             open_page(place)

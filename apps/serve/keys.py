@@ -13,7 +13,7 @@ from glsplat.net.guard.access import is_loopback, read_token
 from glsplat.net.guard.kept import TOKEN, kept_token, kept_watermark, state_folder
 from glsplat.net.guard.machine import machine_names, reachable_at
 from glsplat.watermark.keys import read_watermark
-from glsplat.watermark.mark import Watermark
+from glsplat.watermark.mark import WatermarkKey
 
 from ..usage import UsageError
 
@@ -82,7 +82,7 @@ def keys_of(args: argparse.Namespace) -> Keys:
     return Keys((kept.path, kept.path), token, token_file, kept.fingerprint, accounts)
 
 
-def watermark_of(args: argparse.Namespace) -> Watermark | None:
+def watermark_of(args: argparse.Namespace) -> WatermarkKey | None:
     """What pictures are marked with: read, or made and kept; None with a warning where that cannot be.
 
     Raises GlsplatError naming the file, for --watermark on too.

@@ -9,7 +9,7 @@ from glsplat.avatar import Avatar
 from glsplat.errors import FormatError
 from glsplat.models.catalogue import PHOTO
 from glsplat.models.store import path_of
-from glsplat.net.uploads.job import DoubtfulError, Order, Progress, UploadConfig
+from glsplat.net.uploads.job import LowConfidenceError, Order, Progress, UploadConfig
 
 from ..usage import UsageError
 
@@ -41,11 +41,11 @@ def upload_config(args: argparse.Namespace) -> UploadConfig | None:
 
 
 def make_avatar(order: Order, progress: Progress) -> Avatar:
-    """An avatar of the order's pictures. Raises DoubtfulError for what the capture check finds, GlsplatError."""
+    """An avatar of the order's pictures. Raises LowConfidenceError for what the capture check finds, GlsplatError."""
     # here, in the process that does the work: the server itself needs none of this
+    from glsplat.authoring.photo.photo_file import Photo, photo_of
+    from glsplat.authoring.reconstruct import from_photos
     from glsplat.errors import CaptureError
-    from glsplat.making.photo.photo_file import Photo, photo_of
-    from glsplat.making.reconstruct import from_photos
 
     def photo(side: str) -> Photo | None:
         if side not in order.pictures:
@@ -69,4 +69,4 @@ def make_avatar(order: Order, progress: Progress) -> Avatar:
             progress=progress,
         )
     except CaptureError as error:
-        raise DoubtfulError(str(error), error.findings) from None
+        raise LowConfidenceError(str(error), error.findings) from None

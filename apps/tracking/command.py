@@ -13,10 +13,18 @@ import numpy as np
 from tqdm import tqdm
 
 from glsplat.errors import PoseError
-from glsplat.evaluate.tracking_score import Score, score
+from glsplat.evaluate.tracking_score import TrackingScore, score
 from glsplat.skinning.pose import Pose
 from glsplat.tracking.calibration import Calibration, calibrate
-from glsplat.tracking.derive import EXTRAS, Disturbance, Truth, derive, disturb, truth_from_motion, with_expressions
+from glsplat.tracking.derive import (
+    EXTRAS,
+    Disturbance,
+    TrueMotion,
+    derive,
+    disturb,
+    truth_from_motion,
+    with_expressions,
+)
 from glsplat.tracking.recording import read_poses, record, replay, write_lines
 from glsplat.tracking.sample import TRACKERS, Sample
 from glsplat.tracking.solve.body import Body
@@ -116,7 +124,7 @@ def from_motion(args: argparse.Namespace) -> int:
     return 0
 
 
-def truth_lines(truth: Truth) -> Iterator[dict[str, Any]]:
+def truth_lines(truth: TrueMotion) -> Iterator[dict[str, Any]]:
     """The lines ``read_poses`` reads, for a true motion."""
     for i, t in enumerate(truth.times):
         pose = Pose(truth.rotations[i], truth.trans[i])
@@ -194,7 +202,7 @@ def run_score(args: argparse.Namespace) -> int:
     return 0
 
 
-def score_text(result: Score) -> str:
+def score_text(result: TrackingScore) -> str:
     """The numbers with their units, one a line."""
     rows = (
         (

@@ -17,7 +17,7 @@ from glsplat.camera import Camera, look_at, pinhole
 from glsplat.data import default_avatar
 from glsplat.io.files import open_regular
 from glsplat.io.npz import array_names
-from glsplat.scene import Figure
+from glsplat.scene import Rigged
 from glsplat.skinning.pose import Pose
 from glsplat.tracking.recording import PoseTrack, read_poses
 from glsplat.tracking.sample import Sample
@@ -110,7 +110,7 @@ class Painter:
         self.renderer: Any = None
 
     @staticmethod
-    def _avatar(name: str | None) -> Figure | None:
+    def _avatar(name: str | None) -> Rigged | None:
         if name is None:
             return default_avatar()
         if name.endswith(".npz"):

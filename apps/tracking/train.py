@@ -15,8 +15,8 @@ from tqdm import tqdm
 from glsplat.errors import FormatError
 from glsplat.motion.motion import Motion, load_motion
 from glsplat.tracking.learned.network import save_network
-from glsplat.tracking.training.clips import Clip, clips_of, looks_away, unit_of_skeleton
-from glsplat.tracking.training.fit import FitConfig, evaluate, fit, network_of
+from glsplat.tracking.training.clips import TrainingClip, clips_of, looks_away, unit_of_skeleton
+from glsplat.tracking.training.fit import TrainingConfig, evaluate, fit, network_of
 from glsplat.tracking.training.standing import Stance, stances_of, stood
 
 from ..usage import UsageError
@@ -24,7 +24,7 @@ from .options import add_skeleton, pattern_of, skeleton_of
 
 __all__ = ["add_train"]
 
-DEFAULT = FitConfig()
+DEFAULT = TrainingConfig()
 KINDS = (".bvh", ".amc", ".json", ".npz", ".glb", ".gltf", ".vrma")
 
 
@@ -58,7 +58,7 @@ def train(args: argparse.Namespace) -> int:
     skeleton = skeleton_of(args.avatar)
     unit = unit_of_skeleton(skeleton)
     quiet = not sys.stderr.isatty()
-    clips: list[Clip] = []
+    clips: list[TrainingClip] = []
     dropped: list[str] = []
     kept: list[tuple[str, Motion]] = []
     stances: dict[str, list[Stance]] = {}
@@ -90,7 +90,7 @@ def train(args: argparse.Namespace) -> int:
             bar.update()
             bar.set_postfix(loss=f"{loss:.3f}")
 
-        config = FitConfig(steps=args.steps, units=args.units, seed=args.seed)
+        config = TrainingConfig(steps=args.steps, units=args.units, seed=args.seed)
         net, mean, spread = fit(seen, unit, config, show)
     save_network(args.output, network_of(net, mean, spread, args.note))
     seconds = sum(len(clip.points) for clip in seen) / 30

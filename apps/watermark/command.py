@@ -11,10 +11,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from glsplat.authoring.photo.photo_file import MOST_PIXELS
+from glsplat.authoring.video.film import each_frame, is_video
 from glsplat.errors import FormatError
 from glsplat.io.files import open_regular
-from glsplat.making.photo.photo_file import MOST_PIXELS
-from glsplat.making.video.film import each_frame, is_video
 from glsplat.net.guard.kept import WATERMARK, state_folder
 from glsplat.watermark.detect import WINDOW, detect
 from glsplat.watermark.keys import read_watermark

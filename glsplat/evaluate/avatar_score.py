@@ -18,7 +18,7 @@ from glsplat.mesh import MeshRenderer
 from glsplat.meshes import RiggedMesh
 from glsplat.renderer import Renderer
 
-__all__ = ["Score", "camera_around", "compare", "score"]
+__all__ = ["AvatarScore", "camera_around", "compare", "score"]
 
 F64 = NDArray[np.float64]
 
@@ -30,7 +30,7 @@ HAND = ("wrist", "index", "middle", "pinky", "ring", "thumb")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Score:
+class AvatarScore:
     """One pose in one view: the figures, and the pictures they come from."""
 
     pose: str
@@ -54,7 +54,7 @@ def score(
     views: int,
     grey: float = 0.0,
     finest: Renderer | None = None,
-) -> Iterator[Score]:
+) -> Iterator[AvatarScore]:
     """Every pose in every view; the renderers have one square size and give float32.
 
     ``finest`` draws the avatar exactly, where ``renderer`` draws less of it.
@@ -87,7 +87,7 @@ def score(
             most = None
             if finest is not None:
                 most = psnr(picture, np.clip(finest.render([camera], pose)[0, ..., :3], 0, 1))
-            yield Score(name, azimuth % 360, body, fingers, alike, milliseconds, picture, wanted, head, most)
+            yield AvatarScore(name, azimuth % 360, body, fingers, alike, milliseconds, picture, wanted, head, most)
 
 
 def camera_around(points: F64, azimuth: float, size: int, grey: float = 0.0) -> Camera:

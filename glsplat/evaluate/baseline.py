@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from glsplat.tracking.derive import Truth
+from glsplat.tracking.derive import TrueMotion
 from glsplat.tracking.solve.body import HEAD, NECK, PELVIS, SPINE1, SPINE2, SPINE3
 
 __all__ = ["baseline"]
@@ -22,7 +22,7 @@ _LEGS = ((1, 4, 7, 10), (2, 5, 8, 11))
 _FINGERS = (range(25, 40), range(40, 55))
 
 
-def baseline(truth: Truth, kind: Literal["glued", "naive"]) -> Array:
+def baseline(truth: TrueMotion, kind: Literal["glued", "naive"]) -> Array:
     """Joint positions [T, 55, 3] estimated from the true head and wrists.
 
     glued: the body of the first frame, turned by a smoothed head yaw, hung on the head; wrists at the hands. naive: a
@@ -34,7 +34,7 @@ def baseline(truth: Truth, kind: Literal["glued", "naive"]) -> Array:
 
 
 class _Naive:
-    def __init__(self, truth: Truth) -> None:
+    def __init__(self, truth: TrueMotion) -> None:
         self.truth, self.dt = truth, float(truth.times[1] - truth.times[0])
         first = truth.positions[0]
         across = first[1] - first[2]

@@ -19,7 +19,7 @@ from glsplat.evaluate.metrics.pixels import decibel
 from glsplat.skinning.pose import Pose
 from glsplat.splats import Splats
 
-__all__ = ["PSNR_CAP", "Difference", "Truth", "pareto", "require_extra"]
+__all__ = ["PSNR_CAP", "Difference", "ReferencePictures", "pareto", "require_extra"]
 
 PSNR_CAP = 160.0
 """Decibels reported for equal pictures: JSON has no infinity."""
@@ -69,7 +69,7 @@ class Difference:
         return self.psnr >= 65 and self.mean <= 1e-4 and self.beyond <= 0.003 and self.maximum <= 0.06
 
 
-class Truth:
+class ReferencePictures:
     """Float64 pictures of one scene, each rendered once."""
 
     def __init__(self, scene: Splats | Avatar) -> None:

@@ -17,7 +17,7 @@ from glsplat.gl.context import Context
 from glsplat.meshes import RiggedMesh
 from glsplat.motion.motion import Motion
 from glsplat.renderer import Renderer
-from glsplat.scene import Content, Scene, Shown, is_figure
+from glsplat.scene import Content, Scene, SceneLike, is_rigged
 from glsplat.skinning.pose import Pose
 from glsplat.views import view_of, viewing_point
 
@@ -41,7 +41,7 @@ class Series:
         return cls(round(float(np.median(values)), 3), round(float(np.percentile(values, 95)), 3))
 
 
-def triangles_of(scene: Shown) -> int:
+def triangles_of(scene: SceneLike) -> int:
     """Triangles of the visible meshes."""
     items = (item for item in Scene.of(scene) if item.visible)
     return sum(len(item.content.faces) for item in items if isinstance(item.content, RiggedMesh))
@@ -89,14 +89,14 @@ class Bench:
         frames = self._frames + WARM_UP
         still = scene.splats if isinstance(scene, Avatar) else scene
         out: list[tuple[str, Content, list[Pose | None]]] = [("static", still, [None] * frames)]
-        if is_figure(scene) and motion is not None:
+        if is_rigged(scene) and motion is not None:
             out.append(("in motion", scene, [motion.at(i / 30) for i in range(frames)]))
         return out
 
     def setting(
         self,
         kind: str,
-        scene: Shown,
+        scene: SceneLike,
         poses: list[Pose | None],
         pixels: tuple[int, int],
         views: int,
@@ -206,10 +206,10 @@ class Bench:
             total += renderer.timings["total"]
         return total
 
-    def _renderer(self, scene: Shown, pixels: tuple[int, int], views: int, timed: int) -> Probe:
+    def _renderer(self, scene: SceneLike, pixels: tuple[int, int], views: int, timed: int) -> Probe:
         return Probe(scene, size=pixels, views=views, config=self._config, context=self._context, timed=bool(timed))
 
-    def eyes(self, scene: Shown, pixels: tuple[int, int], frame: int) -> list[Camera]:
+    def eyes(self, scene: SceneLike, pixels: tuple[int, int], frame: int) -> list[Camera]:
         """The pair of a head that orbits one degree a frame."""
         eye, target = viewing_point(scene, FOV)
         x, y, z = eye - target

@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from glsplat.authoring.raster import mesh_picture_and_depth
 from glsplat.camera import Camera, look_at
 from glsplat.errors import GlsplatError
-from glsplat.making.raster import mesh_picture_and_depth
 from glsplat.meshes import RiggedMesh, vertex_normals
 
 __all__ = ["CaptureLight", "shade_of"]

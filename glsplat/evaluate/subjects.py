@@ -10,6 +10,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from glsplat.authoring.detail.merge import merged
+from glsplat.authoring.importers import nearest_weights
+from glsplat.authoring.surface import SamplerConfig, make_avatar
 from glsplat.avatar import Avatar, splats_of
 from glsplat.camera import Camera, load_cameras
 from glsplat.data import default_avatar
@@ -17,9 +20,6 @@ from glsplat.errors import FormatError, GlsplatError
 from glsplat.evaluate.frames import FOV
 from glsplat.formats import load_splats
 from glsplat.formats.person import read_person
-from glsplat.making.detail.merge import merged
-from glsplat.making.importers import nearest_weights
-from glsplat.making.surface import SamplerConfig, make_avatar
 from glsplat.motion.motion import Motion, load_motion
 from glsplat.scene import Content
 from glsplat.skinning.pose import Pose
@@ -78,7 +78,7 @@ class Subject:
         return pose_of_frame(self.scene.skeleton, frame)
 
     def level(self, share: float) -> Splats | Avatar:
-        """The scene with that share of its splats, merged from it (making/detail); 1 is the scene itself."""
+        """The scene with that share of its splats, merged from it (authoring/detail); 1 is the scene itself."""
         return self.scene if share == 1.0 else _level(self, share)
 
 

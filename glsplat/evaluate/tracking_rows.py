@@ -8,12 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from glsplat.evaluate.baseline import baseline
-from glsplat.evaluate.tracking_score import Score, score, windows
+from glsplat.evaluate.tracking_score import TrackingScore, score, windows
 from glsplat.motion.motion import Motion
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.tracking.batch import forward_all
 from glsplat.tracking.derive import derive, truth_from_motion
-from glsplat.tracking.learned.network import Network
+from glsplat.tracking.learned.network import PoseNetwork
 from glsplat.tracking.learned.solver import LearnedSolver
 from glsplat.tracking.solve.body import Body
 from glsplat.tracking.solve.solver import AnalyticSolver
@@ -32,13 +32,18 @@ class Row:
     clip: str
     rate: float
     solver: str
-    score: Score
+    score: TrackingScore
     milliseconds: float  # median a sample; NaN where it was not timed
     windows: tuple[float, ...]  # MPJPE of each ten seconds, cm
 
 
 def rows_of(
-    name: str, motion: Motion, rate: float, skeleton: Skeleton, config: TrackerConfig, network: Network | None = None
+    name: str,
+    motion: Motion,
+    rate: float,
+    skeleton: Skeleton,
+    config: TrackerConfig,
+    network: PoseNetwork | None = None,
 ) -> list[Row]:
     """All solvers on one clip at one rate. ``network``: of the learned solver; None: the embedded one."""
     truth = truth_from_motion(skeleton, motion.rotations, motion.trans, motion.fps, rate)

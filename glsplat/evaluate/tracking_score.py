@@ -11,7 +11,7 @@ from glsplat.errors import PoseError
 from glsplat.rotations import rotation_matrices
 from glsplat.tracking.solve.body import FEET, WRISTS
 
-__all__ = ["WINDOW", "Score", "mean_score", "score", "windows"]
+__all__ = ["WINDOW", "TrackingScore", "mean_score", "score", "windows"]
 
 Array = NDArray[np.float64]
 
@@ -23,7 +23,7 @@ CONTACT = 0.02  # metres the ball of a foot may lie above its height on flat gro
 
 
 @dataclass(frozen=True, slots=True)
-class Score:
+class TrackingScore:
     """Errors in cm, cm/s and degrees; jitter (mean third derivative) in 100 m/s^3."""
 
     frames: int
@@ -53,7 +53,7 @@ def score(
     sole: float,  # metres from the foot joint to the ground
     rotations: Array | None = None,  # [T, 55, 3] axis-angle
     true_rotations: Array | None = None,
-) -> Score:
+) -> TrackingScore:
     """Compare two motions frame by frame. Raises PoseError when shapes differ or there are fewer than 4 frames."""
     if positions.shape != truth.shape or positions.shape[1:] != (55, 3):
         raise PoseError(f"poses and truth need one shape (T, 55, 3), not {positions.shape} and {truth.shape}")
@@ -67,7 +67,7 @@ def score(
         trace = np.einsum("tjab,tjab->tj", ours, theirs)
         angle = float(np.degrees(np.arccos(np.clip((trace - 1) / 2, -1, 1))).mean())
     feet = positions[:, list(FEET)]
-    return Score(
+    return TrackingScore(
         frames=len(positions),
         mpjpe=float(error[:, BODY].mean()),
         upper=float(error[:, UPPER].mean()),
@@ -91,12 +91,12 @@ def windows(positions: Array, truth: Array, rate: float) -> tuple[float, ...]:
     return tuple([float(part.mean()) for part in np.array_split(error, max(1, int(len(error) / (WINDOW * rate))))])
 
 
-def mean_score(scores: list[Score]) -> Score:
+def mean_score(scores: list[TrackingScore]) -> TrackingScore:
     """The mean over clips, weighted by their frames; NaN stays NaN."""
     weights = np.array([s.frames for s in scores], np.float64)
     values = np.array([list(asdict(s).values()) for s in scores], np.float64)
     mean = (values * weights[:, None]).sum(0) / weights.sum()
-    return Score(int(weights.sum()), *mean[1:].tolist())
+    return TrackingScore(int(weights.sum()), *mean[1:].tolist())
 
 
 def _jitter(positions: Array, rate: float) -> float:

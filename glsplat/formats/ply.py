@@ -24,7 +24,7 @@ from glsplat.formats.ply_header import (
     ANTIALIAS,
     PACKED,
     Element,
-    Header,
+    PlyHeader,
     is_compressed,
     is_ply,
     listed,
@@ -119,7 +119,7 @@ def _check_properties(vertex: Element) -> int:
 
 
 def _binary(
-    file: BinaryIO, available: int, header: Header, vertex: Element
+    file: BinaryIO, available: int, header: PlyHeader, vertex: Element
 ) -> Iterator[dict[str, NDArray[np.generic]]]:
     """Columns of the vertices, a chunk at a time. Reading costs less memory than mapping, and a file that shrinks
     meanwhile is an error here, not a bus error."""
@@ -139,7 +139,9 @@ def _binary(
         yield {name: rows[name] for name in vertex.names}
 
 
-def _ascii(file: BinaryIO, available: int, header: Header, vertex: Element) -> Iterator[dict[str, NDArray[np.generic]]]:
+def _ascii(
+    file: BinaryIO, available: int, header: PlyHeader, vertex: Element
+) -> Iterator[dict[str, NDArray[np.generic]]]:
     width = len(vertex.properties)
     # a value takes at least a digit and a separator
     if 2 * width * vertex.count > available + 1:

@@ -11,7 +11,7 @@ import numpy as np
 from glsplat.errors import FormatError
 from glsplat.formats.format import Opened
 
-__all__ = ["ANTIALIAS", "Element", "Header", "is_compressed", "is_ply", "listed", "read_header", "sh_degree"]
+__all__ = ["ANTIALIAS", "Element", "PlyHeader", "is_compressed", "is_ply", "listed", "read_header", "sh_degree"]
 
 ANTIALIAS = "comment SplatRenderMode: mip"
 """What Splats.antialias becomes in a header, spelled as Brush and splat-transform do."""
@@ -48,7 +48,7 @@ class Element:
 
 
 @dataclass(eq=False)
-class Header:
+class PlyHeader:
     """What stands before the data."""
 
     order: str  # "<", ">", or "" for ASCII
@@ -79,7 +79,7 @@ def is_compressed(opened: Opened) -> bool:
     return re.search(rb"\nproperty[^\n]*[ \t]%b\s" % PACKED.encode(), header) is not None
 
 
-def read_header(file: BinaryIO) -> Header:
+def read_header(file: BinaryIO) -> PlyHeader:
     """The header at the start of an open file. Raises FormatError for what is no PLY."""
     file.seek(0)
     head = file.read(_LIMIT)
@@ -110,7 +110,7 @@ def read_header(file: BinaryIO) -> Header:
             raise FormatError(f"the PLY header has a line that cannot be understood: {line[:60]!r}")
     if order is None:
         raise FormatError("the PLY header has no format line (binary_little_endian, binary_big_endian or ascii)")
-    return Header(order, elements, end.end(), antialias)
+    return PlyHeader(order, elements, end.end(), antialias)
 
 
 def sh_degree(element: Element) -> int:

@@ -22,7 +22,7 @@ import numpy as np
 from glsplat.avatar import Avatar, splats_of
 from glsplat.errors import FormatError
 from glsplat.formats.format import Format, Opened, checked, clamped_opacities, opened
-from glsplat.formats.spz_packing import HALF_TURN, Bytes, Header, lost, packed, position_bits, unpacked
+from glsplat.formats.spz_packing import HALF_TURN, Bytes, SpzHeader, lost, packed, position_bits, unpacked
 from glsplat.formats.transform import transformed
 from glsplat.io.files import Source, replace_file
 from glsplat.splats import Splats
@@ -94,11 +94,11 @@ def save_spz(splats: Splats, target: Source, *, version: int = _WRITTEN) -> None
     """
     if version not in (2, 3):
         raise FormatError(f"SPZ is written as version 2 or 3, not {version!r:.20}")
-    header = Header(version, len(splats), splats.sh_degree, position_bits(splats), splats.antialias)
+    header = SpzHeader(version, len(splats), splats.sh_degree, position_bits(splats), splats.antialias)
     replace_file(target, _gzipped(splats, header))
 
 
-def _gzipped(splats: Splats, header: Header) -> Iterator[bytes]:
+def _gzipped(splats: Splats, header: SpzHeader) -> Iterator[bytes]:
     pack = zlib.compressobj(wbits=31, memLevel=9)  # its header has no time and no name
     flags = _ANTIALIAS * header.antialias
     yield pack.compress(_HEADER.pack(_MAGIC, header.version, header.count, header.degree, header.bits, flags, 0))
@@ -132,7 +132,7 @@ class _Inflated:
             raise FormatError("something follows the end of the gzip stream; is this one file?")
 
 
-def _single(read: Callable[[int], Bytes], most: int) -> tuple[Header, list[Bytes], Bytes]:
+def _single(read: Callable[[int], Bytes], most: int) -> tuple[SpzHeader, list[Bytes], Bytes]:
     """Versions 1 to 3: header, attributes and extensions, of a stream that has at most so many bytes."""
     header, flags = _header(read(_HEADER.size), 3)
     needed = header.count * sum(header.widths)
@@ -151,7 +151,7 @@ def _single(read: Callable[[int], Bytes], most: int) -> tuple[Header, list[Bytes
     return header, [view[start:end] for start, end in zip([0, *ends], ends, strict=False)], rest
 
 
-def _streams(file: BinaryIO, size: int, head: bytes) -> tuple[Header, list[Bytes], Bytes]:
+def _streams(file: BinaryIO, size: int, head: bytes) -> tuple[SpzHeader, list[Bytes], Bytes]:
     """Version 4: the same, each attribute that takes any bytes as a stream of its own."""
     if len(head) < 32:
         raise FormatError(f"truncated: the header of SPZ version 4 has 32 bytes, this file has {len(head)}")
@@ -206,7 +206,7 @@ def _zstd() -> ModuleType:
     return zstd
 
 
-def _header(data: Bytes, newest: int) -> tuple[Header, int]:
+def _header(data: Bytes, newest: int) -> tuple[SpzHeader, int]:
     """The header and its flags, checked as far as it can be alone."""
     if len(data) < _HEADER.size or data[:4] != _MAGIC:
         raise FormatError("no SPZ file: it does not start with a header of 16 bytes that begins with NGSP")
@@ -217,7 +217,7 @@ def _header(data: Bytes, newest: int) -> tuple[Header, int]:
         raise FormatError(f"needs SH of degree 0 to 4 and 0 to 24 fractional bits, found {degree} and {bits}")
     if flags & _TREE:
         raise FormatError("holds a level-of-detail tree (flag 0x80); export the splats without it")
-    return Header(version, count, degree, bits, bool(flags & _ANTIALIAS)), flags
+    return SpzHeader(version, count, degree, bits, bool(flags & _ANTIALIAS)), flags
 
 
 def _turned(splats: Splats, extensions: Bytes) -> Splats:

@@ -30,7 +30,7 @@ from glsplat.formats.format import hidden
 from glsplat.rotations import sh_rotations
 from glsplat.splats import Splats, normalised
 
-__all__ = ["HALF_TURN", "Bytes", "Header", "lost", "packed", "position_bits", "unpacked"]
+__all__ = ["HALF_TURN", "Bytes", "SpzHeader", "lost", "packed", "position_bits", "unpacked"]
 
 F32 = NDArray[np.float32]
 U8 = NDArray[np.uint8]
@@ -59,7 +59,7 @@ _SIGNED = (_BYTES / 127.5 - 1).astype(np.float32)
 
 
 @dataclass(frozen=True)
-class Header:
+class SpzHeader:
     """What the first 16 bytes say."""
 
     version: int
@@ -75,7 +75,7 @@ class Header:
         return position, 1, 3, 3, rotation, 3 * ((self.degree + 1) ** 2 - 1)
 
 
-def unpacked(header: Header, attributes: Sequence[Bytes], *, turn: bool) -> Splats:
+def unpacked(header: SpzHeader, attributes: Sequence[Bytes], *, turn: bool) -> Splats:
     """The splats of the file's attributes, each ``count`` times its width long; SH of degree 4 is left out.
 
     With ``turn`` in the axes of a 3DGS PLY, else in the file's own.
@@ -105,7 +105,7 @@ def unpacked(header: Header, attributes: Sequence[Bytes], *, turn: bool) -> Spla
     return Splats(frozen(means), frozen(quats), frozen(scales), frozen(opacities), frozen(sh), header.antialias)
 
 
-def packed(splats: Splats, header: Header) -> Iterator[bytes]:
+def packed(splats: Splats, header: SpzHeader) -> Iterator[bytes]:
     """The bytes behind the header, of version 2 or 3, in the axes of SPZ.
 
     A splat that is never drawn, since something of it is not finite or its quaternion is zero, becomes a transparent
@@ -182,7 +182,7 @@ def _rounded(values: NDArray[np.floating]) -> bytes:
     return np.rint(np.clip(np.nan_to_num(values), 0, 255)).astype(np.uint8).tobytes()
 
 
-def _positions(data: U8, header: Header) -> NDArray[np.floating]:
+def _positions(data: U8, header: SpzHeader) -> NDArray[np.floating]:
     if header.version == 1:
         return data.view("<f2")
     low, middle, high = np.moveaxis(data.reshape(-1, 3, 3), -1, 0)

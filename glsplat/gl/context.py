@@ -20,7 +20,7 @@ import numpy as np
 from glsplat.arrays import instance
 from glsplat.errors import ContextError, ShaderError
 from glsplat.gl import current
-from glsplat.gl.owner import Entry, Owner, check_process, destroy_when_dropped, owner_of, release_dropped
+from glsplat.gl.owner import ContextGuard, Owner, check_process, destroy_when_dropped, owner_of, release_dropped
 from glsplat.gl.state import GLState
 from glsplat.shaders import Variant, flatten, link
 
@@ -51,7 +51,7 @@ class Context:
     scratch: moderngl.Framebuffer  # 1x1; what is bound while nothing is drawn
     owner: Owner
     state: GLState | None = None  # of a given context, which is left as it was found
-    _stays: list[Entry] = field(default_factory=list)
+    _stays: list[ContextGuard] = field(default_factory=list)
 
     @property
     def driver(self) -> str:
@@ -69,17 +69,17 @@ class Context:
         """True after release()."""
         return isinstance(self.scratch.mglo, moderngl.InvalidObject)
 
-    def entered(self, call: str) -> Entry:
+    def entered(self, call: str) -> ContextGuard:
         """``with`` it this context is current, its state is known, and afterwards all is as before.
 
         Raises ContextError, which names ``call``, on another thread, in a forked child and after release().
         """
         if self.released:
             raise ContextError(f"{call}: this context was released; make a new one")
-        return Entry(self.owner, call, self.state)
+        return ContextGuard(self.owner, call, self.state)
 
     def __enter__(self) -> Context:
-        stay = Entry(self.owner, "Context", None, draws=False)
+        stay = ContextGuard(self.owner, "Context", None, draws=False)
         stay.__enter__()
         self._stays.append(stay)
         return self

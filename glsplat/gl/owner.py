@@ -20,7 +20,7 @@ import moderngl
 from glsplat.errors import ContextError
 from glsplat.gl import current
 
-__all__ = ["Entry", "Owner", "State", "abandon", "check_process", "destroy_when_dropped", "owner_of"]
+__all__ = ["ContextGuard", "Owner", "State", "check_process", "destroy_when_dropped", "owner_of", "release_later"]
 
 _forks = 0  # between the first process and this one
 _made_after: int | None = None  # forks when the newest context was made
@@ -108,9 +108,9 @@ class Owner:
         """Nothing draws any more."""
         self._busy = None
 
-    def entered(self, call: str, state: State | None = None) -> Entry:
+    def entered(self, call: str, state: State | None = None) -> ContextGuard:
         """``with`` it the context is current; then what was before is again. Raises ContextError as check() does."""
-        return Entry(self, call, state)
+        return ContextGuard(self, call, state)
 
     def leave(self) -> None:
         """Leave the thread without a context if this one is current."""
@@ -118,7 +118,7 @@ class Owner:
             current.unbind()
 
 
-class Entry:
+class ContextGuard:
     """One stay in a context."""
 
     __slots__ = ("_call", "_draws", "_former", "_owner", "_state", "_switched", "_was")
@@ -206,7 +206,7 @@ def destroy_when_dropped(ctx: moderngl.Context, owner: Owner, label: str) -> Non
     weakref.finalize(ctx, dropped).atexit = False
 
 
-def abandon(label: str, owner: Owner, release: Callable[[], None], owns_context: bool) -> None:
+def release_later(label: str, owner: Owner, release: Callable[[], None], owns_context: bool) -> None:
     """From ``__del__``: warn, and free it, or have it freed when its thread next draws.
 
     It may be any thread's garbage collector that calls, and in the middle of a frame. What lies in a context that

@@ -21,7 +21,7 @@ from glsplat.camera import Camera
 from glsplat.config import RenderConfig
 from glsplat.errors import ContextError, GlsplatError
 from glsplat.gl.context import Context, create_context
-from glsplat.gl.owner import abandon
+from glsplat.gl.owner import release_later
 from glsplat.meshes import RiggedMesh
 from glsplat.passes.block import FrameBlock
 from glsplat.passes.item.mesh_buffers import INFLUENCES, MeshBuffers
@@ -154,7 +154,7 @@ class MeshRenderer:
     def __del__(self) -> None:
         if not getattr(self, "_released", True):
             label = f"a MeshRenderer ({self.size[0]}x{self.size[1]})"
-            abandon(label, self.context.owner, self._forget, self._owns_context)
+            release_later(label, self.context.owner, self._forget, self._owns_context)
 
     # ------------------------------------------------------------------------------------------------- internals
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from glsplat import on_demand
 
 if TYPE_CHECKING:
-    from glsplat.net.backend import Backend, Offered, PoseSolver, Rendered, RenderJob, Solved
+    from glsplat.net.backend import AvatarInfo, Backend, PoseSolver, Rendered, RenderJob, Solved
     from glsplat.net.backends.server import make_server
     from glsplat.net.client import Client
     from glsplat.net.messages import PictureOptions, Request
@@ -15,9 +15,9 @@ if TYPE_CHECKING:
     from glsplat.net.server import Server, ServerConfig
 
 __all__ = [
+    "AvatarInfo",
     "Backend",
     "Client",
-    "Offered",
     "PictureOptions",
     "PoseSolver",
     "RenderJob",
@@ -31,7 +31,7 @@ __all__ = [
 ]
 
 _HOME = {
-    **dict.fromkeys(("Backend", "Offered", "PoseSolver", "RenderJob", "Rendered", "Solved"), "backend"),
+    **dict.fromkeys(("Backend", "AvatarInfo", "PoseSolver", "RenderJob", "Rendered", "Solved"), "backend"),
     **dict.fromkeys(("PictureOptions", "Request"), "messages"),
     **dict.fromkeys(("Server", "ServerConfig"), "server"),
     "Client": "client",

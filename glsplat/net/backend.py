@@ -14,9 +14,9 @@ from glsplat.net.messages import DEFAULT, PictureOptions, Request
 from glsplat.net.rooms.view import RoomView
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.skeleton import Skeleton
-from glsplat.watermark.mark import Mark
+from glsplat.watermark.mark import Watermark
 
-__all__ = ["Backend", "Interruptible", "Offered", "Placing", "PoseSolver", "RenderJob", "Rendered", "Solved"]
+__all__ = ["AvatarInfo", "Backend", "Interruptible", "Placing", "PoseSolver", "RenderJob", "Rendered", "Solved"]
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -33,7 +33,7 @@ class RenderJob:
     detail: float = 0.0  # added to RenderConfig.lod_bias: below 0 for coarser levels
     label: str = ""  # drawn near the head of the avatar
     notice: str = ""  # written into the picture
-    mark: Mark | None = None  # of the session
+    mark: Watermark | None = None  # of the session
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -125,7 +125,7 @@ class PoseSolver(Protocol):
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Offered:
+class AvatarInfo:
     """One of the things that clients may choose to see, as requests for it are read and answered."""
 
     name: str

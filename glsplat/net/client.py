@@ -18,15 +18,15 @@ import numpy as np
 from glsplat.arrays import count, flag, number
 from glsplat.camera import Camera
 from glsplat.errors import GlsplatError, ProtocolError
-from glsplat.net.client_connection import Connection
+from glsplat.net.client_connection import ClientConnection
 from glsplat.net.fields import Alpha
-from glsplat.net.flow import Arrived, Flow
+from glsplat.net.flow import FlowControl, ReceivedReply
 from glsplat.net.messages import MAX_BYTES, VERSION, eye_fields
 from glsplat.net.reply import Reply
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.smplx import JOINT_NAMES
 
-__all__ = ["Arrived", "Client", "request_message"]
+__all__ = ["Client", "ReceivedReply", "request_message"]
 
 _MAX_REPLY = 64 * 1024 * 1024
 
@@ -79,7 +79,7 @@ class Client:
         self._timeout: float = number(timeout, "timeout", GlsplatError)
         if self._timeout <= 0:
             raise GlsplatError(f"timeout needs seconds above 0, not {self._timeout:g}")
-        self._connection: Connection | None = None
+        self._connection: ClientConnection | None = None
 
     @property
     def newest(self) -> int:
@@ -92,9 +92,9 @@ class Client:
         return self.flow.waiting
 
     @property
-    def flow(self) -> Flow:
+    def flow(self) -> FlowControl:
         """What is under way on this connection; an empty one before the first."""
-        return Flow() if self._connection is None else self._connection.flow
+        return FlowControl() if self._connection is None else self._connection.flow
 
     async def __aenter__(self) -> Client:
         await self.connect()
@@ -123,7 +123,7 @@ class Client:
         except BaseException:
             await http.close()
             raise
-        connection = Connection(self.url, http, ws)
+        connection = ClientConnection(self.url, http, ws)
         if self._ours():  # another task was quicker
             await connection.close()
         else:
@@ -198,7 +198,7 @@ class Client:
         """Tell the server what has arrived, without asking for a picture; also keeps a quiet connection alive."""
         await self._open().acknowledge()
 
-    async def receive(self) -> Arrived:
+    async def receive(self) -> ReceivedReply:
         """The next picture of a ``send``. Acknowledges it at once when newer requests are under way.
 
         The newest 8 that nobody has taken are kept. Raises the server's errors that no ``render`` waits for.
@@ -206,7 +206,7 @@ class Client:
         return await self._open().next(self._timeout)
 
     def _request(
-        self, connection: Connection, cameras: Sequence[Camera] | None, **fields: Any
+        self, connection: ClientConnection, cameras: Sequence[Camera] | None, **fields: Any
     ) -> tuple[int, str, float]:
         """The next request: its frame_id, its text, and when it was made, in seconds."""
         now = time.perf_counter()
@@ -226,7 +226,7 @@ class Client:
         connection = self._connection
         return connection is not None and connection.alive and connection.loop is asyncio.get_running_loop()
 
-    def _open(self) -> Connection:
+    def _open(self) -> ClientConnection:
         if self._connection is None:
             raise ProtocolError(f"{self.url}: not connected; await connect() first", "closed")
         if self._connection.loop is not asyncio.get_running_loop():

@@ -15,27 +15,27 @@ from contextlib import suppress
 import aiohttp
 
 from glsplat.errors import ProtocolError
-from glsplat.net.flow import Arrived, Flow, server_error
+from glsplat.net.flow import FlowControl, ReceivedReply, server_error
 from glsplat.net.reply import Reply, parse_reply
 
-__all__ = ["Connection"]
+__all__ = ["ClientConnection"]
 
 _UNREAD = 8  # pictures kept for receive(), the newest; the largest window of a server
 _GOODBYE = 1.0  # seconds for a server to agree to the end of a TLS connection
 
 
-class Connection:
+class ClientConnection:
     """An open WebSocket and what is under way on it. Belongs to the event loop that made it."""
 
     def __init__(self, url: str, http: aiohttp.ClientSession, ws: aiohttp.ClientWebSocketResponse) -> None:
         self.loop = asyncio.get_running_loop()
         self.turn = asyncio.Lock()  # of those who ask for one picture and wait for it
-        self.flow = Flow()
+        self.flow = FlowControl()
         self._url = url
         self._http, self._ws = http, ws
         self._socket = ws.get_extra_info("socket")
-        self._waiting: dict[int, asyncio.Future[Arrived]] = {}
-        self._unread: deque[Arrived | ProtocolError] = deque(maxlen=_UNREAD)
+        self._waiting: dict[int, asyncio.Future[ReceivedReply]] = {}
+        self._unread: deque[ReceivedReply | ProtocolError] = deque(maxlen=_UNREAD)
         self._news = asyncio.Event()
         self._failure: ProtocolError | None = None
         self._task = asyncio.create_task(self._read(), name="glsplat client")
@@ -79,10 +79,10 @@ class Connection:
     def take_all(self) -> None:
         """Acknowledge, with the next message, also what receive() has not taken: a full window would hold it back."""
         for item in self._unread:
-            if isinstance(item, Arrived):
+            if isinstance(item, ReceivedReply):
                 self.flow.take(item.reply.frame_id)
 
-    async def ask_and_wait(self, frame_id: int, text: str, now: float, timeout: float) -> Arrived:
+    async def ask_and_wait(self, frame_id: int, text: str, now: float, timeout: float) -> ReceivedReply:
         """Send a request and wait for its picture. Raises the server's error, or one that says it was replaced."""
         future = self._waiting[frame_id] = self.loop.create_future()  # before sending: the answer may be quick
         try:
@@ -102,7 +102,7 @@ class Connection:
             if future.done() and not future.cancelled():
                 future.exception()  # looked at, also where nobody awaits it any more
 
-    async def next(self, timeout: float) -> Arrived:
+    async def next(self, timeout: float) -> ReceivedReply:
         """The next picture nobody waits for by its number; acknowledged at once when newer requests are under way."""
         try:
             async with asyncio.timeout(timeout):
@@ -158,7 +158,7 @@ class Connection:
         if answer.frame_id is None:
             return
         self._drop(answer.replaced, answer.frame_id)
-        arrived, future = Arrived(reply, at, answer.requested), self._waiting.get(answer.frame_id)
+        arrived, future = ReceivedReply(reply, at, answer.requested), self._waiting.get(answer.frame_id)
         if future is not None:
             if not future.done():
                 future.set_result(arrived)

@@ -12,19 +12,19 @@ from typing import Any
 from aiohttp import WSMsgType, web
 
 from glsplat.errors import ProtocolError
-from glsplat.net.guard.door import Door, connection_of
+from glsplat.net.guard.gate import Gate, connection_of
 from glsplat.net.guard.meter import POLICY_VIOLATION, Breach
 from glsplat.net.guard.reading import Reading
 from glsplat.net.messages import Request
-from glsplat.net.pace.channel import Channel
-from glsplat.net.pump import Pump
+from glsplat.net.pace.client_stream import ClientStream
+from glsplat.net.render_loop import RenderLoop
 from glsplat.net.session import Close, Warn
-from glsplat.net.workers.farm import Farm
+from glsplat.net.workers.pool import WorkerPool
 
 __all__ = ["Conversation", "cut_off"]
 
 log: logging.Logger = logging.getLogger("glsplat.net")
-clock: Callable[[], float] = time.perf_counter  # the pump's clock too
+clock: Callable[[], float] = time.perf_counter  # the render loop's clock too
 
 _TURN = 8  # messages of one client in a row before others are heard
 _FAREWELL = 0.5  # seconds a client that broke the rules gets to answer the close, while what it sends is thrown away
@@ -36,16 +36,16 @@ class Conversation:
 
     def __init__(
         self,
-        channel: Channel,
+        channel: ClientStream,
         ws: web.WebSocketResponse,
         request: web.Request,
-        pump: Pump | Farm,
-        door: Door,
+        render_loop: RenderLoop | WorkerPool,
+        gate: Gate,
         deaf: Callable[[], bool],
         write_timeout: float,
     ) -> None:
         self.channel = channel
-        self._ws, self._request, self._pump, self._door = ws, request, pump, door
+        self._ws, self._request, self._render_loop, self._gate = ws, request, render_loop, gate
         self._deaf, self._write_timeout = deaf, write_timeout
 
     @property
@@ -55,7 +55,7 @@ class Conversation:
 
     async def run(self) -> None:
         """Until the client leaves or is put out. Raises ConnectionError, TimeoutError: it neither reads nor listens."""
-        self._pump.add(self.channel)
+        self._render_loop.add(self.channel)
         writer = asyncio.create_task(self._write())
         try:
             await self._converse(connection_of(self._request).breached)
@@ -120,16 +120,16 @@ class Conversation:
                 await self._farewell(outcome)
                 return
             elif text is not None:
-                self._pump.received(self.channel, outcome)
+                self._render_loop.received(self.channel, outcome)
             count += 1
             if count % _TURN == 0:  # receive() does not give way while more has arrived
                 await asyncio.sleep(0)
 
     async def _farewell(self, close: Close) -> None:
         """Close the connection of a client that broke the rules. Raises TimeoutError if it does not answer."""
-        self._pump.remove(self.channel)
+        self._render_loop.remove(self.channel)
         if close.breach:
-            self._door.breach(self._request, close.reason)
+            self._gate.breach(self._request, close.reason)
         if close.text:
             await self._send(close.text)
         async with asyncio.timeout(_FAREWELL):  # else it is cut off
@@ -141,7 +141,7 @@ class Conversation:
         while True:
             frame = await self.channel.frames.get()
             try:
-                packed = await self._pump.pack(self.channel, frame)
+                packed = await self._render_loop.pack(self.channel, frame)
                 for data in [packed] if isinstance(packed, str) else packed:
                     await self._send(data)
             except TimeoutError:
@@ -158,7 +158,7 @@ class Conversation:
                 if not session.counts.sent:  # who only knocks fills no log
                     session.announce(self.channel.number, self.channel.address)
                 session.sent(frame.request, sum(map(len, packed)))
-            self._pump.wake(self.channel)
+            self._render_loop.wake(self.channel)
             if frame.ends:
                 log.warning("client %d is dropped: %s", self.channel.number, frame.ends)
                 with contextlib.suppress(TimeoutError):

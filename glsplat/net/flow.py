@@ -14,7 +14,7 @@ from glsplat.errors import ProtocolError
 from glsplat.net.messages import VERSION
 from glsplat.net.reply import Reply
 
-__all__ = ["POLICIES", "Answer", "Arrived", "Backoff", "Flow", "server_error"]
+__all__ = ["POLICIES", "Answer", "Backoff", "FlowControl", "ReceivedReply", "server_error"]
 
 POLICIES = ("mailbox", "stop-and-wait", "fifo")
 """When to ask: at every refresh; when the last picture is decoded; when fewer than the window are unanswered."""
@@ -25,7 +25,7 @@ _PAUSES = (0.5, 1.0, 2.0, 4.0, 8.0)  # seconds between attempts to connect again
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Arrived:
+class ReceivedReply:
     """A reply and when it came, on the clock of ``time.perf_counter``."""
 
     reply: Reply
@@ -48,7 +48,7 @@ class Answer:
     replaced: tuple[int, ...] = ()  # requests that will never be answered now, oldest first
 
 
-class Flow:
+class FlowControl:
     """The state of one connection, from the client's side. A new connection is a new Flow: frame_ids begin at 1."""
 
     def __init__(self) -> None:

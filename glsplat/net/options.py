@@ -17,7 +17,7 @@ from glsplat.net.messages import WireOptions
 from glsplat.net.rooms.seats import place_at
 from glsplat.net.session import SessionConfig
 
-__all__ = ["MAX_WINDOW", "NAME", "NOT_ALLOWED", "Asked", "client_options"]
+__all__ = ["MAX_WINDOW", "NAME", "NOT_ALLOWED", "RequestedOptions", "client_options"]
 
 MAX_WINDOW = 8
 _FARTHEST = 100.0  # metres from a room's centre
@@ -33,7 +33,7 @@ _NOTHING = "there is no avatar here that you may drive"
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Asked:
+class RequestedOptions:
     """The server's options with one client's wishes in them."""
 
     wire: WireOptions
@@ -54,7 +54,7 @@ def client_options(
     avatars: Sequence[str],
     rights: Rights = _ALL,
     user: User | None = None,
-) -> Asked:
+) -> RequestedOptions:
     """What ``query`` asks for; of ``avatars``, the names offered, the first that ``user`` may drive by default.
 
     Raises ProtocolError naming the option that has no such value, of code NOT_ALLOWED for what the account may not
@@ -81,7 +81,7 @@ def client_options(
         raise ProtocolError("this account may not enter this room", NOT_ALLOWED)
     if query.get("label", "0") not in ("0", "1"):
         raise ProtocolError("label needs 0 or 1")
-    return Asked(
+    return RequestedOptions(
         wire=wire,
         session=session,
         avatar=avatar,

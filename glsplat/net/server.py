@@ -1,6 +1,6 @@
 """The server: aiohttp on one port for the WebSocket (/ws) and the pages (pages/).
 
-Glue only: what a message means is session.py's, who may connect is access.py's, who is drawn next is pump.py's.
+Glue only: what a message means is session.py's, who may connect is access.py's, who is drawn next is render_loop.py's.
 """
 
 from __future__ import annotations
@@ -23,28 +23,28 @@ from glsplat.consent.policy import ConsentPolicy
 from glsplat.errors import ProtocolError
 from glsplat.net.accounts.rights import user_of
 from glsplat.net.accounts.users import User
-from glsplat.net.backend import Backend, Offered
+from glsplat.net.backend import AvatarInfo, Backend
 from glsplat.net.conversation import Conversation, cut_off
-from glsplat.net.drawing import FramePump
 from glsplat.net.guard.access import SUBPROTOCOL, Access, server_tls
-from glsplat.net.guard.door import Door, connection_of
+from glsplat.net.guard.gate import Gate, connection_of
 from glsplat.net.guard.headers import set_headers
-from glsplat.net.guard.limits import Budget, Limits, Purse
+from glsplat.net.guard.limits import ClientQuota, CpuBudget, Limits
 from glsplat.net.guard.listener import bind
+from glsplat.net.local_loop import LocalLoop
 from glsplat.net.messages import MAX_BYTES, Decoder, WireOptions
 from glsplat.net.options import NOT_ALLOWED, client_options
-from glsplat.net.pace.channel import Channel
-from glsplat.net.pages.offers import Offers
+from glsplat.net.pace.client_stream import ClientStream
+from glsplat.net.pages.catalogue import Catalogue
 from glsplat.net.pages.routes import Pages
 from glsplat.net.rooms.rooms import Rooms, driven_by
 from glsplat.net.session import GOING_AWAY, Counts, Session, SessionConfig
 from glsplat.net.uploads.routes import Uploads
-from glsplat.net.workers.farm import Farm
+from glsplat.net.workers.pool import WorkerPool
 
 __all__ = ["Server", "ServerConfig"]
 
 log: logging.Logger = logging.getLogger("glsplat.net")
-clock: Callable[[], float] = time.perf_counter  # the pump's clock too
+clock: Callable[[], float] = time.perf_counter  # the render loop's clock too
 
 _HOPELESS = 2.0  # seconds after which a picture is not waited for when the server stops
 
@@ -72,29 +72,29 @@ class ServerConfig:
 class Server:
     """Streams what ``backend`` draws: the first of ``offered``, or the one that a client names in its address.
 
-    A farm has workers draw, and SIGHUP starts them anew one after the other; anything else draws on one thread.
+    A pool has workers draw, and SIGHUP starts them anew one after the other; anything else draws on one thread.
     ``uploads`` lets clients add to those; ``backend`` then has to draw what lies in its folder, too.
     """
 
     def __init__(
         self,
-        backend: Backend | Farm,
+        backend: Backend | WorkerPool,
         config: ServerConfig | None = None,
-        offered: Sequence[Offered] = (Offered(name="default"),),
+        offered: Sequence[AvatarInfo] = (AvatarInfo(name="default"),),
         uploads: Uploads | None = None,
     ) -> None:
         self.config: ServerConfig = config or ServerConfig()
-        self.pump = backend if isinstance(backend, Farm) else FramePump(backend, clock, self.config.fps)
+        self.render_loop = backend if isinstance(backend, WorkerPool) else LocalLoop(backend, clock, self.config.fps)
         self.port: int = self.config.port
         limits = self.config.limits
         if uploads is not None:
             limits = replace(limits, head=max(limits.head, limits.body))
-        self.door: Door = Door(self.config.access, limits, self.config.max_clients, clock, self.config.consent)
-        self._work = Budget(limits.work, clock())
-        self._offers = Offers(offered)
+        self.gate: Gate = Gate(self.config.access, limits, self.config.max_clients, clock, self.config.consent)
+        self._work = CpuBudget(limits.work, clock())
+        self._offers = Catalogue(offered)
         self._uploads = uploads
         self._rooms = Rooms(self.config.rooms)
-        self._channels: dict[int, Channel] = {}
+        self._channels: dict[int, ClientStream] = {}
         self._talks: dict[int, Conversation] = {}
         self._closing: set[asyncio.Task[None]] = set()
         self._totals = Counts()
@@ -115,21 +115,21 @@ class Server:
         listening = bind(self.config.access.host, self.config.port)
         self.port = listening.getsockname()[1]
         try:
-            await self.pump.start()
+            await self.render_loop.start()
         except BaseException:
             listening.close()
             raise
-        app = web.Application(middlewares=[self.door.guard], client_max_size=MAX_BYTES)
-        pages = Pages(self.stats, self.offer, lambda: self.pump.healthy and not self._draining, tls is not None)
+        app = web.Application(middlewares=[self.gate.guard], client_max_size=MAX_BYTES)
+        pages = Pages(self.stats, self.offer, lambda: self.render_loop.healthy and not self._draining, tls is not None)
         app.add_routes([web.get("/ws", self._websocket), *pages.routes()])
         if self._uploads is not None:
-            app.add_routes(self._uploads.open(self.door, self._offers.add, self._withdraw))
+            app.add_routes(self._uploads.open(self.gate, self._offers.add, self._withdraw))
         app.on_response_prepare.append(set_headers)
         self._runner = web.AppRunner(app, access_log=None, shutdown_timeout=self.config.drain_timeout)
         await self._runner.setup()
         assert self._runner.server is not None
         cert = None if self.config.tls is None else self.config.tls[0]
-        self.door.open(self._runner.server, listening, tls, cert, self.config.session.handshake)
+        self.gate.open(self._runner.server, listening, tls, cert, self.config.session.handshake)
         self._started = clock()
 
     async def stop(self) -> None:
@@ -138,16 +138,18 @@ class Server:
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(self.config.drain_timeout):
                 channels = self._channels.values()
-                while self.pump.drawing_for < _HOPELESS and any(c.session.status()["under_way"] for c in channels):
+                while self.render_loop.drawing_for < _HOPELESS and any(
+                    c.session.status()["under_way"] for c in channels
+                ):
                     await asyncio.sleep(0.01)
         closing = [talk.close(GOING_AWAY, "the server stops") for talk in self._talks.values()]
         await asyncio.gather(*closing, *self._closing, return_exceptions=True)
-        await self.door.close()
+        await self.gate.close()
         if self._uploads is not None:
             await self._uploads.stop()
         if self._runner is not None:
             await self._runner.cleanup()
-        await self.pump.stop()
+        await self.render_loop.stop()
 
     async def run(self, started: Callable[[], None] | None = None) -> None:
         """Serve until SIGINT or SIGTERM, then stop in order; a second signal ends the process at once.
@@ -166,13 +168,13 @@ class Server:
         for number in (signal.SIGINT, signal.SIGTERM):
             with contextlib.suppress(NotImplementedError, ValueError):  # not on Windows, not off the main thread
                 loop.add_signal_handler(number, on_signal)
-        if isinstance(self.pump, Farm) and hasattr(signal, "SIGHUP"):
-            loop.add_signal_handler(signal.SIGHUP, self.pump.restart)
+        if isinstance(self.render_loop, WorkerPool) and hasattr(signal, "SIGHUP"):
+            loop.add_signal_handler(signal.SIGHUP, self.render_loop.restart)
         await self.start()
         try:
             if started is not None:
                 started()
-            ends = [asyncio.create_task(done.wait()), asyncio.create_task(self.pump.ended())]
+            ends = [asyncio.create_task(done.wait()), asyncio.create_task(self.render_loop.ended())]
             await asyncio.wait(ends, return_when=asyncio.FIRST_COMPLETED)
         finally:
             await self.stop()
@@ -190,18 +192,18 @@ class Server:
                 totals[name] += status[name]
         return {
             "scene": self.config.scene,
-            "driver": self.pump.driver,
-            "healthy": self.pump.healthy,
+            "driver": self.render_loop.driver,
+            "healthy": self.render_loop.healthy,
             "uptime": round(clock() - self._started, 1),
-            "fps": round(self.pump.stages.fps(), 2),
+            "fps": round(self.render_loop.stages.fps(), 2),
             "max_clients": self.config.max_clients,
             "token": self.config.access.guarded,
-            **self.door.status(),
-            "rebuilds": self.pump.rebuilds,
-            "workers": self.pump.workers() if isinstance(self.pump, Farm) else None,
+            **self.gate.status(),
+            "rebuilds": self.render_loop.rebuilds,
+            "workers": self.render_loop.workers() if isinstance(self.render_loop, WorkerPool) else None,
             "uploads": None if self._uploads is None else self._uploads.counts(),
             "totals": totals,
-            "stages": self.pump.stages.summary(),
+            "stages": self.render_loop.stages.summary(),
             "rooms": self._rooms.status(clock()),
             "clients": clients,
         }
@@ -210,8 +212,8 @@ class Server:
         """What /session says to an account of the scene and of the server: all to choose from before connecting."""
         most, wire = self.config.max_clients, self.config.wire
         return {
-            "avatars": self._offers.fields(self.door.rights.drivable(user, self._offers.names)),
-            "rooms": self._rooms.offer(clock(), self.door.rights.enterable(user, self._rooms.names)),
+            "avatars": self._offers.fields(self.gate.rights.drivable(user, self._offers.names)),
+            "rooms": self._rooms.offer(clock(), self.gate.rights.enterable(user, self._rooms.names)),
             "upload": None if self._uploads is None else self._uploads.offer(),
             "max_side": wire.max_side,
             "size": wire.size,
@@ -220,27 +222,27 @@ class Server:
             "clients": len(self._channels),
             "max_clients": most,
             "full": len(self._channels) >= most,
-            "driver": self.pump.driver,
+            "driver": self.render_loop.driver,
         }
 
     async def _websocket(self, request: web.Request) -> web.StreamResponse:
         if self._draining or len(self._channels) >= self.config.max_clients:
-            self.door.refused += 1
+            self.gate.refused += 1
             text = f"the server is full ({self.config.max_clients} clients); try again later\n"
             return web.Response(status=503, text=text, headers={"Retry-After": "5"})
         ws = self._make_socket()
-        entered = self.door.enter(request, ws)
+        entered = self.gate.enter(request, ws)
         if isinstance(entered, web.Response):
             return entered
         try:
             channel = self._open_channel(request, entered)
         except ProtocolError as error:
-            self.door.leave(request, entered)
+            self.gate.leave(request, entered)
             return web.Response(
                 status=403 if error.code == NOT_ALLOWED else getattr(error, "status", 400), text=f"{error}\n"
             )
         talk = Conversation(
-            channel, ws, request, self.pump, self.door, lambda: self._draining, self.config.write_timeout
+            channel, ws, request, self.render_loop, self.gate, lambda: self._draining, self.config.write_timeout
         )
         try:
             await ws.prepare(request)
@@ -254,7 +256,7 @@ class Server:
             return ws
         finally:
             self._close_channel(channel, talk.goodbye)
-            self.door.leave(request, entered)
+            self.gate.leave(request, entered)
 
     def _make_socket(self) -> web.WebSocketResponse:
         return web.WebSocketResponse(
@@ -265,9 +267,9 @@ class Server:
             protocols=(SUBPROTOCOL,),
         )
 
-    def _open_channel(self, request: web.Request, purse: Purse) -> Channel:
+    def _open_channel(self, request: web.Request, quota: ClientQuota) -> ClientStream:
         """A new client with the options of its address: /ws?avatar=ann&mirror=1&window=3&height=1.75&room=lab."""
-        user, rights = user_of(request), self.door.rights
+        user, rights = user_of(request), self.gate.rights
         asked = client_options(request.query, self.config.wire, self.config.session, self._offers.names, rights, user)
         one = self._offers[asked.avatar]
         solver = None if one.solver is None else one.solver(asked.height, asked.span)
@@ -278,12 +280,12 @@ class Server:
         member = self._rooms.join(asked, one, number, owner, clock(), lambda: self._replace(number), notice())
         session = Session(Decoder(asked.wire, one.skeleton, one.parts), asked.session, clock())
         session.refusal = partial(rights.refusal, user, asked.avatar)
-        channel = self.pump.open(number, session, solver, address, one, member)
+        channel = self.render_loop.open(number, session, solver, address, one, member)
         channel.driver = asked.name if member is None else member.person.name
         channel.label, channel.notice = driven_by(asked.name) if asked.label else "", notice
         channel.share = self._work.open(clock(), channel.address)
         if channel.solving is not None:
-            channel.solving.share, channel.solving.samples = channel.share, purse.samples
+            channel.solving.share, channel.solving.samples = channel.share, quota.samples
         self._channels[channel.number] = channel
         return channel
 
@@ -303,8 +305,8 @@ class Server:
             self._closing.add(task)
             task.add_done_callback(self._closing.discard)
 
-    def _close_channel(self, channel: Channel, goodbye: bool) -> None:
-        self.pump.remove(channel)
+    def _close_channel(self, channel: ClientStream, goodbye: bool) -> None:
+        self.render_loop.remove(channel)
         if channel.member is not None:
             channel.member.end(goodbye)
         if channel.share is not None:

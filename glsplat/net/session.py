@@ -16,7 +16,7 @@ from glsplat.errors import ProtocolError
 from glsplat.net.guard.limits import Bucket
 from glsplat.net.guard.meter import POLICY_VIOLATION, Breach
 from glsplat.net.messages import MAX_ID, Ack, Decoder, Request, error_text
-from glsplat.watermark.mark import Mark, Watermark
+from glsplat.watermark.mark import Watermark, WatermarkKey
 
 __all__ = ["Close", "Counts", "Session", "SessionConfig", "Warn"]
 
@@ -37,7 +37,7 @@ class SessionConfig:
     forgive: float = 0.5  # ... and how many a second are forgiven
     handshake: float = 10.0  # seconds from the connection to the first valid request
     idle: float = 60.0  # seconds without any message
-    watermark: Watermark | None = None  # what the pictures of each session are marked with, if they are
+    watermark: WatermarkKey | None = None  # what the pictures of each session are marked with, if they are
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,7 +87,7 @@ class Session:
         self.last_form: str = ""  # of the newest request, for /stats
         self.last_size: tuple[int, int] = (0, 0)
         watermark = self.config.watermark
-        self.mark: Mark | None = None if watermark is None else watermark.new_mark()
+        self.mark: Watermark | None = None if watermark is None else watermark.new_mark()
         self._decoder = decoder
         self._opened = self._heard = self._noticed = now
         self._pending: dict[int, tuple[Request, float]] = {}  # by eye for the oldest form, else one

@@ -10,7 +10,7 @@ from collections.abc import Callable
 
 from glsplat.passes.arena import Arena
 from glsplat.passes.frame.pipeline import Pipeline
-from glsplat.passes.kept import Kept
+from glsplat.passes.lru_cache import LruCache
 from glsplat.shaders import Variant
 
 __all__ = ["PASSES", "Drawable", "Part"]
@@ -35,7 +35,7 @@ class Drawable:
 
     def __init__(self, arena: Arena, parts: tuple[Part, ...]) -> None:
         self.arena, self.parts = arena, parts
-        self.pipelines: Kept[Key, Pipeline] = Kept(_KEPT, _KEPT_BYTES)
+        self.pipelines: LruCache[Key, Pipeline] = LruCache(_KEPT, _KEPT_BYTES)
 
     @property
     def nbytes(self) -> int:

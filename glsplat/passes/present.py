@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.gl.context import Context
-from glsplat.gl.owner import Entry, owner_of
+from glsplat.gl.owner import ContextGuard, owner_of
 from glsplat.passes.target import Target
 from glsplat.shaders import Variant, flatten, link
 
@@ -100,7 +100,7 @@ class Present:
                 array.release()
             self._text.release()
 
-    def _entered(self, call: str) -> Entry:
+    def _entered(self, call: str) -> ContextGuard:
         if isinstance(self._context, Context):
             return self._context.entered(call)
         return owner_of(self._context).entered(call)

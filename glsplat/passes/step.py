@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from glsplat.errors import GlsplatError
 from glsplat.gl.context import Context
-from glsplat.passes.kept import Kept
+from glsplat.passes.lru_cache import LruCache
 
 __all__ = ["ResolveStep", "StepTextures", "checked_step"]
 
@@ -40,7 +40,7 @@ def checked_step(step: ResolveStep | None, boxed: bool) -> ResolveStep | None:
         return None
     if not isinstance(getattr(step, "source", None), str) or not callable(getattr(step, "tile", None)):
         raise GlsplatError(
-            f"a step needs source and tile(), as a glsplat.watermark.mark.Mark has, not {type(step).__name__}"
+            f"a step needs source and tile(), as a glsplat.watermark.mark.Watermark has, not {type(step).__name__}"
         )
     if not boxed:
         raise GlsplatError("a step is drawn into 8-bit pictures; use RenderConfig(output='uint8')")
@@ -62,7 +62,7 @@ class StepTextures:
 
     def __init__(self, context: Context) -> None:
         self._context = context
-        self._textures: Kept[ResolveStep, _Texture] = Kept(_KEPT, 2**30)
+        self._textures: LruCache[ResolveStep, _Texture] = LruCache(_KEPT, 2**30)
 
     @property
     def nbytes(self) -> int:

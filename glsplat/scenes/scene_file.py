@@ -21,7 +21,7 @@ from glsplat.formats.format import A_MOTION, Opened, opened
 from glsplat.formats.registry import is_scene_file, read
 from glsplat.io.files import Source
 from glsplat.motion.kinds import is_gltf, is_motion
-from glsplat.scene import Content, Item, Scene, Shown, similarity
+from glsplat.scene import Content, Item, Scene, SceneLike, similarity
 from glsplat.skinning.pose import Pose, load_pose
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.splats import Splats
@@ -75,7 +75,7 @@ class SceneFile:
     composed: bool = False  # by a scene file; else a scene of one thing
 
     @classmethod
-    def of(cls, thing: Shown) -> SceneFile:
+    def of(cls, thing: SceneLike) -> SceneFile:
         """What a file of that one thing would hold."""
         return cls(Scene.of(thing))
 

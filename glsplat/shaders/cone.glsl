@@ -1,4 +1,4 @@
-// Visibility cone: the directions from which a splat was seen at all. Twin: making/cones.hidden.
+// Visibility cone: the directions from which a splat was seen at all. Twin: authoring/cones.hidden.
 in vec4 cone;  // times 127: axis in the splat's own axes, smallest cosine between it and the way to an eye
 
 // No eye is inside the cone. What cannot be told (a splat without extent in some direction) is not hidden.

@@ -18,7 +18,16 @@ from glsplat.tracking.sample import BODY_JOINTS, TRACKERS, Sample, Transform
 from glsplat.tracking.solve.body import ANKLES, FEET, HAND_FRAMES, HEAD, HIPS, KNEES, PELVIS, SPINE1, WRISTS, Body
 from glsplat.tracking.solve.quat import Vec
 
-__all__ = ["EXTRAS", "MOUNTS", "Disturbance", "Truth", "derive", "disturb", "truth_from_motion", "with_expressions"]
+__all__ = [
+    "EXTRAS",
+    "MOUNTS",
+    "Disturbance",
+    "TrueMotion",
+    "derive",
+    "disturb",
+    "truth_from_motion",
+    "with_expressions",
+]
 
 Array = NDArray[np.float64]
 
@@ -37,7 +46,7 @@ _BODY = [PELVIS, SPINE1, *[leg[i] for i in (0, 1) for leg in (HIPS, KNEES, ANKLE
 
 
 @dataclass(frozen=True, eq=False)
-class Truth:
+class TrueMotion:
     """A motion on the ground, at the rate of its samples."""
 
     times: Array  # [T] seconds
@@ -59,7 +68,7 @@ class Disturbance:
     seed: int = 0
 
 
-def truth_from_motion(skeleton: Skeleton, rotations: Array, trans: Array, fps: float, rate: float) -> Truth:
+def truth_from_motion(skeleton: Skeleton, rotations: Array, trans: Array, fps: float, rate: float) -> TrueMotion:
     """A motion of ``skeleton`` at ``rate`` Hz, in a world whose ground is y = 0 (where the zero pose stands)."""
     if not (1 <= rate <= 1000 and fps > 0):
         raise PoseError(f"a rate needs 1 to 1000 Hz, not {rate:g} (motion at {fps:g} fps)")
@@ -68,10 +77,10 @@ def truth_from_motion(skeleton: Skeleton, rotations: Array, trans: Array, fps: f
     rotations, trans = resample(np.asarray(rotations, np.float64), np.asarray(trans, np.float64), fps, rate)
     trans = trans - np.array([0.0, Body.of(skeleton).ground, 0.0])
     positions, frames = forward_all(skeleton, rotations, trans)
-    return Truth(np.arange(len(trans)) / rate, rotations, trans, positions, frames)
+    return TrueMotion(np.arange(len(trans)) / rate, rotations, trans, positions, frames)
 
 
-def derive(skeleton: Skeleton, truth: Truth, fingers: bool = True, trackers: Sequence[str] = ()) -> list[Sample]:
+def derive(skeleton: Skeleton, truth: TrueMotion, fingers: bool = True, trackers: Sequence[str] = ()) -> list[Sample]:
     """What an ideal headset would see of the truth: eyes, wrists and (``fingers``) 25 joints a hand.
 
     ``trackers``: of "waist", "feet" and "body", what there is besides; trackers sit on the body as ``MOUNTS`` says.
@@ -145,7 +154,7 @@ def disturb(samples: list[Sample], how: Disturbance) -> list[Sample]:
     return out
 
 
-def _tracker(truth: Truth, index: int) -> list[Transform]:
+def _tracker(truth: TrueMotion, index: int) -> list[Transform]:
     """The poses of a tracker that sits on its joint as ``MOUNTS`` says."""
     joint, (offset, turn) = JOINTS[index], MOUNTS[index]
     frames = truth.frames[:, joint]
@@ -169,7 +178,7 @@ def _transforms(positions: Array, quats: Array) -> list[Transform]:
     return [tuple(row) for row in rows]
 
 
-def _hand_joints(body: Body, truth: Truth, side: str) -> list[tuple[tuple[float, ...], ...]]:
+def _hand_joints(body: Body, truth: TrueMotion, side: str) -> list[tuple[tuple[float, ...], ...]]:
     """WebXR's 25 joints: wrist, thumb (4), then four fingers of 5, from SMPL-X's 16 and rest-pose fingertips."""
     wrist, first = (WRISTS[0], 25) if side == "left" else (WRISTS[1], 40)
     palm = truth.positions[:, wrist]

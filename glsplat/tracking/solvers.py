@@ -7,7 +7,7 @@ from importlib import resources
 from typing import Literal
 
 from glsplat.errors import PoseError
-from glsplat.tracking.learned.network import Network, load_network
+from glsplat.tracking.learned.network import PoseNetwork, load_network
 from glsplat.tracking.learned.solver import LearnedSolver
 from glsplat.tracking.solve.body import Body
 from glsplat.tracking.solve.solution import Solver
@@ -20,7 +20,7 @@ SOLVERS: tuple[SolverName, ...] = ("learned", "analytic")
 
 
 @lru_cache(maxsize=1)
-def embedded_network() -> Network:
+def embedded_network() -> PoseNetwork:
     """The network that comes with the package; docs/tracking.md says what it learned from.
 
     Raises FormatError where the file is damaged.

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 from glsplat import on_demand
 
 if TYPE_CHECKING:
-    from glsplat.watermark.mark import Mark
+    from glsplat.watermark.mark import Watermark
 
-__all__ = ["Mark", "detect"]  # the second is a module
+__all__ = ["Watermark", "detect"]  # the second is a module
 
-_HOME = {"Mark": "mark"}
+_HOME = {"Watermark": "mark"}
 
 __getattr__ = on_demand(__name__, _HOME)

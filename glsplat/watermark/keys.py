@@ -6,7 +6,7 @@ import secrets
 from pathlib import Path
 
 from glsplat.errors import GlsplatError
-from glsplat.watermark.mark import KEY_BYTES, Watermark
+from glsplat.watermark.mark import KEY_BYTES, WatermarkKey
 
 __all__ = ["new_watermark", "read_watermark", "text_of"]
 
@@ -14,17 +14,17 @@ _NEW_KEY = 32  # bytes
 _MOST = 4096  # bytes of a file that can be one
 
 
-def new_watermark() -> Watermark:
+def new_watermark() -> WatermarkKey:
     """An id and a key of chance."""
-    return Watermark(secrets.randbits(16), secrets.token_bytes(_NEW_KEY))
+    return WatermarkKey(secrets.randbits(16), secrets.token_bytes(_NEW_KEY))
 
 
-def text_of(watermark: Watermark) -> str:
+def text_of(watermark: WatermarkKey) -> str:
     """The line of the file."""
     return f"{watermark.server:04x} {watermark.key.hex()}\n"
 
 
-def read_watermark(path: str | Path) -> Watermark:
+def read_watermark(path: str | Path) -> WatermarkKey:
     """What a file holds. Raises GlsplatError naming it."""
     try:
         with Path(path).open("rb") as file:
@@ -35,7 +35,7 @@ def read_watermark(path: str | Path) -> Watermark:
         words = []
     try:
         server, key = words
-        return Watermark(int(server, 16), bytes.fromhex(key))
+        return WatermarkKey(int(server, 16), bytes.fromhex(key))
     except (ValueError, GlsplatError):
         raise GlsplatError(
             f"{path}: a watermark's key file is one line: the server's id as 4 hex digits, a blank, "

@@ -1,4 +1,4 @@
-"""Mark: a step of a renderer's resolve pass (``Renderer.step``), as a value. No OpenGL and no OpenCV here."""
+"""Watermark: a step of a renderer's resolve pass (``Renderer.step``), as a value. No OpenGL and no OpenCV here."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from glsplat.errors import GlsplatError
 from glsplat.watermark.code import Payload, encode
 from glsplat.watermark.pattern import TILE, pattern_of
 
-__all__ = ["KEY_BYTES", "LEVELS", "LUMA", "Mark", "Watermark", "marked"]
+__all__ = ["KEY_BYTES", "LEVELS", "LUMA", "Watermark", "WatermarkKey", "marked"]
 
 KEY_BYTES = 16
 """Least length of a key."""
@@ -27,7 +27,7 @@ LUMA = (0.299, 0.587, 0.114)
 
 
 @dataclass(frozen=True, slots=True)
-class Mark:
+class Watermark:
     """Who drew a picture, and for whom, under the key without which nobody finds it.
 
     Raises GlsplatError for a ``server`` beyond 16 bits, a ``session`` beyond 32, a ``key`` of less than 16 bytes.
@@ -57,18 +57,18 @@ class Mark:
 
 
 @dataclass(frozen=True, slots=True)
-class Watermark:
-    """What a server marks its pictures with: its id and its key, checked as those of a Mark."""
+class WatermarkKey:
+    """What a server marks its pictures with: its id and its key, checked as those of a Watermark."""
 
     server: int
     key: bytes = field(repr=False)
 
     def __post_init__(self) -> None:
-        Mark(self.server, 0, self.key)
+        Watermark(self.server, 0, self.key)
 
-    def new_mark(self) -> Mark:
+    def new_mark(self) -> Watermark:
         """The mark of a new session: 32 bits of chance, so that who knows one id cannot tell another."""
-        return Mark(self.server, secrets.randbits(32), self.key)
+        return Watermark(self.server, secrets.randbits(32), self.key)
 
 
 @cache
@@ -78,7 +78,7 @@ def _source() -> str:
     return f"const vec2 LEVELS = vec2({low!r}, {high!r});\n{text}"
 
 
-def marked(image: NDArray[np.float32], mark: Mark) -> NDArray[np.float32]:
+def marked(image: NDArray[np.float32], mark: Watermark) -> NDArray[np.float32]:
     """The float picture(s) [..., H, W, 4] of a renderer with the mark in them: a new array. Twin of mark.glsl.
 
     Each view has the same mark at the same place of the screen. Where alpha is 0 nothing changes, and no colour comes

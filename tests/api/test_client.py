@@ -58,7 +58,7 @@ def gated(fail: Callable[[RenderJob], Exception | None] = lambda request: None):
 
 async def accepted(server: Server, count: int) -> None:
     """Until the renderer has the first of so many requests, and the newest waits in the mailbox."""
-    assert await until(lambda: server.stats()["totals"]["accepted"] == count and server.pump.drawing_for)
+    assert await until(lambda: server.stats()["totals"]["accepted"] == count and server.render_loop.drawing_for)
 
 
 # ------------------------------------------------------------------------------------------------------- again

@@ -227,7 +227,7 @@ def test_a_load_that_is_broken_off_leaves_the_old_scene(monkeypatch: pytest.Monk
             renderer.load(7)  # type: ignore[union-attr]
         assert np.array_equal(kind.draw(renderer), picture)
         with monkeypatch.context() as patch:
-            patch.setattr("glsplat.passes.staged.ItemBuffers", broken)
+            patch.setattr("glsplat.passes.gpu_scene.ItemBuffers", broken)
             with pytest.raises(Broken):
                 renderer.load(limb())  # type: ignore[union-attr]
         assert np.array_equal(kind.draw(renderer), picture)

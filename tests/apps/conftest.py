@@ -11,7 +11,7 @@ from contextlib import contextmanager
 import numpy as np
 import pytest
 
-from glsplat.net.backend import Offered, Rendered
+from glsplat.net.backend import AvatarInfo, Rendered
 from glsplat.net.server import Server, ServerConfig
 
 
@@ -51,7 +51,7 @@ def running(backend: Stripes, **offered: str) -> Iterator[str]:
 
     def work() -> None:
         async def main() -> None:
-            server = Server(backend, ServerConfig(port=0), [Offered(name="default", **offered)])
+            server = Server(backend, ServerConfig(port=0), [AvatarInfo(name="default", **offered)])
             await server.start()
             state.update(url=server.url, loop=asyncio.get_running_loop(), end=asyncio.Event())
             ready.set()

@@ -10,14 +10,14 @@ import pytest
 
 import apps.cli as cli
 from apps.avatar.fitted import counts_of
+from glsplat.authoring.cones import ConeConfig
+from glsplat.authoring.detail.fitted import FittedConfig
+from glsplat.authoring.detail.measure import MeasureConfig
+from glsplat.authoring.optimize.pictures import ViewConfig
+from glsplat.authoring.surface import SamplerConfig
 from glsplat.avatar import Avatar
 from glsplat.data import default_avatar
 from glsplat.formats import FORMATS, load, save
-from glsplat.making.cones import ConeConfig
-from glsplat.making.detail.fitted import FittedConfig
-from glsplat.making.detail.measure import MeasureConfig
-from glsplat.making.optimize.pictures import ViewConfig
-from glsplat.making.surface import SamplerConfig
 from tests.formats.scenes import random_avatar
 
 DATA = Path(cli.__file__).parents[1] / "glsplat" / "data"

@@ -12,18 +12,18 @@ import pytest
 
 import apps.cli as cli
 from apps.avatar import command
+from glsplat.authoring.detail import make as making
+from glsplat.authoring.detail.fitted import FittedConfig
+from glsplat.authoring.detail.merge import merged
+from glsplat.authoring.optimize.compiled import MISSING
+from glsplat.authoring.posed import posed_splats
 from glsplat.avatar import Avatar
 from glsplat.formats import load, save
-from glsplat.making.detail import make as making
-from glsplat.making.detail.fitted import FittedConfig
-from glsplat.making.detail.merge import merged
-from glsplat.making.optimize.compiled import MISSING
-from glsplat.making.posed import posed_splats
 from glsplat.skinning.pose import Pose
 from glsplat.splats import Level
-from tests.making.gltf.built import FAMILIES, build
-from tests.making.optimize.without import without_numba
-from tests.making.reconstruct.stubs import small_avatar
+from tests.authoring.gltf.built import FAMILIES, build
+from tests.authoring.optimize.without import without_numba
+from tests.authoring.reconstruct.stubs import small_avatar
 from tests.scenes import cloud
 
 

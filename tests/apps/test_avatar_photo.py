@@ -12,18 +12,18 @@ import numpy as np
 import pytest
 
 import apps.cli as cli
+from glsplat.authoring.cones import ConeConfig
+from glsplat.authoring.fit.standing.doubt import LIMBS
+from glsplat.authoring.optimize.compiled import MISSING
+from glsplat.authoring.photo.capture import Finding
+from glsplat.authoring.reconstruct import photos, registry
 from glsplat.formats import load
-from glsplat.making.cones import ConeConfig
-from glsplat.making.fit.standing.doubt import LIMBS
-from glsplat.making.optimize.compiled import MISSING
-from glsplat.making.photo.capture import Finding
-from glsplat.making.reconstruct import photos, registry
 from glsplat.models import store
-from tests.making.captures import needs_networks
-from tests.making.optimize.without import without_numba
-from tests.making.reconstruct.stubs import replace_check
+from tests.authoring.captures import needs_networks
+from tests.authoring.optimize.without import without_numba
+from tests.authoring.reconstruct.stubs import replace_check
 
-STUBS = "tests.making.reconstruct.stubs"
+STUBS = "tests.authoring.reconstruct.stubs"
 ARMS = Finding("arms", "an arm lies against the body")
 
 
@@ -243,7 +243,7 @@ FULL = f"""
 import resource, sys
 import pytest
 from apps.cli import main
-from glsplat.making.reconstruct import registry
+from glsplat.authoring.reconstruct import registry
 from {STUBS} import replace_check
 registry.OWN["builtin"] = "{STUBS}:Detailed"
 replace_check(pytest.MonkeyPatch())
@@ -264,7 +264,7 @@ def test_a_full_disk_leaves_the_old_avatar_and_one_line(front, tmp_path) -> None
 
 def test_missing_networks_are_one_line(front, tmp_path, monkeypatch, capsys) -> None:
     monkeypatch.setenv("GLSPLAT_MODELS", str(tmp_path / "none"))
-    from glsplat.making.networks.network import network
+    from glsplat.authoring.networks.network import network
 
     network.cache_clear()
     assert photo(front, "-o", tmp_path / "me.glb") == 1

@@ -10,18 +10,18 @@ import numpy as np
 import pytest
 
 import apps.cli as cli
+from glsplat.authoring.photo.capture import Finding
+from glsplat.authoring.reconstruct import mesh_from_photos, registry
 from glsplat.errors import CaptureError, GlsplatError
 from glsplat.formats import load
 from glsplat.formats.gltf.meshes.write import save_gltf_mesh
-from glsplat.making.photo.capture import Finding
-from glsplat.making.reconstruct import mesh_from_photos, registry
 from glsplat.mesh import MeshRenderer
 from glsplat.meshes import RiggedMesh
 from glsplat.skinning.pose import Pose
-from tests.making.captures import capture, needs_networks
-from tests.making.reconstruct.stubs import Meshed, Plain, replace_check
+from tests.authoring.captures import capture, needs_networks
+from tests.authoring.reconstruct.stubs import Meshed, Plain, replace_check
 
-STUBS = "tests.making.reconstruct.stubs"
+STUBS = "tests.authoring.reconstruct.stubs"
 NOTES = {
     "source": "1 photograph (front)",
     "made_by": "glsplat 0.1.0, builtin",

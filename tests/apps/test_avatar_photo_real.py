@@ -15,7 +15,7 @@ from glsplat.formats import load
 from glsplat.motion.motion import load_embedded_motion
 from glsplat.renderer import Renderer
 from glsplat.skinning.pose import Pose
-from tests.making.captures import needs_networks
+from tests.authoring.captures import needs_networks
 
 pytestmark = [pytest.mark.shared, pytest.mark.slow]
 

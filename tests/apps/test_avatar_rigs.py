@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 
 from apps.cli import main
+from glsplat.authoring.surface import SamplerConfig, make_avatar
 from glsplat.avatar import Avatar
 from glsplat.formats import load
 from glsplat.formats.gltf.meshes.reader import read_gltf_person
-from glsplat.making.surface import SamplerConfig, make_avatar
 from glsplat.motion.motion import load_motion
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.smplx import JOINT_NAMES
-from tests.making.gltf.built import FAMILIES, Family, build
+from tests.authoring.gltf.built import FAMILIES, Family, build
 
 pytestmark = pytest.mark.gl
 

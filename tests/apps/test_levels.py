@@ -12,9 +12,9 @@ import pytest
 
 from apps import cli
 from apps.avatar import detail
+from glsplat.authoring.detail.measure import MeasureConfig
 from glsplat.avatar import Avatar
 from glsplat.formats import load, save
-from glsplat.making.detail.measure import MeasureConfig
 from glsplat.splats import Splats
 from tests.formats.scenes import avatar_with_levels, edit_glb, glb_parts, splats_with_levels
 from tests.scenes import cloud

@@ -19,9 +19,9 @@ from apps.serve.keys import watermark_of
 from glsplat.errors import GlsplatError
 from glsplat.net.guard.kept import WATERMARK, kept_watermark, state_folder
 from glsplat.watermark.keys import text_of
-from glsplat.watermark.mark import Mark, Watermark, marked
+from glsplat.watermark.mark import Watermark, WatermarkKey, marked
 
-OWNER = Watermark(0x1A2B, b"sixteen bytes 01")
+OWNER = WatermarkKey(0x1A2B, b"sixteen bytes 01")
 
 
 @pytest.fixture
@@ -30,7 +30,7 @@ def pictures():
     image = np.zeros((200, 240, 4), np.float32)
     image[..., :3] = np.linspace(0.2, 0.8, 240)[None, :, None]
     image[..., 3] = 1
-    image = marked(image, Mark(OWNER.server, 0xC0FFEE, OWNER.key))
+    image = marked(image, Watermark(OWNER.server, 0xC0FFEE, OWNER.key))
     return np.repeat(np.round(image[None, ..., :3] * 255).astype(np.uint8), 8, axis=0)
 
 
@@ -65,7 +65,7 @@ def test_pictures_do_too_by_the_key_that_serve_keeps(tmp_path, pictures, state, 
     assert re.fullmatch(
         r"server 1a2b, session 00c0ffee \(false alarm: \de-\d\d\), in 2 pictures at scale 1\.00\d\n", line
     )
-    (state_folder() / WATERMARK).write_text(text_of(Watermark(1, b"sixteen bytes 02")))
+    (state_folder() / WATERMARK).write_text(text_of(WatermarkKey(1, b"sixteen bytes 02")))
     assert detect(*names) == 1 and capsys.readouterr().out == "no mark of this key in 2 pictures\n"
     assert detect(*names, "--json") == 1
     assert json.loads(capsys.readouterr().out) == {"found": False, "seen": 2}

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from glsplat.avatar import Avatar
 from glsplat.camera import Camera
 from glsplat.data import default_avatar
-from glsplat.net.backend import Offered, Rendered, RenderJob, Solved
+from glsplat.net.backend import AvatarInfo, Rendered, RenderJob, Solved
 from glsplat.net.messages import Request
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.skin import Skin
@@ -99,7 +99,7 @@ def as_tracked(height: float | None, span: float | None) -> _AsTracked:
     return _AsTracked()
 
 
-offered = (Offered(name="markers", solver=as_tracked, height=1.75, parts=frozenset({"head"})),)
+offered = (AvatarInfo(name="markers", solver=as_tracked, height=1.75, parts=frozenset({"head"})),)
 """What a server of Markers offers: one avatar that can be tracked."""
 
 

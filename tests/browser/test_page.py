@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 
 import pytest
 
-from glsplat.net.backend import Offered
+from glsplat.net.backend import AvatarInfo
 from glsplat.net.guard.access import Access
 from glsplat.net.guard.certificate import kept_certificate
 from glsplat.net.server import ServerConfig
@@ -19,7 +19,7 @@ from tests.browser.markers import as_tracked
 from tests.browser.stored import StoredPairs
 from tests.browser.vr import enter, visit
 
-OFFERED = (Offered(name="stored", solver=as_tracked, height=1.75, parts=frozenset({"head"})),)
+OFFERED = (AvatarInfo(name="stored", solver=as_tracked, height=1.75, parts=frozenset({"head"})),)
 
 
 @pytest.fixture

@@ -13,7 +13,7 @@ from glsplat.avatar import Avatar
 from glsplat.data import default_avatar
 from glsplat.models.catalogue import PHOTO
 from glsplat.models.store import state_of
-from glsplat.net.backend import Offered
+from glsplat.net.backend import AvatarInfo
 from glsplat.net.backends.server import make_server
 from glsplat.net.server import Server, ServerConfig
 from glsplat.net.uploads.job import UploadConfig
@@ -26,7 +26,7 @@ from tests.browser.stored import StoredPairs
 from tests.browser.vr import visit
 from tests.net.uploads.makers import make
 
-OFFERED = (Offered(name="stored", solver=as_tracked, height=1.75, parts=frozenset({"head"})),)
+OFFERED = (AvatarInfo(name="stored", solver=as_tracked, height=1.75, parts=frozenset({"head"})),)
 
 
 def picture(words: str = "", side: int = 320) -> dict[str, Any]:
@@ -42,8 +42,8 @@ def picture(words: str = "", side: int = 320) -> dict[str, Any]:
 def taking(serve: Any, tmp_path: Path) -> Any:
     """``taking(**of UploadConfig)``: a server whose pictures are stored, and whose avatars a stub makes."""
 
-    def described(name: str, avatar: Avatar) -> Offered:
-        return Offered(name=name, solver=as_tracked, height=1.7, parts=frozenset({"head"}), made=True)
+    def described(name: str, avatar: Avatar) -> AvatarInfo:
+        return AvatarInfo(name=name, solver=as_tracked, height=1.7, parts=frozenset({"head"}), made=True)
 
     def start(**options: Any) -> Any:
         folder = tmp_path / "avatars"

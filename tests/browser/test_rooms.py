@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from glsplat.net.backend import Offered, RenderJob
+from glsplat.net.backend import AvatarInfo, RenderJob
 from glsplat.net.server import ServerConfig
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.smplx import JOINT_NAMES
@@ -16,7 +16,7 @@ from tests.browser.markers import Markers, as_tracked
 from tests.browser.vr import centroid, enter, fresh, pose, project, see, steer, visit
 
 RIG = Skeleton.from_joints(JOINT_NAMES, [-1] + [0] * 54, np.zeros((55, 3)))
-OFFERED = (Offered(name="ann", skeleton=RIG, solver=as_tracked, height=1.75, parts=frozenset({"head"})),)
+OFFERED = (AvatarInfo(name="ann", skeleton=RIG, solver=as_tracked, height=1.75, parts=frozenset({"head"})),)
 CONFIG = ServerConfig(port=0, rooms={"lab": 2, "hall": 2})
 OPPOSITE = (0.3, 1.4, 1.2)  # in the room: before who stands on the other side
 
@@ -80,6 +80,6 @@ def test_in_vr_the_room_is_around_its_user(open_page: OpenPage, served: Any) -> 
     seen = see(page)
     for side in ("left", "right"):
         assert np.linalg.norm(centroid(seen[side], "red") - project(seen["eyes"][side], expected)) < 3
-    requests = served.server.pump._backend.requests
+    requests = served.server.render_loop._backend.requests
     request = requests[max(requests)]
     assert request.options.hide == ("head",) and request.room is not None and request.room.room == "lab"

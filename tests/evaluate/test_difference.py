@@ -11,7 +11,7 @@ import pytest
 from glsplat.camera import Camera, look_at, pinhole
 from glsplat.config import RenderConfig
 from glsplat.errors import GlsplatError
-from glsplat.evaluate.difference import PSNR_CAP, Difference, Truth, pareto
+from glsplat.evaluate.difference import PSNR_CAP, Difference, ReferencePictures, pareto
 from glsplat.evaluate.knobs import Drawn, Setting, base_config, settings_of
 from glsplat.evaluate.sections.measure import _typical, better_than_default, measure
 from glsplat.evaluate.subjects import Subject
@@ -34,7 +34,7 @@ def measured(context: Context, drawn: Splats, right: Splats, config: RenderConfi
     subject = Subject("a fault", drawn, SIZE, cameras=(VIEW,))
     drawn = Drawn(config)
     settings = [Setting("default", "default", drawn), Setting("default", "once more", replace(drawn, copy=1))]
-    (row, _) = measure(context, subject, settings, frames=2, compared=[6], truth=Truth(right))["settings"]
+    (row, _) = measure(context, subject, settings, frames=2, compared=[6], truth=ReferencePictures(right))["settings"]
     return row
 
 

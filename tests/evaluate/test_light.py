@@ -15,7 +15,7 @@ from glsplat.mesh import MeshConfig, MeshRenderer
 from glsplat.meshes import MeshPart, RiggedMesh, standing, vertex_normals
 from glsplat.pictures import to_linear, to_srgb
 from glsplat.skinning.pose import Pose
-from tests.making.captures import capture
+from tests.authoring.captures import capture
 from tests.scene.people import boxes
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from glsplat.authoring.surface import SamplerConfig
 from glsplat.avatar import Avatar
 from glsplat.config import RenderConfig
 from glsplat.errors import FormatError
@@ -17,7 +18,6 @@ from glsplat.evaluate.sections.measure import measure
 from glsplat.evaluate.subjects import Subject, cameras_for, check_cameras, dense_person, subjects_of
 from glsplat.formats import load, save
 from glsplat.gl.context import Context
-from glsplat.making.surface import SamplerConfig
 from glsplat.splats import Level, Splats
 from tests.golden.stored import DATA
 from tests.scenes import camera, cloud, limb

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from glsplat.authoring.fit.body import open_body
 from glsplat.camera import Camera, look_at
 from glsplat.evaluate.turntable import Turntable, turntable
-from glsplat.making.fit.body import open_body
 from glsplat.meshes import MeshPart, RiggedMesh
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.skeleton import Skeleton

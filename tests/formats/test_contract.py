@@ -41,7 +41,7 @@ PACKED: dict[str, Callable[[Callable[[bytes], bytes], bytes], bytes]] = {
     "spz": lambda change, data: gzip.compress(change(gzip.decompress(data))),
     "sog": _rezipped,
 }
-MESHES = {"obj", "npz"}  # hold no splats: tests/formats/test_load.py, tests/making/test_people.py
+MESHES = {"obj", "npz"}  # hold no splats: tests/formats/test_load.py, tests/authoring/test_people.py
 every = pytest.mark.parametrize(
     "known", [one for one in FORMATS if one.name not in MESHES], ids=lambda known: known.name
 )

@@ -16,7 +16,7 @@ from glsplat.camera import head_matrix, stereo_cameras
 from glsplat.config import RenderConfig
 from glsplat.data import default_avatar
 from glsplat.errors import ProtocolError
-from glsplat.net.backend import Offered, Solved
+from glsplat.net.backend import AvatarInfo, Solved
 from glsplat.net.backends.server import make_server
 from glsplat.net.backends.tracking import TrackingSolver
 from glsplat.net.client import Client
@@ -150,7 +150,7 @@ def test_the_eyes_of_a_reply_are_those_asked_for_and_those_drawn(serve, moves, f
 
     async def main():
         async with (
-            serve(backend, offered=[Offered(name="default", solver=solver)]) as server,
+            serve(backend, offered=[AvatarInfo(name="default", solver=solver)]) as server,
             Client(server.url) as client,
         ):
             cameras = [replace(camera, near=0.5, far=20.0) for camera in PAIR]

@@ -14,7 +14,7 @@ from glsplat.consent.policy import ConsentPolicy
 from glsplat.errors import ProtocolError
 from glsplat.net.accounts import rights
 from glsplat.net.accounts.users import Accounts, new_user, write_users
-from glsplat.net.backend import Offered
+from glsplat.net.backend import AvatarInfo
 from glsplat.net.backends.server import make_server
 from glsplat.net.client import Client
 from glsplat.net.guard.access import Access
@@ -63,7 +63,7 @@ async def refused(server, token=""):
 def test_a_session_ends_when_the_consent_does(serve, fake_backend, cameras, clock):
     async def main():
         backend = fake_backend()
-        async with serve(backend, config([OnFile(CONSENT)]), offered=[Offered(name="ann")]) as server:
+        async with serve(backend, config([OnFile(CONSENT)]), offered=[AvatarInfo(name="ann")]) as server:
             async with Client(server.url) as client:
                 for _ in range(3):
                     await client.render(cameras)
@@ -94,7 +94,7 @@ def test_a_session_ends_when_the_consent_does(serve, fake_backend, cameras, cloc
 )
 def test_who_comes_in(serve, cameras, clock, people, why):
     async def main():
-        async with serve(config=config(people), offered=[Offered(name="ann")]) as server:
+        async with serve(config=config(people), offered=[AvatarInfo(name="ann")]) as server:
             if why:
                 return await refused(server)
             async with Client(server.url) as client:
@@ -114,7 +114,7 @@ def test_drivers_are_accounts(serve, cameras, clock, tmp_path):
     people = [OnFile(replace(CONSENT, drivers=frozenset(["bob"])))]
 
     async def main():
-        async with serve(config=config(people, access=access), offered=[Offered(name="ann")]) as server:
+        async with serve(config=config(people, access=access), offered=[AvatarInfo(name="ann")]) as server:
             async with Client(server.url, made["bob"][1]) as client:
                 await client.render(cameras)
             return await refused(server, made["ann"][1])

@@ -15,7 +15,7 @@ import aiohttp
 import pytest
 
 from glsplat.errors import ContextError, ContextLostError, FormatError, ProtocolError
-from glsplat.net import pump
+from glsplat.net import render_loop
 from glsplat.net.client import Client, request_message
 from glsplat.net.server import Server, ServerConfig
 from glsplat.net.session import SessionConfig
@@ -224,7 +224,7 @@ def test_an_error_while_drawing_reaches_only_its_client(serve, fake_backend, cam
                         await bad.send_str(native(i, size=[width, 64]))
                         await good.render(cameras)
                         answers.append(await bad.receive(timeout=HANG))
-                    return answers, server.pump.healthy
+                    return answers, server.render_loop.healthy
 
     (one, two, three), healthy = asyncio.run(main())
     for answer, frame_id in ((one, 1), (two, 2)):
@@ -261,10 +261,10 @@ def test_a_renderer_that_hangs_is_not_healthy(serve, fake_backend, cameras, stop
             healthy = []
             for seconds in (0.0, 9.9, 0.2):
                 stopped.now += seconds
-                healthy.append(server.pump.healthy)
+                healthy.append(server.render_loop.healthy)
             backend.gate.set()
             await client.receive()
-            return *healthy, server.pump.healthy
+            return *healthy, server.render_loop.healthy
 
     assert asyncio.run(main()) == (True, True, False, True)
 
@@ -281,7 +281,7 @@ def test_the_client_reports_a_server_that_goes_away(cameras):
 @pytest.mark.parametrize("kind", ["comes back", "no new one"])
 def test_a_lost_context(fake_backend, cameras, kind, caplog, monkeypatch):
     """It is made anew under the clients' feet; where that fails the server stops in order, with a message."""
-    monkeypatch.setattr(pump, "_PAUSES", (0.0, 0.01, 0.02))
+    monkeypatch.setattr(render_loop, "_PAUSES", (0.0, 0.01, 0.02))
 
     class Losing(fake_backend):
         opens = 0

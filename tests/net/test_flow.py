@@ -9,14 +9,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from glsplat.errors import ProtocolError
-from glsplat.net.flow import POLICIES, Backoff, Flow, server_error
+from glsplat.net.flow import POLICIES, Backoff, FlowControl, server_error
 from glsplat.net.messages import Ack, Decoder, Request
 from glsplat.net.session import Session, SessionConfig
 from tests.net.wire import native
 
 
-def asked(*numbers: int) -> Flow:
-    flow = Flow()
+def asked(*numbers: int) -> FlowControl:
+    flow = FlowControl()
     for number in numbers:
         flow.ask(number, number / 10)
     return flow
@@ -91,7 +91,7 @@ def test_when_to_ask():
 
 
 def test_a_request_carries_its_subject():
-    flow = Flow()
+    flow = FlowControl()
     for number in range(1, 5):
         flow.ask(number, 0.0, f"wish {number}")
     flow.arrived(2)
@@ -125,7 +125,7 @@ def test_the_servers_error():
 @given(st.lists(st.sampled_from(["ask", "draw", "deliver", "fail"]), max_size=60), st.sampled_from(POLICIES))
 def test_with_the_servers_half_nothing_gets_stuck(steps, policy):
     """Both halves, any order of events: windows hold, acknowledgements are legal, the newest is answered."""
-    flow, session, now = Flow(), Session(Decoder(), SessionConfig(window=2)), 0.0
+    flow, session, now = FlowControl(), Session(Decoder(), SessionConfig(window=2)), 0.0
     drawing, wire, decoded = [], [], 0
 
     def step(kind):

@@ -12,7 +12,7 @@ import numpy as np
 import simplejpeg
 
 from apps.serve.command import HELP
-from glsplat.net import conversation, messages, options, pump, server, session
+from glsplat.net import conversation, messages, options, render_loop, server, session
 from glsplat.net.guard import reading
 from glsplat.net.guard.limits import Limits
 from glsplat.net.messages import Decoder
@@ -97,7 +97,7 @@ def test_what_a_server_offers_has_the_keys_of_the_page(serve):
 
 
 def test_every_error_code_is_in_the_table():
-    sources = [Path(module.__file__).read_text() for module in (messages, session, server, pump)]
+    sources = [Path(module.__file__).read_text() for module in (messages, session, server, render_loop)]
     codes = set(re.findall(r'ProtocolError\(\s*f?[^()]*?,\s*"([a-z_]+)"', "\n".join(sources), re.S))
     codes |= set(re.findall(r'error_text\("([a-z_]+)"', "\n".join(sources)))
     codes |= set(re.findall(r'frame\.error = \("([a-z_]+)"', "\n".join(sources))) | {"bad_request", "encode"}

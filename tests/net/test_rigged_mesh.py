@@ -21,7 +21,7 @@ from glsplat.net.client import Client
 from glsplat.net.messages import PictureOptions
 from glsplat.net.server import ServerConfig
 from glsplat.renderer import Renderer
-from glsplat.scene import Item, Scene, Shown, similarity
+from glsplat.scene import Item, Scene, SceneLike, similarity
 from glsplat.skinning.pose import Pose
 from glsplat.tracking.derive import derive, truth_from_motion
 from tests.scene.people import boxes
@@ -37,7 +37,7 @@ PERSON = boxes()
 ROOM = upright(-0.8, 1.5, (90, 80, 70))  # one joint: it stands
 
 
-def direct(scene: Shown, pose: Pose | None = None) -> NDArray[np.uint8]:
+def direct(scene: SceneLike, pose: Pose | None = None) -> NDArray[np.uint8]:
     with Renderer(scene, size=SIZE, views=2, config=RenderConfig(output="uint8")) as renderer:
         return renderer.render(PAIR, pose)
 

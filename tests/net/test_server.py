@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from glsplat.errors import ContextError, GlsplatError, ProtocolError
-from glsplat.net.backend import Offered, Solved
+from glsplat.net.backend import AvatarInfo, Solved
 from glsplat.net.client import Client
 from glsplat.net.guard.access import Access
 from glsplat.net.messages import WireOptions
@@ -93,13 +93,13 @@ def test_encoding_overlaps_the_next_drawing(serve, fake_backend, cameras, monkey
 
     async def main():
         async with serve(backend) as server:
-            encode = server.pump._encoder.encode
+            encode = server.render_loop._encoder.encode
 
             def waiting(*args):
                 assert second.wait(HANG)  # the first picture is ready when the second one has been drawn
                 return encode(*args)
 
-            monkeypatch.setattr(server.pump._encoder, "encode", waiting)
+            monkeypatch.setattr(server.render_loop._encoder, "encode", waiting)
             async with Client(server.url, timeout=HANG) as client:
                 await client.send(cameras)
                 await until(lambda: backend.drawn)
@@ -204,7 +204,7 @@ def test_tracking_goes_through_the_sessions_own_solver(serve, fake_backend):
     tracking = {"head": [0, 1.6, 0, 0, 0, 0, 1], "left": None, "right": [0.3, 1, 0, 0, 0, 0, 1]}
 
     async def main():
-        async with serve(backend, offered=[Offered(name="default", solver=Solver)]) as server:
+        async with serve(backend, offered=[AvatarInfo(name="default", solver=Solver)]) as server:
             async with Client(server.url) as one, Client(server.url, height=1.8) as two:
                 await one.render(tracking=tracking)
                 await two.render(tracking=tracking)
@@ -226,14 +226,14 @@ def test_without_a_solver_tracking_is_a_clear_error(serve):
         async with serve() as server, Client(server.url) as client:
             with pytest.raises(ProtocolError, match="this server has no tracking solver"):
                 await client.render(tracking={"head": [0, 1.6, 0, 0, 0, 0, 1]})
-            return server.pump.healthy
+            return server.render_loop.healthy
 
     assert asyncio.run(main())
 
 
 def test_what_is_asked_in_vain_is_said_with_the_reason(serve, cameras):
     """With the picture to who sends a pose, instead of it to who sends tracking, to nobody else."""
-    offered = [Offered(name="default", untracked="it has no skeleton", still="it has no skeleton")]
+    offered = [AvatarInfo(name="default", untracked="it has no skeleton", still="it has no skeleton")]
 
     async def main():
         async with serve(offered=offered) as server, Client(server.url) as client:
@@ -314,12 +314,12 @@ def test_options_of_the_address_are_checked(serve):
 @pytest.mark.parametrize("names", [(), ("ann", "ben", "ann")])
 def test_what_is_offered_has_names_of_its_own(names, fake_backend):
     with pytest.raises(GlsplatError, match="of different names"):
-        Server(fake_backend(), offered=[Offered(name=name) for name in names])
+        Server(fake_backend(), offered=[AvatarInfo(name=name) for name in names])
 
 
 def test_an_unknown_avatar_is_answered_with_the_names_there_are(serve):
     async def main():
-        offered = [Offered(name="ann"), Offered(name="Jürgen B")]
+        offered = [AvatarInfo(name="ann"), AvatarInfo(name="Jürgen B")]
         async with serve(offered=offered) as server, aiohttp.ClientSession() as http:
             async with Client(server.url, avatar="Jürgen B"), Client(server.url):
                 answer = await http.get(server.url.replace("ws:", "http:") + "?avatar=eve", headers=UPGRADE)

@@ -17,9 +17,9 @@ from glsplat.net.client import Client
 from glsplat.net.server import ServerConfig
 from glsplat.net.session import SessionConfig
 from glsplat.watermark.detect import detect
-from glsplat.watermark.mark import Watermark
+from glsplat.watermark.mark import WatermarkKey
 
-WATERMARK = Watermark(0x1A2B, b"sixteen bytes 01")
+WATERMARK = WatermarkKey(0x1A2B, b"sixteen bytes 01")
 CONFIG = ServerConfig(port=0, session=SessionConfig(watermark=WATERMARK))
 
 

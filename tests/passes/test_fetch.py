@@ -15,8 +15,8 @@ from glsplat.camera import Camera
 from glsplat.config import RenderConfig
 from glsplat.errors import BudgetError, ContextError
 from glsplat.gl.context import Context
-from glsplat.net.backends.budget import Budget
-from glsplat.passes import staged
+from glsplat.net.backends.budget import PictureBudget
+from glsplat.passes import gpu_scene
 from glsplat.passes.frame import draw, pipeline
 from glsplat.renderer import Renderer
 from glsplat.scene import Item, Scene
@@ -98,10 +98,10 @@ def test_parts_and_slices(renderer_of: Make, storage: None, monkeypatch: pytest.
         asked.append(1)
         return False
 
-    budget = Budget(slice_cost=5000, abandoned=count)
+    budget = PictureBudget(slice_cost=5000, abandoned=count)
     assert np.array_equal(budget.render(renderer, views), expected) and len(asked) > 3
     with pytest.raises(BudgetError):
-        Budget(slice_cost=5000, abandoned=lambda: True).render(renderer, views)
+        PictureBudget(slice_cost=5000, abandoned=lambda: True).render(renderer, views)
     assert np.array_equal(renderer.render(views), expected)  # what was broken off leaves nothing behind
 
 
@@ -136,7 +136,7 @@ def test_who_pulls(renderer_of: Make, context: Context, monkeypatch: pytest.Monk
     automatic.render(eyes()[:1])
     assert automatic.variant.pulled == int(context.software and context.vertex_storage)
     with monkeypatch.context() as patched:
-        patched.setattr(staged, "PULLED", 19)
+        patched.setattr(gpu_scene, "PULLED", 19)
         many = renderer_of(cloud(20))
         many.render(eyes()[:1])
         assert many.variant.pulled == 0

@@ -11,14 +11,14 @@ import pytest
 from numpy.typing import NDArray
 
 from glsplat import reference
+from glsplat.authoring import cones
+from glsplat.authoring.cones import ConeConfig, hidden, with_cones
+from glsplat.authoring.posed import posed_splats
 from glsplat.avatar import Avatar
 from glsplat.camera import Camera, look_at, pinhole
 from glsplat.errors import FormatError, GlsplatError
 from glsplat.formats import load, save
 from glsplat.gl.context import Context
-from glsplat.making import cones
-from glsplat.making.cones import ConeConfig, hidden, with_cones
-from glsplat.making.posed import posed_splats
 from glsplat.passes.present import Layout, Present
 from glsplat.renderer import Renderer
 from glsplat.skinning.pose import Pose

@@ -17,7 +17,7 @@ from glsplat.detail.proxy import Proxy
 from glsplat.detail.selector import BAND, Selector, chosen
 from glsplat.errors import FormatError, GlsplatError
 from glsplat.gl.context import Context
-from glsplat.passes import staged
+from glsplat.passes import gpu_scene
 from glsplat.renderer import Renderer
 from glsplat.scene import Item, Scene, similarity
 from glsplat.skinning.skeleton import Skeleton
@@ -205,7 +205,7 @@ def test_choices_are_bounded(renderer_of: Make, monkeypatch: pytest.MonkeyPatch)
         for item, depth in zip(items, (-30 * x, -12 * x, -5 * x), strict=True):
             item.transform = similarity((0, 0, float(depth)))
         renderer.render([seen_from(2.0)])
-    assert len(renderer._staged._drawables) <= staged._KEPT
+    assert len(renderer._staged._drawables) <= gpu_scene._KEPT
     monkeypatch.setattr(renderer._staged._drawables, "_most", 1)
     renderer.render([seen_from(2.5)])
     assert len(renderer._staged._drawables) == 1

@@ -14,7 +14,7 @@ import pytest
 from glsplat.config import RenderConfig
 from glsplat.errors import ContextError, GlsplatError, PoseError
 from glsplat.gl.context import Context
-from glsplat.passes import drawable, staged
+from glsplat.passes import drawable, gpu_scene
 from glsplat.renderer import Renderer
 from glsplat.scene import Item, Scene, similarity
 from tests.scene.worlds import random_pose, upright
@@ -175,7 +175,7 @@ def test_a_scene_that_cannot_be_loaded_leaves_the_old_one(renderer_of: Make, mon
         raise ContextError("no memory")
 
     with monkeypatch.context() as patch:
-        patch.setattr(staged, "Arena", fail)
+        patch.setattr(gpu_scene, "Arena", fail)
         with pytest.raises(ContextError, match="no memory"):
             renderer.load(cloud(10))
     assert np.array_equal(renderer.render(eyes()), image)
@@ -196,7 +196,7 @@ def test_an_item_that_cannot_be_added_leaves_the_frame_as_it_was(
         raise ContextError("no memory")
 
     with monkeypatch.context() as patch:
-        patch.setattr(staged, "Arena", fail)
+        patch.setattr(gpu_scene, "Arena", fail)
         with pytest.raises(ContextError, match="no memory"):
             renderer.render(eyes())
     scene.remove(extra)

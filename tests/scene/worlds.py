@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat import reference
+from glsplat.authoring.raster import mesh_picture_and_depth
 from glsplat.avatar import Avatar
 from glsplat.camera import Camera
 from glsplat.config import RenderConfig
-from glsplat.making.raster import mesh_picture_and_depth
 from glsplat.meshes import MeshPart, RiggedMesh
 from glsplat.scene import Item, Scene
 from glsplat.skinning.pose import Pose
@@ -57,7 +57,7 @@ def reference_of(
     return reference.render_scene(parts, cameras, [ground_of(scene, camera) for camera in cameras], config)
 
 
-def ground_of(scene: Scene, camera: Camera) -> reference.Ground:
+def ground_of(scene: Scene, camera: Camera) -> reference.MeshLayer:
     """The visible meshes under one camera, by the rasterizer in numpy."""
     colours, z = np.zeros((camera.height, camera.width, 3)), np.full((camera.height, camera.width), np.inf)
     for item in scene:
@@ -67,7 +67,7 @@ def ground_of(scene: Scene, camera: Camera) -> reference.Ground:
             picture, depth = mesh_picture_and_depth(item.content, vertices, camera, 1)
             nearer = depth < z
             z[nearer], colours[nearer] = depth[nearer], picture[nearer][:, :3]
-    return reference.Ground(colours, z)
+    return reference.MeshLayer(colours, z)
 
 
 def random_pose(joints: int, seed: int, size: float = 0.3) -> Pose:

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from glsplat import reference
+from glsplat.authoring.cones import hidden
 from glsplat.camera import look_at, stereo_cameras
 from glsplat.config import RenderConfig
 from glsplat.gl.context import Context
-from glsplat.making.cones import hidden
 from glsplat.passes.block import FrameBlock, frame_dtype
 from glsplat.passes.item.buffers import ROW
 from glsplat.rotations import rodrigues_parameters, rotation_matrices
@@ -22,7 +22,7 @@ from glsplat.scene import similarity
 from glsplat.shaders import SkinVariant, Variant
 from glsplat.skinning.skin import Skin
 from glsplat.splats import Splats
-from glsplat.watermark.mark import Mark, marked
+from glsplat.watermark.mark import Watermark, marked
 from glsplat.watermark.pattern import TILE
 from tests.glsl import run_chunk
 from tests.skinning.faces import random_shapes
@@ -352,7 +352,7 @@ def test_step(gl: Context, rng: np.random.Generator) -> None:
 
 def test_mark(gl: Context, rng: np.random.Generator) -> None:
     """The chunk over the pixels of a row, whose tile values it gets, against the twin, which finds them itself."""
-    mark = Mark(1, 2, b"sixteen bytes 01")
+    mark = Watermark(1, 2, b"sixteen bytes 01")
     image = np.concatenate([rng.random((1, COUNT, 3)) * 1.5 - 0.2, rng.random((1, COUNT, 1))], axis=2)
     image = image.astype(np.float32)
     image[0, :2] = (0, 0.5, 1, 0), (1, 1, 1, 1)  # nothing, and white

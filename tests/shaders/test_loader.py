@@ -18,7 +18,7 @@ from glsplat.passes.frame.project import record_layout
 from glsplat.shaders import Programs, Variant, flatten, link
 from glsplat.shaders.slots import UNITS
 from glsplat.shaders.variant import MeshVariant, ResolveVariant, SkinVariant, variant_for
-from glsplat.watermark.mark import Mark
+from glsplat.watermark.mark import Watermark
 
 FILES = [file for file in resources.files("glsplat.shaders").iterdir() if file.name.endswith(".glsl")]
 
@@ -218,7 +218,7 @@ def test_the_variants_that_matter_compile(gl: Context) -> None:
     for mesh in MESHES:
         programs.draw("ground", "ground", mesh)
     for resolve in RESOLVES:
-        for step in ({}, {"step.glsl": Mark(1, 2, b"sixteen bytes 01").source}):
+        for step in ({}, {"step.glsl": Watermark(1, 2, b"sixteen bytes 01").source}):
             program = programs.draw("screen", "resolve", resolve, step)
             assert ("step_texture" in program, "background" in program) == (bool(step), bool(resolve.cull_hidden))
     programs.release()

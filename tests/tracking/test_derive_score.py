@@ -9,12 +9,12 @@ from glsplat.evaluate.baseline import baseline
 from glsplat.evaluate.tracking_score import mean_score, score
 from glsplat.motion.motion import load_motion
 from glsplat.skinning.skeleton import Skeleton
-from glsplat.tracking.derive import Disturbance, Truth, derive, disturb, truth_from_motion
+from glsplat.tracking.derive import Disturbance, TrueMotion, derive, disturb, truth_from_motion
 from glsplat.tracking.solve.body import Body
 
 
 @pytest.fixture(scope="module")
-def truth(skeleton: Skeleton) -> Truth:
+def truth(skeleton: Skeleton) -> TrueMotion:
     motion = load_motion("wave-and-turn", skeleton)
     return truth_from_motion(skeleton, motion.rotations, motion.trans, motion.fps, 30.0)
 
@@ -36,7 +36,7 @@ def test_a_t_pose_gives_the_frames_of_openxr(skeleton: Skeleton, body: Body) -> 
     assert zero.positions[0, 10, 1] == pytest.approx(body.sole)  # stands on y = 0
 
 
-def test_disturbances_do_what_they_say(skeleton: Skeleton, truth: Truth) -> None:
+def test_disturbances_do_what_they_say(skeleton: Skeleton, truth: TrueMotion) -> None:
     clean = derive(skeleton, truth)
     how = Disturbance(noise_mm=2.0, noise_deg=0.5, dropout=0.3, latency_s=0.1, seed=3)
     noisy = disturb(clean, how)
@@ -55,7 +55,7 @@ def test_rates_are_checked(skeleton: Skeleton) -> None:
         truth_from_motion(skeleton, np.zeros((1, 55, 3)), np.zeros((1, 3)), 30.0, 72.0)
 
 
-def test_scores_of_known_errors(truth: Truth, body: Body) -> None:
+def test_scores_of_known_errors(truth: TrueMotion, body: Body) -> None:
     perfect = score(truth.positions, truth.positions, 30.0, body.sole, truth.rotations, truth.rotations)
     assert perfect.mpjpe == perfect.mpjve == perfect.hands == 0 and perfect.mpjre < 1e-4
     assert perfect.jitter == perfect.jitter_truth > 0
@@ -78,14 +78,14 @@ def test_scores_of_known_errors(truth: Truth, body: Body) -> None:
     assert both.mpjpe == pytest.approx(2.5) and both.frames == 2 * perfect.frames
 
 
-def test_scores_refuse_what_does_not_match(truth: Truth, body: Body) -> None:
+def test_scores_refuse_what_does_not_match(truth: TrueMotion, body: Body) -> None:
     with pytest.raises(PoseError, match="one shape"):
         score(truth.positions[1:], truth.positions, 30.0, body.sole)
     with pytest.raises(PoseError, match="at least 4"):
         score(truth.positions[:3], truth.positions[:3], 30.0, body.sole)
 
 
-def test_baselines_know_head_and_hands(truth: Truth, body: Body) -> None:
+def test_baselines_know_head_and_hands(truth: TrueMotion, body: Body) -> None:
     for kind in ("glued", "naive"):
         estimate = baseline(truth, kind)
         assert estimate.shape == truth.positions.shape and np.isfinite(estimate).all()

@@ -7,14 +7,14 @@ from glsplat.rotations import rotation_matrices
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.tracking import Sample, Tracker, TrackerConfig
 from glsplat.tracking.batch import forward_all
-from glsplat.tracking.derive import Truth, derive
+from glsplat.tracking.derive import TrueMotion, derive
 from glsplat.tracking.solve.body import Body
 from tests.tracking.moves import Stage
 
 HANDS = {"left": slice(25, 40), "right": slice(40, 55)}
 
 
-def posed(skeleton: Skeleton, rng: np.random.Generator, size: float = 1.0) -> tuple[Truth, np.ndarray]:
+def posed(skeleton: Skeleton, rng: np.random.Generator, size: float = 1.0) -> tuple[TrueMotion, np.ndarray]:
     """A standing body with bent fingers: flexion, a little spreading of the knuckles."""
     rotations = np.zeros((1, 55, 3))
     rotations[:, 16:18, 2] = (-1.2, 1.2)
@@ -34,7 +34,7 @@ def posed(skeleton: Skeleton, rng: np.random.Generator, size: float = 1.0) -> tu
     for side, joints in HANDS.items():  # a larger hand with the same pose
         palm = positions[:, wrist[side], None]
         positions[:, joints] = palm + size * (positions[:, joints] - palm)
-    return Truth(np.zeros(1), rotations, np.zeros((1, 3)), positions, frames), rotations[0]
+    return TrueMotion(np.zeros(1), rotations, np.zeros((1, 3)), positions, frames), rotations[0]
 
 
 @pytest.mark.parametrize("size", [1.0, 1.25])

@@ -9,21 +9,21 @@ import numpy as np
 import pytest
 
 from glsplat.errors import FormatError, PoseError
-from glsplat.evaluate.tracking_score import Score, mean_score, score
+from glsplat.evaluate.tracking_score import TrackingScore, mean_score, score
 from glsplat.motion.motion import load_motion
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.tracking import Tracker, TrackerConfig
 from glsplat.tracking import solvers as module
 from glsplat.tracking.batch import forward_all
 from glsplat.tracking.derive import Disturbance, derive, disturb, truth_from_motion
-from glsplat.tracking.learned.network import Network
+from glsplat.tracking.learned.network import PoseNetwork
 from glsplat.tracking.learned.solver import LearnedSolver
 from glsplat.tracking.solve.body import FEET, HEAD, WRISTS, Body
 from glsplat.tracking.solvers import embedded_network, solver_of
 from tests.tracking.moves import DT, Stage, Track, hand_turn, head_turn, seconds
 
 
-def measured(skeleton: Skeleton, name: str, rate: float, solver: str, how: Disturbance | None = None) -> Score:
+def measured(skeleton: Skeleton, name: str, rate: float, solver: str, how: Disturbance | None = None) -> TrackingScore:
     motion = load_motion(name, skeleton)
     count = min(len(motion), round(8 * motion.fps))
     truth = truth_from_motion(skeleton, motion.rotations[:count], motion.trans[:count], motion.fps, rate)
@@ -108,8 +108,12 @@ def test_any_network_at_all_is_kept_in_bounds(skeleton: Skeleton, stage: Stage, 
     rng = np.random.default_rng(4)
     known = embedded_network()
     for size in (1.0, 100.0):
-        wild = Network(
-            *[rng.normal(0, size, getattr(known, n).shape).astype(np.float32) for n in Network.__slots__ if n != "note"]
+        wild = PoseNetwork(
+            *[
+                rng.normal(0, size, getattr(known, n).shape).astype(np.float32)
+                for n in PoseNetwork.__slots__
+                if n != "note"
+            ]
         )
         samples = [
             stage.sample(t, head=(np.sin(t), stage.eye[1] * (0.6 + 0.4 * np.cos(3 * t)), t), turn=head_turn(2 * t))

@@ -15,9 +15,9 @@ from glsplat.motion.motion import load_motion
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.tracking.derive import derive, truth_from_motion
 from glsplat.tracking.learned import network as module
-from glsplat.tracking.learned.frames import INPUTS, OUTPUTS, RATE, Guess, Seen
+from glsplat.tracking.learned.frames import INPUTS, OUTPUTS, RATE, Guess, TrackedFrames
 from glsplat.tracking.learned.hints import Hints
-from glsplat.tracking.learned.network import ARRAYS, Network, load_network, save_network
+from glsplat.tracking.learned.network import ARRAYS, PoseNetwork, load_network, save_network
 from glsplat.tracking.solve.body import Body
 from glsplat.tracking.solve.solution import Solution, Targets
 from glsplat.tracking.solve.solver import AnalyticSolver
@@ -30,12 +30,12 @@ from glsplat.tracking.training.fit import _alone, _seen_from, features
 F32 = NDArray[np.float32]
 
 
-def small(rng: np.random.Generator, width: int = 5, units: int = 7) -> Network:
+def small(rng: np.random.Generator, width: int = 5, units: int = 7) -> PoseNetwork:
     shapes = (
         (width, INPUTS), (width,), (3 * units, width), (3 * units,), (3 * units, units), (3 * units,),
         (width, units), (width,), (OUTPUTS, width), (OUTPUTS,),
     )  # fmt: skip
-    return Network(*[rng.normal(0, 0.5, shape).astype(np.float32) for shape in shapes], note="made up")
+    return PoseNetwork(*[rng.normal(0, 0.5, shape).astype(np.float32) for shape in shapes], note="made up")
 
 
 def test_a_step_is_the_equations_written_out(rng: np.random.Generator) -> None:
@@ -117,7 +117,7 @@ def test_the_embedded_network_is_whole_and_small() -> None:
     assert sum(getattr(n, name).nbytes for name in ARRAYS) < 3e6
 
 
-class Listening(Network):
+class Listening(PoseNetwork):
     """A network that keeps what it is told."""
 
     heard: ClassVar[list[F32]] = []
@@ -182,7 +182,7 @@ def test_devices_that_are_off_do_not_move_the_body(skeleton: Skeleton, rng: np.r
     truth = targets_of(clip, unit)
     np.testing.assert_allclose(_seen_from(truth, clip.seen, clip.seen, unit), truth, atol=1e-6)
     for _ in range(4):
-        odd: Seen = disturbed(clip.seen, rng)
+        odd: TrackedFrames = disturbed(clip.seen, rng)
         guess = Guess.of(_seen_from(truth, clip.seen, odd, unit), unit)
         c, s = np.cos(odd.yaw), np.sin(odd.yaw)
         zero, one = np.zeros_like(c), np.ones_like(c)

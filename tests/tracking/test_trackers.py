@@ -13,12 +13,12 @@ import numpy as np
 import pytest
 
 from glsplat.errors import FormatError, PoseError
-from glsplat.evaluate.tracking_score import Score, score
+from glsplat.evaluate.tracking_score import TrackingScore, score
 from glsplat.motion.motion import load_motion
 from glsplat.rotations import rotation_matrices
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.tracking import Calibration, Sample, Tracker, TrackerConfig, calibrate
-from glsplat.tracking.derive import MOUNTS, Disturbance, Truth, derive, disturb, truth_from_motion
+from glsplat.tracking.derive import MOUNTS, Disturbance, TrueMotion, derive, disturb, truth_from_motion
 from glsplat.tracking.sample import BODY_JOINTS, TRACKERS
 from glsplat.tracking.solve.body import ANKLES, FEET, HEAD, KNEES, PELVIS, Body
 from glsplat.tracking.solvers import SOLVERS, SolverName
@@ -28,12 +28,12 @@ NAN, INF = math.nan, math.inf
 CLIPS = ["cmu_02_01.amc", "cmu_02_04.amc", "cmu_131_03.bvh"]  # walks; jumps; dances with wide steps and a kneel
 
 
-def zero_pose(skeleton: Skeleton, seconds: float = 2.0) -> Truth:
+def zero_pose(skeleton: Skeleton, seconds: float = 2.0) -> TrueMotion:
     frames = round(72 * seconds)
     return truth_from_motion(skeleton, np.zeros((frames, 55, 3)), np.zeros((frames, 3)), 72.0, 72.0)
 
 
-def truth_of(skeleton: Skeleton, name: str, seconds: float = 8.0) -> Truth:
+def truth_of(skeleton: Skeleton, name: str, seconds: float = 8.0) -> TrueMotion:
     motion = load_motion(name, skeleton)
     count = min(len(motion), round(seconds * motion.fps))
     return truth_from_motion(skeleton, motion.rotations[:count], motion.trans[:count], motion.fps, 72.0)
@@ -41,11 +41,11 @@ def truth_of(skeleton: Skeleton, name: str, seconds: float = 8.0) -> Truth:
 
 def scored(
     skeleton: Skeleton,
-    truth: Truth,
+    truth: TrueMotion,
     samples: list[Sample],
     calibration: Calibration | None = None,
     solver: SolverName = SOLVERS[0],
-) -> Score:
+) -> TrackingScore:
     tracker = Tracker(skeleton, calibration, solver=solver)
     poses = [tracker.update(sample) for sample in samples][-len(truth.times) :]
     joints = np.array([tracker.joints(pose) for pose in poses])
@@ -58,7 +58,7 @@ def fitted(skeleton: Skeleton, trackers: tuple[str, ...]) -> Calibration:
     return calibrate(derive(skeleton, zero_pose(skeleton), trackers=trackers), skeleton)
 
 
-def after_standing(skeleton: Skeleton, truth: Truth, trackers: tuple[str, ...]) -> list[Sample]:
+def after_standing(skeleton: Skeleton, truth: TrueMotion, trackers: tuple[str, ...]) -> list[Sample]:
     """A second of standing in one place, then, after a gap, the motion: nobody calibrated anything."""
     standing = derive(skeleton, zero_pose(skeleton, 1.0), trackers=trackers)
     return [replace(s, t=s.t - 3.0) for s in standing] + derive(skeleton, truth, trackers=trackers)
@@ -89,7 +89,7 @@ def test_captured_legs_come_back(
         skeleton, truth, derive(skeleton, truth, trackers=("feet",)), fitted(skeleton, ("feet",)), solver=solver
     )
     for name, s in locals().copy().items():
-        if isinstance(s, Score):
+        if isinstance(s, TrackingScore):
             print(f"{clip} {name}: lower {s.lower:.2f} root {s.root:.2f} upper {s.upper:.2f} hands {s.hands:.2f} cm")
     assert plain.lower > legs
     assert tracked.lower < 1.3 and tracked.root < 0.5 and tracked.upper < plain.upper

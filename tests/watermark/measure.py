@@ -22,7 +22,7 @@ from glsplat.motion.motion import load_motion
 from glsplat.renderer import Renderer
 from glsplat.scenes import load
 from glsplat.watermark.detect import WINDOW, detect
-from glsplat.watermark.mark import Mark, marked
+from glsplat.watermark.mark import Watermark, marked
 from tests.watermark.attacks import ATTACKS
 
 KEY = b"a key of measurements"
@@ -64,7 +64,7 @@ def main() -> None:
     for avatar, motion, view in ((a, m, v) for a in args.avatars for m in args.motion for v in VIEWS):
         pictures, head = drawn(avatar, motion, view, WINDOW + args.windows - 1)
         for start in range(args.windows):
-            mark = Mark(int(rng.integers(1 << 16)), int(rng.integers(1 << 32)), KEY)
+            mark = Watermark(int(rng.integers(1 << 16)), int(rng.integers(1 << 32)), KEY)
             clip = marked(pictures[start : start + WINDOW], mark)[..., :3]
             clip = np.round(np.clip(clip, 0, 1) * 255).astype(np.uint8)
             windows += 1

@@ -8,7 +8,7 @@ import pytest
 from glsplat.errors import GlsplatError
 from glsplat.watermark.code import CODE_BITS, Payload, decode, encode
 from glsplat.watermark.keys import new_watermark, read_watermark, text_of
-from glsplat.watermark.mark import Mark, Watermark
+from glsplat.watermark.mark import Watermark, WatermarkKey
 
 KEY = b"sixteen bytes 01"
 
@@ -65,7 +65,7 @@ def test_noise_is_refused(rng: np.random.Generator) -> None:
 )
 def test_a_mark_is_checked(words: tuple[int, int, bytes], message: str) -> None:
     with pytest.raises(GlsplatError, match=message):
-        Mark(*words)
+        Watermark(*words)
 
 
 def test_the_key_file(tmp_path) -> None:
@@ -81,4 +81,4 @@ def test_the_key_file(tmp_path) -> None:
     with pytest.raises(GlsplatError, match="nothing: cannot read the watermark's key"):
         read_watermark(tmp_path / "nothing")
     with pytest.raises(GlsplatError, match="16 bits"):
-        Watermark(1 << 16, KEY)
+        WatermarkKey(1 << 16, KEY)

@@ -18,7 +18,7 @@ from glsplat.motion.motion import load_embedded_motion
 from glsplat.renderer import Renderer
 from glsplat.watermark import detect as detecting
 from glsplat.watermark.detect import ALARM, WINDOW, detect
-from glsplat.watermark.mark import Mark
+from glsplat.watermark.mark import Watermark
 from glsplat.watermark.pattern import pattern_of
 from tests.watermark.attacks import ATTACKS, Head, cropped, scaled
 
@@ -29,9 +29,9 @@ Pictures = NDArray[np.uint8]  # [T, H, W, 4]
 
 
 @pytest.fixture(scope="module")
-def clips(context: Context) -> tuple[Pictures, Pictures, Mark]:
+def clips(context: Context) -> tuple[Pictures, Pictures, Watermark]:
     """Somebody waving, from the waist up: without a mark, with it, and the mark."""
-    avatar, mark = default_avatar(), Mark(0x1A2B, 0x00C0FFEE, KEY)
+    avatar, mark = default_avatar(), Watermark(0x1A2B, 0x00C0FFEE, KEY)
     motion = load_embedded_motion("wave-and-turn", avatar.skeleton)
     eyes = stereo_cameras(head_matrix((0, 0.35, 1.0), (0, 0, 0, 1)), size=(SIDE, SIDE))[:1]
     plain, marked = [], []
@@ -46,7 +46,9 @@ def clips(context: Context) -> tuple[Pictures, Pictures, Mark]:
 
 @pytest.mark.gl
 @pytest.mark.parametrize("attack", ATTACKS.values(), ids=ATTACKS)
-def test_a_mark_is_found(clips: tuple[Pictures, Pictures, Mark], attack: Callable[[Pictures, Head], Pictures]) -> None:
+def test_a_mark_is_found(
+    clips: tuple[Pictures, Pictures, Watermark], attack: Callable[[Pictures, Head], Pictures]
+) -> None:
     plain, marked, mark = clips
     found = detect(attack(marked[..., :3], HEAD), KEY)
     assert found is not None and (found.server, found.session) == (mark.server, mark.session)
@@ -56,7 +58,7 @@ def test_a_mark_is_found(clips: tuple[Pictures, Pictures, Mark], attack: Callabl
 
 
 @pytest.mark.gl
-def test_it_is_not_seen(clips: tuple[Pictures, Pictures, Mark]) -> None:
+def test_it_is_not_seen(clips: tuple[Pictures, Pictures, Watermark]) -> None:
     plain, marked, _ = clips
     for index in (0, WINDOW // 2):
         off = (marked[index].astype(float) - plain[index])[..., :3]
@@ -67,7 +69,7 @@ def test_it_is_not_seen(clips: tuple[Pictures, Pictures, Mark]) -> None:
 
 
 @pytest.mark.gl
-def test_windows_and_what_is_left_over(clips: tuple[Pictures, Pictures, Mark]) -> None:
+def test_windows_and_what_is_left_over(clips: tuple[Pictures, Pictures, Watermark]) -> None:
     plain, marked, mark = clips
     late = detect(np.concatenate([plain, marked[:7]]), KEY)  # in the second search, of seven pictures
     assert late is not None and (late.session, late.frames) == (mark.session, 7)
@@ -77,7 +79,7 @@ def test_windows_and_what_is_left_over(clips: tuple[Pictures, Pictures, Mark]) -
 
 
 @pytest.mark.gl
-def test_the_bound_on_chance_holds(clips: tuple[Pictures, Pictures, Mark]) -> None:
+def test_the_bound_on_chance_holds(clips: tuple[Pictures, Pictures, Watermark]) -> None:
     """Of 300 keys that nobody used the best score comes as often as the bound allows, or more rarely."""
     _, marked, _ = clips
     rest = sum(detecting.rest_of(p) for p in cropped(marked[..., :3], HEAD)) / np.float32(WINDOW)

@@ -14,12 +14,12 @@ from glsplat.camera import Camera, stereo_cameras
 from glsplat.errors import GlsplatError
 from glsplat.passes import step
 from glsplat.renderer import Renderer
-from glsplat.watermark.mark import Mark, marked
+from glsplat.watermark.mark import Watermark, marked
 from glsplat.watermark.pattern import TILE
 from tests.scenes import cloud
 
 Make = Callable[..., Renderer]
-MARK = Mark(7, 0xABCDEF, b"sixteen bytes 01")
+MARK = Watermark(7, 0xABCDEF, b"sixteen bytes 01")
 
 
 def pair(width: int = 150, height: int = 100) -> list[Camera]:
@@ -28,7 +28,7 @@ def pair(width: int = 150, height: int = 100) -> list[Camera]:
     return [replace(eye, background=(0.1, 0.0, 0.2)) for eye in stereo_cameras(head, 0.2, size=(width, height))]
 
 
-def marked_by(renderer: Renderer, views: list[Camera], mark: Mark = MARK) -> NDArray[Any]:
+def marked_by(renderer: Renderer, views: list[Camera], mark: Watermark = MARK) -> NDArray[Any]:
     renderer.step = mark
     try:
         return renderer.render(views)
@@ -42,7 +42,7 @@ def test_the_tile() -> None:
     spectrum = np.fft.fft2(tile)
     ring = np.hypot(*np.meshgrid(*[np.fft.fftfreq(TILE, 1 / TILE)] * 2))
     assert abs(spectrum[(ring < 5) | (ring > 18)]).max() < 1e-3 < abs(spectrum[(ring >= 5) & (ring <= 18)]).min()
-    assert not np.array_equal(tile, Mark(7, 0xABCDEE, MARK.key).tile())
+    assert not np.array_equal(tile, Watermark(7, 0xABCDEE, MARK.key).tile())
 
 
 @pytest.mark.gl
@@ -84,7 +84,7 @@ def test_a_mark_is_for_bytes(renderer_of: Make) -> None:
     scene, views = cloud(5), pair()
     with pytest.raises(GlsplatError, match="a step is drawn into 8-bit pictures; use"):
         marked_by(renderer_of(scene, size=(150, 100)), views)
-    for wrong in ("mark", 5, object(), Mark):
+    for wrong in ("mark", 5, object(), Watermark):
         with pytest.raises(GlsplatError, match=r"a step needs source and tile\(\), as a glsplat\.wat"):
             marked_by(renderer_of(scene, size=(150, 100), output="uint8"), views, wrong)  # type: ignore[arg-type]
 
@@ -97,6 +97,6 @@ def test_tiles_are_kept_and_let_go(renderer_of: Make, monkeypatch: pytest.Monkey
     before = renderer.nbytes()["targets"]
     sizes = []
     for session in (1, 2, 1, 3, 4):
-        marked_by(renderer, views, Mark(1, session, MARK.key))
+        marked_by(renderer, views, Watermark(1, session, MARK.key))
         sizes.append((renderer.nbytes()["targets"] - before) // (4 * TILE**2))
     assert sizes == [1, 2, 2, 2, 2]

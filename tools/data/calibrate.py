@@ -17,11 +17,11 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist
 
-from glsplat.making.fit.body import Body
-from glsplat.making.fit.face import FacePlaces
-from glsplat.making.fit.hands import CARRIERS, HandPlaces
-from glsplat.making.fit.kinematics import projected
-from glsplat.making.fit.landmarks import LANDMARKS, Landmarks, twin
+from glsplat.authoring.fit.body import Body
+from glsplat.authoring.fit.face import FacePlaces
+from glsplat.authoring.fit.hands import CARRIERS, HandPlaces
+from glsplat.authoring.fit.kinematics import projected
+from glsplat.authoring.fit.landmarks import LANDMARKS, Landmarks, twin
 from glsplat.skinning.smplx import JOINT_NAMES
 
 __all__ = [

@@ -2,8 +2,8 @@
 
     python -m tools.docs.captures [docs/images]
 
-The pictures are those of tests/making/photo/test_capture.py and tests/making/reconstruct/test_robustness.py. Look at
-both sheets.
+The pictures are those of tests/authoring/photo/test_capture.py and tests/authoring/reconstruct/test_robustness.py. Look
+at both sheets.
 """
 
 from __future__ import annotations
@@ -14,11 +14,11 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from glsplat.making.photo.capture import check_capture
-from glsplat.making.photo.photo_file import photo_of
-from tests.making.captures import capture
-from tests.making.photo.test_capture import BAD
-from tests.making.reconstruct.test_robustness import EDITS
+from glsplat.authoring.photo.capture import check_capture
+from glsplat.authoring.photo.photo_file import photo_of
+from tests.authoring.captures import capture
+from tests.authoring.photo.test_capture import BAD
+from tests.authoring.reconstruct.test_robustness import EDITS
 
 TILE, CAPTION, COLUMNS = (190, 270), 20, 6
 GOOD = {

@@ -22,7 +22,7 @@ from glsplat.evaluate.comparison.participant import participants_in
 from glsplat.evaluate.comparison.performance import perform
 from glsplat.evaluate.comparison.protocol import Protocol
 from glsplat.evaluate.comparison.stage import Stage
-from glsplat.scene import is_figure
+from glsplat.scene import is_rigged
 from glsplat.scenes import load
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -57,7 +57,7 @@ def main() -> None:
         figures = {}
         for method in METHODS:
             figure = load(out / "avatars" / method / f"{name}.glb")
-            assert is_figure(figure)
+            assert is_rigged(figure)
             pose = true_poses(performance, one.mesh.skeleton, figure.skeleton)[0]
             figures[method] = stage.add(figure), pose
         for view in ("front", "back"):

@@ -17,19 +17,19 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from glsplat.authoring.photo.capture import check_capture
+from glsplat.authoring.photo.photo_file import read_photo
+from glsplat.authoring.reconstruct.builtin import Builtin
+from glsplat.authoring.reconstruct.reconstructor import Options, Picture
 from glsplat.avatar import Avatar
 from glsplat.evaluate.light import CaptureLight, shade_of
 from glsplat.formats import load
-from glsplat.making.photo.capture import check_capture
-from glsplat.making.photo.photo_file import read_photo
-from glsplat.making.reconstruct.builtin import Builtin
-from glsplat.making.reconstruct.reconstructor import Options, Picture
 from glsplat.mesh import MeshRenderer
 from glsplat.renderer import Renderer
 from glsplat.skinning.pose import Pose
+from tests.authoring.captures import capture
+from tests.authoring.filmed import SIZE, VIEWS, views_of
 from tests.conftest import SHARED_DATA
-from tests.making.captures import capture
-from tests.making.filmed import SIZE, VIEWS, views_of
 
 CROP = 0.66  # share of the square's width that the sheets show
 SHOWN = ("front", "left", "back")

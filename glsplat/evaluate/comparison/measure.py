@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from glsplat.evaluate.comparison.control import CONTROLS
 from glsplat.evaluate.comparison.parts import PARTS
 from glsplat.evaluate.comparison.protocol import EXTRA_MEASURES, Protocol
-from glsplat.evaluate.comparison.stage import Truth
+from glsplat.evaluate.comparison.stage import StageTruth
 from glsplat.evaluate.metrics.flip import flip
 from glsplat.evaluate.metrics.lpips import Lpips
 from glsplat.evaluate.metrics.pixels import WHOLE, decibel
@@ -39,13 +39,13 @@ _FEWEST = 30  # pixels of a part that is worth a figure
 class Reference:
     """What is worked out once of the truth, for all avatars."""
 
-    truth: Truth
+    truth: StageTruth
     rgb: NDArray[np.float32]  # [2, H, W, 3] in [0, 1]
     boxes: tuple[tuple[slice, slice], ...]
     features: tuple[Mapping[str, Any], ...]  # of each eye, by network
 
     @classmethod
-    def of(cls, truth: Truth, protocol: Protocol) -> Reference:
+    def of(cls, truth: StageTruth, protocol: Protocol) -> Reference:
         """The truth, ready to be compared with."""
         rgb, networks = _rgb(truth.pictures), _networks(protocol)
         features = tuple({name: network.features(one) for name, network in networks.items()} for one in rgb)

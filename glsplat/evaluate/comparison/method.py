@@ -7,15 +7,15 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Protocol
 
+from glsplat.authoring.importers import bind_to_mesh
+from glsplat.authoring.reconstruct.plugins import Plugins
 from glsplat.errors import FormatError, GlsplatError
 from glsplat.evaluate.comparison.participant import Participant
 from glsplat.formats import FORMATS, load
-from glsplat.making.importers import bind_to_mesh
-from glsplat.making.reconstruct.plugins import Plugins
-from glsplat.scene import Figure
+from glsplat.scene import Rigged
 from glsplat.splats import Splats
 
-__all__ = ["GROUP", "OWN", "Folder", "Method", "method_named", "method_of", "read_figure"]
+__all__ = ["GROUP", "OWN", "MadeElsewhere", "Method", "method_named", "method_of", "read_figure"]
 
 GROUP = "glsplat.methods"
 """Other packages name here, as an entry point, what gives a Method when it is called without arguments."""
@@ -36,7 +36,7 @@ PLUGINS = Plugins("method", GROUP, "make", OWN)
 class Method(Protocol):
     """Makes an avatar of a person, from nothing but what was captured of them; ``scan`` alone looks at the truth."""
 
-    def make(self, participant: Participant) -> Figure | str | Path:
+    def make(self, participant: Participant) -> Rigged | str | Path:
         """An avatar or a rigged mesh in its zero pose, soles on y = 0, facing +z, metres; or the path of one.
 
         Raises GlsplatError in one line where it cannot: that participant's row then says so.
@@ -45,7 +45,7 @@ class Method(Protocol):
 
 
 @dataclass(frozen=True)
-class Folder:
+class MadeElsewhere:
     """Files made elsewhere: NAME.glb or of another format of splats, or NAME.npz, for the participant NAME.
 
     Splats without a skeleton are bound to the nearest surface of the participant's own mesh, which favours them.
@@ -53,7 +53,7 @@ class Folder:
 
     folder: Path
 
-    def make(self, participant: Participant) -> Figure:
+    def make(self, participant: Participant) -> Rigged:
         """The file, read. Raises FormatError."""
         return read_figure(self.file_of(participant), participant)
 
@@ -66,13 +66,13 @@ class Folder:
         return found[0]
 
 
-def read_figure(file: Path, participant: Participant) -> Figure:
+def read_figure(file: Path, participant: Participant) -> Rigged:
     """An avatar or mesh of a file; splats without a skeleton are bound to the participant's mesh. FormatError."""
     content = load(file)
     return bind_to_mesh(content, participant.mesh) if isinstance(content, Splats) else content
 
 
-def method_of(word: str) -> tuple[str, str | Folder]:
+def method_of(word: str) -> tuple[str, str | MadeElsewhere]:
     """Name and what to call of a word of the command line: ``name`` (see OWN, GROUP) or ``name=FOLDER``."""
     name, given, folder = word.partition("=")
     _check_name(name)
@@ -84,7 +84,7 @@ def method_of(word: str) -> tuple[str, str | Folder]:
         raise GlsplatError(f'"{name}" is a method of its own; give the folder {folder} another name')
     if not Path(folder).is_dir():
         raise FormatError(f"{folder}: no such folder; a method of your own is NAME=FOLDER with a file a participant")
-    return name, Folder(Path(folder).resolve())
+    return name, MadeElsewhere(Path(folder).resolve())
 
 
 def method_named(name: str, options: Mapping[str, Any]) -> Method:

@@ -4,19 +4,19 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from glsplat.authoring.cells import SamplerConfig
+from glsplat.authoring.optimize.compiled import available
+from glsplat.authoring.optimize.mesh import fitted_to_mesh
+from glsplat.authoring.reconstruct.photos import from_photos, mesh_from_photos
+from glsplat.authoring.reconstruct.reconstructor import Options
+from glsplat.authoring.reconstruct.video import FRAMES, from_pictures, from_video
+from glsplat.authoring.surface import make_avatar
+from glsplat.authoring.video.frames import FramePicture
 from glsplat.avatar import Avatar
 from glsplat.camera import Camera, look_at, pinhole
 from glsplat.evaluate.avatar_poses import pose_of
 from glsplat.evaluate.comparison.participant import Participant
 from glsplat.evaluate.turntable import turntable
-from glsplat.making.cells import SamplerConfig
-from glsplat.making.optimize.compiled import available
-from glsplat.making.optimize.mesh import fitted_to_mesh
-from glsplat.making.reconstruct.photos import from_photos, mesh_from_photos
-from glsplat.making.reconstruct.reconstructor import Options
-from glsplat.making.reconstruct.video import FRAMES, from_pictures, from_video
-from glsplat.making.surface import make_avatar
-from glsplat.making.video.frames import FramePicture
 from glsplat.meshes import RiggedMesh
 
 __all__ = ["MeshImage", "MeshVideo", "Photo", "Scan"]

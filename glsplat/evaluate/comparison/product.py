@@ -11,15 +11,15 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+from glsplat.authoring.reconstruct.plugins import one_line
 from glsplat.avatar import Avatar
 from glsplat.errors import FormatError, GlsplatError
-from glsplat.evaluate.comparison.method import Folder, method_named, read_figure
+from glsplat.evaluate.comparison.method import MadeElsewhere, method_named, read_figure
 from glsplat.evaluate.comparison.participant import Participant, digest_of
 from glsplat.formats import save
 from glsplat.formats.gltf.meshes.write import save_gltf_mesh
 from glsplat.io.files import replace_file
-from glsplat.making.reconstruct.plugins import one_line
-from glsplat.scene import Figure, is_figure
+from glsplat.scene import Rigged, is_rigged
 from glsplat.scenes.loading import load
 
 __all__ = ["Product", "key_of", "product"]
@@ -29,13 +29,13 @@ __all__ = ["Product", "key_of", "product"]
 class Product:
     """An avatar, and what making it took."""
 
-    figure: Figure
+    figure: Rigged
     facts: Mapping[str, Any]
     """kind ("splats" or "triangles"), count, bytes of its file, seconds it took to make (None: made elsewhere)."""
 
 
 def product(
-    name: str, source: str | Folder, participant: Participant, out: Path, options: Mapping[str, Any]
+    name: str, source: str | MadeElsewhere, participant: Participant, out: Path, options: Mapping[str, Any]
 ) -> Product:
     """The avatar of a participant by the method ``name``, made or taken from ``out``, if it was made alike.
 
@@ -48,7 +48,7 @@ def product(
     if kept.get("key") != wanted or not file.is_file() or kept.get("sha256") != digest_of(file):
         began = time.perf_counter()
         made = _made(name, source, participant, options)
-        seconds = None if isinstance(source, Folder) else round(time.perf_counter() - began, 1)
+        seconds = None if isinstance(source, MadeElsewhere) else round(time.perf_counter() - began, 1)
         out.mkdir(parents=True, exist_ok=True)
         figure = _checked(made, name)
         if isinstance(figure, Avatar):
@@ -61,16 +61,16 @@ def product(
     return Product(figure, _facts(figure, file.stat().st_size, kept["seconds"]))
 
 
-def key_of(source: str | Folder, participant: Participant) -> dict[str, Any]:
+def key_of(source: str | MadeElsewhere, participant: Participant) -> dict[str, Any]:
     """What an avatar depends on, beside the options and the code. Raises FormatError for files that are not there."""
     key: dict[str, Any] = {"glsplat": version("glsplat"), "participant": participant.digest()}
-    if isinstance(source, Folder):
+    if isinstance(source, MadeElsewhere):
         return {**key, "file": digest_of(source.file_of(participant))}
     return {**key, "method": source}
 
 
-def _made(name: str, source: str | Folder, participant: Participant, options: Mapping[str, Any]) -> Any:
-    method = source if isinstance(source, Folder) else method_named(source, options)
+def _made(name: str, source: str | MadeElsewhere, participant: Participant, options: Mapping[str, Any]) -> Any:
+    method = source if isinstance(source, MadeElsewhere) else method_named(source, options)
     try:
         made = method.make(participant)
         return read_figure(Path(made), participant) if isinstance(made, (str, os.PathLike)) else made
@@ -80,13 +80,13 @@ def _made(name: str, source: str | Folder, participant: Participant, options: Ma
         raise GlsplatError(f'the method "{name}" failed on {participant.name}: {one_line(error)}') from error
 
 
-def _checked(figure: Any, name: str) -> Figure:
-    if not is_figure(figure):
+def _checked(figure: Any, name: str) -> Rigged:
+    if not is_rigged(figure):
         raise FormatError(f'the method "{name}" gave {figure!r:.80}, not an avatar or a mesh with a skeleton')
     return figure
 
 
-def _facts(figure: Figure, size: int | None, seconds: float | None) -> dict[str, Any]:
+def _facts(figure: Rigged, size: int | None, seconds: float | None) -> dict[str, Any]:
     splats = isinstance(figure, Avatar)
     count = len(figure.splats) if isinstance(figure, Avatar) else len(figure.faces)
     return {"kind": "splats" if splats else "triangles", "count": count, "bytes": size, "seconds": seconds}

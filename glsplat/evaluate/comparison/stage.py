@@ -21,17 +21,17 @@ from glsplat.gl.context import create_context
 from glsplat.mesh import MeshConfig, MeshRenderer
 from glsplat.meshes import RiggedMesh
 from glsplat.renderer import Renderer
-from glsplat.scene import Figure
+from glsplat.scene import Rigged
 from glsplat.skinning.pose import Pose
 
-__all__ = ["Stage", "Truth"]
+__all__ = ["Stage", "StageTruth"]
 
 Picture = NDArray[np.uint8]
 _REACH = 0.02  # of the picture; what lies farther from the figure is no body part's
 
 
 @dataclass(frozen=True, eq=False)
-class Truth:
+class StageTruth:
     """What both eyes should see at one moment from one side."""
 
     cameras: tuple[Camera, Camera]
@@ -74,14 +74,14 @@ class Stage:
         """Renderer and version strings of the driver."""
         return self._context.driver
 
-    def add(self, figure: Figure) -> int:
+    def add(self, figure: Rigged) -> int:
         """Put an avatar on the stage; the number by which ``draw`` knows it."""
         renderer = Renderer(figure, size=self._size, views=2, context=self._context)
         self._stack.callback(renderer.release)
         self._figures.append(renderer)
         return len(self._figures) - 1
 
-    def truth(self, moment: int, view: str) -> Truth:
+    def truth(self, moment: int, view: str) -> StageTruth:
         """The participant at a moment of the performance, from a side."""
         pose = self._performance.pose(moment)
         if self._posed[0] != moment:
@@ -91,7 +91,7 @@ class Stage:
         cameras = eyes(self._posed[1][self._used], view, self._protocol)
         pictures = self._truth.render(cameras, pose, shade=self._shade)
         labels = self._parts.render(cameras, pose)
-        return Truth(cameras, pictures, np.stack([regions(labels_of(one), self._reach) for one in labels]))
+        return StageTruth(cameras, pictures, np.stack([regions(labels_of(one), self._reach) for one in labels]))
 
     def draw(self, figure: int, cameras: Sequence[Camera], pose: Pose) -> Picture:
         """What both eyes [2, H, W, 4] see of an avatar in a pose."""

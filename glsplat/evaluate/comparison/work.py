@@ -16,10 +16,11 @@ from typing import Any
 
 import numpy as np
 
+from glsplat.authoring.reconstruct.plugins import one_line
 from glsplat.errors import GlsplatError
 from glsplat.evaluate.comparison.control import CONTROLS, recorded, tracked, true_poses
 from glsplat.evaluate.comparison.measure import Reference, Scores
-from glsplat.evaluate.comparison.method import Folder
+from glsplat.evaluate.comparison.method import MadeElsewhere
 from glsplat.evaluate.comparison.participant import Participant
 from glsplat.evaluate.comparison.performance import Performance, perform, perform_motion
 from glsplat.evaluate.comparison.product import Product, key_of, product
@@ -28,7 +29,6 @@ from glsplat.evaluate.comparison.sheet import Sheet
 from glsplat.evaluate.comparison.stage import Stage
 from glsplat.evaluate.machine import commit
 from glsplat.io.files import replace_file
-from glsplat.making.reconstruct.plugins import one_line
 from glsplat.skinning.pose import Pose
 from glsplat.tracking.sample import Sample
 
@@ -48,7 +48,7 @@ class Task:
     """One participant and the methods that have no result yet."""
 
     participant: Participant
-    methods: Mapping[str, str | Folder]  # name -> what ``product`` makes it by
+    methods: Mapping[str, str | MadeElsewhere]  # name -> what ``product`` makes it by
     protocol: Protocol
     out: Path
     options: Mapping[str, Any] = field(default_factory=dict)  # seed, quick: of the project's own methods

@@ -18,7 +18,7 @@ from glsplat.evaluate.sections.measure import Tick
 from glsplat.evaluate.subjects import orbit, pose_of_frame
 from glsplat.gl.context import Context
 from glsplat.renderer import Renderer
-from glsplat.scene import Figure
+from glsplat.scene import Rigged
 
 __all__ = ["SIZES", "Cost", "costs"]
 
@@ -54,7 +54,7 @@ class Cost:
 
 def costs(
     context: Context,
-    figures: Mapping[str, Figure],  # by name; of one person, so that one camera is right for all
+    figures: Mapping[str, Rigged],  # by name; of one person, so that one camera is right for all
     sizes: Sequence[int] = SIZES,
     frames: int = 30,  # measured, after a warm-up
     config: RenderConfig | None = None,
@@ -89,5 +89,5 @@ def costs(
     return out
 
 
-def _renderer(context: Context, figure: Figure, size: int, config: RenderConfig, views: int) -> Renderer:
+def _renderer(context: Context, figure: Rigged, size: int, config: RenderConfig, views: int) -> Renderer:
     return Renderer(figure, size=(size, size), views=views, config=config, context=context)

@@ -1,7 +1,7 @@
 """Leaving out hidden splats: what it saves against the draw floor, and where it fails worst.
 
-The visibility cones of a scene (glsplat.making.cones) were made from some directions in some poses. Here the scene is
-drawn with and without them from many directions, an avatar in moments of all embedded motions.
+The visibility cones of a scene (glsplat.authoring.cones) were made from some directions in some poses. Here the scene
+is drawn with and without them from many directions, an avatar in moments of all embedded motions.
 """
 
 from __future__ import annotations

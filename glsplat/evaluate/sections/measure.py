@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from glsplat.avatar import Avatar, splats_of
 from glsplat.camera import Camera
-from glsplat.evaluate.difference import Difference, Truth, pareto
+from glsplat.evaluate.difference import Difference, ReferencePictures, pareto
 from glsplat.evaluate.frames import WARM_UP, Bench, Series
 from glsplat.evaluate.knobs import Drawn, Setting
 from glsplat.evaluate.subjects import Subject
@@ -51,7 +51,7 @@ def measure(
     settings: Sequence[Setting],
     frames: int,
     compared: Sequence[int] = (WARM_UP,),  # frames whose pictures are held against float64
-    truth: Truth | None = None,  # what is right; default: the subject's own in float64
+    truth: ReferencePictures | None = None,  # what is right; default: the subject's own in float64
     tick: Tick = lambda _: None,
 ) -> dict[str, Any]:
     """One row a setting: ms a frame (8-bit output, read back; JPEG: encoded too) and the error of the float picture.
@@ -59,7 +59,7 @@ def measure(
     The error of the order knob is against float64 in an exact order an eye; every other against the contract. A setting
     that sorts every n-th frame has the mean over the medians of those n.
     """
-    truth = truth or Truth(subject.right or subject.scene)
+    truth = truth or ReferencePictures(subject.right or subject.scene)
     drawn = list({s.drawn: None for s in settings})
     times, encodes, seen = _timed(context, subject, settings, drawn, frames, compared[0], tick)
     for order in sorted({_order(s) for s in settings}):
@@ -200,7 +200,7 @@ def _exact(context: Context, subject: Subject, drawn: Drawn, frames: Sequence[in
 
 
 def _error(
-    subject: Subject, truth: Truth, pictures: Sequence[NDArray[Any]], frames: Sequence[int], order: str
+    subject: Subject, truth: ReferencePictures, pictures: Sequence[NDArray[Any]], frames: Sequence[int], order: str
 ) -> Difference:
     several = []
     for picture, frame in zip(pictures, frames, strict=True):

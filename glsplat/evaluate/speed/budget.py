@@ -19,9 +19,9 @@ from glsplat.config import RenderConfig
 from glsplat.evaluate.frames import WARM_UP
 from glsplat.evaluate.metrics.pixels import psnr
 from glsplat.gl.context import Context
-from glsplat.net.pace.governor import SCALES
+from glsplat.net.pace.adaptive_quality import SCALES
 from glsplat.renderer import Renderer
-from glsplat.scene import Scene, Shown
+from glsplat.scene import Scene, SceneLike
 from glsplat.skinning.pose import Pose
 
 __all__ = ["Choice", "choices", "search"]
@@ -38,7 +38,7 @@ class Choice:
     scale: float = 1.0  # of the picture's sides
 
 
-def choices(scene: Shown) -> list[Choice]:
+def choices(scene: SceneLike) -> list[Choice]:
     """All levels with and without hidden splats at full size; of the coarsest, smaller pictures as well."""
     contents = [item.content for item in Scene.of(scene) if item.visible]
     levels = max((len(getattr(content, "levels", ())) for content in contents), default=0)
@@ -50,7 +50,7 @@ def choices(scene: Shown) -> list[Choice]:
 
 def search(
     context: Context,
-    scene: Shown,
+    scene: SceneLike,
     views: Sequence[Sequence[Camera]],
     poses: Sequence[Pose | None],
     milliseconds: float,

@@ -14,7 +14,7 @@ from glsplat.config import RenderConfig
 from glsplat.evaluate.frames import STAGES, WARM_UP
 from glsplat.gl.context import Context
 from glsplat.renderer import Renderer
-from glsplat.scene import Shown
+from glsplat.scene import SceneLike
 from glsplat.skinning.pose import Pose
 from glsplat.timing import StageTimer
 
@@ -74,7 +74,7 @@ class GpuTimer(StageTimer):
 
 def profile(
     context: Context,
-    scene: Shown,
+    scene: SceneLike,
     views: Sequence[Sequence[Camera]],
     poses: Sequence[Pose | None],
     config: RenderConfig,

@@ -13,7 +13,7 @@ from typing import BinaryIO, Protocol
 from glsplat.errors import FormatError
 from glsplat.io.files import open_regular
 
-__all__ = ["META", "Folder", "Package", "Zip", "is_zip"]
+__all__ = ["META", "Package", "SogFolder", "SogZip", "is_zip"]
 
 META = "meta.json"
 _META_SIZE = 1 << 20  # bytes; those of other makers have 2 to 20 kB
@@ -46,7 +46,7 @@ class Package(Protocol):
         """Bytes on disk of meta.json and the files ``names``, or of all there is."""
 
 
-class Folder:
+class SogFolder:
     """A meta.json that is open, and the images in its folder."""
 
     def __init__(self, file: BinaryIO, size: int, folder: Path | None) -> None:
@@ -81,7 +81,7 @@ class Folder:
         return total
 
 
-class Zip:
+class SogZip:
     """A zip that is open, after a look at its directory."""
 
     def __init__(self, file: BinaryIO, size: int) -> None:
@@ -141,7 +141,7 @@ class Zip:
 def is_zip(file: BinaryIO, size: int) -> bool:
     """Whether an open file is a zip that holds a meta.json."""
     try:
-        Zip(file, size)
+        SogZip(file, size)
     except FormatError:
         return False
     return True

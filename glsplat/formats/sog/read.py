@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from glsplat.errors import FormatError
 from glsplat.formats.sog.images import decoded
 from glsplat.formats.sog.meta import BANDS, Meta, parse
-from glsplat.formats.sog.package import Folder, Package, Zip
+from glsplat.formats.sog.package import Package, SogFolder, SogZip
 from glsplat.splats import Splats
 
 __all__ = ["read_sog"]
@@ -30,7 +30,7 @@ def read_sog(file: BinaryIO, size: int, folder: Path | None) -> Splats:
     stands for coefficients of zero. Raises FormatError for everything else that is not as it should be.
     """
     file.seek(0)
-    package: Package = Zip(file, size) if file.read(2) == b"PK" else Folder(file, size, folder)
+    package: Package = SogZip(file, size) if file.read(2) == b"PK" else SogFolder(file, size, folder)
     meta = parse(package.meta())
     held = package.size(meta.files.values())
     if meta.count > _FREE + _SPLATS_A_BYTE * held:

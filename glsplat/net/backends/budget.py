@@ -15,10 +15,10 @@ if TYPE_CHECKING:
     from glsplat.passes.views import Images
     from glsplat.renderer import Renderer
 
-__all__ = ["Budget"]
+__all__ = ["PictureBudget"]
 
 
-class Budget:
+class PictureBudget:
     """Limits of one picture; make a new one for each. Costs are in covered pixels (``renderer.Prepared.cost``)."""
 
     def __init__(

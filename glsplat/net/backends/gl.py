@@ -14,9 +14,9 @@ from glsplat.camera import Camera, look_at, pinhole
 from glsplat.config import LEAN, RenderConfig
 from glsplat.errors import BudgetError, ContextLostError, FormatError, GlsplatError, PoseError
 from glsplat.net.backend import Rendered, RenderJob
-from glsplat.net.backends.budget import Budget
+from glsplat.net.backends.budget import PictureBudget
 from glsplat.passes.stats import union
-from glsplat.scene import Figure, Shown
+from glsplat.scene import Rigged, SceneLike
 
 if TYPE_CHECKING:
     from glsplat.scenes.scene_file import SceneFile
@@ -49,14 +49,14 @@ class RendererBackend:
 
     def __init__(
         self,
-        scene: Shown,
+        scene: SceneLike,
         pixels: tuple[int, int],
         device: str | None = None,
         config: RenderConfig | None = None,
         max_cost: float | None = None,  # None: most_cost(config)
         max_time: float = MAX_TIME,
         pose_at: Callable[[float], None] | None = None,  # brings the scene to a time in seconds since open()
-        avatars: Mapping[str, Figure] | None = None,  # by RenderJob.avatar; any other name is the scene
+        avatars: Mapping[str, Rigged] | None = None,  # by RenderJob.avatar; any other name is the scene
         rooms: Mapping[str, SceneFile] | None = None,  # the background of each
         name: str | None = None,  # of the scene: then any other name is an avatar that is missing here
     ) -> None:
@@ -74,7 +74,7 @@ class RendererBackend:
     def open(self) -> str:
         """Make the context, load the scene, and draw once so that no client waits for the shaders."""
         from glsplat.gl.context import create_context  # here: the module can be imported without a driver
-        from glsplat.net.backends.shown import Stands
+        from glsplat.net.backends.renderer_pool import RendererPool
         from glsplat.renderer import Renderer
 
         self._context = create_context(self._device)
@@ -82,8 +82,8 @@ class RendererBackend:
         self._opened = time.monotonic()
         try:
             make = partial(Renderer, size=self._pixels, views=2, config=self._config, context=self._context)
-            self._stands = Stands(self._scene, self._avatars, make, self._rooms)
-            renderer = self._stands.get().renderer
+            self._pool = RendererPool(self._scene, self._avatars, make, self._rooms)
+            renderer = self._pool.get().renderer
             view = Camera(look_at((0, 1.2, 2.0), (0, 1, 0)), pinhole(*self._pixels), *self._pixels)
             renderer.prepare([view, view]).render()
             start = time.perf_counter()
@@ -106,32 +106,32 @@ class RendererBackend:
             raise FormatError(f'there is no avatar "{request.avatar}" on this machine')
         first = request.cameras[0]
         try:
-            stand = self._stands.of(request)
+            one = self._pool.of(request)
         except Exception:
             self._check_alive()
             raise
-        renderer = stand.renderer
-        budget = Budget(self._max_cost, self._max_time, self._slice_cost, self.abandoned)
+        renderer = one.renderer
+        budget = PictureBudget(self._max_cost, self._max_time, self._slice_cost, self.abandoned)
         try:
             renderer.resize(first.width, first.height)
             seconds = time.monotonic() - self._opened
             if self._pose_at is not None:
                 self._pose_at(seconds)
-            stand.follow(request, seconds)
-            renderer.selector, renderer.step = stand.selector(request.viewer), request.mark
+            one.follow(request, seconds)
+            renderer.selector, renderer.step = one.selector(request.viewer), request.mark
             renderer.selector.bias = request.detail
-            images = budget.render(renderer, stand.views(request), request.pose, self.place)
+            images = budget.render(renderer, one.views(request), request.pose, self.place)
             if self._context.ctx.error != "GL_NO_ERROR":  # reading it clears it
                 raise GlsplatError(f"{renderer.driver} reports an OpenGL error: the picture is not to be trusted")
         except (PoseError, BudgetError):  # before anything was drawn, or the next picture is drawn over it
             raise
         except Exception:
             self._check_alive()
-            renderer.load(stand.scene)  # whatever was half done must not be taken for finished
+            renderer.load(one.scene)  # whatever was half done must not be taken for finished
             renderer.drop_targets()
             raise
         self._check_alive()
-        stats, written = renderer.stats, self._stands.write(stand, request, images)
+        stats, written = renderer.stats, self._pool.write(one, request, images)
         return Rendered(
             images,
             dict(renderer.timings),
@@ -140,7 +140,7 @@ class RendererBackend:
             levels=stats.levels,
             coarsest=stats.coarsest,
             posed=stats.posed,
-            box=stand.box(request),
+            box=one.box(request),
         )
 
     def _check_alive(self) -> None:
@@ -162,6 +162,6 @@ class RendererBackend:
     def close(self) -> None:
         """Release the renderer and its context."""
         if hasattr(self, "_context"):
-            self._stands.release()
+            self._pool.release()
             self._context.release()
             del self._context

@@ -16,12 +16,12 @@ from glsplat.detail.selector import Selector
 from glsplat.errors import PoseError
 from glsplat.net.backend import RenderJob
 from glsplat.net.backends.labels import Label
-from glsplat.net.rooms.view import Present, RoomView
+from glsplat.net.rooms.view import RoomView, VisiblePerson
 from glsplat.renderer import Renderer
-from glsplat.scene import Figure, Item, Scene
+from glsplat.scene import Item, Rigged, Scene
 from glsplat.scenes.scene_file import SceneFile
 
-__all__ = ["RoomStand", "label_place"]
+__all__ = ["RoomRenderer", "label_place"]
 
 _ABOVE = 0.3  # metres from the joint of the head to the middle of the label, of a person of the height ...
 _TALL = 1.7  # ... metres
@@ -40,17 +40,17 @@ class _Shown:
     Of splats the head is an item of its own, and nothing is posed twice. A mesh is there with and without.
     """
 
-    figure: Figure
+    figure: Rigged
     items: tuple[Item, ...]
     head: Item | None = None  # not shown without a head
     headless: Item | None = None  # shown only then
 
 
-class RoomStand:
+class RoomRenderer:
     """What draws one room for all who are in it. ``figure_of`` gives the avatars by name, ``make`` the renderer."""
 
     def __init__(
-        self, background: SceneFile, figure_of: Callable[[str], Figure], make: Callable[[Scene], Renderer]
+        self, background: SceneFile, figure_of: Callable[[str], Rigged], make: Callable[[Scene], Renderer]
     ) -> None:
         self._background, self._figure_of = background, figure_of
         self._people: dict[int, _Shown] = {}
@@ -140,7 +140,7 @@ def _view(job: RenderJob) -> RoomView:
     return job.room
 
 
-def label_place(item: Item, figure: Figure) -> NDArray[np.float64]:
+def label_place(item: Item, figure: Rigged) -> NDArray[np.float64]:
     """[3] in the scene: over the head of a figure as ``item`` poses and places it; over the highest joint of others."""
     skeleton = figure.skeleton
     rest = skeleton.rest[:, :3, 3]
@@ -151,7 +151,7 @@ def label_place(item: Item, figure: Figure) -> NDArray[np.float64]:
     return np.asarray(item.transform[:3, :3] @ above + item.transform[:3, 3], np.float64)
 
 
-def _shown(one: Present, figure: Figure) -> _Shown:
+def _shown(one: VisiblePerson, figure: Rigged) -> _Shown:
     whole = Item(figure, name=one.name)
     if "head" not in figure.skeleton.names:
         return _Shown(figure, (whole,))

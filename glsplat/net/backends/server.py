@@ -13,19 +13,19 @@ from glsplat.config import RenderConfig
 from glsplat.consent.file import on_file
 from glsplat.consent.policy import ConsentPolicy
 from glsplat.errors import GlsplatError
-from glsplat.net.backend import Backend, Offered
+from glsplat.net.backend import AvatarInfo, Backend
+from glsplat.net.backends.avatar_store import AvatarStore
 from glsplat.net.backends.gl import MAX_TIME, RendererBackend
 from glsplat.net.backends.process import ProcessBackend
 from glsplat.net.backends.tracking import TrackingSolver
-from glsplat.net.backends.wardrobe import Wardrobe
 from glsplat.net.messages import PARTS
 from glsplat.net.server import Server, ServerConfig
 from glsplat.net.uploads.job import UploadConfig
 from glsplat.net.uploads.routes import Uploads
-from glsplat.net.uploads.shelf import SUFFIX
-from glsplat.net.workers.farm import Farm
+from glsplat.net.uploads.upload_store import SUFFIX
 from glsplat.net.workers.options import Workers
-from glsplat.scene import Figure, Shown, is_figure
+from glsplat.net.workers.pool import WorkerPool
+from glsplat.scene import Rigged, SceneLike, is_rigged
 from glsplat.scenes.scene_file import SceneFile
 from glsplat.skinning.rigs.driven import why_not_driven, why_not_tracked
 from glsplat.tracking.calibration import EYES_OF_STATURE, Calibration
@@ -42,7 +42,7 @@ SEATS = 8
 
 
 def make_server(
-    scene: Shown | SceneFile,
+    scene: SceneLike | SceneFile,
     config: ServerConfig | None = None,
     device: str | None = None,  # EGL device: index or part of its name
     calibration: Calibration | None = None,  # of users who do not tell their height
@@ -50,10 +50,10 @@ def make_server(
     rendering: RenderConfig | None = None,
     budget: tuple[float | None, float] = (None, MAX_TIME),  # of a picture: covered pixels (None: most_cost), seconds
     name: str = "default",  # of the scene, among the avatars that clients choose from
-    avatars: Mapping[str, Figure] | None = None,  # others that clients may choose, by name
+    avatars: Mapping[str, Rigged] | None = None,  # others that clients may choose, by name
     uploads: UploadConfig | None = None,  # lets clients have avatars made of photographs; None: they may not
     solver: SolverName = SOLVERS[0],  # what guesses the body of users who send head and hands
-    rooms: Mapping[str, Shown | SceneFile] | None = None,  # in which clients meet: what stands there already
+    rooms: Mapping[str, SceneLike | SceneFile] | None = None,  # in which clients meet: what stands there already
     consent: ConsentPolicy | None = None,  # of all that is shown, by the same names; None: nobody asks for it
     workers: Workers | None = None,  # that draw and encode instead (docs/scaling.md)
     idle: bool = False,  # eyes of tracked users that no sensor sees look around and blink
@@ -75,14 +75,14 @@ def make_server(
     config = replace(config or ServerConfig(), consent=consent)
     file = scene if isinstance(scene, SceneFile) else SceneFile.of(scene)
     item = file.avatar
-    avatar = item.content if item is not None and is_figure(item.content) else None
+    avatar = item.content if item is not None and is_rigged(item.content) else None
     others = _checked(avatars or {}, name, rendering)
-    choices: Mapping[str, Figure] = others
+    choices: Mapping[str, Rigged] = others
     first = _nobody(name, file) if avatar is None else offered(name, avatar, calibration, solver, idle)
     offers = [first, *(offered(one, what, calibration, solver, idle) for one, what in others.items())]
     takes = None
     if uploads is not None:
-        choices = Wardrobe(others, uploads.folder, name)
+        choices = AvatarStore(others, uploads.folder, name)
         takes, kept = _uploads(uploads, rendering, calibration, {name, *others}, solver, consent, idle)
         offers += kept
     for one in offers:
@@ -94,15 +94,15 @@ def make_server(
     draws = [partial(base, device=one, config=rendering, max_cost=budget[0], max_time=budget[1]) for one in devices]
     if file.motions:  # in one pickle with the scene, so that the items are the same
         draws = [partial(draw, pose_at=file.pose_at) for draw in draws]
-    backend: Backend | Farm
+    backend: Backend | WorkerPool
     if workers is not None:
-        backend = workers.farm([partial(draw, name=name) for draw in draws], config.fps, budget[1])
+        backend = workers.pool([partial(draw, name=name) for draw in draws], config.fps, budget[1])
     else:
         backend = ProcessBackend(draws[0], config.wire.max_side, budget[1]) if own_process else draws[0]()
     return Server(backend, config, offers, takes)
 
 
-def _say(one: Offered) -> None:
+def _say(one: AvatarInfo) -> None:
     """What clients ask for in vain: at start, before somebody in a headset wonders."""
     if one.still:
         log.warning('"%s": poses and tracking are not applied: %s; clients move the camera', one.name, one.still)
@@ -112,12 +112,12 @@ def _say(one: Offered) -> None:
         log.warning('"%s": %s not applied: %s; clients move the camera%s', one.name, what, one.untracked, how)
 
 
-def _nobody(name: str, file: SceneFile) -> Offered:
+def _nobody(name: str, file: SceneFile) -> AvatarInfo:
     """A scene of which no client sets a pose: nobody is there, or several are."""
     if file.scene.figures:
-        return Offered(name=name, untracked="the scene has several avatars, each does what the scene file says")
+        return AvatarInfo(name=name, untracked="the scene has several avatars, each does what the scene file says")
     why = why_not_driven(None)
-    return Offered(name=name, untracked=why, still=why)
+    return AvatarInfo(name=name, untracked=why, still=why)
 
 
 def _uploads(
@@ -128,16 +128,16 @@ def _uploads(
     solver: SolverName,
     consent: ConsentPolicy | None,
     idle: bool,
-) -> tuple[Uploads, list[Offered]]:
+) -> tuple[Uploads, list[AvatarInfo]]:
     """What makes avatars, and what is offered of its folder; GlsplatError where a name there is ``taken``."""
 
-    def describe(one: str, avatar: Figure) -> Offered:
+    def describe(one: str, avatar: Rigged) -> AvatarInfo:
         _checked({one: avatar}, "", rendering)
-        return replace(offered(one, avatar, calibration, solver, idle), made=uploads.shelf.made_here(one))
+        return replace(offered(one, avatar, calibration, solver, idle), made=uploads.store.made_here(one))
 
     uploads = Uploads(config, describe)
-    uploads.shelf.open()
-    found = uploads.shelf.avatars()
+    uploads.store.open()
+    found = uploads.store.avatars()
     for one in found:
         if one in taken:
             raise GlsplatError(f'{config.folder}: two avatars are called "{one}": clients choose by name, rename one')
@@ -159,11 +159,11 @@ def _agreed(name: str, config: UploadConfig, consent: ConsentPolicy | None) -> b
 
 def offered(
     name: str,
-    avatar: Figure,
+    avatar: Rigged,
     calibration: Calibration | None = None,
     solver: SolverName = SOLVERS[0],
     idle: bool = False,
-) -> Offered:
+) -> AvatarInfo:
     """What clients may ask of an avatar.
 
     ``calibration`` is of users who tell neither height nor arm span; without it their size is found.
@@ -172,7 +172,7 @@ def offered(
     skeleton = avatar.skeleton
     parts = frozenset(part for part in PARTS if part in skeleton.names)
     if why := why_not_tracked(skeleton):
-        return Offered(name=name, skeleton=skeleton, parts=parts, untracked=why)
+        return AvatarInfo(name=name, skeleton=skeleton, parts=parts, untracked=why)
     height = Body.of(skeleton).eye_height / EYES_OF_STATURE
     base = calibration or Calibration(automatic=True)
 
@@ -180,17 +180,17 @@ def offered(
         fitted = base if height is None else Calibration.of_height(skeleton, height, base.floor)
         return TrackingSolver(skeleton, fitted if span is None else fitted.with_span(skeleton, span), solver, idle)
 
-    return Offered(name=name, skeleton=skeleton, solver=solving, height=height, parts=parts)
+    return AvatarInfo(name=name, skeleton=skeleton, solver=solving, height=height, parts=parts)
 
 
-def _checked(avatars: Mapping[str, Figure], scene: str, rendering: RenderConfig | None) -> dict[str, Figure]:
+def _checked(avatars: Mapping[str, Rigged], scene: str, rendering: RenderConfig | None) -> dict[str, Rigged]:
     """The avatars by names that an address can hold. Raises GlsplatError for what no client could ask for."""
     for name, avatar in avatars.items():
         if not (isinstance(name, str) and 0 < len(name) <= _NAME and name.isprintable() and name.strip() == name):
             raise GlsplatError(f"an avatar's name needs 1 to {_NAME} printable characters, not {name!r:.80}")
         if name == scene:
             raise GlsplatError(f'two avatars are called "{name}": clients choose by name, give one another')
-        if not is_figure(avatar):
+        if not is_rigged(avatar):
             raise GlsplatError(f'"{name}": clients choose avatars, not {type(avatar).__name__} without joints to move')
         splats = avatar.splats if isinstance(avatar, Avatar) else None
         if rendering is not None and rendering.cull_hidden is True and splats is not None and splats.cones is None:

@@ -4,20 +4,20 @@ from __future__ import annotations
 
 from collections import OrderedDict
 
-from glsplat.net.guard.limits import Bucket, Limits, Purse, Strikes
+from glsplat.net.guard.limits import Bucket, ClientQuota, Limits, Strikes
 
 __all__ = ["Addresses"]
 
 
 class _Address:
-    """One address. Its purses outlive its connections, so that connecting again brings no fresh budget."""
+    """One address. Its quotas outlive its connections, so that connecting again brings no fresh budget."""
 
-    __slots__ = ("breaches", "clients", "guesses", "purses", "uploads", "visits")
+    __slots__ = ("breaches", "clients", "guesses", "quotas", "uploads", "visits")
 
     def __init__(self, limits: Limits, now: float) -> None:
         most, forget = limits.hold_off_most, limits.forget
         self.clients = 0
-        self.purses: list[Purse] = []  # those that no client holds
+        self.quotas: list[ClientQuota] = []  # those that no client holds
         self.visits = Bucket.full(limits.visits, limits.visits_burst, now)
         self.uploads = Bucket.full(limits.uploads, limits.uploads_burst, now)
         self.breaches = Strikes(0, limits.hold_off, most, forget)
@@ -27,7 +27,7 @@ class _Address:
 class Addresses:
     """A table of bounded size, by ``address_key``. Addresses with clients are never left out of it.
 
-    ``per_address`` clients an address at most. A client never spends from another's purse, so that what one does costs
+    ``per_address`` clients an address at most. A client never spends from another's quota, so that what one does costs
     its neighbours at the same address nothing while they are connected.
     """
 
@@ -48,22 +48,22 @@ class Addresses:
         uploads = self._at(key, now).uploads
         return 0.0 if uploads.take(now) else (1 - uploads.level) / uploads.rate
 
-    def enter(self, key: str, now: float) -> Purse | None:
-        """A client's purse, the fullest that is free; None: the address has as many clients as it may."""
+    def enter(self, key: str, now: float) -> ClientQuota | None:
+        """A client's quota, the fullest that is free; None: the address has as many clients as it may."""
         address = self._at(key, now)
         if address.clients >= self.per_address:
             return None
         address.clients += 1
-        if len(address.purses) + address.clients <= self.per_address:
-            return Purse(self.limits, now)
-        address.purses.sort(key=lambda purse: purse.fullness(now))
-        return address.purses.pop()
+        if len(address.quotas) + address.clients <= self.per_address:
+            return ClientQuota(self.limits, now)
+        address.quotas.sort(key=lambda quota: quota.fullness(now))
+        return address.quotas.pop()
 
-    def leave(self, key: str, purse: Purse, now: float) -> None:
-        """The client that held ``purse`` is gone."""
+    def leave(self, key: str, quota: ClientQuota, now: float) -> None:
+        """The client that held ``quota`` is gone."""
         address = self._at(key, now)
         address.clients -= 1
-        address.purses = [p for p in (*address.purses, purse) if p.fullness(now) < 1]
+        address.quotas = [p for p in (*address.quotas, quota) if p.fullness(now) < 1]
 
     def breach(self, key: str, now: float) -> None:
         """A client of this address broke a limit: new connections are refused for a while."""

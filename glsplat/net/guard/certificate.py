@@ -24,7 +24,7 @@ from glsplat.errors import GlsplatError
 from glsplat.io.files import open_regular, replace_file
 from glsplat.net.guard.kept import lock_of
 
-__all__ = ["CERTIFICATE", "KEY", "Kept", "holds", "kept_certificate"]
+__all__ = ["CERTIFICATE", "KEY", "StoredCertificate", "holds", "kept_certificate"]
 
 KEY, CERTIFICATE = "key-and-certificate.pem", "certificate.pem"
 """The names of the files in the folder."""
@@ -38,7 +38,7 @@ _DAMAGED = (ValueError, TypeError, InvalidSignature, UnsupportedAlgorithm, x509.
 _NAME = re.compile(r"(?:\*\.)?[a-z0-9_-]{1,63}(?:\.[a-z0-9_-]{1,63})*")
 
 
-class Kept(NamedTuple):
+class StoredCertificate(NamedTuple):
     """A certificate on disk."""
 
     path: Path  # key and certificate, PEM
@@ -46,7 +46,7 @@ class Kept(NamedTuple):
     remade: str  # why it took another one's place; "" if it did not
 
 
-def kept_certificate(folder: Path, names: Iterable[str]) -> Kept:
+def kept_certificate(folder: Path, names: Iterable[str]) -> StoredCertificate:
     """The certificate in ``folder`` for localhost and ``names`` (DNS names, ``*.lab.example``, addresses).
 
     It is made where there is none, and anew when it ends within 30 days, lacks a name or is damaged. Addresses that it
@@ -73,7 +73,7 @@ def kept_certificate(folder: Path, names: Iterable[str]) -> Kept:
         public = certificate.public_bytes(Encoding.PEM)
         if not _same(folder / CERTIFICATE, public):
             replace_file(folder / CERTIFICATE, [public])
-    return Kept(path, certificate.fingerprint(hashes.SHA256()).hex(":").upper(), remade)
+    return StoredCertificate(path, certificate.fingerprint(hashes.SHA256()).hex(":").upper(), remade)
 
 
 def holds(name: str) -> bool:

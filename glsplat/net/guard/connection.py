@@ -16,7 +16,7 @@ from glsplat.net.guard.limits import Limits
 from glsplat.net.guard.meter import Breach, FrameMeter
 from glsplat.net.guard.notices import Notices
 
-__all__ = ["Connection"]
+__all__ = ["GuardedConnection"]
 
 
 class _MeteredReader:
@@ -42,7 +42,7 @@ class _MeteredReader:
         self._reader.feed_eof()
 
 
-class Connection(web.RequestHandler):
+class GuardedConnection(web.RequestHandler):
     """``meter`` is set by the server once the connection is a client's, before its handshake is answered."""
 
     __slots__ = ("_body", "_clock", "_gone", "_head", "_head_most", "_notices", "breached", "busy", "key", "meter")

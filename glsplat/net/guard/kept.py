@@ -13,7 +13,7 @@ from glsplat.errors import GlsplatError
 from glsplat.io.files import locked, replace_file
 from glsplat.net.guard.access import read_token
 from glsplat.watermark.keys import new_watermark, read_watermark, text_of
-from glsplat.watermark.mark import Watermark
+from glsplat.watermark.mark import WatermarkKey
 
 __all__ = ["TOKEN", "WATERMARK", "kept_key", "kept_token", "kept_watermark", "lock_of", "state_folder"]
 
@@ -76,7 +76,7 @@ def kept_key(folder: Path) -> PrivateKey:
         return private_key(path) if path.exists() else new_key(path)
 
 
-def kept_watermark(folder: Path) -> Watermark:
+def kept_watermark(folder: Path) -> WatermarkKey:
     """The watermark's id and key in the folder, made at the first call. Raises GlsplatError naming the file."""
     path = folder / WATERMARK
     with lock_of(folder):

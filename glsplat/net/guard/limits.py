@@ -9,7 +9,7 @@ import ipaddress
 from collections import deque
 from dataclasses import dataclass, field
 
-__all__ = ["Bucket", "Budget", "Limits", "Purse", "Share", "Strikes", "address_key"]
+__all__ = ["Bucket", "ClientQuota", "CpuBudget", "CpuShare", "Limits", "Strikes", "address_key"]
 
 _AHEAD = 1.0  # seconds of its rate that a budget holds
 
@@ -80,7 +80,7 @@ class Bucket:
         self.level -= amount
 
 
-class Purse:
+class ClientQuota:
     """What one client may spend. It belongs to the address: who comes back finds it as it was left."""
 
     __slots__ = ("bytes", "control", "frames", "samples")
@@ -96,7 +96,7 @@ class Purse:
         return min(b.left(now) / b.capacity for b in (self.frames, self.control, self.bytes, self.samples))
 
 
-class Budget:
+class CpuBudget:
     """Working time, ``rate`` seconds a second. While it lasts anybody may spend; then each address has an equal part.
 
     The clients of an address have equal parts of that.
@@ -105,16 +105,16 @@ class Budget:
     def __init__(self, rate: float, now: float) -> None:
         self.rate = rate
         self.all = Bucket.full(rate, rate * _AHEAD, now)
-        self._shares: dict[str, list[Share]] = {}  # by address
+        self._shares: dict[str, list[CpuShare]] = {}  # by address
 
-    def open(self, now: float, address: str = "") -> Share:
+    def open(self, now: float, address: str = "") -> CpuShare:
         """A new client's share."""
-        share = Share(self, Bucket.full(self.rate, self.rate * _AHEAD, now), address)
+        share = CpuShare(self, Bucket.full(self.rate, self.rate * _AHEAD, now), address)
         self._shares.setdefault(address, []).append(share)
         self._divide()
         return share
 
-    def close(self, share: Share) -> None:
+    def close(self, share: CpuShare) -> None:
         """The client left."""
         mine = self._shares[share.address]
         mine.remove(share)
@@ -130,10 +130,10 @@ class Budget:
 
 
 @dataclass(eq=False, slots=True)
-class Share:
+class CpuShare:
     """One client's part of a budget. Any thread may tell what was spent, or will be."""
 
-    budget: Budget
+    budget: CpuBudget
     part: Bucket
     address: str = ""
     _spent: deque[tuple[float, float]] = field(default_factory=deque)

@@ -15,7 +15,7 @@ from collections.abc import Callable
 
 from glsplat.errors import GlsplatError
 from glsplat.net.guard.addresses import Addresses
-from glsplat.net.guard.connection import Connection
+from glsplat.net.guard.connection import GuardedConnection
 from glsplat.net.guard.limits import address_key
 from glsplat.net.guard.notices import Notices
 
@@ -27,18 +27,18 @@ _RESERVE = 12  # descriptors kept for what the server opens itself: a renderer s
 _FEWEST = 2  # connections in the handshake, however few descriptors there are
 _EXHAUSTED = (errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM)
 
-Make = Callable[[str, Callable[[], None]], Connection]
+Make = Callable[[str, Callable[[], None]], GuardedConnection]
 """Makes the protocol of a connection from its address's key and what to call when it is gone."""
 
 
-class Waiting:
+class PendingConnection:
     """A connection that is no client: in the handshake, asking for a page, or idle."""
 
     __slots__ = ("connection", "key", "task")
 
     def __init__(self, key: str) -> None:
         self.key = key
-        self.connection: Connection | None = None
+        self.connection: GuardedConnection | None = None
         self.task: asyncio.Task[None] | None = None
 
     @property
@@ -70,7 +70,7 @@ class Listener:
     ) -> None:
         self._socket, self._make, self._addresses, self._notices = listening, make, addresses, notices
         self._clock, self._clients, self._tls, self._handshake = clock, clients, tls, handshake
-        self._waiting: dict[Waiting, None] = {}  # oldest first
+        self._waiting: dict[PendingConnection, None] = {}  # oldest first
         self._task: asyncio.Task[None] | None = None
         self.room = 0  # connections that may wait
         self.turned_away = 0  # connections closed unanswered
@@ -96,7 +96,7 @@ class Listener:
             if entry.connection is None or entry.connection.transport is None:
                 entry.end()
 
-    def promote(self, connection: Connection) -> None:
+    def promote(self, connection: GuardedConnection) -> None:
         """It became a client: no longer counted here, nor closed to make room."""
         for entry in self._waiting:
             if entry.connection is connection:
@@ -122,7 +122,7 @@ class Listener:
         if not self._addresses.visit(key, self._clock()):
             self._notices("visits", "an address connects too often; closed unanswered")
         elif len(self._waiting) < self.room or self._make_room():
-            entry = Waiting(key)
+            entry = PendingConnection(key)
             self._waiting[entry] = None
             entry.task = asyncio.create_task(self._open(accepted, entry), name="open")
             return
@@ -131,7 +131,7 @@ class Listener:
         self.turned_away += 1
         accepted.close()
 
-    async def _open(self, accepted: socket.socket, entry: Waiting) -> None:
+    async def _open(self, accepted: socket.socket, entry: PendingConnection) -> None:
         """Hand the socket to a protocol, after the TLS handshake where there is one."""
         connection = self._make(entry.key, lambda: self._forget(entry))
         entry.connection = connection
@@ -146,7 +146,7 @@ class Listener:
             self._forget(entry)
             accepted.close()
 
-    def _forget(self, entry: Waiting) -> None:
+    def _forget(self, entry: PendingConnection) -> None:
         self._waiting.pop(entry, None)
 
     def _make_room(self) -> bool:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from glsplat.net.guard.limits import Limits, Purse
+from glsplat.net.guard.limits import ClientQuota, Limits
 
 __all__ = ["POLICY_VIOLATION", "Breach", "FrameMeter"]
 
@@ -21,19 +21,19 @@ class Breach:
 
 
 class FrameMeter:
-    """Follows the frames of one connection through the stream of its bytes and takes each from the client's purse.
+    """Follows the frames of one connection through the stream of its bytes and takes each from the client's quota.
 
     A limit is noticed at the first header beyond it: what a client sent in one go after that is never looked at.
     """
 
-    def __init__(self, purse: Purse, limits: Limits) -> None:
-        self._purse, self._limits = purse, limits
+    def __init__(self, quota: ClientQuota, limits: Limits) -> None:
+        self._quota, self._limits = quota, limits
         self._head = bytearray()  # of a header that is not whole yet
         self._skip = 0  # bytes of payload to come
 
     def feed(self, data: bytes, now: float) -> tuple[int, Breach | None]:
         """How many bytes of ``data`` may be read on, and what is wrong with those behind them."""
-        if not self._purse.bytes.take(now, len(data)):
+        if not self._quota.bytes.take(now, len(data)):
             return 0, Breach(POLICY_VIOLATION, f"more than {self._limits.bytes / 1024:g} KiB a second")
         position, size = 0, len(data)
         if self._head and size:
@@ -72,7 +72,7 @@ class FrameMeter:
         if not data[at + 1] & 0x80:
             return Breach(PROTOCOL_ERROR, "a client's frames need a mask")
         control = bool(data[at] & 0x08)
-        if (self._purse.control if control else self._purse.frames).take(now):
+        if (self._quota.control if control else self._quota.frames).take(now):
             return None
         rate, kind = (self._limits.control, "control frames") if control else (self._limits.frames, "frames")
         return Breach(POLICY_VIOLATION, f"more than {rate:g} {kind} a second")

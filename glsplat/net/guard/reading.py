@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from glsplat.net.guard.limits import Share
+from glsplat.net.guard.limits import CpuShare
 
 __all__ = ["Reading"]
 
@@ -12,7 +12,7 @@ _SHORT = 64  # characters of a message that is always read: an acknowledgement, 
 class Reading:
     """One client's line: at most one message, which waits for the client's part of the time to come back."""
 
-    def __init__(self, share: Share) -> None:
+    def __init__(self, share: CpuShare) -> None:
         self.share = share
         self.left_out = 0  # messages dropped unread for newer ones
         self._held: str | None = None

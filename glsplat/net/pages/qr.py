@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 
-__all__ = ["Codes", "svg", "terminal"]
+__all__ = ["QrCodes", "svg", "terminal"]
 
 _BORDER = 4  # modules of quiet zone, as ISO/IEC 18004 asks
 _BLOCKS = {(True, True): " ", (False, True): "▀", (True, False): "▄", (False, False): "█"}  # of upper and lower: dark?
@@ -12,7 +12,7 @@ _BLOCKS = {(True, True): " ", (False, True): "▀", (True, False): "▄", (False
 _COLOURS, _END = "\x1b[38;5;231;48;5;16m", "\x1b[0m"
 
 
-class Codes:
+class QrCodes:
     """SVG codes of the few addresses that a page is asked by; "" for more of them.
 
     Drawing one takes 10 ms, and strangers may ask under any address: without a bound they had a core of ours.

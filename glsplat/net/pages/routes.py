@@ -12,7 +12,7 @@ from aiohttp import web
 from glsplat.motion.motion import embedded_motions
 from glsplat.net.accounts.rights import user_of
 from glsplat.net.accounts.users import User
-from glsplat.net.pages.qr import Codes
+from glsplat.net.pages.qr import QrCodes
 from glsplat.net.pages.site import File, Site
 from glsplat.net.pages.status import metrics_text, page_html
 
@@ -29,7 +29,7 @@ class Pages:
 
     def __init__(self, stats: Numbers, offer: Offer, healthy: Callable[[], bool], tls: bool) -> None:
         self._stats, self._offer, self._healthy, self._tls = stats, offer, healthy, tls
-        self._codes = Codes()
+        self._codes = QrCodes()
 
     def routes(self) -> list[web.RouteDef]:
         """What the application is made of."""

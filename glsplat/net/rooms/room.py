@@ -19,7 +19,7 @@ from glsplat.camera import Camera
 from glsplat.errors import ProtocolError
 from glsplat.net.rooms.person import SILENT, Moved, Person
 from glsplat.net.rooms.seats import free_seat, seat
-from glsplat.net.rooms.view import Present, RoomView
+from glsplat.net.rooms.view import RoomView, VisiblePerson
 
 __all__ = ["Room", "RoomError"]
 
@@ -40,7 +40,7 @@ class _Guest:
     person: Person
     seat: int | None  # None: chose a place
     leave: Callable[[], None]  # ends the connection of who is replaced
-    shown: Present
+    shown: VisiblePerson
 
 
 class Room:
@@ -86,7 +86,7 @@ class Room:
             stands = place if place is not None else seat(number or 0, self.seats)
             self._keys += 1
             person = Person(self._keys, name, avatar, stands, owner, now, label)
-            shown = Present(person.key, name, avatar, None, stands, label=person.label)
+            shown = VisiblePerson(person.key, name, avatar, None, stands, label=person.label)
             self._guests[name] = _Guest(person, number if place is None else None, leave, shown)
         if replaced is not None and replaced.person.connected:
             replaced.leave()

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from glsplat.net.backend import Offered
-from glsplat.net.options import Asked
+from glsplat.net.backend import AvatarInfo
+from glsplat.net.options import RequestedOptions
 from glsplat.net.rooms.member import Member
 from glsplat.net.rooms.room import Room, RoomError
 from glsplat.skinning.pose import Pose
@@ -32,8 +32,8 @@ class Rooms:
 
     def join(
         self,
-        asked: Asked,
-        shown: Offered,
+        asked: RequestedOptions,
+        shown: AvatarInfo,
         number: int,
         owner: str,
         now: float,

@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 
 from glsplat.skinning.pose import Pose
 
-__all__ = ["Present", "RoomView", "room_fields"]
+__all__ = ["RoomView", "VisiblePerson", "room_fields"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Present:
+class VisiblePerson:
     """A person as a picture shows them."""
 
     key: int  # of the person, never used again in this room
@@ -35,7 +35,7 @@ class RoomView:
     room: str
     tick: int
     viewer: int  # key of who looks
-    people: tuple[Present, ...]
+    people: tuple[VisiblePerson, ...]
 
 
 def room_fields(view: RoomView) -> dict[str, Any]:

@@ -11,7 +11,7 @@ from typing import Any, Literal
 from glsplat.avatar import Avatar
 from glsplat.errors import GlsplatError
 
-__all__ = ["VIEWS", "DoubtfulError", "Finding", "Job", "Make", "Order", "Progress", "UploadConfig", "notes_of"]
+__all__ = ["VIEWS", "Finding", "Job", "LowConfidenceError", "Make", "Order", "Progress", "UploadConfig", "notes_of"]
 
 VIEWS = ("front", "back", "left", "right")
 """The sides of a person that pictures may show; the first is needed."""
@@ -26,7 +26,7 @@ Progress = Callable[[str, float], None]
 """Told of each step by its name, and the share of it that is done."""
 
 
-class DoubtfulError(GlsplatError):
+class LowConfidenceError(GlsplatError):
     """The pictures are not what an avatar should be made of; it may be asked for all the same."""
 
     def __init__(self, message: str, findings: Sequence[Finding] = ()) -> None:
@@ -44,7 +44,10 @@ class Order:
 
 
 Make = Callable[[Order, Progress], Avatar]
-"""Makes an avatar, in a process of its own: a picklable function. Raises DoubtfulError, or GlsplatError in one line."""
+"""Makes an avatar, in a process of its own: a picklable function.
+
+Raises LowConfidenceError, or GlsplatError in one line.
+"""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

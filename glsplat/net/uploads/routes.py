@@ -11,12 +11,12 @@ from aiohttp import web
 from glsplat.avatar import Avatar
 from glsplat.errors import GlsplatError
 from glsplat.net.accounts.rights import user_of
-from glsplat.net.backend import Offered
-from glsplat.net.guard.door import Door, connection_of
+from glsplat.net.backend import AvatarInfo
+from glsplat.net.guard.gate import Gate, connection_of
 from glsplat.net.uploads.form import RefusedError, check_head, discard, read_order
 from glsplat.net.uploads.job import VIEWS, Job, UploadConfig
-from glsplat.net.uploads.shelf import NoRoomError, Shelf
-from glsplat.net.uploads.workshop import Workshop
+from glsplat.net.uploads.job_queue import JobQueue
+from glsplat.net.uploads.upload_store import NoRoomError, UploadStore
 
 __all__ = ["Uploads"]
 
@@ -26,18 +26,18 @@ _SLACK = 2**20  # bytes of a body beyond its pictures: fields, boundaries, and w
 class Uploads:
     """``describe(name, avatar)`` says what clients may ask of an avatar; raises GlsplatError if it cannot be shown."""
 
-    def __init__(self, config: UploadConfig, describe: Callable[[str, Avatar], Offered]) -> None:
+    def __init__(self, config: UploadConfig, describe: Callable[[str, Avatar], AvatarInfo]) -> None:
         self.config = config
-        self.shelf = Shelf(config.folder, config.most_files, config.folder_bytes)
+        self.store = UploadStore(config.folder, config.most_files, config.folder_bytes)
         self._describe = describe
 
     def open(
-        self, door: Door, offer: Callable[[Offered], None], withdraw: Callable[[str], Awaitable[bool]]
+        self, gate: Gate, offer: Callable[[AvatarInfo], None], withdraw: Callable[[str], Awaitable[bool]]
     ) -> list[web.RouteDef]:
         """The addresses, and work from now on. ``offer`` and ``withdraw`` add to and take from what clients choose."""
-        self._door, self._withdraw = door, withdraw
-        self._workshop = Workshop(self.config, self.shelf, lambda name, avatar: offer(self._describe(name, avatar)))
-        self._workshop.start()
+        self._gate, self._withdraw = gate, withdraw
+        self._queue = JobQueue(self.config, self.store, lambda name, avatar: offer(self._describe(name, avatar)))
+        self._queue.start()
         return [
             web.post("/avatars", self._post),
             web.get("/avatars/{name}", self._get),
@@ -46,11 +46,11 @@ class Uploads:
 
     async def stop(self) -> None:
         """Give up what is being made."""
-        await self._workshop.stop()
+        await self._queue.stop()
 
     def counts(self) -> Mapping[str, int]:
         """For /stats."""
-        return self._workshop.counts()
+        return self._queue.counts()
 
     def offer(self) -> dict[str, Any]:
         """For /session: that avatars can be made here, and of what."""
@@ -60,7 +60,7 @@ class Uploads:
     async def _post(self, request: web.Request) -> web.Response:
         connection = connection_of(request)
         try:
-            wait = self._door.upload(request)
+            wait = self._gate.upload(request)
             if wait > 0:
                 raise RefusedError(429, f"too many pictures from one address; try again in {wait:.0f} s", round(wait))
             connection.expect(self.config.body_bytes + _SLACK)
@@ -68,9 +68,9 @@ class Uploads:
             user = user_of(request)
             job = await self._book(connection.key, "" if user is None else user.name)
             try:
-                self._workshop.begin(job, await read_order(request, self.config))
+                self._queue.begin(job, await read_order(request, self.config))
             except BaseException:  # also when the client is gone
-                self._workshop.cancel(job)
+                self._queue.cancel(job)
                 raise
         except RefusedError as refusal:
             return await self._refused(request, refusal)
@@ -80,35 +80,35 @@ class Uploads:
 
     async def _book(self, address: str, account: str) -> Job:
         try:
-            await asyncio.to_thread(self.shelf.check)
+            await asyncio.to_thread(self.store.check)
         except NoRoomError as full:
             raise RefusedError(507, str(full)) from None
-        job = self._workshop.book(address, account)
+        job = self._queue.book(address, account)
         if isinstance(job, str):
             raise RefusedError(503, job, 20)
         return job
 
     async def _get(self, request: web.Request) -> web.Response:
-        job = self._workshop.find(request.match_info["name"])
+        job = self._queue.find(request.match_info["name"])
         if job is None:
             return web.Response(status=404, text="there is no such avatar in the making\n")
         return _answer(self._status(job))
 
     async def _delete(self, request: web.Request) -> web.Response:
         name = request.match_info["name"]
-        if not self.shelf.made_here(name):
+        if not self.store.made_here(name):
             return web.Response(status=403, text="only avatars that were made here can be deleted\n")
-        job = self._workshop.find(name)
+        job = self._queue.find(name)
         user = user_of(request)
         own = user is None or (job is not None and job.account == user.name)
         under_way = job is not None and job.ended is None  # nothing tells yet whose it is, but the job
-        if not own and (under_way or not self._door.rights.may_delete(user, name)):
+        if not own and (under_way or not self._gate.rights.may_delete(user, name)):
             return web.Response(status=403, text="only who had an avatar made here can delete it\n")
         if job is not None:
-            self._workshop.cancel(job)
+            self._queue.cancel(job)
         offered = await self._withdraw(name)  # nobody is shown it any more, whatever the disk says
         try:
-            removed = await asyncio.to_thread(self.shelf.remove, name)
+            removed = await asyncio.to_thread(self.store.remove, name)
         except GlsplatError as error:
             return web.Response(status=500, text=f"{error}\n")
         if job is None and not offered and not removed:
@@ -124,7 +124,7 @@ class Uploads:
         return response
 
     def _status(self, job: Job) -> dict[str, Any]:
-        return job.status(self._workshop.ahead(job))
+        return job.status(self._queue.ahead(job))
 
 
 def _answer(fields: Mapping[str, Any], status: int = 200, headers: Mapping[str, str] | None = None) -> web.Response:

@@ -21,7 +21,7 @@ from typing import Any
 
 from glsplat.errors import GlsplatError
 from glsplat.formats import save
-from glsplat.net.uploads.job import DoubtfulError, Finding, Make, Order, Progress, UploadConfig
+from glsplat.net.uploads.job import Finding, LowConfidenceError, Make, Order, Progress, UploadConfig
 
 __all__ = ["Maker", "MakerFaultError", "UnwantedError"]
 
@@ -106,7 +106,7 @@ class Maker:
             elif kind == "step":
                 progress(str(told.get("step")), _share(told.get("share")))
             elif kind == "refused":
-                raise DoubtfulError(str(told.get("error")), _findings(told.get("findings")))
+                raise LowConfidenceError(str(told.get("error")), _findings(told.get("findings")))
             elif kind == "failed":
                 raise GlsplatError(str(told.get("error")))
             elif kind == "avatar":
@@ -166,7 +166,7 @@ def _work(make: Make, nice: int, pipe: Connection) -> None:
             save(avatar, data, format="glb")
             tell("avatar")
             pipe.send_bytes(data.getbuffer())
-        except DoubtfulError as error:
+        except LowConfidenceError as error:
             tell("refused", error=_line(error), findings=[list(found) for found in error.findings])
         except GlsplatError as error:
             tell("failed", error=_line(error))

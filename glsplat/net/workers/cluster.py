@@ -29,7 +29,7 @@ from glsplat.net.backend import Backend
 from glsplat.net.workers.wire import WorkerLostError, greet
 from glsplat.net.workers.work import GREETING, work
 
-__all__ = ["RayCluster", "RayPlace", "require_ray"]
+__all__ = ["RayCluster", "RayLauncher", "require_ray"]
 
 Address = tuple[str, int]
 
@@ -63,9 +63,9 @@ class RayCluster:
         self._lock = threading.Lock()
         self._driver: _Driver | None = None
 
-    def places(self, count: int) -> list[RayPlace]:
+    def launchers(self, count: int) -> list[RayLauncher]:
         """For so many workers."""
-        return [RayPlace(self, f"Ray worker {index}") for index in range(1, count + 1)]
+        return [RayLauncher(self, f"Ray worker {index}") for index in range(1, count + 1)]
 
     def room(self) -> int:
         """Workers that the cluster has room for, at least one: by GPUs where they take some, else one a node."""
@@ -102,7 +102,7 @@ class RayCluster:
                 self._driver.end()
 
 
-class RayPlace:
+class RayLauncher:
     """Holds one actor at a time."""
 
     def __init__(self, cluster: RayCluster, name: str) -> None:

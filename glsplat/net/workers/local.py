@@ -20,13 +20,13 @@ from glsplat.net.backend import Backend
 from glsplat.net.workers.wire import WorkerLostError, greet
 from glsplat.net.workers.work import GREETING, work
 
-__all__ = ["ProcessPlace"]
+__all__ = ["ProcessLauncher"]
 
 _GONE = 0.5  # seconds in which the end of a process is known after the end of its connection
 _OUTSIDE = (signal.SIGTERM, getattr(signal, "SIGKILL", signal.SIGTERM))  # sent by somebody: no picture's fault
 
 
-class ProcessPlace:
+class ProcessLauncher:
     """Runs what ``make()`` returns in a process of its own. ``make`` is pickled, as for ProcessBackend."""
 
     def __init__(self, make: Callable[[], Backend], name: str = "worker") -> None:

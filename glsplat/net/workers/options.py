@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 from glsplat.net.backend import Backend
 from glsplat.net.workers.cluster import RayCluster
-from glsplat.net.workers.farm import Farm
-from glsplat.net.workers.local import ProcessPlace
+from glsplat.net.workers.local import ProcessLauncher
+from glsplat.net.workers.pool import WorkerPool
 
 __all__ = ["Workers"]
 
@@ -25,19 +25,19 @@ class Workers:
     gpus: float = 0.0
     address: str | None = None  # as for ray.init; None: RAY_ADDRESS, a cluster on this machine, or a new one
 
-    def farm(self, makes: Sequence[Callable[[], Backend]], rate: float | None, seconds: float) -> Farm:
-        """Workers that run ``makes`` in turn; Ray's all run the first. ``rate`` and ``seconds`` as for Farm.
+    def pool(self, makes: Sequence[Callable[[], Backend]], rate: float | None, seconds: float) -> WorkerPool:
+        """Workers that run ``makes`` in turn; Ray's all run the first. ``rate`` and ``seconds`` as for WorkerPool.
 
         Raises GlsplatError where Ray is not installed or, if it is asked for its room, not there.
         """
         if not self.ray:
             count = self.count or 1
-            places = [ProcessPlace(makes[i % len(makes)], f"worker {i + 1}") for i in range(count)]
-            return Farm(places, rate, seconds)
+            launchers = [ProcessLauncher(makes[i % len(makes)], f"worker {i + 1}") for i in range(count)]
+            return WorkerPool(launchers, rate, seconds)
         cluster = RayCluster(makes[0], self.address, self.cpus, self.gpus)
         try:
             count = cluster.room() if self.count is None else self.count
         except BaseException:
             cluster.close()
             raise
-        return Farm(cluster.places(count), rate, seconds, _HEADLESS, close=cluster.close)
+        return WorkerPool(cluster.launchers(count), rate, seconds, _HEADLESS, close=cluster.close)

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-__all__ = ["Client", "Worker", "better", "choose"]
+__all__ = ["PlacedClient", "PlacedWorker", "better", "choose"]
 
 QUICK = 1 / 90
 """Seconds: a worker whose clients all get their picture within that is not looked at for load."""
@@ -23,7 +23,7 @@ _UNKNOWN = 0.02  # seconds of a picture where none was drawn yet
 
 
 @dataclass(frozen=True, slots=True)
-class Client:
+class PlacedClient:
     """One that is drawn for."""
 
     number: int
@@ -37,15 +37,15 @@ class Client:
 
 
 @dataclass(frozen=True, slots=True)
-class Worker:
+class PlacedWorker:
     """One that draws."""
 
-    clients: tuple[Client, ...] = ()
+    clients: tuple[PlacedClient, ...] = ()
     has: frozenset[str] = frozenset()  # keys of what it has loaded
     share: float = 1.0  # of a GPU, or any measure of its speed
 
 
-def choose(client: Client, workers: Sequence[Worker]) -> int | None:
+def choose(client: PlacedClient, workers: Sequence[PlacedWorker]) -> int | None:
     """The place in ``workers`` of the one that is to draw for ``client``; None where there are none."""
     if not workers:
         return None
@@ -61,7 +61,7 @@ def choose(client: Client, workers: Sequence[Worker]) -> int | None:
     return best if loads[best] <= max(QUICK, MUCH * loads[least]) else least
 
 
-def better(workers: Sequence[Worker]) -> tuple[tuple[int, ...], int] | None:
+def better(workers: Sequence[PlacedWorker]) -> tuple[tuple[int, ...], int] | None:
     """The move that helps most: the numbers of clients that belong together, and where to; None where none helps."""
     typical = _typical(workers)
     loads = [_load(worker, typical) for worker in workers]
@@ -71,22 +71,22 @@ def better(workers: Sequence[Worker]) -> tuple[tuple[int, ...], int] | None:
     quick = min(range(len(workers)), key=loads.__getitem__)
     if loads[slow] <= QUICK:
         return None
-    groups: dict[str | int, list[Client]] = {}
+    groups: dict[str | int, list[PlacedClient]] = {}
     for client in workers[slow].clients:
         groups.setdefault(client.key if client.together else client.number, []).append(client)
     best, found = _GAIN * loads[slow], None
     for group in groups.values():
-        left = Worker(tuple(one for one in workers[slow].clients if one not in group), share=workers[slow].share)
+        left = PlacedWorker(tuple(one for one in workers[slow].clients if one not in group), share=workers[slow].share)
         after = max(_load(left, typical), _load(workers[quick], typical, group))
         if after < best:
             best, found = after, (tuple(one.number for one in group), quick)
     return found
 
 
-def _load(worker: Worker, typical: float, more: Sequence[Client] = ()) -> float:
+def _load(worker: PlacedWorker, typical: float, more: Sequence[PlacedClient] = ()) -> float:
     return sum(one.cost or typical for one in (*worker.clients, *more)) / worker.share
 
 
-def _typical(workers: Sequence[Worker]) -> float:
+def _typical(workers: Sequence[PlacedWorker]) -> float:
     known = [one.cost for worker in workers for one in worker.clients if one.cost]
     return sum(known) / len(known) if known else _UNKNOWN

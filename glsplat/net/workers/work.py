@@ -18,7 +18,7 @@ from contextlib import suppress
 from glsplat.errors import GlsplatError
 from glsplat.net.backend import Backend, Interruptible, Rendered, RenderJob
 from glsplat.net.codec.encode import Encoder
-from glsplat.net.drawing import encode
+from glsplat.net.local_loop import encode
 from glsplat.net.workers.wire import Drawn, Kind, Reader, failure_of, greet, pack
 
 __all__ = ["GREETING", "work"]

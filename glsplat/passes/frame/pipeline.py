@@ -21,7 +21,7 @@ from glsplat.passes.frame.gpu_sort import GpuSorter
 from glsplat.passes.frame.key import BLOCK_PIXELS, KeyPass
 from glsplat.passes.frame.project import ProjectPass
 from glsplat.passes.frame.sort import FIRST_CULLED, count_culled, covered_box, sorted_indices
-from glsplat.passes.item.ground import Ground
+from glsplat.passes.item.mesh_pass import MeshPass
 from glsplat.passes.stats import FrameStats
 from glsplat.passes.step import ResolveStep
 from glsplat.passes.target import Box, ByteTarget, Clear, Resolve, Target
@@ -163,7 +163,7 @@ class Pipeline:
         views: Sequence[Camera],
         timer: StageTimer,
         boxed: bool,
-        ground: Ground | None = None,  # with variant.occluded
+        ground: MeshPass | None = None,  # with variant.occluded
         slices: Slices | None = None,
     ) -> None:
         """Step 4: backgrounds (``boxed``: where splats fall, nothing else will be read), then every record.

@@ -12,7 +12,19 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["INPUTS", "OUTPUTS", "RATE", "TICK", "Guess", "Seen", "inputs_of", "level", "slower", "unit_of", "yaw_of"]
+__all__ = [
+    "INPUTS",
+    "OUTPUTS",
+    "RATE",
+    "TICK",
+    "Guess",
+    "TrackedFrames",
+    "inputs_of",
+    "level",
+    "slower",
+    "unit_of",
+    "yaw_of",
+]
 
 F32 = NDArray[np.float32]
 
@@ -30,7 +42,7 @@ OUTPUTS = 3 * len(POINTS) + 12 + 12 + 2
 
 
 @dataclass(slots=True)
-class Seen:
+class TrackedFrames:
     """Head and hands at N moments, world frame, metres; rotations are those of the joints (SMPL-X rest frames)."""
 
     eye: F32  # [N, 3] between the eyes, the ground at y = 0
@@ -85,7 +97,7 @@ def slower(means: F32, eye: F32) -> F32:
     return means + (eye[..., None, [0, 2]] - means) * k
 
 
-def inputs_of(now: Seen, before: Seen, means: F32, unit: float) -> F32:
+def inputs_of(now: TrackedFrames, before: TrackedFrames, means: F32, unit: float) -> F32:
     """[N, INPUTS] from the moments, those one tick earlier, and the running means [N, 3, 2] of ``slower``."""
     n, yaw = len(now.yaw), now.yaw
     k = 1 / unit

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.rotations import quaternion_matrices
-from glsplat.tracking.learned.frames import TICK, Guess, Seen, inputs_of, slower, unit_of
-from glsplat.tracking.learned.network import Network
+from glsplat.tracking.learned.frames import TICK, Guess, TrackedFrames, inputs_of, slower, unit_of
+from glsplat.tracking.learned.network import PoseNetwork
 from glsplat.tracking.solve.body import ANKLES, FEET, Body
 from glsplat.tracking.solve.quat import (
     Quat,
@@ -97,7 +97,7 @@ class Hints:
     where the network says they will be at the next one.
     """
 
-    def __init__(self, body: Body, network: Network) -> None:
+    def __init__(self, body: Body, network: PoseNetwork) -> None:
         self.network = network
         self.unit = unit_of(body.eye_height)
         # how a foot lies at rest: its heading and slope from ankle to ball
@@ -109,7 +109,7 @@ class Hints:
         """Forget the past."""
         self.state: Array = self.network.start()
         self._last: tuple[Targets, float] | None = None  # newest sample and its heading
-        self._before: Seen | None = None  # of the last tick
+        self._before: TrackedFrames | None = None  # of the last tick
         self._means: Array = np.zeros((1, 3, 2), np.float32)
         self._since = 0.0  # seconds from the last tick to the newest sample
         self._said: _Said | None = None
@@ -207,12 +207,12 @@ def _between(a: Targets, b: Targets, part: float) -> Targets:
     return out
 
 
-def _seen(targets: Targets, yaw: float) -> Seen:
+def _seen(targets: Targets, yaw: float) -> TrackedFrames:
     """One moment as the network takes it."""
     at = [targets.left or targets.eye, targets.right or targets.eye]
     turns = quaternion_matrices(np.array([targets.head, targets.left_hand, targets.right_hand])).astype(np.float32)
     tracked = [targets.left is not None, targets.right is not None]
-    return Seen(
+    return TrackedFrames(
         np.array([targets.eye], np.float32),
         np.array([yaw], np.float32),
         turns[:1],

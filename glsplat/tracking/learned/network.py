@@ -14,7 +14,7 @@ from glsplat.errors import FormatError
 from glsplat.io.npz import read_arrays
 from glsplat.tracking.learned.frames import INPUTS, OUTPUTS, RATE
 
-__all__ = ["VERSION", "Network", "load_network", "save_network"]
+__all__ = ["VERSION", "PoseNetwork", "load_network", "save_network"]
 
 F32 = NDArray[np.float32]
 
@@ -25,7 +25,7 @@ MOST = 1024  # units and width at most: a file that says more is not one of thes
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Network:
+class PoseNetwork:
     """Weights, float32; inputs as ``frames.inputs_of`` gives them (normalising is part of the first layer).
 
     GRU as in Cho et al. 2014 with the reset gate after the product (PyTorch's and cuDNN's form).
@@ -64,10 +64,10 @@ class Network:
         return self.back @ np.maximum(self.skip @ state + self.skip_bias, 0) + self.back_bias, state
 
 
-ARRAYS = tuple(name for name in Network.__slots__ if name != "note")
+ARRAYS = tuple(name for name in PoseNetwork.__slots__ if name != "note")
 
 
-def save_network(path: str | PathLike[str], network: Network) -> None:
+def save_network(path: str | PathLike[str], network: PoseNetwork) -> None:
     """Write a model file (.npz)."""
     arrays = {name: getattr(network, name) for name in ARRAYS}
     with open(path, "wb") as file:
@@ -81,7 +81,7 @@ def save_network(path: str | PathLike[str], network: Network) -> None:
         )
 
 
-def load_network(path: str | PathLike[str]) -> Network:
+def load_network(path: str | PathLike[str]) -> PoseNetwork:
     """Read a model file and check it whole. Raises FormatError that says what is wrong with it."""
     name = Path(path).name
     try:
@@ -99,7 +99,7 @@ def load_network(path: str | PathLike[str]) -> Network:
         raise FormatError(f"{name}: a tracking model whose {wrong}; train it again")
     if str(known["sha256"]) != _hash(arrays):
         raise FormatError(f"{name}: the tracking model is damaged (its numbers do not fit its checksum)")
-    return Network(**arrays, note=str(known.get("note", "")))
+    return PoseNetwork(**arrays, note=str(known.get("note", "")))
 
 
 def _misshapen(arrays: dict[str, F32]) -> str:

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from math import acos
 
-from glsplat.tracking.learned.doubt import Doubt
 from glsplat.tracking.learned.feet import Feet, Rest
 from glsplat.tracking.learned.hints import Hint, Hints
-from glsplat.tracking.learned.network import Network
+from glsplat.tracking.learned.network import PoseNetwork
 from glsplat.tracking.learned.seat import Seat
 from glsplat.tracking.learned.steady import Steady
+from glsplat.tracking.learned.uncertainty import Uncertainty
 from glsplat.tracking.solve.arms import Arm
 from glsplat.tracking.solve.body import PELVIS, Body
-from glsplat.tracking.solve.ground import Ground
 from glsplat.tracking.solve.hands import Hands
+from glsplat.tracking.solve.height_limit import HeightLimit
 from glsplat.tracking.solve.quat import (
     Quat,
     Vec,
@@ -53,14 +53,14 @@ class LearnedSolver:
 
     PLAIN of the pelvis is the analytic solver's: the two are off in different ways, so that a mean is nearer than the
     worse of them, and where the network knows least of a person often nearer than either.
-    Where the network has learned nothing (``Doubt``) all of it is the analytic solver's.
+    Where the network has learned nothing (``Uncertainty``) all of it is the analytic solver's.
     """
 
-    def __init__(self, body: Body, network: Network) -> None:
+    def __init__(self, body: Body, network: PoseNetwork) -> None:
         self.body = body
-        self.ground: Ground = Ground(body.eye_height)
+        self.ground: HeightLimit = HeightLimit(body.eye_height)
         self.hints: Hints = Hints(body, network)
-        self.doubt: Doubt = Doubt(body.eye_height)
+        self.doubt: Uncertainty = Uncertainty(body.eye_height)
         self.steady: Steady = Steady()
         self.plain: AnalyticSolver = AnalyticSolver(body)
         self.seat: Seat = Seat(body.joints[PELVIS][1] - body.ground)

@@ -23,7 +23,7 @@ from glsplat.tracking.solve.quat import (
     unit,
     wrap,
 )
-from glsplat.tracking.solve.stepping.foot import Channel
+from glsplat.tracking.solve.stepping.foot import Axis
 
 __all__ = ["Arm", "ArmPose"]
 
@@ -70,7 +70,7 @@ class Arm:
         f = self.wrist_offset
         self.back: tuple[float, float, float] = (-f[0], -f[1], -f[2])
         self.pole: Vec | None = None  # last elbow direction, in the chest's frame
-        self.swivel: Channel = Channel()  # radians from one sample to the next
+        self.swivel: Axis = Axis()  # radians from one sample to the next
         self.extra: float = 0.0  # radians the elbow is away from its natural direction because of the shoulder's limits
         self.twist: float = 0.0
 

@@ -6,9 +6,9 @@ from math import exp, hypot
 
 from glsplat.tracking.solve.arms import Arm
 from glsplat.tracking.solve.body import NECK, PELVIS, Body
-from glsplat.tracking.solve.ground import Ground
 from glsplat.tracking.solve.hands import Hands
 from glsplat.tracking.solve.heading import Heading
+from glsplat.tracking.solve.height_limit import HeightLimit
 from glsplat.tracking.solve.quat import Vec, clamp, rotate, yaw_quat
 from glsplat.tracking.solve.solution import Limb, Solution, Targets, assembled, reaching
 from glsplat.tracking.solve.spine import Spine, Torso
@@ -26,7 +26,7 @@ class AnalyticSolver:
 
     def __init__(self, body: Body) -> None:
         self.body = body
-        self.ground: Ground = Ground(body.eye_height)
+        self.ground: HeightLimit = HeightLimit(body.eye_height)
         self.heading: Heading = Heading()
         self.spine: Spine = Spine(body)
         self.pelvis: Pelvis = Pelvis()

@@ -32,7 +32,7 @@ from glsplat.tracking.solve.spine import Spine, Torso
 from glsplat.tracking.solve.stepping.foot import FASTEST, Foot
 from glsplat.tracking.solve.stepping.leg import Leg
 
-__all__ = ["AFLOAT", "Follow", "Pelvis", "Share"]
+__all__ = ["AFLOAT", "Follow", "Pelvis", "Trust"]
 
 FOUND, LOST = 0.25, 0.3  # seconds in which something that is found or lost is taken up and given up
 AT_ONCE = 30.0  # 1/s: how fast the heading is taken up half way through
@@ -45,7 +45,7 @@ AFLOAT, STANDS = 0.04, 0.2  # metres off the ground, m/s: up to there a tracked 
 GIVEN_UP = 0.36  # seconds of the step that a lost foot takes
 
 
-class Share:
+class Trust:
     """How much of what is tracked counts: 1 while it is, all of it at the first moment of a body."""
 
     def __init__(self) -> None:
@@ -70,7 +70,7 @@ class Pelvis:
     """Where the pelvis is tracked, from the eyes: a head that is brought to the floor takes it along."""
 
     def __init__(self) -> None:
-        self._share = Share()
+        self._share = Trust()
         self.reset()
 
     def reset(self) -> None:
@@ -125,7 +125,7 @@ class Follow:
 
     def __init__(self, leg: Leg) -> None:
         self.leg = leg
-        self._share = Share()
+        self._share = Trust()
         self.reset()
 
     def reset(self) -> None:

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from glsplat.motion.motion import Motion
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.tracking.derive import truth_from_motion
-from glsplat.tracking.learned.frames import OUTPUTS, RATE, Seen, level, unit_of, yaw_of
+from glsplat.tracking.learned.frames import OUTPUTS, RATE, TrackedFrames, level, unit_of, yaw_of
 from glsplat.tracking.solve.body import ANKLES, FEET, HEAD, KNEES, PELVIS, SPINE3, WRISTS, Body
 
-__all__ = ["Clip", "clips_of", "looks_away", "mirrored"]
+__all__ = ["TrainingClip", "clips_of", "looks_away", "mirrored"]
 
 F32 = NDArray[np.float32]
 
@@ -24,11 +24,11 @@ STILL = 0.55  # m/s below which the ball of a foot stands
 
 
 @dataclass(slots=True)
-class Clip:
+class TrainingClip:
     """One motion at RATE: what is seen, and the truth in the world."""
 
     group: str  # whose it is
-    seen: Seen
+    seen: TrackedFrames
     points: F32  # [T, 7, 3] pelvis, knees, ankles, feet
     pelvis: F32  # [T, 3, 3]
     chest: F32  # [T, 3, 3]
@@ -39,7 +39,7 @@ class Clip:
 
 def clips_of(
     group: str, motion: Motion, skeleton: Skeleton, speeds: Sequence[float] = SPEEDS, made: bool = False
-) -> list[Clip]:
+) -> list[TrainingClip]:
     """The motion at several speeds, and each mirrored; one that is ``made`` of several only at its own."""
     out = []
     for speed in (1.0,) if made else speeds:
@@ -53,14 +53,14 @@ def clips_of(
     return out
 
 
-def _clip(group: str, motion: Motion, skeleton: Skeleton, speed: float) -> Clip:
+def _clip(group: str, motion: Motion, skeleton: Skeleton, speed: float) -> TrainingClip:
     truth = truth_from_motion(skeleton, motion.rotations, motion.trans, motion.fps * speed, RATE)
     body = Body.of(skeleton)
     p, f = truth.positions, truth.frames
     eye = p[:, HEAD] + f[:, HEAD] @ np.array(body.eye)
     tracked = np.ones((len(p), 2))
     wrists = list(WRISTS)
-    seen = Seen(
+    seen = TrackedFrames(
         *[a.astype(np.float32) for a in (eye, yaw_of(f[:, HEAD]), f[:, HEAD], p[:, wrists], f[:, wrists], tracked)]
     )
     feet = p[:, list(FEET)]
@@ -68,18 +68,18 @@ def _clip(group: str, motion: Motion, skeleton: Skeleton, speed: float) -> Clip:
     contact = speed_of < STILL  # heights say little: captured floors and retargeted ankles are centimetres off
     points = p[:, [PELVIS, *KNEES, *ANKLES, *FEET]]
     of_points, pelvis, chest, stands = (a.astype(np.float32) for a in (points, f[:, PELVIS], f[:, SPINE3], contact))
-    return Clip(group, seen, of_points, pelvis, chest, stands)
+    return TrainingClip(group, seen, of_points, pelvis, chest, stands)
 
 
-def mirrored(clip: Clip) -> Clip:
+def mirrored(clip: TrainingClip) -> TrainingClip:
     """Left and right exchanged: the world reflected in x."""
     flip = np.array([-1, 1, 1], np.float32)
     turn = flip[:, None] * flip
     seen = clip.seen
     other = [1, 0]
-    return Clip(
+    return TrainingClip(
         clip.group,
-        Seen(
+        TrackedFrames(
             seen.eye * flip,
             -seen.yaw,
             seen.head * turn,
@@ -94,13 +94,13 @@ def mirrored(clip: Clip) -> Clip:
     )
 
 
-def looks_away(clip: Clip) -> bool:
+def looks_away(clip: TrainingClip) -> bool:
     """Whether the head is turned off the chest by more than AWAY most of the time: a marker was lost, not a person."""
     off = (clip.seen.yaw - yaw_of(clip.chest) + np.pi) % (2 * np.pi) - np.pi
     return bool(np.degrees(np.median(np.abs(off))) > AWAY)
 
 
-def targets_of(clip: Clip, unit: float) -> F32:
+def targets_of(clip: TrainingClip, unit: float) -> F32:
     """[T, OUTPUTS] that the network should say; contacts 0 or 1. The last moment repeats what is ahead."""
     t, yaw = len(clip.points), clip.seen.yaw
     ground = clip.seen.eye * np.array([1, 0, 1], np.float32)

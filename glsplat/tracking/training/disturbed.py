@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.rotations import rotation_matrices
-from glsplat.tracking.learned.frames import TICK, Seen, yaw_of
+from glsplat.tracking.learned.frames import TICK, TrackedFrames, yaw_of
 
 __all__ = ["disturbed"]
 
@@ -26,7 +26,7 @@ HELD, SHIFT = 1.6, 0.11  # seconds a gaze lasts, mean; of two low passes by whic
 NECK = (0.0, -0.07, -0.08)  # from between the eyes to where the head turns, in its frame (of eyes at 1.6 m)
 
 
-def disturbed(seen: Seen, rng: np.random.Generator) -> Seen:
+def disturbed(seen: TrackedFrames, rng: np.random.Generator) -> TrackedFrames:
     """One sequence [T] as a device would see it; the truth stays as it is."""
     t = len(seen.yaw)
     eye, head, at, hand = (a.astype(np.float64) for a in (seen.eye, seen.head, seen.at, seen.hand))
@@ -59,7 +59,7 @@ def disturbed(seen: Seen, rng: np.random.Generator) -> Seen:
                 tracked[int(when / TICK) : int((when + length) / TICK) + 1, side] = 0
                 when += length
     yaw = np.where(head[:, 1, 1] > -0.9, yaw_of(head), seen.yaw)
-    return Seen(*[a.astype(np.float32) for a in (eye, yaw, head, at, hand, tracked)])
+    return TrackedFrames(*[a.astype(np.float32) for a in (eye, yaw, head, at, hand, tracked)])
 
 
 def _elsewhere(

@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.errors import GlsplatError
-from glsplat.tracking.learned.frames import INPUTS, OUTPUTS, Seen, inputs_of, slower
-from glsplat.tracking.learned.network import Network
-from glsplat.tracking.training.clips import Clip, targets_of
+from glsplat.tracking.learned.frames import INPUTS, OUTPUTS, TrackedFrames, inputs_of, slower
+from glsplat.tracking.learned.network import PoseNetwork
+from glsplat.tracking.training.clips import TrainingClip, targets_of
 from glsplat.tracking.training.disturbed import disturbed
 
-__all__ = ["FitConfig", "evaluate", "fit", "network_of", "shares_of"]
+__all__ = ["TrainingConfig", "evaluate", "fit", "network_of", "shares_of"]
 
 F32 = NDArray[np.float32]
 
@@ -24,7 +24,7 @@ AHEAD, AXES, CONTACT, SMOOTH = 0.35, 0.25, 0.04, 1.0  # of the other parts of th
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class FitConfig:
+class TrainingConfig:
     """What is fitted, and for how long."""
 
     width: int = 128  # of the layer in front
@@ -48,7 +48,7 @@ def _torch() -> Any:
     return torch
 
 
-def module(config: FitConfig) -> Any:
+def module(config: TrainingConfig) -> Any:
     """The network as PyTorch has it."""
     torch = _torch()
 
@@ -68,7 +68,7 @@ def module(config: FitConfig) -> Any:
     return Net()
 
 
-def features(seen: Seen, unit: float) -> F32:
+def features(seen: TrackedFrames, unit: float) -> F32:
     """[B, T, INPUTS] of sequences [B, T] that begin with their first moment."""
     b, t = seen.yaw.shape
     back = np.maximum(np.arange(t) - 1, 0)
@@ -76,18 +76,21 @@ def features(seen: Seen, unit: float) -> F32:
     now = np.repeat(seen.eye[:, :1, [0, 2]], 3, 1).astype(np.float32)
     for i in range(t):
         means[:, i] = now = slower(now, seen.eye[:, i])
-    flat = {name: getattr(seen, name) for name in Seen.__slots__}
-    one = Seen(**{name: a.reshape(b * t, *a.shape[2:]) for name, a in flat.items()})
-    before = Seen(**{name: a[:, back].reshape(b * t, *a.shape[2:]) for name, a in flat.items()})
+    flat = {name: getattr(seen, name) for name in TrackedFrames.__slots__}
+    one = TrackedFrames(**{name: a.reshape(b * t, *a.shape[2:]) for name, a in flat.items()})
+    before = TrackedFrames(**{name: a[:, back].reshape(b * t, *a.shape[2:]) for name, a in flat.items()})
     return inputs_of(one, before, means.reshape(b * t, 3, 2), unit).reshape(b, t, INPUTS)
 
 
-def _alone(seen: Seen) -> Seen:
-    return Seen(*[getattr(seen, name)[None] for name in Seen.__slots__])
+def _alone(seen: TrackedFrames) -> TrackedFrames:
+    return TrackedFrames(*[getattr(seen, name)[None] for name in TrackedFrames.__slots__])
 
 
 def fit(
-    clips: Sequence[Clip], unit: float, config: FitConfig, progress: Callable[[int, float], None] | None = None
+    clips: Sequence[TrainingClip],
+    unit: float,
+    config: TrainingConfig,
+    progress: Callable[[int, float], None] | None = None,
 ) -> tuple[Any, F32, F32]:
     """The network, and mean and spread [INPUTS] by which its inputs are normalised."""
     torch = _torch()
@@ -110,7 +113,7 @@ def fit(
             size = min(config.length, whole)
             first = int(rng.integers(0, whole - size + 1))
             part = slice(first, first + size)
-            cut = Seen(*[getattr(seen, name)[part] for name in Seen.__slots__])
+            cut = TrackedFrames(*[getattr(seen, name)[part] for name in TrackedFrames.__slots__])
             odd = disturbed(cut, rng)
             drawn.append(odd)
             y[b, :size] = _seen_from(truths[i][part], cut, odd, unit)
@@ -128,7 +131,7 @@ def fit(
     return net.eval(), mean, spread
 
 
-def shares_of(clips: Sequence[Clip]) -> NDArray[np.float64]:
+def shares_of(clips: Sequence[TrainingClip]) -> NDArray[np.float64]:
     """How often each clip is drawn: by its length, its group's, and whether it is made of several; sum 1."""
     sizes = np.array([len(clip.points) for clip in clips], np.float64)
     hours: dict[str, float] = {}
@@ -142,13 +145,15 @@ def shares_of(clips: Sequence[Clip]) -> NDArray[np.float64]:
     return np.asarray(share / share.sum())
 
 
-def _stacked(drawn: Sequence[Seen], length: int) -> Seen:
+def _stacked(drawn: Sequence[TrackedFrames], length: int) -> TrackedFrames:
     """[B, length] of sequences that may be shorter: the last moment is repeated."""
     keep = [np.minimum(np.arange(length), len(seen.yaw) - 1) for seen in drawn]
-    return Seen(*[np.stack([getattr(s, name)[k] for s, k in zip(drawn, keep, strict=True)]) for name in Seen.__slots__])
+    return TrackedFrames(
+        *[np.stack([getattr(s, name)[k] for s, k in zip(drawn, keep, strict=True)]) for name in TrackedFrames.__slots__]
+    )
 
 
-def _seen_from(truth: F32, clean: Seen, odd: Seen, unit: float) -> F32:
+def _seen_from(truth: F32, clean: TrackedFrames, odd: TrackedFrames, unit: float) -> F32:
     """Targets in the frame of the clean head, in that of the disturbed one: devices are off, bodies are not."""
     t = len(truth)
     turn = odd.yaw - clean.yaw
@@ -185,12 +190,12 @@ def _loss(said: Any, truth: Any, known: Any) -> Any:
     return (whole * known).sum() / known.sum() + SMOOTH * (moved * both).sum() / both.sum()
 
 
-def _normal(clips: Sequence[Clip], unit: float) -> tuple[F32, F32]:
+def _normal(clips: Sequence[TrainingClip], unit: float) -> tuple[F32, F32]:
     every = np.concatenate([features(_alone(clip.seen), unit)[0, ::7] for clip in clips])
     return every.mean(0), np.maximum(every.std(0), 0.05).astype(np.float32)
 
 
-def evaluate(net: Any, mean: F32, spread: F32, clips: Sequence[Clip], unit: float) -> dict[str, float]:
+def evaluate(net: Any, mean: F32, spread: F32, clips: Sequence[TrainingClip], unit: float) -> dict[str, float]:
     """Mean distances in cm of the undisturbed clips, point by point, by what the network alone says."""
     torch = _torch()
 
@@ -211,11 +216,11 @@ def evaluate(net: Any, mean: F32, spread: F32, clips: Sequence[Clip], unit: floa
     }
 
 
-def network_of(net: Any, mean: F32, spread: F32, note: str = "") -> Network:
+def network_of(net: Any, mean: F32, spread: F32, note: str = "") -> PoseNetwork:
     """What runs without PyTorch; normalising goes into the first layer."""
     w = {key: value.detach().numpy().astype(np.float32) for key, value in net.state_dict().items()}
     front = w["front.weight"] / spread
-    return Network(
+    return PoseNetwork(
         np.ascontiguousarray(front, np.float32),
         (w["front.bias"] - front @ mean).astype(np.float32),
         w["cell.weight_ih_l0"],

@@ -14,7 +14,7 @@ from apps.replay import command as replay
 from apps.serve import command as serve
 from apps.serve.rooms import RoomChoice, check_rooms, open_rooms, room_choice
 from apps.usage import UsageError
-from glsplat.net.backend import Offered, Solved
+from glsplat.net.backend import AvatarInfo, Solved
 from glsplat.net.messages import Request
 from glsplat.net.server import ServerConfig
 from glsplat.skinning.pose import Pose
@@ -80,7 +80,7 @@ def test_a_crowd_that_does_not_fit_is_refused(words: list[str], why: str) -> Non
 
 def test_a_crowd_is_one_command(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     backend = FakeBackend()
-    offered = [Offered(name="ann", skeleton=RIG, solver=lambda height, span: Solver(), parts=frozenset(["head"]))]
+    offered = [AvatarInfo(name="ann", skeleton=RIG, solver=lambda height, span: Solver(), parts=frozenset(["head"]))]
     with Served(backend, ServerConfig(port=0, rooms={"lab": 3}), offered=offered) as served:
         url = f"ws://127.0.0.1:{served.port}/ws"
         words = ("--url", url, "--room", "lab", "--size", "32x32", "--fps", "30")

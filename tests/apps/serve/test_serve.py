@@ -275,14 +275,14 @@ def test_an_opengl_error_costs_that_picture_only(backend, caplog):
     async def main():
         server = Server(backend, ServerConfig(port=0))
         await server.start()
-        prepare, gl = backend._stands.get().renderer.prepare, ctypes.CDLL("libGL.so.1")
+        prepare, gl = backend._pool.get().renderer.prepare, ctypes.CDLL("libGL.so.1")
 
         def faulty(cameras, pose):
             if cameras[0].width == 80:
                 gl.glEnable(0x1234)  # GL_INVALID_ENUM
             return prepare(cameras, pose)
 
-        backend._stands.get().renderer.prepare = faulty
+        backend._pool.get().renderer.prepare = faulty
         try:
             async with Client(server.url) as good, Client(server.url) as bad:
                 before = await good.render(eyes, pose=pose)
@@ -291,7 +291,7 @@ def test_an_opengl_error_costs_that_picture_only(backend, caplog):
                         await bad.render(wide)
                     after = await good.render(eyes, pose=pose)
                     assert after.pictures == before.pictures
-                backend._stands.get().renderer.prepare = prepare
+                backend._pool.get().renderer.prepare = prepare
                 assert (await bad.render(wide)).images()[0].shape == (64, 80, 3)
                 return server.stats()
         finally:
@@ -319,7 +319,7 @@ def test_a_lost_context_is_made_anew(backend, caplog):
         try:
             async with Client(server.url) as client:
                 before = await client.render(eyes, pose=pose)
-                await asyncio.get_running_loop().run_in_executor(server.pump._render_thread, lose_context)
+                await asyncio.get_running_loop().run_in_executor(server.render_loop._render_thread, lose_context)
                 with pytest.raises(ProtocolError, match=r"^the picture could not be drawn$"):
                     await client.render(eyes, pose=pose)
                 after = await client.render(eyes, pose=pose)  # on the same connection

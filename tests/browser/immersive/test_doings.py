@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from glsplat.net.backend import Offered
+from glsplat.net.backend import AvatarInfo
 from glsplat.tracking.recording import replay
 from glsplat.tracking.sample import Sample, wrist_from_grip
 from tests.browser.conftest import OpenPage
@@ -50,7 +50,7 @@ def told() -> Told:
 
 
 def inside(open_page: OpenPage, serve: Any, told: Told, device: dict[str, Any] | None = None, **values: Any) -> Opened:
-    served = serve(told.backend, offered=(Offered(name="stored", solver=told.solver, height=1.75),))
+    served = serve(told.backend, offered=(AvatarInfo(name="stored", solver=told.solver, height=1.75),))
     page = visit(open_page, served, {"view": "mirror"} | values, accept_downloads=True)
     around = hands(pose([-0.72, 1.45, 0]), pose([0.72, 1.45, 0]))  # arms stretched sideways
     steer(page, **({"head": pose([0, 1.65, 0]), "input": "hands", "hands": around, "side": SMALL} | (device or {})))

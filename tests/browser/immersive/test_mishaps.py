@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from glsplat.net.backend import Offered
+from glsplat.net.backend import AvatarInfo
 from glsplat.net.guard.access import Access
 from glsplat.net.server import ServerConfig
 from tests.browser.conftest import OpenPage
@@ -16,7 +16,7 @@ from tests.browser.opened import Opened
 from tests.browser.stored import StoredPairs
 from tests.browser.vr import enter, hands, pose, steer, visit
 
-OFFERED = (Offered(name="stored", solver=as_tracked, height=1.75, parts=frozenset({"head"})),)
+OFFERED = (AvatarInfo(name="stored", solver=as_tracked, height=1.75, parts=frozenset({"head"})),)
 SMALL = 256  # pixels of an eye: what is tested here is not in the pixels
 LOST = ["WebSocket connection to", "net::ERR_CONNECTION", "Failed to load resource"]  # what Chromium itself says of it
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from glsplat.net.backend import Offered
+from glsplat.net.backend import AvatarInfo
 from glsplat.net.pace import stages
 from tests.browser.conftest import OpenPage
 from tests.browser.markers import Markers, as_tracked
@@ -16,7 +16,7 @@ from tests.browser.opened import Opened
 from tests.browser.stored import StoredPairs
 from tests.browser.vr import enter, hands, pose, steer, visit
 
-OFFERED = (Offered(name="stored", solver=as_tracked, height=1.75, parts=frozenset({"head"})),)
+OFFERED = (AvatarInfo(name="stored", solver=as_tracked, height=1.75, parts=frozenset({"head"})),)
 WINDOW = (640, 400)  # pixels: a software rasterizer is to spend its time on little else than the pictures
 
 

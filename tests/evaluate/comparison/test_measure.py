@@ -13,14 +13,14 @@ from glsplat.evaluate.comparison.participant import Participant
 from glsplat.evaluate.comparison.parts import PARTS
 from glsplat.evaluate.comparison.performance import perform
 from glsplat.evaluate.comparison.protocol import Protocol
-from glsplat.evaluate.comparison.stage import Stage, Truth
+from glsplat.evaluate.comparison.stage import Stage, StageTruth
 
 PROTOCOL = Protocol(tasks=("waving",), views=("left",), size=128, light="none")
 Change = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 
 @pytest.fixture(scope="module")
-def truths(people: list[Participant]) -> tuple[Truth, Truth]:
+def truths(people: list[Participant]) -> tuple[StageTruth, StageTruth]:
     """The same moment of two people."""
     out = []
     for one in people[:2]:
@@ -29,7 +29,7 @@ def truths(people: list[Participant]) -> tuple[Truth, Truth]:
     return out[0], out[1]
 
 
-def measured(truth: Truth, pictures: np.ndarray) -> dict:
+def measured(truth: StageTruth, pictures: np.ndarray) -> dict:
     scores = Scores(PROTOCOL, 1)
     scores.add("pose", 0, 0, Reference.of(truth, PROTOCOL), pictures)
     return scores.to_json(9)
@@ -47,7 +47,7 @@ CHANGES: dict[str, Change] = {
 
 @pytest.mark.usefixtures("no_lpips")
 @pytest.mark.parametrize("name", CHANGES)
-def test_figures_are_those_by_hand(truths: tuple[Truth, Truth], name: str) -> None:
+def test_figures_are_those_by_hand(truths: tuple[StageTruth, StageTruth], name: str) -> None:
     truth, other = truths
     pictures = CHANGES[name](truth.pictures, other.pictures)
     found = measured(truth, pictures)
@@ -73,7 +73,7 @@ def test_figures_are_those_by_hand(truths: tuple[Truth, Truth], name: str) -> No
 
 
 @pytest.mark.usefixtures("no_lpips")
-def test_changes_are_told_apart(truths: tuple[Truth, Truth]) -> None:
+def test_changes_are_told_apart(truths: tuple[StageTruth, StageTruth]) -> None:
     """The larger mistake has the larger figure: a pixel, both eyes swapped, somebody else."""
     truth, other = truths
     values = {
@@ -88,9 +88,9 @@ def test_changes_are_told_apart(truths: tuple[Truth, Truth]) -> None:
 
 
 @pytest.mark.usefixtures("no_lpips")
-def test_a_part_that_is_not_seen_has_no_figure(truths: tuple[Truth, Truth]) -> None:
+def test_a_part_that_is_not_seen_has_no_figure(truths: tuple[StageTruth, StageTruth]) -> None:
     truth = truths[0]
-    hidden = Truth(
+    hidden = StageTruth(
         truth.cameras, truth.pictures, np.where(truth.regions == PARTS.index("face"), np.int8(-1), truth.regions)
     )
     found = measured(hidden, cv2.GaussianBlur(truth.pictures[0], (5, 5), 0)[None].repeat(2, axis=0))

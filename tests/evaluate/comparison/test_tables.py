@@ -14,7 +14,7 @@ from glsplat.evaluate.comparison import work as working
 from glsplat.evaluate.comparison.method import method_of
 from glsplat.evaluate.comparison.participant import Participant
 from glsplat.evaluate.comparison.protocol import Protocol
-from glsplat.evaluate.comparison.stage import Stage, Truth
+from glsplat.evaluate.comparison.stage import Stage, StageTruth
 from glsplat.evaluate.comparison.work import Result, Task, work
 
 Pictures = dict[tuple[str, int, str], np.ndarray]
@@ -58,7 +58,7 @@ def compare(
     """The comparison of a method that sees what is ``wrong`` with the truth."""
 
     class Told(Stage):
-        def truth(self, moment: int, view: str) -> Truth:
+        def truth(self, moment: int, view: str) -> StageTruth:
             found = super().truth(moment, view)
             self.key = current, moment, view
             pictures[self.key] = found.pictures

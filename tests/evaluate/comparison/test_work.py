@@ -13,7 +13,7 @@ import pytest
 from glsplat.errors import FormatError, GlsplatError
 from glsplat.evaluate.comparison import tables
 from glsplat.evaluate.comparison import work as working
-from glsplat.evaluate.comparison.method import Folder, method_of
+from glsplat.evaluate.comparison.method import MadeElsewhere, method_of
 from glsplat.evaluate.comparison.participant import Participant, participants_in
 from glsplat.evaluate.comparison.protocol import Protocol
 from glsplat.evaluate.comparison.work import Result, Task, finished, work
@@ -145,7 +145,7 @@ def test_a_folder_of_files_is_a_method(people, short, tmp_path) -> None:
     splats = load(made / f"{people[0].name}.glb").splats
     save(splats, made / f"{people[1].name}.ply")
     name, source = method_of(f"mine={made}")
-    assert isinstance(source, Folder)
+    assert isinstance(source, MadeElsewhere)
     results = [r for one in people[:3] for r in work(Task(one, {name: source}, short, tmp_path / "out"), quiet)]
     facts = results[0].data["product"]
     assert (facts["kind"], facts["count"], facts["seconds"]) == ("splats", len(splats), None)
@@ -170,7 +170,7 @@ def test_other_processes_report_results_failures_and_their_end(people, short, pl
 
 def test_words_of_the_command_line(tmp_path) -> None:
     assert method_of("photo") == ("photo", "photo")
-    assert method_of(f"a-b_1={tmp_path}") == ("a-b_1", Folder(tmp_path))
+    assert method_of(f"a-b_1={tmp_path}") == ("a-b_1", MadeElsewhere(tmp_path))
     for word, message in (
         ("nobody", 'no method is called "nobody"'),
         ("../x=.", "letters, digits"),

@@ -16,9 +16,9 @@ from glsplat.errors import ProtocolError
 from glsplat.net.accounts import users
 from glsplat.net.accounts.rights import Rights
 from glsplat.net.accounts.users import Accounts, User, new_user, write_users
-from glsplat.net.backend import Offered
+from glsplat.net.backend import AvatarInfo
 from glsplat.net.client import Client
-from glsplat.net.guard import door
+from glsplat.net.guard import gate
 from glsplat.net.guard.access import Access
 from glsplat.net.messages import WireOptions
 from glsplat.net.options import client_options
@@ -28,7 +28,7 @@ from glsplat.skinning.skeleton import Skeleton
 from tests.net.wire import HANG, until
 
 RIG = Skeleton.from_joints(["root"], [-1], [[0.0, 0.0, 0.0]])  # people of rooms have joints
-OFFERED = tuple(Offered(name=name, skeleton=RIG) for name in ("default", "ann", "bob"))
+OFFERED = tuple(AvatarInfo(name=name, skeleton=RIG) for name in ("default", "ann", "bob"))
 WS = {
     "Upgrade": "websocket",
     "Connection": "Upgrade",
@@ -201,18 +201,18 @@ def test_one_token_is_as_before(serve, cameras):
 def test_only_so_many_tokens_wait_to_be_looked_at(serve, made, monkeypatch):
     """And who was let in before does not wait behind them."""
     config, tokens, _ = made
-    hashed, gate = users._hashed, threading.Event()
-    monkeypatch.setattr(door, "_MOST_LOGINS", 2)
+    hashed, opened = users._hashed, threading.Event()
+    monkeypatch.setattr(gate, "_MOST_LOGINS", 2)
 
     async def main():
         async with serve(config=config, offered=OFFERED) as server:
             first = (await get(server, "/session", tokens["boss"]))[0]
-            monkeypatch.setattr(users, "_hashed", lambda *words: gate.wait(HANG) and hashed(*words))
+            monkeypatch.setattr(users, "_hashed", lambda *words: opened.wait(HANG) and hashed(*words))
             waiting = [asyncio.create_task(get(server, "/session", f"eve.guess{i}")) for i in range(4)]
             await until(lambda: sum(task.done() for task in waiting) == 2)
             known = (await get(server, "/session", tokens["boss"]))[0]
             assert sum(task.done() for task in waiting) == 2
-            gate.set()
+            opened.set()
             return first, known, sorted([status for status, _ in await asyncio.gather(*waiting)])
 
     assert asyncio.run(main()) == (200, 200, [401, 401, 429, 429])

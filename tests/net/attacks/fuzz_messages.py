@@ -95,7 +95,7 @@ FORMS = [json.dumps(form) for form in valid(1)]
 
 
 class _Peer:
-    """A client's session with a pump that draws now and then; begun anew when it is closed."""
+    """A client's session with a render loop that draws now and then; begun anew when it is closed."""
 
     def __init__(self, chance: Random, findings: Findings) -> None:
         self.chance, self.findings = chance, findings
@@ -131,7 +131,7 @@ class _Peer:
             return str(error["code"])
         if outcome is not None:
             self.check(outcome)
-        self.pump()
+        self.render_loop()
         return "nothing asked" if outcome is None else "accepted"
 
     def check(self, r: Request) -> None:
@@ -153,7 +153,7 @@ class _Peer:
         if pose is not None and len(pose.rotations) == len(self.skeleton) and self.chance.random() < 0.2:
             assert np.isfinite(pose.bones(self.skeleton)).all()
 
-    def pump(self) -> None:
+    def render_loop(self) -> None:
         """Take, write or fail pictures at random; the window holds."""
         if self.chance.random() < 0.5 and (taken := self.session.next_request(self.now)) is not None:
             self.taken.append(taken[0])

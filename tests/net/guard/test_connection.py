@@ -11,7 +11,7 @@ import aiohttp
 import pytest
 from aiohttp import web
 
-from glsplat.net.guard.connection import Connection
+from glsplat.net.guard.connection import GuardedConnection
 
 CHECK = "look at glsplat/net/guard/connection.py, run tests/net/guard and tests/net/attacks, then raise the bound"
 THEIRS = {
@@ -34,6 +34,6 @@ def test_aiohttp_is_one_that_the_connection_was_tested_with() -> None:
 
 @pytest.mark.parametrize("name", THEIRS)
 def test_what_is_overridden_is_there_and_takes_the_same(name: str) -> None:
-    assert name in vars(Connection)
-    for kind in (web.RequestHandler, Connection):
+    assert name in vars(GuardedConnection)
+    for kind in (web.RequestHandler, GuardedConnection):
         assert list(inspect.signature(getattr(kind, name)).parameters) == THEIRS[name], f"{kind}: {CHECK}"

@@ -12,12 +12,12 @@ import pytest
 from glsplat.net.backend import Solved
 from glsplat.net.guard.addresses import Addresses
 from glsplat.net.guard.duplicates import has_duplicates
-from glsplat.net.guard.limits import Bucket, Budget, Limits, Purse, Strikes, address_key
+from glsplat.net.guard.limits import Bucket, ClientQuota, CpuBudget, Limits, Strikes, address_key
 from glsplat.net.guard.meter import FrameMeter
 from glsplat.net.guard.reading import Reading
 from glsplat.net.messages import Decoder, Request
+from glsplat.net.pose_queue import PoseQueue
 from glsplat.net.session import Session
-from glsplat.net.solving import Solving
 from glsplat.skinning.pose import Pose
 from glsplat.tracking.sample import Sample
 from tests.net.wire import frame, native
@@ -27,7 +27,7 @@ PING, TEXT = frame(0x9, b""), 0x1
 
 
 def meter(limits=LIMITS):
-    return FrameMeter(Purse(limits, 0.0), limits)
+    return FrameMeter(ClientQuota(limits, 0.0), limits)
 
 
 @pytest.mark.parametrize(
@@ -101,9 +101,9 @@ def test_the_meter_counts_the_same_however_the_bytes_arrive():
             assert client.feed(data[at : at + step], 0.0) == (len(data[at : at + step]), None)
             at += step
         control = sum(k >= 8 for k in kinds)
-        purse = client._purse
-        assert purse.control.level == limits.control_burst - control
-        assert purse.frames.level == limits.frames_burst - (len(kinds) - control)
+        quota = client._quota
+        assert quota.control.level == limits.control_burst - control
+        assert quota.frames.level == limits.frames_burst - (len(kinds) - control)
 
 
 def test_frames_without_a_mask_are_refused_at_once():
@@ -119,11 +119,11 @@ def test_connecting_again_brings_no_fresh_budget():
     limits = Limits(frames=10, frames_burst=100, visits_burst=1e9)
     addresses, now, passed = Addresses(limits, per_address=2), 0.0, 0
     for _ in range(1000):  # a flooder that comes back as soon as it is thrown out, for 10 s
-        purse = addresses.enter("a", now)
-        allowed, breach = FrameMeter(purse, limits).feed(frame(0x1, b"") * 500, now)
+        quota = addresses.enter("a", now)
+        allowed, breach = FrameMeter(quota, limits).feed(frame(0x1, b"") * 500, now)
         assert breach is not None
         passed += allowed // len(frame(0x1, b""))
-        addresses.leave("a", purse, now)
+        addresses.leave("a", quota, now)
         now += 0.01
     assert passed <= 2 * (limits.frames_burst + limits.frames * 10) + 2
 
@@ -159,7 +159,7 @@ def test_hold_offs_double_and_are_forgotten():
 def test_the_table_of_addresses_is_bounded_and_keeps_those_that_matter():
     limits = Limits(addresses=100, guesses=0)
     addresses = Addresses(limits, per_address=4)
-    purse = addresses.enter("client", 0.0)
+    quota = addresses.enter("client", 0.0)
     addresses.breach("bad", 0.0)
     for i in range(10_000):
         addresses.visit(f"stranger {i}", 1.0)
@@ -168,7 +168,7 @@ def test_the_table_of_addresses_is_bounded_and_keeps_those_that_matter():
     for i in range(10_000):  # even if all of them are bad
         addresses.guess(f"guesser {i}", 2.0)
     assert len(addresses) == 100
-    addresses.leave("client", purse, 3.0)
+    addresses.leave("client", quota, 3.0)
 
 
 def test_a_bucket_takes_no_time_backwards():
@@ -241,7 +241,7 @@ def test_a_session_refuses_duplicates():
 
 def test_beyond_its_part_of_the_time_only_the_newest_message_is_read():
     """Two clients, one that sends what takes all the time there is; the other's messages are all read."""
-    budget, now = Budget(0.2, 0.0), 0.0
+    budget, now = CpuBudget(0.2, 0.0), 0.0
     greedy, good = Reading(budget.open(0.0)), Reading(budget.open(0.0))
     read = {greedy: [], good: []}
     for i in range(2000):  # 20 s
@@ -261,7 +261,7 @@ def test_beyond_its_part_of_the_time_only_the_newest_message_is_read():
 
 
 def test_the_time_is_divided_by_address_and_then_by_client():
-    budget = Budget(0.3, 0.0)
+    budget = CpuBudget(0.3, 0.0)
     mine, others = budget.open(0.0, "a"), [budget.open(0.0, "b") for _ in range(3)]
     assert mine.part.rate == pytest.approx(0.15) and [s.part.rate for s in others] == pytest.approx([0.05] * 3)
     spent = dict.fromkeys([mine, *others], 0.0)
@@ -311,12 +311,12 @@ class Timed:
 def clients(rates, cost, seconds, limits=LIMITS):
     """Samples solved of each client, at its own rate, on one thread whose samples take ``cost`` seconds."""
     clock, thread = [0.0], Stepped()
-    budget = Budget(limits.work, 0.0)
+    budget = CpuBudget(limits.work, 0.0)
     solvers = [Timed(clock, cost) for _ in rates]
     each = []
     for solver in solvers:
-        solving = Solving(solver, thread, lambda: clock[0], lambda: clock[0])
-        solving.share, solving.samples = budget.open(0.0), Purse(limits, 0.0).samples
+        solving = PoseQueue(solver, thread, lambda: clock[0], lambda: clock[0])
+        solving.share, solving.samples = budget.open(0.0), ClientQuota(limits, 0.0).samples
         each.append(solving)
     sent = [0] * len(rates)
     while clock[0] < seconds:
@@ -358,8 +358,8 @@ def test_above_the_rate_of_one_client_only_the_newest_is_solved():
 def test_what_samples_will_cost_is_spent_before_they_are_solved():
     """A thread that lags behind leaves nobody room to queue more than the budget; what is not solved costs nothing."""
     clock, thread = [0.0], Stepped()
-    budget, solver = Budget(0.25, 0.0), Timed(clock, 0.01)
-    solving = Solving(solver, thread, lambda: clock[0], lambda: clock[0])
+    budget, solver = CpuBudget(0.25, 0.0), Timed(clock, 0.01)
+    solving = PoseQueue(solver, thread, lambda: clock[0], lambda: clock[0])
     solving.share = budget.open(0.0)
 
     def sent(first):
@@ -388,9 +388,9 @@ def test_what_samples_will_cost_is_spent_before_they_are_solved():
 def test_what_was_put_off_is_solved_when_its_picture_is_due():
     clock, thread = [0.0], Stepped()
     solver = Timed(clock, 0.001)
-    solving = Solving(solver, thread, lambda: clock[0])
+    solving = PoseQueue(solver, thread, lambda: clock[0])
     limits = Limits(samples=0.0, samples_burst=2.0)
-    solving.samples = Purse(limits, 0.0).samples
+    solving.samples = ClientQuota(limits, 0.0).samples
     for frame_id in range(1, 8):
         clock[0] = frame_id * 0.01
         solving.add(Request(frame_id=frame_id, cameras=(), tracking=Sample(0.0)))

@@ -72,7 +72,7 @@ def test_what_a_host_may_be_called_is_escaped():
 
 
 def test_a_page_draws_few_codes_and_each_once(monkeypatch):
-    drawn, codes = [], qr.Codes(most=2)
+    drawn, codes = [], qr.QrCodes(most=2)
     monkeypatch.setattr(qr, "svg", lambda text: drawn.append(text) or f"<svg>{text}</svg>")
 
     async def main():

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from glsplat.net.backend import Offered
+from glsplat.net.backend import AvatarInfo
 from glsplat.net.client import Client
 from glsplat.net.guard.access import Access
 from glsplat.net.guard.limits import Limits
@@ -92,7 +92,7 @@ def test_the_address_without_a_slash_leads_to_the_page_and_keeps_what_was_asked(
         *("/vr/../stats", "/vr/..%2fstats", "/vr/%2e%2e/stats", "/vr/./../session", "//vr/../stats", "/vr//../stats"),
         *(
             "/vr/%2e%2e%2f__init__.py",
-            "/vr/../pump.py",
+            "/vr/../server.py",
             "/vr//etc/passwd",
             "/vr/index.html%00.js",
             "/vr/.",
@@ -142,8 +142,8 @@ def test_a_page_of_many_files_costs_a_few_visits(serve):
 
 def test_what_the_server_offers(serve):
     offered = [
-        Offered(name="ann", solver=lambda height, span: None, height=1.71234567, parts=frozenset({"head"})),
-        Offered(name="a room"),
+        AvatarInfo(name="ann", solver=lambda height, span: None, height=1.71234567, parts=frozenset({"head"})),
+        AvatarInfo(name="a room"),
     ]
     config = ServerConfig(port=0, max_clients=1, wire=WireOptions(size=(640, 480), quality=70))
 

@@ -29,7 +29,7 @@ class Hands:
 
 @pytest.fixture
 def hands(monkeypatch: pytest.MonkeyPatch) -> Hands:
-    """What the server reads; a pump is given it once it is there."""
+    """What the server reads; a render loop is given it once it is there."""
     clock = Hands()
     for module in (conversation, server):
         monkeypatch.setattr(module, "clock", clock)

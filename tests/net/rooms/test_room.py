@@ -14,9 +14,9 @@ from hypothesis import strategies as st
 from glsplat.camera import Camera, look_at, pinhole
 from glsplat.errors import ProtocolError
 from glsplat.net.accounts.users import User
-from glsplat.net.backend import Offered
+from glsplat.net.backend import AvatarInfo
 from glsplat.net.messages import WireOptions
-from glsplat.net.options import NAME, NOT_ALLOWED, Asked, client_options
+from glsplat.net.options import NAME, NOT_ALLOWED, RequestedOptions, client_options
 from glsplat.net.rooms.person import AHEAD, FADE, SILENT, Moved, Person
 from glsplat.net.rooms.room import Room, RoomError
 from glsplat.net.rooms.rooms import Rooms
@@ -251,7 +251,7 @@ def test_who_comes_waits_until_another_thread_is_done(call: Callable[[Room, Pers
     assert waits and room.count(1.0) >= 2
 
 
-def asked(user: User | None = None, **query: str) -> Asked:
+def asked(user: User | None = None, **query: str) -> RequestedOptions:
     return client_options(query, WireOptions(), SessionConfig(), ["default"], user=user)
 
 
@@ -301,7 +301,7 @@ QUERY = st.dictionaries(
 @given(QUERY, st.sampled_from([None, User(name="ann", rooms=("lab",), avatars=("default",))]))
 def test_whatever_is_asked_for_is_understood_or_refused(query: dict[str, str], user: User | None) -> None:
     rooms = Rooms({"lab": 2})
-    shown = Offered(name="default", skeleton=Skeleton.from_joints(["root"], [-1], [[0.0, 0.0, 0.0]]))
+    shown = AvatarInfo(name="default", skeleton=Skeleton.from_joints(["root"], [-1], [[0.0, 0.0, 0.0]]))
     try:
         wish = asked(user, **query)
         member = rooms.join(wish, shown, 1, "here", 0.0, lambda: None)

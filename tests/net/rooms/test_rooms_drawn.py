@@ -20,16 +20,16 @@ from glsplat.gl.context import Context, create_context
 from glsplat.net.backend import RenderJob
 from glsplat.net.backends.labels import Label, notice
 from glsplat.net.backends.lettering import draw_labels
-from glsplat.net.backends.room import RoomStand
+from glsplat.net.backends.renderer_pool import RendererPool, SceneRenderer
+from glsplat.net.backends.room import RoomRenderer
 from glsplat.net.backends.server import make_server
-from glsplat.net.backends.shown import Stand, Stands
 from glsplat.net.client import Client
 from glsplat.net.codec.encode import Encoder
 from glsplat.net.messages import PictureOptions, WireOptions
-from glsplat.net.rooms.view import Present, RoomView
+from glsplat.net.rooms.view import RoomView, VisiblePerson
 from glsplat.net.server import ServerConfig
 from glsplat.renderer import Renderer
-from glsplat.scene import Figure, Item, Scene, similarity
+from glsplat.scene import Item, Rigged, Scene, similarity
 from glsplat.scenes.scene_file import SceneFile
 from glsplat.skinning.pose import Pose
 from tests.scene.people import boxes
@@ -131,8 +131,8 @@ def _above(person: Avatar, number: int, seat: NDArray[np.float64]) -> NDArray[np
 @pytest.mark.gl
 def test_each_person_is_skinned_once_a_tick(context: Context, person: Avatar) -> None:
     """Six people, six viewers with their own heads left out: two item passes (body, head) a person and tick."""
-    stands = standing(context, person)
-    people = [Present(i, f"P{i}", "", arm(i), similarity((i, 0, 0)), label=f"P{i}") for i in range(6)]
+    pool = standing(context, person)
+    people = [VisiblePerson(i, f"P{i}", "", arm(i), similarity((i, 0, 0)), label=f"P{i}") for i in range(6)]
     posed = []
     for tick in range(4):
         for viewer in range(6):
@@ -140,12 +140,12 @@ def test_each_person_is_skinned_once_a_tick(context: Context, person: Avatar) ->
             request = RenderJob(
                 frame_id=1, cameras=tuple(EYES), options=HEADLESS, room=RoomView("lab", tick, viewer, tuple(people))
             )
-            stand = stands.of(request)
-            stand.follow(request, 0.0)
-            stand.renderer.selector = stand.selector(viewer)
-            stand.renderer.render(stand.views(request))
-            posed.append(stand.renderer.stats.posed)
-    stands.release()
+            one = pool.of(request)
+            one.follow(request, 0.0)
+            one.renderer.selector = one.selector(viewer)
+            one.renderer.render(one.views(request))
+            posed.append(one.renderer.stats.posed)
+    pool.release()
     assert sum(posed) == 2 * 6 * 4 - 1  # nobody has looked at the last viewer's head since
 
 
@@ -161,54 +161,54 @@ def drawing(context: Context) -> Callable[[Scene], Renderer]:
     return partial(Renderer, size=(SIZE, SIZE), config=RenderConfig(output="uint8"), context=context)
 
 
-def left_out(stand: Stand | RoomStand, request: RenderJob) -> list[Item]:
-    return [item for item in stand.scene if not item.layers & stand.views(request)[0].layers]
+def left_out(one: SceneRenderer | RoomRenderer, request: RenderJob) -> list[Item]:
+    return [item for item in one.scene if not item.layers & one.views(request)[0].layers]
 
 
-def standing(context: Context, person: Figure) -> Stands:
+def standing(context: Context, person: Rigged) -> RendererPool:
     """An empty room in which everybody is that person."""
-    return Stands(Scene([Item(person)]), {}, drawing(context), {"lab": SceneFile.of(Scene())})
+    return RendererPool(Scene([Item(person)]), {}, drawing(context), {"lab": SceneFile.of(Scene())})
 
 
 @pytest.mark.gl
 def test_labels_cannot_be_left_out_and_fade_with_their_people(context: Context, person: Avatar) -> None:
-    stands = standing(context, person)
+    pool = standing(context, person)
     two = (
-        Present(1, "Ann", "", arm(0), np.eye(4), label="driven by Ann"),
-        Present(2, "Bob", "", arm(1), similarity((0, 0, 2)), opacity=0.0, label="driven by Bob"),
+        VisiblePerson(1, "Ann", "", arm(0), np.eye(4), label="driven by Ann"),
+        VisiblePerson(2, "Bob", "", arm(1), similarity((0, 0, 2)), opacity=0.0, label="driven by Bob"),
     )
     request = RenderJob(frame_id=1, cameras=tuple(EYES), room=RoomView("lab", 0, 1, two))
-    stand = stands.of(request)
-    stand.follow(request, 0.0)
-    assert [label.text for label in stand.labels(request)] == ["driven by Ann", "driven by Bob"]
-    assert [label.opacity for label in stand.labels(request)] == [1.0, 0.0]
-    assert [item.name for item in left_out(stand, request)] == ["Bob", "Bob"]
+    one = pool.of(request)
+    one.follow(request, 0.0)
+    assert [label.text for label in one.labels(request)] == ["driven by Ann", "driven by Bob"]
+    assert [label.opacity for label in one.labels(request)] == [1.0, 0.0]
+    assert [item.name for item in left_out(one, request)] == ["Bob", "Bob"]
     own = replace(request, options=HEADLESS)
-    assert [label.text for label in stand.labels(own)] == ["driven by Bob"]
-    assert len(left_out(stand, own)) == 3
+    assert [label.text for label in one.labels(own)] == ["driven by Bob"]
+    assert len(left_out(one, own)) == 3
     gone = replace(request, room=RoomView("lab", 1, 1, two[:1]))
-    stand.follow(gone, 0.0)
-    assert len(stand.scene) == 2
-    stands.release()
+    one.follow(gone, 0.0)
+    assert len(one.scene) == 2
+    pool.release()
 
 
 @pytest.mark.gl
 def test_a_person_of_triangles_loses_the_head_for_their_own_eyes_only(context: Context) -> None:
     mesh, poses = boxes(), (arm(0), arm(1))
-    stands = standing(context, mesh)
+    pool = standing(context, mesh)
     places = (np.eye(4), similarity((0.5, 0, 2)))
-    two = tuple(Present(i, f"P{i}", "", poses[i], places[i]) for i in range(2))
+    two = tuple(VisiblePerson(i, f"P{i}", "", poses[i], places[i]) for i in range(2))
     for viewer, hide in ((0, ("head",)), (1, ("head",)), (0, ())):
         room = RoomView("lab", 0, viewer, two)
         request = RenderJob(frame_id=1, cameras=tuple(EYES), options=PictureOptions(hide=hide), room=room)
-        stand = stands.of(request)
-        stand.follow(request, 0.0)
-        images = stand.renderer.render(stand.views(request))
+        one = pool.of(request)
+        one.follow(request, 0.0)
+        images = one.renderer.render(one.views(request))
         shown = [mesh.without("head") if hide and i == viewer else mesh for i in range(2)]
         whole = Scene(Item(one, pose=poses[i], transform=places[i]) for i, one in enumerate(shown))
         with drawing(context)(whole) as renderer:
             assert np.array_equal(images, renderer.render(request.cameras))
-    stands.release()
+    pool.release()
 
 
 def test_a_label_is_at_its_place_in_both_eyes() -> None:

@@ -14,7 +14,7 @@ import pytest
 
 from glsplat.camera import head_matrix, stereo_cameras
 from glsplat.errors import ProtocolError
-from glsplat.net.backend import Offered, RenderJob, Solved
+from glsplat.net.backend import AvatarInfo, RenderJob, Solved
 from glsplat.net.client import Client
 from glsplat.net.guard.limits import Limits
 from glsplat.net.messages import Request
@@ -41,8 +41,8 @@ class Solver:
 
 
 OFFERS = (
-    Offered(name="ann", skeleton=RIG, solver=lambda height, span: Solver(), parts=frozenset(["head"])),
-    Offered(name="scenery"),
+    AvatarInfo(name="ann", skeleton=RIG, solver=lambda height, span: Solver(), parts=frozenset(["head"])),
+    AvatarInfo(name="scenery"),
 )
 
 
@@ -133,7 +133,7 @@ def test_the_way_in(serve: Serve) -> None:
 def test_a_lost_connection_fades_and_may_come_back(serve: Serve, hands: Hands) -> None:
     async def talk() -> None:
         async with serve(FakeBackend(), config(), offered=OFFERS) as server, member(server, "Ann") as ann:
-            server.pump._clock = hands  # type: ignore[union-attr]
+            server.render_loop._clock = hands  # type: ignore[union-attr]
 
             async def there() -> dict[str, float]:
                 room = (await ann.render(EYES, pose=POSE)).info["room"]
@@ -184,7 +184,7 @@ def test_eight_in_a_room_have_equal_shares(serve: Serve, hands: Hands) -> None:
         hands.of = lambda: 1000 + 0.004 * len(backend.drawn)
         rooms = ServerConfig(port=0, rooms={"lab": 8}, limits=Limits(work=1e9))
         async with serve(backend, rooms, offered=OFFERS) as server:
-            server.pump._clock = hands  # type: ignore[union-attr]
+            server.render_loop._clock = hands  # type: ignore[union-attr]
             counts = [0] * 8
             over = asyncio.Event()
 

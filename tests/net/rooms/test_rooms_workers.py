@@ -15,8 +15,8 @@ from glsplat.data import default_avatar
 from glsplat.net.backends.server import make_server
 from glsplat.net.client import Client
 from glsplat.net.server import ServerConfig
-from glsplat.net.workers.farm import Farm
 from glsplat.net.workers.options import Workers
+from glsplat.net.workers.pool import WorkerPool
 from glsplat.scene import Scene
 from tests.net.workers.fakes import GUARD, held, patient
 
@@ -44,9 +44,9 @@ def test_a_room_survives_its_worker(monkeypatch: pytest.MonkeyPatch) -> None:
                 workers = server.stats()["workers"]
                 assert sorted(worker["clients"] for worker in workers) == [0, 2]
                 busy = next(i for i, worker in enumerate(workers) if worker["clients"])
-                assert isinstance(server.pump, Farm)
+                assert isinstance(server.render_loop, WorkerPool)
                 held(server)  # they need not wait for a new one
-                os.kill(server.pump._pumps[busy].place._process.pid, signal.SIGKILL)  # type: ignore[attr-defined]
+                os.kill(server.render_loop._render_loops[busy].launcher._process.pid, signal.SIGKILL)  # type: ignore[attr-defined]
                 replies = [await client.render(EYES, pose=POSE, hide=["head"]) for client in (ann, bob)]
                 for client, reply in zip((ann, bob), replies, strict=True):
                     assert len(reply.info["room"]["people"]) == 2

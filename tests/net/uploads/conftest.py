@@ -14,7 +14,7 @@ import aiohttp
 import pytest
 
 from glsplat.avatar import Avatar
-from glsplat.net.backend import Offered
+from glsplat.net.backend import AvatarInfo
 from glsplat.net.guard.access import Access
 from glsplat.net.server import Server, ServerConfig
 from glsplat.net.session import SessionConfig
@@ -96,8 +96,8 @@ async def until(true: Callable[[], object]) -> None:
         await asyncio.sleep(0.01)
 
 
-def described(name: str, avatar: Avatar) -> Offered:
-    return Offered(name=name, skeleton=avatar.skeleton, made=name.startswith("photo-"))
+def described(name: str, avatar: Avatar) -> AvatarInfo:
+    return AvatarInfo(name=name, skeleton=avatar.skeleton, made=name.startswith("photo-"))
 
 
 Takes = Callable[..., AbstractAsyncContextManager[Client]]

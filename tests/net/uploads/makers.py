@@ -13,7 +13,7 @@ import numpy as np
 from glsplat.avatar import Avatar
 from glsplat.data import default_avatar
 from glsplat.errors import GlsplatError
-from glsplat.net.uploads.job import DoubtfulError, Order, Progress
+from glsplat.net.uploads.job import LowConfidenceError, Order, Progress
 
 __all__ = ["PICTURE", "make"]
 
@@ -45,7 +45,7 @@ def make(order: Order, progress: Progress) -> Avatar:
     if "refuse" in word:
         raise GlsplatError("the JPEG file is damaged;\n  copy it again")
     if "doubt" in word and not order.anyway:
-        raise DoubtfulError("the picture has two faults", _FAULTS)
+        raise LowConfidenceError("the picture has two faults", _FAULTS)
     if "busy" in word:
         for step in range(1000):
             progress(f"step {step}", 2.0)

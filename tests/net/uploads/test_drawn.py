@@ -15,8 +15,8 @@ from glsplat.config import RenderConfig
 from glsplat.data import default_avatar
 from glsplat.errors import GlsplatError, ProtocolError
 from glsplat.formats import save
+from glsplat.net.backends.avatar_store import AvatarStore
 from glsplat.net.backends.server import make_server
-from glsplat.net.backends.wardrobe import Wardrobe
 from glsplat.net.client import Client as Streaming
 from glsplat.net.messages import WireOptions
 from glsplat.net.server import ServerConfig
@@ -116,10 +116,10 @@ def test_avatars_without_cones_are_refused_where_they_are_needed(tmp_path: Path)
 
 def test_a_wardrobe_holds_what_is_given_and_what_lies_there_by_now(tmp_path: Path) -> None:
     rod = limb(20)
-    wardrobe = Wardrobe({"rod": rod}, tmp_path, "default")
-    assert list(wardrobe) == ["rod"] and wardrobe["rod"] is rod and "ann" not in wardrobe
+    store = AvatarStore({"rod": rod}, tmp_path, "default")
+    assert list(store) == ["rod"] and store["rod"] is rod and "ann" not in store
     save(DARK, tmp_path / "ann.glb")
     save(DARK, tmp_path / "default.glb")  # the scene's name stays the scene's
-    assert "ann" in wardrobe and "default" not in wardrobe and len(wardrobe["ann"].splats) == len(DARK.splats)
+    assert "ann" in store and "default" not in store and len(store["ann"].splats) == len(DARK.splats)
     (tmp_path / "ann.glb").unlink()
-    assert "ann" not in wardrobe and wardrobe.get("ann") is None
+    assert "ann" not in store and store.get("ann") is None

@@ -11,7 +11,7 @@ from dataclasses import replace
 import aiohttp
 import pytest
 
-import glsplat.net.uploads.shelf
+import glsplat.net.uploads.upload_store
 from glsplat.errors import FormatError
 from glsplat.net.client import Client as Streaming
 from glsplat.net.guard.limits import Limits
@@ -268,7 +268,7 @@ def test_a_disk_that_is_full_says_so_and_keeps_nothing(takes, monkeypatch):
 
     async def main():
         async with takes() as client:
-            monkeypatch.setattr(glsplat.net.uploads.shelf, "replace_file", full)
+            monkeypatch.setattr(glsplat.net.uploads.upload_store, "replace_file", full)
             _, told = await client.post()
             told = await client.until(told["name"], "failed")
             assert told["error"] == "the avatar could not be kept: this server's disk refuses it"  # and names no file

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from glsplat.net.workers import farm, link, placement
-from glsplat.net.workers import pump as pump_module
+from glsplat.net.workers import connection, placement, pool
+from glsplat.net.workers import remote_loop as pump_module
 from tests.net.workers.fakes import patient
 
 
@@ -17,21 +17,21 @@ def _patience(monkeypatch):
 @pytest.fixture
 def equal(monkeypatch):
     """All pictures cost the same, however long they took: places go by the number of clients."""
-    for module in (farm, pump_module):
-        monkeypatch.setattr(module, "Client", lambda number, key, cost: placement.Client(number, key, 0.01))
+    for module in (pool, pump_module):
+        monkeypatch.setattr(module, "PlacedClient", lambda number, key, _: placement.PlacedClient(number, key, 0.01))
 
 
 @pytest.fixture
 def silences(monkeypatch):
     """Why links were ended for which the worker had said nothing; short deadlines, so that this comes soon."""
-    monkeypatch.setattr(link, "_BUSY", 0.5)
-    monkeypatch.setattr(link, "_SILENT", 0.4)
-    found, end = [], link.Link.end
+    monkeypatch.setattr(connection, "_BUSY", 0.5)
+    monkeypatch.setattr(connection, "_SILENT", 0.4)
+    found, end = [], connection.WorkerConnection.end
 
     def listen(self, why, blames=False):
         if "did not" in why:
             found.append(why)
         end(self, why, blames)
 
-    monkeypatch.setattr(link.Link, "end", listen)
+    monkeypatch.setattr(connection.WorkerConnection, "end", listen)
     return found

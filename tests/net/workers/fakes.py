@@ -16,19 +16,19 @@ from glsplat.camera import Camera
 from glsplat.errors import ProtocolError
 from glsplat.net.client import Client
 from glsplat.net.server import Server
-from glsplat.net.workers import link, local
-from glsplat.net.workers.farm import Farm
-from glsplat.net.workers.local import ProcessPlace
+from glsplat.net.workers import connection, local
+from glsplat.net.workers.local import ProcessLauncher
+from glsplat.net.workers.pool import WorkerPool
 from tests.net.workers.sleeper import STEP, Sleeper
 
 SIDE = 64
 GUARD = 60.0  # seconds that only keep a test from hanging
 
 
-def farm(count: int = 2, patience: float = 0.0, makes: Sequence[Callable[[], Sleeper]] = (), **options) -> Farm:
+def pool(count: int = 2, patience: float = 0.0, makes: Sequence[Callable[[], Sleeper]] = (), **options) -> WorkerPool:
     """Of processes."""
     made = list(makes) or [partial(Sleeper, **options)] * count
-    return Farm([ProcessPlace(make, f"worker {i}") for i, make in enumerate(made, 1)], patience=patience)
+    return WorkerPool([ProcessLauncher(make, f"worker {i}") for i, make in enumerate(made, 1)], patience=patience)
 
 
 def camera(number: int, act: int = 32) -> Camera:
@@ -110,8 +110,10 @@ async def until_more(seen: Sequence[Seen], count: int = 8) -> bool:
 
 def patient(monkeypatch: pytest.MonkeyPatch) -> None:
     """Only a process that was stopped is given up: the others of a slow machine are late."""
-    patience = link.Link._patience
-    monkeypatch.setattr(link.Link, "_patience", lambda self: patience(self) + (0.0 if self._stopped() else GUARD))
+    patience = connection.WorkerConnection._patience
+    monkeypatch.setattr(
+        connection.WorkerConnection, "_patience", lambda self: patience(self) + (0.0 if self._stopped() else GUARD)
+    )
     monkeypatch.setattr(local, "_GONE", GUARD)
 
 
@@ -126,6 +128,6 @@ def held(server: Server) -> asyncio.Event:
 
         return when_free
 
-    for pump in server.pump._pumps:
-        pump.place.start = hold(pump.place.start)
+    for render_loop in server.render_loop._render_loops:
+        render_loop.launcher.start = hold(render_loop.launcher.start)
     return free

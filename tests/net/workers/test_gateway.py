@@ -28,10 +28,10 @@ ROOT = Path(__file__).resolve().parents[3]
 GATEWAY = """
 import asyncio, json, sys
 from glsplat.net.server import Server, ServerConfig
-from tests.net.workers.fakes import farm
+from tests.net.workers.fakes import pool
 if __name__ == "__main__":
-    server = Server(farm(2), ServerConfig(port=int(sys.argv[1])))
-    asyncio.run(server.run(lambda: print(json.dumps(server.pump.workers()), flush=True)))
+    server = Server(pool(2), ServerConfig(port=int(sys.argv[1])))
+    asyncio.run(server.run(lambda: print(json.dumps(server.render_loop.workers()), flush=True)))
 """
 
 

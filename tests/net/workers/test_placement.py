@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from glsplat.net.workers.placement import Client, Worker, better, choose
+from glsplat.net.workers.placement import PlacedClient, PlacedWorker, better, choose
 
 
-def worker(*costs: float, has: tuple[str, ...] = (), key: str = "avatar:ann", share: float = 1.0) -> Worker:
-    return Worker(tuple(Client(i, key, cost) for i, cost in enumerate(costs)), frozenset(has), share)
+def worker(*costs: float, has: tuple[str, ...] = (), key: str = "avatar:ann", share: float = 1.0) -> PlacedWorker:
+    return PlacedWorker(tuple(PlacedClient(i, key, cost) for i, cost in enumerate(costs)), frozenset(has), share)
 
 
-ANN = Client(99, "avatar:ann", 0.03)
+ANN = PlacedClient(99, "avatar:ann", 0.03)
 
 
 @pytest.mark.parametrize(
@@ -34,7 +34,7 @@ def test_the_quickest_or_one_that_has_the_avatar(workers, chosen):
 
 
 def test_avatars_are_shared_while_that_is_quick_enough():
-    quick = Client(99, "avatar:ann", 0.002)
+    quick = PlacedClient(99, "avatar:ann", 0.002)
     has = worker(0.002, 0.002, 0.002, has=("avatar:ann",))
     assert choose(quick, [worker(), has]) == 1  # 8 ms for all four, 90 a second
     has = worker(*[0.002] * 5, has=("avatar:ann",))
@@ -43,8 +43,8 @@ def test_avatars_are_shared_while_that_is_quick_enough():
 
 def test_rooms_stay_together():
     full, empty = worker(*[0.03] * 9, key="room:lab"), worker()
-    assert choose(Client(99, "room:lab"), [empty, full]) == 1
-    assert choose(Client(99, "room:other"), [empty, full]) == 0
+    assert choose(PlacedClient(99, "room:lab"), [empty, full]) == 1
+    assert choose(PlacedClient(99, "room:other"), [empty, full]) == 0
 
 
 def test_what_moves():
@@ -54,7 +54,9 @@ def test_what_moves():
     assert better([worker(0.03, 0.03), worker()]) in (((0,), 1), ((1,), 1))
     assert better([worker(0.001, 0.001, 0.001), worker()]) is None  # quick enough as it is
     assert better([worker(0.03, 0.03, key="room:lab"), worker()]) is None  # one room
-    mixed = Worker((Client(1, "room:a", 0.03), Client(2, "room:a", 0.03), Client(3, "room:b", 0.04)))
+    mixed = PlacedWorker(
+        (PlacedClient(1, "room:a", 0.03), PlacedClient(2, "room:a", 0.03), PlacedClient(3, "room:b", 0.04))
+    )
     assert better([mixed, worker()]) == ((1, 2), 1)
 
 
@@ -63,13 +65,13 @@ def test_moves_come_to_an_end():
     rng = np.random.default_rng(0)
     for _ in range(50):
         clients = [
-            Client(i, f"room:{i // 3}" if i % 2 else "avatar:x", float(c))
+            PlacedClient(i, f"room:{i // 3}" if i % 2 else "avatar:x", float(c))
             for i, c in enumerate(rng.exponential(0.02, 20))
         ]
         places = [list(clients), [], []]
         first = sum(one.cost for one in clients)
         for _ in range(100):
-            found = better([Worker(tuple(place)) for place in places])
+            found = better([PlacedWorker(tuple(place)) for place in places])
             if found is None:
                 break
             numbers, to = found

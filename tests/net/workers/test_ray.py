@@ -14,10 +14,10 @@ from glsplat.errors import ContextError, FormatError, GlsplatError
 from glsplat.net.client import Client
 from glsplat.net.server import Server, ServerConfig
 from glsplat.net.workers.cluster import RayCluster
-from glsplat.net.workers.farm import Farm
+from glsplat.net.workers.pool import WorkerPool
 from tests.net.workers.fakes import GUARD, camera, until, until_more, watching
 from tests.net.workers.sleeper import Sleeper
-from tests.net.workers.test_farm import pids
+from tests.net.workers.test_pool import pids
 
 pytest.importorskip("ray", reason="needs the extra glsplat[ray]")
 
@@ -72,22 +72,24 @@ def test_machines_that_are_lost(serve, machines, equal):
     actors = RayCluster(partial(Sleeper), machines.address, cpus=1)
 
     async def main():
-        farm = Farm(actors.places(actors.room()), patience=GUARD, close=actors.close)
-        async with serve(farm, ServerConfig(port=0)) as server:
+        pool = WorkerPool(actors.launchers(actors.room()), patience=GUARD, close=actors.close)
+        async with serve(pool, ServerConfig(port=0)) as server:
             async with watching(server.url, range(1, 7)) as clients:
                 assert await until_more(clients)
-                spread = [one["clients"] for one in server.pump.workers()]
+                spread = [one["clients"] for one in server.render_loop.workers()]
                 lose = partial(asyncio.to_thread, machines.remove_node, allow_graceful=False)
                 await lose(machines.nodes[1])
                 assert await until(lambda: living(server) == 2) and await until_more(clients)
                 await lose(machines.head_node)
                 assert await until_more(clients, 20)
-                alive = [pid for pid, one in zip(pids(server), server.pump.workers(), strict=True) if one["alive"]]
+                alive = [
+                    pid for pid, one in zip(pids(server), server.render_loop.workers(), strict=True) if one["alive"]
+                ]
                 os.kill(alive[0], signal.SIGKILL)  # now nobody can start another one
                 assert await until(lambda: living(server) == 1) and await until_more(clients)
                 async with Client(server.url, timeout=GUARD) as client:
                     last = (await client.render([camera(1)])).info["driver"]
-            return spread, last == f"sleeper {alive[1]}", server.pump.healthy, clients
+            return spread, last == f"sleeper {alive[1]}", server.render_loop.healthy, clients
 
     spread, last, healthy, clients = asyncio.run(main())
     assert spread == [2, 2, 2] and last and healthy
@@ -95,7 +97,7 @@ def test_machines_that_are_lost(serve, machines, equal):
 
 
 def living(server: Server) -> int:
-    return sum(one["alive"] for one in server.pump.workers())
+    return sum(one["alive"] for one in server.render_loop.workers())
 
 
 def test_a_cluster_that_is_not_there():

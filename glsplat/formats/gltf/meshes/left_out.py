@@ -12,7 +12,7 @@ from glsplat.errors import FormatError
 from glsplat.formats.gltf.container import Container
 from glsplat.formats.gltf.nodes import Graph, Instance
 
-__all__ = ["TRIANGLES", "Left", "apart", "carried", "nearest", "refuse_packed", "survey"]
+__all__ = ["TRIANGLES", "LeftOut", "apart", "carried", "nearest", "refuse_packed", "survey"]
 
 F64 = NDArray[np.float64]
 
@@ -22,7 +22,7 @@ _ROOM = 0.4  # of the joints' extent: how far what a person wears lies around th
 
 
 @dataclass(eq=False)
-class Left:
+class LeftOut:
     """Counts of what is left out, by what it is called."""
 
     counts: dict[str, int] = field(default_factory=dict)
@@ -56,7 +56,7 @@ def refuse_packed(instances: Sequence[Instance]) -> None:
             )
 
 
-def survey(container: Container, everything: Sequence[Instance], left: Left) -> None:
+def survey(container: Container, everything: Sequence[Instance], left: LeftOut) -> None:
     """What no avatar is made of, whatever the rig."""
     gltf = container.gltf
     drawn = [i for i in everything if i.primitive.mode not in TRIANGLES]

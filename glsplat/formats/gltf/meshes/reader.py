@@ -15,7 +15,7 @@ from glsplat.formats.gltf.bound import inverse_binds
 from glsplat.formats.gltf.container import Container, item, read_container
 from glsplat.formats.gltf.meshes.faces import Faces
 from glsplat.formats.gltf.meshes.ground import faces_back, on_the_floor
-from glsplat.formats.gltf.meshes.left_out import TRIANGLES, Left, apart, carried, nearest, refuse_packed, survey
+from glsplat.formats.gltf.meshes.left_out import TRIANGLES, LeftOut, apart, carried, nearest, refuse_packed, survey
 from glsplat.formats.gltf.meshes.rig import Rig, rig_of
 from glsplat.formats.gltf.meshes.surfaces import Materials, Surface, surface_of
 from glsplat.formats.gltf.nodes import Graph, Instance, graph_of, instances, only_moves
@@ -151,7 +151,7 @@ def _rigged(
     rig = rig_of(container, graph, skins, rigid, known, reference, scale, own_joints, holds)
     if not skins and rig.map is None:
         raise FormatError(_NO_SKIN)
-    left = Left()
+    left = LeftOut()
     mapped = list(rig.map.joints.values()) if rig.map is not None else []
     several = len(skins) if mapped and 1 < len(skins) <= _SKELETONS else 0
     strangers = {skin for skin in skins[:several] if apart(graph, gltf.skins[skin].joints, mapped)}

@@ -7,7 +7,7 @@ from math import hypot
 
 from glsplat.tracking.solve.quat import Vec, clamp, wrap
 
-__all__ = ["HOLD", "Channel", "Foot"]
+__all__ = ["HOLD", "Axis", "Foot"]
 
 HOLD = 0.06  # of a swing, at either end: the foot goes straight up or down, so that it never slides
 RISES, SINKS = 0.28, 0.28  # of a swing in which the foot goes up, and down
@@ -21,7 +21,7 @@ BRIEFEST = 0.12  # seconds of a swing
 
 
 @dataclass(slots=True)
-class Channel:
+class Axis:
     """One coordinate with its velocity and acceleration."""
 
     at: float = 0.0
@@ -56,11 +56,11 @@ class Foot:
     """One foot: where its ball is, its heading, how far the heel is up, and its swing if it is on one."""
 
     index: int  # 0 left, 1 right
-    x: Channel = field(default_factory=Channel)
-    y: Channel = field(default_factory=Channel)
-    z: Channel = field(default_factory=Channel)
-    turn: Channel = field(default_factory=Channel)  # heading, radians; unwrapped
-    tilt: Channel = field(default_factory=Channel)  # radians, heel up
+    x: Axis = field(default_factory=Axis)
+    y: Axis = field(default_factory=Axis)
+    z: Axis = field(default_factory=Axis)
+    turn: Axis = field(default_factory=Axis)  # heading, radians; unwrapped
+    tilt: Axis = field(default_factory=Axis)  # radians, heel up
     planted: bool = True
     by_gait: bool = False  # the swing's end follows the gait's phase, not a clock
     duration: float = 0.36  # seconds of this swing
@@ -105,7 +105,7 @@ class Foot:
             self.lift(duration, height, False)
 
     @property
-    def _channels(self) -> tuple[Channel, ...]:
+    def _channels(self) -> tuple[Axis, ...]:
         return (self.x, self.y, self.z, self.turn, self.tilt)
 
     def stand(self, sole: float, pitch: float, dt: float) -> None:

@@ -1,0 +1,115 @@
+"""The outline of the projected body, and how far the picture's mask reaches beyond it or falls short of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from glsplat.authoring.fit.body import Body
+from glsplat.meshes import vertex_normals
+
+__all__ = ["Rim", "edge_distances", "find_rim", "half_gaps", "overlap", "projected_mask"]
+
+F64 = NDArray[np.float64]
+
+
+def projected_mask(pixels: F64, faces: NDArray[np.int32], shape: tuple[int, int]) -> NDArray[np.bool_]:
+    """[H, W] pixels whose centres lie in a triangle that turns to the camera; ``pixels`` [V, 2], centres at +0.5."""
+    height, width = shape
+    seen = faces[:, [0, 2, 1]]  # counter-clockwise with y up is clockwise with y down
+    x, y = pixels[seen, 0].T, pixels[seen, 1].T  # [3, F]
+    area = (x[1] - x[0]) * (y[2] - y[0]) - (x[2] - x[0]) * (y[1] - y[0])
+    left = np.ceil(x.min(axis=0) - 0.5).clip(0, width).astype(np.int32)
+    top = np.ceil(y.min(axis=0) - 0.5).clip(0, height).astype(np.int32)
+    wide = np.floor(x.max(axis=0) - 0.5).clip(-1, width - 1).astype(np.int32) - left + 1
+    high = np.floor(y.max(axis=0) - 0.5).clip(-1, height - 1).astype(np.int32) - top + 1
+    some = np.flatnonzero((area > 0) & (wide > 0) & (high > 0))
+    x, y, left, top, wide, high = x[:, some], y[:, some], left[some], top[some], wide[some], high[some]
+
+    # every pixel centre in every triangle's bounding box, as one flat list
+    count = wide * high
+    face = np.repeat(np.arange(len(some)), count)
+    inside = np.arange(len(face)) - np.repeat(np.cumsum(count) - count, count)
+    down = inside // wide[face]
+    row, column = top[face] + down, left[face] + inside - down * wide[face]
+    hit = np.ones(len(face), bool)
+    for k in range(3):
+        n = (k + 1) % 3
+        edge_x, edge_y = x[n] - x[k], y[n] - y[k]
+        level = edge_x * y[k] - edge_y * x[k]
+        hit &= edge_x[face] * (row + 0.5) - edge_y[face] * (column + 0.5) >= level[face]
+    mask = np.zeros(height * width, bool)
+    mask[row[hit] * width + column[hit]] = True
+    return mask.reshape(shape)
+
+
+def overlap(first: NDArray[np.bool_], second: NDArray[np.bool_]) -> float:
+    """Intersection over union of two masks of one shape; 1 for two empty ones."""
+    union = int((first | second).sum())
+    return int((first & second).sum()) / union if union else 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class Rim:
+    """The K vertices on the outline of the projected body."""
+
+    vertices: NDArray[np.intp]  # [K]
+    pixels: F64  # [K, 2]
+    normals: F64  # [K, 2] unit, outwards in the picture
+    gaps: F64  # [K] pixels along the normal to the mask's edge, below zero inside the body; NaN: no edge in reach
+
+
+def find_rim(
+    body: Body, where: F64, pixels: F64, mask: NDArray[np.bool_], reach: float, flat: float
+) -> tuple[Rim, NDArray[np.bool_]]:
+    """The rim of a posed body [V, 3] in camera axes that lies at ``pixels`` [V, 2], and its projected mask [H, W].
+
+    A vertex is on the rim where its normal is square to the line of sight (cosine below ``flat``) and the projected
+    mask ends beside it; edges are looked for ``reach`` pixels to both sides.
+    """
+    height, width = mask.shape
+    drawn = projected_mask(pixels, body.faces, mask.shape)
+    inside = cv2.distanceTransform(drawn.astype(np.uint8), cv2.DIST_L2, 3)
+    normals = vertex_normals(where, body.faces)
+    facing = np.abs((normals * where).sum(axis=1)) / np.linalg.norm(where, axis=1)
+    nearest = np.floor(pixels).astype(np.intp)
+    shown = ((nearest >= 0) & (nearest < (width, height))).all(axis=1)
+    column, row = nearest[:, 0].clip(0, width - 1), nearest[:, 1].clip(0, height - 1)
+    chosen = np.flatnonzero(body.skin & shown & (facing < flat) & (inside[row, column] < 2.2))
+    across = normals[chosen, :2]
+    across = across / np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-9)
+    return Rim(chosen, pixels[chosen], across, edge_distances(mask, pixels[chosen], across, reach)), drawn
+
+
+def edge_distances(mask: NDArray[np.bool_], start: F64, along: F64, reach: float) -> F64:
+    """[K] pixels from ``start`` [K, 2] along unit ``along`` [K, 2] to the nearest place where the mask ends."""
+    steps = np.arange(-reach, reach + 0.5, 0.5)
+    looked = np.floor(start[:, None] + along[:, None] * steps[:, None]).astype(np.intp)
+    height, width = mask.shape
+    beyond = ((looked < 0) | (looked >= (width, height))).any(axis=2)
+    inside = mask[looked[..., 1].clip(0, height - 1), looked[..., 0].clip(0, width - 1)] & ~beyond
+    ends = inside[:, :-1] & ~inside[:, 1:]
+    middle = (steps[:-1] + steps[1:]) / 2
+    far = np.where(ends, np.abs(middle), np.inf)
+    best = far.argmin(axis=1)
+    return np.where(np.isfinite(far.min(axis=1)), middle[best], np.nan)
+
+
+def half_gaps(mask: NDArray[np.bool_], drawn: NDArray[np.bool_], start: F64, along: F64, reach: float) -> F64:
+    """[K] half the way from ``start`` along ``along`` through mask that no body covers to the next part of the body.
+
+    So a skirt between two legs and a sleeve in an armpit are met from both sides. NaN where there is no such gap within
+    twice ``reach`` pixels.
+    """
+    steps = np.arange(2.0, 2 * reach, 0.5)  # the first steps are still on the outline itself
+    looked = np.floor(start[:, None] + along[:, None] * steps[:, None]).astype(np.intp)
+    height, width = mask.shape
+    column, row = looked[..., 0].clip(0, width - 1), looked[..., 1].clip(0, height - 1)
+    covered = drawn[row, column]
+    far = covered.argmax(axis=1)
+    bare = np.arange(len(steps)) < far[:, None]
+    bridged = covered.any(axis=1) & ~covered[:, 0] & (mask[row, column] | ~bare).all(axis=1)
+    return np.where(bridged, steps[far] / 2 + 0.5, np.nan)

@@ -1,0 +1,69 @@
+"""What is known before a picture is looked at: how people stand for it, how they are built, where a camera is held."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glsplat.authoring.fit.kinematics import Hinges
+
+__all__ = ["CAMERA_HEIGHT", "HINGES", "MEAN", "POSED", "SHAPE_DOUBT", "SPREAD", "STATURE", "TURN_DOUBT", "PosePrior"]
+
+F64 = NDArray[np.float64]
+
+# joint without its side -> axis, mean and standard deviation in radians, as the left side turns. The mean is a relaxed
+# A-pose: upper arms some forty degrees below the horizontal, elbows and hips not quite straight.
+_SIDED: dict[str, tuple[tuple[int, float, float], ...]] = {
+    "hip": ((0, 0.0, 0.08), (1, 0.0, 0.15), (2, 0.07, 0.15)),
+    "knee": ((0, 0.0, 0.08),),
+    "ankle": ((0, 0.0, 0.10), (2, -0.07, 0.10)),
+    "collar": ((1, 0.0, 0.08), (2, 0.0, 0.10)),
+    "shoulder": ((0, 0.0, 0.20), (1, 0.0, 0.12), (2, -0.70, 0.50)),
+    "elbow": ((1, -0.12, 0.15), (2, 0.0, 0.10)),
+    "wrist": ((1, 0.0, 0.12), (2, 0.0, 0.15)),
+}
+_MIDDLE: dict[str, float] = {"spine1": 0.05, "spine2": 0.05, "spine3": 0.05, "neck": 0.08, "head": 0.12}
+
+_TABLE = [
+    (f"{side}_{name}", axis, mean * (-1.0 if side == "right" and axis else 1.0), spread)
+    for name, rows in _SIDED.items()
+    for side in ("left", "right")
+    for axis, mean, spread in rows
+] + [(name, axis, 0.0, spread) for name, spread in _MIDDLE.items() for axis in range(3)]
+
+HINGES = Hinges(tuple((name, axis) for name, axis, _, _ in _TABLE))
+"""The angles that are fitted."""
+
+MEAN: F64 = np.array([mean for _, _, mean, _ in _TABLE])
+"""[D] radians."""
+
+SPREAD: F64 = np.array([spread for _, _, _, spread in _TABLE])
+"""[D] radians, one standard deviation."""
+
+TURN_DOUBT: tuple[float, float] = 0.25, 0.05
+"""Standard deviation in radians of how a person is turned about the vertical, and of how a camera is rolled."""
+
+
+@dataclass(frozen=True, eq=False)
+class PosePrior:
+    """How somebody may stand: what a fit begins with, and what it is drawn back to where a picture says nothing."""
+
+    name: str
+    mean: F64  # [D] radians
+    spread: F64  # [D] radians, one standard deviation
+    turn: float = 0.0  # radians about the vertical, from what the view says
+
+
+POSED = PosePrior("posed", MEAN, SPREAD)
+"""Somebody who stands for the picture, as they were asked to."""
+
+SHAPE_DOUBT = 1.3
+"""Standard deviation of the numbers of shape: a little more than by the body's making (measured on known people)."""
+
+STATURE: tuple[float, float] = 1.70, 0.10
+"""Mean and standard deviation in metres where no height is given."""
+
+CAMERA_HEIGHT: tuple[float, float] = 0.68, 0.06
+"""Where a camera is held, mean and standard deviation, in shares of the stature above the soles."""

@@ -1,0 +1,207 @@
+"""What a mesh looks like from around, near its head, hands and feet, and in other poses: the truth that splats are
+fitted to."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glsplat.authoring.optimize.rasterizer import Rasterizer
+from glsplat.authoring.posed import drawable, placed, posed_splats
+from glsplat.authoring.raster import mesh_picture
+from glsplat.authoring.refine import random_pose
+from glsplat.authoring.visibility import HEAD
+from glsplat.avatar import Avatar
+from glsplat.camera import Camera, look_at, pinhole
+from glsplat.errors import ContextError, GlsplatError
+from glsplat.gl.context import Context, create_context
+from glsplat.mesh.renderer import MeshConfig, MeshRenderer
+from glsplat.meshes import RiggedMesh
+from glsplat.skinning.pose import Pose
+from glsplat.splats import Splats
+
+__all__ = ["TargetPicture", "ViewConfig", "pictures_of", "pictures_of_splats"]
+
+F32 = NDArray[np.float32]
+F64 = NDArray[np.float64]
+U8 = NDArray[np.uint8]
+Report = Callable[[str, float], None]
+
+_SAMPLED = MeshConfig(samples=1, supersample=3, anisotropy=1.0)  # points of the texture, as raster.py takes them
+_RIM = 8  # pixels about what a picture shows, where splats must not be
+_HEAD_FROM = (  # degrees around and up
+    *((-90, 0), (-50, 10), (-20, -8), (0, 5), (20, 15), (50, -5), (90, 5)),
+    *((180, 10), (135, 25), (-135, 0), (0, 25), (0, -20)),
+)
+_HAND_FROM = ((0, 0), (180, 10), (20, 60), (0, -60))
+_FOOT_FROM = ((0, 20), (180, 15), (90, 10), (-90, 10))
+_HAND, _FOOT = ("wrist", "index", "middle", "pinky", "ring", "thumb"), ("ankle", "foot")
+_CLOSE_UPS = (  # beginnings of the names of joints, and the sides
+    (HEAD, _HEAD_FROM),
+    *((tuple(f"{side}_{part}" for part in _HAND), _HAND_FROM) for side in ("left", "right")),
+    *((tuple(f"{side}_{part}" for part in _FOOT), _FOOT_FROM) for side in ("left", "right")),
+)
+_LEVELS = (-12, 8, 30)  # degrees from which bodies are looked at, in turn
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ViewConfig:
+    """Which pictures."""
+
+    body: int = 24  # from around, in the zero pose
+    poses: int = 12  # further poses
+    each: int = 2  # pictures of a pose
+    size: int = 768  # pixels a side of a whole body
+    close: int = 384  # of a head, a hand or a foot
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class TargetPicture:
+    """A picture that splats shall give back."""
+
+    camera: Camera
+    target: U8  # [H, W, 4] premultiplied, over nothing
+    share: float  # metres a pixel: what an error in it counts, so that close-ups do not count for all
+    pose: Pose | None = None  # None: the zero pose
+    trust: F32 | None = None  # [H, W] what an error at a pixel counts; None: all the same
+
+
+class TargetView(NamedTuple):
+    """A camera, and the points that it is about."""
+
+    camera: Camera
+    points: F64
+    pose: Pose | None
+
+
+def pictures_of(
+    mesh: RiggedMesh,
+    seed: int = 0,
+    config: ViewConfig | None = None,
+    progress: Report | None = None,
+    context: Context | None = None,
+) -> list[TargetPicture]:
+    """Pictures of the mesh, unlit, drawn by OpenGL, or in numpy where no context can be made. Deterministic."""
+    used = np.unique(mesh.faces)
+    strongest = np.take_along_axis(mesh.joints, mesh.weights.argmax(axis=1)[:, None], axis=1)[:, 0]
+    subject = _Subject(mesh.skeleton.names, mesh.vertices[used], strongest[used], lambda pose: mesh.posed(pose)[used])
+    views = list(_views(subject, np.random.default_rng((seed, 17)), config or ViewConfig()))
+    return _taken(views, _drawn_mesh(mesh, views, context), progress)
+
+
+def pictures_of_splats(
+    avatar: Avatar, seed: int = 0, config: ViewConfig | None = None, progress: Report | None = None
+) -> list[TargetPicture]:
+    """Pictures of an avatar's own splats, of their colours of degree 0, drawn on the CPU. Deterministic.
+
+    Raises GlsplatError where none can be drawn.
+    """
+    usable = drawable(avatar.splats)
+    if not usable.any():
+        raise GlsplatError("pictures of an avatar need at least one finite splat")
+    skin = avatar.skin
+    strongest = np.take_along_axis(skin.joints, skin.weights.argmax(axis=1)[:, None], axis=1)[:, 0]
+    zero = avatar.splats.take(usable)
+
+    def shown(pose: Pose | None) -> Splats:
+        return zero if pose is None else posed_splats(avatar, pose).take(usable)
+
+    subject = _Subject(
+        avatar.skeleton.names, zero.means.astype(np.float64), strongest[usable], lambda pose: shown(pose).means
+    )
+    views = list(_views(subject, np.random.default_rng((seed, 17)), config or ViewConfig()))
+    drawing = Rasterizer(len(zero))
+    drawn = (_eight_bits(drawing.draw(placed(shown(view.pose)), view.camera, zero.antialias)) for view in views)
+    return _taken(views, drawn, progress)
+
+
+class _Subject(NamedTuple):
+    """What is looked at."""
+
+    names: tuple[str, ...]  # of the joints
+    points: F64  # [P, 3] of it in the zero pose
+    strongest: NDArray[np.integer]  # [P] the joint that moves a point most
+    posed: Callable[[Pose], NDArray[np.floating]]  # [P, 3]
+
+
+def _taken(views: list[TargetView], drawn: Iterator[U8], progress: Report | None) -> list[TargetPicture]:
+    out = []
+    for index, (view, picture) in enumerate(zip(views, drawn, strict=True)):
+        if progress:
+            progress("drawing what to fit to", index / len(views))
+        out.append(_cropped(view, picture))
+    return out
+
+
+def _drawn_mesh(mesh: RiggedMesh, views: list[TargetView], context: Context | None) -> Iterator[U8]:
+    own = None
+    if context is None:
+        try:
+            context = own = create_context()
+        except ContextError:
+            for view in views:
+                pose = view.pose or Pose.zero(len(mesh.skeleton))
+                yield _eight_bits(mesh_picture(mesh, mesh.posed(pose), view.camera, 2))
+            return
+    renderers: dict[int, MeshRenderer] = {}
+    try:
+        for view in views:
+            size = view.camera.width
+            if size not in renderers:
+                renderers[size] = MeshRenderer(mesh, size=(size, size), config=_SAMPLED, context=context)
+            yield renderers[size].render([view.camera], view.pose)[0]
+    finally:
+        for renderer in renderers.values():
+            renderer.release()
+        if own is not None:
+            own.release()
+
+
+def _eight_bits(picture: NDArray[np.floating]) -> U8:
+    return np.asarray(np.clip(picture * 255 + 0.5, 0, 255), np.uint8)
+
+
+def _views(subject: _Subject, rng: np.random.Generator, config: ViewConfig) -> Iterator[TargetView]:
+    names, points, strongest, posed_points = subject
+    for k in range(config.body):
+        yield TargetView(_camera(points, 360 * k / config.body, _LEVELS[k % 3], config.size, 3.0), points, None)
+    for wanted, sides in _CLOSE_UPS:
+        some = points[np.array([name.startswith(wanted) for name in names])[strongest]]
+        for around, up in sides if len(some) else ():
+            yield TargetView(_camera(some, around, up, config.close, 1.5), some, None)
+    for k in range(config.poses):
+        pose = random_pose(names, rng)
+        posed = np.asarray(posed_points(pose), np.float64)
+        for j in range(config.each):
+            turned = 360 * (k / config.poses + j / config.each) + rng.uniform(-15, 15)
+            yield TargetView(_camera(posed, turned, float(rng.normal(5, 15)), config.size, 3.0), posed, pose)
+
+
+def _camera(points: F64, around: float, up: float, size: int, distance: float, fill: float = 0.94) -> Camera:
+    """Looks at the middle of the points from so many degrees around and up, which fill that share of the picture."""
+    middle = (points.max(axis=0) + points.min(axis=0)) / 2
+    turn, lift = np.radians((around, min(max(up, -80.0), 80.0)))
+    towards = np.array([np.cos(lift) * np.sin(turn), np.sin(lift), np.cos(lift) * np.cos(turn)])
+    reach = max(distance, 1.5 * float(np.linalg.norm(points - middle, axis=1).max()))
+    viewmat = look_at(middle + reach * towards, middle)
+    seen = points @ viewmat[:3, :3].T + viewmat[:3, 3]
+    half = float(np.abs(seen[:, :2] / seen[:, 2:]).max())
+    return Camera(viewmat, pinhole(size, size, float(2 * np.degrees(np.arctan(half / fill)))), size, size)
+
+
+def _cropped(view: TargetView, picture: U8) -> TargetPicture:
+    """The part that shows something, with a rim."""
+    camera = view.camera
+    seen = view.points @ camera.viewmat[:3, :3].T + camera.viewmat[:3, 3]
+    pixels = (seen @ camera.K.T)[:, :2] / seen[:, 2:]
+    low = np.clip(np.floor(pixels.min(axis=0)) - _RIM, 0, camera.width - 16).astype(int)
+    high = np.clip(np.ceil(pixels.max(axis=0)) + _RIM, low + 16, camera.width).astype(int)
+    K = camera.K.copy()
+    K[:2, 2] -= low
+    cut = Camera(camera.viewmat, K, int(high[0] - low[0]), int(high[1] - low[1]), near=camera.near)
+    target = np.ascontiguousarray(picture[low[1] : high[1], low[0] : high[0]])
+    return TargetPicture(cut, target, float(np.median(seen[:, 2])) / float(K[0, 0]), view.pose)

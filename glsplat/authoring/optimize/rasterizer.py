@@ -1,0 +1,112 @@
+"""Draws splats on the CPU and takes a slope by the picture back to them; the same bytes with any number of threads."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from itertools import pairwise
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glsplat.authoring.optimize import kernels
+from glsplat.authoring.optimize.kernels import GRADIENTS, RECORD, SUMS, TILE
+from glsplat.authoring.posed import PosedSplats
+from glsplat.camera import Camera
+
+__all__ = ["Gradients", "Rasterizer"]
+
+F32 = NDArray[np.float32]
+F64 = NDArray[np.float64]
+
+_PARTS = 8  # of the splats and of the tiles that threads take one after the other
+
+
+class Gradients(NamedTuple):
+    """Derivatives of the loss; zero where nothing is seen. Views of one array that the next call writes over."""
+
+    means: F64  # [N, 3]
+    log_scales: F64  # [N, 3]
+    turns: F64  # [N, 3] by a small rotation about the splat's own axes
+    exponents: F64  # [N] by the logarithm of the opacity
+    rgb: F64  # [N, 3]
+    weight: F64  # [N] how much of the picture a splat makes, in pixels
+    error: F64  # [N] the same times the error there
+
+
+class Rasterizer:
+    """Memory for ``count`` splats. ``draw`` first, then ``backward``, as often as one likes.
+
+    ``threads``: by default as many as cores this process may use. They end with the rasterizer. ``least``: nothing is
+    drawn where less than that passes all in front.
+    """
+
+    def __init__(self, count: int, threads: int | None = None, least: float = 1e-4) -> None:
+        self._least = np.float32(least)
+        self._pool = ThreadPoolExecutor(threads or _cores(), "glsplat-fit")
+        self._record, self._box = np.zeros((count, RECORD), np.float32), np.zeros((count, 4), np.int32)
+        self._to_pixels, self._axes = np.zeros((count, 2, 3)), np.zeros((count, 2, 3))
+        self._slope, self._totals = np.zeros((count, 3)), np.zeros((count, SUMS))
+        self.out: F64 = np.zeros((count, GRADIENTS))  # of the last backward(), a row a splat
+        self._sums = np.zeros((0, SUMS), np.float32)
+        edges = np.linspace(0, count, _PARTS + 1).astype(int).tolist()
+        self._ranges = list(pairwise(edges))
+
+    def draw(self, splats: PosedSplats, camera: Camera, antialias: bool) -> F32:
+        """Premultiplied RGBA [H, W, 4] over nothing."""
+        width, height = camera.width, camera.height
+        K = camera.K
+        self._scales = splats.scales
+        view = np.ascontiguousarray(camera.viewmat, np.float64)
+        lens = float(K[0, 0]), float(K[1, 1]), float(K[0, 2]), float(K[1, 2])
+        near, size, placed = float(camera.near), (width, height), splats[:5]
+        written = self._record, self._box, self._to_pixels, self._axes, self._slope
+        self._each(
+            self._ranges,
+            lambda part: kernels.project(part[0], part[1], placed, view, lens, size, near, antialias, *written),
+        )
+        order = np.argsort(self._record[:, 7], kind="stable")
+        across, down = -(-width // TILE), -(-height // TILE)
+        start, splat = kernels.list_entries(order, self._record, self._box, across, down)
+        each = np.diff(start)
+        tiles = np.argsort(-each, kind="stable")
+        tiles = tiles[each[tiles] > 0]
+        self._work = [np.ascontiguousarray(tiles[k::_PARTS]) for k in range(_PARTS)]
+        self._entries = across, start, splat, self._record, self._box
+        self._picture, passes = np.zeros((height, width, 4), np.float32), np.ones((height, width), np.float32)
+        self._each(self._work, lambda tiles: kernels.draw(tiles, *self._entries, self._picture, passes, self._least))
+        return self._picture
+
+    def backward(self, slope: F32, error: F32) -> Gradients:
+        """From the slope [H, W, 4] of a loss by the last picture, and its error [H, W], to the splats."""
+        _, _, splat, _, _ = self._entries
+        if len(self._sums) < len(splat):
+            self._sums = np.zeros((len(splat) * 5 // 4, SUMS), np.float32)
+        passes = np.ones(slope.shape[:2], np.float32)
+        behind = np.einsum("hwc,hwc->hw", slope, self._picture)
+        self._each(
+            self._work,
+            lambda tiles: kernels.backward(
+                tiles, *self._entries, slope, error, passes, self._least, behind, self._sums
+            ),
+        )
+        kernels.add_up(splat, self._sums, self._totals)
+        shapes = self._record, self._to_pixels, self._axes, self._slope, self._scales
+        self._each(self._ranges, lambda part: kernels.gather(part[0], part[1], self._totals, *shapes, self.out))
+        out = self.out
+        return Gradients(out[:, :3], out[:, 3:6], out[:, 6:9], out[:, 9], out[:, 10:13], out[:, 13], out[:, 14])
+
+    def weights(self) -> F64:
+        """[N] how much of the last picture each splat makes, in pixels."""
+        nothing = np.zeros_like(self._picture)
+        return self.backward(nothing, nothing[:, :, 0]).weight.copy()
+
+    def _each(self, parts: list[Any], work: Callable[[Any], None]) -> None:
+        for _ in self._pool.map(work, parts):  # which raises what a thread raised
+            pass
+
+
+def _cores() -> int:
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

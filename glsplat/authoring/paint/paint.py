@@ -1,0 +1,152 @@
+"""The colours of a dressed body's surface from the pictures of it, the unseen sides included."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glsplat.authoring.fit.body import Body
+from glsplat.authoring.fit.eyes import EyeLook
+from glsplat.authoring.fit.offsets import face_of
+from glsplat.authoring.paint.head import BackOfHead, back_of_head
+from glsplat.authoring.paint.inside import with_inside
+from glsplat.authoring.paint.layers.segments import half_width, trunk_of, twins_across
+from glsplat.authoring.paint.light import Light, find_light
+from glsplat.authoring.paint.shot import FittedPicture, Sight, SurfacePoints
+from glsplat.authoring.paint.smooth import smoothest
+from glsplat.authoring.paint.twins import Twins, find_twins
+from glsplat.pictures import to_srgb
+from glsplat.skinning.smplx import JOINT_NAMES
+
+__all__ = ["Paint", "Painter", "paint", "painter_of"]
+
+F64 = NDArray[np.float64]
+
+_NO_TWINS = ("neck", "head", "jaw", "left_eye_smplhf", "right_eye_smplhf")  # faces and chins have no counterpart
+_GUESSED = 0.6  # of the splats that detail is worth, where it is a guess
+_DIGITS = 6  # of a colour; see sharpen.py
+_LENT = 0.003  # what one half of the body says of the other, where nobody looks
+_ASIDE = 0.35, 0.6  # of the trunk's half width: nearer to its middle than that nothing is mirrored, for signs are there
+_SHADE = 0.3, 1.4  # brightness of an unseen point against the seen one its colour comes from
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Paint:
+    """What is known and guessed of M points."""
+
+    rgb: F64  # [M, 3] sRGB in [0, 1]
+    seen: F64  # [M] from 0, guessed, to 1, seen
+    busy: F64  # [M] from 0, plain, to 1, full of detail
+
+
+@dataclass(frozen=True, eq=False)
+class Painter:
+    """Gives the colours of any points of a dressed body; ``painter_of`` makes one."""
+
+    body: Body
+    shots: Sequence[FittedPicture]  # the front first
+    looks: Mapping[str, EyeLook]
+    light: Light
+    plain: F64  # [V, 3] smooth linear colours without light
+    twins: Twins
+    head: BackOfHead
+    aside: F64  # [V] how much the other half of the body says of a vertex that is not seen
+
+    def paint(self, points: SurfacePoints) -> Paint:
+        """What is known and guessed of the points."""
+        sights = [shot.look(points) for shot in self.shots]
+        seen, colour = _mixed(sights)
+        guess, there = self._guess(points)
+        busy = np.max([sight.busy * sight.trust for sight in sights], axis=0)
+        busy = np.maximum(busy, _GUESSED * there * (1 - seen))
+        rgb = with_inside(
+            self.body, self.shots[0], self.looks, points, to_srgb(guess + seen[:, None] * (colour - guess))
+        )
+        return Paint(np.round(rgb, _DIGITS), seen, np.round(busy, _DIGITS))
+
+    def colours(self, points: SurfacePoints) -> F64:
+        """``paint(points).rgb`` alone, which is quicker: what is seen squarely is not guessed."""
+        seen, colour = _mixed([shot.look(points) for shot in self.shots])
+        doubt = np.flatnonzero(seen < 1)
+        guess, _ = self._guess(SurfacePoints(points.corners[doubt], points.weights[doubt]))
+        colour[doubt] = guess + seen[doubt, None] * (colour[doubt] - guess)
+        return np.round(with_inside(self.body, self.shots[0], self.looks, points, to_srgb(colour)), _DIGITS)
+
+    def _guess(self, points: SurfacePoints) -> tuple[F64, F64]:
+        """[M, 3] linear colours where nobody looks, and [M] how much detail they have."""
+        body, front = self.body, self.shots[0]
+        shade = self.light.shade(points.directions(front.normals))[:, None]
+        # the front at the same place, for all but the head
+        behind = self.twins.colours(front, points)
+        ratio = (shade[:, 0] / self.light.shade(behind.normals)).clip(*_SHADE)
+        round_parts = np.isin(body.part, [JOINT_NAMES.index(name) for name in _NO_TWINS])
+        trust = behind.trust * (1 - points.at(round_parts.astype(float)[:, None])[:, 0])
+        covered, colour = self.head.at(points)
+        # side by side, not one over the other: where neck and back meet, no third colour shows between them
+        rest = 1 - trust - covered
+        guess = (rest[:, None] * points.at(self.plain) + covered[:, None] * colour) * shade
+        guess += (trust * ratio)[:, None] * behind.linear
+        # what one half of the body hides, the other one shows
+        across = SurfacePoints(twins_across()[points.corners], points.weights)
+        other = front.look(across)
+        lent = other.trust * points.at(self.aside[:, None])[:, 0]
+        ratio = (shade[:, 0] / self.light.shade(across.directions(front.normals))).clip(*_SHADE)
+        guess += lent[:, None] * (ratio[:, None] * other.linear - guess)
+        return guess, np.maximum(behind.busy * trust, other.busy * lent)
+
+
+def painter_of(
+    body: Body, shots: Sequence[FittedPicture], points: SurfacePoints, looks: Mapping[str, EyeLook] | None = None
+) -> Painter:
+    """A painter of the body in ``shots``, the front first; ``looks`` are the eyes in it.
+
+    The light is found on ``points``, which should lie evenly over the surface.
+    """
+    front = shots[0]
+    sight = front.look(points)
+    normals, up = points.directions(front.normals), front.view.root[:, 1]
+    light = find_light(normals, sight.linear, sight.trust, up, np.array([0.0, 0, -1]))
+    plain, twins = _smooth_colours(body, shots, light), find_twins(front.mesh, trunk_of(body))
+    return Painter(body, shots, looks or {}, light, plain, twins, back_of_head(body, front, light), _aside(body, front))
+
+
+def _aside(body: Body, shot: FittedPicture) -> F64:
+    """[V] 1, but 0 about the middle of the trunk and on hair, whose edges are mixed with the room."""
+    trunk, rest = trunk_of(body), shot.mesh.vertices
+    hair = np.isin(body.part, [JOINT_NAMES.index(name) for name in ("neck", "head")]) & ~face_of(body)
+    share = np.abs(rest[:, 0]) / np.maximum(half_width(rest, trunk), 1e-3)
+    return np.where(hair, 0.0, np.where(trunk, ((share - _ASIDE[0]) / (_ASIDE[1] - _ASIDE[0])).clip(0, 1), 1.0))
+
+
+def paint(
+    body: Body, shots: Sequence[FittedPicture], points: SurfacePoints, looks: Mapping[str, EyeLook] | None = None
+) -> Paint:
+    """Colours of ``points`` of the dressed body; ``shots`` begin with the front, ``looks`` are the eyes in it."""
+    return painter_of(body, shots, points, looks).paint(points)
+
+
+def _mixed(sights: Sequence[Sight]) -> tuple[F64, F64]:
+    """[M] how well the points are seen, and their linear colours [M, 3] by all who see them."""
+    count = len(sights[0].trust)
+    total = sum((sight.trust**2 for sight in sights), np.zeros(count))
+    mixed = sum((sight.linear * (sight.trust**2)[:, None] for sight in sights), np.zeros((count, 3)))
+    return np.max([sight.trust for sight in sights], axis=0), mixed / np.maximum(total, 1e-9)[:, None]
+
+
+def _smooth_colours(body: Body, shots: Sequence[FittedPicture], light: Light) -> F64:
+    """[V, 3] linear colours without light: as seen at the vertices, the smoothest between."""
+    count = len(body.vertices)
+    known, target = np.zeros(count), np.zeros((count, 3))
+    first = shots[0]
+    for shot in shots:
+        trust = shot.trust * body.skin
+        # every picture is of the same room: normals are turned back into the first camera's axes
+        shade = light.shade(shot.normals @ (shot.view.root @ first.view.root.T))
+        known += trust
+        target += trust[:, None] * shot.sample(shot.view.pixels, shot.layer) / shade[:, None]
+    twin = twins_across()
+    lent = _LENT * known[twin] * (known < _LENT)
+    return smoothest(body, known + lent, target + _LENT * target[twin] * (known < _LENT)[:, None])

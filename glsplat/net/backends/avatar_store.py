@@ -1,0 +1,46 @@
+"""The avatars beside the scene: those that were given, and those that lie in a folder when they are asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+from glsplat.avatar import Avatar
+from glsplat.errors import FormatError
+from glsplat.formats import load
+from glsplat.scene import Rigged
+
+__all__ = ["AvatarStore"]
+
+
+class AvatarStore(Mapping[str, Rigged]):
+    """``given`` by name, then NAME.glb of ``folder``, read anew each time; never the name of the ``scene``.
+
+    What asks has made sure that a name is of those offered, so none leads out of the folder.
+    """
+
+    def __init__(self, given: Mapping[str, Rigged], folder: Path, scene: str) -> None:
+        self._given, self._folder, self._scene = dict(given), folder, scene
+
+    def __getitem__(self, name: str) -> Rigged:
+        if name in self._given:
+            return self._given[name]
+        if name not in self:
+            raise KeyError(name)
+        avatar = load(self._path(name))
+        if not isinstance(avatar, Avatar):
+            raise FormatError(f"{self._path(name)}: expected an avatar, found splats without a skeleton")
+        return avatar
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._given or (isinstance(name, str) and name != self._scene and self._path(name).is_file())
+
+    def __iter__(self) -> Iterator[str]:
+        yield from self._given
+        yield from (path.stem for path in sorted(self._folder.glob("*.glb")) if path.stem not in self._given)
+
+    def __len__(self) -> int:
+        return sum(1 for _ in self)
+
+    def _path(self, name: str) -> Path:
+        return self._folder / f"{name}.glb"

@@ -1,0 +1,178 @@
+"""What clients may be shown: the scene, or one of the avatars offered beside it; each whole, or without parts of it.
+
+Every one of them has a renderer of its own on one context, made when it is first asked for, so that clients who look at
+different ones do not undo each other's work, and a server of one thing makes one renderer.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glsplat.avatar import Avatar
+from glsplat.camera import Camera
+from glsplat.errors import GlsplatError
+from glsplat.net.backend import RenderJob
+from glsplat.net.backends.labels import Label, notice
+from glsplat.net.backends.room import RoomRenderer, label_place, selectors
+from glsplat.passes.lru_cache import LruCache
+from glsplat.passes.views import checked_pose
+from glsplat.renderer import Renderer
+from glsplat.scene import Item, Rigged, Scene, SceneLike, is_rigged
+from glsplat.scenes.scene_file import SceneFile
+from glsplat.skinning.extent import Extent
+from glsplat.skinning.skin import Skin
+
+__all__ = ["KEPT", "RendererPool", "SceneRenderer"]
+
+KEPT = 4
+"""Renderers at most: the default avatar with and without its head, and two others."""
+
+_KEPT_BYTES = 2**29  # of the GPU's memory, by those that are not in use
+
+Key = tuple[str, tuple[str, ...] | None]
+"""Name of an avatar and its parts that are left out, or name of a room and None."""
+
+
+class SceneRenderer:
+    """One thing that is shown, and what draws it. ``make`` makes the renderer."""
+
+    def __init__(self, scene: Scene, hide: tuple[str, ...], make: Callable[[Scene], Renderer]) -> None:
+        self._source = self._item = SceneFile.of(scene).avatar
+        self._extent: Extent | None = None
+        self.scene = scene
+        if hide:
+            self._item = _without(self._source, hide)
+            self.scene = Scene(self._item if item is self._source else item for item in scene)
+        self.renderer = make(self.scene)
+        self.selector = selectors()
+
+    @property
+    def nbytes(self) -> int:
+        """GPU bytes."""
+        return sum(self.renderer.nbytes().values())
+
+    def follow(self, request: RenderJob, seconds: float) -> None:
+        """Put what stands in for the scene's avatar where that is now."""
+        if self._item is not self._source:
+            assert self._item is not None and self._source is not None
+            self._item.pose, self._item.transform = self._source.pose, self._source.transform
+
+    def views(self, request: RenderJob) -> Sequence[Camera]:
+        """As they are asked for: it was made without what its requests hide."""
+        return request.cameras
+
+    def labels(self, request: RenderJob) -> list[Label]:
+        """What stands over the head of the one avatar, if the request has words for it."""
+        if not request.label or self._item is None or not is_rigged(self._item.content):
+            return []
+        pose = self._item.pose if request.pose is None else request.pose
+        posed = Item(self._item.content, pose=pose, transform=self._item.transform)
+        return [Label(request.label, label_place(posed, self._item.content))]
+
+    def box(self, request: RenderJob) -> tuple[float, ...] | None:
+        """x, y, z lowest and highest, metres, of the one avatar as it is posed; None without one, or not asked for."""
+        item, pose = self._item, request.pose
+        if item is None or not request.options.box:
+            return None
+        avatar = item.content
+        assert is_rigged(avatar)
+        if self._extent is None:
+            self._extent = _extent(avatar)
+        posed = checked_pose(item.pose if pose is None else pose, len(avatar.skeleton), "avatar")
+        bones = item.transform[:3, :3] @ posed.bones(avatar.skeleton)
+        bones[:, :, 3] += item.transform[:3, 3]
+        box = self._extent.box(bones)
+        if box is None:
+            return None
+        weights = avatar.weights(posed) if isinstance(avatar, Avatar) else None
+        if weights is not None and isinstance(avatar, Avatar) and avatar.shapes is not None:
+            size = float(np.cbrt(np.linalg.det(item.transform[:3, :3])))
+            box = box + size * avatar.shapes.farthest(weights) * np.array([[-1.0], [1.0]])
+        return tuple(box.ravel().tolist())
+
+    def release(self) -> None:
+        """Delete what draws it."""
+        self.renderer.release()
+
+
+class RendererPool:
+    """The stand of each request. Those used last are kept; the others are made anew when they are asked for.
+
+    ``avatars`` and ``rooms`` are by name; what stands in a room is its background.
+    """
+
+    def __init__(
+        self,
+        scene: SceneLike,
+        avatars: Mapping[str, Rigged],
+        make: Callable[[Scene], Renderer],
+        rooms: Mapping[str, SceneFile] | None = None,
+    ) -> None:
+        self._scene, self._avatars, self._make, self._rooms = Scene.of(scene), avatars, make, rooms or {}
+        self._kept: LruCache[Key, SceneRenderer | RoomRenderer] = LruCache(KEPT + len(self._rooms), _KEPT_BYTES)
+
+    def __len__(self) -> int:
+        return len(self._kept)
+
+    def of(self, request: RenderJob) -> SceneRenderer | RoomRenderer:
+        """What ``request`` asks to see. Raises GlsplatError where that has no such part."""
+        if request.room is None:
+            return self.get(request.avatar, request.options.hide)
+        background = self._rooms[request.room.room]
+        return self._kept.get((request.room.room, None), lambda: RoomRenderer(background, self._figure, self._make))
+
+    def get(self, name: str = "", hide: tuple[str, ...] = ()) -> SceneRenderer | RoomRenderer:
+        """One of the avatars by its name, the scene by any other, without the parts ``hide``."""
+        shown = name if name in self._avatars else ""
+        return self._kept.get((shown, hide), lambda: self._renderer_of(shown, hide))
+
+    @staticmethod
+    def write(
+        one: SceneRenderer | RoomRenderer, request: RenderJob, images: NDArray[np.uint8]
+    ) -> tuple[int, int, int, int]:
+        """Write the words of a request into its images [V, H, W, 4]; the box of what changed, which may be empty."""
+        words = one.labels(request)
+        if request.notice:
+            words.append(notice(request.notice, request.cameras))
+        if not words:
+            return 0, 0, 0, 0
+        from glsplat.net.backends.lettering import draw_labels  # here: OpenCV is of use to few, and slow to load
+
+        return draw_labels(images, request.cameras, words)
+
+    def release(self) -> None:
+        """Delete all."""
+        self._kept.release()
+
+    def _figure(self, name: str) -> Rigged:
+        """An avatar by its name, or the scene's one."""
+        if name in self._avatars:
+            return self._avatars[name]
+        item = SceneFile.of(self._scene).avatar
+        if item is None or not is_rigged(item.content):
+            raise GlsplatError(f'there is no avatar "{name}" for the people of a room')
+        return item.content
+
+    def _renderer_of(self, name: str, hide: tuple[str, ...]) -> SceneRenderer:
+        return SceneRenderer(Scene.of(self._avatars[name]) if name else self._scene, hide, self._make)
+
+
+def _without(item: Item | None, parts: tuple[str, ...]) -> Item:
+    """The same avatar in the same place without what follows ``parts``, which are names of joints."""
+    if item is None or not is_rigged(item.content):
+        raise GlsplatError("parts can be left out of one avatar, this scene has none or several")
+    avatar: Rigged = item.content
+    for part in parts:
+        avatar = avatar.without(part)
+    return Item(avatar, pose=item.pose, transform=item.transform, name=item.name)
+
+
+def _extent(figure: Rigged) -> Extent:
+    if isinstance(figure, Avatar):
+        return Extent.of(figure.splats, figure.skin)
+    used = np.unique(figure.faces)
+    skin = Skin.create(figure.joints[used], figure.weights[used], len(figure.skeleton))
+    return Extent.of_points(figure.vertices[used], skin)

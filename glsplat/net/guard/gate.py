@@ -1,0 +1,225 @@
+"""The way in: every connection and request passes here before the server hears of it (access.py, addresses.py)."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import math
+import socket
+import ssl
+from collections.abc import Awaitable, Callable
+from dataclasses import replace
+from pathlib import Path
+
+from aiohttp import web
+
+from glsplat.consent.policy import ConsentPolicy
+from glsplat.net.accounts.rights import USER, Rights
+from glsplat.net.accounts.users import Accounts
+from glsplat.net.guard.access import SUBPROTOCOL, Access, certificate_names, is_loopback
+from glsplat.net.guard.addresses import Addresses
+from glsplat.net.guard.connection import GuardedConnection
+from glsplat.net.guard.limits import ClientQuota, Limits
+from glsplat.net.guard.listener import Listener
+from glsplat.net.guard.machine import machine_names
+from glsplat.net.guard.meter import FrameMeter
+from glsplat.net.guard.notices import Notices
+
+__all__ = ["Gate", "connection_of"]
+
+_MOST_LOGINS = 32  # requests that wait for their tokens to be hashed, one after the other
+
+Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
+
+
+class Gate:
+    """Accepts connections, refuses requests. ``max_clients`` is the server's, of which one address may have a part."""
+
+    def __init__(
+        self,
+        access: Access,
+        limits: Limits,
+        max_clients: int,
+        clock: Callable[[], float],
+        consent: ConsentPolicy | None = None,
+    ) -> None:
+        share = max_clients if is_loopback(access.host) else (max_clients + 1) // 2
+        self.limits = limits
+        self.addresses = Addresses(limits, limits.per_address or share)
+        self.notices = Notices(logging.getLogger("glsplat.net"), clock)
+        self.rights = Rights(access.accounts, consent)
+        self.refused = 0  # requests
+        self._login, self._logins = asyncio.Lock(), 0
+        self._access, self._clients, self._clock = access, max_clients, clock
+        self._listener: Listener | None = None
+
+    def open(
+        self,
+        server: web.Server,
+        listening: socket.socket,
+        tls: ssl.SSLContext | None,
+        cert: Path | None,
+        timeout: float,
+    ) -> None:
+        """Accept for ``server``; a connection gets ``timeout`` seconds for each request."""
+        names = self._access.hosts
+        if tls is not None and cert is not None:
+            names += certificate_names(cert, tls)
+        if not is_loopback(self._access.host):
+            names += machine_names()
+        self._access = replace(self._access, hosts=names)
+
+        def make(key: str, gone: Callable[[], None]) -> GuardedConnection:
+            return GuardedConnection(server, key, self.limits, self.notices, self._clock, gone, timeout)
+
+        self._listener = Listener(
+            *(listening, make, self.addresses, self.notices, self._clock),
+            clients=self._clients,
+            tls=tls,
+            handshake=timeout,
+        )
+        self._listener.start()
+
+    async def close(self) -> None:
+        """Accept nothing more; what is connected stays."""
+        if self._listener is not None:
+            await self._listener.stop()
+
+    def status(self) -> dict[str, int]:
+        """Numbers for /stats."""
+        listener = self._listener
+        return {
+            "refused": self.refused,
+            "turned_away": 0 if listener is None else listener.turned_away,
+            "waiting": 0 if listener is None else listener.waiting,
+            "held_off": self.addresses.count_held_off(self._clock()),
+        }
+
+    @web.middleware
+    async def guard(self, request: web.Request, handler: Handler) -> web.StreamResponse:
+        """Refuse a request, or let ``handler`` answer it."""
+        connection = connection_of(request)
+        connection.busy = True
+        try:
+            refusal = await self._refusal(request, connection)
+            if refusal is None:
+                return await handler(request)
+            return self._refused(refusal)
+        finally:
+            connection.busy = False
+            connection.request_done()
+
+    def enter(self, request: web.Request, ws: web.WebSocketResponse) -> ClientQuota | web.Response:
+        """What a new client may spend, its connection metered from here on, or why it may not come in."""
+        connection = connection_of(request)
+        offered = [name.strip() for name in request.headers.get("Sec-WebSocket-Protocol", SUBPROTOCOL).split(",")]
+        if SUBPROTOCOL not in offered:  # aiohttp would log what was offered, a token perhaps
+            return self._refused(
+                web.Response(status=400, text=f"the subprotocol here is {SUBPROTOCOL}: offer it, or none\n")
+            )
+        if not _is_handshake(request, ws):
+            text = "this is the address of a WebSocket (RFC 6455, version 13)\n"
+            return self._refused(web.Response(status=400, text=text))
+        quota = self.addresses.enter(connection.key, self._clock())
+        if quota is None:
+            most = self.addresses.per_address
+            return self._refused(_later(5.0, f"at most {most} clients at once from one address"))
+        connection.meter = FrameMeter(quota, self.limits)
+        if self._listener is not None:
+            self._listener.promote(connection)
+        return quota
+
+    def leave(self, request: web.Request, quota: ClientQuota) -> None:
+        """The client that ``enter`` let in is gone."""
+        self.addresses.leave(connection_of(request).key, quota, self._clock())
+
+    def upload(self, request: web.Request) -> float:
+        """Count a request to make an avatar; seconds until its address may ask again, 0 if it may now."""
+        return self.addresses.upload(connection_of(request).key, self._clock())
+
+    def breach(self, request: web.Request, reason: str) -> None:
+        """A client broke a limit: its address is held off for a while."""
+        self.addresses.breach(connection_of(request).key, self._clock())
+        self.notices("breach", f"a client broke a limit ({reason}); its address is held off")
+
+    def _refused(self, response: web.Response) -> web.Response:
+        """Count it; nothing more is read on its connection."""
+        self.refused += 1
+        response.force_close()
+        return response
+
+    async def _refusal(self, request: web.Request, connection: GuardedConnection) -> web.Response | None:
+        now, key, addresses, access = self._clock(), connection.key, self.addresses, self._access
+        wrong = access.wrong_host(request.headers.getall("Host", []))
+        if wrong is not None:
+            return web.Response(status=wrong[0], text=wrong[1] + "\n")
+        if request.path == "/healthz":  # which says nothing about the scene or the clients
+            return None
+        if (seconds := addresses.held_off(key, now)) > 0:
+            return _later(seconds, "a client of this address broke a limit (docs/protocol.md, section 5)")
+        public = _is_page(request)
+        if not addresses.visit(key, now, self.limits.file if public else 1.0):
+            return _later(1.0, f"at most {self.limits.visits:g} connections and requests a second from one address")
+        guesses = not public and access.guarded and access.offers_token(request.headers)
+        if guesses and (seconds := addresses.no_guess(key, now)) > 0:
+            return _later(seconds, "too many wrong tokens from this address")
+        refusal = access.refusal(request.headers, public)
+        if refusal is None:
+            return None if public or access.accounts is None else await self._identify(request, key, access.accounts)
+        if refusal[0] == 401 and guesses:
+            addresses.guess(key, now)
+            self.notices("token", "a wrong token was refused")
+        return _asked(refusal[1]) if refusal[0] == 401 else web.Response(status=refusal[0], text=refusal[1] + "\n")
+
+    async def _identify(self, request: web.Request, key: str, accounts: Accounts) -> web.Response | None:
+        """Note in the request whose it is, or refuse it."""
+        token = next(iter(self._access.tokens(request.headers)), None)
+        if token is None:
+            return _asked("an account's token is needed: Authorization: Bearer NAME.SECRET, or as a subprotocol")
+        user = accounts.known(token)
+        if user is None:
+            if self._logins >= _MOST_LOGINS:
+                return _later(1.0, "too many tokens are looked at just now")
+            self._logins += 1
+            try:
+                async with self._login:  # one at a time: what is guessed at once is counted one by one
+                    if (seconds := self.addresses.no_guess(key, self._clock())) > 0:
+                        return _later(seconds, "too many wrong tokens from this address")
+                    user = await accounts.verified(token)
+                    if user is None:
+                        self.addresses.guess(key, self._clock())
+            finally:
+                self._logins -= 1
+        if user is None:
+            self.notices("token", "a wrong token was refused")
+            return _asked("there is no account with this token")
+        request[USER] = user
+        return None
+
+
+def connection_of(request: web.Request) -> GuardedConnection:
+    """The connection a request came by."""
+    connection = request.protocol
+    assert isinstance(connection, GuardedConnection)
+    return connection
+
+
+def _is_page(request: web.Request) -> bool:
+    """Whether a file of the page will answer: by what the address led to, not by how it is spelled."""
+    resource = request.match_info.route.resource
+    return resource is not None and resource.canonical in ("/vr", "/vr/{path}")
+
+
+def _is_handshake(request: web.Request, ws: web.WebSocketResponse) -> bool:
+    try:
+        return bool(ws.can_prepare(request))
+    except ValueError:  # bytes in a header that are not ASCII, or not UTF-8: aiohttp quotes them, or decodes the key
+        return False
+
+
+def _asked(text: str) -> web.Response:
+    return web.Response(status=401, text=text + "\n", headers={"WWW-Authenticate": "Basic realm=glsplat"})
+
+
+def _later(seconds: float, text: str) -> web.Response:
+    return web.Response(status=429, text=text + "; try again later\n", headers={"Retry-After": f"{math.ceil(seconds)}"})

@@ -1,0 +1,94 @@
+"""The local render loop: draws on one thread of this process, encodes on others while the next picture is drawn.
+
+One thread owns the renderer, as an OpenGL context belongs to a thread.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import time
+from collections.abc import Awaitable, Callable
+from concurrent.futures import Future, ThreadPoolExecutor
+
+from glsplat.net.backend import Backend, Interruptible, Rendered
+from glsplat.net.codec.encode import Encoded, Encoder
+from glsplat.net.messages import PictureOptions
+from glsplat.net.pace.client_stream import Frame
+from glsplat.net.render_loop import RenderLoop
+
+__all__ = ["LocalLoop", "encode"]
+
+log: logging.Logger = logging.getLogger("glsplat.net")
+
+_GRACE = 0.5  # seconds the picture in hand gets when the server stops
+
+
+class LocalLoop(RenderLoop):
+    """Draws with a backend on a thread of its own, and encodes on some more."""
+
+    def __init__(
+        self, backend: Backend, clock: Callable[[], float] = time.perf_counter, rate: float | None = None
+    ) -> None:
+        super().__init__(clock, rate)
+        self._backend = backend
+        self._render_thread = ThreadPoolExecutor(1, thread_name_prefix="render")
+        self._encode_threads = ThreadPoolExecutor(2, thread_name_prefix="frame")
+        self._encoder = Encoder()
+        if isinstance(backend, Interruptible):
+            backend.abandoned = self._abandoned
+
+    async def _open(self) -> str:
+        return await self._loop.run_in_executor(self._render_thread, self._backend.open)
+
+    async def _reopen(self) -> str:
+        return await self._loop.run_in_executor(self._render_thread, self._open_again)
+
+    def _open_again(self) -> str:
+        """On the render thread."""
+        try:
+            self._backend.close()
+        except Exception:
+            log.debug("what is left of the lost context cannot be released", exc_info=True)
+        return self._backend.open()
+
+    async def _close(self) -> None:
+        closing = self._loop.run_in_executor(self._render_thread, self._backend.close)
+        done, _ = await asyncio.wait([closing], timeout=_GRACE)
+        if not done and isinstance(self._backend, Interruptible):
+            self._backend.kill()
+        await closing
+
+    async def _picture(self, frame: Frame) -> Awaitable[Encoded]:
+        return asyncio.wrap_future(await self._loop.run_in_executor(self._render_thread, self._draw, frame))
+
+    def _draw(self, frame: Frame) -> Future[Encoded]:
+        """On the render thread: the pose where tracking was sent, the picture, and its encoding under way."""
+        job, scale, floor = self._job(frame)
+        start = self._begin(frame)
+        rendered = self._backend.render(job)
+        done = rendered.done or _nothing
+        try:
+            self._note(frame, rendered, start, scale, floor)
+            # from here: the event loop need not hear of it first
+            encoded = self._encode_threads.submit(encode, self._encoder, rendered, job.options)
+        except BaseException:
+            done()
+            raise
+        # of the future, not of the encoding: one that is cancelled while it waits never begins
+        encoded.add_done_callback(lambda _: done())
+        return encoded
+
+    def _end_threads(self) -> None:
+        super()._end_threads()
+        self._render_thread.shutdown(wait=False)
+        self._encode_threads.shutdown(wait=False)
+        self._encoder.close()
+
+
+def encode(encoder: Encoder, rendered: Rendered, options: PictureOptions) -> Encoded:
+    """The JPEGs of what was drawn, here or in a worker. On an encoding thread."""
+    return encoder.encode(rendered.images, options.quality, options.crop, rendered.covered, options.alpha)
+
+
+def _nothing() -> None: ...

@@ -1,0 +1,135 @@
+"""What goes through a render loop: one client's channel, and its frames from the renderer to the socket."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from glsplat.camera import Camera
+from glsplat.net.backend import AvatarInfo, RenderJob
+from glsplat.net.codec.encode import Encoded
+from glsplat.net.guard.limits import CpuShare
+from glsplat.net.messages import Request, eye_fields
+from glsplat.net.pace.adaptive_quality import FULL, Detail
+from glsplat.net.pose_queue import PoseQueue, SolutionFuture
+from glsplat.net.rooms.member import Member
+from glsplat.net.rooms.view import room_fields
+from glsplat.net.session import Session
+
+__all__ = ["ANYTHING", "ClientStream", "Frame"]
+
+ANYTHING = AvatarInfo(name="")
+
+
+@dataclass(eq=False, slots=True)
+class Frame:
+    """One picture on its way from the renderer to the socket, and what the server notes of it."""
+
+    channel: ClientStream  # whose it is
+    request: Request
+    arrived: float  # clock seconds
+    times: dict[str, float]  # ms
+    cameras: tuple[Camera, ...]  # those of the request, in the size that is drawn
+    notice: str = ""  # what has to stand in it
+    job: RenderJob | None = None  # what is drawn, once its pose is known
+    encoded: Awaitable[Encoded] | None = None  # None: it could not be drawn
+    error: tuple[str, str] = ("", "")  # code and message in that case
+    notes: tuple[str, ...] | None = None  # of the tracking solver
+    drawn: tuple[Camera, ...] | None = None  # the eyes in the avatar's space, where tracking was solved
+    box: list[float] | None = None  # of the avatar in the client's room, where it was asked for
+    ends: str = ""  # why the connection ends after this answer and its address is held off, if it does
+    detail: Detail = FULL  # less than was asked for, where a rate is held
+    levels: tuple[int, ...] = ()  # of detail that were drawn
+    driver: str = ""  # what drew it
+    solution: SolutionFuture | None = None  # of its tracking
+    again: asyncio.Future[None] | None = None  # it is being drawn anew: done once it is
+    moved: bool = False  # whoever had it cannot draw it, another may
+    losses: int = 0  # of those who were drawing it
+
+    def info(self, boxes: Sequence[tuple[int, int, int, int]] | None) -> dict[str, Any]:
+        """The JSON object of the reply (docs/protocol.md, section 4)."""
+        channel, request, first = self.channel, self.request, self.cameras[0]
+        info: dict[str, Any] = {
+            "t": request.t,
+            "times": {name: round(ms, 3) for name, ms in self.times.items()},
+            "size": (first.width, first.height),
+            "eyes": [eye_fields(camera) for camera in self.cameras],
+            "crop": boxes,
+            "dropped": channel.session.counts.dropped,
+            "driver": self.driver,
+            "driven_by": channel.driver,
+        }
+        if self.notes is not None:
+            info["tracking"] = self.notes
+        drawn = None if self.drawn is None else [eye_fields(camera) for camera in self.drawn]
+        if drawn is not None and drawn != info["eyes"]:
+            info["drawn"] = drawn
+        if channel.shown.still and request.pose is not None:
+            info["still"] = channel.shown.still
+        if self.box is not None:
+            info["box"] = self.box
+        if any(self.levels) or self.detail != FULL:
+            info["detail"] = {"levels": self.levels, "bias": self.detail.bias, "scale": self.detail.scale}
+        if request.options.alpha == "straight":
+            info["alpha"] = "straight"
+        if self.job is not None and self.job.room is not None:
+            info["room"] = room_fields(self.job.room)
+        return info
+
+
+@dataclass(eq=False, slots=True)
+class ClientStream:
+    """One client as the render loop sees it."""
+
+    number: int
+    session: Session
+    solving: PoseQueue | None = None  # None: this server solves no tracking
+    address: str = ""  # what has a fair share of the renderer's time
+    shown: AvatarInfo = ANYTHING
+    member: Member | None = None  # in a room; None: sees what it is shown alone
+    driver: str = ""  # name of who drives what is shown; "": nobody knows
+    label: str = ""  # over the head of what is shown alone
+    notice: Callable[[], str] = field(default=lambda: "")  # what has to stand in a picture drawn now
+    share: CpuShare | None = None  # of the time for reading and solving; None: no limit
+    frames: asyncio.Queue[Frame] = field(default_factory=asyncio.Queue)  # bounded by the session's window
+    again: Frame | None = None  # one of those that were taken from ``frames``, to be drawn anew before any other
+    place_key: str = ""  # where it is drawn (workers/placement.py); empty: room:NAME or avatar:NAME
+    cost: float = 0.0  # seconds a picture, lately; 0: none was drawn yet
+
+    def __post_init__(self) -> None:
+        alone = f"avatar:{self.shown.name}"
+        self.place_key = self.place_key or (alone if self.member is None else f"room:{self.member.room.name}")
+
+    def ready(self, solved: Callable[[], None]) -> bool:
+        """True while a request can be drawn without waiting for its tracking.
+
+        Where none is solved yet, the newest is from now on, and ``solved`` is called (on any thread) once it is: under
+        a stream of samples that are all newer, waiting for the newest would never end.
+        """
+        if self.again is not None:
+            return True
+        session, newest = self.session, self.session.newest
+        if not session.ready():
+            return False
+        if self.solving is None or (newest is not None and self._solved(newest)):
+            return True
+        if session.kept is None:
+            assert newest is not None
+            session.keep()
+            self.solving.begin(newest.frame_id, solved)
+        return self._solved(session.kept)
+
+    def take(self, now: float) -> tuple[Request, float, SolutionFuture | None]:
+        """The newest request that is ready, the seconds it waited, and its solution."""
+        newest = self.session.newest
+        kept = self.solving is not None and (newest is None or not self._solved(newest))
+        taken = self.session.next_request(now, kept)
+        assert taken is not None
+        request, waited = taken
+        return request, waited, None if self.solving is None else self.solving.take(request.frame_id)
+
+    def _solved(self, request: Request | None) -> bool:
+        solving = self.solving
+        return request is None or request.tracking is None or solving is None or solving.solved(request.frame_id)

@@ -1,0 +1,50 @@
+"""What clients may choose to see, and what /session says of it. It may change while the server runs."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from typing import Any
+
+from glsplat.errors import GlsplatError
+from glsplat.net.backend import AvatarInfo
+
+__all__ = ["Catalogue"]
+
+
+class Catalogue:
+    """Those offered by name; who names none sees the first, which stays."""
+
+    def __init__(self, offered: Sequence[AvatarInfo]) -> None:
+        self._offered = {one.name: one for one in offered}
+        if not offered or len(self._offered) < len(offered):
+            raise GlsplatError("a server offers one thing or several of different names: clients choose by name")
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The first one first."""
+        return tuple(self._offered)
+
+    def __getitem__(self, name: str) -> AvatarInfo:
+        return self._offered[name]
+
+    def add(self, one: AvatarInfo) -> None:
+        """Offer one more."""
+        self._offered[one.name] = one
+
+    def remove(self, name: str) -> bool:
+        """Offer it no more; False where it was not offered."""
+        return self._offered.pop(name, None) is not None
+
+    def fields(self, names: Collection[str]) -> list[dict[str, Any]]:
+        """What /session says of each of ``names``."""
+        return [
+            {
+                "name": one.name,
+                "height": None if one.height is None else round(one.height, 4),
+                "tracking": one.solver is not None,
+                "head": "head" in one.parts,
+                "made": one.made,
+            }
+            for one in self._offered.values()
+            if one.name in names
+        ]

@@ -1,0 +1,122 @@
+"""The folder in which avatars made of photographs are kept: what lies there, and how much may."""
+
+from __future__ import annotations
+
+import io
+import logging
+import os
+import re
+import secrets
+from pathlib import Path
+
+from glsplat.avatar import Avatar
+from glsplat.errors import FormatError, GlsplatError
+from glsplat.formats import load
+from glsplat.io.files import replace_file
+
+__all__ = ["SUFFIX", "NoRoomError", "UploadStore"]
+
+SUFFIX = ".glb"
+_LETTERS = "abcdefghijkmnpqrstuvwxyz23456789"  # none that is taken for another
+_MADE = re.compile(f"photo-[{_LETTERS}]{{8}}")
+_LONGEST = 64  # characters of a name that an address can hold
+
+log: logging.Logger = logging.getLogger("glsplat.net")
+
+
+class NoRoomError(GlsplatError):
+    """No further avatar has room in the folder."""
+
+
+class UploadStore:
+    """``folder`` with at most ``most_files`` avatars and ``most_bytes``. Names are made here, never by clients."""
+
+    def __init__(self, folder: Path, most_files: int, most_bytes: int) -> None:
+        self.folder, self._files, self._bytes = folder, most_files, most_bytes
+
+    def open(self) -> None:
+        """Make the folder, for nobody else to read, unless it is there. Raises GlsplatError if it cannot be used."""
+        try:
+            self.folder.mkdir(mode=0o700, exist_ok=True)
+        except OSError as error:
+            raise GlsplatError(f"{self.folder}: avatars cannot be kept there ({error.strerror})") from None
+        if not os.access(self.folder, os.R_OK | os.W_OK | os.X_OK):
+            raise GlsplatError(f"{self.folder}: avatars cannot be kept there (no right to read and write)")
+
+    def avatars(self) -> dict[str, Avatar]:
+        """What lies there, by name. What is no avatar is left out, with a line in the log."""
+        found: dict[str, Avatar] = {}
+        for path in self._paths():
+            try:
+                if not (path.stem.isprintable() and path.stem.strip() == path.stem and len(path.stem) <= _LONGEST):
+                    raise FormatError(f"{path}: its name cannot stand in an address")
+                found[path.stem] = _avatar(load(path), str(path))
+            except GlsplatError as error:
+                log.warning("left out: %s", error)
+        return found
+
+    def check(self, further: int = 0) -> None:
+        """Raises NoRoomError when there is no room for an avatar of ``further`` bytes."""
+        sizes = [size for path in self._paths() if (size := _size(path)) is not None]
+        if len(sizes) >= self._files:
+            raise NoRoomError(f"this server keeps {self._files} avatars and has no room for another; delete one first")
+        if sum(sizes) + further > self._bytes:
+            raise NoRoomError(
+                f"this server keeps {self._bytes / 1e6:g} MB of avatars, which are used up; delete one first"
+            )
+
+    def new_name(self) -> str:
+        """A name that nothing here has, and that nobody guesses."""
+        return "photo-" + "".join(secrets.choice(_LETTERS) for _ in range(8))
+
+    def made_here(self, name: str) -> bool:
+        """True for names of ``new_name``: only those avatars can be deleted by clients."""
+        return _MADE.fullmatch(name) is not None
+
+    def put(self, name: str, data: bytes) -> Avatar:
+        """Keep a file and return what it holds. It is there whole or, whatever happens, not at all.
+
+        Raises NoRoomError, or GlsplatError for what is no avatar and where the disk refuses.
+        """
+        avatar = _avatar(load(io.BytesIO(data), format="glb"), "what was made")
+        self.check(len(data))
+        try:
+            replace_file(self._path(name), [data], private=True)
+        except FormatError as error:
+            log.error("%s", error)
+            raise GlsplatError("the avatar could not be kept: this server's disk refuses it") from None
+        return avatar
+
+    def remove(self, name: str) -> bool:
+        """Delete an avatar; False where there is none."""
+        try:
+            self._path(name).unlink()
+        except FileNotFoundError:
+            return False
+        except OSError as error:
+            raise GlsplatError(f"the avatar could not be deleted ({error.strerror})") from None
+        return True
+
+    def _path(self, name: str) -> Path:
+        if not self.made_here(name):
+            raise GlsplatError("only avatars that were made here can be changed")
+        return self.folder / f"{name}{SUFFIX}"
+
+    def _paths(self) -> list[Path]:
+        try:
+            return sorted(path for path in self.folder.iterdir() if path.suffix == SUFFIX)
+        except OSError as error:
+            raise NoRoomError(f"this server's folder of avatars cannot be read ({error.strerror})") from None
+
+
+def _avatar(loaded: object, name: str) -> Avatar:
+    if not isinstance(loaded, Avatar):
+        raise FormatError(f"{name}: expected an avatar (.glb with a skin), found splats without a skeleton")
+    return loaded
+
+
+def _size(path: Path) -> int | None:
+    try:
+        return path.stat().st_size
+    except OSError:  # deleted meanwhile
+        return None

@@ -1,0 +1,172 @@
+"""Arms that lie over the trunk are found on the side where they are, and say nothing of the trunk's outline."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from glsplat.authoring.fit.body import BETAS, open_body
+from glsplat.authoring.fit.fit import BodyFit, fit_body
+from glsplat.authoring.fit.kinematics import PLACE, PosedBody
+from glsplat.authoring.fit.prior import HINGES
+from glsplat.authoring.fit.solver import BodySolver
+from glsplat.authoring.fit.standing.doubt import LIMBS, doubts_of
+from glsplat.authoring.fit.standing.limbs import TRUNK, before_trunk, beside_arms, forearms, hidden_arms, layers
+from glsplat.authoring.fit.standing.stances import metres_of, misread, stances_of
+from glsplat.authoring.fit.view import View
+from glsplat.skinning.smplx import JOINT_NAMES
+from tests.authoring.made_up import FOCAL, posed_view
+
+ARMS = [JOINT_NAMES.index(f"{side}_{name}") for side in ("left", "right") for name in ("elbow", "wrist")]
+
+BELLY = {("left_shoulder", 2): -1.15, ("left_shoulder", 1): -0.2, ("left_elbow", 1): -1.5}
+OVER = BELLY | {("left_shoulder", 1): -0.6}  # all of the forearm is before the trunk
+BACK = {
+    ("left_shoulder", 2): -1.3,
+    ("left_shoulder", 1): 0.9,
+    ("left_shoulder", 0): 1.5,
+    ("left_elbow", 1): -1.4,
+}  # the hand lies on the small of the back
+DOWN = {("left_shoulder", 2): -1.4, ("right_shoulder", 2): 1.4, ("left_elbow", 1): -0.1, ("right_elbow", 1): 0.1}
+
+
+def blind(view: View) -> View:
+    """The view without its metres."""
+    return View(view.mask, view.landmarks, view.visibility, view.focal, turn=view.turn)
+
+
+def arms_off(fit: BodyFit, posed: PosedBody) -> float:
+    """Millimetres, the pelvis held, mean over elbows and wrists."""
+    found = fit.views[0].joints
+    return float(np.linalg.norm((found - found[0] - posed.joints + posed.joints[0])[ARMS], axis=1).mean() * 1000)
+
+
+def surface(posed: PosedBody) -> tuple[np.ndarray, np.ndarray]:
+    where = posed.points(open_body().points(np.arange(len(open_body().vertices))))
+    return where, where[:, :2] / where[:, 2:] * FOCAL + (160, 240)
+
+
+@pytest.mark.parametrize(("bent", "most"), [(BELLY, 35), (DOWN, 50)], ids=["a hand on the belly", "arms down"])
+def test_arms_over_the_trunk(bent: dict[tuple[str, int], float], most: float) -> None:
+    view, posed, _ = posed_view(bent=bent)
+    fit = fit_body([view], 1.7)
+    assert fit.problem == "" and fit.views[0].overlap > 0.97
+    assert arms_off(fit, posed) < most
+
+
+def test_an_arm_before_the_trunk_is_not_found_without_metres() -> None:
+    view, posed, _ = posed_view(bent=BELLY)
+    assert arms_off(fit_body([blind(view)], 1.7), posed) > 150
+
+
+def test_metres_turn_the_person() -> None:
+    view, posed, _ = posed_view(turn=35, told=0, bent=DOWN)
+    read = next(stance for stance in stances_of(view, open_body()) if stance.name == "read")
+    assert abs(np.degrees(read.turn)) == pytest.approx(35, abs=9)
+    found = fit_body([view], 1.7).views[0].root
+    assert np.degrees(np.arccos((np.trace(found.T @ posed.frames[0]) - 1) / 2)) < 5
+
+
+def test_without_metres_there_is_one_stance() -> None:
+    view = posed_view()[0]
+    assert [stance.name for stance in stances_of(blind(view), open_body())] == ["posed"]
+    assert [stance.name for stance in stances_of(view, open_body())] == ["posed", "at ease", "read"]
+
+
+def test_metres_that_take_the_front_for_another_side_are_not_believed() -> None:
+    view = posed_view()[0]
+    assert view.world is not None and metres_of(view) is view.world and metres_of(blind(view)) is None
+    behind = view.world * (-1.0, 1.0, -1.0)  # the network saw a back
+    wrong = View(view.mask, view.landmarks, view.visibility, view.focal, world=behind)
+    assert metres_of(wrong) is None
+    assert [stance.name for stance in stances_of(wrong, open_body())] == ["posed", "at ease"]
+
+
+def test_forearms_that_are_seen_may_not_be_as_deep_as_the_trunk() -> None:
+    body, seen = open_body(), np.array([1.0, 0.2])
+    before, behind = (surface(posed_view(bent=bent)[1]) for bent in (OVER, BACK))
+    vertices, depths = before_trunk(body, *before, FOCAL, (480, 320), seen)
+    assert len(vertices) > 10 and (layers(body)[vertices] == 1).all() and forearms(body)[vertices].all()
+    assert (before[0][vertices, 2] < depths).mean() > 0.9
+    vertices, depths = before_trunk(body, *behind, FOCAL, (480, 320), seen)
+    assert (behind[0][vertices, 2] > depths).mean() > 0.9
+    assert not len(before_trunk(body, *before, FOCAL, (480, 320), 0 * seen)[0])
+
+
+def test_an_arm_that_is_too_deep_comes_forward_and_the_body_stays() -> None:
+    solver = posed_view(bent=BACK)[2]
+    deep = surface(solver.posed(0))
+    vertices, depths = before_trunk(open_body(), *deep, FOCAL, (480, 320), np.array([1.0, 0.0]))
+    x = solver.x.copy()
+    bare = solver._rows(x, True)
+    solver.keep_before(0, vertices, depths)
+    residual, slope = solver._rows(x, True)
+    pushed = len(bare[0])
+    assert residual[pushed:].max() > 0.1 and (residual[pushed:] >= 0).all()
+    step = 1e-6
+    moved = np.abs(slope[pushed:]).sum(axis=0) > 0
+    assert {solver_name(solver, index) for index in np.flatnonzero(moved)} <= {"left_shoulder", "left_elbow"}
+    for index in np.flatnonzero(moved):
+        there = x.copy()
+        there[index] += step
+        change = (solver._rows(there, False)[0] - residual)[pushed:] / step
+        assert np.allclose(change, slope[pushed:, index], atol=1e-3 * np.abs(slope[pushed:]).max())
+
+
+def solver_name(solver: BodySolver, index: int) -> str:
+    """The joint of an unknown, or nothing where it is none's."""
+    return HINGES.names[index - BETAS - PLACE][0] if index >= BETAS + PLACE else ""
+
+
+def test_hidden_arms() -> None:
+    for bent, least, most in ((BELLY, 0.0, 0.25), (BACK, 0.5, 1.0), (DOWN, 0.0, 0.2)):
+        posed = posed_view(bent=bent)[1]
+        left, right = hidden_arms(open_body(), *surface(posed), FOCAL, (480, 320))
+        assert least <= left <= most and right < 0.2, bent
+
+
+def test_layers_are_mirrored() -> None:
+    body = open_body()
+    layer = layers(body)
+    assert (layer == 1).sum() == pytest.approx((layer == 2).sum(), rel=0.02)
+    assert (body.vertices[layer == 1, 0] > 0.15).all() and (body.vertices[layer == 2, 0] < -0.15).all()
+    assert (layer[forearms(body)] != TRUNK).all()
+
+
+def test_beside_arms() -> None:
+    posed = posed_view(bent=DOWN)[1]
+    _, pixels = surface(posed)
+    near, wide = (beside_arms(open_body(), pixels, (480, 320), reach) for reach in (0.0, 6.0))
+    assert near.sum() < wide.sum() and not (near & ~wide).any()
+    column, row = np.floor(pixels[forearms(open_body())]).astype(int).T
+    assert wide[row, column].all()
+    head = posed.joints[JOINT_NAMES.index("head")]
+    x, y = head[:2] / head[2] * FOCAL + (160, 240)
+    assert not wide[int(y), int(x)]
+
+
+def test_arms_that_point_elsewhere_are_misread() -> None:
+    view, posed, _ = posed_view(bent=BELLY)
+    assert view.world is not None
+    assert misread(view.world, posed.joints) < 0.25 < 0.35 < misread(view.world, posed_view(bent=DOWN)[1].joints)
+
+
+def test_doubts_by_limb() -> None:
+    view, _, _ = posed_view(bent=DOWN)
+    doubts = fit_body([view], 1.7).views[0].doubts
+    assert set(doubts) == set(LIMBS) and max(doubts.values()) < 0.3
+    dim = view.visibility.copy()
+    dim[[14, 16]] = 0.9, 0.2  # the right elbow and wrist
+    found = doubts_of(View(view.mask, view.landmarks, dim, FOCAL), (0.1, 0.0))
+    assert found == pytest.approx({"head": 0, "left arm": 0.1, "right arm": 0.8, "left leg": 0, "right leg": 0})
+
+
+def test_legs_that_are_not_seen_are_a_problem() -> None:
+    view, _, _ = posed_view()
+    sure = view.visibility.copy()
+    sure[[27, 29, 31]] = 0.1
+    one = View(view.mask, view.landmarks, sure, FOCAL)
+    assert fit_body([one]).problem == ""
+    sure[[28, 30, 32]] = 0.1
+    both = View(view.mask, view.landmarks, sure, FOCAL)
+    assert fit_body([both]).problem == "the legs are not seen in the front picture"

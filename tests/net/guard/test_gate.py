@@ -1,0 +1,437 @@
+"""Limits over real sockets of loopback: who breaks them is put out, who does not notices nothing."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import re
+import signal
+import socket
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from aiohttp import web
+
+from glsplat.net.client import Client
+from glsplat.net.guard.access import Access, certificate_names, server_tls
+from glsplat.net.guard.connection import GuardedConnection
+from glsplat.net.guard.limits import Limits
+from glsplat.net.guard.machine import machine_names
+from glsplat.net.pages import routes
+from glsplat.net.server import ServerConfig
+from glsplat.net.session import SessionConfig
+from tests import needs
+from tests.net.wire import HANG, UPGRADE, all_of, frame, native, raw, still_serves, until
+
+ROOT = Path(__file__).parents[3]
+TOKEN = "0123456789abcdef-token"
+
+
+async def ask(port, text, source="127.0.0.1"):
+    """The whole answer to a request written by hand."""
+    reader, writer = await asyncio.open_connection("127.0.0.1", port, local_addr=(source, 0))
+    try:
+        writer.write(text if isinstance(text, bytes) else text.encode())
+        return (await asyncio.wait_for(reader.read(), HANG)).decode("latin-1")
+    except ConnectionError:
+        return ""
+    finally:
+        writer.transport.abort()
+        await asyncio.sleep(0)
+
+
+def get(path="/stats", host="127.0.0.1", more=""):
+    hosts = "".join(f"Host: {name}\r\n" for name in ([host] if isinstance(host, str) else host))
+    return f"GET {path} HTTP/1.1\r\n{hosts}{more}Connection: close\r\n\r\n"
+
+
+def status(answer):
+    return int(answer.split(" ", 2)[1]) if answer else None
+
+
+FLOODS = {
+    "pings": frame(0x9, b"") * 20_000,
+    "pongs": frame(0xA, b"x" * 125) * 2_000,
+    "empty fragments": frame(0x1, b"", fin=False) + frame(0x0, b"", fin=False) * 20_000,
+    "stale 63 kB": b"".join(frame(0x1, native(0, x="y" * 63_000).encode()) for _ in range(450)),
+}
+
+
+@pytest.mark.parametrize("kind", FLOODS)
+def test_a_flood_is_told_why_put_out_and_held_off(serve, cameras, stopped, kind):
+    """And the client beside it, from the same address, keeps its connection and its pictures."""
+    config = ServerConfig(port=0, session=SessionConfig(flood=10**9))
+
+    async def main():
+        async with serve(config=config) as server, Client(server.url) as good:
+            await good.render(cameras)
+            reader, writer = await raw(server)
+            writer.write(frame(0x1, native(1).encode()) + FLOODS[kind])
+            answer = await all_of(reader)
+            writer.transport.abort()
+            held = [await ask(server.port, UPGRADE), await ask(server.port, get())]
+            elsewhere = await ask(server.port, get(), "127.0.0.2")
+            pictures = [(await good.render(cameras)).frame_id for _ in range(5)]
+            return answer, held, elsewhere, pictures, server.stats()
+
+    answer, held, elsewhere, pictures, stats = asyncio.run(main())
+    assert b'{"error":{"code":"rate","message":"the connection ends: more than ' in answer
+    assert b"\x88" in answer and (1008).to_bytes(2, "big") + b"more than" in answer
+    for text in held:
+        assert status(text) == 429 and 1 <= int(re.search(r"Retry-After: (\d+)", text)[1]) <= 10
+    assert status(elsewhere) == 200
+    assert pictures == [2, 3, 4, 5, 6] and stats["held_off"] == 1 and len(stats["clients"]) == 1
+    assert answer.count(b"\x8a\x00") <= Limits().control_burst  # no more pongs than pings are allowed
+
+
+def test_a_hold_off_ends(serve, cameras, stopped):
+    async def main():
+        async with serve() as server:
+            for seconds in (10.0, 20.0):  # the second is twice as long
+                _, writer = await raw(server)
+                writer.write(FLOODS["pings"])
+                await until(lambda: server.stats()["held_off"] == 1)
+                stopped.now += seconds - 0.1
+                assert status(await ask(server.port, UPGRADE)) == 429
+                stopped.now += 0.2
+                assert server.stats()["held_off"] == 0
+                writer.transport.abort()
+                await until(lambda: not server.stats()["clients"])
+            return await still_serves(server, cameras)
+
+    assert asyncio.run(main())
+
+
+def test_frames_without_a_mask_end_the_connection(serve, cameras):
+    async def main():
+        async with serve() as server:
+            reader, writer = await raw(server)
+            text = native(1).encode()
+            writer.write(b"\x81\x7e" + len(text).to_bytes(2, "big") + text)
+            answer = await all_of(reader)
+            writer.transport.abort()
+            return answer, server.stats(), await still_serves(server, cameras)
+
+    answer, stats, alive = asyncio.run(main())
+    assert answer.startswith(b"\x88") and answer[2:4] == (1002).to_bytes(2, "big")
+    assert stats["totals"]["accepted"] == 0 and stats["held_off"] == 0 and alive
+
+
+def test_clients_of_one_address(serve, cameras):
+    config = ServerConfig(port=0, limits=Limits(per_address=2))
+
+    async def main():
+        async with serve(config=config) as server, Client(server.url), Client(server.url) as second:
+            third = await ask(server.port, UPGRADE)
+            reader, other = await asyncio.open_connection("127.0.0.1", server.port, local_addr=("127.0.0.5", 0))
+            other.write(UPGRADE)
+            elsewhere = await reader.readuntil(b"\r\n\r\n")
+            other.transport.abort()
+            await second.close()
+            await until(lambda: len(server.stats()["clients"]) == 1)
+            return third, elsewhere, await still_serves(server, cameras)
+
+    third, elsewhere, again = asyncio.run(main())
+    assert status(third) == 429 and "Retry-After: 5" in third and "at most 2 clients" in third
+    assert b" 101 " in elsewhere and again
+
+
+@pytest.mark.parametrize(("host", "expected"), [("127.0.0.1", 8), ("0.0.0.0", 4)])
+def test_the_part_of_one_address_by_default(fake_backend, host, expected):
+    """Beyond loopback half of the clients; on loopback, all there may come through a proxy, all of them."""
+    from glsplat.net.server import Server
+
+    server = Server(fake_backend(), ServerConfig(port=0, access=Access(host=host, insecure=True)))
+    assert server.gate.addresses.per_address == expected
+
+
+def test_connections_that_never_ask_give_way(serve, cameras):
+    """Four times as many idle connections as may wait, from one address; others connect at once."""
+    config = ServerConfig(port=0, limits=Limits(waiting=10, visits_burst=1000))
+
+    async def main():
+        async with serve(config=config) as server:
+            quiet = socket.create_connection(("127.0.0.1", server.port), source_address=("127.0.0.3", 0))
+            await until(lambda: server.stats()["waiting"] == 1)
+            idle = [await asyncio.open_connection("127.0.0.1", server.port) for _ in range(40)]
+            alive = await still_serves(server, cameras)
+            waiting = server.stats()["waiting"]
+            reading = [asyncio.create_task(all_of(reader)) for reader, _ in idle]
+            await until(lambda: sum(task.done() for task in reading) >= 30)
+            quiet.sendall(get("/healthz").encode())  # the one of its address has not been closed
+            quiet.setblocking(False)
+            answer = await asyncio.wait_for(asyncio.get_running_loop().sock_recv(quiet, 100), HANG)
+            for _, writer in idle:
+                writer.transport.abort()
+            quiet.close()
+            await asyncio.gather(*reading)
+            return alive, waiting, answer, server.stats()["turned_away"]
+
+    alive, waiting, answer, turned_away = asyncio.run(main())
+    assert alive and waiting <= 10 and b" 200 " in answer and turned_away >= 30
+
+
+def test_an_address_that_connects_too_often_is_not_answered(serve, stopped):
+    config = ServerConfig(port=0, limits=Limits(visits=1, visits_burst=20))
+
+    async def main():
+        async with serve(config=config) as server:
+            answers = [status(await ask(server.port, get("/healthz"))) for _ in range(40)]
+            pipelined = await ask(server.port, (get().replace("close", "keep-alive") * 40), "127.0.0.2")
+            return answers, pipelined, status(await ask(server.port, get(), "127.0.0.3"))
+
+    answers, pipelined, other = asyncio.run(main())
+    assert answers == [200] * 20 + [None] * 20 and other == 200
+    assert pipelined.count("HTTP/1.1 200") == 19 and pipelined.count("HTTP/1.1 429") >= 1
+
+
+GOOD = [
+    "127.0.0.1",
+    "127.0.0.1:9",
+    "localhost:8000",
+    "LOCALHOST.",
+    "[::1]:80",
+    "192.0.2.1",
+    "render.example",
+    "a.lab.example",
+]
+BAD = [
+    "evil.example",
+    "evil.example:8000",
+    "127.0.0.1.evil.example",
+    "b.a.lab.example",
+    "lab.example",
+    "x.render.example",
+]
+NONE = [
+    [],
+    ["127.0.0.1", "127.0.0.1"],
+    ["127.0.0.1", "evil.example"],
+    "",
+    "a b",
+    "127.0.0.1, x",
+    "[::1",
+    "x:port",
+    "a/b",
+    "u@h",
+]
+
+
+def test_the_host_header_is_checked_on_every_route(serve):
+    config = ServerConfig(
+        port=0, access=Access(hosts=("render.example", "*.lab.example")), limits=Limits(visits_burst=1e9)
+    )
+
+    async def main():
+        async with serve(config=config) as server:
+            found = {}
+            for path in ("/", "/stats", "/metrics", "/healthz", "/nosuch"):
+                good = {status(await ask(server.port, get(path, host))) for host in GOOD}
+                bad = {status(await ask(server.port, get(path, host))) for host in BAD}
+                none = {status(await ask(server.port, get(path, host))) for host in NONE}
+                found[path] = good, bad, none
+            ws = [UPGRADE.replace(b"Host: 127.0.0.1", f"Host: {host}".encode()) for host in ("evil.example", "a b")]
+            plain = await ask(server.port, b"GET /stats HTTP/1.0\r\n\r\n")
+            other = await ask(server.port, get("http://127.0.0.1/stats", "evil.example"))
+            return found, [status(await ask(server.port, text)) for text in ws], status(plain), status(other)
+
+    found, ws, plain, other = asyncio.run(main())
+    for path, (good, bad, none) in found.items():
+        assert good == {404 if path == "/nosuch" else 200} and bad == {421} and none == {400}, path
+    assert ws == [421, 400] and plain == 400 and other == 421
+
+
+def test_names_of_the_certificate_and_of_the_machine(tmp_path):
+    cert, key = tmp_path / "cert.pem", tmp_path / "key.pem"
+    command = ["openssl", "req", "-x509", "-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1", "-nodes"]
+    command += ["-keyout", str(key), "-out", str(cert), "-days", "2", "-subj", "/CN=unused"]
+    command += ["-addext", "subjectAltName=DNS:render.example,DNS:*.lab.example,IP:192.0.2.1"]
+    command += ["-addext", "basicConstraints=critical,CA:FALSE"]
+    needs.require("openssl")
+    subprocess.run(command, check=True, capture_output=True)
+    assert certificate_names(cert, server_tls(cert, key)) == ("render.example", "*.lab.example")
+    assert machine_names()[0] == socket.gethostname()
+
+
+def test_token_guesses_are_slowed_down(serve, cameras, stopped):
+    """The right token is not looked at meanwhile either, but who is in stays in, and other addresses are not asked."""
+    config = ServerConfig(port=0, access=Access(token=TOKEN), limits=Limits(guesses=5, visits_burst=1e9))
+
+    def bearer(token):
+        return get(more=f"Authorization: Bearer {token}\r\n")
+
+    async def main():
+        async with serve(config=config) as server, Client(server.url, TOKEN) as inside:
+            answers = []
+            for seconds in (1.1, 1.1, 0.8):  # the hold-offs last 1 and 2 seconds
+                answers += [await ask(server.port, bearer(f"wrong-{seconds}{i:020d}")) for i in range(8)]
+                stopped.now += seconds
+            right = await ask(server.port, bearer(TOKEN))
+            untold = await ask(server.port, get())
+            elsewhere = await ask(server.port, bearer(TOKEN), "127.0.0.2")
+            await inside.render(cameras)
+            return [status(a) for a in answers], right, status(untold), status(elsewhere), answers[-1]
+
+    answers, right, untold, elsewhere, last = asyncio.run(main())
+    assert answers == [401] * 6 + [429] * 2 + [401] + [429] * 7 + [429] * 8
+    assert status(right) == 429 and "Retry-After:" in right and untold == 401 and elsewhere == 200
+    assert TOKEN not in right + last
+
+
+# logs
+
+
+@pytest.fixture
+def lines(caplog):
+    caplog.set_level(logging.DEBUG)
+    return lambda: [
+        record.getMessage() + (record.exc_text or "") for record in caplog.records if record.levelno >= logging.INFO
+    ]
+
+
+SECRET = "SECRETSECRETSECRET"
+STRANGE = {
+    "a token without the subprotocol": UPGRADE.replace(
+        b"Sec-WebSocket-Version", f"Sec-WebSocket-Protocol: token.{SECRET}\r\nSec-WebSocket-Version".encode()
+    ),
+    "subprotocols of 6 kB": UPGRADE.replace(
+        b"Sec-WebSocket-Version", f"Sec-WebSocket-Protocol: {SECRET * 340}\r\nSec-WebSocket-Version".encode()
+    ),
+    "no HTTP": f"\x00\x01{SECRET}\r\n\r\n".encode(),
+    "a header without a name": f"GET / HTTP/1.1\r\n: {SECRET}\r\n\r\n".encode(),
+    "a header of 9 kB": f"GET / HTTP/1.1\r\nHost: a\r\nX: {SECRET * 500}\r\n\r\n".encode(),
+    "another method": f"{SECRET} / HTTP/1.1\r\nHost: localhost\r\n\r\n".encode(),
+    "an address that is none": f"GET http://[{SECRET}/ HTTP/1.1\r\nHost: localhost\r\n\r\n".encode(),
+    "two lengths": f"POST /{SECRET} HTTP/1.1\r\nHost: a\r\nContent-Length: 3\r\nContent-Length: 4\r\n\r\nabc".encode(),
+    "an Upgrade that is no text": UPGRADE.replace(b"Upgrade: websocket", b"Upgrade: webs\xefcket"),
+    "a version that is no text": UPGRADE.replace(b"Version: 13", b"Version: 13\x80"),
+    "a key that is no text": UPGRADE.replace(b"dGhlIHNhbXBsZSBub25jZQ==", b"dGhlIHNhbXBsZSBub\x8a5jZQ=="),
+    "a key beyond ASCII": UPGRADE.replace(b"dGhlIHNhbXBsZSBub25jZQ==", b"dGhlIHNhbXBsZSBub2\xc3\xa9ZQ=="),
+    "a key that is none": UPGRADE.replace(b"dGhlIHNhbXBsZSBub25jZQ==", SECRET.encode()),
+}
+
+
+@pytest.mark.parametrize("kind", STRANGE)
+def test_what_strangers_send_is_not_logged(serve, cameras, lines, kind):
+    config = ServerConfig(port=0, limits=Limits(visits_burst=1e9))
+
+    async def main():
+        async with serve(config=config) as server:
+            for _ in range(25):
+                answer = await ask(server.port, STRANGE[kind])
+                assert answer == "" or 400 <= status(answer) < 500
+            return await still_serves(server, cameras)
+
+    assert asyncio.run(main())
+    assert len(lines()) <= 2 and all(len(line) < 120 and "\n" not in line for line in lines())
+    assert SECRET[:6] not in "".join(lines())
+
+
+def test_a_handshake_followed_by_a_reset_logs_nothing_much(serve, cameras, lines):
+    async def main():
+        async with serve(config=ServerConfig(port=0, limits=Limits(visits_burst=1e9))) as server:
+            for i in range(60):
+                peer = socket.create_connection(("127.0.0.1", server.port))
+                peer.sendall(UPGRADE + (frame(0x1, native(1).encode()) if i % 2 else b""))
+                peer.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, b"\1\0\0\0\0\0\0\0")
+                if i % 3:  # else it is gone before the server reads what it asked
+                    await asyncio.sleep(0.001 * (i % 4))
+                peer.close()
+            await until(lambda: not server.stats()["clients"])
+            return await still_serves(server, cameras)
+
+    assert asyncio.run(main())
+    assert len(lines()) <= 2 and all(len(line) < 120 and "\n" not in line for line in lines())
+    assert not any("failed in the server" in line for line in lines())  # it is nobody's fault
+
+
+def test_a_fault_of_the_server_is_one_line_with_its_place(serve, lines, monkeypatch):
+    async def main():
+        async with serve() as server:
+            monkeypatch.setattr(routes, "page_html", lambda *_: {}[SECRET])
+            return [status(await ask(server.port, get("/"))) for _ in range(5)]
+
+    assert asyncio.run(main()) == [500] * 5
+    assert len(lines()) == 1 and re.search(r"KeyError at test_gate\.py:\d+$", lines()[0])
+
+
+def test_the_parts_of_aiohttp_that_connections_rely_on(serve):
+    """What a newer aiohttp would have to keep, or connection.py to change."""
+    for name in ("data_received", "connection_lost", "set_parser", "handle_error", "log_exception"):
+        assert getattr(GuardedConnection, name) is not getattr(web.RequestHandler, name)
+
+    async def main():
+        async with serve() as server:
+            _, writer = await raw(server)
+            (talk,) = server._talks.values()
+            ws, request = talk._ws, talk._request
+            parser = request.protocol._payload_parser
+            assert type(parser).__name__ == "_MeteredReader" and parser._reader is ws._parser
+            writer.transport.abort()
+
+    asyncio.run(main())
+
+
+# descriptors
+
+FEW = """
+import asyncio, logging, resource, sys
+sys.path.insert(0, sys.argv[1])
+resource.setrlimit(resource.RLIMIT_NOFILE, (48, 48))
+from glsplat.net.guard.limits import Limits
+from glsplat.net.server import Server, ServerConfig
+from tests.net.conftest import FakeBackend
+logging.basicConfig(format="LOG %(message)s")
+if sys.argv[2] == "no room kept":
+    import glsplat.net.guard.listener as listener
+    listener._descriptors_left = lambda: None
+server = Server(FakeBackend(), ServerConfig(port=0, limits=Limits(visits_burst=1e9)))
+asyncio.run(server.run(lambda: print(server.port, flush=True)))
+"""
+
+
+@pytest.mark.parametrize("how", ["as it is", "no room kept"])
+def test_few_descriptors_and_a_hundred_idle_connections(cameras, how, tmp_path):
+    """Pictures go on, new clients get in, the log stays short, the idle connections are the ones that go."""
+    command = [sys.executable, "-c", FEW, str(ROOT), how]
+    errors = tmp_path / "log"
+    with errors.open("wb") as log:
+        process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=log, text=True)
+    port = int(process.stdout.readline())
+
+    async def main():
+        url = f"ws://127.0.0.1:{port}/ws"
+        async with Client(url) as good:
+            await good.render(cameras)
+            idle = []
+            pictures, newcomers = 0, 0
+            while pictures < 60:
+                while len(idle) < 100:
+                    peer = socket.socket()
+                    peer.setblocking(False)
+                    peer.connect_ex(("127.0.0.1", port))
+                    idle.append(peer)
+                await good.render(cameras)
+                pictures += 1
+                if pictures % 20 == 0:
+                    async with Client(url) as new:
+                        newcomers += (await new.render(cameras)).frame_id
+                for peer in idle[:10]:
+                    peer.close()
+                del idle[:10]
+            for peer in idle:
+                peer.close()
+            return pictures, newcomers
+
+    try:
+        pictures, newcomers = asyncio.run(main())
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(HANG) == 0
+    finally:
+        process.kill()
+        process.communicate()
+    text = errors.read_text().splitlines()
+    assert newcomers == pictures // 20 == 3
+    assert 1 <= len(text) <= 4 and all(line.startswith("LOG ") and len(line) < 140 for line in text), text[:5]

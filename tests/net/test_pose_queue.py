@@ -1,0 +1,216 @@
+"""Tracking solved on arrival: every sample, in order, whatever is drawn."""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+import time
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+
+from glsplat.errors import PoseError
+from glsplat.net.backend import AvatarInfo, Solved
+from glsplat.net.client import Client
+from glsplat.net.guard.limits import Limits
+from glsplat.net.messages import Request
+from glsplat.net.pose_queue import PoseQueue
+from glsplat.net.server import ServerConfig
+from glsplat.net.session import SessionConfig
+from glsplat.skinning.pose import Pose
+from glsplat.tracking.sample import Sample
+from tests.net.wire import HANG, until
+
+HEAD = {"head": [0, 1.6, 0, 0, 0, 0, 1]}
+
+
+def request(frame_id):
+    return Request(frame_id=frame_id, cameras=(), tracking=Sample.from_json(HEAD, frame_id / 100), t=frame_id * 10.0)
+
+
+class Solver:
+    def __init__(self, wait=None):
+        self.seen, self.now, self.wait = [], [], wait
+        self.begun = threading.Event()
+
+    def solve(self, request, now):
+        self.begun.set()
+        if self.wait is not None:
+            self.wait.wait(HANG)
+        self.seen.append(request.frame_id)
+        self.now.append(now)
+        if request.frame_id == 3 and not request.cameras:
+            raise PoseError("three")
+        return Solved(Pose.zero(), request.cameras, (str(request.frame_id),))
+
+
+@pytest.fixture
+def thread():
+    with ThreadPoolExecutor(1) as pool:
+        yield pool
+
+
+def test_samples_are_solved_in_order_and_the_one_that_is_drawn_is_taken(thread):
+    solver = Solver()
+    solving = PoseQueue(solver, thread, time.perf_counter)
+    for frame_id in range(1, 7):
+        solving.add(request(frame_id))
+    solved, ms = solving.take(5).result(HANG)  # the failure of a request that is not drawn is nobody's
+    assert solved.notes == ("5",) and ms >= 0
+    assert solving.take(6).result(HANG)[0].notes == ("6",)
+    assert solver.seen == [1, 2, 3, 4, 5, 6] and solver.now == sorted(solver.now)
+    assert solving.take(7) is None
+    solving.add(request(3))
+    with pytest.raises(PoseError, match="three"):
+        solving.take(3).result(HANG)
+
+
+def test_what_waits_is_bounded_and_the_newest_are_kept(thread):
+    gate = threading.Event()
+    solver = Solver(gate)
+    solving = PoseQueue(solver, thread, time.perf_counter)
+    solving.add(request(4))
+    assert solver.begun.wait(HANG)
+    for frame_id in range(5, 104):
+        solving.add(request(frame_id))
+    gate.set()
+    solving.take(103).result(HANG)
+    assert solver.seen[0] == 4 and solver.seen[1:] == list(range(72, 104))  # the first had begun; then the newest 32
+
+
+def test_a_client_that_left_is_not_solved_for(thread):
+    gate = threading.Event()
+    solver = Solver(gate)
+    solving = PoseQueue(solver, thread, time.perf_counter)
+    for frame_id in range(4, 20):
+        solving.add(request(frame_id))
+    solving.clear()
+    gate.set()
+    thread.submit(lambda: None).result(HANG)
+    assert solver.seen in ([], [4])
+
+
+class Spent(list):
+    """A share that has always something left."""
+
+    def left(self, now):
+        return True
+
+    def spend(self, seconds):
+        self.append(seconds)
+
+
+def test_samples_that_were_left_out_cost_nothing(thread):
+    """What they were expected to take is spent when they come, and given back."""
+    gate = threading.Event()
+    solver = Solver(gate)
+    solving = PoseQueue(solver, thread, time.perf_counter, cpu=lambda: 0.0)
+    solving.share = share = Spent()
+    for frame_id in range(4, 104):
+        solving.add(request(frame_id))
+    gate.set()
+    solving.take(103).result(HANG)
+    thread.submit(lambda: None).result(HANG)
+    assert len(solver.seen) < 40 and sum(share) == pytest.approx(0, abs=1e-9) and max(share) > 0
+
+
+class Gated:
+    """Solves a sample each time that it is told."""
+
+    def __init__(self):
+        self.gate, self.begun, self.seen = threading.Semaphore(0), threading.Event(), []
+
+    def solve(self, request, now):
+        self.begun.set()
+        assert self.gate.acquire(timeout=HANG)
+        self.seen.append(request.frame_id)
+        return Solved(Pose.zero(), request.cameras)
+
+
+def test_others_are_drawn_while_a_sample_is_solved(serve, fake_backend, cameras):
+    solvers = []
+
+    def make(height, span):
+        solvers.append(Gated())
+        return solvers[-1]
+
+    async def main():
+        async with serve(fake_backend(), offered=[AvatarInfo(name="default", solver=make)]) as server:
+            async with Client(server.url) as slow, Client(server.url) as other:
+                await slow.send(tracking=HEAD)
+                await asyncio.to_thread(solvers[0].begun.wait, HANG)
+                for _ in range(5):
+                    await other.render(cameras)
+                solvers[0].gate.release()
+                return (await slow.receive()).reply.frame_id
+
+    assert asyncio.run(main()) == 1
+
+
+def test_a_stream_of_samples_that_is_faster_than_the_solver_is_drawn_all_the_same(serve, fake_backend):
+    """The newest sample is never solved when its turn comes, so the one that was newest when a picture was due is."""
+    solver, backend = Gated(), fake_backend()
+
+    async def main():
+        limits = Limits(samples=0.0, samples_burst=1.0)  # all others are put off until their picture is due
+        async with serve(
+            backend,
+            ServerConfig(port=0, limits=limits, session=SessionConfig(burst=1000)),
+            offered=[AvatarInfo(name="default", solver=lambda height, span: solver)],
+        ) as server:
+            async with Client(server.url) as client:
+
+                async def stream():
+                    for i in range(1, 101):
+                        await client.send(tracking={"head": [i / 100, 1.6, 0, 0, 0, 0, 1]})
+                        await until(lambda i=i: server.stats()["totals"]["accepted"] == i)
+                        if i % 5 == 0:
+                            solver.gate.release()
+                            await until(lambda i=i: len(backend.drawn) == i // 5)
+                    solver.gate.release(100)
+
+                sending, arrived = asyncio.create_task(stream()), []
+                while not arrived or arrived[-1] != 100:
+                    arrived.append((await client.receive()).reply.frame_id)
+                await sending
+                return arrived, server.stats()["clients"][0]
+
+    arrived, stats = asyncio.run(main())
+    assert len(arrived) >= 20 and arrived == sorted(arrived)
+    assert set(arrived) <= set(solver.seen) and solver.seen == sorted(solver.seen)
+    assert stats["accepted"] == 100 == stats["dropped"] + stats["sent"] and stats["waiting"] == 0
+
+
+def test_dropped_requests_are_solved_while_the_renderer_is_busy(serve, fake_backend):
+    """The poses do not depend on what was drawn: the solver sees the same samples in the same order."""
+    made = []
+
+    def make(height, span):
+        made.append(Solver())
+        return made[-1]
+
+    async def main(busy):
+        backend = fake_backend()
+        if busy:
+            backend.gate.clear()
+        async with (
+            serve(backend, offered=[AvatarInfo(name="default", solver=make)]) as server,
+            Client(server.url) as client,
+        ):
+            last = 0
+            for i in range(24):
+                last = await client.send(tracking={"head": [i / 100, 1.6, 0, 0, 0, 0, 1]})
+            await until(lambda: len(made[-1].seen) == 24)
+            drawn = len(backend.drawn)  # so far
+            backend.gate.set()
+            while (arrived := await client.receive()).reply.frame_id != last:
+                pass
+            return drawn, arrived.reply.info["times"], [r.frame_id for r in backend.drawn]
+
+    for busy in (False, True):
+        early, times, drawn = asyncio.run(main(busy))
+        assert made[-1].seen == list(range(1, 25))
+        assert times["ik"] >= 0 and times["wait"] >= 0
+    assert early <= 1 and len(drawn) <= 2  # all others were dropped
+    assert (np.diff(made[-1].now) > 0).all()

@@ -1,0 +1,344 @@
+"""What is drawn of what a server offers: avatars by name, with and without parts, and where they are."""
+
+from __future__ import annotations
+
+import asyncio
+import ctypes
+import json
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+import psutil
+import pytest
+
+from glsplat import reference
+from glsplat.avatar import Avatar
+from glsplat.camera import Camera, head_matrix, look_at, pinhole, stereo_cameras
+from glsplat.config import RenderConfig
+from glsplat.data import default_avatar
+from glsplat.errors import GlsplatError, ProtocolError
+from glsplat.net.backend import Rendered, RenderJob
+from glsplat.net.backends.gl import RendererBackend
+from glsplat.net.backends.process import ProcessBackend
+from glsplat.net.backends.renderer_pool import KEPT
+from glsplat.net.backends.server import make_server
+from glsplat.net.client import Client
+from glsplat.net.messages import PictureOptions
+from glsplat.net.server import ServerConfig
+from glsplat.renderer import Renderer
+from glsplat.scene import Item, Scene, similarity
+from glsplat.scenes.scene_file import SceneFile
+from glsplat.skinning.pose import Pose
+from glsplat.tracking.calibration import Calibration
+from tests import needs
+from tests.compare import Difference
+from tests.net.test_legacy import thinned
+from tests.scenes import limb
+from tests.skinning.faces import expressive
+
+SIZE = (96, 80)
+PAIR = stereo_cameras(head_matrix((0.1, 1.2, 2.2), (0, 0, 0, 1)), size=SIZE)
+CLOSE = (Camera(look_at((0.3, 1.6, 0.9), (0, 1.45, 0)), pinhole(*SIZE, fov=50), *SIZE),)
+BENT = Pose.from_smplx({"body_pose": np.full((21, 3), 0.15), "trans": [0.2, 0, 0]})
+PERSON = thinned(default_avatar(), 40)
+BIG = replace(PERSON, splats=replace(PERSON.splats, sh=PERSON.splats.sh * -1))  # the same person in other colours
+HEADS = ({}, {"hide": ("head",)})
+
+
+def request(cameras=PAIR, **more) -> RenderJob:
+    options = PictureOptions(**{key: more.pop(key) for key in ("hide", "box") if key in more})
+    return RenderJob(frame_id=1, cameras=tuple(cameras), options=options, **more)
+
+
+def direct(avatar: Avatar, cameras=PAIR, pose: Pose | None = None) -> np.ndarray:
+    """What a renderer of that avatar alone draws."""
+    with Renderer(avatar, size=SIZE, views=len(cameras), config=RenderConfig(output="uint8")) as renderer:
+        return renderer.render(cameras, pose)
+
+
+@pytest.fixture
+def backend():
+    backend = RendererBackend(PERSON, SIZE, avatars={"big": BIG, "rod": limb(200)})
+    backend.open()
+    yield backend
+    backend.close()
+
+
+@pytest.mark.gl
+def test_each_is_drawn_as_if_it_were_alone(backend) -> None:
+    for _ in range(2):
+        for name, avatar in (("", PERSON), ("big", BIG), ("what nobody knows", PERSON), ("rod", limb(200))):
+            pose = BENT if len(avatar.skeleton) == 55 else None
+            assert (backend.render(request(avatar=name, pose=pose)).images == direct(avatar, pose=pose)).all()
+    hidden = backend.render(request(avatar="big", hide=("head",))).images
+    assert (hidden == direct(BIG.without("head"))).all() and (hidden != direct(BIG)).any()
+
+
+@pytest.mark.gl
+@pytest.mark.parametrize("pose", [None, BENT], ids=["rest", "bent"])
+def test_a_hidden_head_is_that_of_an_avatar_without_it(pose) -> None:
+    """Against the float64 contract, seen from close by."""
+    bare = PERSON.without("head")
+    bones = (pose or Pose.zero()).bones(bare.skeleton)
+    expected = reference.render(bare.splats, CLOSE, bare.skin, bones)
+    whole = reference.render(PERSON.splats, CLOSE, PERSON.skin, bones)
+    backend = RendererBackend(PERSON, SIZE, config=RenderConfig(output="float32", target="32f"))
+    backend.open()
+    try:
+        found = backend.render(request(CLOSE, pose=pose, hide=("head",))).images
+        again = backend.render(request(CLOSE, pose=pose)).images
+    finally:
+        backend.close()
+    assert Difference.of(found, expected).psnr >= 65 and Difference.of(again, whole).psnr >= 65
+    assert Difference.of(whole, expected).psnr < 35  # there was a head
+
+
+@pytest.mark.gl
+def test_a_head_is_hidden_in_a_scene_of_several_things_that_move() -> None:
+    """The rest of the scene stays, and the body goes where the scene's avatar goes."""
+    person = Item(PERSON, transform=similarity((0.3, 0, 0.2), scale=1.1))
+    rod = Item(limb(200).splats, transform=similarity((-0.5, 1, 0)))
+    scene = Scene([rod, person])
+    backend = RendererBackend(scene, SIZE)
+    backend.open()
+    try:
+        for transform, pose in ((person.transform, None), (similarity((-0.2, 0.1, 0)), BENT)):
+            person.transform, person.pose = transform, pose
+            found = backend.render(request(hide=("head",))).images
+            bare = Item(PERSON.without("head"), transform=transform, pose=pose)
+            with Renderer(Scene([rod, bare]), size=SIZE, views=2, config=RenderConfig(output="uint8")) as renderer:
+                assert (found == renderer.render(PAIR)).all()
+    finally:
+        backend.close()
+
+
+@pytest.mark.gl
+@pytest.mark.parametrize("scene", [limb(50).splats, Scene([Item(PERSON), Item(PERSON)]), limb(50)])
+def test_what_has_no_head_cannot_hide_it(scene) -> None:
+    (one,) = make_server(scene, ServerConfig(port=0), own_process=False).offer()["avatars"]
+    assert not one["head"]
+    backend = RendererBackend(scene, SIZE)
+    backend.open()
+    try:
+        with pytest.raises(GlsplatError, match=r"scene has none or several|no joint"):
+            backend.render(request(hide=("head",)))
+        assert backend.render(request()).images.any()  # nothing is wrong with the context
+        assert (backend.render(request(box=True)).box is None) == (not isinstance(scene, Avatar))
+    finally:
+        backend.close()
+
+
+def top(avatar: Avatar) -> float:
+    """Height of the highest point of the splats' ellipsoids of two standard deviations, in the zero pose."""
+    still = reference.rest(avatar.splats)
+    return float((still.means[:, 1] + 2 * np.linalg.norm(still.shapes[:, 1], axis=1)).max())
+
+
+@pytest.mark.gl
+@pytest.mark.parametrize("own_process", [False, True])
+def test_where_the_avatar_is(own_process: bool) -> None:
+    """The box of the splats as posed and placed, from the process that draws too."""
+    transform = similarity((0.5, 0.2, -1), rotation=(0, 0.7071, 0, 0.7071), scale=1.2)
+    make = partial(RendererBackend, Scene([Item(PERSON, transform=transform)]), SIZE)
+    backend = ProcessBackend(make, 128) if own_process else make()
+    backend.open()
+
+    def rendered(**more) -> Rendered:
+        out = backend.render(request(**more))
+        if out.done is not None:
+            out.done()
+        return out
+
+    try:
+        assert rendered().box is None
+        for pose in (None, BENT):
+            posed = reference.skin(PERSON.splats, PERSON.skin, (pose or Pose.zero()).bones(PERSON.skeleton))
+            means = posed.means @ transform[:3, :3].T + transform[:3, 3]
+            box = np.reshape(rendered(pose=pose, box=True).box, (2, 3))
+            assert ((means >= box[0]) & (means <= box[1])).all(axis=1).mean() >= 0.995
+            assert (np.ptp(box, axis=0) < 1.25 * np.ptp(means, axis=0) + 0.1).all()
+            bare = np.reshape(rendered(pose=pose, box=True, hide=("head",)).box, (2, 3))
+            assert (bare[0] >= box[0]).all() and (bare[1] <= box[1]).all()  # of what is shown
+            if pose is None:  # exact where nothing bends: two standard deviations beyond what is shown
+                tops = [top(content) * 1.2 + 0.2 for content in (PERSON, PERSON.without("head"))]
+                assert [box[1, 1], bare[1, 1]] == pytest.approx(tops, abs=1e-4) and bare[1, 1] < box[1, 1] - 0.05
+    finally:
+        backend.close()
+
+
+@pytest.mark.gl
+@pytest.mark.gl
+@pytest.mark.parametrize("own_process", [False, True])
+def test_the_box_holds_what_a_face_moves(own_process: bool) -> None:
+    avatar = expressive(400)
+    make = partial(RendererBackend, avatar, SIZE)
+    backend = ProcessBackend(make, 128) if own_process else make()
+    backend.open()
+    try:
+        boxes, images = [], []
+        for face in ({}, {"jawOpen": 1.0}, {"jawOpen": 1.0, "eyeBlinkLeft": 1.0}):
+            pose = Pose(np.zeros((4, 3)), expression=face)
+            out = backend.render(request(pose=pose, box=True))
+            boxes.append(np.reshape(out.box, (2, 3)))
+            images.append(np.array(out.images))
+            if out.done is not None:
+                out.done()
+            bones, weights = pose.bones(avatar.skeleton), avatar.weights(pose)
+            means = reference.skin(avatar.splats, avatar.skin, bones, "polar", avatar.shapes, weights).means
+            assert ((means >= boxes[-1][0]) & (means <= boxes[-1][1])).all()
+        assert (np.diff([np.ptp(box, axis=0) for box in boxes], axis=0) > 0.05).all()
+        assert (images[0] != images[1]).any() and (images[1] != images[2]).any()
+    finally:
+        backend.close()
+
+
+def test_a_reply_has_the_box_in_the_room_of_its_client() -> None:
+    """Also where the user is smaller than the avatar and stands on another floor; the mirror changes nothing."""
+    calibration = Calibration(scale=0.8, floor=-0.25)
+
+    async def main():
+        server = make_server(PERSON, ServerConfig(port=0), calibration=calibration, own_process=False)
+        await server.start()
+        try:
+            async with Client(server.url) as client:
+                plain = await client.render(PAIR, pose=BENT)
+                posed = await client.render(PAIR, pose=BENT, box=True)
+                mirrored = await client.render(PAIR, pose=BENT, box=True, mirror=True)
+                head = {"head": [1.0, 1.1, 2.0, 0, 0, 0, 1]}
+                for _ in range(3):
+                    tracked = await client.render(PAIR, tracking=head, box=True)
+                return plain, posed, mirrored, tracked
+        finally:
+            await server.stop()
+
+    plain, posed, mirrored, tracked = asyncio.run(main())
+    assert plain.box is None and "box" not in plain.info
+    means = reference.skin(PERSON.splats, PERSON.skin, BENT.bones(PERSON.skeleton)).means
+    assert np.abs(posed.box - [means.min(axis=0), means.max(axis=0)]).max() < 0.12
+    assert (posed.box == mirrored.box).all() and np.linalg.det(
+        np.reshape(mirrored.info["eyes"][0]["viewmat"], (4, 4))
+    ) < 0
+    low, high = tracked.box
+    assert low[1] == pytest.approx(-0.25, abs=0.06)  # on the user's floor
+    assert (
+        high[1] == pytest.approx(1.1 + 0.1, abs=0.1) and low[0] < 1.0 < high[0] and low[2] < 2.0 + 0.3
+    )  # about the head
+
+
+@pytest.mark.gl
+def test_clients_of_different_avatars_take_turns_and_get_their_own() -> None:
+    async def main():
+        server = make_server(PERSON, ServerConfig(port=0), own_process=False, name="ann", avatars={"big": BIG})
+        await server.start()
+        try:
+            async with Client(server.url) as one, Client(server.url, avatar="big") as two, Client(server.url) as three:
+
+                async def ask(client, **more):
+                    return [(await client.render(PAIR, quality=95, pose=BENT, **more)).images() for _ in range(8)]
+
+                return await asyncio.gather(ask(one), ask(two), ask(three, hide=("head",)))
+        finally:
+            await server.stop()
+
+    pictures = asyncio.run(main())
+    for images, avatar in zip(pictures, (PERSON, BIG, PERSON.without("head")), strict=True):
+        expected = direct(avatar, pose=BENT)[..., :3].astype(float)
+        assert len(images) == 8
+        for pair in images:
+            assert np.abs(np.stack(pair) - expected).mean() < 2.5  # a JPEG of it ...
+    assert np.abs(direct(PERSON)[..., :3].astype(float) - direct(BIG)[..., :3]).mean() > 6  # ... and of no other
+
+
+@pytest.mark.gl
+def test_each_is_tracked_by_its_own_skeleton_and_measures() -> None:
+    small = default_avatar().skeleton
+    half = type(small).from_joints(small.names, small.parents, small.joints * 0.5)
+    splats = replace(PERSON.splats, means=PERSON.splats.means * 0.5, scales=PERSON.splats.scales * 0.5)
+    child = replace(PERSON, skeleton=half, splats=splats)
+    server = make_server(PERSON, ServerConfig(port=0), own_process=False, avatars={"child": child, "rod": limb(50)})
+    first, second, rod = server.offer()["avatars"]
+    assert first["height"] == pytest.approx(2 * second["height"], rel=1e-3) and second["tracking"]
+    assert rod == {"name": "rod", "height": None, "tracking": False, "head": False, "made": False}
+
+    async def main():
+        await server.start()
+        try:
+            out = []
+            for name in ("default", "child"):
+                async with Client(server.url, avatar=name, height=1.7, span=1.3) as client:
+                    out.append(await client.render(PAIR, tracking={"head": [0, 1.6, 0, 0, 0, 0, 1]}, box=True))
+            async with Client(server.url, avatar="rod") as client:
+                out.append(await client.render(PAIR, pose={"joints": {"joint1": [0, 0, 1]}}))
+                with pytest.raises(ProtocolError, match="no tracking solver") as caught:
+                    await client.render(PAIR, tracking={"head": [0, 1.6, 0, 0, 0, 0, 1]})
+                assert caught.value.code == "bad_pose"
+                with pytest.raises(ProtocolError, match=r'"hide": .* needs one avatar that has a joint'):
+                    await client.render(PAIR, hide="head")
+            return out
+        finally:
+            await server.stop()
+
+    grown, child_reply, _ = asyncio.run(main())
+    assert np.abs(grown.box - child_reply.box).max() < 0.02  # both as tall as the user
+    assert grown.box[1, 1] == pytest.approx(1.7, abs=0.12) and grown.box[0, 1] == pytest.approx(0, abs=0.09)
+
+
+@pytest.mark.gl
+def test_many_changes_leave_nothing_behind() -> None:
+    """Five things in turn on four places, so that renderers come and go: no more objects and memory than before."""
+    needs.require("opengl")
+    avatars = {"a": BIG, "b": limb(300), "c": limb(200, seed=7)}
+    backend = RendererBackend(PERSON, SIZE, avatars=avatars)
+    backend.open()
+    process, gl = psutil.Process(), ctypes.CDLL("libOpenGL.so.0")
+
+    def alive() -> list[int]:
+        """Buffers, textures, framebuffers, vertex arrays and programs of this context; names are never given twice."""
+        kinds = [getattr(gl, f"glIs{kind}") for kind in ("Buffer", "Texture", "Framebuffer", "VertexArray", "Program")]
+        newest = backend._context.ctx.buffer(reserve=16)
+        last = newest.glo
+        newest.release()
+        return [sum(exists(name) & 0xFF for name in range(1, last + 1)) for exists in kinds]  # a GLboolean
+
+    def change(times: int) -> None:
+        for index in range(times):
+            name = ("", "a", "b", "c")[index % 4]
+            hide = ("head",) if name in ("", "a") and index % 8 < 4 else ()
+            backend.render(request(avatar=name, hide=hide))
+            assert len(backend._pool) <= KEPT
+
+    try:
+        change(40)
+        before, memory = alive(), process.memory_info().rss
+        assert min(before) > 0
+        change(200)
+        assert alive() == before
+        assert process.memory_info().rss - memory < 30e6
+    finally:
+        backend.close()
+
+
+@pytest.mark.parametrize(
+    ("avatars", "words"),
+    [
+        ({"default": PERSON}, 'two avatars are called "default"'),
+        ({"": PERSON}, "a name needs 1 to 64|name needs 1 to 64"),
+        ({"x" * 65: PERSON}, "needs 1 to 64 printable"),
+        ({"a\nb": PERSON}, "needs 1 to 64 printable"),
+        ({"cloud": PERSON.splats}, '"cloud": clients choose avatars, not Splats'),
+    ],
+)
+def test_names_and_things_that_cannot_be_offered(avatars, words) -> None:
+    with pytest.raises(GlsplatError, match=words):
+        make_server(PERSON, ServerConfig(port=0), avatars=avatars)
+    bare = replace(PERSON, splats=replace(PERSON.splats, cones=None))
+    with pytest.raises(GlsplatError, match='"ben": cull_hidden needs visibility cones'):
+        make_server(PERSON, ServerConfig(port=0), rendering=RenderConfig(cull_hidden=True), avatars={"ben": bare})
+
+
+def test_a_client_is_told_who_there_is(serve) -> None:
+    file = SceneFile.of(PERSON)
+    server = make_server(file, ServerConfig(port=0), own_process=False, name="ann", avatars={"ben": BIG})
+    assert [one["name"] for one in server.offer()["avatars"]] == ["ann", "ben"]
+    assert json.loads(json.dumps(server.offer()))["avatars"][0]["head"]
