@@ -5,9 +5,10 @@ import { HERE, placed } from './bones.js';
 import { cameraOf, frameBlock, sortRow } from './frame.js';
 import { bind, buffer, copyRows, feedback, texture, vertexArray } from './gpu.js';
 import { Item } from './item.js';
+import { Layers } from './layers.js';
 import { Order } from './order.js';
 import { Programs } from './programs.js';
-import { Layers } from './layers.js';
+import { movedMeans } from './shapes.js';
 
 const RECORD_ROW = 4096; // floats a row of the records' texture (record_input.glsl)
 const STILL = Float64Array.of(1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0);
@@ -21,7 +22,7 @@ export class Drawing {
   #gl;
   #programs;
   #order = new Order();
-  #shown = []; // [{splats, item, first, bones, place, size, opacity, amounts, moved}]
+  #shown = []; // [{splats, item, first, means, bones, place, size, opacity, amounts, moved}]
   #arena = null; // {degree, antialias, signs, posed, colours, rows}
   #frame = null; // {count, views, order, records, texture, array, block}
   #layers;
@@ -51,7 +52,7 @@ export class Drawing {
       const same = before.find((one) => one.splats === splats && one.skeleton === skeleton && !one.taken);
       if (same) same.taken = true;
       const item = same?.item ?? new Item(this.#gl, this.#programs, splats, skeleton?.count ?? 0);
-      const rest = { place: STILL, size: 1, opacity: 1, amounts: null, bones: null };
+      const rest = { place: STILL, size: 1, opacity: 1, amounts: null, bones: null, means: splats.means };
       return { ...rest, ...same, splats, skeleton, item, moved: true, taken: false };
     });
     for (const one of before) if (!one.taken) one.item.release();
@@ -67,6 +68,9 @@ export class Drawing {
     Object.assign(one, { size: place.scale, opacity, amounts, moved: true });
     if (one.skeleton) one.bones = placed(one.skeleton.bones(pose), place, one.bones ?? undefined);
     else one.place = placed(STILL, place);
+    const { splats } = one;
+    one.means = amounts && splats.shapes ? movedMeans(splats, amounts, one.expressed ?? new Float32Array(splats.means.length)) : splats.means;
+    if (one.means !== splats.means) one.expressed = one.means;
   }
 
   /**

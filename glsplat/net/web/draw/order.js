@@ -12,8 +12,8 @@ export class Order {
   #counts = new Uint32Array(3 * DIGITS);
 
   /**
-   * Indices in the arena, far to near; of equal depths the lower index is drawn last. `items`: [{first, splats, bones
-   * (placed; null: of no skeleton), place, size}], in the arena's order; `row`: frame.js, sortRow. The array is
+   * Indices in the arena, far to near; of equal depths the lower index is drawn last. `items`: [{first, splats, means (of
+   * the moment), bones (placed; null: of no skeleton), place, size}], in the arena's order; `row`: frame.js, sortRow. The array is
    * used again by the next call.
    */
   sort(items, row) {
@@ -77,8 +77,8 @@ export class Order {
 }
 
 /** z of splats that follow bones, into `z`. */
-function skinned({ splats, bones, size }, [x, y, w, t], z) {
-  const { means, joints, weights, influences, count } = splats;
+function skinned({ splats, means, bones, size }, [x, y, w, t], z) {
+  const { joints, weights, influences, count } = splats;
   const rows = new Float64Array(bones.length / 3);
   for (let j = 0, b = 0; b < bones.length; j += 4, b += 12) {
     for (let c = 0; c < 4; c++) rows[j + c] = size * (x * bones[b + c] + y * bones[b + 4 + c] + w * bones[b + 8 + c]);
@@ -96,7 +96,7 @@ function skinned({ splats, bones, size }, [x, y, w, t], z) {
 }
 
 /** z of splats that stand still, moved as a whole by `place`: 12 numbers, without the size. */
-function still({ splats: { means, count }, place, size }, row, z) {
+function still({ splats: { count }, means, place, size }, row, z) {
   const c = [0, 1, 2, 3].map((i) => size * (row[0] * place[i] + row[1] * place[4 + i] + row[2] * place[8 + i]));
   for (let i = 0, a = 0; i < count; i++, a += 3) {
     z[i] = c[0] * means[a] + c[1] * means[a + 1] + c[2] * means[a + 2] + c[3] + row[3];
