@@ -14,7 +14,9 @@ from numpy.typing import NDArray
 __all__ = ["colour_steps", "colours_of", "from_planes", "mean_steps", "means_of", "quat_bits", "quats_of", "running"]
 __all__ += ["scale_steps", "scales_of", "to_planes", "weight_steps"]
 
-F32, F64, U8 = NDArray[np.float32], NDArray[np.float64], NDArray[np.uint8]
+F32 = NDArray[np.float32]
+F64 = NDArray[np.float64]
+U8 = NDArray[np.uint8]
 
 THINNEST = 1e-6
 """Metres of a scale below which it is written as 0: a splat as thin as that is flat."""

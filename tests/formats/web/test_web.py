@@ -1,4 +1,4 @@
-"""The avatar as a browser fetches it: as good as its steps, small, in parts, the same bytes again; and liars refused."""
+"""The avatar as a browser fetches it: as good as its steps, small, in parts, the same bytes again; liars refused."""
 
 from __future__ import annotations
 
