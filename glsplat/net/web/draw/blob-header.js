@@ -4,6 +4,7 @@
 export const MOST = { joints: 4096, splats: 1 << 21, entries: 1 << 24, parts: 64, shapes: 256, name: 64, bytes: 256 << 20 };
 
 const FAR = 1e6; // metres, and what stands for a size or a colour; more is a mistake
+const ABSENT = { splats: 0, entries: 0, density: null, sh: [] };
 const LOGS = 60; // natural logarithms of sizes
 
 /** Something is wrong with an avatar's file; its message is one sentence. */
@@ -15,8 +16,8 @@ export function fail(words) {
   throw new BlobError(words);
 }
 
-/** The header itself, if it is sound; `start`: where the parts may begin. Throws BlobError. */
-export function checkHeader(header, start) {
+/** The header itself, if it is sound, with what its parts leave out filled in. Throws BlobError. */
+export function checkHeader(header) {
   const whole = (value, least, most) => Number.isInteger(value) && value >= least && value <= most;
   const numbers = (value, size, most = FAR) =>
     Array.isArray(value) && value.length === size && value.every((v) => typeof v === 'number' && Math.abs(v) <= most);
@@ -42,9 +43,11 @@ export function checkHeader(header, start) {
     check(holds, 'limits of a shape that do not hold 0 between them');
   }
   check(Array.isArray(parts) && whole(parts.length, 1, MOST.parts), `no parts, or more than ${MOST.parts}`);
-  let [end, levels] = [start, new Map()];
+  let end = 0; // bytes behind the header
+  const levels = new Map();
   for (const part of parts) {
     check(isObject(part) && whole(part.level, 0, MOST.parts), 'a part without a level');
+    for (const [name, value] of Object.entries(ABSENT)) part[name] ??= value;
     check(part.offset === end && whole(part.bytes, 1, MOST.bytes), 'a part that does not lie behind the one before');
     end += part.bytes;
     check(end <= MOST.bytes, `more than ${MOST.bytes >> 20} MiB of parts`);
@@ -54,7 +57,7 @@ export function checkHeader(header, start) {
       check(numbers(part.low, 3) && numbers(part.high, 3), 'splats without a box');
       check(numbers(part.scales, 2, LOGS) && numbers(part.colours, 6), 'splats without scales and colours');
       check(numbers(part.sh, header.sh_degree), 'splats without a size of each band');
-      check(part.density === null || (typeof part.density === 'number' && part.density > 0), 'a level without its density');
+      check(part.level === 0 || (typeof part.density === 'number' && part.density >= 0), 'a level without its density');
       levels.set(part.level, part.splats);
     } else {
       check(part.kind === 'shapes' && shapes !== null && levels.has(part.level), 'a part that is neither splats nor their shapes');

@@ -9,8 +9,8 @@ export { BlobError } from './blob-header.js';
 const START = 16; // bytes before the header
 const HEADER = 1 << 20; // bytes of it at most, unpacked
 
-/** {skeleton, header} once the bytes of the header are there; `needed(bytes)`: how many that are, null while unknown. */
-export function needed(bytes) {
+/** {end, unpacked} of the header, in bytes, once its beginning is there; null before. */
+export function headOf(bytes) {
   if (bytes.length < START) return null;
   const view = new DataView(bytes.buffer, bytes.byteOffset, START);
   if (view.getUint32(0) !== 0x47534156) fail('this is no avatar: it does not begin with GSAV');
@@ -20,9 +20,9 @@ export function needed(bytes) {
   return { end: START + packed, unpacked };
 }
 
-/** The checked header of a file of which at least `needed` bytes are there, and its skeleton. */
+/** The checked header of a file of which at least `headOf(bytes).end` bytes are there, its skeleton, and where the parts begin. */
 export async function openBlob(bytes) {
-  const found = needed(bytes);
+  const found = headOf(bytes);
   if (!found || bytes.length < found.end) fail('this avatar ends before its header does');
   const text = new TextDecoder().decode(await inflated(bytes.subarray(START, found.end), found.unpacked, 'header'));
   let header;
@@ -31,7 +31,7 @@ export async function openBlob(bytes) {
   } catch {
     fail('the header of this avatar is no JSON');
   }
-  const { joints } = checkHeader(header, found.end);
+  const { joints } = checkHeader(header);
   let skeleton;
   try {
     const { names, parents, rest, inverse_bind: inverseBind } = joints;
@@ -39,7 +39,7 @@ export async function openBlob(bytes) {
   } catch (error) {
     fail(error.message);
   }
-  return { header, skeleton };
+  return { header, skeleton, start: found.end };
 }
 
 /** The splats of one part of `header.parts` of the kind "splats", from its packed bytes: as drawing.js takes them. */
@@ -80,10 +80,12 @@ export async function splatsOf(header, part, bytes) {
     }
   }
   const weights = new Float32Array(influences * count);
+  const sums = new Uint16Array(count);
   for (let k = 0; k < influences; k++) {
     const from = plane();
-    for (let i = 0; i < count; i++) weights[influences * i + k] = from[i] / 255;
+    for (let i = 0; i < count; i++) [weights[influences * i + k], sums[i]] = [from[i] / 255, sums[i] + from[i]];
   }
+  if (sums.some((sum) => sum !== 255)) fail("the weights of this avatar's splats do not sum to 1");
   return { count, means, quats, scales, opacities, sh, degree, antialias, joints: which, weights, influences, shapes: null };
 }
 

@@ -60,13 +60,13 @@ export class Drawing {
   }
 
   /**
-   * Pose thing number `index`: `pose` {joints, root, translations} as Skeleton.bones takes it (not for splats without
-   * a skeleton), `place` as HERE, `amounts` of its shapes or null, `opacity` 0..1.
+   * Pose thing number `index`: `bones` [J, 12] of its skeleton (null: it has none), `place` as HERE, `amounts` of its
+   * shapes or null, `opacity` 0..1.
    */
-  pose(index, { pose = null, place = HERE, amounts = null, opacity = 1 }) {
+  pose(index, { bones = null, place = HERE, amounts = null, opacity = 1 }) {
     const one = this.#shown[index];
     Object.assign(one, { size: place.scale, opacity, amounts, moved: true });
-    if (one.skeleton) one.bones = placed(one.skeleton.bones(pose), place, one.bones ?? undefined);
+    if (one.skeleton) one.bones = placed(bones, place, one.bones ?? undefined);
     else one.place = placed(STILL, place);
     const { splats } = one;
     one.means = amounts && splats.shapes ? movedMeans(splats, amounts, one.expressed ?? new Float32Array(splats.means.length)) : splats.means;
