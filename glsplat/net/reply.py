@@ -134,7 +134,7 @@ def parse_reply(data: bytes) -> Reply:
         offset += _LENGTH.size + length
         if not isinstance(info, dict):
             raise ProtocolError("expected a JSON object behind the pictures", "bad_reply")
-    except (struct.error, msgspec.MsgspecError, RecursionError):
+    except (struct.error, msgspec.MsgspecError, UnicodeError, RecursionError):
         raise ProtocolError(f"expected a whole reply, found {len(data)} bytes that end early", "bad_reply") from None
     bodies = tuple(unpack_bodies(data[offset:])) if count == 0 and info.get("want") == "pose" else ()
     return Reply(frame_id, pictures, info, len(data), alphas, bodies)

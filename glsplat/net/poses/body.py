@@ -31,6 +31,7 @@ YOU, EXPRESSION, TRANSLATIONS = 1, 2, 4
 _HEAD = struct.Struct("<HHIIddBBH32s8f3f")
 _FLAGS, _OPACITY = 2, 28  # offsets
 _UNIT = 32767  # of a number of a quaternion
+_MOST = 1e6  # of any other number, as in a pose
 _INDEX = {name: i for i, name in enumerate(ARKIT)}
 
 
@@ -132,8 +133,9 @@ def _unpacked(data: bytes) -> Body:
         expression = np.frombuffer(data, np.uint8, len(ARKIT), offset) / 255
         offset += len(ARKIT)
     if flags & TRANSLATIONS:
-        translations = np.frombuffer(data, "<f4", 3 * joints, offset).reshape(-1, 3)
-    if not (isfinite(at) and np.isfinite(numbers).all() and lengths.all() and 0 < numbers[7] < 1e6):
+        with np.errstate(invalid="ignore"):  # of a NaN, which Pose refuses
+            translations = np.frombuffer(data, "<f4", 3 * joints, offset).astype(np.float64).reshape(-1, 3)
+    if not (isfinite(at) and max(map(abs, numbers)) <= _MOST and numbers[7] > 0 and lengths.all()):
         raise ProtocolError("a body needs finite numbers, rotations and a scale above 0", "bad_reply")
     turn = numbers[3:7]
     if not 0.9 < np.linalg.norm(turn) < 1.1:
