@@ -59,7 +59,8 @@ def run(args: argparse.Namespace) -> int:
     out = args.out or args.file
     sign_file(args.file, out, key, **fields)
     drivers = "everybody" if ANYBODY in fields["drivers"] else ", ".join(fields["drivers"])
-    print(f"{out}: {fields['subject']}, from {fields['start']} until {fields['until']}, may be driven by {drivers}{_given(fields)}")
+    days = f"from {fields['start']} until {fields['until']}"
+    print(f"{out}: {fields['subject']}, {days}, may be driven by {drivers}{_given(fields)}")
     return 0
 
 

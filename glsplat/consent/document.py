@@ -3,7 +3,8 @@
 ::
 
     {"subject": "Ann", "given_by": "Ann", "purpose": "the study of May", "from": "2026-05-01", "until": "2026-05-31",
-     "drivers": ["ann"], "hand_out": true, "splats_sha256": "...", "file_sha256": "...", "key": "...", "signature": "..."}
+     "drivers": ["ann"], "hand_out": true, "splats_sha256": "...", "file_sha256": "...", "key": "...",
+     "signature": "..."}
 """
 
 from __future__ import annotations

@@ -311,9 +311,7 @@ class Pump(ABC):
         pose, cameras, room, solved, scale, floor = request.pose, frame.cameras, None, None, 1.0, 0.0
         if request.tracking is not None:
             if frame.solution is None:
-                why = channel.shown.untracked
-                how = f" for what it shows: {why}" if why else ": send pose instead of tracking"
-                raise PoseError(f"this server has no tracking solver{how}")
+                raise PoseError(channel.untracked)
             solved, frame.times["ik"] = frame.solution.result()
             frame.notes = solved.notes
         if channel.member is not None:

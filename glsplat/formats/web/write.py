@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import zlib
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import msgspec
 import numpy as np
@@ -35,15 +35,31 @@ from glsplat.formats.web.planes import (
     to_planes,
     weight_steps,
 )
+from glsplat.formats.web.read import read_header
 from glsplat.skinning.shapes import Shapes
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.skin import Skin
 from glsplat.splats import SH_C0, Splats
 
-__all__ = ["encode_avatar"]
+__all__ = ["WebFile", "encode_avatar", "web_file"]
 
 _VISIBLE = 1 / 255  # opacity below which nothing of a splat is ever drawn
 _FINE = 16  # units of a shape's moves that are rounded to one: 15 um of 3 cm, and a low byte that packs
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WebFile:
+    """A file, and how many bytes of it make a first picture."""
+
+    data: bytes
+    first: int
+
+
+def web_file(avatar: Avatar) -> WebFile:
+    """``encode_avatar``, and where its first part ends."""
+    data = encode_avatar(avatar)
+    header, at = read_header(data)
+    return WebFile(data, at + header.parts[0].bytes)
 
 
 def encode_avatar(avatar: Avatar) -> bytes:
