@@ -7,6 +7,7 @@ import { checkHeader, fail } from './blob-header.js';
 export { BlobError } from './blob-header.js';
 
 const START = 16; // bytes before the header
+const STEPS = 4095; // of a weight
 const HEADER = 1 << 20; // bytes of it at most, unpacked
 
 /** {end, unpacked} of the header, in bytes, once its beginning is there; null before. */
@@ -46,7 +47,7 @@ export async function openBlob(bytes) {
 export async function splatsOf(header, part, bytes) {
   const { sh_degree: degree, influences, antialias, joints } = header;
   const [count, wide] = [part.splats, joints.parents.length > 256];
-  const planes = 17 + 3 * ((degree + 1) ** 2 - 1) + influences * (wide ? 3 : 2);
+  const planes = 17 + 3 * ((degree + 1) ** 2 - 1) + influences * (wide ? 2 : 1) + 2 * (influences - 1);
   const data = await inflated(bytes, planes * count, 'splats');
   let at = 0;
   const plane = () => data.subarray(at, (at += count));
@@ -80,12 +81,19 @@ export async function splatsOf(header, part, bytes) {
     }
   }
   const weights = new Float32Array(influences * count);
-  const sums = new Uint16Array(count);
-  for (let k = 0; k < influences; k++) {
-    const from = plane();
-    for (let i = 0; i < count; i++) [weights[influences * i + k], sums[i]] = [from[i] / 255, sums[i] + from[i]];
+  const left = new Int32Array(count).fill(STEPS); // of the first slot, which is what the others leave
+  for (let k = 1; k < influences; k++) {
+    const [lower, upper] = [plane(), plane()];
+    for (let i = 0; i < count; i++) {
+      const steps = lower[i] | (upper[i] << 8);
+      weights[influences * i + k] = steps / STEPS;
+      left[i] -= steps;
+    }
   }
-  if (sums.some((sum) => sum !== 255)) fail("the weights of this avatar's splats do not sum to 1");
+  for (let i = 0; i < count; i++) {
+    if (left[i] < 0) fail("the weights of this avatar's splats sum to more than 1");
+    weights[influences * i] = left[i] / STEPS;
+  }
   return { count, means, quats, scales, opacities, sh, degree, antialias, joints: which, weights, influences, shapes: null };
 }
 
