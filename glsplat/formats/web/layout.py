@@ -80,7 +80,7 @@ def planes_of(header: Header) -> dict[str, int]:
         "colours": 3,
         "sh": 3 * ((header.sh_degree + 1) ** 2 - 1),
         "joints": wide * header.influences,
-        "weights": header.influences,
+        "weights": 2 * (header.influences - 1),
     }
 
 

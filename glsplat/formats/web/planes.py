@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["colour_steps", "colours_of", "from_planes", "mean_steps", "means_of", "quat_bits", "quats_of", "running"]
-__all__ += ["scale_steps", "scales_of", "to_planes", "weight_steps"]
+__all__ = ["THINNEST", "WEIGHT", "colour_steps", "colours_of", "from_planes", "mean_steps", "means_of", "quat_bits"]
+__all__ += ["quats_of", "running", "scale_steps", "scales_of", "to_planes", "weight_steps"]
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -20,6 +20,9 @@ U8 = NDArray[np.uint8]
 
 THINNEST = 1e-6
 """Metres of a scale below which it is written as 0: a splat as thin as that is flat."""
+
+WEIGHT = 4095
+"""Steps of all weights of a splat: 8 bits cost 10 dB where a face is near, the sum spares the first of them."""
 
 _STEPS = 65535  # of a position across the box
 _OTHERS = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])  # of w, x, y, z, by the one that is left out
@@ -109,11 +112,11 @@ def colours_of(differences: U8, low: F64, high: F64) -> F32:
     return (low + (high - low) * running(differences) / 255).astype(np.float32)
 
 
-def weight_steps(weights: F32) -> U8:
-    """[N, K] of 255 in all: rounded down, then one more for those that lost most."""
-    shares = weights.astype(np.float64) * 255
-    steps = np.floor(shares + 1e-6)
-    missing = 255 - steps.sum(axis=1).astype(np.int64)
+def weight_steps(weights: F32) -> NDArray[np.uint16]:
+    """[N, K] of WEIGHT in all: rounded down, then one more for those that lost most."""
+    shares = weights.astype(np.float64) * WEIGHT
+    steps = np.floor(shares + 1e-3)
+    missing = WEIGHT - steps.sum(axis=1).astype(np.int64)
     rank = np.argsort(np.argsort(steps - shares, axis=1, kind="stable"), axis=1, kind="stable")
-    whole: U8 = (steps + (rank < missing[:, None])).astype(np.uint8)
+    whole: NDArray[np.uint16] = (steps + (rank < missing[:, None])).astype(np.uint16)
     return whole

@@ -27,7 +27,7 @@ from glsplat.formats.web.layout import (
     planes_of,
     unpacked_size,
 )
-from glsplat.formats.web.planes import colours_of, from_planes, means_of, quats_of, scales_of
+from glsplat.formats.web.planes import WEIGHT, colours_of, from_planes, means_of, quats_of, scales_of
 from glsplat.skinning.shapes import Shapes
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.skin import INFLUENCES, Skin
@@ -151,12 +151,14 @@ def _avatar(data: memoryview, header: Header, part: Part, face: Part | None, ske
         sh,
         header.antialias,
     )
-    weights = from_planes(planes["weights"], n, "u1")
-    if (weights.sum(axis=1, dtype=np.int64) != 255).any():
-        raise FormatError(f"{what}: the weights of a splat need to sum to 255")
+    weights = np.zeros((n, header.influences), np.int64)
+    weights[:, 1:] = from_planes(planes["weights"], n, "<u2").reshape(n, -1)
+    weights[:, 0] = WEIGHT - weights.sum(axis=1)
+    if (weights < 0).any():
+        raise FormatError(f"{what}: the weights of a splat are more than one")
     joints = from_planes(planes["joints"], n, "u1" if len(skeleton) <= 256 else "<u2")
     shapes = None if face is None else _shapes(data, header, face, n)
-    return Avatar(splats, skeleton, Skin(joints, weights / 255), shapes=shapes)
+    return Avatar(splats, skeleton, Skin(joints, weights / WEIGHT), shapes=shapes)
 
 
 def _shapes(data: memoryview, header: Header, part: Part, splats: int) -> Shapes:

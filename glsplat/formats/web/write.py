@@ -28,6 +28,7 @@ from glsplat.formats.web.layout import (
 )
 from glsplat.formats.web.planes import (
     THINNEST,
+    WEIGHT,
     colour_steps,
     mean_steps,
     quat_bits,
@@ -122,7 +123,7 @@ def _prepared(level: Avatar, degree: int, influences: int) -> Avatar:
     sh[:, : chosen.sh.shape[1]] = chosen.sh
     pad = ((0, 0), (0, influences - level.skin.influences))
     joints, shares = np.pad(level.skin.joints[order], pad, mode="edge"), np.pad(weights[order], pad)
-    skin = Skin(joints, shares / 255)
+    skin = Skin(joints, shares / WEIGHT)
     shapes = None if level.shapes is None else level.shapes.take(order)
     whole = Splats(chosen.means, chosen.quats, chosen.scales, chosen.opacities, sh, splats.antialias)
     return replace(level, splats=whole, skin=skin, shapes=shapes, levels=())
@@ -154,7 +155,7 @@ def _splats(level: Avatar, part: Part) -> list[bytes]:
         part.sh.append(most)
         planes.append(np.rint(rest / (most or 1.0) * 127).astype(np.int8))
     wide = np.uint8 if len(level.skeleton) <= 256 else np.uint16
-    planes += [skin.joints.astype(wide), np.rint(skin.weights * 255).astype(np.uint8)]
+    planes += [skin.joints.astype(wide), np.rint(skin.weights[:, 1:] * WEIGHT).astype(np.uint16)]
     return [to_planes(plane) for plane in planes]
 
 

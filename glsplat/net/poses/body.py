@@ -32,6 +32,7 @@ _HEAD = struct.Struct("<HHIIddBBH32s8f3f")
 _FLAGS, _OPACITY = 2, 28  # offsets
 _UNIT = 32767  # of a number of a quaternion
 _MOST = 1e6  # of any other number, as in a pose
+_SMALLEST = 1e-5  # of a scale
 _INDEX = {name: i for i, name in enumerate(ARKIT)}
 
 
@@ -135,8 +136,8 @@ def _unpacked(data: bytes) -> Body:
     if flags & TRANSLATIONS:
         with np.errstate(invalid="ignore"):  # of a NaN, which Pose refuses
             translations = np.frombuffer(data, "<f4", 3 * joints, offset).astype(np.float64).reshape(-1, 3)
-    if not (isfinite(at) and max(map(abs, numbers)) <= _MOST and numbers[7] > 0 and lengths.all()):
-        raise ProtocolError("a body needs finite numbers, rotations and a scale above 0", "bad_reply")
+    if not (isfinite(at) and max(map(abs, numbers)) <= _MOST and numbers[7] >= _SMALLEST and lengths.all()):
+        raise ProtocolError("a body needs numbers below 1e6, rotations and a scale", "bad_reply")
     turn = numbers[3:7]
     if not 0.9 < np.linalg.norm(turn) < 1.1:
         raise ProtocolError("the place of a body needs a unit quaternion", "bad_reply")

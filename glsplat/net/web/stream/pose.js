@@ -3,6 +3,7 @@
 const MAGIC = 0x5256; // "VR", little endian
 const HEAD = 108; // bytes of a body before its rotations
 const SHAPES = 52; // of ARKit
+const SMALLEST = 1e-5; // of a scale
 const [YOU, EXPRESSION, TRANSLATIONS] = [1, 2, 4];
 const KEPT = 6; // samples of a person
 const LATEST = 150; // ms by which others are shown late at most
@@ -73,7 +74,7 @@ function body(view) {
   if (made.expression) for (let i = 0; i < SHAPES; i++) made.expression[i] = view.getUint8(face + i) / 255;
   const numbers = [made.at, ...place, ...made.root, ...(made.translations ?? [])];
   const turn = Math.hypot(...made.place.rotation);
-  if (!numbers.every(near) || !(place[7] > 0) || !(turn > 0.9 && turn < 1.1)) {
+  if (!numbers.every(near) || !(place[7] >= SMALLEST) || !(turn > 0.9 && turn < 1.1)) {
     throw new Error('a body that stands nowhere');
   }
   unit(made.place.rotation, 0);
