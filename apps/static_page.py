@@ -24,7 +24,7 @@ from glsplat.errors import FormatError, GlsplatError
 from glsplat.formats.web.write import encode_avatar
 from glsplat.io.files import replace_file
 from glsplat.motion.motion import Motion, embedded_motions, load_motion
-from glsplat.shaders.web import page_programs
+from glsplat.shaders.web import programs_json
 
 from .args import load_avatar
 
@@ -119,7 +119,7 @@ def _files(avatar: Avatar, name: str, motions: Mapping[str, Motion]) -> Iterator
         yield path, (web / path).read_bytes()
     for path in ("alone/style.css", "alone/icon.svg"):
         yield path, (web / path).read_bytes()
-    yield "draw/programs.json", _json(page_programs())
+    yield "draw/programs.json", programs_json()
     yield _AVATAR, encode_avatar(avatar)
     offered = []
     for number, (label, motion) in enumerate(motions.items()):

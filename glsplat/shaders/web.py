@@ -6,6 +6,7 @@ body together; the text is what ``flatten`` gives, byte for byte.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator
 from functools import cache
 from typing import Any
@@ -23,7 +24,7 @@ from glsplat.shaders.variant import (
     record_layout,
 )
 
-__all__ = ["page_programs", "page_variants"]
+__all__ = ["page_programs", "page_variants", "programs_json"]
 
 _ES = "es300"
 _POSED = ("posed_mean", "posed_x", "posed_y", "posed_z")
@@ -90,3 +91,8 @@ def page_programs() -> dict[str, Any]:
         "colour_texels": COLOUR_TEXELS,
         "knobs": [config.eps2d, config.max_sigma, 0.0, config.cull_margin],
     }
+
+
+def programs_json() -> bytes:
+    """``page_programs`` as the page fetches it, draw/programs.json."""
+    return json.dumps(page_programs(), separators=(",", ":")).encode()

@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -20,7 +21,7 @@ from glsplat.splats import Splats
 from tests import needs
 from tests.browser.conftest import FLAGS
 from tests.browser.draw.exported import camera_file, exported
-from tests.browser.opened import Opened
+from tests.browser.opened import FAKE_XR, WATCH, Opened
 
 _WEB = Path(__file__).resolve().parents[3] / "glsplat" / "net" / "web"
 _HERE = Path(__file__).parent
@@ -105,3 +106,35 @@ def bench_of() -> Iterator[Callable[[Any], Bench]]:
 def bench(mesa: Any, bench_of: Callable[[Any], Bench]) -> Bench:
     """A page on llvmpipe."""
     return bench_of(mesa)
+
+
+def shot(page: Opened) -> NDArray[np.uint8]:
+    """What the window shows: [H, W, 3]."""
+    data = np.frombuffer(page.page.screenshot(), np.uint8)
+    return cv2.imdecode(data, cv2.IMREAD_COLOR)[..., ::-1]
+
+
+@pytest.fixture
+def visit(mesa: Any, serve: Any) -> Iterator[Callable[..., Opened]]:
+    """``visit(address, size, init, allow)``: a whole page on llvmpipe with a fake headset, closed before servers stop.
+
+    What it complains about fails the test, unless a pattern of ``allow`` fits.
+    """
+    opened: list[tuple[Any, Opened]] = []
+
+    def open_(
+        address: str, size: tuple[int, int] = (480, 360), init: str = "", allow: list[str] | None = None
+    ) -> Opened:
+        context = mesa.new_context(viewport={"width": size[0], "height": size[1]})
+        for text in (FAKE_XR, WATCH, init):
+            context.add_init_script(text)
+        page = Opened(context.new_page(), list(allow or []))
+        opened.append((context, page))
+        page.page.goto(address)
+        return page
+
+    yield open_
+    for context, _ in opened:
+        context.close()
+    faults = [fault for _, page in opened for fault in page.unexpected()]
+    assert not faults, "\n".join(faults[:20])

@@ -21,8 +21,9 @@ from glsplat.detail.proxy import Proxy
 from glsplat.detail.selector import chosen
 from glsplat.formats.web.read import decode_avatar
 from glsplat.motion.motion import load_motion
+from tests.browser.draw.conftest import shot
 from tests.browser.draw.test_parity import psnr, truth
-from tests.browser.opened import FAKE_XR, WATCH, Opened
+from tests.browser.opened import Opened
 from tests.browser.vr import pose, see, steer
 
 STATS = "window.glsplat?.stats()"
@@ -50,32 +51,6 @@ def host(folder: Path) -> Iterator[str]:
     server.shutdown()
     thread.join()
     server.server_close()
-
-
-@pytest.fixture
-def visit(mesa: Any) -> Iterator[Callable[..., Opened]]:
-    opened: list[tuple[Any, Opened]] = []
-
-    def open_(address: str, size: tuple[int, int] = (480, 360), init: str = "") -> Opened:
-        context = mesa.new_context(viewport={"width": size[0], "height": size[1]})
-        for text in (FAKE_XR, WATCH, init):
-            context.add_init_script(text)
-        page = Opened(context.new_page())
-        opened.append((context, page))
-        page.page.goto(address)
-        return page
-
-    yield open_
-    for context, _ in opened:
-        context.close()
-    faults = [fault for _, page in opened for fault in page.unexpected()]
-    assert not faults, "\n".join(faults[:20])
-
-
-def shot(page: Opened) -> NDArray[np.uint8]:
-    """What the window shows: [H, W, 3]."""
-    data = np.frombuffer(page.page.screenshot(), np.uint8)
-    return cv2.imdecode(data, cv2.IMREAD_COLOR)[..., ::-1]
 
 
 def started(page: Opened) -> Opened:

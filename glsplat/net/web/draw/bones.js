@@ -45,6 +45,12 @@ export class Skeleton {
     for (let j = 0; j < this.count; j++) multiply(global, 12 * j, this.#inverse, 12 * j, out, 12 * j);
     return out;
   }
+
+  /** Where a joint is in a pose: [x, y, z], metres. */
+  placeOf(pose, joint) {
+    this.bones(pose);
+    return [3, 7, 11].map((i) => this.#global[12 * joint + i]);
+  }
 }
 
 /** The unit quaternion [x, y, z, w] of a rotation vector (radians) at `at`, into `out` at `to`. */
