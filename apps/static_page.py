@@ -1,4 +1,4 @@
-"""``glsplat page``: a folder for any file host that shows an avatar in a browser and in VR, without a server of ours."""
+"""``glsplat page``: a folder for any file host that shows an avatar in browsers and in VR, without our server."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from glsplat.shaders.web import programs_json
 
 from .args import load_avatar
 
-__all__ = ["EXAMPLE", "HELP", "add_arguments", "run"]
+__all__ = ["EXAMPLE", "HELP", "add_arguments", "baked", "run"]
 
 HELP = (
     "Write a page that shows an avatar in any browser with WebGL 2 and in VR: orbit, motions, no server but one that "
@@ -124,7 +124,7 @@ def _files(avatar: Avatar, name: str, motions: Mapping[str, Motion]) -> Iterator
     offered = []
     for number, (label, motion) in enumerate(motions.items()):
         offered.append({"label": label, "file": f"motions/{number}.json"})
-        yield offered[-1]["file"], _json(_baked(motion))
+        yield offered[-1]["file"], _json(baked(motion))
     yield "page.json", _json({"name": name, "avatar": _AVATAR, "credit": _credit(avatar), "motions": offered})
     html = (web / "alone" / "index.html").read_text(encoding="utf-8")
     yield "index.html", html.replace("<head>", '<head>\n  <base href="alone/">', 1).encode()
@@ -143,7 +143,7 @@ def _modules(web: Traversable) -> list[str]:
     return sorted(found)
 
 
-def _baked(motion: Motion) -> dict[str, Any]:
+def baked(motion: Motion) -> dict[str, Any]:
     """A motion as track/drivers.js plays it, on this avatar's own joints: rotation vectors and the root's place."""
     frames = []
     for index in range(len(motion)):

@@ -56,9 +56,7 @@ def page_variants() -> Iterator[Row]:
                 for triangle in (0, 1):
                     degree = 1 - shared
                     flags = {"posed": 1, "turned": degree, "antialias": compensated, "views": views, "pulled": 1}
-                    drawn = Variant(
-                        sh_degree=degree, stored_degree=degree, triangle=triangle, target=_ES, **flags
-                    )
+                    drawn = Variant(sh_degree=degree, stored_degree=degree, triangle=triangle, target=_ES, **flags)
                     yield f"splat {shared} {compensated} {views} {triangle}", ("splat.vert", "splat.frag"), (), drawn
     yield "resolve", ("screen.vert", "resolve.frag"), (), ResolveVariant(target=_ES)
 

@@ -17,7 +17,7 @@ from tests.browser.served import Served
 
 _WEB = Path(__file__).resolve().parents[2] / "glsplat" / "net" / "web"
 _MODULES = "http://localhost:1/vr/"  # answered from the folder above, by no server
-FLAGS = [
+_FLAGS = [
     "--no-sandbox",  # needs rights that containers do not give, and opens pages of this checkout only
     "--disable-quic",
     "--no-first-run",
@@ -56,7 +56,7 @@ def play() -> Iterator[Any]:
 @pytest.fixture(scope="package")
 def chromium(play: Any) -> Iterator[Any]:
     """Playwright's Browser, headless, software WebGL."""
-    browser = play.chromium.launch(executable_path=needs.program("chromium"), headless=True, args=FLAGS)
+    browser = play.chromium.launch(executable_path=needs.program("chromium"), headless=True, args=_FLAGS)
     yield browser
     browser.close()
 

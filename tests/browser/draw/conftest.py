@@ -19,7 +19,7 @@ from glsplat.camera import Camera
 from glsplat.shaders.web import page_programs
 from glsplat.splats import Splats
 from tests import needs
-from tests.browser.conftest import FLAGS
+from tests.browser.conftest import _FLAGS
 from tests.browser.draw.exported import camera_file, exported
 from tests.browser.opened import FAKE_XR, WATCH, Opened
 
@@ -32,7 +32,7 @@ _MESA = ["--use-gl=angle", "--use-angle=gl-egl", "--ignore-gpu-blocklist"]
 @pytest.fixture(scope="package")
 def mesa(play: Any) -> Iterator[Any]:
     """Chromium whose WebGL is Mesa's own driver, as a desktop's is a GPU's."""
-    browser = play.chromium.launch(executable_path=needs.program("chromium"), headless=True, args=[*FLAGS, *_MESA])
+    browser = play.chromium.launch(executable_path=needs.program("chromium"), headless=True, args=[*_FLAGS, *_MESA])
     yield browser
     browser.close()
 

@@ -21,7 +21,7 @@ from glsplat.formats.web.write import encode_avatar
 from glsplat.motion.motion import load_motion
 from glsplat.skinning.expression import ARKIT
 from tests.browser.draw.conftest import Bench, floats
-from tests.browser.draw.exported import camera_file, posed
+from tests.browser.draw.exported import posed
 from tests.browser.draw.test_parity import eyes, psnr, thing, truth
 from tests.formats.web.test_web import someone, with_face
 
@@ -99,7 +99,7 @@ def eye_of(camera: glsplat.Camera) -> dict[str, Any]:
 
 
 def test_a_crowd_draws_the_level_that_the_desktop_chooses(bench: Bench) -> None:
-    """By a camera of a headset's kind, off axis; far away a coarser level, and without the head where it is one's own."""
+    """By a camera of a headset's kind, off axis; far away a coarser level; without the head where it is one's own."""
     person = decode_avatar(encode_avatar(glsplat.default_avatar()))
     bench.data["person"] = encode_avatar(glsplat.default_avatar())
     pose = load_motion("walk", person.skeleton).at(0.4)

@@ -19,7 +19,8 @@ LINK = """async () => {
   const gl = context();
   const programs = new Programs(gl, table);
   const linked = Object.keys(table.programs).filter((name) => programs.get(name).program);
-  const texts = Object.fromEntries(linked.map((name) => [name, table.programs[name].stages.map((_, i) => textOf(table, name, i))]));
+  const stages = (name) => table.programs[name].stages.map((_, i) => textOf(table, name, i));
+  const texts = Object.fromEntries(linked.map((name) => [name, stages(name)]));
   const attributes = programs.get('project 3 1 2').attributes;
   programs.release();
   return { linked, texts, attributes: Object.keys(attributes), error: gl.getError() };
@@ -50,4 +51,6 @@ def test_a_program_that_does_not_compile_says_where(bench: Bench) -> None:
       return said;
     }""")
     assert "skin 4 0 0" in words[0] and "'size' : undeclared identifier" in words[0]
-    assert words[1:] == [json.loads(f'"there is no program \\"{n}\\" for this page"') for n in ("skin 3 0 0", "toString")]
+    assert words[1:] == [
+        json.loads(f'"there is no program \\"{n}\\" for this page"') for n in ("skin 3 0 0", "toString")
+    ]

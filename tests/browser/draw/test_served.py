@@ -6,7 +6,6 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-import pytest
 
 import glsplat
 from glsplat.consent.file import OnFile
@@ -16,7 +15,7 @@ from glsplat.net.server import ServerConfig
 from tests.browser.draw.conftest import Bench, shot
 from tests.browser.opened import Opened
 from tests.browser.served import Served
-from tests.browser.vr import enter, pose, see, settings, steer
+from tests.browser.vr import enter, pose, project, see, settings, steer
 
 DRAWN = "window.glsplat.stats().drawn"
 
@@ -32,16 +31,16 @@ def handing(serve: Any, hands_out: bool = True, **options: Any) -> Served:
     )
 
 
-def opened(visit: Callable[..., Opened], served: Served, **values: Any) -> Opened:
+def opened(visit: Callable[..., Opened], served: Served, window: tuple[int, int] = (480, 360), **values: Any) -> Opened:
     chosen = {"size": 512, "driver": "rest", "drawn": "here"} | values
-    page = visit(served.page, init=settings(**chosen), allow=list(values.pop("allow", [])))
+    page = visit(served.page, window, init=settings(**chosen))
     page.until("window.glsplat?.stats().state === 'open'")
     return page
 
 
 def test_over_to_drawing_here_and_back(visit: Callable[..., Opened], serve: Any) -> None:
     served = handing(serve)
-    page = opened(visit, served)
+    page = opened(visit, served, window=(900, 420))
     page.until(f"{DRAWN}.by === 'here' && {DRAWN}.splats >= 4500 && window.glsplat.stats().shown > 5")
     page.wait(1.0)
     stats = page.stats()
@@ -53,7 +52,7 @@ def test_over_to_drawing_here_and_back(visit: Callable[..., Opened], serve: Any)
     page.wait(1.5)
     theirs = shot(page).astype(float)
     assert page.stats()["drawn"]["reason"] == "you chose the server"
-    canvas = slice(None), slice(0, 200)  # beside the controls
+    canvas = slice(None), slice(0, 400)  # beside the controls
     error = float(((here - theirs)[canvas] ** 2).mean())
     assert here[canvas].std() > 3 and 10 * np.log10(255**2 / error) > 24  # JPEG, another size, another level
     assert drawn is None or served.stats()["frames"] >= drawn
@@ -72,24 +71,27 @@ def test_in_vr_the_mirror_and_ones_own_body(visit: Callable[..., Opened], serve:
         seen = see(page)
     picture = seen["left"][..., :3].astype(float)
     assert seen["stats"]["drawn"]["by"] == "here"
-    from tests.browser.vr import project
-
     # the mirror's glass: 1.2 m ahead, 1.1 m wide; the user's own face looks back from as far behind it
     face = project(seen["eyes"]["left"], [0.03, 1.62, -2.4 - 0.1], 512).astype(int)
     around = picture[face[1] - 12 : face[1] + 12, face[0] - 12 : face[0] + 12]
-    assert around.mean() > 40
-    left, right = (project(seen["eyes"]["left"], [x, 1.0, -1.2], 512)[0] for x in (-0.6, 0.6))
-    beside = np.concatenate([picture[:, : int(left)], picture[:, int(right) :]], axis=1)
-    assert beside.max() < 120  # the floor's lines alone
+    assert around.mean() > 20
+    left = int(project(seen["eyes"]["left"], [-0.6, 1.0, -1.2], 512)[0])  # of the frame around the glass
+    assert picture[:, :left].max() < 90  # the floor's lines alone
     full = seen["stats"]["drawn"]["splats"]
     page.page.evaluate("document.querySelector('#view').value = 'own'")
     page.page.evaluate("document.querySelector('#view').dispatchEvent(new Event('change'))")
     steer(page, head=pose([0, 1.65, 0], pitch=-70))
-    page.until(f"(() => {{ fakeXR.step(); return window.glsplat.stats().view === 'own'; }})()")
+    page.until("(() => { fakeXR.step(); return window.glsplat.stats().view === 'own'; })()")
     for _ in range(3):
         seen = see(page)
     # looking down at oneself: the chest is below, and no head is in the way
-    assert 1000 < seen["stats"]["drawn"]["splats"] and seen["stats"]["drawn"]["splats"] not in (full, 40000, 14000, 8000, 4500)
+    assert 1000 < seen["stats"]["drawn"]["splats"] and seen["stats"]["drawn"]["splats"] not in (
+        full,
+        40000,
+        14000,
+        8000,
+        4500,
+    )
     assert seen["left"][..., :3].astype(float).mean() > 5
 
 
@@ -139,9 +141,9 @@ import('/vr/draw/choice.js').then(({ Choice }) => {
   said.push([choice.here, choice.reason]);
   run(choice, 62001, 70000, 70);
   said.push([choice.here]);
-  run(choice, 70000, 74000, 40); // hot: below 0.8 of 72 for less than 3 s at first
+  run(choice, 70000, 73000, 40); // hot: below 0.8 of 72 for less than 3 s at first
   said.push([choice.here]);
-  run(choice, 74000, 80000, 40);
+  run(choice, 73000, 80000, 40);
   said.push([choice.here, choice.reason, choice.asks('', 81000), choice.asks('', 80000 + 120000)]);
   const one = new Choice('here');
   run(one, 0, 2000, 60);

@@ -141,7 +141,9 @@ def test_the_picture_is_of_the_pose_of_its_frame_while_the_head_turns(
         cameras = []
         for matrix, projection in (seen["eyes"]["left"], seen["eyes"]["right"]):
             fx, fy = projection[0, 0] * side / 2, projection[1, 1] * side / 2
-            K = np.array([[fx, 0, (1 - projection[0, 2]) * side / 2], [0, fy, (1 + projection[1, 2]) * side / 2], [0, 0, 1]])
+            K = np.array(
+                [[fx, 0, (1 - projection[0, 2]) * side / 2], [0, fy, (1 + projection[1, 2]) * side / 2], [0, 0, 1]]
+            )
             cameras.append(Camera(np.diag([1.0, -1, -1, 1]) @ np.linalg.inv(matrix), K, side, side))
         if frame % 4:
             continue  # every frame is drawn; three are held against the truth
@@ -166,9 +168,7 @@ def test_the_picture_is_of_the_pose_of_its_frame_while_the_head_turns(
         ("window.DecompressionStream = undefined;", "This browser cannot unpack avatars"),
     ],
 )
-def test_what_a_browser_lacks_is_a_sentence(
-    visit: Callable[..., Opened], host: str, damage: str, words: str
-) -> None:
+def test_what_a_browser_lacks_is_a_sentence(visit: Callable[..., Opened], host: str, damage: str, words: str) -> None:
     page = visit(host, init=damage)
     page.until("document.querySelector('#status').dataset.level === 'error'")
     assert words in page.page.inner_text("#status")
