@@ -26,6 +26,7 @@ COMMANDS = {
     "render": "a picture, a clip or a turntable of a scene or a posed avatar",
     "preview": "a window that shows the avatar moving",
     "serve": "the headless render server",
+    "page": "a folder for any file host that shows an avatar in browsers and in VR",
     "replay": "a client that streams a motion through a server and reports latency",
     "demo": "server and client together: frames per second, stage times, a contact sheet and a clip",
     "bench": "stage times, bytes and the price of each feature on this driver",
@@ -41,8 +42,8 @@ COMMANDS = {
 }
 
 _FOLDERS = ("avatar", "evaluate", "preview", "replay", "report", "serve", "tracking", "users", "watermark")
-MODULES = {name: f"{name}.command" for name in _FOLDERS}
-"""Commands that are folders."""
+MODULES = {name: f"{name}.command" for name in _FOLDERS} | {"page": "static_page"}
+"""Commands that are folders, or whose module is called otherwise."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -32,6 +32,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--drivers", metavar="A,B", help=f"accounts that may drive (glsplat users), or {ANYBODY} for everybody"
     )
+    parser.add_argument(
+        "--hand-out",
+        action="store_true",
+        help="the splats themselves may be given to those who are shown them, so that their browsers draw",
+    )
     parser.add_argument("-o", "--out", type=Path, help="file to write instead of FILE")
     parser.add_argument("--new-key", type=Path, metavar="KEY", help="make a key: KEY is for you alone, KEY.pub for all")
 
@@ -40,7 +45,7 @@ def run(args: argparse.Namespace) -> int:
     """Make a key, sign a file, or both; 0 on success."""
     if args.new_key is None and args.file is None:
         raise UsageError("give an avatar to sign, or --new-key KEY to make a key")
-    options = ("sign", "subject", "given_by", "start", "until", "drivers", "out")
+    options = ("sign", "subject", "given_by", "start", "until", "drivers", "hand_out", "out")
     given = [name for name in options if getattr(args, name)]
     if args.file is None and given:
         raise UsageError(f"--{given[0].replace('start', 'from').replace('_', '-')} needs an avatar to sign")
@@ -54,7 +59,8 @@ def run(args: argparse.Namespace) -> int:
     out = args.out or args.file
     sign_file(args.file, out, key, **fields)
     drivers = "everybody" if ANYBODY in fields["drivers"] else ", ".join(fields["drivers"])
-    print(f"{out}: {fields['subject']}, from {fields['start']} until {fields['until']}, may be driven by {drivers}")
+    days = f"from {fields['start']} until {fields['until']}"
+    print(f"{out}: {fields['subject']}, {days}, may be driven by {drivers}{_given(fields)}")
     return 0
 
 
@@ -72,7 +78,12 @@ def _fields(args: argparse.Namespace) -> dict[str, Any]:
         "start": start,
         "until": args.until,
         "drivers": list(dict.fromkeys(name.strip() for name in args.drivers.split(","))),
+        "hand_out": args.hand_out,
     }
+
+
+def _given(told: dict[str, Any]) -> str:
+    return ", splats may be handed out" if told["hand_out"] else ""
 
 
 def _day(text: str) -> date:
@@ -102,6 +113,7 @@ def report(found: OnFile, now: float | None = None) -> dict[str, Any]:
         "from": first.isoformat(),
         "until": last.isoformat(),
         "drivers": sorted(consent.drivers),
+        "hand_out": consent.hand_out,
         "key": consent.key,
     }
 
@@ -121,5 +133,5 @@ def said(told: dict[str, Any]) -> str:
     by = "" if told["given_by"] == told["subject"] else f", given by {told['given_by']}"
     return (
         f"{told['fault'] or 'valid'}: {told['subject']}{by}, purpose: {told['purpose']}, from {told['from']} until "
-        f"{told['until']}, may be driven by {drivers}; the signature by {told['key']} fits"
+        f"{told['until']}, may be driven by {drivers}{_given(told)}; the signature by {told['key']} fits"
     )

@@ -3,7 +3,8 @@
 ::
 
     {"subject": "Ann", "given_by": "Ann", "purpose": "the study of May", "from": "2026-05-01", "until": "2026-05-31",
-     "drivers": ["ann"], "splats_sha256": "...", "file_sha256": "...", "key": "...", "signature": "..."}
+     "drivers": ["ann"], "hand_out": true, "splats_sha256": "...", "file_sha256": "...", "key": "...",
+     "signature": "..."}
 """
 
 from __future__ import annotations
@@ -24,8 +25,9 @@ ANYBODY = "*"
 
 _TEXT = ("subject", "given_by", "purpose")
 _HEX = {"splats_sha256": 64, "file_sha256": 64, "key": 64, "signature": 128}
-_OPTIONAL = "file_sha256"
-_KEYS = {*_TEXT, "from", "until", "drivers", *_HEX}
+_FILE, _HAND_OUT = "file_sha256", "hand_out"
+_OPTIONAL = {_FILE, _HAND_OUT}
+_KEYS = {*_TEXT, "from", "until", "drivers", _HAND_OUT, *_HEX}
 _LONGEST, _MOST_DRIVERS = 1000, 1000
 _DATE = re.compile(r"[0-9]{4}-[0-9]{2}-[0-9]{2}")
 _DAY = timedelta(days=1)
@@ -44,6 +46,7 @@ class Consent:
     splats_sha256: str
     file_sha256: str | None
     key: str  # the public key, 64 hexadecimal digits (RFC 8032, 5.1.5)
+    hand_out: bool = False  # the splats themselves may be given to those who are shown them
 
     def late(self, now: float) -> str:
         """Why it does not hold at ``now`` (seconds since 1970); "" while it does."""
@@ -67,8 +70,12 @@ def signed_record(
     drivers: list[str],
     splats_sha256: str,
     file_sha256: str | None,
+    hand_out: bool = False,
 ) -> dict[str, Any]:
-    """A record with its signature (Ed25519, RFC 8032). Raises FormatError naming the field that cannot stand in one."""
+    """A record with its signature (Ed25519, RFC 8032). Raises FormatError naming the field that cannot stand in one.
+
+    Only a record that lets the splats be handed out says so: any other is read by older versions, too.
+    """
     record: dict[str, Any] = {
         "subject": subject,
         "given_by": given_by,
@@ -80,7 +87,9 @@ def signed_record(
         "key": key.public,
     }
     if file_sha256 is not None:
-        record[_OPTIONAL] = file_sha256
+        record[_FILE] = file_sha256
+    if hand_out:
+        record[_HAND_OUT] = True
     record["signature"] = signature_of(key, canonical(record))
     read_record(record)
     return record
@@ -95,7 +104,7 @@ def read_record(record: Any) -> Consent:
         raise FormatError("the consent is no record, which is a JSON object")
     if strange := sorted(set(record) - _KEYS):
         raise FormatError(f"the consent has {strange[0][:40]!r}, which this version does not know")
-    if missing := sorted(_KEYS - {_OPTIONAL} - set(record)):
+    if missing := sorted(_KEYS - _OPTIONAL - set(record)):
         raise FormatError(f"the consent lacks {missing[0]!r}")
     for name in _TEXT:
         _checked_text(record[name], name)
@@ -112,6 +121,8 @@ def read_record(record: Any) -> Consent:
         raise FormatError(f"the consent's drivers need a list of 1 to {_MOST_DRIVERS} names, or of {ANYBODY!r} alone")
     for name in drivers:
         _checked_text(name, "drivers")
+    if not isinstance(record.get(_HAND_OUT, False), bool):
+        raise FormatError(f"the consent's {_HAND_OUT} needs true or false, not {record[_HAND_OUT]!r:.40}")
     unsigned = {name: value for name, value in record.items() if name != "signature"}
     if not signed_by(record["key"], record["signature"], canonical(unsigned)):
         raise FormatError("the consent's signature does not fit: the record was changed after it was signed")
@@ -121,8 +132,9 @@ def read_record(record: Any) -> Consent:
         ends=_seconds(last) + _DAY.total_seconds(),
         drivers=frozenset(drivers),
         splats_sha256=record["splats_sha256"],
-        file_sha256=record.get(_OPTIONAL),
+        file_sha256=record.get(_FILE),
         key=record["key"],
+        hand_out=record.get(_HAND_OUT, False),
     )
 
 

@@ -39,6 +39,11 @@ class OnFile:
     fault: str = ""  # why there is none that holds; "" where there is, or where nobody is shown
     nobody: bool = False  # a file that comes with glsplat, of synthetic people: nobody has to agree
 
+    @property
+    def hands_out(self) -> bool:
+        """Whether the splats themselves may be given away: by the record, or because nobody is shown."""
+        return self.nobody or (self.consent is not None and self.consent.hand_out)
+
 
 def on_file(path: str | Path) -> OnFile:
     """What an avatar's file says. Anything that is wrong with the record is ``fault``.
@@ -81,6 +86,7 @@ def sign_data(
     start: date,
     until: date,
     drivers: list[str],
+    hand_out: bool = False,
 ) -> bytes:
     """A .glb with a record in the place of any it had; its binary chunk is the same to the byte, its JSON otherwise.
 
@@ -100,6 +106,7 @@ def sign_data(
         drivers=drivers,
         splats_sha256=level_digest(glb.container())[0],
         file_sha256=glb.digest(),
+        hand_out=hand_out,
     )
     return b"".join(glb.with_record(record))
 

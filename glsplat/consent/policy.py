@@ -44,6 +44,17 @@ class ConsentPolicy:
         """
         return None if self.without else self._refusal(avatar, driver, now)
 
+    def withheld(self, avatar: str, now: float) -> str | None:
+        """Why the splats of ``avatar`` may not be given to those who are shown it; None where they may.
+
+        That is a right of its own, which ``without`` does not give.
+        """
+        if why := self._refusal(avatar, None, now):
+            return why
+        if not all(one.hands_out for one in self._people[avatar]):
+            return f'"{avatar}": its consent is to be shown, not to hand out its splats'
+        return None
+
     def label(self, avatar: str, driver: str = "", now: float | None = None) -> str:
         """What has to stand in every picture of ``avatar``; "" for nothing."""
         if not self.without:

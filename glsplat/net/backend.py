@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.camera import Camera
+from glsplat.formats.web.write import WebFile
 from glsplat.net.messages import DEFAULT, PictureOptions, Request
 from glsplat.net.rooms.view import RoomView
 from glsplat.skinning.pose import Pose
@@ -137,3 +138,4 @@ class AvatarInfo:
     untracked: str = ""  # why tracking is not solved, told to the client that sends it
     still: str = ""  # why poses do nothing, told with the picture; "" where they do something, or are refused
     made: bool = False  # of a photograph that a client sent: clients may delete it
+    file: Callable[[], WebFile] | None = None  # makes what a browser draws it from; None: nothing it could draw

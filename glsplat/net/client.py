@@ -19,7 +19,7 @@ from glsplat.arrays import count, flag, number
 from glsplat.camera import Camera
 from glsplat.errors import GlsplatError, ProtocolError
 from glsplat.net.client_connection import ClientConnection
-from glsplat.net.fields import Alpha
+from glsplat.net.fields import Alpha, Want
 from glsplat.net.flow import FlowControl, ReceivedReply
 from glsplat.net.messages import MAX_BYTES, VERSION, eye_fields
 from glsplat.net.reply import Reply
@@ -165,6 +165,20 @@ class Client:
             request = self._request(connection, cameras, pose=pose, tracking=tracking, quality=quality, **flags)
             return (await connection.ask_and_wait(*request, self._timeout)).reply
 
+    async def poses(
+        self, *, pose: Pose | Mapping[str, Any] | None = None, tracking: Mapping[str, Any] | None = None
+    ) -> Reply:
+        """Ask how everybody stands (``Reply.bodies``) instead of for a picture, and wait for it, as ``render`` does.
+
+        In a room only those come of whom there is news. ProtocolError with ``code`` "no_pose": the avatar's splats are
+        not handed out.
+        """
+        connection = self._open()
+        async with connection.turn:
+            connection.take_all()
+            request = self._request(connection, None, pose=pose, tracking=tracking, want="pose")
+            return (await connection.ask_and_wait(*request, self._timeout)).reply
+
     async def send(
         self,
         cameras: Sequence[Camera] | None = None,
@@ -177,15 +191,16 @@ class Client:
         mirror: bool | None = None,
         hide: Sequence[str] = (),
         box: bool = False,
+        want: Want | None = None,
         subject: object = None,
     ) -> int:
         """Send a request without waiting for its picture, which may never come (a newer one replaces it).
 
         The picture comes by ``receive``. Returns the frame_id. ``subject`` is not sent: ``flow.about(frame_id)`` gives
-        it back when the answer is there.
+        it back when the answer is there. ``want`` "pose": as ``poses``.
         """
         connection = self._open()
-        flags = {"crop": crop, "alpha": alpha, "mirror": mirror, "hide": hide, "box": box}
+        flags = {"crop": crop, "alpha": alpha, "mirror": mirror, "hide": hide, "box": box, "want": want}
         request = self._request(connection, cameras, pose=pose, tracking=tracking, quality=quality, **flags)
         await connection.ask(*request, subject)
         return request[0]
@@ -246,6 +261,7 @@ def request_message(
     mirror: bool | None = None,
     hide: Sequence[str] = (),
     box: bool = False,
+    want: Want | None = None,
     t: float | None = None,
 ) -> dict[str, Any]:
     """The native request (docs/protocol.md) as a JSON object. Cameras may be left out where tracking has a head."""
@@ -259,7 +275,7 @@ def request_message(
             raise ProtocolError('a pose of another rig than SMPL-X is sent as {"joints": {NAME: [x, y, z]}}')
         pose = pose.to_smplx()
     parts = [hide] if isinstance(hide, str) else list(hide)
-    asked: dict[str, Any] = {"pose": pose, "tracking": tracking, "quality": quality, "mirror": mirror}
+    asked: dict[str, Any] = {"pose": pose, "tracking": tracking, "quality": quality, "mirror": mirror, "want": want}
     asked |= {"crop": crop or None, "alpha": alpha or None, "hide": parts or None, "box": box or None}
     return message | {key: value for key, value in asked.items() if value is not None}
 

@@ -17,6 +17,7 @@ from glsplat.net.guard.meter import POLICY_VIOLATION, Breach
 from glsplat.net.guard.reading import Reading
 from glsplat.net.messages import Request
 from glsplat.net.pace.client_stream import ClientStream
+from glsplat.net.poses.answers import Answers
 from glsplat.net.render_loop import RenderLoop
 from glsplat.net.session import Close, Warn
 from glsplat.net.workers.pool import WorkerPool
@@ -41,12 +42,13 @@ class Conversation:
         request: web.Request,
         render_loop: RenderLoop | WorkerPool,
         gate: Gate,
+        answers: Answers,
         deaf: Callable[[], bool],
         write_timeout: float,
     ) -> None:
         self.channel = channel
         self._ws, self._request, self._render_loop, self._gate = ws, request, render_loop, gate
-        self._deaf, self._write_timeout = deaf, write_timeout
+        self._answers, self._deaf, self._write_timeout = answers, deaf, write_timeout
 
     @property
     def goodbye(self) -> bool:
@@ -121,6 +123,7 @@ class Conversation:
                 return
             elif text is not None:
                 self._render_loop.received(self.channel, outcome)
+                self._answers.due(self.channel)
             count += 1
             if count % _TURN == 0:  # receive() does not give way while more has arrived
                 await asyncio.sleep(0)
@@ -141,7 +144,8 @@ class Conversation:
         while True:
             frame = await self.channel.frames.get()
             try:
-                packed = await self._render_loop.pack(self.channel, frame)
+                posed = frame.poses is not None
+                packed = self._answers.pack(frame) if posed else await self._render_loop.pack(self.channel, frame)
                 for data in [packed] if isinstance(packed, str) else packed:
                     await self._send(data)
             except TimeoutError:
@@ -158,6 +162,7 @@ class Conversation:
                 if not session.counts.sent:  # who only knocks fills no log
                     session.announce(self.channel.number, self.channel.address)
                 session.sent(frame.request, sum(map(len, packed)))
+            self._answers.due(self.channel)
             self._render_loop.wake(self.channel)
             if frame.ends:
                 log.warning("client %d is dropped: %s", self.channel.number, frame.ends)

@@ -36,6 +36,7 @@ __all__ = [
     "Message",
     "PoseFields",
     "Tracking",
+    "Want",
     "given",
     "sample_of",
 ]
@@ -50,6 +51,10 @@ Joints = tuple[tuple[float, ...], ...]
 
 Alpha = bool | Literal["straight"]
 """Whether alpha is sent too: with colours over black (premultiplied), or with straight ones (codec/straight.py)."""
+
+
+Want = Literal["picture", "pose"]
+"""What is asked for: a picture, or how those stand whom the client draws itself."""
 
 
 class Eye(msgspec.Struct):
@@ -119,6 +124,7 @@ class Message(msgspec.Struct):
     frame_id: int | None = None
     ack: int | None = None
     t: float | None = None
+    want: str | None = None
     eyes: list[Eye] | None = None
     size: list[int] | None = None
     quality: int | None = None
@@ -139,8 +145,8 @@ class LegacyMessage(msgspec.Struct):
     smplx: PoseFields | None = None
 
 
-PICTURE = ("eyes", "size", "quality", "crop", "alpha", "mirror", "hide", "box", "pose", "tracking")
-"""Fields that only a request for a picture has."""
+PICTURE = ("want", "eyes", "size", "quality", "crop", "alpha", "mirror", "hide", "box", "pose", "tracking")
+"""Fields that only a request has."""
 
 
 def given(fields: PoseFields | Tracking) -> dict[str, Any]:

@@ -93,10 +93,13 @@ DEFAULT = PictureOptions()
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Request:
-    """One picture (of one or two eyes) that a client asks for. ``frame_id`` is None where an old client sent none."""
+    """One picture (of one or two eyes) that a client asks for, or how somebody stands (``poses``, without cameras).
+
+    ``frame_id`` is None where an old client sent none.
+    """
 
     frame_id: int | None
-    cameras: tuple[Camera, ...]  # one or two, left first
+    cameras: tuple[Camera, ...]  # one or two, left first; none for poses
     pose: Pose | None = None  # None and no tracking: the rest pose
     tracking: Sample | None = None  # its time means nothing where ``t`` is None
     fault: str = ""  # why ``tracking`` cannot be solved, told when the picture is due
@@ -105,6 +108,7 @@ class Request:
     options: PictureOptions = DEFAULT
     form: Form = "native"
     eyes: tuple[int, ...] = (0, 1)  # eye numbers of the cameras: 0 left, 1 right
+    poses: bool = False  # the client draws
 
 
 @dataclass(frozen=True, slots=True)
@@ -174,6 +178,8 @@ class Decoder:
         o = self.options
         if m.pose is not None and m.tracking is not None:
             raise ProtocolError("a request has either pose or tracking, not both")
+        if m.want not in (None, "picture"):
+            return self._poses(m)
         size = self._size(m.size)
         quality = o.quality if m.quality is None else m.quality
         if not 1 <= quality <= 100:
@@ -202,6 +208,26 @@ class Decoder:
             ack=m.ack,
             options=PictureOptions(quality=quality, crop=m.crop, alpha=alpha, hide=hide, box=m.box),
             eyes=tuple(range(len(cameras))),
+        )
+
+    def _poses(self, m: Message) -> Request:
+        """A request of a client that draws: what a picture would have to be like is not looked at."""
+        if m.want != "pose":
+            raise ProtocolError(f'want needs "picture" or "pose", not {m.want!r:.20}')
+        sample, fault = None, ""
+        if m.tracking is not None:
+            sample, fault = sample_of(m.tracking, (m.t or 0.0) / 1e3, self.options.max_distance)
+        pose = None if m.pose is None else self._pose(given(m.pose))
+        return Request(
+            frame_id=m.frame_id,
+            cameras=(),
+            pose=pose,
+            tracking=sample,
+            fault=fault,
+            t=m.t,
+            ack=m.ack,
+            eyes=(),
+            poses=True,
         )
 
     def _legacy(self, m: Message, old: LegacyMessage) -> Request:

@@ -1,7 +1,7 @@
 """The render loop: takes the clients' requests in fair turns, has them drawn one by one, and says what each picture is.
 
 The event loop only passes things on. Each client gets its pictures in order, at most its window of them under way.
-What draws is local_loop.py's (threads of this process) or workers/remote_loop.py's (another process, perhaps elsewhere).
+What draws is local_loop.py's (threads of this process) or workers/remote_loop.py's (another process, anywhere).
 """
 
 from __future__ import annotations
@@ -311,9 +311,7 @@ class RenderLoop(ABC):
         pose, cameras, room, solved, scale, floor = request.pose, frame.cameras, None, None, 1.0, 0.0
         if request.tracking is not None:
             if frame.solution is None:
-                why = channel.shown.untracked
-                how = f" for what it shows: {why}" if why else ": send pose instead of tracking"
-                raise PoseError(f"this server has no tracking solver{how}")
+                raise PoseError(channel.untracked)
             solved, frame.times["ik"] = frame.solution.result()
             frame.notes = solved.notes
         if channel.member is not None:

@@ -2,7 +2,7 @@
 
 Little endian: "VR", u16 version, u32 frame_id, u8 count; for each eye u8 eye, u32 length, JPEG, and where alpha was
 asked for u32 length, grey JPEG; then u32 length and a JSON object. Readers that know only the first part may stop after
-the pictures.
+the pictures. A reply in poses has no pictures, and bodies (poses/body.py) behind its object.
 """
 
 from __future__ import annotations
@@ -20,8 +20,9 @@ from numpy.typing import NDArray
 
 from glsplat.errors import ProtocolError
 from glsplat.net.messages import VERSION
+from glsplat.net.poses.body import Body, unpack_bodies
 
-__all__ = ["Reply", "decode_picture", "pack_reply", "pack_single", "parse_reply"]
+__all__ = ["Reply", "decode_picture", "pack_poses", "pack_reply", "pack_single", "parse_reply"]
 
 _HEAD = struct.Struct("<2sHIB")
 _EYE = struct.Struct("<BI")
@@ -38,9 +39,11 @@ class Reply:
     info: dict[str, Any] = field(default_factory=dict)
     nbytes: int = 0  # of the whole message
     alphas: dict[int, bytes] = field(default_factory=dict)  # grey JPEGs of the accumulated alpha, if asked for
+    bodies: tuple[Body, ...] = ()  # of a reply in poses: how those stand of whom there is news
 
     def __repr__(self) -> str:
         eyes = ", ".join(f"eye {eye}: {len(jpeg)} bytes" for eye, jpeg in sorted(self.pictures.items())) or "no picture"
+        eyes = f"{len(self.bodies)} bodies" if self.info.get("want") == "pose" else eyes
         return f"Reply(frame {self.frame_id}, {eyes})"
 
     @property
@@ -99,6 +102,11 @@ def pack_reply(
     return b"".join([*parts, _LENGTH.pack(len(text)), text])
 
 
+def pack_poses(frame_id: int, info: Mapping[str, Any], bodies: Sequence[bytes]) -> bytes:
+    """The binary message of a reply in poses: ``bodies`` are packed, 255 at most."""
+    return b"".join([pack_reply(frame_id, (), (), info), bytes((len(bodies),)), *bodies])
+
+
 def pack_single(eye: int, picture: bytes) -> bytes:
     """The older form: u8 eye and the JPEG, one message an eye."""
     return bytes((eye,)) + picture
@@ -123,11 +131,13 @@ def parse_reply(data: bytes) -> Reply:
                 offset += _LENGTH.size + length
         (length,) = _LENGTH.unpack_from(data, offset)
         info = msgspec.json.decode(_take(data, offset + _LENGTH.size, length))
+        offset += _LENGTH.size + length
         if not isinstance(info, dict):
             raise ProtocolError("expected a JSON object behind the pictures", "bad_reply")
-    except (struct.error, msgspec.MsgspecError, RecursionError):
+    except (struct.error, msgspec.MsgspecError, UnicodeError, RecursionError):
         raise ProtocolError(f"expected a whole reply, found {len(data)} bytes that end early", "bad_reply") from None
-    return Reply(frame_id, pictures, info, len(data), alphas)
+    bodies = tuple(unpack_bodies(data[offset:])) if count == 0 and info.get("want") == "pose" else ()
+    return Reply(frame_id, pictures, info, len(data), alphas, bodies)
 
 
 def decode_picture(

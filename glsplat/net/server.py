@@ -36,6 +36,8 @@ from glsplat.net.options import NOT_ALLOWED, client_options
 from glsplat.net.pace.client_stream import ClientStream
 from glsplat.net.pages.catalogue import Catalogue
 from glsplat.net.pages.routes import Pages
+from glsplat.net.poses.answers import Answers
+from glsplat.net.poses.handed import HandedOut
 from glsplat.net.rooms.rooms import Rooms, driven_by
 from glsplat.net.session import GOING_AWAY, Counts, Session, SessionConfig
 from glsplat.net.uploads.routes import Uploads
@@ -94,6 +96,8 @@ class Server:
         self._offers = Catalogue(offered)
         self._uploads = uploads
         self._rooms = Rooms(self.config.rooms)
+        self._handed = HandedOut(self._offers, self.gate.rights, self._worn)
+        self._answers = Answers(self._handed.sha256, self._handed.why, clock)
         self._channels: dict[int, ClientStream] = {}
         self._talks: dict[int, Conversation] = {}
         self._closing: set[asyncio.Task[None]] = set()
@@ -114,14 +118,17 @@ class Server:
         tls = server_tls(*self.config.tls) if self.config.tls else None
         listening = bind(self.config.access.host, self.config.port)
         self.port = listening.getsockname()[1]
+        packing = asyncio.create_task(self._handed.prepare())  # meanwhile
         try:
             await self.render_loop.start()
+            await packing
         except BaseException:
+            packing.cancel()
             listening.close()
             raise
         app = web.Application(middlewares=[self.gate.guard], client_max_size=MAX_BYTES)
         pages = Pages(self.stats, self.offer, lambda: self.render_loop.healthy and not self._draining, tls is not None)
-        app.add_routes([web.get("/ws", self._websocket), *pages.routes()])
+        app.add_routes([web.get("/ws", self._websocket), *self._handed.routes(), *pages.routes()])
         if self._uploads is not None:
             app.add_routes(self._uploads.open(self.gate, self._offers.add, self._withdraw))
         app.on_response_prepare.append(set_headers)
@@ -212,7 +219,7 @@ class Server:
         """What /session says to an account of the scene and of the server: all to choose from before connecting."""
         most, wire = self.config.max_clients, self.config.wire
         return {
-            "avatars": self._offers.fields(self.gate.rights.drivable(user, self._offers.names)),
+            "avatars": self._offers.fields(self.gate.rights.drivable(user, self._offers.names), self._handed.fields),
             "rooms": self._rooms.offer(clock(), self.gate.rights.enterable(user, self._rooms.names)),
             "upload": None if self._uploads is None else self._uploads.offer(),
             "max_side": wire.max_side,
@@ -242,7 +249,9 @@ class Server:
                 status=403 if error.code == NOT_ALLOWED else getattr(error, "status", 400), text=f"{error}\n"
             )
         talk = Conversation(
-            channel, ws, request, self.render_loop, self.gate, lambda: self._draining, self.config.write_timeout
+            *(channel, ws, request, self.render_loop, self.gate, self._answers),
+            deaf=lambda: self._draining,
+            write_timeout=self.config.write_timeout,
         )
         try:
             await ws.prepare(request)
@@ -292,10 +301,15 @@ class Server:
     async def _withdraw(self, name: str) -> bool:
         """Offer an avatar no more and end the connections that show it; False where it was not offered."""
         there = self._offers.remove(name)
+        self._handed.forget(name)
         shown = [talk for talk in self._talks.values() if talk.channel.shown.name == name]
         closing = (talk.close(GOING_AWAY, "this avatar is deleted") for talk in shown)
         await asyncio.gather(*closing, return_exceptions=True)
         return there
+
+    def _worn(self, user: User | None) -> set[str]:
+        """By those whom an account may meet."""
+        return self._rooms.worn(self.gate.rights.enterable(user, self._rooms.names))
 
     def _replace(self, number: int) -> None:
         """The person of that client has come back on another connection."""

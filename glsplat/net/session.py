@@ -70,6 +70,7 @@ class Counts:
     unread: int = 0  # messages beyond the client's part of the time, dropped for newer ones
     failed: int = 0  # pictures that could not be drawn
     sent: int = 0  # replies
+    posed: int = 0  # those of them that were poses
     bytes_sent: int = 0
 
 
@@ -92,7 +93,7 @@ class Session:
         self._opened = self._heard = self._noticed = now
         self._pending: dict[int, tuple[Request, float]] = {}  # by eye for the oldest form, else one
         self._kept: tuple[Request, float] | None = None
-        self._under_way: set[int] = set()
+        self._under_way: dict[int, bool] = {}  # by frame_id: is it a picture
         self._unacked: deque[int] = deque()
         self._newest = -1  # frame_id accepted
         self._newest_sent = -1
@@ -147,7 +148,12 @@ class Session:
     def ready(self) -> bool:
         """True while a request waits and the window has room for its picture."""
         waits = bool(self._pending) or self._kept is not None
-        return waits and len(self._under_way.union(self._unacked)) < self.config.window
+        return waits and len(self._under_way.keys() | set(self._unacked)) < self.config.window
+
+    @property
+    def drawing(self) -> bool:
+        """True while a picture is under way: no later answer may overtake it."""
+        return any(self._under_way.values())
 
     @property
     def newest(self) -> Request | None:
@@ -177,7 +183,7 @@ class Session:
         self._kept = None
         self._pending = {slot: entry for slot, entry in self._pending.items() if entry is not taken}
         assert request.frame_id is not None
-        self._under_way.add(request.frame_id)
+        self._under_way[request.frame_id] = not request.poses
         return request, now - arrived
 
     def sending(self, request: Request) -> None:
@@ -190,14 +196,15 @@ class Session:
     def sent(self, request: Request, nbytes: int) -> None:
         """The socket has taken the picture of ``request``."""
         assert request.frame_id is not None
-        self._under_way.discard(request.frame_id)
+        self._under_way.pop(request.frame_id, None)
         self.counts.sent += 1
+        self.counts.posed += request.poses
         self.counts.bytes_sent += nbytes
 
     def failed(self, request: Request, code: str, message: str) -> str:
         """The picture of ``request`` cannot be drawn; returns the error text to send."""
         assert request.frame_id is not None
-        self._under_way.discard(request.frame_id)
+        self._under_way.pop(request.frame_id, None)
         self.counts.failed += 1
         return error_text(code, message, request.frame_id)
 
@@ -242,7 +249,8 @@ class Session:
             request = replace(request, frame_id=frame_id)
         self._newest = frame_id
         self.last_form = request.form
-        self.last_size = (request.cameras[0].width, request.cameras[0].height)
+        if request.cameras:
+            self.last_size = (request.cameras[0].width, request.cameras[0].height)
         self.counts.accepted += 1
         # a right eye of the oldest form must not push out the left one
         slot = request.eyes[0] if request.form == "single-legacy" else -1

@@ -190,7 +190,7 @@ class Resolve:
         for view in range(views):
             if isinstance(background, moderngl.Uniform):
                 background.value = cameras[view].background
-            program["view"] = view, view * rows
+            program["view"] = view, 0, view * rows
             self._ctx.viewport = (x, view * rows + y, width, height)
             array.render(moderngl.TRIANGLES, vertices=3)
         self._ctx.viewport = (0, 0, into.shape[2], views * rows)

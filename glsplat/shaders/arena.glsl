@@ -1,4 +1,4 @@
-// The arena: all splats of a scene in textures of 1024 splats a row, fetched by index. Twin: passes/arena.py.
+// The arena: all splats of a scene in textures of 2^ROW_BITS splats a row, fetched by index. Twin: passes/arena.py.
 // Textures, because the project pass gathers in sorted order, and OpenGL ES and WebGL forbid index buffers there.
 #if NUMBERED
 in uint number;  // where gl_VertexID cannot be trusted (Context.vertex_ids)
@@ -8,5 +8,5 @@ int splat_index() { return gl_VertexID; }
 #endif
 
 ivec2 texel_of(int index, int texels) {  // the first of the texels of a splat
-    return ivec2((index & 1023) * texels, index >> 10);
+    return ivec2((index & ((1 << ROW_BITS) - 1)) * texels, index >> ROW_BITS);
 }

@@ -1,5 +1,5 @@
 // Project pass, in sorted order: one record a splat with the footprints of all views, captured by transform feedback.
-// What the views share comes first. Layout twin: record_layout in passes/frame/project.py.
+// What the views share comes first. Layout twin: record_layout in variant.py. A varying a view: ANGLE captures no arrays.
 #include "frame.glsl"
 #include "extent.glsl"
 #include "covariance.glsl"
@@ -8,47 +8,46 @@
 #include "sh.glsl"
 
 in uint order;  // the index of the splat; far to near
+out vec3 rgb0;
+out float alpha0;
+out vec2 centre0;
+out vec3 cholesky0;  // zero where this view does not draw the splat: a quad without area
+out float z0;        // of the mean, in metres
+#if VIEWS > 1
+out vec3 rgb1;
+out float alpha1;
+out vec2 centre1;
+out vec3 cholesky1;
+out float z1;
+#endif
+
+// What view v sees of a splat.
+void see(Splat splat, int index, int v, out vec3 rgb, out float alpha, out vec2 centre, out vec3 cholesky, out float z) {
+    Footprint foot;
+    bool drawn = project(splat.mean, splat.shape, splat.opacity, v, foot) == VISIBLE;
+    centre = drawn ? foot.centre : vec2(-1.0);
+    cholesky = drawn ? foot.cholesky : vec3(0.0);
 #if SHARED_RGB
-out vec3 rgb;
+    rgb = evaluate_sh(index, vec3(0.0));
 #else
-out vec3 rgb[VIEWS];
+    vec3 direction = splat.mean - frame.views[v].eye.xyz;
+    direction *= inversesqrt(max(dot(direction, direction), 1e-30));
+    rgb = evaluate_sh(index, canonical_direction(direction, splat.turn));
 #endif
 #if SHARED_ALPHA
-out float alpha;
+    alpha = min(splat.opacity, 1.0);
 #else
-out float alpha[VIEWS];
+    alpha = foot.alpha;
 #endif
-out vec2 centre[VIEWS];
-out vec3 cholesky[VIEWS];  // zero where this view does not draw the splat: a quad without area
-#if DEPTH || OCCLUDED
-out float z[VIEWS];  // of the mean, in metres
-#endif
+    z = foot.z;
+}
 
 void main() {
     int index = int(order);
     Splat splat = splat_of(index);
-#if SHARED_RGB
-    rgb = evaluate_sh(index, vec3(0.0));
+    see(splat, index, 0, rgb0, alpha0, centre0, cholesky0, z0);
+#if VIEWS > 1
+    see(splat, index, 1, rgb1, alpha1, centre1, cholesky1, z1);
 #endif
-#if SHARED_ALPHA
-    alpha = min(splat.opacity, 1.0);
-#endif
-    for (int v = 0; v < VIEWS; ++v) {
-        Footprint foot;
-        bool drawn = project(splat.mean, splat.shape, splat.opacity, v, foot) == VISIBLE;
-        centre[v] = drawn ? foot.centre : vec2(-1.0);
-        cholesky[v] = drawn ? foot.cholesky : vec3(0.0);
-#if !SHARED_RGB
-        vec3 direction = splat.mean - frame.views[v].eye.xyz;
-        direction *= inversesqrt(max(dot(direction, direction), 1e-30));
-        rgb[v] = evaluate_sh(index, canonical_direction(direction, splat.turn));
-#endif
-#if !SHARED_ALPHA
-        alpha[v] = foot.alpha;
-#endif
-#if DEPTH || OCCLUDED
-        z[v] = foot.z;
-#endif
-    }
     gl_Position = vec4(0.0);
 }

@@ -1,4 +1,4 @@
-// One record of the project pass, of which a view picks its part. Layout twin: record_layout in passes/frame/project.py.
+// One record of the project pass, of which a view picks its part. Layout twin: record_layout in variant.py.
 struct Record {
     vec2 centre;
     vec3 cholesky;
@@ -7,8 +7,14 @@ struct Record {
 };
 
 #if PULLED
-// from a storage buffer, by number
+// by number, from a storage buffer, which OpenGL ES 3.0 has not
+#if ES
+uniform sampler2D records;  // R32F, rows of 4096 floats
+float number_at(int i) { return texelFetch(records, ivec2(i & 4095, i >> 12), 0).r; }
+#else
 layout(std430, binding = 0) readonly buffer Records { float records[]; };
+float number_at(int i) { return records[i]; }
+#endif
 
 Record record_of(int index, int view) {
     const int RGB = SHARED_RGB == 1 ? 3 : 3 * VIEWS;
@@ -22,11 +28,11 @@ Record record_of(int index, int view) {
     int rgb = at + 3 * view * (1 - SHARED_RGB), alpha = at + RGB + view * (1 - SHARED_ALPHA);
     int centre = at + CENTRES + 2 * view, cholesky = at + CHOLESKYS + 3 * view;
     Record r;
-    r.centre = vec2(records[centre], records[centre + 1]);
-    r.cholesky = vec3(records[cholesky], records[cholesky + 1], records[cholesky + 2]);
-    r.colour = vec4(records[rgb], records[rgb + 1], records[rgb + 2], records[alpha]);
+    r.centre = vec2(number_at(centre), number_at(centre + 1));
+    r.cholesky = vec3(number_at(cholesky), number_at(cholesky + 1), number_at(cholesky + 2));
+    r.colour = vec4(number_at(rgb), number_at(rgb + 1), number_at(rgb + 2), number_at(alpha));
 #if DEPTH || OCCLUDED
-    r.z = records[at + ZS + view];
+    r.z = number_at(at + ZS + view);
 #else
     r.z = 0.0;
 #endif

@@ -6,11 +6,11 @@ uniform vec3 background;  // of the view that is being resolved
 #endif
 #include "step.glsl"
 uniform sampler2DArray target;
-uniform ivec2 view;  // the layer, and the row of the 8-bit target at which it begins
+uniform ivec3 view;  // the layer, and the column and the row of the 8-bit target at which it begins
 out vec4 fragment;
 
 void main() {
-    ivec2 pixel = ivec2(gl_FragCoord.xy) - ivec2(0, view.y);
+    ivec2 pixel = ivec2(gl_FragCoord.xy) - view.yz;
     vec4 colour = texelFetch(target, ivec3(pixel, view.x), 0);
 #if CULL_HIDDEN
     colour = lifted(colour, background);

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-import moderngl
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    import moderngl
 
 __all__ = ["FRAME_BLOCK", "UNITS", "bind_slots"]
 
@@ -22,6 +25,7 @@ UNITS = {
     "entries": 0,  # shapes of an avatar (shapes.glsl)
     "amounts": 1,
     "skin_texture": 5,  # of a mesh
+    "records": 0,  # of a pulled draw under es300 (record_input.glsl)
     "target": 0,  # float layers (resolve.frag.glsl, present.frag.glsl)
     "step_texture": 1,  # of a step (resolve.frag.glsl)
     "text": 1,  # over a window (present.frag.glsl)
@@ -32,6 +36,8 @@ UNITS = {
 
 def bind_slots(program: moderngl.Program) -> moderngl.Program:
     """Point a program's samplers and its Frame block at their slots (what no function reads is optimised away)."""
+    import moderngl  # here: the units are read without OpenGL, too
+
     block = program.get("Frame", None)
     if isinstance(block, moderngl.UniformBlock):
         block.binding = FRAME_BLOCK

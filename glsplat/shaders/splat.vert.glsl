@@ -22,6 +22,10 @@ flat out int splat_layer;
 #endif
 #endif
 
+#if ES && VIEWS > 1
+uniform int eye;  // the view of this draw: OpenGL ES 3.0 cannot route layers
+#endif
+
 void main() {
 #if PULLED && TRIANGLE
     int instance = gl_VertexID / 3, number = gl_VertexID % 3;
@@ -30,8 +34,13 @@ void main() {
 #else
     int instance = gl_InstanceID, number = gl_VertexID;
 #endif
+#if ES && VIEWS > 1
+    int view = eye;
+    Record record = record_of(instance, view);
+#else
     int view = instance % VIEWS;
     Record record = record_of(instance / VIEWS, view);
+#endif
 #if TRIANGLE
     // around the unit circle: 1.3 times the quad's area, but half the primitives, which is what a CPU pays for
     vec2 corner = number == 0 ? vec2(0.0, 2.0) : vec2(number == 1 ? -1.7320508 : 1.7320508, -1.0);
@@ -59,7 +68,7 @@ void main() {
 #if OCCLUDED
     splat_layer = view;
 #endif
-#if VIEWS > 1
+#if VIEWS > 1 && !ES
     gl_Layer = view;
 #endif
 #endif

@@ -2,18 +2,37 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, fields
 
 from glsplat.config import RenderConfig
 from glsplat.errors import ShaderError
 
-__all__ = ["COLOUR_TEXELS", "MAX_VIEWS", "MeshVariant", "ResolveVariant", "SkinVariant", "Variant", "variant_for"]
+__all__ = [
+    "COLOUR_TEXELS",
+    "MAX_VIEWS",
+    "ROW_BITS",
+    "TARGETS",
+    "MeshVariant",
+    "ResolveVariant",
+    "SkinVariant",
+    "Variant",
+    "record_layout",
+    "variant_for",
+]
 
 MAX_VIEWS = 2
 """Views one pass draws: one, or a stereo pair. Longer lists of cameras run pass after pass."""
 
 COLOUR_TEXELS = (1, 3, 7, 12)
 """Texels a splat of SH data on the GPU, by degree: of three floats at degree 0, else of four (degree 2 is padded)."""
+
+ROW_BITS = {"330": 10, "es300": 9}
+"""Splats a row of the arena's textures, as a power of two, by target: where a texture is 8192 wide, as SwiftShader's,
+1024 splats of SH degree 3 do not fit."""
+
+TARGETS = tuple(ROW_BITS)
+"""What a program is assembled for: desktop OpenGL (GLSL 3.30 core), or WebGL2 (GLSL ES 3.00)."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -35,6 +54,7 @@ class Variant:
     occluded: int = 0  # meshes at pixel centres, and splats are tested against their z
     sampled: int = 0  # samples a pixel of meshes; without occluded there is nothing else, and coverage is their alpha
     numbered: int = 0  # an attribute numbers the splats where the driver's gl_VertexID does not
+    target: str = "330"  # or "es300": one draw a view, records pulled from a texture
 
     def __post_init__(self) -> None:
         if not (self.sh_degree in range(4) and self.stored_degree in range(4)):
@@ -49,12 +69,16 @@ class Variant:
             raise ShaderError("variant: turned goes with posed and sh_degree > 0")
         if self.antialias == 2 and not self.posed:
             raise ShaderError("variant: antialias 2 needs posed, whose opacities carry the sign")
+        _check_target(self.target)
+        if self.target == "es300" and self.geometry:
+            raise ShaderError("variant: es300 has no geometry shaders")
 
     def defines(self) -> dict[str, int]:
         """Name -> number for the preprocessor, plus the facts that follow from the fields."""
         values = _numbers(self)
         del values["STORED_DEGREE"]  # shaders know it as:
         values["COLOUR_TEXELS"] = COLOUR_TEXELS[self.stored_degree]
+        values["ROW_BITS"] = ROW_BITS[self.target]
         values["SHARED_RGB"] = int(self.sh_degree == 0)
         values["SHARED_ALPHA"] = int(not self.antialias)
         return values
@@ -62,9 +86,19 @@ class Variant:
     @property
     def record_floats(self) -> int:
         """Floats of one projected record: what the views share, then what differs, view by view."""
-        own = 5 + (0 if self.sh_degree == 0 else 3) + (1 if self.antialias else 0) + (self.depth or self.occluded)
-        shared = (3 if self.sh_degree == 0 else 0) + (0 if self.antialias else 1)
-        return shared + own * self.views
+        return sum(floats for _, floats in record_layout(self))
+
+
+def record_layout(variant: Variant) -> list[tuple[str, int]]:
+    """(captured varying of project.vert.glsl, which is the attribute of record_input.glsl; floats) of a record."""
+
+    def spread(name: str, floats: int, views: Iterable[int] = range(variant.views)) -> list[tuple[str, int]]:
+        return [(f"{name}{view}", floats) for view in views]
+
+    layout = spread("rgb", 3, range(1)) if variant.sh_degree == 0 else spread("rgb", 3)
+    layout += spread("alpha", 1) if variant.antialias else spread("alpha", 1, range(1))
+    layout += spread("centre", 2) + spread("cholesky", 3)
+    return layout + (spread("z", 1) if variant.depth or variant.occluded else [])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -75,10 +109,12 @@ class SkinVariant:
     raw: int = 0  # by the blended matrix as it is instead of its nearest rotation
     turned: int = 0  # R_i is handed on (SH that turns with the splat)
     shaped: int = 0  # an expression moves the splats first (shapes.glsl)
+    target: str = "330"
 
     def __post_init__(self) -> None:
         if self.influences not in (1, 2, 4, 8):
             raise ShaderError(f"skin variant: influences is 1, 2, 4 or 8, not {self.influences}")
+        _check_target(self.target)
 
     def defines(self) -> dict[str, int]:
         """Name -> number for the preprocessor."""
@@ -103,6 +139,10 @@ class ResolveVariant:
     """The pass that makes 8-bit pictures, one view at a time."""
 
     cull_hidden: int = 0  # what was left out is made up for
+    target: str = "330"
+
+    def __post_init__(self) -> None:
+        _check_target(self.target)
 
     def defines(self) -> dict[str, int]:
         """Name -> number for the preprocessor."""
@@ -149,4 +189,11 @@ def variant_for(
 
 
 def _numbers(variant: Variant | SkinVariant | MeshVariant | ResolveVariant) -> dict[str, int]:
-    return {field.name.upper(): int(getattr(variant, field.name)) for field in fields(variant)}
+    numbers = [field.name for field in fields(variant) if field.name != "target"]
+    values = {name.upper(): int(getattr(variant, name)) for name in numbers}
+    return values | {"ES": int(getattr(variant, "target", "330") == "es300")}
+
+
+def _check_target(target: str) -> None:
+    if target not in TARGETS:
+        raise ShaderError(f"variant: target is {' or '.join(TARGETS)}, not {target}")

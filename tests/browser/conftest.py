@@ -45,14 +45,20 @@ def nothing_sent() -> None:
 
 
 @pytest.fixture(scope="package")
-def chromium() -> Iterator[Any]:
-    """Playwright's Browser, headless, software WebGL."""
+def play() -> Iterator[Any]:
+    """Playwright; a process has one at a time."""
     playwright = pytest.importorskip("playwright.sync_api", reason="needs the Python package playwright")
     needs.require("chromium", "atomic")
     with playwright.sync_playwright() as play:
-        browser = play.chromium.launch(executable_path=needs.program("chromium"), headless=True, args=_FLAGS)
-        yield browser
-        browser.close()
+        yield play
+
+
+@pytest.fixture(scope="package")
+def chromium(play: Any) -> Iterator[Any]:
+    """Playwright's Browser, headless, software WebGL."""
+    browser = play.chromium.launch(executable_path=needs.program("chromium"), headless=True, args=_FLAGS)
+    yield browser
+    browser.close()
 
 
 OpenPage = Callable[..., Opened]

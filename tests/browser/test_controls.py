@@ -66,7 +66,7 @@ def test_controls_and_settings_follow_each_other(page):
     got = page.evaluate("Object.fromEntries(settings.names.map((n) => [n, settings.get(n)]))")
     assert got == {
         "view": "own", "avatar": "", "room": "", "name": "Zoë",
-        "size": 512, "quality": 81, "driver": "rest", "stereo": True, "height": 1.62,
+        "size": 512, "quality": 81, "drawn": "auto", "driver": "rest", "stereo": True, "height": 1.62,
         "figures": False,
     }  # fmt: skip
     assert page.text_content("#quality-value") == "81"

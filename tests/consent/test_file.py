@@ -275,3 +275,24 @@ def test_the_hashes_can_be_taken_by_others(signed):
     text = json.dumps(document, sort_keys=True, separators=(",", ":"), ensure_ascii=False).encode()
     assert record["splats_sha256"] == arrays.hexdigest()
     assert record["file_sha256"] == hashlib.sha256(text + b"\0" + rest).hexdigest()
+
+
+def test_handing_out_the_splats_is_said_in_the_record_alone_and_cannot_be_added_later(file, key):
+    plain, given = (sign_data(file.read_bytes(), key, **FIELDS, hand_out=hand_out) for hand_out in (False, True))
+    assert "hand_out" not in note(parts(plain)[0])["consent"]  # which older versions read
+    assert not on_file_data(plain).hands_out and on_file_data(given).hands_out
+    document, rest = parts(plain)
+    note(document)["consent"]["hand_out"] = True
+    forged = on_file_data(put(document, rest))
+    assert not forged.hands_out and "signature does not fit" in forged.fault
+    assert on_file(resources.files("glsplat.data") / "default_avatar.glb").hands_out  # nobody is shown
+
+
+@pytest.mark.parametrize("value", [1, "yes", None, [True]])
+def test_hand_out_is_true_or_false(value, file, key):
+    record = note(parts(sign_data(file.read_bytes(), key, **FIELDS))[0])["consent"]
+    del record["signature"]
+    record["hand_out"] = value
+    record["signature"] = signature_of(key, canonical(record))
+    with pytest.raises(FormatError, match="hand_out needs true or false"):
+        read_record(record)

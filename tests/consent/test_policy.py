@@ -7,10 +7,10 @@ from datetime import UTC, datetime
 
 import pytest
 
-from glsplat.consent.file import OnFile, on_file
+from glsplat.consent.file import OnFile, on_file, on_file_data, sign_data
 from glsplat.consent.policy import ConsentPolicy
 from glsplat.errors import GlsplatError
-from tests.consent.conftest import DURING
+from tests.consent.conftest import DURING, FIELDS
 
 
 def at(text):
@@ -93,3 +93,23 @@ def test_it_travels_to_the_process_that_draws(ann):
     policy = ConsentPolicy(without=True)
     policy.add("ann", [ann])
     assert pickle.loads(pickle.dumps(policy)).label("ann") == "no consent on file"
+
+
+def test_splats_are_withheld_unless_every_record_hands_them_out(file, signed, key):
+    given = on_file_data(sign_data(file.read_bytes(), key, **FIELDS, hand_out=True))
+    policy, lax = ConsentPolicy(), ConsentPolicy(without=True)
+    for one in (policy, lax):
+        one.add("ann", [on_file(signed)])
+        one.add("bob", [given])
+        one.add("both", [given, on_file(signed)])
+        one.add("nobody", [OnFile(nobody=True)])
+        one.add("unsigned", [OnFile(fault="no consent on file")])
+        assert one.withheld("bob", DURING) is None and one.withheld("nobody", DURING) is None
+        for name in ("ann", "both"):
+            assert "not to hand out its splats" in one.withheld(name, DURING)
+        for name in ("unsigned", "never heard of"):
+            assert "no consent on file" in one.withheld(name, DURING)
+        assert "ended on 2026-05-31" in one.withheld("bob", at("2026-06-01T00:00:00"))
+    stranger = ConsentPolicy(trusted=["0" * 64])
+    stranger.add("bob", [given])
+    assert "does not trust" in stranger.withheld("bob", DURING)

@@ -14,10 +14,10 @@ from glsplat.config import RenderConfig
 from glsplat.errors import ShaderError
 from glsplat.gl.context import Context
 from glsplat.passes.block import frame_dtype
-from glsplat.passes.frame.project import record_layout
-from glsplat.shaders import Programs, Variant, flatten, link
+from glsplat.shaders import Programs, Variant, flatten, link, record_layout
 from glsplat.shaders.slots import UNITS
 from glsplat.shaders.variant import MeshVariant, ResolveVariant, SkinVariant, variant_for
+from glsplat.shaders.web import page_variants
 from glsplat.watermark.mark import Watermark
 
 FILES = [file for file in resources.files("glsplat.shaders").iterdir() if file.name.endswith(".glsl")]
@@ -140,6 +140,7 @@ SKINS = [SkinVariant(influences=k, raw=raw, turned=turned) for k in (1, 2, 4, 8)
 SKINS += [replace(skin, shaped=1) for skin in SKINS]
 RESOLVES = [ResolveVariant(cull_hidden=hidden) for hidden in (0, 1)]
 MESHES = [MeshVariant(), MeshVariant(logarithmic=1), MeshVariant(shaded=1)]
+PAGES = [variant for *_, variant in page_variants()]
 OTHERS = [*SKINS, *MESHES, *RESOLVES]
 
 
@@ -180,7 +181,7 @@ def missed(rows: Sequence[Variant | SkinVariant | MeshVariant | ResolveVariant])
 
 def test_the_rows_reach_every_branch() -> None:
     windows = {"present.frag.glsl"}  # its flags are no variant's: tests/apps/preview draws all of them
-    rest = [line for line in missed([*ROWS, *OTHERS]) if line.split(":")[0] not in windows]
+    rest = [line for line in missed([*ROWS, *OTHERS, *PAGES]) if line.split(":")[0] not in windows]
     assert not rest
     for flag in (
         "depth",
@@ -205,9 +206,9 @@ def test_the_variants_that_matter_compile(gl: Context) -> None:
         if variant.pulled and not gl.vertex_storage:
             continue
         programs.feedback("key", variant, ("key", "cover"), separate=True)
-        programs.feedback("project", variant, ("rgb", "alpha", "centre", "cholesky"))
+        programs.feedback("project", variant, [name for name, _ in record_layout(variant)])
         program = programs.draw("splat", "splat", variant)
-        assert attributes_of(program) == {name for _, name, _ in record_layout(variant) if not variant.pulled}
+        assert attributes_of(program) == {name for name, _ in record_layout(variant) if not variant.pulled}
         block = programs.draw("screen", "background", variant)["Frame"]
         assert isinstance(block, moderngl.UniformBlock) and block.size == frame_dtype(variant.views).itemsize
     posed = ("posed_mean", "posed_x", "posed_y", "posed_z")
@@ -227,7 +228,7 @@ def test_the_variants_that_matter_compile(gl: Context) -> None:
 @pytest.mark.gl
 def test_what_a_scene_does_not_need_is_left_out(gl: Context) -> None:
     programs = Programs(gl.ctx)
-    plain = programs.feedback("project", Variant(), ("rgb", "alpha", "centre", "cholesky"))
+    plain = programs.feedback("project", Variant(), [name for name, _ in record_layout(Variant())])
     assert attributes_of(plain) == {"order"} and "splats" in plain and "colours" in plain
     assert attributes_of(programs.feedback("key", Variant(), ("key", "cover"), separate=True)) == set()
     assert "bones" not in plain and "mesh_z" not in programs.draw("splat", "splat", Variant())

@@ -46,6 +46,12 @@ class Rights:
             return ""
         return self.consent.refusal(avatar, "" if user is None else user.name, time.time()) or ""
 
+    def withheld(self, avatar: str) -> str:
+        """Why the splats of ``avatar`` are not given to those who are shown it; "" where they are. Microseconds."""
+        if self.consent is None:
+            return "this server hands out no splats"
+        return self.consent.withheld(avatar, time.time()) or ""
+
     def label(self, user: User | None, avatar: str) -> str:
         """What has to stand in every picture of ``avatar``; "" for nothing."""
         return "" if self.consent is None else self.consent.label(avatar, "" if user is None else user.name)

@@ -13,6 +13,7 @@ from glsplat.config import RenderConfig
 from glsplat.consent.file import on_file
 from glsplat.consent.policy import ConsentPolicy
 from glsplat.errors import GlsplatError
+from glsplat.formats.web.write import web_file
 from glsplat.net.backend import AvatarInfo, Backend
 from glsplat.net.backends.avatar_store import AvatarStore
 from glsplat.net.backends.gl import MAX_TIME, RendererBackend
@@ -171,8 +172,9 @@ def offered(
     """
     skeleton = avatar.skeleton
     parts = frozenset(part for part in PARTS if part in skeleton.names)
+    file = partial(web_file, avatar) if isinstance(avatar, Avatar) else None
     if why := why_not_tracked(skeleton):
-        return AvatarInfo(name=name, skeleton=skeleton, parts=parts, untracked=why)
+        return AvatarInfo(name=name, skeleton=skeleton, parts=parts, untracked=why, file=file)
     height = Body.of(skeleton).eye_height / EYES_OF_STATURE
     base = calibration or Calibration(automatic=True)
 
@@ -180,7 +182,7 @@ def offered(
         fitted = base if height is None else Calibration.of_height(skeleton, height, base.floor)
         return TrackingSolver(skeleton, fitted if span is None else fitted.with_span(skeleton, span), solver, idle)
 
-    return AvatarInfo(name=name, skeleton=skeleton, solver=solving, height=height, parts=parts)
+    return AvatarInfo(name=name, skeleton=skeleton, solver=solving, height=height, parts=parts, file=file)
 
 
 def _checked(avatars: Mapping[str, Rigged], scene: str, rendering: RenderConfig | None) -> dict[str, Rigged]:

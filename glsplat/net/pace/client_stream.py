@@ -14,6 +14,7 @@ from glsplat.net.guard.limits import CpuShare
 from glsplat.net.messages import Request, eye_fields
 from glsplat.net.pace.adaptive_quality import FULL, Detail
 from glsplat.net.pose_queue import PoseQueue, SolutionFuture
+from glsplat.net.poses.told import Poses, Told
 from glsplat.net.rooms.member import Member
 from glsplat.net.rooms.view import room_fields
 from glsplat.net.session import Session
@@ -47,6 +48,7 @@ class Frame:
     again: asyncio.Future[None] | None = None  # it is being drawn anew: done once it is
     moved: bool = False  # whoever had it cannot draw it, another may
     losses: int = 0  # of those who were drawing it
+    poses: Poses | None = None  # what is sent instead of a picture
 
     def info(self, boxes: Sequence[tuple[int, int, int, int]] | None) -> dict[str, Any]:
         """The JSON object of the reply (docs/protocol.md, section 4)."""
@@ -97,21 +99,32 @@ class ClientStream:
     again: Frame | None = None  # one of those that were taken from ``frames``, to be drawn anew before any other
     place_key: str = ""  # where it is drawn (workers/placement.py); empty: room:NAME or avatar:NAME
     cost: float = 0.0  # seconds a picture, lately; 0: none was drawn yet
+    told: Told = field(default_factory=Told)  # whom it was sent in poses, and how they stood
 
     def __post_init__(self) -> None:
         alone = f"avatar:{self.shown.name}"
         self.place_key = self.place_key or (alone if self.member is None else f"room:{self.member.room.name}")
 
-    def ready(self, solved: Callable[[], None]) -> bool:
-        """True while a request can be drawn without waiting for its tracking.
+    @property
+    def untracked(self) -> str:
+        """Why tracking is not solved, where it is not."""
+        why = self.shown.untracked
+        how = f" for what it shows: {why}" if why else ": send pose instead of tracking"
+        return f"this server has no tracking solver{how}"
+
+    def ready(self, solved: Callable[[], None], poses: bool = False) -> bool:
+        """True while a request for a picture (or for ``poses``) can be answered without waiting for its tracking.
 
         Where none is solved yet, the newest is from now on, and ``solved`` is called (on any thread) once it is: under
         a stream of samples that are all newer, waiting for the newest would never end.
         """
         if self.again is not None:
-            return True
+            return not poses
         session, newest = self.session, self.session.newest
         if not session.ready():
+            return False
+        due = newest if session.kept is None or (newest is not None and self._solved(newest)) else session.kept
+        if due is None or due.poses != poses:
             return False
         if self.solving is None or (newest is not None and self._solved(newest)):
             return True

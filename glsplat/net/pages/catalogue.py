@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from typing import Any
 
 from glsplat.errors import GlsplatError
@@ -35,7 +35,7 @@ class Catalogue:
         """Offer it no more; False where it was not offered."""
         return self._offered.pop(name, None) is not None
 
-    def fields(self, names: Collection[str]) -> list[dict[str, Any]]:
+    def fields(self, names: Collection[str], hand_out: Callable[[str], dict[str, Any] | None]) -> list[dict[str, Any]]:
         """What /session says of each of ``names``."""
         return [
             {
@@ -44,6 +44,7 @@ class Catalogue:
                 "tracking": one.solver is not None,
                 "head": "head" in one.parts,
                 "made": one.made,
+                "hand_out": hand_out(one.name),
             }
             for one in self._offered.values()
             if one.name in names

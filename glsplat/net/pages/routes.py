@@ -15,6 +15,7 @@ from glsplat.net.accounts.users import User
 from glsplat.net.pages.qr import QrCodes
 from glsplat.net.pages.site import File, Site
 from glsplat.net.pages.status import metrics_text, page_html
+from glsplat.shaders.web import programs_json
 
 __all__ = ["Pages"]
 
@@ -41,7 +42,7 @@ class Pages:
             web.get("/session", self._session),
             web.get("/motions/{name}", self._motion),
             web.get("/recording", self._recording),
-            *Site(resources.files("glsplat.net") / "web").routes(),
+            *Site(resources.files("glsplat.net") / "web", {"draw/programs.json": programs_json()}).routes(),
         ]
 
     async def _healthz(self, request: web.Request) -> web.Response:
@@ -76,4 +77,4 @@ class Pages:
 
 @cache
 def _embedded(name: str) -> File:
-    return File(resources.files("glsplat.data") / name)
+    return File(name, (resources.files("glsplat.data") / name).read_bytes())

@@ -5,6 +5,7 @@ They are the same for everybody and say nothing about the scene or the clients, 
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from hashlib import sha256
 from importlib.resources.abc import Traversable
 
@@ -38,9 +39,9 @@ _HEADERS = {
 class File:
     """One file in memory. Browsers keep it and ask each time whether it is still the same (ETag)."""
 
-    def __init__(self, source: Traversable) -> None:
-        suffix = source.name.rpartition(".")[2]
-        self.body: bytes = source.read_bytes()
+    def __init__(self, name: str, body: bytes) -> None:
+        suffix = name.rpartition(".")[2]
+        self.body: bytes = body
         self.etag: str = sha256(self.body).hexdigest()[:32]
         self._type = _TYPES[suffix] + ("; charset=utf-8" if suffix in _TEXT else "")
 
@@ -53,10 +54,13 @@ class File:
 
 
 class Site:
-    """A folder and what lies in it, looked up by name: no path of a request ever reaches the disk."""
+    """A folder and what lies in it, looked up by name: no path of a request ever reaches the disk.
 
-    def __init__(self, folder: Traversable) -> None:
-        self.files: dict[str, File] = dict(_read(folder, ""))
+    ``more``: what is made instead of read, by its path in the folder.
+    """
+
+    def __init__(self, folder: Traversable, more: Mapping[str, bytes] = {}) -> None:
+        self.files: dict[str, File] = dict(_read(folder, "")) | {path: File(path, body) for path, body in more.items()}
 
     def routes(self) -> list[web.RouteDef]:
         """/vr, /vr/ and what lies under it."""
@@ -84,5 +88,5 @@ def _read(folder: Traversable, prefix: str) -> list[tuple[str, File]]:
         if entry.is_dir():
             found += _read(entry, f"{prefix}{entry.name}/")
         elif entry.name.rpartition(".")[2] in _TYPES:
-            found.append((prefix + entry.name, File(entry)))
+            found.append((prefix + entry.name, File(entry.name, entry.read_bytes())))
     return found

@@ -17,8 +17,9 @@ _COUNTERS = {
     "limited": "messages above the rate limit",
     "unread": "messages beyond a client's part of the time, dropped for newer ones",
     "failed": "pictures that could not be drawn",
-    "sent": "pictures sent",
-    "bytes_sent": "bytes of pictures sent",
+    "sent": "replies sent",
+    "posed": "replies in poses, of those sent",
+    "bytes_sent": "bytes of replies sent",
 }
 
 

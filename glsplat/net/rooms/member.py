@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from glsplat.camera import Camera
 from glsplat.net.backend import Solved
 from glsplat.net.messages import Request
+from glsplat.net.poses.told import Poses, Told
 from glsplat.net.rooms.person import Moved, Person
 from glsplat.net.rooms.room import Room
 from glsplat.net.rooms.view import RoomView
@@ -39,6 +40,10 @@ class Member:
     ) -> tuple[tuple[Camera, ...], RoomView]:
         """The ``cameras`` of a request that came ``at`` seconds, in the room's space, and everybody in it."""
         return self.room.look(self.person, cameras, self._moved(request, solved, at), now)
+
+    def poses(self, told: Told, sha256: Callable[[str], bytes | None], now: float) -> Poses:
+        """How everybody stands of whom the client has not been ``told`` so yet."""
+        return self.room.poses(self.person, told, sha256, now)
 
     def end(self, goodbye: bool) -> None:
         """The connection is over; ``goodbye``: as the client wanted it."""

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from glsplat.net.poses.body import pack_body
 from glsplat.rotations import slerp, turn_between
 from glsplat.scene import similarity
 from glsplat.skinning.pose import Pose
@@ -50,7 +51,9 @@ class Person:
         self.key, self.name, self.avatar, self.seat, self.owner, self.label = key, name, avatar, seat, owner, label
         self.connected = True
         self._heard = now
+        self.count = 0  # of samples so far
         self._samples: deque[Moved] = deque(maxlen=32)
+        self._packed: tuple[bytes, bytes] | None = None  # the newest sample on the wire, by the avatar's hash
         self._to_room = np.asarray(np.linalg.inv(seat), np.float64)
 
     @property
@@ -66,6 +69,19 @@ class Person:
         """A sample came."""
         self.heard(sample.at)
         self._samples.append(sample)
+        self.count += 1
+        self._packed = None
+
+    def packed(self, sha256: bytes) -> bytes | None:
+        """The newest sample as it is sent to all who draw the avatar of that file; None before any came."""
+        last = self.newest
+        if last is None:
+            return None
+        if self._packed is None or self._packed[0] != sha256:
+            place, at = self.transform(), last.at * 1e3
+            body = pack_body(last.pose, sha256, place, at=at, t=last.t, key=self.key, frame_id=last.frame_id or 0)
+            self._packed = sha256, body
+        return self._packed[1]
 
     def silent(self, now: float) -> float:
         """Seconds since anything came from them, or since they are here."""

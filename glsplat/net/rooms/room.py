@@ -17,9 +17,11 @@ from numpy.typing import NDArray
 
 from glsplat.camera import Camera
 from glsplat.errors import ProtocolError
+from glsplat.net.poses.body import yours
+from glsplat.net.poses.told import Poses, Told
 from glsplat.net.rooms.person import SILENT, Moved, Person
 from glsplat.net.rooms.seats import free_seat, seat
-from glsplat.net.rooms.view import RoomView, VisiblePerson
+from glsplat.net.rooms.view import RoomView, VisiblePerson, people_fields
 
 __all__ = ["Room", "RoomError"]
 
@@ -51,6 +53,7 @@ class Room:
         self._guests: dict[str, _Guest] = {}
         self._lock = Lock()
         self._keys = 0
+        self._version = 0  # of who is there
         self._tick = 0
         self._seconds = 0.0  # that a picture takes
         self._drawn: set[int] = set()  # keys of who was shown a picture in this tick
@@ -85,6 +88,7 @@ class Room:
                 number = free_seat(taken, self.seats)
             stands = place if place is not None else seat(number or 0, self.seats)
             self._keys += 1
+            self._version += 1
             person = Person(self._keys, name, avatar, stands, owner, now, label)
             shown = VisiblePerson(person.key, name, avatar, None, stands, label=person.label)
             self._guests[name] = _Guest(person, number if place is None else None, leave, shown)
@@ -98,6 +102,7 @@ class Room:
             person.connected = False
             if self._is_here(person):
                 del self._guests[person.name]
+                self._version += 1
 
     def lost(self, person: Person) -> None:
         """Their connection broke: they stay for a while, fade, and may come back."""
@@ -137,6 +142,31 @@ class Room:
         from_room = person.from_room()
         return tuple(_moved(camera, from_room) for camera in cameras), view
 
+    def poses(self, person: Person, told: Told, sha256: Callable[[str], bytes | None], now: float) -> Poses:
+        """How everybody stands of whom a ``person`` has not been ``told`` so yet, and who is there where that changed.
+
+        ``sha256`` is of the file of an avatar; who wears one that is not handed out (None) has no body.
+        """
+        with self._lock:
+            self._forget(now)
+            people = [guest.person for guest in self._guests.values()]
+            hashes = [sha256(one.avatar) for one in people]
+            room = None
+            if told.room != (self._version, *hashes):
+                told.room = (self._version, *hashes)
+                keys = {one.key for one in people}
+                told.bodies = {key: last for key, last in told.bodies.items() if key in keys}
+                room = people_fields(self.name, person, people, hashes)
+            bodies = []
+            for one, digest in zip(people, hashes, strict=True):
+                body = None if digest is None else one.packed(digest)
+                opacity = one.opacity(now)
+                news = one.count, round(255 * opacity)
+                if body is not None and told.bodies.get(one.key) != news:
+                    told.bodies[one.key] = news
+                    bodies.append(yours(body, one is person, opacity))
+        return Poses(bodies, room)
+
     def posed(self, count: int) -> None:
         """A picture took so many people to be skinned anew."""
         with self._lock:
@@ -168,6 +198,11 @@ class Room:
                 "people": people,
             }
 
+    def worn(self) -> list[str]:
+        """The avatars of those who are here."""
+        with self._lock:
+            return [guest.person.avatar for guest in self._guests.values()]
+
     def count(self, now: float) -> int:
         """People in the room."""
         with self._lock:
@@ -196,6 +231,7 @@ class Room:
     def _forget(self, now: float) -> None:
         for name in [name for name, guest in self._guests.items() if guest.person.gone(now)]:
             del self._guests[name]
+            self._version += 1
 
     def _is_here(self, person: Person) -> bool:
         guest = self._guests.get(person.name)

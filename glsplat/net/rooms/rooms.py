@@ -55,6 +55,10 @@ class Rooms:
         person = room.join(name, shown.name, now, owner, asked.place, leave, driven_by(name, notice))
         return Member(room, person, Pose.zero(len(shown.skeleton)))
 
+    def worn(self, names: Sequence[str]) -> set[str]:
+        """The avatars of all who are in those."""
+        return {avatar for name in names for avatar in self._rooms[name].worn()}
+
     def offer(self, now: float, names: Sequence[str]) -> list[dict[str, Any]]:
         """What /session says of those."""
         rooms = [self._rooms[name] for name in names]

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from glsplat.net.poses.body import place_of
+from glsplat.net.rooms.person import Person
 from glsplat.skinning.pose import Pose
 
-__all__ = ["RoomView", "VisiblePerson", "room_fields"]
+__all__ = ["RoomView", "VisiblePerson", "people_fields", "room_fields"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,3 +49,16 @@ def room_fields(view: RoomView) -> dict[str, Any]:
         for one in view.people
     ]
     return {"name": view.room, "tick": view.tick, "people": people}
+
+
+def people_fields(
+    room: str, viewer: Person, people: Sequence[Person], hashes: Sequence[bytes | None]
+) -> dict[str, Any]:
+    """``room`` of a reply in poses: who is there, what to draw each from, and where the viewer's own space stands."""
+    translation, rotation, _ = place_of(viewer.seat)
+    told = [
+        {"key": one.key, "name": one.name, "avatar": one.avatar, "you": one is viewer, "label": one.label}
+        | {"sha256": None if digest is None else digest.hex()}
+        for one, digest in zip(people, hashes, strict=True)
+    ]
+    return {"name": room, "place": [*translation, *rotation], "people": told}

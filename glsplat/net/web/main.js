@@ -90,6 +90,12 @@ function chosenAvatar() {
   return offer?.avatars.find(({ name }) => name === settings.get('avatar')) ?? offer?.avatars[0];
 }
 
+/** The stage knows whom it shows. */
+function wear() {
+  stage.canHide = Boolean(chosenAvatar()?.head);
+  stage.here.offer = chosenAvatar()?.hand_out ?? null;
+}
+
 /** Ask the server what it has, then connect. */
 async function begin() {
   try {
@@ -123,7 +129,7 @@ function offered(session) {
   if (session.recording) drivers.push({ value: 'recording', label: 'Recorded head and hands' });
   settings.setOptions('driver', [...drivers, { value: 'file', label: 'My recording…' }]);
   settings.setOptions('size', sizesUpTo(session.max_side).map(named));
-  stage.canHide = Boolean(chosenAvatar()?.head);
+  wear();
   photo.offered(session.upload, chosenAvatar());
   const making = sessionStorage.getItem(MAKING);
   if (making && upload.now.state === 'idle') upload.resume(making);
@@ -240,7 +246,7 @@ settings.addEventListener('change', ({ detail: { name } }) => {
   if (name === 'driver') drive();
   if (name === 'name' && !settings.get('room')) return; // nobody asks for it
   if (['avatar', 'height', 'room', 'name'].includes(name)) {
-    stage.canHide = Boolean(chosenAvatar()?.head);
+    wear();
     photo.wears(chosenAvatar());
     photo.height = settings.get('height');
     stage.clear();
@@ -256,7 +262,10 @@ connection.awake = () => !document.hidden || immersive.mode !== ''; // a page in
 document.addEventListener('visibilitychange', () => {
   if (!document.hidden) connection.hurry();
 });
-canvas.addEventListener('webglcontextlost', (event) => event.preventDefault());
+canvas.addEventListener('webglcontextlost', (event) => {
+  event.preventDefault();
+  stage.lost();
+});
 canvas.addEventListener('webglcontextrestored', () => stage.restore(gl));
 
 // a link may bring the token behind "#", which no request carries; it does not stay in the address

@@ -1,7 +1,7 @@
 // The flat page's controls: they show the settings, change them, and say what the user asked for. Nothing here knows
 // the server or the headset.
 
-const CHOICES = ['view', 'avatar', 'room', 'size', 'driver'];
+const CHOICES = ['view', 'avatar', 'room', 'size', 'driver', 'drawn'];
 const FLAGS = ['stereo', 'figures'];
 const BUTTONS = ['enter-vr', 'enter-ar', 'record', 'calibrate', 'fullscreen'];
 const NARROW = '(max-width: 40rem)'; // as in style.css

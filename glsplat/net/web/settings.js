@@ -1,5 +1,6 @@
 // What the user chose: checked against what may be chosen, kept in the browser, announced when it changes.
 
+import { DRAWN_BY } from './draw/choice.js';
 import { browserStorage, keep, readKept } from './storage.js';
 
 const KEY = 'glsplat.settings';
@@ -23,6 +24,7 @@ function table() {
     name: text('', /^(?:[\p{L}\p{N}](?:[\p{L}\p{N}_ .'-]{0,30}[\p{L}\p{N}_.])?)?$/u), // what others see in a room
     size: choice(1024, plain([512, 768, 1024, 1536])), // pixels, both sides of an eye's picture
     quality: number(80, 50, 95), // JPEG quality
+    drawn: choice('auto', DRAWN_BY), // who draws the avatars
     driver: choice('motion:idle', [
       { value: 'rest', label: 'Standing still' },
       { value: 'file', label: 'My recording…' },

@@ -9,9 +9,8 @@ from dataclasses import dataclass
 import moderngl
 
 from glsplat.gl.context import Context
-from glsplat.passes.frame.project import record_layout
 from glsplat.passes.target import Target
-from glsplat.shaders import Programs, Variant
+from glsplat.shaders import Programs, Variant, record_layout
 
 __all__ = ["PULLED", "DrawPass", "Slices", "corners_of", "fits"]
 
@@ -59,7 +58,7 @@ class DrawPass:
         self._mode = moderngl.TRIANGLES if variant.triangle or variant.pulled else moderngl.TRIANGLE_STRIP
         self._attributes: list[tuple[int, int, int]] = []  # location, floats, offset in bytes
         offset = 0
-        for _, name, floats in record_layout(variant) if not variant.pulled else ():
+        for name, floats in record_layout(variant) if not variant.pulled else ():
             attribute = program[name]
             assert isinstance(attribute, moderngl.Attribute)
             self._attributes.append((attribute.location, floats, offset))

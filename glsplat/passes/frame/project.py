@@ -9,34 +9,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.gl.context import Context
-from glsplat.shaders import Programs, Variant
+from glsplat.shaders import Programs, Variant, record_layout
 
-__all__ = ["ProjectPass", "record_layout"]
-
-
-def record_layout(variant: Variant) -> list[tuple[str, str, int]]:
-    """(captured varying, attribute of record_input.glsl, floats) in the order of project.vert.glsl's record."""
-    views = range(variant.views)
-
-    def spread(name: str, floats: int) -> list[tuple[str, str, int]]:
-        return [(f"{name}[{v}]", f"{name}{v}", floats) for v in views]
-
-    layout = [("rgb", "rgb0", 3)] if variant.sh_degree == 0 else spread("rgb", 3)
-    layout += [("alpha", "alpha0", 1)] if not variant.antialias else spread("alpha", 1)
-    layout += spread("centre", 2) + spread("cholesky", 3)
-    return layout + (spread("z", 1) if variant.depth or variant.occluded else [])
+__all__ = ["ProjectPass"]
 
 
 class ProjectPass:
     """Runs through ``order`` and gathers from the arena's textures, so the records come out sorted."""
 
     def __init__(self, context: Context, programs: Programs, variant: Variant, count: int) -> None:
-        ctx, varyings = context.ctx, []
-        for captured, _, _ in record_layout(variant):
-            base = captured.split("[")[0]
-            if base not in varyings:
-                varyings.append(base)
-        program = programs.feedback("project", variant, varyings)
+        ctx = context.ctx
+        program = programs.feedback("project", variant, [name for name, _ in record_layout(variant)])
         self.count: int = 0
         self._orphans = not context.software  # a GPU may still read the order before; software is done with it
         with ExitStack() as stack:  # releases what was made if a later allocation fails

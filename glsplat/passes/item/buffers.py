@@ -19,14 +19,14 @@ from glsplat.passes.item.shape_buffers import ShapeBuffers
 from glsplat.rotations import is_rigid, rodrigues_parameters
 from glsplat.shaders import Programs, SkinVariant, Variant
 from glsplat.shaders.slots import UNITS
-from glsplat.shaders.variant import COLOUR_TEXELS
+from glsplat.shaders.variant import COLOUR_TEXELS, ROW_BITS
 from glsplat.skinning.shapes import Shapes
 from glsplat.skinning.skin import Skin
 from glsplat.splats import Splats
 
 __all__ = ["NEAR", "ROW", "ItemBuffers", "Placement", "near_eye", "numbers_of", "upload_rows", "write_rows"]
 
-ROW = 1024
+ROW = 1 << ROW_BITS["330"]
 """Splats a row of the arena's textures (arena.glsl)."""
 
 NEAR = 16.0

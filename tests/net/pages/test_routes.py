@@ -163,8 +163,8 @@ def test_what_the_server_offers(serve):
     assert before == {
         "v": 1,
         "avatars": [
-            {"name": "ann", "height": 1.7123, "tracking": True, "head": True, "made": False},
-            {"name": "a room", "height": None, "tracking": False, "head": False, "made": False},
+            {"name": "ann", "height": 1.7123, "tracking": True, "head": True, "made": False, "hand_out": None},
+            {"name": "a room", "height": None, "tracking": False, "head": False, "made": False, "hand_out": None},
         ],
         "rooms": [],
         "upload": None,

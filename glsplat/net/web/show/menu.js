@@ -1,6 +1,6 @@
 // What the panel in the room says and does.
 
-const WORDS = { view: 'View', avatar: 'Avatar', room: 'Room', size: 'Size', quality: 'Quality' };
+const WORDS = { view: 'View', avatar: 'Avatar', room: 'Room', size: 'Size', quality: 'Quality', drawn: 'Drawn by' };
 const QUALITIES = [50, 65, 80, 90]; // what the panel offers of a number
 
 /** {rows(immersive, now), press(id)} over the settings and `deeds` {calibrate(), record(), leave()}. */
@@ -84,6 +84,8 @@ export function numbers(stats) {
     'Server: solving': ms(stats.server.ik),
     Decoding: ms(stats.decodeMs),
     'Dropped: here / server': `${stats.dropped} / ${stats.droppedByServer}`,
+    'Drawn by': stats.drawn.by === 'here' ? `this device, ${stats.drawn.splats} splats` : 'the server',
+    Because: stats.drawn.reason,
   };
 }
 

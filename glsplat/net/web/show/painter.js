@@ -99,6 +99,13 @@ export class Painter {
     for (const label of labels) this.#drawLabel(clip, label);
   }
 
+  /** Labels alone, over what else was drawn into a view by now. */
+  labels({ transform, projection, viewport: { x, y, width, height } }, labels) {
+    this.#gl.viewport(x, y, width, height);
+    const clip = new Float32Array(multiply(projection, invert(transform)));
+    for (const label of labels) this.#drawLabel(clip, label);
+  }
+
   /** How many bytes of GPU memory the pair takes is not known to WebGL; give all of it back. */
   release() {
     for (const { colour, alpha } of this.#pair) {

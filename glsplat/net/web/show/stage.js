@@ -3,6 +3,8 @@
 import { Framing } from '../space/framing.js';
 import { Figures } from '../stream/figures.js';
 import { Pictures } from '../stream/pictures.js';
+import { Here } from './here.js';
+import { Names } from './names.js';
 import { Painter } from './painter.js';
 
 const COMPLAINT = 4000; // ms for which a server's complaint is repeated to the user
@@ -22,6 +24,8 @@ export class Stage {
     this.connection = connection;
     this.settings = settings;
     this.painter = new Painter(gl);
+    this.here = new Here(gl, connection, settings);
+    this.names = new Names();
     this.framing = new Framing();
     this.pictures = new Pictures({
       inWorker,
@@ -29,12 +33,52 @@ export class Stage {
       onError: (text) => this.complain(text),
     });
     connection.addEventListener('reply', ({ detail }) => this.#received(detail));
-    connection.addEventListener('complaint', ({ detail }) => this.complain(detail.message));
+    connection.addEventListener('complaint', ({ detail }) => {
+      if (detail.code === 'no_pose') this.here.refuse(detail.message);
+      else this.complain(detail.message);
+    });
+    connection.addEventListener('state', () => {
+      if (connection.state !== 'open') this.here.clear();
+    });
   }
 
   /** A new context after a lost one: everything on the GPU is made anew. */
   restore(gl) {
     this.painter = new Painter(gl);
+    this.here.restore(gl);
+  }
+
+  /** The context is lost: nothing can be drawn until `restore`. */
+  lost() {
+    this.here.lost();
+  }
+
+  /**
+   * One frame for `views` [{transform, projection, viewport}] of `where` (a placing): ask for the next, show the newest.
+   * `drive` and `how` {alpha, transparent, room, labels} as of `ask` and the painter; `framebuffer` null is the canvas;
+   * `asks` false where nothing new is to be asked for. Returns the frame_id that was asked for, or 0.
+   */
+  frame(views, where, drive, { framebuffer = null, alpha, transparent = false, room, labels = () => [], asks = true, now }) {
+    const here = this.here.draws(views, where, this.figures.rate('shown', now), now);
+    let sent = 0;
+    if (asks) sent = here ? this.#askPoses(drive, now) : this.ask(views, where, drive, { alpha, now });
+    this.advance(now);
+    const hung = labels();
+    this.painter.begin(framebuffer, transparent);
+    const how = { room, glass: where.glass };
+    if (here && this.here.people.size) {
+      this.painter.forget();
+      views.forEach((view, i) => this.painter.view(view, i, how));
+      const own = where.view === 'own' && this.canHide;
+      const age = this.here.draw(views, framebuffer, where, own, now);
+      if (age !== null) this.figures.show(now - age, performance.now());
+      const names = this.names.labels(this.here.names(where), views[0].transform, this.painter);
+      views.forEach((view) => this.painter.labels(view, [...names, ...hung]));
+    } else {
+      views.forEach((view, i) => this.painter.view(view, i, { ...how, labels: hung }));
+      this.drawn();
+    }
+    return sent;
   }
 
   /** Tell the user for some seconds. */
@@ -124,6 +168,7 @@ export class Stage {
       reconnects: Math.max(0, connection.opened - 1),
       bitmaps: pictures.open,
       textures: painter.textures,
+      drawn: this.here.stats(),
       server: Object.fromEntries(
         figures.names().filter((name) => name.startsWith('server ')).map((name) => [name.slice(7), figures.median(name)]),
       ),
@@ -137,9 +182,18 @@ export class Stage {
     return this.connection.send({ eyes, size: [16, 16], ...request }, null);
   }
 
+  #askPoses(drive, now) {
+    return this.connection.send({ ...drive, t: drive.t ?? now, want: 'pose' }, { scene: this.#scene });
+  }
+
   #received({ reply, buffer, asked, sent, ms }) {
     this.info = reply.info;
     this.figures.reply(reply.info, ms);
+    if (reply.bodies) {
+      this.here.arrived(reply, performance.now());
+      this.shownId = reply.id;
+      return;
+    }
     if (asked?.scene !== this.#scene) return; // of nothing in sight, or of another place
     this.framing.learn(reply.info.box, asked);
     this.pictures.offer(reply, buffer, { ...asked, sent });

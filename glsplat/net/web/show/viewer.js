@@ -56,13 +56,12 @@ export class Viewer {
     const key = drive.tracking || drive.pose ? '' : JSON.stringify(views.map(({ transform }) => transform)) + width + height;
     const room = this.#settings.get('room') !== '';
     const moves = room || key === '' || key !== this.#last || !this.#stage.painter.hasPair;
-    if (moves || now - this.#asked > KEEP) {
-      if (this.#stage.ask(views, room ? IN_ROOM : HERE, drive, { alpha: true, now })) [this.#last, this.#asked] = [key, now];
+    const asks = moves || now - this.#asked > KEEP;
+    const shown = this.#stage.shownId;
+    if (this.#stage.frame(views, room ? IN_ROOM : HERE, drive, { alpha: true, room: true, asks, now })) {
+      [this.#last, this.#asked] = [key, now];
     }
-    if (this.#stage.advance(now) && this.#stage.info.box) this.#orbit.follow(this.#stage.info.box);
-    this.#stage.painter.begin(null, false);
-    views.forEach((view, i) => this.#stage.painter.view(view, i, { room: true }));
-    this.#stage.drawn();
+    if (this.#stage.shownId !== shown && this.#stage.info.box) this.#orbit.follow(this.#stage.info.box);
   }
 
   #fit() {

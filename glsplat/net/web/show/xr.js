@@ -139,14 +139,11 @@ export class Immersive {
     const view = this.#where.view;
     const alpha = this.mode === 'ar' || view !== 'mirror'; // a mirror's glass is black: nothing shows through
     const drive = this.#tools.driven() ? { tracking: sample, t: now } : {};
-    this.#stage.ask(views, this.#where, drive, { alpha, now });
-    this.#stage.advance(now);
-    const labels = this.#labels(frame, head, sample, now);
-    const layer = session.renderState.baseLayer;
-    this.#stage.painter.begin(layer.framebuffer, this.mode === 'ar');
-    const room = this.mode === 'vr';
-    views.forEach((eye, i) => this.#stage.painter.view(eye, i, { room, glass: this.#where.glass, labels }));
-    this.#stage.drawn();
+    const { framebuffer } = session.renderState.baseLayer;
+    const [room, transparent] = [this.mode === 'vr', this.mode === 'ar'];
+    const labels = () => this.#labels(frame, head, sample, now);
+    this.#stage.here.choice.display = session.frameRate;
+    this.#stage.frame(views, this.#where, drive, { framebuffer, alpha, transparent, room, labels, now });
   }
 
   #placeView(head) {

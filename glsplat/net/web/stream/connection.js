@@ -1,5 +1,6 @@
 // The WebSocket of docs/protocol.md with reconnecting, acknowledging, and the reasons in words when it does not open.
 
+import { parsePoses } from './pose.js';
 import { parseReply } from './reply.js';
 
 const SERVER = new URL('..', location.href); // the page is SERVER/vr/, also behind a proxy that moves it
@@ -120,7 +121,7 @@ export class Connection extends EventTarget {
     }
     let reply;
     try {
-      reply = parseReply(data);
+      reply = isOfPoses(data) ? parsePoses(data) : parseReply(data);
     } catch (error) {
       this.dispatchEvent(new CustomEvent('complaint', { detail: { code: 'bad_reply', message: error.message } }));
       return;
@@ -184,6 +185,9 @@ export class Connection extends EventTarget {
     this.dispatchEvent(new Event('state'));
   }
 }
+
+/** Whether a reply is one of poses: it has no pictures (docs/protocol.md, section 4). */
+const isOfPoses = (data) => data.byteLength > 8 && new DataView(data).getUint8(8) === 0;
 
 /** Why a room may not have let us in; empty where none was asked for. */
 function roomRefusal({ room, name }, rooms) {

@@ -1,0 +1,169 @@
+"""``glsplat page``: a folder for any file host that shows an avatar in browsers and in VR, without our server."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import posixpath
+import re
+import sys
+import time
+from collections.abc import Iterator, Mapping
+from importlib import resources
+from importlib.resources.abc import Traversable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from glsplat.avatar import Avatar
+from glsplat.consent.file import OnFile, on_file
+from glsplat.consent.policy import ConsentPolicy
+from glsplat.data import default_avatar
+from glsplat.errors import FormatError, GlsplatError
+from glsplat.formats.web.write import encode_avatar
+from glsplat.io.files import replace_file
+from glsplat.motion.motion import Motion, embedded_motions, load_motion
+from glsplat.shaders.web import programs_json
+
+from .args import load_avatar
+
+__all__ = ["EXAMPLE", "HELP", "add_arguments", "baked", "run"]
+
+HELP = (
+    "Write a page that shows an avatar in any browser with WebGL 2 and in VR: orbit, motions, no server but one that "
+    "gives out files (python -m http.server). The avatar's splats are in the folder for everybody to take, so its "
+    "consent record needs hand_out; the embedded avatar needs none."
+)
+EXAMPLE = "glsplat page me.glb -o out/page"
+
+_START = "alone/main.js"
+_IMPORT = re.compile(r"""(?:from|import)\s*\(?\s*'(\.[^']+)'""")
+_AVATAR = "avatar.splats"
+_DIGITS = 5  # of radians and metres
+_MOST_FRAMES = 20_000  # of a motion
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The command line."""
+    parser.add_argument("avatar", nargs="?", metavar="AVATAR", help="avatar to show (default: the embedded one)")
+    parser.add_argument("-o", "--output", type=Path, required=True, metavar="FOLDER", help="folder to write")
+    parser.add_argument(
+        "--motion",
+        action="append",
+        metavar="FILE",
+        help="motion to offer, a file or an embedded one; may be repeated (default: all embedded ones that fit)",
+    )
+    parser.add_argument("--name", help="what the page calls the avatar (default: the file's name)")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Write the folder, its index.html last. Raises GlsplatError; then no page was begun."""
+    name = args.name or (Path(args.avatar).stem if args.avatar else "The embedded avatar")
+    avatar = _agreed(args.avatar, name)
+    motions = _motions(args.motion, avatar)
+    files = dict(_files(avatar, name, motions))
+    index = files.pop("index.html")
+    try:
+        for path in files:
+            (args.output / path).parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise FormatError(f"{args.output}: cannot make the folder ({error.strerror})") from None
+    for path, data in {**files, "index.html": index}.items():  # the page is there when all that it needs is
+        replace_file(args.output / path, [data])
+    size = sum(map(len, files.values())) + len(index)
+    shown = ", ".join(motions) or "no motions"
+    print(f"{args.output}: {len(files) + 1} files, {size / 1e6:.2f} MB; {shown}", file=sys.stderr)
+    print(f"open it: python -m http.server --directory {args.output}", file=sys.stderr)
+    return 0
+
+
+def _agreed(path: str | None, name: str) -> Avatar:
+    """The avatar, if its record lets its splats be given away. Raises GlsplatError."""
+    policy = ConsentPolicy()
+    if path is None:
+        found, kept = default_avatar(), OnFile(nobody=True)
+    else:
+        figure = load_avatar(path, "AVATAR")
+        if not isinstance(figure, Avatar):
+            raise FormatError(f"{path}: expected an avatar of splats, found a mesh; make one with glsplat avatar make")
+        found, kept = figure, on_file(path)
+    policy.add(name, [kept])
+    if why := policy.withheld(name, time.time()):
+        raise GlsplatError(f"{why}; a page gives them to everybody (glsplat avatar consent --hand-out)")
+    return found
+
+
+def _motions(asked: list[str] | None, avatar: Avatar) -> dict[str, Motion]:
+    """By the name that a page shows. Embedded ones that do not fit the rig are left out, and that is said."""
+    found: dict[str, Motion] = {}
+    for name in asked if asked is not None else embedded_motions():
+        try:
+            motion = load_motion(name, avatar.skeleton)
+        except GlsplatError as error:
+            if asked is not None:
+                raise
+            print(f"glsplat page: {name} is left out: {error}", file=sys.stderr)
+            continue
+        if len(motion) > _MOST_FRAMES:
+            raise FormatError(f"{name}: a page takes motions of at most {_MOST_FRAMES} frames, not {len(motion)}")
+        label = re.sub(r"[-_.]+", " ", Path(name).stem).strip().capitalize() or "Motion"
+        found[label if label not in found else f"{label} {len(found) + 1}"] = motion
+    return found
+
+
+def _files(avatar: Avatar, name: str, motions: Mapping[str, Motion]) -> Iterator[tuple[str, bytes]]:
+    """(path, content) of everything in the folder."""
+    web = resources.files("glsplat.net") / "web"
+    for path in _modules(web):
+        yield path, (web / path).read_bytes()
+    for path in ("alone/style.css", "alone/icon.svg"):
+        yield path, (web / path).read_bytes()
+    yield "draw/programs.json", programs_json()
+    yield _AVATAR, encode_avatar(avatar)
+    offered = []
+    for number, (label, motion) in enumerate(motions.items()):
+        offered.append({"label": label, "file": f"motions/{number}.json"})
+        yield offered[-1]["file"], _json(baked(motion))
+    yield "page.json", _json({"name": name, "avatar": _AVATAR, "credit": _credit(avatar), "motions": offered})
+    html = (web / "alone" / "index.html").read_text(encoding="utf-8")
+    yield "index.html", html.replace("<head>", '<head>\n  <base href="alone/">', 1).encode()
+
+
+def _modules(web: Traversable) -> list[str]:
+    """The page's script and all that it imports."""
+    found, todo = set[str](), [_START]
+    while todo:
+        path = todo.pop()
+        if path in found:
+            continue
+        found.add(path)
+        text = (web / path).read_text(encoding="utf-8")
+        todo += [posixpath.normpath(posixpath.join(posixpath.dirname(path), one)) for one in _IMPORT.findall(text)]
+    return sorted(found)
+
+
+def baked(motion: Motion) -> dict[str, Any]:
+    """A motion as track/drivers.js plays it, on this avatar's own joints: rotation vectors and the root's place."""
+    frames = []
+    for index in range(len(motion)):
+        pose = motion.pose(index)
+        frame: dict[str, Any] = {"joints_pose": _rounded(pose.rotations), "trans": _rounded(pose.trans)}
+        if pose.translations is not None:
+            frame["translations"] = _rounded(pose.translations)
+        frames.append(frame)
+    return {"fps": float(motion.fps), "frames": frames}
+
+
+def _rounded(values: Any) -> Any:
+    return (np.round(values, _DIGITS) + 0.0).tolist()
+
+
+def _credit(avatar: Avatar) -> str:
+    """Who made it, and what others may do with it, as its file says."""
+    said = [avatar.meta.get(key) for key in ("source", "licence")]
+    return "; ".join(text for text in said if isinstance(text, str))[:300]
+
+
+def _json(value: Any) -> bytes:
+    return json.dumps(value, separators=(",", ":"), ensure_ascii=False).encode()

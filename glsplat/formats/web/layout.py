@@ -1,0 +1,91 @@
+"""What lies where in an avatar's file for the wire: the header, and how many bytes each part has unpacked."""
+
+from __future__ import annotations
+
+import struct
+from typing import Literal
+
+import msgspec
+
+__all__ = ["HEAD", "MAGIC", "MOST_ENTRIES", "MOST_HEADER", "MOST_JOINTS", "MOST_SPLATS", "VERSION", "Header", "Joints"]
+__all__ += ["Part", "Targets", "planes_of", "unpacked_size"]
+
+MAGIC = b"GSAV"
+VERSION = 1
+HEAD = struct.Struct("<4sHHII")
+"""Magic, version, 0, bytes of the header as it lies there, bytes of it unpacked."""
+
+MOST_HEADER = 1 << 20  # bytes of JSON
+MOST_SPLATS = 1 << 21  # a part
+MOST_ENTRIES = 1 << 24  # of shapes, a part
+MOST_JOINTS = 4096
+_SHORT = 256  # joints that one byte tells apart
+
+
+class Joints(msgspec.Struct):
+    """The skeleton: matrices are 3x4 row by row, as ``glsplat.Skeleton`` has them."""
+
+    names: list[str]
+    parents: list[int]
+    rest: list[float]
+    inverse_bind: list[float]
+
+
+class Targets(msgspec.Struct):
+    """What all shapes share (``glsplat.skinning.shapes.Shapes``)."""
+
+    names: list[str]
+    sizes: list[float]
+    limits: list[float]
+
+
+class Part(msgspec.Struct, omit_defaults=True):
+    """A run of bytes that unpacks alone: the splats of a level, or its shapes. ``offset`` is from the header's end."""
+
+    kind: Literal["splats", "shapes"]
+    level: int
+    offset: int
+    bytes: int
+    splats: int = 0
+    entries: int = 0
+    density: float | None = None
+    psnr: float | None = None
+    low: list[float] = []
+    high: list[float] = []
+    scales: list[float] = []
+    colours: list[float] = []
+    sh: list[float] = []
+
+
+class Header(msgspec.Struct):
+    """Of the whole file. ``splats`` are those of level 0."""
+
+    splats: int
+    sh_degree: int
+    influences: int
+    antialias: bool
+    joints: Joints
+    shapes: Targets | None
+    parts: list[Part]
+
+
+def planes_of(header: Header) -> dict[str, int]:
+    """Bytes a splat of each attribute, in the order in which a part has them."""
+    wide = 1 if len(header.joints.names) <= _SHORT else 2
+    return {
+        "means": 6,
+        "quats": 4,
+        "scales": 3,
+        "opacities": 1,
+        "colours": 3,
+        "sh": 3 * ((header.sh_degree + 1) ** 2 - 1),
+        "joints": wide * header.influences,
+        "weights": 2 * (header.influences - 1),
+    }
+
+
+def unpacked_size(header: Header, part: Part, splats: int) -> int:
+    """Bytes of a part of a level of so many splats."""
+    if part.kind == "splats":
+        return splats * sum(planes_of(header).values())
+    return 2 * splats + 13 * part.entries

@@ -1,0 +1,110 @@
+"""What is handed out: the files that browsers draw avatars from, by their hashes, and to whom (docs/consent.md)."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from hashlib import sha256
+from typing import Any
+
+from aiohttp import web
+
+from glsplat.errors import GlsplatError
+from glsplat.net.accounts.rights import Rights, user_of
+from glsplat.net.accounts.users import User
+from glsplat.net.pages.catalogue import Catalogue
+
+__all__ = ["HandedOut"]
+
+log: logging.Logger = logging.getLogger("glsplat.net")
+
+_MOST_JOINTS = 2000  # of a body on the wire, which has at most 65,535 bytes
+_NOWHERE = "there are no such splats here\n"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _File:
+    data: bytes
+    sha256: bytes
+    first: int  # bytes until the coarsest level can be drawn
+
+
+class HandedOut:
+    """Of those ``offers`` whose consent lets their splats be given away. Files are made once and kept.
+
+    ``worn`` says which of the avatars stand in rooms that an account may enter: who sees them there may draw them.
+    """
+
+    def __init__(self, offers: Catalogue, rights: Rights, worn: Callable[[User | None], Iterable[str]]) -> None:
+        self._offers, self._rights, self._worn = offers, rights, worn
+        self._files: dict[str, _File | None] = {}  # by name; None: cannot be made
+        self._making = asyncio.Lock()
+
+    async def prepare(self) -> None:
+        """Make the files that are missing, in a thread. What cannot be made is logged, and not handed out."""
+        async with self._making:
+            for name in self._offers.names:
+                if name in self._files or self._offers[name].file is None or self._rights.withheld(name):
+                    continue
+                self._files[name] = await asyncio.to_thread(_made, self._offers, name)
+
+    def forget(self, name: str) -> None:
+        """It is offered no more."""
+        self._files.pop(name, None)
+
+    def sha256(self, name: str) -> bytes | None:
+        """The hash of an avatar's file; None where it is not handed out now."""
+        file = self._files.get(name)
+        return None if file is None or self._rights.withheld(name) else file.sha256
+
+    def why(self, name: str) -> str:
+        """Why ``sha256`` is None, in one sentence."""
+        return self._rights.withheld(name) or f'"{name}" is nothing that a browser could draw: ask for pictures'
+
+    def fields(self, name: str) -> dict[str, Any] | None:
+        """``hand_out`` of an avatar in /session."""
+        file = self._files.get(name)
+        if file is None or self._rights.withheld(name):
+            return None
+        digest = file.sha256.hex()
+        return {"sha256": digest, "bytes": len(file.data), "first": file.first, "url": f"splats/{digest}"}
+
+    def routes(self) -> list[web.RouteDef]:
+        """/splats/SHA256."""
+        return [web.get("/splats/{sha256}", self._file)]
+
+    async def _file(self, request: web.Request) -> web.Response:
+        """One file for all names that have it: it is given to who may have it under any of them."""
+        asked, user = request.match_info["sha256"], user_of(request)
+        names = [name for name, file in self._files.items() if file is not None and file.sha256.hex() == asked]
+        if not names:
+            return web.Response(status=404, text=_NOWHERE)
+        worn = set(self._worn(user))
+        reasons = [self._rights.withheld(name) or self._unseen(user, name, worn) for name in names]
+        if all(reasons):
+            return web.Response(status=403, text=f"{reasons[0]}\n")
+        found = self._files[names[0]]
+        assert found is not None
+        headers = {"ETag": f'"{asked}"', "Cache-Control": "private, max-age=31536000, immutable"}
+        if any(tag.value in (asked, "*") for tag in request.if_none_match or ()):
+            return web.Response(status=304, headers=headers)
+        return web.Response(body=found.data, content_type="application/octet-stream", headers=headers)
+
+    def _unseen(self, user: User | None, name: str, worn: set[str]) -> str:
+        return "" if name in worn else self._rights.refusal(user, name)
+
+
+def _made(offers: Catalogue, name: str) -> _File | None:
+    one = offers[name]
+    assert one.file is not None
+    if one.skeleton is not None and len(one.skeleton) > _MOST_JOINTS:
+        log.warning('"%s" is drawn here alone: a body on the wire has at most %d joints', name, _MOST_JOINTS)
+        return None
+    try:
+        made = one.file()
+    except GlsplatError as error:
+        log.warning('"%s" is drawn here alone: %s', name, error)
+        return None
+    return _File(made.data, sha256(made.data).digest(), made.first)

@@ -1,0 +1,24 @@
+"""What is sent to a client that draws, and what it has been sent: values, which know nothing of rooms."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+__all__ = ["Poses", "Told"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Poses:
+    """How those stand whom a client draws itself."""
+
+    bodies: list[bytes]  # packed (body.py)
+    room: dict[str, Any] | None = None  # who is there, where that has changed
+
+
+@dataclass(slots=True, eq=False)
+class Told:
+    """One client's knowledge of a room: nobody is told the same twice."""
+
+    room: tuple[object, ...] = ()  # its people's version, and what stands for each
+    bodies: dict[int, tuple[int, int]] = field(default_factory=dict)  # by key: number of the sample, opacity

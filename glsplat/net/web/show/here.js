@@ -1,0 +1,136 @@
+// Drawing on this device instead of showing the server's pictures: who stands where comes over the wire (stream/pose.js),
+// the avatars once (draw/shelf.js), and draw/ draws them for the eyes of this very frame.
+
+import { Choice } from '../draw/choice.js';
+import { Own } from '../draw/own.js';
+import { Shelf } from '../draw/shelf.js';
+import { fromPose, invert, multiply } from '../space/matrix.js';
+import { People } from '../stream/pose.js';
+
+const STANDING = Object.freeze({ translation: [0, 0, 0], rotation: [0, 0, 0, 1], scale: 1 });
+
+export class Here {
+  people = new People();
+  shelf;
+  choice;
+  #gl;
+  #own = null; // made when there is an avatar to draw
+  #connection;
+  #offer = null; // what the server hands out of the chosen avatar: {sha256, url, ...}, or null
+  #refused = ''; // why it does not tell poses
+
+  constructor(gl, connection, settings) {
+    [this.#gl, this.#connection] = [gl, connection];
+    this.shelf = new Shelf((path) => connection.fetch(path));
+    this.choice = new Choice(settings.get('drawn'));
+    settings.addEventListener('change', ({ detail: { name, value } }) => {
+      if (name === 'drawn') this.choice.wish = value;
+    });
+  }
+
+  /** Who is drawn next: `hand_out` of the chosen avatar in /session. */
+  set offer(offer) {
+    if (this.#offer && offer?.sha256 !== this.#offer.sha256) this.people.clear();
+    if (this.#offer && !offer) this.shelf.forget(this.#offer.sha256);
+    this.#offer = offer ?? null;
+    this.#refused = '';
+  }
+
+  /** The connection is another one. */
+  clear() {
+    this.people.clear();
+  }
+
+  arrived(parsed, now) {
+    this.people.arrived(parsed, now);
+  }
+
+  /** The server tells no poses of this avatar. */
+  refuse(words) {
+    this.#refused = words;
+  }
+
+  /**
+   * Whether this device draws the frame for these views of `where` (a placing); pictures come `rate` a second. Looks after
+   * going over and back.
+   */
+  draws(views, where, rate, now) {
+    this.choice.frame(now);
+    if (this.choice.asks(this.#why(now), now)) {
+      const avatar = this.shelf.get(this.#offer.sha256, now);
+      this.#own.people = [{ key: 0, avatar, pose: atRest(avatar.skeleton) }];
+      this.choice.measured(this.#own.measure(views, where.shown, this.choice.display), rate, now);
+      this.#own.people = [];
+    }
+    return this.choice.here;
+  }
+
+  /** Draw those who are here. `own`: the view is from inside the user's own avatar. Returns how old their poses are, ms, or null. */
+  draw(views, framebuffer, where, own, now) {
+    const bodies = this.people.at(now);
+    const shown = this.people.room?.place ? multiply(where.shown, invert(fromPose(this.people.room.place))) : where.shown;
+    const people = bodies.map((body) => ({ ...body, avatar: this.shelf.get(body.sha256, now), pose: body }));
+    this.shelf.keep(new Set([...bodies.map(({ sha256 }) => sha256), this.#offer?.sha256]));
+    this.#own.people = people.filter(({ avatar, joints }) => avatar && joints.length === 4 * avatar.skeleton.count);
+    if (!this.#own.people.length) return null;
+    const me = bodies.find(({ you }) => you);
+    this.#own.draw(views, framebuffer, shown, { glass: where.glass, headless: own && me ? me.key : null });
+    return Math.max(...bodies.map(({ age }) => age));
+  }
+
+  /** [{text, place: over the head, in the room as it is shown}] of everybody else in a room. */
+  names(where) {
+    const { room } = this.people;
+    if (!room || !this.#own) return [];
+    const byKey = new Map(this.#own.people.map((one) => [one.key, one]));
+    const shown = multiply(where.shown, invert(fromPose(room.place ?? [0, 0, 0, 0, 0, 0, 1])));
+    return room.people
+      .filter(({ key, you }) => !you && byKey.has(key))
+      .map(({ key, name, label }) => ({ key, text: [name, label].filter(Boolean).join(': '), place: above(byKey.get(key), shown) }));
+  }
+
+  /** Figures for `stats()`. */
+  stats() {
+    const { here, reason } = this.choice;
+    return { by: here ? 'here' : 'server', reason, splats: this.#own?.drawn ?? 0, people: this.people.size, avatars: this.shelf.size, layers: this.#own?.kind ?? '' };
+  }
+
+  lost() {
+    this.#own?.lost();
+  }
+
+  restore(gl) {
+    this.#gl = gl;
+    this.#own?.restored();
+  }
+
+  /** Why nothing can be drawn here, in words; '' where it can. */
+  #why(now) {
+    if (!this.#offer) return 'the server hands out no splats of this avatar';
+    if (this.#refused) return this.#refused;
+    if (this.people.room?.people.some(({ sha256 }) => sha256 === null)) return 'not everybody here hands out splats';
+    if (!this.#own) {
+      this.#own = new Own(this.#gl);
+      this.#own.open(async () => (await fetch(new URL('../draw/programs.json', import.meta.url))).json());
+    }
+    if (this.#own.why) return this.#own.why;
+    const avatar = this.shelf.get(this.#offer.sha256, now);
+    if (this.shelf.why(this.#offer.sha256)) return this.shelf.why(this.#offer.sha256);
+    return avatar && this.#own.ready ? '' : 'the avatar is on its way';
+  }
+}
+
+function atRest(skeleton) {
+  const joints = new Float64Array(4 * skeleton.count);
+  for (let j = 0; j < skeleton.count; j++) joints[4 * j + 3] = 1;
+  return { joints, root: [0, 0, 0] };
+}
+
+/** A place over somebody's head, in the room as it is shown. */
+function above({ avatar: { skeleton }, pose, place = STANDING }, shown) {
+  const [x, y, z] = skeleton.placeOf(pose, Math.max(skeleton.names.indexOf('head'), 0));
+  const stands = multiply(fromPose([...place.translation, ...place.rotation]), [place.scale, 0, 0, 0, 0, place.scale, 0, 0, 0, 0, place.scale, 0, 0, 0, 0, 1]);
+  const m = multiply(shown, stands);
+  const at = [0, 1, 2].map((row) => m[row] * x + m[4 + row] * y + m[8 + row] * z + m[12 + row]);
+  return [at[0], at[1] + 0.3, at[2]];
+}

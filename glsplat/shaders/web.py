@@ -1,0 +1,96 @@
+"""Every program that a page can ask for, as one object of JSON: the same chunks, assembled for WebGL2 (GLSL ES 3.00).
+
+A program's variants share its text: what differs is their #defines. ``net/web/draw/programs.js`` puts head, defines and
+body together; the text is what ``flatten`` gives, byte for byte.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from functools import cache
+from typing import Any
+
+from glsplat.config import RenderConfig
+from glsplat.shaders.slots import FRAME_BLOCK, UNITS
+from glsplat.shaders.source import ES_HEAD, flatten
+from glsplat.shaders.variant import (
+    COLOUR_TEXELS,
+    MAX_VIEWS,
+    ROW_BITS,
+    ResolveVariant,
+    SkinVariant,
+    Variant,
+    record_layout,
+)
+
+__all__ = ["page_programs", "page_variants", "programs_json"]
+
+_ES = "es300"
+_POSED = ("posed_mean", "posed_x", "posed_y", "posed_z")
+
+Row = tuple[str, tuple[str, ...], tuple[str, ...], Variant | SkinVariant | ResolveVariant]
+
+
+def page_variants() -> Iterator[Row]:
+    """(name, its stages, what it captures, variant) of each program of the page.
+
+    Names are what the page asks by: "skin INFLUENCES TURNED SHAPED", "place", "project DEGREE ANTIALIAS VIEWS",
+    "splat SHARED_RGB ANTIALIAS VIEWS TRIANGLE" and "resolve".
+    """
+    for influences in (1, 2, 4, 8):
+        for turned in (0, 1):
+            for shaped in (0, 1):
+                skin = SkinVariant(influences=influences, turned=turned, shaped=shaped, target=_ES)
+                yield f"skin {influences} {turned} {shaped}", ("skin.vert",), _POSED, skin
+    yield "place", ("place.vert",), _POSED, Variant(target=_ES)
+    for views in range(1, MAX_VIEWS + 1):
+        for antialias in (0, 1, 2):
+            for degree in range(len(COLOUR_TEXELS)):
+                more = {"posed": 1, "turned": int(degree > 0), "antialias": antialias, "views": views}
+                frame = Variant(sh_degree=degree, stored_degree=degree, target=_ES, **more)
+                captured = tuple(name for name, _ in record_layout(frame))
+                yield f"project {degree} {antialias} {views}", ("project.vert",), captured, frame
+        for shared in (0, 1):
+            for compensated in (0, 1):
+                for triangle in (0, 1):
+                    degree = 1 - shared
+                    flags = {"posed": 1, "turned": degree, "antialias": compensated, "views": views, "pulled": 1}
+                    drawn = Variant(sh_degree=degree, stored_degree=degree, triangle=triangle, target=_ES, **flags)
+                    yield f"splat {shared} {compensated} {views} {triangle}", ("splat.vert", "splat.frag"), (), drawn
+    yield "resolve", ("screen.vert", "resolve.frag"), (), ResolveVariant(target=_ES)
+
+
+@cache
+def page_programs() -> dict[str, Any]:
+    """{"head", "stages": {name: body}, "programs": {name: {"stages", "captured", "defines"}}, "units", ...}.
+
+    ``defines`` has those flags alone that a stage reads, by stage. Not to be changed.
+    """
+    stages: dict[str, str] = {}
+    programs: dict[str, Any] = {}
+    for name, parts, captured, variant in page_variants():
+        defines: list[list[str]] = []
+        for part in parts:
+            source = flatten(f"{part}.glsl", variant.defines())
+            lines = source.text.splitlines()
+            own = [line for line, (chunk, _) in zip(lines, source.origin, strict=True) if chunk == "<defines>"]
+            defines.append([line.removeprefix("#define ") for line in own if line.startswith("#define ")])
+            stages[part] = "\n".join(lines[len(own) :]) + "\n"
+        programs[name] = {"stages": list(parts), "captured": list(captured), "defines": defines}
+    config = RenderConfig()
+    return {
+        "head": ES_HEAD,
+        "stages": stages,
+        "programs": programs,
+        "units": UNITS,
+        "frame_block": FRAME_BLOCK,
+        "row_bits": ROW_BITS[_ES],
+        "colour_texels": COLOUR_TEXELS,
+        "knobs": [config.eps2d, config.max_sigma, 0.0, config.cull_margin],
+    }
+
+
+def programs_json() -> bytes:
+    """``page_programs`` as the page fetches it, draw/programs.json."""
+    return json.dumps(page_programs(), separators=(",", ":")).encode()

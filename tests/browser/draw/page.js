@@ -1,0 +1,172 @@
+// What the tests of draw/ run in a page: things by address, pictures as floats in base64.
+
+import { Skeleton, quaternionOf } from '/vr/draw/bones.js';
+import { Drawing } from '/vr/draw/drawing.js';
+import { cameraOfFile } from '/vr/draw/frame.js';
+
+const TYPES = { float32: Float32Array, uint16: Uint16Array, uint32: Uint32Array };
+
+export async function load(name) {
+  const header = await (await fetch(`/vr/data/${name}.json`)).json();
+  const body = await (await fetch(`/vr/data/${name}.bin`)).arrayBuffer();
+  const arrays = Object.entries(header.arrays).map(([key, [type, at, size]]) => [key, new TYPES[type](body, at, size)]);
+  const { skeleton, shapes, ...splats } = { ...header, ...Object.fromEntries(arrays) };
+  if (shapes) splats.shapes = { ...shapes, starts: splats.starts, texels: splats.texels };
+  return { splats, skeleton: skeleton && new Skeleton(skeleton) };
+}
+
+export function poseOf({ vectors, root, translations }) {
+  const joints = new Float64Array((vectors.length / 3) * 4);
+  for (let j = 0; 3 * j < vectors.length; j++) quaternionOf(vectors, 3 * j, joints, 4 * j);
+  return { joints, root, translations };
+}
+
+export function context(width = 16, height = 16) {
+  const canvas = document.createElement('canvas');
+  [canvas.width, canvas.height] = [width, height];
+  const gl = canvas.getContext('webgl2', { antialias: false, alpha: true, preserveDrawingBuffer: true });
+  gl.getExtension('EXT_color_buffer_float');
+  gl.getExtension('EXT_float_blend');
+  gl.getExtension('EXT_color_buffer_half_float');
+  return gl;
+}
+
+const base64 = (bytes) => {
+  let text = '';
+  for (let i = 0; i < bytes.length; i += 0x8000) text += String.fromCharCode(...bytes.subarray(i, i + 0x8000));
+  return btoa(text);
+};
+
+/** Layers of the kinds, as floats, rows as they lie; `upward` draws with rows from below and turns them here. */
+export async function pictures({ things, poses, cameras, kinds, triangle = false, upward = false }) {
+  const table = await (await fetch('/vr/draw/programs.json')).json();
+  const gl = context();
+  const drawing = new Drawing(gl, table, { triangle });
+  const loaded = await Promise.all(things.map(load));
+  drawing.show(loaded);
+  poses.forEach(({ pose, place, amounts }, i) =>
+    drawing.pose(i, { bones: pose && loaded[i].skeleton.bones(poseOf(pose)), ...(place ? { place } : {}), amounts: amounts ? new Float32Array(amounts) : null }));
+  const taken = cameras.map(cameraOfFile);
+  const out = {};
+  for (const kind of kinds) {
+    drawing.prepare(taken, upward);
+    drawing.drawLayers(taken, kind);
+    const { width, height } = cameras[0];
+    const floats = new Float32Array(taken.length * width * height * 4);
+    drawing.layers.framebuffers.forEach((one, i) => {
+      gl.bindFramebuffer(gl.FRAMEBUFFER, one);
+      const part = floats.subarray(i * width * height * 4, (i + 1) * width * height * 4);
+      if (kind === '8') {
+        const bytes = new Uint8Array(part.length);
+        gl.readPixels(0, 0, width, height, gl.RGBA, gl.UNSIGNED_BYTE, bytes);
+        for (let k = 0; k < bytes.length; k++) part[k] = bytes[k] / 255;
+      } else gl.readPixels(0, 0, width, height, gl.RGBA, gl.FLOAT, part);
+    });
+    out[kind] = base64(new Uint8Array(floats.buffer));
+  }
+  const info = gl.getExtension('WEBGL_debug_renderer_info');
+  const result = { error: gl.getError(), renderer: gl.getParameter(info.UNMASKED_RENDERER_WEBGL), drawn: drawing.drawn, ...out };
+  drawing.release();
+  gl.getExtension('WEBGL_lose_context').loseContext();
+  return result;
+}
+
+async function* inPieces(bytes, size) {
+  for (let at = 0; at < bytes.length; at += size) yield bytes.subarray(at, at + size);
+}
+
+/** An avatar's file as avatar.js reads it: its arrays by level in base64, and which levels came in which order. */
+export async function decoded(name, piece) {
+  const { readAvatar } = await import('/vr/draw/avatar.js');
+  const bytes = new Uint8Array(await (await fetch(`/vr/data/${name}`)).arrayBuffer());
+  const order = [];
+  const avatar = await readAvatar(inPieces(bytes, piece), (_, level) => order.push(level));
+  const levels = {};
+  for (const [level, splats] of avatar.levels) {
+    levels[level] = {};
+    for (const [key, value] of Object.entries(splats)) {
+      if (ArrayBuffer.isView(value)) levels[level][key] = base64(new Uint8Array(value.buffer, value.byteOffset, value.byteLength));
+    }
+    if (splats.shapes) levels[level].texels = base64(new Uint8Array(splats.shapes.texels.buffer));
+  }
+  return { order, levels, names: avatar.names, joints: avatar.skeleton.names };
+}
+
+/** A picture by crowd.js of an avatar's file, as floats: the level is chosen by the camera. */
+export async function crowdPicture({ name, pose, camera, expression = null, headless = false }) {
+  const { readAvatar } = await import('/vr/draw/avatar.js');
+  const { Crowd } = await import('/vr/draw/crowd.js');
+  const table = await (await fetch('/vr/draw/programs.json')).json();
+  const bytes = new Uint8Array(await (await fetch(`/vr/data/${name}`)).arrayBuffer());
+  const avatar = await readAvatar(inPieces(bytes, 1 << 16));
+  const { width, height } = camera;
+  const gl = context(width, height);
+  const crowd = new Crowd(gl, table, { kind: '32f' });
+  crowd.people = [{ key: 1, avatar, pose: poseOf(pose), expression }];
+  const eye = { ...camera, viewport: { x: 0, y: 0, width, height } };
+  const shown = [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1];
+  crowd.draw([eye], null, shown, { headless: headless ? 1 : null });
+  const floats = new Float32Array(width * height * 4);
+  gl.bindFramebuffer(gl.FRAMEBUFFER, crowd.drawing.layers.framebuffers[0]);
+  gl.readPixels(0, 0, width, height, gl.RGBA, gl.FLOAT, floats);
+  const canvas = new Uint8Array(width * height * 4);
+  gl.bindFramebuffer(gl.FRAMEBUFFER, null);
+  gl.readPixels(0, 0, width, height, gl.RGBA, gl.UNSIGNED_BYTE, canvas);
+  const result = { floats: base64(new Uint8Array(floats.buffer)), canvas: base64(canvas), drawn: crowd.drawn, error: gl.getError() };
+  crowd.release();
+  gl.getExtension('WEBGL_lose_context').loseContext();
+  return result;
+}
+
+const deflated = async (bytes) =>
+  new Uint8Array(await new Response(new Blob([bytes]).stream().pipeThrough(new CompressionStream('deflate-raw'))).arrayBuffer());
+
+/** Read `rounds` damaged copies of an avatar's file: {read, refused: {words: how often}, other: [what else was thrown]}. */
+export async function fuzzed(name, rounds, seed) {
+  const { readAvatar } = await import('/vr/draw/avatar.js');
+  const { BlobError, openBlob } = await import('/vr/draw/blob.js');
+  const whole = new Uint8Array(await (await fetch(`/vr/data/${name}`)).arrayBuffer());
+  const { header, start } = await openBlob(whole);
+  let state = seed;
+  const random = (below) => (state = (Math.imul(state, 1664525) + 1013904223) >>> 0) % below;
+  const pick = (list) => list[random(list.length)];
+  const LIES = [null, -1, 0, 1, 3, 1e9, 2 ** 31, NaN, 0.5, 'x', [], {}, true, [1, 2], '__proto__', 1e308];
+  const places = [];
+  const walk = (value, path) => {
+    if (value === null || typeof value !== 'object') return places.push(path);
+    places.push(path);
+    for (const key of Object.keys(value).slice(0, 4)) walk(value[key], [...path, key]);
+  };
+  walk(header, []);
+  const out = { read: 0, refused: {}, other: [] };
+  for (let i = 0; i < rounds; i++) {
+    let bytes = whole.slice();
+    if (i % 3 === 0) {
+      for (let k = random(6); k >= 0; k--) bytes[random(i % 2 ? 2000 : bytes.length)] ^= 1 << random(8);
+    } else if (i % 3 === 1) {
+      bytes = bytes.subarray(0, random(bytes.length));
+    } else {
+      const lying = structuredClone(header);
+      const path = pick(places);
+      let at = lying;
+      for (const key of path.slice(0, -1)) at = at[key];
+      if (path.length) at[path.at(-1)] = pick(LIES);
+      const text = new TextEncoder().encode(JSON.stringify(path.length ? lying : pick(LIES)) ?? '');
+      const packed = await deflated(text);
+      bytes = new Uint8Array(16 + packed.length + whole.length - start);
+      bytes.set(whole.subarray(0, 16));
+      new DataView(bytes.buffer).setUint32(8, packed.length, true);
+      new DataView(bytes.buffer).setUint32(12, text.length, true);
+      bytes.set(packed, 16);
+      bytes.set(whole.subarray(start), 16 + packed.length);
+    }
+    try {
+      await readAvatar(inPieces(bytes, 4096));
+      out.read++;
+    } catch (error) {
+      if (error instanceof BlobError) out.refused[error.message] = (out.refused[error.message] ?? 0) + 1;
+      else out.other.push(`${error.stack}`.slice(0, 300));
+    }
+  }
+  return out;
+}

@@ -1,0 +1,178 @@
+"""Pictures of the page against those of ``Renderer``: the same splats, the same cameras, another context."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import glsplat
+from glsplat import Avatar, Camera, Item, Pose, RenderConfig, Renderer, Scene, Splats
+from glsplat.motion.motion import load_motion
+from glsplat.skinning.shapes import Shapes
+from glsplat.views import view_of
+from tests import scenes
+from tests.browser.draw.conftest import Bench
+from tests.browser.draw.exported import posed
+
+SIZE = (320, 288)
+
+
+def psnr(picture: NDArray[np.float32], truth: NDArray[np.float32]) -> float:
+    error = float(((picture.astype(np.float64) - truth) ** 2).mean())
+    found = 200.0 if error == 0 else float(-10 * np.log10(error))
+    print(f"{found:.1f} dB")
+    return found
+
+
+def truth(scene: Any, cameras: list[Camera], target: str = "32f") -> NDArray[np.float32]:
+    settings = RenderConfig(output="float32", target=target, shape="quad", level=0)
+    with Renderer(scene, size=(cameras[0].width, cameras[0].height), views=len(cameras), config=settings) as renderer:
+        picture = renderer.render(cameras)
+    assert isinstance(picture, np.ndarray) and picture[..., 3].mean() > 0.005  # there is something to see
+    return picture
+
+
+def eyes(place: tuple[float, float, float], target: tuple[float, float, float], fov: float = 50.0) -> list[Camera]:
+    return list(view_of(np.array(place), np.array(target), SIZE, fov, ipd=0.063))
+
+
+def thing(pose: Pose | None = None, item: Item | None = None, amounts: Any = None) -> dict[str, Any]:
+    out: dict[str, Any] = {"pose": None if pose is None else posed(pose), "amounts": amounts}
+    if item is not None:
+        linear = item.transform[:3, :3]
+        scale = float(np.cbrt(np.linalg.det(linear)))
+        w, x, y, z = glsplat.rotations.quaternion_of(linear / scale)
+        rotation = [float(v) for v in (x, y, z, w)]
+        out["place"] = {"translation": item.transform[:3, 3].tolist(), "rotation": rotation, "scale": scale}
+    return out
+
+
+@pytest.fixture(scope="module")
+def person() -> Avatar:
+    return glsplat.default_avatar()
+
+
+def turning(person: Avatar, second: float) -> Pose:
+    return load_motion("wave-and-turn", person.skeleton).at(second)
+
+
+@pytest.mark.parametrize("place", [(0.9, 1.1, 2.7), (-0.35, 1.52, 0.8)], ids=["whole", "near"])
+def test_an_embedded_person(bench: Bench, person: Avatar, place: tuple[float, float, float]) -> None:
+    pose, cameras = turning(person, 1.37), eyes(place, (0.05, 1.2 if place[2] < 1 else 0.95, 0))
+    expected = truth(Scene([Item(person, pose=pose)]), cameras)
+    name = bench.offer("person", person)
+    found = bench.pictures(cameras, things=[name], poses=[thing(pose)], kinds=["32f", "16f", "8"])
+    assert found["drawn"] == len(person.splats)
+    assert psnr(found["32f"], expected) >= 100
+    assert psnr(found["16f"], expected) >= 60
+    assert psnr(found["8"], expected) >= 50
+    single = bench.pictures(cameras[1:], things=[name], poses=[thing(pose)], kinds=["32f"])
+    assert psnr(single["32f"], truth(Scene([Item(person, pose=pose)]), cameras[1:])) >= 100
+    triangles = bench.pictures(cameras, things=[name], poses=[thing(pose)], kinds=["32f"], triangle=True)
+    assert psnr(triangles["32f"], expected) >= 95
+    upward = bench.pictures(cameras, things=[name], poses=[thing(pose)], kinds=["32f"], upward=True)
+    assert psnr(upward["32f"][:, ::-1], expected) >= 95
+
+
+def test_directional_colours_of_degree_3(bench: Bench) -> None:
+    """Splats without a skeleton, placed, turned and scaled; opacity compensation asked for and not, in one scene."""
+    still = scenes.cloud(7000, degree=3, seed=11, spread=0.4)
+    asks = replace(scenes.cloud(3000, degree=1, seed=12, spread=0.3), antialias=True)
+    first = Item(still, transform=glsplat.similarity((0.2, 1.0, -0.3), (0.3, -0.5, 0.2, 0.6), 0.7))
+    second = Item(asks, transform=glsplat.similarity((-0.4, 0.9, 0.2), (0, 1, 0, 1e-9)))
+    cameras = eyes((0.5, 1.4, 2.2), (0, 1, 0))
+    expected = truth(Scene([first, second]), cameras)
+    names = [bench.offer("still", still), bench.offer("asks", asks)]
+    poses = [thing(item=first), thing(item=second)]
+    found = bench.pictures(cameras, things=names, poses=poses, kinds=["32f", "16f"])
+    assert psnr(found["32f"], expected) >= 100
+    # colours far above 1, of which 16 bits keep less: as much as the desktop's do
+    assert psnr(found["16f"], expected) >= psnr(truth(Scene([first, second]), cameras, target="16f"), expected) - 0.5
+
+
+@pytest.mark.parametrize("influences", [1, 2, 8])
+def test_influences_and_colours_that_turn_with_bones(bench: Bench, influences: int) -> None:
+    rod = scenes.limb(2500, joints=9, influences=influences, degree=2, seed=5)
+    rng = np.random.default_rng(influences)
+    pose = Pose(rng.normal(0, 0.4, (9, 3)), (-2.0, 0.9, 0.1), rng.normal(0, 0.05, (9, 3)))
+    cameras = eyes((0.3, 1.3, 4.5), (0, 1, 0))
+    expected = truth(Scene([Item(rod, pose=pose)]), cameras)
+    found = bench.pictures(cameras, things=[bench.offer("rod", rod)], poses=[thing(pose)], kinds=["32f"])
+    assert psnr(found["32f"], expected) >= 100
+
+
+def embrace(person: Avatar) -> tuple[Scene, list[Item]]:
+    """Two people, one mirrored into the arms of the other: they interleave splat by splat."""
+    body = np.zeros((21, 3))
+    body[15], body[16] = (0.2, -1.1, 0.3), (0.1, 1.0, -0.2)  # shoulders ahead
+    body[17], body[18] = (0, -0.9, 0.2), (0, 0.8, 0)
+    pose = Pose.from_smplx({"body_pose": body})
+    other = Item(person, pose=pose, transform=glsplat.similarity((0.06, 0.02, 0.27), (0, 1, 0, 0.12), 0.93))
+    items = [Item(person, pose=pose), other]
+    return Scene(items), items
+
+
+def test_two_people_who_embrace(bench: Bench, person: Avatar) -> None:
+    scene, items = embrace(person)
+    cameras = eyes((1.6, 1.5, 1.0), (0, 1.1, 0.13))
+    expected = truth(scene, cameras)
+    name = bench.offer("person", person)
+    poses = [thing(item.pose, item) for item in items]
+    found = bench.pictures(cameras, things=[name, name], poses=poses, kinds=["32f", "16f"])
+    assert found["drawn"] == 2 * len(person.splats)
+    assert psnr(found["32f"], expected) >= 100 and psnr(found["16f"], expected) >= 60
+    # the order is one over both: one after the other would be another picture
+    apart = [truth(Scene([item]), cameras) for item in items]
+    after = apart[0] + apart[1] * (1 - apart[0][..., 3:])
+    assert psnr(after, expected) < 45
+
+
+def test_an_expression(bench: Bench) -> None:
+    rng = np.random.default_rng(4)
+    rod = scenes.limb(900, joints=3, influences=4, seed=8)
+    count = len(rod.splats)
+    of = rng.integers(0, 3, count)
+    shapes = Shapes.create(
+        ["jawOpen", "cheekPuff", "own"],
+        count,
+        splats=np.arange(count),
+        targets=of,
+        moves=rng.normal(0, 0.05, (count, 3)),
+        bends=rng.normal(0, 0.4, (count, 2, 3)),
+    )
+    face = replace(rod, shapes=shapes)
+    pose = Pose(rng.normal(0, 0.3, (3, 3)), (-0.7, 1, 0), expression={"jawOpen": 0.8, "own": 0.3})
+    cameras = eyes((0, 1.2, 2.2), (0, 1, 0))
+    expected = truth(Scene([Item(face, pose=pose)]), cameras)
+    weights = face.weights(pose)
+    assert weights is not None
+    name = bench.offer("face", face)
+    moved = thing(pose, amounts=shapes.amounts(weights).ravel().tolist())
+    found = bench.pictures(cameras, things=[name], poses=[moved], kinds=["32f"])
+    assert psnr(found["32f"], expected) >= 100
+    still = bench.pictures(cameras, things=[name], poses=[thing(pose)], kinds=["32f"])
+    assert psnr(still["32f"], expected) < 50
+
+
+def test_another_driver(chromium: Any, bench_of: Callable[[Any], Bench], person: Avatar) -> None:
+    """SwiftShader: one triangle a splat, as software gets it, and quads."""
+    bench = bench_of(chromium)
+    pose, cameras = turning(person, 0.61), eyes((0.4, 1.2, 2.5), (0, 1, 0))
+    expected = truth(Scene([Item(person, pose=pose)]), cameras)
+    name = bench.offer("person", person)
+    found = bench.pictures(cameras, things=[name], poses=[thing(pose)], kinds=["32f", "16f"])
+    assert psnr(found["32f"], expected) >= 65 and psnr(found["16f"], expected) >= 60
+
+
+def test_splats_of_degree_3_fit_narrow_textures(chromium: Any, bench_of: Callable[[Any], Bench]) -> None:
+    """Where textures are 8192 wide: SwiftShader's, whose exp is a coarser one. The cloud covers half of the picture."""
+    bench = bench_of(chromium)
+    splats: Splats = scenes.cloud(1200, degree=3, seed=21, spread=0.4)
+    cameras = eyes((0.3, 0.2, 2.4), (0, 0, 0))
+    found = bench.pictures(cameras, things=[bench.offer("cloud", splats)], poses=[thing()], kinds=["32f"])
+    assert psnr(found["32f"], truth(splats, cameras)) >= 60

@@ -1,0 +1,175 @@
+"""The served page draws by itself where the server hands out splats: over, back, and every failure a sentence."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+import glsplat
+from glsplat.consent.file import OnFile
+from glsplat.consent.policy import ConsentPolicy
+from glsplat.net.backends.server import make_server
+from glsplat.net.server import ServerConfig
+from tests.browser.draw.conftest import Bench, shot
+from tests.browser.opened import Opened
+from tests.browser.served import Served
+from tests.browser.vr import enter, pose, project, see, settings, steer
+
+DRAWN = "window.glsplat.stats().drawn"
+
+
+def handing(serve: Any, hands_out: bool = True, **options: Any) -> Served:
+    policy = ConsentPolicy()
+    policy.add("default", [OnFile(nobody=True)])
+    consent = policy if hands_out else None
+    avatar = glsplat.default_avatar()
+    return serve(
+        config=ServerConfig(port=0, **options),
+        make=lambda config: make_server(avatar, config, own_process=False, consent=consent),
+    )
+
+
+def opened(visit: Callable[..., Opened], served: Served, window: tuple[int, int] = (480, 360), **values: Any) -> Opened:
+    chosen = {"size": 512, "driver": "rest", "drawn": "here"} | values
+    page = visit(served.page, window, init=settings(**chosen))
+    page.until("window.glsplat?.stats().state === 'open'")
+    return page
+
+
+def test_over_to_drawing_here_and_back(visit: Callable[..., Opened], serve: Any) -> None:
+    served = handing(serve)
+    page = opened(visit, served, window=(900, 420))
+    page.until(f"{DRAWN}.by === 'here' && {DRAWN}.splats >= 4500 && window.glsplat.stats().shown > 5")
+    page.wait(1.0)
+    stats = page.stats()
+    assert stats["drawn"]["people"] == 1 and "pictures a second here" in stats["drawn"]["reason"]
+    drawn = served.stats()["frames"] if "frames" in served.stats() else None
+    here = shot(page).astype(float)
+    page.page.select_option("#drawn", "server")
+    page.until(f"{DRAWN}.by === 'server' && window.glsplat.stats().textures >= 2")
+    page.wait(1.5)
+    theirs = shot(page).astype(float)
+    assert page.stats()["drawn"]["reason"] == "you chose the server"
+    canvas = slice(None), slice(0, 400)  # beside the controls
+    error = float(((here - theirs)[canvas] ** 2).mean())
+    assert here[canvas].std() > 3 and 10 * np.log10(255**2 / error) > 24  # JPEG, another size, another level
+    assert drawn is None or served.stats()["frames"] >= drawn
+    page.page.select_option("#drawn", "here")
+    page.until(f"{DRAWN}.by === 'here'")
+
+
+def test_in_vr_the_mirror_and_ones_own_body(visit: Callable[..., Opened], serve: Any) -> None:
+    """Drawn for the pose of the very frame: seen in the glass and nowhere else, and from inside without a head."""
+    page = opened(visit, handing(serve), view="mirror", drawn="here")
+    page.until(f"{DRAWN}.by === 'here'")
+    steer(page, head=pose([0, 1.65, 0]), side=512)
+    enter(page, run=False)
+    page.until(f"(() => {{ fakeXR.step(); return {DRAWN}.by === 'here' && {DRAWN}.people === 1; }})()")
+    for _ in range(3):
+        seen = see(page)
+    picture = seen["left"][..., :3].astype(float)
+    assert seen["stats"]["drawn"]["by"] == "here"
+    # the mirror's glass: 1.2 m ahead, 1.1 m wide; the user's own face looks back from as far behind it
+    face = project(seen["eyes"]["left"], [0.03, 1.62, -2.4 - 0.1], 512).astype(int)
+    around = picture[face[1] - 12 : face[1] + 12, face[0] - 12 : face[0] + 12]
+    assert around.mean() > 20
+    left = int(project(seen["eyes"]["left"], [-0.6, 1.0, -1.2], 512)[0])  # of the frame around the glass
+    assert picture[:, :left].max() < 90  # the floor's lines alone
+    full = seen["stats"]["drawn"]["splats"]
+    page.page.evaluate("document.querySelector('#view').value = 'own'")
+    page.page.evaluate("document.querySelector('#view').dispatchEvent(new Event('change'))")
+    steer(page, head=pose([0, 1.65, 0], pitch=-70))
+    page.until("(() => { fakeXR.step(); return window.glsplat.stats().view === 'own'; })()")
+    for _ in range(3):
+        seen = see(page)
+    # looking down at oneself: the chest is below, and no head is in the way
+    assert 1000 < seen["stats"]["drawn"]["splats"] and seen["stats"]["drawn"]["splats"] not in (
+        full,
+        40000,
+        14000,
+        8000,
+        4500,
+    )
+    assert seen["left"][..., :3].astype(float).mean() > 5
+
+
+def test_what_is_not_handed_out_is_drawn_by_the_server(visit: Callable[..., Opened], serve: Any) -> None:
+    page = opened(visit, handing(serve, hands_out=False))
+    page.until("window.glsplat.stats().shown > 2")
+    assert page.stats()["drawn"]["by"] == "server"
+    assert page.stats()["drawn"]["reason"] == "the server hands out no splats of this avatar"
+    assert not [address for address in page.requests if "/splats/" in address or "programs.json" in address]
+
+
+def test_a_damaged_avatar_is_a_sentence_and_pictures(visit: Callable[..., Opened], serve: Any) -> None:
+    served = handing(serve)
+    page = visit("about:blank", init=settings(size=512, driver="rest", drawn="here"))
+    page.page.route("**/splats/*", lambda route: route.fulfill(body=b"GSAV\1\0\0\0" + bytes(64)))
+    page.page.goto(served.page)
+    page.until(f"window.glsplat?.stats().shown > 2 && {DRAWN}.reason.startsWith('the avatar did not come')")
+    assert page.stats()["drawn"]["by"] == "server"
+
+
+def test_a_lost_context_comes_back_to_drawing_here(visit: Callable[..., Opened], serve: Any) -> None:
+    page = opened(visit, handing(serve))
+    page.until(f"{DRAWN}.by === 'here' && window.glsplat.stats().shown > 2")
+    page.js("""() => {
+      window.lose = document.getElementById('canvas').getContext('webgl2').getExtension('WEBGL_lose_context');
+      window.lose.loseContext();
+    }""")
+    page.wait(0.5)
+    page.js("window.lose.restoreContext()")
+    page.wait(0.5)
+    shown = page.stats()["shown"]
+    page.until(f"{DRAWN}.by === 'here' && window.glsplat.stats().shown > {shown + 2}")
+    assert shot(page)[:, :200].astype(float).std() > 3
+
+
+CHOICE = """
+import('/vr/draw/choice.js').then(({ Choice }) => {
+  const said = [];
+  const run = (choice, from, to, hertz) => { for (let t = from; t < to; t += 1000 / hertz) choice.frame(t); };
+  const choice = new Choice('auto');
+  run(choice, 0, 2000, 72); // pictures, on a display of 72 Hz
+  said.push([choice.here, Math.round(choice.display), choice.asks('the avatar is on its way', 2000), choice.reason]);
+  said.push([choice.asks('', 2000)]);
+  choice.measured(50, 30, 2000); // 20 a second against 30
+  said.push([choice.here, choice.reason, choice.asks('', 2001), choice.asks('', 62001)]);
+  choice.measured(8, 30, 62001);
+  said.push([choice.here, choice.reason]);
+  run(choice, 62001, 70000, 70);
+  said.push([choice.here]);
+  run(choice, 70000, 73000, 40); // hot: below 0.8 of 72 for less than 3 s at first
+  said.push([choice.here]);
+  run(choice, 73000, 80000, 40);
+  said.push([choice.here, choice.reason, choice.asks('', 81000), choice.asks('', 80000 + 120000)]);
+  const one = new Choice('here');
+  run(one, 0, 2000, 60);
+  one.measured(100, 30, 2000); // slower, but wished
+  run(one, 2000, 12000, 10);
+  said.push([one.here]);
+  one.wish = 'server';
+  said.push([one.here, one.asks('', 1e9)]);
+  const lost = new Choice('auto');
+  lost.measured(5, 30, 0);
+  lost.asks('this browser has no WebGL 2', 10);
+  said.push([lost.here, lost.reason]);
+  const failed = new Choice('here');
+  failed.measured(Infinity, 1, 0);
+  said.push([failed.here]);
+  return said;
+})
+"""
+
+
+def test_the_choice(bench: Bench) -> None:
+    said = bench.js(CHOICE)
+    assert said[0] == [False, 72, False, "the avatar is on its way"] and said[1] == [True]
+    assert said[2] == [False, "the server is faster: 30 pictures a second, 20 here", False, True]
+    assert said[3] == [True, "72 pictures a second here, 30 from the server"]
+    assert said[4] == [True] and said[5] == [True]
+    assert said[6][0] is False and "drew 40 of 72 pictures a second" in said[6][1] and said[6][2:] == [False, True]
+    assert said[7] == [True] and said[8] == [False, False]
+    assert said[9] == [False, "this browser has no WebGL 2"] and said[10] == [False]

@@ -1,0 +1,203 @@
+"""The folder that ``glsplat page`` writes: on a plain file server, in a browser, in VR, through a lost context."""
+
+from __future__ import annotations
+
+import functools
+import threading
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from apps import cli
+from glsplat import Camera, Item, Pose, Scene, similarity
+from glsplat.detail.proxy import Proxy
+from glsplat.detail.selector import chosen
+from glsplat.formats.web.read import decode_avatar
+from glsplat.motion.motion import load_motion
+from tests.browser.draw.conftest import shot
+from tests.browser.draw.test_parity import psnr, truth
+from tests.browser.opened import Opened
+from tests.browser.vr import pose, see, steer
+
+STATS = "window.glsplat?.stats()"
+
+
+class _Quiet(SimpleHTTPRequestHandler):
+    def log_message(self, *_: Any) -> None:
+        pass
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("page")
+    assert cli.main(["page", "-o", str(out), "--name", "Robin <b>"]) == 0
+    return out
+
+
+@pytest.fixture(scope="module")
+def host(folder: Path) -> Iterator[str]:
+    """Any file host: here Python's."""
+    server = ThreadingHTTPServer(("127.0.0.1", 0), functools.partial(_Quiet, directory=str(folder)))
+    thread = threading.Thread(target=server.serve_forever, daemon=True)
+    thread.start()
+    yield f"http://localhost:{server.server_port}/"
+    server.shutdown()
+    thread.join()
+    server.server_close()
+
+
+def started(page: Opened) -> Opened:
+    page.until(f"{STATS}?.shown > 1 && {STATS}.drawn >= 4500")
+    return page
+
+
+def test_it_shows_the_avatar_and_asks_nobody_else(visit: Callable[..., Opened], host: str) -> None:
+    page = started(visit(host))
+    assert page.page.title() == "Robin <b>" and page.page.inner_text("#name") == "Robin <b>"
+    assert page.page.inner_text("#status") == ""
+    chips = page.page.locator("#motions button")
+    assert chips.all_inner_texts() == ["Stand", "Idle", "Walk", "Wave and turn"]
+    chips.nth(2).click()
+    assert chips.nth(2).get_attribute("aria-pressed") == "true"
+    before = page.stats()["shown"]
+    page.until(f"{STATS}.shown > {before + 2}")
+    assert all(request.startswith((host, "data:")) for request in page.requests)
+    chips.nth(0).click()
+    page.wait(1.0)
+    canvas = shot(page).astype(int)
+    assert (canvas.max(axis=2) > 90).mean() > 0.02  # somebody is there
+    page.page.locator("#canvas").focus()
+    for _ in range(6):
+        page.page.keyboard.press("ArrowLeft")
+    page.wait(1.0)
+    assert np.abs(shot(page).astype(int) - canvas).mean() > 0.5  # seen from another side
+
+
+def test_a_lost_context_comes_back(visit: Callable[..., Opened], host: str) -> None:
+    page = started(visit(host))
+    page.page.locator("#motions button").nth(0).click()
+    page.wait(1.0)
+    before = shot(page).astype(float)
+    page.js("""() => {
+      const gl = document.getElementById('canvas').getContext('webgl2');
+      window.lose = gl.getExtension('WEBGL_lose_context');
+      window.lose.loseContext();
+    }""")
+    page.until(f"{STATS}.lost === 1 && !{STATS}.ready")
+    shown = page.stats()["shown"]
+    page.wait(0.3)
+    page.js("window.lose.restoreContext()")
+    page.until(f"{STATS}.ready && {STATS}.shown > {shown + 1}")
+    page.wait(0.5)
+    assert np.abs(shot(page) - before).mean() < 0.2 and page.stats()["why"] == ""
+
+
+def shift(picture: NDArray[Any], expected: NDArray[Any]) -> NDArray[np.float64]:
+    """[2] pixels by which a picture is off where somebody opaque is seen: least squares over the picture's slopes."""
+    inside = cv2.erode((expected[..., 3] > 0.99).astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
+    assert inside.sum() > 3000
+    smooth = [cv2.GaussianBlur(image[..., :3].astype(np.float64), (0, 0), 1.0) for image in (picture, expected)]
+    dy, dx = np.gradient(smooth[1], axis=(0, 1))
+    slopes = np.stack([dx[inside].ravel(), dy[inside].ravel()], 1)
+    found: NDArray[np.float64] = np.linalg.lstsq(slopes, (smooth[1] - smooth[0])[inside].ravel(), rcond=None)[0]
+    return found
+
+
+def test_shift_measures() -> None:
+    rng = np.random.default_rng(0)
+    image = np.ones((200, 200, 4))
+    image[..., :3] = cv2.GaussianBlur(rng.uniform(size=(200, 200, 3)), (0, 0), 4.0)
+    moved = image.copy()
+    moved[..., :3] = cv2.warpAffine(image[..., :3], np.float64([[1, 0, 0.25], [0, 1, -0.1]]), (200, 200))
+    assert np.allclose(shift(moved, image), (0.25, -0.1), atol=0.03)
+
+
+def test_the_picture_is_of_the_pose_of_its_frame_while_the_head_turns(
+    visit: Callable[..., Opened], host: str, folder: Path
+) -> None:
+    """90 degrees a second at 72 Hz: 1.25 degrees a frame; a picture that is a frame old would be off by that."""
+    page = started(visit(host))
+    page.page.locator("#motions button").nth(0).click()
+    page.until("!document.querySelector('#enter-vr').disabled")
+    page.page.click("#enter-vr")
+    page.until(f"{STATS}.session === 'vr'")
+    avatar = decode_avatar((folder / "avatar.splats").read_bytes())
+    # one placed frame: 1.6 m ahead of where the head looks at first, turned to it
+    steer(page, head=pose([0, 1.5, 0]))
+    see(page)
+    stands, densities = similarity((0, 0, -1.6), (0, 0, 0, 1)), [level.density for level in avatar.levels]
+    worst = 0.0
+    for frame in range(9):
+        steer(page, head=pose([0.02 * frame, 1.5, 0], yaw=1.25 * (frame - 4), pitch=-8))
+        seen = see(page)
+        side = seen["left"].shape[0]
+        cameras = []
+        for matrix, projection in (seen["eyes"]["left"], seen["eyes"]["right"]):
+            fx, fy = projection[0, 0] * side / 2, projection[1, 1] * side / 2
+            K = np.array(
+                [[fx, 0, (1 - projection[0, 2]) * side / 2], [0, fy, (1 + projection[1, 2]) * side / 2], [0, 0, 1]]
+            )
+            cameras.append(Camera(np.diag([1.0, -1, -1, 1]) @ np.linalg.inv(matrix), K, side, side))
+        if frame % 4:
+            continue  # every frame is drawn; three are held against the truth
+        density = max(Proxy.of(avatar).density(camera, stands) for camera in cameras)
+        level = chosen(densities, density)
+        content = avatar if level == 0 else avatar.levels[level - 1].content
+        expected = truth(Scene([Item(replace(content, levels=()), pose=Pose.zero(), transform=stands)]), cameras)
+        for eye, name in enumerate(("left", "right")):
+            picture = seen[name].astype(np.float32) / 255
+            off = shift(picture, expected[eye])
+            worst = max(worst, float(np.degrees(np.hypot(*(off / (cameras[eye].K[0, 0], cameras[eye].K[1, 1]))))))
+            inside = expected[eye][..., 3] > 0.99
+            assert psnr(picture[inside][:, :3], expected[eye][inside][:, :3]) > 45
+    print(f"{worst:.5f} degrees")
+    assert worst <= 0.02
+
+
+@pytest.mark.parametrize(
+    ("damage", "words"),
+    [
+        ("HTMLCanvasElement.prototype.getContext = () => null;", "This browser has no WebGL 2"),
+        ("window.DecompressionStream = undefined;", "This browser cannot unpack avatars"),
+    ],
+)
+def test_what_a_browser_lacks_is_a_sentence(visit: Callable[..., Opened], host: str, damage: str, words: str) -> None:
+    page = visit(host, init=damage)
+    page.until("document.querySelector('#status').dataset.level === 'error'")
+    assert words in page.page.inner_text("#status")
+
+
+def test_a_file_that_is_missing_or_damaged_is_a_sentence(visit: Callable[..., Opened], host: str) -> None:
+    page = visit("about:blank")
+    page.allowed.append("404")
+    page.page.route("**/avatar.splats", lambda route: route.fulfill(body=b"GSAV\1\0\0\0" + bytes(100)))
+    page.page.goto(host)
+    page.until("document.querySelector('#status').dataset.level === 'error'")
+    assert "avatar" in page.page.inner_text("#status")
+    page.page.unroute("**/avatar.splats")
+    page.page.route("**/avatar.splats", lambda route: route.fulfill(status=404))
+    page.page.goto(host)
+    page.until("document.querySelector('#status').dataset.level === 'error'")
+    assert "The file avatar.splats is not there (404)" in page.page.inner_text("#status")
+
+
+def test_the_motion_that_plays_is_the_motion(folder: Path) -> None:
+    """What the page plays is the rig's own motion, to the digits that it keeps."""
+    import json
+
+    avatar = decode_avatar((folder / "avatar.splats").read_bytes())
+    about = json.loads((folder / "page.json").read_text())
+    assert [motion["label"] for motion in about["motions"]] == ["Idle", "Walk", "Wave and turn"]
+    baked = json.loads((folder / about["motions"][1]["file"]).read_text())
+    walk = load_motion("walk", avatar.skeleton)
+    assert baked["fps"] == walk.fps and len(baked["frames"]) == len(walk)
+    frame = baked["frames"][9]
+    assert np.allclose(frame["joints_pose"], walk.pose(9).rotations, atol=1e-5)
+    assert np.allclose(frame["trans"], walk.pose(9).trans, atol=1e-5)

@@ -1,0 +1,124 @@
+"""A body on the wire: what was put in comes out, within its steps; what was damaged is refused, quickly."""
+
+from __future__ import annotations
+
+import tracemalloc
+
+import numpy as np
+import pytest
+
+import glsplat
+from glsplat.errors import ProtocolError
+from glsplat.net.poses.body import pack_body, place_of, unpack_bodies, yours
+from glsplat.net.reply import pack_poses, pack_reply, parse_reply
+from glsplat.rotations import turn_between
+from glsplat.skinning.expression import ARKIT
+
+SHA = bytes(range(32))
+
+
+def someone(seed: int, joints: int = 55, stretched: bool = False, face: bool = True) -> glsplat.Pose:
+    """Angles up to two turns: half of the quaternions have a negative w."""
+    rng = np.random.default_rng(seed)
+    vectors = rng.normal(size=(joints, 3))
+    vectors *= (rng.uniform(0, 4 * np.pi, joints) / np.linalg.norm(vectors, axis=1))[:, None]
+    return glsplat.Pose(
+        vectors,
+        rng.normal(size=3),
+        rng.normal(0, 0.1, (joints, 3)) if stretched else None,
+        dict(zip(ARKIT, rng.uniform(0, 1, 52), strict=True)) if face else None,
+    )
+
+
+@pytest.mark.parametrize(("joints", "stretched", "face"), [(55, False, True), (1, True, False), (300, True, True)])
+def test_what_was_packed_comes_back(joints: int, stretched: bool, face: bool) -> None:
+    pose = someone(joints, joints, stretched, face)
+    place = glsplat.scene.similarity((1.5, -2, 3), (0.1, 0.7, -0.3, 0.5), 1.3)
+    packed = pack_body(pose, SHA, place, at=12345.678, t=None, key=7, frame_id=2**32 - 1, opacity=0.5)
+    (body,) = unpack_bodies(bytes((1,)) + packed)
+    assert np.degrees(np.linalg.norm(turn_between(pose.rotations, body.pose.rotations), axis=1)).max() < 0.006
+    assert np.allclose(body.pose.trans, pose.trans, atol=1e-6) and np.allclose(body.place, place, atol=1e-6)
+    assert (body.key, body.frame_id, body.at, body.t, body.you) == (7, 2**32 - 1, 12345.678, None, False)
+    assert body.sha256 == SHA.hex() and abs(body.opacity - 0.5) < 0.003
+    for name in ARKIT:
+        assert abs(pose.expression.get(name, 0) - body.pose.expression.get(name, 0)) <= 0.51 / 255
+    if stretched:
+        assert body.pose.translations is not None and pose.translations is not None
+        assert np.allclose(body.pose.translations, pose.translations, atol=1e-7)
+    mine = unpack_bodies(bytes((1,)) + yours(packed, True, 0.2))[0]
+    assert mine.you and abs(mine.opacity - 0.2) < 0.003 and yours(packed, False, 0.5) is packed
+
+
+def test_two_people_are_below_a_kilobyte_each_and_skipped_by_their_size() -> None:
+    packed = [pack_body(someone(i), SHA, np.eye(4), at=i, t=i / 3, key=i) for i in (1, 2)]
+    longer = [len(packed[0]) + 5, 0]
+    first = longer[0].to_bytes(2, "little") + packed[0][2:] + b"later"  # a version that appends
+    data = pack_poses(9, {"want": "pose"}, [first, packed[1]])
+    reply = parse_reply(data)
+    assert [body.key for body in reply.bodies] == [1, 2] and reply.nbytes == len(data) < 2000
+    assert reply.bodies[1].t == 2 / 3
+
+
+def test_a_reader_of_pictures_finds_none(monkeypatch: pytest.MonkeyPatch) -> None:
+    data = pack_poses(9, {"want": "pose", "t": 5}, [pack_body(someone(1), SHA, np.eye(4), at=0, t=None)])
+    assert data.startswith(pack_reply(9, (), (), {"want": "pose", "t": 5}))
+    reply = parse_reply(data)
+    assert reply.pictures == {} and reply.images() == [] and repr(reply) == "Reply(frame 9, 1 bodies)"
+
+
+def test_places_of_any_size_and_turn() -> None:
+    rng = np.random.default_rng(3)
+    for _ in range(50):
+        matrix = glsplat.scene.similarity(rng.normal(size=3), rng.normal(size=4), float(rng.uniform(0.1, 10)))
+        translation, rotation, scale = place_of(matrix)
+        assert np.allclose(glsplat.scene.similarity(translation, rotation, scale), matrix)
+
+
+def test_five_thousand_damaged_replies_are_read_or_refused_in_one_line() -> None:
+    rng = np.random.default_rng(11)
+    bodies = [pack_body(someone(i, 55, i == 2), SHA, np.eye(4), at=i, t=i) for i in (1, 2)]
+    whole = pack_poses(3, {"want": "pose", "room": {"people": []}}, bodies)
+    for size in range(0, len(whole), 3):
+        with pytest.raises(ProtocolError):
+            parse_reply(whole[:size])
+    read, early = 0, 0
+    for round_ in range(5000):
+        data = bytearray(whole)
+        for at in rng.integers(0, len(data), rng.integers(1, 6)):
+            data[at] = rng.integers(0, 256)
+        if round_ % 3 == 0:
+            data += rng.bytes(rng.integers(0, 9))
+        try:
+            parse_reply(bytes(data))
+            read += 1
+        except ProtocolError as error:
+            assert "\n" not in str(error) and len(str(error)) < 300
+        if round_ == 4400:
+            tracemalloc.start()
+        if round_ == 4700:
+            early = tracemalloc.get_traced_memory()[0]
+    grown = tracemalloc.get_traced_memory()[0] - early
+    tracemalloc.stop()
+    assert 500 < read < 4500 and grown < 20_000
+
+
+@pytest.mark.parametrize(
+    ("at", "value"),
+    [
+        (12, b"\x00\x00\x00\x00\x00\x00\xf0\x7f"),  # at: infinity
+        (64, b"\x00\x00\xc0\x7f"),  # place: NaN
+        (76, b"\x00\x00\x00\x00" * 4),  # no rotation
+        (92, b"\x00\x00\x00\x00"),  # scale 0
+        (92, b"\x00\x00\x80\xbf"),  # scale -1
+        (96, b"\xff\xff\x7f\x7f"),  # 3e38 m away
+        (108, bytes(8)),  # a joint without a rotation
+        (30, b"\xff\xff"),  # joints
+        (30, b"\x00\x00"),
+        (0, b"\x10\x00"),
+    ],
+)
+def test_what_is_no_body_is_refused(at: int, value: bytes) -> None:
+    packed = bytearray(pack_body(someone(1), SHA, np.eye(4), at=1, t=1))
+    packed[at : at + len(value)] = value
+    with pytest.raises(ProtocolError):
+        unpack_bodies(bytes((1,)) + bytes(packed))

@@ -1,0 +1,254 @@
+"""Poses over the WebSocket, beside a renderer made of numpy: what is said, to whom, and in which order."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import time
+from typing import Any
+
+import aiohttp
+import numpy as np
+import pytest
+
+from glsplat.errors import ProtocolError
+from glsplat.formats.web.read import decode_avatar
+from glsplat.net.client import Client, request_message
+from glsplat.net.reply import parse_reply
+from glsplat.net.server import Server
+from glsplat.rotations import turn_between
+from tests.net.conftest import FakeBackend, Serve, eyes
+from tests.net.poses.conftest import OFFERS, config, head
+from tests.net.wire import HANG, UNLIMITED, until
+
+POSE = {"root_pose": [0, 0.4, 0], "trans": [0.5, 0, -1], "expression": {"jawOpen": 0.25, "mine": 1}}
+
+
+def http(server: Server) -> str:
+    return server.url.replace("ws://", "http://").removesuffix("/ws")
+
+
+def alone(server: Server, avatar: str = "ann", **options: Any) -> Client:
+    return Client(f"{server.url}?avatar={avatar}", timeout=HANG, **options)
+
+
+def member(server: Server, name: str, avatar: str = "ann") -> Client:
+    return Client(f"{server.url}?room=lab&name={name}&avatar={avatar}", timeout=HANG)
+
+
+def test_a_pose_comes_back_as_it_was_sent_and_nothing_is_drawn(serve: Serve) -> None:
+    async def talk() -> None:
+        backend = FakeBackend()
+        async with serve(backend, config("ann"), offered=OFFERS) as server, alone(server) as client:
+            reply = await client.poses(pose=POSE)
+            (body,) = reply.bodies
+            assert body.you and body.key == 0 and body.frame_id == reply.frame_id and body.opacity == 1
+            assert np.allclose(body.pose.trans, (0.5, 0, -1)) and np.allclose(body.place, np.eye(4))
+            turned = np.zeros((55, 3))
+            turned[0, 1] = 0.4
+            assert np.abs(turn_between(turned, body.pose.rotations)).max() < 1e-4
+            assert dict(body.pose.expression) == {"jawOpen": 64 / 255}  # as near as a byte comes; "mine" is not ARKit's
+            assert reply.nbytes < 1000 and not reply.pictures and reply.info["want"] == "pose"
+            solved = await client.poses(tracking=head(0.75))
+            (body,) = solved.bodies
+            assert body.pose.trans[0] == 0.75 and solved.info["tracking"] == ["left_lost"]
+            assert np.allclose(body.place, np.diag([1.25, 1.25, 1.25, 1]) + np.eye(4, k=2) * [[0], [0.5], [0], [0]])
+            assert set(solved.info["times"]) == {"ik", "wait", "total"}
+            assert not (await client.poses()).bodies[0].pose.rotations.any()  # the rest pose
+            assert not backend.drawn
+            assert server.stats()["totals"]["posed"] == 3
+
+    asyncio.run(talk())
+
+
+def test_the_file_is_fetched_by_its_hash_and_kept(serve: Serve) -> None:
+    async def talk() -> None:
+        async with serve(FakeBackend(), config("ann"), offered=OFFERS) as server:
+            async with aiohttp.ClientSession() as web, alone(server) as client:
+                async with web.get(f"{http(server)}/session") as answer:
+                    avatars = {one["name"]: one["hand_out"] for one in (await answer.json())["avatars"]}
+                assert avatars["bob"] is None and avatars["scenery"] is None
+                found = avatars["ann"]
+                async with web.get(f"{http(server)}/{found['url']}") as answer:
+                    data = await answer.read()
+                    assert answer.status == 200 and len(data) == found["bytes"] == found["first"]
+                    assert {"immutable", "private"} <= {*answer.headers["Cache-Control"].split(", ")}
+                    etag = answer.headers["ETag"]
+                assert len(decode_avatar(data).splats) == 40
+                async with web.get(f"{http(server)}/{found['url']}", headers={"If-None-Match": etag}) as answer:
+                    assert answer.status == 304
+                (body,) = (await client.poses()).bodies
+                assert body.sha256 == found["sha256"]
+                for path in ("0" * 64, found["sha256"][:-1], found["sha256"].upper(), "..%2f..%2fsession"):
+                    async with web.get(f"{http(server)}/splats/{path}") as answer:
+                        assert answer.status == 404 and (await answer.text()).count("\n") == 1, path
+
+    asyncio.run(talk())
+
+
+def test_who_is_not_handed_out_is_drawn_here(serve: Serve) -> None:
+    """Neither file nor pose, also once the right ends under a client that had it; pictures go on."""
+
+    async def talk() -> None:
+        settings = config("ann")
+        assert settings.consent is not None
+        async with serve(FakeBackend(), settings, offered=OFFERS) as server, aiohttp.ClientSession() as web:
+            for name in ("bob", "scenery"):
+                async with alone(server, name) as client:
+                    for _ in range(30):  # it is no malformed message
+                        with pytest.raises(ProtocolError) as error:
+                            await client.poses()
+                        assert error.value.code == "no_pose" and "\n" not in str(error.value)
+                    assert (await client.render(eyes())).pictures
+            async with alone(server) as client:
+                digest = (await client.poses()).bodies[0].sha256
+                settings.consent.add("ann", settings.consent._people["bob"])
+                with pytest.raises(ProtocolError, match="no consent on file"):
+                    await client.poses()
+                async with web.get(f"{http(server)}/splats/{digest}") as answer:
+                    assert answer.status == 403 and "no consent on file" in await answer.text()
+                assert (await client.render(eyes())).pictures
+
+    asyncio.run(talk())
+
+
+def test_a_server_that_asks_nobody_for_consent_hands_out_nothing(serve: Serve) -> None:
+    async def talk() -> None:
+        async with serve(FakeBackend(), offered=OFFERS) as server, alone(server) as client:
+            with pytest.raises(ProtocolError, match="hands out no splats"):
+                await client.poses()
+            assert all(one["hand_out"] is None for one in server.offer()["avatars"])
+
+    asyncio.run(talk())
+
+
+def test_in_a_room_each_is_told_what_is_news_to_them(serve: Serve) -> None:
+    async def talk() -> None:
+        async with serve(FakeBackend(), config("ann"), offered=OFFERS) as server:
+            async with member(server, "Ann") as ann, member(server, "Cat") as cat, member(server, "Bob", "bob") as bob:
+                first = await ann.poses(tracking=head(0.1, expression={"cheekPuff": 1}))
+                room = first.info["room"]
+                assert [(one["name"], one["you"], one["sha256"] is None) for one in room["people"]] == [
+                    ("Ann", True, False),
+                    ("Cat", False, False),
+                    ("Bob", False, True),
+                ]
+                assert room["people"][1]["label"] == "driven by Cat, synthetic" and len(room["place"]) == 7
+                assert [body.you for body in first.bodies] == [True]  # of the others nothing has come
+                await bob.render(eyes(), tracking=head(0.2))  # who is drawn by the server, and draws nobody
+                await cat.poses(tracking=head(0.3))
+                second = await ann.poses(tracking=head(0.4))
+                assert "room" not in second.info
+                keys = {one["name"]: one["key"] for one in room["people"]}
+                stands = {body.key: body for body in second.bodies}
+                assert set(stands) == {keys["Ann"], keys["Cat"]}
+                seen = stands[keys["Cat"]]
+                assert not seen.you and abs(seen.pose.trans[0] - 0.3) < 1e-6
+                assert abs(stands[keys["Ann"]].pose.trans[0] - 0.4) < 1e-6
+                seat = server._channels[2].member.person.transform()  # type: ignore[union-attr]
+                assert np.allclose(seen.place, seat, atol=1e-6)
+                (own,) = (await ann.poses(tracking=head(0.5))).bodies  # nobody else has moved
+                assert own.you
+                picture = await bob.render(eyes(), tracking=head(0.6))  # sees those who draw themselves
+                assert [one["name"] for one in picture.info["room"]["people"]] == ["Ann", "Cat", "Bob"]
+
+    asyncio.run(talk())
+
+
+def test_who_leaves_is_gone_and_who_is_silent_fades(serve: Serve) -> None:
+    async def talk() -> None:
+        async with serve(FakeBackend(), config("ann"), offered=OFFERS) as server, member(server, "Ann") as ann:
+            async with member(server, "Cat") as cat:
+                await cat.poses(tracking=head(0.3))
+                assert len((await ann.poses(tracking=head())).info["room"]["people"]) == 2
+                person = server._channels[2].member.person  # type: ignore[union-attr]
+                person._heard -= 2.25
+                bodies = {body.you: body for body in (await ann.poses(tracking=head())).bodies}
+                assert 0.3 < bodies[False].opacity < 0.6
+            await until(lambda: len(server._channels) == 1)
+            reply = await ann.poses(tracking=head())
+            assert [one["name"] for one in reply.info["room"]["people"]] == ["Ann"]
+            assert [body.you for body in reply.bodies] == [True]
+
+    asyncio.run(talk())
+
+
+def test_a_hundred_switches_keep_their_order(serve: Serve) -> None:
+    """Answers come in the order of their requests, whatever each asked for, and every picture is a picture."""
+
+    async def talk() -> None:
+        rng = np.random.default_rng(9)
+        async with serve(FakeBackend(delay=0.004), config("ann", limits=UNLIMITED), offered=OFFERS) as server:
+            async with aiohttp.ClientSession() as web:
+                ws = await web.ws_connect(f"{server.url}?avatar=ann&window=3")
+                asked: dict[int, bool] = {}
+                got: list[int] = []
+
+                async def read() -> None:
+                    async for message in ws:
+                        assert message.type == aiohttp.WSMsgType.BINARY, message.data
+                        reply = parse_reply(message.data)
+                        assert bool(reply.bodies) == asked[reply.frame_id] != bool(reply.pictures)
+                        got.append(reply.frame_id)
+
+                reader = asyncio.create_task(read())
+                for number in range(1, 301):
+                    asked[number] = bool(rng.integers(2))
+                    kind = {"tracking": head(), "t": number * 10.0} if rng.integers(2) else {"pose": POSE}
+                    message = request_message(number, eyes(32), want="pose" if asked[number] else None, **kind)
+                    await ws.send_str(json.dumps(message | {"ack": got[-1] if got else 0}))
+                    await asyncio.sleep(0.002)
+                async with asyncio.timeout(HANG):
+                    while not got or got[-1] != 300:
+                        await ws.send_str(json.dumps({"v": 1, "ack": got[-1] if got else 0}))
+                        await asyncio.sleep(0.02)
+                reader.cancel()
+                assert got == sorted(set(got)) and sum(asked[n] for n in got) > 20 < sum(not asked[n] for n in got)
+                await ws.close()
+
+    asyncio.run(talk())
+
+
+def test_a_busy_renderer_holds_no_pose_back(serve: Serve) -> None:
+    async def talk() -> None:
+        backend = FakeBackend()
+        async with serve(backend, config("ann"), offered=OFFERS) as server, alone(server) as one, alone(server) as two:
+            backend.gate.clear()
+            waiting = asyncio.create_task(two.render(eyes()))
+            await until(lambda: backend.drawn)
+            start = time.perf_counter()
+            for x in range(20):
+                (body,) = (await one.poses(tracking=head(x))).bodies
+                assert body.pose.trans[0] == x
+            assert time.perf_counter() - start < HANG and not waiting.done()
+            backend.gate.set()
+            assert (await waiting).pictures
+
+    asyncio.run(talk())
+
+
+@pytest.mark.parametrize(
+    ("message", "code"),
+    [
+        ({"frame_id": 1, "want": "film"}, "bad_request"),
+        ({"frame_id": 1, "want": 7}, "bad_field"),
+        ({"frame_id": 1, "want": ["pose"]}, "bad_field"),
+        ({"ack": 0, "want": "pose"}, "bad_request"),
+        ({"frame_id": 1, "want": "pose", "pose": {"body_pose": [1]}}, "bad_pose"),
+        ({"frame_id": 1, "want": "pose", "pose": POSE, "tracking": {}}, "bad_request"),
+        ({"frame_id": 1, "want": "pose", "tracking": {"head": [1, 2]}}, "bad_request"),
+        ({"frame_id": 1, "want": "pose", "tracking": {"left_curl": 1}}, "bad_pose"),
+    ],
+)
+def test_what_is_wrong_is_said_and_costs_that_message(serve: Serve, message: dict[str, Any], code: str) -> None:
+    async def talk() -> None:
+        async with serve(FakeBackend(), config("ann"), offered=OFFERS) as server, aiohttp.ClientSession() as web:
+            ws = await web.ws_connect(f"{server.url}?avatar=ann")
+            await ws.send_str(json.dumps({"v": 1, **message}))
+            said = json.loads((await ws.receive(timeout=HANG)).data)["error"]
+            assert said["code"] == code and "\n" not in said["message"]
+            await ws.send_str(json.dumps({"v": 1, "frame_id": 9, "want": "pose"}))
+            assert len(parse_reply((await ws.receive(timeout=HANG)).data).bodies) == 1
+            await ws.close()
+
+    asyncio.run(talk())
