@@ -1,6 +1,7 @@
 """Draws the floors of the house from its imports: docs/images/floors.svg, which docs/architecture.md shows.
 
     python -m tests.house
+    python -m tests.house --alone    # lines of the modules that drawing, previewing and serving load, by room
 
 A room is a folder or a module right in glsplat/, and the commands. It stands one floor above the highest room that it
 imports anything from, also within functions; rooms that import each other stand on one floor, in one frame.
@@ -8,10 +9,15 @@ imports anything from, also within functions; rooms that import each other stand
 
 from __future__ import annotations
 
+import subprocess
+import sys
+import tempfile
+from collections import Counter
 from functools import cache
 from html import escape
 from pathlib import Path
 
+from tests.test_alone import COMMAND, REFUSING, SERVER, VIEWER
 from tests.test_layers import FILES, ROOT, imports_of
 
 __all__ = ["PICTURE", "drawn", "floors"]
@@ -98,5 +104,25 @@ def drawn() -> str:
     return "\n".join([*parts, "</svg>", ""])
 
 
+def alone() -> Counter[str]:
+    """Lines of Python of the modules that the programs of test_alone.py load, by room; the commands aside."""
+    loaded: set[str] = set()
+    say = "\nprint('loaded', *(name for name in sys.modules if name.partition('.')[0] == 'glsplat'))"
+    with tempfile.TemporaryDirectory() as folder:
+        for program in (COMMAND, VIEWER, SERVER):
+            command = [sys.executable, "-c", f"import sys\n{REFUSING}{program}{say}", f"{folder}/pair.png"]
+            done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
+            loaded.update(done.stdout.rpartition("loaded ")[2].split())
+    lines: Counter[str] = Counter()
+    for module in loaded & set(FILES):
+        lines[_room(module)] += len(FILES[module].read_text(encoding="utf-8").splitlines())
+    return lines
+
+
 if __name__ == "__main__":
+    if sys.argv[1:] == ["--alone"]:
+        lines = alone()
+        print("\n".join(f"{count:6,} {room}" for room, count in lines.most_common()))
+        print(f"{lines.total():6,} in all")
+        raise SystemExit
     Path(PICTURE).write_text(drawn(), encoding="utf-8")

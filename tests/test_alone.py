@@ -1,7 +1,4 @@
-"""The core is run without what stands around it: drawing, the command ``render``, the preview's viewer, a golden.
-
-What a server needs is not among it: ``net`` still imports rooms, accounts, uploads, workers and consent at its top.
-"""
+"""The core is run without what stands around it: ``render``, the preview's viewer, a golden, a server and a client."""
 
 from __future__ import annotations
 
@@ -67,13 +64,33 @@ context.release()
 """
 
 
+SERVER = """
+import asyncio
+import glsplat
+from glsplat.camera import head_matrix
+from glsplat.net import Client, ServerConfig, make_server
+
+async def main():
+    server = make_server(glsplat.default_avatar(), ServerConfig(port=0), own_process=False)
+    await server.start()
+    try:
+        async with Client(server.url) as client:
+            eyes = glsplat.stereo_cameras(head_matrix([0, 1.6, 0], [0, 0, 0, 1]), size=(64, 64))
+            reply = await client.render(eyes, tracking={"head": [0, 1.7, -2, 0, 0, 0, 1]})
+            assert all(image.any() for image in reply.images())
+    finally:
+        await server.stop()
+asyncio.run(main())
+"""
+
+
 def alone(program: str, *arguments: str) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, "-c", REFUSING + program, *arguments]
     return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=200, check=False)
 
 
 @pytest.mark.gl
-@pytest.mark.parametrize("program", [COMMAND, GOLDEN, VIEWER], ids=["render", "golden", "preview"])
+@pytest.mark.parametrize("program", [COMMAND, GOLDEN, VIEWER, SERVER], ids=["render", "golden", "preview", "serve"])
 def test_the_core_runs_alone(program: str, tmp_path: Path) -> None:
     picture = tmp_path / "pair.png"
     done = alone(program, str(picture))

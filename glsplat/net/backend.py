@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,10 +12,12 @@ from numpy.typing import NDArray
 from glsplat.camera import Camera
 from glsplat.formats.web.write import WebFile
 from glsplat.net.messages import DEFAULT, PictureOptions, Request
-from glsplat.net.rooms.view import RoomView
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.skeleton import Skeleton
-from glsplat.watermark.mark import Watermark
+
+if TYPE_CHECKING:
+    from glsplat.net.rooms.view import RoomView
+    from glsplat.watermark.mark import Watermark
 
 __all__ = ["AvatarInfo", "Backend", "Interruptible", "Placing", "PoseSolver", "RenderJob", "Rendered", "Solved"]
 
@@ -56,6 +58,7 @@ class Rendered:
     """Where the one avatar is, if the job asks for it: x, y, z lowest, then highest, metres in the cameras' world."""
 
 
+@runtime_checkable
 class Backend(Protocol):
     """A renderer. The server calls all three on one thread of its own, ``open`` first and ``close`` last."""
 

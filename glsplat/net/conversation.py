@@ -7,7 +7,7 @@ import contextlib
 import logging
 import time
 from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from aiohttp import WSMsgType, web
 
@@ -20,7 +20,9 @@ from glsplat.net.pace.client_stream import ClientStream
 from glsplat.net.poses.answers import Answers
 from glsplat.net.render_loop import RenderLoop
 from glsplat.net.session import Close, Warn
-from glsplat.net.workers.pool import WorkerPool
+
+if TYPE_CHECKING:
+    from glsplat.net.workers.pool import WorkerPool
 
 __all__ = ["Conversation", "cut_off"]
 

@@ -6,16 +6,18 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import inf, radians
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.errors import ProtocolError
-from glsplat.net.accounts.rights import Rights
-from glsplat.net.accounts.users import User
 from glsplat.net.messages import WireOptions
-from glsplat.net.rooms.seats import place_at
+from glsplat.net.rights import Rights
 from glsplat.net.session import SessionConfig
+
+if TYPE_CHECKING:
+    from glsplat.net.accounts.users import User
 
 __all__ = ["MAX_WINDOW", "NAME", "NOT_ALLOWED", "RequestedOptions", "client_options"]
 
@@ -115,6 +117,8 @@ def _place(given: str | None) -> NDArray[np.float64] | None:
         x = z = degrees = inf
     if not (max(abs(x), abs(z)) <= _FARTHEST and abs(degrees) <= 360):
         raise ProtocolError(f"at needs x,z,degrees: metres up to {_FARTHEST:g} and an angle up to 360")
+    from glsplat.net.rooms.seats import place_at  # here: most clients meet nobody
+
     return place_at(x, z, radians(degrees))
 
 

@@ -13,6 +13,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Awaitable, Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
+from typing import TYPE_CHECKING
 
 from glsplat.errors import BudgetError, ContextError, ContextLostError, GlsplatError, PoseError
 from glsplat.net.backend import AvatarInfo, PoseSolver, Rendered, RenderJob
@@ -25,8 +26,10 @@ from glsplat.net.pace.fair_queue import FairQueue
 from glsplat.net.pace.stages import StageTimes
 from glsplat.net.pose_queue import PoseQueue
 from glsplat.net.reply import pack_reply, pack_single
-from glsplat.net.rooms.member import Member
 from glsplat.net.session import Session
+
+if TYPE_CHECKING:
+    from glsplat.net.rooms.member import Member
 
 __all__ = ["ClientStream", "RenderLoop"]
 

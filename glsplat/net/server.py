@@ -13,17 +13,15 @@ import signal
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from aiohttp import web
 
-from glsplat.consent.policy import ConsentPolicy
 from glsplat.errors import ProtocolError
-from glsplat.net.accounts.rights import user_of
-from glsplat.net.accounts.users import User
 from glsplat.net.backend import AvatarInfo, Backend
+from glsplat.net.backends.labels import driven_by
 from glsplat.net.conversation import Conversation, cut_off
 from glsplat.net.guard.access import SUBPROTOCOL, Access, server_tls
 from glsplat.net.guard.gate import Gate, connection_of
@@ -38,10 +36,15 @@ from glsplat.net.pages.catalogue import Catalogue
 from glsplat.net.pages.routes import Pages
 from glsplat.net.poses.answers import Answers
 from glsplat.net.poses.handed import HandedOut
-from glsplat.net.rooms.rooms import Rooms, driven_by
+from glsplat.net.rights import user_of
 from glsplat.net.session import GOING_AWAY, Counts, Session, SessionConfig
-from glsplat.net.uploads.routes import Uploads
-from glsplat.net.workers.pool import WorkerPool
+
+if TYPE_CHECKING:
+    from glsplat.consent.policy import ConsentPolicy
+    from glsplat.net.accounts.users import User
+    from glsplat.net.rooms.rooms import Rooms
+    from glsplat.net.uploads.routes import Uploads
+    from glsplat.net.workers.pool import WorkerPool
 
 __all__ = ["Server", "ServerConfig"]
 
@@ -86,7 +89,7 @@ class Server:
         uploads: Uploads | None = None,
     ) -> None:
         self.config: ServerConfig = config or ServerConfig()
-        self.render_loop = backend if isinstance(backend, WorkerPool) else LocalLoop(backend, clock, self.config.fps)
+        self.render_loop = LocalLoop(backend, clock, self.config.fps) if isinstance(backend, Backend) else backend
         self.port: int = self.config.port
         limits = self.config.limits
         if uploads is not None:
@@ -95,7 +98,6 @@ class Server:
         self._work = CpuBudget(limits.work, clock())
         self._offers = Catalogue(offered)
         self._uploads = uploads
-        self._rooms = Rooms(self.config.rooms)
         self._handed = HandedOut(self._offers, self.gate.rights, self._worn)
         self._answers = Answers(self._handed.sha256, self._handed.why, clock)
         self._channels: dict[int, ClientStream] = {}
@@ -106,6 +108,12 @@ class Server:
         self._draining = False
         self._started = clock()
         self._runner: web.AppRunner | None = None
+
+    @cached_property
+    def _rooms(self) -> Rooms:
+        from glsplat.net.rooms.rooms import Rooms  # here: most servers have none
+
+        return Rooms(self.config.rooms)
 
     @property
     def url(self) -> str:
@@ -175,7 +183,7 @@ class Server:
         for number in (signal.SIGINT, signal.SIGTERM):
             with contextlib.suppress(NotImplementedError, ValueError):  # not on Windows, not off the main thread
                 loop.add_signal_handler(number, on_signal)
-        if isinstance(self.render_loop, WorkerPool) and hasattr(signal, "SIGHUP"):
+        if not isinstance(self.render_loop, LocalLoop) and hasattr(signal, "SIGHUP"):
             loop.add_signal_handler(signal.SIGHUP, self.render_loop.restart)
         await self.start()
         try:
@@ -207,11 +215,11 @@ class Server:
             "token": self.config.access.guarded,
             **self.gate.status(),
             "rebuilds": self.render_loop.rebuilds,
-            "workers": self.render_loop.workers() if isinstance(self.render_loop, WorkerPool) else None,
+            "workers": None if isinstance(self.render_loop, LocalLoop) else self.render_loop.workers(),
             "uploads": None if self._uploads is None else self._uploads.counts(),
             "totals": totals,
             "stages": self.render_loop.stages.summary(),
-            "rooms": self._rooms.status(clock()),
+            "rooms": self._rooms.status(clock()) if self.config.rooms else [],
             "clients": clients,
         }
 
@@ -220,7 +228,7 @@ class Server:
         most, wire = self.config.max_clients, self.config.wire
         return {
             "avatars": self._offers.fields(self.gate.rights.drivable(user, self._offers.names), self._handed.fields),
-            "rooms": self._rooms.offer(clock(), self.gate.rights.enterable(user, self._rooms.names)),
+            "rooms": self._rooms.offer(clock(), self._enterable(user)) if self.config.rooms else [],
             "upload": None if self._uploads is None else self._uploads.offer(),
             "max_side": wire.max_side,
             "size": wire.size,
@@ -286,7 +294,9 @@ class Server:
         number, address = self._numbers, connection_of(request).key
         notice = partial(rights.label, user, asked.avatar)
         owner = f"account {user.name}" if user is not None else address
-        member = self._rooms.join(asked, one, number, owner, clock(), lambda: self._replace(number), notice())
+        member = None
+        if asked.room is not None:
+            member = self._rooms.join(asked, one, number, owner, clock(), lambda: self._replace(number), notice())
         session = Session(Decoder(asked.wire, one.skeleton, one.parts), asked.session, clock())
         session.refusal = partial(rights.refusal, user, asked.avatar)
         channel = self.render_loop.open(number, session, solver, address, one, member)
@@ -309,7 +319,10 @@ class Server:
 
     def _worn(self, user: User | None) -> set[str]:
         """By those whom an account may meet."""
-        return self._rooms.worn(self.gate.rights.enterable(user, self._rooms.names))
+        return self._rooms.worn(self._enterable(user)) if self.config.rooms else set()
+
+    def _enterable(self, user: User | None) -> tuple[str, ...]:
+        return self.gate.rights.enterable(user, self._rooms.names)
 
     def _replace(self, number: int) -> None:
         """The person of that client has come back on another connection."""

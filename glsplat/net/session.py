@@ -10,13 +10,15 @@ import logging
 from collections import deque
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from glsplat.errors import ProtocolError
 from glsplat.net.guard.limits import Bucket
 from glsplat.net.guard.meter import POLICY_VIOLATION, Breach
 from glsplat.net.messages import MAX_ID, Ack, Decoder, Request, error_text
-from glsplat.watermark.mark import Watermark, WatermarkKey
+
+if TYPE_CHECKING:
+    from glsplat.watermark.mark import Watermark, WatermarkKey
 
 __all__ = ["Close", "Counts", "Session", "SessionConfig", "Warn"]
 

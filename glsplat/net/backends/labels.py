@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from glsplat.camera import Camera
 
-__all__ = ["HEIGHT", "Label", "notice"]
+__all__ = ["HEIGHT", "Label", "driven_by", "notice"]
 
 HEIGHT = 0.045
 """Metres from the lower to the upper edge of a label at least."""
@@ -31,6 +31,11 @@ class Label:
     place: NDArray[np.float64]
     height: float = HEIGHT
     opacity: float = 1.0
+
+
+def driven_by(name: str, notice: str = "") -> str:
+    """What stands over the head of a person who is not there in the flesh, and what else has to be said of them."""
+    return ", ".join([f"driven by {name or 'somebody'}", "synthetic", *([notice] if notice else [])])
 
 
 def notice(text: str, cameras: Sequence[Camera]) -> Label:

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,10 +17,12 @@ from glsplat.detail.selector import Selector
 from glsplat.errors import PoseError
 from glsplat.net.backend import RenderJob
 from glsplat.net.backends.labels import Label
-from glsplat.net.rooms.view import RoomView, VisiblePerson
 from glsplat.renderer import Renderer
 from glsplat.scene import Item, Rigged, Scene
 from glsplat.scenes.scene_file import SceneFile
+
+if TYPE_CHECKING:
+    from glsplat.net.rooms.view import RoomView, VisiblePerson
 
 __all__ = ["RoomRenderer", "label_place"]
 

@@ -7,11 +7,10 @@ import time
 from collections.abc import Collection, Mapping
 from dataclasses import replace
 from functools import partial
+from typing import TYPE_CHECKING
 
 from glsplat.avatar import Avatar
 from glsplat.config import RenderConfig
-from glsplat.consent.file import on_file
-from glsplat.consent.policy import ConsentPolicy
 from glsplat.errors import GlsplatError
 from glsplat.formats.web.write import web_file
 from glsplat.net.backend import AvatarInfo, Backend
@@ -21,17 +20,19 @@ from glsplat.net.backends.process import ProcessBackend
 from glsplat.net.backends.tracking import TrackingSolver
 from glsplat.net.messages import PARTS
 from glsplat.net.server import Server, ServerConfig
-from glsplat.net.uploads.job import UploadConfig
-from glsplat.net.uploads.routes import Uploads
-from glsplat.net.uploads.upload_store import SUFFIX
-from glsplat.net.workers.options import Workers
-from glsplat.net.workers.pool import WorkerPool
 from glsplat.scene import Rigged, SceneLike, is_rigged
 from glsplat.scenes.scene_file import SceneFile
 from glsplat.skinning.rigs.driven import why_not_driven, why_not_tracked
 from glsplat.tracking.calibration import EYES_OF_STATURE, Calibration
 from glsplat.tracking.solve.body import Body
 from glsplat.tracking.solvers import SOLVERS, SolverName
+
+if TYPE_CHECKING:  # a plain server runs without these rooms: tests/test_alone.py
+    from glsplat.consent.policy import ConsentPolicy
+    from glsplat.net.uploads.job import UploadConfig
+    from glsplat.net.uploads.routes import Uploads
+    from glsplat.net.workers.options import Workers
+    from glsplat.net.workers.pool import WorkerPool
 
 __all__ = ["SEATS", "make_server", "offered"]
 
@@ -131,6 +132,7 @@ def _uploads(
     idle: bool,
 ) -> tuple[Uploads, list[AvatarInfo]]:
     """What makes avatars, and what is offered of its folder; GlsplatError where a name there is ``taken``."""
+    from glsplat.net.uploads.routes import Uploads
 
     def describe(one: str, avatar: Rigged) -> AvatarInfo:
         _checked({one: avatar}, "", rendering)
@@ -147,6 +149,9 @@ def _uploads(
 
 def _agreed(name: str, config: UploadConfig, consent: ConsentPolicy | None) -> bool:
     """Whether an avatar of the folder may be offered; what may not is said."""
+    from glsplat.consent.file import on_file
+    from glsplat.net.uploads.upload_store import SUFFIX
+
     if consent is not None:
         path = config.folder / f"{name}{SUFFIX}"
         consent.add(name, [on_file(path)])

@@ -15,10 +15,13 @@ import ssl
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING
 from urllib.parse import urlsplit
 
 from glsplat.errors import GlsplatError
-from glsplat.net.accounts.users import Accounts
+
+if TYPE_CHECKING:
+    from glsplat.net.accounts.users import Accounts
 
 __all__ = ["SUBPROTOCOL", "Access", "certificate_names", "is_loopback", "read_token", "server_tls"]
 

@@ -10,12 +10,10 @@ import ssl
 from collections.abc import Awaitable, Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from aiohttp import web
 
-from glsplat.consent.policy import ConsentPolicy
-from glsplat.net.accounts.rights import USER, Rights
-from glsplat.net.accounts.users import Accounts
 from glsplat.net.guard.access import SUBPROTOCOL, Access, certificate_names, is_loopback
 from glsplat.net.guard.addresses import Addresses
 from glsplat.net.guard.connection import GuardedConnection
@@ -24,6 +22,11 @@ from glsplat.net.guard.listener import Listener
 from glsplat.net.guard.machine import machine_names
 from glsplat.net.guard.meter import FrameMeter
 from glsplat.net.guard.notices import Notices
+from glsplat.net.rights import USER, Rights
+
+if TYPE_CHECKING:
+    from glsplat.consent.policy import ConsentPolicy
+    from glsplat.net.accounts.users import Accounts
 
 __all__ = ["Gate", "connection_of"]
 

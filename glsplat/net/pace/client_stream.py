@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Awaitable, Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from glsplat.camera import Camera
 from glsplat.net.backend import AvatarInfo, RenderJob
@@ -15,9 +15,10 @@ from glsplat.net.messages import Request, eye_fields
 from glsplat.net.pace.adaptive_quality import FULL, Detail
 from glsplat.net.pose_queue import PoseQueue, SolutionFuture
 from glsplat.net.poses.told import Poses, Told
-from glsplat.net.rooms.member import Member
-from glsplat.net.rooms.view import room_fields
 from glsplat.net.session import Session
+
+if TYPE_CHECKING:
+    from glsplat.net.rooms.member import Member
 
 __all__ = ["ANYTHING", "ClientStream", "Frame"]
 
@@ -77,7 +78,7 @@ class Frame:
         if request.options.alpha == "straight":
             info["alpha"] = "straight"
         if self.job is not None and self.job.room is not None:
-            info["room"] = room_fields(self.job.room)
+            info["room"] = self.job.room.fields()
         return info
 
 

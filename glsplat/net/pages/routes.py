@@ -5,22 +5,24 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from functools import cache
 from importlib import resources
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from aiohttp import web
 
 from glsplat.motion.motion import embedded_motions
-from glsplat.net.accounts.rights import user_of
-from glsplat.net.accounts.users import User
 from glsplat.net.pages.qr import QrCodes
 from glsplat.net.pages.site import File, Site
 from glsplat.net.pages.status import metrics_text, page_html
+from glsplat.net.rights import user_of
 from glsplat.shaders.web import programs_json
+
+if TYPE_CHECKING:
+    from glsplat.net.accounts.users import User
 
 __all__ = ["Pages"]
 
 Numbers = Callable[[], Mapping[str, Any]]
-Offer = Callable[[User | None], Mapping[str, Any]]
+Offer: TypeAlias = "Callable[[User | None], Mapping[str, Any]]"
 
 _RECORDING = "recording.jsonl"
 

@@ -7,14 +7,16 @@ import logging
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from hashlib import sha256
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from aiohttp import web
 
 from glsplat.errors import GlsplatError
-from glsplat.net.accounts.rights import Rights, user_of
-from glsplat.net.accounts.users import User
 from glsplat.net.pages.catalogue import Catalogue
+from glsplat.net.rights import Rights, user_of
+
+if TYPE_CHECKING:
+    from glsplat.net.accounts.users import User
 
 __all__ = ["HandedOut"]
 

@@ -6,17 +6,13 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from glsplat.net.backend import AvatarInfo
+from glsplat.net.backends.labels import driven_by
 from glsplat.net.options import RequestedOptions
 from glsplat.net.rooms.member import Member
 from glsplat.net.rooms.room import Room, RoomError
 from glsplat.skinning.pose import Pose
 
-__all__ = ["Rooms", "driven_by"]
-
-
-def driven_by(name: str, notice: str = "") -> str:
-    """What stands over the head of a person who is not there in the flesh, and what else has to be said of them."""
-    return ", ".join([f"driven by {name or 'somebody'}", "synthetic", *([notice] if notice else [])])
+__all__ = ["Rooms"]
 
 
 class Rooms:
@@ -39,14 +35,12 @@ class Rooms:
         now: float,
         leave: Callable[[], None],
         notice: str = "",
-    ) -> Member | None:
-        """The person of client ``number`` in the room it asks for; None if it asks for none. Raises RoomError.
+    ) -> Member:
+        """The person of client ``number`` in the room that it asks for. Raises RoomError.
 
         ``notice`` is said of them over their head.
         """
-        if asked.room is None:
-            return None
-        room = self._rooms.get(asked.room)
+        room = self._rooms.get(asked.room or "")
         if room is None:
             raise RoomError("there is no such room here", 404)
         if shown.skeleton is None:

@@ -13,7 +13,7 @@ from glsplat.net.poses.body import place_of
 from glsplat.net.rooms.person import Person
 from glsplat.skinning.pose import Pose
 
-__all__ = ["RoomView", "VisiblePerson", "people_fields", "room_fields"]
+__all__ = ["RoomView", "VisiblePerson", "people_fields"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,15 +40,14 @@ class RoomView:
     viewer: int  # key of who looks
     people: tuple[VisiblePerson, ...]
 
-
-def room_fields(view: RoomView) -> dict[str, Any]:
-    """``room`` of a reply: who is in the picture, who drives them, and which request each pose comes from."""
-    people = [
-        {"name": one.name, "avatar": one.avatar, "you": one.key == view.viewer}
-        | {"frame_id": one.frame_id, "ahead": one.ahead, "opacity": round(one.opacity, 3)}
-        for one in view.people
-    ]
-    return {"name": view.room, "tick": view.tick, "people": people}
+    def fields(self) -> dict[str, Any]:
+        """``room`` of a reply: who is in the picture, who drives them, and which request each pose comes from."""
+        people = [
+            {"name": one.name, "avatar": one.avatar, "you": one.key == self.viewer}
+            | {"frame_id": one.frame_id, "ahead": one.ahead, "opacity": round(one.opacity, 3)}
+            for one in self.people
+        ]
+        return {"name": self.room, "tick": self.tick, "people": people}
 
 
 def people_fields(

@@ -10,9 +10,9 @@ from aiohttp import web
 
 from glsplat.avatar import Avatar
 from glsplat.errors import GlsplatError
-from glsplat.net.accounts.rights import user_of
 from glsplat.net.backend import AvatarInfo
 from glsplat.net.guard.gate import Gate, connection_of
+from glsplat.net.rights import user_of
 from glsplat.net.uploads.form import RefusedError, check_head, discard, read_order
 from glsplat.net.uploads.job import VIEWS, Job, UploadConfig
 from glsplat.net.uploads.job_queue import JobQueue

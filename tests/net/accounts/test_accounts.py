@@ -14,7 +14,6 @@ from hypothesis import strategies as st
 
 from glsplat.errors import ProtocolError
 from glsplat.net.accounts import users
-from glsplat.net.accounts.rights import Rights
 from glsplat.net.accounts.users import Accounts, User, new_user, write_users
 from glsplat.net.backend import AvatarInfo
 from glsplat.net.client import Client
@@ -22,6 +21,7 @@ from glsplat.net.guard import gate
 from glsplat.net.guard.access import Access
 from glsplat.net.messages import WireOptions
 from glsplat.net.options import client_options
+from glsplat.net.rights import Rights
 from glsplat.net.server import ServerConfig
 from glsplat.net.session import SessionConfig
 from glsplat.skinning.skeleton import Skeleton

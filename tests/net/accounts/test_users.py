@@ -16,9 +16,9 @@ from glsplat.consent.file import OnFile
 from glsplat.consent.policy import ConsentPolicy
 from glsplat.errors import FormatError, GlsplatError
 from glsplat.net.accounts import users
-from glsplat.net.accounts.rights import Rights
 from glsplat.net.accounts.users import Accounts, User, new_user, read_users, write_users
 from glsplat.net.guard.access import Access, read_token
+from glsplat.net.rights import Rights
 
 NAMES = st.text(max_size=80)
 

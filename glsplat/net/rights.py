@@ -5,15 +5,17 @@ from __future__ import annotations
 import time
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 from aiohttp import web
 
-from glsplat.consent.policy import ConsentPolicy
-from glsplat.net.accounts.users import Accounts, User
+if TYPE_CHECKING:
+    from glsplat.consent.policy import ConsentPolicy
+    from glsplat.net.accounts.users import Accounts, User
 
 __all__ = ["USER", "Rights", "user_of"]
 
-USER = web.RequestKey("user", User)
+USER: web.RequestKey[Any] = web.RequestKey("user", object)
 """Of a request: the account whose token came with it."""
 
 
@@ -66,4 +68,5 @@ class Rights:
 
 def user_of(request: web.BaseRequest) -> User | None:
     """Who asks; None on a server without accounts, and for what needs none."""
-    return request.get(USER)
+    user: User | None = request.get(USER)
+    return user
