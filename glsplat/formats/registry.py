@@ -38,7 +38,7 @@ __all__ = [
     "suffixes",
 ]
 
-log = logging.getLogger("glsplat.formats")
+log: logging.Logger = logging.getLogger("glsplat.formats")
 
 FORMATS: list[Format] = [
     PLY,

@@ -42,7 +42,7 @@ _DEFLATED = 1032  # no deflate stream packs more bytes into one
 _ZSTD_POSITIONS = 1024 / 9  # splats a byte of the file, at most: the bound of Niantic's reader
 _WRITTEN = 3  # version
 
-log = logging.getLogger("glsplat.formats")
+log: logging.Logger = logging.getLogger("glsplat.formats")
 
 
 def load_spz(source: Source, *, strict: bool = False) -> Splats:

@@ -30,7 +30,7 @@ class ClientConnection:
     def __init__(self, url: str, http: aiohttp.ClientSession, ws: aiohttp.ClientWebSocketResponse) -> None:
         self.loop = asyncio.get_running_loop()
         self.turn = asyncio.Lock()  # of those who ask for one picture and wait for it
-        self.flow = FlowControl()
+        self.flow: FlowControl = FlowControl()
         self._url = url
         self._http, self._ws = http, ws
         self._socket = ws.get_extra_info("socket")

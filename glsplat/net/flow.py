@@ -52,10 +52,10 @@ class FlowControl:
     """The state of one connection, from the client's side. A new connection is a new Flow: frame_ids begin at 1."""
 
     def __init__(self) -> None:
-        self.newest = 0  # frame_id of the newest request
-        self.taken = 0  # frame_id of the newest picture that somebody took: what is acknowledged
-        self.refused = 0  # frame_id of the newest request that was answered with an error
-        self.said = ""  # the newest error that names no request, such as too many messages
+        self.newest: int = 0  # frame_id of the newest request
+        self.taken: int = 0  # frame_id of the newest picture that somebody took: what is acknowledged
+        self.refused: int = 0  # frame_id of the newest request that was answered with an error
+        self.said: str = ""  # the newest error that names no request, such as too many messages
         self._sent: dict[int, float] = {}  # frame_id: seconds
         self._left: set[int] = set()  # frame_ids whose waiter left: their pictures are for nobody
         self._subjects: dict[int, object] = {}

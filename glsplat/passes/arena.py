@@ -55,12 +55,12 @@ class Arena:
         self.first = np.concatenate([[0], np.cumsum(rows)])  # [I + 1] first row of each item, and the end
         height = int(self.first[-1])
         alone = len(items) == 1
-        self.count = items[0].count if alone else height * ROW
+        self.count: int = items[0].count if alone else height * ROW
         self.shown: tuple[int, ...] = tuple(range(len(items)))
         largest: dict[int, int] = {}
         for kind, size in zip(kinds or range(len(items)), rows, strict=True):
             largest[kind] = max(size, largest.get(kind, 0))
-        self.most = self.count if alone else sum(largest.values()) * ROW  # indices that a picture shows at most
+        self.most: int = self.count if alone else sum(largest.values()) * ROW  # indices that a picture shows at most
         self._written: list[Placement | None] = [None] * len(items)
         limit = int(ctx.info["GL_MAX_TEXTURE_SIZE"])
         if max(height, ROW * COLOUR_TEXELS[degree]) > limit:

@@ -37,7 +37,7 @@ from glsplat.tracking.stretch import Stretch
 
 __all__ = ["Tracker", "TrackerConfig"]
 
-log = logging.getLogger("glsplat.tracking")
+log: logging.Logger = logging.getLogger("glsplat.tracking")
 
 SHORTEST = 1e-4  # seconds; samples closer than this are the same moment
 CHANGED = 1e-5  # of the scale that is found, below which it is the same
@@ -110,7 +110,7 @@ class Tracker:
         self._count = 0
         self._pose: Pose | None = None
         self.flags: tuple[str, ...] = ()
-        self.solver_error = ""  # why the newest pose is held although there was a sample; one line
+        self.solver_error: str = ""  # why the newest pose is held although there was a sample; one line
         self.reach_error: tuple[float | None, float | None] = (None, None)
 
     # -- in

@@ -64,7 +64,7 @@ class BodySolver:
         self._rims: list[tuple[Rim, Points, F64] | None] = [None] * len(views)
         self._before: list[tuple[Points, F64] | None] = [None] * len(views)
         self._trust = [np.ones(len(table.numbers)) for _ in views]
-        self.x = self._start()
+        self.x: F64 = self._start()
         self._seen = [self._sided(index) for index in range(len(views))]
 
     @property

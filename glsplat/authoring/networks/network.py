@@ -42,7 +42,7 @@ class OnnxNetwork:
                 "install opencv-contrib-python-headless 4.10 or newer"
             ) from None
         self._turn = threading.Lock()
-        self.outputs = tuple(outputs) or tuple(self._net.getUnconnectedOutLayersNames())
+        self.outputs: tuple[str, ...] = tuple(outputs) or tuple(self._net.getUnconnectedOutLayersNames())
 
     def __call__(self, picture: NDArray[np.uint8]) -> list[NDArray[np.float32]]:
         """Outputs in the order of ``outputs`` for a square crop, RGB uint8 [n, n, 3]."""

@@ -40,7 +40,7 @@ Tell = Callable[[str, float], None]
 _MAKING = 0.5  # share of a task that is making avatars, about
 _DIGITS = 6
 
-log = logging.getLogger("glsplat.evaluate")
+log: logging.Logger = logging.getLogger("glsplat.evaluate")
 
 
 @dataclass(frozen=True, eq=False)

@@ -35,7 +35,7 @@ MOST_LEVELS = 16
 _COVERAGE = "MSFT_screencoverage"
 _PICTURE = 1024  # pixels a side of the picture that it is of
 
-log = logging.getLogger("glsplat.formats")
+log: logging.Logger = logging.getLogger("glsplat.formats")
 Scene = TypeVar("Scene", bound=Splats | Avatar)
 
 

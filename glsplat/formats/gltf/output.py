@@ -22,7 +22,7 @@ __all__ = ["INDICES", "VERTICES", "Output"]
 VERTICES, INDICES = 34962, 34963
 """What a bufferView holds: ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER."""
 
-log = logging.getLogger("glsplat.formats")
+log: logging.Logger = logging.getLogger("glsplat.formats")
 
 
 class Output:

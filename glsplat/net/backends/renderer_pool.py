@@ -42,11 +42,11 @@ class SceneRenderer:
     def __init__(self, scene: Scene, hide: tuple[str, ...], make: Callable[[Scene], Renderer]) -> None:
         self._source = self._item = SceneFile.of(scene).avatar
         self._extent: Extent | None = None
-        self.scene = scene
+        self.scene: Scene = scene
         if hide:
             self._item = _without(self._source, hide)
             self.scene = Scene(self._item if item is self._source else item for item in scene)
-        self.renderer = make(self.scene)
+        self.renderer: Renderer = make(self.scene)
         self.selector = selectors()
 
     @property

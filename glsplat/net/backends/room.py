@@ -57,8 +57,8 @@ class RoomRenderer:
     ) -> None:
         self._background, self._figure_of = background, figure_of
         self._people: dict[int, _Shown] = {}
-        self.scene = Scene(background.scene)
-        self.renderer = make(self.scene)
+        self.scene: Scene = Scene(background.scene)
+        self.renderer: Renderer = make(self.scene)
         self.selector = selectors()
 
     @property

@@ -32,8 +32,8 @@ class Slots:
     """The side that hands slots out. Every one taken has to be given back, once."""
 
     def __init__(self, slot_bytes: int) -> None:
-        self.slot_bytes = _pages(slot_bytes)
-        self.nbytes = _CONTROL + SLOTS * self.slot_bytes
+        self.slot_bytes: int = _pages(slot_bytes)
+        self.nbytes: int = _CONTROL + SLOTS * self.slot_bytes
         self._file, self.folder = self._make()
         self.path: str = self._file.name
         memory = np.frombuffer(mmap.mmap(self._file.fileno(), self.nbytes), np.uint8)

@@ -64,10 +64,10 @@ class GuardedConnection(web.RequestHandler):
             keepalive_timeout=timeout,
             lingering_time=0,  # else it reads on, for ten seconds and at any rate, what is sent behind an answer
         )
-        self.key = key  # of its address
+        self.key: str = key  # of its address
         self.meter: FrameMeter | None = None
         self.breached: asyncio.Future[Breach] = asyncio.get_running_loop().create_future()
-        self.busy = False  # while a request of it is answered
+        self.busy: bool = False  # while a request of it is answered
         self._head, self._head_most = 0, limits.head
         self._body = 0  # bytes that are expected beyond that
         self._notices, self._clock, self._gone = notices, clock, gone

@@ -48,9 +48,9 @@ class Gate:
     ) -> None:
         share = max_clients if is_loopback(access.host) else (max_clients + 1) // 2
         self.limits = limits
-        self.addresses = Addresses(limits, limits.per_address or share)
-        self.notices = Notices(logging.getLogger("glsplat.net"), clock)
-        self.rights = Rights(access.accounts, consent)
+        self.addresses: Addresses = Addresses(limits, limits.per_address or share)
+        self.notices: Notices = Notices(logging.getLogger("glsplat.net"), clock)
+        self.rights: Rights = Rights(access.accounts, consent)
         self.refused = 0  # requests
         self._login, self._logins = asyncio.Lock(), 0
         self._access, self._clients, self._clock = access, max_clients, clock

@@ -86,10 +86,10 @@ class ClientQuota:
     __slots__ = ("bytes", "control", "frames", "samples")
 
     def __init__(self, limits: Limits, now: float) -> None:
-        self.frames = Bucket.full(limits.frames, limits.frames_burst, now)
-        self.control = Bucket.full(limits.control, limits.control_burst, now)
-        self.bytes = Bucket.full(limits.bytes, limits.bytes_burst, now)
-        self.samples = Bucket.full(limits.samples, limits.samples_burst, now)
+        self.frames: Bucket = Bucket.full(limits.frames, limits.frames_burst, now)
+        self.control: Bucket = Bucket.full(limits.control, limits.control_burst, now)
+        self.bytes: Bucket = Bucket.full(limits.bytes, limits.bytes_burst, now)
+        self.samples: Bucket = Bucket.full(limits.samples, limits.samples_burst, now)
 
     def fullness(self, now: float) -> float:
         """1 untouched, 0 or below where something is spent."""
@@ -104,7 +104,7 @@ class CpuBudget:
 
     def __init__(self, rate: float, now: float) -> None:
         self.rate = rate
-        self.all = Bucket.full(rate, rate * _AHEAD, now)
+        self.all: Bucket = Bucket.full(rate, rate * _AHEAD, now)
         self._shares: dict[str, list[CpuShare]] = {}  # by address
 
     def open(self, now: float, address: str = "") -> CpuShare:

@@ -37,7 +37,7 @@ class PendingConnection:
     __slots__ = ("connection", "key", "task")
 
     def __init__(self, key: str) -> None:
-        self.key = key
+        self.key: str = key
         self.connection: GuardedConnection | None = None
         self.task: asyncio.Task[None] | None = None
 
@@ -72,7 +72,7 @@ class Listener:
         self._clock, self._clients, self._tls, self._handshake = clock, clients, tls, handshake
         self._waiting: dict[PendingConnection, None] = {}  # oldest first
         self._task: asyncio.Task[None] | None = None
-        self.room = 0  # connections that may wait
+        self.room: int = 0  # connections that may wait
         self.turned_away = 0  # connections closed unanswered
 
     @property

@@ -31,7 +31,7 @@ class LowConfidenceError(GlsplatError):
 
     def __init__(self, message: str, findings: Sequence[Finding] = ()) -> None:
         super().__init__(message)
-        self.findings = tuple(findings)
+        self.findings: tuple[Finding, ...] = tuple(findings)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)

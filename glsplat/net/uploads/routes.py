@@ -28,7 +28,7 @@ class Uploads:
 
     def __init__(self, config: UploadConfig, describe: Callable[[str, Avatar], AvatarInfo]) -> None:
         self.config = config
-        self.store = UploadStore(config.folder, config.most_files, config.folder_bytes)
+        self.store: UploadStore = UploadStore(config.folder, config.most_files, config.folder_bytes)
         self._describe = describe
 
     def open(

@@ -95,12 +95,12 @@ class ItemBuffers:
         shapes: Shapes | None = None,
     ) -> None:
         usable = splats.drawable()
-        self.skipped = int(len(splats) - usable.sum())
+        self.skipped: int = int(len(splats) - usable.sum())
         if self.skipped:
             splats = splats.take(usable)
         self.splats = splats  # on the host: the arena packs colours and cones from it
-        self.count = len(splats)
-        self.skinned = skin is not None
+        self.count: int = len(splats)
+        self.skinned: bool = skin is not None
         self._programs = programs
         # Far from the world's origin float32 has no bits left for the splats themselves: move them near zero
         self.centre = np.zeros(3)

@@ -42,7 +42,7 @@ class MeshItem:
         skin = Skin.create(mesh.joints, mesh.weights, len(mesh.skeleton), INFLUENCES)
         self._joints, self._reach = mesh.skeleton.joints, reach_of(mesh, skin)
         self._bones = np.zeros((len(mesh.skeleton), 3, 4))
-        self.buffers = MeshBuffers(context.ctx, mesh, skin, min(anisotropy, context.ctx.max_anisotropy))
+        self.buffers: MeshBuffers = MeshBuffers(context.ctx, mesh, skin, min(anisotropy, context.ctx.max_anisotropy))
         self._arrays: dict[MeshVariant, moderngl.VertexArray] = {}
 
     def anchor(self, place: Placement) -> NDArray[np.float64]:

@@ -79,7 +79,7 @@ class Feet:
 
     def reset(self, feet: Sequence[Foot] | None = None) -> None:
         """Forget the past: the next update puts both feet where the hints say, or goes on with these."""
-        self.started = feet is not None
+        self.started: bool = feet is not None
         for foot, other in zip(self.feet, feet or (), strict=feet is not None):
             foot.take_over(other, 0.0, CLEAR * self.size)
         for follow in self.follow:

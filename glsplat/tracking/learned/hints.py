@@ -99,10 +99,10 @@ class Hints:
 
     def __init__(self, body: Body, network: PoseNetwork) -> None:
         self.network = network
-        self.unit = unit_of(body.eye_height)
+        self.unit: float = unit_of(body.eye_height)
         # how a foot lies at rest: its heading and slope from ankle to ball
         lines = [np.subtract(body.joints[FEET[i]], body.joints[ANKLES[i]]) for i in (0, 1)]
-        self.rest = [(atan2(v[0], v[2]), atan2(-v[1], hypot(v[0], v[2]))) for v in lines]
+        self.rest: list[tuple[float, float]] = [(atan2(v[0], v[2]), atan2(-v[1], hypot(v[0], v[2]))) for v in lines]
         self.reset()
 
     def reset(self) -> None:

@@ -20,13 +20,13 @@ class Uncertainty:
     """How much of the torso is the analytic solver's: 0 none, 1 all of it. Smooth in time."""
 
     def __init__(self, eye_height: float) -> None:
-        self.size = eye_height / 1.6
+        self.size: float = eye_height / 1.6
         self.low: tuple[float, float] = (LOW[0] * eye_height, LOW[1] * eye_height)
         self.reset()
 
     def reset(self) -> None:
         """Forget the past."""
-        self.doubts = False
+        self.doubts: bool = False
         self._at: float | None = None
         self._misses = False
         self._since = 0.0  # seconds for which that has been otherwise

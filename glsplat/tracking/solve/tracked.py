@@ -53,7 +53,7 @@ class Trust:
 
     def reset(self) -> None:
         """Forget the past."""
-        self.share = 0.0
+        self.share: float = 0.0
         self._fresh = True
 
     def update(self, seen: bool, dt: float) -> float:
@@ -76,7 +76,7 @@ class Pelvis:
     def reset(self) -> None:
         """Forget the past."""
         self._share.reset()
-        self.share = 0.0
+        self.share: float = 0.0
         self._at: Vec = (0.0, 0.0, 0.0)
         self._turn: Quat = IDENTITY
         self._yaw: float | None = None
@@ -134,7 +134,7 @@ class Follow:
         self.ankle: Vec | None = None  # None: not tracked
         self.turn: Quat = IDENTITY
         self.knee: Vec | None = None
-        self.height = 0.0  # metres the lowest point of the foot is above the floor
+        self.height: float = 0.0  # metres the lowest point of the foot is above the floor
         self._begin: tuple[Vec, Quat] | None = None
 
     def place(self, foot: Foot, goal: tuple[Vec, Quat] | None, knee: Vec | None, dt: float) -> None:
