@@ -42,8 +42,8 @@ COMMANDS = {
 }
 
 _FOLDERS = ("avatar", "evaluate", "preview", "replay", "report", "serve", "tracking", "users", "watermark")
-MODULES = {name: f"{name}.command" for name in _FOLDERS} | {"page": "static_page"}
-"""Commands that are folders, or whose module is called otherwise."""
+MODULES = {name: f"{name}.command" for name in _FOLDERS} | {"page": "webpage.command"}
+"""Commands that are folders; page.py has pieces of pages."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:

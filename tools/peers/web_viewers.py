@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 
 import glsplat
-from apps.static_page import baked
+from apps.webpage.command import baked
 from glsplat.formats.web.write import encode_avatar
 from glsplat.making.posed import posed_splats
 from glsplat.motion.motion import load_motion
