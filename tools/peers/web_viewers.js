@@ -1,6 +1,7 @@
 // Frames of the page against those of GaussianSplats3D and Spark, in one page, in turn. Run by web_viewers.py.
 
 import * as THREE from 'three';
+import * as OLDER from 'older'; // what GaussianSplats3D was made for: with newer ones it shows nothing
 import * as GS3D from 'gs3d';
 import { SparkRenderer, SplatMesh } from 'spark';
 import { Crowd } from '/vr/draw/crowd.js';
@@ -17,6 +18,7 @@ const canvasOf = (side) => Object.assign(document.createElement('canvas'), { wid
 const pixel = new Uint8Array(4);
 const wait = (gl) => {
   gl.bindFramebuffer(gl.FRAMEBUFFER, null);
+  gl.bindBuffer(gl.PIXEL_PACK_BUFFER, null); // Spark leaves one bound
   gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, pixel);
 };
 const median = (values) => [...values].sort((a, b) => a - b)[values.length >> 1];
@@ -96,12 +98,41 @@ const spark = (side) =>
     scene.add(mesh);
   });
 
-const gs3d = (side) =>
-  three(side, async (scene) => {
-    const viewer = new GS3D.DropInViewer({ sharedMemoryForWorkers: false, gpuAcceleratedSort: false });
-    await viewer.addSplatScene('/data/avatar.ply', { showLoadingUI: false, progressiveLoad: false });
-    scene.add(viewer);
+async function gs3d(side) {
+  const canvas = canvasOf(side);
+  const renderer = new OLDER.WebGLRenderer({ canvas, antialias: false });
+  renderer.setSize(2 * side, side, false);
+  renderer.setScissorTest(true);
+  // it takes the size of an eye's picture from an element on the page
+  const frame = document.body.appendChild(document.createElement('div'));
+  Object.assign(frame.style, { position: 'absolute', left: '0', top: '0', width: `${side}px`, height: `${side}px` });
+  const camera = new OLDER.PerspectiveCamera(FOV, 1, 0.05, 100);
+  const viewer = new GS3D.Viewer({
+    renderer, camera,
+    rootElement: frame,
+    selfDrivenMode: false,
+    useBuiltInControls: false,
+    sharedMemoryForWorkers: false,
+    gpuAcceleratedSort: false,
+    sceneRevealMode: GS3D.SceneRevealMode.Instant,
+    ignoreDevicePixelRatio: true,
   });
+  await viewer.addSplatScene('/data/avatar.ply', { showLoadingUI: false, progressiveLoad: false });
+  return {
+    gl: renderer.getContext(), canvas,
+    draw(angle, _, distance, height) {
+      eyesAt(angle, distance, height).forEach((eye, i) => {
+        camera.position.copy(eye.position);
+        camera.quaternion.copy(eye.quaternion);
+        camera.updateMatrixWorld(true);
+        renderer.setViewport(i * side, 0, side, side);
+        renderer.setScissor(i * side, 0, side, side);
+        if (i === 0) viewer.update(); // one order for both eyes
+        viewer.render();
+      });
+    },
+  };
+}
 
 const MAKE = { 'this page': (side) => ours(side, false), 'this page, walking': (side) => ours(side, true), GaussianSplats3D: gs3d, Spark: spark };
 

@@ -31,8 +31,9 @@ from glsplat.net.codec.encode import encode_picture
 from glsplat.shaders.web import programs_json
 from glsplat.views import view_of
 
-PACKAGES = ("three@0.180.0", "@mkkellogg/gaussian-splats-3d@0.4.7", "@sparkjsdev/spark@2.2.0")
+PACKAGES = ("three@0.180.0", "older@npm:three@0.160.0", "@mkkellogg/gaussian-splats-3d@0.4.7", "@sparkjsdev/spark@2.2.0")
 MODULES = {
+    "older": "/npm/older/build/three.module.js",
     "three": "/npm/three/build/three.module.js",
     "three/addons/": "/npm/three/examples/jsm/",
     "gs3d": "/npm/@mkkellogg/gaussian-splats-3d/build/gaussian-splats-3d.module.js",
@@ -40,6 +41,7 @@ MODULES = {
     "fflate": "/npm/fflate/esm/browser.js",
 }
 STANDING = 7  # frame of the walk in which it stands for all
+SCOPES = {"/npm/@mkkellogg/": {"three": MODULES["older"]}}
 VIEWS = {"whole": (2.7, 1.05), "near": (1.2, 1.45)}  # metres away, and up
 
 
@@ -76,7 +78,7 @@ def files() -> dict[str, bytes]:
     with tempfile.TemporaryDirectory() as folder:
         glsplat.save(posed_splats(avatar, walk.pose(STANDING)), Path(folder) / "avatar.ply")
         ply = (Path(folder) / "avatar.ply").read_bytes()
-    html = f'<!doctype html><script type="importmap">{json.dumps({"imports": MODULES})}</script>'
+    html = f'<!doctype html><script type="importmap">{json.dumps({"imports": MODULES, "scopes": SCOPES})}</script>'
     html += '<script type="module" src="/data/page.js"></script>'
     page = Path(__file__).with_suffix(".js").read_bytes()
     return {
