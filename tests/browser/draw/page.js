@@ -170,3 +170,74 @@ export async function fuzzed(name, rounds, seed) {
   }
   return out;
 }
+
+/** Live objects of a context by kind; `wrap` before anything is made. */
+function counted(gl) {
+  const alive = {};
+  for (const kind of ['Texture', 'Buffer', 'VertexArray', 'Framebuffer', 'Program']) {
+    const seen = new Set();
+    alive[kind] = seen;
+    const [create, remove] = [gl[`create${kind}`].bind(gl), gl[`delete${kind}`].bind(gl)];
+    gl[`create${kind}`] = () => {
+      const made = create();
+      seen.add(made);
+      return made;
+    };
+    gl[`delete${kind}`] = (one) => {
+      seen.delete(one);
+      remove(one);
+    };
+  }
+  return () => Object.fromEntries(Object.entries(alive).map(([kind, seen]) => [kind, seen.size]));
+}
+
+/**
+ * `turns` avatars in turn, of the files named, each for `frames` frames, beside one that stays. Sums what is alive, and
+ * the heap in MB after collecting garbage, at a third of the way and at the end.
+ */
+export async function inTurn({ names, turns, frames }) {
+  const { Crowd } = await import('/vr/draw/crowd.js');
+  const { Shelf } = await import('/vr/draw/shelf.js');
+  const table = await (await fetch('/vr/draw/programs.json')).json();
+  const gl = context(64, 64);
+  const alive = counted(gl);
+  const shelf = new Shelf((path) => fetch(`/vr/data/${names[Number(path.slice(7)) % names.length]}`));
+  const crowd = new Crowd(gl, table, { kind: '16f' });
+  const shown = [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1];
+  const eyes = [0, 1].map((i) => ({
+    transform: [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0.06 * i, 0.2, 3.5, 1],
+    projection: [2, 0, 0, 0, 0, 2, 0, 0, 0, 0, -1, -1, 0, 0, -0.1, 0],
+    viewport: { x: 32 * i, y: 0, width: 32, height: 64 },
+  }));
+  const waited = async (sha) => {
+    while (!shelf.get(sha, performance.now())) await new Promise((done) => setTimeout(done, 1));
+    return shelf.get(sha, performance.now());
+  };
+  const pose = (avatar, t) => {
+    const joints = new Float64Array(4 * avatar.skeleton.count);
+    for (let j = 0; j < avatar.skeleton.count; j++) quaternionOf([0.1 * Math.sin(t + j), 0, 0], 0, joints, 4 * j);
+    return { joints, root: [0, 0, 0] };
+  };
+  const out = [];
+  const stays = await waited('0');
+  for (let turn = 0; turn < turns; turn++) {
+    const avatar = await waited(`${turn + 1}`);
+    shelf.keep(new Set(['0', `${turn + 1}`]));
+    for (let frame = 0; frame < frames; frame++) {
+      const people = [stays, avatar].map((one, key) => ({ key, avatar: one, pose: pose(one, turn + 0.01 * frame) }));
+      crowd.people = people;
+      crowd.draw(eyes, null, shown);
+    }
+    if (turn === Math.floor(turns / 3) || turn === turns - 1) {
+      gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array(4));
+      for (let i = 0; i < 3; i++) {
+        gc();
+        await new Promise((done) => setTimeout(done, 20));
+      }
+      out.push({ alive: alive(), heap: performance.memory.usedJSHeapSize / 1e6, shelf: shelf.size, error: gl.getError() });
+    }
+  }
+  crowd.release();
+  out.push({ alive: alive() });
+  return out;
+}

@@ -20,14 +20,15 @@ from tests.browser.vr import enter, pose, project, see, settings, steer
 DRAWN = "window.glsplat.stats().drawn"
 
 
-def handing(serve: Any, hands_out: bool = True, **options: Any) -> Served:
+def handing(serve: Any, hands_out: bool = True, room: str = "") -> Served:
     policy = ConsentPolicy()
     policy.add("default", [OnFile(nobody=True)])
     consent = policy if hands_out else None
+    rooms = {room: glsplat.Scene([])} if room else None
     avatar = glsplat.default_avatar()
     return serve(
-        config=ServerConfig(port=0, **options),
-        make=lambda config: make_server(avatar, config, own_process=False, consent=consent),
+        config=ServerConfig(port=0),
+        make=lambda config: make_server(avatar, config, own_process=False, consent=consent, rooms=rooms),
     )
 
 
@@ -173,3 +174,15 @@ def test_the_choice(bench: Bench) -> None:
     assert said[6][0] is False and "drew 40 of 72 pictures a second" in said[6][1] and said[6][2:] == [False, True]
     assert said[7] == [True] and said[8] == [False, False]
     assert said[9] == [False, "this browser has no WebGL 2"] and said[10] == [False]
+
+
+def test_two_people_in_a_room_are_drawn_by_each(visit: Callable[..., Opened], serve: Any) -> None:
+    """One order over both, names over the others' heads, and nobody is drawn twice."""
+    served = handing(serve, room="lab")
+    pages = [opened(visit, served, room="lab", name=name) for name in ("Ann", "Bob")]
+    for page in pages:
+        page.until(f"{DRAWN}.by === 'here' && {DRAWN}.people === 2 && {DRAWN}.splats >= 9000")
+    stats = [page.stats()["drawn"] for page in pages]
+    assert all(one["splats"] <= 80_000 and one["avatars"] == 1 for one in stats)
+    pages[1].page.close()
+    pages[0].until(f"{DRAWN}.people === 1 && {DRAWN}.splats <= 40000")
