@@ -31,7 +31,12 @@ from glsplat.net.codec.encode import encode_picture
 from glsplat.shaders.web import programs_json
 from glsplat.views import view_of
 
-PACKAGES = ("three@0.180.0", "older@npm:three@0.160.0", "@mkkellogg/gaussian-splats-3d@0.4.7", "@sparkjsdev/spark@2.2.0")
+PACKAGES = (
+    "three@0.180.0",
+    "older@npm:three@0.160.0",
+    "@mkkellogg/gaussian-splats-3d@0.4.7",
+    "@sparkjsdev/spark@2.2.0",
+)
 MODULES = {
     "older": "/npm/older/build/three.module.js",
     "three": "/npm/three/build/three.module.js",
