@@ -176,3 +176,31 @@ def test_splats_of_degree_3_fit_narrow_textures(chromium: Any, bench_of: Callabl
     cameras = eyes((0.3, 0.2, 2.4), (0, 0, 0))
     found = bench.pictures(cameras, things=[bench.offer("cloud", splats)], poses=[thing()], kinds=["32f"])
     assert psnr(found["32f"], truth(splats, cameras)) >= 60
+
+
+def test_a_headset_of_four_views_is_drawn_in_pairs(bench: Bench) -> None:
+    name = bench.offer("cloud", scenes.cloud(900, seed=5, spread=0.4))
+    rows = bench.js(
+        """async (name) => {
+          const { context, load } = await import('/vr/test/page.js');
+          const { Drawing } = await import('/vr/draw/drawing.js');
+          const table = await (await fetch('/vr/draw/programs.json')).json();
+          const gl = context(256, 64);
+          const drawing = new Drawing(gl, table);
+          drawing.show([await load(name)]);
+          const eyes = [0, 1, 2, 3].map((i) => ({
+            transform: [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0.3 * (i % 2), 0, 2.2, 1],
+            projection: [1.8, 0, 0, 0, 0, 1.8, 0, 0, 0, 0, -1, -1, 0, 0, -0.1, 0],
+            viewport: { x: 64 * i, y: 0, width: 64, height: 64 },
+          }));
+          drawing.draw(eyes, null, [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1]);
+          const pixels = new Uint8Array(256 * 64 * 4);
+          gl.readPixels(0, 0, 256, 64, gl.RGBA, gl.UNSIGNED_BYTE, pixels);
+          return { pixels: [...pixels], error: gl.getError() };
+        }""",
+        name,
+    )
+    assert rows["error"] == 0
+    picture = np.array(rows["pixels"], np.uint8).reshape(64, 4, 64, 4)
+    assert picture[:, 0].mean() > 5 and (picture[:, 0] != picture[:, 1]).any()
+    assert (picture[:, :2] == picture[:, 2:]).all()

@@ -10,6 +10,7 @@ import { Order } from './order.js';
 import { Programs } from './programs.js';
 import { movedMeans } from './shapes.js';
 
+const MOST_VIEWS = 2; // of a pass; some headsets have four
 const RECORD_ROW = 4096; // floats a row of the records' texture (record_input.glsl)
 const STILL = Float64Array.of(1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0);
 
@@ -83,6 +84,10 @@ export class Drawing {
    * the room of the things, a reflection for a mirror; `glass`: the mirror's four corners in the room seen.
    */
   draw(eyes, framebuffer, shown, glass = null) {
+    for (let i = 0; i < eyes.length; i += MOST_VIEWS) this.#drawPair(eyes.slice(i, i + MOST_VIEWS), framebuffer, shown, glass);
+  }
+
+  #drawPair(eyes, framebuffer, shown, glass) {
     const { width, height } = eyes[0].viewport;
     const cameras = eyes.map((eye) => cameraOf(eye, width, height, shown));
     this.prepare(cameras, true);
