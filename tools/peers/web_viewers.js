@@ -5,7 +5,7 @@ import * as OLDER from 'older'; // what GaussianSplats3D was made for: with newe
 import * as GS3D from 'gs3d';
 import { SparkRenderer, SplatMesh } from 'spark';
 import { Crowd } from '/vr/draw/crowd.js';
-import { readAvatar } from '/vr/draw/avatar.js';
+import { readAvatar } from '/vr/avatar/avatar.js';
 import { quaternionOf } from '/vr/draw/bones.js';
 import { look } from '/vr/draw/device.js';
 import { Motion } from '/vr/track/drivers.js';

@@ -37,8 +37,8 @@ const base64 = (bytes) => {
   return btoa(text);
 };
 
-/** Layers of the kinds, as floats, rows as they lie; `upward` draws with rows from below and turns them here. */
-export async function pictures({ things, poses, cameras, kinds, triangle = false, upward = false }) {
+/** Layers of the kinds, as floats, rows as they lie; `upward` draws with rows from below and turns them here; `order`: by other keys than the page's. */
+export async function pictures({ things, poses, cameras, kinds, triangle = false, upward = false, order = null }) {
   const table = await (await fetch('/vr/draw/programs.json')).json();
   const gl = context();
   const drawing = new Drawing(gl, table, { triangle });
@@ -49,7 +49,7 @@ export async function pictures({ things, poses, cameras, kinds, triangle = false
   const taken = cameras.map(cameraOfFile);
   const out = {};
   for (const kind of kinds) {
-    drawing.prepare(taken, upward);
+    drawing.prepare(taken, upward, order && Uint32Array.from(order));
     drawing.drawLayers(taken, kind);
     const { width, height } = cameras[0];
     const floats = new Float32Array(taken.length * width * height * 4);
@@ -77,7 +77,7 @@ async function* inPieces(bytes, size) {
 
 /** An avatar's file as avatar.js reads it: its arrays by level in base64, and which levels came in which order. */
 export async function decoded(name, piece) {
-  const { readAvatar } = await import('/vr/draw/avatar.js');
+  const { readAvatar } = await import('/vr/avatar/avatar.js');
   const bytes = new Uint8Array(await (await fetch(`/vr/data/${name}`)).arrayBuffer());
   const order = [];
   const avatar = await readAvatar(inPieces(bytes, piece), (_, level) => order.push(level));
@@ -94,7 +94,7 @@ export async function decoded(name, piece) {
 
 /** A picture by crowd.js of an avatar's file, as floats: the level is chosen by the camera. */
 export async function crowdPicture({ name, pose, camera, expression = null, headless = false }) {
-  const { readAvatar } = await import('/vr/draw/avatar.js');
+  const { readAvatar } = await import('/vr/avatar/avatar.js');
   const { Crowd } = await import('/vr/draw/crowd.js');
   const table = await (await fetch('/vr/draw/programs.json')).json();
   const bytes = new Uint8Array(await (await fetch(`/vr/data/${name}`)).arrayBuffer());
@@ -123,8 +123,8 @@ const deflated = async (bytes) =>
 
 /** Read `rounds` damaged copies of an avatar's file: {read, refused: {words: how often}, other: [what else was thrown]}. */
 export async function fuzzed(name, rounds, seed) {
-  const { readAvatar } = await import('/vr/draw/avatar.js');
-  const { BlobError, openBlob } = await import('/vr/draw/blob.js');
+  const { readAvatar } = await import('/vr/avatar/avatar.js');
+  const { BlobError, openBlob } = await import('/vr/avatar/blob.js');
   const whole = new Uint8Array(await (await fetch(`/vr/data/${name}`)).arrayBuffer());
   const { header, start } = await openBlob(whole);
   let state = seed;
@@ -197,7 +197,7 @@ function counted(gl) {
  */
 export async function inTurn({ names, turns, frames }) {
   const { Crowd } = await import('/vr/draw/crowd.js');
-  const { Shelf } = await import('/vr/draw/shelf.js');
+  const { Shelf } = await import('/vr/avatar/shelf.js');
   const table = await (await fetch('/vr/draw/programs.json')).json();
   const gl = context(64, 64);
   const alive = counted(gl);

@@ -16,7 +16,7 @@ from tests.browser.draw.test_parity import eyes
 
 ASK = """async ({ name, pose, cameras }) => {
   const { load, poseOf } = await import('/vr/test/page.js');
-  const { densityOf, proxyOf } = await import('/vr/draw/detail.js');
+  const { densityOf, proxyOf } = await import('/vr/avatar/detail.js');
   const { cameraOfFile } = await import('/vr/draw/frame.js');
   const { HERE } = await import('/vr/draw/bones.js');
   const { splats, skeleton } = await load(name);
@@ -54,7 +54,7 @@ def test_levels_for_densities(bench: Bench) -> None:
         near = rng.choice(densities) * rng.choice([0.94, 0.97, 1.0, 1.03, 1.06]) if densities else 300.0
         cases.append([densities, float(near), before])
     found = bench.js(
-        "(cases) => import('/vr/draw/detail.js').then((m) => cases.map(([d, w, b]) => m.chosen(d, w, b ?? undefined)))",
+        "(cases) => import('/vr/avatar/detail.js').then((m) => cases.map(([d, w, b]) => m.chosen(d, w, b ?? undefined)))",
         cases,
     )
     assert found == [chosen(*case) for case in cases]
