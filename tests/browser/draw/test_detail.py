@@ -54,7 +54,8 @@ def test_levels_for_densities(bench: Bench) -> None:
         near = rng.choice(densities) * rng.choice([0.94, 0.97, 1.0, 1.03, 1.06]) if densities else 300.0
         cases.append([densities, float(near), before])
     found = bench.js(
-        "(cases) => import('/vr/avatar/detail.js').then((m) => cases.map(([d, w, b]) => m.chosen(d, w, b ?? undefined)))",
+        "(cases) => import('/vr/avatar/detail.js')"
+        ".then((m) => cases.map(([d, w, b]) => m.chosen(d, w, b ?? undefined)))",
         cases,
     )
     assert found == [chosen(*case) for case in cases]

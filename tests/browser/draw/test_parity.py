@@ -84,7 +84,7 @@ def test_an_embedded_person(bench: Bench, person: Avatar, place: tuple[float, fl
 def test_by_the_same_keys_the_same_bits(
     bench: Bench, person: Avatar, degree: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """In the order of the desktop's key pass the picture is the desktop's own, bit for bit: one driver, one arithmetic."""
+    """In the order of the desktop's key pass the picture is the desktop's own, bit for bit."""
     written: list[NDArray[np.uint32]] = []
     plain = ProjectPass.write_order
 

@@ -133,8 +133,9 @@ import('/vr/draw/choice.js').then(({ Choice }) => {
   const said = [];
   const run = (choice, from, to, hertz) => { for (let t = from; t < to; t += 1000 / hertz) choice.frame(t); };
   const choice = new Choice('auto');
-  choice.frame(0);
-  said.push([choice.asks('', 1900)]); // how fast pictures come is not known yet
+  const young = new Choice('auto');
+  young.frame(0);
+  said.push([young.asks('', 1900)]); // how fast pictures come is not known yet
   run(choice, 0, 2000, 72); // pictures, on a display of 72 Hz
   said.push([choice.here, Math.round(choice.display), choice.asks('the avatar is on its way', 2000), choice.reason]);
   said.push([choice.asks('', 2000)]);
