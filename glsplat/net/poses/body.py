@@ -21,10 +21,12 @@ from glsplat.scene import similarity
 from glsplat.skinning.expression import ARKIT
 from glsplat.skinning.pose import Pose
 
-__all__ = ["Body", "pack_body", "place_of", "unpack_bodies", "yours"]
+__all__ = ["MOST", "Body", "pack_body", "place_of", "unpack_bodies", "yours"]
 
 F64 = NDArray[np.float64]
 
+MOST = 255
+"""Bodies of one reply."""
 YOU, EXPRESSION, TRANSLATIONS = 1, 2, 4
 """Flags."""
 

@@ -51,7 +51,6 @@ class Person:
         self.key, self.name, self.avatar, self.seat, self.owner, self.label = key, name, avatar, seat, owner, label
         self.connected = True
         self._heard = now
-        self.count = 0  # of samples so far
         self._samples: deque[Moved] = deque(maxlen=32)
         self._packed: tuple[bytes, bytes] | None = None  # the newest sample on the wire, by the avatar's hash
         self._to_room = np.asarray(np.linalg.inv(seat), np.float64)
@@ -69,7 +68,6 @@ class Person:
         """A sample came."""
         self.heard(sample.at)
         self._samples.append(sample)
-        self.count += 1
         self._packed = None
 
     def packed(self, sha256: bytes) -> bytes | None:
