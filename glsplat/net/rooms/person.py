@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from glsplat.net.poses.body import pack_body
+from glsplat.net.poses.body import Place, pack_body, place_of
 from glsplat.rotations import slerp, turn_between
 from glsplat.scene import similarity
 from glsplat.skinning.pose import Pose
@@ -53,6 +53,7 @@ class Person:
         self._heard = now
         self._samples: deque[Moved] = deque(maxlen=32)
         self._packed: tuple[bytes, bytes] | None = None  # the newest sample on the wire, by the avatar's hash
+        self._placed: tuple[tuple[float, float], Place] | None = None  # where they are, by their size and floor
         self._to_room = np.asarray(np.linalg.inv(seat), np.float64)
 
     @property
@@ -76,8 +77,11 @@ class Person:
         if last is None:
             return None
         if self._packed is None or self._packed[0] != sha256:
-            place, at = self.transform(), last.at * 1e3
-            body = pack_body(last.pose, sha256, place, at=at, t=last.t, key=self.key, frame_id=last.frame_id or 0)
+            size = last.scale, last.floor
+            if self._placed is None or self._placed[0] != size:
+                self._placed = size, place_of(self.transform())
+            more = {"key": self.key, "frame_id": last.frame_id or 0}
+            body = pack_body(last.pose, sha256, self._placed[1], at=last.at * 1e3, t=last.t, **more)
             self._packed = sha256, body
         return self._packed[1]
 
