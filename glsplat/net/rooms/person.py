@@ -80,8 +80,13 @@ class Person:
             size = last.scale, last.floor
             if self._placed is None or self._placed[0] != size:
                 self._placed = size, place_of(self.transform())
-            more = {"key": self.key, "frame_id": last.frame_id or 0}
-            body = pack_body(last.pose, sha256, self._placed[1], at=last.at * 1e3, t=last.t, **more)
+            body = pack_body(
+                *(last.pose, sha256, self._placed[1]),
+                at=last.at * 1e3,
+                t=last.t,
+                key=self.key,
+                frame_id=last.frame_id or 0,
+            )
             self._packed = sha256, body
         return self._packed[1]
 
@@ -91,7 +96,7 @@ class Person:
 
     def opacity(self, now: float) -> float:
         """1 for who is there, falling to 0 for who has been silent for too long."""
-        return float(np.clip(1 - (self.silent(now) - SILENT) / FADE, 0, 1))
+        return min(1.0, max(0.0, 1 - (self.silent(now) - SILENT) / FADE))  # not numpy's: it is asked for every body
 
     def gone(self, now: float) -> bool:
         """Whether nothing is left of them."""

@@ -127,8 +127,11 @@ class Room:
     def moved(self, person: Person, sample: Moved) -> None:
         """A sample of somebody's tracking was solved, or a pose of theirs came."""
         with self._lock:
+            last = person.newest
             person.moved(sample)
-            self._changed(person)
+            # who only listens is at rest in each request, which is no news
+            if last is None or last.pose is not sample.pose or last.scale != sample.scale:
+                self._changed(person)
 
     def look(
         self, person: Person, cameras: Sequence[Camera], own: Moved, now: float
