@@ -17,6 +17,8 @@ import struct
 import subprocess
 import sys
 import time
+from collections.abc import Callable
+from concurrent.futures import Executor, Future
 from statistics import median
 from typing import Any
 
@@ -26,8 +28,9 @@ import psutil
 from numpy.typing import NDArray
 
 import glsplat
-from glsplat.net.backend import Offered
-from glsplat.net.messages import Decoder
+from glsplat.net.backend import Offered, PoseSolver, Solved
+from glsplat.net.backends.server import offered
+from glsplat.net.messages import Decoder, Request
 from glsplat.net.pace.channel import Channel
 from glsplat.net.poses import body
 from glsplat.net.poses.answers import Answers
@@ -35,6 +38,7 @@ from glsplat.net.rooms.member import Member
 from glsplat.net.rooms.person import Moved
 from glsplat.net.rooms.room import Room
 from glsplat.net.session import Session, SessionConfig
+from glsplat.net.solving import Solving
 from glsplat.tracking.calibration import Calibration
 from glsplat.tracking.recording import embedded_recording
 from glsplat.tracking.tracker import Tracker
@@ -138,6 +142,69 @@ def solving() -> None:
     )
 
 
+class Inline(Executor):
+    """Does at once what it is given."""
+
+    def submit(self, call: Callable[..., Any], /, *args: Any, **more: Any) -> Future[Any]:
+        call(*args, **more)
+        return Future()
+
+
+def without_sockets(count: int, seconds: float, rate: float) -> None:
+    """The same people in one thread, without sockets and threads: what each sample costs, and how much is solving."""
+    one = offered("ann", glsplat.default_avatar(), idle=True)
+    assert one.solver is not None
+    hall, now, spent, solved = Room("lab", count), 1000.0, 0.0, 0.0
+    answers = Answers(lambda name: bytes(32), lambda name: "", lambda: now)
+    samples = [{k: v for k, v in sample.to_json().items() if k != "t"} for sample in embedded_recording()]
+    channels = []
+
+    class Timed:
+        def __init__(self, solver: PoseSolver) -> None:
+            self.solver = solver
+
+        def solve(self, request: Request, at: float) -> Solved:
+            nonlocal solved
+            start = time.thread_time()
+            found = self.solver.solve(request, at)
+            solved += time.thread_time() - start
+            return found
+
+    for i in range(count):
+        member = Member(hall, hall.join(f"P{i}", "ann", now), glsplat.Pose.zero(55))
+        session = Session(Decoder(skeleton=one.skeleton), SessionConfig(window=8, rate=1e9, burst=10**9), now)
+        solver = Solving(Timed(one.solver(1.75, None)), Inline(), lambda: now, heard=member.solved)
+        channels.append(Channel(i, session, solver, shown=one, member=member))
+    turns, size = round(seconds * rate), 0
+
+    async def talk() -> None:
+        nonlocal now, spent, size
+        for n in range(1, turns + 1):
+            for i, channel in enumerate(channels):
+                now += 1 / rate / count
+                sample = samples[(97 * i + n) % len(samples)]
+                text = json.dumps({"v": 1, "frame_id": n, "t": n * 1e3 / rate, "want": "pose", "tracking": sample})
+                start = time.thread_time()
+                request = channel.session.receive(text, now)
+                assert isinstance(request, Request) and channel.member is not None and channel.solving is not None
+                channel.solving.add(request)
+                channel.member.received(request, now)
+                answers.due(channel)
+                frame = channel.frames.get_nowait()
+                (data,) = answers.pack(frame)
+                channel.session.sent(frame.request, len(data))
+                spent += time.thread_time() - start
+                size += len(data)
+
+    asyncio.run(talk())
+    each = 1e3 / turns / count
+    print(
+        f"{count} people in a room, {turns} samples each, without sockets: {spent * each:.2f} ms of a core a sample, "
+        f"{solved * each:.2f} of it solving; {size / turns / count:.0f} bytes a reply, "
+        f"{size * 8 * rate / turns / count / (count - 1) / 1e6:.3f} Mbit/s for each other at {rate:g} samples/s"
+    )
+
+
 def listeners(count: int, seconds: float, rate: float) -> None:
     """One speaker at ``rate``, listeners that ask at 10 to 72 Hz: the work of the server without sockets."""
     hall, now = Room("stage", count + 1), 1000.0
@@ -203,9 +270,13 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=15.0)
     parser.add_argument("--rate", type=float, nargs="+", default=[72.0], help="samples a second of each")
     parser.add_argument("--listeners", type=int, default=1000)
+    parser.add_argument("--no-server", action="store_true", help="only what needs no sockets")
     args = parser.parse_args()
     solving()
+    without_sockets(10, 5.0, 72.0)
     listeners(args.listeners, 3.0, 72.0)
+    if args.no_server:
+        return
     command = [sys.executable, "-m", "apps.cli", "serve", "--port", "0", "--json", "--max-clients", "64"]
     command += ["--room", "lab:64", "--watermark", "off"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as server:
