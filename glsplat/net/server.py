@@ -92,7 +92,7 @@ class Server:
         if uploads is not None:
             limits = replace(limits, head=max(limits.head, limits.body))
         self.door: Door = Door(self.config.access, limits, self.config.max_clients, clock, self.config.consent)
-        self._work = Budget(limits.work, clock())
+        self._work = Budget(limits.work, clock(), limits.work_alone, lambda: self.pump.stages.lately())
         self._offers = Offers(offered)
         self._uploads = uploads
         self._rooms = Rooms(self.config.rooms)

@@ -27,6 +27,7 @@ MEASURED = [
     "collapsed body, 40 image sizes",
     "64^2 to 1536^2",
     "specks of 1 x 1",
+    "a picture, a pose, 100 a second",
     "does not read",
     "clients that end at once",
 ]
