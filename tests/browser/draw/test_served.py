@@ -113,6 +113,14 @@ def test_a_damaged_avatar_is_a_sentence_and_pictures(visit: Callable[..., Opened
     assert page.stats()["drawn"]["by"] == "server"
 
 
+def test_a_device_without_enough_memory_is_a_sentence_and_pictures(visit: Callable[..., Opened], serve: Any) -> None:
+    served = handing(serve)
+    starved = "WebGL2RenderingContext.prototype.getError = () => 0x0505;"
+    page = visit(served.page, init=settings(size=512, driver="rest", drawn="here") + ";" + starved)
+    page.until(f"window.glsplat?.stats().shown > 2 && {DRAWN}.reason.includes('not enough memory for these splats')")
+    assert page.stats()["drawn"]["by"] == "server"
+
+
 def test_a_lost_context_comes_back_to_drawing_here(visit: Callable[..., Opened], serve: Any) -> None:
     page = opened(visit, handing(serve))
     page.until(f"{DRAWN}.by === 'here' && window.glsplat.stats().shown > 2")

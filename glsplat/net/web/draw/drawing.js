@@ -207,6 +207,7 @@ export class Drawing {
       posed: texture(gl, 'RGBA32F', 4 * size, rows),
       colours: texture(gl, degree ? 'RGBA32F' : 'RGB32F', size * texels, rows, colours),
     };
+    if (gl.getError() === gl.OUT_OF_MEMORY) throw new Error('it has not enough memory for these splats');
   }
 
   /** Programs and work buffers for so many views and splats. */
