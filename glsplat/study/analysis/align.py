@@ -1,0 +1,70 @@
+"""The aligned rank transform: each answer less all effects but one, then ranked; that one is then tested.
+
+Wobbrock, Findlater, Gergle and Higgins (2011), "The aligned rank transform for nonparametric factorial analyses using
+only ANOVA procedures"; for contrasts Elkin, Kay, Higgins and Wobbrock (2021), "An aligned rank transform procedure for
+multifactor contrast tests" (ART-C). Means are over answers, as in ARTool, also where cells have different numbers.
+"""
+
+from __future__ import annotations
+
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glsplat.statistics.ranks import average_ranks
+
+from .effects import Effect
+from .table import Table
+
+__all__ = ["aligned", "aligned_for_contrasts", "ranked", "ranked_for_contrasts"]
+
+F64 = NDArray[np.float64]
+
+
+def aligned(table: Table, effect: Effect, values: F64 | None = None) -> F64:
+    """Residuals plus the estimated effect (Wobbrock et al. 2011, steps 1 to 3), [..., N].
+
+    ``values``: other answers on the same rows, [..., N]; the estimate is the alternating sum of the means over all
+    subsets of the effect's factors.
+    """
+    y = table.values if values is None else values
+    out = y - _means(table, tuple(range(len(table.factors))), y)
+    for size in range(len(effect) + 1):
+        for subset in combinations(effect, size):
+            out = out + (-1) ** (len(effect) - size) * _means(table, subset, y)
+    return out
+
+
+def ranked(table: Table, effect: Effect, values: F64 | None = None) -> F64:
+    """The ranks of :func:`aligned`, from 1, mean ranks for ties, [..., N]."""
+    return average_ranks(_settled(aligned(table, effect, values), table.values if values is None else values))
+
+
+def aligned_for_contrasts(table: Table, effect: Effect, values: F64 | None = None) -> F64:
+    """As the main effect of one factor whose levels are the combinations of the effect's (ART-C), [..., N]."""
+    y = table.values if values is None else values
+    whole = tuple(range(len(table.factors)))
+    return y - _means(table, whole, y) + _means(table, effect, y) - _means(table, (), y)
+
+
+def ranked_for_contrasts(table: Table, effect: Effect, values: F64 | None = None) -> F64:
+    """The ranks of :func:`aligned_for_contrasts`, [..., N]."""
+    y = table.values if values is None else values
+    return average_ranks(_settled(aligned_for_contrasts(table, effect, values), y))
+
+
+def _settled(out: F64, y: F64) -> F64:
+    """Aligned values whose noise of rounding is gone: next to large answers it exceeds what small ones differ by."""
+    size = np.abs(y).max(axis=-1, keepdims=True, initial=0.0)
+    return np.where(np.abs(out) <= 1e-12 * size, 0.0, out)
+
+
+def _means(table: Table, subset: Effect, y: F64) -> F64:
+    """Each row's mean over all rows that share its levels of these factors."""
+    if not subset:
+        return np.broadcast_to(y.mean(axis=-1, keepdims=True), y.shape)
+    place = np.ravel_multi_index(tuple(table.codes[:, i] for i in subset), tuple(table.shape[i] for i in subset))
+    member = np.zeros((len(place), int(place.max()) + 1))
+    member[np.arange(len(place)), place] = 1
+    return (y @ (member / np.maximum(member.sum(axis=0), 1)))[..., place]
