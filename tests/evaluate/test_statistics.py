@@ -9,6 +9,7 @@ import pytest
 
 from glsplat.evaluate.statistics import compare, holm, summarise
 
+
 def test_a_table() -> None:
     ours = {f"p{i:02}": 30 + 0.1 * i for i in range(1, 9)}
     values = {

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from functools import reduce
 from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Effect", "averages", "effects_of", "hypothesis", "orthonormal"]
+__all__ = ["Effect", "averages", "effects_of", "hypothesis", "kron", "orthonormal"]
 
 F64 = NDArray[np.float64]
 
@@ -37,10 +36,18 @@ def hypothesis(shape: Sequence[int], effect: Effect) -> F64:
     orthonormal.
     """
     parts = [orthonormal(n) if i in effect else np.full((1, n), 1 / math.sqrt(n)) for i, n in enumerate(shape)]
-    return reduce(np.kron, parts, np.ones((1, 1)))
+    return kron(parts)
 
 
 def averages(shape: Sequence[int], effect: Effect) -> F64:
     """The means over all other factors, one row a combination of the effect's levels: estimated marginal means."""
     parts = [np.eye(n) if i in effect else np.full((1, n), 1 / n) for i, n in enumerate(shape)]
-    return reduce(np.kron, parts, np.ones((1, 1)))
+    return kron(parts)
+
+
+def kron(parts: Sequence[F64]) -> F64:
+    """The Kronecker product of all of them; [[1]] of none."""
+    out: F64 = np.ones((1, 1))
+    for part in parts:
+        out = np.asarray(np.kron(out, part), np.float64)
+    return out

@@ -82,7 +82,9 @@ def fit(table: Table, rows: F64) -> Fit | None:
     if best == len(tries) - 1 or not np.isfinite(heights[best]):
         return None  # participants differ and nothing else does
     bounds = (tries[max(best - 1, 0)], tries[best + 1])
-    found = minimize_scalar(lambda t: solve(float(np.exp(t)))[0], bounds=bounds, method="bounded", options={"xatol": 1e-9})
+    found = minimize_scalar(
+        lambda t: solve(float(np.exp(t)))[0], bounds=bounds, method="bounded", options={"xatol": 1e-9}
+    )
     ratio = float(np.exp(found.x)) if found.fun < solve(0.0)[0] else 0.0
     _, means, left, root = solve(ratio)
     variance = left / free
@@ -111,10 +113,10 @@ def _adjusted(means: F64, covariance: F64, variance: float, ratio: float, seen: 
         for j in range(2):
             pair = covariance @ P[i] @ covariance @ P[j]
             information[i, j] = traces[i, j] - 2 * np.trace(covariance @ Q[i][j]) + np.trace(pair)
-    W = 2 * np.linalg.pinv(information)
+    W = 2 * np.linalg.inv(information)
     U = sum(W[i, j] * (Q[i][j] - P[i] @ covariance @ P[j]) for i in range(2) for j in range(2))
     adjusted = covariance + 2 * covariance @ U @ covariance
-    return Fit(means, covariance, adjusted, variance, variance * ratio, P, W)
+    return Fit(means, covariance, adjusted, variance, variance * ratio, P, np.asarray(W, np.float64))
 
 
 def test(table: Table, effect: Effect, model: Fit | None) -> FTest:

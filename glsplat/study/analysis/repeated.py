@@ -1,20 +1,19 @@
 """F tests by repeated-measures analysis of variance: each effect against its own error stratum.
 
-As R's aov with Error(participant / (within factors)) where groups are of one size; type III sums of squares (car's Anova
-on the multivariate model) where they are not. Every participant needs every combination of the within factors.
+As R's aov with Error(participant / (within factors)) where groups are of one size; type III sums of squares (car's
+Anova on the multivariate model) where they are not. Every participant needs every combination of the within factors.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import reduce
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import fdtrc
 
-from .effects import Effect, averages, hypothesis, orthonormal
+from .effects import Effect, averages, hypothesis, kron, orthonormal
 from .table import Table
 
 __all__ = ["FTest", "Split", "contrast_rows", "f_tests", "split"]
@@ -35,7 +34,7 @@ class FTest:
     df2: float
     p: float
     epsilon: float | None = None
-    """Greenhouse and Geisser's (1959) departure from sphericity; None with one degree of freedom, or in a mixed model."""
+    """Greenhouse and Geisser's (1959) departure from sphericity; None with two levels, or in a mixed model."""
 
     @property
     def p_corrected(self) -> float | None:
@@ -152,4 +151,4 @@ def _own_contrasts(table: Table, effect: Effect) -> F64:
     """Orthonormal contrasts [d, K] of the within factors in the effect, means over the others."""
     shapes = [(i in effect, table.shape[i]) for i in table.within]
     rows = [orthonormal(n) if own else np.full((1, n), 1 / math.sqrt(n)) for own, n in shapes]
-    return reduce(np.kron, rows, np.ones((1, 1)))
+    return kron(rows)

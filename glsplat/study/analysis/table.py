@@ -222,7 +222,9 @@ def read_rows(path: str | Path) -> list[tuple[int, dict[str, str]]]:
             if not row:
                 continue
             if len(row) != len(header):
-                raise FormatError(f"{path}, line {reader.line_num}: {len(row)} columns, but the header has {len(header)}")
+                raise FormatError(
+                    f"{path}, line {reader.line_num}: {len(row)} columns, but the header has {len(header)}"
+                )
             rows.append((reader.line_num, dict(zip(header, (cell.strip() for cell in row), strict=True))))
     except csv.Error as error:
         raise FormatError(f"{path}: not a CSV file ({error})") from None
