@@ -78,10 +78,8 @@ class Planned:
                 f"{groups} groups need {max(2 * groups, 2)} participants or more, not {self.participants}"
             )
         conditions = int(np.prod([len(levels) for name, levels in self.factors.items() if name not in self.between]))
-        if self.participants * conditions > MOST_ROWS:
-            raise FormatError(
-                f"a simulation takes at most {MOST_ROWS} answers a study, not {self.participants * conditions}"
-            )
+        if (answers := self.participants * conditions) > MOST_ROWS:
+            raise FormatError(f"a simulation takes at most {MOST_ROWS} answers a study, not {answers}")
 
     @cached_property
     def table(self) -> Table:
@@ -106,9 +104,8 @@ class Planned:
         total = np.zeros(shape)
         for text, numbers in effects.items():
             parts = [part.strip() for part in text.split(":")]
-            if unknown := [part for part in parts if part not in names] or len(set(parts)) < len(parts):
-                what = repr(unknown[0]) if isinstance(unknown, list) else "twice the same"
-                raise FormatError(f"effect {text!r}: {what} is no factor; there are {', '.join(names)}")
+            if not set(parts) <= set(names) or len(set(parts)) < len(parts):
+                raise FormatError(f"effect {text!r}: expected factors with : between them, of {', '.join(names)}")
             if not np.isfinite(numbers).all():
                 raise FormatError(f"effect {text!r}: expected finite numbers, in standard deviations")
             own = [names.index(part) for part in parts]
@@ -120,7 +117,7 @@ class Planned:
                 pattern = _pure(np.array(numbers, float).reshape(part_shape))
             else:
                 raise FormatError(
-                    f"effect {text!r}: expected one number or {np.prod(part_shape)}, one a condition; got {len(numbers)}"
+                    f"effect {text!r}: expected one number or {np.prod(part_shape)}, a condition each; got {len(numbers)}"
                 )
             turned = pattern.transpose([own.index(i) for i in order])
             total += turned.reshape([n if i in order else 1 for i, n in enumerate(shape)])

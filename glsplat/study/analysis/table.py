@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from glsplat.errors import FormatError
 from glsplat.io.files import open_regular
 
-__all__ = ["Factor", "Table", "make_table", "read_rows", "read_table"]
+__all__ = ["Factor", "Table", "make_table", "number_of", "read_rows", "read_table"]
 
 F64 = NDArray[np.float64]
 Ints = NDArray[np.intp]
@@ -144,7 +144,7 @@ def read_table(
             raise FormatError(f"{path}: no row has the measure {measure!r}")
     answers, unanswered = [], 0
     for line, row in rows:
-        value = _number(path, line, response, row[response])
+        value = number_of(path, line, response, row[response])
         if value is None:
             unanswered += 1
             continue
@@ -241,7 +241,8 @@ def _has_columns(path: str | Path, rows: list[tuple[int, dict[str, str]]], wante
         raise FormatError(f"{path}: expected participant, factors and response to be different columns")
 
 
-def _number(path: str | Path, line: int, column: str, text: str) -> float | None:
+def number_of(path: str | Path, line: int, column: str, text: str) -> float | None:
+    """The number that a cell holds; None for an empty one or NA. Raises FormatError naming line and column."""
     if text.lower() in _NOTHING:
         return None
     try:

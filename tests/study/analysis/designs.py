@@ -1,6 +1,6 @@
 """Two hundred made-up studies, the same on every machine: 2 to 4 factors within and between, ties, imbalance, gaps.
 
-Only ``random.Random.random`` is drawn from, which Python keeps as it is; R's figures on these data lie beside the tests.
+Only ``random.Random.random`` is drawn from, which Python keeps as it is; what R says of them lies beside the tests.
 """
 
 from __future__ import annotations
