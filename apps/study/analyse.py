@@ -108,7 +108,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _line(analysis: Analysis) -> str:
-    found = [row.effect for row in analysis.effects if row.p < 0.05]
+    found = [row.effect for row in analysis.effects if row.clear]
     clear = ", ".join(found) or "no effect"
     return f"{analysis.table.response}: {clear} at p < .05, {len(analysis.table.names)} participants"
 

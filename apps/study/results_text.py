@@ -5,15 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
-from glsplat.study.analysis.analysis import Analysis, EffectRow
+from glsplat.study.analysis.analysis import ALPHA, Analysis, EffectRow
 from glsplat.study.analysis.anova import Contrast
 from glsplat.study.analysis.effect_sizes import EffectSize
 from glsplat.study.analysis.plain import Omnibus
 from glsplat.study.analysis.reliability import Reliability
 
 __all__ = ["results_text"]
-
-ALPHA = 0.05
 
 
 def results_text(analyses: Sequence[Analysis], scales: Mapping[str, Reliability] | None = None) -> str:
@@ -76,6 +74,12 @@ def _design(analysis: Analysis) -> str:
             else "analyses of variance (type III)."
         )
     )
+    if analysis.effects[0].p_spread is not None:
+        known = len({*analysis.table.values.tolist()})
+        lines.append(
+            f"Answers take {known} values only; on coarse scales ART finds effects that are not there (Luepsen, 2017), so "
+            "F is given with ties spread, too, and an effect counts as significant where both are."
+        )
     if analysis.stray_f > 0:
         lines.append(
             f"The design is not balanced: after alignment, other effects are left with F up to {analysis.stray_f:.2f} "
@@ -111,16 +115,25 @@ def _tests(analysis: Analysis) -> str:
         if math.isnan(row.f):
             sentences.append(f"For the {kind}{name}, nothing varies that could be tested.")
             continue
-        found = "There was a significant" if row.p < ALPHA else "There was no significant"
+        found = "There was a significant" if row.clear else "There was no significant"
         corrected = f" (Greenhouse-Geisser {_p(row.p_corrected)})" if row.p_corrected is not None else ""
         sentences.append(
             f"{found} {kind}{name}, F({_df(row.df1)}, {_df(row.df2)}) = {row.f:.2f}, {_p(row.p)}{corrected}, "
-            f"partial eta squared = {_share(row.eta_squared.value)}, 95% CI {_interval(row.eta_squared)}."
+            f"partial eta squared = {_share(row.eta_squared.value)}, 95% CI {_interval(row.eta_squared)}{_spread(row)}."
         )
         own = [c for c in analysis.contrasts if c.effect == row.effect]
-        if row.p < ALPHA and len(own) > 1:
+        if row.clear and len(own) > 1:
             sentences.append(_differences(own))
     return " ".join(sentences)
+
+
+def _spread(row: EffectRow) -> str:
+    """What is left of it where ties are spread."""
+    if row.p_spread is None or row.f_spread is None or math.isnan(row.f_spread):
+        return ""
+    said = f"; with ties spread, F = {row.f_spread:.2f}, {_p(row.p_spread)}"
+    coarse = row.p < ALPHA and not row.clear
+    return said + (", so what ART alone finds here may be the coarse scale's doing" if coarse else "")
 
 
 def _differences(own: Sequence[Contrast]) -> str:
@@ -157,6 +170,7 @@ def _effects(analysis: Analysis) -> str:
         epsilon = "" if r.epsilon is None else f"{r.epsilon:.3f}"
         corrected = "" if r.p_corrected is None else _exact(r.p_corrected)
         eta = r.eta_squared
+        spread = ["", ""] if r.p_spread is None or r.f_spread is None else [_four(r.f_spread), _exact(r.p_spread)]
         return [
             r.effect,
             _four(r.f),
@@ -167,9 +181,11 @@ def _effects(analysis: Analysis) -> str:
             corrected,
             _share(eta.value),
             _interval(eta),
+            *spread,
         ]
 
     header = ["effect", "F", "df1", "df2", "p", "epsilon (GG)", "p (GG)", "partial eta squared", "95% CI"]
+    header += ["F (ties spread)", "p (ties spread)"]
     return _table(header, [row(r) for r in analysis.effects])
 
 

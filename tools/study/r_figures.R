@@ -61,7 +61,7 @@ for (path in commandArgs(TRUE)) {
                             control = lmerControl(optCtrl = list(xtol_abs = 1e-12, ftol_abs = 1e-14))), type = 3, test = "F"))
       if (!is.null(a)) add("mixed", effect, c(a[name, "F"], a[name, "Df"], a[name, "Df.res"], a[name, "Pr(>F)"]))
     }
-    if (length(effect) > 2) next
+    if (!name %in% c(factors[1], paste(factors[1:2], collapse = ":"))) next  # contrasts of two effects suffice
     # ART-C: the effect's factors as one
     others <- setdiff(factors, effect)
     e <- d

@@ -12,14 +12,16 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from glsplat.statistics.ranks import average_ranks
+from glsplat.statistics.ranks import TIE, average_ranks
 
 from .effects import Effect
 from .table import Table
 
-__all__ = ["aligned", "aligned_for_contrasts", "ranked", "ranked_for_contrasts"]
+__all__ = ["aligned", "aligned_for_contrasts", "ranked", "ranked_for_contrasts", "spread_ranks", "step_of"]
 
 F64 = NDArray[np.float64]
+
+DRAWS = 25
 
 
 def aligned(table: Table, effect: Effect, values: F64 | None = None) -> F64:
@@ -39,6 +41,31 @@ def aligned(table: Table, effect: Effect, values: F64 | None = None) -> F64:
 def ranked(table: Table, effect: Effect, values: F64 | None = None) -> F64:
     """The ranks of :func:`aligned`, from 1, mean ranks for ties, [..., N]."""
     return average_ranks(_settled(aligned(table, effect, values), table.values if values is None else values))
+
+
+def spread_ranks(table: Table, effect: Effect, step: float, values: F64 | None = None, seed: int = 0) -> F64:
+    """The mean of :func:`ranked` over 25 draws that spread each answer evenly over its step of the scale, [..., N].
+
+    On a coarse scale the alignment parts ties along the estimated effect itself, and ranks blow that up: ART finds
+    effects that are not there (Luepsen 2017, "The aligned rank transform and discrete variables: a warning"). Spread
+    answers have no ties that could be parted. This is no part of ARTool; tools/study/type_one.py measures both.
+    """
+    y = table.values if values is None else values
+    rng = np.random.default_rng(seed)
+    total = np.zeros(y.shape)
+    for _ in range(DRAWS):
+        total += average_ranks(aligned(table, effect, y + step * (rng.random(y.shape) - 0.5)))
+    return total / DRAWS
+
+
+def step_of(values: F64) -> float | None:
+    """The smallest difference of a scale's answers [N]; None where fewer than half share theirs with another."""
+    known, counts = np.unique(average_ranks(values), return_counts=True)
+    if len(known) < 2 or counts[counts > 1].sum() < len(values) / 2:
+        return None
+    ordered = np.sort(values)
+    gaps = np.diff(ordered)
+    return float(gaps[gaps > TIE * np.abs(values).max()].min())
 
 
 def aligned_for_contrasts(table: Table, effect: Effect, values: F64 | None = None) -> F64:

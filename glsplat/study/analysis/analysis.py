@@ -8,6 +8,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -16,15 +17,16 @@ import numpy as np
 from glsplat.errors import FormatError
 from glsplat.statistics.bootstrap import LEVEL
 
-from .anova import Contrast, Model, ModelName, art, art_contrasts, choose, conditions, name_of, stray
+from .anova import Contrast, Model, ModelName, art, art_contrasts, art_spread, choose, conditions, name_of, stray
 from .effect_sizes import EffectSize, partial_eta_squared
 from .effects import effects_of
-from .plain import Omnibus, plain_tests
+from .plain import MOST_CONDITIONS, Omnibus, plain_tests
+from .repeated import FTest
 from .table import Table
 
-__all__ = ["Analysis", "Cell", "EffectRow", "analyse"]
+__all__ = ["ALPHA", "Analysis", "Cell", "EffectRow", "analyse"]
 
-MOST_CONDITIONS = 24  # of an effect whose pairs are all compared: 276 of them
+ALPHA = 0.05
 
 
 @dataclass(frozen=True)
@@ -53,6 +55,14 @@ class EffectRow:
     p_corrected: float | None
     eta_squared: EffectSize
     """Partial."""
+    f_spread: float | None = None
+    """F and p with ties spread, of answers on a coarse scale (:func:`~glsplat.study.analysis.align.spread_ranks`)."""
+    p_spread: float | None = None
+
+    @property
+    def clear(self) -> bool:
+        """p < .05, also with ties spread."""
+        return self.p < ALPHA and (self.p_spread is None or self.p_spread < ALPHA)
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,6 +122,8 @@ def analyse(table: Table, kind: ModelName = "auto", seed: int = 0) -> Analysis:
         quartiles = map(float, np.quantile(own, [0.25, 0.5, 0.75]))
         sd = float(own.std(ddof=1)) if len(own) > 1 else math.nan
         cells.append(Cell(condition, len(own), float(own.mean()), sd, *quartiles))
+    tests = art(model)
+    spread: Sequence[FTest | None] = art_spread(model) or [None] * len(tests)
     effects = [
         EffectRow(
             name_of(table, test.effect),
@@ -122,8 +134,10 @@ def analyse(table: Table, kind: ModelName = "auto", seed: int = 0) -> Analysis:
             test.epsilon,
             test.p_corrected,
             partial_eta_squared(test.f, test.df1, test.df2),
+            other.f if other else None,
+            other.p if other else None,
         )
-        for test in art(model)
+        for test, other in zip(tests, spread, strict=True)
     ]
     contrasts = [
         contrast

@@ -19,7 +19,18 @@ from .effects import Effect, effects_of
 from .repeated import FTest
 from .table import Table
 
-__all__ = ["Contrast", "Model", "ModelName", "art", "art_contrasts", "choose", "conditions", "name_of", "stray"]
+__all__ = [
+    "Contrast",
+    "Model",
+    "ModelName",
+    "art",
+    "art_contrasts",
+    "art_spread",
+    "choose",
+    "conditions",
+    "name_of",
+    "stray",
+]
 
 F64 = NDArray[np.float64]
 ModelName = Literal["auto", "rm", "mixed"]
@@ -81,6 +92,15 @@ def choose(table: Table, kind: ModelName = "auto") -> Model:
 def art(model: Model) -> list[FTest]:
     """An F test for every main effect and interaction, each on its own aligned ranks."""
     return [_test(model, effect, align.ranked(model.table, effect)) for effect in effects_of(len(model.table.factors))]
+
+
+def art_spread(model: Model) -> list[FTest] | None:
+    """As :func:`art`, on ranks whose ties are spread; None where the answers are on no coarse scale."""
+    step = align.step_of(model.table.values)
+    if step is None:
+        return None
+    effects = effects_of(len(model.table.factors))
+    return [_test(model, effect, align.spread_ranks(model.table, effect, step)) for effect in effects]
 
 
 def stray(model: Model) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,6 +55,14 @@ def _noncentrality(f: float, df1: float, df2: float, share: float) -> float:
     return float(brentq(above, 0.0, top, xtol=1e-10, rtol=1e-12))
 
 
+@lru_cache(maxsize=8)
+def _resampled(count: int, seed: int) -> F64:
+    """How often each of so many participants is in each bootstrap sample, [RESAMPLES, count]."""
+    drawn = np.random.default_rng(seed).multinomial(count, np.full(count, 1 / count), RESAMPLES).astype(float)
+    drawn.flags.writeable = False
+    return drawn
+
+
 def cliffs_delta(first: F64, second: F64, *, paired: bool, seed: int = 0, level: float = LEVEL) -> EffectSize:
     """How much more often an answer [N] of the first is larger than one [M] of the second than the reverse.
 
@@ -66,10 +75,9 @@ def cliffs_delta(first: F64, second: F64, *, paired: bool, seed: int = 0, level:
     apart = first[:, None] - second
     size = max(np.abs(first).max(), np.abs(second).max())
     larger = np.where(np.abs(apart) <= TIE * size, 0.0, np.sign(apart))
-    rng = np.random.default_rng(seed)
     n, m = len(first), len(second)
-    one = rng.multinomial(n, np.full(n, 1 / n), RESAMPLES)
-    other = one if paired else rng.multinomial(m, np.full(m, 1 / m), RESAMPLES)
+    one = _resampled(n, seed)
+    other = one if paired else _resampled(m, seed + 1)
     drawn = ((one @ larger) * other).sum(axis=1) / (n * m)
     low, high = np.quantile(drawn, [(1 - level) / 2, (1 + level) / 2])
     return EffectSize(float(larger.mean()), float(low), float(high))

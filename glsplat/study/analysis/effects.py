@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import lru_cache
 from itertools import combinations
 
 import numpy as np
@@ -29,14 +30,17 @@ def orthonormal(levels: int) -> F64:
     return rows / np.linalg.norm(rows, axis=1, keepdims=True)
 
 
-def hypothesis(shape: Sequence[int], effect: Effect) -> F64:
+@lru_cache(maxsize=256)
+def hypothesis(shape: tuple[int, ...], effect: Effect) -> F64:
     """What the cell means [prod(shape)] times this matrix's rows are 0 under: no such effect.
 
     Every cell counts alike, however many answers it has: type III sums of squares (sum contrasts in R). Rows are
     orthonormal.
     """
     parts = [orthonormal(n) if i in effect else np.full((1, n), 1 / math.sqrt(n)) for i, n in enumerate(shape)]
-    return kron(parts)
+    out = kron(parts)
+    out.flags.writeable = False  # kept for the next call
+    return out
 
 
 def averages(shape: Sequence[int], effect: Effect) -> F64:

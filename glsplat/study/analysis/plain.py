@@ -22,9 +22,12 @@ from .effects import Effect, averages
 from .repeated import split
 from .table import Table
 
-__all__ = ["Omnibus", "Pair", "friedman", "kruskal_wallis", "plain_tests"]
+__all__ = ["MOST_CONDITIONS", "Omnibus", "Pair", "friedman", "kruskal_wallis", "plain_tests"]
 
 F64 = NDArray[np.float64]
+
+MOST_CONDITIONS = 24
+"""Of an effect whose pairs are all compared: 276 of them."""
 
 
 @dataclass(frozen=True)
@@ -64,7 +67,9 @@ def plain_tests(table: Table, seed: int = 0) -> list[Omnibus]:
     parts = split(table, table.values)
     out = []
     effects: list[Effect] = [(i,) for i in range(len(table.factors))]
-    for effect in [*effects, *([table.within] if len(table.within) > 1 else [])]:
+    if len(table.within) > 1 and np.prod(parts.within_shape) <= MOST_CONDITIONS:
+        effects.append(table.within)
+    for effect in effects:
         name, labels = name_of(table, effect), conditions(table, effect)
         if effect[0] in table.within:
             inside = tuple(table.within.index(i) for i in effect)

@@ -19,7 +19,7 @@ from scipy.special import betaincinv
 from glsplat.errors import FormatError
 from glsplat.statistics.bootstrap import LEVEL
 
-from .align import ranked
+from .align import ranked, spread_ranks
 from .anova import choose, name_of
 from .effects import Effect, effects_of, hypothesis
 from .repeated import f_tests, split
@@ -117,7 +117,8 @@ class Planned:
                 pattern = _pure(np.array(numbers, float).reshape(part_shape))
             else:
                 raise FormatError(
-                    f"effect {text!r}: expected one number or {np.prod(part_shape)}, a condition each; got {len(numbers)}"
+                    f"effect {text!r}: expected one number or {np.prod(part_shape)}, one a condition; got "
+                    f"{len(numbers)}"
                 )
             turned = pattern.transpose([own.index(i) for i in order])
             total += turned.reshape([n if i in order else 1 for i, n in enumerate(shape)])
@@ -171,10 +172,12 @@ def power(
     runs: int = 1000,
     alpha: float = 0.05,
     seed: int = 0,
+    step: float | None = None,
     progress: Callable[[int], object] = lambda done: None,
 ) -> list[Power]:
     """A row for every effect: the aligned rank transform with repeated-measures F tests on ``runs`` studies.
 
+    ``step``: of the scale, where ties shall be spread (:func:`~glsplat.study.analysis.align.spread_ranks`).
     ``progress`` is told how many more are done. The same seed gives the same rows.
     """
     if runs < 1 or not 0 < alpha < 1:
@@ -186,7 +189,8 @@ def power(
     for begin in range(0, runs, chunk):
         answers = draws(rng, min(chunk, runs - begin))
         for effect in effects:
-            p = f_tests(table, effect, ranked(table, effect, answers))[3]
+            ranks = ranked(table, effect, answers) if step is None else spread_ranks(table, effect, step, answers)
+            p = f_tests(table, effect, ranks)[3]
             found[effect] += int((p < alpha).sum())  # of NaN, where nothing varies, none
         progress(len(answers))
     return [Power(name_of(table, effect), runs, k, *_interval(k, runs)) for effect, k in found.items()]

@@ -43,14 +43,14 @@ def design(number: int) -> Design:
         return math.sqrt(-2 * math.log(1 - draw.random())) * math.cos(2 * math.pi * draw.random())
 
     count = 2 + number % 3
-    shape = [pick((2, 3, 4) if count == 2 else (2, 3) if count == 3 else (2, 2, 2, 3)) for _ in range(count)]
+    shape = [pick((2, 3, 4) if count == 2 else (2, 2, 3)) if place < 3 else 2 for place in range(count)]
     within = [draw.random() < 0.65 for _ in shape]
     letters = "ABCD"[:count]
     factors = {
         letter: tuple(f"{letter.lower()}{i + 1}" for i in range(n)) for letter, n in zip(letters, shape, strict=True)
     }
     groups = math.prod(n for n, inside in zip(shape, within, strict=True) if not inside)
-    each = pick((4, 6, 9)) if groups > 2 else pick((6, 9, 14))
+    each = pick((3, 4, 6)) if groups > 2 else pick((5, 7, 9))
     unequal, gaps = draw.random() < 0.3, draw.random() < 0.35
     kind = KINDS[number // 3 % len(KINDS)]
     spread = pick((0, 1, 1, 2)) * 0.7
