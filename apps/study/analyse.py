@@ -142,7 +142,7 @@ def _measures(
     if not long:
         return [None]
     found = list(dict.fromkeys(row["measure"] for _, row in rows))
-    outside = {row["measure"] for _, row in rows if not all(row.get(name, "") for name in factors)}
+    outside = {row["measure"] for _, row in rows if not all(row.get(name, "?") for name in factors)}
     for name in sorted(outside):
         print(f"{name}: not asked in conditions, left out", file=sys.stderr)
     kept: list[str | None] = [name for name in found if name not in outside]

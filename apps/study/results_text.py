@@ -77,8 +77,8 @@ def _design(analysis: Analysis) -> str:
     if analysis.effects[0].p_spread is not None:
         known = len({*analysis.table.values.tolist()})
         lines.append(
-            f"Answers take {known} values only; on coarse scales ART finds effects that are not there (Luepsen, 2017), so "
-            "F is given with ties spread, too, and an effect counts as significant where both are."
+            f"Answers take {known} values only; on coarse scales ART finds effects that are not there (Luepsen, 2017), "
+            "so F is given with ties spread, too, and an effect counts as significant where both are."
         )
     if analysis.stray_f > 0:
         lines.append(

@@ -50,6 +50,8 @@ def fit(table: Table, rows: F64) -> Fit | None:
     cells = int(np.prod(table.shape))
     seen = np.zeros((len(table.names), cells))  # how often each participant answered each cell
     np.add.at(seen, (table.participant, table.cell), 1)
+    there = seen.any(axis=1)
+    seen = seen[there]
     n = seen.sum(axis=1)
     if not (n > 1).any() or len(rows) <= cells + 1:
         raise FormatError(
@@ -58,7 +60,7 @@ def fit(table: Table, rows: F64) -> Fit | None:
         )
     y = rows - rows.mean()
     sums = np.bincount(table.cell, y, cells)
-    own = np.bincount(table.participant, y, len(table.names))
+    own = np.bincount(table.participant, y, len(table.names))[there]
     whole, counts = float(y @ y), seen.sum(axis=0)
     free = len(y) - cells
 

@@ -101,7 +101,8 @@ def f_tests(table: Table, effect: Effect, rows: F64) -> tuple[F64, int, int, F64
     error = (left**2).sum(axis=(-1, -2))
     df1, df2 = len(L) * len(own), parts.df * len(own)
     total = ((rows - rows.mean(axis=-1, keepdims=True)) ** 2).sum(axis=-1)
-    explained, error = (np.where(part <= NOTHING * total, 0.0, part) for part in (explained, error))
+    rounding = NOTHING * total + NOTHING**2 * (rows**2).sum(axis=-1)
+    explained, error = (np.where(part <= rounding, 0.0, part) for part in (explained, error))
     with np.errstate(divide="ignore", invalid="ignore"):
         f = (explained / df1) / (error / df2)
         spread = np.swapaxes(left, -1, -2) @ left
