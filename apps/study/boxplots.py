@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 
 import numpy as np
@@ -15,6 +16,7 @@ from ..figures import png_of
 __all__ = ["boxplots"]
 
 _COLUMNS = 3
+_LONGEST = 24  # letters of a level
 _SPREAD = 0.22  # half the width of the strip of points, of the distance between two boxes
 
 
@@ -32,7 +34,9 @@ def boxplots(analyses: Sequence[Analysis]) -> bytes:
         _panel(axes, analysis)
     for axes in places[len(analyses) :]:
         axes.set_axis_off()
-    return png_of(figure)
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "Glyph .* missing", UserWarning)  # a letter that the font lacks is a box
+        return png_of(figure)
 
 
 def _panel(axes: Axes, analysis: Analysis) -> None:
@@ -56,5 +60,6 @@ def _panel(axes: Axes, analysis: Analysis) -> None:
 
 
 def _literal(text: str) -> str:
-    """A dollar begins no formula."""
-    return text.replace("$", r"\$")
+    """A dollar begins no formula, and a long line leaves room for the boxes."""
+    lines = (line if len(line) <= _LONGEST else line[: _LONGEST - 3] + "..." for line in text.split("\n"))
+    return "\n".join(lines).replace("$", r"\$")

@@ -114,6 +114,7 @@ def stray(model: Model) -> float:
         rows = align.aligned(table, effect)
         if np.ptp(rows) == 0:
             continue
+        rows = rows / np.abs(rows).max()  # F knows no unit, floats do
         fitted = mixed.fit(table, rows) if model.kind == "mixed" else None
         others = [other for other in effects if other != effect]
         found = (

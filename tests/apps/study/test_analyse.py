@@ -7,7 +7,7 @@ import itertools
 import json
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -147,6 +147,31 @@ def test_wide_with_items(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> 
     assert 'd$factor1 <- factor(d[["my view"]], levels = c("a|b", "c$d", "e \\"f\\""))' in script
     assert "art(answer ~ factor1 + Error(person / (factor1)), data = d)" in script
     assert 'psych::alpha(sapply(whole[c("i1", "i2", "i3")], as.numeric))' in script
+
+
+@pytest.mark.parametrize("model", ["rm", "mixed"])
+@pytest.mark.parametrize(
+    "answer",
+    [
+        lambda p, w: 3,
+        lambda p, w: p,
+        lambda p, w: w,
+        lambda p, w: 1e99 * (p * w % 3),
+        lambda p, w: 1e15 + (7 * p + w) % 5,
+    ],
+    ids=["constant", "person", "condition", "huge", "offset"],
+)
+def test_odd_answers(tmp_path: Path, model: str, answer: Callable[[int, int], float]) -> None:
+    """Nothing, or nothing else, varies; sizes that squares overflow on; names that no font and no table has."""
+    names = ("=a\u4e2d", "b\u202e" + "x" * 500, "c`d")
+    rows = [f'P{p},"{name}",{answer(p, w)}' for p in range(6) for w, name in enumerate(names)]
+    path = tmp_path / "odd.csv"
+    path.write_text("participant,w,value\n" + "\n".join(rows) + "\n", encoding="utf-8")
+    words = [str(path), "--factors", "w", "--model", model, "-o", str(tmp_path / "out")]
+    assert analyse.run(arguments(*words)) == 0
+    (response,) = json.loads((tmp_path / "out" / "results.json").read_text())["responses"]
+    assert len(response["effects"]) == 1 and response["cells"][0]["n"] == 6
+    assert "nan" not in (tmp_path / "out" / "results.md").read_text().replace("unknown", "")
 
 
 def test_without_matplotlib(
