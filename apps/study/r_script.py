@@ -74,7 +74,9 @@ def _contrasts(names: list[str], chosen: tuple[int, ...], inside: list[str], kin
     others = [name for name in names if name not in own]
     strata = [name for name in inside if name not in own]
     if set(own) <= set(inside):
-        strata = [joint, *strata]  # one between, one within: their difference spans strata, the person's is named
+        strata = [joint, *strata]
+    elif set(own) & set(inside):
+        kind = "mixed"  # across strata emmeans of aov is biased; lmer's is what ours comes to in a balanced design
     error = _error(kind, strata, person=bool(inside))
     return [
         f'd${joint} <- interaction({", ".join(f"d${name}" for name in own)}, sep = ",", lex.order = TRUE)',
