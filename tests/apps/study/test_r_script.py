@@ -1,4 +1,4 @@
-"""The script for R: models and error strata for each kind of design. R itself ran it by hand, on a stand-in for ARTool."""
+"""The script for R: models and error strata of each design. R ran it by hand, on a stand-in for ARTool."""
 
 from __future__ import annotations
 
