@@ -34,7 +34,7 @@ FLOORS = [
     ["renderer_thread", "mesh"],
     ["renderer"],
     ["making", "net"],
-    ["evaluate"],
+    ["evaluate", "study"],
     ["apps"],
     ["tests"],
 ]

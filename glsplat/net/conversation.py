@@ -120,6 +120,8 @@ class Conversation:
                 await self._farewell(outcome)
                 return
             elif text is not None:
+                if self.channel.tap is not None and outcome is not None:
+                    self.channel.tap.asked(outcome)
                 self._pump.received(self.channel, outcome)
             count += 1
             if count % _TURN == 0:  # receive() does not give way while more has arrived
@@ -158,6 +160,8 @@ class Conversation:
                 if not session.counts.sent:  # who only knocks fills no log
                     session.announce(self.channel.number, self.channel.address)
                 session.sent(frame.request, sum(map(len, packed)))
+                if self.channel.tap is not None:
+                    self.channel.tap.sent(packed)
             self._pump.wake(self.channel)
             if frame.ends:
                 log.warning("client %d is dropped: %s", self.channel.number, frame.ends)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Awaitable, Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Protocol
 
 from glsplat.camera import Camera
 from glsplat.net.backend import Offered, RenderJob
@@ -18,9 +18,21 @@ from glsplat.net.rooms.view import room_fields
 from glsplat.net.session import Session
 from glsplat.net.solving import Solution, Solving
 
-__all__ = ["ANYTHING", "Channel", "Frame"]
+__all__ = ["ANYTHING", "Channel", "Frame", "Tap"]
 
 ANYTHING = Offered(name="")
+
+
+class Tap(Protocol):
+    """Hears what one client asks for and is sent. On the event loop: both are to return at once."""
+
+    def asked(self, request: Request) -> None:
+        """A request was taken."""
+        ...
+
+    def sent(self, messages: Sequence[bytes]) -> None:
+        """The messages of a picture are in the socket."""
+        ...
 
 
 @dataclass(eq=False, slots=True)
@@ -97,6 +109,7 @@ class Channel:
     again: Frame | None = None  # one of those that were taken from ``frames``, to be drawn anew before any other
     place_key: str = ""  # where it is drawn (workers/placement.py); empty: room:NAME or avatar:NAME
     cost: float = 0.0  # seconds a picture, lately; 0: none was drawn yet
+    tap: Tap | None = None  # what else hears of it
 
     def __post_init__(self) -> None:
         alone = f"avatar:{self.shown.name}"
