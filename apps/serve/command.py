@@ -251,8 +251,8 @@ def run(args: argparse.Namespace) -> int:
         else:
             print(f"{config.scene}, drawn by {server.pump.driver}")
             announce(place, sys.stdout, args.qr)
-            for who, address in ({} if study is None else study.pages(place, secret=sys.stdout.isatty())).items():
-                print(f"  {who:<12}{address}", flush=True)
+            if study is not None:
+                study.announce(place, sys.stdout)
         if args.open:
             open_page(place)
 

@@ -5,10 +5,11 @@ from __future__ import annotations
 import argparse
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TextIO
 
 from glsplat.study.design import read_study
 from glsplat.study.plan import checked_plan, label
-from glsplat.study.serving.lead import StudyLead
+from glsplat.study.serving.lead import KEYS, StudyLead
 from glsplat.study.serving.live import Live
 from glsplat.study.store import Store
 
@@ -33,6 +34,14 @@ class Running:
             who: place.url(place.names[0], path) + (f"#study={self.lead.secrets[who]}{token}" if secret else "")
             for who, path in paths.items()
         }
+
+    def announce(self, place: Place, out: TextIO) -> None:
+        """Print the addresses; the secrets are shown to people only."""
+        for who, address in self.pages(place, secret=out.isatty()).items():
+            print(f"  {who:<12}{address}", file=out)
+        if not out.isatty():
+            print(f"  {'links':<12}need #study=SECRET, in {self.lead.live.store.folder / KEYS}", file=out)
+        out.flush()
 
 
 def add_study(parser: argparse.ArgumentParser) -> None:

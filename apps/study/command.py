@@ -52,8 +52,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="serve the study to one participant: glsplat serve --study STUDY --participant N, and its options",
     )
     _add_study(command)
-    command.add_argument("--participant", type=int, required=True, metavar="N", help="number, from 1")
-    command.add_argument("options", nargs=argparse.REMAINDER, metavar="-- OPTIONS", help="of glsplat serve")
+    command.add_argument("participant", type=int, metavar="N", help="the participant's number, from 1")
+    command.add_argument("options", nargs=argparse.REMAINDER, metavar="OPTIONS", help="of glsplat serve")
     command.set_defaults(work=run_study)
 
     command = commands.add_parser("export", help="CSV tables with codebooks, of all that is there")
@@ -63,7 +63,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
     command = commands.add_parser("delete", help="all data of one participant, for good")
     _add_study(command)
-    command.add_argument("--participant", type=int, required=True, metavar="N", help="number, from 1")
+    command.add_argument("participant", type=int, metavar="N", help="the participant's number, from 1")
     command.add_argument("--yes", action="store_true", help="needed: nothing brings it back")
     command.set_defaults(work=delete)
 
@@ -141,15 +141,14 @@ def plan(args: argparse.Namespace) -> int:
 
 
 def run_study(args: argparse.Namespace) -> int:
-    """``glsplat serve --study ...``, with what stands behind --."""
+    """``glsplat serve --study ...``, with its options."""
     from ..serve import command as serve
     from ..usage import CommandParser
 
     parser = CommandParser(prog="glsplat serve", description=serve.HELP)
     serve.add_arguments(parser)
-    options = [one for one in args.options if one != "--"]
     words = ["--study", str(args.study), "--participant", str(args.participant), "--study-data", str(data_of(args))]
-    return serve.run(serve.parsed(parser, [*words, *options]))
+    return serve.run(serve.parsed(parser, [*words, *args.options]))
 
 
 def run_export(args: argparse.Namespace) -> int:
@@ -187,7 +186,7 @@ def _planned(args: argparse.Namespace) -> tuple[Study, Plan]:
 
 def _number(study: Study, number: int) -> int:
     if not 1 <= number <= study.participants:
-        raise UsageError(f"--participant needs 1 to {study.participants}, not {number}")
+        raise UsageError(f"participants have the numbers 1 to {study.participants}, not {number}")
     return number
 
 

@@ -16,7 +16,7 @@ from statistics import median
 from typing import Any
 
 from glsplat.errors import FormatError
-from glsplat.io.files import replace_file
+from glsplat.io.files import naming, replace_file
 from glsplat.study.design import Study
 from glsplat.study.plan import Plan, label
 from glsplat.study.questionnaires import Answer
@@ -24,7 +24,10 @@ from glsplat.study.session import Session
 from glsplat.study.steps import Step, steps_of
 from glsplat.study.store import FRAMES, SESSION, Log, folders, read_log
 
-__all__ = ["Exported", "export"]
+__all__ = ["BEFORE", "Exported", "export"]
+
+BEFORE = ".before"
+"""Behind the measures of questionnaires that come before the first condition."""
 
 Row = dict[str, Any]
 _RUNNING = ("phase", "running")
@@ -63,7 +66,8 @@ def export(
     for done, (number, folder) in enumerate(found.items(), 1):
         if number <= len(plan.orders):
             log = read_log(folder / SESSION)
-            session = Session(study, steps_of(study, plan, number), log.events)
+            with naming(folder / SESSION):
+                session = Session(study, steps_of(study, plan, number), log.events)
             people.append(_Person(number, log, session, plan.groups[number - 1], tuple(_frames(folder / FRAMES))))
         progress(done, len(found))
     factors = [factor.name for factor in study.factors]
@@ -154,14 +158,14 @@ def _answers(study: Study, one: _Person) -> Iterator[Row]:
 
 def _scores(study: Study, one: _Person) -> Iterator[Row]:
     """Of finished questionnaires; where one comes before and after, its measure says so."""
+    first = next(at for at, step in enumerate(one.session.steps) if step.condition)
+    before = {step.name for step in one.session.steps[:first]}
     for step, answers, finished in _questioned(one):
         questionnaire = study.questionnaires[step.questionnaire]
         for score in questionnaire.scores:
             value = score.of(questionnaire, answers) if finished else None
             if value is not None:
-                measure = f"{questionnaire.name}.{score.name}"
-                if not step.condition and questionnaire.name in study.before:
-                    measure += ".before"
+                measure = f"{questionnaire.name}.{score.name}" + BEFORE * (step.name in before)
                 yield _place(study, one, step) | {"measure": measure, "value": round(value, 6)}
 
 
@@ -233,13 +237,17 @@ def _described(study: Study, plan: Plan) -> dict[str, Any]:
     for name, one in study.questionnaires.items():
         for score in one.scores:
             scale = one[score.items[0]].scale
-            measures[f"{name}.{score.name}"] = {
+            measure = {
                 "items": [f"{name}.{item}" for item in score.items],
                 "reversed": [f"{name}.{item}" for item in score.items if one[item].reversed],
                 "range": [scale.low, scale.high],
                 "how": score.how,
                 "text": score.text or score.name,
             }
+            if name in study.each or name in study.after:
+                measures[f"{name}.{score.name}"] = measure
+            if name in study.before:
+                measures[f"{name}.{score.name}{BEFORE}"] = measure
     factors = {f.name: {"levels": list(f.levels), "kind": "between" if f.between else "within"} for f in study.factors}
     return {"name": study.name, "title": study.title, "planned": len(plan.orders), "digest": plan.digest} | {
         "factors": factors,

@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from glsplat.errors import ProtocolError
+from glsplat.errors import FormatError, ProtocolError
 from glsplat.study.design import Study, Task
 from glsplat.study.questionnaires import Answer, is_text
 from glsplat.study.steps import Step
@@ -47,12 +47,16 @@ class State:
 
 
 class Session:
-    """One participant's way through ``steps``."""
+    """One participant's way through ``steps``; with ``events``, from where they led. Raises FormatError if they do not."""
 
     def __init__(self, study: Study, steps: Sequence[Step], events: Sequence[Event] = ()) -> None:
         self.study, self.steps = study, tuple(steps)
         self.state = State(phase=_first_phase(self.steps[0]))
-        for event in events:
+        for number, event in enumerate(events, 1):
+            if event.step != self._name:
+                raise FormatError(
+                    f"line {number}: expected the step {self._name!r}, not {event.step!r:.60}: a log of another plan"
+                )
             self.apply(event)
 
     @property

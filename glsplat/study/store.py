@@ -1,7 +1,7 @@
 """A participant's folder: append-only JSON Lines, each line on disk before anybody hears that it is, and chained.
 
-``session.jsonl`` has what decides: a line has ``n`` (from 0), ``t``, ``step``, ``kind``, ``values`` and ``sum``, the first
-32 hex digits of SHA-256 over the sum before and the line without its own. A line changed, left out or put in
+``session.jsonl`` has what decides: a line has ``n`` (from 0), ``t``, ``step``, ``kind``, ``values`` and ``sum``, the
+first 32 hex digits of SHA-256 over the sum before and the line without its own. A line changed, left out or put in
 breaks the chain. What a crash tore off at the end was never acknowledged: it is cut off, and said.
 """
 

@@ -31,14 +31,16 @@ from glsplat.study.serving.recording import Recording
 from glsplat.study.serving.seen import for_experimenter, for_participant
 from glsplat.study.store import FRAMES, TRACKING
 
-__all__ = ["HEADER", "StudyLead", "secrets_of"]
+__all__ = ["HEADER", "KEYS", "StudyLead", "secrets_of"]
 
 log: logging.Logger = logging.getLogger("glsplat.study")
 
 HEADER = "X-Glsplat-Study"
 """Of each request to /study/...: the secret of the participant, or of the experimenter."""
 
-_KEYS = "keys.json"
+KEYS = "keys.json"
+"""Of a participant's folder: both secrets."""
+
 _PAGE = 8, 64  # characters of a page's own name
 _HOLD = 1.0  # seconds that a page waits for news
 _LARGEST = 48 << 10  # bytes of a message
@@ -59,7 +61,7 @@ Handler = Callable[[web.Request, dict[str, Any]], Awaitable[web.Response]]
 
 def secrets_of(folder: Path) -> dict[str, str]:
     """The secrets "participant" and "experimenter" of a participant's folder, made when they are asked for first."""
-    path = folder / _KEYS
+    path = folder / KEYS
     if path.exists():
         with open_regular(path) as (file, _):
             data = file.read(4096)

@@ -16,11 +16,12 @@ from datetime import UTC, datetime
 from typing import Any
 
 from glsplat.errors import GlsplatError, ProtocolError
+from glsplat.io.files import naming
 from glsplat.study.design import Condition, Study
 from glsplat.study.plan import Plan, label
 from glsplat.study.session import Event, Session
 from glsplat.study.steps import steps_of
-from glsplat.study.store import Store
+from glsplat.study.store import SESSION, Store
 
 __all__ = ["GONE", "Live"]
 
@@ -47,7 +48,8 @@ class Live:
         wall: Callable[[], float] = time.time,
     ) -> None:
         self.study, self.store, self.participant = study, store, label(participant)
-        self.session = Session(study, steps_of(study, plan, participant), store.events)
+        with naming(store.folder / SESSION):
+            self.session = Session(study, steps_of(study, plan, participant), store.events)
         self.revision = 1
         self.page = ""  # the one page of the participant that counts
         self.trouble = ""  # why something is not on disk
@@ -55,7 +57,7 @@ class Live:
         self.notes = [event for event in store.events if event.kind == "note"]
         self.changed: Callable[[], None] = lambda: None  # hears of every change
         self._clock, self._wall = clock, wall
-        self._started, self._offset = clock(), _resumed_at(store.events, wall())
+        self._started = self._offset = 0.0  # set by ``open``
         self._seen: float | None = None  # when the page said something, by ``clock``
         self._lock = asyncio.Lock()
         self._news = asyncio.Event()
@@ -83,6 +85,7 @@ class Live:
 
     async def open(self) -> None:
         """Write down that a server took the session up, and let time pass from now on. Raises FormatError."""
+        self._started, self._offset = self._clock(), _resumed_at(self.store.events, self._wall())
         if self.session.step is not None:
             values: dict[str, Any] = {"wall": self._utc(), "study": self.study.digest}
             if self.store.torn:

@@ -81,7 +81,7 @@ def _condition(live: Live) -> dict[str, Any] | None:
 
 def _asked(study: Study, name: str) -> dict[str, Any]:
     questionnaire = study.questionnaires[name]
-    return {"title": questionnaire.title, "intro": questionnaire.intro, "items": list(map(_item, questionnaire.items))}
+    return {"intro": questionnaire.intro, "items": list(map(_item, questionnaire.items))}
 
 
 def _item(item: Item) -> dict[str, Any]:

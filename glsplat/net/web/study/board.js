@@ -4,7 +4,11 @@ import { Board } from '../show/panel.js';
 import { axis, dot, multiply, place, subtract, translation } from '../space/matrix.js';
 
 const SIZE = { width: 1024, height: 640, edge: 40 };
-const METRES = 0.64; // wide, at a mirror's side
+const METRES = 0.64; // wide
+const SIDE = [0.15, 0, 0]; // metres from where a menu hangs beside the mirror: clear of its glass
+const FRONT = [-0.55, 0.1, 0.3]; // the same, to the mirror's front ...
+const TURN = [Math.cos(0.4), 0, -Math.sin(0.4), 0, 0, 1, 0, 0, Math.sin(0.4), 0, Math.cos(0.4), 0, 0, 0, 0, 1]; // ... to face the user there
+const MENU = 0.32; // metres: menus that are wider hang beside a mirror
 const INK = { ground: 'rgba(16,20,28,0.94)', text: '#e8edf5', dim: '#9fb0c8', cell: '#2b3340', hover: '#4a6ea8', chosen: '#8ab8ff' };
 const BUTTON = { width: 250, height: 80 };
 
@@ -13,7 +17,7 @@ export class StudyBoard {
   rows = []; // not used: the content says what there is
   hovered = -1;
   #board = new Board(SIZE.width, SIZE.height);
-  #content = { key: '', lines: [], cells: [] };
+  #content = { cells: [] };
   #pinned = null;
   #kind = null;
 
@@ -21,18 +25,23 @@ export class StudyBoard {
     return this.#board.transform;
   }
 
-  /** {key, kind, heading, text, big, cells: [{id, x, y, width, height, label, chosen}], ends}; `kind` pins its place. */
+  /**
+   * {kind, aside, heading, text, big, cells: [{id, x, y, width, height, label, chosen}], ends}; one of the same `kind`
+   * stays in its place, `aside` is beside the mirror.
+   */
   show(content) {
+    const kind = `${content.kind} ${Boolean(content.aside)}`;
     this.#content = content;
-    if (content.kind !== this.#kind) this.#pinned = null;
-    this.#kind = content.kind;
+    if (kind !== this.#kind) this.#pinned = null;
+    this.#kind = kind;
   }
 
   /** The place stays as long as the same kind of thing is shown: nobody presses what moves with their wrist. */
   hang(transform, width) {
-    const aside = width > 0.32 ? 0.5 * (METRES - width) : 0; // clear of the mirror's glass
-    this.#pinned ??= multiply(transform, translation([aside, 0, 0]));
-    this.#board.transform = this.#content.empty ? null : this.#pinned;
+    const front = multiply(translation(FRONT), TURN);
+    const away = width < MENU ? translation([0, 0, 0]) : this.#content.aside ? translation(SIDE) : front;
+    this.#pinned ??= multiply(transform, away);
+    this.#board.transform = this.#pinned;
   }
 
   /** The cell that a ray (origin, unit direction) meets: {index, row: {id}, distance, point}, or null. */
@@ -52,10 +61,10 @@ export class StudyBoard {
     return { index, row: index < 0 ? {} : this.#content.cells[index], distance, point };
   }
 
-  /** Room coordinates of a cell's middle, for tests. */
+  /** Room coordinates of a cell's middle once it hangs in its place, for tests. */
   where(id) {
     const cell = this.#content.cells.find((one) => one.id === id);
-    if (!cell || !this.transform) return null;
+    if (!cell || !this.#pinned) return null;
     const scale = METRES / SIZE.width;
     const x = (cell.x + cell.width / 2 - SIZE.width / 2) * scale;
     const y = (SIZE.height / 2 - cell.y - cell.height / 2) * scale;

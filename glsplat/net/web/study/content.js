@@ -6,7 +6,7 @@ const MOST_CELLS = 25; // of a slider; finer ones are pressed to the nearest of 
 
 /** The board's content: see StudyBoard.show. */
 export function content(state, questions, left, trouble) {
-  if (!state) return { kind: 'wait', key: '', text: trouble || 'Please wait…', cells: [] };
+  if (!state) return { kind: 'wait', text: trouble || 'Please wait…', cells: [] };
   const heading = state.ended ? state.title : `${state.title} · ${state.number} of ${state.of}`;
   if (state.ended) return { kind: 'ended', heading, text: ending(state.ended), cells: [] };
   if (state.paused) return { kind: 'paused', heading, text: 'Please wait. The experimenter has stopped the time.', cells: [] };
@@ -25,7 +25,7 @@ function task(state, heading, left) {
     return { kind, heading, text: state.text, cells: state.ready ? [button('ready', 'I am ready', 1)] : [] };
   }
   if (state.phase === 'countdown') return { kind, heading, text: state.text, big: seconds(left), cells: [] };
-  return { kind, heading: '', text: state.text, cells: [] };
+  return { kind, aside: true, text: state.text, cells: [] };
 }
 
 function question(questions, trouble) {

@@ -38,7 +38,10 @@ if (!gl) {
 }
 connection.token = token;
 
-const inWorker = new URLSearchParams(location.search).get('decode') !== 'main';
+const query = new URLSearchParams(location.search);
+const inWorker = query.get('decode') !== 'main';
+const size = Number(query.get('size') ?? 1024); // pixels, both sides of an eye's picture
+settings.setOptions('size', [{ value: size >= 64 && size <= 2048 ? size : 1024 }]);
 const stage = new Stage(gl, connection, settings, { inWorker });
 const orbit = new Orbit();
 const viewer = new Viewer(canvas, stage, orbit, settings);
