@@ -47,7 +47,7 @@ class State:
 
 
 class Session:
-    """One participant's way through ``steps``; with ``events``, from where they led. Raises FormatError if they do not."""
+    """One participant's way through ``steps``; with ``events``, from where they led, else a FormatError."""
 
     def __init__(self, study: Study, steps: Sequence[Step], events: Sequence[Event] = ()) -> None:
         self.study, self.steps = study, tuple(steps)

@@ -39,8 +39,8 @@ def design(tmp_path: Path, levels: tuple[int, ...], participants: int, order: st
         for cell in cells
     )
     head = f'name = "x"\ntitle = "x"\nparticipants = {participants}\nseed = {seed}\nconsent = "x"\n'
-    text = f'{head}[factors]\n{chr(10).join(factors)}\n[order]\n{order}\n{conditions}[questionnaires]\neach = ["movement"]\n'
-    return write(tmp_path, text)
+    asked = '[questionnaires]\neach = ["movement"]\n'
+    return write(tmp_path, "\n".join([head, "[factors]", *factors, "[order]", order, conditions, asked]))
 
 
 @pytest.mark.parametrize(("levels", "rows"), [((4,), 4), ((5,), 10), ((2, 2), 4), ((3,), 6)])

@@ -248,14 +248,14 @@ def test_a_page_that_is_gone(walk: Walk) -> None:
     assert walk.session.state.phase == "instruction" and walk.do(walk.session.lost) == []
 
 
-@pytest.mark.parametrize("seed", range(40))
+@pytest.mark.parametrize("seed", range(12))
 def test_anything_anytime(tmp_path: Path, seed: int) -> None:
     """Whoever does what they like finds it refused or done; steps only go on, and the log tells the same."""
     walk, rng = Walk(tmp_path, 1 + seed % 6), np.random.default_rng(seed)
     session = walk.session
     walk.open()
     names = [step.name for step in walk.steps]
-    for _ in range(400):
+    for number in range(250):
         walk.t += float(rng.exponential(2))
         at, name = (
             session.state.at,
@@ -281,5 +281,7 @@ def test_anything_anytime(tmp_path: Path, seed: int) -> None:
         except ProtocolError:
             pass
         assert at <= session.state.at <= at + 1
-        assert walk.again().state == session.state
+        if number % 10 == 0:
+            assert walk.again().state == session.state
+    assert walk.again().state == session.state
     assert session.state.at > 1

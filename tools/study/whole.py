@@ -159,17 +159,15 @@ def compare(out: Path, minds: dict[int, Mind]) -> int:
     found = {(row["participant"], row["step"], row["item"]): float(row["value"]) for row in rows}
     given = {(label(n), *key): value for n, mind in minds.items() for key, value in mind.given.items()}
     lost, odd = given.keys() - found.keys(), [key for key in given.keys() & found.keys() if given[key] != found[key]]
-    print(
-        f"{len(given)} answers given, {len(rows)} rows, {len(lost)} lost, {len(rows) - len(found)} twice, {len(odd)} changed"
-    )
+    twice = len(rows) - len(found)
+    print(f"{len(given)} answers given, {len(rows)} rows, {len(lost)} lost, {twice} twice, {len(odd)} changed")
     with open(out / "scores.csv", newline="") as file:
         scores = [row for row in csv.DictReader(file) if row["measure"] == "asked.ownership"]
     for factor in ("type", "method"):
         for level in dict.fromkeys(row[factor] for row in scores):
             values = [float(row["value"]) for row in scores if row[factor] == level]
-            print(
-                f"  ownership, {level}: {np.mean(values):.2f}, drawn around {MIDDLE + EFFECTS[level]:.2f} ({len(values)})"
-            )
+            around = MIDDLE + EFFECTS[level]
+            print(f"  ownership, {level}: {np.mean(values):.2f} of {len(values)}, drawn around {around:.2f}")
     return int(bool(lost or odd or len(rows) != len(found) or len(rows) != len(given)))
 
 

@@ -23,7 +23,7 @@ from glsplat.study.session import Event, Session
 from glsplat.study.steps import steps_of
 from glsplat.study.store import SESSION, Store
 
-__all__ = ["GONE", "Live"]
+__all__ = ["GONE", "Live", "resumed_at", "wrong_page"]
 
 log: logging.Logger = logging.getLogger("glsplat.study")
 
@@ -85,7 +85,7 @@ class Live:
 
     async def open(self) -> None:
         """Write down that a server took the session up, and let time pass from now on. Raises FormatError."""
-        self._started, self._offset = self._clock(), _resumed_at(self.store.events, self._wall())
+        self._started, self._offset = self._clock(), resumed_at(self.store.events, self._wall())
         if self.session.step is not None:
             values: dict[str, Any] = {"wall": self._utc(), "study": self.study.digest}
             if self.store.torn:
@@ -165,7 +165,7 @@ class Live:
         return datetime.fromtimestamp(self._wall(), UTC).isoformat(timespec="seconds")
 
 
-def _resumed_at(events: Sequence[Event], now: float) -> float:
+def resumed_at(events: Sequence[Event], now: float) -> float:
     """Seconds since the session began, by the wall clock that the log has, and never before the last event."""
     last = max((event.t for event in events), default=0.0)
     opened = next((event for event in reversed(events) if event.kind == "open"), None)

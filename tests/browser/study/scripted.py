@@ -17,7 +17,7 @@ import numpy as np
 from tests.browser.opened import Opened
 from tests.browser.vr import enter, pose, steer
 
-__all__ = ["STUDY", "Service", "Scripted", "wire"]
+__all__ = ["STUDY", "Scripted", "Service", "wire"]
 
 ROOT = Path(__file__).resolve().parents[3]
 HAND = np.array([0.2, 1.3, -0.1])  # where the ray begins
