@@ -329,7 +329,7 @@ def test_only_the_participants_page_is_shown_anything(tmp_path: Path) -> None:
 
 
 def test_a_condition_is_applied_to_the_client(tmp_path: Path) -> None:
-    """The avatar whatever was asked for; hands to the solver or not; recorded all the same; put out at the end of it."""
+    """The avatar whatever was asked for; hands to the solver or not, recorded all the same; put out at its end."""
 
     async def test(client: Client) -> None:
         await client.begin()

@@ -31,7 +31,7 @@ consent = "You are a script. You agree."
 
 [factors]
 type = ["self", "other"]
-method = {methods}
+method = ["ours", "video", "image"]
 
 [order]
 block = "type"
@@ -78,11 +78,11 @@ items = ["liked"]
 """
 
 
-def wire(
-    folder: Path, participants: int = 3, seconds: float = 1.0, methods: tuple[str, ...] = ("ours", "video", "image")
-) -> Path:
+CELLS = tuple((type, method) for type in ("self", "other") for method in ("ours", "video", "image"))
+
+
+def wire(folder: Path, participants: int = 3, seconds: float = 1.0, cells: tuple[tuple[str, str], ...] = CELLS) -> Path:
     """The design that scripts go through; returns its file."""
-    cells = [(type, method) for type in ("self", "other") for method in methods]
     views = {"ours": "mirror", "video": "mirror", "image": "facing"}
     conditions = "".join(
         CONDITION.format(
@@ -97,7 +97,7 @@ def wire(
     (folder / "asked.toml").write_text(ASKED)
     path = folder / "study.toml"
     fields = {"participants": participants, "seconds": seconds, "conditions": conditions}
-    path.write_text(STUDY.format(methods=json.dumps(methods), **fields))
+    path.write_text(STUDY.format(**fields))
     return path
 
 

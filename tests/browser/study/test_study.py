@@ -55,7 +55,7 @@ def table(folder: Path, name: str) -> list[dict[str, str]]:
 
 def test_from_plan_to_tables(open_page: OpenPage, study: Path) -> None:
     """Three people: one in VR whose server is killed in a task, one on the flat page, one whose browser is closed."""
-    study = wire(study.parent, seconds=0.5, methods=("ours", "video"))
+    study = wire(study.parent, seconds=0.5, cells=(("self", "ours"), ("other", "video")))
     data = study.parent / "shorter"
     write_plan(data, make_plan(read_study(study)))
     minds = {number: Mind(number) for number in (1, 2, 3)}
@@ -65,7 +65,7 @@ def test_from_plan_to_tables(open_page: OpenPage, study: Path) -> None:
         service.start()
         assert service.links is not None
         page = open_page(service.links["participant"], allow=GONE)
-        at = 5 if number == 1 else 6
+        at = 4 if number == 1 else 5
 
         def hook(now: dict[str, Any], number: int = number, at: int = at) -> bool:
             state = now["state"]
@@ -91,35 +91,42 @@ def test_from_plan_to_tables(open_page: OpenPage, study: Path) -> None:
     assert not done.remarks
     rows = table(study.parent / "tables", "answers")
     given = {(label(n), *key): value for n, mind in minds.items() for key, value in mind.given.items()}
-    assert len(rows) == len(given) == 3 * (4 * 3 + 6)
+    assert len(rows) == len(given) == 3 * (2 * 3 + 6)
     assert {(r["participant"], r["step"], r["item"]): float(r["value"]) for r in rows} == given
     people = table(study.parent / "tables", "participants")
     assert [(one["state"], one["restarts"]) for one in people] == [("done", "1"), ("done", "0"), ("done", "0")]
     frames = [row for row in table(study.parent / "tables", "frames") if row["participant"] == label(1)]
-    assert len(frames) == 4
+    assert len(frames) == 2
     tracked = [json.loads(line) for line in (data / label(1) / "tracking.jsonl").read_text().splitlines()]
     assert tracked and {line["kind"] for line in tracked} == {"tracking"}
     assert all(line["values"]["head"][1] == pytest.approx(1.65) for line in tracked)
 
 
-def test_a_condition_is_what_the_server_says(study: Path, service: Service, open_page: OpenPage) -> None:
+def test_a_condition_is_what_the_server_says(tmp_path: Path, open_page: OpenPage) -> None:
+    """View and latency; the age of pictures grows by what is added, their rate stays."""
+    study = wire(tmp_path, seconds=2.5)
+    write_plan(tmp_path / "data", make_plan(read_study(study)))
+    service = Service(study, 1)
+    service.start()
     assert service.links is not None
-    page = open_page(service.links["participant"])
-    seen: dict[str, tuple[str, float]] = {}
+    page = open_page(service.links["participant"], allow=GONE)
+    seen: dict[float, dict[str, Any]] = {}
 
     def hook(now: dict[str, Any]) -> bool:
         state = now["state"]
         if state.get("phase") == "running":
-            seen[state["step"]] = (page.stats()["view"], state["condition"]["latency"])
+            seen[state["condition"]["latency"]] = page.stats()
+            assert page.stats()["view"] == ("facing" if "image" in state["step"] else "mirror")
+            assert state["condition"]["latency"] == (100 if "video" in state["step"] else 0)
         return state["number"] > 7  # the three methods of one type
 
-    script = Scripted(page, Mind(1), vr=False, hook=hook)
+    script = Scripted(page, Mind(1), vr=True, hook=hook)
     script.enter()
     script.run(90)
-    assert len(seen) == 3
-    for step, (view, latency) in seen.items():
-        assert view == ("facing" if "image" in step else "mirror")
-        assert latency == (100 if "video" in step else 0)
+    service.stop()
+    assert set(seen) == {0, 100}
+    assert 70 < seen[100]["ageMs"] - seen[0]["ageMs"] < 200
+    assert seen[100]["fps"] > 0.5 * seen[0]["fps"]
 
 
 def test_latency_ages_pictures_and_keeps_their_rate(study: Path, service: Service, open_page: OpenPage) -> None:

@@ -5,6 +5,7 @@ import { Orbit } from '../show/orbit.js';
 import { Stage } from '../show/stage.js';
 import { Viewer } from '../show/viewer.js';
 import { Immersive, support } from '../show/xr.js';
+import { Figures } from '../stream/figures.js';
 import { Calibration } from '../track/calibration.js';
 import { Rest } from '../track/drivers.js';
 import { Recorder } from '../track/recorder.js';
@@ -102,6 +103,8 @@ function take(found) {
   if (state && found.revision < state.revision && found.title === state.title && !fresh) return; // overtaken
   fresh = false;
   const before = state?.condition ?? null;
+  const runs = found.phase === 'running' && !(state?.phase === 'running' && state.step === found.step);
+  if (runs) stage.figures = new Figures(); // those of this task alone
   state = found;
   told = performance.now();
   questions.told(found);
