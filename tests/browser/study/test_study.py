@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import resource
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -103,7 +104,7 @@ def test_from_plan_to_tables(open_page: OpenPage, study: Path) -> None:
 
 
 def test_a_condition_is_what_the_server_says(tmp_path: Path, open_page: OpenPage) -> None:
-    """View and latency; the age of pictures grows by what is added, their rate stays."""
+    """View and latency; pictures are shown later by what is added."""
     study = wire(tmp_path, seconds=2.5)
     write_plan(tmp_path / "data", make_plan(read_study(study)))
     service = Service(study, 1)
@@ -125,8 +126,8 @@ def test_a_condition_is_what_the_server_says(tmp_path: Path, open_page: OpenPage
     script.run(90)
     service.stop()
     assert set(seen) == {0, 100}
-    assert 70 < seen[100]["ageMs"] - seen[0]["ageMs"] < 200
-    assert seen[100]["fps"] > 0.5 * seen[0]["fps"]
+    kept = {latency: stats["ageMs"] - stats["rttMs"] for latency, stats in seen.items()}  # between arrival and display
+    assert kept[100] > 80 and kept[0] < kept[100] - 30
 
 
 def test_latency_ages_pictures_and_keeps_their_rate(study: Path, service: Service, open_page: OpenPage) -> None:
@@ -213,3 +214,24 @@ def test_by_keyboard_in_a_narrow_window(study: Path, service: Service, open_page
     page.until("window.glsplat.study().item === 'strange' && !window.glsplat.study().saving")
     log = read_log(study.parent / "data" / label(1) / SESSION)
     assert [e.values["value"] for e in log.events if e.kind == "answer"][-1] == 2
+
+
+def test_a_full_disk_is_said_and_survived(study: Path, service: Service, open_page: OpenPage) -> None:
+    """The answer stays on the page, which says so and tries again; a page that is reloaded meanwhile still has it."""
+    assert service.links is not None and service.process is not None
+    page = open_page(service.links["participant"], allow=GONE)
+    script = Scripted(page, Mind(1), vr=False, hook=lambda now: now["item"] == "strange")
+    script.enter()
+    script.run(60)
+    path = study.parent / "data" / label(1) / SESSION
+    before, unlimited = path.read_bytes(), (resource.RLIM_INFINITY, resource.RLIM_INFINITY)
+    resource.prlimit(service.process.pid, resource.RLIMIT_FSIZE, (len(before), resource.RLIM_INFINITY))
+    assert script.press("value:3")
+    page.until("document.querySelector('#saved')?.textContent.startsWith('Not saved yet')")
+    page.page.reload()
+    page.until("window.glsplat?.study?.().state && window.glsplat.study().saving")
+    assert page.js("document.querySelector('input[name=answer]:checked')?.value ?? window.glsplat.study().item") in ("3", "liked")
+    assert path.read_bytes() == before
+    resource.prlimit(service.process.pid, resource.RLIMIT_FSIZE, unlimited)
+    page.until("!window.glsplat.study().saving")
+    assert read_log(path).events[-1].values == {"item": "strange", "value": 3, "seconds": pytest.approx(0, abs=60)}
