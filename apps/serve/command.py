@@ -246,7 +246,7 @@ def run(args: argparse.Namespace) -> int:
             logging.getLogger("glsplat.serve").warning("anybody who reaches this port can use it (--insecure)")
         if args.json:
             fields = {"url": server.url, "port": server.port, "driver": server.pump.driver}
-            more = {} if study is None else {"study": study.pages(place, secret=True)}
+            more = {} if study is None else {"study": study.fields(place)}
             print(json.dumps(fields | {"page": place.page(place.names[0])} | more), flush=True)
         else:
             print(f"{config.scene}, drawn by {server.pump.driver}")

@@ -35,6 +35,10 @@ class Running:
             for who, path in paths.items()
         }
 
+    def fields(self, place: Place) -> dict[str, str]:
+        """The addresses for programs, and the file that has the secrets, which go behind ``#study=``."""
+        return self.pages(place, secret=False) | {"keys": str(self.lead.live.store.folder / KEYS)}
+
     def announce(self, place: Place, out: TextIO) -> None:
         """Print the addresses; the secrets are shown to people only."""
         for who, address in self.pages(place, secret=out.isatty()).items():

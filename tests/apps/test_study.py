@@ -102,8 +102,10 @@ def test_run_is_a_server(tmp_path: Path) -> None:
     with subprocess.Popen(words, cwd=ROOT, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
         ready = json.loads(process.stdout.readline())
-        assert "/vr/study.html#study=" in ready["study"]["participant"]
-        assert "/vr/watch.html#study=" in ready["study"]["experimenter"]
+        assert ready["study"]["participant"].endswith("/vr/study.html")
+        assert ready["study"]["experimenter"].endswith("/vr/watch.html")
+        secrets = json.loads(Path(ready["study"]["keys"]).read_text())
+        assert not any(secret in json.dumps(ready) for secret in secrets.values())  # outputs are kept in logs
         second = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, timeout=60)
         assert second.returncode == 1 and "another process holds it" in second.stderr
         process.send_signal(signal.SIGTERM)

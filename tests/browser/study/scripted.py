@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from tests.browser.opened import Opened
-from tests.browser.vr import enter, pose, steer
+from tests.browser.vr import enter, hands, pose, steer
 
 __all__ = ["STUDY", "Scripted", "Service", "wire"]
 
@@ -129,11 +129,10 @@ class Service:
         found = json.loads(line)
         self.port = found["port"]
         if self.links is None:
-            secrets = {who: found.get("study", {}).get(who, "").rpartition("study=")[2] or found[who]
-                       for who in ("participant", "experimenter")}  # fmt: skip
+            secrets = json.loads(Path(found["study"]["keys"]).read_text()) if "study" in found else found
             pages = {"participant": "study", "experimenter": "watch"}
             origin = f"http://localhost:{self.port}/vr"
-            self.links = {who: f"{origin}/{pages[who]}.html?size=256#study={key}" for who, key in secrets.items()}
+            self.links = {who: f"{origin}/{pages[who]}.html?size=256#study={secrets[who]}" for who in pages}
 
     def kill(self) -> None:
         """As a power cut does to a process."""
@@ -160,23 +159,26 @@ class Scripted:
         answer: Callable[[str, dict[str, Any]], Any],
         vr: bool = True,
         hook: Callable[[dict[str, Any]], bool] = lambda state: False,
+        pinch: bool = False,
     ) -> None:
-        self.page, self.answer, self.vr, self.hook = page, answer, vr, hook
+        self.page, self.answer, self.vr, self.hook, self.pinch = page, answer, vr, hook, pinch
         self.pressed: list[str] = []
 
     def enter(self) -> None:
         """Put the headset on."""
         self.page.until("window.glsplat?.study?.().state")
         if self.vr:
-            head = pose([0, 1.65, 0])
-            steer(
-                self.page,
-                head=head,
-                input="controllers",
-                side=64,
-                controllers={"right": {"grip": pose(HAND), "ray": pose(HAND)}},
-            )
+            steer(self.page, head=pose([0, 1.65, 0]), side=64, input="hands" if self.pinch else "controllers")
+            self._aim(pose(HAND))
             enter(self.page)
+
+    def _aim(self, ray: list[float]) -> None:
+        """The right hand, or what it holds, points that way."""
+        if self.pinch:
+            right = hands(None, pose(HAND))["right"] | {"ray": ray}
+            steer(self.page, hands={"left": None, "right": right})
+        else:
+            steer(self.page, controllers={"right": {"grip": ray, "ray": ray}})
 
     def study(self) -> dict[str, Any]:
         return self.page.js("window.glsplat.study()")
@@ -230,7 +232,7 @@ class Scripted:
             return False
         x, y, z = np.array(place) - HAND
         aim = pose(HAND, yaw=np.degrees(np.arctan2(-x, -z)), pitch=np.degrees(np.arctan2(y, np.hypot(x, z))))
-        steer(self.page, controllers={"right": {"grip": aim, "ray": aim}})
+        self._aim(aim)
         self.page.frames(1)
         self.page.js("fakeXR.press('right')")
         self.page.frames(1)

@@ -74,7 +74,7 @@ def test_from_plan_to_tables(open_page: OpenPage, study: Path) -> None:
                 return state["number"] >= at and state.get("phase") == "running"
             return number == 3 and state["number"] >= at and len(state.get("answers", {})) == 1
 
-        script = Scripted(page, mind, vr=number == 1, hook=hook)
+        script = Scripted(page, mind, vr=number == 1, hook=hook, pinch=True)
         script.enter()
         assert script.run(90) is (number not in trouble)
         if number == 1:
@@ -150,6 +150,17 @@ def test_latency_ages_pictures_and_keeps_their_rate(study: Path, service: Servic
         }"""
     )
     assert len(found) == 5 and all(195 <= ms < 450 for ms in found)
+
+
+def test_instructions_are_spoken_once(study: Path, service: Service, open_page: OpenPage) -> None:
+    assert service.links is not None
+    heard = "window.heard = []; speechSynthesis.speak = (said) => window.heard.push(said.text);"
+    page = open_page(service.links["participant"], init=heard)
+    script = Scripted(page, Mind(1), vr=False, hook=lambda now: now["state"].get("phase") == "running")
+    script.enter()
+    assert page.js("window.heard") == []  # the consent is read
+    script.run(30)
+    assert page.js("window.heard") == ["Wave with your right arm."]
 
 
 def test_a_newer_page_takes_over(study: Path, service: Service, open_page: OpenPage) -> None:
@@ -230,7 +241,10 @@ def test_a_full_disk_is_said_and_survived(study: Path, service: Service, open_pa
     page.until("document.querySelector('#saved')?.textContent.startsWith('Not saved yet')")
     page.page.reload()
     page.until("window.glsplat?.study?.().state && window.glsplat.study().saving")
-    assert page.js("document.querySelector('input[name=answer]:checked')?.value ?? window.glsplat.study().item") in ("3", "liked")
+    assert page.js("document.querySelector('input[name=answer]:checked')?.value ?? window.glsplat.study().item") in (
+        "3",
+        "liked",
+    )
     assert path.read_bytes() == before
     resource.prlimit(service.process.pid, resource.RLIMIT_FSIZE, unlimited)
     page.until("!window.glsplat.study().saving")
