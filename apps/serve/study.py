@@ -10,6 +10,7 @@ from typing import TextIO
 from glsplat.study.design import read_study
 from glsplat.study.plan import checked_plan, label
 from glsplat.study.serving.lead import KEYS, StudyLead
+from glsplat.study.serving.light import FULL
 from glsplat.study.serving.live import Live
 from glsplat.study.store import Store
 
@@ -76,6 +77,8 @@ def study_of(args: argparse.Namespace) -> Running | None:
     if args.scene is not None or args.avatar or args.room or args.allow_upload is not None:
         raise UsageError("--study says itself what is served: leave out SCENE, --avatar, --room and --allow-upload")
     study = read_study(args.study)
+    if args.workers is not None and any(one.light != FULL for one in study.conditions):
+        raise UsageError("--study: light below 1 is for pictures that this process draws: leave out --workers")
     data = args.study_data if args.study_data is not None else args.study.parent / "data"
     plan = checked_plan(data, study)
     if not 1 <= args.participant <= len(plan.orders):

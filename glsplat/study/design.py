@@ -52,7 +52,7 @@ class Condition:
     levels: Mapping[str, str]  # by within-subject factor
     avatar: str  # "default", or a file; {participant} stands for sub-007
     view: View = "mirror"
-    light: str = "baked"
+    light: tuple[float, float, float] = (1.0, 1.0, 1.0)  # factor on the light that is baked in, linear RGB
     latency: float = 0.0  # milliseconds added to each picture
     hands: bool = True  # False: the head alone drives the avatar
 
@@ -201,7 +201,7 @@ def _conditions(table: Table, within: tuple[Factor, ...]) -> tuple[Condition, ..
                 levels=levels,
                 avatar=avatar,
                 view=view,
-                light=one.choice("light", ("baked",), usual.choice("light", ("baked",), "baked")),
+                light=_light(one, _light(usual, (1.0, 1.0, 1.0))),
                 latency=one.number("latency", 0, 2000, usual.number("latency", 0, 2000, 0.0)),
                 hands=one.flag("hands", usual.flag("hands", True)),
             )
@@ -214,6 +214,17 @@ def _conditions(table: Table, within: tuple[Factor, ...]) -> tuple[Condition, ..
     if twice is not None:
         raise table.error("condition", f"{twice.name!r} has the same levels as another one; each stands once")
     return tuple(found)
+
+
+def _light(table: Table, usual: tuple[float, float, float]) -> tuple[float, float, float]:
+    """One number from 0 to 1, or one a colour."""
+    value = table["light"] if "light" in table else list(usual)
+    values = value if isinstance(value, list) else [value] * 3
+    good = all(isinstance(v, int | float) and not isinstance(v, bool) and 0 <= v <= 1 for v in values)
+    if len(values) != 3 or not good:
+        raise table.error("light", f"expected a number from 0 to 1, or [red, green, blue], not {value!r:.60}")
+    red, green, blue = map(float, values)
+    return red, green, blue
 
 
 def _task(one: Table) -> Task:

@@ -257,7 +257,9 @@ def _described(study: Study, plan: Plan) -> dict[str, Any]:
 
 def _columns(study: Study) -> dict[str, dict[str, Any]]:
     questionnaires = {name: f"{one.title}. {one.source}" for name, one in study.questionnaires.items()}
-    conditions = {one.name: f"{one.avatar}, {one.view}, {one.latency:g} ms added" for one in study.conditions}
+    conditions = {
+        one.name: f"{one.avatar}, {one.view}, light {one.light}, {one.latency:g} ms added" for one in study.conditions
+    }
     return {
         "participant": {"Description": "pseudonym; the folder of the data"},
         "position": {"Description": "of the condition in the participant's order, from 1; empty outside conditions"},

@@ -238,7 +238,7 @@ class Session:
         values: dict[str, Any] = {"what": step.kind, "position": step.position}
         if step.condition:
             shown = self.study.condition(step.condition)
-            values |= {"condition": shown.name, "avatar": shown.avatar, "view": shown.view, "light": shown.light}
+            values |= {"condition": shown.name, "avatar": shown.avatar, "view": shown.view, "light": list(shown.light)}
             values |= {"latency": shown.latency, "hands": shown.hands}
         return [Event(t, step.name, "begin", values)]
 

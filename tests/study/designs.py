@@ -32,6 +32,7 @@ name = "slow"
 delay = "some"
 latency = 150
 hands = false
+light = [0.5, 0.25, 1]
 
 [[task]]
 name = "wave"

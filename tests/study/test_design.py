@@ -21,6 +21,7 @@ def test_what_it_says(tmp_path: Path) -> None:
     ]
     slow = study.condition("slow")
     assert (slow.latency, slow.hands, slow.view, slow.avatar) == (150, False, "mirror", "default")
+    assert slow.light == (0.5, 0.25, 1.0) and study.condition("fast").light == (1.0, 1.0, 1.0)
     assert (study.before, study.each, study.after) == (("nasa-tlx",), ("movement",), ("nasa-tlx", "own"))
     assert study.rest == 2 and study.tasks[1].reading == 4
     assert not study.untold
@@ -72,7 +73,10 @@ WRONG = [
     ("latency = 150", "latency = nan", "latency", "0 to 2000"),
     ("hands = false", "hands = 0", "hands", "true or false"),
     ("hands = false", 'view = "behind"', "view", "mirror"),
-    ("hands = false", 'light = "noon"', "light", "baked"),
+    ("light = [0.5, 0.25, 1]", 'light = "noon"', "light", "0 to 1"),
+    ("light = [0.5, 0.25, 1]", "light = 1.5", "light", "0 to 1"),
+    ("light = [0.5, 0.25, 1]", "light = [1, 1]", "light", "red, green, blue"),
+    ("light = [0.5, 0.25, 1]", "light = [1, nan, 1]", "light", "0 to 1"),
     ("seconds = 10", "seconds = -1", "seconds", "0.1 to 3600"),
     ('name = "walk"', 'name = "wave"', "task", "two called"),
     ('"own.toml"', '"none.toml"', "after", "none.toml"),

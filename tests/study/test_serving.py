@@ -13,14 +13,17 @@ from pathlib import Path
 from typing import Any
 
 import aiohttp
+import numpy as np
 import pytest
 
 from glsplat.net.backend import Offered, Solved
 from glsplat.net.guard.access import Access
 from glsplat.net.messages import Request
+from glsplat.net.reply import parse_reply
 from glsplat.net.server import Server, ServerConfig
 from glsplat.skinning.pose import Pose
 from glsplat.study.serving.lead import HEADER, StudyLead
+from glsplat.study.serving.light import dim
 from glsplat.study.serving.live import GONE, Live, resumed_at
 from glsplat.study.session import Event
 from glsplat.study.store import SESSION, TRACKING, Store, read_log
@@ -340,7 +343,11 @@ def test_a_condition_is_applied_to_the_client(tmp_path: Path) -> None:
             client.solver.requests.clear()
             async with client.socket(f"?study={PAGE}&avatar=a&room=nowhere") as ws:
                 await ws.send_json({"v": 1, "frame_id": 1, "tracking": SAMPLE, "t": 5, **EYES})
-                assert (await ws.receive(20)).type == aiohttp.WSMsgType.BINARY
+                reply = parse_reply((await ws.receive(20)).data)
+                pixels = reply.images()[0].reshape(-1, 3)
+                grey = np.median(pixels[pixels.max(1) > 25], axis=0) / 51.0  # what the backend draws
+                light = np.array([1, 1, 1] if condition == "fast" else [0.5, 0.25, 1.0])
+                assert np.abs(grey - light ** (1 / 2.2)).max() < 0.15
                 (channel,) = client.server._channels.values()
                 assert channel.shown.name == avatar
                 sample = client.solver.requests[-1].tracking
@@ -379,3 +386,13 @@ def test_secrets_stay_over_a_restart(tmp_path: Path) -> None:
     run(tmp_path, test)
     assert found[0] == found[1] and found[0]["participant"] != found[0]["experimenter"]
     assert (tmp_path / "data/sub-001/keys.json").stat().st_mode & 0o077 == 0
+
+
+def test_light_is_a_factor_of_light() -> None:
+    """Bytes by the display's curve, alpha and full channels untouched; premultiplied edges keep their colour."""
+    images = np.random.default_rng(3).integers(0, 256, (2, 5, 7, 4), np.uint8)
+    before = images.copy()
+    dim(images, (0.5, 1.0, 0.0))
+    assert (images[..., 1] == before[..., 1]).all() and (images[..., 3] == before[..., 3]).all()
+    assert (images[..., 2] == 0).all()
+    assert np.abs(images[..., 0] / 255 - (0.5 * (before[..., 0] / 255) ** 2.2) ** (1 / 2.2)).max() <= 0.5 / 255 + 1e-12

@@ -7,6 +7,9 @@ from collections.abc import Awaitable, Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
+import numpy as np
+from numpy.typing import NDArray
+
 from glsplat.camera import Camera
 from glsplat.net.backend import Offered, RenderJob
 from glsplat.net.codec.encode import Encoded
@@ -24,14 +27,18 @@ ANYTHING = Offered(name="")
 
 
 class Tap(Protocol):
-    """Hears what one client asks for and is sent. On the event loop: both are to return at once."""
+    """Hears what one client asks for and is sent. All of it is to return at once."""
 
     def asked(self, request: Request) -> None:
-        """A request was taken."""
+        """A request was taken. On the event loop."""
+        ...
+
+    def drawn(self, images: NDArray[np.uint8]) -> None:
+        """A picture [V, H, W, 4] was drawn here; it may be changed in place. On the thread that draws."""
         ...
 
     def sent(self, messages: Sequence[bytes]) -> None:
-        """The messages of a picture are in the socket."""
+        """The messages of a picture are in the socket. On the event loop."""
         ...
 
 

@@ -17,8 +17,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import simplejpeg
 from aiohttp import web
+from numpy.typing import NDArray
 
 from glsplat.errors import FormatError, GlsplatError, ProtocolError
 from glsplat.io.files import open_regular, replace_file
@@ -26,6 +28,7 @@ from glsplat.net.backend import PoseSolver, Solved
 from glsplat.net.messages import Request
 from glsplat.net.options import NOT_ALLOWED, Asked
 from glsplat.net.reply import parse_reply
+from glsplat.study.serving.light import FULL, dim
 from glsplat.study.serving.live import Live, wrong_page
 from glsplat.study.serving.recording import Recording
 from glsplat.study.serving.seen import for_experimenter, for_participant
@@ -126,7 +129,7 @@ class StudyLead:
         """Records the client's tracking, keeps its last picture."""
         condition = self.live.condition
         self._clients[number] = (self.live.page, "" if condition is None else condition.name)
-        return _Tap(self)
+        return _Tap(self, FULL if condition is None else condition.light)
 
     def left(self, number: int) -> None:
         """The client is gone."""
@@ -253,13 +256,17 @@ class StudyLead:
 
 
 class _Tap:
-    """Hears one client."""
+    """Hears one client, whom its condition gives so much light."""
 
-    def __init__(self, lead: StudyLead) -> None:
-        self._lead = lead
+    def __init__(self, lead: StudyLead, light: tuple[float, float, float]) -> None:
+        self._lead, self._light = lead, light
 
     def asked(self, request: Request) -> None:
         self._lead.heard(request)
+
+    def drawn(self, images: NDArray[np.uint8]) -> None:
+        if self._light != FULL:
+            dim(images, self._light)
 
     def sent(self, messages: Sequence[bytes]) -> None:
         self._lead.shown(messages[-1])

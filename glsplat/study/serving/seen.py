@@ -76,7 +76,7 @@ def _condition(live: Live) -> dict[str, Any] | None:
     one = live.condition
     if one is None:
         return None
-    return {"view": one.view, "latency": one.latency, "hands": one.hands, "light": one.light}
+    return {"view": one.view, "latency": one.latency, "hands": one.hands}
 
 
 def _asked(study: Study, name: str) -> dict[str, Any]:
