@@ -6,8 +6,8 @@ import { axis, dot, multiply, place, subtract, translation } from '../space/matr
 const SIZE = { width: 1024, height: 640, edge: 40 };
 const METRES = 0.64; // wide
 const SIDE = [0.15, 0, 0]; // metres from where a menu hangs beside the mirror: clear of its glass
-const FRONT = [-0.55, 0.1, 0.3]; // the same, to the mirror's front ...
-const TURN = [Math.cos(0.4), 0, -Math.sin(0.4), 0, 0, 1, 0, 0, Math.sin(0.4), 0, Math.cos(0.4), 0, 0, 0, 0, 1]; // ... to face the user there
+const FRONT = [-0.55, 0.05, 0.69]; // the same, to a quarter of a metre before the glass ...
+const FACE = 0.61; // ... and the angle about its upright axis by which it then faces the user
 const MENU = 0.32; // metres: menus that are wider hang beside a mirror
 const INK = { ground: 'rgba(16,20,28,0.94)', text: '#e8edf5', dim: '#9fb0c8', cell: '#2b3340', hover: '#4a6ea8', chosen: '#8ab8ff' };
 const BUTTON = { width: 250, height: 80 };
@@ -38,7 +38,8 @@ export class StudyBoard {
 
   /** The place stays as long as the same kind of thing is shown: nobody presses what moves with their wrist. */
   hang(transform, width) {
-    const front = multiply(translation(FRONT), TURN);
+    const [c, s] = [Math.cos(FACE), Math.sin(FACE)];
+    const front = multiply(translation(FRONT), [c, 0, -s, 0, 0, 1, 0, 0, s, 0, c, 0, 0, 0, 0, 1]);
     const away = width < MENU ? translation([0, 0, 0]) : this.#content.aside ? translation(SIDE) : front;
     this.#pinned ??= multiply(transform, away);
     this.#board.transform = this.#pinned;
@@ -83,7 +84,7 @@ export class StudyBoard {
     ink.textBaseline = 'middle';
     ink.textAlign = 'left';
     ink.fillStyle = INK.dim;
-    ink.font = '28px system-ui, sans-serif';
+    ink.font = '32px system-ui, sans-serif';
     ink.fillText(heading, SIZE.edge, 44, SIZE.width - 2 * SIZE.edge);
     ink.fillStyle = INK.text;
     const { size, lines } = fitted(ink, text, SIZE.width - 2 * SIZE.edge, big ? 130 : 250);
@@ -95,7 +96,7 @@ export class StudyBoard {
       ink.fillText(big, SIZE.width / 2, 370);
     }
     cells.forEach((cell, i) => this.#cell(ink, cell, i));
-    ink.font = '26px system-ui, sans-serif';
+    ink.font = '30px system-ui, sans-serif';
     ink.fillStyle = INK.dim;
     ends.forEach((label, i) => {
       ink.textAlign = i ? 'right' : 'left';
@@ -115,7 +116,7 @@ export class StudyBoard {
 
 /** The largest text that fits: {size, lines}. */
 function fitted(ink, text, width, height) {
-  for (let size = 40; ; size -= 2) {
+  for (let size = 54; ; size -= 2) {
     ink.font = `${size}px system-ui, sans-serif`;
     const lines = text.split('\n').flatMap((part) => wrapped(ink, part, width));
     if (lines.length * size * 1.25 <= height || size <= 14) return { size, lines };
