@@ -152,7 +152,9 @@ function say(words) {
   show();
 }
 
+/** What is told of the page's speed; null before the first picture of a task. */
 function figures() {
+  if (!stage.figures.shown) return null;
   const found = stage.stats(performance.now());
   const { fps, ageMs, ageP95Ms, rttMs, frameRate } = found;
   return { fps, age_ms: ageMs, age_p95_ms: ageP95Ms, rtt_ms: rttMs, frame_rate: frameRate, session: immersive.mode || 'page' };
