@@ -15,7 +15,7 @@ from glsplat.study.serving.lead import StudyLead
 from glsplat.study.serving.live import Live
 from glsplat.study.store import Store
 from tests.browser.markers import as_tracked
-from tests.browser.stored import StoredPairs
+from tests.browser.stored import Picture, StoredPairs
 
 
 def main(study_path: str, data: str, participant: str, port: str) -> None:
@@ -24,13 +24,19 @@ def main(study_path: str, data: str, participant: str, port: str) -> None:
     plan = checked_plan(Path(data), study)
     live = Live(study, plan, int(participant), Store(Path(data), int(participant)))
     lead = StudyLead(live, {one.name: "default" for one in study.conditions})
-    offered = (Offered(name="default", solver=as_tracked, height=1.75),)
-    server = Server(StoredPairs(), ServerConfig(port=int(port)), offered, None, lead)
+    offered = (Offered(name="default", solver=as_tracked, height=1.75, parts=frozenset({"head"})),)
+    backend = StoredPairs(paint=lambda images, job: _mark(images) if "head" in job.options.hide else None)
+    server = Server(backend, ServerConfig(port=int(port)), offered, None, lead)
 
     def started() -> None:
         print(json.dumps({"port": server.port, **lead.secrets}), flush=True)
 
     asyncio.run(server.run(started))
+
+
+def _mark(images: Picture) -> None:
+    """A picture without the head is red and nothing else."""
+    images[:] = (255, 0, 0, 255)
 
 
 if __name__ == "__main__":

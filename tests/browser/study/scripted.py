@@ -81,16 +81,21 @@ items = ["liked"]
 CELLS = tuple((type, method) for type in ("self", "other") for method in ("ours", "video", "image"))
 
 
-def wire(folder: Path, participants: int = 3, seconds: float = 1.0, cells: tuple[tuple[str, str], ...] = CELLS) -> Path:
-    """The design that scripts go through; returns its file."""
-    views = {"ours": "mirror", "video": "mirror", "image": "facing"}
+def wire(
+    folder: Path,
+    participants: int = 3,
+    seconds: float = 1.0,
+    cells: tuple[tuple[str, str], ...] = CELLS,
+    views: tuple[str, str, str] = ("mirror", "mirror", "facing"),
+) -> Path:
+    """The design that scripts go through, its methods' ``views`` in their order; returns its file."""
     conditions = "".join(
         CONDITION.format(
             type=type,
             method=method,
             latency=100 if method == "video" else 0,
             hands="false" if method == "image" else "true",
-            view=views[method],
+            view=dict(zip(("ours", "video", "image"), views, strict=True))[method],
         )
         for type, method in cells
     )

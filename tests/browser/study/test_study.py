@@ -17,6 +17,7 @@ from glsplat.study.plan import checked_plan, label, make_plan, write_plan
 from glsplat.study.store import SESSION, read_log
 from tests.browser.conftest import OpenPage
 from tests.browser.study.scripted import Scripted, Service, wire
+from tests.browser.vr import pose, steer
 
 GONE = [r"Failed to load resource", r"WebSocket", r"ERR_CONNECTION"]  # what a browser says of a server that is killed
 
@@ -249,3 +250,26 @@ def test_a_full_disk_is_said_and_survived(study: Path, service: Service, open_pa
     resource.prlimit(service.process.pid, resource.RLIMIT_FSIZE, unlimited)
     page.until("!window.glsplat.study().saving")
     assert read_log(path).events[-1].values == {"item": "strange", "value": 3, "seconds": pytest.approx(0, abs=60)}
+
+
+def test_nobody_looks_out_of_their_own_head(tmp_path: Path, open_page: OpenPage) -> None:
+    """In the view of one's own body the head is left out, which the backend shows as red."""
+    study = wire(tmp_path, seconds=3, cells=(("self", "ours"), ("other", "ours")), views=("own", "own", "own"))
+    write_plan(tmp_path / "data", make_plan(read_study(study)))
+    service = Service(study, 1)
+    service.start()
+    assert service.links is not None
+    page = open_page(service.links["participant"], allow=GONE)
+    script = Scripted(page, Mind(1), hook=lambda now: now["state"].get("phase") == "running")
+    script.enter()
+    script.run(60)
+    look_down = pose([0, 1.65, 0], pitch=-60)
+    steer(page, head=look_down)
+
+    def red() -> bool:
+        page.frames(2)
+        eye = page.eye("left")[..., :3].reshape(-1, 3).astype(int)
+        return bool((eye[:, 0] - eye[:, 1:].max(1) > 100).mean() > 0.02)
+
+    page.meanwhile(red, 30)
+    service.stop()

@@ -123,7 +123,10 @@ function lead(before, condition) {
     connection.stop();
     stage.clear();
   }
-  if (JSON.stringify(before) !== JSON.stringify(condition)) stage.clear();
+  if (JSON.stringify(before) !== JSON.stringify(condition)) {
+    stage.clear();
+    if (condition) connection.hurry();
+  }
 }
 
 function speak({ step, kind, phase, text, speak: aloud, attempt: number }) {
@@ -160,6 +163,12 @@ function figures() {
   return { fps, age_ms: ageMs, age_p95_ms: ageP95Ms, rtt_ms: rttMs, frame_rate: frameRate, session: immersive.mode || 'page' };
 }
 
+/** Who looks down at their own body is not to look out of its head: can it be left out of all avatars? */
+async function askHeads() {
+  const response = await connection.fetch('session').catch(() => null);
+  if (response?.ok) stage.canHide = (await response.json()).avatars.every(({ head }) => head);
+}
+
 /** Ask for news for as long as the page is there. */
 async function follow() {
   let failures = 0;
@@ -170,6 +179,7 @@ async function follow() {
         fresh = true;
         await send({ do: 'enter' });
         entered = true;
+        await askHeads();
       }
       const found = await link.ask('study/state', { page, after: state?.revision ?? -1, figures: figures() });
       failures = 0;
