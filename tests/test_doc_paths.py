@@ -34,13 +34,8 @@ ORACLE = re.compile(r"\breference\.(?!py\b)([a-z_]\w*)")
 
 # patterns of names, files of others, a group of entry points
 FOREIGN = {
-    "server.toml",
-    "results.md",
-    "noun.glsl",
-    "name.stage.glsl",
-    "LICENSE.md",
-    "glsplat.methods",
-    "glsplat.reconstructors",
+    *("server.toml", "study.toml", "mine.toml", "noun.glsl", "name.stage.glsl", "LICENSE.md", "results.md"),
+    *("glsplat.methods", "glsplat.reconstructors"),
 }
 
 

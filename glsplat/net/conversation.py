@@ -122,6 +122,8 @@ class Conversation:
                 await self._farewell(outcome)
                 return
             elif text is not None:
+                if self.channel.tap is not None and outcome is not None:
+                    self.channel.tap.asked(outcome)
                 self._pump.received(self.channel, outcome)
                 self._answers.due(self.channel)
             count += 1
@@ -162,6 +164,8 @@ class Conversation:
                 if not session.counts.sent:  # who only knocks fills no log
                     session.announce(self.channel.number, self.channel.address)
                 session.sent(frame.request, sum(map(len, packed)))
+                if self.channel.tap is not None:
+                    self.channel.tap.sent(packed)
             self._answers.due(self.channel)
             self._pump.wake(self.channel)
             if frame.ends:
