@@ -33,6 +33,7 @@ COMMANDS = {
     "avatar": "make, import and export avatars",
     "users": "add, list and remove the accounts of a server",
     "models": "get, list and remove networks that others trained",
+    "study": "a user study: design, orders, a session in VR, questionnaires, tidy tables",
     "tracking": "head and hands to a full-body pose: derive, solve, score, show",
     "evaluate": "methods of making avatars, compared over participants: the tables of the paper",
     "watermark": "find the invisible mark in a clip: to whom a server sent it",
@@ -41,9 +42,9 @@ COMMANDS = {
     "convert": "from one format of splats and avatars to another",
 }
 
-_FOLDERS = ("avatar", "evaluate", "preview", "replay", "report", "serve", "tracking", "users", "watermark")
-MODULES = {name: f"{name}.command" for name in _FOLDERS} | {"page": "static_page"}
-"""Commands that are folders, or whose module is called otherwise."""
+_FOLDERS = ("avatar", "evaluate", "preview", "replay", "report", "serve", "study", "tracking", "users", "watermark")
+MODULES = {name: f"{name}.command" for name in _FOLDERS} | {"page": "webpage.command"}
+"""Commands that are folders; page.py has pieces of pages."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -33,7 +33,10 @@ MEMBER = re.compile(r"(?<![\w./-])((?:[a-z_]+/)+[a-z_]+)\.([a-z_]\w*)\b")  # aut
 ORACLE = re.compile(r"\breference\.(?!py\b)([a-z_]\w*)")
 
 # patterns of names, files of others, a group of entry points
-FOREIGN = {"server.toml", "noun.glsl", "name.stage.glsl", "LICENSE.md", "glsplat.methods", "glsplat.reconstructors"}
+FOREIGN = {
+    *("server.toml", "study.toml", "mine.toml", "noun.glsl", "name.stage.glsl", "LICENSE.md", "results.md"),
+    *("glsplat.methods", "glsplat.reconstructors"),
+}
 
 
 def files() -> list[str]:

@@ -22,7 +22,7 @@ ROOT = Path(__file__).resolve().parents[1]
 # is not seen from it.
 FLOORS = [
     ["errors", "timing", "rotations"],
-    ["arrays", "io"],
+    ["arrays", "io", "statistics"],
     ["splats", "camera", "config", "pictures", "models", "watermark"],
     ["skinning", "shaders"],
     ["avatar", "meshes", "gl"],
@@ -34,7 +34,7 @@ FLOORS = [
     ["renderer_thread", "mesh"],
     ["renderer"],
     ["authoring", "net"],
-    ["evaluate"],
+    ["evaluate", "study"],
     ["apps"],
     ["tests"],
 ]

@@ -31,6 +31,7 @@ from .photos import add_photos, upload_config
 from .ready import Place, add_ready, announce, open_page
 from .rooms import add_rooms, check_rooms, open_rooms
 from .settings import add_settings, parsed, written
+from .study import add_study, study_of
 from .workers import add_workers, workers_of
 
 HELP = (
@@ -105,6 +106,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--no-idle", action="store_true", help="eyes of tracked users that no sensor sees neither look around nor blink"
     )
     add_photos(parser)
+    add_study(parser)
     add_consent(parser)
     add_keys(parser)
     parser.add_argument("--origin", action="append", default=[], help="web page that may connect; may be repeated")
@@ -211,6 +213,7 @@ def run(args: argparse.Namespace) -> int:
         return 0
     start_logging(args.log_format, logging.INFO if args.verbose else logging.WARNING)
     check(args)
+    study = study_of(args)
     workers = workers_of(args)
     keys = keys_of(args)
     config = server_config(args, keys, watermark_of(args))
@@ -234,6 +237,7 @@ def run(args: argparse.Namespace) -> int:
         rooms=open_rooms(args),
         workers=workers,
         idle=not args.no_idle,
+        lead=None if study is None else study.lead,
     )
 
     def started() -> None:
@@ -242,10 +246,13 @@ def run(args: argparse.Namespace) -> int:
             logging.getLogger("glsplat.serve").warning("anybody who reaches this port can use it (--insecure)")
         if args.json:
             fields = {"url": server.url, "port": server.port, "driver": server.render_loop.driver}
-            print(json.dumps(fields | {"page": place.page(place.names[0])}), flush=True)
+            more = {} if study is None else {"study": study.fields(place)}
+            print(json.dumps(fields | {"page": place.page(place.names[0])} | more), flush=True)
         else:
             print(f"{config.scene}, drawn by {server.render_loop.driver}")
             announce(place, sys.stdout, args.qr)
+            if study is not None:
+                study.announce(place, sys.stdout)
         if args.open:
             open_page(place)
 

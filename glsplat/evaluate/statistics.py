@@ -7,14 +7,15 @@ participant counts for a pair of methods where both have a figure.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.special import ndtr, ndtri
-from scipy.stats import rankdata
+
+from glsplat.statistics.bootstrap import interval_of_mean
+from glsplat.statistics.holm import holm
+from glsplat.statistics.ranks import rank_biserial, wilcoxon
 
 __all__ = [
     "Paired",
@@ -30,10 +31,6 @@ __all__ = [
 
 Values = Mapping[str, Mapping[str, float | None]]
 """Figures of one measure, by method and participant."""
-F64 = NDArray[np.float64]
-
-RESAMPLES = 10_000
-LEVEL = 0.95
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,66 +123,6 @@ def compare(values: Values, seed: int = 0) -> list[Paired]:
             )
         )
     return _corrected(rows)
-
-
-def wilcoxon(differences: F64) -> float:
-    """Two-sided p of the signed-rank test, exact: over all signs that the differences [N] could have had.
-
-    Zeros are left out, as Wilcoxon did; equal sizes share their mean rank. scipy's own test is exact without equal
-    sizes only, and what it does instead depends on its version.
-    """
-    ranks, signs = _ranked(differences)
-    doubled = np.rint(2 * ranks).astype(int)  # mean ranks are halves at worst
-    total = int(doubled.sum())
-    chance = np.zeros(total + 1)  # of each sum of the ranks that got a plus
-    chance[0] = 1
-    for rank in doubled:
-        moved = np.zeros_like(chance)
-        moved[rank:] = chance[: total + 1 - rank]
-        chance = (chance + moved) / 2
-    plus = int(doubled[signs > 0].sum())
-    return min(1.0, 2 * float(chance[: min(plus, total - plus) + 1].sum()))
-
-
-def rank_biserial(differences: F64) -> float:
-    """The sum of the ranks with a plus less that with a minus, as a share of all; 0 where all differences are."""
-    ranks, signs = _ranked(differences)
-    return float((ranks * signs).sum() / ranks.sum()) if len(ranks) else 0.0
-
-
-def holm(p: Sequence[float]) -> list[float]:
-    """p values corrected for being several (Holm 1979), in their order."""
-    corrected = [0.0] * len(p)
-    worst = 0.0
-    for place, index in enumerate(sorted(range(len(p)), key=lambda i: p[i])):
-        worst = max(worst, min(1.0, (len(p) - place) * p[index]))
-        corrected[index] = worst
-    return corrected
-
-
-def interval_of_mean(sample: F64, seed: int = 0) -> tuple[float | None, float | None]:
-    """95 % bootstrap interval (BCa, Efron 1987; 10,000 resamples) of the mean of [N]; (None, None) for fewer than 2."""
-    n = len(sample)
-    if n < 2:
-        return None, None
-    if sample.min() == sample.max():
-        return float(sample[0]), float(sample[0])
-    mean = sample.mean()
-    away = sample - mean
-    drawn = np.random.default_rng(seed).integers(0, n, (RESAMPLES, n))
-    means = away[drawn].mean(axis=1)
-    below = ((means < 0).mean() + (means <= 0).mean()) / 2
-    bias = ndtri(np.clip(below, 0.5 / RESAMPLES, 1 - 0.5 / RESAMPLES))
-    skew = (away**3).sum() / (6 * (away**2).sum() ** 1.5)  # of the means without one participant
-    normal = bias + ndtri(np.array([(1 - LEVEL) / 2, (1 + LEVEL) / 2]))
-    low, high = np.quantile(means, ndtr(bias + normal / (1 - skew * normal)))
-    return float(mean + low), float(mean + high)
-
-
-def _ranked(differences: F64) -> tuple[F64, F64]:
-    """Ranks of the sizes and signs of the differences that are not zero."""
-    some = differences[differences != 0]
-    return np.asarray(rankdata(np.abs(some)), np.float64), np.sign(some)
 
 
 def _corrected(rows: list[Paired]) -> list[Paired]:

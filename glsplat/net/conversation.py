@@ -124,6 +124,8 @@ class Conversation:
                 await self._farewell(outcome)
                 return
             elif text is not None:
+                if self.channel.tap is not None and outcome is not None:
+                    self.channel.tap.asked(outcome)
                 self._render_loop.received(self.channel, outcome)
                 self._answers.due(self.channel)
             count += 1
@@ -164,6 +166,8 @@ class Conversation:
                 if not session.counts.sent:  # who only knocks fills no log
                     session.announce(self.channel.number, self.channel.address)
                 session.sent(frame.request, sum(map(len, packed)))
+                if self.channel.tap is not None:
+                    self.channel.tap.sent(packed)
             self._answers.due(self.channel)
             self._render_loop.wake(self.channel)
             if frame.ends:

@@ -70,6 +70,8 @@ class LocalLoop(RenderLoop):
         done = rendered.done or _nothing
         try:
             self._note(frame, rendered, start, scale, floor)
+            if frame.channel.tap is not None:
+                frame.channel.tap.drawn(rendered.images)
             # from here: the event loop need not hear of it first
             encoded = self._encode_threads.submit(encode, self._encoder, rendered, job.options)
         except BaseException:

@@ -3,7 +3,8 @@
 A filter wants all samples in their order, whatever the frame rate, so requests that are never drawn are solved too.
 Clients take turns, one sample each. A client beyond its budget has only its newest sample solved, once a picture of it
 is due: the filter sees a coarser, honest series, each sample at its own time. What a sample will cost is spent before
-it is solved, else a client could queue more than its budget while the thread lags behind.
+it is solved, else a client could queue more than its budget while the thread lags behind. Who draws itself, and is
+answered in poses, is treated likewise when its samples pile up: it wants the newest, and nothing else holds it back.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from glsplat.net.messages import Request
 __all__ = ["PoseQueue", "SolutionFuture"]
 
 _MOST = 32  # samples that wait to be solved; beyond that the oldest are left out
+_FEW = 2  # that wait of a client who draws: its answer comes as soon as its newest is solved, not when a picture is due
 _FIRST = 1e-3  # seconds a sample is expected to take before any was solved ...
 _LEARN = 0.2  # ... and how far each one moves that
 
@@ -58,7 +60,7 @@ class PoseQueue:
         now = self._clock()
         self.merged += self._put_off is not None
         self._put_off = None
-        within = self.share is None or self.share.left(now)
+        within = (self.share is None or self.share.left(now)) and not (request.poses and len(self._unsolved) >= _FEW)
         if within and (self.samples is None or self.samples.take(now)):
             self._queue(request, now)
         else:

@@ -158,7 +158,7 @@ class RenderLoop(ABC):
             channel.solving.add(request)
         if request is not None and channel.member is not None:
             channel.member.received(request, self._clock())
-        self._wake.set()
+        self.wake(channel)
 
     def release(self, channel: ClientStream, then: Callable[[], None]) -> None:
         """Draw no more for a client, whose picture in hand is drawn to its end first; ``then`` is called after it."""
@@ -169,8 +169,9 @@ class RenderLoop(ABC):
             then()
 
     def wake(self, channel: ClientStream) -> None:
-        """Its window has room again."""
-        self._wake.set()
+        """Something came of it: a request, or room in its window."""
+        if channel.again is not None or channel.session.waits_for_picture:
+            self._wake.set()
 
     async def pack(self, channel: ClientStream, frame: Frame) -> list[bytes] | str:
         """The messages of a frame: binary ones to send, or the text of an error. Marks them as being sent."""

@@ -33,6 +33,7 @@ from glsplat.net.messages import MAX_BYTES, Decoder, WireOptions
 from glsplat.net.options import NOT_ALLOWED, client_options
 from glsplat.net.pace.client_stream import ClientStream
 from glsplat.net.pages.catalogue import Catalogue
+from glsplat.net.pages.lead import Lead
 from glsplat.net.pages.routes import Pages
 from glsplat.net.poses.answers import Answers
 from glsplat.net.poses.handed import HandedOut
@@ -78,7 +79,8 @@ class Server:
     """Streams what ``backend`` draws: the first of ``offered``, or the one that a client names in its address.
 
     A pool has workers draw, and SIGHUP starts them anew one after the other; anything else draws on one thread.
-    ``uploads`` lets clients add to those; ``backend`` then has to draw what lies in its folder, too.
+    ``uploads`` lets clients add to those; ``backend`` then has to draw what lies in its folder, too. ``lead`` has a
+    word in what each client is shown.
     """
 
     def __init__(
@@ -87,6 +89,7 @@ class Server:
         config: ServerConfig | None = None,
         offered: Sequence[AvatarInfo] = (AvatarInfo(name="default"),),
         uploads: Uploads | None = None,
+        lead: Lead | None = None,
     ) -> None:
         self.config: ServerConfig = config or ServerConfig()
         self.render_loop = LocalLoop(backend, clock, self.config.fps) if isinstance(backend, Backend) else backend
@@ -95,9 +98,9 @@ class Server:
         if uploads is not None:
             limits = replace(limits, head=max(limits.head, limits.body))
         self.gate: Gate = Gate(self.config.access, limits, self.config.max_clients, clock, self.config.consent)
-        self._work = CpuBudget(limits.work, clock())
+        self._work = CpuBudget(limits.work, clock(), limits.work_alone, lambda: self.render_loop.stages.lately())
         self._offers = Catalogue(offered)
-        self._uploads = uploads
+        self._uploads, self._lead = uploads, lead
         self._handed = HandedOut(self._offers, self.gate.rights, self._worn)
         self._answers = Answers(self._handed.sha256, self._handed.why, clock)
         self._channels: dict[int, ClientStream] = {}
@@ -139,6 +142,8 @@ class Server:
         app.add_routes([web.get("/ws", self._websocket), *self._handed.routes(), *pages.routes()])
         if self._uploads is not None:
             app.add_routes(self._uploads.open(self.gate, self._offers.add, self._withdraw))
+        if self._lead is not None:
+            app.add_routes(self._lead.open(self._end))
         app.on_response_prepare.append(set_headers)
         self._runner = web.AppRunner(app, access_log=None, shutdown_timeout=self.config.drain_timeout)
         await self._runner.setup()
@@ -162,6 +167,8 @@ class Server:
         await self.gate.close()
         if self._uploads is not None:
             await self._uploads.stop()
+        if self._lead is not None:
+            await self._lead.stop()
         if self._runner is not None:
             await self._runner.cleanup()
         await self.render_loop.stop()
@@ -288,8 +295,10 @@ class Server:
         """A new client with the options of its address: /ws?avatar=ann&mirror=1&window=3&height=1.75&room=lab."""
         user, rights = user_of(request), self.gate.rights
         asked = client_options(request.query, self.config.wire, self.config.session, self._offers.names, rights, user)
+        asked = asked if self._lead is None else self._lead.choose(asked, request.query)
         one = self._offers[asked.avatar]
         solver = None if one.solver is None else one.solver(asked.height, asked.span)
+        solver = solver if self._lead is None else self._lead.solver(solver)
         self._numbers += 1
         number, address = self._numbers, connection_of(request).key
         notice = partial(rights.label, user, asked.avatar)
@@ -302,6 +311,7 @@ class Server:
         channel = self.render_loop.open(number, session, solver, address, one, member)
         channel.driver = asked.name if member is None else member.person.name
         channel.label, channel.notice = driven_by(asked.name) if asked.label else "", notice
+        channel.tap = None if self._lead is None else self._lead.tap(number)
         channel.share = self._work.open(clock(), channel.address)
         if channel.solving is not None:
             channel.solving.share, channel.solving.samples = channel.share, quota.samples
@@ -326,9 +336,13 @@ class Server:
 
     def _replace(self, number: int) -> None:
         """The person of that client has come back on another connection."""
+        self._end(number, "connected anew elsewhere")
+
+    def _end(self, number: int, reason: str) -> None:
+        """Close the connection of a client that did nothing wrong."""
         talk = self._talks.get(number)
         if talk is not None:
-            task = asyncio.create_task(talk.close(GOING_AWAY, "connected anew elsewhere"))
+            task = asyncio.create_task(talk.close(GOING_AWAY, reason))
             self._closing.add(task)
             task.add_done_callback(self._closing.discard)
 
@@ -338,6 +352,8 @@ class Server:
             channel.member.end(goodbye)
         if channel.share is not None:
             self._work.close(channel.share)
+        if self._lead is not None:
+            self._lead.left(channel.number)
         self._talks.pop(channel.number, None)
         del self._channels[channel.number]
         for name, value in asdict(channel.session.counts).items():

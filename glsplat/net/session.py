@@ -153,6 +153,12 @@ class Session:
         return waits and len(self._under_way.keys() | set(self._unacked)) < self.config.window
 
     @property
+    def waits_for_picture(self) -> bool:
+        """True while a request waits that is to be drawn."""
+        waiting = (*self._pending.values(), self._kept)
+        return any(entry is not None and not entry[0].poses for entry in waiting)
+
+    @property
     def drawing(self) -> bool:
         """True while a picture is under way: no later answer may overtake it."""
         return any(self._under_way.values())

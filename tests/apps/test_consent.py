@@ -7,6 +7,7 @@ import json
 import logging
 import subprocess
 import sys
+import time
 from datetime import UTC, date, datetime, timedelta
 from pathlib import Path
 
@@ -70,6 +71,20 @@ def test_sign_and_look(ann, capsys):
     assert run("inspect", ann, "--json") == 0
     told = json.loads(capsys.readouterr().out)["consent"]
     assert not told["valid"] and "changed after it was signed" in told["fault"] and "subject" not in told
+
+
+def test_hand_out_is_asked_for_and_said_and_served(ann, capsys):
+    for words, given in ((), False), (("--hand-out",), True):
+        assert sign(ann, *words) == 0
+        assert ("splats may be handed out" in capsys.readouterr().out) == given
+        assert run("inspect", ann, "--json") == 0
+        assert json.loads(capsys.readouterr().out)["consent"]["hand_out"] is given
+        assert run("inspect", ann) == 0
+        assert ("splats may be handed out" in " ".join(capsys.readouterr().out.split())) == given
+        served = policy(ann)
+        assert (served.withheld("ann", time.time()) is None) == given
+        assert served.refusal("ann", "", time.time()) is None
+    assert policy().withheld("default", time.time()) is None  # what comes with glsplat shows nobody
 
 
 def test_inspect_says_when_it_ended_and_of_others(ann, capsys):

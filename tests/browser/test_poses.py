@@ -10,7 +10,7 @@ import pytest
 
 import glsplat
 from glsplat.errors import ProtocolError
-from glsplat.net.poses.body import pack_body
+from glsplat.net.poses.body import HERE, pack_body, place_of
 from glsplat.net.reply import pack_poses, parse_reply
 from glsplat.rotations import slerp, vector_quaternions
 from tests.browser.flat_page import flat_page
@@ -61,8 +61,8 @@ def reply(*bodies: bytes, number: int = 1, **info: Any) -> str:
 def test_it_reads_what_python_reads(page: Any) -> None:
     place = glsplat.scene.similarity((1, 2, 3), (0.5, -0.1, 0.2, 0.8), 1.2)
     packed = [
-        pack_body(pose(1), SHA, place, at=1e9 + 0.25, t=None, key=3, frame_id=2**32 - 1, opacity=0.2),
-        pack_body(pose(2, face=False, stretched=True), SHA, np.eye(4), at=2, t=7.5, key=2**32 - 1, you=True),
+        pack_body(pose(1), SHA, place_of(place), at=1e9 + 0.25, t=None, key=3, frame_id=2**32 - 1, opacity=0.2),
+        pack_body(pose(2, face=False, stretched=True), SHA, HERE, at=2, t=7.5, key=2**32 - 1, you=True),
     ]
     data = pack_poses(12, {"want": "pose", "driven_by": "Änne"}, packed)
     found, wanted = page.evaluate("read", text(data)), parse_reply(data)
@@ -86,7 +86,7 @@ def test_it_reads_what_python_reads(page: Any) -> None:
 def test_it_refuses_what_python_refuses_in_one_sentence(page: Any) -> None:
     """5,000 damaged replies, all cuts, and junk. Bodies: the same verdict. Elsewhere JSON may be read differently."""
     rng = np.random.default_rng(12)
-    packed = [pack_body(pose(i, stretched=i == 2), SHA, np.eye(4), at=i, t=i, key=i) for i in (1, 2)]
+    packed = [pack_body(pose(i, stretched=i == 2), SHA, HERE, at=i, t=i, key=i) for i in (1, 2)]
     whole = pack_poses(3, {"want": "pose"}, packed)
     first = len(pack_poses(3, {"want": "pose"}, ()))
     cases = [whole[:size] for size in range(0, len(whole), 7)] + [rng.bytes(n) for n in range(0, 400, 3)]
@@ -123,8 +123,7 @@ def test_others_are_shown_between_their_samples_and_oneself_at_the_newest(page: 
     for i, one in enumerate(poses):
         at = 777_000 + 50 * i + rng.uniform(0, 15)  # when it came, of what was sampled each 50 ms
         bodies = [
-            pack_body(one, SHA, np.eye(4), at=at, t=10 + 50 * i, key=key, frame_id=i + 1, you=key == 1)
-            for key in (1, 2)
+            pack_body(one, SHA, HERE, at=at, t=10 + 50 * i, key=key, frame_id=i + 1, you=key == 1) for key in (1, 2)
         ]
         room = {"room": {"people": people}} if i == 0 else {}
         sent.append((reply(*bodies, number=i + 1, now=at + 1, **room), 5000 + 50 * i + 20 + rng.uniform(0, 10)))
@@ -163,7 +162,7 @@ def test_others_are_shown_between_their_samples_and_oneself_at_the_newest(page: 
 
 def test_who_left_is_forgotten_strangers_are_not_taken_in_and_memory_is_flat(page: Any) -> None:
     def body(key: int, at: float) -> bytes:
-        return pack_body(pose(key % 50), SHA, np.eye(4), at=at, t=None, key=key)
+        return pack_body(pose(key % 50), SHA, HERE, at=at, t=None, key=key)
 
     there = {"room": {"people": [{"key": 1}, {"key": 2}]}}
     replies = [

@@ -6,6 +6,7 @@ import asyncio
 import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -77,6 +78,22 @@ def test_what_waits_is_bounded_and_the_newest_are_kept(thread):
     gate.set()
     solving.take(103).result(HANG)
     assert solver.seen[0] == 4 and solver.seen[1:] == list(range(72, 104))  # the first had begun; then the newest 32
+
+
+def test_of_who_draws_itself_only_a_few_wait_and_the_newest_is_next(thread):
+    gate = threading.Event()
+    solver = Solver(gate)
+    solving = PoseQueue(solver, thread, time.perf_counter)
+    told = threading.Event()
+    solving.add(replace(request(4), poses=True))
+    assert solver.begun.wait(HANG)
+    for frame_id in range(5, 104):
+        solving.add(replace(request(frame_id), poses=True))
+    assert not solving.solved(103)
+    solving.begin(103, told.set)
+    gate.set()
+    assert told.wait(HANG) and solving.take(103).result(HANG)[0].notes == ("103",)
+    assert solver.seen == [4, 5, 6, 103] and solving.merged == 96
 
 
 def test_a_client_that_left_is_not_solved_for(thread):

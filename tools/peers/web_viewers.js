@@ -1,10 +1,11 @@
 // Frames of the page against those of GaussianSplats3D and Spark, in one page, in turn. Run by web_viewers.py.
 
 import * as THREE from 'three';
+import * as OLDER from 'older'; // what GaussianSplats3D was made for: with newer ones it shows nothing
 import * as GS3D from 'gs3d';
 import { SparkRenderer, SplatMesh } from 'spark';
 import { Crowd } from '/vr/draw/crowd.js';
-import { readAvatar } from '/vr/draw/avatar.js';
+import { readAvatar } from '/vr/avatar/avatar.js';
 import { quaternionOf } from '/vr/draw/bones.js';
 import { look } from '/vr/draw/device.js';
 import { Motion } from '/vr/track/drivers.js';
@@ -17,9 +18,9 @@ const canvasOf = (side) => Object.assign(document.createElement('canvas'), { wid
 const pixel = new Uint8Array(4);
 const wait = (gl) => {
   gl.bindFramebuffer(gl.FRAMEBUFFER, null);
+  gl.bindBuffer(gl.PIXEL_PACK_BUFFER, null); // Spark leaves one bound
   gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, pixel);
 };
-const median = (values) => [...values].sort((a, b) => a - b)[values.length >> 1];
 
 /** Both eyes that look at the avatar's middle from an angle about it, as three.js cameras. */
 function eyesAt(angle, distance, height) {
@@ -96,44 +97,80 @@ const spark = (side) =>
     scene.add(mesh);
   });
 
-const gs3d = (side) =>
-  three(side, async (scene) => {
-    const viewer = new GS3D.DropInViewer({ sharedMemoryForWorkers: false, gpuAcceleratedSort: false });
-    await viewer.addSplatScene('/data/avatar.ply', { showLoadingUI: false, progressiveLoad: false });
-    scene.add(viewer);
+async function gs3d(side) {
+  const canvas = canvasOf(side);
+  const renderer = new OLDER.WebGLRenderer({ canvas, antialias: false });
+  renderer.setSize(2 * side, side, false);
+  renderer.setScissorTest(true);
+  // it takes the size of an eye's picture from an element on the page
+  const frame = document.body.appendChild(document.createElement('div'));
+  Object.assign(frame.style, { position: 'absolute', left: '0', top: '0', width: `${side}px`, height: `${side}px` });
+  const camera = new OLDER.PerspectiveCamera(FOV, 1, 0.05, 100);
+  const viewer = new GS3D.Viewer({
+    renderer, camera,
+    rootElement: frame,
+    selfDrivenMode: false,
+    useBuiltInControls: false,
+    sharedMemoryForWorkers: false,
+    gpuAcceleratedSort: false,
+    sceneRevealMode: GS3D.SceneRevealMode.Instant,
+    ignoreDevicePixelRatio: true,
   });
+  await viewer.addSplatScene('/data/avatar.ply', { showLoadingUI: false, progressiveLoad: false });
+  return {
+    gl: renderer.getContext(), canvas,
+    draw(angle, _, distance, height) {
+      eyesAt(angle, distance, height).forEach((eye, i) => {
+        camera.position.copy(eye.position);
+        camera.quaternion.copy(eye.quaternion);
+        camera.updateMatrixWorld(true);
+        renderer.setViewport(i * side, 0, side, side);
+        renderer.setScissor(i * side, 0, side, side);
+        if (i === 0) viewer.update(); // one order for both eyes
+        viewer.render();
+      });
+    },
+  };
+}
 
 const MAKE = { 'this page': (side) => ours(side, false), 'this page, walking': (side) => ours(side, true), GaussianSplats3D: gs3d, Spark: spark };
 
-/** {name: median ms a frame} of rounds in turn; the camera circles. `distance` and `height` in metres. */
-window.measure = async ({ side, frames, rounds, distance, height, pictures }) => {
-  const drawers = {};
+let drawers = {};
+
+/** Make all that are compared, for pictures of `side`, and let them settle: theirs sort in workers, and show by and by. */
+window.prepare = async ({ side, distance, height }) => {
   for (const [name, make] of Object.entries(MAKE)) drawers[name] = await make(side);
-  const settle = () => new Promise((done) => setTimeout(done, 100));
   for (const one of Object.values(drawers)) {
-    for (let i = 0; i < 25; i++) { // theirs sort in workers, and show by and by
+    for (let i = 0; i < 25; i++) {
       one.draw(0, 0, distance, height);
-      await settle();
+      wait(one.gl);
+      await new Promise((done) => setTimeout(done, 60));
     }
   }
-  const found = Object.fromEntries(Object.keys(drawers).map((name) => [name, []]));
-  for (let round = 0; round < rounds; round++) {
-    for (const [name, one] of Object.entries(drawers)) {
-      for (let i = 0; i < frames; i++) {
-        const angle = (2 * Math.PI * (round * frames + i)) / (rounds * frames);
-        const begun = performance.now();
-        one.draw(angle, i, distance, height);
-        wait(one.gl);
-        if (i > 0) found[name].push(performance.now() - begun);
-        await new Promise((done) => setTimeout(done, 4)); // their workers answer between frames
-      }
-    }
+  return Object.keys(drawers);
+};
+
+/** Milliseconds of each of some frames of one of them, while the camera circles from `first` on, `of` frames a circle. */
+window.run = async ({ name, frames, first, of, distance, height }) => {
+  const { draw, gl } = drawers[name];
+  const found = [];
+  for (let i = 0; i < frames; i++) {
+    const begun = performance.now();
+    draw((2 * Math.PI * (first + i)) / of, first + i, distance, height);
+    wait(gl);
+    found.push(performance.now() - begun);
+    await new Promise((done) => setTimeout(done, 2)); // their workers answer between frames
   }
-  const shown = {};
-  if (pictures) for (const [name, one] of Object.entries(drawers)) {
+  return found;
+};
+
+/** A picture of each from the front, as PNG in base64: to look at. */
+window.pictures = async ({ distance, height }) => {
+  const out = {};
+  for (const [name, one] of Object.entries(drawers)) {
     one.draw(0, 0, distance, height);
-    shown[name] = one.canvas.toDataURL('image/png');
+    out[name] = one.canvas.toDataURL('image/png');
   }
-  return { ms: Object.fromEntries(Object.entries(found).map(([name, values]) => [name, median(values)])), shown };
+  return out;
 };
 window.ready = true;

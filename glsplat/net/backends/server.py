@@ -19,6 +19,7 @@ from glsplat.net.backends.gl import MAX_TIME, RendererBackend
 from glsplat.net.backends.process import ProcessBackend
 from glsplat.net.backends.tracking import TrackingSolver
 from glsplat.net.messages import PARTS
+from glsplat.net.pages.lead import Lead
 from glsplat.net.server import Server, ServerConfig
 from glsplat.scene import Rigged, SceneLike, is_rigged
 from glsplat.scenes.scene_file import SceneFile
@@ -59,6 +60,7 @@ def make_server(
     consent: ConsentPolicy | None = None,  # of all that is shown, by the same names; None: nobody asks for it
     workers: Workers | None = None,  # that draw and encode instead (docs/scaling.md)
     idle: bool = False,  # eyes of tracked users that no sensor sees look around and blink
+    lead: Lead | None = None,  # leads the clients through more than pictures, such as a study
 ) -> Server:
     """A server that draws ``scene`` with OpenGL, and solves tracking if its one avatar has SMPL-X's rig.
 
@@ -101,7 +103,7 @@ def make_server(
         backend = workers.pool([partial(draw, name=name) for draw in draws], config.fps, budget[1])
     else:
         backend = ProcessBackend(draws[0], config.wire.max_side, budget[1]) if own_process else draws[0]()
-    return Server(backend, config, offers, takes)
+    return Server(backend, config, offers, takes, lead)
 
 
 def _say(one: AvatarInfo) -> None:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import ipaddress
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 __all__ = ["Bucket", "ClientQuota", "CpuBudget", "CpuShare", "Limits", "Strikes", "address_key"]
@@ -31,6 +32,7 @@ class Limits:
     samples_burst: float = 50.0
     work: float = 0.3  # seconds a second on reading all clients' JSON and solving their tracking, which share one
     # interpreter lock with everything else; where it runs out, each address has an equal part, and each client of it
+    work_alone: float = 0.6  # the same while nothing is drawn: who is sent poses keeps no picture waiting
     per_address: int | None = None  # clients of one address; None: half of max_clients, all of them on loopback
     visits: float = 10.0  # connections and HTTP requests a second of one address
     visits_burst: float = 50.0
@@ -99,12 +101,16 @@ class ClientQuota:
 class CpuBudget:
     """Working time, ``rate`` seconds a second. While it lasts anybody may spend; then each address has an equal part.
 
-    The clients of an address have equal parts of that.
+    The clients of an address have equal parts of that. While nothing is drawn (``draws``) there are ``alone`` seconds.
     """
 
-    def __init__(self, rate: float, now: float) -> None:
-        self.rate = rate
+    def __init__(
+        self, rate: float, now: float, alone: float | None = None, draws: Callable[[], bool] = lambda: True
+    ) -> None:
+        self.rate, self.draws = rate, draws
         self.all: Bucket = Bucket.full(rate, rate * _AHEAD, now)
+        most = max(rate, alone or rate)
+        self.alone: Bucket = Bucket.full(most, most * _AHEAD, now)
         self._shares: dict[str, list[CpuShare]] = {}  # by address
 
     def open(self, now: float, address: str = "") -> CpuShare:
@@ -148,8 +154,11 @@ class CpuShare:
             own, all_in_all = self._spent.popleft()
             self.part.charge(now, own)
             self.budget.all.charge(now, all_in_all)
+            self.budget.alone.charge(now, all_in_all)
         within = self.part.left(now) > 0
-        return self.budget.all.left(now) > 0 or within
+        if self.budget.all.left(now) > 0 or within:
+            return True
+        return self.budget.alone.left(now) > 0 and not self.budget.draws()
 
     def wait(self, now: float) -> float:
         """Seconds until the client's own part is there again."""

@@ -5,7 +5,10 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Awaitable, Callable, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
 
 from glsplat.camera import Camera
 from glsplat.net.backend import AvatarInfo, RenderJob
@@ -20,9 +23,25 @@ from glsplat.net.session import Session
 if TYPE_CHECKING:
     from glsplat.net.rooms.member import Member
 
-__all__ = ["ANYTHING", "ClientStream", "Frame"]
+__all__ = ["ANYTHING", "ClientStream", "Frame", "Tap"]
 
 ANYTHING = AvatarInfo(name="")
+
+
+class Tap(Protocol):
+    """Hears what one client asks for and is sent. All of it is to return at once."""
+
+    def asked(self, request: Request) -> None:
+        """A request was taken. On the event loop."""
+        ...
+
+    def drawn(self, images: NDArray[np.uint8]) -> None:
+        """A picture [V, H, W, 4] was drawn here; it may be changed in place. On the thread that draws."""
+        ...
+
+    def sent(self, messages: Sequence[bytes]) -> None:
+        """The messages of a picture are in the socket. On the event loop."""
+        ...
 
 
 @dataclass(eq=False, slots=True)
@@ -101,6 +120,7 @@ class ClientStream:
     place_key: str = ""  # where it is drawn (workers/placement.py); empty: room:NAME or avatar:NAME
     cost: float = 0.0  # seconds a picture, lately; 0: none was drawn yet
     told: Told = field(default_factory=Told)  # whom it was sent in poses, and how they stood
+    tap: Tap | None = None  # what else hears of it
 
     def __post_init__(self) -> None:
         alone = f"avatar:{self.shown.name}"

@@ -27,7 +27,7 @@ class StageTimes:
         self.frames: int = 0
         self._length = length
         self._values: dict[str, deque[float]] = {}
-        self._at: deque[float] = deque(maxlen=length)
+        self._at: deque[float] = deque([float("-inf")], maxlen=length)
 
     def add(self, times: Mapping[str, float]) -> None:
         """One frame's times in ms."""
@@ -35,6 +35,10 @@ class StageTimes:
         self._at.append(time.monotonic())
         for name, ms in times.items():
             self._values.setdefault(name, deque(maxlen=self._length)).append(ms)
+
+    def lately(self, seconds: float = 1.0) -> bool:
+        """Whether a frame was made in that time."""
+        return time.monotonic() - self._at[-1] < seconds
 
     def summary(self) -> dict[str, dict[str, float]]:
         """{stage: {"median", "p95"}} in ms."""

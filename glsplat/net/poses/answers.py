@@ -12,16 +12,14 @@ import time
 from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
-from time import thread_time
 from typing import Any
 
 from glsplat.errors import PoseError
 from glsplat.net.backend import Solved
 from glsplat.net.pace.client_stream import ClientStream, Frame
-from glsplat.net.poses.body import pack_body
+from glsplat.net.poses.body import HERE, Place, pack_body
 from glsplat.net.poses.told import Poses
 from glsplat.net.reply import pack_poses
-from glsplat.scene import similarity
 from glsplat.skinning.pose import Pose
 
 __all__ = ["NO_POSE", "Answers"]
@@ -49,10 +47,7 @@ class Answers:
             return False
         loop, answered = asyncio.get_running_loop(), False
         while channel.ready(partial(self._solved, loop, channel), poses=True):
-            worked = thread_time()
             channel.frames.put_nowait(self._answer(channel))
-            if channel.share is not None:
-                channel.share.spend(thread_time() - worked)
             answered = True
         return answered
 
@@ -114,9 +109,9 @@ class Answers:
             return
         skeleton = channel.shown.skeleton
         pose = request.pose or Pose.zero(55 if skeleton is None else len(skeleton))
-        place = similarity()
+        place = HERE
         if solved is not None:
-            pose, place = solved.pose, similarity((0, solved.floor, 0), scale=solved.scale)
+            pose, place = solved.pose, Place((0.0, solved.floor, 0.0), scale=solved.scale)
         assert request.frame_id is not None
         at = frame.arrived * 1e3
         body = pack_body(pose, sha256, place, at=at, t=request.t, frame_id=request.frame_id, you=True)

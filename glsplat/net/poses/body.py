@@ -2,7 +2,7 @@
 
 Little endian (docs/protocol.md, section 4.1): u16 bytes in all, u16 flags, u32 key, u32 frame_id, f64 at, f64 t, u8
 opacity, u8 0, u16 joints, 32 bytes SHA-256, 8 f32 place, 3 f32 trans, joints x 4 i16 rotations, 52 u8 expression where
-there is one, joints x 3 f32 translations where there are some.
+there is one, and where joints are moved u16 how many and for each u16 joint, 3 f32 translation.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import struct
 from collections.abc import Mapping
 from dataclasses import dataclass
 from math import isfinite, nan
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,10 +22,12 @@ from glsplat.scene import similarity
 from glsplat.skinning.expression import ARKIT
 from glsplat.skinning.pose import Pose
 
-__all__ = ["Body", "pack_body", "place_of", "unpack_bodies", "yours"]
+__all__ = ["HERE", "MOST", "Body", "Place", "pack_body", "place_of", "unpack_bodies", "yours"]
 
 F64 = NDArray[np.float64]
 
+MOST = 255
+"""Bodies of one reply."""
 YOU, EXPRESSION, TRANSLATIONS = 1, 2, 4
 """Flags."""
 
@@ -34,6 +37,17 @@ _UNIT = 32767  # of a number of a quaternion
 _MOST = 1e6  # of any other number, as in a pose
 _SMALLEST = 1e-5  # of a scale
 _INDEX = {name: i for i, name in enumerate(ARKIT)}
+
+
+class Place(NamedTuple):
+    """A similarity in parts."""
+
+    translation: tuple[float, ...]  # [3] metres
+    rotation: tuple[float, ...] = (0.0, 0.0, 0.0, 1.0)  # xyzw
+    scale: float = 1.0
+
+
+HERE = Place((0.0, 0.0, 0.0))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -54,7 +68,7 @@ class Body:
 def pack_body(
     pose: Pose,
     sha256: bytes,
-    place: F64,  # [4, 4] a similarity
+    place: Place,
     *,
     at: float,
     t: float | None,
@@ -73,14 +87,13 @@ def pack_body(
         tail.append(face)
     if pose.translations is not None:
         flags |= TRANSLATIONS
-        tail.append(pose.translations.astype("<f4").tobytes())
+        tail.append(_moved(pose.translations))
     size = _HEAD.size + sum(map(len, tail))
     if size > 65535:
         raise PoseError(f"a pose of {len(quats)} joints is too long for the wire ({size} bytes)")
-    translation, rotation, scale = place_of(place)
     head = _HEAD.pack(
         *(size, flags, key, frame_id, at, nan if t is None else t, round(255 * opacity), 0, len(quats), sha256),
-        *(*translation, *rotation, scale, *pose.trans.tolist()),
+        *(*place.translation, *place.rotation, place.scale, *pose.trans.tolist()),
     )
     return b"".join([head, *tail])
 
@@ -96,12 +109,11 @@ def yours(body: bytes, you: bool, opacity: float) -> bytes:
     return bytes(changed)
 
 
-def place_of(matrix: F64) -> tuple[list[float], list[float], float]:
-    """Translation, rotation xyzw and scale of a similarity [4, 4]."""
+def place_of(matrix: F64) -> Place:
+    """The parts of a similarity [4, 4]."""
     scale = float(np.cbrt(np.linalg.det(matrix[:3, :3])))
     w, x, y, z = quaternion_of(matrix[:3, :3] / (scale or 1.0)).tolist()
-    translation: list[float] = matrix[:3, 3].tolist()
-    return translation, [x, y, z, w], scale
+    return Place(tuple(matrix[:3, 3].tolist()), (x, y, z, w), scale)
 
 
 def unpack_bodies(data: bytes) -> list[Body]:
@@ -123,7 +135,7 @@ def unpack_bodies(data: bytes) -> list[Body]:
 def _unpacked(data: bytes) -> Body:
     _, flags, key, frame_id, at, t, opacity, _, joints, sha, *numbers = _HEAD.unpack_from(data)
     need = _HEAD.size + 8 * joints + (len(ARKIT) if flags & EXPRESSION else 0)
-    need += 12 * joints if flags & TRANSLATIONS else 0
+    need += 2 if flags & TRANSLATIONS else 0
     if need > len(data) or not joints:
         raise ProtocolError(f"a body of {joints} joints needs {need} bytes, not {len(data)}", "bad_reply")
     quats = np.frombuffer(data, "<i2", 4 * joints, _HEAD.size).reshape(-1, 4).astype(np.float64)
@@ -134,8 +146,7 @@ def _unpacked(data: bytes) -> Body:
         expression = np.frombuffer(data, np.uint8, len(ARKIT), offset) / 255
         offset += len(ARKIT)
     if flags & TRANSLATIONS:
-        with np.errstate(invalid="ignore"):  # of a NaN, which Pose refuses
-            translations = np.frombuffer(data, "<f4", 3 * joints, offset).astype(np.float64).reshape(-1, 3)
+        translations = _translations(data, offset, joints)
     if not (isfinite(at) and max(map(abs, numbers)) <= _MOST and numbers[7] >= _SMALLEST and lengths.all()):
         raise ProtocolError("a body needs numbers below 1e6, rotations and a scale", "bad_reply")
     turn = numbers[3:7]
@@ -148,6 +159,30 @@ def _unpacked(data: bytes) -> Body:
         raise ProtocolError(f"a body that is no pose: {error}", "bad_reply") from None
     place = similarity(numbers[:3], turn, numbers[7])
     return Body(key, bool(flags & YOU), frame_id, at, t if isfinite(t) else None, opacity / 255, sha.hex(), place, pose)
+
+
+_MOVED = np.dtype([("joint", "<u2"), ("metres", "<f4", 3)])
+
+
+def _moved(translations: F64) -> bytes:
+    """Of the joints that are moved at all: a solved body has few."""
+    joints = np.flatnonzero(translations.any(axis=1))
+    rows = np.empty(len(joints), _MOVED)
+    rows["joint"], rows["metres"] = joints, translations[joints]
+    return len(joints).to_bytes(2, "little") + rows.tobytes()
+
+
+def _translations(data: bytes, offset: int, joints: int) -> F64:
+    count = int.from_bytes(data[offset : offset + 2], "little")
+    if offset + 2 + count * _MOVED.itemsize > len(data):
+        raise ProtocolError(f"a body of {count} joints that are moved ends early", "bad_reply")
+    rows = np.frombuffer(data, _MOVED, count, offset + 2)
+    if rows["joint"].max(initial=0) >= joints:
+        raise ProtocolError(f"joint {rows['joint'].max()} of {joints} is moved", "bad_reply")
+    out = np.zeros((joints, 3))
+    with np.errstate(invalid="ignore"):  # of a NaN, which Pose refuses
+        out[rows["joint"]] = rows["metres"]
+    return out
 
 
 def _face(expression: Mapping[str, float]) -> bytes | None:

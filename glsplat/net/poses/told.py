@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 __all__ = ["Poses", "Told"]
@@ -20,5 +20,5 @@ class Poses:
 class Told:
     """One client's knowledge of a room: nobody is told the same twice."""
 
-    room: tuple[object, ...] = ()  # its people's version, and what stands for each
-    bodies: dict[int, tuple[int, int]] = field(default_factory=dict)  # by key: number of the sample, opacity
+    room: tuple[object, ...] = ()  # its people's version, and what stands for each of their avatars
+    change: int = 0  # of bodies, the last one told

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from glsplat.net.poses.body import pack_body
+from glsplat.net.poses.body import Place, pack_body, place_of
 from glsplat.rotations import slerp, turn_between
 from glsplat.scene import similarity
 from glsplat.skinning.pose import Pose
@@ -51,9 +51,9 @@ class Person:
         self.key, self.name, self.avatar, self.seat, self.owner, self.label = key, name, avatar, seat, owner, label
         self.connected = True
         self._heard = now
-        self.count = 0  # of samples so far
         self._samples: deque[Moved] = deque(maxlen=32)
         self._packed: tuple[bytes, bytes] | None = None  # the newest sample on the wire, by the avatar's hash
+        self._placed: tuple[tuple[float, float], Place] | None = None  # where they are, by their size and floor
         self._to_room = np.asarray(np.linalg.inv(seat), np.float64)
 
     @property
@@ -69,7 +69,6 @@ class Person:
         """A sample came."""
         self.heard(sample.at)
         self._samples.append(sample)
-        self.count += 1
         self._packed = None
 
     def packed(self, sha256: bytes) -> bytes | None:
@@ -78,8 +77,16 @@ class Person:
         if last is None:
             return None
         if self._packed is None or self._packed[0] != sha256:
-            place, at = self.transform(), last.at * 1e3
-            body = pack_body(last.pose, sha256, place, at=at, t=last.t, key=self.key, frame_id=last.frame_id or 0)
+            size = last.scale, last.floor
+            if self._placed is None or self._placed[0] != size:
+                self._placed = size, place_of(self.transform())
+            body = pack_body(
+                *(last.pose, sha256, self._placed[1]),
+                at=last.at * 1e3,
+                t=last.t,
+                key=self.key,
+                frame_id=last.frame_id or 0,
+            )
             self._packed = sha256, body
         return self._packed[1]
 
@@ -89,7 +96,7 @@ class Person:
 
     def opacity(self, now: float) -> float:
         """1 for who is there, falling to 0 for who has been silent for too long."""
-        return float(np.clip(1 - (self.silent(now) - SILENT) / FADE, 0, 1))
+        return min(1.0, max(0.0, 1 - (self.silent(now) - SILENT) / FADE))  # not numpy's: it is asked for every body
 
     def gone(self, now: float) -> bool:
         """Whether nothing is left of them."""

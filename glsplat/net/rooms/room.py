@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import takewhile
 from threading import Lock
 from typing import Any
 
@@ -17,7 +18,7 @@ from numpy.typing import NDArray
 
 from glsplat.camera import Camera
 from glsplat.errors import ProtocolError
-from glsplat.net.poses.body import yours
+from glsplat.net.poses.body import MOST, yours
 from glsplat.net.poses.told import Poses, Told
 from glsplat.net.rooms.person import SILENT, Moved, Person
 from glsplat.net.rooms.seats import free_seat, seat
@@ -26,6 +27,7 @@ from glsplat.net.rooms.view import RoomView, VisiblePerson, people_fields
 __all__ = ["Room", "RoomError"]
 
 
+_SWEEP = 0.03  # seconds
 _LEARN = 0.1  # how far each picture moves what one is expected to take
 
 
@@ -43,6 +45,7 @@ class _Guest:
     seat: int | None  # None: chose a place
     leave: Callable[[], None]  # ends the connection of who is replaced
     shown: VisiblePerson
+    faded: int = 255  # opacity that the others were told
 
 
 class Room:
@@ -54,6 +57,10 @@ class Room:
         self._lock = Lock()
         self._keys = 0
         self._version = 0  # of who is there
+        self._worn: tuple[int, tuple[str, ...]] = (-1, ())  # their avatars, each once, at that version
+        self._change = 0  # of how somebody stands
+        self._news: dict[int, tuple[int, Person]] = {}  # by key: the last change of each, the newest last
+        self._swept = float("-inf")
         self._tick = 0
         self._seconds = 0.0  # that a picture takes
         self._drawn: set[int] = set()  # keys of who was shown a picture in this tick
@@ -91,6 +98,8 @@ class Room:
             self._version += 1
             person = Person(self._keys, name, avatar, stands, owner, now, label)
             shown = VisiblePerson(person.key, name, avatar, None, stands, label=person.label)
+            if replaced is not None:
+                self._news.pop(replaced.person.key, None)
             self._guests[name] = _Guest(person, number if place is None else None, leave, shown)
         if replaced is not None and replaced.person.connected:
             replaced.leave()
@@ -102,6 +111,7 @@ class Room:
             person.connected = False
             if self._is_here(person):
                 del self._guests[person.name]
+                self._news.pop(person.key, None)
                 self._version += 1
 
     def lost(self, person: Person) -> None:
@@ -117,7 +127,11 @@ class Room:
     def moved(self, person: Person, sample: Moved) -> None:
         """A sample of somebody's tracking was solved, or a pose of theirs came."""
         with self._lock:
+            last = person.newest
             person.moved(sample)
+            # who only listens is at rest in each request, which is no news
+            if last is None or last.pose is not sample.pose or last.scale != sample.scale:
+                self._changed(person)
 
     def look(
         self, person: Person, cameras: Sequence[Camera], own: Moved, now: float
@@ -148,23 +162,23 @@ class Room:
         ``sha256`` is of the file of an avatar; who wears one that is not handed out (None) has no body.
         """
         with self._lock:
-            self._forget(now)
-            people = [guest.person for guest in self._guests.values()]
-            hashes = [sha256(one.avatar) for one in people]
+            self._sweep(now)
+            if self._worn[0] != self._version:
+                names = dict.fromkeys(guest.person.avatar for guest in self._guests.values())
+                self._worn = self._version, tuple(names)
+            hashes = {name: sha256(name) for name in self._worn[1]}
             room = None
-            if told.room != (self._version, *hashes):
-                told.room = (self._version, *hashes)
-                keys = {one.key for one in people}
-                told.bodies = {key: last for key, last in told.bodies.items() if key in keys}
-                room = people_fields(self.name, person, people, hashes)
+            if told.room != (self._version, *hashes.values()):
+                told.room, told.change = (self._version, *hashes.values()), 0
+                room = people_fields(self.name, person, [guest.person for guest in self._guests.values()], hashes)
+            fresh = list(takewhile(lambda news: news[0] > told.change, reversed(self._news.values())))[: -MOST - 1 : -1]
             bodies = []
-            for one, digest in zip(people, hashes, strict=True):
+            for change, one in fresh:
+                told.change = change
+                digest = hashes.get(one.avatar)
                 body = None if digest is None else one.packed(digest)
-                opacity = one.opacity(now)
-                news = one.count, round(255 * opacity)
-                if body is not None and told.bodies.get(one.key) != news:
-                    told.bodies[one.key] = news
-                    bodies.append(yours(body, one is person, opacity))
+                if body is not None:
+                    bodies.append(yours(body, one is person, one.opacity(now)))
         return Poses(bodies, room)
 
     def posed(self, count: int) -> None:
@@ -230,8 +244,26 @@ class Room:
 
     def _forget(self, now: float) -> None:
         for name in [name for name, guest in self._guests.items() if guest.person.gone(now)]:
-            del self._guests[name]
+            self._news.pop(self._guests.pop(name).person.key, None)
             self._version += 1
+
+    def _changed(self, person: Person) -> None:
+        if self._is_here(person):
+            self._change += 1
+            self._news.pop(person.key, None)
+            self._news[person.key] = self._change, person
+
+    def _sweep(self, now: float) -> None:
+        """Now and then, however many ask: who is gone, and who fades or is back."""
+        if now - self._swept < _SWEEP:
+            return
+        self._swept = now
+        self._forget(now)
+        for guest in self._guests.values():
+            byte = round(255 * guest.person.opacity(now))
+            if byte != guest.faded:
+                guest.faded = byte
+                self._changed(guest.person)
 
     def _is_here(self, person: Person) -> bool:
         guest = self._guests.get(person.name)

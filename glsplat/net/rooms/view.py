@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -51,13 +51,13 @@ class RoomView:
 
 
 def people_fields(
-    room: str, viewer: Person, people: Sequence[Person], hashes: Sequence[bytes | None]
+    room: str, viewer: Person, people: Sequence[Person], hashes: Mapping[str, bytes | None]
 ) -> dict[str, Any]:
     """``room`` of a reply in poses: who is there, what to draw each from, and where the viewer's own space stands."""
     translation, rotation, _ = place_of(viewer.seat)
     told = [
         {"key": one.key, "name": one.name, "avatar": one.avatar, "you": one is viewer, "label": one.label}
-        | {"sha256": None if digest is None else digest.hex()}
-        for one, digest in zip(people, hashes, strict=True)
+        | {"sha256": None if (digest := hashes[one.avatar]) is None else digest.hex()}
+        for one in people
     ]
     return {"name": room, "place": [*translation, *rotation], "people": told}

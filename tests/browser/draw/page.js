@@ -37,8 +37,8 @@ const base64 = (bytes) => {
   return btoa(text);
 };
 
-/** Layers of the kinds, as floats, rows as they lie; `upward` draws with rows from below and turns them here. */
-export async function pictures({ things, poses, cameras, kinds, triangle = false, upward = false }) {
+/** Layers of the kinds, as floats, rows as they lie; `upward` draws with rows from below and turns them here; `order`: by other keys than the page's. */
+export async function pictures({ things, poses, cameras, kinds, triangle = false, upward = false, order = null }) {
   const table = await (await fetch('/vr/draw/programs.json')).json();
   const gl = context();
   const drawing = new Drawing(gl, table, { triangle });
@@ -49,7 +49,7 @@ export async function pictures({ things, poses, cameras, kinds, triangle = false
   const taken = cameras.map(cameraOfFile);
   const out = {};
   for (const kind of kinds) {
-    drawing.prepare(taken, upward);
+    drawing.prepare(taken, upward, order && Uint32Array.from(order));
     drawing.drawLayers(taken, kind);
     const { width, height } = cameras[0];
     const floats = new Float32Array(taken.length * width * height * 4);
@@ -77,7 +77,7 @@ async function* inPieces(bytes, size) {
 
 /** An avatar's file as avatar.js reads it: its arrays by level in base64, and which levels came in which order. */
 export async function decoded(name, piece) {
-  const { readAvatar } = await import('/vr/draw/avatar.js');
+  const { readAvatar } = await import('/vr/avatar/avatar.js');
   const bytes = new Uint8Array(await (await fetch(`/vr/data/${name}`)).arrayBuffer());
   const order = [];
   const avatar = await readAvatar(inPieces(bytes, piece), (_, level) => order.push(level));
@@ -94,7 +94,7 @@ export async function decoded(name, piece) {
 
 /** A picture by crowd.js of an avatar's file, as floats: the level is chosen by the camera. */
 export async function crowdPicture({ name, pose, camera, expression = null, headless = false }) {
-  const { readAvatar } = await import('/vr/draw/avatar.js');
+  const { readAvatar } = await import('/vr/avatar/avatar.js');
   const { Crowd } = await import('/vr/draw/crowd.js');
   const table = await (await fetch('/vr/draw/programs.json')).json();
   const bytes = new Uint8Array(await (await fetch(`/vr/data/${name}`)).arrayBuffer());
@@ -123,8 +123,8 @@ const deflated = async (bytes) =>
 
 /** Read `rounds` damaged copies of an avatar's file: {read, refused: {words: how often}, other: [what else was thrown]}. */
 export async function fuzzed(name, rounds, seed) {
-  const { readAvatar } = await import('/vr/draw/avatar.js');
-  const { BlobError, openBlob } = await import('/vr/draw/blob.js');
+  const { readAvatar } = await import('/vr/avatar/avatar.js');
+  const { BlobError, openBlob } = await import('/vr/avatar/blob.js');
   const whole = new Uint8Array(await (await fetch(`/vr/data/${name}`)).arrayBuffer());
   const { header, start } = await openBlob(whole);
   let state = seed;
@@ -168,5 +168,76 @@ export async function fuzzed(name, rounds, seed) {
       else out.other.push(`${error.stack}`.slice(0, 300));
     }
   }
+  return out;
+}
+
+/** Live objects of a context by kind; `wrap` before anything is made. */
+function counted(gl) {
+  const alive = {};
+  for (const kind of ['Texture', 'Buffer', 'VertexArray', 'Framebuffer', 'Program']) {
+    const seen = new Set();
+    alive[kind] = seen;
+    const [create, remove] = [gl[`create${kind}`].bind(gl), gl[`delete${kind}`].bind(gl)];
+    gl[`create${kind}`] = () => {
+      const made = create();
+      seen.add(made);
+      return made;
+    };
+    gl[`delete${kind}`] = (one) => {
+      seen.delete(one);
+      remove(one);
+    };
+  }
+  return () => Object.fromEntries(Object.entries(alive).map(([kind, seen]) => [kind, seen.size]));
+}
+
+/**
+ * `turns` avatars in turn, of the files named, each for `frames` frames, beside one that stays. Sums what is alive, and
+ * the heap in MB after collecting garbage, at a third of the way and at the end.
+ */
+export async function inTurn({ names, turns, frames }) {
+  const { Crowd } = await import('/vr/draw/crowd.js');
+  const { Shelf } = await import('/vr/avatar/shelf.js');
+  const table = await (await fetch('/vr/draw/programs.json')).json();
+  const gl = context(64, 64);
+  const alive = counted(gl);
+  const shelf = new Shelf((path) => fetch(`/vr/data/${names[Number(path.slice(7)) % names.length]}`));
+  const crowd = new Crowd(gl, table, { kind: '16f' });
+  const shown = [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1];
+  const eyes = [0, 1].map((i) => ({
+    transform: [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0.06 * i, 0.2, 3.5, 1],
+    projection: [2, 0, 0, 0, 0, 2, 0, 0, 0, 0, -1, -1, 0, 0, -0.1, 0],
+    viewport: { x: 32 * i, y: 0, width: 32, height: 64 },
+  }));
+  const waited = async (sha) => {
+    while (!shelf.get(sha, performance.now())) await new Promise((done) => setTimeout(done, 1));
+    return shelf.get(sha, performance.now());
+  };
+  const pose = (avatar, t) => {
+    const joints = new Float64Array(4 * avatar.skeleton.count);
+    for (let j = 0; j < avatar.skeleton.count; j++) quaternionOf([0.1 * Math.sin(t + j), 0, 0], 0, joints, 4 * j);
+    return { joints, root: [0, 0, 0] };
+  };
+  const out = [];
+  const stays = await waited('0');
+  for (let turn = 0; turn < turns; turn++) {
+    const avatar = await waited(`${turn + 1}`);
+    shelf.keep(new Set(['0', `${turn + 1}`]));
+    for (let frame = 0; frame < frames; frame++) {
+      const people = [stays, avatar].map((one, key) => ({ key, avatar: one, pose: pose(one, turn + 0.01 * frame) }));
+      crowd.people = people;
+      crowd.draw(eyes, null, shown);
+    }
+    if (turn === Math.floor(turns / 3) || turn === turns - 1) {
+      gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array(4));
+      for (let i = 0; i < 3; i++) {
+        gc();
+        await new Promise((done) => setTimeout(done, 20));
+      }
+      out.push({ alive: alive(), heap: performance.memory.usedJSHeapSize / 1e6, shelf: shelf.size, error: gl.getError() });
+    }
+  }
+  crowd.release();
+  out.push({ alive: alive() });
   return out;
 }

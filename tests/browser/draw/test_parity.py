@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 import glsplat
 from glsplat import Avatar, Camera, Item, Pose, RenderConfig, Renderer, Scene, Splats
 from glsplat.motion.motion import load_motion
+from glsplat.passes.frame.project import ProjectPass
 from glsplat.skinning.shapes import Shapes
 from glsplat.views import view_of
 from tests import scenes
@@ -77,6 +78,30 @@ def test_an_embedded_person(bench: Bench, person: Avatar, place: tuple[float, fl
     assert psnr(triangles["32f"], expected) >= 95
     upward = bench.pictures(cameras, things=[name], poses=[thing(pose)], kinds=["32f"], upward=True)
     assert psnr(upward["32f"][:, ::-1], expected) >= 95
+
+
+@pytest.mark.parametrize("degree", [0, 3])
+def test_by_the_same_keys_the_same_bits(
+    bench: Bench, person: Avatar, degree: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In the order of the desktop's key pass the picture is the desktop's own, bit for bit."""
+    written: list[NDArray[np.uint32]] = []
+    plain = ProjectPass.write_order
+
+    def spied(self: ProjectPass, order: NDArray[np.uint32]) -> None:
+        written.append(order.copy())
+        plain(self, order)
+
+    monkeypatch.setattr(ProjectPass, "write_order", spied)
+    if degree:
+        rng = np.random.default_rng(degree)
+        sh = np.concatenate([person.splats.sh, rng.normal(0, 0.1, (len(person.splats), 15, 3))], 1)
+        person = replace(person, splats=replace(person.splats, sh=sh.astype(np.float32)), levels=())
+    pose, cameras = turning(person, 2.93), eyes((-0.8, 1.6, 1.9), (0, 1.1, 0))
+    expected = truth(Scene([Item(person, pose=pose)]), cameras)
+    question = {"things": [bench.offer("person", person)], "poses": [thing(pose)], "kinds": ["32f"]}
+    found = bench.pictures(cameras, order=written[-1].tolist(), **question)
+    assert np.array_equal(found["32f"], expected)
 
 
 def test_directional_colours_of_degree_3(bench: Bench) -> None:
@@ -176,3 +201,32 @@ def test_splats_of_degree_3_fit_narrow_textures(chromium: Any, bench_of: Callabl
     cameras = eyes((0.3, 0.2, 2.4), (0, 0, 0))
     found = bench.pictures(cameras, things=[bench.offer("cloud", splats)], poses=[thing()], kinds=["32f"])
     assert psnr(found["32f"], truth(splats, cameras)) >= 60
+
+
+def test_a_headset_of_four_views_is_drawn_in_pairs(bench: Bench) -> None:
+    name = bench.offer("cloud", scenes.cloud(900, seed=5, spread=0.4))
+    rows = bench.js(
+        """async (name) => {
+          const { context, load } = await import('/vr/test/page.js');
+          const { Drawing } = await import('/vr/draw/drawing.js');
+          const table = await (await fetch('/vr/draw/programs.json')).json();
+          const gl = context(256, 64);
+          const drawing = new Drawing(gl, table);
+          drawing.show([await load(name)]);
+          const eyes = [0, 1, 2, 3].map((i) => ({
+            transform: [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0.3 * (i % 2), 0, 2.2, 1],
+            projection: [1.8, 0, 0, 0, 0, 1.8, 0, 0, 0, 0, -1, -1, 0, 0, -0.1, 0],
+            viewport: { x: 64 * i, y: 0, width: 64, height: 64 },
+          }));
+          drawing.draw(eyes, null, [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1]);
+          const pixels = new Uint8Array(256 * 64 * 4);
+          gl.readPixels(0, 0, 256, 64, gl.RGBA, gl.UNSIGNED_BYTE, pixels);
+          return { pixels: [...pixels], error: gl.getError() };
+        }""",
+        name,
+    )
+    assert rows["error"] == 0
+    picture = np.array(rows["pixels"], np.uint8).reshape(64, 4, 64, 4)
+    assert picture[:, 0].mean() > 5 and (picture[:, 0] != picture[:, 1]).any()
+    # another place of the canvas rounds otherwise, and that is all
+    assert np.abs(picture[:, :2].astype(int) - picture[:, 2:]).max() <= 3

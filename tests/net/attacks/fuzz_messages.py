@@ -79,6 +79,8 @@ def valid(i: int) -> list[dict[str, Any]]:
         json.loads(request(i, eyes=pair(64, 64)[:1], size=[64, 64], ack=None)),
         json.loads(request(i, **full)),
         json.loads(request(i, **full, eyes=None)),
+        {"v": 1, "frame_id": i, "ack": 0, "want": "pose", **full},
+        {"v": 1, "frame_id": i, "ack": 0, "want": "pose", "pose": pose, "size": [64, 64], "hide": ["head"]},
         json.loads(
             request(
                 i, tracking={"head": [0, 1.6, 0, 0, 0, 0, 1], "left_grip": [0, 1, 0, 0, 0, 0, 1], "right_curl": 0.5}
@@ -138,7 +140,7 @@ class _Peer:
         """What the renderer is promised."""
         assert r.frame_id is not None and self.newest < r.frame_id <= MAX_ID
         self.newest = r.frame_id
-        assert 1 <= len(r.cameras) <= 2 and len(r.eyes) == len(r.cameras) and set(r.eyes) <= {0, 1}
+        assert (1 <= len(r.cameras) <= 2) != r.poses and len(r.eyes) == len(r.cameras) and set(r.eyes) <= {0, 1}
         assert r.options.hide in ((), ("head",))
         assert 1 <= r.options.quality <= 100 and np.isfinite(r.t or 0.0)
         for camera in r.cameras:

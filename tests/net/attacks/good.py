@@ -7,7 +7,7 @@ import struct
 import time
 from dataclasses import dataclass, field
 from statistics import median
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from glsplat.errors import ProtocolError
 from glsplat.net.reply import parse_reply
@@ -36,6 +36,7 @@ class GoodClient:
     target: Target
     size: int = 128
     hertz: float | None = 5.0
+    want: str | None = None  # "pose": it draws itself
     arrivals: list[tuple[float, float]] = field(default_factory=list)  # monotonic seconds, age in ms
     losses: list[float] = field(default_factory=list)
     errors: list[str] = field(default_factory=list)
@@ -95,12 +96,15 @@ class GoodClient:
             frame_id += 1
             pose = {"root_pose": [0, frame_id / 30, 0]}
             talk.asked[frame_id] = time.monotonic()
-            talk.writer.write(frame(0x1, request(frame_id, (self.size,) * 2, pose=pose, ack=talk.newest)))
+            talk.writer.write(frame(0x1, self._request(frame_id, pose, talk.newest)))
             if self.hertz is None:
                 talk.answered.clear()
                 await talk.answered.wait()
             else:
                 await asyncio.sleep(max(0.0, start + frame_id / self.hertz - time.monotonic()))
+
+    def _request(self, frame_id: int, pose: dict[str, Any], newest: int) -> bytes:
+        return request(frame_id, (self.size,) * 2, pose=pose, ack=newest, want=self.want)
 
 
 class _Talk:

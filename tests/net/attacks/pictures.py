@@ -6,7 +6,7 @@ import itertools
 import threading
 from collections.abc import Callable
 
-from tests.net.attacks.requests import collapsed, heap, legacy, pair, request
+from tests.net.attacks.requests import collapsed, heap, legacy, pair, request, tracking
 from tests.net.attacks.sockets import Attack, Target, abort, again_and_again, drain, frame, repeat, upgrade
 
 __all__ = ["PICTURES"]
@@ -122,7 +122,21 @@ def acknowledged(target: Target, number: int, stop: threading.Event) -> None:
             stop.wait(0.05)
 
 
+def undecided(frame_id: int, number: int) -> bytes:
+    """A picture and a pose in turn, never acknowledged: each needs its sample solved, and none may overtake another."""
+    more = {"want": "pose"} if frame_id % 2 else {"want": "picture", "size": (64, 64)}
+    return request(frame_id, tracking=tracking(frame_id), t=frame_id * 10.0, ack=None, **more)
+
+
+def poses_alone(frame_id: int, number: int) -> bytes:
+    """What costs no picture, as often as messages are read."""
+    return request(frame_id, want="pose", eyes=None, size=None, tracking=tracking(frame_id), t=frame_id * 4.4, ack=None)
+
+
 PICTURES: dict[str, Attack] = {
+    "a picture, a pose, 100 a second": asking(undecided, 100),
+    "poses, 230 a second": asking(poses_alone, 230),
+    "poses that nobody reads": asking(poses_alone, 230, read=False, receive_buffer=4096),
     "collapsed body, 40 image sizes": asking(costly, 2),
     "close-ups, 2048^2": asking(close_up),
     "an eye inside the head, 2048^2": asking(inside),

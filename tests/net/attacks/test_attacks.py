@@ -27,6 +27,7 @@ MEASURED = [
     "collapsed body, 40 image sizes",
     "64^2 to 1536^2",
     "specks of 1 x 1",
+    "a picture, a pose, 100 a second",
     "does not read",
     "clients that end at once",
 ]
@@ -66,13 +67,13 @@ class Best:
         return self.rate >= LEAST and self.age <= 1
 
 
-def attacked(server, name, connections=4, pictures=7):
+def attacked(server, name, connections=4, pictures=7, want=None):
     """Rounds until one is good enough. The attackers come from an address that no attack came from before."""
     running, raiders = server
     best = Best()
 
     async def a_round(hertz):
-        client = GoodClient(running.target.to("127.0.0.2"), 64, hertz)
+        client = GoodClient(running.target.to("127.0.0.2"), 64, hertz, want)
         task = asyncio.create_task(client.run())
         try:
             await until(lambda: len(client.arrivals) >= 2)
@@ -100,6 +101,14 @@ def test_a_good_client_keeps_its_pictures(server, name):
     assert best.held, f"{best}\n{server[0].log[-1000:]}"
     assert server[0].alive(), server[0].log[-2000:]
     assert name == EVERYTHING or server[0].log_lines - lines <= 60, server[0].log[-3000:]
+
+
+@pytest.mark.parametrize("name", ["a picture, a pose, 100 a second", "collapsed body, 40 image sizes"])
+def test_a_good_client_keeps_its_poses(server, name):
+    """Beside one that cannot decide, and beside dear pictures, which hold back nobody who draws itself."""
+    best = attacked(server, name, want="pose")
+    assert best.held, f"{best}\n{server[0].log[-1000:]}"
+    assert server[0].alive() and "Traceback" not in server[0].log
 
 
 def test_the_other_attacks_leave_the_server_well(server):

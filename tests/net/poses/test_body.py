@@ -9,7 +9,7 @@ import pytest
 
 import glsplat
 from glsplat.errors import ProtocolError
-from glsplat.net.poses.body import pack_body, place_of, unpack_bodies, yours
+from glsplat.net.poses.body import HERE, pack_body, place_of, unpack_bodies, yours
 from glsplat.net.reply import pack_poses, pack_reply, parse_reply
 from glsplat.rotations import turn_between
 from glsplat.skinning.expression import ARKIT
@@ -34,7 +34,7 @@ def someone(seed: int, joints: int = 55, stretched: bool = False, face: bool = T
 def test_what_was_packed_comes_back(joints: int, stretched: bool, face: bool) -> None:
     pose = someone(joints, joints, stretched, face)
     place = glsplat.scene.similarity((1.5, -2, 3), (0.1, 0.7, -0.3, 0.5), 1.3)
-    packed = pack_body(pose, SHA, place, at=12345.678, t=None, key=7, frame_id=2**32 - 1, opacity=0.5)
+    packed = pack_body(pose, SHA, place_of(place), at=12345.678, t=None, key=7, frame_id=2**32 - 1, opacity=0.5)
     (body,) = unpack_bodies(bytes((1,)) + packed)
     assert np.degrees(np.linalg.norm(turn_between(pose.rotations, body.pose.rotations), axis=1)).max() < 0.006
     assert np.allclose(body.pose.trans, pose.trans, atol=1e-6) and np.allclose(body.place, place, atol=1e-6)
@@ -50,7 +50,7 @@ def test_what_was_packed_comes_back(joints: int, stretched: bool, face: bool) ->
 
 
 def test_two_people_are_below_a_kilobyte_each_and_skipped_by_their_size() -> None:
-    packed = [pack_body(someone(i), SHA, np.eye(4), at=i, t=i / 3, key=i) for i in (1, 2)]
+    packed = [pack_body(someone(i), SHA, HERE, at=i, t=i / 3, key=i) for i in (1, 2)]
     longer = [len(packed[0]) + 5, 0]
     first = longer[0].to_bytes(2, "little") + packed[0][2:] + b"later"  # a version that appends
     data = pack_poses(9, {"want": "pose"}, [first, packed[1]])
@@ -60,7 +60,7 @@ def test_two_people_are_below_a_kilobyte_each_and_skipped_by_their_size() -> Non
 
 
 def test_a_reader_of_pictures_finds_none(monkeypatch: pytest.MonkeyPatch) -> None:
-    data = pack_poses(9, {"want": "pose", "t": 5}, [pack_body(someone(1), SHA, np.eye(4), at=0, t=None)])
+    data = pack_poses(9, {"want": "pose", "t": 5}, [pack_body(someone(1), SHA, HERE, at=0, t=None)])
     assert data.startswith(pack_reply(9, (), (), {"want": "pose", "t": 5}))
     reply = parse_reply(data)
     assert reply.pictures == {} and reply.images() == [] and repr(reply) == "Reply(frame 9, 1 bodies)"
@@ -76,7 +76,7 @@ def test_places_of_any_size_and_turn() -> None:
 
 def test_five_thousand_damaged_replies_are_read_or_refused_in_one_line() -> None:
     rng = np.random.default_rng(11)
-    bodies = [pack_body(someone(i, 55, i == 2), SHA, np.eye(4), at=i, t=i) for i in (1, 2)]
+    bodies = [pack_body(someone(i, 55, i == 2), SHA, HERE, at=i, t=i) for i in (1, 2)]
     whole = pack_poses(3, {"want": "pose", "room": {"people": []}}, bodies)
     for size in range(0, len(whole), 3):
         with pytest.raises(ProtocolError):
@@ -118,7 +118,7 @@ def test_five_thousand_damaged_replies_are_read_or_refused_in_one_line() -> None
     ],
 )
 def test_what_is_no_body_is_refused(at: int, value: bytes) -> None:
-    packed = bytearray(pack_body(someone(1), SHA, np.eye(4), at=1, t=1))
+    packed = bytearray(pack_body(someone(1), SHA, HERE, at=1, t=1))
     packed[at : at + len(value)] = value
     with pytest.raises(ProtocolError):
         unpack_bodies(bytes((1,)) + bytes(packed))

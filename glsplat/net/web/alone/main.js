@@ -2,7 +2,7 @@
 
 import { quaternionOf } from '../draw/bones.js';
 import { Own } from '../draw/own.js';
-import { readAvatar } from '../draw/avatar.js';
+import { readAvatar } from '../avatar/avatar.js';
 import { Orbit } from '../show/orbit.js';
 import { Painter } from '../show/painter.js';
 import { IDENTITY } from '../space/matrix.js';

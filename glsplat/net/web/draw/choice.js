@@ -3,6 +3,7 @@
 
 const SHARE = 0.8; // of the display's rate, below which, for
 const PATIENCE = 3000; // ms, it is back to pictures, and
+const WATCHED = 2000; // ms of pictures, whose rate is known then
 const PAUSE = 60_000; // ms pass until it is tried again, twice as many each time
 
 export const DRAWN_BY = [
@@ -17,6 +18,7 @@ export class Choice {
   #wish;
   #display = 60; // Hz
   #times = []; // ms, frames of the last two seconds
+  #begun = null; // ms
   #slow = null; // ms, since when it is too slow
   #until = 0; // ms, not before
   #pause = PAUSE;
@@ -50,7 +52,8 @@ export class Choice {
       this.#back(able);
       return false;
     }
-    return !this.here && this.#wish !== 'server' && now >= this.#until;
+    const known = this.#wish === 'here' || (this.#begun !== null && now - this.#begun >= WATCHED);
+    return !this.here && known && this.#wish !== 'server' && now >= this.#until;
   }
 
   /** A picture took `ms` here; the server's come at `rate` a second. */
@@ -66,6 +69,7 @@ export class Choice {
 
   /** A frame of the display begins at `now`, ms. */
   frame(now) {
+    this.#begun ??= now;
     this.#times.push(now);
     while (this.#times[0] < now - 2000) this.#times.shift();
     const span = now - this.#times[0];

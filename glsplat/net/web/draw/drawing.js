@@ -10,6 +10,7 @@ import { Order } from './order.js';
 import { Programs } from './programs.js';
 import { movedMeans } from './shapes.js';
 
+const MOST_VIEWS = 2; // of a pass; some headsets have four
 const RECORD_ROW = 4096; // floats a row of the records' texture (record_input.glsl)
 const STILL = Float64Array.of(1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0);
 
@@ -65,9 +66,14 @@ export class Drawing {
    */
   pose(index, { bones = null, place = HERE, amounts = null, opacity = 1 }) {
     const one = this.#shown[index];
-    Object.assign(one, { size: place.scale, opacity, amounts, moved: true });
-    if (one.skeleton) one.bones = placed(bones, place, one.bones ?? undefined);
-    else one.place = placed(STILL, place);
+    const before = one.skeleton ? one.bones : one.place;
+    const stands = one.skeleton ? placed(bones, place, one.spare ?? undefined) : placed(STILL, place);
+    const same = before !== null && before.every((v, i) => v === stands[i]);
+    const still = same && one.size === place.scale && one.opacity === opacity && !amounts && !one.amounts;
+    one.moved ||= !still; // who stands still is not skinned again
+    Object.assign(one, { size: place.scale, opacity, amounts });
+    if (one.skeleton) [one.bones, one.spare] = [stands, one.bones];
+    else one.place = stands;
     const { splats } = one;
     one.means = amounts && splats.shapes ? movedMeans(splats, amounts, one.expressed ?? new Float32Array(splats.means.length)) : splats.means;
     if (one.means !== splats.means) one.expressed = one.means;
@@ -78,13 +84,16 @@ export class Drawing {
    * the room of the things, a reflection for a mirror; `glass`: the mirror's four corners in the room seen.
    */
   draw(eyes, framebuffer, shown, glass = null) {
+    for (let i = 0; i < eyes.length; i += MOST_VIEWS) this.#drawPair(eyes.slice(i, i + MOST_VIEWS), framebuffer, shown, glass);
+  }
+
+  #drawPair(eyes, framebuffer, shown, glass) {
     const { width, height } = eyes[0].viewport;
     const cameras = eyes.map((eye) => cameraOf(eye, width, height, shown));
     this.prepare(cameras, true);
     const kind = glass && !this.kind ? '8' : this.kind;
     if (!kind) {
-      eyes.forEach(({ viewport: v }, i) => this.#drawView(i, framebuffer, v));
-      this.#gl.disable(this.#gl.SCISSOR_TEST);
+      this.drawViews(eyes, framebuffer);
       return;
     }
     this.drawLayers(cameras, kind);
@@ -113,6 +122,12 @@ export class Drawing {
     const rows = Math.ceil((sorted.length * frame.floats) / RECORD_ROW);
     gl.activeTexture(gl.TEXTURE0 + units.records);
     copyRows(gl, frame.records, frame.texture, 'R32F', RECORD_ROW, 0, rows);
+  }
+
+  /** Blend what was prepared into the viewports of a framebuffer. */
+  drawViews(eyes, framebuffer = null) {
+    eyes.forEach(({ viewport }, i) => this.#drawView(i, framebuffer, viewport));
+    this.#gl.disable(this.#gl.SCISSOR_TEST);
   }
 
   /** Blend what was prepared into the layers of a kind, one an eye; they hold the picture. */
@@ -192,6 +207,7 @@ export class Drawing {
       posed: texture(gl, 'RGBA32F', 4 * size, rows),
       colours: texture(gl, degree ? 'RGBA32F' : 'RGB32F', size * texels, rows, colours),
     };
+    if (gl.getError() === gl.OUT_OF_MEMORY) throw new Error('it has not enough memory for these splats');
   }
 
   /** Programs and work buffers for so many views and splats. */

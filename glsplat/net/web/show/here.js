@@ -1,9 +1,9 @@
 // Drawing on this device instead of showing the server's pictures: who stands where comes over the wire (stream/pose.js),
-// the avatars once (draw/shelf.js), and draw/ draws them for the eyes of this very frame.
+// the avatars once (avatar/shelf.js), and draw/ draws them for the eyes of this very frame.
 
 import { Choice } from '../draw/choice.js';
 import { Own } from '../draw/own.js';
-import { Shelf } from '../draw/shelf.js';
+import { Shelf } from '../avatar/shelf.js';
 import { fromPose, invert, multiply } from '../space/matrix.js';
 import { People } from '../stream/pose.js';
 

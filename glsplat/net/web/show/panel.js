@@ -6,7 +6,7 @@ const PIXELS = { width: 512, row: 44, rows: 24, text: 24, edge: 16 };
 const INK = { ground: 'rgba(16,20,28,0.92)', text: '#e8edf5', dim: '#9fb0c8', hover: 'rgba(70,110,190,0.75)' };
 
 /** A label for `Painter.view` whose texture follows a canvas. */
-class Board {
+export class Board {
   transform = null; // room from label; null: not shown
   #painter = null;
   #texture = null;

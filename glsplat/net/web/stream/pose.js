@@ -48,8 +48,8 @@ function body(view) {
   const joints = view.getUint16(30, true);
   const face = HEAD + 8 * joints;
   const stretch = face + (flags & EXPRESSION ? SHAPES : 0);
-  const end = stretch + (flags & TRANSLATIONS ? 12 * joints : 0);
-  if (!joints || end > view.byteLength) throw new Error(`a body of ${joints} joints that ends early`);
+  const least = stretch + (flags & TRANSLATIONS ? 2 : 0);
+  if (!joints || least > view.byteLength) throw new Error(`a body of ${joints} joints that ends early`);
   const floats = (at, count) => Float32Array.from({ length: count }, (_, i) => view.getFloat32(at + 4 * i, true));
   const t = view.getFloat64(20, true);
   const place = floats(64, 8);
@@ -65,7 +65,7 @@ function body(view) {
     root: floats(96, 3),
     joints: new Float32Array(4 * joints),
     expression: flags & EXPRESSION ? new Float32Array(SHAPES) : null,
-    translations: flags & TRANSLATIONS ? floats(stretch, 3 * joints) : null,
+    translations: flags & TRANSLATIONS ? moved(view, stretch, joints) : null,
   };
   for (let i = 0; i < 4 * joints; i++) made.joints[i] = view.getInt16(HEAD + 2 * i, true);
   for (let i = 0; i < 4 * joints; i += 4) {
@@ -79,6 +79,19 @@ function body(view) {
   }
   unit(made.place.rotation, 0);
   return made;
+}
+
+/** Those of the joints that are moved, which are few, among all of them. */
+function moved(view, start, joints) {
+  const count = view.getUint16(start, true);
+  if (start + 2 + 14 * count > view.byteLength) throw new Error(`a body of ${count} joints that are moved ends early`);
+  const out = new Float32Array(3 * joints);
+  for (let at = start + 2; at < start + 2 + 14 * count; at += 14) {
+    const joint = view.getUint16(at, true);
+    if (joint >= joints) throw new Error(`joint ${joint} of ${joints} is moved`);
+    for (let k = 0; k < 3; k++) out[3 * joint + k] = view.getFloat32(at + 2 + 4 * k, true);
+  }
+  return out;
 }
 
 /** Whether a number is one, and below what the server would send: times in ms are larger than metres. */

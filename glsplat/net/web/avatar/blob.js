@@ -1,10 +1,10 @@
 // The avatar as it is handed out (docs/protocol.md), read with distrust: every count is held against the bytes before
 // anything is made of it, and whatever is wrong is a BlobError of one sentence.
 
-import { Skeleton } from './bones.js';
-import { checkHeader, fail } from './blob-header.js';
+import { Skeleton } from '../draw/bones.js';
+import { checkHeader, fail } from './header.js';
 
-export { BlobError } from './blob-header.js';
+export { BlobError } from './header.js';
 
 const START = 16; // bytes before the header
 const STEPS = 4095; // of a weight

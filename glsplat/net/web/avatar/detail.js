@@ -69,6 +69,12 @@ function pointOf(cell, { means, scales, opacities }, weight) {
   return { point, spread: Math.max(Math.sqrt(apart / cell.length), 1e-9), area };
 }
 
+/** To the nearest whole number, of two the even one: as Python rounds. */
+function rounded(value) {
+  const whole = Math.floor(value);
+  return value - whole === 0.5 ? whole + (whole % 2) : Math.round(value);
+}
+
 /** Indices halved along their longest axis again and again, into `count` cells. */
 function cells(means, index, count) {
   if (count === 1) return [index];
@@ -80,7 +86,7 @@ function cells(means, index, count) {
   const spans = [0, 1, 2].map(span);
   const axis = spans.indexOf(Math.max(...spans));
   const left = count >> 1;
-  const cut = Math.min(Math.max(Math.round((index.length * left) / count), left), index.length - (count - left));
+  const cut = Math.min(Math.max(rounded((index.length * left) / count), left), index.length - (count - left));
   const order = [...index].sort((a, b) => means[3 * a + axis] - means[3 * b + axis]);
   return [...cells(means, order.slice(0, cut), left), ...cells(means, order.slice(cut), count - left)];
 }

@@ -26,7 +26,7 @@ from glsplat.io.files import replace_file
 from glsplat.motion.motion import Motion, embedded_motions, load_motion
 from glsplat.shaders.web import programs_json
 
-from .args import load_avatar
+from ..args import load_avatar
 
 __all__ = ["EXAMPLE", "HELP", "add_arguments", "baked", "run"]
 
@@ -47,7 +47,9 @@ _MOST_FRAMES = 20_000  # of a motion
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command line."""
     parser.add_argument("avatar", nargs="?", metavar="AVATAR", help="avatar to show (default: the embedded one)")
-    parser.add_argument("-o", "--output", type=Path, required=True, metavar="FOLDER", help="folder to write")
+    parser.add_argument(
+        "-o", "--output", type=Path, default=Path("out/page"), metavar="FOLDER", help="to write (default out/page)"
+    )
     parser.add_argument(
         "--motion",
         action="append",

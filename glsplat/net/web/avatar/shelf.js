@@ -44,7 +44,14 @@ export class Shelf {
     }
   }
 
-  /** These are not handed out any more: nothing of them stays, neither here nor in the browser's store. */
+  /** Only these hashes are handed out now: what else the browser's store kept from earlier days goes. */
+  async sweep(hashes) {
+    const kept = await store();
+    const wanted = new Set(hashes.map(keyOf));
+    for (const { url } of (await kept?.keys().catch(() => [])) ?? []) if (!wanted.has(url)) await kept.delete(url);
+  }
+
+  /** This one is not handed out any more: nothing of it stays, neither here nor in the browser's store. */
   async forget(sha256) {
     this.#held.delete(sha256);
     await (await store())?.delete(keyOf(sha256));

@@ -1,0 +1,99 @@
+"""``serve --study``: a server that leads one participant through a study."""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TextIO
+
+from glsplat.study.design import read_study
+from glsplat.study.plan import checked_plan, label
+from glsplat.study.serving.lead import KEYS, StudyLead
+from glsplat.study.serving.light import FULL
+from glsplat.study.serving.live import Live
+from glsplat.study.store import Store
+
+from ..study.files import DEFAULT, avatar_files
+from ..usage import UsageError
+from .ready import Place
+
+__all__ = ["Running", "add_study", "study_of"]
+
+
+@dataclass(frozen=True, slots=True)
+class Running:
+    """A study that is served, and how its two pages are reached."""
+
+    lead: StudyLead
+
+    def pages(self, place: Place, *, secret: bool) -> dict[str, str]:
+        """The participant's and the experimenter's address, with what lets them in behind ``#``."""
+        token = f"&token={place.keys.token}" if place.keys.token else ""
+        paths = {"participant": "/vr/study.html", "experimenter": "/vr/watch.html"}
+        return {
+            who: place.url(place.names[0], path) + (f"#study={self.lead.secrets[who]}{token}" if secret else "")
+            for who, path in paths.items()
+        }
+
+    def fields(self, place: Place) -> dict[str, str]:
+        """The addresses for programs, and the file that has the secrets, which go behind ``#study=``."""
+        return self.pages(place, secret=False) | {"keys": str(self.lead.live.store.folder / KEYS)}
+
+    def announce(self, place: Place, out: TextIO) -> None:
+        """Print the addresses; the secrets are shown to people only."""
+        for who, address in self.pages(place, secret=out.isatty()).items():
+            print(f"  {who:<12}{address}", file=out)
+        if not out.isatty():
+            print(f"  {'links':<12}need #study=SECRET, in {self.lead.live.store.folder / KEYS}", file=out)
+        out.flush()
+
+
+def add_study(parser: argparse.ArgumentParser) -> None:
+    """--study, --participant, --study-data."""
+    parser.add_argument(
+        "--study",
+        type=Path,
+        metavar="TOML",
+        help="lead a participant through this study (docs/study.md); its conditions say which avatars are served",
+    )
+    parser.add_argument("--participant", type=int, metavar="N", help="of the study: the number, from 1")
+    parser.add_argument(
+        "--study-data", type=Path, metavar="FOLDER", help="of the study's plan and data (default: data beside TOML)"
+    )
+
+
+def study_of(args: argparse.Namespace) -> Running | None:
+    """The study that is asked for, its participant's folder opened; ``args.scene`` and ``args.avatar`` are its avatars.
+
+    Raises UsageError for options that do not fit, GlsplatError where the study is not as it was planned.
+    """
+    if args.study is None:
+        if args.participant is not None or args.study_data is not None:
+            raise UsageError("--participant and --study-data are for --study TOML")
+        return None
+    if args.participant is None:
+        raise UsageError("--study needs --participant N")
+    if args.scene is not None or args.avatar or args.room or args.allow_upload is not None:
+        raise UsageError("--study says itself what is served: leave out SCENE, --avatar, --room and --allow-upload")
+    study = read_study(args.study)
+    if args.workers is not None and any(one.light != FULL for one in study.conditions):
+        raise UsageError("--study: light below 1 is for pictures that this process draws: leave out --workers")
+    data = args.study_data if args.study_data is not None else args.study.parent / "data"
+    plan = checked_plan(data, study)
+    if not 1 <= args.participant <= len(plan.orders):
+        raise UsageError(f"--participant needs 1 to {len(plan.orders)}, not {args.participant}")
+    files = avatar_files(study, label(args.participant))
+    paths = dict.fromkeys(files.values())
+    stems = [path.stem for path in paths if path is not None]
+    if len(set(stems)) < len(stems) or DEFAULT in stems:
+        raise UsageError(f"--study: two avatars have the same file name, or one is called {DEFAULT}: rename one")
+    for path in paths:
+        if path is not None and not path.is_file():
+            raise UsageError(f"--study: no such avatar: {path}")
+    first, *others = sorted(paths, key=lambda path: path is not None)  # the embedded one can only be the scene
+    args.scene = None if first is None else str(first)
+    args.avatar = [path for path in others if path is not None]
+    store = Store(data, args.participant)
+    live = Live(study, plan, args.participant, store)
+    return Running(StudyLead(live, {name: DEFAULT if path is None else path.stem for name, path in files.items()}))

@@ -1,0 +1,178 @@
+"""``glsplat study analyse``: from a tidy table to F tests, contrasts, a text, boxplots and a script for R."""
+
+from __future__ import annotations
+
+import argparse
+import importlib.util
+import json
+import sys
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from tqdm import tqdm
+
+from glsplat.errors import FormatError
+from glsplat.io.files import replace_file
+from glsplat.study.analysis.analysis import Analysis, analyse
+from glsplat.study.analysis.codebook import Codebook, Measure, item_answers, read_codebook, wide_items
+from glsplat.study.analysis.reliability import Reliability, reliability
+from glsplat.study.analysis.table import Table, read_rows, read_table
+
+from ..args import natural
+from ..usage import UsageError
+from .r_script import r_script
+from .results_text import results_text
+
+__all__ = ["EXAMPLE", "HELP", "add_arguments", "run"]
+
+HELP = "Analyse a study's table: aligned rank transform, contrasts, effect sizes, reliability."
+EXAMPLE = "glsplat study analyse export/scores.csv -o results/"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The options."""
+    parser.add_argument("table", metavar="TABLE.csv", help="a row a participant and condition; as export writes it")
+    parser.add_argument(
+        "-o",
+        "--output",
+        metavar="FOLDER",
+        help="results.md, results.json, boxplots.png and analysis.R go there; without it the text is printed",
+    )
+    parser.add_argument("--factors", metavar="A,B", help="columns of the factors (default: those of the sidecar)")
+    parser.add_argument("--participant", default="participant", metavar="COLUMN", help="default: participant")
+    parser.add_argument("--response", default="value", metavar="COLUMN", help="the answers (default: value)")
+    parser.add_argument(
+        "--measure",
+        action="append",
+        metavar="NAME",
+        help="of the column measure; several times for several; default: all",
+    )
+    parser.add_argument("--items", metavar="A,B,C", help="columns of a scale's items, for Cronbach's alpha and omega")
+    parser.add_argument(
+        "--model",
+        choices=("auto", "rm", "mixed"),
+        default="auto",
+        help="rm: repeated-measures ANOVA of complete participants; mixed: a mixed model of all answers; "
+        "auto: rm where the design is balanced (default)",
+    )
+    parser.add_argument("--seed", type=natural, default=0, help="of the bootstrap intervals")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Analyse and write, or print."""
+    path = Path(args.table)
+    folder = _folder(args.output) if args.output else None
+    book = read_codebook(path.with_suffix(".json"))
+    factors = _factors(args.factors, book, path)
+    rows = read_rows(path)
+    long = "measure" in rows[0][1]
+    wanted = _measures(rows, args.measure, list(factors), long, path)
+    tables: list[Table] = [
+        read_table(path, factors, participant=args.participant, response=args.response, measure=measure)
+        for measure in wanted
+    ]
+    bar = tqdm(tables, unit="response", disable=not sys.stderr.isatty(), leave=False)
+    analyses = [analyse(table, args.model, args.seed) for table in bar]
+    scales = dict(_scales(path, args.items, book, analyses))
+    text = results_text(analyses, scales)
+    if folder is None:
+        print(text, end="")
+        return 0
+    items = _listed(args.items) if args.items else []
+    script = r_script(path.name, analyses, participant=args.participant, response=args.response, long=long, items=items)
+    numbers: dict[str, Any] = {
+        "table": path.name,
+        "responses": [analysis.to_json() for analysis in analyses],
+        "reliability": {name: asdict(scale) for name, scale in scales.items()},
+    }
+    written = {"results.md": text.encode(), "analysis.R": script.encode()}
+    written["results.json"] = json.dumps(numbers, indent=1, ensure_ascii=False).encode() + b"\n"
+    if importlib.util.find_spec("matplotlib") is None:
+        print('no boxplots: they need matplotlib; pip install "glsplat[report]"', file=sys.stderr)
+    else:
+        from .boxplots import boxplots  # here: matplotlib takes a second
+
+        written["boxplots.png"] = boxplots(analyses)
+    try:
+        folder.mkdir(exist_ok=True)
+    except OSError as error:
+        raise FormatError(f"{folder}: cannot be made ({error.strerror or error})") from None
+    for name, data in written.items():
+        replace_file(folder / name, [data])
+    for analysis in analyses:
+        print(_line(analysis))
+    print(f"{folder}: {', '.join(sorted(written))}")
+    return 0
+
+
+def _line(analysis: Analysis) -> str:
+    found = [row.effect for row in analysis.effects if row.clear]
+    clear = ", ".join(found) or "no effect"
+    return f"{analysis.table.response}: {clear} at p < .05, {len(analysis.table.names)} participants"
+
+
+def _folder(name: str) -> Path:
+    folder = Path(name)
+    if folder.exists() and not folder.is_dir():
+        raise UsageError(f"--output {name}: expected a folder, this is a file")
+    if not folder.resolve().parent.is_dir():
+        raise FormatError(f"{name}: there is no folder {folder.parent}; create it first")
+    return folder
+
+
+def _factors(given: str | None, book: Codebook | None, path: Path) -> dict[str, Sequence[str]]:
+    known = dict(book.factors) if book else {}
+    if given:
+        return {name: known.get(name, ()) for name in _listed(given)}
+    if not known:
+        raise UsageError(f"--factors is needed: there is no {path.with_suffix('.json').name} that names the factors")
+    return {name: levels for name, levels in known.items() if len(levels) > 1}
+
+
+def _measures(
+    rows: list[tuple[int, dict[str, str]]], given: list[str] | None, factors: list[str], long: bool, path: Path
+) -> list[str | None]:
+    """Those that were asked for, else all that were asked in conditions."""
+    if given and not long:
+        raise UsageError(f"--measure is for tables with a column measure; {path} has none")
+    if given:
+        return list(dict.fromkeys(given))
+    if not long:
+        return [None]
+    found = list(dict.fromkeys(row["measure"] for _, row in rows))
+    outside = {row["measure"] for _, row in rows if not all(row.get(name, "?") for name in factors)}
+    for name in sorted(outside):
+        print(f"{name}: not asked in conditions, left out", file=sys.stderr)
+    kept: list[str | None] = [name for name in found if name not in outside]
+    if not kept:
+        raise FormatError(f"{path}: no measure was asked in conditions of {', '.join(factors)}")
+    return kept
+
+
+def _scales(
+    path: Path, items: str | None, book: Codebook | None, analyses: Sequence[Analysis]
+) -> Iterator[tuple[str, Reliability]]:
+    """Reliability of each response whose items are known."""
+    if items:
+        yield analyses[0].table.response, reliability(wide_items(path, _listed(items)))
+        return
+    answers = path.with_name("answers.csv")
+    if book is None or not answers.is_file():
+        return
+    known: dict[str, Measure] = {measure.name: measure for measure in book.measures}
+    for analysis in analyses:
+        measure = known.get(analysis.table.response)
+        if measure is not None and len(measure.items) > 1:
+            try:
+                yield measure.name, reliability(item_answers(answers, measure))
+            except FormatError as error:
+                print(f"{measure.name}: {error}", file=sys.stderr)
+
+
+def _listed(text: str) -> list[str]:
+    names = [name.strip() for name in text.split(",") if name.strip()]
+    if not names or len(set(names)) < len(names):
+        raise UsageError(f"expected names of columns with commas between them, each once, not {text!r}")
+    return names

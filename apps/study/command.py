@@ -1,0 +1,197 @@
+"""``glsplat study``: a user study from its design to tidy tables; new, check, plan, run, export, delete."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from importlib import import_module, resources
+from pathlib import Path
+
+from tqdm import tqdm
+
+from glsplat.errors import FormatError
+from glsplat.io.files import replace_file
+from glsplat.study.design import Study, read_study
+from glsplat.study.export import export
+from glsplat.study.orders import cycle
+from glsplat.study.plan import PLAN, Plan, checked_plan, label, make_plan, read_plan, write_plan
+from glsplat.study.questionnaires import embedded
+from glsplat.study.store import remove
+
+from ..usage import UsageError
+from .files import avatar_files, data_of
+
+HELP = "A user study: check its design, write the plan, lead participants through, export tidy tables."
+EXAMPLE = "glsplat study plan study.toml"
+
+MORE: tuple[str, ...] = ()
+"""Modules beside this one that are subcommands of their own: HELP, EXAMPLE, add_arguments, run."""
+
+_MOST_SHOWN = 20  # lines of one kind
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The subcommands."""
+    commands = parser.add_subparsers(dest="task", required=True, metavar="TASK")
+
+    command = commands.add_parser("new", help="a folder with the paper's study and the instruments, to begin from")
+    command.add_argument("folder", type=Path, metavar="FOLDER", help="is made; files that are there stay")
+    command.set_defaults(work=new)
+
+    command = commands.add_parser("check", help="read a design; say what is missing: texts, avatars, balance")
+    _add_study(command)
+    command.add_argument("--participant", type=int, metavar="N", help="look for this one's avatars only")
+    command.set_defaults(work=check)
+
+    command = commands.add_parser("plan", help="write everybody's order, once, before the first participant")
+    _add_study(command)
+    command.set_defaults(work=plan)
+
+    command = commands.add_parser(
+        "run",
+        help="serve the study to one participant: glsplat serve --study STUDY --participant N, and its options",
+    )
+    _add_study(command)
+    command.add_argument("participant", type=int, metavar="N", help="the participant's number, from 1")
+    command.add_argument("options", nargs=argparse.REMAINDER, metavar="OPTIONS", help="of glsplat serve")
+    command.set_defaults(work=run_study)
+
+    command = commands.add_parser("export", help="CSV tables with codebooks, of all that is there")
+    _add_study(command)
+    command.add_argument("-o", "--output", type=Path, required=True, metavar="FOLDER", help="of the tables")
+    command.set_defaults(work=run_export)
+
+    command = commands.add_parser("delete", help="all data of one participant, for good")
+    _add_study(command)
+    command.add_argument("participant", type=int, metavar="N", help="the participant's number, from 1")
+    command.add_argument("--yes", action="store_true", help="needed: nothing brings it back")
+    command.set_defaults(work=delete)
+
+    for name in MORE:
+        module = import_module(f".{name}", __package__)
+        command = commands.add_parser(name, help=module.HELP, epilog=f"example: {module.EXAMPLE}")
+        module.add_arguments(command)
+        command.set_defaults(work=module.run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run the chosen subcommand; 0 on success. Raises GlsplatError, UsageError."""
+    return int(args.work(args) or 0)
+
+
+def new(args: argparse.Namespace) -> int:
+    """Copy the example and the instruments."""
+    folder: Path = args.folder
+    home = resources.files("glsplat.study")
+    copies = {"study.toml": home / "examples" / "paper.toml"}
+    copies |= {f"instruments/{name}.toml": home / "instruments" / f"{name}.toml" for name in embedded()}
+    try:
+        (folder / "instruments").mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise FormatError(f"{folder}: cannot be made ({error.strerror or error})") from None
+    for name, source in copies.items():
+        if (folder / name).exists():
+            print(f"{folder / name}: stays as it is")
+            continue
+        replace_file(folder / name, [source.read_bytes()])
+    print(f"{folder / 'study.toml'}: change it, then: glsplat study check {folder / 'study.toml'}")
+    return 0
+
+
+def check(args: argparse.Namespace) -> int:
+    """Say what the design is and what it lacks; 1 where it cannot be run."""
+    study = read_study(args.study)
+    asked = sum(len(study.questionnaires[name].items) for name in study.each)
+    minutes = len(study.conditions) * sum(t.seconds + t.countdown + t.reading * (not t.ready) for t in study.tasks) / 60
+    print(f"{study.title}: {study.participants} participants, {len(study.conditions)} conditions")
+    for factor in study.factors:
+        print(f"  {factor.name} ({'between' if factor.between else 'within'}): {', '.join(factor.levels)}")
+    print(f"  {len(study.tasks)} tasks and {asked} items a condition; {minutes:.0f} min of tasks in all")
+    rows = cycle(study)
+    if study.participants % rows:
+        print(f"  not balanced: {study.participants} participants are no multiple of {rows}, the rows of its square")
+    for item in study.untold[:_MOST_SHOWN]:
+        name = item.partition(".")[0]
+        print(f"  no text yet: {item} ({study.questionnaires[name].source})")
+    if len(study.untold) > _MOST_SHOWN:
+        print(f"  ... and {len(study.untold) - _MOST_SHOWN} more items without a text")
+    numbers = [_number(study, args.participant)] if args.participant else range(1, study.participants + 1)
+    files = dict.fromkeys(path for number in numbers for path in avatar_files(study, label(number)).values() if path)
+    missing = [path for path in files if not path.is_file()]
+    for path in missing[:_MOST_SHOWN]:
+        print(f"  no such avatar: {path}")
+    if len(missing) > _MOST_SHOWN:
+        print(f"  ... and {len(missing) - _MOST_SHOWN} more avatars that are missing")
+    if (data_of(args) / PLAN).exists():
+        checked_plan(data_of(args), study)
+        print(f"  planned: {data_of(args) / PLAN}")
+    return 1 if study.untold else 0
+
+
+def plan(args: argparse.Namespace) -> int:
+    """Write the plan and print it."""
+    study = read_study(args.study)
+    made = make_plan(study)
+    path = write_plan(data_of(args), made)
+    for number, (order, group) in enumerate(zip(made.orders, made.groups, strict=True), 1):
+        said = "".join(f" {name}={level}" for name, level in group.items())
+        print(f"{label(number)}{said}: {', '.join(order)}")
+    print(f"{path}: stays as it is from now on", file=sys.stderr)
+    return 0
+
+
+def run_study(args: argparse.Namespace) -> int:
+    """``glsplat serve --study ...``, with its options."""
+    from ..serve import command as serve
+    from ..usage import CommandParser
+
+    parser = CommandParser(prog="glsplat serve", description=serve.HELP)
+    serve.add_arguments(parser)
+    words = ["--study", str(args.study), "--participant", str(args.participant), "--study-data", str(data_of(args))]
+    return serve.run(serve.parsed(parser, [*words, *args.options]))
+
+
+def run_export(args: argparse.Namespace) -> int:
+    """Write the tables, say what has to be known of them."""
+    study, made = _planned(args)
+    with tqdm(desc="participants", disable=not sys.stderr.isatty(), leave=False) as bar:
+
+        def progress(done: int, of: int) -> None:
+            bar.total = of
+            bar.update(done - bar.n)
+
+        done = export(study, made, data_of(args), args.output, progress)
+    for name, count in done.rows.items():
+        print(f"{args.output / name}.csv: {count} rows")
+    for remark in done.remarks:
+        print(f"  {remark}")
+    return 0
+
+
+def delete(args: argparse.Namespace) -> int:
+    """Delete a participant's folder."""
+    study, _ = read_study(args.study), read_plan(data_of(args))
+    number = _number(study, args.participant)
+    if not args.yes:
+        raise UsageError(f"say --yes to delete all data of {label(number)} for good")
+    count = remove(data_of(args), number)
+    print(f"{data_of(args) / label(number)}: deleted ({count} files); tables that were exported before still have them")
+    return 0
+
+
+def _planned(args: argparse.Namespace) -> tuple[Study, Plan]:
+    study = read_study(args.study)
+    return study, checked_plan(data_of(args), study)
+
+
+def _number(study: Study, number: int) -> int:
+    if not 1 <= number <= study.participants:
+        raise UsageError(f"participants have the numbers 1 to {study.participants}, not {number}")
+    return number
+
+
+def _add_study(command: argparse.ArgumentParser) -> None:
+    command.add_argument("study", type=Path, metavar="STUDY.toml", help="the design (docs/study.md)")
+    command.add_argument(
+        "--data", type=Path, metavar="FOLDER", help="of the plan and the participants (default: data beside the design)"
+    )

@@ -1,0 +1,141 @@
+"""``glsplat study power``: how often the planned study would find effects of a size, by simulation."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Sequence
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+from tqdm import tqdm
+
+from glsplat.study.analysis.codebook import read_codebook
+from glsplat.study.analysis.power import Planned, Power, from_pilot, power
+from glsplat.study.analysis.table import read_table
+
+from ..args import natural
+from ..usage import UsageError
+
+__all__ = ["EXAMPLE", "HELP", "add_arguments", "run"]
+
+HELP = "Power of a planned study by simulation: how often it would find effects of a size."
+EXAMPLE = (
+    "glsplat study power --within type=self,other --within method=ours,video,image --participants 24 --effect type=0.4"
+)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The options."""
+    parser.add_argument("--study", metavar="STUDY.toml", help="take factors and participants from a study's file")
+    parser.add_argument(
+        "--within",
+        action="append",
+        default=[],
+        metavar="F=A,B",
+        help="a factor and its levels; everybody has all of them",
+    )
+    parser.add_argument(
+        "--between", action="append", default=[], metavar="F=A,B", help="each participant has one of them"
+    )
+    parser.add_argument(
+        "--participants", type=natural, metavar="N", help="in all; several numbers are tried one by one", nargs="+"
+    )
+    parser.add_argument(
+        "--effect",
+        action="append",
+        default=[],
+        metavar="F=D",
+        help="largest difference in standard deviations, or one number a condition: type=0.4, method=0.3,0,-0.3; "
+        "of an interaction, type:method=0.5",
+    )
+    parser.add_argument("--correlation", type=float, default=0.5, help="of two answers of a participant (default 0.5)")
+    parser.add_argument("--points", type=natural, help="points of the rating scale (default: continuous)")
+    parser.add_argument("--pilot", metavar="TABLE.csv", help="draw participants from a pilot's table instead")
+    parser.add_argument("--factors", metavar="A,B", help="of the pilot (default: those of its sidecar)")
+    parser.add_argument("--response", default="value", metavar="COLUMN", help="of the pilot (default: value)")
+    parser.add_argument("--measure", metavar="NAME", help="of the pilot")
+    parser.add_argument("--runs", type=natural, default=1000, help="simulated studies (default 1000)")
+    parser.add_argument("--alpha", type=float, default=0.05, help="default 0.05")
+    parser.add_argument("--seed", type=natural, default=0)
+    parser.add_argument("--json", action="store_true", help="print the numbers as JSON")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Simulate and print a table."""
+    factors, between, participants = _design(args)
+    counts = args.participants or ([participants] if participants else [])
+    if not counts:
+        raise UsageError("--participants is needed: how many take part")
+    if args.pilot and (args.effect or factors):
+        raise UsageError("--pilot says factors and effects itself; leave out --study, --within, --between and --effect")
+    if not args.pilot and not factors:
+        raise UsageError("name the factors by --within and --between, or give --study or --pilot")
+    effects = dict(_effect(text) for text in args.effect)
+    results: list[tuple[int, list[Power]]] = []
+    with tqdm(total=args.runs * len(counts), unit="study", disable=not sys.stderr.isatty(), leave=False) as bar:
+        for count in counts:
+            if args.pilot:
+                draws, table = from_pilot(_pilot(args), count)
+            else:
+                plan = Planned(factors, count, frozenset(between), args.correlation, args.points)
+                draws, table = plan.draws(effects), plan.table
+            rows = power(draws, table, runs=args.runs, alpha=args.alpha, seed=args.seed, progress=bar.update)
+            results.append((count, rows))
+    if args.json:
+        print(json.dumps([_numbers(count, row) for count, rows in results for row in rows]))
+        return 0
+    width = max(len(row.effect) for row in results[0][1])
+    for count, rows in results:
+        print(f"{count} participants, {args.runs} simulated studies, alpha {args.alpha:g}:")
+        for row in rows:
+            print(f"  {row.effect:{width}}  power {row.power:.3f}   95 % [{row.low:.3f}, {row.high:.3f}]")
+    return 0
+
+
+def _numbers(count: int, row: Power) -> dict[str, Any]:
+    own = {"participants": count, "effect": row.effect, "runs": row.runs, "found": row.found}
+    return own | {"power": row.power, "low": row.low, "high": row.high}
+
+
+def _design(args: argparse.Namespace) -> tuple[dict[str, Sequence[str]], set[str], int]:
+    """Factors, which of them are between, and participants where a file says so."""
+    factors: dict[str, Sequence[str]] = {}
+    between: set[str] = set()
+    participants = 0
+    if args.study:
+        study = import_module("glsplat.study.design").read_study(args.study)  # here: the other ways need none of it
+        factors = {factor.name: factor.levels for factor in study.factors if len(factor.levels) > 1}
+        between = {factor.name for factor in study.factors if factor.between and len(factor.levels) > 1}
+        participants = study.participants
+    for option, texts in (("--within", args.within), ("--between", args.between)):
+        for text in texts:
+            name, _, levels = text.partition("=")
+            found = [level.strip() for level in levels.split(",") if level.strip()]
+            if not name.strip() or len(found) < 2 or len(set(found)) < len(found) or name.strip() in factors:
+                raise UsageError(f"{option} needs NAME=LEVEL,LEVEL,..., each once, not {text!r}")
+            factors[name.strip()] = found
+            if option == "--between":
+                between.add(name.strip())
+    return factors, between, participants
+
+
+def _effect(text: str) -> tuple[str, list[float]]:
+    name, _, numbers = text.partition("=")
+    try:
+        return name.strip(), [float(number) for number in numbers.split(",")]
+    except ValueError:
+        raise UsageError(f"--effect needs NAME=NUMBER or NAME=NUMBER,NUMBER,..., not {text!r}") from None
+
+
+def _pilot(args: argparse.Namespace) -> Any:
+    path = Path(args.pilot)
+    book = read_codebook(path.with_suffix(".json"))
+    known = dict(book.factors) if book else {}
+    if args.factors:
+        known = {name.strip(): known.get(name.strip(), ()) for name in args.factors.split(",") if name.strip()}
+    if not known:
+        raise UsageError(f"--factors is needed: there is no {path.with_suffix('.json').name} that names the factors")
+    return read_table(path, known, response=args.response, measure=args.measure)

@@ -1,0 +1,140 @@
+// The questionnaire in hand: which item is asked, what was answered, and answers on their way to the server's disk.
+
+import { pause } from './link.js';
+
+const KEY = 'glsplat.study.unsaved'; // answers that are not on the server's disk, in this tab's storage
+
+/** Events: 'change'. Answers go one after the other; none is forgotten until the server has it or refuses it. */
+export class Questions extends EventTarget {
+  step = '';
+  items = [];
+  index = 0;
+  answers = {};
+  trouble = ''; // why the newest answers are not saved
+  #send;
+  #queue = JSON.parse(sessionStorage.getItem(KEY) ?? '[]'); // [{step, item, value, seconds}]
+  #running = false;
+  #asked = 0; // when the item was shown first, ms
+
+  /** `send(message)` resolves once it is on disk, and throws a Refusal. */
+  constructor(send) {
+    super();
+    this.#send = send;
+    if (this.#queue.length) this.#run();
+  }
+
+  get item() {
+    return this.items[this.index] ?? null;
+  }
+
+  get answered() {
+    return this.item !== null && this.answers[this.item.name] !== undefined;
+  }
+
+  /** Whether the item may be left. */
+  get free() {
+    return this.answered || this.item?.required === false;
+  }
+
+  get last() {
+    return this.index === this.items.length - 1;
+  }
+
+  get saving() {
+    return this.#queue.length > 0;
+  }
+
+  /** What the server says: another step begins at the first item without an answer. */
+  told(state) {
+    if (state.kind !== 'questionnaire') {
+      this.step = '';
+      this.items = [];
+      return;
+    }
+    const again = state.step === this.step && state.attempt === this.attempt;
+    if (!again) {
+      const unsaved = this.#queue.filter(({ step }) => step === state.step).map(({ item, value }) => [item, value]);
+      Object.assign(this, { step: state.step, attempt: state.attempt, items: state.items, trouble: '' });
+      this.answers = { ...state.answers, ...Object.fromEntries(unsaved) };
+      const open = this.items.findIndex(({ name }) => this.answers[name] === undefined);
+      this.#go(open < 0 ? this.items.length - 1 : open);
+    }
+  }
+
+  /** Answer the item that is asked. */
+  choose(value) {
+    if (!this.item || this.answers[this.item.name] === value) return;
+    this.answers = { ...this.answers, [this.item.name]: value };
+    const seconds = Math.round(performance.now() - this.#asked) / 1000;
+    this.#queue = this.#queue.filter(({ step, item }) => step !== this.step || item !== this.item.name);
+    this.#queue.push({ step: this.step, item: this.item.name, value, seconds });
+    this.#keep();
+    this.#run();
+    this.#tell();
+  }
+
+  back() {
+    if (this.index > 0) this.#go(this.index - 1);
+  }
+
+  /** To the next item; at the end the questionnaire is handed in, once all answers are saved. */
+  next() {
+    if (!this.free) return;
+    if (!this.last) {
+      this.#go(this.index + 1);
+      return;
+    }
+    const open = this.items.findIndex(({ name, required }) => required && this.answers[name] === undefined);
+    if (open >= 0) {
+      this.#go(open);
+      return;
+    }
+    if (this.#queue.some(({ step, submit }) => submit && step === this.step)) return;
+    this.#queue.push({ step: this.step, submit: true });
+    this.#keep();
+    this.#run();
+    this.#tell();
+  }
+
+  #go(index) {
+    this.index = index;
+    this.#asked = performance.now();
+    this.#tell();
+  }
+
+  async #run() {
+    if (this.#running) return;
+    this.#running = true;
+    let failures = 0;
+    while (this.#queue.length) {
+      const [first] = this.#queue;
+      const { submit, ...answer } = first;
+      try {
+        await this.#send(submit ? { do: 'submit', step: first.step } : { do: 'answer', ...answer });
+        failures = 0;
+        this.trouble = '';
+        this.#queue = this.#queue.filter((one) => one !== first);
+      } catch (refusal) {
+        if (refusal.passes || refusal.code === 'paused' || refusal.code === 'enter' || refusal.code === 'elsewhere') {
+          this.trouble = refusal.message;
+          this.#tell();
+          await pause(failures++, refusal);
+          continue;
+        }
+        this.trouble = refusal.message; // it will never do: the state says what is asked now
+        this.#queue = this.#queue.filter((one) => one !== first);
+      }
+      this.#keep();
+      this.#tell();
+    }
+    this.#running = false;
+  }
+
+  #keep() {
+    sessionStorage.setItem(KEY, JSON.stringify(this.#queue));
+  }
+
+  #tell() {
+    this.dispatchEvent(new Event('change'));
+  }
+}

@@ -1,0 +1,1 @@
+"""The statistics of a user study: aligned rank transform, F tests, contrasts, effect sizes, reliability, power."""

@@ -1,0 +1,115 @@
+"""The sidecar of a study's table: factors with their levels in order, measures with their items, and their answers.
+
+``scores.json`` beside ``scores.csv``, as ``glsplat study export`` writes it, has them under the key "Study".
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glsplat.errors import FormatError
+from glsplat.io.files import open_regular
+
+from .table import number_of, read_rows
+
+__all__ = ["Codebook", "Measure", "item_answers", "read_codebook", "wide_items"]
+
+F64 = NDArray[np.float64]
+
+MOST_BYTES = 4 << 20
+
+
+@dataclass(frozen=True)
+class Measure:
+    """A response: its items as questionnaire.item, those that are reversed, and the scale's ends."""
+
+    name: str
+    items: tuple[str, ...] = ()
+    reversed: frozenset[str] = frozenset()
+    ends: tuple[float, float] | None = None
+
+
+@dataclass(frozen=True)
+class Codebook:
+    """Factors by name with their levels, and the measures."""
+
+    factors: Mapping[str, tuple[str, ...]]
+    measures: tuple[Measure, ...]
+
+
+def read_codebook(path: Path) -> Codebook | None:
+    """The sidecar in this file; None where there is no such file, or it says nothing of a study. Raises FormatError."""
+    if not path.is_file():
+        return None
+    with open_regular(path) as (file, size):
+        if size > MOST_BYTES:
+            raise FormatError(f"{path}: expected a sidecar of at most {MOST_BYTES >> 20} MiB")
+        data = file.read()
+    try:
+        whole = json.loads(data)
+        if not isinstance(whole, dict) or "Study" not in whole:
+            return None
+        study = whole["Study"]
+        factors = {name: _texts(factor["levels"]) for name, factor in study["factors"].items()}
+        measures = tuple(_measure(name, said) for name, said in study.get("measures", {}).items())
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+        raise FormatError(
+            f"{path}: its key Study does not say factors and measures as it should ({error!r:.80})"
+        ) from None
+    return Codebook(factors, measures)
+
+
+def item_answers(path: str | Path, measure: Measure) -> F64:
+    """Answers [N, K] to a measure's items, NaN where there is none, reversed ones turned.
+
+    A row is one time that a participant was asked. ``path``: a CSV file with the columns participant, step,
+    questionnaire, item and value. Raises FormatError.
+    """
+    rows = read_rows(path)
+    wanted = ("participant", "step", "questionnaire", "item", "value")
+    if lost := [name for name in wanted if name not in rows[0][1]]:
+        raise FormatError(f"{path}: no column {', '.join(map(repr, lost))}; there are {', '.join(rows[0][1])}")
+    asked: dict[tuple[str, str], F64] = {}
+    place = {item: i for i, item in enumerate(measure.items)}
+    for line, row in rows:
+        item = f"{row['questionnaire']}.{row['item']}"
+        if item in place:
+            value = number_of(path, line, "value", row["value"])
+            own = asked.setdefault((row["participant"], row["step"]), np.full(len(place), np.nan))
+            own[place[item]] = np.nan if value is None else value
+    answers = np.array(list(asked.values())).reshape(-1, len(place))
+    for item in measure.reversed & set(place):
+        if measure.ends is None:
+            raise FormatError(
+                f"{measure.name}: item {item} is reversed, but the sidecar does not say the scale's range"
+            )
+        answers[:, place[item]] = sum(measure.ends) - answers[:, place[item]]
+    return answers
+
+
+def wide_items(path: str | Path, items: Sequence[str]) -> F64:
+    """Answers [N, K] from a table with a column an item, NaN where a cell is empty. Raises FormatError."""
+    rows = read_rows(path)
+    if lost := [name for name in items if name not in rows[0][1]]:
+        raise FormatError(f"{path}: no column {', '.join(map(repr, lost))}; there are {', '.join(rows[0][1])}")
+    found = [[number_of(path, line, name, row[name]) for name in items] for line, row in rows]
+    return np.array([[np.nan if value is None else value for value in row] for row in found])
+
+
+def _measure(name: str, said: Any) -> Measure:
+    ends = said.get("range")
+    known = (float(ends[0]), float(ends[1])) if ends is not None else None
+    return Measure(name, _texts(said.get("items", [])), frozenset(_texts(said.get("reversed", []))), known)
+
+
+def _texts(values: Any) -> tuple[str, ...]:
+    if not isinstance(values, list) or not all(isinstance(value, str) for value in values):
+        raise TypeError("expected a list of texts")
+    return tuple(values)

@@ -1,0 +1,260 @@
+"""A tidy table: one row a participant and condition, a column a factor, one response; what is within, what is missing.
+
+>>> table = read_table("scores.csv", ["type", "method"])
+>>> [factor.name for factor in table.factors if factor.within]
+['type', 'method']
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glsplat.errors import FormatError
+from glsplat.io.files import open_regular
+
+__all__ = ["Factor", "Table", "make_table", "number_of", "read_rows", "read_table"]
+
+F64 = NDArray[np.float64]
+Ints = NDArray[np.intp]
+
+MOST_BYTES = 64 << 20
+MOST_CELLS = 256  # of a design: beyond it no study of people has data
+_NOTHING = {"", "na", "nan", "n/a", "null", "none"}  # how programs write a missing answer
+
+
+@dataclass(frozen=True)
+class Factor:
+    """An independent variable. ``within``: participants saw more than one of its levels."""
+
+    name: str
+    levels: tuple[str, ...]
+    within: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Table:
+    """One response of a study, rows of N answers.
+
+    ``participant`` [N] and ``codes`` [N, F] index ``names`` and each factor's levels; ``values`` [N] are finite.
+    """
+
+    response: str
+    names: tuple[str, ...]
+    factors: tuple[Factor, ...]
+    participant: Ints
+    codes: Ints
+    values: F64
+    unanswered: int = 0
+    """Rows that were left out because their value was missing."""
+
+    @cached_property
+    def shape(self) -> tuple[int, ...]:
+        """How many levels each factor has."""
+        return tuple(len(factor.levels) for factor in self.factors)
+
+    @cached_property
+    def cell(self) -> Ints:
+        """Each row's cell of the whole design, [N], in the order of ``shape``."""
+        return np.asarray(np.ravel_multi_index(tuple(self.codes.T), self.shape))
+
+    @cached_property
+    def within(self) -> tuple[int, ...]:
+        """Places of the factors that vary within participants."""
+        return tuple(i for i, factor in enumerate(self.factors) if factor.within)
+
+    @cached_property
+    def between(self) -> tuple[int, ...]:
+        """Places of the factors that do not."""
+        return tuple(i for i, factor in enumerate(self.factors) if not factor.within)
+
+    @cached_property
+    def answers(self) -> Ints:
+        """How many answers each participant gave to each combination of the within factors, [P, K]."""
+        shape = [self.shape[i] for i in self.within]
+        place = np.ravel_multi_index(tuple(self.codes[:, i] for i in self.within), shape) if shape else 0 * self.cell
+        counts = np.zeros((len(self.names), math.prod(shape)), np.intp)
+        np.add.at(counts, (self.participant, place), 1)
+        return counts
+
+    @cached_property
+    def group(self) -> Ints:
+        """Each participant's combination of the between factors, [P]."""
+        shape = [self.shape[i] for i in self.between]
+        if not shape:
+            return np.zeros(len(self.names), np.intp)
+        out = np.zeros(len(self.names), np.intp)
+        out[self.participant] = np.ravel_multi_index(tuple(self.codes[:, i] for i in self.between), shape)
+        return out
+
+    @property
+    def incomplete(self) -> tuple[str, ...]:
+        """Participants without any answer to some combination of the within factors."""
+        return tuple(np.array(self.names)[(self.answers == 0).any(axis=1)].tolist())
+
+    @property
+    def balanced(self) -> bool:
+        """Everybody answered every combination equally often, and the groups are of one size."""
+        sizes = np.bincount(self.group)
+        return bool((self.answers == self.answers[0, 0]).all() and (sizes == sizes[0]).all())
+
+    def of(self, names: Sequence[str]) -> Table:
+        """The same with these participants alone. Raises FormatError where a level is lost with the others."""
+        kept = np.isin(np.array(self.names)[self.participant], names)
+        rows = [
+            (self.names[p], [f.levels[c] for f, c in zip(self.factors, codes, strict=True)], value)
+            for p, codes, value in zip(self.participant[kept], self.codes[kept], self.values[kept], strict=True)
+        ]
+        levels = {factor.name: factor.levels for factor in self.factors}
+        return replace(make_table(self.response, levels, rows), unanswered=self.unanswered)
+
+
+def read_table(
+    path: str | Path,
+    factors: Sequence[str] | Mapping[str, Sequence[str]],
+    *,
+    participant: str = "participant",
+    response: str = "value",
+    measure: str | None = None,
+) -> Table:
+    """One response of a CSV file (UTF-8, a header, a point in numbers).
+
+    ``factors`` names columns, with levels in the order that they shall have (else sorted). With ``measure`` the rows
+    are those that have it in the column "measure". An empty value, NA or a row that is not there is a missing answer.
+    Raises FormatError for what cannot be analysed, naming line and column.
+    """
+    rows = read_rows(path)
+    wanted = [participant, *factors, response, *(["measure"] if measure is not None else [])]
+    _has_columns(path, rows, wanted)
+    if measure is None and "measure" in rows[0][1] and len({row["measure"] for _, row in rows}) > 1:
+        some = ", ".join(sorted({row["measure"] for _, row in rows})[:8])
+        raise FormatError(f"{path}: expected one measure, found several; choose one of {some}")
+    if measure is not None:
+        rows = [(line, row) for line, row in rows if row["measure"] == measure]
+        if not rows:
+            raise FormatError(f"{path}: no row has the measure {measure!r}")
+    answers, unanswered = [], 0
+    for line, row in rows:
+        value = number_of(path, line, response, row[response])
+        if value is None:
+            unanswered += 1
+            continue
+        for name in (participant, *factors):
+            if not row[name]:
+                raise FormatError(f"{path}, line {line}: column {name!r} is empty; each row needs one")
+        answers.append((row[participant], [row[name] for name in factors], value))
+    levels = {name: tuple(factors[name]) if isinstance(factors, Mapping) else () for name in factors}
+    try:
+        table = make_table(measure or response, levels, answers)
+    except FormatError as error:
+        raise FormatError(f"{path}: {error}") from None
+    return replace(table, unanswered=unanswered)
+
+
+def make_table(
+    response: str, factors: Mapping[str, Sequence[str]], rows: Sequence[tuple[str, Sequence[str], float]]
+) -> Table:
+    """A table from rows of participant, levels in the order of ``factors``, and value.
+
+    Empty levels of a factor: those that occur, sorted, numbers by their value. Raises FormatError where a factor has
+    fewer than two levels, a combination has no answer at all, or there are fewer than two participants.
+    """
+    if not factors:
+        raise FormatError("expected at least one factor, got none")
+    names = sorted({row[0] for row in rows}, key=_natural)
+    if len(names) < 2:
+        raise FormatError(f"expected answers of at least two participants, found {len(names)}")
+    columns = [[row[1][i] for row in rows] for i in range(len(factors))]
+    place = {name: i for i, name in enumerate(names)}
+    participant = np.array([place[row[0]] for row in rows], np.intp)
+    made, codes = [], []
+    for (name, given), column in zip(factors.items(), columns, strict=True):
+        found = set(column)
+        levels = tuple(given) or tuple(sorted(found, key=_natural))
+        if unknown := found - set(levels):
+            raise FormatError(f"factor {name!r} knows {', '.join(levels)}, not {min(unknown)!r}")
+        if len(levels) < 2 or len(set(levels)) < len(levels):
+            raise FormatError(f"factor {name!r} needs two levels or more, each once; found {', '.join(levels)}")
+        code = np.array([levels.index(text) for text in column], np.intp)
+        seen = np.zeros((len(names), len(levels)), bool)
+        seen[participant, code] = True
+        made.append(Factor(name, levels, bool((seen.sum(axis=1) > 1).any())))
+        codes.append(code)
+    if math.prod(len(factor.levels) for factor in made) > MOST_CELLS:
+        raise FormatError(f"expected at most {MOST_CELLS} conditions, found more; are all of these columns factors?")
+    table = Table(
+        response, tuple(names), tuple(made), participant, np.stack(codes, 1), np.array([row[2] for row in rows], float)
+    )
+    empty = np.flatnonzero(np.bincount(table.cell, minlength=math.prod(table.shape)) == 0)
+    if len(empty):
+        one = np.unravel_index(empty[0], table.shape)
+        words = ", ".join(f"{f.name} = {f.levels[i]}" for f, i in zip(made, one, strict=True))
+        raise FormatError(f"nobody answered in {words}; a full factorial analysis needs every combination")
+    return table
+
+
+def read_rows(path: str | Path) -> list[tuple[int, dict[str, str]]]:
+    """The rows of a CSV file as line number and texts by column, blanks around texts taken off. Raises FormatError."""
+    with open_regular(path) as (file, size):
+        if size > MOST_BYTES:
+            raise FormatError(f"{path}: expected a table of at most {MOST_BYTES >> 20} MiB, this has {size >> 20}")
+        data = file.read()
+    try:
+        text = data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise FormatError(f"{path}: expected a CSV file in UTF-8, but {error}") from None
+    rows: list[tuple[int, dict[str, str]]] = []
+    try:
+        reader = csv.reader(io.StringIO(text, newline=""), strict=True)
+        header = [name.strip() for name in next(reader, [])]
+        if len(set(header)) < len(header) or not header:
+            raise FormatError(f"{path}: expected a header that names each column once")
+        for row in reader:
+            if not row:
+                continue
+            if len(row) != len(header):
+                raise FormatError(
+                    f"{path}, line {reader.line_num}: {len(row)} columns, but the header has {len(header)}"
+                )
+            rows.append((reader.line_num, dict(zip(header, (cell.strip() for cell in row), strict=True))))
+    except csv.Error as error:
+        raise FormatError(f"{path}: not a CSV file ({error})") from None
+    if not rows:
+        raise FormatError(f"{path}: expected rows below the header, found none")
+    return rows
+
+
+def _has_columns(path: str | Path, rows: list[tuple[int, dict[str, str]]], wanted: Sequence[str]) -> None:
+    lost = [name for name in wanted if name not in rows[0][1]]
+    if lost:
+        raise FormatError(f"{path}: no column {', '.join(map(repr, lost))}; there are {', '.join(rows[0][1])}")
+    if len(set(wanted)) < len(wanted):
+        raise FormatError(f"{path}: expected participant, factors and response to be different columns")
+
+
+def number_of(path: str | Path, line: int, column: str, text: str) -> float | None:
+    """The number that a cell holds; None for an empty one or NA. Raises FormatError naming line and column."""
+    if text.lower() in _NOTHING:
+        return None
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not abs(value) < 1e100 or "_" in text:
+        raise FormatError(f"{path}, line {line}: column {column!r} needs a number, not {text!r:.40}")
+    return value
+
+
+def _natural(text: str) -> tuple[tuple[int, float, str], ...]:
+    """Sorts P2 before P10 and 0.5 before 10."""
+    parts = re.split(r"(\d+(?:\.\d+)?)", text)
+    return tuple((1, float(part), "") if i % 2 else (0, 0.0, part) for i, part in enumerate(parts))

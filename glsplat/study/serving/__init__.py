@@ -1,0 +1,1 @@
+"""A study's server: the session of one participant while it runs, its addresses, and what is recorded of it."""

@@ -1,0 +1,237 @@
+"""``glsplat study analyse``: a table in, a folder out; the words say what the numbers are; mistakes are one line."""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import json
+import os
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from apps.study import analyse
+from apps.usage import CommandParser, UsageError
+from glsplat.errors import FormatError, GlsplatError
+
+TYPES, METHODS = ("self", "other"), ("ours", "video", "image")
+
+
+def arguments(*words: str) -> argparse.Namespace:
+    parser = CommandParser(prog="glsplat study analyse")
+    analyse.add_arguments(parser)
+    return parser.parse_args(list(words))
+
+
+def table(
+    folder: Path, *, gaps: bool = False, measures: Sequence[str] = ("presence", "agency"), people: int = 12
+) -> Path:
+    """An export as ``glsplat study export`` writes it: scores, answers to four items each, sidecars."""
+    rng = np.random.default_rng(41)
+    scores = ["participant,condition,type,method,position,measure,value"]
+    answers = ["participant,step,position,condition,type,method,questionnaire,item,value,reversed,seconds"]
+    for person, (place, (kind, method)), name in itertools.product(
+        range(people), enumerate(itertools.product(TYPES, METHODS)), measures
+    ):
+        if gaps and (person, place) in ((0, 0), (3, 4)):
+            continue
+        mean = 4 + 0.9 * (kind == "self") + 0.7 * (method == "ours") + np.sin(person)
+        items = np.clip(np.rint(mean + 0.8 * rng.normal(size=4)), 1, 7)
+        key = f"P{person + 1:02},{kind}-{method},{kind},{method},{place + 1}"
+        scores.append(f"{key},vr.{name},{items.mean()}")
+        given = [*items[:3], 8 - items[3]]
+        for i, value in enumerate(given):
+            answers.append(
+                f"P{person + 1:02},step{place},{place},c,{kind},{method},vr,{name}{i},{value:g},{int(i == 3)},2.5"
+            )
+    scores += [f"P{person + 1:02},,,,,vr.before,3" for person in range(people)]
+    (folder / "scores.csv").write_text("\n".join(scores) + "\n")
+    (folder / "answers.csv").write_text("\n".join(answers) + "\n")
+    items_of = {f"vr.{name}": [f"vr.{name}{i}" for i in range(4)] for name in measures}
+    study = {
+        "factors": {
+            "type": {"levels": list(TYPES), "kind": "within"},
+            "method": {"levels": list(METHODS), "kind": "within"},
+        },
+        "measures": {
+            name: {"items": items, "reversed": items[3:], "range": [1, 7]} for name, items in items_of.items()
+        },
+    }
+    (folder / "scores.json").write_text(json.dumps({"value": {"Description": "score"}, "Study": study}))
+    return folder / "scores.csv"
+
+
+def test_an_export(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = table(tmp_path)
+    assert analyse.run(arguments(str(path), "-o", str(tmp_path / "results"))) == 0
+    said = capsys.readouterr()
+    assert "vr.presence: type, method at p < .05, 12 participants" in said.out and "vr.before: not asked" in said.err
+    numbers = json.loads((tmp_path / "results" / "results.json").read_text())
+    assert [response["response"] for response in numbers["responses"]] == ["vr.presence", "vr.agency"]
+    first = numbers["responses"][0]
+    assert first["model"] == "rm" and first["missing"] == 0 and first["stray_f"] == 0
+    assert [factor["levels"] for factor in first["factors"]] == [list(TYPES), list(METHODS)]
+    assert [cell["condition"] for cell in first["cells"]][:2] == ["self, ours", "self, video"]
+    assert numbers["reliability"]["vr.agency"]["n"] == 72 and numbers["reliability"]["vr.agency"]["alpha"] > 0.6
+
+    text = (tmp_path / "results" / "results.md").read_text()
+    row = first["effects"][0]
+    assert f"effect of type, F(1, 11) = {row['f']:.2f}, p < .001" in text and f"{row['f']:.4f}" in text
+    pair = first["contrasts"][1]
+    assert f"| {pair['first']} - {pair['second']} | {pair['estimate']:.4f} | {pair['se']:.4f} |" in text
+    assert "Cronbach's alpha is ." in text and "McDonald's omega ." in text and "No answer is missing." in text
+    assert "not over the 2 responses" in text
+
+    image = cv2.imread(str(tmp_path / "results" / "boxplots.png"))
+    assert image is not None and image.shape[1] > 700 and image.std() > 5
+    script = (tmp_path / "results" / "analysis.R").read_text()
+    assert "art(answer ~ type * method + Error(person / (type * method)), data = d)" in script
+    assert 'd$type <- factor(d[["type"]], levels = c("self", "other"))' in script
+
+
+def test_the_same_twice(tmp_path: Path) -> None:
+    path = table(tmp_path)
+    for name in ("a", "b"):
+        analyse.run(arguments(str(path), "-o", str(tmp_path / name)))
+    for file in (tmp_path / "a").iterdir():
+        assert file.read_bytes() == (tmp_path / "b" / file.name).read_bytes(), file.name
+    assert {file.name for file in (tmp_path / "a").iterdir()} == {
+        "results.md",
+        "results.json",
+        "boxplots.png",
+        "analysis.R",
+    }
+
+
+def test_missing_answers_are_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = table(tmp_path, gaps=True, measures=["presence"])
+    assert analyse.run(arguments(str(path))) == 0
+    text = capsys.readouterr().out
+    assert "2 answers are missing; the mixed model uses all" in text and "linear mixed models" in text
+    assert "without P01, P04, who lack a condition" in text and "The design is not balanced" in text
+    assert analyse.run(arguments(str(path), "--model", "rm")) == 0
+    text = capsys.readouterr().out
+    assert "participants without every condition were left out (P01, P04)" in text and "F(1, 9)" in text
+
+
+def test_a_coarse_scale_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = table(tmp_path, measures=["presence"])
+    lines = path.read_text().splitlines()
+    rounded = [line.rsplit(",", 1)[0] + f",{round(float(line.rsplit(',', 1)[1]))}" for line in lines[1:]]
+    path.write_text("\n".join([lines[0], *rounded]) + "\n")
+    analyse.run(arguments(str(path), "--measure", "vr.presence"))
+    text = capsys.readouterr().out
+    assert "values only" in text and "with ties spread, F = " in text
+
+
+def test_wide_with_items(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A factor whose name R would not take, and levels that would break a table."""
+    rng = np.random.default_rng(1)
+    rows = [
+        f"{p},{level},{','.join(map(str, rng.integers(1, 8, 3)))},{rng.normal():.3f}"
+        for p in range(1, 10)
+        for level in ("a|b", "c$d", '"e ""f"""')
+    ]
+    path = tmp_path / "wide.csv"
+    path.write_text("who,my view,i1,i2,i3,time\n" + "\n".join(rows) + "\n")
+    words = [str(path), "--participant", "who", "--factors", "my view", "--response", "time", "--items", "i1,i2,i3"]
+    assert analyse.run(arguments(*words, "-o", str(tmp_path / "out"))) == 0
+    text = (tmp_path / "out" / "results.md").read_text()
+    assert "a\\|b" in text and "Of its 3 items (N = 27 complete rows)" in text
+    script = (tmp_path / "out" / "analysis.R").read_text()
+    assert 'd$factor1 <- factor(d[["my view"]], levels = c("a|b", "c$d", "e \\"f\\""))' in script
+    assert "art(answer ~ factor1 + Error(person / (factor1)), data = d)" in script
+    assert 'psych::alpha(sapply(whole[c("i1", "i2", "i3")], as.numeric))' in script
+
+
+@pytest.mark.parametrize("model", ["rm", "mixed"])
+@pytest.mark.parametrize(
+    "answer",
+    [
+        lambda p, w: 3,
+        lambda p, w: p,
+        lambda p, w: w,
+        lambda p, w: 1e99 * (p * w % 3),
+        lambda p, w: 1e15 + (7 * p + w) % 5,
+    ],
+    ids=["constant", "person", "condition", "huge", "offset"],
+)
+def test_odd_answers(tmp_path: Path, model: str, answer: Callable[[int, int], float]) -> None:
+    """Nothing, or nothing else, varies; sizes that squares overflow on; names that no font and no table has."""
+    names = ("=a\u4e2d", "b\u202e" + "x" * 500, "c`d")
+    rows = [f'P{p},"{name}",{answer(p, w)}' for p in range(6) for w, name in enumerate(names)]
+    path = tmp_path / "odd.csv"
+    path.write_text("participant,w,value\n" + "\n".join(rows) + "\n", encoding="utf-8")
+    words = [str(path), "--factors", "w", "--model", model, "-o", str(tmp_path / "out")]
+    assert analyse.run(arguments(*words)) == 0
+    (response,) = json.loads((tmp_path / "out" / "results.json").read_text())["responses"]
+    assert len(response["effects"]) == 1 and response["cells"][0]["n"] == 6
+    assert "nan" not in (tmp_path / "out" / "results.md").read_text().replace("unknown", "")
+
+
+def test_without_matplotlib(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    assert analyse.run(arguments(str(table(tmp_path)), "-o", str(tmp_path / "out"))) == 0
+    assert not (tmp_path / "out" / "boxplots.png").exists() and (tmp_path / "out" / "results.md").exists()
+    assert 'pip install "glsplat[report]"' in capsys.readouterr().err
+
+
+def test_nothing_is_half_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A disk that is full when the second file is written: one is new, the others are as they were, no scraps."""
+    path, out = table(tmp_path), tmp_path / "out"
+    analyse.run(arguments(str(path), "-o", str(out)))
+    before = {file.name: file.read_bytes() for file in out.iterdir()}
+    path.write_text(path.read_text().replace("P12", "P99"))
+    real, calls = os.replace, itertools.count()
+
+    def full(*names: Any, **options: Any) -> None:
+        if next(calls):
+            raise OSError(28, "No space left on device")
+        real(*names, **options)
+
+    monkeypatch.setattr(os, "replace", full)
+    with pytest.raises(FormatError, match="No space left on device"):
+        analyse.run(arguments(str(path), "-o", str(out)))
+    after = {file.name: file.read_bytes() for file in out.iterdir()}
+    assert set(after) == set(before) and sum(after[name] != before[name] for name in before) <= 1
+    assert next(calls) > 1
+
+
+MISTAKES: list[tuple[list[str], str]] = [
+    (["--factors", "colour"], "no column 'colour'"),
+    (["--factors", "type,type"], "each once"),
+    (["--measure", "vr.none"], "no row has the measure"),
+    (["--response", "condition"], "needs a number"),
+    (["--participant", "who"], "no column 'who'"),
+    (["--items", "i1,i2"], "no column 'i1'"),
+]
+
+
+@pytest.mark.parametrize(("words", "said"), MISTAKES)
+def test_mistakes(tmp_path: Path, words: list[str], said: str) -> None:
+    with pytest.raises(GlsplatError, match=said) as caught:
+        analyse.run(arguments(str(table(tmp_path)), *words))
+    assert "\n" not in str(caught.value)
+
+
+def test_mistakes_of_files(tmp_path: Path) -> None:
+    path = table(tmp_path)
+    with pytest.raises(UsageError, match="this is a file"):
+        analyse.run(arguments(str(path), "-o", str(path)))
+    with pytest.raises(FormatError, match="there is no folder"):
+        analyse.run(arguments(str(path), "-o", str(tmp_path / "no" / "where")))
+    (tmp_path / "scores.json").unlink()
+    with pytest.raises(UsageError, match=r"--factors is needed: there is no scores\.json"):
+        analyse.run(arguments(str(path)))
+    for wrong in ("{", '{"Study": 3}', '{"Study": {"factors": {"type": {"levels": "x"}}}}', "[" * 100_000):
+        (tmp_path / "scores.json").write_text(wrong)
+        with pytest.raises(GlsplatError, match=r"scores\.json"):
+            analyse.run(arguments(str(path)))
+    assert "apps.study.boxplots" in sys.modules  # the tests above drew

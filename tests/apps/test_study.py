@@ -1,0 +1,112 @@
+"""``glsplat study`` from the command line: the whole way but for the session, and one line for each mistake."""
+
+from __future__ import annotations
+
+import csv
+import json
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from apps.cli import main
+from glsplat.study.plan import label
+from glsplat.study.store import Store
+from tests.study.designs import SMALL, write
+from tests.study.test_session import Walk
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def test_the_way(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = write(tmp_path)
+    assert main(["study", "check", str(path)]) == 0
+    assert "6 participants, 2 conditions" in capsys.readouterr().out
+    assert main(["study", "plan", str(path)]) == 0
+    assert capsys.readouterr().out.count("fast, slow") == 3
+    assert main(["study", "plan", str(path)]) == 1
+    assert "stays" in capsys.readouterr().err
+    walk = Walk(tmp_path)
+    walk.to("rest")
+    store = Store(tmp_path / "data", 1)
+    store.append(walk.log)
+    store.close()
+    assert main(["study", "export", str(path), "-o", str(tmp_path / "tables")]) == 0
+    out = capsys.readouterr().out
+    assert "scores.csv: 4 rows" in out and "sub-001: under way" in out
+    with open(tmp_path / "tables" / "scores.csv", newline="") as file:
+        assert {row["participant"] for row in csv.DictReader(file)} == {"sub-001"}
+    assert main(["study", "delete", str(path), "1"]) == 2
+    assert (tmp_path / "data" / label(1)).exists() and "--yes" in capsys.readouterr().err
+    assert main(["study", "delete", str(path), "1", "--yes"]) == 0
+    assert not (tmp_path / "data" / label(1)).exists()
+    assert main(["study", "delete", str(path), "1", "--yes"]) == 1
+    path.write_text(SMALL.replace("latency = 150", "latency = 10"))
+    capsys.readouterr()
+    assert main(["study", "export", str(path), "-o", str(tmp_path / "tables")]) == 1
+    assert "conditions 2.latency is not what it was" in capsys.readouterr().err
+
+
+def test_a_new_folder_says_what_it_lacks(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = tmp_path / "lab"
+    assert main(["study", "new", str(folder)]) == 0
+    path = folder / "study.toml"
+    assert main(["study", "check", str(path), "--participant", "7"]) == 1
+    out = capsys.readouterr().out
+    assert "no text yet: veq.vbo1" in out and "sub-007-self-ours.glb" in out and "sub-008" not in out
+    assert main(["study", "plan", str(path)]) == 1
+    assert "30 items have no text yet" in capsys.readouterr().err
+    path.write_text("mine")
+    assert main(["study", "new", str(folder)]) == 0
+    assert path.read_text() == "mine" and "stays as it is" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--participant", "1"], "--study TOML"),
+        (["--study", "STUDY"], "--participant N"),
+        (["--study", "STUDY", "--participant", "7"], "1 to 6"),
+        (["--study", "STUDY", "--participant", "1", "x.glb"], "leave out SCENE"),
+        (["--study", "STUDY", "--participant", "1", "--room", "lab"], "leave out SCENE"),
+        (["--study", "none.toml", "--participant", "1"], "none.toml"),
+        (["--study", "STUDY", "--participant", "1", "--study-data", "nowhere"], "no plan yet"),
+    ],
+)
+def test_serve_says_what_does_not_fit(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], words: list[str], said: str
+) -> None:
+    path = write(tmp_path)
+    assert main(["study", "plan", str(path)]) == 0
+    assert main(["serve", *(str(path) if word == "STUDY" else word for word in words)]) in (1, 2)
+    line = capsys.readouterr().err.splitlines()[-1]
+    assert said in line
+    assert not (tmp_path / "data" / label(1)).exists()
+
+
+def test_an_avatar_that_is_missing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = write(tmp_path, SMALL.replace("latency = 150", 'avatar = "{participant}.glb"'))
+    assert main(["study", "plan", str(path)]) == 0
+    assert main(["study", "run", str(path), "2"]) == 2
+    assert f"no such avatar: {tmp_path / 'sub-002.glb'}" in capsys.readouterr().err
+
+
+@pytest.mark.gl
+def test_run_is_a_server(tmp_path: Path) -> None:
+    """Two links as JSON; the second server for the same participant is refused; SIGTERM ends it in order."""
+    path = write(tmp_path)
+    assert main(["study", "plan", str(path)]) == 0
+    words = [sys.executable, "-m", "apps.cli", "study", "run", str(path), "1", "--port", "0", "--json"]
+    with subprocess.Popen(words, cwd=ROOT, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        ready = json.loads(process.stdout.readline())
+        assert ready["study"]["participant"].endswith("/vr/study.html")
+        assert ready["study"]["experimenter"].endswith("/vr/watch.html")
+        secrets = json.loads(Path(ready["study"]["keys"]).read_text())
+        assert not any(secret in json.dumps(ready) for secret in secrets.values())  # outputs are kept in logs
+        second = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, timeout=60)
+        assert second.returncode == 1 and "another process holds it" in second.stderr
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(30) == 0

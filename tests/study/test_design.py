@@ -1,0 +1,168 @@
+"""study.toml: what it means, and one clear line for everything that it should not say."""
+
+from __future__ import annotations
+
+from importlib import resources
+from pathlib import Path
+
+import pytest
+
+from glsplat.errors import FormatError
+from glsplat.study.design import read_study
+from glsplat.study.questionnaires import embedded, questionnaire_of
+from tests.study.designs import OWN, SMALL, write
+
+
+def test_what_it_says(tmp_path: Path) -> None:
+    study = read_study(write(tmp_path))
+    assert [(f.name, f.levels, f.between) for f in study.factors] == [
+        ("delay", ("none", "some"), False),
+        ("group", ("old", "young"), True),
+    ]
+    slow = study.condition("slow")
+    assert (slow.latency, slow.hands, slow.view, slow.avatar) == (150, False, "mirror", "default")
+    assert slow.light == (0.5, 0.25, 1.0) and study.condition("fast").light == (1.0, 1.0, 1.0)
+    assert (study.before, study.each, study.after) == (("nasa-tlx",), ("movement",), ("nasa-tlx", "own"))
+    assert study.rest == 2 and study.tasks[1].reading == 4
+    assert not study.untold
+
+
+def test_equal_designs_have_equal_digests(tmp_path: Path) -> None:
+    (tmp_path / "a").mkdir()
+    (tmp_path / "b").mkdir()
+    one, same = read_study(write(tmp_path / "a")), read_study(write(tmp_path / "b", "# a remark\n" + SMALL))
+    assert one.digest == same.digest
+    for before, after in [("latency = 150", "latency = 151"), ('"Wave."', '"Wave!"'), ("seed = 5", "seed = 6")]:
+        assert read_study(write(tmp_path / "b", SMALL.replace(before, after))).digest != one.digest
+    assert read_study(write(tmp_path / "b", SMALL, OWN.replace("odd.", "odd!"))).digest != one.digest
+
+
+def test_the_papers_study() -> None:
+    """2 x 3 within 24 participants, in blocks by type, six tasks, in front of a mirror."""
+    with resources.as_file(resources.files("glsplat.study") / "examples" / "paper.toml") as path:
+        study = read_study(path)
+    assert study.participants == 24 and study.order.block == "type"
+    assert {tuple(one.levels.values()) for one in study.conditions} == {
+        (type, method) for type in ("self", "other") for method in ("ours", "video", "image")
+    }
+    assert {one.view for one in study.conditions} == {"mirror"}
+    assert study.condition("self-ours").file("sub-007") == "avatars/sub-007-self-ours.glb"
+    assert {"look", "wave", "touch", "squat", "walk"} <= {task.name for task in study.tasks}
+    counts = {name: len(study.questionnaires[name].items) for name in study.each}
+    assert counts == {
+        "veq": 12,
+        "veq-plus": 12,
+        "vhp-abp": 6,
+        "movement": 3,
+    }  # the paper, section "Dependent Variables"
+    assert len(study.untold) == 30
+
+
+WRONG = [
+    ("seed = 5", "sead = 5", "sead", "is it seed"),
+    ("participants = 6", "participants = 0", "participants", "1 to 999"),
+    ("participants = 6", "participants = true", "participants", "whole number"),
+    ('name = "small"', 'name = "Small Study"', "name", "small letters"),
+    ('consent = "You look at a body."', 'consent = " "', "consent", "text"),
+    ("[factors]", "[factors]\nparticipant = ['a', 'b']", "participant", "taken"),
+    ('delay = ["none", "some"]', 'delay = ["none"]', "delay", "2 to 20"),
+    ('delay = ["none", "some"]', 'delay = ["none", "none"]', "delay", "twice"),
+    ('name = "slow"', 'name = "fast"', "condition", "two called"),
+    ('delay = "some"', 'delay = "none"', "condition", "same levels"),
+    ('delay = "some"', 'delay = "much"', "delay", "none, some"),
+    ("latency = 150", "latency = nan", "latency", "0 to 2000"),
+    ("hands = false", "hands = 0", "hands", "true or false"),
+    ("hands = false", 'view = "behind"', "view", "mirror"),
+    ("light = [0.5, 0.25, 1]", 'light = "noon"', "light", "0 to 1"),
+    ("light = [0.5, 0.25, 1]", "light = 1.5", "light", "0 to 1"),
+    ("light = [0.5, 0.25, 1]", "light = [1, 1]", "light", "red, green, blue"),
+    ("light = [0.5, 0.25, 1]", "light = [1, nan, 1]", "light", "0 to 1"),
+    ("seconds = 10", "seconds = -1", "seconds", "0.1 to 3600"),
+    ('name = "walk"', 'name = "wave"', "task", "two called"),
+    ('"own.toml"', '"none.toml"', "after", "none.toml"),
+    ('"own.toml"', '"unheard-of"', "after", "nasa-tlx"),
+    ("seed = 5", "seed = 5\n[order]\nblock = 'group'", "block", "delay"),
+    ("seed = 5", "seed = 5\n[order]\nscheme = 'latin'", "scheme", "williams"),
+    ("seed = 5", "seed = 5\n[text.own]\nnope = 'x'", "nope", "sex"),
+    ("seed = 5", "seed = 5\n[text.other]\nnope = 'x'", "other", "own"),
+    ("seed = 5", "seed = = 5", "TOML", ""),
+]
+
+
+@pytest.mark.parametrize(("before", "after", "key", "hint"), WRONG)
+def test_one_line_names_the_key(tmp_path: Path, before: str, after: str, key: str, hint: str) -> None:
+    text = SMALL.replace(before, after, 1) if not after.startswith("seed = 5\n[") else f"{SMALL}\n{after[9:]}"
+    assert text != SMALL
+    path = write(tmp_path, text)
+    with pytest.raises(FormatError) as refused:
+        read_study(path)
+    line = str(refused.value)
+    assert line.startswith(str(path)) and key in line and hint in line and "\n" not in line
+
+
+WRONG_OWN = [
+    ('name = "odd"', 'name = "sex"', "two items"),
+    ("reversed = true", "reversed = 1", "true or false"),
+    ('items = ["odd", "fine"]', 'items = ["odd", "words"]', "words"),
+    ("weights = [1, -2]", "weights = [1]", "2 numbers"),
+    ("from = -3, to = 3", "from = 3, to = -3", "steps"),
+    ("from = -3, to = 3", "from = 0, to = 40", "side by side"),
+    ('labels = ["no", "yes"]', 'labels = ["no", "well", "yes"]', "labels"),
+    ('labels = ["one", "other"]', 'labels = ["one"]', "two options"),
+    ('kind = "text"', 'kind = "words"', "points, slider"),
+]
+
+
+@pytest.mark.parametrize(("before", "after", "hint"), WRONG_OWN)
+def test_questionnaires_are_checked_too(tmp_path: Path, before: str, after: str, hint: str) -> None:
+    with pytest.raises(FormatError, match=hint):
+        read_study(write(tmp_path, SMALL, OWN.replace(before, after, 1)))
+
+
+def test_bytes_that_are_no_text(tmp_path: Path) -> None:
+    path = write(tmp_path)
+    path.write_bytes(b"name = '\xff'")
+    with pytest.raises(FormatError, match="TOML"):
+        read_study(path)
+    path.write_bytes(b"#" * (2 << 20))
+    with pytest.raises(FormatError, match="KiB"):
+        read_study(path)
+
+
+def test_every_instrument_can_be_read() -> None:
+    for name in embedded():
+        one = questionnaire_of(name, Path())
+        assert one.name == name and one.source and one.licence and one.scores
+        assert bool(one.untold) == ("not free" in one.licence)
+    assert len(embedded()) == 8
+
+
+def test_scores_by_hand(tmp_path: Path) -> None:
+    study = read_study(write(tmp_path))
+    own = study.questionnaires["own"]
+    (score,) = own.scores
+    assert score.of(own, {"odd": 2, "fine": -1}) == 0.5 * ((1 + 7 - 2) + -2 * -1)
+    assert score.of(own, {"odd": 2}) is None
+    tlx = study.questionnaires["nasa-tlx"]
+    answers = dict(zip([i.name for i in tlx.items], (10, 20, 30, 40, 50, 60), strict=True))
+    assert tlx.scores[0].of(tlx, answers) == 35
+
+
+def test_the_ssq_weighs_as_its_authors_do() -> None:
+    """Kennedy et al. (1993), table 5: all symptoms severe give 200.34, 159.18, 292.32 and 235.62."""
+    ssq = questionnaire_of("ssq", Path())
+    found = {one.name: one.of(ssq, {item.name: 3 for item in ssq.items}) for one in ssq.scores}
+    assert found == pytest.approx({"nausea": 200.34, "oculomotor": 159.18, "disorientation": 292.32, "total": 235.62})
+
+
+def test_the_embodiment_questionnaire_adds_up_as_published() -> None:
+    """Gonzalez-Franco and Peck (2018): ((own / 5) 2 + (agency / 4) 2 + tactile / 4 + (location / 3) 2 + ...) / 9."""
+    one = questionnaire_of("embodiment", Path())
+    answers = {item.name: (n * 5) % 7 - 3 for n, item in enumerate(one.items)}
+    found = {score.name: score.of(one, answers) for score in one.scores}
+    q = [0, *answers.values()]
+    assert found["ownership"] == (q[1] - q[2]) - q[3] + (q[4] - q[5])
+    assert found["agency"] == q[6] + q[7] + q[8] - q[9]
+    parts = [("ownership", 2 / 5), ("agency", 2 / 4), ("tactile", 1 / 4), ("location", 2 / 3), ("appearance", 1 / 4)]
+    parts.append(("response", 1 / 5))
+    assert found["total"] == pytest.approx(sum(w * (found[name] or 0) for name, w in parts) / 9)
