@@ -24,7 +24,7 @@ from .files import avatar_files, data_of
 HELP = "A user study: check its design, write the plan, lead participants through, export tidy tables."
 EXAMPLE = "glsplat study plan study.toml"
 
-MORE: tuple[str, ...] = ()
+MORE = ("analyse", "power")
 """Modules beside this one that are subcommands of their own: HELP, EXAMPLE, add_arguments, run."""
 
 _MOST_SHOWN = 20  # lines of one kind

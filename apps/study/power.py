@@ -6,7 +6,6 @@ import argparse
 import json
 import sys
 from collections.abc import Sequence
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +14,7 @@ from tqdm import tqdm
 from glsplat.study.analysis.codebook import read_codebook
 from glsplat.study.analysis.power import Planned, Power, from_pilot, power
 from glsplat.study.analysis.table import read_table
+from glsplat.study.design import read_study
 
 from ..args import natural
 from ..usage import UsageError
@@ -106,7 +106,7 @@ def _design(args: argparse.Namespace) -> tuple[dict[str, Sequence[str]], set[str
     between: set[str] = set()
     participants = 0
     if args.study:
-        study = import_module("glsplat.study.design").read_study(args.study)  # here: the other ways need none of it
+        study = read_study(args.study)
         factors = {factor.name: factor.levels for factor in study.factors if len(factor.levels) > 1}
         between = {factor.name for factor in study.factors if factor.between and len(factor.levels) > 1}
         participants = study.participants
