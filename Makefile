@@ -55,10 +55,10 @@ report: $(VENV)/.run
 	$(BIN)/glsplat report -o out/report
 
 # the site of docs/ and the docstrings: open out/site/index.html, no server is needed; what is not right ends it.
-# The variable keeps a note on mkdocs-material's successor out of the log.
+# The variable keeps a note on mkdocs-material's successor out of the log; --quiet would keep --strict from seeing faults.
 docs: $(VENV)/.run
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[docs]'
-	NO_MKDOCS_2_WARNING=1 PYTHONPATH=. $(BIN)/mkdocs build --quiet --strict
+	NO_MKDOCS_2_WARNING=1 PYTHONPATH=. $(BIN)/mkdocs build --strict
 
 # PARTICIPANTS=DIR are people of your own; EVALUATE='--quick' and the like are passed on
 evaluate: $(VENV)/.run

@@ -41,13 +41,21 @@ def homes(module: str, path: Path) -> dict[str, str]:
     return {name: found.get(name, f"{module}.{name}") for name in listed(tree)}
 
 
-def api_page(module: str, path: Path) -> str:
-    """The page of one module, for mkdocstrings: its docstring, then each name of its ``__all__``."""
+def api_page(module: str, path: Path, elsewhere: dict[str, str]) -> str:
+    """The page of one module, for mkdocstrings: its docstring, then each name of its ``__all__``.
+
+    ``elsewhere`` has the page of each name that is explained already: a name is explained once, and linked from then
+    on. What is explained here is added to it.
+    """
     example = f"    import {module}\n" if module == "glsplat" else f"    from {module} import {listed_in(path)[0]}\n"
     lines = [f"# {module}", "", example, f"::: {module}", "    options:", "      members: []"]
     lines += ["      show_root_heading: false", "      show_root_toc_entry: false", ""]
-    for home in homes(module, path).values():
-        lines += [f"::: {home}", ""]
+    for name, home in homes(module, path).items():
+        if home in elsewhere:
+            lines += [f"`{name}` is explained with [{elsewhere[home]}]({elsewhere[home]}.md#{home}).", ""]
+        else:
+            lines += [f"::: {home}", ""]
+            elsewhere[home] = module
     return "\n".join(lines)
 
 
@@ -75,8 +83,9 @@ def api_pages() -> dict[str, str]:
         "|---|---|",
         *rows,
     ]
+    elsewhere: dict[str, str] = {}
     pages = {"api/index.md": "\n".join(index) + "\n"}
-    return pages | {f"api/{name}.md": api_page(name, path) for name, path in modules}
+    return pages | {f"api/{name}.md": api_page(name, path, elsewhere) for name, path in modules}
 
 
 def summary(path: Path) -> str:
