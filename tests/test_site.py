@@ -79,7 +79,8 @@ def test_the_api_has_every_public_name() -> None:
         assert set(found) == set(public_of(name)), name
         for one, home in found.items():
             assert home in FILES or home.rpartition(".")[2] in defined(home.rpartition(".")[0]), f"{one}: {home}"
-    assert [f"`{name}`" in api_pages()["api/index.md"] for name in modules] == [True] * len(modules)
+    index = api_pages()["api/index.md"]
+    assert all(f"`{name}`" in index for name in modules)
 
 
 @cache
