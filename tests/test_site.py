@@ -115,8 +115,20 @@ def test_the_site_is_whole(site: Path) -> None:
     ids = Addresses(site / "api" / "glsplat.html").ids
     assert all(any(name.endswith(f".{public}") for name in ids) for public in glsplat.__all__)
     text = (site / "api" / "glsplat.html").read_text(encoding="utf-8")
-    assert "&gt;&gt;&gt;" in text and "<blockquote>" not in text  # examples are code, not quotations
+    assert "&gt;&gt;&gt;" in text
+    for page in (site / "api").glob("*.html"):  # examples are code, not quotations
+        assert "<blockquote>" not in page.read_text(encoding="utf-8"), page.name
     assert "premultiplied" in (site / "search" / "search_index.js").read_text(encoding="utf-8")
+
+
+def test_docstrings_become_markdown() -> None:
+    from tools.docs.site.docstrings import markdown_of  # it needs griffe, which the other tests here do without
+
+    said = markdown_of("One line::\n\n    code\n\n>>> 1 + 1\n2\n\nAn end of ``a::b``.")
+    assert said == "One line:\n\n    code\n\n\n```pycon\n>>> 1 + 1\n2\n```\n\nAn end of ``a::b``."
+    table = "=====  ====\nname   what\n=====  ====\na      b\n=====  ===="
+    assert markdown_of(f"A.\n\n{table}") == f"A.\n\n```text\n{table}\n```"
+    assert markdown_of("::\n\n    code") == "    code" and markdown_of("no example") == "no example"
 
 
 def test_lists_and_tables_have_a_line_before_them() -> None:

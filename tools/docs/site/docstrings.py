@@ -9,7 +9,7 @@ from griffe import Extension, Object
 
 __all__ = ["Docstrings", "markdown_of"]
 
-_TABLE = re.compile(r"(?m)^=+(?: +=+)+\n(?:.*\n)*?=+(?: +=+)+$")
+_TABLE = re.compile(r"(?m)^=+(?: +=+)+\n(?:.+\n)*=+(?: +=+)+$")
 _EXAMPLE = re.compile(r"(?m)^>>> .*(?:\n(?!\s*$).*)*")
 
 
