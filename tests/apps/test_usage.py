@@ -27,7 +27,7 @@ def mistake(capsys: pytest.CaptureFixture[str], *words: object) -> str:
 def test_an_option_that_is_not_there(capsys, command):
     words = {"avatar": ["export", "-o", "x.ply"], "tracking": ["solve", "-o", "x"], "convert": ["a", "b"]}
     words |= {"models": ["list"], "users": ["list"], "watermark": ["detect", "clip.mp4"]}
-    words |= {"render": ["-o", "x.png"], "page": ["-o", "x"]}
+    words["render"] = ["-o", "x.png"]
     line = mistake(capsys, command, *words.get(command, []), "--nosuch")
     assert line == f"glsplat {command}: unrecognized arguments: --nosuch; see glsplat {command} --help\n"
 
