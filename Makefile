@@ -8,7 +8,7 @@ USER_THERE ?= newbie
 EVALUATE ?= # more options for `make evaluate`, such as EVALUATE=--quick
 BIN := $(VENV)/bin
 
-.PHONY: demo test install style types unit fresh goldens bench report evaluate clean
+.PHONY: demo test install style types unit fresh goldens bench report docs evaluate clean
 
 demo: $(VENV)/.run
 	$(BIN)/glsplat demo -o out/demo $(DEMO)
@@ -53,6 +53,12 @@ $(VENV)/.dev: pyproject.toml .ci/system
 report: $(VENV)/.run
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[report]'
 	$(BIN)/glsplat report -o out/report
+
+# the site of docs/ and the docstrings: open out/site/index.html, no server is needed; what is not right ends it.
+# The variable keeps a note on mkdocs-material's successor out of the log; --quiet would keep --strict from seeing faults.
+docs: $(VENV)/.run
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[docs]'
+	NO_MKDOCS_2_WARNING=1 PYTHONPATH=. $(BIN)/mkdocs build --strict
 
 # PARTICIPANTS=DIR are people of your own; EVALUATE='--quick' and the like are passed on
 evaluate: $(VENV)/.run

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import asyncio
+import json
+import re
 import runpy
 import sys
-import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -14,11 +14,10 @@ import numpy as np
 import pytest
 
 from glsplat.data import default_avatar
-from glsplat.formats import save
+from glsplat.formats import load, save
 from glsplat.meshes import MeshPart, RiggedMesh
-from glsplat.net.backends.server import make_server
-from glsplat.net.server import ServerConfig
 from tests.skinning.avatars import part
+from tools.docs.gallery import LARGEST, PICTURES, served
 
 ROOT = Path(__file__).resolve().parents[1]
 PROGRAMS = sorted((ROOT / "docs" / "examples").glob("*.py"))
@@ -41,12 +40,25 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureF
     return run
 
 
-def test_they_are_six_short_and_linked() -> None:
-    assert len(PROGRAMS) == 6
-    pages = [(ROOT / name).read_text(encoding="utf-8") for name in ("README.md", "docs/python.md")]
+def test_they_are_short_and_linked() -> None:
+    page = (ROOT / "docs" / "gallery.md").read_text(encoding="utf-8")
+    assert len(PROGRAMS) == 11
     for program in PROGRAMS:
-        assert len(program.read_text(encoding="utf-8").splitlines()) <= 60
-        assert all(f"examples/{program.name}" in page for page in pages), program.name
+        assert len(program.read_text(encoding="utf-8").splitlines()) < 40, program.name
+        assert f"(examples/{program.name})" in page, program.name
+
+
+def test_the_gallery_shows_what_ten_of_them_draw() -> None:
+    """In the page's order; that the pictures are theirs is what tools.docs.gallery is for."""
+    page = (ROOT / "docs" / "gallery.md").read_text(encoding="utf-8")
+    shown = re.findall(r"\(images/gallery-([\w-]+)\.webp\)", page)
+    assert [name.replace("-", "_") for name in shown] == list(PICTURES) and len(shown) == 10
+    for name in shown:
+        picture = ROOT / "docs" / "images" / f"gallery-{name}.webp"
+        assert 1000 < picture.stat().st_size <= LARGEST and cv2.imread(str(picture)).std() > 10, name
+    assert {path.name for path in (ROOT / "docs" / "images").glob("gallery-*")} == {
+        f"gallery-{name}.webp" for name in shown
+    }
 
 
 def test_one_picture(run: Run, tmp_path: Path) -> None:
@@ -60,7 +72,7 @@ def test_stereo_pair(run: Run) -> None:
     said = run("stereo_pair.py")
     assert "eyes 63 mm apart" in said
     left, right = np.split(cv2.imread("pair.png"), 2, axis=1)
-    assert (left != right).any() and min(left.max(), right.max()) > 100
+    assert (left != right).any() and all(0.02 < figure(eye) < 0.5 for eye in (left, right))
 
 
 def test_two_people(run: Run) -> None:
@@ -75,27 +87,13 @@ def test_two_people(run: Run) -> None:
 @pytest.fixture
 def url() -> Iterator[str]:
     """A server of the default avatar."""
-    ready, state = threading.Event(), {}
-
-    async def main() -> None:
-        server = make_server(default_avatar(), ServerConfig(port=0), own_process=False)
-        await server.start()
-        state.update(url=server.url, loop=asyncio.get_running_loop(), end=asyncio.Event())
-        ready.set()
-        await state["end"].wait()
-        await server.stop()
-
-    thread = threading.Thread(target=asyncio.run, args=(main(),))
-    thread.start()
-    assert ready.wait(30)
-    yield state["url"]
-    state["loop"].call_soon_threadsafe(state["end"].set)
-    thread.join(20)
+    with served() as address:
+        yield address
 
 
 def test_drive_a_server(run: Run, url: str) -> None:
     said = run("drive_server.py", url, "out.jpg")
-    assert said.count("bytes; ms:") == 5 and cv2.imread("out.jpg").shape == (256, 256, 3)
+    assert said.count("bytes; ms:") == 5 and cv2.imread("out.jpg").shape == (384, 384, 3)
 
 
 def test_without_a_server_it_says_so(run: Run) -> None:
@@ -106,7 +104,62 @@ def test_without_a_server_it_says_so(run: Run) -> None:
 def test_a_custom_solver(run: Run) -> None:
     said = run("custom_solver.py")
     assert float(said.split("neck [")[1].split(",")[0]) > 0.3 and "solver_failed" not in said
-    assert cv2.imread("solved.png").max() > 100
+    assert 0.05 < figure(cv2.imread("solved.png")) < 0.5
+
+
+def test_walk_clip(run: Run, tmp_path: Path) -> None:
+    """A motion of the test's own, an arm that sinks within half a second; every frame is in the clip."""
+    frames = [{"body_pose": [[0, 0, 0]] * 15 + [[0, 0, -0.1 * step]] + [[0, 0, 0]] * 5} for step in range(12)]
+    (tmp_path / "sink.json").write_text(json.dumps({"fps": 24, "frames": frames}))
+    said = run("walk_clip.py", "wave.mp4", "sink.json")
+    count = int(said.split(": ")[1].split()[0])
+    reader, shown = cv2.VideoCapture("wave.mp4"), []
+    while (got := reader.read())[0]:
+        shown.append(got[1])
+    reader.release()
+    assert len(shown) == count == 24 and shown[0].shape == (320, 240, 3)
+    assert np.abs(shown[0].astype(int) - shown[8]).mean() > 1  # it moves
+    assert cv2.imread("wave.mp4.png").shape == (320, 960, 3)
+    with pytest.raises(SystemExit, match="could not be written"):
+        run("walk_clip.py", "nowhere/walk.mp4", "sink.json")
+
+
+def test_depth_picture(run: Run) -> None:
+    said = run("depth_picture.py")
+    near, far = (float(part.split(" m")[0].split()[-1]) for part in said.split(" (")[:2])
+    assert 1.5 < near < 2.6 < 4 < far < 5.5  # the camera is 2.5 m before the person, the floor ends 2 m behind
+    colour, depth = np.split(cv2.imread("depth.png"), 2, axis=1)
+    assert ((colour.max(axis=2) > 12) == (depth.max(axis=2) > 12)).mean() > 0.97  # both show the same outline
+
+
+def test_levels_of_detail(run: Run) -> None:
+    said = run("levels_of_detail.py")
+    counts = [int(part.split(" splats")[0].split()[-1]) for part in said.split(";")]
+    assert counts == sorted(counts, reverse=True) == [40000, 14000, 8000, 4500]
+    finest, first, *_, last = np.split(cv2.imread("levels.png"), 4, axis=1)
+    assert np.abs(finest.astype(int) - first).mean() < 2 and figure(last) < 0.5 * figure(finest)
+
+
+def test_cutout(run: Run, tmp_path: Path) -> None:
+    """Before a picture of one's own: what the avatar does not cover is that picture to the byte."""
+    noise = np.random.default_rng(5).integers(0, 255, (480, 480, 3), np.uint8)
+    cv2.imwrite(str(tmp_path / "behind.png"), noise)
+    run("cutout.py", "out.png", "behind.png")
+    picture = cv2.imread("out.png")
+    same = (picture == noise).all(axis=2)
+    assert same[:, :60].all() and 0.6 < same.mean() < 0.95
+    with pytest.raises(SystemExit, match=r"none\.jpg could not be read"):
+        run("cutout.py", "out.png", "none.jpg")
+
+
+def test_recolour(run: Run) -> None:
+    said = run("recolour.py", "out.png", "orange.glb")
+    before, after = np.split(cv2.imread("out.png").astype(int), 2, axis=1)
+    blue = [(picture[..., 0] - picture[..., 2] > 60).sum() for picture in (before, after)]
+    assert blue[0] > 5000 and blue[1] < 0.15 * blue[0]
+    changed, old = load("orange.glb").splats, default_avatar().splats
+    assert int(said.split(": ")[1].split()[0]) == (changed.sh != old.sh).any(axis=(1, 2)).sum() > 1000
+    assert (changed.means == old.means).all()
 
 
 def test_score_an_avatar(run: Run, tmp_path: Path) -> None:
@@ -132,6 +185,11 @@ def test_score_an_avatar(run: Run, tmp_path: Path) -> None:
     )
     said = run("score_avatar.py", "me.glb", "person.npz", 1)
     assert said.count("SSIM") == 2 and 1 < float(said.split("worst ")[1].split()[0]) < 25
+
+
+def figure(picture: np.ndarray) -> float:
+    """The share of a picture that is not its corner's colour."""
+    return float((np.abs(picture.astype(int) - picture[0, 0]).max(axis=2) > 12).mean())
 
 
 def panel(skeleton) -> RiggedMesh:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -180,3 +181,14 @@ def test_a_user_without_rights_runs_the_demo(stranger: Run) -> None:
         pytest.skip(f"no package index within reach: {done.stderr.splitlines()[-1]}")
     assert done.returncode == 0, done.stderr[-2000:]
     assert "out/demo/contact_sheet.png" in done.stdout
+
+
+def test_hosted_ci_runs_what_everybody_runs() -> None:
+    """The workflow has no list of steps of its own: what has to hold stands in .ci/run and the Makefile."""
+    text = (ROOT / ".github" / "workflows" / "ci.yml").read_text(encoding="utf-8")
+    steps = re.findall(r"(?m)^      - run: (.*)$", text)
+    assert ".ci/run" in steps and steps.index("sudo .ci/system test") < steps.index(".ci/run")
+    targets = re.findall(r"(?m)^([a-z]+):", (ROOT / "Makefile").read_text(encoding="utf-8"))
+    for step in steps:
+        program, *words = step.removeprefix("sudo ").split()
+        assert (program == "make" and set(words) <= set(targets)) or os.access(ROOT / program, os.X_OK), step

@@ -15,7 +15,7 @@ out = Path(sys.argv[2] if len(sys.argv) > 2 else "served.jpg")
 
 async def main() -> None:
     """Five pictures, each asked for when the one before has come."""
-    eyes = glsplat.stereo_cameras(head_matrix((0, 1.2, 2.2), (0, 0, 0, 1)), size=(256, 256))
+    eyes = glsplat.stereo_cameras(head_matrix((0, 1.1, 2.1), (-0.05, 0, 0, 1)), size=(384, 384))
     walk = load_motion("walk", glsplat.default_avatar().skeleton)
     async with Client(url) as client:
         for frame in range(5):

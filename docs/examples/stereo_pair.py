@@ -1,6 +1,7 @@
 """Both eyes of a headset in one pass: python stereo_pair.py [OUT.png]"""
 
 import sys
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -16,8 +17,9 @@ head = head_matrix(position, np.array(orientation) / np.linalg.norm(orientation)
 
 size = (400, 400)  # pixels an eye
 left, right = glsplat.stereo_cameras(head, ipd=0.063, fov=65, size=size)
+left, right = (replace(eye, background=(0.85, 0.85, 0.8)) for eye in (left, right))
 with glsplat.Renderer(glsplat.default_avatar(), size=size, views=2) as renderer:
-    images = renderer.render([left, right])  # [2, H, W, 4], on black
+    images = renderer.render([left, right])  # [2, H, W, 4]
 
 if not cv2.imwrite(out, cv2.cvtColor(np.hstack([*images[..., :3]]), cv2.COLOR_RGB2BGR)):
     sys.exit(f"{out} could not be written")

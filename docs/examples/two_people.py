@@ -13,30 +13,27 @@ person = glsplat.default_avatar()
 
 # a room: a floor and a wall of flat splats (a capture: glsplat.load("room.ply"))
 x, d = (a.ravel() for a in np.meshgrid(np.linspace(-2, 2, 81), np.linspace(0, 2.5, 51)))
-floor, wall = np.stack([x, 0 * x, 1 - d], 1), np.stack([x, d, 0 * x - 1.5], 1)
-tiles = np.where((np.floor(x * 2) + np.floor(d * 2)) % 2, 0.45, 0.35)
+tiles = np.where((np.floor(x * 2) + np.floor(d * 2)) % 2, 0.45, 0.35)[:, None]
 room = glsplat.Splats.create(
-    means=np.concatenate([floor, wall]),
-    quats=np.tile([1.0, 0, 0, 0], (2 * len(x), 1)),
-    scales=np.concatenate([np.tile([0.03, 0.002, 0.03], (len(x), 1)), np.tile([0.03, 0.03, 0.002], (len(x), 1))]),
+    means=np.concatenate([np.stack([x, 0 * x, 1 - d], 1), np.stack([x, d, 0 * x - 1.5], 1)]),
+    quats=[[1, 0, 0, 0]] * (2 * len(x)),
+    scales=np.repeat([[0.03, 0.002, 0.03], [0.03, 0.03, 0.002]], len(x), axis=0),
     opacities=np.full(2 * len(x), 0.95),
-    rgb=np.concatenate([np.tile(tiles, (3, 1)).T, np.tile([0.55, 0.5, 0.45], (len(x), 1))]),
+    rgb=np.concatenate([tiles * [1, 1, 1], tiles * 0 + [0.55, 0.5, 0.45]]),
 )
 
-quarter = (0, np.sin(np.pi / 4), 0, np.cos(np.pi / 4))  # about y, xyzw
-ann = glsplat.Item(person, name="Ann", transform=glsplat.similarity((-0.5, 0, 0), quarter))
-bob = glsplat.Item(person, name="Bob", transform=glsplat.similarity((0.5, 0, 0), (0, -quarter[1], 0, quarter[3]), 0.95))
+# a quarter turn about y to either side, xyzw
+ann = glsplat.Item(person, transform=glsplat.similarity((-0.5, 0, 0), (0, 1, 0, 1)))
+bob = glsplat.Item(person, transform=glsplat.similarity((0.5, 0, 0), (0, -1, 0, 1), 0.95))
 scene = glsplat.Scene([glsplat.Item(room), ann, bob])
-
 wave, idle = (load_motion(name, person.skeleton) for name in ("wave-and-turn", "idle"))
 size = (640, 480)
 camera = glsplat.Camera(glsplat.look_at((0.3, 1.4, 3.2), (0, 0.9, 0)), glsplat.pinhole(*size, fov=45), *size)
 with glsplat.Renderer(scene, size=size) as renderer:
-    for seconds in (0.0, 0.5, 1.0):  # the room is not touched again, only Ann and Bob are posed
+    for seconds in (0.0, 0.5, 1.0):  # only Ann and Bob are posed again
         ann.pose, bob.pose = wave.at(seconds), idle.at(seconds)
         images, depths = renderer.render([camera], depth=True)
 
 if not cv2.imwrite(out, cv2.cvtColor(images[0, ..., :3], cv2.COLOR_RGB2BGR)):
     sys.exit(f"{out} could not be written")
-near, far = depths[depths > 0].min(), depths.max()
-print(f"{out}: {len(scene)} items, from {near:.2f} to {far:.2f} m, {renderer.stats.drawn} splats drawn")
+print(f"{out}: {len(scene)} items, up to {depths.max():.2f} m away, {renderer.stats.drawn} splats drawn")

@@ -1,0 +1,100 @@
+"""Draws the pictures of docs/gallery.md anew: runs each example of docs/examples as a user would.
+
+    python -m tools.docs.gallery [docs/images]
+
+Look at every picture at full size.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import runpy
+import sys
+import tempfile
+import threading
+from collections.abc import Iterator
+from contextlib import chdir, contextmanager
+from pathlib import Path
+
+import cv2
+
+import glsplat
+from glsplat.net import ServerConfig
+from glsplat.net.backends.server import make_server
+from tools.docs.site.public import ROOT
+
+PICTURES = {
+    "one_picture": "picture.png",
+    "stereo_pair": "pair.png",
+    "two_people": "people.png",
+    "walk_clip": "walk.mp4.png",
+    "depth_picture": "depth.png",
+    "levels_of_detail": "levels.png",
+    "cutout": "cutout.png",
+    "recolour": "recoloured.png",
+    "custom_solver": "solved.png",
+    "drive_server": "served.jpg",
+}
+"""The ten programs, in the page's order, and the picture that each leaves."""
+LARGEST = 60_000  # bytes
+_SIDE = 960  # pixels, the longer one
+
+
+@contextmanager
+def served() -> Iterator[str]:
+    """The address of a server of the embedded avatar, in this process."""
+    ready, state = threading.Event(), {}
+
+    async def main() -> None:
+        server = make_server(glsplat.default_avatar(), ServerConfig(port=0), own_process=False)
+        await server.start()
+        state.update(url=server.url, loop=asyncio.get_running_loop(), end=asyncio.Event())
+        ready.set()
+        await state["end"].wait()
+        await server.stop()
+
+    thread = threading.Thread(target=asyncio.run, args=(main(),))
+    thread.start()
+    if not ready.wait(60):
+        raise SystemExit("the server did not start within a minute")
+    yield state["url"]
+    state["loop"].call_soon_threadsafe(state["end"].set)
+    thread.join(20)
+
+
+def run(name: str, *arguments: str) -> None:
+    """One example in an empty folder, as ``python NAME.py ARGUMENTS`` there would run it."""
+    old, sys.argv = sys.argv, [name, *arguments]
+    try:
+        runpy.run_path(str(ROOT / "docs" / "examples" / f"{name}.py"), run_name="__main__")
+    finally:
+        sys.argv = old
+
+
+def shrunk(picture: Path) -> bytes:
+    """The picture as WebP of at most LARGEST bytes, transparent parts over white."""
+    image = cv2.imread(str(picture), cv2.IMREAD_UNCHANGED)
+    if image.shape[2] == 4:
+        alpha = image[..., 3:] / 255
+        image = (image[..., :3] * alpha + 255 * (1 - alpha)).round().astype("uint8")
+    scale = min(1.0, _SIDE / max(image.shape[:2]))
+    image = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    for quality in range(92, 20, -6):
+        _, data = cv2.imencode(".webp", image, [cv2.IMWRITE_WEBP_QUALITY, quality])
+        if len(data) <= LARGEST:
+            return data.tobytes()
+    raise SystemExit(f"{picture.name} does not fit into {LARGEST} bytes")
+
+
+def main() -> None:
+    folder = Path(sys.argv[1] if len(sys.argv) > 1 else ROOT / "docs" / "images").resolve()
+    with tempfile.TemporaryDirectory() as place, chdir(place), served() as url:
+        for name, picture in PICTURES.items():
+            run(name, *([url] if name == "drive_server" else []))
+            data = shrunk(Path(picture))
+            (folder / f"gallery-{name.replace('_', '-')}.webp").write_bytes(data)
+            print(f"gallery-{name.replace('_', '-')}.webp: {len(data)} bytes")
+
+
+if __name__ == "__main__":
+    main()

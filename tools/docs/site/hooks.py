@@ -1,0 +1,63 @@
+"""What MkDocs calls while it builds (mkdocs.yml, ``hooks``): pages that are not files of docs/, and links out of it."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+from mkdocs.structure.files import File, Files
+
+from tools.docs.site.public import ROOT, api_pages
+
+AT_ROOT = {"readme.md": "README.md", "changelog.md": "CHANGELOG.md", "contributing.md": "CONTRIBUTING.md"}
+"""Files beside docs/ that are pages of the site, too."""
+SHIM = "assets/javascripts/iframe-worker.js"
+_LINK = re.compile(r"\[([^\]]*)\]\(([^)\s]+)\)")
+
+
+def on_config(config: Any) -> Any:
+    """Put the API's pages, which are no files, into the navigation, below their index."""
+    first, *others = api_pages()
+    for part in config.nav:
+        for entries in part.values():
+            for number, entry in enumerate(entries):
+                if list(entry.values()) == [first]:
+                    pages = [{Path(page).stem: page} for page in others]
+                    entries[number] = {next(iter(entry)): [{"All modules": first}, *pages]}
+    return config
+
+
+def on_files(files: Files, config: Any) -> Files:
+    """Add the pages of the root and of the API, and what search needs where a page is opened as a file."""
+    for address, name in AT_ROOT.items():
+        text = (ROOT / name).read_text(encoding="utf-8")
+        files.append(File.generated(config, address, content=_LINK.sub(_from_root, text)))
+    for address, text in api_pages().items():
+        files.append(File.generated(config, address, content=text))
+    shim = Path(__file__).with_name("iframe-worker.js").read_bytes()
+    files.append(File.generated(config, SHIM, content=shim))
+    return files
+
+
+def on_page_markdown(markdown: str, page: Any, config: Any, files: Files) -> str:
+    """Have the links that lead out of docs/ lead to the page of the site that stands for it, or say where it is."""
+    if page.file.src_uri in AT_ROOT or page.file.src_uri.startswith("api/"):
+        return markdown
+    return _LINK.sub(_from_docs, markdown)
+
+
+def _from_root(link: re.Match[str]) -> str:
+    target, mark, anchor = link[2].partition("#")
+    pages = {name: address for address, name in AT_ROOT.items()}
+    return f"[{link[1]}]({pages.get(target, target.removeprefix('docs/'))}{mark}{anchor})"
+
+
+def _from_docs(link: re.Match[str]) -> str:
+    target, mark, anchor = link[2].partition("#")
+    if not target.startswith("../"):
+        return link[0]
+    for address, name in AT_ROOT.items():
+        if target == f"../{name}":
+            return f"[{link[1]}]({address}{mark}{anchor})"
+    return f"{link[1]} (`{target.removeprefix('../')}` in the repository)"
