@@ -1,6 +1,6 @@
 // Avatars by the hash of their files: fetched once, kept by the browser, drawn from as soon as the coarsest level is there.
 
-import { readAvatar } from './avatar.js';
+import { chunksOf, readAvatar } from './avatar.js';
 
 const CACHE = 'glsplat.splats';
 const MOST = 8; // avatars in memory that nobody stands in
@@ -86,16 +86,3 @@ async function store() {
 }
 
 const keyOf = (sha256) => new URL(`../../splats/${sha256}`, import.meta.url).href;
-
-async function* chunksOf(response) {
-  const reader = response.body.getReader();
-  try {
-    for (;;) {
-      const { done, value } = await reader.read();
-      if (done) return;
-      yield value;
-    }
-  } finally {
-    reader.cancel().catch(() => {});
-  }
-}
