@@ -53,12 +53,14 @@ def test_over_to_drawing_here_and_back(visit: Callable[..., Opened], serve: Any)
     page.wait(1.5)
     theirs = shot(page).astype(float)
     assert page.stats()["drawn"]["reason"] == "you chose the server"
+    assert page.page.inner_text("#drawn-note") == "The server draws: you chose the server."
     canvas = slice(None), slice(0, 400)  # beside the controls
     error = float(((here - theirs)[canvas] ** 2).mean())
     assert here[canvas].std() > 3 and 10 * np.log10(255**2 / error) > 24  # JPEG, another size, another level
     assert drawn is None or served.stats()["frames"] >= drawn
     page.page.select_option("#drawn", "here")
     page.until(f"{DRAWN}.by === 'here'")
+    page.until("document.querySelector('#drawn-note').textContent.startsWith('This device draws: ')")
 
 
 def test_in_vr_the_mirror_and_ones_own_body(visit: Callable[..., Opened], serve: Any) -> None:
