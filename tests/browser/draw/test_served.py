@@ -63,6 +63,33 @@ def test_over_to_drawing_here_and_back(visit: Callable[..., Opened], serve: Any)
     page.until("document.querySelector('#drawn-note').textContent.startsWith('This device draws: ')")
 
 
+def test_it_is_timed_when_all_of_the_avatar_is_there(visit: Callable[..., Opened], serve: Any) -> None:
+    """The coarsest level comes first and is drawn in a moment; going over by it would be going back in another."""
+    halves = """
+      const fetched = window.fetch;
+      const rest = new Promise((resolve) => { window.rest = resolve; });
+      window.fetch = async (...what) => {
+        const response = await fetched(...what);
+        if (!`${what[0]}`.includes('splats/')) return response;
+        const bytes = new Uint8Array(await response.arrayBuffer());
+        const stream = new ReadableStream({ async start(out) {
+          out.enqueue(bytes.slice(0, 90000));
+          window.first = true;
+          await rest;
+          out.enqueue(bytes.slice(90000));
+          out.close();
+        } });
+        return new Response(stream, { headers: response.headers });
+      };"""
+    page = visit(handing(serve).page, init=settings(size=512, driver="rest", drawn="auto") + halves)
+    page.until("window.first && window.glsplat.stats().shown > 2")
+    page.wait(3.0)  # pictures are watched for two
+    drawn = page.stats()["drawn"]
+    assert (drawn["by"], drawn["reason"], drawn["avatars"]) == ("server", "the avatar is on its way", 1)
+    page.js("window.rest()")
+    page.until(f"/pictures a second/.test({DRAWN}.reason)")
+
+
 def test_in_vr_the_mirror_and_ones_own_body(visit: Callable[..., Opened], serve: Any) -> None:
     """Drawn for the pose of the very frame: seen in the glass and nowhere else, and from inside without a head."""
     page = opened(visit, handing(serve), view="mirror", drawn="here")

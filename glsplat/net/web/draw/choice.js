@@ -35,6 +35,11 @@ export class Choice {
     if (wish === 'server') this.#back('you chose the server');
   }
 
+  /** This device was chosen: nothing is to be compared. */
+  get settled() {
+    return this.#wish === 'here';
+  }
+
   /** What the display can: Hz, as a headset says it. Else it is learnt from frames while pictures are shown. */
   set display(hertz) {
     if (hertz > 0) this.#display = hertz;

@@ -55,7 +55,8 @@ export class Here {
    */
   draws(views, where, rate, now) {
     this.choice.frame(now);
-    if (this.choice.asks(this.#why(now), now)) {
+    // the coarsest level alone, which comes first, would say little of how fast this device is
+    if (this.choice.asks(this.#why(now), now) && (this.choice.settled || this.shelf.whole(this.#offer.sha256))) {
       const avatar = this.shelf.get(this.#offer.sha256, now);
       this.#own.people = [{ key: 0, avatar, pose: atRest(avatar.skeleton) }];
       this.choice.measured(this.#own.measure(views, where.shown, this.choice.display), rate, now);
