@@ -43,10 +43,10 @@ def test_over_to_drawing_here_and_back(visit: Callable[..., Opened], serve: Any)
     served = handing(serve)
     page = opened(visit, served, window=(900, 420))
     page.until(f"{DRAWN}.by === 'here' && {DRAWN}.splats >= 4500 && window.glsplat.stats().shown > 5")
-    page.wait(1.0)
+    page.wait(5.5)
     stats = page.stats()
     assert stats["drawn"]["people"] == 1 and "pictures a second here" in stats["drawn"]["reason"]
-    drawn = served.stats()["frames"] if "frames" in served.stats() else None
+    assert served.stats()["fps"] == 0  # pictures of the server's within five seconds
     here = shot(page).astype(float)
     page.page.select_option("#drawn", "server")
     page.until(f"{DRAWN}.by === 'server' && window.glsplat.stats().textures >= 2")
@@ -57,7 +57,7 @@ def test_over_to_drawing_here_and_back(visit: Callable[..., Opened], serve: Any)
     canvas = slice(None), slice(0, 400)  # beside the controls
     error = float(((here - theirs)[canvas] ** 2).mean())
     assert here[canvas].std() > 3 and 10 * np.log10(255**2 / error) > 24  # JPEG, another size, another level
-    assert drawn is None or served.stats()["frames"] >= drawn
+    assert served.stats()["fps"] > 0
     page.page.select_option("#drawn", "here")
     page.until(f"{DRAWN}.by === 'here'")
     page.until("document.querySelector('#drawn-note').textContent.startsWith('This device draws: ')")
