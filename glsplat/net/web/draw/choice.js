@@ -7,7 +7,7 @@ const WATCHED = 2000; // ms of pictures, whose rate is known then
 const PAUSE = 60_000; // ms pass until it is tried again, twice as many each time
 
 export const DRAWN_BY = [
-  { value: 'auto', label: 'Whoever is faster' },
+  { value: 'auto', label: 'The faster' },
   { value: 'server', label: 'The server' },
   { value: 'here', label: 'This device' },
 ];
