@@ -21,7 +21,7 @@ from glsplat.consent.file import OnFile, on_file
 from glsplat.consent.policy import ConsentPolicy
 from glsplat.data import default_avatar
 from glsplat.errors import FormatError, GlsplatError
-from glsplat.formats.web.write import encode_avatar
+from glsplat.formats.web.write import web_file
 from glsplat.io.files import replace_file
 from glsplat.motion.motion import Motion, embedded_motions, load_motion
 from glsplat.shaders.web import programs_json
@@ -122,7 +122,7 @@ def _files(avatar: Avatar, name: str, motions: Mapping[str, Motion]) -> Iterator
     for path in ("alone/style.css", "alone/icon.svg"):
         yield path, (web / path).read_bytes()
     yield "draw/programs.json", programs_json()
-    yield _AVATAR, encode_avatar(avatar)
+    yield _AVATAR, web_file(avatar).data
     offered = []
     for number, (label, motion) in enumerate(motions.items()):
         offered.append({"label": label, "file": f"motions/{number}.json"})

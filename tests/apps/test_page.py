@@ -12,6 +12,7 @@ import pytest
 import glsplat
 from apps import cli
 from glsplat.formats.web.read import decode_avatar
+from glsplat.skinning.skeleton import Skeleton
 from tests.scenes import cloud, limb
 
 
@@ -58,6 +59,20 @@ def test_what_is_no_avatar_is_refused(tmp_path: Path, capsys: pytest.CaptureFixt
     (tmp_path / "file").write_text("")
     assert page("-o", tmp_path / "file" / "below") == 1
     assert "cannot make the folder" in capsys.readouterr().err
+
+
+def test_an_avatar_that_no_page_reads_makes_no_page(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from apps.webpage import command
+
+    rod = limb(60)
+    old = rod.skeleton
+    named = Skeleton([*old.names[:-1], "j" * 65], old.parents, old.rest, old.inverse_bind)
+    monkeypatch.setattr(command, "default_avatar", lambda: replace(rod, skeleton=named))
+    assert page("-o", tmp_path / "out") == 1 and not (tmp_path / "out").exists()
+    said = capsys.readouterr().err
+    assert said.splitlines()[-1] == "glsplat page: a joint's name needs 1 to 64 characters"
 
 
 def test_a_full_disk_leaves_no_page_that_lacks_something(

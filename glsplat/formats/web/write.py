@@ -64,7 +64,7 @@ def web_file(avatar: Avatar) -> WebFile:
 
 
 def encode_avatar(avatar: Avatar) -> bytes:
-    """The file of docs/protocol.md, section 9: 25 bytes a splat and its SH, packed, the coarsest level first.
+    """The file of docs/protocol.md, section 8.1: 25 bytes a splat and its SH, packed, the coarsest level first.
 
     Splats that are never drawn are left out, visibility cones too. Raises FormatError for an avatar of which nothing is
     drawn, or that has more splats or joints than a reader takes.

@@ -284,6 +284,7 @@ viewer.onDrive = ({ tracking, t }) => {
 support().then((found) => page.xr(found));
 navigator.xr?.addEventListener?.('devicechange', () => support().then((found) => page.xr(found)));
 setInterval(() => {
+  page.drawn(stage.here.stats());
   if (settings.get('figures')) page.numbers(numbers(stage.stats(performance.now())));
   if (saves && !recorder.recording) toggleRecording(); // it is full
   tell();

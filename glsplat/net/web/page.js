@@ -58,6 +58,12 @@ export class Page extends EventTarget {
     this.#showHeadset();
   }
 
+  /** Who draws now, and why: `drawn` of the figures. */
+  drawn({ by, reason }) {
+    const text = `${by === 'here' ? 'This device' : 'The server'} draws: ${reason}.`;
+    if (this.#get('drawn-note').textContent !== text) this.#get('drawn-note').textContent = text;
+  }
+
   /** Whether a recording is running. */
   recording(running) {
     this.#get('record').textContent = running ? 'Stop and save' : 'Record';

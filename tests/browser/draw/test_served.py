@@ -43,22 +43,51 @@ def test_over_to_drawing_here_and_back(visit: Callable[..., Opened], serve: Any)
     served = handing(serve)
     page = opened(visit, served, window=(900, 420))
     page.until(f"{DRAWN}.by === 'here' && {DRAWN}.splats >= 4500 && window.glsplat.stats().shown > 5")
-    page.wait(1.0)
+    page.wait(5.5)
     stats = page.stats()
     assert stats["drawn"]["people"] == 1 and "pictures a second here" in stats["drawn"]["reason"]
-    drawn = served.stats()["frames"] if "frames" in served.stats() else None
+    assert served.stats()["fps"] == 0  # pictures of the server's within five seconds
     here = shot(page).astype(float)
     page.page.select_option("#drawn", "server")
     page.until(f"{DRAWN}.by === 'server' && window.glsplat.stats().textures >= 2")
     page.wait(1.5)
     theirs = shot(page).astype(float)
     assert page.stats()["drawn"]["reason"] == "you chose the server"
+    assert page.page.inner_text("#drawn-note") == "The server draws: you chose the server."
     canvas = slice(None), slice(0, 400)  # beside the controls
     error = float(((here - theirs)[canvas] ** 2).mean())
     assert here[canvas].std() > 3 and 10 * np.log10(255**2 / error) > 24  # JPEG, another size, another level
-    assert drawn is None or served.stats()["frames"] >= drawn
+    assert served.stats()["fps"] > 0
     page.page.select_option("#drawn", "here")
     page.until(f"{DRAWN}.by === 'here'")
+    page.until("document.querySelector('#drawn-note').textContent.startsWith('This device draws: ')")
+
+
+def test_it_is_timed_when_all_of_the_avatar_is_there(visit: Callable[..., Opened], serve: Any) -> None:
+    """The coarsest level comes first and is drawn in a moment; going over by it would be going back in another."""
+    halves = """
+      const fetched = window.fetch;
+      const rest = new Promise((resolve) => { window.rest = resolve; });
+      window.fetch = async (...what) => {
+        const response = await fetched(...what);
+        if (!`${what[0]}`.includes('splats/')) return response;
+        const bytes = new Uint8Array(await response.arrayBuffer());
+        const stream = new ReadableStream({ async start(out) {
+          out.enqueue(bytes.slice(0, 90000));
+          window.first = true;
+          await rest;
+          out.enqueue(bytes.slice(90000));
+          out.close();
+        } });
+        return new Response(stream, { headers: response.headers });
+      };"""
+    page = visit(handing(serve).page, init=settings(size=512, driver="rest", drawn="auto") + halves)
+    page.until("window.first && window.glsplat.stats().shown > 2")
+    page.wait(3.0)  # pictures are watched for two
+    drawn = page.stats()["drawn"]
+    assert (drawn["by"], drawn["reason"], drawn["avatars"]) == ("server", "the avatar is on its way", 1)
+    page.js("window.rest()")
+    page.until(f"/pictures a second/.test({DRAWN}.reason)")
 
 
 def test_in_vr_the_mirror_and_ones_own_body(visit: Callable[..., Opened], serve: Any) -> None:

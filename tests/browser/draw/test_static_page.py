@@ -99,6 +99,62 @@ def test_a_lost_context_comes_back(visit: Callable[..., Opened], host: str) -> N
     assert np.abs(shot(page) - before).mean() < 0.2 and page.stats()["why"] == ""
 
 
+def test_layers_are_chosen_for_what_is_drawn(visit: Callable[..., Opened], folder: Path) -> None:
+    """Not for the coarsest level alone, which comes first, and again for a headset's display."""
+    rest = threading.Event()
+
+    class Slow(_Quiet):
+        def copyfile(self, source: Any, outputfile: Any) -> None:
+            if self.path.endswith("avatar.splats"):
+                outputfile.write(source.read(90_000))
+                rest.wait(30)
+            super().copyfile(source, outputfile)
+
+    server = ThreadingHTTPServer(("127.0.0.1", 0), functools.partial(Slow, directory=str(folder)))
+    thread = threading.Thread(target=server.serve_forever, daemon=True)
+    thread.start()
+    try:
+        address = f"http://localhost:{server.server_port}/"
+        watch = f"""window.measured = [];
+          import('{address}draw/own.js').then(({{ Own }}) => {{
+            const measure = Own.prototype.measure;
+            Own.prototype.measure = function (...what) {{
+              window.measured.push(this.people[0].avatar.levels.size);
+              return measure.apply(this, what);
+            }};
+          }});"""
+        page = visit(address, init=f"if (location.origin !== 'null') {{ {watch} }}")
+        page.until(f"window.measured?.length === 1 && {STATS}.drawn === 4500")
+        page.wait(0.5)
+        assert page.js("window.measured") == [1]
+        rest.set()
+        page.until("window.measured.length === 2")
+        assert page.js("window.measured") == [1, 4]
+        page.until("!document.querySelector('#enter-vr').disabled")
+        page.page.click("#enter-vr")
+        page.until(f"{STATS}.session === 'vr'")
+        steer(page, head=pose([0, 1.5, 0]))
+        see(page)
+        see(page)
+        assert page.js("window.measured") == [1, 4, 4]
+    finally:
+        rest.set()
+        server.shutdown()
+        thread.join()
+        server.server_close()
+
+
+@pytest.mark.parametrize("size", [(320, 640), (1280, 800)])
+def test_controls_hide_nothing_of_the_picture(visit: Callable[..., Opened], host: str, size: tuple[int, int]) -> None:
+    page = started(visit(host, size))
+    boxes = [page.page.locator(name).bounding_box() for name in ("#canvas", "footer", "#enter-vr", "#credit")]
+    canvas, footer, *parts = boxes
+    assert canvas["y"] == 0 and canvas["width"] == size[0] and canvas["height"] > 0.6 * size[1]
+    assert canvas["y"] + canvas["height"] <= footer["y"] and footer["y"] + footer["height"] <= size[1]
+    for part in parts:
+        assert part["y"] + part["height"] <= size[1] and part["x"] + part["width"] <= size[0]
+
+
 def shift(picture: NDArray[Any], expected: NDArray[Any]) -> NDArray[np.float64]:
     """[2] pixels by which a picture is off where somebody opaque is seen: least squares over the picture's slopes."""
     inside = cv2.erode((expected[..., 3] > 0.99).astype(np.uint8), np.ones((5, 5), np.uint8)) > 0

@@ -4,10 +4,12 @@ import { multiply, translation, turnY } from '../space/matrix.js';
 import { heading } from '../space/placing.js';
 
 const AWAY = 1.6; // metres from the visitor to the avatar at first
+const [CANVAS, HEADSET] = [60, 72]; // Hz, where nobody says
 const EYES = 1.6; // metres above the floor, where the device knows no floor
 
 export class Headset {
   inside = false;
+  display = CANVAS; // Hz of what is drawn for
   #gl;
   #draw;
   #say;
@@ -27,6 +29,7 @@ export class Headset {
       const session = await navigator.xr.requestSession('immersive-vr', { optionalFeatures: ['local-floor'] });
       session.addEventListener('end', () => {
         this.inside = button.disabled = false;
+        this.display = CANVAS;
       });
       await this.#gl.makeXRCompatible?.();
       session.updateRenderState({ baseLayer: new XRWebGLLayer(session, this.#gl), depthNear: 0.05, depthFar: 50 });
@@ -35,7 +38,7 @@ export class Headset {
         return local.getOffsetReferenceSpace(new XRRigidTransform({ x: 0, y: -EYES, z: 0 }));
       });
       this.#space.addEventListener('reset', () => (this.#shown = null));
-      [this.inside, this.#shown] = [true, null];
+      [this.inside, this.#shown, this.display] = [true, null, session.frameRate ?? HEADSET];
       session.requestAnimationFrame((now, frame) => this.#frame(now, frame));
     } catch (error) {
       button.disabled = false;

@@ -2,7 +2,7 @@
 
 import { quaternionOf } from '../draw/bones.js';
 import { Own } from '../draw/own.js';
-import { readAvatar } from '../avatar/avatar.js';
+import { chunksOf, readAvatar } from '../avatar/avatar.js';
 import { Orbit } from '../show/orbit.js';
 import { Painter } from '../show/painter.js';
 import { IDENTITY } from '../space/matrix.js';
@@ -21,33 +21,26 @@ const frames = { shown: 0, lost: 0 };
 let painter = null;
 let person = null; // {avatar}
 let headset = null;
-let measured = false;
+let whole = false; // all levels of the avatar are there
+let measured = ''; // what the kind of layers was chosen for
 let chosen = 0; // counts choices of a motion
 let playing = { driver: null, since: 0 }; // since: ms
 
 function say(text, level = 'info') {
+  if ($('status').textContent === text) return; // it would be read aloud with every frame
   $('status').textContent = text;
   $('status').dataset.level = level;
 }
 
 const capital = (words) => `${words.charAt(0).toUpperCase()}${words.slice(1)}.`;
 
-async function json(path) {
+async function file(path) {
   const response = await fetch(address(path));
   if (!response.ok) throw new Error(`the file ${path} is not there (${response.status})`);
-  return response.json();
+  return response;
 }
 
-async function* bytesOf(path) {
-  const response = await fetch(address(path));
-  if (!response.ok) throw new Error(`the file ${path} is not there (${response.status})`);
-  const reader = response.body.getReader();
-  for (;;) {
-    const { done, value } = await reader.read();
-    if (done) return;
-    yield value;
-  }
-}
+const json = async (path) => (await file(path)).json();
 
 async function begin() {
   const about = await json('page.json');
@@ -58,20 +51,21 @@ async function begin() {
   showMotions(about.motions);
   headset = new Headset(gl, { button: $('enter-vr'), draw: drawEyes, say });
   requestAnimationFrame(frame);
-  await readAvatar(bytesOf(about.avatar), (avatar) => {
+  await readAvatar(chunksOf(await file(about.avatar)), (avatar) => {
     person ??= { avatar };
     say('');
   });
+  whole = true;
   return undefined;
 }
 
 /** A chip a motion; the first one moves. */
 function showMotions(motions) {
-  const chips = [{ label: 'Stand', file: null }, ...motions].map(({ label, file }) => {
+  const chips = [{ label: 'Stand', file: null }, ...motions].map(({ label, file: path }) => {
     const chip = document.createElement('button');
     chip.type = 'button';
     chip.textContent = label;
-    chip.addEventListener('click', () => choose(chip, file));
+    chip.addEventListener('click', () => choose(chip, path));
     return chip;
   });
   $('motions').replaceChildren(...chips);
@@ -79,11 +73,11 @@ function showMotions(motions) {
 }
 
 /** Let a motion move the avatar; a later choice is not overtaken by an earlier one. */
-async function choose(chip, file) {
+async function choose(chip, path) {
   for (const other of $('motions').children) other.setAttribute('aria-pressed', String(other === chip));
   const number = ++chosen;
   try {
-    const driver = file ? new Motion(await json(file)) : null;
+    const driver = path ? new Motion(await json(path)) : null;
     if (number === chosen) playing = { driver, since: performance.now() };
   } catch (error) {
     say(`This motion cannot be played: ${error.message}`, 'error');
@@ -105,9 +99,10 @@ function drawEyes(eyes, framebuffer, shown, now) {
   eyes.forEach((eye, i) => painter.view(eye, i, { room: true }));
   if (!person) return;
   own.people = [{ key: 0, avatar: person.avatar, pose: poseAt(now) }];
-  if (!measured) {
-    measured = true;
-    own.measure(eyes, shown, 60);
+  const what = `${headset.display} ${whole}`; // the coarsest level and the canvas say little of the rest
+  if (measured !== what) {
+    measured = what;
+    own.measure(eyes, shown, headset.display);
     painter.begin(framebuffer, false);
     eyes.forEach((eye, i) => painter.view(eye, i, { room: true }));
   }

@@ -65,6 +65,20 @@ export async function readAvatar(chunks, onLevel = () => {}) {
   return avatar;
 }
 
+/** What `readAvatar` reads of a Response; it is fetched no further where reading ends early. */
+export async function* chunksOf(response) {
+  const reader = response.body.getReader();
+  try {
+    for (;;) {
+      const { done, value } = await reader.read();
+      if (done) return;
+      yield value;
+    }
+  } finally {
+    reader.cancel().catch(() => {});
+  }
+}
+
 /** The bytes that have come so far. */
 class Received {
   #store = new Uint8Array(1 << 17);

@@ -1,6 +1,6 @@
 // Avatars by the hash of their files: fetched once, kept by the browser, drawn from as soon as the coarsest level is there.
 
-import { readAvatar } from './avatar.js';
+import { chunksOf, readAvatar } from './avatar.js';
 
 const CACHE = 'glsplat.splats';
 const MOST = 8; // avatars in memory that nobody stands in
@@ -8,7 +8,7 @@ const PAUSE = 5000; // ms before a file that did not come is asked for again
 
 export class Shelf {
   #fetch;
-  #held = new Map(); // by hash, the least used first: {avatar, why, until}
+  #held = new Map(); // by hash, the least used first: {avatar, whole, why, until}
 
   /** `fetched(path)`: a Response for a path of the server, as Connection.fetch. */
   constructor(fetched) {
@@ -19,7 +19,7 @@ export class Shelf {
   get(sha256, now) {
     let one = this.#held.get(sha256);
     if (!one || (one.why && now >= one.until)) {
-      one = { avatar: null, why: '', until: 0 };
+      one = { avatar: null, whole: false, why: '', until: 0 };
       this.#read(sha256, one);
     }
     this.#held.delete(sha256); // used last
@@ -30,6 +30,11 @@ export class Shelf {
   /** Why the avatar of a hash cannot be drawn, in words; '' while that is not known. */
   why(sha256) {
     return this.#held.get(sha256)?.why ?? '';
+  }
+
+  /** Whether all of it has come. */
+  whole(sha256) {
+    return this.#held.get(sha256)?.whole ?? false;
   }
 
   get size() {
@@ -64,6 +69,7 @@ export class Shelf {
       await readAvatar(chunksOf(response), (avatar) => {
         one.avatar = avatar;
       });
+      one.whole = true;
     } catch (error) {
       await (await store())?.delete(keyOf(sha256)).catch(() => {}); // a damaged copy would stay for ever
       Object.assign(one, { avatar: null, why: `the avatar did not come: ${error.message}`, until: performance.now() + PAUSE });
@@ -86,16 +92,3 @@ async function store() {
 }
 
 const keyOf = (sha256) => new URL(`../../splats/${sha256}`, import.meta.url).href;
-
-async function* chunksOf(response) {
-  const reader = response.body.getReader();
-  try {
-    for (;;) {
-      const { done, value } = await reader.read();
-      if (done) return;
-      yield value;
-    }
-  } finally {
-    reader.cancel().catch(() => {});
-  }
-}

@@ -7,7 +7,7 @@ const WATCHED = 2000; // ms of pictures, whose rate is known then
 const PAUSE = 60_000; // ms pass until it is tried again, twice as many each time
 
 export const DRAWN_BY = [
-  { value: 'auto', label: 'Whoever is faster' },
+  { value: 'auto', label: 'The faster' },
   { value: 'server', label: 'The server' },
   { value: 'here', label: 'This device' },
 ];
@@ -33,6 +33,11 @@ export class Choice {
     this.#until = 0;
     this.#pause = PAUSE;
     if (wish === 'server') this.#back('you chose the server');
+  }
+
+  /** This device was chosen: nothing is to be compared. */
+  get settled() {
+    return this.#wish === 'here';
   }
 
   /** What the display can: Hz, as a headset says it. Else it is learnt from frames while pictures are shown. */

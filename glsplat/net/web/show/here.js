@@ -1,13 +1,12 @@
 // Drawing on this device instead of showing the server's pictures: who stands where comes over the wire (stream/pose.js),
 // the avatars once (avatar/shelf.js), and draw/ draws them for the eyes of this very frame.
 
+import { HERE } from '../draw/bones.js';
 import { Choice } from '../draw/choice.js';
 import { Own } from '../draw/own.js';
 import { Shelf } from '../avatar/shelf.js';
 import { fromPose, invert, multiply } from '../space/matrix.js';
 import { People } from '../stream/pose.js';
-
-const STANDING = Object.freeze({ translation: [0, 0, 0], rotation: [0, 0, 0, 1], scale: 1 });
 
 export class Here {
   people = new People();
@@ -56,7 +55,8 @@ export class Here {
    */
   draws(views, where, rate, now) {
     this.choice.frame(now);
-    if (this.choice.asks(this.#why(now), now)) {
+    // the coarsest level alone, which comes first, would say little of how fast this device is
+    if (this.choice.asks(this.#why(now), now) && (this.choice.settled || this.shelf.whole(this.#offer.sha256))) {
       const avatar = this.shelf.get(this.#offer.sha256, now);
       this.#own.people = [{ key: 0, avatar, pose: atRest(avatar.skeleton) }];
       this.choice.measured(this.#own.measure(views, where.shown, this.choice.display), rate, now);
@@ -127,7 +127,7 @@ function atRest(skeleton) {
 }
 
 /** A place over somebody's head, in the room as it is shown. */
-function above({ avatar: { skeleton }, pose, place = STANDING }, shown) {
+function above({ avatar: { skeleton }, pose, place = HERE }, shown) {
   const [x, y, z] = skeleton.placeOf(pose, Math.max(skeleton.names.indexOf('head'), 0));
   const stands = multiply(fromPose([...place.translation, ...place.rotation]), [place.scale, 0, 0, 0, 0, place.scale, 0, 0, 0, 0, place.scale, 0, 0, 0, 0, 1]);
   const m = multiply(shown, stands);
