@@ -36,7 +36,7 @@ from glsplat.net.pages.catalogue import Catalogue
 from glsplat.net.pages.lead import Lead
 from glsplat.net.pages.routes import Pages
 from glsplat.net.poses.answers import Answers
-from glsplat.net.poses.handed import HandedOut
+from glsplat.net.poses.splat_files import SplatFiles
 from glsplat.net.rights import user_of
 from glsplat.net.session import GOING_AWAY, Counts, Session, SessionConfig
 
@@ -101,8 +101,8 @@ class Server:
         self._work = CpuBudget(limits.work, clock(), limits.work_alone, lambda: self.render_loop.stages.lately())
         self._offers = Catalogue(offered)
         self._uploads, self._lead = uploads, lead
-        self._handed = HandedOut(self._offers, self.gate.rights, self._worn)
-        self._answers = Answers(self._handed.sha256, self._handed.why, clock)
+        self._splat_files = SplatFiles(self._offers, self.gate.rights, self._worn)
+        self._answers = Answers(self._splat_files.sha256, self._splat_files.why, clock)
         self._channels: dict[int, ClientStream] = {}
         self._talks: dict[int, Conversation] = {}
         self._closing: set[asyncio.Task[None]] = set()
@@ -129,7 +129,7 @@ class Server:
         tls = server_tls(*self.config.tls) if self.config.tls else None
         listening = bind(self.config.access.host, self.config.port)
         self.port = listening.getsockname()[1]
-        packing = asyncio.create_task(self._handed.prepare())  # meanwhile
+        packing = asyncio.create_task(self._splat_files.prepare())  # meanwhile
         try:
             await self.render_loop.start()
             await packing
@@ -139,7 +139,7 @@ class Server:
             raise
         app = web.Application(middlewares=[self.gate.guard], client_max_size=MAX_BYTES)
         pages = Pages(self.stats, self.offer, lambda: self.render_loop.healthy and not self._draining, tls is not None)
-        app.add_routes([web.get("/ws", self._websocket), *self._handed.routes(), *pages.routes()])
+        app.add_routes([web.get("/ws", self._websocket), *self._splat_files.routes(), *pages.routes()])
         if self._uploads is not None:
             app.add_routes(self._uploads.open(self.gate, self._offers.add, self._withdraw))
         if self._lead is not None:
@@ -234,7 +234,9 @@ class Server:
         """What /session says to an account of the scene and of the server: all to choose from before connecting."""
         most, wire = self.config.max_clients, self.config.wire
         return {
-            "avatars": self._offers.fields(self.gate.rights.drivable(user, self._offers.names), self._handed.fields),
+            "avatars": self._offers.fields(
+                self.gate.rights.drivable(user, self._offers.names), self._splat_files.fields
+            ),
             "rooms": self._rooms.offer(clock(), self._enterable(user)) if self.config.rooms else [],
             "upload": None if self._uploads is None else self._uploads.offer(),
             "max_side": wire.max_side,
@@ -321,7 +323,7 @@ class Server:
     async def _withdraw(self, name: str) -> bool:
         """Offer an avatar no more and end the connections that show it; False where it was not offered."""
         there = self._offers.remove(name)
-        self._handed.forget(name)
+        self._splat_files.forget(name)
         shown = [talk for talk in self._talks.values() if talk.channel.shown.name == name]
         closing = (talk.close(GOING_AWAY, "this avatar is deleted") for talk in shown)
         await asyncio.gather(*closing, return_exceptions=True)

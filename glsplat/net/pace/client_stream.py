@@ -17,7 +17,7 @@ from glsplat.net.guard.limits import CpuShare
 from glsplat.net.messages import Request, eye_fields
 from glsplat.net.pace.adaptive_quality import FULL, Detail
 from glsplat.net.pose_queue import PoseQueue, SolutionFuture
-from glsplat.net.poses.told import Poses, Told
+from glsplat.net.poses.history import PoseHistory, Poses
 from glsplat.net.session import Session
 
 if TYPE_CHECKING:
@@ -119,7 +119,7 @@ class ClientStream:
     again: Frame | None = None  # one of those that were taken from ``frames``, to be drawn anew before any other
     place_key: str = ""  # where it is drawn (workers/placement.py); empty: room:NAME or avatar:NAME
     cost: float = 0.0  # seconds a picture, lately; 0: none was drawn yet
-    told: Told = field(default_factory=Told)  # whom it was sent in poses, and how they stood
+    pose_history: PoseHistory = field(default_factory=PoseHistory)  # whom it was sent in poses, and how they stood
     tap: Tap | None = None  # what else hears of it
 
     def __post_init__(self) -> None:

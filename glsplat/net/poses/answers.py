@@ -18,7 +18,7 @@ from glsplat.errors import PoseError
 from glsplat.net.backend import Solved
 from glsplat.net.pace.client_stream import ClientStream, Frame
 from glsplat.net.poses.body import HERE, Place, pack_body
-from glsplat.net.poses.told import Poses
+from glsplat.net.poses.history import Poses
 from glsplat.net.reply import pack_poses
 from glsplat.skinning.pose import Pose
 
@@ -101,7 +101,7 @@ class Answers:
         """Everybody in the room whose pose is news, or the one avatar alone. Raises PoseError."""
         channel, request = frame.channel, frame.request
         if channel.member is not None:
-            frame.poses = channel.member.poses(channel.told, self._sha256, now)
+            frame.poses = channel.member.poses(channel.pose_history, self._sha256, now)
             return
         sha256 = self._sha256(channel.shown.name)
         if sha256 is None:

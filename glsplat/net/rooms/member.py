@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from glsplat.camera import Camera
 from glsplat.net.backend import Solved
 from glsplat.net.messages import Request
-from glsplat.net.poses.told import Poses, Told
+from glsplat.net.poses.history import PoseHistory, Poses
 from glsplat.net.rooms.person import Moved, Person
 from glsplat.net.rooms.room import Room
 from glsplat.net.rooms.view import RoomView
@@ -41,9 +41,9 @@ class Member:
         """The ``cameras`` of a request that came ``at`` seconds, in the room's space, and everybody in it."""
         return self.room.look(self.person, cameras, self._moved(request, solved, at), now)
 
-    def poses(self, told: Told, sha256: Callable[[str], bytes | None], now: float) -> Poses:
-        """How everybody stands of whom the client has not been ``told`` so yet."""
-        return self.room.poses(self.person, told, sha256, now)
+    def poses(self, history: PoseHistory, sha256: Callable[[str], bytes | None], now: float) -> Poses:
+        """How everybody stands of whom the client has not been told so yet, by its ``history``."""
+        return self.room.poses(self.person, history, sha256, now)
 
     def end(self, goodbye: bool) -> None:
         """The connection is over; ``goodbye``: as the client wanted it."""

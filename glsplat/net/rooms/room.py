@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from glsplat.camera import Camera
 from glsplat.errors import ProtocolError
 from glsplat.net.poses.body import MOST, yours
-from glsplat.net.poses.told import Poses, Told
+from glsplat.net.poses.history import PoseHistory, Poses
 from glsplat.net.rooms.person import SILENT, Moved, Person
 from glsplat.net.rooms.seats import free_seat, seat
 from glsplat.net.rooms.view import RoomView, VisiblePerson, people_fields
@@ -156,8 +156,8 @@ class Room:
         from_room = person.from_room()
         return tuple(_moved(camera, from_room) for camera in cameras), view
 
-    def poses(self, person: Person, told: Told, sha256: Callable[[str], bytes | None], now: float) -> Poses:
-        """How everybody stands of whom a ``person`` has not been ``told`` so yet, and who is there where that changed.
+    def poses(self, person: Person, history: PoseHistory, sha256: Callable[[str], bytes | None], now: float) -> Poses:
+        """How everybody stands of whom a ``person`` has not been told so yet, by its ``history``, and who is there where that changed.
 
         ``sha256`` is of the file of an avatar; who wears one that is not handed out (None) has no body.
         """
@@ -168,13 +168,15 @@ class Room:
                 self._worn = self._version, tuple(names)
             hashes = {name: sha256(name) for name in self._worn[1]}
             room = None
-            if told.room != (self._version, *hashes.values()):
-                told.room, told.change = (self._version, *hashes.values()), 0
+            if history.room != (self._version, *hashes.values()):
+                history.room, history.change = (self._version, *hashes.values()), 0
                 room = people_fields(self.name, person, [guest.person for guest in self._guests.values()], hashes)
-            fresh = list(takewhile(lambda news: news[0] > told.change, reversed(self._news.values())))[: -MOST - 1 : -1]
+            fresh = list(takewhile(lambda news: news[0] > history.change, reversed(self._news.values())))[
+                : -MOST - 1 : -1
+            ]
             bodies = []
             for change, one in fresh:
-                told.change = change
+                history.change = change
                 digest = hashes.get(one.avatar)
                 body = None if digest is None else one.packed(digest)
                 if body is not None:

@@ -130,7 +130,7 @@ function offered(session) {
   settings.setOptions('driver', [...drivers, { value: 'file', label: 'My recording…' }]);
   settings.setOptions('size', sizesUpTo(session.max_side).map(named));
   wear();
-  stage.here.shelf.sweep(session.avatars.map(({ hand_out: given }) => given?.sha256).filter(Boolean)).catch(() => {});
+  stage.here.cache.sweep(session.avatars.map(({ hand_out: given }) => given?.sha256).filter(Boolean)).catch(() => {});
   photo.offered(session.upload, chosenAvatar());
   const making = sessionStorage.getItem(MAKING);
   if (making && upload.now.state === 'idle') upload.resume(making);

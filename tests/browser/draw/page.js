@@ -197,11 +197,11 @@ function counted(gl) {
  */
 export async function inTurn({ names, turns, frames }) {
   const { Crowd } = await import('/vr/draw/crowd.js');
-  const { Shelf } = await import('/vr/avatar/shelf.js');
+  const { AvatarCache } = await import('/vr/avatar/cache.js');
   const table = await (await fetch('/vr/draw/programs.json')).json();
   const gl = context(64, 64);
   const alive = counted(gl);
-  const shelf = new Shelf((path) => fetch(`/vr/data/${names[Number(path.slice(7)) % names.length]}`));
+  const cache = new AvatarCache((path) => fetch(`/vr/data/${names[Number(path.slice(7)) % names.length]}`));
   const crowd = new Crowd(gl, table, { kind: '16f' });
   const shown = [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1];
   const eyes = [0, 1].map((i) => ({
@@ -210,8 +210,8 @@ export async function inTurn({ names, turns, frames }) {
     viewport: { x: 32 * i, y: 0, width: 32, height: 64 },
   }));
   const waited = async (sha) => {
-    while (!shelf.get(sha, performance.now())) await new Promise((done) => setTimeout(done, 1));
-    return shelf.get(sha, performance.now());
+    while (!cache.get(sha, performance.now())) await new Promise((done) => setTimeout(done, 1));
+    return cache.get(sha, performance.now());
   };
   const pose = (avatar, t) => {
     const joints = new Float64Array(4 * avatar.skeleton.count);
@@ -222,7 +222,7 @@ export async function inTurn({ names, turns, frames }) {
   const stays = await waited('0');
   for (let turn = 0; turn < turns; turn++) {
     const avatar = await waited(`${turn + 1}`);
-    shelf.keep(new Set(['0', `${turn + 1}`]));
+    cache.keep(new Set(['0', `${turn + 1}`]));
     for (let frame = 0; frame < frames; frame++) {
       const people = [stays, avatar].map((one, key) => ({ key, avatar: one, pose: pose(one, turn + 0.01 * frame) }));
       crowd.people = people;
@@ -234,7 +234,7 @@ export async function inTurn({ names, turns, frames }) {
         gc();
         await new Promise((done) => setTimeout(done, 20));
       }
-      out.push({ alive: alive(), heap: performance.memory.usedJSHeapSize / 1e6, shelf: shelf.size, error: gl.getError() });
+      out.push({ alive: alive(), heap: performance.memory.usedJSHeapSize / 1e6, cache: cache.size, error: gl.getError() });
     }
   }
   crowd.release();

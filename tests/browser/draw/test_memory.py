@@ -18,7 +18,7 @@ def test_a_hundred_avatars_in_turn_leave_nothing(bench: Bench) -> None:
     found = bench.js("(question) => import('/vr/test/page.js').then((m) => m.inTurn(question))", question)
     early, late, released = found
     assert early["error"] == late["error"] == 0
-    assert early["shelf"] <= 9 and late["shelf"] <= 9
+    assert early["cache"] <= 9 and late["cache"] <= 9
     for kind, count in late["alive"].items():
         assert count <= early["alive"][kind] + 4, (kind, early, late)  # by which avatar it is of the four
     assert late["heap"] < early["heap"] + 3

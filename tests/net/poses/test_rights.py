@@ -34,7 +34,7 @@ async def status(server: Server, digest: str, token: str | None = None) -> int:
 
 
 def digest_of(server: Server, name: str = "ann") -> str:
-    digest = server._handed.sha256(name)
+    digest = server._splat_files.sha256(name)
     assert digest is not None
     return digest.hex()
 

@@ -1,16 +1,16 @@
 // Drawing on this device instead of showing the server's pictures: who stands where comes over the wire (stream/pose.js),
-// the avatars once (avatar/shelf.js), and draw/ draws them for the eyes of this very frame.
+// the avatars once (avatar/cache.js), and draw/ draws them for the eyes of this very frame.
 
 import { HERE } from '../draw/bones.js';
 import { Choice } from '../draw/choice.js';
 import { Own } from '../draw/own.js';
-import { Shelf } from '../avatar/shelf.js';
+import { AvatarCache } from '../avatar/cache.js';
 import { fromPose, invert, multiply } from '../space/matrix.js';
 import { People } from '../stream/pose.js';
 
 export class Here {
   people = new People();
-  shelf;
+  cache;
   choice;
   #gl;
   #own = null; // made when there is an avatar to draw
@@ -20,7 +20,7 @@ export class Here {
 
   constructor(gl, connection, settings) {
     [this.#gl, this.#connection] = [gl, connection];
-    this.shelf = new Shelf((path) => connection.fetch(path));
+    this.cache = new AvatarCache((path) => connection.fetch(path));
     this.choice = new Choice(settings.get('drawn'));
     settings.addEventListener('change', ({ detail: { name, value } }) => {
       if (name === 'drawn') this.choice.wish = value;
@@ -30,7 +30,7 @@ export class Here {
   /** Who is drawn next: `hand_out` of the chosen avatar in /session. */
   set offer(offer) {
     if (this.#offer && offer?.sha256 !== this.#offer.sha256) this.people.clear();
-    if (this.#offer && !offer) this.shelf.forget(this.#offer.sha256);
+    if (this.#offer && !offer) this.cache.forget(this.#offer.sha256);
     this.#offer = offer ?? null;
     this.#refused = '';
   }
@@ -56,8 +56,8 @@ export class Here {
   draws(views, where, rate, now) {
     this.choice.frame(now);
     // the coarsest level alone, which comes first, would say little of how fast this device is
-    if (this.choice.asks(this.#why(now), now) && (this.choice.settled || this.shelf.whole(this.#offer.sha256))) {
-      const avatar = this.shelf.get(this.#offer.sha256, now);
+    if (this.choice.asks(this.#why(now), now) && (this.choice.settled || this.cache.whole(this.#offer.sha256))) {
+      const avatar = this.cache.get(this.#offer.sha256, now);
       this.#own.people = [{ key: 0, avatar, pose: atRest(avatar.skeleton) }];
       this.choice.measured(this.#own.measure(views, where.shown, this.choice.display), rate, now);
       this.#own.people = [];
@@ -69,8 +69,8 @@ export class Here {
   draw(views, framebuffer, where, own, now) {
     const bodies = this.people.at(now);
     const shown = this.people.room?.place ? multiply(where.shown, invert(fromPose(this.people.room.place))) : where.shown;
-    const people = bodies.map((body) => ({ ...body, avatar: this.shelf.get(body.sha256, now), pose: body }));
-    this.shelf.keep(new Set([...bodies.map(({ sha256 }) => sha256), this.#offer?.sha256]));
+    const people = bodies.map((body) => ({ ...body, avatar: this.cache.get(body.sha256, now), pose: body }));
+    this.cache.keep(new Set([...bodies.map(({ sha256 }) => sha256), this.#offer?.sha256]));
     this.#own.people = people.filter(({ avatar, joints }) => avatar && joints.length === 4 * avatar.skeleton.count);
     if (!this.#own.people.length) return null;
     const me = bodies.find(({ you }) => you);
@@ -92,7 +92,7 @@ export class Here {
   /** Figures for `stats()`. */
   stats() {
     const { here, reason } = this.choice;
-    return { by: here ? 'here' : 'server', reason, splats: this.#own?.drawn ?? 0, people: this.people.size, avatars: this.shelf.size, layers: this.#own?.kind ?? '' };
+    return { by: here ? 'here' : 'server', reason, splats: this.#own?.drawn ?? 0, people: this.people.size, avatars: this.cache.size, layers: this.#own?.kind ?? '' };
   }
 
   lost() {
@@ -114,8 +114,8 @@ export class Here {
       this.#own.open(async () => (await fetch(new URL('../draw/programs.json', import.meta.url))).json());
     }
     if (this.#own.why) return this.#own.why;
-    const avatar = this.shelf.get(this.#offer.sha256, now);
-    if (this.shelf.why(this.#offer.sha256)) return this.shelf.why(this.#offer.sha256);
+    const avatar = this.cache.get(this.#offer.sha256, now);
+    if (this.cache.why(this.#offer.sha256)) return this.cache.why(this.#offer.sha256);
     return avatar && this.#own.ready ? '' : 'the avatar is on its way';
   }
 }

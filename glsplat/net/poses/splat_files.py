@@ -18,7 +18,7 @@ from glsplat.net.rights import Rights, user_of
 if TYPE_CHECKING:
     from glsplat.net.accounts.users import User
 
-__all__ = ["HandedOut"]
+__all__ = ["SplatFiles"]
 
 log: logging.Logger = logging.getLogger("glsplat.net")
 
@@ -33,7 +33,7 @@ class _File:
     first: int  # bytes until the coarsest level can be drawn
 
 
-class HandedOut:
+class SplatFiles:
     """Of those ``offers`` whose consent lets their splats be given away. Files are made once and kept.
 
     ``worn`` says which of the avatars stand in rooms that an account may enter: who sees them there may draw them.

@@ -6,7 +6,7 @@ const CACHE = 'glsplat.splats';
 const MOST = 8; // avatars in memory that nobody stands in
 const PAUSE = 5000; // ms before a file that did not come is asked for again
 
-export class Shelf {
+export class AvatarCache {
   #fetch;
   #held = new Map(); // by hash, the least used first: {avatar, whole, why, until}
 

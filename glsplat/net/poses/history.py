@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-__all__ = ["Poses", "Told"]
+__all__ = ["PoseHistory", "Poses"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -17,7 +17,7 @@ class Poses:
 
 
 @dataclass(slots=True, eq=False)
-class Told:
+class PoseHistory:
     """One client's knowledge of a room: nobody is told the same twice."""
 
     room: tuple[object, ...] = ()  # its people's version, and what stands for each of their avatars
