@@ -86,6 +86,7 @@ WRONG = [
     ("seed = 5", "seed = 5\n[text.own]\nnope = 'x'", "nope", "sex"),
     ("seed = 5", "seed = 5\n[text.other]\nnope = 'x'", "other", "own"),
     ("seed = 5", "seed = = 5", "TOML", ""),
+    ("seed = 5", "seed = 5\n[order]\nblock = 'hour'", "block", "expected one of delay, not"),
 ]
 
 
