@@ -156,6 +156,14 @@ def test_the_ssq_weighs_as_its_authors_do() -> None:
     assert found == pytest.approx({"nausea": 200.34, "oculomotor": 159.18, "disorientation": 292.32, "total": 235.62})
 
 
+def test_the_eeriness_index_has_two_parts() -> None:
+    """Ho and MacDorman (2017): 18 pairs from -3 to 3; of eeriness four eerie, five spine-tingling."""
+    one = questionnaire_of("uncanny", Path())
+    sizes = {score.name: len(score.items) for score in one.scores}
+    assert sizes == {"humanness": 5, "eerie": 4, "spine": 5, "eeriness": 9, "attractiveness": 4}
+    assert len(one.items) == 18 and {(item.scale.low, item.scale.high) for item in one.items} == {(-3, 3)}
+
+
 def test_the_embodiment_questionnaire_adds_up_as_published() -> None:
     """Gonzalez-Franco and Peck (2018): ((own / 5) 2 + (agency / 4) 2 + tactile / 4 + (location / 3) 2 + ...) / 9."""
     one = questionnaire_of("embodiment", Path())
