@@ -114,6 +114,8 @@ def check(args: argparse.Namespace) -> int:
     groups = math.prod(len(factor.levels) for factor in study.factors if factor.between)
     if study.participants % groups:
         print(f"  not balanced: {study.participants} participants are no multiple of {groups}, the groups between them")
+    elif groups > 1 and rows > 1 and study.participants % (rows * groups):
+        print(f"  balanced over all participants, not within each group: that takes a multiple of {rows * groups}")
     for cell in study.absent[:_MOST_SHOWN]:
         words = ", ".join(f"{factor.name} = {level}" for factor, level in zip(study.within, cell, strict=True))
         print(f"  no condition has {words}: glsplat study analyse needs every combination")

@@ -68,6 +68,7 @@ def test_check_says_what_an_analysis_will_lack(tmp_path: Path, capsys: pytest.Ca
     path = write(tmp_path)
     assert main(["study", "check", str(path)]) == 0
     assert "no condition has" not in (out := capsys.readouterr().out) and "not balanced" not in out
+    assert "not within each group: that takes a multiple of 4" in out  # two rows, two groups, six people
     levels = 'delay = ["none", "some", "much"]'
     path.write_text(SMALL.replace('delay = ["none", "some"]', levels).replace("participants = 6", "participants = 5"))
     assert main(["study", "check", str(path)]) == 0
