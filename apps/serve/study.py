@@ -43,7 +43,7 @@ class Running:
     def announce(self, place: Place, out: TextIO) -> None:
         """Print the addresses; the secrets are shown to people only."""
         for who, address in self.pages(place, secret=out.isatty()).items():
-            print(f"  {who:<12}{address}", file=out)
+            print(f"  {who:<11} {address}", file=out)
         if not out.isatty():
             print(f"  {'links':<12}need #study=SECRET, in {self.lead.live.store.folder / KEYS}", file=out)
         out.flush()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 import sys
 from importlib import import_module, resources
 from pathlib import Path
@@ -110,6 +111,16 @@ def check(args: argparse.Namespace) -> int:
     rows = cycle(study)
     if study.participants % rows:
         print(f"  not balanced: {study.participants} participants are no multiple of {rows}, the rows of its square")
+    groups = math.prod(len(factor.levels) for factor in study.factors if factor.between)
+    if study.participants % groups:
+        print(f"  not balanced: {study.participants} participants are no multiple of {groups}, the groups between them")
+    elif groups > 1 and rows > 1 and study.participants % (rows * groups):
+        print(f"  balanced over all participants, not within each group: that takes a multiple of {rows * groups}")
+    for cell in study.absent[:_MOST_SHOWN]:
+        words = ", ".join(f"{factor.name} = {level}" for factor, level in zip(study.within, cell, strict=True))
+        print(f"  no condition has {words}: glsplat study analyse needs every combination")
+    if len(study.absent) > _MOST_SHOWN:
+        print(f"  ... and {len(study.absent) - _MOST_SHOWN} more combinations without a condition")
     for item in study.untold[:_MOST_SHOWN]:
         name = item.partition(".")[0]
         print(f"  no text yet: {item} ({study.questionnaires[name].source})")

@@ -63,6 +63,10 @@ def _design(analysis: Analysis) -> str:
         lines.append(f"{gone} {'is' if analysis.unanswered == 1 else 'are'} missing; {how}.")
     else:
         lines.append("No answer is missing.")
+    again = int((table.answers - 1).clip(0).sum())
+    if again:
+        are = "answer is" if again == 1 else "answers are"
+        lines.append(f"{again} {are} of a condition that the participant had answered before; all count.")
     lines.append(
         "For each effect, answers were aligned and ranked (aligned rank transform, ART; Wobbrock et al., 2011) "
         "and tested by "

@@ -6,6 +6,7 @@ import hashlib
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from itertools import product
 from pathlib import Path
 from typing import Any, Literal
 
@@ -111,6 +112,12 @@ class Study:
     def untold(self) -> tuple[str, ...]:
         """Items whose texts are still to come, as questionnaire.item."""
         return tuple(f"{name}.{item}" for name, one in self.questionnaires.items() for item in one.untold)
+
+    @property
+    def absent(self) -> tuple[tuple[str, ...], ...]:
+        """Combinations of within levels that no condition has: ART, of full factorial designs, cannot do without."""
+        there = {tuple(one.levels.values()) for one in self.conditions}
+        return tuple(cell for cell in product(*(factor.levels for factor in self.within)) if cell not in there)
 
     def condition(self, name: str) -> Condition:
         """A condition by its name."""

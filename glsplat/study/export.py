@@ -239,7 +239,7 @@ def _described(study: Study, plan: Plan) -> dict[str, Any]:
             scale = one[score.items[0]].scale
             measure = {
                 "items": [f"{name}.{item}" for item in score.items],
-                "reversed": [f"{name}.{item}" for item in score.items if one[item].reversed],
+                "reversed": [f"{name}.{item}" for item in score.against(one)],
                 "range": [scale.low, scale.high],
                 "how": score.how,
                 "text": score.text or score.name,

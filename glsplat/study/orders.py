@@ -30,20 +30,28 @@ def williams(count: int) -> list[list[int]]:
 
 
 def orders_of(study: Study) -> list[tuple[str, ...]]:
-    """For each participant the names of the conditions in their order. The same study gives the same orders."""
+    """For each participant the names of the conditions in their order. The same study gives the same orders.
+
+    Balanced within each group of participants where their number allows it, else over all of them.
+    """
     rng = np.random.default_rng([study.seed, 1])
     blocks = _blocks(study)
     rows = _rows(study, blocks)
     out: list[tuple[str, ...]] = []
     names = [_shuffled(rng, block) if study.order.scheme == "williams" else block for block in blocks]
-    while len(out) < study.participants:
+    groups = [tuple(group.values()) for group in groups_of(study)]
+    apart = study.participants % (len(rows) * len(set(groups))) == 0
+    decks: dict[tuple[str, ...], list[int]] = {}  # rows that a group has not had in this round
+    for group in groups:
         if study.order.scheme == "random":
             shown = [names[number] for number in rng.permutation(len(names))]
             out.append(tuple(name for block in shown for name in _shuffled(rng, block)))
             continue
-        turns = rng.permutation(len(rows)) if study.order.scheme == "williams" else range(len(rows))
-        out += [tuple(names[block][place] for block, place in rows[turn]) for turn in turns]
-    return out[: study.participants]
+        deck = decks.setdefault(group if apart else (), [])
+        if not deck:
+            deck += rng.permutation(len(rows)).tolist() if study.order.scheme == "williams" else range(len(rows))
+        out.append(tuple(names[block][place] for block, place in rows[deck.pop(0)]))
+    return out
 
 
 def groups_of(study: Study) -> list[dict[str, str]]:

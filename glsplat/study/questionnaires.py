@@ -96,6 +96,11 @@ class Score:
             total += weight * questionnaire[name].counted(value)
         return self.factor * (total / len(self.items) if self.how == "mean" else total)
 
+    def against(self, questionnaire: Questionnaire) -> tuple[str, ...]:
+        """The items whose answers lower the score as they grow: reversed, or weighed below 0, not both."""
+        weights = zip(self.items, self.weights or (1.0,) * len(self.items), strict=True)
+        return tuple(item for item, weight in weights if questionnaire[item].reversed != (weight < 0))
+
 
 @dataclass(frozen=True, slots=True)
 class Questionnaire:

@@ -72,7 +72,7 @@ class Table:
         """One of ``options``."""
         value = self._values.get(key, default)
         if value not in options or not isinstance(value, str):
-            raise self.error(key, f"expected one of {', '.join(options)}, not {_said(value)}")
+            raise self.error(key, f"expected one of {', '.join(filter(None, options))}, not {_said(value)}")
         return value
 
     def number(self, key: str, low: float, high: float, default: float | None = None) -> float:

@@ -63,6 +63,19 @@ def test_a_new_folder_says_what_it_lacks(tmp_path: Path, capsys: pytest.CaptureF
     assert path.read_text() == "mine" and "stays as it is" in capsys.readouterr().out
 
 
+def test_check_says_what_an_analysis_will_lack(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A forgotten condition, and groups that cannot be of one size, while they can still be helped."""
+    path = write(tmp_path)
+    assert main(["study", "check", str(path)]) == 0
+    assert "no condition has" not in (out := capsys.readouterr().out) and "not balanced" not in out
+    assert "not within each group: that takes a multiple of 4" in out  # two rows, two groups, six people
+    levels = 'delay = ["none", "some", "much"]'
+    path.write_text(SMALL.replace('delay = ["none", "some"]', levels).replace("participants = 6", "participants = 5"))
+    assert main(["study", "check", str(path)]) == 0
+    out = capsys.readouterr().out
+    assert "no condition has delay = much:" in out and "no multiple of 2, the groups" in out
+
+
 @pytest.mark.parametrize(
     ("words", "said"),
     [

@@ -86,6 +86,7 @@ WRONG = [
     ("seed = 5", "seed = 5\n[text.own]\nnope = 'x'", "nope", "sex"),
     ("seed = 5", "seed = 5\n[text.other]\nnope = 'x'", "other", "own"),
     ("seed = 5", "seed = = 5", "TOML", ""),
+    ("seed = 5", "seed = 5\n[order]\nblock = 'hour'", "block", "expected one of delay, not"),
 ]
 
 
@@ -153,6 +154,14 @@ def test_the_ssq_weighs_as_its_authors_do() -> None:
     ssq = questionnaire_of("ssq", Path())
     found = {one.name: one.of(ssq, {item.name: 3 for item in ssq.items}) for one in ssq.scores}
     assert found == pytest.approx({"nausea": 200.34, "oculomotor": 159.18, "disorientation": 292.32, "total": 235.62})
+
+
+def test_the_eeriness_index_has_two_parts() -> None:
+    """Ho and MacDorman (2017): 18 pairs from -3 to 3; of eeriness four eerie, five spine-tingling."""
+    one = questionnaire_of("uncanny", Path())
+    sizes = {score.name: len(score.items) for score in one.scores}
+    assert sizes == {"humanness": 5, "eerie": 4, "spine": 5, "eeriness": 9, "attractiveness": 4}
+    assert len(one.items) == 18 and {(item.scale.low, item.scale.high) for item in one.items} == {(-3, 3)}
 
 
 def test_the_embodiment_questionnaire_adds_up_as_published() -> None:

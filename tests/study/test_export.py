@@ -103,7 +103,7 @@ def test_sidecars_name_every_column(tables: Path) -> None:
         "delay": {"levels": ["none", "some"], "kind": "within"},
         "group": {"levels": ["old", "young"], "kind": "between"},
     }
-    assert study["measures"]["own.sum"]["reversed"] == ["own.odd"]
+    assert study["measures"]["own.sum"]["reversed"] == ["own.odd", "own.fine"]  # fine by its weight
     assert set(study["measures"]) >= {row["measure"] for row in table(tables, "scores")}
 
 

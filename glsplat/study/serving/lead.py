@@ -163,6 +163,8 @@ class StudyLead:
             if not hmac.compare_digest(given.encode(errors="replace"), self.secrets[who].encode()):
                 return _refusal(403, "not_allowed", f"this needs the {who}'s own link")
             try:
+                if self._opening.done() and self._opening.exception() is not None:
+                    self._opening = asyncio.ensure_future(self.live.open())  # the disk was full: there may be room now
                 await asyncio.shield(self._opening)
                 message = await _read(request)
                 return await handler(request, message)

@@ -119,6 +119,16 @@ def test_missing_answers_are_said(tmp_path: Path, capsys: pytest.CaptureFixture[
     assert "participants without every condition were left out (P01, P04)" in text and "F(1, 9)" in text
 
 
+def test_a_row_that_is_there_twice_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = table(tmp_path, measures=["presence"])
+    assert analyse.run(arguments(str(path), "--measure", "vr.presence")) == 0
+    assert "answered before" not in capsys.readouterr().out
+    lines = path.read_text().splitlines()
+    path.write_text("\n".join([*lines, lines[1]]) + "\n")
+    assert analyse.run(arguments(str(path), "--measure", "vr.presence")) == 0
+    assert "1 answer is of a condition that the participant had answered before" in capsys.readouterr().out
+
+
 def test_a_coarse_scale_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = table(tmp_path, measures=["presence"])
     lines = path.read_text().splitlines()

@@ -217,6 +217,8 @@ def test_by_keyboard_in_a_narrow_window(study: Path, service: Service, open_page
     assert page.js("document.documentElement.scrollWidth") <= 320
     unlabelled = "[...document.querySelectorAll('#step input')].filter((i) => !i.labels?.length && !i.ariaLabel).length"
     assert page.js(unlabelled) == 0
+    tops = "new Set([...document.querySelectorAll('.points label')].map((e) => e.getBoundingClientRect().top)).size"
+    assert page.js(tops) == 1  # seven points are one line, the ends' words below its ends
     page.page.focus("input[name=answer]")
     keyboard.press("Space")
     keyboard.press("ArrowRight")

@@ -89,7 +89,8 @@ export class Form {
       return area;
     }
     if (item.kind === 'slider') return this.#slider(item, answer);
-    const group = this.#element('div', '', item.kind === 'choice' ? 'choices' : 'points');
+    const worded = item.labels.length > 2;
+    const group = this.#element('div', '', item.kind === 'choice' || worded ? 'choices' : 'points');
     const count = item.kind === 'choice' ? 0 : Math.round((item.to - item.from) / item.step) + 1;
     const options = item.kind === 'choice' ? item.labels : Array.from({ length: count }, (_, i) => item.from + i * item.step);
     group.append(...options.map((value, i) => {
@@ -97,7 +98,7 @@ export class Form {
       const input = this.#element('input');
       Object.assign(input, { type: 'radio', name: 'answer', value: String(value), checked: value === answer });
       input.addEventListener('change', () => this.#questions.choose(value));
-      const word = item.kind === 'points' && item.labels.length > 2 ? item.labels[i] : String(value);
+      const word = item.kind === 'points' && worded ? item.labels[i] : String(value);
       label.append(input, this.#element('span', word));
       return label;
     }));
@@ -110,10 +111,12 @@ export class Form {
     const value = answer ?? (item.from + item.to) / 2;
     Object.assign(input, { type: 'range', min: item.from, max: item.to, step: item.step, id: 'answer' });
     input.value = value;
+    input.classList.toggle('unanswered', answer === undefined);
     input.setAttribute('aria-label', item.text);
     const out = this.#element('output', answer === undefined ? 'not answered yet' : String(answer));
     const choose = () => {
       out.textContent = input.value;
+      input.classList.remove('unanswered');
       this.#questions.choose(Number(input.value));
     };
     input.addEventListener('change', choose);

@@ -34,7 +34,7 @@ function show(found) {
     Time: `${Math.floor(found.t / 60)} min ${Math.floor(found.t % 60)} s`,
     Seen: figures.session === 'vr' ? 'in VR' : 'on the page',
     Pictures: number(figures.fps, '/s'),
-    'Age of a picture': number(figures.age_ms, 'ms'),
+    'Their age': number(figures.age_ms, 'ms'),
   });
   get('pause').textContent = found.paused ? 'Go on' : 'Pause';
   for (const id of ['pause', 'repeat']) get(id).disabled = Boolean(found.ended);
