@@ -157,7 +157,7 @@ class Room:
         return tuple(_moved(camera, from_room) for camera in cameras), view
 
     def poses(self, person: Person, history: PoseHistory, sha256: Callable[[str], bytes | None], now: float) -> Poses:
-        """How everybody stands of whom a ``person`` has not been told so yet, by its ``history``, and who is there where that changed.
+        """How everybody stands of whom a ``person`` was not told yet, and who is there where that changed.
 
         ``sha256`` is of the file of an avatar; who wears one that is not handed out (None) has no body.
         """
