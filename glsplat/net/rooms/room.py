@@ -171,11 +171,9 @@ class Room:
             if history.room != (self._version, *hashes.values()):
                 history.room, history.change = (self._version, *hashes.values()), 0
                 room = people_fields(self.name, person, [guest.person for guest in self._guests.values()], hashes)
-            fresh = list(takewhile(lambda news: news[0] > history.change, reversed(self._news.values())))[
-                : -MOST - 1 : -1
-            ]
+            fresh = list(takewhile(lambda news: news[0] > history.change, reversed(self._news.values())))
             bodies = []
-            for change, one in fresh:
+            for change, one in fresh[: -MOST - 1 : -1]:
                 history.change = change
                 digest = hashes.get(one.avatar)
                 body = None if digest is None else one.packed(digest)
