@@ -12,7 +12,7 @@ from glsplat.consent.document import Consent
 from glsplat.consent.file import OnFile
 from glsplat.consent.policy import ConsentPolicy
 from glsplat.errors import ProtocolError
-from glsplat.net.accounts import rights
+from glsplat.net import rights
 from glsplat.net.accounts.users import Accounts, new_user, write_users
 from glsplat.net.backend import AvatarInfo
 from glsplat.net.backends.server import make_server
