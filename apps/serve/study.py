@@ -14,7 +14,7 @@ from glsplat.study.serving.light import FULL
 from glsplat.study.serving.live import Live
 from glsplat.study.store import Store
 
-from ..study.files import DEFAULT, avatar_files
+from ..study.files import DEFAULT, avatar_files, data_of
 from ..usage import UsageError
 from .ready import Place
 
@@ -79,7 +79,7 @@ def study_of(args: argparse.Namespace) -> Running | None:
     study = read_study(args.study)
     if args.workers is not None and any(one.light != FULL for one in study.conditions):
         raise UsageError("--study: light below 1 is for pictures that this process draws: leave out --workers")
-    data = args.study_data if args.study_data is not None else args.study.parent / "data"
+    data = data_of(args.study, args.study_data)
     plan = checked_plan(data, study)
     if not 1 <= args.participant <= len(plan.orders):
         raise UsageError(f"--participant needs 1 to {len(plan.orders)}, not {args.participant}")

@@ -133,9 +133,9 @@ def check(args: argparse.Namespace) -> int:
         print(f"  no such avatar: {path}")
     if len(missing) > _MOST_SHOWN:
         print(f"  ... and {len(missing) - _MOST_SHOWN} more avatars that are missing")
-    if (data_of(args) / PLAN).exists():
-        checked_plan(data_of(args), study)
-        print(f"  planned: {data_of(args) / PLAN}")
+    if (data_of(args.study, args.data) / PLAN).exists():
+        checked_plan(data_of(args.study, args.data), study)
+        print(f"  planned: {data_of(args.study, args.data) / PLAN}")
     return 1 if study.untold else 0
 
 
@@ -143,7 +143,7 @@ def plan(args: argparse.Namespace) -> int:
     """Write the plan and print it."""
     study = read_study(args.study)
     made = make_plan(study)
-    path = write_plan(data_of(args), made)
+    path = write_plan(data_of(args.study, args.data), made)
     for number, (order, group) in enumerate(zip(made.orders, made.groups, strict=True), 1):
         said = "".join(f" {name}={level}" for name, level in group.items())
         print(f"{label(number)}{said}: {', '.join(order)}")
@@ -158,7 +158,14 @@ def run_study(args: argparse.Namespace) -> int:
 
     parser = CommandParser(prog="glsplat serve", description=serve.HELP)
     serve.add_arguments(parser)
-    words = ["--study", str(args.study), "--participant", str(args.participant), "--study-data", str(data_of(args))]
+    words = [
+        "--study",
+        str(args.study),
+        "--participant",
+        str(args.participant),
+        "--study-data",
+        str(data_of(args.study, args.data)),
+    ]
     return serve.run(serve.parsed(parser, [*words, *args.options]))
 
 
@@ -171,7 +178,7 @@ def run_export(args: argparse.Namespace) -> int:
             bar.total = of
             bar.update(done - bar.n)
 
-        done = export(study, made, data_of(args), args.output, progress)
+        done = export(study, made, data_of(args.study, args.data), args.output, progress)
     for name, count in done.rows.items():
         print(f"{args.output / name}.csv: {count} rows")
     for remark in done.remarks:
@@ -181,18 +188,20 @@ def run_export(args: argparse.Namespace) -> int:
 
 def delete(args: argparse.Namespace) -> int:
     """Delete a participant's folder."""
-    study, _ = read_study(args.study), read_plan(data_of(args))
+    study, _ = read_study(args.study), read_plan(data_of(args.study, args.data))
     number = _number(study, args.participant)
     if not args.yes:
         raise UsageError(f"say --yes to delete all data of {label(number)} for good")
-    count = remove(data_of(args), number)
-    print(f"{data_of(args) / label(number)}: deleted ({count} files); tables that were exported before still have them")
+    count = remove(data_of(args.study, args.data), number)
+    print(
+        f"{data_of(args.study, args.data) / label(number)}: deleted ({count} files); tables that were exported before still have them"
+    )
     return 0
 
 
 def _planned(args: argparse.Namespace) -> tuple[Study, Plan]:
     study = read_study(args.study)
-    return study, checked_plan(data_of(args), study)
+    return study, checked_plan(data_of(args.study, args.data), study)
 
 
 def _number(study: Study, number: int) -> int:

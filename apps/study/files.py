@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
 
 from glsplat.study.design import Study
@@ -13,9 +12,9 @@ DEFAULT = "default"
 """The avatar that comes with glsplat."""
 
 
-def data_of(args: argparse.Namespace) -> Path:
-    """The data folder: --data, else beside the design."""
-    return args.data if args.data is not None else Path(args.study).parent / "data"
+def data_of(design: Path, given: Path | None) -> Path:
+    """The data folder: the one ``given``, else beside the ``design``."""
+    return design.parent / "data" if given is None else given
 
 
 def avatar_files(study: Study, participant: str) -> dict[str, Path | None]:
