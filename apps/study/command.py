@@ -193,9 +193,8 @@ def delete(args: argparse.Namespace) -> int:
     if not args.yes:
         raise UsageError(f"say --yes to delete all data of {label(number)} for good")
     count = remove(data_of(args.study, args.data), number)
-    print(
-        f"{data_of(args.study, args.data) / label(number)}: deleted ({count} files); tables that were exported before still have them"
-    )
+    where = data_of(args.study, args.data) / label(number)
+    print(f"{where}: deleted ({count} files); tables that were exported before still have them")
     return 0
 
 
