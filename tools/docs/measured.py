@@ -1,0 +1,166 @@
+"""Pages of docs/measured: tables that commands print, with commit, driver and date, and their copies elsewhere.
+
+    python -m tools.docs.measured               # all pages, ten minutes; nothing else should run on the machine
+    python -m tools.docs.measured frame         # one of them
+    python -m tools.docs.measured --copies      # measures nothing: writes the copies anew
+
+Another page shows a table between ``<!-- measured: PAGE/TABLE -->`` and ``<!-- end -->``. tests/test_measured.py fails
+where such a copy is not the table.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import re
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+from apps.demo import running_server
+from glsplat.evaluate.machine import machine
+from glsplat.io.files import replace_file
+
+ROOT = Path(__file__).resolve().parents[2]
+FOLDER = ROOT / "docs" / "measured"
+SIZES = (512, 768, 1024)
+LINKS = ("20,50", "40,50", "40,5")  # ms there and back, Mbit/s
+
+# paper/appendix, "Latency breakdown of the streaming pipeline", localhost, 2 x 1024^2, ms
+PAPER = {
+    "ik": ("tracking and inverse kinematics", "~1 (headset)"),
+    "communication": ("communication, both ways", "< 1"),
+    "wait": ("waiting for the renderer (newest request)", "-"),
+    "render": ("stereo rendering, both eyes", "23 - 27"),
+    "encode": ("encoding (JPEG)", "1 - 2"),
+    "decode": ("decoding", "5 - 10 (with display)"),
+    "end_to_end": ("end to end", "30 - 41"),
+}
+
+_TABLE = re.compile(r"<!-- table: (\S+) -->\n\n(.*?)\n\n<!-- end -->", re.S)
+_COPY = re.compile(r"(<!-- measured: (\S+)/(\S+) -->\n\n).*?(\n\n<!-- end -->)", re.S)
+
+Table = tuple[str, str, str]  # name, a paragraph of what it is, markdown
+
+
+def tables(page: str) -> dict[str, str]:
+    """Name -> markdown of the tables that a page of docs/measured holds."""
+    return {name: text for name, text in _TABLE.findall((FOLDER / f"{page}.md").read_text(encoding="utf-8"))}
+
+
+def with_copies(text: str) -> str:
+    """A page's text, its copies of measured tables as they are now. KeyError: no such table."""
+    return _COPY.sub(lambda copy: copy[1] + tables(copy[2])[copy[3]] + copy[4], text)
+
+
+def pages_with_copies() -> Iterator[Path]:
+    """README and the pages of docs that show a measured table."""
+    for path in (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))):
+        if _COPY.search(path.read_text(encoding="utf-8")):
+            yield path
+
+
+def command(*words: str) -> str:
+    """What ``glsplat WORDS`` prints."""
+    print("glsplat", *words, file=sys.stderr, flush=True)
+    done = subprocess.run([sys.executable, "-m", "apps.cli", *words], cwd=ROOT, stdout=subprocess.PIPE, check=True)
+    return done.stdout.decode()
+
+
+def frame() -> Iterator[Table]:
+    """A frame stage by stage."""
+    sizes = [f"{side}x{side}" for side in SIZES]
+    exact = command("bench", "--sizes", *sizes, "--frames", "16")
+    yield (
+        "exact",
+        "`glsplat bench`, the embedded avatar, every splat of the finest level. Draw floor: the same records, already\n"
+        "projected and sorted, drawn alone. Stages are of a second renderer that waits after each.",
+        f"```\n{exact.strip()}\n```",
+    )
+    lean = command("bench", "--sizes", *sizes, "--frames", "16", "--level", "auto", "--cull-hidden")
+    yield "levels", "The same with levels of detail, without hidden splats.", f"```\n{lean.strip()}\n```"
+
+
+def stream() -> Iterator[Table]:
+    """Pictures over the wire, server and client on this machine."""
+    sizes = [str(side) for side in SIZES]
+    common = ("demo", "-o", str(ROOT / "out" / "measured"), "--seconds", "6", "--sizes", *sizes, "--json")
+    exact = json.loads(command(*common, "--exact"))["runs"]
+    lean = json.loads(command(*common))["runs"]
+    rows = [
+        "| from raw tracking to decoded JPEG, both eyes | " + " | ".join(f"2 x {side}^2" for side in SIZES) + " |",
+        "|---|" + "--:|" * len(SIZES),
+    ]
+    for name, runs in (("every splat (`--exact`)", exact), ("as `serve` draws it", lean)):
+        cells = [f"{run['fps']:.0f} a second, {run['age_ms']['median']:.0f} ms old" for run in runs.values()]
+        rows.append(f"| {name} | " + " | ".join(cells) + " |")
+    yield "summary", "`glsplat demo`: pictures shown a second, and the median age of the one on show.", "\n".join(rows)
+    ours = [lean[f"{side}x{side}"]["stages_ms"] for side in (512, 1024)]
+    rows = ["| stage | paper | glsplat, 2 x 512^2 | p95 | glsplat, 2 x 1024^2 | p95 |", "|---|--:|--:|--:|--:|--:|"]
+    for key, (name, paper) in PAPER.items():
+        cells = [f"{run[key][part]:.1f}" for run in ours for part in ("median", "p95")]
+        rows.append(f"| {name} | {paper} | " + " | ".join(cells) + " |")
+    yield (
+        "paper",
+        "Medians in ms beside the paper's appendix (localhost, 2 x 1024^2, a CUDA rasterizer on a desktop GPU).\n"
+        "Both columns of glsplat are drawn by a CPU.",
+        "\n".join(rows),
+    )
+    with running_server(None) as url:
+        for side in (512, 1024):
+            text = command("replay", "--url", url, "--size", str(side), "--frames", "432", "--compare")
+            yield f"policies-{side}", f"`glsplat replay --compare`, loopback, 2 x {side}^2.", _markdown(text)
+        links = [word for link in LINKS for word in ("--link", link)]
+        text = command("replay", "--url", url, "--size", "512", "--frames", "288", "--compare", *links)
+        note = "Over simulated links (a relay in user space; no loss, no jitter), 2 x 512^2."
+        yield "links", note, _markdown(text)
+
+
+def _markdown(text: str) -> str:
+    """The table in what a command printed. ValueError: none."""
+    rows = [line for line in text.splitlines() if line.startswith("|")]
+    if len(rows) < 3:
+        raise ValueError(f"no table in what the command printed: {text[:200]!r}")
+    return "\n".join(rows)
+
+
+PAGES: dict[str, tuple[str, Callable[[], Iterator[Table]]]] = {
+    "frame": ("A frame", frame),
+    "stream": ("The stream", stream),
+}
+
+
+def written(page: str) -> bytes:
+    """A page of docs/measured, measured now."""
+    title, measure = PAGES[page]
+    facts, load = machine(), os.getloadavg()[0]
+    driver = json.loads(command("bench", "--static", "--sizes", "64x64", "--frames", "2", "--json"))["driver"]
+    text = [
+        f"# {title}, measured",
+        "",
+        f"    python -m tools.docs.measured {page}        # wrote this page",
+        "",
+        f"Commit {facts['commit']}, {facts['date']}. {driver}; {facts['machine']}, {facts['cores']} cores,",
+        f"load {load:.1f} before. Times of one table can be compared; those of other machines and days cannot.",
+    ]
+    for name, about, table in measure():
+        text += ["", f"## {name}", "", about, "", f"<!-- table: {name} -->", "", table, "", "<!-- end -->"]
+    return ("\n".join(text) + "\n").encode()
+
+
+def main(pages: list[str], copies: bool) -> None:
+    FOLDER.mkdir(exist_ok=True)
+    for page in [] if copies else pages or list(PAGES):
+        replace_file(FOLDER / f"{page}.md", [written(page)])
+    for path in pages_with_copies():
+        replace_file(path, [with_copies(path.read_text(encoding="utf-8")).encode()])
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser()
+    parser.add_argument("pages", nargs="*", choices=[*PAGES, []])
+    parser.add_argument("--copies", action="store_true")
+    arguments = parser.parse_args()
+    main(arguments.pages, arguments.copies)
