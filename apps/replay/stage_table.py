@@ -14,11 +14,20 @@ from .streaming import STAGES, Result
 __all__ = ["comparison_markdown", "frame_text", "table_markdown", "table_text"]
 
 
+_SOFTWARE = ("llvmpipe", "softpipe", "lavapipe")
+_DEFERS = "This driver defers work: most of the drawing is in the stage that waits for it (resolve); `glsplat bench` waits."
+
+
 def table_text(result: Result) -> str:
-    """Rows of stage, place, median and 95th percentile in ms; the parts of rendering are indented."""
+    """Rows of stage, place, median and 95th percentile in ms; the parts of rendering are indented.
+
+    Below, one line where the driver is one that draws when it is waited for.
+    """
     lines = [f"{'stage':28}{'where':8}{'median':>9}{'p95':>9}   ms"]
     for name, place, median, p95 in _rows(result):
         lines.append(f"{name:28}{place:8}{median:9.2f}{p95:9.2f}")
+    if any(name in result.driver for name in _SOFTWARE):
+        lines.append(_DEFERS)
     return "\n".join(lines)
 
 

@@ -12,7 +12,7 @@ import pytest
 import simplejpeg
 
 from apps.replay import command as replay
-from apps.replay.stage_table import table_markdown
+from apps.replay.stage_table import table_markdown, table_text
 from apps.replay.streaming import POLICIES, STAGES, Result, observer
 from glsplat.errors import GlsplatError
 from glsplat.net.reply import pack_reply, parse_reply
@@ -186,3 +186,8 @@ def test_smaller_pictures_between_are_enlarged(tmp_path: Path) -> None:
     replay.save_sheet(tmp_path / "sheet.png", kept)
     assert "4 pictures" in replay.save_clip(tmp_path / "clip.webm", kept)
     assert cv2.imread(str(tmp_path / "sheet.png")).shape[1] >= 2 * 128
+
+
+def test_a_table_says_where_a_driver_draws_late():
+    assert "(resolve)" in table_text(Result(driver="llvmpipe (LLVM 15.0.6, 256 bits)"))
+    assert "(resolve)" not in table_text(Result(driver="NVIDIA H100/PCIe/SSE2"))
