@@ -1,0 +1,125 @@
+"""Draws the README's pictures anew: the clip, a photograph beside its avatar, people in a room.
+
+    python -m tools.docs.readme_pictures [clip] [photo] [room]        # into docs/images
+
+The clip is what both eyes of a headset see before the mirror while the embedded recording moves head and hands (the
+fake headset, a Quest 3's frusta). The photograph is of a participant that comes with glsplat. Look at every picture.
+"""
+
+from __future__ import annotations
+
+import io
+import subprocess
+import sys
+import tempfile
+from itertools import count
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from PIL import Image
+
+import glsplat
+from glsplat.data import participants_folder
+from glsplat.io.files import replace_file
+from glsplat.net.backends.server import make_server
+from glsplat.net.server import ServerConfig
+from glsplat.tracking.recording import embedded_recording
+from tests.browser.served import Served
+from tests.browser.vr import enter, fresh, pose, see, settings, steer
+from tools.docs.chromium import chromium, page_of
+
+IMAGES = Path(__file__).resolve().parents[2] / "docs" / "images"
+SIDE, ACROSS = 768, 800  # pixels an eye as drawn; of the clip, both eyes
+RATE, SECONDS = 12, 6.0  # of the clip
+LIMIT = 2_000_000  # bytes of the clip
+WHO = "p05"  # of the participants
+
+
+def both_eyes(page: Any) -> np.ndarray:
+    """What the headset shows, left beside right, [H, 2 W, 3]."""
+    seen = see(page)
+    return np.hstack([seen["left"], seen["right"]])[..., :3]
+
+
+def smaller(image: np.ndarray, across: int) -> np.ndarray:
+    """So many pixels wide."""
+    return cv2.resize(image, (across, round(image.shape[0] * across / image.shape[1])), interpolation=cv2.INTER_AREA)
+
+
+def clip() -> None:
+    """readme-clip.webp: forth and back, so that its end meets its beginning."""
+    samples = embedded_recording()[:: round(72 / RATE)][: round(RATE * SECONDS / 2)]
+    frames = []
+    with Served(make=lambda config: make_server(glsplat.default_avatar(), config)) as served, chromium() as browser:
+        with page_of(browser, served.page, settings(view="mirror", size=SIDE, quality=92, driver="rest")) as page:
+            for i, sample in enumerate(samples):
+                place = {name: [float(v) for v in getattr(sample, name)] for name in ("head", "left", "right")}
+                steer(page, head=place["head"], controllers={"left": place["left"], "right": place["right"]})
+                if not i:
+                    enter(page, run=False)
+                fresh(page, 60)
+                frames.append(Image.fromarray(smaller(both_eyes(page), ACROSS)))
+                print(f"\r{i + 1} of {len(samples)}", end="", flush=True, file=sys.stderr)
+    frames += frames[-2:0:-1]
+    for quality in range(80, 20, -10):
+        out = io.BytesIO()
+        frames[0].save(out, "WEBP", save_all=True, append_images=frames[1:], duration=1000 // RATE, loop=0, quality=quality)
+        if out.tell() <= LIMIT:
+            break
+    write("readme-clip.webp", out.getvalue())
+
+
+def photo() -> None:
+    """readme-photo.jpg: the photograph, and the avatar from three sides."""
+    with participants_folder() as folder, tempfile.TemporaryDirectory() as made:
+        picture, avatar = folder / "capture" / f"{WHO}.jpg", Path(made) / "me.glb"
+        run("avatar", "photo", str(picture), "-o", str(avatar))
+        row = [cv2.imread(str(picture))]
+        for i, eye in zip(count(), ((0.0, 1.0, 2.9), (2.1, 1.0, 2.1), (-2.4, 1.0, -1.7))):
+            shot = Path(made) / f"{i}.png"
+            place = ",".join(map(str, eye))
+            run("render", str(avatar), "--eye", place, "--target", "0,0.92,0", "--background", "0.86,0.86,0.88",
+                "--size", "600x900", "-o", str(shot))  # fmt: skip
+            row.append(cv2.imread(str(shot)))
+    height = 520
+    tiles = [cv2.resize(t, (round(t.shape[1] * height / t.shape[0]), height), interpolation=cv2.INTER_AREA) for t in row]
+    write_jpeg("readme-photo", np.hstack(tiles)[..., ::-1])
+
+
+def room() -> None:
+    """readme-room.jpg: three people of one room, as one of them sees the others on the flat page."""
+    config = ServerConfig(port=0, rooms={"lab": 3})
+    with Served(make=lambda config: make_server(glsplat.default_avatar(), config), config=config) as served:
+        with chromium() as browser:
+            pages = []
+            for name in ("Ann", "Ben", "Zoë"):
+                init = settings(size=768, room="lab", name=name, driver="motion:wave-and-turn")
+                pages.append(page_of(browser, served.page, init, (1280, 720), xr=False))
+            opened = [page.__enter__() for page in pages]
+            opened[-1].until("window.glsplat.stats().shown > 12", 120)
+            shot = np.frombuffer(opened[-1].page.screenshot(), np.uint8)
+            write_jpeg("readme-room", cv2.imdecode(shot, cv2.IMREAD_COLOR)[..., ::-1])
+            for page in pages:
+                page.__exit__(None, None, None)
+
+
+def run(*words: str) -> None:
+    """A command of glsplat."""
+    subprocess.run([sys.executable, "-m", "apps.cli", *words], check=True)
+
+
+def write(name: str, data: bytes) -> None:
+    replace_file(IMAGES / name, [data])
+    print(IMAGES / name, len(data) // 1000, "kB")
+
+
+def write_jpeg(name: str, image: np.ndarray) -> None:
+    encoded = cv2.imencode(".jpg", image[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 86])[1]
+    write(f"{name}.jpg", encoded.tobytes())
+
+
+if __name__ == "__main__":
+    for kind in sys.argv[1:] or ("clip", "photo", "room"):
+        {"clip": clip, "photo": photo, "room": room}[kind]()
