@@ -27,7 +27,7 @@ from glsplat.net.backends.server import make_server
 from glsplat.net.server import ServerConfig
 from glsplat.tracking.recording import embedded_recording
 from tests.browser.served import Served
-from tests.browser.vr import enter, fresh, pose, see, settings, steer
+from tests.browser.vr import enter, fresh, hands, see, settings, steer
 from tools.docs.chromium import chromium, page_of
 
 IMAGES = Path(__file__).resolve().parents[2] / "docs" / "images"
@@ -56,7 +56,7 @@ def clip() -> None:
         with page_of(browser, served.page, settings(view="mirror", size=SIDE, quality=92, driver="rest")) as page:
             for i, sample in enumerate(samples):
                 place = {name: [float(v) for v in getattr(sample, name)] for name in ("head", "left", "right")}
-                steer(page, head=place["head"], controllers={"left": place["left"], "right": place["right"]})
+                steer(page, head=place["head"], input="hands", hands=hands(place["left"], place["right"]))
                 if not i:
                     enter(page, run=False)
                 fresh(page, 60)
@@ -65,7 +65,9 @@ def clip() -> None:
     frames += frames[-2:0:-1]
     for quality in range(80, 20, -10):
         out = io.BytesIO()
-        frames[0].save(out, "WEBP", save_all=True, append_images=frames[1:], duration=1000 // RATE, loop=0, quality=quality)
+        frames[0].save(
+            out, "WEBP", save_all=True, append_images=frames[1:], duration=1000 // RATE, loop=0, quality=quality
+        )
         if out.tell() <= LIMIT:
             break
     write("readme-clip.webp", out.getvalue())
@@ -84,7 +86,9 @@ def photo() -> None:
                 "--size", "600x900", "-o", str(shot))  # fmt: skip
             row.append(cv2.imread(str(shot)))
     height = 520
-    tiles = [cv2.resize(t, (round(t.shape[1] * height / t.shape[0]), height), interpolation=cv2.INTER_AREA) for t in row]
+    tiles = [
+        cv2.resize(t, (round(t.shape[1] * height / t.shape[0]), height), interpolation=cv2.INTER_AREA) for t in row
+    ]
     write_jpeg("readme-photo", np.hstack(tiles)[..., ::-1])
 
 
