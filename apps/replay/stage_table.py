@@ -15,7 +15,7 @@ __all__ = ["comparison_markdown", "frame_text", "table_markdown", "table_text"]
 
 
 _SOFTWARE = ("llvmpipe", "softpipe", "lavapipe")
-_DEFERS = "This driver defers work: most of the drawing is in the stage that waits for it (resolve); `glsplat bench` waits."
+_DEFERS = "This driver defers work: most of the drawing is in the stage that waits for it (resolve)."
 
 
 def table_text(result: Result) -> str:
