@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
+from glsplat.camera import Camera
 from glsplat.config import RenderConfig
 from glsplat.errors import GlsplatError
 from glsplat.gl.context import Context
@@ -23,7 +24,7 @@ from glsplat.tracking.tracker import Tracker
 from glsplat.xr.cameras import NEAR, camera_of
 from glsplat.xr.placing import Place, ViewName
 from glsplat.xr.room import surroundings
-from glsplat.xr.runtime import FrameTiming, Projection, Runtime
+from glsplat.xr.runtime import FrameTiming, Projection, Runtime, ViewPose
 from glsplat.xr.session import Shown
 from glsplat.xr.swapchains import EyeSwapchains, fitting
 from glsplat.xr.wearer import Wearer
@@ -75,7 +76,9 @@ class LocalShow:
         self._eyes: EyeSwapchains | None = None
         self._last: Projection | None = None
         self._time: float | None = None
-        self.target: Target | None = None  # what was drawn last, for a window
+        self.target: Target | None = None  # what was drawn last, for a window,
+        self.cameras: list[Camera] = []  # ... by these,
+        self.views: Sequence[ViewPose] = ()  # ... for these
         self.copy_ms = 0.0  # of the last pair into the images
         config = replace(config or RenderConfig(), output="float32")  # nothing is read back: the images round
         self._renderer = Renderer(self._scene, size=(64, 64), views=2, config=config, context=context)
@@ -85,6 +88,21 @@ class LocalShow:
     def renderer(self) -> Renderer:
         """What draws."""
         return self._renderer
+
+    @property
+    def context(self) -> Context:
+        """Where it is drawn."""
+        return self._context
+
+    @property
+    def eyes(self) -> EyeSwapchains | None:
+        """The runtime's images, while there is one."""
+        return self._eyes
+
+    @property
+    def scene(self) -> Scene:
+        """What is drawn just now."""
+        return self._own if self._loaded == "own" and self._own is not None else self._scene
 
     @property
     def solved(self) -> bool:
@@ -132,11 +150,12 @@ class LocalShow:
             return Shown(self._last, located, 0.0)  # the device is lost: the last picture stays where it was
         place = moment.place
         background = (0.0, 0.0, 0.0) if place.glass is not None else self._background
-        cameras = [camera_of(view, eyes.size, place.shown, background, scale, floor) for view in views]
+        self.views = views
+        self.cameras = [camera_of(view, eyes.size, place.shown, background, scale, floor) for view in views]
         around = surroundings(views, eyes.size, place, self._floor)
         depth = DepthRange(NEAR, FAR, scale) if eyes.depth else None
         begun = time.perf_counter()
-        self.target = self._renderer.draw(cameras, depth=eyes.depth)
+        self.target = self._renderer.draw(self.cameras, depth=eyes.depth)
         if self._finish is not None:
             self._finish()
         drawing = time.perf_counter() - begun

@@ -107,9 +107,20 @@ class Devices:
 class SwapchainImages(Protocol):
     """One XrSwapchain (11.3): an image is acquired, drawn into, released, in that order."""
 
-    size: tuple[int, int]
-    layers: int  # of each image; 1: a plain texture
-    textures: Sequence[int]  # GL names, an image each
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width, height."""
+        ...
+
+    @property
+    def layers(self) -> int:
+        """Of each image; 1: a plain texture."""
+        ...
+
+    @property
+    def textures(self) -> Sequence[int]:
+        """GL names, an image each."""
+        ...
 
     def acquire(self) -> int:
         """The index of the image to draw into now, once the runtime no longer reads it."""
@@ -138,12 +149,35 @@ class Projection:
 class Runtime(Protocol):
     """One instance with its system and session. ContextLostError from any call: it is gone, only ``close`` is left."""
 
-    name: str
-    extensions: frozenset[str]  # that are on
-    size: tuple[int, int]  # pixels that it recommends for an eye
-    max_size: tuple[int, int]
-    blends: Sequence[Blend]  # what it prefers comes first
-    formats: Sequence[int]  # GL's internal formats, likewise
+    @property
+    def name(self) -> str:
+        """What it calls itself."""
+        ...
+
+    @property
+    def extensions(self) -> frozenset[str]:
+        """Those that are on."""
+        ...
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Pixels that it recommends for an eye."""
+        ...
+
+    @property
+    def max_size(self) -> tuple[int, int]:
+        """Pixels of an image, at most."""
+        ...
+
+    @property
+    def blends(self) -> Sequence[Blend]:
+        """What it can do; what it prefers comes first."""
+        ...
+
+    @property
+    def formats(self) -> Sequence[int]:
+        """GL's internal formats of its images, likewise."""
+        ...
 
     def poll(self) -> Event | None:
         """The next event, None if there is none."""
