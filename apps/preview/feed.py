@@ -190,12 +190,7 @@ class Feed:
             number, wish = self._wish
             sent = number, self._scale
             cameras = [_scaled(camera, self._scale) for camera in wish.cameras]
-            asked: dict[str, Any] = {
-                "quality": self._quality,
-                "crop": True,
-                "subject": (number, wish.about),
-                **wish.options,
-            }
+            asked = dict(wish.options, quality=self._quality, crop=True, subject=(number, wish.about))
             await client.send(cameras, pose=wish.pose, tracking=wish.tracking, **asked)
             await asyncio.sleep(PACE)
 

@@ -73,8 +73,8 @@ def check(args: argparse.Namespace) -> None:
         raise UsageError(f"--record {args.record}: the name needs to end in .jsonl")
     if args.url is None and (args.token_file is not None or args.tls_ca is not None or args.quality is not None):
         raise UsageError("--token-file, --tls-ca and --quality go with --url")
-    if args.url is not None and args.passthrough and args.background is not None:
-        raise UsageError("--background does not go with --url: a server's pictures are on black")
+    if args.background is not None and (args.url is not None or args.passthrough):
+        raise UsageError("--background does not go with --url and --passthrough: there it is black, or the room")
 
 
 def run(
@@ -169,7 +169,15 @@ def _show(
     others = Others(scene, scene.avatar)
     config = RenderConfig(**detail_of(args))
     show = LocalShow(
-        scene, context, wearer, config=config, solver=args.solver, advance=others.advance, timed=args.json, **how
+        scene,
+        context,
+        wearer,
+        config=config,
+        background=args.background or scene.background,
+        solver=args.solver,
+        advance=others.advance,
+        timed=args.json,
+        **how,
     )
     if not show.solved:
         _say(f"{args.scene}: nothing in it that its wearer could move; it is looked at")

@@ -49,6 +49,7 @@ class LocalShow:
         wearer: Wearer,
         *,
         config: RenderConfig | None = None,
+        background: tuple[float, float, float] | None = None,  # default: the scene's
         scale: float = 1.0,  # of the size that the runtime recommends
         depth: bool = True,  # submit depth where the runtime takes it
         floor: bool = True,  # draw a floor in the dark
@@ -61,7 +62,7 @@ class LocalShow:
         self._context, self.wearer = context, wearer
         self._scale, self._depth, self._floor, self._transparent = scale, depth, floor and not transparent, transparent
         self._advance, self._finish = advance, context.ctx.finish if timed else None
-        self._background = (0.0, 0.0, 0.0) if transparent else file.background
+        self._background = (0.0, 0.0, 0.0) if transparent else background or file.background
         self._source = file.avatar
         self._scene = file.scene
         self._tracker: Tracker | None = None

@@ -1,4 +1,4 @@
-"""``python -m tests.xr.monado.session SCENARIO`` within the chroot, by test_monado.py: one scenario against Monado itself; prints what came of it as JSON."""
+"""One scenario against Monado itself, within the chroot, by test_monado.py; prints what came of it as JSON."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+
 import glsplat
 from glsplat.config import RenderConfig
 from glsplat.gl.context import create_context
