@@ -18,6 +18,7 @@ from glsplat.gl.context import Context, create_context
 from glsplat.net.guard.access import read_token
 from glsplat.passes.present import Present
 from glsplat.scenes.scene_file import SceneFile
+from glsplat.tracking.calibration import Calibration
 from glsplat.tracking.recording import record
 from glsplat.tracking.sample import Sample
 from glsplat.xr.local import LocalShow
@@ -28,7 +29,7 @@ from glsplat.xr.runtime import Runtime
 from glsplat.xr.session import Session
 from glsplat.xr.wearer import Wearer
 
-from ..args import add_solver, detail_of
+from ..args import add_solver, detail_of, driven
 from ..output import save_png
 from ..usage import UsageError
 from .feed import Feed
@@ -39,6 +40,7 @@ from .window import Window
 __all__ = ["add_arguments", "check", "run"]
 
 _MOST = 72 * 60 * 30  # samples of a recording: half an hour
+_OWN = ("url", "view", "passthrough", "no_floor", "window", "scale", "record", "height", "calibration")
 _OTHERS = ("motion", "pose", "paused", "eye", "target", "connect", "recording", "numbers", "vsync")
 
 
@@ -53,13 +55,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     group.add_argument("--window", action="store_true", help="show in a window (--size) what the wearer sees")
     group.add_argument("--scale", type=float, metavar="F", help="of the size that the headset asks for (default 1)")
     group.add_argument("--record", metavar="FILE", help="write head, hands and all else that is tracked (.jsonl)")
+    group.add_argument("--height", type=float, help="the wearer's stature in metres (default: found as they move)")
+    group.add_argument("--calibration", metavar="JSON", help="from `glsplat tracking calibrate`, instead")
     add_solver(group)  # type: ignore[arg-type]
 
 
 def check(args: argparse.Namespace) -> None:
     """Refuse options that mean nothing together, before anything is opened."""
     if not args.xr:
-        for name in ("url", "view", "passthrough", "no_floor", "window", "scale", "record"):
+        for name in _OWN:
             if getattr(args, name) not in (None, False):
                 raise UsageError(f"--{name.replace('_', '-')} goes with --xr")
         return
@@ -67,6 +71,8 @@ def check(args: argparse.Namespace) -> None:
         if getattr(args, name) not in (None, False):
             hint = "; a server's pictures there: --url" if name == "connect" else ": its wearer moves the avatar"
             raise UsageError(f"--{name} does not go with --xr{hint}")
+    if args.height is not None and (args.calibration is not None or args.url is not None):
+        raise UsageError("--height goes neither with --calibration nor with --url, where the address has height=METRES")
     if args.scale is not None and not 0.05 <= args.scale <= 4:
         raise UsageError(f"--scale needs 0.05 to 4, not {args.scale:g}")
     if args.record is not None and not args.record.lower().endswith(".jsonl"):
@@ -174,6 +180,7 @@ def _show(
         wearer,
         config=config,
         background=args.background or scene.background,
+        calibration=_calibration(args, scene),
         solver=args.solver,
         advance=others.advance,
         timed=args.json,
@@ -182,6 +189,14 @@ def _show(
     if not show.solved:
         _say(f"{args.scene}: nothing in it that its wearer could move; it is looked at")
     return show
+
+
+def _calibration(args: argparse.Namespace, scene: SceneFile) -> Calibration | None:
+    if args.calibration is not None:
+        return Calibration.load(args.calibration)
+    if args.height is None:
+        return None
+    return Calibration.of_height(driven(scene, "--height").skeleton, args.height)
 
 
 def _choose_blend(args: argparse.Namespace, session: Session) -> None:

@@ -69,6 +69,7 @@ class EyePass:
             "CheckFramebufferStatus": function("CheckFramebufferStatus", _U, _U),
             "Viewport": function("Viewport", None, _I, _I, _I, _I),
             "DepthFunc": function("DepthFunc", None, _U),
+            "DepthMask": function("DepthMask", None, _I),
         }
         self._framebuffers: dict[EyeImages, tuple[int, ...]] = {}
         self._arrays: dict[tuple[int, int, int, int], moderngl.VertexArray] = {}
@@ -93,8 +94,9 @@ class EyePass:
                     raise ContextError("images of depth need a picture with depth and the range of their numbers")
                 target.depth.use(_DEPTH_UNIT)
             self._ctx.enable_only(moderngl.DEPTH_TEST if images.depth else moderngl.NOTHING)
-            if images.depth:
-                self._gl["DepthFunc"](_ALWAYS)  # a test is needed for depths to be written at all
+            if images.depth:  # a test is needed for depths to be written at all
+                self._gl["DepthFunc"](_ALWAYS)
+                self._gl["DepthMask"](1)
             try:
                 for first, framebuffer in enumerate(framebuffers):
                     self._gl["BindFramebuffer"](_FRAMEBUFFER, framebuffer)
@@ -105,7 +107,7 @@ class EyePass:
                 if images.depth:
                     self._gl["DepthFunc"](_LEQUAL)
                 self._ctx.enable_only(moderngl.NOTHING)
-                self._context.scratch.use()  # what moderngl takes for bound is bound again
+                self._context.scratch.use()  # what moderngl takes for bound is bound again, with its masks
 
     def forget(self) -> None:
         """Delete the framebuffers: the images are about to go."""

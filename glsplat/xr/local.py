@@ -15,7 +15,7 @@ from glsplat.passes.target import Target
 from glsplat.renderer import Renderer
 from glsplat.scene import Item, Scene, is_rigged
 from glsplat.scenes.scene_file import SceneFile
-from glsplat.skinning.rigs.driven import why_not_driven
+from glsplat.skinning.rigs.driven import why_not_tracked
 from glsplat.timing import StageTimer
 from glsplat.tracking.calibration import Calibration
 from glsplat.tracking.extra.idle import IdleFace
@@ -54,7 +54,7 @@ class LocalShow:
         depth: bool = True,  # submit depth where the runtime takes it
         floor: bool = True,  # draw a floor in the dark
         transparent: bool = False,  # what is behind shows: passthrough
-        calibration: Calibration | None = None,
+        calibration: Calibration | None = None,  # default: the wearer's size is found as they move
         solver: SolverName = SOLVERS[0],
         advance: Callable[[float], None] = lambda _: None,  # seconds: what else moves in the scene
         timed: bool = False,  # wait for the GPU, so that drawing times are its own
@@ -69,8 +69,9 @@ class LocalShow:
         self._idle = IdleFace()
         if self._source is not None and is_rigged(self._source.content):
             skeleton = self._source.content.skeleton
-            if not why_not_driven(skeleton):
-                self._tracker = Tracker(skeleton, calibration, solver=solver)
+            if not why_not_tracked(skeleton):
+                known = calibration or Calibration(automatic=True)
+                self._tracker = Tracker(skeleton, known, solver=solver)
         self._own: Scene | None = None  # the scene as its wearer sees it from within: without the avatar's head
         self._own_item: Item | None = None
         self._loaded: ViewName | None = None
