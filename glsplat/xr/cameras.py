@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from math import isfinite, pi, tan
 
 import numpy as np
@@ -15,10 +16,12 @@ from glsplat.xr.runtime import Fov, ViewPose
 
 __all__ = ["camera_of", "intrinsics", "matrix_of", "rigid_inverse"]
 
+_EYES = 8  # that are remembered: a frame asks for each of its eyes several times, and every microsecond makes it late
 NEAR = 0.05
 """Metres; what is nearer to an eye than this cannot be looked at."""
 
 
+@lru_cache(_EYES)
 def intrinsics(fov: Fov, size: tuple[int, int]) -> NDArray[np.float64]:
     """K [3, 3] in pixels of the frustum whose sides are the image's sides (OpenXR 1.1, 8.1, "XrFovf").
 
@@ -32,12 +35,13 @@ def intrinsics(fov: Fov, size: tuple[int, int]) -> NDArray[np.float64]:
     if not (right - left > 1e-6 and up - down > 1e-6):
         raise GlsplatError(f"a field of view needs left < right and down < up, not {angles} (left, right, up, down)")
     fx, fy = width / (right - left), height / (up - down)
-    return np.array([[fx, 0, -left * fx], [0, fy, up * fy], [0, 0, 1.0]])
+    return _kept(np.array([[fx, 0, -left * fx], [0, fy, up * fy], [0, 0, 1.0]]))
 
 
+@lru_cache(_EYES)
 def matrix_of(pose: Transform) -> NDArray[np.float64]:
     """[4, 4] room from what has this pose. Raises FormatError for what is no pose."""
-    return head_matrix(pose[:3], pose[3:])
+    return _kept(head_matrix(pose[:3], pose[3:]))
 
 
 def rigid_inverse(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -66,3 +70,9 @@ def camera_of(
         place[1] -= floor
         viewmat[:3, 3] = -viewmat[:3, :3] @ (place / scale)
     return Camera(viewmat, intrinsics(view.fov, size), *size, background=background, near=NEAR / scale)
+
+
+def _kept(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Several share it."""
+    matrix.setflags(write=False)
+    return matrix

@@ -46,6 +46,7 @@ class OpenXrRuntime:
         self._xr = pyopenxr()
         self._stack = ExitStack()
         self._space: Any = None
+        self._made: Any = None  # the layer of the frame before
         self._passthrough: Any = None
         known, api = offered(), api_in_use()
         needed = EGL_ENABLE if api == "egl" else OPENGL_ENABLE
@@ -126,11 +127,10 @@ class OpenXrRuntime:
         """xrEndFrame; with XR_FB_passthrough what its cameras see comes first."""
         xr = self._xr
         layers: list[Any] = []
-        kept: list[Any] = []  # what the runtime is pointed at
         if projection is not None:
             if self._passthrough is not None:
                 layers.append(xr.CompositionLayerPassthroughFB(layer_handle=self._passthrough))
-            layers.append(self._layer(projection, kept))
+            layers.append(self._layer(projection))
         number = next((n for n, name in _BLENDS.items() if name == blend), 1)
         if self._passthrough is not None:
             number = 1  # the layer does it, whatever the display can
@@ -285,10 +285,24 @@ class OpenXrRuntime:
             self._passthrough = xr.create_passthrough_layer_fb(self._session, info)
             self._stack.callback(_quietly, xr.destroy_passthrough_layer_fb, self._passthrough)
 
-    def _layer(self, projection: Projection, kept: list[Any]) -> Any:
-        xr = self._xr
-        views = []
-        for eye, view in enumerate(projection.views):
+    def _layer(self, projection: Projection) -> Any:
+        """The layer's structures, made once for the same images: pyopenxr takes a while, and a frame waits for it."""
+        key = (tuple(projection.colour), tuple(projection.depth), projection.depth_range, projection.transparent)
+        if self._made is None or self._made[0] != key or self._made[1] is not self._space:
+            self._made = (key, self._space, *self._new_layer(projection))
+        layer, views = self._made[2:4]
+        for one, view in zip(views, projection.views, strict=True):
+            p, q, fov = one.pose.position, one.pose.orientation, one.fov
+            p.x, p.y, p.z, q.x, q.y, q.z, q.w = view.pose
+            fov.angle_left, fov.angle_right = view.fov.left, view.fov.right
+            fov.angle_up, fov.angle_down = view.fov.up, view.fov.down
+        return layer
+
+    def _new_layer(self, projection: Projection) -> tuple[Any, Any, list[Any]]:
+        """Layer, its views, and what they point at."""
+        xr, kept = self._xr, []
+        views = (xr.CompositionLayerProjectionView * 2)()
+        for eye in (0, 1):
             following = None
             if projection.depth and projection.depth_range is not None and DEPTH in self.extensions:
                 reach = projection.depth_range
@@ -300,19 +314,11 @@ class OpenXrRuntime:
                     far_z=reach.far,
                 )
                 kept.append(following)
-            x, y, z, *turn = view.pose
-            fov = xr.Fovf(view.fov.left, view.fov.right, view.fov.up, view.fov.down)
-            views.append(
-                xr.CompositionLayerProjectionView(
-                    pose=xr.Posef(xr.Quaternionf(*turn), xr.Vector3f(x, y, z)),
-                    fov=fov,
-                    sub_image=self._sub_image(projection.colour, eye),
-                    next=following,
-                )
+            views[eye] = xr.CompositionLayerProjectionView(
+                sub_image=self._sub_image(projection.colour, eye), next=following
             )
         seen = xr.CompositionLayerFlags.BLEND_TEXTURE_SOURCE_ALPHA_BIT if projection.transparent else 0
-        kept.append(views)
-        return xr.CompositionLayerProjection(layer_flags=seen, space=self._space, views=views)
+        return xr.CompositionLayerProjection(layer_flags=seen, space=self._space, views=views), views, kept
 
     def _sub_image(self, chains: Sequence[Any], eye: int) -> Any:
         xr = self._xr
