@@ -60,15 +60,16 @@ def frames(session: Session, count: int, seconds: float = 240) -> None:
 
 
 def reader(ctx: Any) -> Any:
-    """[2, H, W, 4] bytes of an array texture, row 0 first as it is stored."""
+    """[2, H, W, 4] bytes of an array texture, or [2, H, W] floats of a depth; row 0 first as it is stored."""
     function = gl_functions(ctx)
     bind = function("BindTexture", None, ctypes.c_uint, ctypes.c_uint)
     get = function("GetTexImage", None, *[ctypes.c_uint] * 2, ctypes.c_uint, ctypes.c_uint, ctypes.c_void_p)
 
-    def read(texture: int, size: tuple[int, int]) -> np.ndarray:
-        out = np.empty((2, size[1], size[0], 4), np.uint8)
+    def read(texture: int, size: tuple[int, int], deep: bool = False) -> np.ndarray:
+        shape = (2, size[1], size[0])
+        out = np.empty(shape, np.float32) if deep else np.empty((*shape, 4), np.uint8)
         bind(0x8C1A, texture)
-        get(0x8C1A, 0, 0x1908, 0x1401, out.ctypes.data)
+        get(0x8C1A, 0, *((0x1902, 0x1406) if deep else (0x1908, 0x1401)), out.ctypes.data)
         bind(0x8C1A, 0)
         return out
 
@@ -99,6 +100,13 @@ def main(scenario: str) -> dict[str, Any]:
                 frames(session, 100)
                 if k % 5 == 4:
                     wearer.next_view()
+        elif scenario == "wrong":
+            runtime: Any = session.runtime
+            try:
+                runtime._xr.destroy_space(runtime._space)
+                frames(session, 1)
+            except glsplat.GlsplatError as error:
+                out["refused"] = str(error)
         elif scenario == "restart":
             frames(session, 10)
             service.kill()
@@ -127,14 +135,19 @@ def main(scenario: str) -> dict[str, Any]:
 def pictures(session: Session, show: LocalShow, sender: Sender, heard: list[Any], read: Any) -> dict[str, Any]:
     """Images before they are given back, against Renderer.render of a renderer that knows nothing of OpenXR."""
     config = RenderConfig(output="uint8")
-    differing, most, joints = [], 0.0, 0
+    differing, most, joints, deeper, finger = [], 0.0, 0, 0.0, 0.0
+    raw = Fingers(session.runtime)
     assert show.eyes is not None
     taken: list[np.ndarray] = []
+    deep: list[np.ndarray] = []
+    ranges: list[Any] = []
     run = show.eyes._pass.run
 
     def watched(target: Any, images: EyeImages, *rest: Any) -> None:
         run(target, images, *rest)
-        taken.append(read(images.colour[0], show.eyes.size)[:, ::-1])
+        taken[:] = [read(images.colour[0], show.eyes.size)[:, ::-1]]
+        deep[:] = [read(images.depth[0], show.eyes.size, True)[:, ::-1]]
+        ranges[:] = rest[:1]
 
     show.eyes._pass.run = watched  # type: ignore[method-assign]
     for k in range(6):
@@ -158,12 +171,45 @@ def pictures(session: Session, show: LocalShow, sender: Sender, heard: list[Any]
             got = (view.fov.left, view.fov.right, view.fov.up, view.fov.down)
             most = max(most, float(np.abs(np.array(got) - fov).max()))
         joints = max(joints, len(sample.left_joints or ()))
+        for index, mine in enumerate((sample.left_joints, sample.right_joints)):
+            finger = max(finger, float(np.abs(np.array(mine) - raw.read(index, int(sample.t * 1e9))[1:]).max()))
         with glsplat.Renderer(show.scene, size=show.eyes.size, views=2, config=config, context=show.context) as plain:
             picture = plain.render(show.cameras)
         differing.append(int((picture != taken[-1]).sum()))
+        exact = replace(config, output="float32")
+        with glsplat.Renderer(show.scene, size=show.eyes.size, config=exact, context=show.context) as plain:
+            colour, z = plain.render(show.cameras, depth=True)
+        near, far, unit = ranges[0].near, ranges[0].far, ranges[0].unit
+        metres = near * far / (far - deep[0] * (far - near))
+        solid = colour[..., 3] > 0.5
+        deeper = max(deeper, float(np.abs(metres[solid] / (unit * z[solid]) - 1).max()))
         if k == 5:
             np.save("/tmp/pictures.npy", taken[-1])
-    return {"differing": differing, "most": most, "joints": joints, "covered": float((taken[-1][..., 3] > 0).mean())}
+    covered = float((taken[-1][..., 3] > 0).mean())
+    found = {"differing": differing, "most": most, "joints": joints, "finger": finger, "deeper": deeper}
+    return found | {"covered": covered}
+
+
+class Fingers:
+    """The 26 joints of each hand, asked for once more and by hand: pyopenxr's structures, no code of ours."""
+
+    def __init__(self, runtime: Any) -> None:
+        self._xr, self._space = runtime._xr, runtime._space
+        xr = self._xr
+        self._locate = ctypes.cast(
+            xr.get_instance_proc_addr(runtime._instance, "xrLocateHandJointsEXT"), xr.PFN_xrLocateHandJointsEXT
+        )
+        self._trackers = [
+            xr.create_hand_tracker_ext(runtime._session, xr.HandTrackerCreateInfoEXT(hand=hand))
+            for hand in (xr.HandEXT.LEFT, xr.HandEXT.RIGHT)
+        ]
+
+    def read(self, hand: int, time: int) -> np.ndarray:
+        xr, room = self._xr, (self._xr.HandJointLocationEXT * 26)()
+        found = xr.HandJointLocationsEXT(joint_locations=room)
+        info = xr.HandJointsLocateInfoEXT(self._space, time)
+        assert self._locate(self._trackers[hand], ctypes.byref(info), ctypes.byref(found)) == 0 and found.is_active
+        return np.array([(j.pose.position.x, j.pose.position.y, j.pose.position.z) for j in room])
 
 
 if __name__ == "__main__":

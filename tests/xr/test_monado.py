@@ -1,0 +1,84 @@
+"""Against Monado itself (opt-in: GLSPLAT_MONADO=1, and GLSPLAT_MONADO_ROOT from tests/xr/monado/chroot.sh).
+
+Its null compositor shows nothing and takes 20 frames a second; its "remote" driver is told where head, hands and
+fingers are, and what the eyes see. The validation layer of Khronos' SDK looks at every call but those that are timed.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+ROOT = Path(os.environ.get("GLSPLAT_MONADO_ROOT", "/var/tmp/glsplat-monado"))
+
+pytestmark = [
+    pytest.mark.skipif(os.environ.get("GLSPLAT_MONADO") != "1", reason="opt-in: GLSPLAT_MONADO=1"),
+    pytest.mark.root,
+    pytest.mark.timeout(1200),
+]
+
+CONFIG = {"active": "remote", "remote": {"version": 0, "port": 4242}}
+
+
+@cache
+def ran(scenario: str) -> dict[str, Any]:
+    """What tests/xr/monado/session.py found within the chroot."""
+    if not (ROOT / "usr/bin/monado-service").exists():
+        pytest.fail(f"no Monado in {ROOT}: sudo sh tests/xr/monado/chroot.sh {ROOT}")
+    home = ROOT / "root/.config/monado"
+    home.mkdir(parents=True, exist_ok=True)
+    (home / "config_v0.json").write_text(json.dumps(CONFIG))
+    (ROOT / "tmp/run").mkdir(exist_ok=True, mode=0o700)
+    settings = {
+        **{"HOME": "/root", "PATH": "/usr/bin:/bin", "XDG_RUNTIME_DIR": "/tmp/run", "PYTHONPATH": "/src"},
+        **{"LIBGL_ALWAYS_SOFTWARE": "1", "PYTHONDONTWRITEBYTECODE": "1"},
+    }
+    words = [f"{key}={value}" for key, value in settings.items()]
+    inside = ["sh", "-c", f"cd /src && exec /venv/bin/python -m tests.xr.monado.session {scenario}"]
+    done = subprocess.run(
+        ["chroot", str(ROOT), "env", "-i", *words, *inside], capture_output=True, text=True, timeout=1200
+    )
+    assert done.returncode == 0, done.stderr[-4000:]
+    return dict(json.loads(done.stdout.splitlines()[-1]))
+
+
+def complaints(found: dict[str, Any]) -> list[str]:
+    """Of the validation layer, which also tells that it came and went; not having come would be a failure, too."""
+    assert any("CoreValidation-Initialize" in line for line in found["validation"])
+    return [line for line in found["validation"] if "VALID_DEBUG" not in line]
+
+
+def test_images_equal_render_to_the_bit_and_tracking_arrives() -> None:
+    """Six scripts of head, eyes, asymmetric fields of view, hands and curls."""
+    found = ran("pictures")
+    assert found["layers"] == 2 and found["depth"] and found["covered"] > 0.02
+    assert found["differing"] == [0] * 6 and found["deeper"] < 2e-3
+    assert found["joints"] == 25 and found["most"] < 1e-4 and found["finger"] < 1e-4
+    assert not complaints(found)
+
+
+def test_3000_frames_without_a_word_of_the_validation_layer() -> None:
+    found = ran("frames")
+    assert found["rendered"] >= 3000 and found["focused"] and found["left"] and not found["said"]
+    assert not complaints(found)
+
+
+def test_a_runtime_that_is_killed_and_started_anew() -> None:
+    found = ran("restart")
+    assert found["losses"] == 1 and found["after"] >= 20 and found["left"]
+    assert found["said"][-1].endswith("is back") and not complaints(found)
+
+
+def test_the_layer_does_complain() -> None:
+    """Of a frame that is shown for a space that was destroyed: else its silence would mean nothing."""
+    assert complaints(ran("wrong"))
+
+
+def test_time_between_located_views_and_the_frames_end() -> None:
+    assert ran("time")["overhead_ms"] <= 1.5
