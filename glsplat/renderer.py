@@ -215,9 +215,9 @@ class Renderer:
     def draw(self, views: Views, pose: Pose | None = None, *, depth: bool = False) -> Target:
         """Draw one view or a pair and leave it on the GPU: the float target, layer 0 the left eye, row 0 at the top.
 
-        For windows and headsets: nothing is read back. With ``depth`` the target has ``Target.depth``, too. The layers hold what ``render()`` makes of the same views. The target
-        belongs to the renderer and is overwritten by the next call. Where hidden splats were left out it is not lifted
-        yet (``Target.lift``; Present does it).
+        For windows and headsets: nothing is read back. The layers hold what ``render()`` makes of the same views, with
+        ``depth`` also its sums (``Target.depth``). The target belongs to the renderer and is overwritten by the next
+        call. Where hidden splats were left out it is not lifted yet (``Target.lift``; who shows it does it).
         """
         depth, asked = checks.checked_depth(depth, self.target_dtype), self._views(views)
         if len(asked) > 2:

@@ -12,11 +12,12 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
+import numpy as np
+
 from glsplat.config import RenderConfig
-from glsplat.errors import ContextError
+from glsplat.errors import ContextError, GlsplatError
 from glsplat.gl.context import Context, create_context
 from glsplat.net.guard.access import read_token
-from glsplat.passes.present import Present
 from glsplat.scenes.scene_file import SceneFile
 from glsplat.tracking.calibration import Calibration
 from glsplat.tracking.recording import record
@@ -30,7 +31,7 @@ from glsplat.xr.session import Session
 from glsplat.xr.wearer import Wearer
 
 from ..args import add_solver, detail_of, driven
-from ..output import save_png
+from ..output import Image, save_png
 from ..usage import UsageError
 from .feed import Feed
 from .headset_feed import FeedShow
@@ -112,9 +113,9 @@ def run(
         session = Session(lambda: make(context, args.passthrough), show, say=_say)
         stack.callback(session.close)
         _choose_blend(args, session)
-        loop(session, show, window if args.window else None, context, frames)
+        loop(session, show, window if args.window else None, frames)
         report = _report(session, show)
-        if args.screenshot and show.target is not None:
+        if args.screenshot:
             save_png(args.screenshot, _picture(context, show))
         if args.json:
             print(json.dumps(report))
@@ -128,42 +129,31 @@ def loop(
     session: Session,
     show: LocalShow | FeedShow,
     window: Window | None,
-    context: Context,
     frames: int | None,
 ) -> None:
     """Step until it is over; the window shows the left eye of each picture that is new."""
-    present = None if window is None else Present(context)
     shown = -1
     try:
         while session.step():
             if frames is not None and session.rendered >= frames:
                 session.quit()
-            if window is None or present is None:
+            if window is None:
                 continue
             window.wait(0)
             if window.closing:
                 session.quit()
-            if session.rendered != shown and show.target is not None and min(window.size) > 0:
+            if session.rendered != shown and min(window.size) > 0:
                 shown = session.rendered
-                _mirror(show, window, present)
+                if show.look(window.framebuffer, window.size):
+                    window.swap()
     except KeyboardInterrupt:
         session.quit()
         while session.step():
             pass
-    finally:
-        if present is not None:
-            present.release()
 
 
 def _own(context: Context, passthrough: bool) -> Runtime:
     return OpenXrRuntime(context, passthrough)
-
-
-def _mirror(show: LocalShow | FeedShow, window: Window, present: Present) -> None:
-    """The left eye's picture, as many of its pixels as the window has: nothing is scaled."""
-    assert show.target is not None
-    present.run(show.target, window.framebuffer, window.size, "mono")
-    window.swap()
 
 
 def _show(
@@ -259,15 +249,21 @@ def _report(session: Session, show: LocalShow | FeedShow) -> dict[str, Any]:
     return out | {"driver": renderer.driver, "size": renderer.size, "timings_ms": times}
 
 
-def _picture(context: Context, show: LocalShow | FeedShow) -> Any:
-    """Both eyes beside each other, as they were drawn."""
-    import numpy as np
-
-    assert show.target is not None
-    with context.entered("a screenshot"):
-        out = np.empty(show.target.shape, np.float32)
-        show.target.read(out)
-    return np.concatenate(list(out[..., :3]), axis=1)
+def _picture(context: Context, show: LocalShow | FeedShow) -> Image:
+    """Both eyes beside each other, as the wearer saw them last. GlsplatError if they saw nothing."""
+    if show.eyes is None or not show.eyes.filled:
+        raise GlsplatError("--screenshot: the wearer saw no picture")
+    pictures, size = [], show.eyes.size
+    with ExitStack() as stack:
+        texture = context.ctx.texture(size, 4)
+        stack.callback(texture.release)
+        framebuffer = context.ctx.framebuffer([texture])
+        stack.callback(framebuffer.release)
+        for eye in (0, 1):
+            show.look(framebuffer, size, eye)
+            pictures.append(np.frombuffer(texture.read(), np.uint8).reshape(size[1], size[0], 4)[::-1, :, :3])
+        context.scratch.use()
+    return np.concatenate(pictures, axis=1)
 
 
 def _say(text: str) -> None:

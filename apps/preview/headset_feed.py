@@ -11,10 +11,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import moderngl
 import numpy as np
 
 from glsplat.camera import Camera
 from glsplat.gl.context import Context
+from glsplat.passes.eyes import Surroundings
 from glsplat.passes.target import Target
 from glsplat.rotations import FLIP_X
 from glsplat.xr.cameras import camera_of
@@ -58,9 +60,15 @@ class FeedShow:
         self._eyes: EyeSwapchains | None = None
         self._last: Projection | None = None
         self._said = ""
-        self.target: Target | None = None
+        self._target: Target | None = None
+        self._around: Surroundings | None = None
         self.pictures = 0
         self.age_ms = 0.0  # of the newest picture when it was handed over
+
+    @property
+    def eyes(self) -> EyeSwapchains | None:
+        """The runtime's images, while there are any."""
+        return self._eyes
 
     def attach(self, runtime: Runtime) -> None:
         """Know the runtime's size; images are made for what the server sends."""
@@ -95,12 +103,19 @@ class FeedShow:
             drawing = time.perf_counter() - begun
         return Shown(self._last, located, drawing)
 
+    def look(self, framebuffer: moderngl.Framebuffer, size: tuple[int, int], eye: int = 0) -> bool:
+        """Show in a window what was handed over last; False if that was nothing."""
+        if self._eyes is None or self._target is None or self._last is None:
+            return False
+        self._eyes.show(self._target, framebuffer, size, self._around, eye)
+        return True
+
     def release(self) -> None:
         """Delete all GL objects."""
         self.detach()
-        if self.target is not None:
-            self.target.release()
-            self.target = None
+        if self._target is not None:
+            self._target.release()
+            self._target = None
 
     def _wish(self, views: Sequence[ViewPose], place: Place, tracking: dict[str, Any]) -> Wish:
         mirror = place.glass is not None
@@ -124,12 +139,13 @@ class FeedShow:
                 self._eyes.close()
             self._eyes = EyeSwapchains(runtime, self._context, size, False)
         with self._context.entered("FeedShow"):
-            if self.target is None or self.target.shape != picture.images.shape:
-                if self.target is not None:
-                    self.target.release()
-                self.target = Target(self._context.ctx, *size, 2, "f1")
-            self.target.texture.write(np.ascontiguousarray(picture.images))
-        self._eyes.fill(self.target, None, surroundings(asked.views, size, asked.place, self._floor))
+            if self._target is None or self._target.shape != picture.images.shape:
+                if self._target is not None:
+                    self._target.release()
+                self._target = Target(self._context.ctx, *size, 2, "f1")
+            self._target.texture.write(np.ascontiguousarray(picture.images))
+        self._around = surroundings(asked.views, size, asked.place, self._floor)
+        self._eyes.fill(self._target, None, self._around)
         self._last = self._eyes.projection(asked.views, None, self._transparent)
         self.pictures += 1
         self.age_ms = (time.perf_counter() - picture.asked) * 1e3

@@ -72,7 +72,7 @@ class EyePass:
             "DepthMask": function("DepthMask", None, _I),
         }
         self._framebuffers: dict[EyeImages, tuple[int, ...]] = {}
-        self._arrays: dict[tuple[int, int, int, int], moderngl.VertexArray] = {}
+        self._arrays: dict[tuple[int, ...], moderngl.VertexArray] = {}
 
     def run(
         self,
@@ -86,8 +86,9 @@ class EyePass:
             views, height, width, _ = target.shape
             framebuffers = self._framebuffers_of(images)
             eyes = views // len(framebuffers)  # of a draw
-            array = self._array(eyes, bool(images.depth), target.lift is not None, around is not None)
+            array = self._array(eyes, self._linear, bool(images.depth), target.lift is not None, around is not None)
             self._set(array.program, target, depth, around)
+            array.program["corner"] = 0.0, 0.0, 1.0
             target.texture.use(_TARGET_UNIT)
             if images.depth:
                 if target.depth is None or depth is None:
@@ -108,6 +109,35 @@ class EyePass:
                     self._gl["DepthFunc"](_LEQUAL)
                 self._ctx.enable_only(moderngl.NOTHING)
                 self._context.scratch.use()  # what moderngl takes for bound is bound again, with its masks
+
+    def show(
+        self,
+        target: Target,
+        framebuffer: moderngl.Framebuffer,
+        size: tuple[int, int],
+        around: Surroundings | None = None,
+        eye: int = 0,
+    ) -> None:
+        """One eye's picture, as its image has it, in a window of ``size`` pixels: all of it, as large as it fits.
+
+        Nothing is filtered: where the window has fewer pixels, some are left out.
+        """
+        with self._context.entered("EyePass.show()"):
+            _, height, width, _ = target.shape
+            pixels = max(width / size[0], height / size[1])
+            shown = max(1, int(width / pixels)), max(1, int(height / pixels))
+            left, low = (size[0] - shown[0]) // 2, (size[1] - shown[1]) // 2
+            array = self._array(1, False, False, target.lift is not None, around is not None)
+            self._set(array.program, target, None, around)
+            array.program["corner"] = float(left), float(low), pixels
+            array.program["first"] = eye
+            framebuffer.use()
+            framebuffer.clear()
+            self._ctx.enable_only(moderngl.NOTHING)
+            target.texture.use(_TARGET_UNIT)
+            self._gl["Viewport"](left, low, *shown)
+            array.render(moderngl.TRIANGLES, vertices=3)
+            self._context.scratch.use()
 
     def forget(self) -> None:
         """Delete the framebuffers: the images are about to go."""
@@ -147,12 +177,12 @@ class EyePass:
             if isinstance(uniform, moderngl.Uniform):
                 uniform.value = value
 
-    def _array(self, eyes: int, depth: bool, lifted: bool, room: bool) -> moderngl.VertexArray:
+    def _array(self, eyes: int, linear: bool, depth: bool, lifted: bool, room: bool) -> moderngl.VertexArray:
         """The program of what is on show, compiled when it is first needed."""
-        key = (eyes, int(depth), int(lifted), int(room))
+        key = (eyes, int(linear), int(depth), int(lifted), int(room))
         if key not in self._arrays:
             flags = Variant(views=eyes).defines()
-            own = {"LINEAR": int(self._linear), "DEPTH": int(depth), "LIFTED": int(lifted), "ROOM": int(room)}
+            own = {"LINEAR": int(linear), "DEPTH": int(depth), "LIFTED": int(lifted), "ROOM": int(room)}
             stages = {
                 "vertex_shader": flatten("screen.vert.glsl", flags),
                 "fragment_shader": flatten("eyes.frag.glsl", flags | own),

@@ -3,6 +3,7 @@
 uniform sampler2DArray target;
 uniform int first;  // the eye of the first instance
 uniform int rows;   // pixels of an image
+uniform vec3 corner;  // of a window: where the picture begins in it, and its pixels a pixel of the window; else 0, 0, 1
 #if LIFTED
 #include "lift.glsl"
 uniform vec3 first_background, second_background;
@@ -52,7 +53,8 @@ vec4 placed(vec4 picture, vec3 pixel, int view) {
 
 void main() {
     int view = first + layer;
-    ivec3 texel = ivec3(int(gl_FragCoord.x), rows - 1 - int(gl_FragCoord.y), view);
+    ivec2 at = ivec2((gl_FragCoord.xy - corner.xy) * corner.z);
+    ivec3 texel = ivec3(at.x, rows - 1 - at.y, view);
     vec4 colour = texelFetch(target, texel, 0);
 #if DEPTH
     float z = texelFetch(depth_sum, texel, 0).r * depth_range.z / colour.a;

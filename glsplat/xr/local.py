@@ -6,11 +6,13 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
+import moderngl
+
 from glsplat.camera import Camera
 from glsplat.config import RenderConfig
 from glsplat.errors import GlsplatError
 from glsplat.gl.context import Context
-from glsplat.passes.eyes import DepthRange
+from glsplat.passes.eyes import DepthRange, Surroundings
 from glsplat.passes.target import Target
 from glsplat.renderer import Renderer
 from glsplat.scene import Item, Scene, is_rigged
@@ -78,9 +80,10 @@ class LocalShow:
         self._eyes: EyeSwapchains | None = None
         self._last: Projection | None = None
         self._time: float | None = None
-        self.target: Target | None = None  # what was drawn last, for a window,
-        self.cameras: list[Camera] = []  # ... by these,
-        self.views: Sequence[ViewPose] = ()  # ... for these
+        self._target: Target | None = None  # what was drawn last,
+        self._around: Surroundings | None = None  # ... what stands around it,
+        self.cameras: list[Camera] = []  # ... by which,
+        self.views: Sequence[ViewPose] = ()  # ... and for which eyes
         self.copy_ms = 0.0  # of the last pair into the images
         config = replace(config or RenderConfig(), output="float32")  # nothing is read back: the images round
         self._renderer = Renderer(self._scene, size=(64, 64), views=2, config=config, context=context)
@@ -120,7 +123,7 @@ class LocalShow:
 
     def detach(self) -> None:
         """Give them back."""
-        eyes, self._eyes, self._last, self.target = self._eyes, None, None, None
+        eyes, self._eyes, self._last, self._target = self._eyes, None, None, None
         if eyes is not None:
             eyes.close()
         self.recentred()
@@ -154,17 +157,24 @@ class LocalShow:
         background = (0.0, 0.0, 0.0) if place.glass is not None else self._background
         self.views = views
         self.cameras = [camera_of(view, eyes.size, place.shown, background, scale, floor) for view in views]
-        around = surroundings(views, eyes.size, place, self._floor)
+        self._around = surroundings(views, eyes.size, place, self._floor)
         depth = DepthRange(NEAR, FAR, scale) if eyes.depth else None
         begun = time.perf_counter()
-        self.target = self._renderer.draw(self.cameras, depth=eyes.depth)
+        self._target = self._renderer.draw(self.cameras, depth=eyes.depth)
         if self._finish is not None:
             self._finish()
         drawing = time.perf_counter() - begun
-        copying = eyes.fill(self.target, depth, around, self._finish)
+        copying = eyes.fill(self._target, depth, self._around, self._finish)
         self.copy_ms = copying * 1e3
         self._last = eyes.projection(views, depth, self._transparent)
         return Shown(self._last, located, drawing + copying)
+
+    def look(self, framebuffer: moderngl.Framebuffer, size: tuple[int, int], eye: int = 0) -> bool:
+        """Show in a window what the wearer saw last; False if that was nothing."""
+        if self._eyes is None or self._target is None:
+            return False
+        self._eyes.show(self._target, framebuffer, size, self._around, eye)
+        return True
 
     def release(self) -> None:
         """Delete all GL objects."""

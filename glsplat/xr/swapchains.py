@@ -6,6 +6,8 @@ import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 
+import moderngl
+
 from glsplat.errors import ContextError, ContextLostError, GlsplatError
 from glsplat.gl.context import Context
 from glsplat.passes.eyes import DepthRange, EyeImages, EyePass, Surroundings
@@ -89,6 +91,17 @@ class EyeSwapchains:
                 chain.release()
         self.filled = True
         return spent
+
+    def show(
+        self,
+        target: Target,
+        framebuffer: moderngl.Framebuffer,
+        size: tuple[int, int],
+        around: Surroundings | None = None,
+        eye: int = 0,
+    ) -> None:
+        """What ``fill`` puts into an eye's image, in a window."""
+        self._pass.show(target, framebuffer, size, around, eye)
 
     def projection(
         self, views: Sequence[ViewPose], depth: DepthRange | None = None, transparent: bool = False

@@ -100,9 +100,10 @@ VIEWPOINTS = [  # heads, fields of view: none of them even, none symmetric
 ]
 
 
-@pytest.mark.parametrize("arrays", [True, False], ids=["one of two layers", "one an eye"])
-@pytest.mark.parametrize("view", ["mirror", "facing", "own"])
-def test_images_are_what_render_gives_to_the_bit(context: Context, arrays: bool, view: ViewName) -> None:
+@pytest.mark.parametrize(
+    ("view", "arrays"), [("mirror", True), ("facing", True), ("facing", False), ("own", True)], ids=str
+)
+def test_images_are_what_render_gives_to_the_bit(context: Context, view: ViewName, arrays: bool) -> None:
     runtime = FakeRuntime(context, size=SIZE, arrays=arrays)
     with Worn(context, glsplat.default_avatar(), view, runtime) as worn:
         worn.frames(1)
@@ -176,7 +177,7 @@ def test_no_depth_costs_none(context: Context) -> None:
         runtime = FakeRuntime(context, size=SIZE, formats=formats)
         with Worn(context, glsplat.default_avatar(), "facing", runtime, **how) as worn:
             worn.frames()
-            assert not worn.chains(deep=True) and worn.show.target is not None and worn.show.target.depth is None
+            assert not worn.chains(deep=True) and worn.show._target is not None and worn.show._target.depth is None
             assert not runtime.shown[-1][0].depth  # type: ignore[union-attr]
             assert np.array_equal(worn.pair(), worn.rendered())
 
@@ -281,6 +282,33 @@ def test_runtimes_that_come_and_go_leave_nothing(context: Context, person: glspl
     assert all(chain.closed for runtime in runtimes[:2] for chain in runtime.swapchains)
     session.close()
     show.release()
+
+
+def test_a_window_shows_what_the_image_holds(context: Context) -> None:
+    """At its size every byte of it; in another window as much as fits, upright, in the middle."""
+    with Worn(context, glsplat.default_avatar(), "mirror", floor=True) as worn:
+        worn.frames()
+        pair, (width, height) = worn.pair(), SIZE
+        seen = {}
+        for size in (SIZE, (width + 41, height), (width // 2, height // 2)):
+            texture = context.ctx.texture(size, 4)
+            framebuffer = context.ctx.framebuffer([texture])
+            for eye in (0, 1):
+                assert worn.show.look(framebuffer, size, eye)
+                image = np.frombuffer(texture.read(), np.uint8).reshape(size[1], size[0], 4)[::-1]
+                seen[size, eye] = image[..., :3]
+            context.scratch.use()
+            framebuffer.release()
+            texture.release()
+        for eye in (0, 1):
+            exact = seen[SIZE, eye]
+            assert np.array_equal(exact, pair[eye, ..., :3]) and exact.max() > 100
+            wide = seen[(width + 41, height), eye]
+            assert (
+                np.array_equal(wide[:, 20 : 20 + width], exact) and not wide[:, :20].any() and not wide[:, -21:].any()
+            )
+            small = seen[(width // 2, height // 2), eye]
+            assert np.abs(small.astype(int) - exact[::2, ::2]).mean() < 20
 
 
 def test_sizes() -> None:

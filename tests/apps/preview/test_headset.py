@@ -1,6 +1,5 @@
 """``glsplat preview --xr``: the command on a fake headset, on a server's pictures, and where there is no runtime."""
 
-
 from __future__ import annotations
 
 import argparse
