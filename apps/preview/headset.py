@@ -96,6 +96,8 @@ def run(
     known = offered() if connect is None else frozenset({EGL_ENABLE})  # one line where there is no runtime
     make = connect or _own
     with ExitStack() as stack:
+        if args.record is not None:
+            stack.callback(_keep, args.record, samples)  # at last, whatever ended the session
         feed = _feed(args)
         if feed is not None:
             feed.start()
@@ -119,9 +121,6 @@ def run(
             save_png(args.screenshot, _picture(context, show))
         if args.json:
             print(json.dumps(report))
-    if args.record is not None:
-        count = record(args.record, samples)
-        print(f"{args.record}: {count} samples", file=sys.stderr)
     return 0
 
 
@@ -229,6 +228,11 @@ def _heard(name: str | None, samples: list[Sample]) -> Callable[[Sample], None]:
                 _say(f"{name} is full; the session goes on")
 
     return keep
+
+
+def _keep(name: str, samples: list[Sample]) -> None:
+    if samples:
+        print(f"{name}: {record(name, samples)} samples", file=sys.stderr)
 
 
 def _report(session: Session, show: LocalShow | FeedShow) -> dict[str, Any]:

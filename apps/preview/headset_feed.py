@@ -19,7 +19,7 @@ from glsplat.gl.context import Context
 from glsplat.passes.eyes import Surroundings
 from glsplat.passes.target import Target
 from glsplat.rotations import FLIP_X
-from glsplat.xr.cameras import camera_of
+from glsplat.xr.cameras import camera_of, sighted
 from glsplat.xr.placing import Place
 from glsplat.xr.room import surroundings
 from glsplat.xr.runtime import FrameTiming, Projection, Runtime, ViewPose
@@ -88,7 +88,7 @@ class FeedShow:
     def frame(self, runtime: Runtime, timing: FrameTiming, focused: bool) -> Shown:
         """Ask for a pair for this moment; hand over the newest one that came."""
         moment = self.wearer.look(runtime, timing, focused)
-        views = runtime.views(timing.display_time)
+        views = sighted(runtime.views(timing.display_time))
         located = time.perf_counter()
         if self._feed.notice != self._said:
             self._said = self._feed.notice

@@ -14,7 +14,7 @@ from glsplat.rotations import FLIP_YZ
 from glsplat.tracking.sample import Transform
 from glsplat.xr.runtime import Fov, ViewPose
 
-__all__ = ["camera_of", "intrinsics", "matrix_of", "rigid_inverse"]
+__all__ = ["camera_of", "intrinsics", "matrix_of", "rigid_inverse", "sighted"]
 
 _EYES = 8  # that are remembered: a frame asks for each of its eyes several times, and every microsecond makes it late
 NEAR = 0.05
@@ -50,6 +50,17 @@ def rigid_inverse(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
     out[:3, :3] = matrix[:3, :3].T
     out[:3, 3] = -out[:3, :3] @ matrix[:3, 3]
     return out
+
+
+def sighted(views: tuple[ViewPose, ViewPose] | None) -> tuple[ViewPose, ViewPose] | None:
+    """The eyes if they can be drawn for: runtimes tell zeros before they know their device, and NaN when they err."""
+    try:
+        for view in views or ():
+            intrinsics(view.fov, (1, 1))
+            matrix_of(view.pose)
+    except GlsplatError:
+        return None
+    return views
 
 
 def camera_of(

@@ -23,7 +23,7 @@ from glsplat.tracking.calibration import Calibration
 from glsplat.tracking.extra.idle import IdleFace
 from glsplat.tracking.solvers import SOLVERS, SolverName
 from glsplat.tracking.tracker import Tracker
-from glsplat.xr.cameras import NEAR, camera_of
+from glsplat.xr.cameras import NEAR, camera_of, sighted
 from glsplat.xr.placing import Place, ViewName
 from glsplat.xr.room import surroundings
 from glsplat.xr.runtime import FrameTiming, Projection, Runtime, ViewPose
@@ -149,7 +149,7 @@ class LocalShow:
             scale, floor = self._tracker.calibration.scale, self._tracker.calibration.floor
         if moment is not None:
             self._show(moment.place)
-        views = runtime.views(timing.display_time)
+        views = sighted(runtime.views(timing.display_time))
         located = time.perf_counter()
         if views is None or moment is None:
             return Shown(self._last, located, 0.0)  # the device is lost: the last picture stays where it was

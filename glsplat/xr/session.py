@@ -151,14 +151,18 @@ class Session:
                 shown = self._show.frame(runtime, timing, self.focused)
         except BaseException:
             with suppress(ContextLostError):  # a frame that was begun is ended, whatever happens
-                runtime.end_frame(timing.display_time, None, self.blend)
+                runtime.end_frame(timing.display_time, None, self._blend(runtime))
             raise
         projection = None if shown is None else shown.projection
-        runtime.end_frame(timing.display_time, projection, self.blend)
+        runtime.end_frame(timing.display_time, projection, self._blend(runtime))
         self.frames += 1
         if shown is not None and projection is not None:
             self.rendered += 1
             self._overheads.append(self._clock() - shown.located - shown.drawing)
+
+    def _blend(self, runtime: Runtime) -> Blend:
+        """As it was asked for, where the runtime has it: one that came back may be another."""
+        return self.blend if self.blend in runtime.blends or not runtime.blends else runtime.blends[0]
 
     def _listen(self, runtime: Runtime) -> None:
         while (event := runtime.poll()) is not None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from math import nan
 from typing import Any
 
 import numpy as np
@@ -35,6 +36,8 @@ SIZE = (96, 80)
 def context() -> Iterator[Context]:
     made = create_context()
     yield made
+    with made:
+        assert made.ctx.error == "GL_NO_ERROR"
     made.release()
 
 
@@ -255,6 +258,22 @@ def test_a_lost_head_leaves_the_last_picture_where_it_was(context: Context, pers
         acquired = worn.runtime.log.count("acquire")
         worn.frames(2)
         assert worn.runtime.shown[-1][0] is last and worn.runtime.log.count("acquire") == acquired
+
+
+@pytest.mark.parametrize("bad", [Fov(0, 0, 0, 0), Fov(nan, 1, 1, -1), Fov(-2, 2, 1, -1)], ids=["zeros", "NaN", "wide"])
+def test_eyes_that_see_nothing_are_no_eyes(context: Context, person: glsplat.Avatar, bad: Fov) -> None:
+    runtime = FakeRuntime(context, size=SIZE)
+    good = runtime.fovs
+    with Worn(context, person, runtime=runtime) as worn:
+        for fovs, eyes in (((bad, bad), runtime.eyes), (good, ((0.0,) * 7,) * 2)):
+            before = runtime.eyes
+            runtime.fovs, runtime.eyes = fovs, eyes
+            worn.frames()
+            assert all(projection is None for projection, _ in runtime.shown)
+            runtime.eyes = before
+        runtime.fovs = good
+        worn.frames(1)
+        assert runtime.shown[-1][0] is not None
 
 
 def test_runtimes_that_come_and_go_leave_nothing(context: Context, person: glsplat.Avatar) -> None:

@@ -166,6 +166,19 @@ def test_a_runtime_that_goes_and_comes_back(how: str) -> None:
     assert session.runtime is runtimes[1] and session.rendered > before and said[-1] == "a fake runtime is back"
 
 
+def test_one_that_comes_back_without_our_way_to_blend() -> None:
+    runtimes, show = [FakeRuntime(blends=("alpha", "opaque")), FakeRuntime(blends=("additive",))], Show()
+    session, clock = session_of(runtimes, show)
+    session.blend = "alpha"
+    steps(session, 3)
+    runtimes[0].kill()
+    steps(session, 1)
+    clock.now += 1
+    steps(session, 4)
+    assert {blend for _, blend in runtimes[0].shown} == {"alpha"}
+    assert {blend for _, blend in runtimes[1].shown} == {"additive"}
+
+
 def test_one_that_stays_away_is_asked_for_ever_less_often() -> None:
     runtime, show, said = FakeRuntime(), Show(), []
     session, clock = session_of([runtime], show, said)
