@@ -16,12 +16,13 @@ from glsplat.gl.context import Context
 from glsplat.gl.functions import gl_functions
 from glsplat.passes.target import Target
 from glsplat.shaders import Variant, flatten, link
+from glsplat.shaders.slots import UNITS
 
 __all__ = ["DepthRange", "EyeImages", "EyePass", "Surroundings"]
 
 _FRAMEBUFFER, _COLOUR, _DEPTH, _COMPLETE = 0x8D40, 0x8CE0, 0x8D00, 0x8CD5
 _ALWAYS, _LEQUAL = 0x0207, 0x0203
-_TARGET_UNIT, _DEPTH_UNIT = 0, 1
+_TARGET_UNIT, _DEPTH_UNIT = UNITS["target"], UNITS["depth_sum"]
 _U, _I = ctypes.c_uint, ctypes.c_int
 
 

@@ -246,7 +246,8 @@ def test_slots() -> None:
         flags = dict.fromkeys(
             Variant().defines() | SkinVariant().defines() | MeshVariant().defines() | ResolveVariant().defines(), 1
         )
-        text = flatten(file.name, flags | {"ANAGLYPH": 0, "TEXT": 1, "LIFTED": 1}).text
+        shown = {"ANAGLYPH": 0, "TEXT": 1, "LIFTED": 1, "LINEAR": 1, "DEPTH": 1, "ROOM": 1}
+        text = flatten(file.name, flags | shown).text
         samplers = re.findall(r"^uniform sampler\w+ (\w+);", text, re.MULTILINE)
         units = [UNITS[name] for name in samplers]
         assert len(set(units)) == len(units), f"{file.name}: {samplers}"
