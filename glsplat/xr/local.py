@@ -15,7 +15,7 @@ from glsplat.gl.context import Context
 from glsplat.passes.eyes import DepthRange, Surroundings
 from glsplat.passes.target import Target
 from glsplat.renderer import Renderer
-from glsplat.scene import Item, Scene, is_rigged
+from glsplat.scene import Item, Scene, SceneLike, is_rigged
 from glsplat.scenes.scene_file import SceneFile
 from glsplat.skinning.rigs.driven import why_not_tracked
 from glsplat.timing import StageTimer
@@ -46,7 +46,7 @@ class LocalShow:
 
     def __init__(
         self,
-        file: SceneFile,
+        scene: SceneLike | SceneFile,
         context: Context,
         wearer: Wearer,
         *,
@@ -61,6 +61,7 @@ class LocalShow:
         advance: Callable[[float], None] = lambda _: None,  # seconds: what else moves in the scene
         timed: bool = False,  # wait for the GPU, so that drawing times are its own
     ) -> None:
+        file = scene if isinstance(scene, SceneFile) else SceneFile.of(scene)
         self._context, self.wearer = context, wearer
         self._scale, self._depth, self._floor, self._transparent = scale, depth, floor and not transparent, transparent
         self._advance, self._finish = advance, context.ctx.finish if timed else None

@@ -20,7 +20,6 @@ from glsplat.config import RenderConfig
 from glsplat.gl.context import create_context
 from glsplat.gl.functions import gl_functions
 from glsplat.passes.eyes import EyeImages
-from glsplat.scenes.scene_file import SceneFile
 from glsplat.xr import LocalShow, OpenXrRuntime, Session, Wearer
 from glsplat.xr.runtime import State
 from tests.xr.monado.remote import Script, Sender
@@ -83,7 +82,7 @@ def main(scenario: str) -> dict[str, Any]:
     with context:
         wearer = Wearer("facing" if scenario == "pictures" else "mirror", heard=heard.append)
         timed = scenario == "time"
-        show = LocalShow(SceneFile.of(glsplat.default_avatar()), context, wearer, floor=timed, timed=timed)
+        show = LocalShow(glsplat.default_avatar(), context, wearer, floor=timed, timed=timed)
         layers = () if timed else (VALIDATION,)
         session = Session(lambda: OpenXrRuntime(context, layers=layers), show, say=said.append)
         assert session.runtime is not None and show.eyes is not None
