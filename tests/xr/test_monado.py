@@ -54,9 +54,14 @@ def complaints(found: dict[str, Any]) -> list[str]:
     return [line for line in found["validation"] if "VALID_DEBUG" not in line]
 
 
-def test_images_equal_render_to_the_bit_and_tracking_arrives() -> None:
-    """Six scripts of head, eyes, asymmetric fields of view, hands and curls."""
-    found = ran("pictures")
+@pytest.mark.parametrize(
+    ("scenario", "binding"), [("pictures", "XR_MNDX_egl_enable"), ("window", "XR_KHR_opengl_enable")]
+)
+def test_images_equal_render_to_the_bit_and_tracking_arrives(scenario: str, binding: str) -> None:
+    """Six scripts of head, eyes, asymmetric fields of view, hands and curls; by EGL, and by GLX."""
+    found = ran(scenario)
+    assert binding in found["extensions"]
+    assert ("XR_MNDX_egl_enable" in found["extensions"]) == (scenario == "pictures")
     assert found["layers"] == 2 and found["depth"] and found["covered"] > 0.02
     assert found["differing"] == [0] * 6 and found["deeper"] < 2e-3
     assert found["joints"] == 25 and found["most"] < 1e-4 and found["finger"] < 1e-4

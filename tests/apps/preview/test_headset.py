@@ -195,6 +195,40 @@ class Seen:
     def close(self) -> None: ...
 
 
+class Pane:
+    """A window without a window system; the user closes it after some pictures."""
+
+    def __init__(self, context: Context, size: tuple[int, int], pictures: int) -> None:
+        self._context, self.size, self._left, self.swaps = context.ctx, size, pictures, 0
+        self.framebuffer = context.ctx.framebuffer([context.ctx.texture(size, 4)])
+
+    @property
+    def closing(self) -> bool:
+        return self.swaps >= self._left
+
+    def wait(self, seconds: float) -> None: ...
+
+    def swap(self) -> None:
+        self.swaps += 1
+
+
+def test_a_window_shows_each_picture_once_and_closing_it_ends_the_session(context: Context) -> None:
+    from glsplat.data import default_avatar
+    from glsplat.xr.local import LocalShow
+
+    runtime, pane = FakeRuntime(context, size=(64, 48)), Pane(context, (80, 48), 3)
+    show = LocalShow(default_avatar(), context, Wearer("facing"))
+    session = Session(lambda: runtime, show)  # type: ignore[arg-type, return-value]
+    headset.loop(session, show, pane, None)  # type: ignore[arg-type]
+    assert pane.swaps == 3 == session.rendered and runtime.log[-1] == "end"
+    seen = np.frombuffer(pane.framebuffer.read(components=3), np.uint8).reshape(48, 80, 3)
+    assert np.array_equal(seen[::-1, 8:72], runtime.swapchains[0].read()[0, ..., :3]) and seen.max() > 60
+    session.close()
+    show.release()
+    pane.framebuffer.color_attachments[0].release()
+    pane.framebuffer.release()
+
+
 @pytest.fixture
 def context() -> Iterator[Context]:
     made = create_context()

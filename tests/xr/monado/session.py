@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import time
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -17,7 +18,7 @@ import numpy as np
 
 import glsplat
 from glsplat.config import RenderConfig
-from glsplat.gl.context import create_context
+from glsplat.gl.context import Context, create_context
 from glsplat.gl.functions import gl_functions
 from glsplat.passes.eyes import EyeImages
 from glsplat.xr import LocalShow, OpenXrRuntime, Session, Wearer
@@ -51,6 +52,21 @@ class Service:
         self._process.wait()
 
 
+def windowed(stack: ExitStack) -> Context:
+    """The context of a hidden window on a virtual screen: GLX."""
+    from apps.preview.window import Window
+
+    read, write = os.pipe()
+    words = ["Xvfb", "-displayfd", str(write), "-screen", "0", "640x480x24", "+extension", "GLX", "-nolisten", "tcp"]
+    os.makedirs("/tmp/.X11-unix", exist_ok=True)
+    screen = subprocess.Popen(words, pass_fds=[write], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    stack.callback(screen.wait)
+    stack.callback(screen.terminate)
+    with os.fdopen(read) as pipe:
+        os.environ["DISPLAY"] = f":{pipe.readline().strip()}"
+    return stack.enter_context(Window((320, 240), "hidden", visible=False)).context
+
+
 def frames(session: Session, count: int, seconds: float = 240) -> None:
     """So many more with a picture."""
     until, limit = session.rendered + count, time.monotonic() + seconds
@@ -77,10 +93,12 @@ def reader(ctx: Any) -> Any:
 
 def main(scenario: str) -> dict[str, Any]:
     service, sender, heard, said = Service(), Sender(), [], []
-    context = create_context()
-    out: dict[str, Any] = {"driver": context.driver}
-    with context:
-        wearer = Wearer("facing" if scenario == "pictures" else "mirror", heard=heard.append)
+    with ExitStack() as stack:
+        context = windowed(stack) if scenario == "window" else create_context()
+        out: dict[str, Any] = {"driver": context.driver}
+        stack.enter_context(context)
+        compared = scenario in ("pictures", "window")
+        wearer = Wearer("facing" if compared else "mirror", heard=heard.append)
         timed = scenario == "time"
         show = LocalShow(glsplat.default_avatar(), context, wearer, floor=timed, timed=timed)
         layers = () if timed else (VALIDATION,)
@@ -89,7 +107,7 @@ def main(scenario: str) -> dict[str, Any]:
         out |= {"runtime": session.runtime.name, "extensions": sorted(session.runtime.extensions)}
         out |= {"layers": show.eyes.layers, "depth": show.eyes.depth, "size": show.eyes.size}
         frames(session, 3)
-        if scenario == "pictures":
+        if compared:
             out |= pictures(session, show, sender, heard, reader(context.ctx))
         elif scenario == "frames":
             for k in range(30):
