@@ -175,6 +175,21 @@ def test_depth_is_in_the_wearers_metres(context: Context) -> None:
         assert np.median(metres / z[covered]) == pytest.approx(1.25, rel=1e-3)
 
 
+def test_eyes_that_are_drawn_one_by_one(context: Context) -> None:
+    """Each in an order of its own: both layers of colour and of depth are there all the same."""
+    with Worn(context, glsplat.default_avatar(), "facing", config=RenderConfig(order="per_view")) as worn:
+        worn.frames()
+        assert np.array_equal(worn.pair(), worn.rendered(order="per_view"))
+        picture, z = worn.rendered(order="per_view", output="float32")
+        projection = worn.runtime.shown[-1][0]
+        assert projection is not None and projection.depth_range is not None
+        near, far = projection.depth_range.near, projection.depth_range.far
+        for eye in (0, 1):
+            covered = picture[eye, ..., 3] > 0.5
+            metres = near * far / (far - worn.pair(deep=True)[eye][covered] * (far - near))
+            assert covered.sum() > 50 and np.allclose(metres, z[eye][covered], rtol=2e-3)
+
+
 def test_no_depth_costs_none(context: Context) -> None:
     for formats, how in (((SRGB8,), {}), ((SRGB8, DEPTH32F), {"depth": False})):
         runtime = FakeRuntime(context, size=SIZE, formats=formats)
