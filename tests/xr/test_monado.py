@@ -27,8 +27,8 @@ CONFIG = {"active": "remote", "remote": {"version": 0, "port": 4242}}
 
 
 @cache
-def ran(scenario: str) -> dict[str, Any]:
-    """What tests/xr/monado/session.py found within the chroot."""
+def ran(scenario: str, module: str = "session") -> dict[str, Any]:
+    """What a module of tests/xr/monado found within the chroot."""
     if not (ROOT / "usr/bin/monado-service").exists():
         pytest.fail(f"no Monado in {ROOT}: sudo sh tests/xr/monado/chroot.sh {ROOT}")
     home = ROOT / "root/.config/monado"
@@ -40,7 +40,7 @@ def ran(scenario: str) -> dict[str, Any]:
         **{"LIBGL_ALWAYS_SOFTWARE": "1", "PYTHONDONTWRITEBYTECODE": "1"},
     }
     words = [f"{key}={value}" for key, value in settings.items()]
-    inside = ["sh", "-c", f"cd /src && exec /venv/bin/python -m tests.xr.monado.session {scenario}"]
+    inside = ["sh", "-c", f"cd /src && exec /venv/bin/python -m tests.xr.monado.{module} {scenario}"]
     done = subprocess.run(
         ["chroot", str(ROOT), "env", "-i", *words, *inside], capture_output=True, text=True, timeout=1200
     )
@@ -83,6 +83,24 @@ def test_a_runtime_that_is_killed_and_started_anew() -> None:
 def test_the_layer_does_complain() -> None:
     """Of a frame that is shown for a space that was destroyed: else its silence would mean nothing."""
     assert complaints(ran("wrong"))
+
+
+def test_extensions_that_monado_lacks_as_pyopenxr_carries_them() -> None:
+    """Body, face and passthrough: its structures are filled as a runtime would, and read by the binding."""
+    found = ran("", "extensions")
+    assert len(found["body"]) == 84 and found["body"][70] is None and len(found["hand"]) == 26
+    for joints in (found["body"], found["hand"]):
+        for i, joint in enumerate(joints):
+            assert joint is None or joint == pytest.approx([i, 2 * i, 3 * i, 0, 0, 0.6, 0.8])
+    assert found["face"] == pytest.approx([i / 100 for i in range(70)])
+    assert found["eyes"] == pytest.approx([i / 50 for i in range(14)]) and len(found["lips"]) == 37
+    assert found["asked"] == [1000274000, 2, 1, 1, 2]  # full body, right hand, one source, eyes, lips
+    assert found["calls"].count("destroyed") == 5 and found["running"] == [1, 1]
+    layers = [1000118003, 35]  # XR_TYPE_COMPOSITION_LAYER_PASSTHROUGH_FB below ..._PROJECTION
+    first, second = found["ended"][:3], found["ended"][3:6]
+    assert first[0] == second[0] == [1, layers] and first[2] == second[2] == [0, 1]
+    assert first[1] == pytest.approx([2, 0.25, -0.75, 0.05]) and second[1] == pytest.approx([2, 1.25, -0.75, 0.05])
+    assert found["ended"][6] == [1, []]
 
 
 def test_time_between_located_views_and_the_frames_end() -> None:
