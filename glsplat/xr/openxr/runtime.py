@@ -86,9 +86,9 @@ class OpenXrRuntime:
                 changed = _as(data, xr.EventDataSessionStateChanged)
                 return Event("state", State(int(changed._state)), int(changed.time))
             if kind == kinds.EVENT_DATA_REFERENCE_SPACE_CHANGE_PENDING.value:
+                # of whichever space: a view that was reset is to be placed anew, even where the floor stays put
                 pending = _as(data, xr.EventDataReferenceSpaceChangePending)
-                if int(pending._reference_space_type) == self._kind.value:
-                    return Event("recentred", time=int(pending.change_time))
+                return Event("recentred", time=int(pending.change_time))
 
     def begin(self) -> None:
         """xrBeginSession."""
