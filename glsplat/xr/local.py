@@ -62,7 +62,8 @@ class LocalShow:
         timed: bool = False,  # wait for the GPU, so that drawing times are its own
     ) -> None:
         file = scene if isinstance(scene, SceneFile) else SceneFile.of(scene)
-        self._context, self.wearer = context, wearer
+        self._context = context
+        self.wearer: Wearer = wearer
         self._scale, self._depth, self._floor, self._transparent = scale, depth, floor and not transparent, transparent
         self._advance, self._finish = advance, context.ctx.finish if timed else None
         self._background = (0.0, 0.0, 0.0) if transparent else background or file.background

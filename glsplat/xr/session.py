@@ -68,9 +68,10 @@ class Session:
         sleep: Callable[[float], None] = time.sleep,
     ) -> None:
         """Connects at once. Raises what ``connect`` raises: ContextError, one line."""
-        self._connect, self._show, self.blend, self._say = connect, show, blend, say
+        self._connect, self._show, self._say = connect, show, say
+        self.blend: Blend = blend
         self._clock, self._sleep = clock, sleep
-        self.state = State.UNKNOWN
+        self.state: State = State.UNKNOWN
         self.frames = 0  # ended so far, with or without a picture
         self.rendered = 0  # of them, with one
         self.losses = 0  # runtimes that went

@@ -34,7 +34,7 @@ class EyeSwapchains:
     """Made for one size; ``fill`` draws the next image of all of them."""
 
     def __init__(self, runtime: Runtime, context: Context, size: tuple[int, int], depth: bool) -> None:
-        self.size = size
+        self.size: tuple[int, int] = size
         colour = next((f for f in (SRGB8, RGBA16F, RGBA8) if f in runtime.formats), None)
         if colour is None:
             known = ", ".join(hex(f) for f in runtime.formats)

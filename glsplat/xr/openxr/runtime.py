@@ -53,7 +53,7 @@ class OpenXrRuntime:
         if OPENGL_ENABLE not in known or needed not in known:
             raise ContextError(f"the OpenXR runtime takes no pictures of OpenGL by {api.upper()}: it lacks {needed}")
         wanted = {OPENGL_ENABLE, needed, DEPTH, LOCAL_FLOOR, *WANTED} | ({PASSTHROUGH} if passthrough else set())
-        self.extensions = frozenset(wanted & known)
+        self.extensions: frozenset[str] = frozenset(wanted & known)
         try:
             self._instance = self._made_instance(layers)
             self._system = self._found_system()
@@ -202,7 +202,7 @@ class OpenXrRuntime:
         except xr.exception.XrException as error:
             raise ContextError(f"the OpenXR runtime does not answer ({type(error).__name__}): {START}") from None
         self._stack.callback(_quietly, xr.destroy_instance, instance)
-        self.name = xr.get_instance_properties(instance).runtime_name.decode(errors="replace")
+        self.name: str = xr.get_instance_properties(instance).runtime_name.decode(errors="replace")
         return instance
 
     def _found_system(self) -> Any:
@@ -219,11 +219,11 @@ class OpenXrRuntime:
         xr, kind = self._xr, self._xr.ViewConfigurationType.PRIMARY_STEREO
         with called("xrEnumerateViewConfigurationViews"):
             views = xr.enumerate_view_configuration_views(self._instance, self._system, kind)
-            self.size = (
+            self.size: tuple[int, int] = (
                 max(view.recommended_image_rect_width for view in views),
                 max(view.recommended_image_rect_height for view in views),
             )
-            self.max_size = (
+            self.max_size: tuple[int, int] = (
                 min(view.max_image_rect_width for view in views),
                 min(view.max_image_rect_height for view in views),
             )
@@ -248,7 +248,7 @@ class OpenXrRuntime:
                 self._instance, xr.SessionCreateInfo(system_id=self._system, next=graphics_binding(api))
             )
             self._stack.callback(_quietly, xr.destroy_session, session)
-            self.formats = tuple(map(int, xr.enumerate_swapchain_formats(session)))
+            self.formats: tuple[int, ...] = tuple(map(int, xr.enumerate_swapchain_formats(session)))
         return session
 
     def _spaces(self) -> None:
@@ -330,7 +330,11 @@ class OpenXrRuntime:
 
 class _Swapchain:
     def __init__(self, xr: Any, handle: Any, size: tuple[int, int], layers: int, textures: list[int]) -> None:
-        self._xr, self.handle, self.size, self.layers, self.textures = xr, handle, size, layers, textures
+        self._xr = xr
+        self.handle: Any = handle
+        self.size: tuple[int, int] = size
+        self.layers: int = layers
+        self.textures: list[int] = textures
 
     def acquire(self) -> int:
         """xrAcquireSwapchainImage and xrWaitSwapchainImage."""
