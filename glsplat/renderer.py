@@ -212,21 +212,21 @@ class Renderer:
             self._prepared = Prepared(self, asked, cost)
             return self._prepared
 
-    def draw(self, views: Views, pose: Pose | None = None) -> Target:
+    def draw(self, views: Views, pose: Pose | None = None, *, depth: bool = False) -> Target:
         """Draw one view or a pair and leave it on the GPU: the float target, layer 0 the left eye, row 0 at the top.
 
-        For windows: nothing is read back. The layers hold what ``render()`` makes of the same views. The target
-        belongs to the renderer and is overwritten by the next call. Where hidden splats were left out it is not lifted
-        yet (``Target.lift``; Present does it).
+        For windows and headsets: nothing is read back. The layers hold what ``render()`` makes of the same views, with
+        ``depth`` also its sums (``Target.depth``). The target belongs to the renderer and is overwritten by the next
+        call. Where hidden splats were left out it is not lifted yet (``Target.lift``; who shows it does it).
         """
-        asked = self._views(views)
+        depth, asked = checks.checked_depth(depth, self.target_dtype), self._views(views)
         if len(asked) > 2:
             raise GlsplatError(f"draw() takes one view or a pair, not {len(asked)}; render() takes any number")
         with self._entered("draw"):
             self._follow(asked, pose)
-            for mine, views, _, target in self._drawn(asked):
+            for mine, views, _, target in self._drawn(asked, depth):
                 if len(views) < len(asked):  # eyes that do not share an order: drawn one by one into the pair's layers
-                    pair = self._targets.float_target(self.size, len(asked))
+                    pair = self._targets.float_target(self.size, len(asked), depth)
                     pair.copy_layer(self.context.ctx, mine.start, target)
                     target = pair
             target.lift = tuple(view.background for view in asked) if self.variant.cull_hidden else None

@@ -34,7 +34,7 @@ FLOORS = [
     ["renderer_thread", "mesh"],
     ["renderer"],
     ["authoring", "net"],
-    ["evaluate", "study"],
+    ["evaluate", "study", "xr"],
     ["apps"],
     ["tests"],
 ]

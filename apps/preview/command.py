@@ -23,6 +23,7 @@ from glsplat.skinning.rigs.driven import why_not_driven
 from ..args import add_detail, add_scene, colour, detail_of, driven, open_scene, point, size, tracked
 from ..output import save_png
 from ..usage import UsageError
+from . import headset
 from .cameras import Options
 from .connect import Watched, read_tracked
 from .feed import Feed
@@ -71,12 +72,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     server.add_argument("--quality", type=int, help="JPEG quality, 1 to 100 (default: the server's)")
     server.add_argument("--token-file", type=Path, metavar="FILE", help="token for a server that wants one")
     server.add_argument("--tls-ca", type=Path, metavar="PEM", help="certificate to trust on wss://")
+    headset.add_arguments(parser)
 
 
 def run(args: argparse.Namespace) -> int:
     """Show the window until it is closed."""
     frames = _frames(args)
     scene = open_scene(args)
+    if args.xr:
+        return headset.run(args, scene, frames)
     drive = _drive(args, scene)
     rendering = RenderConfig(**detail_of(args))
     label = args.connect or ("default avatar" if args.scene is None else Path(args.scene).name)
@@ -142,6 +146,7 @@ def loop(window: Window, viewer: Viewer, frames: int | None = None) -> None:
 def _frames(args: argparse.Namespace) -> int | None:
     """How many pictures; refuses what could not be shown or saved before a window opens."""
     pinhole(1, 1, args.fov)
+    headset.check(args)
     _check_connect(args)
     if args.frames is not None and args.frames < 1:
         raise UsageError(f"--frames needs at least 1, not {args.frames}")
@@ -157,6 +162,10 @@ def _frames(args: argparse.Namespace) -> int | None:
 
 def _check_connect(args: argparse.Namespace) -> None:
     """Options of the server and options of drawing here do not mix."""
+    if args.quality is not None and not 1 <= args.quality <= 100:
+        raise UsageError(f"--quality needs 1 to 100, not {args.quality}")
+    if args.xr:
+        return
     if args.connect is None:
         for name in ("recording", "quality", "token_file", "tls_ca"):
             if getattr(args, name) is not None:
@@ -165,8 +174,6 @@ def _check_connect(args: argparse.Namespace) -> None:
         raise UsageError("--background does not go with --connect: a server's pictures are on black")
     elif detail_of(args) != detail_of(argparse.Namespace(level=None, lod_bias=None, cull_hidden=False, exact=False)):
         raise UsageError("--level, --lod-bias, --cull-hidden and --exact do not go with --connect: a server decides")
-    if args.quality is not None and not 1 <= args.quality <= 100:
-        raise UsageError(f"--quality needs 1 to 100, not {args.quality}")
 
 
 def _drive(args: argparse.Namespace, scene: SceneFile) -> Pose | Motion | None:

@@ -11,7 +11,7 @@ import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -40,6 +40,8 @@ class Wish:
     cameras: Sequence[Camera]
     pose: Pose | Mapping[str, Any] | None = None
     tracking: Mapping[str, Any] | None = None
+    options: Mapping[str, Any] = field(default_factory=dict)  # of Client.send: mirror, hide, alpha
+    about: object = None  # comes back with its picture; not sent
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,6 +55,7 @@ class Picture:
     asked: float  # seconds on time.perf_counter's clock
     communication_ms: float
     decode_ms: float
+    about: object = None  # of the wish that it answers
 
 
 class Feed:
@@ -187,16 +190,15 @@ class Feed:
             number, wish = self._wish
             sent = number, self._scale
             cameras = [_scaled(camera, self._scale) for camera in wish.cameras]
-            await client.send(
-                cameras, pose=wish.pose, tracking=wish.tracking, quality=self._quality, crop=True, subject=number
-            )
+            asked = dict(wish.options, quality=self._quality, crop=True, subject=(number, wish.about))
+            await client.send(cameras, pose=wish.pose, tracking=wish.tracking, **asked)
             await asyncio.sleep(PACE)
 
     async def _receive(self, client: Client) -> None:
         while True:
             try:
                 arrived = await client.receive()
-                self._put(arrived, self._wish_of(client, arrived.reply.frame_id))
+                self._put(arrived, *self._wish_of(client, arrived.reply.frame_id))
             except ProtocolError as error:
                 if error.code == "timeout" and not client.waiting:
                     continue
@@ -204,22 +206,24 @@ class Feed:
                     raise
                 self._refused(error, client)
 
-    def _wish_of(self, client: Client, frame_id: int) -> int:
-        """The number of the wish that a request carried."""
-        number = client.flow.about(frame_id)
-        return number if isinstance(number, int) else self._settled[0]
+    def _wish_of(self, client: Client, frame_id: int) -> tuple[int, object]:
+        """The number of the wish that a request carried, and what it was about."""
+        subject = client.flow.about(frame_id)
+        return subject if isinstance(subject, tuple) else (self._settled[0], None)
 
-    def _put(self, arrived: ReceivedReply, number: int) -> None:
+    def _put(self, arrived: ReceivedReply, number: int, about: object) -> None:
         """Decode and lay ready."""
         reply, start = arrived.reply, time.perf_counter()
-        decoded = reply.images()
-        images = np.full((len(decoded), *decoded[0].shape[:2], 4), 255, np.uint8)
-        for image, out in zip(decoded, images, strict=True):
-            out[..., :3] = image
+        if reply.alphas:
+            images = np.stack(reply.rgba())
+        else:
+            decoded = reply.images()
+            images = np.full((len(decoded), *decoded[0].shape[:2], 4), 255, np.uint8)
+            for image, out in zip(decoded, images, strict=True):
+                out[..., :3] = image
         decode_ms = (time.perf_counter() - start) * 1e3
-        picture = Picture(
-            images, reply.info, reply.frame_id, reply.nbytes, arrived.requested, arrived.communication_ms, decode_ms
-        )
+        way = arrived.communication_ms
+        picture = Picture(images, reply.info, reply.frame_id, reply.nbytes, arrived.requested, way, decode_ms, about)
         with self._changed:
             self.late += self._picture is not None
             self._picture, self.notice, self._settled = picture, "", (number, "")
@@ -236,7 +240,7 @@ class Feed:
                 self._new.set()
             return
         with self._changed:
-            self._settled = (self._wish_of(client, frame_id), str(error))
+            self._settled = (self._wish_of(client, frame_id)[0], str(error))
             self._changed.notify_all()
         self._say(f"the server says: {error}")
 

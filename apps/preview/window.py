@@ -45,7 +45,8 @@ class _Current:
 class Window:
     """One window and its context. ``with Window(...) as window``; everything GL of it must be released before."""
 
-    def __init__(self, size: tuple[int, int], title: str, vsync: bool = False) -> None:
+    def __init__(self, size: tuple[int, int], title: str, vsync: bool = False, visible: bool = True) -> None:
+        self._visible = visible  # else it is there for its context alone
         self._errors: list[str] = []
         try:
             import glfw  # here: loading it fails where its library is missing
@@ -177,6 +178,7 @@ class Window:
             glfw.window_hint(glfw.OPENGL_FORWARD_COMPAT, True)
             glfw.window_hint(glfw.DEPTH_BITS, 0)
             glfw.window_hint(glfw.STENCIL_BITS, 0)
+            glfw.window_hint(glfw.VISIBLE, self._visible)
             window = glfw.create_window(*size, title, None, None)
             if window:
                 return window

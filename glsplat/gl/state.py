@@ -7,12 +7,11 @@ functions themselves. docs/python.md lists what is not looked after.
 from __future__ import annotations
 
 import ctypes
-import os
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import moderngl
 
+from glsplat.gl.functions import gl_functions
 from glsplat.shaders.slots import UNITS
 
 __all__ = ["GLState"]
@@ -159,19 +158,12 @@ class GLState:
     def __init__(self, ctx: moderngl.Context) -> None:
         self._ctx = ctx
         version = ctx.version_code
-        loader: Any = ctx.mglo._context  # whatever made the context
-        load = getattr(loader, "load_opengl_function", None) or loader.load
-        kind: Callable[..., Any] = ctypes.WINFUNCTYPE if os.name == "nt" else ctypes.CFUNCTYPE  # type: ignore[attr-defined]
-
-        def function(name: str, result: Any, arguments: tuple[Any, ...]) -> Any:
-            address = load("gl" + name)
-            return kind(result, *arguments)(address) if address else None
-
-        self._gl = {name: function(name, None, arguments) for name, arguments in _SIGNATURES.items()}
-        self._gl |= {name: function(name, ctypes.c_ubyte, (_U,)) for name in _TESTS}
+        function = gl_functions(ctx)
+        self._gl = {name: function(name, None, *arguments) for name, arguments in _SIGNATURES.items()}
+        self._gl |= {name: function(name, ctypes.c_ubyte, _U) for name in _TESTS}
         # asked dozens of times a frame: without declared arguments a call is a third cheaper
-        self._get: Any = kind(None)(load("glGetIntegerv"))
-        self._enabled: Any = kind(ctypes.c_ubyte)(load("glIsEnabled"))
+        self._get: Any = function("GetIntegerv", None)
+        self._enabled: Any = function("IsEnabled", ctypes.c_ubyte)
         self._integers = (ctypes.c_int * 64)()
         self._floats = (ctypes.c_float * 8)()
         self._long = (ctypes.c_int64 * 1)()

@@ -73,12 +73,14 @@ class Target:
         np.multiply(pixels, 1 / 255 if self.numpy_dtype == np.uint8 else 1, out=out, dtype=np.float32, casting="unsafe")
 
     def copy_layer(self, ctx: moderngl.Context, layer: int, single: Target) -> None:
-        """Make ``layer`` a copy of a target of one view; it stays on the GPU."""
+        """Make ``layer`` a copy of a target of one view, depth included where both have it; it stays on the GPU."""
         _, height, width, _ = self.shape
         pixels = ctx.buffer(reserve=single.nbytes)
         try:
-            single.texture.read_into(pixels)
-            self.texture.write(pixels, viewport=(0, 0, layer, width, height, 1))
+            for mine, other in ((self.texture, single.texture), (self.depth, single.depth)):
+                if mine is not None and other is not None:
+                    other.read_into(pixels)
+                    mine.write(pixels, viewport=(0, 0, layer, width, height, 1))
         finally:
             pixels.release()
 

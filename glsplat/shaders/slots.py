@@ -26,8 +26,9 @@ UNITS = {
     "amounts": 1,
     "skin_texture": 5,  # of a mesh
     "records": 0,  # of a pulled draw under es300 (record_input.glsl)
-    "target": 0,  # float layers (resolve.frag.glsl, present.frag.glsl)
+    "target": 0,  # float layers (resolve.frag.glsl, present.frag.glsl, eyes.frag.glsl)
     "step_texture": 1,  # of a step (resolve.frag.glsl)
+    "depth_sum": 1,  # beside the float layers (eyes.frag.glsl)
     "text": 1,  # over a window (present.frag.glsl)
     "large": 5,  # the larger picture of a mesh (mesh_resolve.frag.glsl)
 }

@@ -180,7 +180,8 @@ def missed(rows: Sequence[Variant | SkinVariant | MeshVariant | ResolveVariant])
 
 
 def test_the_rows_reach_every_branch() -> None:
-    windows = {"present.frag.glsl"}  # its flags are no variant's: tests/apps/preview draws all of them
+    # their flags are no variant's: tests/apps/preview and tests/xr draw all of them
+    windows = {"present.frag.glsl", "eyes.frag.glsl"}
     rest = [line for line in missed([*ROWS, *OTHERS, *PAGES]) if line.split(":")[0] not in windows]
     assert not rest
     for flag in (
@@ -245,7 +246,8 @@ def test_slots() -> None:
         flags = dict.fromkeys(
             Variant().defines() | SkinVariant().defines() | MeshVariant().defines() | ResolveVariant().defines(), 1
         )
-        text = flatten(file.name, flags | {"ANAGLYPH": 0, "TEXT": 1, "LIFTED": 1}).text
+        shown = {"ANAGLYPH": 0, "TEXT": 1, "LIFTED": 1, "LINEAR": 1, "DEPTH": 1, "ROOM": 1}
+        text = flatten(file.name, flags | shown).text
         samplers = re.findall(r"^uniform sampler\w+ (\w+);", text, re.MULTILINE)
         units = [UNITS[name] for name in samplers]
         assert len(set(units)) == len(units), f"{file.name}: {samplers}"

@@ -1,0 +1,274 @@
+"""``glsplat preview --xr``: a scene, or a server's pictures, on the headset of this computer (docs/openxr.md)."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from collections.abc import Callable
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+from urllib.parse import parse_qs, urlsplit
+
+import numpy as np
+
+from glsplat.config import RenderConfig
+from glsplat.errors import ContextError, GlsplatError
+from glsplat.gl.context import Context, create_context
+from glsplat.net.guard.access import read_token
+from glsplat.scenes.scene_file import SceneFile
+from glsplat.tracking.calibration import Calibration
+from glsplat.tracking.recording import record
+from glsplat.tracking.sample import Sample
+from glsplat.xr.local import LocalShow
+from glsplat.xr.openxr.graphics import EGL_ENABLE
+from glsplat.xr.openxr.runtime import OpenXrRuntime, offered
+from glsplat.xr.placing import VIEWS
+from glsplat.xr.runtime import Runtime
+from glsplat.xr.session import Session
+from glsplat.xr.wearer import Wearer
+
+from ..args import add_solver, detail_of, driven
+from ..output import Image, save_png
+from ..usage import UsageError
+from .feed import Feed
+from .headset_feed import FeedShow
+from .player import Others
+from .window import Window
+
+__all__ = ["add_arguments", "check", "run"]
+
+_MOST = 72 * 60 * 30  # samples of a recording: half an hour
+_OWN = ("url", "view", "passthrough", "no_floor", "window", "scale", "record", "height", "calibration")
+_OTHERS = ("motion", "pose", "paused", "eye", "target", "connect", "recording", "numbers", "vsync")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The options of --xr."""
+    group = parser.add_argument_group("on a headset", "by OpenXR: SteamVR, Link, WiVRn, Monado; docs/openxr.md")
+    group.add_argument("--xr", action="store_true", help="on the headset of this computer, moved by who wears it")
+    group.add_argument("--url", metavar="URL", help="show the pictures of `glsplat serve` at ws://HOST:PORT/ws there")
+    group.add_argument("--view", choices=VIEWS, help="begin with it (default mirror); button A or X: the next")
+    group.add_argument("--passthrough", action="store_true", help="show the room around the wearer, where it can be")
+    group.add_argument("--no-floor", action="store_true", help="leave the dark empty")
+    group.add_argument("--window", action="store_true", help="show in a window (--size) what the wearer sees")
+    group.add_argument("--scale", type=float, metavar="F", help="of the size that the headset asks for (default 1)")
+    group.add_argument("--record", metavar="FILE", help="write head, hands and all else that is tracked (.jsonl)")
+    group.add_argument("--height", type=float, help="the wearer's stature in metres (default: found as they move)")
+    group.add_argument("--calibration", metavar="JSON", help="from `glsplat tracking calibrate`, instead")
+    add_solver(group)  # type: ignore[arg-type]
+
+
+def check(args: argparse.Namespace) -> None:
+    """Refuse options that mean nothing together, before anything is opened."""
+    if not args.xr:
+        for name in _OWN:
+            if getattr(args, name) not in (None, False):
+                raise UsageError(f"--{name.replace('_', '-')} goes with --xr")
+        return
+    for name in _OTHERS:
+        if getattr(args, name) not in (None, False):
+            hint = "; a server's pictures there: --url" if name == "connect" else ": its wearer moves the avatar"
+            raise UsageError(f"--{name} does not go with --xr{hint}")
+    if args.height is not None and (args.calibration is not None or args.url is not None):
+        raise UsageError("--height goes neither with --calibration nor with --url, where the address has height=METRES")
+    if args.scale is not None and not 0.05 <= args.scale <= 4:
+        raise UsageError(f"--scale needs 0.05 to 4, not {args.scale:g}")
+    if args.record is not None and not args.record.lower().endswith(".jsonl"):
+        raise UsageError(f"--record {args.record}: the name needs to end in .jsonl")
+    if args.url is None and (args.token_file is not None or args.tls_ca is not None or args.quality is not None):
+        raise UsageError("--token-file, --tls-ca and --quality go with --url")
+    if args.background is not None and (args.url is not None or args.passthrough):
+        raise UsageError("--background does not go with --url and --passthrough: there it is black, or the room")
+
+
+def run(
+    args: argparse.Namespace,
+    scene: SceneFile,
+    frames: int | None,
+    connect: Callable[[Context, bool], Runtime] | None = None,  # default: the runtime of this computer
+) -> int:
+    """Show until the runtime, the window or Ctrl-C ends it."""
+    samples: list[Sample] = []
+    wearer = Wearer(args.view or "mirror", room=_in_room(args.url), heard=_heard(args.record, samples))
+    known = offered() if connect is None else frozenset({EGL_ENABLE})  # one line where there is no runtime
+    make = connect or _own
+    with ExitStack() as stack:
+        if args.record is not None:
+            stack.callback(_keep, args.record, samples)  # at last, whatever ended the session
+        feed = _feed(args)
+        if feed is not None:
+            feed.start()
+            stack.callback(feed.close)
+        window = None
+        if args.window or EGL_ENABLE not in known:
+            window = stack.enter_context(Window(args.size, "glsplat: what the wearer sees", visible=args.window))
+            context = window.context
+        else:
+            context = create_context()
+            stack.callback(context.release)
+        stack.enter_context(context)
+        show = _show(args, scene, feed, context, wearer)
+        stack.callback(show.release)
+        session = Session(lambda: make(context, args.passthrough), show, say=_say)
+        stack.callback(session.close)
+        _choose_blend(args, session)
+        loop(session, show, window if args.window else None, frames)
+        report = _report(session, show)
+        if args.screenshot:
+            save_png(args.screenshot, _picture(context, show))
+        if args.json:
+            print(json.dumps(report))
+    return 0
+
+
+def loop(
+    session: Session,
+    show: LocalShow | FeedShow,
+    window: Window | None,
+    frames: int | None,
+) -> None:
+    """Step until it is over; the window shows the left eye of each picture that is new."""
+    shown = -1
+    try:
+        while session.step():
+            if frames is not None and session.rendered >= frames:
+                session.quit()
+            if window is None:
+                continue
+            window.wait(0)
+            if window.closing:
+                session.quit()
+            if session.rendered != shown and min(window.size) > 0:
+                shown = session.rendered
+                if show.look(window.framebuffer, window.size):
+                    window.swap()
+    except KeyboardInterrupt:
+        session.quit()
+        while session.step():
+            pass
+
+
+def _own(context: Context, passthrough: bool) -> Runtime:
+    return OpenXrRuntime(context, passthrough)
+
+
+def _show(
+    args: argparse.Namespace, scene: SceneFile, feed: Feed | None, context: Context, wearer: Wearer
+) -> LocalShow | FeedShow:
+    how = {"scale": args.scale or 1.0, "floor": not args.no_floor, "transparent": args.passthrough}
+    if feed is not None:
+        return FeedShow(feed, context, wearer, say=_say, **how)
+    others = Others(scene, scene.avatar)
+    config = RenderConfig(**detail_of(args))
+    show = LocalShow(
+        scene,
+        context,
+        wearer,
+        config=config,
+        background=args.background or scene.background,
+        calibration=_calibration(args, scene),
+        solver=args.solver,
+        advance=others.advance,
+        timed=args.json,
+        **how,
+    )
+    if not show.solved:
+        _say(f"{args.scene}: nothing in it that its wearer could move; it is looked at")
+    return show
+
+
+def _calibration(args: argparse.Namespace, scene: SceneFile) -> Calibration | None:
+    if args.calibration is not None:
+        return Calibration.load(args.calibration)
+    if args.height is None:
+        return None
+    return Calibration.of_height(driven(scene, "--height").skeleton, args.height)
+
+
+def _choose_blend(args: argparse.Namespace, session: Session) -> None:
+    """Opaque or what comes first; with --passthrough what lets the room through. ContextError if nothing does."""
+    runtime = session.runtime
+    if runtime is None:
+        return
+    if not args.passthrough:
+        session.blend = "opaque" if "opaque" in runtime.blends else runtime.blends[0]
+        return
+    found = next((blend for blend in ("alpha", "additive") if blend in runtime.blends), None)
+    if found is None:
+        raise ContextError(f"{runtime.name} shows no room around the wearer; leave --passthrough out")
+    session.blend = "alpha" if found == "alpha" else "additive"
+
+
+def _feed(args: argparse.Namespace) -> Feed | None:
+    if args.url is None:
+        return None
+    token = None if args.token_file is None else read_token(args.token_file)
+    return Feed(args.url, token, cafile=args.tls_ca, quality=args.quality)
+
+
+def _in_room(url: str | None) -> bool:
+    """Whether the address asks for one of the server's rooms, where others are."""
+    return url is not None and bool(parse_qs(urlsplit(url).query).get("room"))
+
+
+def _heard(name: str | None, samples: list[Sample]) -> Callable[[Sample], None]:
+    """Keeps samples for --record: half an hour of them at most."""
+    if name is None:
+        return lambda _: None
+    if not Path(name).absolute().parent.is_dir():
+        raise UsageError(f"--record {name}: there is no such folder; create it first")
+
+    def keep(sample: Sample) -> None:
+        if len(samples) < _MOST:
+            samples.append(sample)
+            if len(samples) == _MOST:
+                _say(f"{name} is full; the session goes on")
+
+    return keep
+
+
+def _keep(name: str, samples: list[Sample]) -> None:
+    if samples:
+        print(f"{name}: {record(name, samples)} samples", file=sys.stderr)
+
+
+def _report(session: Session, show: LocalShow | FeedShow) -> dict[str, Any]:
+    runtime = session.runtime
+    out: dict[str, Any] = {
+        "runtime": "" if runtime is None else runtime.name,
+        "extensions": [] if runtime is None else sorted(runtime.extensions),
+        "frames": session.frames,
+        "rendered": session.rendered,
+        "losses": session.losses,
+        "overhead_ms": round(session.overhead_ms, 3),
+        "view": show.wearer.view,
+    }
+    if isinstance(show, FeedShow):
+        return out | {"pictures": show.pictures, "age_ms": round(show.age_ms, 3)}
+    renderer = show.renderer
+    times = {stage: round(ms, 3) for stage, ms in renderer.timings.items()} | {"copy": round(show.copy_ms, 3)}
+    return out | {"driver": renderer.driver, "size": renderer.size, "timings_ms": times}
+
+
+def _picture(context: Context, show: LocalShow | FeedShow) -> Image:
+    """Both eyes beside each other, as the wearer saw them last. GlsplatError if they saw nothing."""
+    if show.eyes is None or not show.eyes.filled:
+        raise GlsplatError("--screenshot: the wearer saw no picture")
+    pictures, size = [], show.eyes.size
+    with ExitStack() as stack:
+        texture = context.ctx.texture(size, 4)
+        stack.callback(texture.release)
+        framebuffer = context.ctx.framebuffer([texture])
+        stack.callback(framebuffer.release)
+        for eye in (0, 1):
+            show.look(framebuffer, size, eye)
+            pictures.append(np.frombuffer(texture.read(), np.uint8).reshape(size[1], size[0], 4)[::-1, :, :3])
+        context.scratch.use()
+    return np.concatenate(pictures, axis=1)
+
+
+def _say(text: str) -> None:
+    print(f"{time.strftime('%H:%M:%S')} {text}", file=sys.stderr)

@@ -1,0 +1,151 @@
+"""Pictures of a server in a headset: the wearer's eyes and tracking to the feed, its newest pair to the runtime.
+
+A pair is handed over with the poses that it was asked for, so a late one stays where it belongs: the runtime
+reprojects it.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import moderngl
+import numpy as np
+
+from glsplat.camera import Camera
+from glsplat.gl.context import Context
+from glsplat.passes.eyes import Surroundings
+from glsplat.passes.target import Target
+from glsplat.rotations import FLIP_X
+from glsplat.xr.cameras import camera_of, sighted
+from glsplat.xr.placing import Place
+from glsplat.xr.room import surroundings
+from glsplat.xr.runtime import FrameTiming, Projection, Runtime, ViewPose
+from glsplat.xr.session import Shown
+from glsplat.xr.swapchains import EyeSwapchains, fitting
+from glsplat.xr.wearer import Wearer
+
+from .feed import Feed, Picture, Wish
+
+__all__ = ["FeedShow"]
+
+
+@dataclass(frozen=True, eq=False)
+class _Asked:
+    """What a picture was asked for."""
+
+    views: Sequence[ViewPose]
+    place: Place
+
+
+class FeedShow:
+    """A ``Show`` of what a server draws. The feed is the caller's; it outlives the show."""
+
+    def __init__(
+        self,
+        feed: Feed,
+        context: Context,
+        wearer: Wearer,
+        *,
+        scale: float = 1.0,
+        floor: bool = True,
+        transparent: bool = False,
+        say: Callable[[str], None] = lambda _: None,
+    ) -> None:
+        self._feed, self._context, self.wearer, self._say = feed, context, wearer, say
+        self._scale, self._floor, self._transparent = scale, floor and not transparent, transparent
+        self._size = (0, 0)  # that is asked for
+        self._eyes: EyeSwapchains | None = None
+        self._last: Projection | None = None
+        self._said = ""
+        self._target: Target | None = None
+        self._around: Surroundings | None = None
+        self.pictures = 0
+        self.age_ms = 0.0  # of the newest picture when it was handed over
+
+    @property
+    def eyes(self) -> EyeSwapchains | None:
+        """The runtime's images, while there are any."""
+        return self._eyes
+
+    def attach(self, runtime: Runtime) -> None:
+        """Know the runtime's size; images are made for what the server sends."""
+        self._size = fitting(runtime, self._scale, self._context.max_size)
+
+    def detach(self) -> None:
+        """Give the images back."""
+        eyes, self._eyes, self._last = self._eyes, None, None
+        if eyes is not None:
+            eyes.close()
+        self.recentred()
+
+    def recentred(self) -> None:
+        """Place the view anew."""
+        self.wearer.recentred()
+
+    def frame(self, runtime: Runtime, timing: FrameTiming, focused: bool) -> Shown:
+        """Ask for a pair for this moment; hand over the newest one that came."""
+        moment = self.wearer.look(runtime, timing, focused)
+        views = sighted(runtime.views(timing.display_time))
+        located = time.perf_counter()
+        if self._feed.notice != self._said:
+            self._said = self._feed.notice
+            if self._said:
+                self._say(self._said)
+        if views is not None and moment is not None and moment.sample.head is not None:
+            self._feed.ask(self._wish(views, moment.place, moment.sample.to_json()))
+        picture, drawing = self._feed.take(), 0.0
+        if picture is not None and isinstance(picture.about, _Asked) and len(picture.images) == 2:
+            begun = time.perf_counter()
+            self._hand_over(runtime, picture, picture.about)
+            drawing = time.perf_counter() - begun
+        return Shown(self._last, located, drawing)
+
+    def look(self, framebuffer: moderngl.Framebuffer, size: tuple[int, int], eye: int = 0) -> bool:
+        """Show in a window what was handed over last; False if that was nothing."""
+        if self._eyes is None or self._target is None or self._last is None:
+            return False
+        self._eyes.show(self._target, framebuffer, size, self._around, eye)
+        return True
+
+    def release(self) -> None:
+        """Delete all GL objects."""
+        self.detach()
+        if self._target is not None:
+            self._target.release()
+            self._target = None
+
+    def _wish(self, views: Sequence[ViewPose], place: Place, tracking: dict[str, Any]) -> Wish:
+        mirror = place.glass is not None
+        shown = place.shown @ FLIP_X if mirror else place.shown  # the server reflects by itself
+        cameras: list[Camera] = [camera_of(view, self._size, shown) for view in views]
+        options: dict[str, Any] = {}
+        if mirror:
+            options["mirror"] = True
+        if place.view == "own":
+            options["hide"] = ("head",)
+        if self._transparent or not mirror:  # a mirror's glass is black: nothing shows through
+            options["alpha"] = "straight"
+        return Wish(cameras, tracking=tracking, options=options, about=_Asked(tuple(views), place))
+
+    def _hand_over(self, runtime: Runtime, picture: Picture, asked: _Asked) -> None:
+        _, height, width, _ = picture.images.shape
+        size = (width, height)
+        if self._eyes is None or self._eyes.size != size:
+            if self._eyes is not None:
+                self._last = None
+                self._eyes.close()
+            self._eyes = EyeSwapchains(runtime, self._context, size, False)
+        with self._context.entered("FeedShow"):
+            if self._target is None or self._target.shape != picture.images.shape:
+                if self._target is not None:
+                    self._target.release()
+                self._target = Target(self._context.ctx, *size, 2, "f1")
+            self._target.texture.write(np.ascontiguousarray(picture.images))
+        self._around = surroundings(asked.views, size, asked.place, self._floor)
+        self._eyes.fill(self._target, None, self._around)
+        self._last = self._eyes.projection(asked.views, None, self._transparent)
+        self.pictures += 1
+        self.age_ms = (time.perf_counter() - picture.asked) * 1e3

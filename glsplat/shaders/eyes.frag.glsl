@@ -1,0 +1,75 @@
+// The float layers to a headset's images, an instance an eye; row 0 is the bottom there. A pixel is a texel: no filter.
+// With ROOM also what stands around the avatar: a mirror's frame and glass, and a floor. Twin of the planes: xr/room.py.
+uniform sampler2DArray target;
+uniform int first;  // the eye of the first instance
+uniform int rows;   // pixels of an image
+uniform vec3 corner;  // of a window: where the picture begins in it, and its pixels a pixel of the window; else 0, 0, 1
+#if LIFTED
+#include "lift.glsl"
+uniform vec3 first_background, second_background;
+#endif
+#if LINEAR
+#include "srgb.glsl"
+#endif
+#if DEPTH
+uniform sampler2DArray depth_sum;
+uniform vec3 depth_range;  // near and far in metres, metres a unit of the sum
+#endif
+#if ROOM
+uniform mat3 glass_from_pixel[2];  // metres on the mirror's plane, homogeneous; z > 0 where the eye looks at it
+uniform mat3 floor_from_pixel[2];
+uniform vec4 glass;  // half of its width, bottom and top in metres, width of the frame; width 0: no mirror
+uniform vec3 extent;  // of the floor: half its side, fade from the eye (metres), 0: no floor, 1: one
+uniform vec2 eye[2];  // x and z over the floor
+const vec3 FRAME = vec3(0.45, 0.36, 0.22), LINES = vec3(0.22, 0.26, 0.33);
+const float THICK = 0.006;  // metres, half of a line
+#endif
+flat in int layer;
+out vec4 fragment;
+
+#if ROOM
+float grid(vec2 at, vec2 seen) {  // cover of lines a metre apart, at least a pixel wide
+    vec2 off = abs(at - round(at)), wide = max(vec2(THICK), 0.5 * seen);
+    vec2 cover = clamp((wide - off) / seen + 0.5, 0.0, 1.0) * THICK / wide;
+    return max(cover.x, cover.y);
+}
+
+vec4 placed(vec4 picture, vec3 pixel, int view) {
+    vec3 plane = floor_from_pixel[view] * pixel;
+    vec2 at = plane.xy / plane.z, seen = max(fwidth(at), vec2(1e-6));
+    float fade = clamp(1.0 - distance(at, eye[view]) / extent.y, 0.0, 1.0);
+    bool on = extent.z > 0.0 && plane.z > 0.0 && all(lessThanEqual(abs(at), vec2(extent.x)));
+    vec4 around = on ? vec4(LINES, 1.0) * grid(at, seen) * fade : vec4(0.0);
+    if (glass.x == 0.0) return picture + (1.0 - picture.a) * around;
+    vec3 mirror = glass_from_pixel[view] * pixel;
+    if (mirror.z <= 0.0) return around;
+    vec2 spot = mirror.xy / mirror.z, middle = vec2(0.0, 0.5 * (glass.y + glass.z));
+    vec2 beyond = abs(spot - middle) - vec2(glass.x, 0.5 * (glass.z - glass.y));
+    float most = max(beyond.x, beyond.y);
+    if (most <= 0.0) return vec4(picture.rgb, 1.0);  // the glass is black where nobody is
+    return most <= glass.w ? vec4(FRAME, 1.0) : around;
+}
+#endif
+
+void main() {
+    int view = first + layer;
+    ivec2 at = ivec2((gl_FragCoord.xy - corner.xy) * corner.z);
+    ivec3 texel = ivec3(at.x, rows - 1 - at.y, view);
+    vec4 colour = texelFetch(target, texel, 0);
+#if DEPTH
+    float z = texelFetch(depth_sum, texel, 0).r * depth_range.z / colour.a;
+    float deep = (1.0 - depth_range.x / z) * depth_range.y / (depth_range.y - depth_range.x);
+    gl_FragDepth = colour.a > 0.0 ? clamp(deep, 0.0, 1.0) : 1.0;
+#endif
+#if LIFTED
+    colour = lifted(colour, view == 0 ? first_background : second_background);
+#endif
+    colour = clamp(colour, 0.0, 1.0);
+#if ROOM
+    colour = placed(colour, vec3(vec2(texel.xy) + 0.5, 1.0), view);
+#endif
+#if LINEAR
+    colour.rgb = linear_of(colour.rgb);  // the image is not encoded: runtimes take its bytes for light
+#endif
+    fragment = colour;
+}

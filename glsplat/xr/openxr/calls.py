@@ -1,0 +1,60 @@
+"""pyopenxr, imported when it is needed, and its errors as ours."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from glsplat.errors import ContextError, ContextLostError
+
+__all__ = ["INSTALL", "called", "function", "pyopenxr"]
+
+INSTALL = "pip install 'glsplat[openxr]'"
+
+
+def pyopenxr() -> Any:
+    """The module ``xr``. ContextError says how to install it."""
+    os.environ.setdefault("XR_LOADER_DEBUG", "none")  # what goes wrong we say ourselves, in one line
+    try:
+        import xr
+    except ModuleNotFoundError as error:
+        raise ContextError(f"OpenXR needs pyopenxr ({error.name} is missing): {INSTALL}") from None
+    except (ImportError, OSError, AttributeError) as error:  # its loader, or PyOpenGL's libraries
+        raise ContextError(f"pyopenxr cannot be loaded: {str(error).splitlines()[0]:.160}") from None
+    return xr
+
+
+@contextmanager
+def called(what: str) -> Iterator[None]:
+    """Errors of pyopenxr within it become ContextLostError where the runtime is gone, else ContextError.
+
+    Successes that tell something more (a frame was discarded, a session is not focused) are passed over.
+    """
+    xr = pyopenxr()
+    gone = (xr.InstanceLostError, xr.SessionLostError, xr.SessionLossPending, xr.RuntimeFailureError)
+    try:
+        yield
+    except gone as error:
+        raise ContextLostError(f"the OpenXR runtime is gone ({what}: {type(error).__name__})") from None
+    except xr.exception.QualifiedSuccessResult:
+        pass
+    except xr.exception.ResultException as error:
+        text = " ".join(str(error).split())
+        raise ContextError(f"the OpenXR runtime refuses {what}: {type(error).__name__}: {text:.160}") from None
+
+
+def function(instance: Any, name: str) -> Any:
+    """A function of an extension that pyopenxr wraps in a way that does not work: as C has it, raising its errors."""
+    import ctypes
+
+    xr = pyopenxr()
+    call = ctypes.cast(xr.get_instance_proc_addr(instance, name), getattr(xr, f"PFN_{name}"))
+
+    def checked(*arguments: Any) -> None:
+        result = xr.exception.check_result(xr.Result(call(*arguments)))
+        if result.is_exception():
+            raise result
+
+    return checked

@@ -1,0 +1,354 @@
+"""A scene in a headset: what lies in the runtime's images, against Renderer.render with the same cameras."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from math import nan
+from typing import Any
+
+import numpy as np
+import pytest
+
+import glsplat
+from glsplat.config import RenderConfig
+from glsplat.errors import ContextError
+from glsplat.gl.context import Context, create_context
+from glsplat.scene import Item, Scene, similarity
+from glsplat.scenes.scene_file import SceneFile
+from glsplat.splats import Splats
+from glsplat.tracking.calibration import Calibration
+from glsplat.xr.local import FAR, LocalShow
+from glsplat.xr.placing import ViewName
+from glsplat.xr.runtime import Fov
+from glsplat.xr.session import Session
+from glsplat.xr.swapchains import fitting
+from glsplat.xr.wearer import Wearer
+from tests.xr.fake import DEPTH24, DEPTH32F, HEAD, RGBA8, RGBA16F, SRGB8, FakeRuntime
+from tests.xr.test_samples import pinch
+
+pytestmark = pytest.mark.gl
+
+SIZE = (96, 80)
+
+
+@pytest.fixture(scope="module")
+def context() -> Iterator[Context]:
+    made = create_context()
+    yield made
+    with made:
+        assert made.ctx.error == "GL_NO_ERROR"
+    made.release()
+
+
+@pytest.fixture(scope="module")
+def person() -> glsplat.Avatar:
+    return glsplat.default_avatar()
+
+
+class Worn:
+    """A session that a fake headset runs; ``pair()`` is what lies in its images."""
+
+    def __init__(
+        self, context: Context, scene: Any, view: ViewName = "facing", runtime: FakeRuntime | None = None, **how: Any
+    ) -> None:
+        self.context = context
+        self._plain: Any = None
+        self.runtime = runtime or FakeRuntime(context, size=SIZE)
+        file = scene if isinstance(scene, SceneFile) else SceneFile.of(scene)
+        self.show = LocalShow(file, context, Wearer(view), **({"floor": False} | how))
+        try:
+            self.session = Session(lambda: self.runtime, self.show)  # type: ignore[arg-type, return-value]
+        except BaseException:
+            self.show.release()
+            raise
+
+    def __enter__(self) -> Worn:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._release_plain()
+        self.session.close()
+        self.show.release()
+
+    def frames(self, count: int = 3) -> None:
+        for _ in range(count):
+            assert self.session.step()
+
+    def chains(self, deep: bool = False) -> list[Any]:
+        known = (DEPTH32F, DEPTH24)
+        return [chain for chain in self.runtime.swapchains if not chain.closed and (chain.format in known) is deep]
+
+    def pair(self, deep: bool = False) -> np.ndarray:
+        return np.concatenate([chain.read() for chain in self.chains(deep)])
+
+    def rendered(self, **config: Any) -> Any:
+        """The same by a renderer of its own, which reads back; of floats with their depth."""
+        size = (self.show.cameras[0].width, self.show.cameras[0].height)
+        if self._plain is None or self._plain[0] != (self.show.scene, config):
+            self._release_plain()
+            made = glsplat.Renderer(self.show.scene, size=size, config=RenderConfig(**config), context=self.context)
+            self._plain = (self.show.scene, config), made
+        return self._plain[1].render(self.show.cameras, depth=config.get("output") == "float32")
+
+    def _release_plain(self) -> None:
+        if self._plain is not None:
+            self._plain[1].release()
+
+
+VIEWPOINTS = [  # heads, fields of view: none of them even, none symmetric
+    (HEAD, (Fov(-0.94, 0.70, 0.73, -0.96), Fov(-0.70, 0.94, 0.73, -0.96))),
+    ((0.4, 1.5, -0.3, 0.05, 0.33, -0.04, 0.94), (Fov(-0.6, 0.9, 0.5, -0.8), Fov(-1.0, 0.3, 0.6, -0.7))),
+    ((0.0, 1.7, 0.1, -0.13, 0.0, 0.2, 0.97), (Fov(-0.8, 0.8, 0.9, -0.5), Fov(-0.8, 0.8, 0.9, -0.5))),
+]
+
+
+@pytest.mark.parametrize(
+    ("view", "arrays"), [("mirror", True), ("facing", True), ("facing", False), ("own", True)], ids=str
+)
+def test_images_are_what_render_gives_to_the_bit(context: Context, view: ViewName, arrays: bool) -> None:
+    runtime = FakeRuntime(context, size=SIZE, arrays=arrays)
+    with Worn(context, glsplat.default_avatar(), view, runtime) as worn:
+        worn.frames(1)
+        for head, fovs in VIEWPOINTS:
+            unit = np.array(head[3:]) / np.linalg.norm(head[3:])
+            head = (*head[:3], *unit.tolist())
+            if view == "own":  # looking down at oneself
+                head = (*head[:3], -0.5, 0.0, 0.0, 0.8660254)
+            eyes = ((head[0] - 0.031, head[1], head[2], *head[3:]), (head[0] + 0.034, head[1] + 0.01, *head[2:]))
+            runtime.tracked = replace(runtime.tracked, head=head)
+            runtime.eyes, runtime.fovs = eyes, fovs
+            worn.show.recentred()
+            worn.frames(3)
+            pair, wanted = worn.pair(), worn.rendered()
+            assert pair.shape == wanted.shape == (2, SIZE[1], SIZE[0], 4)
+            if view == "mirror":  # beyond the glass there is its frame, and nothing
+                inside = pair[..., 3] == 255
+                picture = inside & ~np.all(pair[..., :3] == np.array([115, 92, 56]), axis=-1)
+                assert 0.1 < picture.mean() < 0.9 and np.array_equal(pair[picture][:, :3], wanted[picture][:, :3])
+            else:
+                assert np.array_equal(pair, wanted)
+            assert (wanted[..., 3] > 128).mean() > 0.01  # somebody is in it
+            projection = runtime.shown[-1][0]
+            assert projection is not None and [v.pose for v in projection.views] == list(eyes)
+            assert [v.fov for v in projection.views] == list(fovs)
+    assert len(worn.runtime.swapchains) == (2 if arrays else 4) and all(c.closed for c in worn.runtime.swapchains)
+
+
+def test_the_own_body_has_no_head_and_the_others_have_one(context: Context) -> None:
+    avatar = glsplat.default_avatar()
+    with Worn(context, avatar, "own") as worn:
+        worn.frames()
+        assert worn.show.renderer.stats.splats == len(avatar.without("head").splats)
+        worn.show.wearer.show("facing")
+        worn.frames(1)
+        assert worn.show.renderer.stats.splats == len(avatar.splats)
+        assert np.array_equal(worn.pair(), worn.rendered())
+
+
+@pytest.mark.parametrize("known", [DEPTH32F, DEPTH24])
+def test_depth_is_the_renderers(context: Context, known: int) -> None:
+    runtime = FakeRuntime(context, size=SIZE, formats=(SRGB8, known))
+    with Worn(context, glsplat.default_avatar(), "facing", runtime) as worn:
+        worn.frames()
+        deep, (picture, z) = worn.pair(deep=True), worn.rendered(output="float32")
+        projection = runtime.shown[-1][0]
+        assert projection is not None and projection.depth_range is not None
+        near, far = projection.depth_range.near, projection.depth_range.far
+        covered = picture[..., 3] > 0.5
+        metres = near * far / (far - deep[covered] * (far - near))  # z from OpenGL's perspective
+        assert covered.sum() > 100 and np.allclose(metres, z[covered], rtol=2e-3)
+        assert 1.0 < np.median(metres) < 2.5 and far == FAR
+        assert np.all(deep[picture[..., 3] == 0] == 1)
+
+
+def test_depth_is_in_the_wearers_metres(context: Context) -> None:
+    known = Calibration(scale=1.25, automatic=False)
+    with Worn(context, glsplat.default_avatar(), "facing", calibration=known) as worn:
+        worn.frames()
+        _, z = worn.rendered(output="float32")
+        projection = worn.runtime.shown[-1][0]
+        assert projection is not None and projection.depth_range is not None
+        near, far = projection.depth_range.near, projection.depth_range.far
+        covered = z > 0
+        metres = near * far / (far - worn.pair(deep=True)[covered] * (far - near))
+        assert np.median(metres / z[covered]) == pytest.approx(1.25, rel=1e-3)
+
+
+def test_eyes_that_are_drawn_one_by_one(context: Context) -> None:
+    """Each in an order of its own: both layers of colour and of depth are there all the same."""
+    with Worn(context, glsplat.default_avatar(), "facing", config=RenderConfig(order="per_view")) as worn:
+        worn.frames()
+        assert np.array_equal(worn.pair(), worn.rendered(order="per_view"))
+        picture, z = worn.rendered(order="per_view", output="float32")
+        projection = worn.runtime.shown[-1][0]
+        assert projection is not None and projection.depth_range is not None
+        near, far = projection.depth_range.near, projection.depth_range.far
+        for eye in (0, 1):
+            covered = picture[eye, ..., 3] > 0.5
+            metres = near * far / (far - worn.pair(deep=True)[eye][covered] * (far - near))
+            assert covered.sum() > 50 and np.allclose(metres, z[eye][covered], rtol=2e-3)
+
+
+def test_no_depth_costs_none(context: Context) -> None:
+    for formats, how in (((SRGB8,), {}), ((SRGB8, DEPTH32F), {"depth": False})):
+        runtime = FakeRuntime(context, size=SIZE, formats=formats)
+        with Worn(context, glsplat.default_avatar(), "facing", runtime, **how) as worn:
+            worn.frames()
+            assert not worn.chains(deep=True) and worn.show._target is not None and worn.show._target.depth is None
+            assert not runtime.shown[-1][0].depth  # type: ignore[union-attr]
+            assert np.array_equal(worn.pair(), worn.rendered())
+
+
+def test_images_that_hold_light_get_light(context: Context, person: glsplat.Avatar) -> None:
+    """RGBA8 and half floats are taken for linear by runtimes: what is written is the picture's light."""
+    for known in (RGBA8, RGBA16F):
+        with Worn(context, person, "facing", FakeRuntime(context, size=SIZE, formats=(known,))) as worn:
+            worn.frames()
+            pair, wanted = worn.pair(), worn.rendered(output="float32")[0]
+            light = np.clip(wanted[..., :3], 0, 1)
+            light = np.where(light <= 0.04045, light / 12.92, ((light + 0.055) / 1.055) ** 2.4)
+            assert np.abs(pair[..., :3] - 255 * light).max() <= 1.01 and pair[..., :3].max() > 30
+
+
+def test_a_runtime_without_a_format_we_know_is_told(context: Context, person: glsplat.Avatar) -> None:
+    with pytest.raises(ContextError, match="no images of a colour format"):
+        Worn(context, person, "facing", FakeRuntime(context, size=SIZE, formats=(0x805B, DEPTH32F)))
+
+
+def test_a_floor_lies_below_and_the_avatar_stands_on_it(context: Context) -> None:
+    with Worn(context, glsplat.default_avatar(), "facing", floor=True) as worn:
+        worn.frames()
+        pair, wanted = worn.pair().astype(int), worn.rendered().astype(int)
+        solid = wanted[..., 3] == 255
+        assert np.array_equal(pair[solid][:, :3], wanted[solid][:, :3])
+        added = (pair - wanted)[..., :3].max(axis=-1)
+        rows = np.nonzero(added.max(axis=(0, 2)) > 5)[0]
+        horizon = SIZE[1] * np.tan(0.73) / (np.tan(0.73) + np.tan(0.96))
+        assert len(rows) > 5 and rows.min() > horizon - 1 and added.min() >= 0
+
+
+def test_passthrough_shows_by_alpha(context: Context, person: glsplat.Avatar) -> None:
+    file = replace(SceneFile.of(person), background=(0.3, 0.2, 0.1))
+    runtime = FakeRuntime(context, size=SIZE, blends=("alpha", "opaque"))
+    with Worn(context, file, "facing", runtime, transparent=True, floor=True) as worn:
+        worn.session.blend = "alpha"
+        worn.frames()
+        projection, blend = runtime.shown[-1]
+        assert projection is not None and projection.transparent and blend == "alpha"
+        pair = worn.pair()
+        assert np.all(pair[pair[..., 3] == 0] == 0) and (pair[..., 3] > 200).any()  # premultiplied, no background
+    with Worn(context, file, "facing") as worn:
+        worn.frames()
+        assert (
+            np.all(np.abs(worn.pair()[:, 0, 0, :3] - [76.5, 51, 25.5]) < 1)
+            and not worn.runtime.shown[-1][0].transparent
+        )  # type: ignore[union-attr]
+
+
+def test_a_scene_around_its_wearer(context: Context, rng: np.random.Generator) -> None:
+    """A room that stands still, and a person in it who is moved."""
+    places = rng.normal(size=(300, 3)) * [1, 0.5, 1] + [0, 1, -2]
+    room = Splats.create(
+        places, [[1.0, 0, 0, 0]] * 300, np.full((300, 3), 0.05), np.ones(300), rgb=rng.random((300, 3))
+    )
+    items = [Item(room), Item(glsplat.default_avatar(), transform=similarity((0.0, 0.0, 0.0)))]
+    with Worn(context, SceneFile(Scene(items)), "own") as worn:
+        worn.frames()
+        assert worn.show.solved and np.array_equal(worn.pair(), worn.rendered())
+        before = items[1].pose
+        worn.runtime.tracked = replace(worn.runtime.tracked, hands=(pinch(0.05), None))  # type: ignore[arg-type]
+        worn.frames(5)
+        assert items[1].pose is not before
+    with Worn(context, room, "own") as still:  # nobody in it
+        still.frames()
+        assert not still.show.solved and np.array_equal(still.pair(), still.rendered())
+
+
+def test_a_lost_head_leaves_the_last_picture_where_it_was(context: Context, person: glsplat.Avatar) -> None:
+    with Worn(context, person) as worn:
+        worn.frames(4)
+        last = worn.runtime.shown[-1][0]
+        worn.runtime.eyes = None
+        acquired = worn.runtime.log.count("acquire")
+        worn.frames(2)
+        assert worn.runtime.shown[-1][0] is last and worn.runtime.log.count("acquire") == acquired
+
+
+@pytest.mark.parametrize("bad", [Fov(0, 0, 0, 0), Fov(nan, 1, 1, -1), Fov(-2, 2, 1, -1)], ids=["zeros", "NaN", "wide"])
+def test_eyes_that_see_nothing_are_no_eyes(context: Context, person: glsplat.Avatar, bad: Fov) -> None:
+    runtime = FakeRuntime(context, size=SIZE)
+    good = runtime.fovs
+    with Worn(context, person, runtime=runtime) as worn:
+        for fovs, eyes in (((bad, bad), runtime.eyes), (good, ((0.0,) * 7,) * 2)):
+            before = runtime.eyes
+            runtime.fovs, runtime.eyes = fovs, eyes
+            worn.frames()
+            assert all(projection is None for projection, _ in runtime.shown)
+            runtime.eyes = before
+        runtime.fovs = good
+        worn.frames(1)
+        assert runtime.shown[-1][0] is not None
+
+
+def test_runtimes_that_come_and_go_leave_nothing(context: Context, person: glsplat.Avatar) -> None:
+    runtimes = [FakeRuntime(context, size=(40 + 8 * k, 32)) for k in range(3)]
+    left = list(runtimes)
+    show = LocalShow(SceneFile.of(person), context, Wearer("facing"), floor=False)
+    clock = [0.0]
+
+    def sleep(seconds: float) -> None:
+        clock[0] += seconds
+
+    session = Session(lambda: left.pop(0), show, clock=lambda: clock[0], sleep=sleep)  # type: ignore[arg-type, return-value]
+    for runtime in runtimes[:2]:
+        for _ in range(4):
+            assert session.step()
+        assert show.eyes is not None and show.eyes.size == runtime.size and runtime.shown[-1][0] is not None
+        runtime.kill()
+        for _ in range(200):
+            assert session.step()
+            if session.runtime not in (None, runtime):
+                break
+    for _ in range(4):
+        session.step()
+    assert session.losses == 2 and runtimes[2].shown[-1][0] is not None
+    assert all(chain.closed for runtime in runtimes[:2] for chain in runtime.swapchains)
+    session.close()
+    show.release()
+
+
+def test_a_window_shows_what_the_image_holds(context: Context) -> None:
+    """At its size every byte of it; in another window as much as fits, upright, in the middle."""
+    with Worn(context, glsplat.default_avatar(), "mirror", floor=True) as worn:
+        worn.frames()
+        pair, (width, height) = worn.pair(), SIZE
+        seen = {}
+        for size in (SIZE, (width + 41, height), (width // 2, height // 2)):
+            texture = context.ctx.texture(size, 4)
+            framebuffer = context.ctx.framebuffer([texture])
+            for eye in (0, 1):
+                assert worn.show.look(framebuffer, size, eye)
+                image = np.frombuffer(texture.read(), np.uint8).reshape(size[1], size[0], 4)[::-1]
+                seen[size, eye] = image[..., :3]
+            context.scratch.use()
+            framebuffer.release()
+            texture.release()
+        for eye in (0, 1):
+            exact = seen[SIZE, eye]
+            assert np.array_equal(exact, pair[eye, ..., :3]) and exact.max() > 100
+            wide = seen[(width + 41, height), eye]
+            assert (
+                np.array_equal(wide[:, 20 : 20 + width], exact) and not wide[:, :20].any() and not wide[:, -21:].any()
+            )
+            small = seen[(width // 2, height // 2), eye]
+            assert np.abs(small.astype(int) - exact[::2, ::2]).mean() < 20
+
+
+def test_sizes() -> None:
+    runtime = FakeRuntime(size=(2000, 2200))
+    assert fitting(runtime, 1.0, 16384) == (2000, 2200)  # type: ignore[arg-type]
+    assert fitting(runtime, 0.5, 16384) == (1000, 1100)  # type: ignore[arg-type]
+    assert fitting(runtime, 4.0, 16384) == (3723, 4096)  # type: ignore[arg-type]  # the runtime's most, its shape kept
+    assert fitting(runtime, 1.0, 1100) == (1000, 1100)  # type: ignore[arg-type]
+    assert fitting(runtime, 1e-9, 16384) == (1, 1)  # type: ignore[arg-type]
