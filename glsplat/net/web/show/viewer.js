@@ -17,6 +17,7 @@ export class Viewer {
   #last = ''; // what was asked last
   #asked = 0; // ms
   #handle = 0;
+  covered = () => ({ top: 0, right: 0, bottom: 0, left: 0 }); // CSS pixels of the canvas that something lies over
   onDrive = () => {}; // hears of what moves the avatar, every frame
 
   constructor(canvas, stage, orbit, settings) {
@@ -50,6 +51,8 @@ export class Viewer {
     this.#handle = requestAnimationFrame((later) => this.#frame(later));
     const { width, height } = this.#fit();
     if (!width || !height) return;
+    this.#orbit.inset = this.covered();
+    this.#orbit.scale = width / this.#canvas.clientWidth;
     const views = this.#orbit.views(width, height, { stereo: this.#settings.get('stereo') });
     const drive = this.#driver?.at(now / 1000) ?? {};
     this.onDrive(drive);
