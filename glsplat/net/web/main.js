@@ -20,6 +20,7 @@ import { Recorder } from './track/recorder.js';
 const TOKEN = 'glsplat.token'; // in this tab's storage only
 const MAKING = 'glsplat.making'; // the avatar that is being made, in this tab's storage too
 const NUMBERS = 500; // ms between two looks at the figures
+const ENOUGH = 15; // pictures a second that look like a movement
 const SIZES = [512, 768, 1024, 1536]; // sides of a square picture; others have as many pixels
 
 const settings = new Settings();
@@ -149,7 +150,11 @@ function offered(session) {
   for (const name of session.motions) drivers.push({ value: `motion:${name}`, label: `Motion: ${name}` });
   if (session.recording) drivers.push({ value: 'recording', label: 'Recorded head and hands' });
   settings.setOptions('driver', [...drivers, { value: 'file', label: 'My recording…' }]);
-  settings.setOptions('size', sizesUpTo(session.max_side).map(named));
+  const sizes = sizesUpTo(session.max_side);
+  settings.setOptions('size', sizes.map(named));
+  if (session.rate && sizes.includes(session.size[0])) settings.setDefault('size', session.size[0]);
+  const slow = session.rate && session.rate < ENOUGH;
+  page.sizeNote(slow ? `This server draws about ${session.rate.toFixed(0)} pictures a second at ${session.size[0]}; smaller ones are faster.` : '');
   wear();
   stage.here.cache.sweep(session.avatars.map(({ hand_out: given }) => given?.sha256).filter(Boolean)).catch(() => {});
   photo.offered(session.upload, chosenAvatar());
@@ -310,6 +315,7 @@ connection.token = sessionStorage.getItem(TOKEN);
 
 orbit.attach(canvas);
 viewer.covered = () => page.covered();
+viewer.rests = () => upload.busy; // who makes an avatar needs the machine, which may be this one
 viewer.onDrive = ({ tracking, t }) => {
   if (recorder.recording && tracking) recorder.add(tracking, t);
 };

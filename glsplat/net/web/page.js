@@ -33,10 +33,14 @@ export class Page extends EventTarget {
     if (line.textContent !== text) line.textContent = text;
   }
 
-  /** How much of the picture the head, the dock and the drawer lie over, CSS pixels; where little is left the drawer counts not. */
+  /** How much of the picture the head and the dock lie over, CSS pixels. */
   covered() {
-    const [width, drawer] = [this.#document.documentElement.clientWidth, this.#get('panel').offsetWidth];
-    return { top: this.#get('top').offsetHeight / 2, right: drawer < width / 2 ? drawer : 0, bottom: this.#get('dock').offsetHeight, left: 0 };
+    return { top: this.#get('top').offsetHeight / 2, right: 0, bottom: this.#get('dock').offsetHeight, left: 0 };
+  }
+
+  /** What there is to say of how fast pictures of this size are; '' for nothing. */
+  sizeNote(text) {
+    this.#get('size-note').textContent = text;
   }
 
   /** Whose the avatar is, and what there is to be done about what `status` says: the button's words, or ''. */

@@ -72,6 +72,16 @@ export class Settings extends EventTarget {
     return this.#wishes[name] !== entry.value && this.get(name) === this.#wishes[name];
   }
 
+  /** What is in force where nothing was chosen. */
+  setDefault(name, value) {
+    const entry = this.#entry(name);
+    const before = this.get(name);
+    if (this.#wishes[name] === entry.value) this.#wishes[name] = value;
+    entry.value = value;
+    this.#announce(name, before);
+    this.dispatchEvent(new CustomEvent('options', { detail: { name } }));
+  }
+
   /** Set and keep a value; choices and numbers may come as text. Returns false for what is not allowed. */
   set(name, value) {
     const entry = this.#entry(name);

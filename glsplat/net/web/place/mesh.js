@@ -7,6 +7,7 @@ const OF_TEXTURE = [-1, -1, -1];
 const PLAIN = [0, 0, 0];
 const FRAME = { wide: 0.055, deep: 0.035, colour: [0.2, 0.115, 0.052] }; // around a mirror's glass, metres
 const FEET = { reach: 0.16, wide: 0.05, high: 0.04 };
+const SEAM = 0.02; // metres by which a wall goes on behind its neighbours: no light falls through
 const SASH = { wide: 0.07, deep: 0.09, bar: 0.04 }; // of a window
 const [HILLS, FAR] = [48, 70]; // pieces around, metres away
 
@@ -97,8 +98,8 @@ function wall(out, side, { half, windows }) {
   const { at, normal, reach } = wallOf(side, half);
   const own = windows.filter(([which]) => which === side);
   const cuts = (from, to, marks) => [...new Set([from, ...marks, to])].sort((a, b) => a - b);
-  const along = cuts(-reach, reach, own.flatMap(([, a, b]) => [a, b]));
-  const up = cuts(0, half[1], own.flatMap(([, , , a, b]) => [a, b]));
+  const along = cuts(-reach - SEAM, reach + SEAM, own.flatMap(([, a, b]) => [a, b]));
+  const up = cuts(-SEAM, half[1] + SEAM, own.flatMap(([, , , a, b]) => [a, b]));
   for (let i = 1; i < along.length; i++) {
     for (let k = 1; k < up.length; k++) {
       const [a, b, low, high] = [along[i - 1], along[i], up[k - 1], up[k]];
