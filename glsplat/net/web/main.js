@@ -46,7 +46,12 @@ if (!gl) {
   throw new Error('no WebGL 2');
 }
 
-const inWorker = new URLSearchParams(location.search).get('decode') !== 'main';
+const asked = new URLSearchParams(location.search);
+if (asked.has('emulate')) {
+  const { emulate } = await import('./emulate/emulate.js'); // 260 kB that nobody else loads
+  emulate(canvas);
+}
+const inWorker = asked.get('decode') !== 'main';
 const stage = new Stage(gl, connection, settings, { inWorker });
 const orbit = new Orbit();
 const viewer = new Viewer(canvas, stage, orbit, settings);

@@ -119,10 +119,14 @@ export class Page extends EventTarget {
   }
 
   #listen() {
-    this.#get('drawer').addEventListener('click', () => this.#settings.set('drawer', !this.#settings.get('drawer')));
+    this.#get('drawer').addEventListener('click', () => {
+      if (this.#settings.get('drawer')) return this.#close();
+      this.#settings.set('drawer', true);
+      return this.#get('drawer-close').focus();
+    });
     this.#get('drawer-close').addEventListener('click', () => this.#close());
-    this.#get('panel').addEventListener('keydown', (event) => {
-      if (event.key === 'Escape') this.#close();
+    this.#document.addEventListener('keydown', (event) => {
+      if (event.key === 'Escape' && this.#settings.get('drawer') && !this.#get('code').open) this.#close();
     });
     const on = (id, type, listener) => this.#get(id).addEventListener(type, listener);
     for (const name of CHOICES) on(name, 'change', (event) => this.#change(name, event.target.value));
