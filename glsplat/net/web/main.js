@@ -20,6 +20,7 @@ import { Recorder } from './track/recorder.js';
 const TOKEN = 'glsplat.token'; // in this tab's storage only
 const MAKING = 'glsplat.making'; // the avatar that is being made, in this tab's storage too
 const NUMBERS = 500; // ms between two looks at the figures
+const CIRCLE = 1.2; // metres from the middle of a room to who stands in it, at least
 const ENOUGH = 15; // pictures a second that look like a movement
 const SIZES = [512, 768, 1024, 1536]; // sides of a square picture; others have as many pixels
 
@@ -117,10 +118,24 @@ function chosenAvatar() {
   return named(guest.name) ?? offer.avatars[0];
 }
 
+let stood = ''; // the room that the camera stands in
+
+/** In a room the first view shows everybody: from behind the user, who stands on the circle of its seats. */
+function standAround() {
+  const room = settings.get('room');
+  const found = offer?.rooms?.find(({ name }) => name === room);
+  if (room === stood || (room && !found)) return;
+  stood = room;
+  const radius = found ? Math.max(CIRCLE, found.seats / (2 * Math.PI)) : 0; // as glsplat/net/rooms/seats.py
+  if (found) orbit.standBack([0, 0.95, radius], radius);
+  else orbit.reset();
+}
+
 /** The stage knows whom it shows. */
 function wear() {
   stage.canHide = Boolean(chosenAvatar()?.head);
   stage.here.offer = chosenAvatar()?.hand_out ?? null;
+  standAround();
 }
 
 /** Ask the server what it has, then connect. */

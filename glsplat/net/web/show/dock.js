@@ -81,6 +81,7 @@ export class Dock {
   #replace(id, buttons) {
     const list = this.#document.getElementById(id);
     const at = [...list.children].indexOf(this.#document.activeElement);
+    buttons.forEach((button, i) => (button.id = `${id}-${i}`));
     list.replaceChildren(...buttons);
     buttons[at]?.focus({ preventScroll: true });
   }

@@ -20,6 +20,7 @@ export class Orbit {
   pitch = START.pitch;
   distance = START.distance;
   inset = { top: 0, right: 0, bottom: 0, left: 0 }; // CSS pixels of the canvas that something covers
+  stands = false; // whether it keeps its place although the avatar moves
   close = false; // whether F brought it before the face
   #box = null; // of the avatar, as `follow` was told last
   #centre = [...START.centre];
@@ -64,7 +65,7 @@ export class Orbit {
     this.distance = START.distance;
     this.#pan = [0, 0, 0];
     this.#followed = null;
-    this.close = false;
+    this.close = this.stands = false;
   }
 
   /** Before the face; once there, back to the start. */
@@ -83,7 +84,8 @@ export class Orbit {
     this.reset();
     this.#pan = middle.map((v, i) => v - this.#centre[i]);
     [this.yaw, this.pitch, this.distance] = [2.45, 0.2, 2.6 + 2.2 * radius];
-    this.#followed = 0;
+    this.#box = null;
+    this.stands = true;
   }
 
   /** Circle by radians. */
@@ -112,7 +114,7 @@ export class Orbit {
   follow(box, nowMs = performance.now()) {
     if (!box?.every(Number.isFinite)) return;
     this.#box = [...box];
-    if (this.close) return; // a face is not lost for an arm that is raised
+    if (this.close || this.stands) return; // a face is not lost for an arm that is raised
     const off = [0, 1, 2].map((i) => (box[i] + box[i + 3]) / 2 - this.#centre[i]);
     const far = Math.hypot(...off);
     const excess = Math.max(far - SLACK * this.distance, 0);
@@ -184,7 +186,7 @@ export class Orbit {
     const other = [...this.#pointers].find(([id]) => id !== event.pointerId)?.[1];
     if (other) {
       const apart = (a) => Math.max(Math.hypot(a[0] - other[0], a[1] - other[1]), 1);
-      const middle = { clientX: (now[0] + other[0]) / 2, clientY: (now[1] + other[1]) / 2 };
+      const middle = { clientX: (before[0] + other[0]) / 2, clientY: (before[1] + other[1]) / 2 };
       this.zoom(apart(before) / apart(now), this.#under(middle, element));
       this.#drag(dx / 2, dy / 2, height); // the middle of two fingers moves half as far as one of them
     } else if (event.pointerType === 'mouse' && (event.buttons & 6) !== 0) {
