@@ -1,4 +1,4 @@
-"""axe-core, which finds faults of accessibility: fetched once by npm into pytest's cache, never a part of the project."""
+"""axe-core, which finds faults of accessibility: fetched once by npm into pytest's cache, no part of the project."""
 
 from __future__ import annotations
 

@@ -176,7 +176,7 @@ function offered(session) {
   const slow = session.rate && session.rate < ENOUGH;
   page.sizeNote(slow ? `This server draws about ${session.rate.toFixed(0)} pictures a second at ${session.size[0]}; smaller ones are faster.` : '');
   wear();
-  stage.here.cache.sweep(session.avatars.map(({ hand_out: given }) => given?.sha256).filter(Boolean)).catch(() => {});
+  stage.here.handedOut(session.avatars.map(({ hand_out: given }) => given?.sha256).filter(Boolean));
   photo.offered(session.upload, chosenAvatar());
   document.getElementById('no-photo').hidden = Boolean(session.upload);
   const making = sessionStorage.getItem(MAKING);

@@ -17,6 +17,7 @@ export class Here {
   #own = null; // made when there is an avatar to draw
   #connection;
   #offer = null; // what the server hands out of the chosen avatar: {sha256, url, ...}, or null
+  #handedOut = []; // hashes of all that it hands out
   #refused = ''; // why it does not tell poses
 
   constructor(gl, connection, settings) {
@@ -31,9 +32,15 @@ export class Here {
   /** Who is drawn next: `hand_out` of the chosen avatar in /session. */
   set offer(offer) {
     if (this.#offer && offer?.sha256 !== this.#offer.sha256) this.people.clear();
-    if (this.#offer && !offer) this.cache.forget(this.#offer.sha256);
     this.#offer = offer ?? null;
     this.#refused = '';
+  }
+
+  /** What the server hands out of all its avatars by now, hashes: of what it did before nothing stays. */
+  handedOut(hashes) {
+    for (const sha256 of this.#handedOut) if (!hashes.includes(sha256)) this.cache.forget(sha256).catch(() => {});
+    this.#handedOut = hashes;
+    this.cache.sweep(hashes).catch(() => {});
   }
 
   /** The connection is another one. */
