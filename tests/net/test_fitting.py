@@ -26,6 +26,7 @@ def test_the_largest_that_is_fast_enough_counts(seconds, expected):
     found = asyncio.run(fit(draw))
     assert (found.side, found.enough) == expected
     assert found.rate == pytest.approx(1 / (seconds * (found.side / 1024) ** 2))
+    assert asked[:3] == [512] * 3 and sum((side / 512) ** 2 for side in asked) * seconds < 12 / 15 * 4
 
 
 def test_a_server_says_what_it_found(serve):

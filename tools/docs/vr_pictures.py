@@ -1,4 +1,4 @@
-"""Draws the pictures of docs/vr.md anew: both eyes of a headset in each view, and the flat page.
+"""Draws the pictures of docs/vr.md anew: both eyes of a headset in each view, other places, and the page.
 
     python -m tools.docs.vr_pictures [docs/images]
 
@@ -55,9 +55,21 @@ def main(folder: Path) -> None:
                     fresh(page, 60)
                 seen = see(page)
                 save(folder, f"vr-{view}", np.hstack([seen["left"], seen["right"]]))
-        init = settings(size=1024, driver="motion:wave-and-turn", figures=True)
+        eyes = []
+        for place in ("studio", "night"):
+            init = settings(view="mirror", size=1024, quality=90, driver="rest", place=place)
+            with page_of(browser, served.page, init) as page:
+                head, left, right = DEVICE["mirror"]
+                steer(page, head=head, input="hands", hands=hands(left, right))
+                enter(page, run=False)
+                for _ in range(4):
+                    fresh(page, 60)
+                eyes.append(see(page)["right"])
+        save(folder, "vr-places", np.hstack(eyes))
+        init = settings(size=1024, driver="motion:wave-and-turn")
         with page_of(browser, served.page, init, (1280, 800), xr=False) as page:
-            page.until("window.glsplat.stats().shown > 12", 60)
+            page.until("window.glsplat.stats().shown > 12", 120)
+            page.until("document.querySelector('#people img') !== null", 60)
             shot = np.frombuffer(page.page.screenshot(), np.uint8)
             save(folder, "vr-page", cv2.imdecode(shot, cv2.IMREAD_COLOR)[..., ::-1])
 

@@ -26,19 +26,22 @@ const BOUNCE = 0.16; // of what falls in, as light from everywhere
 export function bake(look) {
   const bytes = new Uint8Array(4 * ATLAS.width * ATLAS.height).fill(255);
   const windows = look.windows.map((one) => panes(one, look));
+  const horizon = shown(look.sky.horizon);
+  const suns = look.sun ? SUNS.map(([a, b]) => unit([look.sun.towards[0], look.sun.towards[1] + a, look.sun.towards[2] + b])) : [];
   for (const [rect, at] of faces(look)) {
     const [left, top, width, height] = rect;
     for (let y = 0; y < height; y++) {
       for (let x = 0; x < width; x++) {
         // the outer texels lie on the edges: linear filtering never reads a neighbour face
         const { point, normal } = at((x + 0.5) / width, (y + 0.5) / height);
-        const light = lightAt(point, normal, look, windows);
+        const light = lightAt(point, normal, look, windows, suns);
         const to = 4 * ((top + y) * ATLAS.width + left + x);
         const colour = surface(point, normal, look).map((value, k) => value * light[k]);
         const far = look.fade ? smoothstep(look.fade[0], look.fade[1], Math.hypot(point[0], point[2])) : 0;
-        shown(colour).forEach((value, k) => {
-          bytes[to + k] = 255 * (value + far * (shown(look.sky.horizon)[k] - value));
-        });
+        for (let k = 0; k < 3; k++) {
+          const value = displayed(colour[k]);
+          bytes[to + k] = 255 * (value + far * (horizon[k] - value));
+        }
       }
     }
   }
@@ -69,8 +72,10 @@ export function grain({ boards }) {
 
 /** Linear light as a display shows it, softly where it is bright. */
 export function shown(colour) {
-  return colour.map((c) => Math.min(1, ((c * (1 + c * 0.18)) / (1 + c * 0.55)) ** (1 / 2.2)));
+  return colour.map(displayed);
 }
+
+const displayed = (c) => Math.min(1, ((c * (1 + c * 0.18)) / (1 + c * 0.55)) ** (1 / 2.2));
 
 /** The colour of a face at a point; windows are as bright as what is behind them. */
 function surface(point, normal, { walls, floor, wall, ceiling, windows, half: [w, , d], sky }) {
@@ -109,17 +114,20 @@ function faces({ walls, half: [w, h, d] }) {
 }
 
 /** Light [3] at a point of a face. */
-function lightAt(point, normal, look, windows) {
+function lightAt(point, normal, look, windows, suns) {
   const out = look.ambient.map((v) => v * corners(point, normal, look));
-  for (const { places, area, inward } of windows) {
+  const [px, py, pz] = point;
+  const [nx, ny, nz] = normal;
+  for (const { places, area, inward: [ix, iy, iz] } of windows) {
     let sum = 0;
-    for (const place of places) {
-      const ray = subtract(place, point);
-      const far = dot(ray, ray);
-      const facing = Math.max(0, dot(ray, normal)) * Math.max(0, -dot(ray, inward));
-      if (facing > 0 && !hidden(point, ray, look)) sum += facing / (far * Math.max(far, 0.3) * Math.PI);
+    for (let at = 0; at < places.length; at += 3) {
+      const [x, y, z] = [places[at] - px, places[at + 1] - py, places[at + 2] - pz];
+      const facing = (x * nx + y * ny + z * nz) * -(x * ix + y * iy + z * iz);
+      if (x * nx + y * ny + z * nz <= 0 || facing <= 0) continue;
+      const far = x * x + y * y + z * z;
+      if (!look.bench || !hidden(px, py, pz, x, y, z, look.bench)) sum += facing / (far * Math.max(far, 0.3) * Math.PI);
     }
-    const part = (sum * area) / places.length;
+    const part = (3 * sum * area) / places.length;
     for (let k = 0; k < 3; k++) out[k] += look.light[k] * (part + BOUNCE * 0.3);
   }
   for (const [x, y, z, ...colour] of look.lamps) {
@@ -129,7 +137,7 @@ function lightAt(point, normal, look, windows) {
     for (let k = 0; k < 3; k++) out[k] += part * colour[k];
   }
   if (look.sun) {
-    const part = sunny(point, normal, look);
+    const part = sunny(point, normal, look, suns);
     for (let k = 0; k < 3; k++) out[k] += part * look.sun.colour[k];
   }
   return out;
@@ -148,14 +156,14 @@ function corners(point, normal, { walls, half: [w, h, d] }) {
 }
 
 /** The part of the sun that comes in by a window. */
-function sunny(point, normal, look) {
+function sunny(point, normal, look, suns) {
   let seen = 0;
-  for (const [a, b] of SUNS) {
-    const ray = unit([look.sun.towards[0], look.sun.towards[1] + a, look.sun.towards[2] + b]);
+  for (const ray of suns) {
     const falls = dot(ray, normal);
     if (falls <= 0) continue;
-    const inside = look.windows.some((pane) => through(point, ray, pane, look));
-    if (inside && !hidden(point, ray.map((v) => 20 * v), look)) seen += falls;
+    if (!look.windows.some((pane) => through(point, ray, pane, look))) continue;
+    const [x, y, z] = ray.map((v) => 20 * v);
+    if (!look.bench || !hidden(point[0], point[1], point[2], x, y, z, look.bench)) seen += falls;
   }
   return seen / SUNS.length;
 }
@@ -171,20 +179,16 @@ function through(point, ray, [wall, from, to, bottom, top], { half: [w, , d] }) 
   return along > from && along < to && up > bottom && up < top;
 }
 
-/** Whether the bench stands between a point and the end of a ray. */
-function hidden(point, ray, { bench }) {
-  if (!bench) return false;
-  let [enters, leaves] = [1e-3, 1];
-  for (let k = 0; k < 3; k++) {
-    const a = (bench.from[k] - point[k]) / ray[k];
-    const b = (bench.to[k] - point[k]) / ray[k];
-    enters = Math.max(enters, Math.min(a, b));
-    leaves = Math.min(leaves, Math.max(a, b));
-  }
-  return enters < leaves;
+/** Whether a block stands between a point and the end of a ray from it. */
+function hidden(px, py, pz, x, y, z, { from, to }) {
+  const [ax, bx] = [(from[0] - px) / x, (to[0] - px) / x];
+  const [ay, by] = [(from[1] - py) / y, (to[1] - py) / y];
+  const [az, bz] = [(from[2] - pz) / z, (to[2] - pz) / z];
+  const enters = Math.max(1e-3, Math.min(ax, bx), Math.min(ay, by), Math.min(az, bz));
+  return enters < Math.min(1, Math.max(ax, bx), Math.max(ay, by), Math.max(az, bz));
 }
 
-/** A window as points that shine: {places, area, inward: unit}. */
+/** A window as points that shine: {places: x, y, z a point, area, inward: unit}. */
 function panes([wall, from, to, bottom, top], { half: [w, , d] }) {
   const sign = wall % 2 ? 1 : -1;
   const places = [];
@@ -192,7 +196,7 @@ function panes([wall, from, to, bottom, top], { half: [w, , d] }) {
     for (let k = 0; k < SAMPLES; k++) {
       const along = from + ((to - from) * (i + 0.5)) / SAMPLES;
       const up = bottom + ((top - bottom) * (k + 0.5)) / SAMPLES;
-      places.push(wall < 2 ? [sign * w, up, along] : [along, up, sign * d]);
+      places.push(...(wall < 2 ? [sign * w, up, along] : [along, up, sign * d]));
     }
   }
   return { places, area: (to - from) * (top - bottom), inward: wall < 2 ? [-sign, 0, 0] : [0, 0, -sign] };
