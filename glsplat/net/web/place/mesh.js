@@ -9,7 +9,7 @@ const FRAME = { wide: 0.055, deep: 0.035, colour: [0.2, 0.115, 0.052] }; // arou
 const FEET = { reach: 0.16, wide: 0.05, high: 0.04 };
 const SEAM = 0.02; // metres by which a wall goes on behind its neighbours: no light falls through
 const SASH = { wide: 0.07, deep: 0.09, bar: 0.04 }; // of a window
-const [HILLS, FAR] = [48, 70]; // pieces around, metres away
+const [HILLS, FAR] = [48, 44]; // pieces around, metres away: nearer than the far plane of a headset, 50
 
 /** Floats of what one of LOOKS has of triangles, all facing inwards: culled from outside, one looks into the room. */
 export function roomMesh(look) {
@@ -130,7 +130,7 @@ function hills(out, { hills: colour, ridge }) {
   const at = (i) => {
     const a = (2 * Math.PI * i) / HILLS;
     const high = FAR * ridge * (0.55 + 0.25 * Math.sin(3 * a + 1) + 0.15 * Math.sin(7 * a + 2) + 0.1 * Math.sin(11 * a));
-    return [[FAR * Math.cos(a), high, FAR * Math.sin(a)], [FAR * Math.cos(a), -14, FAR * Math.sin(a)]];
+    return [[FAR * Math.cos(a), high, FAR * Math.sin(a)], [FAR * Math.cos(a), -FAR, FAR * Math.sin(a)]];
   };
   for (let i = 0; i < HILLS; i++) {
     const [[a, below], [b, under]] = [at(i), at(i + 1)];
