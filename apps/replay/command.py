@@ -148,7 +148,8 @@ def _play(args: argparse.Namespace, token: str | None, drive: Drive, frames: int
 
 def _round(args: argparse.Namespace, seconds: float, most: float | None = None) -> int:
     """Requests that ``seconds`` take, ``most`` of which count (None: 20)."""
-    return max(1, round(min(seconds, 20.0 if most is None else most) * args.fps))
+    frames: int = max(1, round(min(seconds, 20.0 if most is None else most) * args.fps))
+    return frames
 
 
 def _check_shown(results: Sequence[Result]) -> None:
