@@ -7,6 +7,7 @@ import json
 from collections.abc import Callable, Mapping
 from functools import cache
 from importlib import resources
+from typing import Any
 
 import numpy as np
 import simplejpeg
@@ -46,16 +47,16 @@ class Drawer:
         self, one: AvatarInfo, request: Mapping[str, object], notice: Callable[[], str] = str
     ) -> tuple[Encoded, Mapping[str, float]]:
         """The picture of a native request and its times in ms. Raises GlsplatError where there is none."""
-        loop = self._loop
-        session = Session(Decoder(self._wire, one.skeleton, one.parts), self._config, self._clock())
-        channel: ClientStream = loop.open(0, session, None, "the server's own pages", one)  # type: ignore[attr-defined]
-        channel.notice = notice
-        async with self._one_at_a_time:
+        loop: Any = self._loop
+        async with self._one_at_a_time:  # all go by number 0
+            session = Session(Decoder(self._wire, one.skeleton, one.parts), self._config, self._clock())
             taken = session.receive(json.dumps({"v": 1, "frame_id": 1, **request}), self._clock())
             if not isinstance(taken, Request):
                 raise GlsplatError("the server's own request is not understood")
-            loop.add(channel)  # type: ignore[attr-defined]
-            loop.received(channel, taken)  # type: ignore[attr-defined]
+            channel: ClientStream = loop.open(0, session, None, "the server's own pages", one)
+            channel.notice = notice
+            loop.add(channel)
+            loop.received(channel, taken)
             try:
                 frame = await asyncio.wait_for(channel.frames.get(), _PATIENCE)
                 if frame.encoded is None:
@@ -64,7 +65,7 @@ class Drawer:
             except TimeoutError:
                 raise GlsplatError(f"it was not drawn within {_PATIENCE:g} s") from None
             finally:
-                loop.remove(channel)  # type: ignore[attr-defined]
+                loop.remove(channel)
 
 
 class Previews:
