@@ -216,6 +216,7 @@ def test_every_control_has_a_name_and_the_keyboard_reaches_it(page):
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_text_stands_out(page, scheme):
     page.emulate_media(color_scheme=scheme, reduced_motion="reduce")
+    again(page)  # what was moving already would be measured between two colours
     page.evaluate("settings.setOptions('avatar', [{value: 'a'}]); settings.setOptions('driver', [{value: 'rest'}])")
     page.evaluate("window.page.title('Ann', 'Try again now'); settings.setOptions('driver', [{value: 'file'}])")
     page.evaluate("""window.page.askToken('why'); settings.set('figures', true); window.page.numbers({ fps: '30' });
