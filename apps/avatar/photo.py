@@ -31,6 +31,7 @@ from ..farming import add_ray
 from ..output import save_png
 from ..usage import UsageError
 from . import photo_folder, photo_sheet
+from .mine import sign_mine
 from .writing import add_notes, check_name, notes_of, progress_bar, write, write_mesh
 
 __all__ = ["add_arguments", "run"]
@@ -85,6 +86,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--cones", action="store_true", help="make visibility cones, too (minutes; --cull-hidden needs them)"
     )
     parser.add_argument("--debug", type=Path, metavar="DIR", help="folder for a sheet that shows each step's result")
+    parser.add_argument(
+        "--mine",
+        action="store_true",
+        help="this is me, or this person agreed: sign that with a key of this computer's, made at the first use, so "
+        "that 'glsplat serve' shows the avatar (docs/consent.md)",
+    )
     parser.add_argument("--json", action="store_true", help="print what was found and made as JSON")
     add_ray(parser, "the pictures of a folder")
     add_notes(parser)
@@ -109,6 +116,8 @@ def _one(args: argparse.Namespace) -> int:
     if args.out is None:
         raise UsageError("missing: -o/--out")
     check_name(args.out)
+    if args.mine and args.out.suffix.lower() != ".glb":
+        raise UsageError(f"--mine: only .glb files carry a consent, not {args.out.name}; write a .glb")
     mesh = args.kind == "mesh"
     with progress_bar() as show:
         options = _options(args, show)
@@ -140,6 +149,8 @@ def _one(args: argparse.Namespace) -> int:
         else:
             avatar = with_cones(done.avatar, progress=show) if args.cones else done.avatar
             code = write(avatar, args, began, _facts(done), _guessed(avatar.meta))
+    if args.mine:
+        sign_mine(args.out)
     if not args.json:
         _notes(shots, guessed=True)
         if not mesh and options.steps and args.using == "builtin" and not available():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import asyncio
+import contextlib
 import json
 import sys
 from bisect import bisect_right
@@ -50,6 +51,7 @@ _TRACKING_RATE = 72.0  # samples a second that a headset delivers
 _STANDS = 2.0  # seconds over which the head's way is averaged to tell where the user stands
 _MOMENTS = 6  # pairs on a contact sheet
 _TILE = 1024  # pixels across a pair on a contact sheet
+_LONGEST = 86_400  # seconds
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -68,6 +70,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--fps", type=float, default=72.0, help="requests and display refreshes a second (default 72)")
     parser.add_argument("--frames", type=int, help="requests in all (default: all of it once, at most 20 s)")
+    parser.add_argument("--seconds", type=float, metavar="S", help="play it so long, over and over where it is shorter")
+    parser.add_argument("--loop", action="store_true", help="play it over and over, for --seconds or until Ctrl-C")
     parser.add_argument("--window", type=int, default=2, help="pictures under way (default 2; 3 from 15 ms round trip)")
     parser.add_argument("--policy", choices=POLICIES, default=POLICIES[0], help="when to ask (default mailbox)")
     parser.add_argument("--compare", action="store_true", help="one run with each policy, and a table of them")
@@ -95,6 +99,12 @@ def run(args: argparse.Namespace) -> int:
         raise UsageError(f"--window needs 1 to 8, not {args.window}")
     if args.quality is not None and not 1 <= args.quality <= 100:
         raise UsageError(f"--quality needs 1 to 100, not {args.quality}")
+    if args.seconds is not None and not 0 < args.seconds <= _LONGEST:
+        raise UsageError(f"--seconds needs more than 0 and at most {_LONGEST}, not {args.seconds:g}")
+    if args.frames is not None and (args.seconds is not None or args.loop):
+        raise UsageError("--frames says how long it plays: leave out --seconds and --loop, or --frames")
+    if args.loop and args.seconds is None and (args.save or args.compare or args.link):
+        raise UsageError("--loop until Ctrl-C leaves no report: with --save, --compare or --link give --seconds, too")
     check_crowd(args)
     several = args.compare or len(args.link or ()) > 1
     if args.save and several:
@@ -103,7 +113,12 @@ def run(args: argparse.Namespace) -> int:
         check_target(args.save)
     token = read_token(args.token_file) if args.token_file else None
     drive, seconds = load_drive(args.motion, args.avatar, args.tracking or args.room is not None, "MOTION")
-    frames = args.frames or max(1, round(min(seconds, 20.0) * args.fps))
+    if args.loop and args.seconds is None:
+        with contextlib.suppress(KeyboardInterrupt):
+            while True:  # one round after the other: what a report is made of does not grow
+                _play(args, token, drive, _round(args, seconds, seconds))
+        return 0
+    frames = args.frames or _round(args, seconds if args.seconds is None else args.seconds, args.seconds)
     if args.room is not None:
         results = asyncio.run(stream_crowd(args, token, drive, frames))
         _report_crowd(args, results)
@@ -121,6 +136,20 @@ def run(args: argparse.Namespace) -> int:
         _report(args, runs[0][2])
     _check_shown([result for _, _, result in runs])
     return 0
+
+
+def _play(args: argparse.Namespace, token: str | None, drive: Drive, frames: int) -> None:
+    """Once, without a report. Raises GlsplatError where no picture comes."""
+    if args.room is not None:
+        _check_shown(asyncio.run(stream_crowd(args, token, drive, frames)))
+    else:
+        _check_shown([asyncio.run(_stream(args, token, None, args.policy, drive, frames))])
+
+
+def _round(args: argparse.Namespace, seconds: float, most: float | None = None) -> int:
+    """Requests that ``seconds`` take, ``most`` of which count (None: 20)."""
+    frames: int = max(1, round(min(seconds, 20.0 if most is None else most) * args.fps))
+    return frames
 
 
 def _check_shown(results: Sequence[Result]) -> None:

@@ -59,7 +59,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_rooms(parser)
     parser.add_argument("--host", default="127.0.0.1", help="address to listen on (default 127.0.0.1, this machine)")
     parser.add_argument("--port", type=int, default=8000, help="port (default 8000; 0: any free one)")
-    parser.add_argument("--size", type=size, help="pixels an eye where requests name none (default 1024x1024)")
+    parser.add_argument(
+        "--size",
+        type=size,
+        help="pixels an eye where requests name none, and what the page begins with (default: the largest of 1024, 768 "
+        "and 512 that is drawn 15 times a second here, found out at the start)",
+    )
     parser.add_argument("--max-size", type=int, default=2048, help="largest side a request may ask for (default 2048)")
     parser.add_argument("--quality", type=int, default=80, help="JPEG quality where requests name none (default 80)")
     parser.add_argument("--max-clients", type=int, default=8, help="clients at once (default 8)")
@@ -105,6 +110,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--no-idle", action="store_true", help="eyes of tracked users that no sensor sees neither look around nor blink"
     )
+    parser.add_argument("--private", action="store_true", help="keep what clients see off the status page")
     add_photos(parser)
     add_study(parser)
     add_consent(parser)
@@ -178,6 +184,8 @@ def server_config(
         max_clients=args.max_clients,
         scene=Path(args.scene).name if args.scene else "default avatar",
         fps=args.fps,
+        private=args.private,
+        fit=args.size is None and args.workers is None,
         rooms={room.name: room.seats for room in args.room},
     )
 
@@ -250,6 +258,9 @@ def run(args: argparse.Namespace) -> int:
             print(json.dumps(fields | {"page": place.page(place.names[0])} | more), flush=True)
         else:
             print(f"{config.scene}, drawn by {server.render_loop.driver}")
+            if (fitted := server.fitted) is not None:
+                slow = "" if fitted.enough else ": less than moves smoothly; a GPU, or --size 256, helps"
+                print(f"  {'pictures':<12}{fitted.side}x{fitted.side} an eye, about {fitted.rate:.0f} a second{slow}")
             announce(place, sys.stdout, args.qr)
             if study is not None:
                 study.announce(place, sys.stdout)

@@ -184,6 +184,8 @@ class RenderLoop(ABC):
             log.exception("frame %s of client %d could not be encoded", request.frame_id, channel.number)
             return session.failed(request, "encode", "the picture could not be encoded")
         frame.times["encode"] = encoded.ms
+        if encoded.pictures:
+            channel.newest = encoded
         frame.times["total"] = (self._clock() - frame.arrived) * 1e3
         self.stages.add(frame.times)
         session.sending(request)

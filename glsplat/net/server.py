@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 
 from aiohttp import web
 
-from glsplat.errors import ProtocolError
+from glsplat.errors import GlsplatError, ProtocolError
 from glsplat.net.backend import AvatarInfo, Backend
 from glsplat.net.backends.labels import driven_by
 from glsplat.net.conversation import Conversation, cut_off
@@ -32,8 +32,10 @@ from glsplat.net.local_loop import LocalLoop
 from glsplat.net.messages import MAX_BYTES, Decoder, WireOptions
 from glsplat.net.options import NOT_ALLOWED, client_options
 from glsplat.net.pace.client_stream import ClientStream
+from glsplat.net.pace.fitting import SIDES, Fitted, fit
 from glsplat.net.pages.catalogue import Catalogue
 from glsplat.net.pages.lead import Lead
+from glsplat.net.pages.previews import Drawer, Previews, pair
 from glsplat.net.pages.routes import Pages
 from glsplat.net.poses.answers import Answers
 from glsplat.net.poses.splat_files import SplatFiles
@@ -73,6 +75,8 @@ class ServerConfig:
     rooms: Mapping[str, int] = field(default_factory=dict)  # seats of each
     consent: ConsentPolicy | None = None  # of those who are shown; None: nobody asks for it
     fps: float | None = None  # pictures a second that each client gets, with less detail if need be; None: as it comes
+    private: bool = False  # what clients see is on no status page
+    fit: bool = False  # offer pictures of the largest size that is drawn often enough here (pace/fitting.py)
 
 
 class Server:
@@ -104,6 +108,9 @@ class Server:
         self._splat_files = SplatFiles(self._offers, self.gate.rights, self._worn)
         self._answers = Answers(self._splat_files.sha256, self._splat_files.why, clock)
         self._channels: dict[int, ClientStream] = {}
+        self._drawer = Drawer(self.render_loop, self.config.wire, self.config.session, clock)
+        self._previews = Previews(self._drawer, self._offers, self.gate.rights, self._channels, self.config.private)
+        self.fitted: Fitted | None = None  # once it has started, where that was asked for
         self._talks: dict[int, Conversation] = {}
         self._closing: set[asyncio.Task[None]] = set()
         self._totals = Counts()
@@ -111,6 +118,7 @@ class Server:
         self._draining = False
         self._started = clock()
         self._runner: web.AppRunner | None = None
+        self._pages: Pages | None = None
 
     @cached_property
     def _rooms(self) -> Rooms:
@@ -133,13 +141,17 @@ class Server:
         try:
             await self.render_loop.start()
             await packing
+            if self.config.fit:
+                self.fitted = await self._fit()
         except BaseException:
             packing.cancel()
             listening.close()
             raise
         app = web.Application(middlewares=[self.gate.guard], client_max_size=MAX_BYTES)
-        pages = Pages(self.stats, self.offer, lambda: self.render_loop.healthy and not self._draining, tls is not None)
+        pages = self._pages = Pages(self.stats, self.offer, self._healthy, tls is not None, self.config.access.host)
+        pages.history.start()
         app.add_routes([web.get("/ws", self._websocket), *self._splat_files.routes(), *pages.routes()])
+        app.add_routes(self._previews.routes())
         if self._uploads is not None:
             app.add_routes(self._uploads.open(self.gate, self._offers.add, self._withdraw))
         if self._lead is not None:
@@ -165,6 +177,8 @@ class Server:
         closing = [talk.close(GOING_AWAY, "the server stops") for talk in self._talks.values()]
         await asyncio.gather(*closing, *self._closing, return_exceptions=True)
         await self.gate.close()
+        if self._pages is not None:
+            await self._pages.history.stop()
         if self._uploads is not None:
             await self._uploads.stop()
         if self._lead is not None:
@@ -209,7 +223,12 @@ class Server:
         for number, channel in self._channels.items():
             status = channel.session.status()
             form, size = channel.session.last_form, channel.session.last_size
-            clients.append({"id": number, "form": form, "size": f"{size[0]}x{size[1]}", **status})
+            shown: dict[str, Any] = {
+                "avatar": channel.shown.name,
+                "room": None if channel.member is None else channel.member.room.name,
+            }
+            shown["picture"] = self._previews.shows(number)
+            clients.append({"id": number, "form": form, "size": f"{size[0]}x{size[1]}", **shown, **status})
             for name in totals:
                 totals[name] += status[name]
         return {
@@ -240,7 +259,8 @@ class Server:
             "rooms": self._rooms.offer(clock(), self._enterable(user)) if self.config.rooms else [],
             "upload": None if self._uploads is None else self._uploads.offer(),
             "max_side": wire.max_side,
-            "size": wire.size,
+            "size": wire.size if self.fitted is None else (self.fitted.side,) * 2,
+            "rate": None if self.fitted is None else round(self.fitted.rate, 1),
             "quality": wire.quality,
             "window": self.config.session.window,
             "clients": len(self._channels),
@@ -248,6 +268,23 @@ class Server:
             "full": len(self._channels) >= most,
             "driver": self.render_loop.driver,
         }
+
+    def _healthy(self) -> bool:
+        return self.render_loop.healthy and not self._draining
+
+    async def _fit(self) -> Fitted | None:
+        """How large pictures may be for ENOUGH of them a second, by a few of the first avatar; None: nobody knows."""
+        first = self._offers[self._offers.names[0]]
+
+        async def draw(side: int) -> float:
+            _, times = await self._drawer.draw(first, pair(first, side))
+            return times["render"] / 1e3
+
+        sides = [side for side in SIDES if side <= self.config.wire.max_side] or [self.config.wire.max_side]
+        try:
+            return await fit(draw, sides)
+        except GlsplatError:
+            return None
 
     async def _websocket(self, request: web.Request) -> web.StreamResponse:
         if self._draining or len(self._channels) >= self.config.max_clients:
@@ -324,6 +361,7 @@ class Server:
         """Offer an avatar no more and end the connections that show it; False where it was not offered."""
         there = self._offers.remove(name)
         self._splat_files.forget(name)
+        self._previews.forget(name)
         shown = [talk for talk in self._talks.values() if talk.channel.shown.name == name]
         closing = (talk.close(GOING_AWAY, "this avatar is deleted") for talk in shown)
         await asyncio.gather(*closing, return_exceptions=True)

@@ -14,6 +14,7 @@ import simplejpeg
 from apps.replay import command as replay
 from apps.replay.stage_table import table_markdown, table_text
 from apps.replay.streaming import POLICIES, STAGES, Result, observer
+from apps.usage import UsageError
 from glsplat.errors import GlsplatError
 from glsplat.net.reply import pack_reply, parse_reply
 
@@ -191,3 +192,45 @@ def test_smaller_pictures_between_are_enlarged(tmp_path: Path) -> None:
 def test_a_table_says_where_a_driver_draws_late():
     assert "(resolve)" in table_text(Result(driver="llvmpipe (LLVM 15.0.6, 256 bits)"))
     assert "(resolve)" not in table_text(Result(driver="NVIDIA H100/PCIe/SSE2"))
+
+
+def test_it_plays_for_so_long_over_and_over(stripes, capsys):
+    url, _ = stripes
+    common = ("walk", "--url", url, "--fps", 60, "--size", "64x64", "--json")
+    _, once = replay.load_drive("walk")
+    assert once < 1.5
+    assert replay.run(arguments(*common, "--seconds", 1.5)) == 0
+    assert json.loads(capsys.readouterr().out)["sent"] == 90
+    assert replay.run(arguments(*common, "--loop", "--seconds", 0.5)) == 0
+    assert json.loads(capsys.readouterr().out)["sent"] == 30
+
+
+def test_a_loop_ends_by_a_key(stripes, monkeypatch, capsys):
+    url, _ = stripes
+    rounds = []
+    play = replay._play
+
+    def third(*what):
+        rounds.append(what[-1])
+        if len(rounds) == 3:
+            raise KeyboardInterrupt
+        play(*what)
+
+    monkeypatch.setattr(replay, "_play", third)
+    assert replay.run(arguments("walk", "--url", url, "--fps", 30, "--size", "64x64", "--loop")) == 0
+    assert rounds == [round(30 * replay.load_drive("walk")[1])] * 3 and capsys.readouterr().out == ""
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("--seconds", 0), "--seconds"),
+        (("--seconds", "nan"), "--seconds"),
+        (("--frames", 4, "--loop"), "--frames"),
+        (("--frames", 4, "--seconds", 1), "--frames"),
+        (("--loop", "--save", "x.png"), "--seconds"),
+    ],
+)
+def test_how_long_is_said_once(words, said):
+    with pytest.raises(UsageError, match=said):
+        replay.run(arguments(*words))

@@ -22,7 +22,7 @@ CONTRAST = """() => {
     }
   };
   const out = {};
-  for (const e of document.querySelectorAll('#panel, #panel *')) {
+  for (const e of document.querySelectorAll('#panel, #panel *, #top *, #dock *, #token-form *')) {
     const own = [...e.childNodes].some((n) => n.nodeType === 3 && n.textContent.trim());
     if (!(own || ['SELECT', 'INPUT'].includes(e.tagName)) || e.tagName === 'OPTION' || !e.checkVisibility()) continue;
     const [a, b] = [light(getComputedStyle(e).color), light(ground(e))];
@@ -50,6 +50,7 @@ def page(loaded):
 def again(page):
     page.reload()
     page.wait_for_function("window.page !== undefined")
+    page.evaluate("settings.set('drawer', true)")
 
 
 def test_controls_and_settings_follow_each_other(page):
@@ -65,9 +66,9 @@ def test_controls_and_settings_follow_each_other(page):
     page.keyboard.press("ArrowRight")
     got = page.evaluate("Object.fromEntries(settings.names.map((n) => [n, settings.get(n)]))")
     assert got == {
-        "view": "own", "avatar": "", "room": "", "name": "Zoë",
+        "view": "own", "place": "day", "avatar": "", "room": "", "name": "Zoë",
         "size": 512, "quality": 81, "drawn": "auto", "driver": "rest", "stereo": True, "height": 1.62,
-        "figures": False,
+        "figures": False, "drawer": True,
     }  # fmt: skip
     assert page.text_content("#quality-value") == "81"
     page.evaluate("settings.set('view', 'facing'); settings.set('figures', true); settings.set('height', null)")
@@ -194,7 +195,7 @@ def test_every_control_has_a_name_and_the_keyboard_reaches_it(page):
     wanted |= set("height stereo figures record fullscreen".split())
     page.evaluate("document.activeElement.blur()")
     reached = set()
-    for _ in range(40):
+    for _ in range(60):
         page.keyboard.press("Tab")
         reached.add(page.evaluate("document.activeElement.id"))
         outline = page.evaluate("getComputedStyle(document.activeElement).outlineStyle")
@@ -212,7 +213,12 @@ def test_every_control_has_a_name_and_the_keyboard_reaches_it(page):
     assert len(ids) == len(set(ids))
 
 
-def test_text_stands_out(page):
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_text_stands_out(page, scheme):
+    page.emulate_media(color_scheme=scheme, reduced_motion="reduce")
+    again(page)  # what was moving already would be measured between two colours
+    page.evaluate("settings.setOptions('avatar', [{value: 'a'}]); settings.setOptions('driver', [{value: 'rest'}])")
+    page.evaluate("window.page.title('Ann', 'Try again now'); settings.setOptions('driver', [{value: 'file'}])")
     page.evaluate("""window.page.askToken('why'); settings.set('figures', true); window.page.numbers({ fps: '30' });
       settings.set('driver', 'file'); document.getElementById('help').open = true;""")
     for level in ("info", "error"):
@@ -226,12 +232,16 @@ def test_a_phone_shows_avatar_and_controls(chromium, width):
     with flat_page(chromium, viewport={"width": width, "height": 640}, has_touch=True, is_mobile=True) as page:
         page.wait_for_function("window.page !== undefined")
         page.evaluate("window.page.xr({ vr: 'needs https or localhost', ar: 'needs https or localhost' })")
-        assert not page.evaluate("document.getElementById('controls').open")
-        box = page.locator("#panel").bounding_box()
-        assert box["y"] >= 320 and box["x"] >= 0 and box["x"] + box["width"] <= width
-        assert page.is_visible("#enter-vr") and page.is_visible("#status")
-        page.click("#controls summary")
+        assert page.is_hidden("#panel")
+        top, dock = page.locator("#top").bounding_box(), page.locator("#dock").bounding_box()
+        assert dock["y"] - (top["y"] + top["height"]) >= 320 and dock["x"] >= 0 and dock["x"] + dock["width"] <= width
+        assert page.is_visible("#elsewhere") and page.is_visible("#status")
+        assert page.text_content("#vr-note") == "needs https or localhost" and page.is_visible("#vr-note")
+        page.click("#drawer")
         page.evaluate("document.getElementById('help').open = true")
         wide = page.evaluate("[document.documentElement.scrollWidth, panel.scrollWidth - panel.clientWidth]")
         assert wide[0] <= width and wide[1] == 0
-        assert page.locator("#panel").bounding_box()["y"] >= 319
+        box = page.locator("#panel").bounding_box()
+        assert (box["x"], box["width"]) == (0, width)
+        page.keyboard.press("Escape")
+        assert page.is_hidden("#panel") and page.evaluate("document.activeElement.id") == "drawer"

@@ -318,3 +318,42 @@ def test_a_kept_calibration_is_checked(page):
     }""")
     assert found[0] is None and found[1] == {"height": 1.7, "eyes": 1.59, "span": None, "floor": 0.01}
     assert found[2:8] == [None] * 6 and found[8] is False and "begin" in found[9]
+
+
+def test_who_waits_looks_about_with_the_feet_in_place(page):
+    """On the embedded rig: the head turns by more than ten degrees, and the feet stay within two centimetres."""
+    frames = page.evaluate(
+        """async (motion) => {
+          const { Living } = await import('/vr/track/living.js');
+          const living = new Living(new Motion(motion));
+          return Array.from({ length: 80 }, (_, i) => living.at(0.37 * i).pose);
+        }""",
+        json.loads(data("idle.json")),
+    )
+    skeleton = default_avatar().skeleton
+    feet, heads, hips = [], [], []
+    for frame in frames:
+        rotations = np.zeros((55, 3))
+        rotations[1:22] = frame["body_pose"]
+        world = skeleton.forward(rotations, frame["trans"])
+        feet.append([world[skeleton.names.index(f"{side}_ankle"), :3, 3] for side in ("left", "right")])
+        heads.append(np.degrees(np.arctan2(*world[skeleton.names.index("head"), [0, 2], 2])))
+        hips.append(world[0, 0, 3])
+    assert np.ptp(heads) > 20 and np.ptp(hips) > 0.03
+    assert np.ptp(np.array(feet), axis=0).max() < 0.02
+    steps = np.abs(np.diff([frame["body_pose"] for frame in frames], axis=0)).max()
+    assert steps < 0.3  # nothing leaps
+
+
+def test_names_over_heads_do_not_hide_each_other(page):
+    found = page.evaluate("""async () => {
+      const { apart } = await import('/vr/show/names.js');
+      const at = (key, x, z, y = 1.9) => ({ key, text: key, place: [x, y, z] });
+      return apart([at('far', 0.1, -4), at('near', 0, -2), at('aside', 3, -2), at('behind', 0, 3)], [0, 1.87, 0]);
+    }""")
+    places = {one["key"]: one["place"] for one in found}
+    assert places["near"] == [0, 1.9, -2] and places["aside"] == [3, 1.9, -2] and places["behind"] == [0, 1.9, 3]
+    x, y, z = places["far"]
+    assert (x, z) == (0.1, -4) and y > 1.9
+    # of boards 0.0875 m high: the lower edge of the one is above the upper edge of the other
+    assert (y - 0.044 - 1.87) / np.hypot(x, z) > (1.9 + 0.044 - 1.87) / 2

@@ -110,6 +110,45 @@ def test_the_wheel_zooms(camera):
     assert camera.evaluate("orbit.distance") == pytest.approx(3.4)
 
 
+def test_zooming_goes_to_the_pointer(camera):
+    """What lies under it, in the plane of the target, stays there."""
+    camera.evaluate("orbit.follow([-0.4, 0, -0.2, 0.4, 1.8, 0.2], 0)")
+    (view,) = views(camera)
+    target, right = np.array(camera.evaluate("orbit.target")), view["transform"][:3, 0]
+    up = view["transform"][:3, 1]
+    point = target + 0.12 * right + 0.7 * up  # beside the head
+    before = seen(view, point)[0]
+    camera.mouse.move(*before)
+    for _ in range(3):
+        camera.mouse.wheel(0, -180)
+    camera.wait_for_function("orbit.distance < 1.8")
+    (view,) = views(camera)
+    assert seen(view, point)[0] == pytest.approx(before, abs=0.5)
+
+
+def test_f_shows_the_face_and_goes_back(camera):
+    camera.evaluate("orbit.follow([-0.4, 0, -0.2, 0.4, 1.8, 0.2], 0)")
+    start = camera.evaluate("[orbit.yaw, orbit.pitch, orbit.distance, ...orbit.target]")
+    camera.focus("#canvas")
+    camera.keyboard.press("f")
+    assert camera.evaluate("orbit.close") and seen(views(camera)[0], [0, 1.67, 0])[0] == pytest.approx(
+        [400, 300], abs=1
+    )
+    assert seen(views(camera)[0], [0, 1.8, 0])[0][1] > 0  # the whole head is in the picture
+    camera.evaluate("orbit.follow([-0.9, 0, -0.2, 0.4, 1.8, 0.2], 9000)")  # an arm is raised: it stays
+    assert seen(views(camera)[0], [0, 1.67, 0])[0] == pytest.approx([400, 300], abs=1)
+    camera.keyboard.press("f")
+    assert camera.evaluate("[orbit.yaw, orbit.pitch, orbit.distance]") == pytest.approx(start[:3])
+
+
+def test_what_lies_over_the_picture_moves_its_middle(camera):
+    camera.evaluate("orbit.inset = {top: 40, right: 200, bottom: 160, left: 0}")
+    target = camera.evaluate("orbit.target")
+    assert seen(views(camera)[0], target)[0] == pytest.approx([300, 240], abs=1e-6)
+    top, bottom = (seen(views(camera)[0], [0, y, 0])[0][1] for y in (1.8, 0))
+    assert 40 < top < bottom < 440
+
+
 def test_keys_do_what_the_help_says(camera):
     camera.keyboard.press("r")  # without the focus nothing happens
     camera.focus("#canvas")

@@ -177,7 +177,7 @@ def test_the_keyboard_alone_is_enough(open_page: OpenPage, stored: Any) -> None:
     page.until("window.glsplat.stats().shown > 0")
     page.until("!document.querySelector('#enter-vr').disabled")
     reached = []
-    for _ in range(40):
+    for _ in range(60):
         page.page.keyboard.press("Tab")
         identity = page.js("document.activeElement.id || document.activeElement.tagName")
         if identity in reached:

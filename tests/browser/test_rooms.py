@@ -66,6 +66,28 @@ def test_a_page_says_that_a_name_is_taken_or_a_room_full(open_page: OpenPage, se
     assert sorted(people(served)) == ["Ann", "Bob"]
 
 
+def test_guests_who_chose_nobody_differ(open_page: OpenPage, serve: Any) -> None:
+    bob = AvatarInfo(name="bob", skeleton=RIG, solver=as_tracked, height=1.75)
+    served = serve(Markers(of_the_room, radius=0.03), config=CONFIG, offered=(*OFFERED, bob))
+    for name in ("Ann", "Bob"):
+        page = visit(open_page, served, {"room": "lab", "name": name})
+        page.until("window.glsplat.stats().shown > 0")
+    worn = {one["name"]: one["avatar"] for one in served.stats()["rooms"][0]["people"]}
+    assert worn == {"Ann": "ann", "Bob": "bob"}
+
+
+def test_the_first_view_of_a_room_has_everybody_in_it(open_page: OpenPage, served: Any) -> None:
+    """The places of both seats, in the space of the first: at the origin, and 2.4 m ahead along +z."""
+    page = visit(open_page, served, {"room": "lab", "name": "Ann", "drawer": False}, size=(1000, 700))
+    page.until("window.glsplat.stats().shown > 2")
+    request = served.server.render_loop._backend.requests[max(served.server.render_loop._backend.requests)]
+    (camera,) = request.cameras
+    for place in ((0, 0.1, -1.2), (0, 1.8, -1.2), (0, 0.1, 1.2), (0, 1.8, 1.2)):  # of the room's own
+        x, y, z = camera.viewmat[:3, :3] @ place + camera.viewmat[:3, 3]
+        column, row = camera.K[0, 0] * x / z + camera.K[0, 2], camera.K[1, 1] * y / z + camera.K[1, 2]
+        assert z > 0 and 0 < column < camera.width and 0 < row < camera.height
+
+
 def test_in_vr_the_room_is_around_its_user(open_page: OpenPage, served: Any) -> None:
     """Wherever they stood and looked when they entered: the room's centre is ahead, and things are at their places."""
     page = visit(open_page, served, {"room": "lab", "name": "Ann", "view": "own", "size": 512})

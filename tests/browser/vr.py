@@ -42,8 +42,8 @@ def settings(**values: Any) -> str:
 
 
 def visit(open_page: Any, served: Served, values: dict[str, Any] | None = None, **options: Any) -> Opened:
-    """The page of a server, with these settings."""
-    init = settings(**({"size": 512, "driver": "rest"} | (values or {})))
+    """The page of a server, with these settings; in the dark, where geometry is measured, its drawer open."""
+    init = settings(**({"size": 512, "driver": "rest", "place": "plain", "drawer": True} | (values or {})))
     address = options.pop("address", served.page)
     return open_page(address, init=init, **options)
 

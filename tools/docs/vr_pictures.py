@@ -1,6 +1,6 @@
-"""Draws the pictures of docs/vr.md anew: both eyes of a headset in each view, and the flat page.
+"""Draws the pictures of docs/vr.md anew: both eyes of a headset in each view, other places, and the page.
 
-    python -m tools.docs.vr_pictures [docs/images]
+    python -m tools.docs.vr_pictures [docs/images [mirror facing own places page]]
 
 The avatar is glsplat's own, the headset the fake one with a Quest 3's frusta. Look at every picture.
 """
@@ -21,6 +21,7 @@ from tests.browser.vr import enter, fresh, hands, pose, see, settings, steer
 from tools.docs.chromium import chromium, page_of
 
 QUALITY = 88  # JPEG
+PATIENCE = 240  # seconds for a picture
 
 # view: the head, the left and the right wrist
 DEVICE = {
@@ -44,23 +45,36 @@ def save(folder: Path, name: str, image: Any) -> None:
     print(path, image.shape, path.stat().st_size // 1024, "kB")
 
 
-def main(folder: Path) -> None:
+def seen_in(browser: Any, address: str, view: str, **values: Any) -> dict[str, Any]:
+    """What both eyes see once the body has followed its hands."""
+    init = settings(view=view, size=1024, quality=90, driver="rest", **values)
+    with page_of(browser, address, init) as page:
+        head, left, right = DEVICE[view]
+        steer(page, head=head, input="hands", hands=hands(left, right))
+        enter(page, run=False)
+        for _ in range(3):
+            fresh(page, PATIENCE)
+        return see(page)
+
+
+def main(folder: Path, names: list[str]) -> None:
     with Served(make=lambda config: make_server(glsplat.default_avatar(), config)) as served, chromium() as browser:
-        for view, (head, left, right) in DEVICE.items():
-            init = settings(view=view, size=1024, quality=90, driver="rest")
-            with page_of(browser, served.page, init) as page:
-                steer(page, head=head, input="hands", hands=hands(left, right))
-                enter(page, run=False)
-                for _ in range(4):  # the body follows its hands
-                    fresh(page, 60)
-                seen = see(page)
+        for view in DEVICE:
+            if view in names:
+                seen = seen_in(browser, served.page, view)
                 save(folder, f"vr-{view}", np.hstack([seen["left"], seen["right"]]))
-        init = settings(size=1024, driver="motion:wave-and-turn", figures=True)
-        with page_of(browser, served.page, init, (1280, 800), xr=False) as page:
-            page.until("window.glsplat.stats().shown > 12", 60)
-            shot = np.frombuffer(page.page.screenshot(), np.uint8)
-            save(folder, "vr-page", cv2.imdecode(shot, cv2.IMREAD_COLOR)[..., ::-1])
+        if "places" in names:
+            eyes = [seen_in(browser, served.page, "mirror", place=place)["right"] for place in ("studio", "night")]
+            save(folder, "vr-places", np.hstack(eyes))
+        if "page" in names:
+            init = settings(size=1024, driver="motion:wave-and-turn")
+            with page_of(browser, served.page, init, (1280, 800), xr=False) as page:
+                page.until("window.glsplat.stats().shown > 6", PATIENCE)
+                page.until("document.querySelector('#people img') !== null", PATIENCE)
+                shot = np.frombuffer(page.page.screenshot(), np.uint8)
+                save(folder, "vr-page", cv2.imdecode(shot, cv2.IMREAD_COLOR)[..., ::-1])
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1] if len(sys.argv) > 1 else "docs/images"))
+    given = sys.argv[2:] or [*DEVICE, "places", "page"]
+    main(Path(sys.argv[1] if len(sys.argv) > 1 else "docs/images"), given)

@@ -15,7 +15,7 @@ from glsplat.net.guard.access import read_token
 from glsplat.watermark.keys import new_watermark, read_watermark, text_of
 from glsplat.watermark.mark import WatermarkKey
 
-__all__ = ["TOKEN", "WATERMARK", "kept_key", "kept_token", "kept_watermark", "lock_of", "state_folder"]
+__all__ = ["TOKEN", "WATERMARK", "kept_key", "kept_token", "kept_watermark", "known_key", "lock_of", "state_folder"]
 
 TOKEN = "token"
 """The name of the token's file in the folder."""
@@ -74,6 +74,12 @@ def kept_key(folder: Path) -> PrivateKey:
     path = folder / _KEY
     with lock_of(folder):
         return private_key(path) if path.exists() else new_key(path)
+
+
+def known_key(folder: Path) -> PrivateKey | None:
+    """That key where it was made before; None: nothing was signed here. Raises GlsplatError naming the file."""
+    path = folder / _KEY
+    return private_key(path) if path.exists() else None
 
 
 def kept_watermark(folder: Path) -> WatermarkKey:

@@ -121,6 +121,7 @@ class ClientStream:
     cost: float = 0.0  # seconds a picture, lately; 0: none was drawn yet
     pose_history: PoseHistory = field(default_factory=PoseHistory)  # whom it was sent in poses, and how they stood
     tap: Tap | None = None  # what else hears of it
+    newest: Encoded | None = None  # what it was sent last, for the status page
 
     def __post_init__(self) -> None:
         alone = f"avatar:{self.shown.name}"

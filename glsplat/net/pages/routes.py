@@ -6,13 +6,18 @@ from collections.abc import Callable, Mapping
 from functools import cache
 from importlib import resources
 from typing import TYPE_CHECKING, Any, TypeAlias
+from urllib.parse import quote
 
 from aiohttp import web
 
 from glsplat.motion.motion import embedded_motions
+from glsplat.net.guard.access import is_loopback
+from glsplat.net.guard.machine import machine_names, reachable_at
+from glsplat.net.pages.history import History
+from glsplat.net.pages.metrics import metrics_text
 from glsplat.net.pages.qr import QrCodes
 from glsplat.net.pages.site import File, Site
-from glsplat.net.pages.status import metrics_text, page_html
+from glsplat.net.pages.status import STATUS_POLICY, page_html
 from glsplat.net.rights import user_of
 from glsplat.shaders.web import programs_json
 
@@ -28,11 +33,17 @@ _RECORDING = "recording.jsonl"
 
 
 class Pages:
-    """``stats`` gives the numbers of /stats, ``offer`` what /session says to whom; ``healthy`` is for /healthz."""
+    """``stats`` gives the numbers of /stats, ``offer`` what /session says to whom; ``healthy`` is for /healthz.
 
-    def __init__(self, stats: Numbers, offer: Offer, healthy: Callable[[], bool], tls: bool) -> None:
-        self._stats, self._offer, self._healthy, self._tls = stats, offer, healthy, tls
+    ``host`` is what the server listens on.
+    """
+
+    def __init__(
+        self, stats: Numbers, offer: Offer, healthy: Callable[[], bool], tls: bool, host: str = "127.0.0.1"
+    ) -> None:
+        self._stats, self._offer, self._healthy, self._tls, self._host = stats, offer, healthy, tls, host
         self._codes = QrCodes()
+        self.history: History = History(stats)
 
     def routes(self) -> list[web.RouteDef]:
         """What the application is made of."""
@@ -42,6 +53,8 @@ class Pages:
             web.get("/stats", self._numbers),
             web.get("/metrics", self._metrics),
             web.get("/session", self._session),
+            web.get("/history", self._history),
+            web.get("/reach", self._reach),
             web.get("/motions/{name}", self._motion),
             web.get("/recording", self._recording),
             *Site(resources.files("glsplat.net") / "web", {"draw/programs.json": programs_json()}).routes(),
@@ -61,7 +74,25 @@ class Pages:
         secure = "s" if self._tls else ""
         url, viewer = f"ws{secure}://{request.host}/ws", f"http{secure}://{request.host}/vr"
         code = await self._codes.svg(viewer)
-        return web.Response(text=page_html(self._stats(), url, viewer, code), content_type="text/html")
+        headers = {"Content-Security-Policy": STATUS_POLICY}
+        text = page_html(self._stats(), url, viewer, code)
+        return web.Response(text=text, content_type="text/html", headers=headers)
+
+    async def _history(self, request: web.Request) -> web.Response:
+        return web.json_response(self.history.fields())
+
+    async def _reach(self, request: web.Request) -> web.Response:
+        """The page's address for another device, as a QR code with the token that came with the request, if one did."""
+        local = is_loopback(self._host)
+        name = request.url.host or "localhost"
+        if is_loopback(name) and not local:
+            name = next(iter(reachable_at(self._host) + machine_names()[-1:]), name)
+        name = f"[{name}]" if ":" in name else name
+        page = f"http{'s' if self._tls else ''}://{name}:{request.url.port}/vr"
+        kind, _, token = request.headers.get("Authorization", "").partition(" ")
+        token = token.strip() if kind == "Bearer" else ""
+        code = "" if local else await self._codes.svg(f"{page}#token={quote(token)}" if token else page)
+        return web.json_response({"page": page, "local": local, "svg": code})
 
     async def _session(self, request: web.Request) -> web.Response:
         embedded = {"motions": embedded_motions(), "recording": True}

@@ -5,6 +5,7 @@ They are the same for everybody and say nothing about the scene or the clients, 
 
 from __future__ import annotations
 
+import gzip
 from collections.abc import Mapping
 from hashlib import sha256
 from importlib.resources.abc import Traversable
@@ -23,8 +24,9 @@ _TYPES = {
     "png": "image/png",
     "jpg": "image/jpeg",
     "ico": "image/x-icon",
+    "txt": "text/plain",
 }
-_TEXT = ("html", "css", "js", "json", "jsonl", "svg")
+_TEXT = ("html", "css", "js", "json", "jsonl", "svg", "txt")
 
 _HEADERS = {
     "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; "
@@ -37,20 +39,29 @@ _HEADERS = {
 
 
 class File:
-    """One file in memory. Browsers keep it and ask each time whether it is still the same (ETag)."""
+    """One file in memory. Browsers keep it and ask each time whether it is still the same (ETag).
+
+    Text goes packed to whoever takes gzip, which all browsers do: a third of the bytes.
+    """
 
     def __init__(self, name: str, body: bytes) -> None:
         suffix = name.rpartition(".")[2]
         self.body: bytes = body
         self.etag: str = sha256(self.body).hexdigest()[:32]
         self._type = _TYPES[suffix] + ("; charset=utf-8" if suffix in _TEXT else "")
+        packed = gzip.compress(body, mtime=0) if suffix in _TEXT else body
+        self._packed = packed if len(packed) < len(body) else None
 
     def answer(self, request: web.Request) -> web.Response:
         """200 with the file, or 304 to a browser that has it."""
-        headers = {"ETag": f'"{self.etag}"', "Cache-Control": "no-cache"}
-        if any(tag.value in (self.etag, "*") for tag in request.if_none_match or ()):
+        packs = self._packed is not None and "gzip" in request.headers.get("Accept-Encoding", "")
+        tag = f"{self.etag}-gz" if packs else self.etag
+        headers = {"ETag": f'"{tag}"', "Cache-Control": "no-cache", "Vary": "Accept-Encoding"}
+        if any(known.value in (tag, "*") for known in request.if_none_match or ()):
             return web.Response(status=304, headers=headers)
-        return web.Response(body=self.body, headers={**headers, "Content-Type": self._type})
+        if packs:
+            headers["Content-Encoding"] = "gzip"
+        return web.Response(body=self._packed if packs else self.body, headers={**headers, "Content-Type": self._type})
 
 
 class Site:

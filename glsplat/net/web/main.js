@@ -4,6 +4,8 @@ import { Page } from './page.js';
 import { PhotoForm } from './photo/form.js';
 import { Upload } from './photo/upload.js';
 import { Settings } from './settings.js';
+import { Dock } from './show/dock.js';
+import { Elsewhere } from './show/elsewhere.js';
 import { Menu, numbers } from './show/menu.js';
 import { Orbit } from './show/orbit.js';
 import { Stage } from './show/stage.js';
@@ -12,11 +14,14 @@ import { Immersive, support } from './show/xr.js';
 import { Connection } from './stream/connection.js';
 import { Calibration } from './track/calibration.js';
 import { Motion, Recording, Rest, parseRecording, readRecording } from './track/drivers.js';
+import { Living } from './track/living.js';
 import { Recorder } from './track/recorder.js';
 
 const TOKEN = 'glsplat.token'; // in this tab's storage only
 const MAKING = 'glsplat.making'; // the avatar that is being made, in this tab's storage too
 const NUMBERS = 500; // ms between two looks at the figures
+const CIRCLE = 1.2; // metres from the middle of a room to who stands in it, at least
+const ENOUGH = 15; // pictures a second that look like a movement
 const SIZES = [512, 768, 1024, 1536]; // sides of a square picture; others have as many pixels
 
 const settings = new Settings();
@@ -26,7 +31,7 @@ const gl = canvas.getContext('webgl2', { xrCompatible: true, antialias: false, a
 const calibration = new Calibration();
 const recorder = new Recorder();
 const connection = new Connection(() => ({
-  avatar: settings.get('avatar'),
+  avatar: chosenAvatar()?.name ?? settings.get('avatar'),
   height: settings.get('height') ?? measured?.height,
   span: measured?.span,
   room: settings.get('room'),
@@ -42,7 +47,12 @@ if (!gl) {
   throw new Error('no WebGL 2');
 }
 
-const inWorker = new URLSearchParams(location.search).get('decode') !== 'main';
+const asked = new URLSearchParams(location.search);
+if (asked.has('emulate')) {
+  const { emulate } = await import('./emulate/emulate.js'); // 260 kB that nobody else loads
+  emulate(canvas);
+}
+const inWorker = asked.get('decode') !== 'main';
 const stage = new Stage(gl, connection, settings, { inWorker });
 const orbit = new Orbit();
 const viewer = new Viewer(canvas, stage, orbit, settings);
@@ -86,14 +96,46 @@ const photo = new PhotoForm(document, upload, {
   },
 });
 
+const dock = new Dock(document, settings, {
+  async picture(name) {
+    const response = await connection.fetch(`thumbnails/${encodeURIComponent(name)}`);
+    return response.ok ? URL.createObjectURL(await response.blob()) : null;
+  },
+  add: () => page.show(offer?.upload ? 'photo' : 'no-photo'),
+});
+const elsewhere = new Elsewhere(document, async () => (await connection.fetch('reach')).json());
+
+let guest = { room: '', name: '' }; // whom the page wears in a room where nobody was chosen
+
+/** Whom the page shows: who is chosen; in a room, where nobody was, somebody else than those before had. */
 function chosenAvatar() {
-  return offer?.avatars.find(({ name }) => name === settings.get('avatar')) ?? offer?.avatars[0];
+  if (!offer) return undefined;
+  const named = (name) => offer.avatars.find((one) => one.name === name);
+  const room = settings.get('room');
+  if (!room || settings.chosen('avatar')) return named(settings.get('avatar')) ?? offer.avatars[0];
+  const found = offer.rooms?.find(({ name }) => name === room);
+  if (guest.room !== room && found) guest = { room, name: offer.avatars[found.people % offer.avatars.length]?.name };
+  return named(guest.name) ?? offer.avatars[0];
+}
+
+let stood = ''; // the room that the camera stands in
+
+/** In a room the first view shows everybody: from behind the user, who stands on the circle of its seats. */
+function standAround() {
+  const room = settings.get('room');
+  const found = offer?.rooms?.find(({ name }) => name === room);
+  if (room === stood || (room && !found)) return;
+  stood = room;
+  const radius = found ? Math.max(CIRCLE, found.seats / (2 * Math.PI)) : 0; // as glsplat/net/rooms/seats.py
+  if (found) orbit.standBack([0, 0.95, radius], radius);
+  else orbit.reset();
 }
 
 /** The stage knows whom it shows. */
 function wear() {
   stage.canHide = Boolean(chosenAvatar()?.head);
   stage.here.offer = chosenAvatar()?.hand_out ?? null;
+  standAround();
 }
 
 /** Ask the server what it has, then connect. */
@@ -128,10 +170,15 @@ function offered(session) {
   for (const name of session.motions) drivers.push({ value: `motion:${name}`, label: `Motion: ${name}` });
   if (session.recording) drivers.push({ value: 'recording', label: 'Recorded head and hands' });
   settings.setOptions('driver', [...drivers, { value: 'file', label: 'My recording…' }]);
-  settings.setOptions('size', sizesUpTo(session.max_side).map(named));
+  const sizes = sizesUpTo(session.max_side);
+  settings.setOptions('size', sizes.map(named));
+  if (session.rate && sizes.includes(session.size[0])) settings.setDefault('size', session.size[0]);
+  const slow = session.rate && session.rate < ENOUGH;
+  page.sizeNote(slow ? `This server draws about ${session.rate.toFixed(0)} pictures a second at ${session.size[0]}; smaller ones are faster.` : '');
   wear();
-  stage.here.cache.sweep(session.avatars.map(({ hand_out: given }) => given?.sha256).filter(Boolean)).catch(() => {});
+  stage.here.handedOut(session.avatars.map(({ hand_out: given }) => given?.sha256).filter(Boolean));
   photo.offered(session.upload, chosenAvatar());
+  document.getElementById('no-photo').hidden = Boolean(session.upload);
   const making = sessionStorage.getItem(MAKING);
   if (making && upload.now.state === 'idle') upload.resume(making);
 }
@@ -149,12 +196,15 @@ async function drive() {
   try {
     if (name === 'file' && ownRecording) driver = new Recording(ownRecording);
     else if (name === 'recording') driver = new Recording(parseRecording(await text('recording')));
-    else if (name.startsWith('motion:')) driver = new Motion(JSON.parse(await text(`motions/${name.slice(7)}`)));
+    else if (name.startsWith('motion:')) driver = living(name, new Motion(JSON.parse(await text(`motions/${name.slice(7)}`))));
   } catch (error) {
     complain(`it cannot be played: ${error.message}`);
   }
   if (name === settings.get('driver')) viewer.driver = driver; // else a later choice was faster
 }
+
+/** Who only waits looks about: the motion alone would be the same every six seconds. */
+const living = (name, motion) => (name === 'motion:idle' ? new Living(motion) : motion);
 
 async function text(path) {
   const response = await connection.fetch(path);
@@ -197,11 +247,14 @@ function toggleRecording() {
   setTimeout(() => URL.revokeObjectURL(link.href), 10_000);
 }
 
-/** The state in words, on the page. */
+/** The state in words, on the page, and what can be done about it. */
 function tell() {
   const words = { off: 'Not connected', connecting: 'Connecting…', open: 'Connected', waiting: 'Not connected' };
   const where = immersive.mode ? ` In ${immersive.mode.toUpperCase()}.` : '';
   page.status((stage.notice ? capital(stage.notice) : words[connection.state]) + where, stage.notice ? 'error' : 'info');
+  const waits = connection.state === 'waiting' && connection.problem !== 'token';
+  const name = chosenAvatar()?.name ?? 'glsplat';
+  page.title(name === 'default' ? 'Demo avatar' : name, waits ? 'Try again now' : '');
 }
 
 /** Tell the user for some seconds, on the page and in the room. */
@@ -222,6 +275,9 @@ connection.addEventListener('complaint', tell);
 
 page.addEventListener('enter-vr', () => enter('vr'));
 page.addEventListener('enter-ar', () => enter('ar'));
+page.addEventListener('elsewhere', () => elsewhere.open());
+page.addEventListener('again', () => connection.hurry());
+page.addEventListener('face', () => orbit.toggleFace());
 page.addEventListener('record', toggleRecording);
 page.addEventListener('calibrate', () => menu.press('calibrate'));
 page.addEventListener('fullscreen', () => {
@@ -278,6 +334,8 @@ if (brought) {
 connection.token = sessionStorage.getItem(TOKEN);
 
 orbit.attach(canvas);
+viewer.covered = () => page.covered();
+viewer.rests = () => upload.busy; // who makes an avatar needs the machine, which may be this one
 viewer.onDrive = ({ tracking, t }) => {
   if (recorder.recording && tracking) recorder.add(tracking, t);
 };
@@ -285,6 +343,8 @@ support().then((found) => page.xr(found));
 navigator.xr?.addEventListener?.('devicechange', () => support().then((found) => page.xr(found)));
 setInterval(() => {
   page.drawn(stage.here.stats());
+  page.atFace(orbit.close);
+  if (stage.figures.shown) dock.load();
   if (settings.get('figures')) page.numbers(numbers(stage.stats(performance.now())));
   if (saves && !recorder.recording) toggleRecording(); // it is full
   tell();

@@ -1,12 +1,14 @@
 // The flat page's controls: they show the settings, change them, and say what the user asked for. Nothing here knows
 // the server or the headset.
 
-const CHOICES = ['view', 'avatar', 'room', 'size', 'driver', 'drawn'];
+const CHOICES = ['view', 'place', 'avatar', 'room', 'size', 'driver', 'drawn'];
 const FLAGS = ['stereo', 'figures'];
-const BUTTONS = ['enter-vr', 'enter-ar', 'record', 'calibrate', 'fullscreen'];
-const NARROW = '(max-width: 40rem)'; // as in style.css
+const BUTTONS = ['enter-vr', 'enter-ar', 'elsewhere', 'again', 'face', 'record', 'calibrate', 'fullscreen'];
 
-/** Events: 'enter-vr', 'enter-ar', 'record', 'calibrate', 'fullscreen'; 'token' (detail: text), 'file' (a File). */
+/**
+ * Events: 'enter-vr', 'enter-ar', 'elsewhere' (another device), 'again' (try it once more), 'face', 'record', 'calibrate',
+ * 'fullscreen'; 'token' (detail: text), 'file' (a File).
+ */
 export class Page extends EventTarget {
   #document;
   #settings;
@@ -21,7 +23,6 @@ export class Page extends EventTarget {
     settings.addEventListener('change', (event) => this.#show(event.detail.name));
     settings.addEventListener('options', (event) => this.#show(event.detail.name));
     this.#listen();
-    if (document.defaultView.matchMedia(NARROW).matches) this.#get('controls').open = false;
     this.#get('fullscreen').hidden = !document.fullscreenEnabled;
   }
 
@@ -30,6 +31,37 @@ export class Page extends EventTarget {
     const line = this.#get('status');
     line.dataset.level = level;
     if (line.textContent !== text) line.textContent = text;
+  }
+
+  /** How much of the picture the head and the dock lie over, CSS pixels. */
+  covered() {
+    return { top: this.#get('top').offsetHeight / 2, right: 0, bottom: this.#get('dock').offsetHeight, left: 0 };
+  }
+
+  /** What there is to say of how fast pictures of this size are; '' for nothing. */
+  sizeNote(text) {
+    this.#get('size-note').textContent = text;
+  }
+
+  /** Whose the avatar is, and what there is to be done about what `status` says: the button's words, or ''. */
+  title(who, again = '') {
+    const button = this.#get('again');
+    if (this.#get('who').textContent !== who) this.#get('who').textContent = who;
+    if (button.textContent !== again && again) button.textContent = again;
+    button.hidden = !again;
+  }
+
+  /** Whether the camera looks at the face. */
+  atFace(close) {
+    this.#get('face').setAttribute('aria-pressed', String(close));
+  }
+
+  /** Open the drawer, and in it a part with its first field. */
+  show(part) {
+    this.#settings.set('drawer', true);
+    this.#get(part).open = true;
+    this.#get(part).scrollIntoView({ block: 'nearest' });
+    this.#get(part).querySelector('summary').focus();
   }
 
   /** The figures: label -> text, in that order. */
@@ -87,6 +119,15 @@ export class Page extends EventTarget {
   }
 
   #listen() {
+    this.#get('drawer').addEventListener('click', () => {
+      if (this.#settings.get('drawer')) return this.#close();
+      this.#settings.set('drawer', true);
+      return this.#get('drawer-close').focus();
+    });
+    this.#get('drawer-close').addEventListener('click', () => this.#close());
+    this.#document.addEventListener('keydown', (event) => {
+      if (event.key === 'Escape' && this.#settings.get('drawer') && !this.#get('code').open) this.#close();
+    });
     const on = (id, type, listener) => this.#get(id).addEventListener(type, listener);
     for (const name of CHOICES) on(name, 'change', (event) => this.#change(name, event.target.value));
     for (const name of FLAGS) on(name, 'change', (event) => this.#change(name, event.target.checked));
@@ -102,6 +143,12 @@ export class Page extends EventTarget {
     this.#document.addEventListener('fullscreenchange', () => {
       this.#get('fullscreen').textContent = this.#document.fullscreenElement ? 'Leave full screen' : 'Full screen';
     });
+  }
+
+  /** The focus goes back to what opened the drawer. */
+  #close() {
+    this.#settings.set('drawer', false);
+    this.#get('drawer').focus();
   }
 
   #change(name, value) {
@@ -150,6 +197,11 @@ export class Page extends EventTarget {
   /** Bring a control to what the setting says. */
   #show(name) {
     const value = this.#settings.get(name);
+    if (name === 'drawer') {
+      this.#get('panel').hidden = !value;
+      this.#get('drawer').setAttribute('aria-expanded', String(value));
+      return;
+    }
     if (CHOICES.includes(name)) this.#showChoice(this.#get(name), this.#settings.options(name), value);
     else if (FLAGS.includes(name)) this.#get(name).checked = value;
     else this.#get(name).value = value ?? '';
@@ -176,12 +228,20 @@ export class Page extends EventTarget {
     select.disabled = options.length === 0;
   }
 
+  /** One button for what this device can do, else one for another device; the note says why. */
   #showHeadset() {
+    const can = (kind) => this.#xr[kind] === true;
     for (const kind of ['vr', 'ar']) {
       const reason = this.#inside ? 'the headset is on' : this.#xr[kind];
       this.#get(`enter-${kind}`).disabled = reason !== true;
       this.#get(`${kind}-note`).textContent = reason === true ? '' : reason;
     }
+    const looking = this.#xr.vr.endsWith?.('…');
+    this.#get('enter-vr').hidden = !can('vr') && (can('ar') || !looking);
+    this.#get('enter-ar').hidden = !can('ar');
+    this.#get('elsewhere').hidden = can('vr') || can('ar') || Boolean(looking);
+    this.#get('ar-note').hidden = true;
+    this.#get('vr-note').hidden = can('ar') && !can('vr');
     this.#get('calibrate').disabled = !this.#inside;
     this.#get('calibrate-note').textContent = this.#inside
       ? 'Stand straight for two seconds and look ahead; stretch your arms sideways to measure them too.'

@@ -1,6 +1,7 @@
 // What the user chose: checked against what may be chosen, kept in the browser, announced when it changes.
 
 import { DRAWN_BY } from './draw/choice.js';
+import { PLACES } from './place/looks.js';
 import { browserStorage, keep, readKept } from './storage.js';
 
 const KEY = 'glsplat.settings';
@@ -19,6 +20,7 @@ function table() {
       { value: 'facing', label: 'Facing me' },
       { value: 'own', label: 'Own body' },
     ]),
+    place: choice('day', PLACES), // what stands around the avatar
     avatar: choice(''),
     room: choice('', [{ value: '', label: 'None: alone' }]),
     name: text('', /^(?:[\p{L}\p{N}](?:[\p{L}\p{N}_ .'-]{0,30}[\p{L}\p{N}_.])?)?$/u), // what others see in a room
@@ -32,6 +34,7 @@ function table() {
     stereo: flag(false),
     height: { ...number(null, 0.5, 2.8), optional: true }, // the user's stature in metres
     figures: flag(false),
+    drawer: flag(false), // whether everything else is open
   };
 }
 
@@ -61,6 +64,22 @@ export class Settings extends EventTarget {
     if (entry.kind !== 'choice') return this.#wishes[name];
     const offered = (value) => entry.options.some((option) => option.value === value);
     return [this.#wishes[name], entry.value].find(offered) ?? entry.options[0]?.value ?? '';
+  }
+
+  /** Whether the user chose what is in force, now or earlier; else it is the default. */
+  chosen(name) {
+    const entry = this.#entry(name);
+    return this.#wishes[name] !== entry.value && this.get(name) === this.#wishes[name];
+  }
+
+  /** What is in force where nothing was chosen. */
+  setDefault(name, value) {
+    const entry = this.#entry(name);
+    const before = this.get(name);
+    if (this.#wishes[name] === entry.value) this.#wishes[name] = value;
+    entry.value = value;
+    this.#announce(name, before);
+    this.dispatchEvent(new CustomEvent('options', { detail: { name } }));
   }
 
   /** Set and keep a value; choices and numbers may come as text. Returns false for what is not allowed. */

@@ -33,7 +33,7 @@ def handing(serve: Any, hands_out: bool = True, room: str = "") -> Served:
 
 
 def opened(visit: Callable[..., Opened], served: Served, window: tuple[int, int] = (480, 360), **values: Any) -> Opened:
-    chosen = {"size": 512, "driver": "rest", "drawn": "here"} | values
+    chosen = {"size": 512, "driver": "rest", "drawn": "here", "place": "plain"} | values
     page = visit(served.page, window, init=settings(**chosen))
     page.until("window.glsplat?.stats().state === 'open'")
     return page
@@ -41,7 +41,7 @@ def opened(visit: Callable[..., Opened], served: Served, window: tuple[int, int]
 
 def test_over_to_drawing_here_and_back(visit: Callable[..., Opened], serve: Any) -> None:
     served = handing(serve)
-    page = opened(visit, served, window=(900, 420))
+    page = opened(visit, served, window=(900, 560), drawer=True)
     page.until(f"{DRAWN}.by === 'here' && {DRAWN}.splats >= 4500 && window.glsplat.stats().shown > 5")
     page.wait(5.5)
     stats = page.stats()
@@ -54,7 +54,7 @@ def test_over_to_drawing_here_and_back(visit: Callable[..., Opened], serve: Any)
     theirs = shot(page).astype(float)
     assert page.stats()["drawn"]["reason"] == "you chose the server"
     assert page.page.inner_text("#drawn-note") == "The server draws: you chose the server."
-    canvas = slice(None), slice(0, 400)  # beside the controls
+    canvas = slice(80, 380), slice(0, 500)  # between the controls
     error = float(((here - theirs)[canvas] ** 2).mean())
     assert here[canvas].std() > 3 and 10 * np.log10(255**2 / error) > 24  # JPEG, another size, another level
     assert served.stats()["fps"] > 0
@@ -162,7 +162,7 @@ def test_a_lost_context_comes_back_to_drawing_here(visit: Callable[..., Opened],
     page.wait(0.5)
     shown = page.stats()["shown"]
     page.until(f"{DRAWN}.by === 'here' && window.glsplat.stats().shown > {shown + 2}")
-    assert shot(page)[:, :200].astype(float).std() > 3
+    assert shot(page)[80:260, :400].astype(float).std() > 3
 
 
 CHOICE = """

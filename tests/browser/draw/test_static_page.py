@@ -59,7 +59,7 @@ def started(page: Opened) -> Opened:
 
 
 def test_it_shows_the_avatar_and_asks_nobody_else(visit: Callable[..., Opened], host: str) -> None:
-    page = started(visit(host))
+    page = started(visit(f"{host}?place=plain"))
     assert page.page.title() == "Robin <b>" and page.page.inner_text("#name") == "Robin <b>"
     assert page.page.inner_text("#status") == ""
     chips = page.page.locator("#motions button")
@@ -81,7 +81,7 @@ def test_it_shows_the_avatar_and_asks_nobody_else(visit: Callable[..., Opened], 
 
 
 def test_a_lost_context_comes_back(visit: Callable[..., Opened], host: str) -> None:
-    page = started(visit(host))
+    page = started(visit(f"{host}?place=plain"))
     page.page.locator("#motions button").nth(0).click()
     page.wait(1.0)
     before = shot(page).astype(float)
@@ -179,7 +179,7 @@ def test_the_picture_is_of_the_pose_of_its_frame_while_the_head_turns(
     visit: Callable[..., Opened], host: str, folder: Path
 ) -> None:
     """90 degrees a second at 72 Hz: 1.25 degrees a frame; a picture that is a frame old would be off by that."""
-    page = started(visit(host))
+    page = started(visit(f"{host}?place=plain"))
     page.page.locator("#motions button").nth(0).click()
     page.until("!document.querySelector('#enter-vr').disabled")
     page.page.click("#enter-vr")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import gzip
 import http.client
 import json
 from contextlib import closing
@@ -50,7 +51,13 @@ def test_every_file_of_the_page_is_served_without_a_token(serve):
     assert "index.html" in paths
     answers = ask(serve, *(("GET", f"/vr/{path}", {}) for path in ["", *paths]), config=GUARDED)
     assert answers[0][2] == (WEB / "index.html").read_bytes()
-    types = {"html": "text/html", "css": "text/css", "js": "text/javascript", "svg": "image/svg+xml"}
+    types = {
+        "html": "text/html",
+        "css": "text/css",
+        "js": "text/javascript",
+        "svg": "image/svg+xml",
+        "txt": "text/plain",
+    }
     for path, (status, headers, body) in zip(paths, answers[1:], strict=True):
         assert status == 200 and body == (WEB / path).read_bytes(), path
         assert headers["Content-Type"].split(";")[0] == types.get(path.rpartition(".")[2], headers["Content-Type"])
@@ -77,6 +84,16 @@ def test_a_browser_that_has_a_file_is_not_sent_it_again(serve):
     assert "Content-Security-Policy" in again[1] and again[1]["Cache-Control"] == "no-cache"
     assert other[0] == 200 and other[2] == body
     assert head[0] == 200 and head[2] == b"" and int(head[1]["Content-Length"]) == len(body)
+
+
+def test_text_goes_packed_to_who_takes_that(serve):
+    plain, packed = ask(serve, *(("GET", "/vr/main.js", {"Accept-Encoding": how}) for how in ("identity", "br, gzip")))
+    assert gzip.decompress(packed[2]) == plain[2] and 3 * len(packed[2]) < 2 * len(plain[2])
+    assert packed[1]["Content-Encoding"] == "gzip" and "Content-Encoding" not in plain[1]
+    assert packed[1]["ETag"] != plain[1]["ETag"] and packed[1]["Vary"] == plain[1]["Vary"] == "Accept-Encoding"
+    tags = {"Accept-Encoding": "gzip", "If-None-Match": packed[1]["ETag"]}
+    ((status, _, body),) = ask(serve, ("GET", "/vr/main.js", tags))
+    assert (status, body) == (304, b"")
 
 
 def test_the_address_without_a_slash_leads_to_the_page_and_keeps_what_was_asked(serve):
@@ -172,6 +189,7 @@ def test_what_the_server_offers(serve):
         "recording": True,
         "max_side": 2048,
         "size": [640, 480],
+        "rate": None,
         "quality": 70,
         "window": 2,
         "clients": 0,

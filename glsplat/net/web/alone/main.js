@@ -5,7 +5,9 @@ import { Own } from '../draw/own.js';
 import { chunksOf, readAvatar } from '../avatar/avatar.js';
 import { Orbit } from '../show/orbit.js';
 import { Painter } from '../show/painter.js';
-import { IDENTITY } from '../space/matrix.js';
+import { PLACES } from '../place/looks.js';
+import { fromJoints, partsOf } from '../place/shadow.js';
+import { IDENTITY, movePoint } from '../space/matrix.js';
 import { Motion } from '../track/drivers.js';
 import { Headset } from './headset.js';
 
@@ -48,6 +50,7 @@ async function begin() {
   $('credit').textContent = about.credit;
   if (!(await own.open(() => json('draw/programs.json')))) return say(capital(own.why), 'error');
   painter = new Painter(gl);
+  showPlaces();
   showMotions(about.motions);
   headset = new Headset(gl, { button: $('enter-vr'), draw: drawEyes, say });
   requestAnimationFrame(frame);
@@ -57,6 +60,12 @@ async function begin() {
   });
   whole = true;
   return undefined;
+}
+
+/** The places to choose from; an address may name one: ?place=studio. */
+function showPlaces() {
+  const asked = new URLSearchParams(location.search).get('place');
+  $('place').replaceChildren(...PLACES.map(({ value, label }) => new Option(label, value, value === asked, value === asked)));
 }
 
 /** A chip a motion; the first one moves. */
@@ -93,10 +102,18 @@ function poseAt(now) {
   return { joints, root: trans, translations: translations ?? null };
 }
 
+/** The place, and the shadow of who stands in it. */
+function around(eyes, shown, now) {
+  const look = $('place').value;
+  const points = person && look !== 'plain' ? partsOf(person.avatar.skeleton, poseAt(now)) : [];
+  const blobs = fromJoints(points.map((point) => movePoint(shown, point)));
+  eyes.forEach((eye, i) => painter.view(eye, i, { room: true, look, blobs }));
+}
+
 /** Draw for eyes into a framebuffer; `shown`: the room seen from the avatar's space. */
 function drawEyes(eyes, framebuffer, shown, now) {
   painter.begin(framebuffer, false);
-  eyes.forEach((eye, i) => painter.view(eye, i, { room: true }));
+  around(eyes, shown, now);
   if (!person) return;
   own.people = [{ key: 0, avatar: person.avatar, pose: poseAt(now) }];
   const what = `${headset.display} ${whole}`; // the coarsest level and the canvas say little of the rest
@@ -104,7 +121,7 @@ function drawEyes(eyes, framebuffer, shown, now) {
     measured = what;
     own.measure(eyes, shown, headset.display);
     painter.begin(framebuffer, false);
-    eyes.forEach((eye, i) => painter.view(eye, i, { room: true }));
+    around(eyes, shown, now);
   }
   if (own.draw(eyes, framebuffer, shown)) frames.shown++;
   else if (own.why) say(capital(own.why), 'error');

@@ -5,7 +5,8 @@ import { HERE } from '../draw/bones.js';
 import { Choice } from '../draw/choice.js';
 import { Own } from '../draw/own.js';
 import { AvatarCache } from '../avatar/cache.js';
-import { fromPose, invert, multiply } from '../space/matrix.js';
+import { fromJoints, partsOf } from '../place/shadow.js';
+import { fromPose, invert, movePoint, multiply } from '../space/matrix.js';
 import { People } from '../stream/pose.js';
 
 export class Here {
@@ -16,6 +17,7 @@ export class Here {
   #own = null; // made when there is an avatar to draw
   #connection;
   #offer = null; // what the server hands out of the chosen avatar: {sha256, url, ...}, or null
+  #handedOut = []; // hashes of all that it hands out
   #refused = ''; // why it does not tell poses
 
   constructor(gl, connection, settings) {
@@ -30,9 +32,15 @@ export class Here {
   /** Who is drawn next: `hand_out` of the chosen avatar in /session. */
   set offer(offer) {
     if (this.#offer && offer?.sha256 !== this.#offer.sha256) this.people.clear();
-    if (this.#offer && !offer) this.cache.forget(this.#offer.sha256);
     this.#offer = offer ?? null;
     this.#refused = '';
+  }
+
+  /** What the server hands out of all its avatars by now, hashes: of what it did before nothing stays. */
+  handedOut(hashes) {
+    for (const sha256 of this.#handedOut) if (!hashes.includes(sha256)) this.cache.forget(sha256).catch(() => {});
+    this.#handedOut = hashes;
+    this.cache.sweep(hashes).catch(() => {});
   }
 
   /** The connection is another one. */
@@ -76,6 +84,17 @@ export class Here {
     const me = bodies.find(({ you }) => you);
     this.#own.draw(views, framebuffer, shown, { glass: where.glass, headless: own && me ? me.key : null });
     return Math.max(...bodies.map(({ age }) => age));
+  }
+
+  /** Shadows of everybody on the floor of the room as `shown`. */
+  shadows(shown, now) {
+    const room = this.people.room?.place ? multiply(shown, invert(fromPose(this.people.room.place))) : shown;
+    return this.people.at(now).flatMap((body) => {
+      const avatar = this.cache.get(body.sha256, now);
+      if (!avatar || body.joints.length !== 4 * avatar.skeleton.count) return [];
+      const stands = multiply(room, standing(body.place));
+      return fromJoints(partsOf(avatar.skeleton, body).map((point) => movePoint(stands, point)));
+    });
   }
 
   /** [{text, place: over the head, in the room as it is shown}] of everybody else in a room. */
@@ -129,8 +148,12 @@ function atRest(skeleton) {
 /** A place over somebody's head, in the room as it is shown. */
 function above({ avatar: { skeleton }, pose, place = HERE }, shown) {
   const [x, y, z] = skeleton.placeOf(pose, Math.max(skeleton.names.indexOf('head'), 0));
-  const stands = multiply(fromPose([...place.translation, ...place.rotation]), [place.scale, 0, 0, 0, 0, place.scale, 0, 0, 0, 0, place.scale, 0, 0, 0, 0, 1]);
-  const m = multiply(shown, stands);
+  const m = multiply(shown, standing(place));
   const at = [0, 1, 2].map((row) => m[row] * x + m[4 + row] * y + m[8 + row] * z + m[12 + row]);
   return [at[0], at[1] + 0.3, at[2]];
+}
+
+/** The room from the space of an avatar that stands at a place. */
+function standing({ translation, rotation, scale }) {
+  return multiply(fromPose([...translation, ...rotation]), [scale, 0, 0, 0, 0, scale, 0, 0, 0, 0, scale, 0, 0, 0, 0, 1]);
 }

@@ -3,14 +3,16 @@
 import { axis, place, subtract, unit } from '../space/matrix.js';
 import { Notice } from './panel.js';
 
+const BOARD = { width: 0.7, height: 0.095 }; // metres of a Notice, and a little between two
+
 export class Names {
   #boards = new Map(); // by key
 
-  /** Labels for the painter of [{key, text, place}], turned to an eye at `transform`. */
+  /** Labels for the painter of [{key, text, place}], turned to an eye at `transform`; those behind others stand higher. */
   labels(names, transform, painter) {
     const keys = new Set(names.map(({ key }) => key));
     for (const key of this.#boards.keys()) if (!keys.has(key)) this.#boards.delete(key);
-    return names.map(({ key, text, place: at }) => {
+    return apart(names, place(transform)).map(({ key, text, place: at }) => {
       if (!this.#boards.has(key)) this.#boards.set(key, new Notice());
       const board = this.#boards.get(key);
       board.text = text;
@@ -26,4 +28,28 @@ function facing(point, eye) {
   const z = unit([away[0], 0, away[2]]);
   if (!z[0] && !z[2]) return [...axis(eye, 0), 0, ...axis(eye, 1), 0, ...axis(eye, 2), 0, ...point, 1];
   return [z[2], 0, -z[0], 0, 0, 1, 0, 0, ...z, 0, ...point, 1];
+}
+
+/** The names, the nearest first, raised so far that none is hidden by one before it. */
+export function apart(names, eye) {
+  const seen = names.map((name) => {
+    const [x, y, z] = subtract(name.place, eye);
+    return { name, across: Math.atan2(x, -z), far: Math.hypot(x, z), y };
+  });
+  seen.sort((a, b) => a.far - b.far);
+  const placed = [];
+  for (const one of seen) {
+    const far = Math.max(one.far, 0.1);
+    const [wide, high] = [BOARD.width / far, BOARD.height / far];
+    let up = one.y / far; // a tangent
+    for (const other of [...placed].sort((a, b) => a.up - b.up)) {
+      const aside = Math.abs(((one.across - other.across + 3 * Math.PI) % (2 * Math.PI)) - Math.PI);
+      if (aside < (wide + other.wide) / 2 && Math.abs(up - other.up) < (high + other.high) / 2) {
+        up = other.up + (high + other.high) / 2;
+      }
+    }
+    placed.push({ across: one.across, wide, high, up });
+    one.name = { ...one.name, place: [one.name.place[0], eye[1] + up * far, one.name.place[2]] };
+  }
+  return seen.map(({ name }) => name);
 }

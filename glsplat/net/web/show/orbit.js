@@ -1,6 +1,7 @@
 // The camera of the flat page: it circles a point by mouse, touch and keys. Room axes: x right, y up, metres.
 
 const FOV = (40 * Math.PI) / 180; // vertical field of view, radians
+const SLIM = 0.42; // width by height of a view that a person just fits into
 const [NEAR, FAR] = [0.05, 100]; // metres
 const START = { yaw: 0, pitch: 0.06, distance: 3.4, centre: [0, 0.95, 0] };
 const PITCH = 1.48; // radians up and down at most
@@ -10,6 +11,7 @@ const TURN = (5 * Math.PI) / 180; // radians a key press
 const STEP = 0.05; // a key press moves by this part of the distance
 const ZOOM = 1.1; // a key press changes the distance by this factor
 const SLACK = 0.1; // the avatar may be off the middle by this part of the distance before the camera follows
+const FACE = { down: 0.13, distance: 0.85 }; // metres: from the top of the box to the eyes, and away from them
 const FOLLOWING = 0.5; // seconds in which the camera makes up most of the rest
 
 /** yaw 0 looks from +z, into the face of an avatar; pitch > 0 looks down. Nothing moves on by itself. */
@@ -17,9 +19,14 @@ export class Orbit {
   yaw = START.yaw;
   pitch = START.pitch;
   distance = START.distance;
+  inset = { top: 0, right: 0, bottom: 0, left: 0 }; // CSS pixels of the canvas that something covers
+  stands = false; // whether it keeps its place although the avatar moves
+  close = false; // whether F brought it before the face
+  #box = null; // of the avatar, as `follow` was told last
   #centre = [...START.centre];
   #pan = [0, 0, 0];
   #followed = null; // milliseconds, when follow() was called last
+  scale = 1; // pixels of the canvas a CSS pixel
   #pointers = new Map(); // id -> [x, y], CSS pixels
   #listening = null;
 
@@ -58,6 +65,27 @@ export class Orbit {
     this.distance = START.distance;
     this.#pan = [0, 0, 0];
     this.#followed = null;
+    this.close = this.stands = false;
+  }
+
+  /** Before the face; once there, back to the start. */
+  toggleFace() {
+    const { close } = this;
+    this.reset();
+    if (close || !this.#box) return;
+    const [x0, , z0, x1, top, z1] = this.#box;
+    this.#pan = [(x0 + x1) / 2, top - FACE.down, (z0 + z1) / 2].map((v, i) => v - this.#centre[i]);
+    [this.distance, this.pitch, this.close] = [FACE.distance, 0, true];
+    this.#followed = 0; // the middle of the box is no longer what is looked at first
+  }
+
+  /** Stand for a room: everybody in sight, from over the user's shoulder. */
+  standBack(middle, radius) {
+    this.reset();
+    this.#pan = middle.map((v, i) => v - this.#centre[i]);
+    [this.yaw, this.pitch, this.distance] = [2.45, 0.2, 2.6 + 2.2 * radius];
+    this.#box = null;
+    this.stands = true;
   }
 
   /** Circle by radians. */
@@ -66,9 +94,12 @@ export class Orbit {
     this.pitch = clamp(this.pitch + pitch, -PITCH, PITCH);
   }
 
-  /** Change the distance by a factor. */
-  zoom(factor) {
-    this.distance = clamp(this.distance * factor, ...DISTANCE);
+  /** Change the distance by a factor; what lies `at` [right, up] metres off the target, in its plane, stays where it is seen. */
+  zoom(factor, at = [0, 0]) {
+    const before = this.distance;
+    this.distance = clamp(before * factor, ...DISTANCE);
+    const part = 1 - this.distance / before;
+    if (at[0] || at[1]) this.pan(part * at[0], part * at[1]);
   }
 
   /** Move the target by metres along the camera's right, its up, and level ahead. */
@@ -82,6 +113,8 @@ export class Orbit {
   /** Keep an avatar's box [x0, y0, z0, x1, y1, z1] in view: at once the first time, gently from then on. */
   follow(box, nowMs = performance.now()) {
     if (!box?.every(Number.isFinite)) return;
+    this.#box = [...box];
+    if (this.close || this.stands) return; // a face is not lost for an arm that is raised
     const off = [0, 1, 2].map((i) => (box[i] + box[i + 3]) / 2 - this.#centre[i]);
     const far = Math.hypot(...off);
     const excess = Math.max(far - SLACK * this.distance, 0);
@@ -108,8 +141,26 @@ export class Orbit {
     const { right, up, back } = this.#axes();
     const place = this.target.map((v, i) => v + this.distance * back[i] + aside * right[i]);
     const transform = [...right, 0, ...up, 0, ...back, 0, ...place, 1];
-    const aspect = Math.max(viewport.width, 1) / Math.max(viewport.height, 1);
-    return { eye, transform, projection: projection(aspect), viewport };
+    return { eye, transform, projection: projection(viewport, this.#free(viewport)), viewport };
+  }
+
+  /** The part of a viewport that nothing covers, of 1: {x, y (of its middle, up), width, height}. */
+  #free({ width, height }) {
+    const scale = this.scale;
+    const { top, right, bottom, left } = this.inset;
+    const part = (a, b, whole) => Math.max(0.3, 1 - (scale * (a + b)) / Math.max(whole, 1));
+    const shift = (a, b, whole) => clamp((scale * (a - b)) / Math.max(whole, 1), -0.7, 0.7);
+    return { x: shift(left, right, width), y: shift(bottom, top, height), width: part(left, right, width), height: part(top, bottom, height) };
+  }
+
+  /** [right, up] in metres of a pointer from the target, in the plane that it lies in. */
+  #under(event, element) {
+    const box = element.getBoundingClientRect();
+    const [width, height] = [Math.max(box.width, 1), Math.max(box.height, 1)];
+    const { projection: p } = this.#view('none', 0, { x: 0, y: 0, width: width * this.scale, height: height * this.scale });
+    const x = ((event.clientX - box.left) / width) * 2 - 1;
+    const y = 1 - ((event.clientY - box.top) / height) * 2;
+    return [((x + p[8]) / p[0]) * this.distance, ((y + p[9]) / p[5]) * this.distance];
   }
 
   /** The camera's axes in the room; it looks along -back. */
@@ -135,7 +186,8 @@ export class Orbit {
     const other = [...this.#pointers].find(([id]) => id !== event.pointerId)?.[1];
     if (other) {
       const apart = (a) => Math.max(Math.hypot(a[0] - other[0], a[1] - other[1]), 1);
-      this.zoom(apart(before) / apart(now));
+      const middle = { clientX: (before[0] + other[0]) / 2, clientY: (before[1] + other[1]) / 2 };
+      this.zoom(apart(before) / apart(now), this.#under(middle, element));
       this.#drag(dx / 2, dy / 2, height); // the middle of two fingers moves half as far as one of them
     } else if (event.pointerType === 'mouse' && (event.buttons & 6) !== 0) {
       this.#drag(dx, dy, height);
@@ -154,7 +206,7 @@ export class Orbit {
     event.preventDefault();
     const unit = [1, 16, element.clientHeight][event.deltaMode] ?? 1; // pixels, lines, pages
     const pixels = clamp(event.deltaY * unit, -200, 200);
-    this.zoom(Math.exp(pixels * (event.ctrlKey ? 0.01 : 0.0015))); // ctrl: a pinch on a touch pad
+    this.zoom(Math.exp(pixels * (event.ctrlKey ? 0.01 : 0.0015)), this.#under(event, element)); // ctrl: a pinch on a touch pad
   }
 
   #key(event) {
@@ -174,6 +226,7 @@ export class Orbit {
       s: () => this.pan(0, 0, -step),
       q: () => this.pan(0, -step),
       e: () => this.pan(0, step),
+      f: () => this.toggleFace(),
       r: () => this.reset(),
     };
     const key = event.key.toLowerCase();
@@ -183,11 +236,13 @@ export class Orbit {
   }
 }
 
-/** A symmetric OpenGL projection for a picture of this aspect (width / height). */
-function projection(aspect) {
-  const f = 1 / Math.tan(FOV / 2);
+/** An OpenGL projection whose middle is that of the free part of a viewport, which FOV fills: a person fits in its width. */
+function projection({ width, height }, free) {
+  const aspect = Math.max(width, 1) / Math.max(height, 1);
+  const f = free.height / Math.tan(FOV / 2);
+  const narrow = Math.min(1, (aspect * free.width) / free.height / SLIM);
   const [a, b] = [(FAR + NEAR) / (NEAR - FAR), (2 * FAR * NEAR) / (NEAR - FAR)];
-  return [f / aspect, 0, 0, 0, 0, f, 0, 0, 0, 0, a, -1, 0, 0, b, 0];
+  return [(f * narrow) / aspect, 0, 0, 0, 0, f * narrow, 0, 0, -free.x, -free.y, a, -1, 0, 0, b, 0];
 }
 
 function clamp(value, least, most) {

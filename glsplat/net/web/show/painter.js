@@ -1,5 +1,6 @@
-// Everything the page draws with WebGL2: the newest pair, a mirror's frame, a floor, labels. Knows no sessions.
+// Everything the page draws with WebGL2: a place, the newest pair, a mirror's frame, labels. Knows no sessions.
 
+import { Place } from '../place/place.js';
 import { buildPrograms } from './shaders.js';
 import { add, axis, invert, multiply, place, scale } from '../space/matrix.js';
 import { pictureQuad } from '../space/picture.js';
@@ -10,6 +11,7 @@ const FLOOR = { half: 5, step: 1, fade: 6 }; // metres
 
 export class Painter {
   textures = 0; // alive, for leak tests
+  place; // what stands around; one that is not chosen is a grid in the dark
   #gl;
   #programs;
   #pair = []; // by eye: {colour, alpha, box, hasAlpha}
@@ -21,6 +23,7 @@ export class Painter {
   constructor(gl) {
     this.#gl = gl;
     this.#programs = buildPrograms(gl);
+    this.place = new Place(gl);
     this.#mesh = this.#buffers(2);
     const lines = floorLines();
     this.#floor = this.#buffers(1);
@@ -87,15 +90,28 @@ export class Painter {
     gl.disable(gl.CULL_FACE);
   }
 
-  /** One view {transform, projection, viewport}: index 0 or 1 of the pair. `room`: draw a floor as well. */
-  view({ transform, projection, viewport: { x, y, width, height } }, index, { room, glass, labels = [] }) {
+  /**
+   * One view {transform, projection, viewport}: index 0 or 1 of the pair. `room`: draw the place as well, else (in
+   * passthrough) its mirror and shadows alone. `mirror`: {glass, normal}; `blobs`: shadows of place/shadow.js, which
+   * the mirror shows where there is one.
+   */
+  view(eye, index, { room, mirror = null, labels = [], look = 'plain', blobs = [] }) {
     const gl = this.#gl;
+    const { transform, projection, viewport: { x, y, width, height } } = eye;
     gl.viewport(x, y, width, height);
     const clip = new Float32Array(multiply(projection, invert(transform)));
-    if (room) this.#drawFloor(clip, transform);
-    if (glass) this.#drawMirror(clip, glass);
+    const placed = this.place.choose(look);
+    if (placed) {
+      const seen = mirror ? [] : blobs;
+      if (room) this.place.room(eye, clip, seen);
+      else this.place.shadows(clip, seen);
+      if (mirror) this.place.mirror(eye, clip, mirror, blobs, !room);
+    } else {
+      if (room) this.#drawFloor(clip, transform);
+      if (mirror) this.#drawMirror(clip, mirror.glass);
+    }
     if (this.#asked) this.#drawPicture(clip, transform, index);
-    else if (glass) this.#drawFlat(clip, [glass[3], glass[2], glass[0], glass[1]], COLOURS.glass);
+    else if (mirror && !placed) this.#drawFlat(clip, [3, 2, 0, 1].map((i) => mirror.glass[i]), COLOURS.glass);
     for (const label of labels) this.#drawLabel(clip, label);
   }
 

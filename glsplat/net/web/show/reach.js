@@ -3,16 +3,18 @@
 import { add, axis, dot, fromPose, place, scale, subtract, unit } from '../space/matrix.js';
 import { heading } from '../space/placing.js';
 
-const BESIDE = { width: 0.34, away: 0.3, height: 1.3 }; // metres; from the glass to the panel's middle, over the floor
-const WRIST = { width: 0.18, left: 0.18, back: 0.06 }; // beside the wrist, as its user sees it: it hides no hand
-const BEFORE = { width: 0.3, ahead: 0.7, left: 0.45, down: 0.25 };
+// metres; from the glass's edge to the panel's middle, before the glass, over the floor: its text is a degree high
+const BESIDE = { width: 0.45, away: 0.05, before: 0.35, height: 1.3 };
+const WRIST = { width: 0.24, left: 0.22, back: 0.06 }; // beside the wrist, as its user sees it: it hides no hand
+const BEFORE = { width: 0.4, ahead: 0.7, left: 0.45, down: 0.25 };
 
 /** {transform: room from panel, width}: beside the mirror, else by the left wrist, else before the user to the left. */
 export function panelPlace(where, head, sample) {
   const eye = place(head);
   if (where.glass) {
     const [low, right] = where.glass;
-    const beside = add(right, scale(unit(subtract(right, low)), BESIDE.away));
+    const aside = add(right, scale(unit(subtract(right, low)), BESIDE.away));
+    const beside = add(aside, scale(where.normal, BESIDE.before));
     return { transform: facing([beside[0], BESIDE.height, beside[2]], head), width: BESIDE.width };
   }
   const wrist = sample.left ?? sample.left_grip;

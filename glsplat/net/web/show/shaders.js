@@ -1,5 +1,7 @@
 // The page's programs, GLSL ES 3.00. Positions are metres in the room; colours are premultiplied.
 
+import { build } from '../place/program.js';
+
 /** A picture put back into the room: `texel` is projective, so that it is right on any plane seen from anywhere. */
 const PICTURE = {
   vertex: `#version 300 es
@@ -72,26 +74,4 @@ void main() {
 /** {picture, flat, label}: each {use(), at: uniform locations by name}. Throws with the compiler's words. */
 export function buildPrograms(gl) {
   return { picture: build(gl, PICTURE), flat: build(gl, FLAT), label: build(gl, LABEL) };
-}
-
-function build(gl, { vertex, fragment }) {
-  const program = gl.createProgram();
-  for (const [type, source] of [[gl.VERTEX_SHADER, vertex], [gl.FRAGMENT_SHADER, fragment]]) {
-    const shader = gl.createShader(type);
-    gl.shaderSource(shader, source);
-    gl.compileShader(shader);
-    gl.attachShader(program, shader);
-    gl.deleteShader(shader);
-  }
-  gl.linkProgram(program);
-  if (!gl.getProgramParameter(program, gl.LINK_STATUS) && !gl.isContextLost()) {
-    const logs = gl.getAttachedShaders(program).map((shader) => gl.getShaderInfoLog(shader)).join(' ');
-    throw new Error(`a shader does not compile: ${gl.getProgramInfoLog(program)} ${logs}`);
-  }
-  const at = {};
-  for (let i = gl.getProgramParameter(program, gl.ACTIVE_UNIFORMS) - 1; i >= 0; i--) {
-    const { name } = gl.getActiveUniform(program, i);
-    at[name] = gl.getUniformLocation(program, name);
-  }
-  return { use: () => gl.useProgram(program), at };
 }

@@ -1,6 +1,8 @@
 // What both ways of looking share: ask for a pair, take the newest that came, put it on the screen, keep the figures.
 
+import { fromBox } from '../place/shadow.js';
 import { Framing } from '../space/framing.js';
+import { IDENTITY } from '../space/matrix.js';
 import { Figures } from '../stream/figures.js';
 import { Pictures } from '../stream/pictures.js';
 import { Here } from './here.js';
@@ -65,7 +67,7 @@ export class Stage {
     this.advance(now);
     const hung = labels();
     this.painter.begin(framebuffer, transparent);
-    const how = { room, glass: where.glass };
+    const how = { room, mirror: where.glass ? where : null, look: this.settings.get('place'), blobs: this.#shadows(here, where, drive, now) };
     if (here && this.here.people.size) {
       this.painter.forget();
       views.forEach((view, i) => this.painter.view(view, i, how));
@@ -79,6 +81,17 @@ export class Stage {
       this.drawn();
     }
     return sent;
+  }
+
+  /** Where those who are shown touch the floor. */
+  #shadows(here, where, { pose, tracking }, now) {
+    if (this.settings.get('place') === 'plain') return [];
+    const shown = where.glass ? IDENTITY : where.shown; // a mirror shows the floor under its user
+    if (here && this.here.people.size) return this.here.shadows(shown, now);
+    const box = this.painter.hasPair ? this.info.box : null;
+    const trans = pose?.trans;
+    const root = trans ? [trans[0], trans[2]] : tracking?.head ? [tracking.head[0], tracking.head[2]] : null;
+    return box ? fromBox(box, shown, root) : [];
   }
 
   /** Tell the user for some seconds. */

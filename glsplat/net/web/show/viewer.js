@@ -4,6 +4,7 @@ import { IDENTITY } from '../space/matrix.js';
 
 const DENSEST = 2; // canvas pixels a CSS pixel
 const KEEP = 1000; // ms between requests while nothing moves
+const RESTING = 1500; // ms between frames while others need the machine
 
 const HERE = Object.freeze({ view: 'viewer', shown: IDENTITY, mirror: false, glass: null });
 const IN_ROOM = Object.freeze({ ...HERE, whole: true });
@@ -16,7 +17,10 @@ export class Viewer {
   #driver = null;
   #last = ''; // what was asked last
   #asked = 0; // ms
+  #drawn = 0; // ms
   #handle = 0;
+  covered = () => ({ top: 0, right: 0, bottom: 0, left: 0 }); // CSS pixels of the canvas that something lies over
+  rests = () => false; // whether others need the machine: then it draws and asks now and then
   onDrive = () => {}; // hears of what moves the avatar, every frame
 
   constructor(canvas, stage, orbit, settings) {
@@ -48,8 +52,12 @@ export class Viewer {
 
   #frame(now) {
     this.#handle = requestAnimationFrame((later) => this.#frame(later));
+    if (this.rests() && now - this.#drawn < RESTING) return;
+    this.#drawn = now;
     const { width, height } = this.#fit();
     if (!width || !height) return;
+    this.#orbit.inset = this.covered();
+    this.#orbit.scale = width / this.#canvas.clientWidth;
     const views = this.#orbit.views(width, height, { stereo: this.#settings.get('stereo') });
     const drive = this.#driver?.at(now / 1000) ?? {};
     this.onDrive(drive);

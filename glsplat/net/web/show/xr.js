@@ -13,12 +13,12 @@ const DOUBLE = 500; // ms between two pinches of the left hand that go to the ne
 
 /** {vr, ar}: true, or in words why not. */
 export async function support() {
-  if (!isSecureContext) return both('this page needs https, or http://localhost');
-  if (!navigator.xr) return both('this browser has no WebXR');
+  if (!isSecureContext) return both('Browsers open VR on https or on localhost alone: start the server with --self-signed.');
+  if (!navigator.xr) return both('This browser has no WebXR: open this page in a headset, or in Chrome or Edge with one.');
   const can = async (mode, words) => ((await navigator.xr.isSessionSupported(mode).catch(() => false)) ? true : words);
   return {
-    vr: await can('immersive-vr', 'no headset here'),
-    ar: await can('immersive-ar', 'no passthrough here'),
+    vr: await can('immersive-vr', 'No headset is connected to this device.'),
+    ar: await can('immersive-ar', 'No passthrough is connected to this device.'),
   };
 }
 
@@ -137,7 +137,8 @@ export class Immersive {
     if (lower) sample.body = lower;
     this.#use(sample, now, frame);
     const view = this.#where.view;
-    const alpha = this.mode === 'ar' || view !== 'mirror'; // a mirror's glass is black: nothing shows through
+    // the glass of a mirror in no place is black: nothing shows through
+    const alpha = this.mode === 'ar' || view !== 'mirror' || this.#settings.get('place') !== 'plain';
     const drive = this.#tools.driven() ? { tracking: sample, t: now } : {};
     const { framebuffer } = session.renderState.baseLayer;
     const [room, transparent] = [this.mode === 'vr', this.mode === 'ar'];

@@ -24,6 +24,7 @@ const page = Array.from(crypto.getRandomValues(new Uint8Array(12)), (byte) => by
 const { secret, token } = brought(KEY);
 const link = new Link({ secret, token });
 const settings = new Settings(NOTHING);
+settings.set('place', 'plain'); // what participants see is what it was in studies before
 const canvas = document.getElementById('canvas');
 const gl = canvas.getContext('webgl2', { xrCompatible: true, antialias: false, alpha: false });
 const connection = new Delayed(() => ({ study: page }));

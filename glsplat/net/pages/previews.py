@@ -1,0 +1,180 @@
+"""Small pictures for the pages: one of each avatar, drawn once, and what clients were sent last."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from collections.abc import Callable, Mapping
+from functools import cache
+from importlib import resources
+from typing import Any
+
+import numpy as np
+import simplejpeg
+from aiohttp import web
+from numpy.typing import NDArray
+
+from glsplat.errors import GlsplatError
+from glsplat.net.backend import AvatarInfo
+from glsplat.net.codec.encode import Encoded
+from glsplat.net.messages import Decoder, Request, WireOptions
+from glsplat.net.pace.client_stream import ClientStream
+from glsplat.net.pages.catalogue import Catalogue
+from glsplat.net.rights import Rights, user_of
+from glsplat.net.session import Session, SessionConfig
+
+__all__ = ["Drawer", "Previews", "flattened", "pair"]
+
+SIDE = 192
+"""Pixels of an avatar's picture."""
+_SMALL = 240  # pixels that the larger side of a client's last picture has at most
+_GROUND = np.array([205, 210, 216], np.float32)  # behind whom alpha cuts out, sRGB
+_PATIENCE = 20.0  # seconds for a picture
+_QUALITY = 85
+
+
+class Drawer:
+    """Has single pictures drawn beside those of the clients, in the same fair turns: nobody's, small and few.
+
+    ``loop`` is a RenderLoop or a WorkerPool. Watermarks of ``session`` are in these pictures, too.
+    """
+
+    def __init__(self, loop: object, wire: WireOptions, session: SessionConfig, clock: Callable[[], float]) -> None:
+        self._loop, self._wire, self._config, self._clock = loop, wire, session, clock
+        self._one_at_a_time = asyncio.Lock()
+
+    async def draw(
+        self, one: AvatarInfo, request: Mapping[str, object], notice: Callable[[], str] = str
+    ) -> tuple[Encoded, Mapping[str, float]]:
+        """The picture of a native request and its times in ms. Raises GlsplatError where there is none."""
+        loop: Any = self._loop
+        async with self._one_at_a_time:  # all go by number 0
+            session = Session(Decoder(self._wire, one.skeleton, one.parts), self._config, self._clock())
+            taken = session.receive(json.dumps({"v": 1, "frame_id": 1, **request}), self._clock())
+            if not isinstance(taken, Request):
+                raise GlsplatError("the server's own request is not understood")
+            channel: ClientStream = loop.open(0, session, None, "the server's own pages", one)
+            channel.notice = notice
+            loop.add(channel)
+            loop.received(channel, taken)
+            try:
+                frame = await asyncio.wait_for(channel.frames.get(), _PATIENCE)
+                if frame.encoded is None:
+                    raise GlsplatError(f"it could not be drawn ({frame.error[0]})")
+                return await frame.encoded, frame.times
+            except TimeoutError:
+                raise GlsplatError(f"it was not drawn within {_PATIENCE:g} s") from None
+            finally:
+                loop.remove(channel)
+
+
+class Previews:
+    """GET /thumbnails/NAME and /pictures/NUMBER. ``private``: what clients see is nobody else's."""
+
+    def __init__(
+        self,
+        drawer: Drawer,
+        offers: Catalogue,
+        rights: Rights,
+        channels: Mapping[int, ClientStream],
+        private: bool,
+    ) -> None:
+        self._drawer, self._offers, self._rights, self._channels = drawer, offers, rights, channels
+        self._private = private or rights.accounts is not None  # an account's pictures are its own
+        self._kept: dict[tuple[str, str], bytes] = {}
+
+    def routes(self) -> list[web.RouteDef]:
+        """Behind the gate, like /session."""
+        return [web.get("/thumbnails/{name}", self._thumbnail), web.get("/pictures/{number:[0-9]+}", self._picture)]
+
+    def shows(self, number: int) -> bool:
+        """Whether /pictures has something of that client."""
+        channel = self._channels.get(number)
+        return not self._private and channel is not None and channel.newest is not None
+
+    def forget(self, name: str) -> None:
+        """Another avatar may have that name from now on."""
+        self._kept = {key: data for key, data in self._kept.items() if key[0] != name}
+
+    async def _thumbnail(self, request: web.Request) -> web.Response:
+        name, user = request.match_info["name"], user_of(request)
+        if name not in self._rights.drivable(user, self._offers.names):
+            return web.Response(status=404, text="there is no such avatar here\n")
+        key = name, self._rights.label(user, name)
+        if key not in self._kept:
+            one = self._offers[name]
+            try:
+                encoded, _ = await self._drawer.draw(one, _portrait(one), lambda: key[1])
+                self._kept[key] = await asyncio.to_thread(_thumbnail_of, encoded)
+            except GlsplatError as error:
+                return web.Response(status=503, text=f"{error}\n", headers={"Retry-After": "5"})
+        return web.Response(body=self._kept[key], content_type="image/jpeg")
+
+    async def _picture(self, request: web.Request) -> web.Response:
+        number = int(request.match_info["number"])
+        if not self.shows(number):
+            return web.Response(status=404, text="there is no such picture for you\n")
+        encoded = self._channels[number].newest
+        assert encoded is not None
+        return web.Response(body=await asyncio.to_thread(_small, encoded), content_type="image/jpeg")
+
+
+def flattened(encoded: Encoded) -> NDArray[np.uint8]:
+    """The first picture [H, W, 3], on a light ground where its alpha was sent with it."""
+    colour = simplejpeg.decode_jpeg(encoded.pictures[0]).astype(np.float32)
+    if encoded.alphas is not None:
+        alpha = simplejpeg.decode_jpeg(encoded.alphas[0], "GRAY").astype(np.float32) / 255
+        colour = colour * alpha + _GROUND * (1 - alpha)
+    flat: NDArray[np.uint8] = np.clip(np.round(colour), 0, 255).astype(np.uint8)
+    return flat
+
+
+def _thumbnail_of(encoded: Encoded) -> bytes:
+    data: bytes = simplejpeg.encode_jpeg(np.ascontiguousarray(flattened(encoded)), _QUALITY, "RGB")
+    return data
+
+
+def _small(encoded: Encoded) -> bytes:
+    """Of a picture that was cropped there may be nothing."""
+    image = flattened(encoded)
+    step = -(-max(image.shape[:2]) // _SMALL)
+    height, width = (side // step * step for side in image.shape[:2])
+    if height and width and step > 1:  # means of whole blocks
+        blocks = image[:height, :width].reshape(height // step, step, width // step, step, 3)
+        image = blocks.mean((1, 3)).astype(np.uint8)
+    data: bytes = simplejpeg.encode_jpeg(np.ascontiguousarray(image), _QUALITY, "RGB")
+    return data
+
+
+def pair(one: AvatarInfo, side: int) -> dict[str, object]:
+    """A request for both eyes of somebody who stands before the avatar: what a client of a headset asks for."""
+    height = one.height or 1.7
+    focal = side * 2.2 / (1.15 * height)  # the avatar fills the picture
+    K = [focal, focal, side / 2, side / 2]
+    eyes = [
+        {"viewmat": [1, 0, 0, -x, 0, -1, 0, 0.5 * height, 0, 0, -1, 2.2, 0, 0, 0, 1], "K": K} for x in (-0.032, 0.032)
+    ]
+    return {"eyes": eyes, "size": [side, side], "crop": True, "alpha": "straight"}
+
+
+def _portrait(one: AvatarInfo) -> dict[str, object]:
+    """Head and shoulders, from a little to the side of where it looks (+z)."""
+    height = one.height or 1.7
+    middle, away, across = 0.9 * height, 1.6, 0.36 * height  # metres
+    focal = SIDE * away / across
+    viewmat = [1, 0, 0, 0, 0, -1, 0, middle, 0, 0, -1, away, 0, 0, 0, 1]  # OpenCV axes, row by row
+    request: dict[str, object] = {
+        "eyes": [{"viewmat": viewmat, "K": [focal, focal, SIDE / 2, SIDE / 2]}],
+        "size": [SIDE, SIDE],
+        "quality": _QUALITY,
+        "alpha": "straight",
+    }
+    return request if one.solver is None else request | {"pose": _standing()}
+
+
+@cache
+def _standing() -> dict[str, object]:
+    """Arms down, of the rig that motions are made for."""
+    motion = json.loads((resources.files("glsplat.data") / "idle.json").read_text(encoding="utf-8"))
+    pose: dict[str, object] = motion["frames"][0]
+    return pose

@@ -1,0 +1,192 @@
+// Draws a place: room, sky, the shadows of who stands in it, a mirror with its frame. Knows neither avatars nor sessions.
+
+import { multiply, place as placeOf } from '../space/matrix.js';
+import { ATLAS, FACES, GRAIN, bake, grain, shown } from './bake.js';
+import { LOOKS } from './looks.js';
+import { flatMesh, floorMesh, mirrorMesh, roomMesh, starMesh } from './mesh.js';
+import { build } from './program.js';
+import { GLASS, ROOM, SHADOW, SKY } from './shaders.js';
+
+const MOST_BLOBS = 16;
+const STRIDE = 36; // bytes a vertex
+const IN_PASSTHROUGH = 0.62; // how dark shadows are on a floor that is not ours
+const SOURCES = { sky: SKY, room: ROOM, shadow: SHADOW, glass: GLASS };
+
+export class Place {
+  /** Triangles of the room and texels of its textures, for whoever counts. */
+  counts = { triangles: 0, texels: 0 };
+  #gl;
+  #programs = new Map();
+  #look = null;
+  #textures = null; // {faces, grain}
+  #metres = [0, 0];
+  #room;
+  #stars;
+  #passing; // of one frame
+
+  constructor(gl) {
+    this.#gl = gl;
+    [this.#room, this.#stars, this.#passing] = [this.#buffer(), this.#buffer(), this.#buffer()];
+  }
+
+  /** Which of LOOKS is drawn; false where there is none of that name. It is worked out when it is first chosen. */
+  choose(name) {
+    const look = LOOKS[name] ?? null;
+    if (look === this.#look) return look !== null;
+    this.#look = look;
+    if (!look) return false;
+    const gl = this.#gl;
+    this.#textures ??= { faces: gl.createTexture(), grain: gl.createTexture() };
+    this.#texture(this.#textures.faces, gl.RGBA, ATLAS.width, ATLAS.height, bake(look), gl.CLAMP_TO_EDGE);
+    const floor = grain(look);
+    this.#metres = floor?.metres ?? [0, 0];
+    const side = floor ? GRAIN : 1;
+    this.#texture(this.#textures.grain, gl.LUMINANCE, side, side, floor?.bytes ?? new Uint8Array([128]), gl.REPEAT);
+    if (floor) {
+      gl.generateMipmap(gl.TEXTURE_2D);
+      gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, gl.LINEAR_MIPMAP_LINEAR);
+      const sharp = gl.getExtension('EXT_texture_filter_anisotropic');
+      if (sharp) gl.texParameteri(gl.TEXTURE_2D, sharp.TEXTURE_MAX_ANISOTROPY_EXT, 4);
+    }
+    this.#fill(this.#room, roomMesh(look));
+    this.#fill(this.#stars, starMesh(look));
+    this.counts = { triangles: this.#room.vertices / 3, texels: ATLAS.width * ATLAS.height + (floor ? GRAIN * GRAIN : 0) };
+    return true;
+  }
+
+  /** The room around an eye {transform, projection}; shadows `blobs` [x, z, radius, strength] lie on its floor. */
+  room({ transform, projection }, clip, blobs) {
+    const gl = this.#gl;
+    gl.disable(gl.BLEND);
+    gl.enable(gl.DEPTH_TEST);
+    gl.depthFunc(gl.LEQUAL);
+    this.#solid(clip, this.#room);
+    if (this.#stars.vertices) this.#draw(this.#stars, gl.POINTS);
+    const at = this.#begin('sky');
+    const turn = [...transform.slice(0, 12), 0, 0, 0, 1];
+    gl.uniformMatrix4fv(at.room_from_clip, false, new Float32Array(multiply(turn, unprojection(projection))));
+    this.#sky(at);
+    gl.drawArrays(gl.TRIANGLES, 0, 3);
+    gl.disable(gl.DEPTH_TEST);
+    gl.enable(gl.BLEND);
+    this.shadows(clip, blobs, this.#look.shadow);
+  }
+
+  /** Shadows on any floor. */
+  shadows(clip, blobs, dark = IN_PASSTHROUGH) {
+    if (!blobs.length) return;
+    const at = this.#begin('shadow');
+    this.#blobs(at, blobs, dark);
+    this.#gl.uniformMatrix4fv(at.clip_from_room, false, clip);
+    this.#fill(this.#passing, floorMesh(blobs));
+    this.#draw(this.#passing);
+  }
+
+  /** A mirror with its frame; `blobs` are on the floor that it reflects. */
+  mirror({ transform }, clip, { glass, normal }, blobs, passthrough) {
+    const gl = this.#gl;
+    const at = this.#begin('glass');
+    gl.uniform3fv(at.eye, placeOf(transform));
+    gl.uniform3fv(at.normal, normal);
+    gl.uniform3fv(at.half_room, this.#look.half);
+    gl.uniform1i(at.walls, this.#look.walls ? 1 : 0);
+    gl.uniform1i(at.passthrough, passthrough ? 1 : 0);
+    gl.uniform4fv(at['rects[0]'], [...FACES.walls, FACES.floor, FACES.ceiling].flatMap(([x, y, w, h]) => [x / ATLAS.width, y / ATLAS.height, w / ATLAS.width, h / ATLAS.height]));
+    this.#sky(at);
+    this.#faces(at);
+    this.#blobs(at, blobs, this.#look.shadow);
+    gl.uniformMatrix4fv(at.clip_from_room, false, clip);
+    this.#fill(this.#passing, flatMesh(glass, normal));
+    this.#draw(this.#passing);
+    this.#fill(this.#passing, mirrorMesh(glass, normal));
+    gl.enable(gl.DEPTH_TEST);
+    gl.clear(gl.DEPTH_BUFFER_BIT); // before all that the room has
+    this.#solid(clip, this.#passing);
+    gl.disable(gl.DEPTH_TEST);
+  }
+
+  #begin(name) {
+    if (!this.#programs.has(name)) this.#programs.set(name, build(this.#gl, SOURCES[name]));
+    const { use, at } = this.#programs.get(name);
+    use();
+    return at;
+  }
+
+  #sky(at) {
+    this.#gl.uniform3fv(at.zenith, shown(this.#look.sky.zenith));
+    this.#gl.uniform3fv(at.horizon, shown(this.#look.sky.horizon));
+  }
+
+  #blobs(at, blobs, dark) {
+    const few = blobs.slice(0, MOST_BLOBS);
+    this.#gl.uniform1i(at.blob_count, few.length);
+    this.#gl.uniform1f(at.shadow, dark);
+    if (few.length) this.#gl.uniform4fv(at['blobs[0]'], few.flat());
+  }
+
+  #faces(at) {
+    const gl = this.#gl;
+    gl.uniform2fv(at.metres, this.#metres);
+    gl.uniform1i(at.faces, 0);
+    gl.uniform1i(at.grain, 1);
+    gl.activeTexture(gl.TEXTURE1);
+    gl.bindTexture(gl.TEXTURE_2D, this.#textures.grain);
+    gl.activeTexture(gl.TEXTURE0);
+    gl.bindTexture(gl.TEXTURE_2D, this.#textures.faces);
+  }
+
+  /** Triangles that hide each other, those that face away left out. */
+  #solid(clip, mesh) {
+    const gl = this.#gl;
+    const at = this.#begin('room');
+    this.#faces(at);
+    gl.uniformMatrix4fv(at.clip_from_room, false, clip);
+    gl.enable(gl.CULL_FACE);
+    this.#draw(mesh);
+    gl.disable(gl.CULL_FACE);
+  }
+
+  #draw({ array, vertices }, mode = this.#gl.TRIANGLES) {
+    this.#gl.bindVertexArray(array);
+    this.#gl.drawArrays(mode, 0, vertices);
+    this.#gl.bindVertexArray(null);
+  }
+
+  #texture(texture, format, width, height, bytes, wrap) {
+    const gl = this.#gl;
+    gl.activeTexture(gl.TEXTURE0);
+    gl.bindTexture(gl.TEXTURE_2D, texture);
+    gl.texImage2D(gl.TEXTURE_2D, 0, format, width, height, 0, format, gl.UNSIGNED_BYTE, bytes);
+    for (const name of [gl.TEXTURE_WRAP_S, gl.TEXTURE_WRAP_T]) gl.texParameteri(gl.TEXTURE_2D, name, wrap);
+    for (const name of [gl.TEXTURE_MIN_FILTER, gl.TEXTURE_MAG_FILTER]) gl.texParameteri(gl.TEXTURE_2D, name, gl.LINEAR);
+  }
+
+  #buffer() {
+    const gl = this.#gl;
+    const [array, buffer] = [gl.createVertexArray(), gl.createBuffer()];
+    gl.bindVertexArray(array);
+    gl.bindBuffer(gl.ARRAY_BUFFER, buffer);
+    for (let i = 0; i < 3; i++) {
+      gl.enableVertexAttribArray(i);
+      gl.vertexAttribPointer(i, 3, gl.FLOAT, false, STRIDE, 12 * i);
+    }
+    gl.bindVertexArray(null);
+    return { array, buffer, vertices: 0 };
+  }
+
+  #fill(mesh, floats) {
+    const gl = this.#gl;
+    gl.bindBuffer(gl.ARRAY_BUFFER, mesh.buffer);
+    gl.bufferData(gl.ARRAY_BUFFER, floats, gl.DYNAMIC_DRAW);
+    mesh.vertices = (4 * floats.length) / STRIDE;
+  }
+}
+
+/** The inverse of an OpenGL projection, off-centre ones included. */
+function unprojection(p) {
+  const out = new Array(16).fill(0);
+  [out[0], out[5]] = [1 / p[0], 1 / p[5]];
+  [out[12], out[13], out[14]] = [p[8] / p[0], p[9] / p[5], -1];
+  [out[11], out[15]] = [1 / p[14], p[10] / p[14]];
+  return out;
+}

@@ -1,0 +1,126 @@
+// A place's programs, GLSL ES 3.00. Colours are those of the display: light was worked out by bake.js. Positions are metres.
+
+const SKY_OF = `
+uniform vec3 zenith, horizon;
+vec3 sky(vec3 d) {
+  float up = clamp(d.y * inversesqrt(dot(d, d)), 0.0, 1.0);
+  return mix(horizon, zenith, up * (2.0 - up));
+}
+`;
+
+const SHADE = `
+uniform vec4 blobs[16];    // x, z, radius, strength
+uniform int blob_count;
+uniform float shadow;
+float shade(vec2 p) { // what shadows leave
+  float left = 1.0;
+  for (int i = 0; i < blob_count; i++) {
+    vec2 off = (p - blobs[i].xy) / blobs[i].z;
+    left *= 1.0 - blobs[i].w * exp(-dot(off, off));
+  }
+  return mix(1.0, left, shadow);
+}
+`;
+
+const FLOOR = `
+uniform sampler2D faces, grain;
+uniform vec2 metres;       // that the grain covers; 0: there is none
+vec3 floor_at(vec2 p, vec2 uv) {
+  vec3 c = texture(faces, uv).rgb;
+  return metres.x > 0.0 ? c * (2.0 * texture(grain, p / metres).r) : c;
+}
+`;
+
+const HEAD = '#version 300 es\nprecision highp float;\n';
+
+/** The sky where nothing is before it: one triangle, at the far end. */
+export const SKY = {
+  vertex: `#version 300 es
+uniform mat4 room_from_clip; // without the eye's place
+out vec3 direction;
+void main() {
+  vec2 at = vec2(gl_VertexID == 1 ? 3.0 : -1.0, gl_VertexID == 2 ? 3.0 : -1.0);
+  vec4 far = room_from_clip * vec4(at, 1.0, 1.0);
+  direction = far.xyz / far.w;
+  gl_Position = vec4(at, 1.0, 1.0);
+}`,
+  fragment: `${HEAD}${SKY_OF}
+in vec3 direction;
+out vec4 result;
+void main() {
+  float grit = fract(52.98 * fract(dot(gl_FragCoord.xy, vec2(0.0671, 0.00584)))) - 0.5; // no bands in the dark
+  result = vec4(sky(direction) + grit / 255.0, 1.0);
+}`,
+};
+
+const VERTEX = `#version 300 es
+layout(location = 0) in vec3 position;
+layout(location = 1) in vec3 texel;  // in the faces, and 1 on the floor
+layout(location = 2) in vec3 colour; // below 0: the faces'
+uniform mat4 clip_from_room;
+out vec3 point, at, own;
+void main() {
+  point = position;
+  at = texel;
+  own = colour;
+  gl_Position = clip_from_room * vec4(position, 1.0);
+  gl_PointSize = texel.x;
+}`;
+
+/** Floor, walls, ceiling, and what has its own colour. */
+export const ROOM = {
+  vertex: VERTEX,
+  fragment: `${HEAD}${FLOOR}
+in vec3 point, at, own;
+out vec4 result;
+void main() {
+  vec3 c = own;
+  if (own.x < 0.0) c = at.z > 0.5 ? floor_at(point.xz, at.xy) : texture(faces, at.xy).rgb;
+  result = vec4(c, 1.0);
+}`,
+};
+
+/** Shadows, over any floor. */
+export const SHADOW = {
+  vertex: VERTEX,
+  fragment: `${HEAD}${SHADE}
+in vec3 point, at, own;
+out vec4 result;
+void main() { result = vec4(0.0, 0.0, 0.0, 1.0 - shade(point.xz)); }`,
+};
+
+/** What a mirror shows of the room, darker than it is; a tint alone in passthrough. `normal`: where it looks. */
+export const GLASS = {
+  vertex: VERTEX,
+  fragment: `${HEAD}${SKY_OF}${SHADE}${FLOOR}
+uniform vec3 eye, normal, half_room;
+uniform bool walls, passthrough;
+uniform vec4 rects[6];     // of the faces -x, +x, -z, +z, floor, ceiling: place and size in the texture
+in vec3 point, at, own;
+out vec4 result;
+vec2 inside(vec4 rect, vec2 uv) { return rect.xy + clamp(uv, 0.01, 0.99) * rect.zw; }
+vec3 seen(vec3 d) {
+  vec2 wide = 2.0 * half_room.xz;
+  if (d.y < 0.0) {
+    vec3 p = point - point.y / d.y * d;
+    if (!walls || all(lessThan(abs(p.xz), half_room.xz))) return floor_at(p.xz, inside(rects[4], p.xz / wide + 0.5)) * shade(p.xz);
+  } else if (!walls) {
+    return sky(d);
+  }
+  vec2 to = (sign(d.xz) * half_room.xz - point.xz) / d.xz;
+  bool side = to.x < to.y;
+  vec3 p = point + (side ? to.x : to.y) * d;
+  if (p.y > half_room.y) {
+    p = point + (half_room.y - point.y) / d.y * d;
+    return texture(faces, inside(rects[5], p.xz / wide + 0.5)).rgb;
+  }
+  int which = side ? (d.x < 0.0 ? 0 : 1) : (d.z < 0.0 ? 2 : 3);
+  float along = side ? p.z / wide.y : p.x / wide.x;
+  return texture(faces, inside(rects[which], vec2(along + 0.5, p.y / half_room.y))).rgb;
+}
+void main() {
+  vec3 c = passthrough ? vec3(0.1, 0.12, 0.13) : seen(reflect(normalize(point - eye), normal)) * vec3(0.74, 0.78, 0.78) + 0.015;
+  float alpha = passthrough ? 0.3 : 1.0;
+  result = vec4(c * alpha, alpha);
+}`,
+};

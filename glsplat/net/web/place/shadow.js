@@ -1,0 +1,31 @@
+// Where an avatar touches the ground: soft round shadows [x, z, radius, strength] on the floor.
+
+import { movePoint } from '../space/matrix.js';
+
+const PARTS = ['left_foot', 'right_foot', 'left_ankle', 'right_ankle', 'left_knee', 'right_knee', 'pelvis', 'spine3'];
+const NEAR = 0.32; // metres above the floor at which a part has half its shadow
+
+/** Of joints [[x, y, z], ...] in the room as it is shown. */
+export function fromJoints(points) {
+  return points.map(([x, y, z]) => blob(x, Math.max(y - 0.06, 0), z, 0.11, 0.5));
+}
+
+/** The joints whose shadows are seen, of a skeleton in a pose. */
+export function partsOf(skeleton, pose) {
+  const found = PARTS.map((name) => skeleton.names.indexOf(name)).filter((joint) => joint >= 0);
+  return found.map((joint) => skeleton.placeOf(pose, joint));
+}
+
+/** Of a box [x0, y0, z0, x1, y1, z1] alone, moved by `shown`; `root`: [x, z] where the body's middle is known. */
+export function fromBox(box, shown, root = null) {
+  const [x, z] = root ?? [(box[0] + box[3]) / 2, (box[2] + box[5]) / 2];
+  const [a, , c] = movePoint(shown, [x, 0, z]);
+  const deep = Math.min(0.3, Math.max(0.16, (box[5] - box[2]) / 2));
+  const high = Math.max(box[1], 0);
+  return [blob(a, high, c, 0.75 * deep + 0.05, 0.62), blob(a, high, c, 0.19, 0.42), blob(a, high + 0.25, c, 0.3, 0.55)];
+}
+
+/** A round shadow of something `y` above the floor: higher, wider and fainter. */
+function blob(x, y, z, radius, strength) {
+  return [x, z, radius + 0.45 * y, strength / (1 + (y / NEAR) ** 2)];
+}

@@ -1,0 +1,42 @@
+// How another device gets to this page: one sentence, and where an address helps, its QR code.
+
+/** Opens the dialog #code; `ask()` promises {page, local, svg} of the server (docs/protocol.md), or null. */
+export class Elsewhere {
+  #get;
+  #ask;
+
+  constructor(document, ask) {
+    this.#get = (id) => document.getElementById(id);
+    this.#ask = ask;
+    this.#get('code-close').addEventListener('click', () => this.#get('code').close());
+  }
+
+  async open() {
+    const found = await this.#ask().catch(() => null);
+    const { words, svg, address } = said(found);
+    this.#get('code-words').textContent = words;
+    this.#get('code-address').textContent = address;
+    const image = new Image();
+    image.alt = 'The address as a QR code';
+    if (svg) image.src = URL.createObjectURL(new Blob([svg], { type: 'image/svg+xml' }));
+    this.#get('code-picture').replaceChildren(...(svg ? [image] : []));
+    this.#get('code').showModal();
+  }
+}
+
+function said(found) {
+  const port = location.port || (location.protocol === 'https:' ? '443' : '80');
+  if (!found) return { words: 'The server does not answer. Try again in a moment.', svg: '', address: location.origin };
+  if (found.local) {
+    return {
+      words: `This server listens on this computer alone. For others on your network start it with the line below. A Quest on a cable needs no more than: adb reverse tcp:${port} tcp:${port}, and this page in its browser.`,
+      svg: '',
+      address: 'glsplat serve --host 0.0.0.0 --self-signed',
+    };
+  }
+  const secure = found.page.startsWith('https:');
+  const words = secure
+    ? 'Scan this with the phone or the headset, accept the certificate once, then choose Enter VR there.'
+    : 'Scan this with the phone. A headset offers VR on https alone: start the server with --self-signed for that.';
+  return { words, svg: found.svg, address: found.page };
+}

@@ -1,0 +1,128 @@
+// The server's status page: what it says of itself, asked anew every two seconds. Everything comes from this server.
+
+import { curve } from './curve.js';
+
+const PAUSE = 2000; // ms
+const $ = (id) => document.getElementById(id);
+const TOKEN = 'glsplat.token'; // as the page in this tab keeps it
+const CURVES = [
+  { key: 'fps', label: 'Pictures a second', show: (v) => v.toFixed(1), least: 5 },
+  { key: 'age', label: 'From request to reply, ms', show: (v) => v.toFixed(0), least: 50 },
+  { key: 'load', label: 'Load per core', show: (v) => v.toFixed(2), least: 1 },
+];
+const COLUMNS = ['id', 'avatar', 'room', 'a second', 'form', 'size', 'sent', 'dropped', 'failed', 'window'];
+const sent = new Map(); // by client: {count, at} of the last look, for its rate
+const pictures = new Map(); // by address: blob address
+
+function ask(path) {
+  const token = sessionStorage.getItem(TOKEN);
+  const headers = token ? { Authorization: `Bearer ${token}` } : {};
+  return fetch(new URL(path, location.href), { headers, cache: 'no-store', credentials: 'same-origin' });
+}
+
+async function json(path) {
+  const response = await ask(path);
+  if (!response.ok) throw new Error(`the server answers ${response.status}`);
+  return response.json();
+}
+
+function make(tag, text = '', attributes = {}) {
+  const element = document.createElement(tag);
+  element.textContent = text;
+  for (const [name, value] of Object.entries(attributes)) element.setAttribute(name, value);
+  return element;
+}
+
+async function look() {
+  try {
+    const [stats, history, session] = await Promise.all([json('stats'), json('history'), json('session')]);
+    $('trouble').textContent = '';
+    summary(stats);
+    curves(history);
+    clients(stats.clients);
+    await now(stats.clients);
+    await people(session.avatars);
+  } catch (error) {
+    $('trouble').textContent = `The server does not answer (${error.message}); what stands here is old. It is asked again.`;
+  }
+  setTimeout(look, document.hidden ? 5 * PAUSE : PAUSE);
+}
+
+function summary({ scene, driver, uptime, totals, fps, clients: there, max_clients: most, healthy }) {
+  const minutes = Math.floor(uptime / 60);
+  const up = minutes ? `${minutes} min` : `${Math.floor(uptime)} s`;
+  $('summary').textContent = `${scene} on ${driver}; up ${up}, ${totals.sent} pictures sent, ${fps.toFixed(1)} a second, ${there.length} of ${most} clients, ${healthy ? 'healthy' : 'failing'}.`;
+}
+
+function curves(history) {
+  $('curves').hidden = history.fps.length < 2;
+  const made = CURVES.map(({ key, label, show, least }) => {
+    const values = history[key];
+    const figure = make('figure');
+    const caption = make('figcaption', label);
+    caption.append(make('strong', values.length ? show(values.at(-1)) : '–'));
+    const highest = Math.max(least, ...values);
+    figure.append(caption, curve(values, history.most, highest, `${label}, at most ${show(highest)} in the last five minutes`));
+    return figure;
+  });
+  $('curves').replaceChildren(...made);
+}
+
+function clients(list) {
+  const at = performance.now();
+  const rows = list.map((client) => {
+    const before = sent.get(client.id) ?? { count: client.sent, at };
+    const rate = at > before.at ? ((client.sent - before.count) * 1000) / (at - before.at) : 0;
+    sent.set(client.id, { count: client.sent, at });
+    return COLUMNS.map((name) => (name === 'a second' ? rate.toFixed(1) : `${client[name] ?? '–'}`));
+  });
+  for (const id of sent.keys()) if (!list.some((client) => client.id === id)) sent.delete(id);
+  if (!rows.length) return $('clients').replaceChildren(make('p', 'Nobody is connected. Open the viewer to be the first.'));
+  const table = make('table');
+  const row = (cells, tag) => {
+    const made = make('tr');
+    made.append(...cells.map((cell) => make(tag, cell, tag === 'th' ? { scope: 'col' } : {})));
+    return made;
+  };
+  table.append(row(COLUMNS, 'th'), ...rows.map((cells) => row(cells, 'td')));
+  return $('clients').replaceChildren(table);
+}
+
+/** What clients were sent last, where that is nobody's secret. */
+async function now(list) {
+  const shown = list.filter(({ picture }) => picture);
+  $('now').hidden = !shown.length;
+  const made = [];
+  for (const { id, avatar, room } of shown) {
+    const address = await picture(`pictures/${id}`, true);
+    if (address) made.push(tile(address, `Client ${id}`, room ? `client ${id}, room ${room}` : `client ${id}: ${avatar}`));
+  }
+  $('pictures').replaceChildren(...made);
+}
+
+async function people(avatars) {
+  $('avatars').hidden = !avatars.length;
+  const made = [];
+  for (const { name } of avatars) made.push(tile(await picture(`thumbnails/${encodeURIComponent(name)}`, false), name, name));
+  $('people').replaceChildren(...made);
+}
+
+function tile(address, alt, text) {
+  const figure = make('figure');
+  figure.append(address ? make('img', '', { src: address, alt, width: 144, height: 144 }) : make('div', '', { class: 'blank' }), make('figcaption', text));
+  return figure;
+}
+
+/** A picture's blob address; null where there is none. One that does not change is asked for once. */
+async function picture(path, changes) {
+  if (!changes && pictures.has(path)) return pictures.get(path);
+  const response = await ask(path).catch(() => null);
+  if (!response?.ok) return null;
+  const address = URL.createObjectURL(await response.blob());
+  const before = pictures.get(path);
+  if (before) setTimeout(() => URL.revokeObjectURL(before), PAUSE);
+  pictures.set(path, address);
+  return address;
+}
+
+look();

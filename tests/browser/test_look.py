@@ -1,0 +1,146 @@
+"""What people see: the page at three sizes in both colour schemes, VR in each place, and nothing axe finds fault with.
+
+Pictures are held against what they have to contain, measured by area and colour, not against stored pixels: fonts and
+rasterizers differ from machine to machine.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import glsplat
+from glsplat.net.backends.server import make_server
+from tests.browser.axe import axe_script, violations
+from tests.browser.conftest import OpenPage
+from tests.browser.served import Served
+from tests.browser.vr import enter, fresh, pose, see, settings, steer
+
+SIZES = [(320, 640), (1280, 800), (1920, 1080)]
+COVERED = 0.62  # of the window's height that the avatar's free part has at least
+MOST_BYTES = 400_000  # before the avatar's first picture
+
+
+@pytest.fixture(scope="module")
+def demo() -> Any:
+    """The server as a new user starts it, with one avatar more."""
+    avatars = {"another": glsplat.default_avatar()}
+    with Served(make=lambda config: make_server(glsplat.default_avatar(), config, avatars=avatars)) as served:
+        yield served
+
+
+@pytest.fixture(scope="module")
+def axe(request: pytest.FixtureRequest) -> str:
+    return axe_script(Path(str(request.config.cache.mkdir("axe"))))  # type: ignore[union-attr]
+
+
+def shot(page: Any) -> NDArray[np.uint8]:
+    """The window as people see it [H, W, 3]."""
+    data = np.frombuffer(page.page.screenshot(), np.uint8)
+    return cv2.imdecode(data, cv2.IMREAD_COLOR)[..., ::-1]
+
+
+def blue(image: NDArray[np.uint8]) -> NDArray[np.bool_]:
+    """Where the demo avatar's shirt is: a blue that no place and no control has."""
+    r, g, b = image.astype(int).transpose(2, 0, 1)
+    return (b > 90) & (b - r > 55) & (b - g > 30) & (r < 110)
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("size", SIZES, ids=lambda size: f"{size[0]}x{size[1]}")
+def test_the_page_shows_somebody_in_a_lit_place(
+    open_page: OpenPage, demo: Any, axe: str, size: tuple[int, int], scheme: str
+) -> None:
+    page = open_page(demo.page, xr=None, size=size, init=settings(size=512), color_scheme=scheme)
+    page.until("window.glsplat?.stats().shown > 3")
+    page.until("document.querySelectorAll('#people img').length === 2", 60)
+    free = page.js("""() => ['top', 'dock'].map((id) => document.getElementById(id).getBoundingClientRect())
+      .map(({top, bottom}) => [top, bottom])""")
+    (_, above), (below, _) = free
+    assert (below - above) / size[1] > (0.45 if size[0] < 400 else COVERED)
+    image = shot(page)
+    shirt = blue(image)
+    rows, columns = np.nonzero(shirt[int(above) : int(below)])
+    assert shirt[int(above) : int(below)].sum() > 0.006 * (below - above) * size[0], "nobody is there"
+    assert abs(columns.mean() / size[0] - 0.5) < 0.08 and 0.15 < rows.mean() / (below - above) < 0.6
+    place = image[int(above) : int(below), :][~shirt[int(above) : int(below)]].astype(float)
+    assert place.mean() > 60 and (place.max(axis=1) < 12).mean() < 0.02  # it stands in no black void
+    dock = image[int(below) + 2 :].astype(float).mean()
+    assert dock > 170 if scheme == "light" else dock < 110  # by the system's wish
+    assert page.js("document.documentElement.scrollWidth") <= size[0]
+    assert violations(page.page, axe) == []
+    page.page.click("#drawer")
+    assert violations(page.page, axe) == []
+
+
+@pytest.mark.parametrize(("place", "ground"), [("day", (80, 190)), ("studio", (70, 190)), ("night", (8, 90))])
+def test_vr_stands_in_each_place_before_its_mirror(
+    open_page: OpenPage, demo: Any, place: str, ground: tuple[int, int]
+) -> None:
+    page = open_page(demo.page, init=settings(view="mirror", size=512, driver="rest", place=place))
+    steer(page, head=pose([0, 1.65, 0], pitch=-14))
+    enter(page, run=False)
+    fresh(page, 60)
+    eyes = see(page)
+    for side in ("left", "right"):
+        image = eyes[side][..., :3]
+        assert ground[0] < image[-200:].mean() < ground[1]  # a floor that is lit as the place is
+        shirt = blue(image)
+        assert shirt.sum() > 1500, "nobody is in the mirror"
+        y, x = (int(v.mean()) for v in np.nonzero(shirt))
+        # the glass shows the room beside the person: what is there is neither black nor the person
+        beside = image[y - 20 : y + 20, x + 110 : x + 140].astype(float)
+        assert beside.mean() > 4 and not blue(image[y - 20 : y + 20, x + 110 : x + 140]).any()
+        feet = image[int(np.nonzero(shirt)[0].max()) :].astype(float)
+        assert feet.std() > 5
+
+
+def test_the_shadow_goes_where_the_avatar_goes(open_page: OpenPage, demo: Any) -> None:
+    """Of the module that says where: under the body, with it, fainter the higher it is."""
+    page = open_page(demo.page, xr=None)
+    blobs = page.js("""async () => {
+      const {fromBox, fromJoints} = await import('/vr/place/shadow.js');
+      const I = [1,0,0,0, 0,1,0,0, 0,0,1,0, 0,0,0,1];
+      const moved = [...I.slice(0, 12), 2, 0, -1, 1];
+      const box = [-0.4, 0, -0.2, 0.4, 1.8, 0.2];
+      return {here: fromBox(box, I), there: fromBox(box, moved), up: fromBox(box.map((v, i) => v + (i % 3 === 1)), I),
+        foot: fromJoints([[0.3, 0.08, 0.1]])};
+    }""")
+    for here, there, up in zip(blobs["here"], blobs["there"], blobs["up"], strict=True):
+        assert np.allclose(np.subtract(there[:2], here[:2]), (2, -1)) and there[2:] == here[2:]
+        assert up[3] < 0.5 * here[3] and up[2] > here[2]
+    ((x, z, radius, strength),) = blobs["foot"]
+    assert (x, z) == (0.3, 0.1) and 0.05 < radius < 0.2 and strength > 0.4
+
+
+def test_the_first_picture_comes_before_much_is_loaded(open_page: OpenPage, demo: Any) -> None:
+    """400 kB at most, thumbnails after it; and most of the time is the server's first picture, not ours."""
+    page = open_page(None, xr=None, init=settings(size=512))
+    page.page.goto(demo.page)
+    page.until("window.glsplat?.stats().shown > 0")
+    loaded = page.js("""() => ['resource', 'navigation'].flatMap((kind) => performance.getEntriesByType(kind))
+      .map(({name, encodedBodySize}) => [name, encodedBodySize])""")
+    before = [(url, size) for url, size in loaded if "thumbnails" not in url]
+    assert len(before) > 20 and sum(size for _, size in before) < MOST_BYTES, sorted(before, key=lambda one: -one[1])[
+        :8
+    ]
+    assert not [url for url, _ in before if "emulate" in url or "study" in url]
+
+
+def test_the_status_page_shows_who_is_there(open_page: OpenPage, demo: Any, axe: str) -> None:
+    viewer = open_page(demo.page, xr=None, init=settings(size=512))
+    viewer.until("window.glsplat?.stats().shown > 3")
+    page = open_page(f"{demo.origin}/", xr=None, size=(1280, 900))
+    page.until("document.querySelectorAll('#pictures img').length > 0", 60)
+    page.until("document.querySelectorAll('.curve polyline').length === 3", 60)
+    assert page.js("[...document.querySelectorAll('#people figcaption')].map((e) => e.textContent)") == [
+        "default", "another",
+    ]  # fmt: skip
+    assert "a second" in page.page.text_content("#clients th:nth-child(4)")
+    assert violations(page.page, axe) == []
+    assert all(address.startswith((demo.origin, "blob:", "data:")) for address in page.requests)

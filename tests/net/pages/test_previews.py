@@ -1,0 +1,115 @@
+"""Small pictures for the pages, of avatars and of clients, and for whom; the curves; another device's address."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from dataclasses import replace
+
+import aiohttp
+import numpy as np
+import pytest
+import simplejpeg
+
+from glsplat.net.backend import AvatarInfo
+from glsplat.net.client import Client
+from glsplat.net.codec.encode import Encoded
+from glsplat.net.guard.access import Access
+from glsplat.net.pages.history import History
+from glsplat.net.pages.previews import SIDE, flattened
+from glsplat.net.server import ServerConfig
+from tests.net.conftest import FakeBackend, eyes
+
+TOKEN = "0123456789abcdef"
+PLAIN = ServerConfig(port=0)
+
+
+def asked(serve, *paths, config=PLAIN, headers=None, client=False, backend=None, **options):
+    """(status, body) of each path; ``client``: after somebody was sent a picture."""
+
+    async def main():
+        backend_ = backend or FakeBackend()
+        async with serve(backend_, config=config, **options) as server, aiohttp.ClientSession() as http:
+            async with Client(server.url, TOKEN if config.access.token else None) as viewer:
+                if client:
+                    await viewer.render(eyes())
+                answers = []
+                for path in paths:
+                    async with http.get(f"http://127.0.0.1:{server.port}{path}", headers=headers) as response:
+                        answers.append((response.status, await response.read()))
+                return answers
+
+    return asyncio.run(main())
+
+
+def test_an_avatar_is_drawn_once(serve):
+    backend = FakeBackend()
+    offered = (AvatarInfo(name="ann", height=1.7), AvatarInfo(name="a room"))
+    first, again, other, none = asked(
+        serve, "/thumbnails/ann", "/thumbnails/ann", "/thumbnails/a%20room", "/thumbnails/bob",
+        offered=offered, backend=backend,
+    )  # fmt: skip
+    assert [one[0] for one in (first, again, other, none)] == [200, 200, 200, 404]
+    assert simplejpeg.decode_jpeg(first[1]).shape == (SIDE, SIDE, 3) and first == again
+    assert [job.avatar for job in backend.drawn] == ["ann", "a room"]
+    # head and shoulders of somebody of 1.7 m who looks along +z: the head's middle is in the picture's upper half
+    (camera,) = backend.drawn[0].cameras
+    x, y, z = camera.viewmat[:3, :3] @ [0, 1.58, 0] + camera.viewmat[:3, 3]
+    column, row = camera.K[0, 0] * x / z + camera.K[0, 2], camera.K[1, 1] * y / z + camera.K[1, 2]
+    assert z > 0 and column == pytest.approx(SIDE / 2) and 0.2 * SIDE < row < 0.5 * SIDE
+
+
+def test_one_that_cannot_be_drawn_is_asked_for_later(serve):
+    backend = FakeBackend(fail=lambda request: ValueError("no"))
+    ((status, body),) = asked(serve, "/thumbnails/default", backend=backend)
+    assert status == 503 and b"could not be drawn" in body
+
+
+def test_the_newest_picture_of_a_client_is_for_those_who_may(serve):
+    (stats,), ((status, body),) = (asked(serve, path, client=True) for path in ("/stats", "/pictures/1"))
+    (client,) = json.loads(stats[1])["clients"]
+    assert client["picture"] is True and client["room"] is None and client["avatar"] == "default"
+    assert status == 200 and max(simplejpeg.decode_jpeg(body).shape[:2]) <= 240
+    (missing,) = asked(serve, "/pictures/7", client=True)
+    assert missing[0] == 404
+    private = replace(PLAIN, private=True)
+    (stats, hidden) = asked(serve, "/stats", "/pictures/1", client=True, config=private)
+    assert hidden[0] == 404 and json.loads(stats[1])["clients"][0]["picture"] is False
+    guarded = ServerConfig(port=0, access=Access(token=TOKEN))
+    for path in ("/pictures/1", "/thumbnails/default", "/history", "/reach"):
+        ((refused, _),) = asked(serve, path, client=True, config=guarded)
+        ((let, _),) = asked(serve, path, client=True, config=guarded, headers={"Authorization": f"Bearer {TOKEN}"})
+        assert (refused, let) == (401, 200), path
+
+
+def test_alpha_cuts_out_on_a_light_ground():
+    colour = np.full((16, 16, 3), (200, 30, 30), np.uint8)
+    alpha = np.zeros((16, 16, 1), np.uint8)
+    alpha[:, 8:] = 255
+    encoded = Encoded([simplejpeg.encode_jpeg(colour, 95)], None, 0.0, [simplejpeg.encode_jpeg(alpha, 95, "GRAY")])
+    flat = flattened(encoded)
+    assert np.abs(flat[:, :6].astype(int) - (205, 210, 216)).max() < 6
+    assert np.abs(flat[:, 10:].astype(int) - (200, 30, 30)).max() < 8
+
+
+def test_the_curves_go_back_five_minutes():
+    history = History(dict)
+    for i in range(400):
+        history.add({"fps": float(i), "stages": {"total": {"median": 5.0}}}, 0.25)
+    told = history.fields()
+    assert len(told["fps"]) == told["most"] == 150 and told["step"] * told["most"] == 300
+    assert told["fps"][-1] == 399 and told["fps"] == sorted(told["fps"]) and set(told["load"]) == {0.25}
+    history.add({"fps": 0.0, "stages": {"total": {"median": 5.0}}}, 0.0)
+    assert history.fields()["age"][-2:] == [5.0, 0.0]  # nothing was sent: nothing has an age
+    assert History(dict).fields()["fps"] == []
+
+
+def test_another_device_is_told_where_to_go(serve):
+    ((_, body),) = asked(serve, "/reach")
+    told = json.loads(body)
+    assert told["local"] is True and told["svg"] == "" and told["page"].endswith("/vr")
+    open_ = ServerConfig(port=0, access=Access(host="0.0.0.0", token=TOKEN, insecure=True))
+    ((_, body),) = asked(serve, "/reach", config=open_, headers={"Authorization": f"Bearer {TOKEN}"})
+    told = json.loads(body)
+    assert told["local"] is False and told["svg"].startswith("<svg") and f"#token={TOKEN}" in told["svg"]
+    assert "127.0.0.1" not in told["page"] and TOKEN not in told["page"]

@@ -1,0 +1,40 @@
+"""The size of pictures that a server can draw often enough."""
+
+from __future__ import annotations
+
+import asyncio
+
+import pytest
+
+from glsplat.net.pace.fitting import Fitted, fit
+from glsplat.net.server import ServerConfig
+from tests.net.conftest import FakeBackend
+
+
+@pytest.mark.parametrize(
+    ("seconds", "expected"),  # for a megapixel, both eyes
+    [(0.02, (1024, True)), (0.1, (768, True)), (0.2, (512, True)), (1.0, (512, False))],
+)
+def test_the_largest_that_is_fast_enough_counts(seconds, expected):
+    asked = []
+
+    async def draw(side):
+        asked.append(side)
+        slow = 5.0 if asked.count(side) == 1 else 1.0  # the first of a size makes what the others find
+        return slow * seconds * (side / 1024) ** 2
+
+    found = asyncio.run(fit(draw))
+    assert (found.side, found.enough) == expected
+    assert found.rate == pytest.approx(1 / (seconds * (found.side / 1024) ** 2))
+    assert asked[:3] == [512] * 3 and sum((side / 512) ** 2 for side in asked) * seconds < 12 / 15 * 4
+
+
+def test_a_server_says_what_it_found(serve):
+    async def main(fitting):
+        async with serve(FakeBackend(delay=0.0), config=ServerConfig(port=0, fit=fitting)) as server:
+            return server.offer(), server.fitted, server.stats()["totals"]["sent"]
+
+    offer, fitted, sent = asyncio.run(main(True))
+    assert isinstance(fitted, Fitted) and offer["size"] == (fitted.side,) * 2
+    assert offer["rate"] == round(fitted.rate, 1) and sent == 0  # nobody was sent anything
+    assert asyncio.run(main(False))[0]["size"] == (1024, 1024)
