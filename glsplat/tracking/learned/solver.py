@@ -8,6 +8,7 @@ from glsplat.tracking.learned.feet import Feet, Rest
 from glsplat.tracking.learned.hints import Hint, Hints
 from glsplat.tracking.learned.network import PoseNetwork
 from glsplat.tracking.learned.seat import Seat
+from glsplat.tracking.learned.stance import Stance
 from glsplat.tracking.learned.steady import Steady
 from glsplat.tracking.learned.uncertainty import Uncertainty
 from glsplat.tracking.solve.arms import Arm
@@ -63,6 +64,7 @@ class LearnedSolver:
         self.doubt: Uncertainty = Uncertainty(body.eye_height)
         self.steady: Steady = Steady()
         self.plain: AnalyticSolver = AnalyticSolver(body)
+        self.stance: Stance = Stance(body)
         self.seat: Seat = Seat(body.joints[PELVIS][1] - body.ground)
         self.spine: Spine = Spine(body)
         self.feet: Feet = Feet(body)
@@ -79,6 +81,7 @@ class LearnedSolver:
         self.doubt.reset()
         self.steady.reset()
         self.plain.reset()
+        self.stance.reset()
         self.seat.reset()
         self.spine.reset()
         self.feet.reset()
@@ -103,6 +106,7 @@ class LearnedSolver:
         plain = self.plain.torso(targets, dt)
         if steps is self.feet:
             self.plain.stepped(targets, plain, dt, shown=False)
+        stands = self.stance.update(targets, hint.feet, self.plain.legs.feet, dt)
         self.pelvis.update(targets.pelvis, targets.pelvis_turn, targets.eye, dt)
         # a pelvis that is tracked is known better than by either
         torso = self._mixed(targets, hint, plain, PLAIN * (1 - self.pelvis.share), lost, dt)
@@ -115,7 +119,7 @@ class LearnedSolver:
                 self._seated(hint, torso)
             yaw = swing_twist_y(torso.pelvis) or 0.0
             under = (torso.pelvis_at, torso.pelvis, yaw, dt, targets.feet, targets.knees)
-            limbs = self.feet.update(hint.feet, *under, rests and place is None)
+            limbs = self.feet.update(hint.feet, *under, (rests or stands >= 1) and place is None)
         else:
             limbs = self.plain.stepped(targets, torso, dt)
         arms = reaching(self.arms, self.hands, targets, torso, dt)
@@ -136,11 +140,12 @@ class LearnedSolver:
 
         The chest is the network's, which has seen the hands that arms must reach from it.
         """
-        if lost >= 1:
+        misses = self.doubt.misses
+        if misses >= 1:
             self.steady.reset()
             return plain
-        share += (1 - share) * lost
-        hint.pelvis, hint.chest = slerp(hint.pelvis, plain.pelvis, share), slerp(hint.chest, plain.spine3, lost)
+        share += (1 - share) * misses
+        hint.pelvis, hint.chest = slerp(hint.pelvis, plain.pelvis, share), slerp(hint.chest, plain.spine3, misses)
         return self._torso(targets, hint, self.steady.update(pull(hint.pelvis_at, plain.pelvis_at, share), dt))
 
     def _seated(self, hint: Hint, torso: Torso) -> None:
