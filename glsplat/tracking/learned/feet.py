@@ -22,16 +22,16 @@ MOVES = 0.35  # m/s, or
 FAR = 0.07  # metres, that a goal must be away before a foot is lifted for it
 LOST = 0.16  # metres a planted foot is at most from its goal (of a 1.7 m person)
 TURNED = 0.6  # radians likewise
-FOLLOW = 0.16  # seconds: of the low pass by which a lifted foot follows its goal
+FOLLOW = 0.15  # seconds: of the low pass by which a lifted foot follows its goal
 UP = 0.09  # seconds: likewise, upwards
 SURGE = 0.15  # metres it is at most told to rise at once; in a jump it hangs
-OFF = 0.3  # of CLEAR that a foot is up when it moves over as fast as it may
+OFF = 0.45  # of CLEAR that a foot is up when it moves over as fast as it may
 RISE = 0.05  # seconds: likewise, upwards where its leg does not reach
 FORESIGHT = 0.08  # seconds: a foot leaves the ground before its leg is stretched
 LEAD = 0.065  # seconds that this is behind
 BRIEFEST = 0.14  # seconds a foot is in the air at least
 SET = 0.14  # seconds in which it is set down, and of these
-OVER = 0.05  # seconds in which it only goes down
+OVER = 0.06  # seconds in which it only goes down
 REST = 0.18  # seconds it then stands at least
 SLOW, CALM = 0.2, 0.6  # m/s, seconds: slower for longer is standing, where it is not
 STEP_UP = 0.2  # metres or more over the ground
@@ -44,7 +44,7 @@ HEEL = 0.5  # of its rise on tiptoes that an ankle may have where a foot is put 
 REACH = 0.985  # of its length to which a lifted foot is put
 
 
-BEHIND, CATCH, MOST = 0.8, 2.0, 0.25  # seconds, gain, metres: how feet that are behind their hints catch up
+BEHIND, CATCH, MOST = 0.8, 1.0, 0.15  # seconds, gain, metres: how feet that are behind their hints catch up
 
 
 class Rest:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from math import acos
 
+from glsplat.tracking.learned.expected import ExpectedError
 from glsplat.tracking.learned.feet import Feet, Rest
 from glsplat.tracking.learned.hints import Hint, Hints
 from glsplat.tracking.learned.network import PoseNetwork
@@ -45,7 +46,7 @@ __all__ = ["LearnedSolver"]
 PLAIN = 0.3  # of the pelvis that the analytic solver places
 BACK, FURTHER = 0.035, 0.2  # tangent of a lean back, and the share of what is beyond that is shown
 SHRINK = 0.6  # of what a body is said to be turned away from its head, that is shown without hands
-AHEAD, UNDER = 0.55, 0.75  # of a leg's length from below the hips to the balls of feet on a chair, and how surely
+AHEAD, UNDER = 0.55, 0.85  # of a leg's length from below the hips to the balls of feet on a chair, and how surely
 SWING = 0.7  # radians at most that the torso swings about the neck to bring the pelvis where it should be
 
 
@@ -65,6 +66,7 @@ class LearnedSolver:
         self.steady: Steady = Steady()
         self.plain: AnalyticSolver = AnalyticSolver(body)
         self.stance: Stance = Stance(body)
+        self.expected: ExpectedError = ExpectedError(body.eye_height)
         self.seat: Seat = Seat(body.joints[PELVIS][1] - body.ground)
         self.spine: Spine = Spine(body)
         self.feet: Feet = Feet(body)
@@ -82,6 +84,7 @@ class LearnedSolver:
         self.steady.reset()
         self.plain.reset()
         self.stance.reset()
+        self.expected.reset()
         self.seat.reset()
         self.spine.reset()
         self.feet.reset()
@@ -104,6 +107,7 @@ class LearnedSolver:
         lost = self.doubt.update(targets, self._missed, dt)
         steps = self._whose(lost)
         plain = self.plain.torso(targets, dt)
+        expected = self.expected.update(targets, length(sub(hint.pelvis_at, plain.pelvis_at)), dt)
         if steps is self.feet:
             self.plain.stepped(targets, plain, dt, shown=False)
         stands = self.stance.update(targets, hint.feet, self.plain.legs.feet, dt)
@@ -125,7 +129,9 @@ class LearnedSolver:
         arms = reaching(self.arms, self.hands, targets, torso, dt)
         self._missed = max(arms[0].miss, arms[1].miss)
         notes = [*self.ground.notes, *(["sitting"] if self.seat.sits and lost < 1 else [])]
-        return self.ground.lift(assembled(torso, limbs, arms, steps.legs, steps.feet, self.body.sole, steps.air, notes))
+        out = assembled(torso, limbs, arms, steps.legs, steps.feet, self.body.sole, steps.air, notes)
+        out.expected_error = expected
+        return self.ground.lift(out)
 
     def _whose(self, lost: float) -> Feet | Legs:
         """Whose feet are shown: one takes over where the other has them."""
@@ -140,12 +146,11 @@ class LearnedSolver:
 
         The chest is the network's, which has seen the hands that arms must reach from it.
         """
-        misses = self.doubt.misses
-        if misses >= 1:
+        if lost >= 1:
             self.steady.reset()
             return plain
-        share += (1 - share) * misses
-        hint.pelvis, hint.chest = slerp(hint.pelvis, plain.pelvis, share), slerp(hint.chest, plain.spine3, misses)
+        share += (1 - share) * lost
+        hint.pelvis, hint.chest = slerp(hint.pelvis, plain.pelvis, share), slerp(hint.chest, plain.spine3, lost)
         return self._torso(targets, hint, self.steady.update(pull(hint.pelvis_at, plain.pelvis_at, share), dt))
 
     def _seated(self, hint: Hint, torso: Torso) -> None:

@@ -10,7 +10,7 @@ from glsplat.tracking.solve.solution import Targets
 __all__ = ["Uncertainty"]
 
 TILTED = (0.3, 0.5)  # vertical part of the head's own up: below, it lies or hangs; above, it is upright again
-LOW = (0.4, 0.46)  # of the eye height, likewise: a deep squat, on all fours, on the floor
+LOW = (0.62, 0.68)  # of the eye height, likewise: a deep squat, on all fours, on the floor
 MISSED = (0.06, 0.03)  # metres (of eyes at 1.6 m) an arm misses its hand by, likewise
 AFTER = (0.2, 1.0)  # seconds of that after which it is not asked, and is asked again
 TURN = 0.35  # seconds in which one takes over from the other
@@ -27,9 +27,7 @@ class Uncertainty:
     def reset(self) -> None:
         """Forget the past."""
         self.doubts: bool = False
-        self.misses: float = 0.0  # as ``update``'s, for hands that are not reached alone
         self._at: float | None = None
-        self._missing = 0.0
         self._misses = False
         self._since = 0.0  # seconds for which that has been otherwise
 
@@ -46,10 +44,4 @@ class Uncertainty:
         if self._at is None:
             self._at = goal
         self._at = clamp(goal, self._at - dt / TURN, self._at + dt / TURN)
-        self._missing = clamp(float(self._misses), self._missing - dt / TURN, self._missing + dt / TURN)
-        self.misses = _eased(self._missing)
-        return _eased(self._at)
-
-
-def _eased(x: float) -> float:
-    return x * x * (3 - 2 * x)
+        return self._at * self._at * (3 - 2 * self._at)
