@@ -24,9 +24,9 @@ KNEE = 0.5  # of a foot's shift that its knee takes
 
 
 class Stance:
-    """Three guesses of where standing feet are, none of which has seen them: what is between them, over the last second.
+    """Where standing feet are, by three guesses of which none has seen them: between the network's and the middle one.
 
-    Errors of the three are nearly independent, and feet that stand do not move, so both means are nearer than each.
+    A lone wild guess is outvoted, and as feet that stand do not move, what is said of them lately is a mean.
     """
 
     def __init__(self, body: Body) -> None:
