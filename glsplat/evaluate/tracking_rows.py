@@ -35,6 +35,7 @@ class Row:
     score: TrackingScore
     milliseconds: float  # median a sample; NaN where it was not timed
     windows: tuple[float, ...]  # MPJPE of each ten seconds, cm
+    said: float = float("nan")  # cm that the solver itself said its body joints were off by, mean; NaN: it says nothing
 
 
 def rows_of(
@@ -61,13 +62,16 @@ def rows_of(
         solver = AnalyticSolver(body) if name_of == "analytic" else LearnedSolver(body, network)
         tracker = Tracker(skeleton, config=config, head_only=name_of == SOLVERS[-1], solver=solver)
         rotations, trans, spent = np.empty_like(truth.rotations), np.empty_like(truth.trans), []
+        said: list[float] = []
         for i, sample in enumerate(samples):
             start = time.perf_counter()
             pose = tracker.update(sample)
             spent.append(time.perf_counter() - start)
             rotations[i], trans[i] = pose.rotations, pose.trans
+            said += tracker.expected_error
         positions, _ = forward_all(skeleton, rotations, trans)
         result = score(positions, truth.positions, rate, sole, rotations, truth.rotations)
         worst = windows(positions, truth.positions, rate)
-        rows.append(Row(name, rate, name_of, result, float(np.median(spent)) * 1e3, worst))
+        doubt = float(np.mean(said)) * 100 if said else nan
+        rows.append(Row(name, rate, name_of, result, float(np.median(spent)) * 1e3, worst, doubt))
     return rows

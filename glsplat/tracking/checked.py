@@ -43,6 +43,7 @@ def checked(solution: Any) -> Solution:
             bool(solution.airborne),
             list(solution.notes),
             (None if a is None else _place(a, "feet"), None if b is None else _place(b, "feet")),
+            _expected(solution.expected_error),
         )
     except (TypeError, ValueError, OverflowError) as error:  # not numbers, not sequences
         raise PoseError(f"a solution of another form than glsplat.tracking.Solution ({error})") from None
@@ -57,6 +58,7 @@ def finite(solution: Solution) -> bool:
     for foot in solution.feet:
         if foot is not None:
             total += foot[0] + foot[1] + foot[2]
+    total += sum(solution.expected_error)
     return isfinite(total)
 
 
@@ -91,6 +93,15 @@ def _place(place: Any, name: str) -> Vec:
     if not (-FAR < x < FAR and -FAR < y < FAR and -FAR < z < FAR):
         raise PoseError(f"a solution's {name} needs metres within {FAR:g}, not {place!s:.80}")
     return (float(x), float(y), float(z))
+
+
+def _expected(values: Any) -> tuple[float, ...]:
+    if len(values) == 0:
+        return ()
+    metres = tuple([_number(value, "expected_error") for value in _all(values, JOINTS, "expected_error")])
+    if min(metres) < 0:
+        raise PoseError("a solution's expected_error needs metres of 0 or more")
+    return metres
 
 
 def _number(value: Any, name: str) -> float:

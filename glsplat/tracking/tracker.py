@@ -112,6 +112,7 @@ class Tracker:
         self.flags: tuple[str, ...] = ()
         self.solver_error: str = ""  # why the newest pose is held although there was a sample; one line
         self.reach_error: tuple[float | None, float | None] = (None, None)
+        self.expected_error: tuple[float, ...] = ()
 
     # -- in
 
@@ -121,7 +122,8 @@ class Tracker:
         Never raises for what a sample holds, nor for what the solver does.
 
         ``flags`` then tells what was out of the ordinary, ``reach_error`` the metres by which each wrist misses its
-        hand (None: not tracked).
+        hand (None: not tracked), ``expected_error`` the metres each of the 22 body joints is probably off by, as the
+        learned solver says (empty: not said).
         """
         if not isinstance(sample, Sample):
             raise PoseError(
@@ -358,6 +360,7 @@ class Tracker:
         rotations.flags.writeable = trans.flags.writeable = False  # a repeated time gives the same pose again
         pose = Pose(rotations, trans, longer, self._expression(sample, flags))
         scale = self.calibration.scale
+        self.expected_error = tuple([metres * scale for metres in solution.expected_error])
         left, right = solution.reach
         self.reach_error = (
             None if hands[0] is None else left * scale,

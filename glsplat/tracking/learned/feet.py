@@ -22,16 +22,16 @@ MOVES = 0.35  # m/s, or
 FAR = 0.07  # metres, that a goal must be away before a foot is lifted for it
 LOST = 0.16  # metres a planted foot is at most from its goal (of a 1.7 m person)
 TURNED = 0.6  # radians likewise
-FOLLOW = 0.1  # seconds: of the low pass by which a lifted foot follows its goal
+FOLLOW = 0.15  # seconds: of the low pass by which a lifted foot follows its goal
 UP = 0.09  # seconds: likewise, upwards
 SURGE = 0.15  # metres it is at most told to rise at once; in a jump it hangs
-OFF = 0.3  # of CLEAR that a foot is up when it moves over as fast as it may
+OFF = 0.45  # of CLEAR that a foot is up when it moves over as fast as it may
 RISE = 0.05  # seconds: likewise, upwards where its leg does not reach
 FORESIGHT = 0.08  # seconds: a foot leaves the ground before its leg is stretched
 LEAD = 0.065  # seconds that this is behind
 BRIEFEST = 0.14  # seconds a foot is in the air at least
 SET = 0.14  # seconds in which it is set down, and of these
-OVER = 0.05  # seconds in which it only goes down
+OVER = 0.06  # seconds in which it only goes down
 REST = 0.18  # seconds it then stands at least
 SLOW, CALM = 0.2, 0.6  # m/s, seconds: slower for longer is standing, where it is not
 STEP_UP = 0.2  # metres or more over the ground
@@ -42,6 +42,9 @@ RESTS, RESTED = (0.04, 0.3), 0.4  # metres, radians, seconds: who keeps the head
 ASTRIDE = 0.3  # of its length that a leg's foot is from below the hip, beyond which a strained leg steps at once
 HEEL = 0.5  # of its rise on tiptoes that an ankle may have where a foot is put down
 REACH = 0.985  # of its length to which a lifted foot is put
+
+
+BEHIND, CATCH, MOST = 0.8, 1.0, 0.15  # seconds, gain, metres: how feet that are behind their hints catch up
 
 
 class Rest:
@@ -87,6 +90,8 @@ class Feet:
         self.air = self.slack = 0.0
         self._before: Vec | None = None
         self._speed: Vec = (0.0, 0.0, 0.0)  # m/s of the pelvis
+        self._behind: Vec = (0.0, 0.0, 0.0)  # metres that feet have lately been behind their hints
+        self._ahead: Vec = (0.0, 0.0, 0.0)  # metres that they land further on for it
         self._calm = [0.0, 0.0]  # seconds for which each goal has been all but still
         self._since = [1.0, 1.0]  # seconds since each foot was lifted or set down
         self._least, self._most = [0.0, 0.0], [1.0, 1.0]  # each foot's standing, lately
@@ -119,6 +124,7 @@ class Feet:
         for follow, foot, goal, knee in zip(self.follow, self.feet, goals, knees, strict=True):
             follow.place(foot, goal, knee, dt)
         self.slack, self.air = self.clearance.of(hips, self.follow)
+        self._catch_up(hints, dt)
         limbs = []
         for foot, hint, hip, leg in zip(self.feet, hints, hips, self.legs, strict=True):
             tracked = self.follow[foot.index].solve(foot, hip, pelvis, yaw)
@@ -139,6 +145,17 @@ class Feet:
             middle = scale(add(hip, leg.above(foot, foot.tilt.at)), 0.5)
             limbs.append(leg.solve(foot, hip, pelvis, yaw, sub(hint.knee, middle)))
         return limbs
+
+    def _catch_up(self, hints: Sequence[FootHint], dt: float) -> None:
+        """Feet of a network in doubt, which hedges, come down too early: they are behind their hints all the time."""
+        k = 1 - exp(-dt / BEHIND)
+        for foot, hint in zip(self.feet, hints, strict=True):
+            self._behind = pull(self._behind, sub(hint.ball, foot.ball), 0.5 * k)
+        vx, _, vz = self._speed
+        pace = hypot(vx, vz)
+        along = (self._behind[0] * vx + self._behind[2] * vz) / max(pace, 1e-6)
+        metres = clamp(CATCH * along, 0.0, MOST * self.size) * clamp((pace / self.size - 0.3) / 0.4, 0.0, 1.0)
+        self._ahead = (vx / max(pace, 1e-6) * metres, 0.0, vz / max(pace, 1e-6) * metres)
 
     def _bounds(self, side: int, stands: float, dt: float) -> tuple[float, float]:
         """Of a foot's standing: below the first it is lifted, above the second set down."""
@@ -180,7 +197,7 @@ class Feet:
         if foot.left <= 0 and self._since[foot.index] > BRIEFEST and (hint.stands > drop or calm):
             foot.left = SET
             lead = SET - OVER
-            landing = add(hint.ball, scale(hint.speed, 0.5 * lead * (1 - hint.stands)))
+            landing = add(add(hint.ball, self._ahead), scale(hint.speed, 0.5 * lead * (1 - hint.stands)))
             foot.landing = self._within(landing, leg, add(hip, scale(self._speed, SET)), ground)
         if foot.left > 0:
             foot.left -= dt
@@ -202,7 +219,7 @@ class Feet:
             return
         least = ground + CLEAR * self.size
         high = clamp(hint.ball[1], least, max(least, foot.y.at + SURGE * self.size)) if self.air <= 0 else least
-        goal = self._within(add(hint.ball, scale(hint.speed, LEAD)), leg, hip, high)
+        goal = self._within(add(add(hint.ball, self._ahead), scale(hint.speed, LEAD)), leg, hip, high)
         # up before it moves over
         rises = clamp((foot.y.at - ground) / (OFF * CLEAR * self.size), 0.05, 1.0)
         follow = FOLLOW / rises

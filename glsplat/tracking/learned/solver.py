@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from math import acos
 
+from glsplat.tracking.learned.expected import ExpectedError
 from glsplat.tracking.learned.feet import Feet, Rest
 from glsplat.tracking.learned.hints import Hint, Hints
 from glsplat.tracking.learned.network import PoseNetwork
 from glsplat.tracking.learned.seat import Seat
+from glsplat.tracking.learned.stance import Stance
 from glsplat.tracking.learned.steady import Steady
 from glsplat.tracking.learned.uncertainty import Uncertainty
 from glsplat.tracking.solve.arms import Arm
@@ -44,7 +46,7 @@ __all__ = ["LearnedSolver"]
 PLAIN = 0.3  # of the pelvis that the analytic solver places
 BACK, FURTHER = 0.035, 0.2  # tangent of a lean back, and the share of what is beyond that is shown
 SHRINK = 0.6  # of what a body is said to be turned away from its head, that is shown without hands
-AHEAD, UNDER = 0.55, 0.75  # of a leg's length from below the hips to the balls of feet on a chair, and how surely
+AHEAD, UNDER = 0.55, 0.85  # of a leg's length from below the hips to the balls of feet on a chair, and how surely
 SWING = 0.7  # radians at most that the torso swings about the neck to bring the pelvis where it should be
 
 
@@ -63,6 +65,8 @@ class LearnedSolver:
         self.doubt: Uncertainty = Uncertainty(body.eye_height)
         self.steady: Steady = Steady()
         self.plain: AnalyticSolver = AnalyticSolver(body)
+        self.stance: Stance = Stance(body)
+        self.expected: ExpectedError = ExpectedError(body.eye_height)
         self.seat: Seat = Seat(body.joints[PELVIS][1] - body.ground)
         self.spine: Spine = Spine(body)
         self.feet: Feet = Feet(body)
@@ -79,6 +83,8 @@ class LearnedSolver:
         self.doubt.reset()
         self.steady.reset()
         self.plain.reset()
+        self.stance.reset()
+        self.expected.reset()
         self.seat.reset()
         self.spine.reset()
         self.feet.reset()
@@ -101,8 +107,10 @@ class LearnedSolver:
         lost = self.doubt.update(targets, self._missed, dt)
         steps = self._whose(lost)
         plain = self.plain.torso(targets, dt)
+        expected = self.expected.update(targets, length(sub(hint.pelvis_at, plain.pelvis_at)), dt)
         if steps is self.feet:
             self.plain.stepped(targets, plain, dt, shown=False)
+        stands = self.stance.update(targets, hint.feet, self.plain.legs.feet, dt)
         self.pelvis.update(targets.pelvis, targets.pelvis_turn, targets.eye, dt)
         # a pelvis that is tracked is known better than by either
         torso = self._mixed(targets, hint, plain, PLAIN * (1 - self.pelvis.share), lost, dt)
@@ -115,13 +123,15 @@ class LearnedSolver:
                 self._seated(hint, torso)
             yaw = swing_twist_y(torso.pelvis) or 0.0
             under = (torso.pelvis_at, torso.pelvis, yaw, dt, targets.feet, targets.knees)
-            limbs = self.feet.update(hint.feet, *under, rests and place is None)
+            limbs = self.feet.update(hint.feet, *under, (rests or stands >= 1) and place is None)
         else:
             limbs = self.plain.stepped(targets, torso, dt)
         arms = reaching(self.arms, self.hands, targets, torso, dt)
         self._missed = max(arms[0].miss, arms[1].miss)
         notes = [*self.ground.notes, *(["sitting"] if self.seat.sits and lost < 1 else [])]
-        return self.ground.lift(assembled(torso, limbs, arms, steps.legs, steps.feet, self.body.sole, steps.air, notes))
+        out = assembled(torso, limbs, arms, steps.legs, steps.feet, self.body.sole, steps.air, notes)
+        out.expected_error = expected
+        return self.ground.lift(out)
 
     def _whose(self, lost: float) -> Feet | Legs:
         """Whose feet are shown: one takes over where the other has them."""

@@ -65,6 +65,7 @@ class Solution:
     airborne: bool = False
     notes: list[str] = field(default_factory=list)
     feet: tuple[Vec | None, Vec | None] = (None, None)  # places of the foot joints, where they are known exactly
+    expected_error: tuple[float, ...] = ()  # metres each of the 22 joints is probably off by; empty: not said
 
 
 class Solver(Protocol):
