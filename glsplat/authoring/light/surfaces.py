@@ -13,17 +13,20 @@ from glsplat.authoring.visibility import probe_poses
 from glsplat.avatar import Avatar
 from glsplat.light.surface import Surface
 from glsplat.meshes import RiggedMesh, vertex_normals
+from glsplat.rotations import signed_axes
 from glsplat.skinning.pose import Pose
 from glsplat.splats import Splats
 
-__all__ = ["Nearest", "carried", "nearest_on", "open_pose", "with_surface"]
+__all__ = ["Nearest", "carried", "nearest_on", "open_pose", "opened", "with_surface"]
 
 F64 = NDArray[np.float64]
 
 _SPACING = 0.004  # metres between points on triangles, at most so many of each
 _MOST = 64
-_CANDIDATES = 6  # nearest points of which one faces as the splat does
-_SIDEWAYS = 0.01  # metres that facing another way is worth
+_CANDIDATES = 12  # nearest points, of which one is open and faces as the splat does
+_SIDEWAYS, _HIDDEN = 0.004, 0.02  # metres that facing another way is worth, and lying inside (a mouth behind a cheek)
+_INSIDE = 0.1  # occlusion of what lies inside
+_DARKEST = 0.25  # occlusion at least: teeth are hidden while the mouth is shut, and not black when it opens
 _AS_MANY = 4  # splats of a finer one that a coarser one's surface is the mean of, at most
 
 
@@ -44,8 +47,11 @@ class Nearest:
         return np.asarray(mixed / np.maximum(np.linalg.norm(mixed, axis=1, keepdims=True), 1e-12))
 
 
-def nearest_on(mesh: RiggedMesh, splats: Splats) -> Nearest:
-    """Where on the mesh (in the zero pose, as the splats are) each splat lies; of layers that are near, the parallel."""
+def nearest_on(mesh: RiggedMesh, splats: Splats, occlusion: F64) -> Nearest:
+    """Where on the mesh (in the zero pose, as the splats are) each splat lies.
+
+    Of layers that are near, the one that is open by the vertices' ``occlusion`` [V], and parallel to the splat.
+    """
     vertices = mesh.posed(Pose.zero(len(mesh.skeleton)))
     faces = mesh.faces
     corner = vertices[faces]
@@ -65,14 +71,29 @@ def nearest_on(mesh: RiggedMesh, splats: Splats) -> Nearest:
     far, near = cKDTree(points).query(means, min(_CANDIDATES, len(points)))
     far, near = far.reshape(len(means), -1), near.reshape(len(means), -1)
     facing = np.abs(np.einsum("nkc,nc->nk", face_normals[which[near]], thin_axes(splats)))
-    chosen = np.take_along_axis(near, (far + _SIDEWAYS * (1 - facing)).argmin(axis=1)[:, None], axis=1)[:, 0]
-    return Nearest(faces[which[chosen]].astype(np.intp), weights[chosen])
+    hidden = (occlusion[faces].mean(axis=1) < _INSIDE)[which[near]]
+    cost = far + _SIDEWAYS * (1 - facing) + _HIDDEN * hidden
+    chosen = np.take_along_axis(near, cost.argmin(axis=1)[:, None], axis=1)[:, 0]
+    return Nearest(faces[which[chosen]].astype(np.intp), _projected(means, corner[which[chosen]]))
+
+
+def _projected(points: F64, corner: F64) -> F64:
+    """[N, 3] barycentric coordinates of points [N, 3] laid onto their triangles [N, 3, 3], drawn in to their edges."""
+    u, v, w = corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0], points - corner[:, 0]
+    uu, uv, vv, wu, wv = (np.einsum("nc,nc->n", a, b) for a, b in ((u, u), (u, v), (v, v), (w, u), (w, v)))
+    area = np.maximum(uu * vv - uv * uv, 1e-24)
+    second, third = (wu * vv - wv * uv) / area, (wv * uu - wu * uv) / area
+    weights = np.clip(np.stack([1 - second - third, second, third], axis=1), 0, 1)
+    return np.asarray(weights / weights.sum(axis=1, keepdims=True))
+
+
+def opened(occlusion: F64) -> F64:
+    """Occlusion that leaves hollows some light."""
+    return np.maximum(occlusion, _DARKEST)
 
 
 def thin_axes(splats: Splats) -> F64:
     """[N, 3] the shortest axis of each splat, of either sign; zero where it has none."""
-    from glsplat.rotations import signed_axes
-
     axes = signed_axes(np.nan_to_num(splats.quats), np.nan_to_num(splats.scales))
     thin = np.abs(np.nan_to_num(splats.scales)).argmin(axis=1)
     return np.asarray(np.take_along_axis(axes, thin[:, None, None], axis=2)[:, :, 0])
@@ -94,8 +115,8 @@ def with_surface(avatar: Avatar, mesh: RiggedMesh) -> Avatar:
     normals = vertex_normals(mesh.posed(Pose.zero(len(mesh.skeleton))), mesh.faces)
 
     def surfaced(one: Avatar) -> Avatar:
-        where = nearest_on(mesh, one.splats)
-        surface = Surface.of(where.directions(normals), where.at(occlusion))
+        where = nearest_on(mesh, one.splats, occlusion)
+        surface = Surface.of(where.directions(normals), opened(where.at(occlusion)))
         return replace(one, splats=replace(one.splats, surface=surface))
 
     levels = tuple(replace(level, content=surfaced(level.content)) for level in avatar.levels)
