@@ -1,8 +1,7 @@
 """The exact float64 twin of every shader: test oracle and documentation. Slow on purpose, nothing is approximated.
 
-Rules: docs/conventions.md, "pixel contract". Each function names the GLSL chunk it mirrors.
-Sources: EWA Splatting (Zwicker et al. 2002), 3D Gaussian Splatting (Kerbl et al. 2023), gsplat (projection and
-principal-point aware clamp), the paper's section on the GA backend (skinning).
+Rules: docs/conventions.md, "pixel contract". Each function names the GLSL chunk it mirrors. Sources: EWA Splatting
+(Zwicker et al. 2002), 3DGS (Kerbl et al. 2023), gsplat (projection, clamp), the paper's GA backend (skinning).
 """
 
 from __future__ import annotations
@@ -204,17 +203,15 @@ def evaluate_sh(sh: F64, directions: F64, degree: int) -> F64:
 def shading(posed: Posed, splats: Splats, light: Light) -> F64:
     """[N, 3] what colours are multiplied by in linear light; below 0 where there is no surface (light.glsl).
 
-    Irradiance over pi (Ramamoorthi and Hanrahan 2001), over the light that the colours hold already. A normal is fixed
-    in the splat's own axes, so it turns with skin and expression. The sun reaches a hollow inside a cone about the
-    normal whose cosine-weighted share is its occlusion: sin^2 of its half angle (Oat and Sander, Ambient Aperture
-    Lighting, 2007).
+    Irradiance over pi (Ramamoorthi and Hanrahan 2001) over the light that the colours hold. Normals are fixed in the
+    splats' axes, so they turn with skin and expression. The sun reaches a hollow in a cone about the normal that lets
+    in as much as its occlusion says: sin^2 of half its angle (Oat and Sander, Ambient Aperture Lighting, 2007).
     """
     assert splats.surface is not None
     lengths = np.linalg.norm(posed.shapes, axis=1, keepdims=True)
     axes = np.where(lengths > 1e-15, posed.shapes / np.maximum(lengths, 1e-300), 0.0)
-    for k in range(3):
-        flat = lengths[:, 0, k] <= 1e-15
-        flat &= ~(lengths[:, 0, :k] <= 1e-15).any(axis=1)  # of several the first
+    for k in range(3):  # of several the first
+        flat = (lengths[:, 0, k] <= 1e-15) & ~(lengths[:, 0, :k] <= 1e-15).any(axis=1)
         axes[flat, :, k] = np.cross(axes[flat, :, (k + 1) % 3], axes[flat, :, (k + 2) % 3])
     local = splats.surface.in_axes(signed_axes(splats.quats, splats.scales))
     normals = np.einsum("nij,nj->ni", axes, local)
@@ -230,8 +227,7 @@ def shading(posed: Posed, splats: Splats, light: Light) -> F64:
 
 def lit(colours: F64, factors: F64) -> F64:
     """Colours [N, 3] under what ``shading`` says, clamped to [0, 1]; as they are where there is no surface."""
-    shown = to_srgb(to_linear(colours) * np.maximum(factors, 0))
-    return np.where(factors[:, :1] < 0, colours, shown)
+    return np.where(factors[:, :1] < 0, colours, to_srgb(to_linear(colours) * np.maximum(factors, 0)))
 
 
 def jacobians(x: F64, y: F64, z: F64, camera: Camera) -> F64:

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from glsplat.arrays import frozen, plain
+from glsplat.arrays import frozen, plain, restored
 from glsplat.errors import FormatError
 
-__all__ = ["Light", "sh_irradiance"]
+__all__ = ["PRESETS", "Light", "sh_irradiance"]
 
 F64 = NDArray[np.float64]
 
@@ -26,9 +26,9 @@ _SPREAD = (1.0, 2 / 3, 0.25)  # of radiance of degree l in irradiance over pi, o
 class Light:
     """Distant light in linear sRGB: radiance 1 from everywhere shows a surface in exactly its albedo.
 
-    ``ambient`` are nine coefficients of radiance in real spherical harmonics (l, m) = (0, 0), (1, -1), (1, 0) ... (2, 2),
-    without the Condon-Shortley sign, world axes; a constant radiance c has the first one c sqrt(4 pi). The sun shines
-    from ``sun_direction`` (from the scene to the light, unit) with irradiance ``sun_colour`` on a surface that faces it;
+    ``ambient`` are nine coefficients of radiance in real spherical harmonics, (l, m) = (0, 0), (1, -1), (1, 0) to
+    (2, 2), without the Condon-Shortley sign, world axes; a constant radiance c has the first one c sqrt(4 pi). The sun
+    shines from ``sun_direction`` (from the scene to the light, unit) with irradiance ``sun_colour`` on what faces it;
     pi lights as much as radiance 1 from everywhere. Raises FormatError for what is none.
 
     >>> glsplat.Light.preset("left")
@@ -149,6 +149,9 @@ class Light:
     def same(self, other: Light | None) -> bool:
         """Whether the other one lights everything alike."""
         return other is not None and bool((self.uniforms() == other.uniforms()).all())
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return restored, (type(self), {f.name: getattr(self, f.name) for f in fields(self)})
 
     def __repr__(self) -> str:
         mean = ", ".join(f"{v:.2f}" for v in self.ambient[0] * _CONSTANTS[0])

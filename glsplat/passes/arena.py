@@ -97,7 +97,11 @@ class Arena:
         """GPU bytes of the posed geometry, the scratch buffer, the cones and the surfaces."""
         posed = self.splats.width * self.splats.height * 16 if self.posed else 0
         surfaces = 0 if self._surfaces is None else self._surfaces.width * self._surfaces.height * 16
-        return posed + surfaces + sum(buffer.size for buffer in (self._run, self.cones, self.numbers) if buffer is not None)
+        return (
+            posed
+            + surfaces
+            + sum(buffer.size for buffer in (self._run, self.cones, self.numbers) if buffer is not None)
+        )
 
     @property
     def colour_nbytes(self) -> int:

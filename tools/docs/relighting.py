@@ -19,6 +19,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from apps.output import save_png
 from glsplat import Camera, Item, Light, Pose, Renderer, Scene
 from glsplat.authoring.photo.photo_file import read_photo
 from glsplat.authoring.reconstruct.builtin import PHONE
@@ -28,7 +29,6 @@ from glsplat.evaluate.comparison.participant import Participant, participants_in
 from glsplat.evaluate.light import CaptureLight, shade_of
 from glsplat.evaluate.metrics.lpips import Lpips
 from glsplat.evaluate.turntable import turntable
-from apps.output import save_png
 from glsplat.mesh.renderer import MeshConfig, MeshRenderer
 
 F64 = NDArray[np.float64]
@@ -43,7 +43,9 @@ def measure(participant: Participant, out: Path) -> dict[str, Any]:
     """L1 and LPIPS without and with relighting, a view each: as photographed, from both sides, the head."""
     assert participant.camera is not None and participant.pose is not None
     left = (-LAMP[0], *LAMP[1:])
-    frame = next(iter(turntable(participant.mesh, participant.camera, participant.pose, left, COLOUR, frames=1, seed=3)))
+    frame = next(
+        iter(turntable(participant.mesh, participant.camera, participant.pose, left, COLOUR, frames=1, seed=3))
+    )
     photo = out / f"{participant.name}_left.png"
     save_png(photo, frame.rgb)
     shots = check_photos(photo)

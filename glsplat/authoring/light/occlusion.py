@@ -15,7 +15,7 @@ __all__ = ["ambient_occlusion", "reached_from", "smoothed"]
 
 F64 = NDArray[np.float64]
 
-_DIRECTIONS = 96
+_DIRECTIONS = 48
 _FAR = 60.0  # metres, so that rays are parallel
 _SIZE = 320  # pixels of a depth map
 _EVENED = 5  # rounds of averaging with the neighbours

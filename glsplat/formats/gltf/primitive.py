@@ -157,7 +157,7 @@ def _cones(container: Container, index: int, count: int, name: str) -> NDArray[n
 
 
 def _surface(container: Container, attributes: dict[str, int], count: int, name: str) -> Surface | None:
-    """The surface that colours of albedo, or shaded ones, come with. Raises FormatError for attributes that do not fit."""
+    """The surface that colours of albedo, or shaded ones, come with. Raises FormatError for what does not fit."""
     said = container.note().get(COLOUR)
     if said not in (_ALBEDO, _SHADED) or not {_NORMAL, _OCCLUSION} <= attributes.keys():
         return None
