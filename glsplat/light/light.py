@@ -47,7 +47,7 @@ class Light:
         sun_direction: ArrayLike | None = None,  # [3]
         sun_colour: ArrayLike = (0.0, 0.0, 0.0),  # [3], none below 0
     ) -> None:
-        held = _numbers(ambient, "ambient", (9, 3))
+        held = _numbers(ambient, "a light's ambient", (9, 3))
         colour = _numbers(sun_colour, "the sun's color", (3,))
         if (colour < 0).any():
             raise FormatError(f"the sun's color needs numbers of 0 and more, not {colour.tolist()}")

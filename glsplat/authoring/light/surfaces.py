@@ -124,7 +124,7 @@ def with_surface(avatar: Avatar, mesh: RiggedMesh) -> Avatar:
 
 
 def carried(surface: Surface | None, before: Splats, after: Splats) -> Surface | None:
-    """The surface of splats that were made of others: of the nearest of those, the mean of those nearer than it is wide.
+    """The surface of splats that were made of others: the mean of as many of the nearest as each stands for.
 
     Where there are as many they are the same ones moved a little, and each takes the nearest's.
     """

@@ -16,7 +16,7 @@ def seen_under(lamp: tuple[float, float, float], seed: int) -> tuple[np.ndarray,
     normals = rng.normal(size=(4000, 3))
     normals[:, 2] = -np.abs(normals[:, 2])
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    albedo = rng.uniform(0.1, 0.8, (5, 3))[rng.integers(0, 5, 4000)] * rng.lognormal(0, 0.1, (4000, 1))
+    albedo = rng.uniform(0.1, 0.8, (30, 3))[rng.integers(0, 30, 4000)] * rng.lognormal(0, 0.1, (4000, 3))
     way = np.array(lamp) / np.linalg.norm(lamp)
     light = Light(way, np.array([0.0, -1, 0]), 1.7)
     return normals, albedo * light.shade(normals)[:, None]
