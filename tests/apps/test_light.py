@@ -46,6 +46,15 @@ def test_a_preset_a_file_and_a_scene_file_light_alike(avatar: Path, tmp_path: Pa
     assert (picture(tmp_path, tmp_path / "scene.json", "--light", "none") == plain).all()
 
 
+@pytest.mark.parametrize(("shaded", "said"), [(True, "as photographed"), (False, "albedo"), (None, "never lit")])
+def test_inspect_says_what_light_does(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], shaded: bool | None, said: str
+) -> None:
+    save(limb(20) if shaded is None else surfaced(limb(20), shaded=shaded), tmp_path / "a.glb")
+    assert main(["inspect", str(tmp_path / "a.glb")]) == 0
+    assert said in next(line for line in capsys.readouterr().out.splitlines() if line.split()[0] == "light")
+
+
 def test_the_outermost_scene_file_decides(avatar: Path, tmp_path: Path) -> None:
     inner = {"version": 1, "items": [{"path": "me.glb"}], "light": random_light(1).to_json()}
     (tmp_path / "inner.json").write_text(json.dumps(inner))
