@@ -211,7 +211,7 @@ def shading(posed: Posed, splats: Splats, light: Light) -> F64:
     lengths = np.linalg.norm(posed.shapes, axis=1, keepdims=True)
     axes = np.where(lengths > 1e-15, posed.shapes / np.maximum(lengths, 1e-300), 0.0)
     for k in range(3):  # of several the first
-        flat = (lengths[:, 0, k] <= 1e-15) & ~(lengths[:, 0, :k] <= 1e-15).any(axis=1)
+        flat = np.flatnonzero((lengths[:, 0, k] <= 1e-15) & (lengths[:, 0, :k] > 1e-15).all(axis=1))
         axes[flat, :, k] = np.cross(axes[flat, :, (k + 1) % 3], axes[flat, :, (k + 2) % 3])
     local = splats.surface.in_axes(signed_axes(splats.quats, splats.scales))
     normals = np.einsum("nij,nj->ni", axes, local)
@@ -222,7 +222,7 @@ def shading(posed: Posed, splats: Splats, light: Light) -> F64:
         facing = normals @ light.sun_direction
         reached = np.clip(1 + (facing - np.sqrt(1 - ao)) / SOFT, 0, 1)
         total = total + (np.maximum(facing, 0) * reached)[:, None] * (light.sun_colour / np.pi)
-    return np.where(splats.surface.normals.any(axis=1)[:, None], total / splats.surface.shades, -1.0)
+    return np.where((splats.surface.normals != 0).any(axis=1, keepdims=True), total / splats.surface.shades, -1.0)
 
 
 def lit(colours: F64, factors: F64) -> F64:
