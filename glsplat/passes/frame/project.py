@@ -44,7 +44,9 @@ class ProjectPass:
         """Project the splats of ``order``; under ``light`` with variant.lit."""
         if self.count:
             if light is not None:  # the program may have been run under another one since
-                self._array.program["light"].write(light.uniforms().tobytes())
+                uniform = self._array.program["light"]
+                assert isinstance(uniform, moderngl.Uniform)
+                uniform.write(light.uniforms().tobytes())
             self._array.transform(self.records, moderngl.POINTS, vertices=self.count)
 
     def release(self) -> None:
