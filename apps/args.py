@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import json
 import sys
 from collections.abc import Mapping
 from pathlib import Path
@@ -15,6 +16,8 @@ from glsplat.data import default_avatar
 from glsplat.errors import FormatError, PoseError
 from glsplat.formats import suffixes
 from glsplat.formats.transform import transformed
+from glsplat.io.files import naming, open_regular
+from glsplat.light.light import PRESETS, Light
 from glsplat.motion.kinds import KINDS, split_choice
 from glsplat.scene import Content, Rigged, Scene, is_rigged
 from glsplat.scenes.loading import load
@@ -32,6 +35,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "add_detail",
+    "add_light",
     "add_scene",
     "add_solver",
     "add_up",
@@ -40,6 +44,7 @@ __all__ = [
     "detail_of",
     "driven",
     "expression",
+    "light_of",
     "load_avatar",
     "motion_of",
     "natural",
@@ -53,12 +58,48 @@ __all__ = [
 ]
 
 
+_LIGHT_BYTES = 1 << 20
+"""Of a file of --light."""
+
+
 def add_scene(parser: argparse.ArgumentParser) -> None:
     """The positional SCENE, --up and --strict."""
     what = f"a {suffixes()}, or a scene file (JSON); default: the embedded avatar"
     parser.add_argument("scene", nargs="?", metavar="SCENE", help=what)
     add_up(parser)
     parser.add_argument("--strict", action="store_true", help="refuse files with NaN or infinity instead of skipping")
+
+
+def add_light(parser: argparse.ArgumentParser) -> None:
+    """--light."""
+    parser.add_argument(
+        "--light",
+        metavar="NAME|FILE",
+        help=f"light the avatars that know their surface (docs/light.md): {', '.join(PRESETS)}, or a JSON file; "
+        "none: as they were photographed (default: what a scene file says, else none)",
+    )
+
+
+def _lit(file: SceneFile, args: argparse.Namespace) -> SceneFile:
+    """The scene under --light, where that is an option and given."""
+    asked = getattr(args, "light", None)
+    if asked is not None:
+        file.scene.light = None if asked == "none" else light_of(asked)
+    return file
+
+
+def light_of(text: str) -> Light:
+    """A preset's name, or a JSON file as a scene file's "light". Raises FormatError."""
+    if text in PRESETS or not Path(text).exists():
+        return Light.preset(text)
+    with naming(text), open_regular(text) as (file, size):
+        if size > _LIGHT_BYTES:
+            raise FormatError(f"a light has at most {_LIGHT_BYTES} bytes, this one {size}")
+        try:
+            data = json.loads(file.read())
+        except (ValueError, RecursionError) as error:
+            raise FormatError(f"a light is JSON, but {error}") from None
+        return Light.from_json(data)
 
 
 def add_up(parser: argparse.ArgumentParser, what: str = "the file's axis that points up") -> None:
@@ -76,19 +117,19 @@ def add_solver(parser: argparse.ArgumentParser) -> None:
 def open_scene(args: argparse.Namespace) -> SceneFile:
     """All that the arguments name, turned so that --up is up: a scene file, or one thing as a scene."""
     if args.scene is None:
-        return SceneFile.of(default_avatar())
+        return _lit(SceneFile.of(default_avatar()), args)
     if not Path(args.scene).exists():
         raise FormatError(f"{args.scene}: no such file; give a {suffixes()} or a scene file, or nothing")
     file = load_scene(args.scene, strict=args.strict)
     _say_doubts(file, args.scene)
     turn = upright(args.up)
     if args.up == "y":
-        return file
+        return _lit(file, args)
     if len(file.scene) == 1 and isinstance(splats := file.scene.items[0].content, Splats) and not file.composed:
-        return SceneFile.of(transformed(splats, turn))  # static splats stay the leanest scene
+        return _lit(SceneFile.of(transformed(splats, turn)), args)  # static splats stay the leanest scene
     for item in file.scene:
         item.transform = turn @ item.transform
-    return file
+    return _lit(file, args)
 
 
 def _say_doubts(file: SceneFile, name: str) -> None:

@@ -170,6 +170,7 @@ def describe(scene: Splats | Avatar, path: str | Path | None) -> dict[str, Any]:
         "antialias": splats.antialias,
         "cones": splats.cones is not None,
         "cones_psnr": splats.cones_psnr,
+        "colour": _COLOURS[None if splats.surface is None else splats.surface.shade is not None],
         "levels": levels_of(scene),
         "bounds": _bounds(splats.means),
         "scale": _percentiles(np.abs(splats.scales).max(axis=1)),
@@ -307,6 +308,14 @@ def _said(key: str, value: Any) -> str:
     return value if isinstance(value, str) else json.dumps(value)
 
 
+_COLOURS = {None: "baked", False: "albedo", True: "shaded"}
+_LIT = {
+    "baked": "never lit: nothing is known of the surface (docs/light.md)",
+    "albedo": "lit by --light, colours are albedo",
+    "shaded": "lit by --light, without one as photographed",
+}
+
+
 def _text(report: dict[str, Any]) -> str:
     name = report["file"] or "the default avatar"
     lines = [
@@ -319,6 +328,7 @@ def _text(report: dict[str, Any]) -> str:
     if report["cones_psnr"] is not None:
         cones += f"; the worst picture keeps {report['cones_psnr']:.1f} dB without what they hide"
     rows.append(("cones", cones))
+    rows.append(("light", _LIT[report["colour"]]))
     rows += [("" if index else "levels", said) for index, said in enumerate(levels_said(report["levels"]))]
     if bounds := report["bounds"]:
         rows.append(("bounds", _bounds_said(bounds)))

@@ -29,6 +29,7 @@ from glsplat.views import view_of, viewing_point
 
 from .args import (
     add_detail,
+    add_light,
     add_scene,
     colour,
     degrees,
@@ -56,6 +57,7 @@ EXAMPLE = "glsplat render --motion wave-and-turn --frame 40 --stereo -o wave.png
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command line."""
     add_scene(parser)
+    add_light(parser)
     parser.add_argument("-o", "--output", required=True, help=".png, .npy, a clip .mp4 or .webm, or a folder/ of PNG")
     parser.add_argument("--alpha", action="store_true", help="PNG with (straight) alpha, without the background")
     parser.add_argument(

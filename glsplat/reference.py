@@ -1,8 +1,7 @@
 """The exact float64 twin of every shader: test oracle and documentation. Slow on purpose, nothing is approximated.
 
-Rules: docs/conventions.md, "pixel contract". Each function names the GLSL chunk it mirrors.
-Sources: EWA Splatting (Zwicker et al. 2002), 3D Gaussian Splatting (Kerbl et al. 2023), gsplat (projection and
-principal-point aware clamp), the paper's section on the GA backend (skinning).
+Rules: docs/conventions.md, "pixel contract". Each function names the GLSL chunk it mirrors. Sources: EWA Splatting
+(Zwicker et al. 2002), 3DGS (Kerbl et al. 2023), gsplat (projection, clamp), the paper's GA backend (skinning).
 """
 
 from __future__ import annotations
@@ -15,8 +14,10 @@ from numpy.typing import NDArray
 
 from glsplat.camera import Camera, passes_of, sorting_camera
 from glsplat.config import RenderConfig
-from glsplat.pictures import lifted
-from glsplat.rotations import is_rigid, quaternion_matrices, sh_basis
+from glsplat.light.light import Light
+from glsplat.light.surface import Surface
+from glsplat.pictures import lifted, to_linear, to_srgb
+from glsplat.rotations import is_rigid, quaternion_matrices, sh_basis, signed_axes
 from glsplat.skinning.shapes import BEND, Shapes, long_axes
 from glsplat.skinning.skin import Skin
 from glsplat.splats import Splats
@@ -33,12 +34,14 @@ __all__ = [
     "jacobians",
     "joined",
     "lifted",
+    "lit",
     "placed",
     "project",
     "quaternion_matrices",
     "render",
     "render_scene",
     "rest",
+    "shading",
     "skin",
     "steadiness",
 ]
@@ -49,6 +52,7 @@ ALPHA_MAX = 0.99
 ALPHA_MIN = 1 / 255
 AA_FLOOR = 2.5e-5  # smallest det / det_dilated under antialias (gsplat: 0.005 squared)
 POWER = 32  # of the 4x4 rotation matrix average, see blended_rotations
+SOFT = 0.3  # of the cosine, over which a hollow takes the sun away
 SELECT = 1e-3  # weight of the dominant column beside it
 
 
@@ -185,7 +189,8 @@ def joined(parts: Sequence[tuple[Posed, Splats]]) -> tuple[Posed, Splats, NDArra
     posed = Posed(*(np.concatenate([getattr(p, n) for p, _ in parts]) for n in ("means", "shapes", "rotations")))
     names = ("means", "quats", "scales", "opacities")
     means, quats, scales, opacities = (np.concatenate([getattr(s, n) for _, s in parts]) for n in names)
-    splats = Splats(means, quats, scales, opacities, np.concatenate(sh))
+    surface = Surface.joined([s.surface for _, s in parts], [len(s) for _, s in parts])
+    splats = Splats(means, quats, scales, opacities, np.concatenate(sh), surface=surface)
     return posed, splats, np.concatenate([np.full(len(s), s.antialias) for _, s in parts])
 
 
@@ -193,6 +198,36 @@ def evaluate_sh(sh: F64, directions: F64, degree: int) -> F64:
     """Colour [N, 3] of coefficients [N, K, 3] in unit directions [N, 3], 3DGS basis and signs (sh.glsl)."""
     basis = sh_basis(directions, degree).T
     return np.maximum(np.einsum("kn,nkc->nc", basis, sh[:, : len(basis)]) + 0.5, 0)
+
+
+def shading(posed: Posed, splats: Splats, light: Light) -> F64:
+    """[N, 3] what colours are multiplied by in linear light; below 0 where there is no surface (light.glsl).
+
+    Irradiance over pi (Ramamoorthi and Hanrahan 2001) over the light that the colours hold. Normals are fixed in the
+    splats' axes, so they turn with skin and expression. The sun reaches a hollow in a cone about the normal that lets
+    in as much as its occlusion says: sin^2 of half its angle (Oat and Sander, Ambient Aperture Lighting, 2007).
+    """
+    assert splats.surface is not None
+    lengths = np.linalg.norm(posed.shapes, axis=1, keepdims=True)
+    axes = np.where(lengths > 1e-15, posed.shapes / np.maximum(lengths, 1e-300), 0.0)
+    for k in range(3):  # of several the first
+        flat = np.flatnonzero((lengths[:, 0, k] <= 1e-15) & (lengths[:, 0, :k] > 1e-15).all(axis=1))
+        axes[flat, :, k] = np.cross(axes[flat, :, (k + 1) % 3], axes[flat, :, (k + 2) % 3])
+    local = splats.surface.in_axes(signed_axes(splats.quats, splats.scales))
+    normals = np.einsum("nij,nj->ni", axes, local)
+    normals /= np.sqrt(np.maximum((normals**2).sum(axis=1, keepdims=True), 1e-12))
+    ao = splats.surface.ao
+    total = light.irradiance(normals) * ao[:, None]
+    if light.sun_direction is not None:
+        facing = normals @ light.sun_direction
+        reached = np.clip(1 + (facing - np.sqrt(1 - ao)) / SOFT, 0, 1)
+        total = total + (np.maximum(facing, 0) * reached)[:, None] * (light.sun_colour / np.pi)
+    return np.where((splats.surface.normals != 0).any(axis=1, keepdims=True), total / splats.surface.shades, -1.0)
+
+
+def lit(colours: F64, factors: F64) -> F64:
+    """Colours [N, 3] under what ``shading`` says, clamped to [0, 1]; as they are where there is no surface."""
+    return np.where(factors[:, :1] < 0, colours, to_srgb(to_linear(colours) * np.maximum(factors, 0)))
 
 
 def jacobians(x: F64, y: F64, z: F64, camera: Camera) -> F64:
@@ -221,6 +256,7 @@ def project(
     camera: Camera,
     config: RenderConfig | None = None,
     antialias: NDArray[np.bool_] | None = None,  # [N] of a scene whose items differ; default: the splats' own flag
+    light: Light | None = None,
 ) -> Projected:
     """One view of the splats: EWA projection, culling and colour (project.glsl, extent.glsl, sh.glsl)."""
     config = config or RenderConfig()
@@ -250,6 +286,8 @@ def project(
         direction /= np.linalg.norm(direction, axis=1, keepdims=True)
         degree = min(splats.sh_degree, camera.sh_degree, config.sh_degree)
         colours = evaluate_sh(splats.sh.astype(np.float64), np.nan_to_num(direction), degree)
+        if light is not None and splats.surface is not None:
+            colours = lit(colours, shading(posed, splats, light))
     return Projected(means2d, np.stack([a, b, c], -1), z, alphas, np.where(drawn, extents, 0.0), colours)
 
 
@@ -303,6 +341,7 @@ def render(
     sort_viewmat: F64 | None = None,  # [4, 4] default: the common centre of the views of a pass (camera.passes_of)
     shapes: Shapes | None = None,
     expression: F64 | None = None,  # [T] weights of the shapes
+    light: Light | None = None,
 ) -> F64:
     """The whole frame: [V, H, W, 4] RGB over the background (unclipped) and accumulated alpha, rows top down."""
     config = config or RenderConfig()
@@ -313,7 +352,7 @@ def render(
     for indices in passes_of(cameras, config.order == "shared"):
         views = [cameras[i] for i in indices]
         order = depth_order(posed.means, sorting_camera(views) if sort_viewmat is None else sort_viewmat)
-        images += [composite(project(posed, splats, view, config), order, view)[..., :4] for view in views]
+        images += [composite(project(posed, splats, view, config, light=light), order, view)[..., :4] for view in views]
     return np.stack(images)
 
 
@@ -322,6 +361,7 @@ def render_scene(
     cameras: Sequence[Camera],
     grounds: Sequence[MeshLayer] | None = None,  # one a camera
     config: RenderConfig | None = None,
+    light: Light | None = None,
 ) -> tuple[F64, F64]:
     """A scene of several items: images [V, H, W, 4], and expected depths [V, H, W] in metres, 0 where alpha is 0."""
     config = config or RenderConfig()
@@ -330,7 +370,7 @@ def render_scene(
     for indices in passes_of(cameras, config.order == "shared"):
         order = depth_order(posed.means, sorting_camera([cameras[i] for i in indices]))
         for i in indices:
-            view = project(posed, splats, cameras[i], config, antialias)
+            view = project(posed, splats, cameras[i], config, antialias, light)
             layers.append(composite(view, order, cameras[i], grounds[i] if grounds else None))
     image = np.stack(layers)
     alpha = image[..., 3]

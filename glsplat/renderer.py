@@ -341,7 +341,8 @@ class Renderer:
         """What draws these views as pass number ``ordinal`` of a call, steps 1 to 3 done."""
         pipeline, shared = self._scene.pipeline(views, ordinal, depth), self._scene.shared(ordinal)
         if shared or not done:
-            resorted = pipeline.geometry(views, self._order(views), self.timer, costed, shared)
+            light = self._scene.light
+            resorted = pipeline.geometry(views, self._order(views), self.timer, costed, shared, light)
             self.stats = replace(self.stats, sorted=self.stats.sorted or resorted)
         self.variant = pipeline.variant
         return pipeline

@@ -24,6 +24,7 @@ __all__ = [
     "rotation_matrices",
     "sh_basis",
     "sh_rotations",
+    "signed_axes",
     "slerp",
     "turn_between",
     "vector_quaternions",
@@ -52,6 +53,16 @@ def quaternion_matrices(quats: NDArray[np.floating]) -> F64:
         (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
     )
     return np.stack([np.stack(row, -1) for row in rows], -2)
+
+
+def signed_axes(quats: NDArray[np.floating], scales: NDArray[np.floating]) -> F64:
+    """[N, 3, 3] columns: principal axes of splats as the renderer has them, where a negative scale turns one round.
+
+    ``quats`` [N, 4] wxyz, unit; of an axis without extent the sign is that which the other two leave it.
+    """
+    signs = np.where(scales < 0, -1.0, 1.0)
+    others = np.stack([signs[:, 1] * signs[:, 2], signs[:, 2] * signs[:, 0], signs[:, 0] * signs[:, 1]], axis=1)
+    return quaternion_matrices(quats) * np.where(scales == 0, others, signs)[:, None, :]
 
 
 def matrix_quaternions(matrices: F64) -> F64:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from types import NoneType
 from typing import TypeGuard
 
 import numpy as np
@@ -11,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from glsplat.arrays import bits, flag, instance, listed, number, plain
 from glsplat.avatar import Avatar
 from glsplat.errors import GlsplatError, PoseError
+from glsplat.light.light import Light
 from glsplat.meshes import RiggedMesh
 from glsplat.rotations import quaternion_matrices
 from glsplat.skinning.pose import Pose
@@ -161,10 +163,11 @@ class Scene:
     ((1, 48, 64, 4), (1, 48, 64))
     """
 
-    def __init__(self, items: Iterable[Item] = ()) -> None:
+    def __init__(self, items: Iterable[Item] = (), *, light: Light | None = None) -> None:
         if isinstance(items, (Splats, Avatar, RiggedMesh, Item, str)) or not isinstance(items, Iterable):
             raise GlsplatError(f"a scene needs a list of Items, not {type(items).__name__}; write Scene([Item(...)])")
         self._items: list[Item] = []
+        self.light = light
         for item in listed(items, "a scene", GlsplatError):
             self.add(item)
 
@@ -174,6 +177,18 @@ class Scene:
         if isinstance(thing, Scene):
             return thing
         return cls([thing if isinstance(thing, Item) else Item(thing)])
+
+    @property
+    def light(self) -> Light | None:
+        """What falls on all that knows its surface (``Splats.surface``); None: colours are shown as they are.
+
+        Meshes and splats without a surface are not lit.
+        """
+        return self._light
+
+    @light.setter
+    def light(self, light: Light | None) -> None:
+        self._light: Light | None = instance(light, (Light, NoneType), "a scene's light", GlsplatError)
 
     @property
     def items(self) -> tuple[Item, ...]:

@@ -9,8 +9,9 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from glsplat.arrays import flag, frozen, listed, number, own, own_whole, plain, restored, rows, shares
+from glsplat.arrays import flag, frozen, instance, listed, number, own, own_whole, plain, restored, rows, shares
 from glsplat.errors import FormatError
+from glsplat.light.surface import Surface
 
 __all__ = ["SH_C0", "Level", "Levels", "Splats", "checked_levels"]
 
@@ -101,6 +102,7 @@ class Splats:
     cones: NDArray[np.int8] | None = None  # [N, 4] visibility cone / 127: axis in the splat's own axes, smallest cosine
     cones_psnr: float | None = None  # dB that the worst picture keeps without the splats the cones hide; None: unknown
     levels: tuple[Level[Splats], ...] = ()  # coarser ones, finest first; dropped where other attributes are replaced
+    surface: Surface | None = None  # that they lie on, for light; None: they are never lit
 
     def __init__(
         self,
@@ -113,6 +115,7 @@ class Splats:
         cones: ArrayLike | None = None,  # [N, 4] of whole numbers -128..127
         cones_psnr: float | None = None,
         levels: Iterable[Level[Splats]] = (),
+        surface: Surface | None = None,
     ) -> None:
         arrays = {"means": means, "quats": quats, "scales": scales, "opacities": opacities, "sh": sh}
         if plain(opacities, "opacities").dtype.kind != "f":  # whole numbers: 0 and 1, or 0 to 255
@@ -134,7 +137,10 @@ class Splats:
         held = None if cones is None else own_whole(cones, np.int8, "cones")
         if held is not None and held.shape != (n, 4):
             raise FormatError(f"cones needs int8 of shape ({n}, 4), not {held.shape}")
-        for name, array in {**own_ones, "antialias": flag(antialias, "antialias"), "cones": held}.items():
+        if surface is not None and len(instance(surface, Surface, "surface")) != n:
+            raise FormatError(f"a surface needs one row a splat, not {len(surface)} for {n}")
+        others = {"antialias": flag(antialias, "antialias"), "cones": held, "surface": surface}
+        for name, array in {**own_ones, **others}.items():
             object.__setattr__(self, name, array)
         known = held is not None and cones_psnr is not None
         object.__setattr__(self, "cones_psnr", number(cones_psnr, "cones_psnr") if known else None)
@@ -157,6 +163,7 @@ class Splats:
         antialias: bool = False,
         cones: ArrayLike | None = None,  # [N, 4]
         cones_psnr: float | None = None,
+        surface: Surface | None = None,
     ) -> Splats:
         """The same, with plain colours: ``rgb`` makes splats of SH degree 0.
 
@@ -170,13 +177,14 @@ class Splats:
             sh = _sh_of(rgb)
         alphas = plain(opacities, "opacities")
         alphas = alphas.reshape(-1) if alphas.ndim == 0 or alphas.shape[1:] == (1,) else alphas
-        return cls(means, quats, scales, alphas, sh, antialias, cones, cones_psnr)
+        return cls(means, quats, scales, alphas, sh, antialias, cones, cones_psnr, surface=surface)
 
     def __reduce__(self) -> tuple[Any, ...]:
         return restored, (type(self), {f.name: getattr(self, f.name) for f in fields(self)})
 
     def __repr__(self) -> str:
         more = (", antialias" if self.antialias else "") + ("" if self.cones is None else ", visibility cones")
+        more += "" if self.surface is None else ", surface"
         more += f", {len(self.levels)} levels" if self.levels else ""
         size = f"{self.nbytes / 1e6:.4g} MB" if self.nbytes >= 1e5 else f"{self.nbytes} bytes"
         return f"Splats({len(self)} splats, SH degree {self.sh_degree}, {size}{more})"
@@ -198,7 +206,7 @@ class Splats:
     def nbytes(self) -> int:
         """Host memory of the arrays in bytes, without levels."""
         arrays = (self.means, self.quats, self.scales, self.opacities, self.sh, self.cones)
-        return sum(a.nbytes for a in arrays if a is not None)
+        return sum(a.nbytes for a in arrays if a is not None) + (0 if self.surface is None else self.surface.nbytes)
 
     def take(self, index: ArrayLike) -> Splats:
         """The splats at ``index`` (an integer or boolean array), in that order, without levels.
@@ -209,7 +217,8 @@ class Splats:
         arrays = (self.means, self.quats, self.scales, self.opacities, self.sh)
         means, quats, scales, opacities, sh = (frozen(a.take(i, axis=0)) for a in arrays)
         cones = None if self.cones is None else frozen(self.cones.take(i, axis=0))
-        return Splats(means, quats, scales, opacities, sh, self.antialias, cones, self.cones_psnr)
+        surface = None if self.surface is None else self.surface.take(i)
+        return Splats(means, quats, scales, opacities, sh, self.antialias, cones, self.cones_psnr, surface=surface)
 
     def finite(self) -> NDArray[np.bool_]:
         """[N] True where every attribute is finite."""

@@ -23,6 +23,7 @@ ROOT = Path(__file__).resolve().parents[1]
 FLOORS = [
     ["errors", "timing", "rotations"],
     ["arrays", "io", "statistics"],
+    ["light"],
     ["splats", "camera", "config", "pictures", "models", "watermark"],
     ["skinning", "shaders"],
     ["avatar", "meshes", "gl"],

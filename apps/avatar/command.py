@@ -17,6 +17,7 @@ from glsplat.authoring.detail.make import with_levels
 from glsplat.authoring.faces.shapes import with_shapes
 from glsplat.authoring.importers import bind_to_mesh, load_lhm_dump
 from glsplat.authoring.lam import FOLLOW, is_lam_zip, load_lam_zip
+from glsplat.authoring.light.surfaces import with_surface
 from glsplat.authoring.on_smplx import on_smplx
 from glsplat.authoring.optimize.compiled import MISSING, available
 from glsplat.authoring.optimize.mesh import STEPS, fitted_to_mesh
@@ -71,6 +72,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         help=f"splats of coarser levels of detail (default: --splats halved down to {fitted.COARSEST}); none: none",
     )
+    make.add_argument("--no-surface", action="store_true", help="say nothing of normals: --light never changes it")
     make.add_argument("--no-cones", action="store_true", help="make no visibility cones (--cull-hidden needs them)")
 
     cones = commands.add_parser("cones", help="find out which splats are hidden from where, for --cull-hidden")
@@ -178,6 +180,9 @@ def _make(args: argparse.Namespace) -> int:
         if counts:
             avatar = with_levels(avatar, counts, args.seed, progress=show)
         avatar = with_shapes(avatar, mesh)
+        if not args.no_surface:
+            show("finding the surface", 0.0)
+            avatar = with_surface(avatar, mesh)
         if not args.no_cones:
             avatar = with_cones(avatar, progress=show)
     _say(args.person, doubts(mesh, avatar, args.splats, args.extra_scale), told)

@@ -85,6 +85,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--cones", action="store_true", help="make visibility cones, too (minutes; --cull-hidden needs them)"
     )
+    parser.add_argument(
+        "--keep-light",
+        action="store_true",
+        help="leave the photographs' light in the colours and say nothing of it: --light never changes this avatar",
+    )
     parser.add_argument("--debug", type=Path, metavar="DIR", help="folder for a sheet that shows each step's result")
     parser.add_argument(
         "--mine",
@@ -171,8 +176,11 @@ def _options(args: argparse.Namespace, show: Progress) -> Options:
             raise UsageError(f"--{name} has no meaning with --as {args.kind}: leave it out")
     if args.cones and args.kind == "mesh":
         raise UsageError("--cones has no meaning with --as mesh: leave it out")
+    if args.keep_light and args.kind == "mesh":
+        raise UsageError("--keep-light has no meaning with --as mesh, which keeps it anyway: leave it out")
+    known = {name: value for name, value in asked.items() if value is not None}
     try:
-        return Options(**{name: value for name, value in asked.items() if value is not None}, progress=show)
+        return Options(**known, keep_light=args.keep_light, progress=show)
     except FormatError as error:
         raise UsageError(str(error)) from None
 

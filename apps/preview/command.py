@@ -20,7 +20,7 @@ from glsplat.scenes.scene_file import SceneFile
 from glsplat.skinning.pose import Pose, load_pose
 from glsplat.skinning.rigs.driven import why_not_driven
 
-from ..args import add_detail, add_scene, colour, detail_of, driven, open_scene, point, size, tracked
+from ..args import add_detail, add_light, add_scene, colour, detail_of, driven, open_scene, point, size, tracked
 from ..output import save_png
 from ..usage import UsageError
 from . import headset
@@ -42,6 +42,7 @@ _FPS = 30.0  # of the clock under --frames
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command line."""
     add_scene(parser)
+    add_light(parser)
     parser.add_argument(
         "--motion", metavar="FILE", help=f"a motion: {KINDS}, or a name (default: an embedded one, if it fits)"
     )
@@ -172,6 +173,8 @@ def _check_connect(args: argparse.Namespace) -> None:
                 raise UsageError(f"--{name.replace('_', '-')} goes with --connect; without a server, see --motion")
     elif args.background is not None:
         raise UsageError("--background does not go with --connect: a server's pictures are on black")
+    elif args.light is not None:
+        raise UsageError("--light does not go with --connect: the server lights its pictures (serve --light)")
     elif detail_of(args) != detail_of(argparse.Namespace(level=None, lod_bias=None, cull_hidden=False, exact=False)):
         raise UsageError("--level, --lod-bias, --cull-hidden and --exact do not go with --connect: a server decides")
 

@@ -22,14 +22,14 @@ from glsplat.scene import Rigged
 from glsplat.tracking.calibration import Calibration
 from glsplat.watermark.mark import WatermarkKey
 
-from ..args import add_detail, add_scene, add_solver, detail_of, load_avatar, open_scene, size
+from ..args import add_detail, add_light, add_scene, add_solver, detail_of, load_avatar, open_scene, size
 from ..logs import add_log_format, start_logging
 from ..usage import UsageError
 from .agreed import add_consent, policy_of, signing
 from .keys import Keys, add_keys, keys_of, watermark_of
 from .photos import add_photos, upload_config
 from .ready import Place, add_ready, announce, open_page
-from .rooms import add_rooms, check_rooms, open_rooms
+from .rooms import add_rooms, check_rooms, lit_rooms, open_rooms
 from .settings import add_settings, parsed, written
 from .study import add_study, study_of
 from .workers import add_workers, workers_of
@@ -47,6 +47,7 @@ __all__ = ["EXAMPLE", "HELP", "add_arguments", "check", "other_avatars", "parsed
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command line."""
     add_scene(parser)
+    add_light(parser)
     parser.add_argument(
         "--avatar",
         type=Path,
@@ -242,7 +243,7 @@ def run(args: argparse.Namespace) -> int:
         uploads=signing(upload_config(args), policy),
         consent=policy,
         solver=args.solver,
-        rooms=open_rooms(args),
+        rooms=lit_rooms(open_rooms(args), scene),
         workers=workers,
         idle=not args.no_idle,
         lead=None if study is None else study.lead,

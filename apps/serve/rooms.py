@@ -13,7 +13,7 @@ from glsplat.scenes.scene_file import SceneFile, load_scene
 
 from ..usage import UsageError
 
-__all__ = ["RoomChoice", "add_rooms", "check_rooms", "open_rooms", "room_choice"]
+__all__ = ["RoomChoice", "add_rooms", "check_rooms", "lit_rooms", "open_rooms", "room_choice"]
 
 _MOST = 64  # people
 
@@ -63,6 +63,13 @@ def check_rooms(args: argparse.Namespace) -> None:
     for room in args.room:
         if room.seats > args.max_clients and room.seats != SEATS:
             raise UsageError(f"--room {room.name}: {room.seats} people need --max-clients {room.seats} or more")
+
+
+def lit_rooms(rooms: dict[str, SceneFile], scene: SceneFile) -> dict[str, SceneFile]:
+    """The rooms, those whose file has no light under that of the server's ``scene``."""
+    for room in rooms.values():
+        room.scene.light = room.scene.light or scene.scene.light
+    return rooms
 
 
 def open_rooms(args: argparse.Namespace) -> dict[str, SceneFile]:

@@ -76,4 +76,7 @@ def posed_splats(avatar: Avatar, pose: Pose) -> Splats:
         axes[:, :, 2] *= np.linalg.det(axes)[:, None]
         quats[bent], scales, cones = matrix_quaternions(axes), np.array(scales), None  # cones are along the old axes
         scales[bent] = sizes
-    return Splats.create(posed.means, quats, scales, splats.opacities, sh, antialias=splats.antialias, cones=cones)
+    surface = None if splats.surface is None else splats.surface.turned(posed.rotations)
+    return Splats.create(
+        posed.means, quats, scales, splats.opacities, sh, antialias=splats.antialias, cones=cones, surface=surface
+    )

@@ -102,6 +102,7 @@ class Format:
     rigs: bool = False  # holds avatars
     cones: bool = False  # holds visibility cones
     levels: bool = False  # holds levels of detail
+    surfaces: bool = False  # holds what light falls on
     order: Callable[[Splats], NDArray[np.intp]] | None = None
     save_mesh: Callable[[RiggedMesh, Source], None] | None = None  # writes meshes, too
     marked: bool = True  # begins with a mark of its own; formats without one are tried last
@@ -127,6 +128,8 @@ class Format:
                 yield "the signed consent is dropped, only a .glb carries one"
         if splats_of(scene).cones is not None and not self.cones:
             yield "the visibility cones are dropped"
+        if splats_of(scene).surface is not None and not self.surfaces:
+            yield "the surface is dropped, light will not change what is read back"
         if scene.levels and not self.levels:
             count = len(scene.levels)
             yield f"{count} coarser level{'s' if count > 1 else ''} of detail dropped, the file holds the finest"

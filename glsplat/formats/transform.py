@@ -43,9 +43,10 @@ def transformed(splats: Splats, matrix: F64) -> Splats:
         sh = splats.sh
         if splats.sh_degree:
             sh = np.einsum("kl,nlc->nkc", sh_rotations(turn, splats.sh_degree), sh.astype(np.float64))
+        surface = None if splats.surface is None else splats.surface.turned(np.linalg.inv(linear).T.astype(np.float64))
         made = Splats.create(
             means, quats, scales, splats.opacities, sh,
-            antialias=splats.antialias, cones=cones, cones_psnr=splats.cones_psnr,
+            antialias=splats.antialias, cones=cones, cones_psnr=splats.cones_psnr, surface=surface,
         )  # fmt: skip
     if not splats.levels:
         return made

@@ -88,13 +88,20 @@ class Arena:
                 (item,) = items
                 assert item.rest is not None
                 self.splats, self.origin = item.rest, item.centre
+            self._surfaces: moderngl.Texture | None = None  # made once there is light
+            self._ctx, self._height = ctx, height
             self._owned = stack.pop_all()
 
     @property
     def nbytes(self) -> int:
-        """GPU bytes of the posed geometry, the scratch buffer and the cones."""
+        """GPU bytes of the posed geometry, the scratch buffer, the cones and the surfaces."""
         posed = self.splats.width * self.splats.height * 16 if self.posed else 0
-        return posed + sum(buffer.size for buffer in (self._run, self.cones, self.numbers) if buffer is not None)
+        surfaces = 0 if self._surfaces is None else self._surfaces.width * self._surfaces.height * 16
+        return (
+            posed
+            + surfaces
+            + sum(buffer.size for buffer in (self._run, self.cones, self.numbers) if buffer is not None)
+        )
 
     @property
     def colour_nbytes(self) -> int:
@@ -151,6 +158,22 @@ class Arena:
         """Bind the textures for the passes of a frame."""
         self.splats.use(UNITS["splats"])
         self.colours.use(UNITS["colours"])
+
+    @property
+    def surfaced(self) -> bool:
+        """Whether any of its splats know the surface they lie on."""
+        return any(item.splats.surface is not None for item in self.items)
+
+    def use_surfaces(self) -> None:
+        """Bind what light falls on (light.glsl), uploaded the first time: without light nobody pays for it."""
+        if self._surfaces is None:
+            with ExitStack() as stack:
+                made = upload_rows(self._ctx, np.empty((0, 1), np.float32), 2, 4, stack, self._height)
+                for item, first in zip(self.items, self.first, strict=False):
+                    write_rows(made, int(first), item.surfaces(), 2, 4)
+                stack.pop_all()
+            self._surfaces = _own(self._owned, made)
+        self._surfaces.use(UNITS["surfaces"])
 
     def written(self, index: int = 0) -> bool:
         """Whether the range of an item holds what it was last asked to hold."""

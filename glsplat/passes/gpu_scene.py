@@ -17,6 +17,7 @@ from glsplat.config import CULL_PSNR, RenderConfig
 from glsplat.detail.selector import Selector
 from glsplat.errors import ContextError, GlsplatError, PoseError
 from glsplat.gl.context import Context
+from glsplat.light.light import Light
 from glsplat.meshes import RiggedMesh
 from glsplat.passes.arena import Arena
 from glsplat.passes.drawable import PASSES, Drawable, Part
@@ -72,6 +73,7 @@ class GpuScene:
         self._unseen: frozenset[int] = frozenset()  # visible items in none of the views' layers, by id()
         self.arenas = 0  # made so far
         self._present: tuple[Item, ...] = ()  # of the scene as the frame's beginning finds it: other threads change it
+        self.light: Light | None = None  # of the scene, likewise
         self._visible: list[Item] = []  # the visible splat items among them, in order
         self._visible_meshes: list[Item] = []
         try:
@@ -179,6 +181,7 @@ class GpuScene:
             sampled=self._samples if self._standing and self._samples > 1 else 0,
             numbered=not self._context.vertex_ids,
             cones=self.arena.cones is not None,
+            lit=self.light is not None and self.arena.surfaced,
         )
         assert self._drawable is not None
         parts = (self._context, self._programs, variant, self.arena, self._config)
@@ -198,7 +201,7 @@ class GpuScene:
 
     def _look(self, layers: int) -> None:
         """Which items there are, and which of them are visible and in the views' layers, once a frame."""
-        self._present = self.scene.items
+        self._present, self.light = self.scene.items, self.scene.light
         visible = [item for item in self._present if item.visible]
         self._unseen = frozenset(id(item) for item in visible if not item.layers & layers)
         self._visible = [item for item in visible if not isinstance(item.content, RiggedMesh)]

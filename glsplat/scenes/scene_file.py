@@ -20,6 +20,7 @@ from glsplat.errors import FormatError, GlsplatError
 from glsplat.formats.format import A_MOTION, Opened, opened
 from glsplat.formats.registry import is_scene_file, read
 from glsplat.io.files import Source
+from glsplat.light.light import Light
 from glsplat.motion.kinds import is_gltf, is_motion
 from glsplat.scene import Content, Item, Scene, SceneLike, similarity
 from glsplat.skinning.pose import Pose, load_pose
@@ -58,6 +59,7 @@ class _File(msgspec.Struct, forbid_unknown_fields=True):
     items: list[_Item]
     up: str = "y"
     background: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    light: Any = None
 
 
 _decoder = msgspec.json.Decoder(_File)
@@ -160,6 +162,9 @@ class _Reading:
         if not trail:
             self.out.background, self.out.up = data.background, data.up
         try:
+            light = None if data.light is None else Light.from_json(data.light)
+            if not trail:
+                self.out.scene.light = light
             colour(data.background, "background")
             turn = place @ upright(data.up)
         except GlsplatError as error:

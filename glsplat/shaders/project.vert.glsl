@@ -6,6 +6,9 @@
 #include "splat_input.glsl"
 #include "project.glsl"
 #include "sh.glsl"
+#if LIT
+#include "light.glsl"
+#endif
 
 in uint order;  // the index of the splat; far to near
 out vec3 rgb0;
@@ -46,8 +49,15 @@ void main() {
     int index = int(order);
     Splat splat = splat_of(index);
     see(splat, index, 0, rgb0, alpha0, centre0, cholesky0, z0);
+#if LIT
+    vec3 shade = shading(index, splat.shape);
+    rgb0 = lit(rgb0, shade);
+#endif
 #if VIEWS > 1
     see(splat, index, 1, rgb1, alpha1, centre1, cholesky1, z1);
+#if LIT && !SHARED_RGB
+    rgb1 = lit(rgb1, shade);
+#endif
 #endif
     gl_Position = vec4(0.0);
 }

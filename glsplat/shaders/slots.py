@@ -15,6 +15,7 @@ FRAME_BLOCK = 0
 UNITS = {
     "splats": 0,  # arena: geometry (splat_input.glsl)
     "colours": 1,  # arena: SH (sh.glsl)
+    "surfaces": 2,  # arena: normals and shades (light.glsl)
     "bones": 2,  # bone texture of an avatar or a mesh (skin.glsl)
     "mesh_z": 3,  # meshes of a scene, a texture a view (ground.glsl)
     "mesh_z_2": 6,

@@ -53,6 +53,7 @@ class Variant:
     depth: int = 0  # a second target takes weight times camera z
     occluded: int = 0  # meshes at pixel centres, and splats are tested against their z
     sampled: int = 0  # samples a pixel of meshes; without occluded there is nothing else, and coverage is their alpha
+    lit: int = 0  # light falls on surfaces (light.glsl)
     numbered: int = 0  # an attribute numbers the splats where the driver's gl_VertexID does not
     target: str = "330"  # or "es300": one draw a view, records pulled from a texture
 
@@ -165,6 +166,7 @@ def variant_for(
     sampled: int = 0,  # samples
     numbered: bool = False,
     cones: bool = False,  # some of the splats are culled by them
+    lit: bool = False,  # there is light, and some of the splats know their surface
 ) -> Variant:
     """What a scene needs under a config, and nothing more."""
     degree = min(stored_degree, sh_degree, config.sh_degree)
@@ -180,6 +182,7 @@ def variant_for(
         triangle=int(triangle),
         pulled=int(pulled),
         cull_hidden=int(cones),
+        lit=int(lit),
         cut=int(config.max_sigma < 3.33),
         depth=int(depth),
         occluded=int(occluded),

@@ -128,6 +128,9 @@ def rows() -> list[Variant]:
         out.append(Variant(views=views, cull_hidden=1, posed=1, cut=1))
         out.append(Variant(views=views, cut=1))
         out.append(Variant(views=views, numbered=1, cull_hidden=1))
+        out.append(Variant(views=views, lit=1))
+        for degree in degrees[1:]:
+            out.append(Variant(views=views, posed=1, turned=int(degree["sh_degree"] > 0), lit=1, **degree))
         for degree in degrees[:2]:
             for flags in ({"triangle": 1}, {}, {"triangle": 1, "antialias": 1}, {"triangle": 1, "depth": 1}):
                 out.append(Variant(views=views, pulled=1, **degree, **flags))
@@ -193,6 +196,7 @@ def test_the_rows_reach_every_branch() -> None:
         "triangle",
         "posed",
         "cut",
+        "lit",
         "numbered",
         "pulled",
     ):

@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from glsplat.authoring.light.surfaces import carried
 from glsplat.authoring.optimize import descent
 from glsplat.authoring.optimize.loss import loss_of
 from glsplat.authoring.optimize.pictures import TargetPicture
@@ -206,6 +207,7 @@ class _Fit:
             np.where(alive, (rgb - 0.5) / SH_C0, first.sh[:, 0])[:, None],
             antialias=self._antialias,
         )
+        made = replace(made, surface=carried(first.surface, first, made))
         skin = Skin(self._joints.astype(self._avatar.skin.joints.dtype), self._weights.astype(np.float32))
         return replace(self._avatar, splats=made, skin=skin, levels=())
 

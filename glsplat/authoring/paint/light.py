@@ -41,7 +41,14 @@ class Light:
         return _shade(normals, self.direction, self.up, self.strength)
 
 
-def find_light(normals: F64, linear: F64, trust: F64, up: F64, towards: F64) -> Light:
+def find_light(
+    normals: F64,
+    linear: F64,
+    trust: F64,
+    up: F64,
+    towards: F64,
+    doubts: tuple[float, float] = (_LEAN, _STRENGTHS),  # of the prior: the lamp's direction, the log of its strength
+) -> Light:
     """The light on seen points: unit ``normals`` [M, 3], ``linear`` colours [M, 3], ``trust`` [M].
 
     ``up`` [3] and ``towards`` [3] (from the person to the camera) are unit vectors in the same axes.
@@ -71,7 +78,7 @@ def find_light(normals: F64, linear: F64, trust: F64, up: F64, towards: F64) -> 
         albedo = np.bincount(kind, brightness - shade, minlength=_COLOURS) / count
         off = (brightness - shade - albedo[kind]) / _SPREAD
         off /= np.sqrt(1 + (off / 2) ** 2)  # what is printed on cloth must not count as light
-        prior = np.array([x[0] / _LEAN, x[1] / _LEAN, (x[2] - _STRENGTH) / _STRENGTHS])
+        prior = np.array([x[0] / doubts[0], x[1] / doubts[0], (x[2] - _STRENGTH) / doubts[1]])
         return np.concatenate([off * np.sqrt(60 / len(off)), prior])
 
     def rows(x: F64, derive: bool) -> tuple[F64, F64]:

@@ -14,6 +14,7 @@ from glsplat.authoring.fit.details import fit_details
 from glsplat.authoring.fit.eyes import EyeLook, read_eyes
 from glsplat.authoring.fit.fit import BodyFit, fit_body
 from glsplat.authoring.fit.view import View
+from glsplat.authoring.light.capture import captured_light, with_captured_light
 from glsplat.authoring.networks.people import DetectedPerson, find_person
 from glsplat.authoring.networks.person import LANDMARKS
 from glsplat.authoring.paint.dress import dressed_mesh
@@ -95,6 +96,10 @@ class Builtin:
         unseen = float(np.average(painted.seen < _HARDLY, weights=1 / strewn.density))
         options.progress("placing splats", 1.0)
         avatar = sharp(avatar, mesh, painter.colours, shots, options)
+        if not options.keep_light:
+            options.progress("finding the light", 0.0)
+            avatar = with_captured_light(avatar, mesh, captured_light(mesh, shots, painter.light))
+            options.progress("finding the light", 1.0)
         return MadeAvatar(avatar=avatar, fit=fit, mesh=mesh, unseen=unseen, seen=_seen(shots), problem=fit.problem)
 
     def mesh(self, pictures: Mapping[str, Picture], masks: Mapping[str, Mask], options: Options) -> FittedBody:

@@ -46,6 +46,7 @@ class Options:
     seed: int = 0
     steps: int = 400  # of fitting the splats to pictures; 0: none
     texture: int = 2048  # texels a side, where a mesh is made
+    keep_light: bool = False  # of the photographs in the colours, and nothing said of it: never lit again
     progress: Progress = _silent
 
     def __post_init__(self) -> None:

@@ -18,12 +18,15 @@ from glsplat.formats.gltf.container import Container, Primitive
 from glsplat.formats.gltf.fallback import write_fallback
 from glsplat.formats.gltf.output import Output
 from glsplat.formats.spz import spz_splats
+from glsplat.light.surface import SHADE_ONE, Surface
 from glsplat.splats import SH_C0, Splats
 
 __all__ = [
     "ANTIALIAS",
+    "COLOUR",
     "EXTENSION",
     "SPZ_EXTENSION",
+    "colour_note",
     "number_of",
     "our_extras",
     "packed_view",
@@ -38,6 +41,12 @@ SPZ_EXTENSION = "KHR_gaussian_splatting_compression_spz_2"
 ANTIALIAS = "antialias"
 """In asset.extras.glsplat: Splats.antialias of all splats in the file."""
 
+COLOUR = "colour"
+"""In asset.extras.glsplat: what the splats' colours are. "albedo", or "shaded": what a picture showed, whose light
+``_OCCLUSION`` tells; both are lit by a scene's light. "baked" and all else are not."""
+
+_ALBEDO, _SHADED = "albedo", "shaded"
+_NORMAL, _OCCLUSION = "_NORMAL", "_OCCLUSION"  # Splats.surface: (x, y, z, 0); (occlusion, shade r, g, b)
 _CONE = (
     "_VISIBILITY_CONE"  # Splats.cones; an attribute of an application's own starts with an underscore (glTF 2.0, 3.7.2)
 )
@@ -55,6 +64,11 @@ def write_splats(out: Output, splats: Splats) -> Primitive:
         attributes[f"{EXTENSION}:SH_DEGREE_{degree}_COEF_{n}"] = out.add(splats.sh[:, k], "VEC3")
     if splats.cones is not None:
         attributes[_CONE] = out.add(splats.cones, "VEC4", normalized=True)
+    if splats.surface is not None:
+        surface, count = splats.surface, len(splats)
+        attributes[_NORMAL] = out.add(np.pad(surface.normals, ((0, 0), (0, 1))), "VEC4", normalized=True)
+        packed = np.concatenate([surface.occlusion.reshape(count, 1), surface.shades_or_one()], axis=1)
+        attributes[_OCCLUSION] = out.add(packed, "VEC4", normalized=True)
     attributes["COLOR_0"] = write_fallback(out, splats)
     return Primitive(
         attributes=attributes,
@@ -112,7 +126,15 @@ def read_splats(container: Container, primitive: Primitive, name: str) -> Splats
         antialias=container.note().get(ANTIALIAS) is True,
         cones=_cones(container, attributes[_CONE], len(means), name) if _CONE in attributes else None,
         cones_psnr=number_of(our_extras(primitive.extras).get(_CONES_PSNR)),
+        surface=_surface(container, attributes, len(means), name),
     )
+
+
+def colour_note(splats: Splats) -> dict[str, str]:
+    """What the extras say of the colours; nothing of baked ones."""
+    if splats.surface is None:
+        return {}
+    return {COLOUR: _ALBEDO if splats.surface.shade is None else _SHADED}
 
 
 def our_extras(extras: Any) -> dict[str, Any]:
@@ -132,6 +154,23 @@ def _cones(container: Container, index: int, count: int, name: str) -> NDArray[n
     if raw.dtype != np.int8 or len(raw) != count:
         raise FormatError(f"{name}: {_CONE} needs {count} elements of signed bytes, not {len(raw)} of {raw.dtype}")
     return np.ascontiguousarray(raw, np.int8)
+
+
+def _surface(container: Container, attributes: dict[str, int], count: int, name: str) -> Surface | None:
+    """The surface that colours of albedo, or shaded ones, come with. Raises FormatError for what does not fit."""
+    said = container.note().get(COLOUR)
+    if said not in (_ALBEDO, _SHADED) or not {_NORMAL, _OCCLUSION} <= attributes.keys():
+        return None
+    found = []
+    for key, kind in ((_NORMAL, np.int8), (_OCCLUSION, np.uint8)):
+        raw = container.read(attributes[key], f"{name} {key}", ("VEC4",))
+        if raw.dtype != kind or len(raw) != count:
+            wanted = np.dtype(kind).name
+            raise FormatError(f"{name}: {key} needs {count} elements of {wanted}, not {len(raw)} of {raw.dtype}")
+        found.append(np.array(raw, kind))  # their columns go apart
+    normals, packed = found
+    shade = None if said == _ALBEDO or (packed[:, 1:] == SHADE_ONE).all() else packed[:, 1:]
+    return Surface(normals[:, :3], packed[:, 0], shade)
 
 
 def _logarithmic(scales: NDArray[np.float32]) -> bool:

@@ -22,7 +22,16 @@ from glsplat.formats.gltf.levels import finest_of, read_levels, write_levels
 from glsplat.formats.gltf.morphs import shapes_of, write_shapes
 from glsplat.formats.gltf.nodes import Graph, Instance, graph_of, instances
 from glsplat.formats.gltf.output import Output
-from glsplat.formats.gltf.primitive import ANTIALIAS, EXTENSION, SPZ_EXTENSION, packed_view, read_splats, write_splats
+from glsplat.formats.gltf.primitive import (
+    ANTIALIAS,
+    COLOUR,
+    EXTENSION,
+    SPZ_EXTENSION,
+    colour_note,
+    packed_view,
+    read_splats,
+    write_splats,
+)
 from glsplat.formats.gltf.rig import (
     SKIN_WEIGHTS,
     read_skeleton,
@@ -33,6 +42,7 @@ from glsplat.formats.gltf.rig import (
 )
 from glsplat.formats.transform import transformed
 from glsplat.io.files import Source
+from glsplat.light.surface import Surface
 from glsplat.meshes import RiggedMesh
 from glsplat.scene import Content
 from glsplat.splats import Splats
@@ -108,8 +118,10 @@ def save_gltf(scene: Splats | Avatar, target: Source, *, embedded: bool | None =
         note |= dict(scene.meta)
         note |= weights_note(scene.skin)
     note.pop(ANTIALIAS, None)  # the splats decide, whatever an avatar's metadata says
+    note.pop(COLOUR, None)
     if splats.antialias:
         note[ANTIALIAS] = True
+    note |= colour_note(splats)
     gltf.extensions_used = [EXTENSION, UNLIT]
     write_levels(out, scene)
     out.note(note)
@@ -133,6 +145,7 @@ def _scene(container: Container) -> Splats | Avatar:
         skeleton = read_skeleton(container, skinned[0], graph)
         note = container.note()
         note.pop(ANTIALIAS, None)
+        note.pop(COLOUR, None)
         stored = note.pop(SKIN_WEIGHTS, None)
         skin = read_skin(container, skinned[0], len(skeleton), len(splats), stored)
         shapes = shapes_of(container, skinned[0], len(splats))
@@ -168,6 +181,7 @@ def _merged(container: Container, graph: Graph, found: list[Instance]) -> Splats
         all(p.antialias for p in parts),
         np.concatenate(cones) if len(cones) == len(parts) else None,
         min(kept) if len(kept) == len(parts) else None,
+        surface=Surface.joined([p.surface for p in parts], list(map(len, parts))),
     )
 
 
@@ -196,6 +210,7 @@ GLB = Format(
     rigs=True,
     cones=True,
     levels=True,
+    surfaces=True,
 )
 
 GLTF = Format(
@@ -209,4 +224,5 @@ GLTF = Format(
     rigs=True,
     cones=True,
     levels=True,
+    surfaces=True,
 )

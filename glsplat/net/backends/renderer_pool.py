@@ -45,7 +45,8 @@ class SceneRenderer:
         self.scene: Scene = scene
         if hide:
             self._item = _without(self._source, hide)
-            self.scene = Scene(self._item if item is self._source else item for item in scene)
+            items = (self._item if item is self._source else item for item in scene)
+            self.scene = Scene(items, light=scene.light)
         self.renderer: Renderer = make(self.scene)
         self.selector = selectors()
 
@@ -157,7 +158,8 @@ class RendererPool:
         return item.content
 
     def _renderer_of(self, name: str, hide: tuple[str, ...]) -> SceneRenderer:
-        return SceneRenderer(Scene.of(self._avatars[name]) if name else self._scene, hide, self._make)
+        scene = Scene([Item(self._avatars[name])], light=self._scene.light) if name else self._scene
+        return SceneRenderer(scene, hide, self._make)
 
 
 def _without(item: Item | None, parts: tuple[str, ...]) -> Item:

@@ -57,7 +57,7 @@ class RoomRenderer:
     ) -> None:
         self._background, self._figure_of = background, figure_of
         self._people: dict[int, _Shown] = {}
-        self.scene: Scene = Scene(background.scene)
+        self.scene: Scene = Scene(background.scene, light=background.scene.light)
         self.renderer: Renderer = make(self.scene)
         self.selector = selectors()
 

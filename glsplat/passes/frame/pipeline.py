@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from glsplat.camera import Camera
 from glsplat.config import RenderConfig
 from glsplat.gl.context import Context
+from glsplat.light.light import Light
 from glsplat.passes.arena import Arena
 from glsplat.passes.block import FrameBlock
 from glsplat.passes.frame.draw import DrawPass, Slices, corners_of, fits
@@ -104,15 +105,21 @@ class Pipeline:
         timer: StageTimer,
         costed: bool = False,  # and count what drawing them costs
         shared: bool = False,  # other passes of the frame come here, too: an old order may be theirs
+        light: Light | None = None,  # of the scene
     ) -> bool:
         """Steps 1 to 3, up to the records in drawing order. True if the splats were sorted again."""
         arena = self._arena
         self._frame.write(views, sort_viewmat, arena.origin, self._config)
         arena.use()
+        if not self.variant.lit:
+            light = None
+        else:
+            arena.use_surfaces()
         self._scratch.use()  # without a complete framebuffer transform feedback silently writes nothing
         timer.mark("frame")
         # an unmoved scene seen by unmoved cameras keeps its order and its records
-        state = (arena.version, arena.shown, sort_viewmat.tobytes(), tuple(map(view_state, views)))
+        shone = None if light is None else light.uniforms().tobytes()
+        state = (arena.version, arena.shown, sort_viewmat.tobytes(), tuple(map(view_state, views)), shone)
         moved = state != self._seen
         if not moved and self._order_age == 0 and not (costed and self.cost is None):
             return False
@@ -149,7 +156,7 @@ class Pipeline:
             self._listed = order
             self._project.write_order(_in_arena(order, ranges))
         timer.mark("sort")
-        self._project.run()
+        self._project.run(light)
         timer.mark("project")
         self._order_age = age
         self._seen = state

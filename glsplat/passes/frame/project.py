@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.gl.context import Context
+from glsplat.light.light import Light
 from glsplat.shaders import Programs, Variant, record_layout
 
 __all__ = ["ProjectPass"]
@@ -39,9 +40,13 @@ class ProjectPass:
                 self.order.orphan()  # new memory instead of a wait
             self.order.write(np.ascontiguousarray(order))
 
-    def run(self) -> None:
-        """Project the splats of ``order``."""
+    def run(self, light: Light | None = None) -> None:
+        """Project the splats of ``order``; under ``light`` with variant.lit."""
         if self.count:
+            if light is not None:  # the program may have been run under another one since
+                uniform = self._array.program["light"]
+                assert isinstance(uniform, moderngl.Uniform)
+                uniform.write(light.uniforms().tobytes())
             self._array.transform(self.records, moderngl.POINTS, vertices=self.count)
 
     def release(self) -> None:

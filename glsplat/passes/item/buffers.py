@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from glsplat.gl.context import Context
 from glsplat.passes.item.shape_buffers import ShapeBuffers
-from glsplat.rotations import is_rigid, rodrigues_parameters
+from glsplat.rotations import is_rigid, rodrigues_parameters, signed_axes
 from glsplat.shaders import Programs, SkinVariant, Variant
 from glsplat.shaders.slots import UNITS
 from glsplat.shaders.variant import COLOUR_TEXELS, ROW_BITS
@@ -212,6 +212,16 @@ class ItemBuffers:
         rows[:, 3] = self.splats.opacities
         rows[:, 4:8] = self.splats.quats
         rows[:, 8:11] = self.splats.scales
+
+    def surfaces(self) -> NDArray[np.float32]:
+        """[N, 8] as light.glsl reads them: normal in the splat's own axes, occlusion, 1 / shade, nothing."""
+        rows = np.zeros((self.count, 8), np.float32)
+        surface = self.splats.surface
+        if surface is not None:
+            rows[:, :3] = surface.in_axes(signed_axes(self.splats.quats, self.splats.scales))
+            rows[:, 3] = surface.ao
+            rows[:, 4:7] = 1 / surface.shades
+        return rows
 
     def colours(self, degree: int) -> NDArray[np.float32]:
         """[N, floats] coefficients as sh.glsl reads them in a scene of ``degree``, rgb after rgb; higher ones are 0."""

@@ -1,0 +1,140 @@
+"""The surface that an avatar's splats lie on: normals and occlusion of the mesh that they were made of."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from glsplat.authoring.light.occlusion import ambient_occlusion
+from glsplat.authoring.visibility import probe_poses
+from glsplat.avatar import Avatar
+from glsplat.light.surface import Surface
+from glsplat.meshes import RiggedMesh, vertex_normals
+from glsplat.rotations import signed_axes
+from glsplat.skinning.pose import Pose
+from glsplat.splats import Splats
+
+__all__ = ["Nearest", "carried", "nearest_on", "open_pose", "opened", "with_surface"]
+
+F64 = NDArray[np.float64]
+
+_SPACING = 0.004  # metres between points on triangles, at most so many of each
+_MOST = 64
+_CANDIDATES = 12  # nearest points, of which one is open and faces as the splat does
+_SIDEWAYS, _HIDDEN = 0.004, 0.02  # metres that facing another way is worth, and lying inside (a mouth behind a cheek)
+_INSIDE = 0.1  # occlusion of what lies inside
+_DARKEST = 0.25  # occlusion at least: teeth are hidden while the mouth is shut, and not black when it opens
+_AS_MANY = 4  # splats of a finer one that a coarser one's surface is the mean of, at most
+
+
+class Nearest:
+    """For each of N splats the corners [N, 3] of the triangle it lies nearest to, and where on it [N, 3]."""
+
+    def __init__(self, corners: NDArray[np.intp], weights: F64) -> None:
+        self.corners, self.weights = corners, weights
+
+    def at(self, values: F64) -> F64:
+        """[N, ...] of values [V, ...] of the vertices."""
+        flat = values.reshape(len(values), -1)
+        return np.einsum("nk,nkc->nc", self.weights, flat[self.corners]).reshape(-1, *values.shape[1:])
+
+    def directions(self, values: F64) -> F64:
+        """[N, 3] at unit length; zero where those of the corners cancel."""
+        mixed = self.at(values)
+        return np.asarray(mixed / np.maximum(np.linalg.norm(mixed, axis=1, keepdims=True), 1e-12))
+
+
+def nearest_on(mesh: RiggedMesh, splats: Splats, occlusion: F64) -> Nearest:
+    """Where on the mesh (in the zero pose, as the splats are) each splat lies.
+
+    Of layers that are near, the one that is open by the vertices' ``occlusion`` [V], and parallel to the splat.
+    """
+    vertices = mesh.posed(Pose.zero(len(mesh.skeleton)))
+    faces = mesh.faces
+    corner = vertices[faces]
+    across = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    area = np.linalg.norm(across, axis=1) / 2
+    face_normals = across / np.maximum(2 * area, 1e-20)[:, None]
+    count = np.clip(np.ceil(area / _SPACING**2), 1, _MOST).astype(np.intp)
+    which = np.repeat(np.arange(len(faces)), count)
+    number = np.arange(len(which)) - np.repeat(np.cumsum(count) - count, count)
+    root = np.sqrt((number + 0.5) / count[which])
+    along = (number * 0.6180339887498949) % 1  # golden ratio: even over the triangle
+    weights = np.where(
+        (count[which] == 1)[:, None], 1 / 3, np.stack([1 - root, root * (1 - along), root * along], axis=1)
+    )
+    points = np.einsum("nk,nkc->nc", weights, corner[which])
+    means = np.nan_to_num(splats.means.astype(np.float64), posinf=0, neginf=0)
+    far, near = cKDTree(points).query(means, min(_CANDIDATES, len(points)))
+    far, near = far.reshape(len(means), -1), near.reshape(len(means), -1)
+    facing = np.abs(np.einsum("nkc,nc->nk", face_normals[which[near]], thin_axes(splats)))
+    hidden = (occlusion[faces].mean(axis=1) < _INSIDE)[which[near]]
+    cost = far + _SIDEWAYS * (1 - facing) + _HIDDEN * hidden
+    chosen = np.take_along_axis(near, cost.argmin(axis=1)[:, None], axis=1)[:, 0]
+    return Nearest(faces[which[chosen]].astype(np.intp), _projected(means, corner[which[chosen]]))
+
+
+def _projected(points: F64, corner: F64) -> F64:
+    """[N, 3] barycentric coordinates of points [N, 3] laid onto their triangles [N, 3, 3], drawn in to their edges."""
+    u, v, w = corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0], points - corner[:, 0]
+    uu, uv, vv, wu, wv = (np.einsum("nc,nc->n", a, b) for a, b in ((u, u), (u, v), (v, v), (w, u), (w, v)))
+    area = np.maximum(uu * vv - uv * uv, 1e-24)
+    second, third = (wu * vv - wv * uv) / area, (wv * uu - wu * uv) / area
+    weights = np.clip(np.stack([1 - second - third, second, third], axis=1), 0, 1)
+    return np.asarray(weights / weights.sum(axis=1, keepdims=True))
+
+
+def opened(occlusion: F64) -> F64:
+    """Occlusion that leaves hollows some light."""
+    return np.maximum(occlusion, _DARKEST)
+
+
+def thin_axes(splats: Splats) -> F64:
+    """[N, 3] the shortest axis of each splat, of either sign; zero where it has none."""
+    axes = signed_axes(np.nan_to_num(splats.quats), np.nan_to_num(splats.scales))
+    thin = np.abs(np.nan_to_num(splats.scales)).argmin(axis=1)
+    return np.asarray(np.take_along_axis(axes, thin[:, None, None], axis=2)[:, :, 0])
+
+
+def open_pose(names: tuple[str, ...]) -> Pose:
+    """The pose in which occlusion is measured: standing, with the arms half down, or the zero pose."""
+    poses = probe_poses(names)
+    return poses[1] if len(poses) > 1 else poses[0]
+
+
+def with_surface(avatar: Avatar, mesh: RiggedMesh) -> Avatar:
+    """The avatar with normals and occlusion of the ``mesh`` that it was made of; levels too. Its colours are albedo.
+
+    Occlusion is of one pose, arms half down. A mesh's texture is taken for albedo: where it holds light, that stays.
+    """
+    pose = open_pose(mesh.skeleton.names)
+    occlusion = ambient_occlusion(mesh, mesh.posed(pose))
+    normals = vertex_normals(mesh.posed(Pose.zero(len(mesh.skeleton))), mesh.faces)
+
+    def surfaced(one: Avatar) -> Avatar:
+        where = nearest_on(mesh, one.splats, occlusion)
+        surface = Surface.of(where.directions(normals), opened(where.at(occlusion)))
+        return replace(one, splats=replace(one.splats, surface=surface))
+
+    levels = tuple(replace(level, content=surfaced(level.content)) for level in avatar.levels)
+    return replace(surfaced(replace(avatar, levels=())), levels=levels)
+
+
+def carried(surface: Surface | None, before: Splats, after: Splats) -> Surface | None:
+    """The surface of splats that were made of others: the mean of as many of the nearest as each stands for.
+
+    Where there are as many they are the same ones moved a little, and each takes the nearest's.
+    """
+    usable = np.flatnonzero(before.finite())
+    if surface is None or not len(usable):
+        return None
+    k = int(np.clip(round(len(before) / max(len(after), 1)), 1, min(_AS_MANY, len(usable))))
+    means = np.nan_to_num(after.means.astype(np.float64), posinf=0, neginf=0)
+    near = usable[cKDTree(before.means[usable].astype(np.float64)).query(means, k)[1].reshape(len(means), k)]
+    normals = surface.units[near].sum(axis=1)
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+    shade = None if surface.shade is None else np.exp2(np.log2(surface.shades[near]).mean(axis=1))
+    return Surface.of(normals, surface.ao[near].mean(axis=1), shade)

@@ -1,0 +1,202 @@
+"""Light: what falls on everything in a scene, an ambient part from all around and one sun or far lamp."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from glsplat.arrays import frozen, plain, restored
+from glsplat.errors import FormatError
+
+__all__ = ["PRESETS", "Light", "sh_irradiance"]
+
+F64 = NDArray[np.float64]
+
+_LARGEST = 1e4  # of a coefficient or a colour; beyond it is a mistake of units
+_UNIT = 1e-3  # that a direction's length may be off: written with three digits
+_CONSTANTS = (0.28209479177387814, 0.4886025119029199, 1.0925484305920792, 0.31539156525252005, 0.5462742152960396)
+_SPREAD = (1.0, 2 / 3, 0.25)  # of radiance of degree l in irradiance over pi, on a diffuse surface
+
+
+@dataclass(frozen=True, slots=True, eq=False, init=False, repr=False)
+class Light:
+    """Distant light in linear sRGB: radiance 1 from everywhere shows a surface in exactly its albedo.
+
+    ``ambient`` are nine coefficients of radiance in real spherical harmonics, (l, m) = (0, 0), (1, -1), (1, 0) to
+    (2, 2), without the Condon-Shortley sign, world axes; a constant radiance c has the first one c sqrt(4 pi). The sun
+    shines from ``sun_direction`` (from the scene to the light, unit) with irradiance ``sun_colour`` on what faces it;
+    pi lights as much as radiance 1 from everywhere. Raises FormatError for what is none.
+
+    >>> glsplat.Light.preset("left")
+    Light(mean radiance (0.30, 0.30, 0.32), sun from (-0.79, 0.43, 0.43))
+    >>> glsplat.Light.uniform(1.0).irradiance([[0, 1, 0]]).round(6).tolist()  # over pi
+    [[1.0, 1.0, 1.0]]
+    """
+
+    ambient: F64  # [9, 3]
+    sun_direction: F64 | None  # [3] unit; None: no sun
+    sun_colour: F64  # [3]
+
+    def __init__(
+        self,
+        ambient: ArrayLike,  # [9, 3]
+        sun_direction: ArrayLike | None = None,  # [3]
+        sun_colour: ArrayLike = (0.0, 0.0, 0.0),  # [3], none below 0
+    ) -> None:
+        held = _numbers(ambient, "a light's ambient", (9, 3))
+        colour = _numbers(sun_colour, "the sun's color", (3,))
+        if (colour < 0).any():
+            raise FormatError(f"the sun's color needs numbers of 0 and more, not {colour.tolist()}")
+        way = None
+        if sun_direction is not None:
+            way = _numbers(sun_direction, "the sun's direction", (3,))
+            length = float(np.linalg.norm(way))
+            if not abs(length - 1) <= _UNIT:
+                raise FormatError(f"the sun's direction needs a unit vector towards the light, not {way.tolist()}")
+            way = frozen(way / length)
+        elif colour.any():
+            raise FormatError("a sun needs a direction beside its color")
+        for name, value in (("ambient", held), ("sun_direction", way), ("sun_colour", colour)):
+            object.__setattr__(self, name, value)
+
+    @classmethod
+    def uniform(cls, radiance: ArrayLike = 1.0) -> Light:
+        """The same radiance, one number or rgb, from everywhere."""
+        ambient = np.zeros((9, 3))
+        ambient[0] = np.asarray(radiance, np.float64) / _CONSTANTS[0]
+        return cls(ambient)
+
+    @classmethod
+    def hemisphere(
+        cls,
+        sky: ArrayLike,  # [3] irradiance over pi on what faces up
+        ground: ArrayLike,  # [3] on what faces down
+        sun_direction: ArrayLike | None = None,  # [3] of any length but zero
+        sun_colour: ArrayLike = (0.0, 0.0, 0.0),  # [3]
+    ) -> Light:
+        """Light that grows evenly from the ground to the sky, and perhaps a sun."""
+        up, down = np.asarray(sky, np.float64), np.asarray(ground, np.float64)
+        ambient = np.zeros((9, 3))
+        ambient[0] = (up + down) / 2 / _CONSTANTS[0]
+        ambient[1] = (up - down) / 2 / (_CONSTANTS[1] * _SPREAD[1])
+        if sun_direction is None:
+            return cls(ambient)
+        way = _numbers(sun_direction, "the sun's direction", (3,))
+        length = float(np.linalg.norm(way))
+        if not length > 1e-9:
+            raise FormatError(f"the sun's direction needs a vector that is not zero, not {way.tolist()}")
+        return cls(ambient, way / length, sun_colour)
+
+    @classmethod
+    def preset(cls, name: str) -> Light:
+        """A light by name, one of ``PRESETS``. Raises FormatError for another.
+
+        They show a face about as bright as it was made: none is a change of exposure alone.
+        """
+        if name not in PRESETS:
+            raise FormatError(f"a light is one of {', '.join(PRESETS)}, or a JSON file, not {name!r:.60}")
+        sky, ground, way, colour = PRESETS[name]
+        return cls.hemisphere(sky, ground, way, np.multiply(colour, np.pi))
+
+    @classmethod
+    def from_json(cls, data: Any) -> Light:
+        """Of {"ambient": [[r, g, b] x 9], "sun": {"direction": [x, y, z], "color": [r, g, b]}}; the sun may be missing.
+
+        Also a preset's name. Raises FormatError.
+        """
+        if isinstance(data, str):
+            return cls.preset(data)
+        if not isinstance(data, Mapping):
+            raise FormatError(f"a light is an object with ambient and perhaps sun, not {type(data).__name__}")
+        for key in data:
+            if key not in ("ambient", "sun"):
+                raise FormatError(f"a light has the keys ambient and sun, not {str(key)!r:.40}")
+        if "ambient" not in data:
+            raise FormatError("a light needs ambient: nine coefficients of three numbers (0 for none)")
+        sun = data.get("sun")
+        if sun is None:
+            return cls(data["ambient"])
+        if not isinstance(sun, Mapping) or set(sun) != {"direction", "color"}:
+            raise FormatError("a light's sun is an object with direction and color")
+        return cls(data["ambient"], sun["direction"], sun["color"])
+
+    def to_json(self) -> dict[str, Any]:
+        """What ``from_json`` reads, to the same light."""
+        out: dict[str, Any] = {"ambient": self.ambient.tolist()}
+        if self.sun_direction is not None:
+            out["sun"] = {"direction": self.sun_direction.tolist(), "color": self.sun_colour.tolist()}
+        return out
+
+    def irradiance(self, normals: ArrayLike) -> F64:
+        """[N, 3] of the ambient part over pi on surfaces with unit normals [N, 3], never below 0.
+
+        After Ramamoorthi and Hanrahan, An Efficient Representation for Irradiance Environment Maps (2001).
+        """
+        return np.maximum(sh_irradiance(np.asarray(normals, np.float64)) @ self.ambient, 0)
+
+    def uniforms(self) -> NDArray[np.float32]:
+        """[11, 4] as light.glsl has them: nine coefficients by their monomials, the sun's direction, its colour."""
+        out = np.zeros((11, 4), np.float32)
+        out[:9, :3] = self.ambient * _FACTORS[:, None]
+        if self.sun_direction is not None:
+            out[9, :3], out[10, :3] = self.sun_direction, self.sun_colour / np.pi
+        return out
+
+    def same(self, other: Light | None) -> bool:
+        """Whether the other one lights everything alike."""
+        return other is not None and bool((self.uniforms() == other.uniforms()).all())
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return restored, (type(self), {f.name: getattr(self, f.name) for f in fields(self)})
+
+    def __repr__(self) -> str:
+        mean = ", ".join(f"{v:.2f}" for v in self.ambient[0] * _CONSTANTS[0])
+        way = self.sun_direction
+        sun = "" if way is None else f", sun from ({', '.join(f'{v:.2f}' for v in way)})"
+        return f"Light(mean radiance ({mean}){sun})"
+
+
+Preset = tuple[tuple[float, ...], tuple[float, ...], tuple[float, ...], tuple[float, ...]]
+
+PRESETS: dict[str, Preset] = {
+    "studio": ((0.62, 0.63, 0.66), (0.42, 0.41, 0.40), (0.35, 0.6, 0.8), (0.55, 0.53, 0.50)),
+    "day": ((0.60, 0.66, 0.76), (0.36, 0.34, 0.30), (0.4, 0.85, 0.5), (0.75, 0.71, 0.64)),
+    "evening": ((0.32, 0.36, 0.50), (0.26, 0.22, 0.20), (-0.7, 0.3, 0.65), (0.95, 0.62, 0.36)),
+    "night": ((0.14, 0.16, 0.22), (0.10, 0.10, 0.12), (0.5, 0.7, 0.5), (0.20, 0.24, 0.34)),
+    "left": ((0.34, 0.35, 0.38), (0.26, 0.25, 0.26), (-0.85, 0.46, 0.46), (0.90, 0.87, 0.82)),
+    "right": ((0.34, 0.35, 0.38), (0.26, 0.25, 0.26), (0.85, 0.46, 0.46), (0.90, 0.87, 0.82)),
+}
+"""Lights by name: sky, ground, where the sun is, its colour in shares of pi. Left and right are a viewer's in front."""
+
+_FACTORS = np.array(
+    [
+        _CONSTANTS[0] * _SPREAD[0],
+        *[_CONSTANTS[1] * _SPREAD[1]] * 3,
+        *[_CONSTANTS[2] * _SPREAD[2]] * 2,
+        _CONSTANTS[3] * _SPREAD[2],
+        _CONSTANTS[2] * _SPREAD[2],
+        _CONSTANTS[4] * _SPREAD[2],
+    ]
+)
+
+
+def sh_irradiance(normals: F64) -> F64:
+    """[N, 9] of irradiance over pi on unit normals [N, 3] by each coefficient of radiance (light.glsl)."""
+    x, y, z = normals.T
+    one = np.ones_like(x)
+    monomials = [one, y, z, x, x * y, y * z, 3 * z * z - 1, x * z, x * x - y * y]
+    return np.stack(monomials, axis=1) * _FACTORS
+
+
+def _numbers(value: ArrayLike, what: str, shape: tuple[int, ...]) -> F64:
+    array = plain(value, what)
+    if array.shape != shape:
+        raise FormatError(f"{what} needs {' x '.join(map(str, shape))} numbers, not an array of {array.shape}")
+    held = np.array(array, np.float64)
+    if not (np.isfinite(held).all() and np.abs(held).max() <= _LARGEST):
+        raise FormatError(f"{what} needs finite numbers up to {_LARGEST:g}")
+    return frozen(held)

@@ -1,0 +1,92 @@
+"""--light on the command line: presets, files, what a scene file says, and what is refused."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from apps.cli import main
+from glsplat.errors import FormatError
+from glsplat.formats import save
+from glsplat.light.light import Light
+from glsplat.scenes import load_scene
+from tests.light.lit import random_light, surfaced
+from tests.scenes import limb
+
+pytestmark = pytest.mark.gl
+
+
+@pytest.fixture
+def avatar(tmp_path: Path) -> Path:
+    save(surfaced(limb(80)), tmp_path / "me.glb")
+    return tmp_path / "me.glb"
+
+
+def picture(folder: Path, *arguments: object) -> np.ndarray:
+    out = folder / "out.png"
+    assert main(["render", *map(str, arguments), "-o", str(out), "--size", "48x48"]) == 0
+    found = cv2.imread(str(out))
+    assert found is not None
+    return np.asarray(found).astype(int)
+
+
+def test_a_preset_a_file_and_a_scene_file_light_alike(avatar: Path, tmp_path: Path) -> None:
+    plain = picture(tmp_path, avatar)
+    lit = picture(tmp_path, avatar, "--light", "evening")
+    assert np.abs(lit - plain).max() > 10
+    (tmp_path / "light.json").write_text(json.dumps(Light.preset("evening").to_json()))
+    assert (picture(tmp_path, avatar, "--light", tmp_path / "light.json") == lit).all()
+    scene = {"version": 1, "items": [{"path": "me.glb"}], "light": "evening"}
+    (tmp_path / "scene.json").write_text(json.dumps(scene))
+    assert (picture(tmp_path, tmp_path / "scene.json") == lit).all()
+    assert (picture(tmp_path, tmp_path / "scene.json", "--light", "none") == plain).all()
+
+
+@pytest.mark.parametrize(("shaded", "said"), [(True, "as photographed"), (False, "albedo"), (None, "never lit")])
+def test_inspect_says_what_light_does(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], shaded: bool | None, said: str
+) -> None:
+    save(limb(20) if shaded is None else surfaced(limb(20), shaded=shaded), tmp_path / "a.glb")
+    assert main(["inspect", str(tmp_path / "a.glb")]) == 0
+    assert said in next(line for line in capsys.readouterr().out.splitlines() if line.split()[0] == "light")
+
+
+def test_the_outermost_scene_file_decides(avatar: Path, tmp_path: Path) -> None:
+    inner = {"version": 1, "items": [{"path": "me.glb"}], "light": random_light(1).to_json()}
+    (tmp_path / "inner.json").write_text(json.dumps(inner))
+    for light in (None, random_light(2).to_json(), "day"):
+        outer = {"version": 1, "items": [{"path": "inner.json"}]} | ({} if light is None else {"light": light})
+        (tmp_path / "outer.json").write_text(json.dumps(outer))
+        found = load_scene(tmp_path / "outer.json").scene.light
+        assert found is None if light is None else found is not None and found.same(Light.from_json(light))
+
+
+@pytest.mark.parametrize("light", ["noon", {"ambient": [[1, 2, 3]]}, 4, {"sun": {}}, [1]])
+def test_a_scene_file_with_no_light_is_refused_by_name(avatar: Path, tmp_path: Path, light: object) -> None:
+    (tmp_path / "scene.json").write_text(json.dumps({"version": 1, "items": [{"path": "me.glb"}], "light": light}))
+    with pytest.raises(FormatError, match=r"scene\.json.*light"):
+        load_scene(tmp_path / "scene.json")
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [("{", "a light is JSON"), ('{"ambient": 3}', "ambient needs 9 x 3"), ("[" * 100_000, "a light is JSON")],
+)
+def test_a_broken_file_is_one_line(
+    avatar: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], text: str, words: str
+) -> None:
+    (tmp_path / "light.json").write_text(text)
+    arguments = ["render", str(avatar), "-o", str(tmp_path / "a.png"), "--light", str(tmp_path / "light.json")]
+    assert main(arguments) == 1
+    said = capsys.readouterr().err
+    assert words in said and "light.json" in said and said.count("\n") == 1
+    assert not (tmp_path / "a.png").exists()
+
+
+def test_an_unknown_name_lists_the_presets(avatar: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["render", str(avatar), "-o", str(tmp_path / "a.png"), "--light", "noon"]) == 1
+    assert "studio, day, evening" in capsys.readouterr().err
