@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -58,7 +59,9 @@ class TrackingSolver:
         assert sample is not None
         t = self._clock.time(None if request.t is None else sample.t, now)
         sample = sample if t == sample.t else replace(sample, t=t)
-        pose = self._tracker.update(sample if self._idle is None else self._idle.fill(sample))
+        if self._idle is not None:
+            sample = self._idle.fill(sample, (*request.faces, *_watcher(request.cameras)))
+        pose = self._tracker.update(sample)
         known = self._tracker.calibration
         moved = known.scale != 1 or known.floor != 0
         cameras = tuple(map(self._camera, request.cameras)) if moved else request.cameras
@@ -71,3 +74,10 @@ class TrackingSolver:
         viewmat[:3, 3] = -viewmat[:3, :3] @ self._tracker.to_avatar(place)[:3, 3]
         scale = self._tracker.calibration.scale
         return replace(camera, viewmat=viewmat, near=camera.near / scale, far=camera.far / scale)
+
+
+def _watcher(cameras: tuple[Camera, ...]) -> list[Sequence[float]]:
+    """Between the eyes that look at the avatar: in a mirror's picture, where its user's image is."""
+    if not cameras:
+        return []
+    return [(sum(camera.position for camera in cameras) / len(cameras)).tolist()]
