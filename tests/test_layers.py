@@ -25,7 +25,7 @@ FLOORS = [
     ["arrays", "io", "statistics"],
     ["splats", "camera", "config", "pictures", "models", "watermark"],
     ["skinning", "shaders"],
-    ["avatar", "meshes", "gl"],
+    ["avatar", "meshes", "gl", "speech"],
     ["scene", "reference", "detail"],
     ["formats", "views"],
     ["motion", "data", "consent"],

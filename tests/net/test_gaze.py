@@ -81,7 +81,7 @@ def test_the_own_eyes_are_no_face():
     "faces", [[[0, 1]], [[0, 1, 2, 3]], [["a", 0, 0]], [[0, 1e9, 0]], [[0, 1, 2]] * (MOST_FACES + 1), "x", [None]]
 )
 def test_what_is_no_list_of_places_is_refused(faces):
-    with pytest.raises(ProtocolError, match="faces|Expected"):
+    with pytest.raises(ProtocolError, match=r"faces|Expected"):
         request(want="pose", faces=faces)
 
 

@@ -80,4 +80,4 @@ def _watcher(cameras: tuple[Camera, ...]) -> list[Sequence[float]]:
     """Between the eyes that look at the avatar: in a mirror's picture, where its user's image is."""
     if not cameras:
         return []
-    return [(sum(camera.position for camera in cameras) / len(cameras)).tolist()]
+    return [np.mean([camera.position for camera in cameras], axis=0).tolist()]

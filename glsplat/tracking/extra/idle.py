@@ -80,8 +80,8 @@ class IdleFace:
         """The sample with gaze and lids where it has none of its own.
 
         ``faces``: places [3] between the eyes of those whom one may look at, a mirror's among them, in the sample's
-        space. The one nearest to straight ahead is looked at, up to 30 degrees aside and .25 to 10 m away. A sample without a head, or with
-        eyes and eyelids of its own, is returned as it came.
+        space. The one nearest to straight ahead is looked at, up to 30 degrees aside and .25 to 10 m away. A sample
+        without a head, or with eyes and eyelids of its own, is returned as it came.
         """
         head = read_pose(sample.head, 1.0, 0.0, [])
         own = {known for name in sample.expression or () if (known := arkit_name(name)) is not None}
