@@ -13,6 +13,7 @@ import { Connection } from './stream/connection.js';
 import { Calibration } from './track/calibration.js';
 import { Motion, Recording, Rest, parseRecording, readRecording } from './track/drivers.js';
 import { Recorder } from './track/recorder.js';
+import { addVoice } from './voice/panel.js';
 
 const TOKEN = 'glsplat.token'; // in this tab's storage only
 const MAKING = 'glsplat.making'; // the avatar that is being made, in this tab's storage too
@@ -45,7 +46,8 @@ if (!gl) {
 const inWorker = new URLSearchParams(location.search).get('decode') !== 'main';
 const stage = new Stage(gl, connection, settings, { inWorker });
 const orbit = new Orbit();
-const viewer = new Viewer(canvas, stage, orbit, settings);
+const voice = addVoice(document.getElementById('controls'));
+const viewer = new Viewer(canvas, stage, orbit, settings, (drive) => speaking(drive));
 const menu = new Menu(settings, stage, recorder, {
   calibrate: () => calibration.begin(performance.now(), { height: settings.get('height') }),
   record: () => toggleRecording(),
@@ -55,6 +57,7 @@ const immersive = new Immersive(gl, stage, settings, menu, {
   calibration,
   recorder,
   driven: () => chosenAvatar()?.tracking ?? true,
+  speaks: (sample) => voice.speaks(sample),
   measured: () => measured,
   onCalibrated: (result) => {
     measured = result;
@@ -88,6 +91,13 @@ const photo = new PhotoForm(document, upload, {
 
 function chosenAvatar() {
   return offer?.avatars.find(({ name }) => name === settings.get('avatar')) ?? offer?.avatars[0];
+}
+
+/** What moves the avatar, and its mouth. Who cannot be moved has none. */
+function speaking(drive) {
+  if (drive.tracking) return { ...drive, tracking: voice.speaks(drive.tracking) };
+  const moves = drive.pose || (voice.state === 'on' && (chosenAvatar()?.tracking ?? true));
+  return moves ? { ...drive, pose: voice.speaks(drive.pose ?? {}) } : drive;
 }
 
 /** The stage knows whom it shows. */
