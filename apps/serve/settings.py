@@ -27,7 +27,8 @@ _SAMPLES = {
     "max-cost": 5e8, "level": "auto", "lod-bias": 0.5, "fps": 45, "calibration": "me.json", "allow-upload": "avatars",
     "trust": "authority.pub", "tls-cert": "cert.pem", "tls-key": "key.pem", "token-file": "token",
     "users": "users.json", "watermark": "on", "origin": "https://example.org", "allow-host": "avatars.example.org",
-    "study": "study.toml", "participant": 7, "study-data": "data", "device": "0", "workers": "2", "ray-address": "auto",
+    "face-osc": 9000, "study": "study.toml", "participant": 7, "study-data": "data", "device": "0", "workers": "2",
+    "ray-address": "auto",
 }  # fmt: skip
 
 

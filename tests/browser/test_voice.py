@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -42,7 +41,9 @@ NAMES = {name for weights in table().visemes.values() for name in weights}
 @pytest.mark.parametrize(("rate", "piece"), [(16000, 128), (44100, 1000), (48000, 128)])
 def test_the_page_hears_what_python_hears(chromium: Any, rate: int, piece: int) -> None:
     rng = np.random.default_rng(rate)
-    sound = np.concatenate([vowels(1.2, rate), np.zeros(rate // 5), rng.normal(0, 0.1, rate // 5), vowels(0.4, rate, 90)])
+    sound = np.concatenate(
+        [vowels(1.2, rate), np.zeros(rate // 5), rng.normal(0, 0.1, rate // 5), vowels(0.4, rate, 90)]
+    )
     sound[100:110] = 3e4  # what clips
     analysis, mouth = Analysis(rate), Mouth()
     wanted = [[t, level, *v, *mouth.add(v, level).values()] for t, v, level in analysis.add(sound)]
@@ -62,7 +63,9 @@ def listening(play: Any, tmp_path_factory: pytest.TempPathFactory) -> Iterator[A
     file.write_bytes(wav_bytes(Sound(sound.astype(np.float32), 48000)))
     flags = ["--use-fake-device-for-media-stream", f"--use-file-for-fake-audio-capture={file}"]
     browser = play.chromium.launch(
-        executable_path=needs.program("chromium"), headless=True, args=[*_FLAGS, *flags, "--use-fake-ui-for-media-stream"]
+        executable_path=needs.program("chromium"),
+        headless=True,
+        args=[*_FLAGS, *flags, "--use-fake-ui-for-media-stream"],
     )
     yield browser
     browser.close()

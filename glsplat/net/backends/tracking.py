@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,6 +16,9 @@ from glsplat.tracking.calibration import Calibration
 from glsplat.tracking.extra.idle import IdleFace
 from glsplat.tracking.solvers import SOLVERS, SolverName
 from glsplat.tracking.tracker import Tracker
+
+if TYPE_CHECKING:  # most servers hear of no face
+    from glsplat.net.face.feed import FaceFeed
 
 __all__ = ["OneClock", "TrackingSolver"]
 
@@ -44,14 +48,23 @@ class OneClock:
 
 
 class TrackingSolver:
-    """Tracking to pose for one user. ``idle``: eyes that no sensor sees look around and blink."""
+    """Tracking to pose for one user.
+
+    ``idle``: eyes that no sensor sees look around and blink. ``face``: what is tracked of a face beside the headset.
+    """
 
     def __init__(
-        self, skeleton: Skeleton, calibration: Calibration, solver: SolverName = SOLVERS[0], idle: bool = False
+        self,
+        skeleton: Skeleton,
+        calibration: Calibration,
+        solver: SolverName = SOLVERS[0],
+        idle: bool = False,
+        face: FaceFeed | None = None,
     ) -> None:
         self._tracker = Tracker(skeleton, calibration, solver=solver)
         self._clock = OneClock()
         self._idle = IdleFace() if idle else None
+        self._face = face
 
     def solve(self, request: Request, now: float) -> Solved:
         """Filter and solve the next sample, bring the cameras to the avatar's scale."""
@@ -59,6 +72,8 @@ class TrackingSolver:
         assert sample is not None
         t = self._clock.time(None if request.t is None else sample.t, now)
         sample = sample if t == sample.t else replace(sample, t=t)
+        if self._face is not None:
+            sample = self._face.worn(self, sample, now)
         if self._idle is not None:
             sample = self._idle.fill(sample, (*request.faces, *_watcher(request.cameras)))
         pose = self._tracker.update(sample)
