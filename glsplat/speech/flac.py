@@ -13,10 +13,12 @@ from numpy.typing import NDArray
 
 from glsplat.speech.sound import Sound
 
-__all__ = ["BLOCK", "flac_frames", "stream_info"]
+__all__ = ["BLOCK", "LEAST", "flac_frames", "stream_info"]
 
 BLOCK = 4096
 """Samples of a frame; the last one has fewer."""
+LEAST = 16
+"""Samples that a stream needs."""
 _BITS = 16
 _MOST = 14  # of a Rice parameter
 
@@ -79,7 +81,7 @@ def _coded(number: int) -> bytes:
         return bytes([number])
     count = next(n for n in range(2, 7) if number < 1 << (5 * n + 1))
     rest = [0x80 | number >> 6 * i & 0x3F for i in reversed(range(count - 1))]
-    return bytes([(0xFF << (7 - count) & 0xFF) | number >> 6 * (count - 1), *rest])
+    return bytes([(0xFF << (8 - count) & 0xFF) | number >> 6 * (count - 1), *rest])
 
 
 def _crc(data: bytes, polynomial: int, width: int) -> int:

@@ -25,7 +25,7 @@ class Mouth:
         self._shapes = np.array([[w.get(name, 0.0) for name in self._names] for w in t.visemes.values()])
         self._closing = list(t.visemes).index(t.closes)
         self._jaw = self._names.index("jawOpen")
-        self._nearer = 1 - exp(-t.hop / t.smooth)
+        self._nearer = 1 - exp(-t.framing.hop / t.smooth)
         self.reset()
 
     def reset(self) -> None:
@@ -40,7 +40,7 @@ class Mouth:
         self._mixed = self._mixed + (visemes - self._mixed) * self._nearer
         begins, full = t.closed
         now = min(1.0, max(0.0, (float(visemes[self._closing]) - begins) / (full - begins)))
-        self._closed = max(now, self._closed - t.hop / t.opens)
+        self._closed = max(now, self._closed - t.framing.hop / t.opens)
         others = self._mixed.copy()
         others[self._closing] = 0.0
         weights = others @ self._shapes

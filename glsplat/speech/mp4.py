@@ -7,11 +7,14 @@ version 0.0.4 (Mozilla, in xiph/flac's doc/isoflac.txt).
 from __future__ import annotations
 
 import struct
+from dataclasses import replace
 from pathlib import Path
 from typing import BinaryIO
 
+import numpy as np
+
 from glsplat.errors import FormatError
-from glsplat.speech.flac import BLOCK, flac_frames, stream_info
+from glsplat.speech.flac import BLOCK, LEAST, flac_frames, stream_info
 from glsplat.speech.sound import Sound
 
 __all__ = ["add_sound"]
@@ -22,15 +25,17 @@ _MOST = 2**32 - 1  # bytes, where a chunk may begin
 
 def add_sound(path: Path, sound: Sound) -> None:
     """Append a track to the file, in place. Raises FormatError where its index is not the last of its boxes."""
+    short = max(0, LEAST - len(sound.samples))
+    sound = replace(sound, samples=np.pad(sound.samples, (0, short))) if short else sound
     with path.open("r+b") as file:
         start, movie = _movie(file, path)
         frames = flac_frames(sound)
         body = b"".join(frames)
         if start + len(body) + 8 > _MOST:
             raise FormatError(f"{path}: no sound fits behind 4 GiB of pictures")
+        movie = _with_track(movie, sound, frames, start + 8)
         file.seek(start)
-        file.write(struct.pack(">I4s", len(body) + 8, b"mdat") + body)
-        file.write(_with_track(movie, sound, frames, start + 8))
+        file.write(struct.pack(">I4s", len(body) + 8, b"mdat") + body + movie)
         file.truncate()
 
 

@@ -12,14 +12,14 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Table", "table", "table_json"]
+__all__ = ["Framing", "Table", "table", "table_json"]
 
 _FILE = "visemes.json"
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Table:
-    """What ``tools/data/visemes.py`` found and chose. Seconds, hertz; levels are powers, 1 is that of full scale."""
+@dataclass(frozen=True, slots=True)
+class Framing:
+    """How sound is cut and counted. Seconds, hertz; levels are powers, 1 is that of full scale."""
 
     hop: float  # seconds from frame to frame
     window: float  # seconds of a frame
@@ -31,6 +31,13 @@ class Table:
     start: float  # level of the peak that is expected before any sound came
     least: float  # ... and below which it never falls
     half_life: float  # seconds in which the peak falls by half
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Table:
+    """What ``tools/data/visemes.py`` found and chose."""
+
+    framing: Framing
     ahead: int  # frames that are heard before a frame is judged
     offsets: tuple[int, ...]  # of the frames that are looked at, from the newest
     hidden: tuple[NDArray[np.float64], NDArray[np.float64]]  # [offsets * coefficients, H], [H]
@@ -49,8 +56,7 @@ def table() -> Table:
     found = json.loads(table_json())
     sound, net, mouth = found["sound"], found["network"], found["mouth"]
     return Table(
-        **{name: sound[name] for name in ("hop", "window", "bands", "low", "high", "coefficients", "tiny")},
-        **{name: sound[name] for name in ("start", "least", "half_life")},
+        framing=Framing(**sound),
         ahead=net["ahead"],
         offsets=tuple(net["offsets"]),
         hidden=(np.array(net["hidden"]), np.array(net["hidden_bias"])),
