@@ -71,6 +71,7 @@ class IdleFace:
         self._at: Vec = (0.0, 0.0, 0.0)  # the point of the world that is looked at
         self._before: Vec = self._at  # ... and that was, before the last leap
         self._feature = 0  # of the face, that was looked at last
+        self._meets = False  # whether that is looked at, as far aside as the eyes turn
         self._leapt = self._leap = 0.0  # when, and the seconds it takes
         self._next = 0.0  # leap
         self._blinked, self._blink = -1e9, 0.0  # when the last began, and when the next will
@@ -112,7 +113,7 @@ class IdleFace:
         if t < self._leapt + self._leap:
             return
         gaze = unit(sub(self._at, place), ahead)
-        left_behind = not fresh and dot(gaze, ahead) < cos(FARTHEST)
+        left_behind = not fresh and dot(gaze, ahead) < cos(NOTICED if self._meets else FARTHEST)
         if fresh or left_behind or t >= self._next:
             # eyes lead a head that turns, else they would have to leap after it all the time
             lead = unit(add(ahead, scale(sub(ahead, gaze), LED)), ahead) if left_behind else ahead
@@ -137,6 +138,7 @@ class IdleFace:
         """The next point to look at; where there is no face, about the direction ``lead``."""
         face = _noticed(place, ahead, faces)
         to_face = self._chance.random() < AT_FACE
+        self._meets = face is not None and to_face
         if face is not None and to_face:
             self._feature = (self._feature + self._chance.choice((1, 2))) % len(FEATURES)  # never the same again
             return add(face, rotate(turn, FEATURES[self._feature]))
