@@ -136,7 +136,8 @@ REFUSED = [
     line(left_joints=[[1, 2]] * 25), line(left_joints=[]), line(left_curl="fist"), line(left_curl=False),
     line() + " " * (1 << 20), line(waist=[1, 2]), line(body=[1, 2]), line(body="hips"), line(body={"hips": [1, 2]}),
     line(expression="smile"), line(expression=[1.0] * 51), line(expression={"jawOpen": "wide"}), line(leftEye=[1, 2]),
-    line(expression={f"s{i}": 1 for i in range(257)}), line(body={"left-foot-ball": "abc"}), line(body={f"j{i}": 1 for i in range(257)}),
+    line(expression={f"s{i}": 1 for i in range(257)}),
+    line(body={"left-foot-ball": "abc"}), line(body={f"j{i}": 1 for i in range(257)}),
 ]  # fmt: skip
 
 

@@ -87,7 +87,7 @@ def measured(here: bool, seconds: float, size: int) -> dict[str, Any]:
         context = browser.new_context(viewport={"width": size, "height": size}, bypass_csp=True)
         context.add_init_script(WATCH)
         drawn = "here" if here else "server"
-        kept = f"localStorage.setItem('glsplat.settings', '{{\"size\": 512, \"drawn\": \"{drawn}\"}}')"
+        kept = f'localStorage.setItem(\'glsplat.settings\', \'{{"size": 512, "drawn": "{drawn}"}}\')'
         context.add_init_script(kept)
         page = context.new_page()
         page.goto(served.page)
