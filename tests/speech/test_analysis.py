@@ -90,9 +90,17 @@ def test_lips_close_where_a_voice_needs_them_closed():
 
 
 def test_the_jaw_goes_by_loudness():
-    swell = vowels(2, RATE, each=10) * np.repeat([1.0, 0.1], RATE)
-    speaking = Speaking(Sound(swell.astype(np.float32), RATE))
-    assert speaking.at(0.7)["jawOpen"] > 1.3 * speaking.at(1.7)["jawOpen"] > 0.05
+    """The same vowel, louder and softer."""
+    vowel = np.array([name == "aa" for name in table().visemes], float)
+
+    def jaw(level):
+        mouth = Mouth()
+        return [mouth.add(vowel, level)["jawOpen"] for _ in range(50)][-1]
+
+    least, silence = table().jaw
+    found = [jaw(-decibels) for decibels in (0, 10, 20, silence, 90)]
+    assert found[0] == pytest.approx(table().visemes["aa"]["jawOpen"], rel=1e-6)
+    assert found[0] > 1.2 * found[1] > 1.4 * found[2] and found[3] == found[4] == pytest.approx(least * found[0])
 
 
 @pytest.mark.parametrize(

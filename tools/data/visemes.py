@@ -28,9 +28,9 @@ FRAMING = Framing(
     hop=0.01, window=0.025, bands=24, low=80.0, high=7200.0, coefficients=13, tiny=1e-6,
     start=1e-3, least=1e-4, half_life=2.0,
 )  # fmt: skip
-AHEAD = 3  # frames
-OFFSETS = tuple(offset - AHEAD for offset in (-8, -5, -3, -2, -1, 0, 1, 2, 3))
-HIDDEN, EPOCHS, BATCH, STEP = 40, 9, 2048, 4e-3
+AHEAD = 1  # frames
+OFFSETS = tuple(offset - AHEAD for offset in (-8, -6, -4, -3, -2, -1, 0, 1))
+HIDDEN, EPOCHS, BATCH, STEP = 40, 7, 2048, 4e-3
 CLOSES = 1.6  # times as much as others, lips that should be closed and are not
 
 ESPEAK: tuple[str, ...] = (
