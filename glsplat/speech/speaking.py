@@ -9,6 +9,7 @@ import numpy as np
 from glsplat.speech.analysis import Analysis
 from glsplat.speech.mouth import Mouth
 from glsplat.speech.sound import Sound
+from glsplat.speech.table import table
 
 __all__ = ["Speaking"]
 
@@ -34,9 +35,11 @@ class Speaking:
                 rows.append(mouth.add(visemes, level))
         self.names: tuple[str, ...] = tuple(rows[0])
         self._times = np.array(times)
+        self._least = table().least
         self._weights = np.array([list(row.values()) for row in rows])
 
     def at(self, seconds: float) -> Mapping[str, float]:
         """The weights then; those of the first frame before the sound and of its last after it."""
         i = min(max(int(np.searchsorted(self._times, seconds)) - 1, 0), len(self._times) - 1)
-        return dict(zip(self.names, self._weights[i].tolist(), strict=True))
+        weights = self._weights[i]
+        return dict(zip(self.names, np.where(weights < self._least, 0.0, weights).tolist(), strict=True))

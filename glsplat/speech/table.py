@@ -47,6 +47,7 @@ class Table:
     closed: tuple[float, float]  # its probability at which lips begin to close, and at which they are
     opens: float  # seconds in which lips that were closed open again
     smooth: float  # seconds, time constant of the others
+    least: float  # weight that counts: what is below is no mouth that moves but doubt
     jaw: tuple[float, float]  # share of jawOpen in silence, and decibels below the peak that count as silence
 
 
@@ -66,6 +67,7 @@ def table() -> Table:
         closed=tuple(mouth["closed"]),
         opens=mouth["opens"],
         smooth=mouth["smooth"],
+        least=mouth["least"],
         jaw=tuple(mouth["jaw"]),
     )
 

@@ -1,6 +1,6 @@
 """How often the mouth is closed where lips have to be, by the phonemes' own times.
 
-    python -m tools.data.closures ../shared/data/face/ict_face.npz            # needs espeak-ng and flite
+    python -m tools.data.closures ict_face.npz            # ICT-FaceKit (light), packed; needs espeak-ng and flite
 
 Between the lips of ICT-FaceKit's head, whose shapes are ARKit's: closed is up to half a millimetre more than at rest.
 A phoneme counts as closed if the lips are at any frame within 20 ms of it; of all others it is counted how many have

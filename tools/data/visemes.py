@@ -50,7 +50,7 @@ FLITE = ("slt", "rms", "kal16")  # awb is left for measuring
 
 # visemes of Meta's (Oculus) lip sync, nn among DD: https://developers.meta.com/horizon/documentation/unity/
 # audio-ovrlipsync-viseme-reference
-MOUTH = {"closes": "PP", "closed": [0.15, 0.45], "opens": 0.06, "smooth": 0.02, "jaw": [0.35, 30]}
+MOUTH = {"closes": "PP", "closed": [0.15, 0.45], "opens": 0.06, "smooth": 0.02, "least": 0.01, "jaw": [0.35, 30]}
 VISEMES: dict[str, dict[str, float]] = {
     "sil": {},
     "PP": {"mouthPress": 0.35, "mouthRollLower": 0.3, "mouthRollUpper": 0.15},

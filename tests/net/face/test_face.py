@@ -217,8 +217,12 @@ def test_five_thousand_hostile_packets_do_no_harm(listener: FaceListener) -> Non
         feed.heard(message(FT + "TongueOut", value), 0.0)
     assert "TongueOut" not in feed.face(0.0)[1] or feed.face(0.0)[1]["TongueOut"] == 0.5
     sent(listener, *(chance.randbytes(900) for _ in range(300)), b"", bytes(60000))
-    sent(listener, message(FT + "JawOpen", 0.5))
-    until(lambda: listener.feed.face(time.perf_counter())[0].get("jawOpen") == 0.5)
+
+    def heard() -> bool:
+        sent(listener, message(FT + "JawOpen", 0.5))  # again: of a flood the system itself drops some
+        return listener.feed.face(time.perf_counter())[0].get("jawOpen") == 0.5
+
+    until(heard)
 
 
 def test_a_flood_does_not_take_a_core(listener: FaceListener) -> None:

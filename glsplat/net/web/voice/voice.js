@@ -1,6 +1,5 @@
 // The user's voice moves the avatar's mouth: microphone, audio thread, and the weights that go with what is sent.
 
-const LEAST = 0.01; // of a weight that is sent
 const STALE = 300; // ms without word from the audio thread after which the mouth is at rest
 const WANTED = { echoCancellation: true, noiseSuppression: true, autoGainControl: true, channelCount: 1 };
 
@@ -11,6 +10,7 @@ export class Voice extends EventTarget {
   #stream = null;
   #context = null;
   #weights = {};
+  #least = 0; // of a weight that is sent
   #heard = 0;
   #round = 0; // what was begun before the last start or stop no longer counts
 
@@ -31,6 +31,7 @@ export class Voice extends EventTarget {
       context = new AudioContext({ latencyHint: 'interactive' });
       const response = await fetch(new URL('visemes.json', import.meta.url));
       const table = await response.json();
+      this.#least = table.mouth.least;
       await context.audioWorklet.addModule(new URL('worklet.js', import.meta.url));
       if (round !== this.#round) return drop();
       const listener = new AudioWorkletNode(context, 'listener', { numberOfOutputs: 0, processorOptions: { table } });
@@ -70,7 +71,7 @@ export class Voice extends EventTarget {
   weights() {
     if (this.state !== 'on') return null;
     if (performance.now() - this.#heard > STALE) return {};
-    const kept = Object.entries(this.#weights).filter(([, weight]) => weight >= LEAST);
+    const kept = Object.entries(this.#weights).filter(([, weight]) => weight >= this.#least);
     return Object.fromEntries(kept.map(([name, weight]) => [name, Math.round(weight * 1000) / 1000]));
   }
 
