@@ -17,6 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.errors import FormatError
+from glsplat.speech.mp4 import add_sound
+from glsplat.speech.sound import Sound
 
 from .output import Image, eight_bit
 
@@ -35,11 +37,12 @@ class Clip:
     """A clip written frame by frame; it takes its name when the ``with`` block ends without an error.
 
     The ending of the name chooses the container. The pictures are encoded in a thread of their own, while the next
-    ones are drawn: VP9 takes longer than many a frame.
+    ones are drawn: VP9 takes longer than many a frame. A ``sound`` goes into an .mp4; a .webm stays silent, as it takes
+    none but Opus and Vorbis.
     """
 
-    def __init__(self, path: str | Path, fps: float) -> None:
-        self._path, self._fps = Path(path), fps
+    def __init__(self, path: str | Path, fps: float, sound: Sound | None = None) -> None:
+        self._path, self._fps, self._sound = Path(path), fps, sound
         self._partial = self._path.parent / f".{secrets.token_hex(6)}{self._path.suffix.lower()}"
         self._writer: Any = None
         self._encoder = ThreadPoolExecutor(1, "encoder")
@@ -50,7 +53,14 @@ class Clip:
     @property
     def summary(self) -> str:
         """Name, pictures, rate and codec, for people."""
-        return f"{self._path}: {self._frames} pictures, {self._fps:g} a second, {self.codec}"
+        said = (
+            "" if self._sound is None else ", sound of FLAC" if self._heard else ", silent: only .mp4 takes the sound"
+        )
+        return f"{self._path}: {self._frames} pictures, {self._fps:g} a second, {self.codec}{said}"
+
+    @property
+    def _heard(self) -> bool:
+        return self._sound is not None and self._path.suffix.lower() == ".mp4"
 
     def add(self, image: NDArray[Any]) -> None:
         """Append an RGB picture [H, W, 3|4]; all of one size, odd sizes lose their last row or column."""
@@ -111,6 +121,8 @@ class Clip:
                 for written in self._waiting:
                     written.result()
                 self._verify()
+                if self._sound is not None and self._heard:
+                    add_sound(self._partial, self._sound)
                 os.replace(self._partial, self._path)
         except OSError as problem:
             raise FormatError(f"{self._path}: cannot be written ({problem.strerror})") from None

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
 from itertools import chain
 from pathlib import Path
@@ -25,6 +25,8 @@ from glsplat.motion.motion import Motion
 from glsplat.renderer import Renderer
 from glsplat.scenes.scene_file import SceneFile
 from glsplat.skinning.pose import Pose, load_pose
+from glsplat.speech.sound import Sound, read_wav
+from glsplat.speech.speaking import Speaking
 from glsplat.views import view_of, viewing_point
 
 from .args import (
@@ -51,6 +53,7 @@ HELP = (
     "Render a scene or a posed avatar: .npy holds exact floats, .png a picture, .mp4 or .webm a motion or a turntable "
     "(VP9, which browsers play)."
 )
+_NOTHING: Mapping[str, float] = {}
 EXAMPLE = "glsplat render --motion wave-and-turn --frame 40 --stereo -o wave.png"
 
 
@@ -85,6 +88,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="weights of the avatar's shapes: jawOpen=0.7,eyeBlinkLeft=1; over those of a pose or motion",
     )
     parser.add_argument(
+        "--speech",
+        metavar="FILE",
+        help="a .wav that the avatar says, in a clip as long as it; .mp4 has its sound, a motion repeats",
+    )
+    parser.add_argument(
         "--frame", type=int, metavar="N", help="frame of the motion, or picture of a scene file's clip (default: all)"
     )
     parser.add_argument("--turntable", type=int, metavar="N", help="N views around the scene, as a clip or sequence")
@@ -114,7 +122,9 @@ def run(args: argparse.Namespace) -> int:
     scene = open_scene(args)
     plays = bool(scene.motions) and args.frame is None and not args.motion and not args.pose and _is_sequence(output)
     sequence = args.turntable is not None or (args.motion is not None and args.frame is None) or plays
-    count, shots = _shots(args, scene, plays)
+    sequence = sequence or args.speech is not None
+    sound = None if args.speech is None else read_wav(args.speech)
+    count, shots = _shots(args, scene, plays, sound)
     _check_output(args, sequence)  # after the motion: without one, it is not the output's name that is wrong
     first = next(shots)
     config = RenderConfig(
@@ -136,7 +146,7 @@ def run(args: argparse.Namespace) -> int:
             picture = joined_views if args.alpha else side_by_side
             if sequence:
                 pictures = (picture(_rendered(renderer, scene, shot)) for shot in chain([first], shots))
-                _save_sequence(args, pictures, count)
+                _save_sequence(args, pictures, count, sound)
             else:
                 scene.pose_at(first.seconds)
                 if args.depth:
@@ -177,6 +187,8 @@ def _check_combinations(args: argparse.Namespace) -> None:
         raise UsageError("--alpha is for PNG; an .npy holds alpha anyway")
     if args.alpha and ending in CLIPS:
         raise UsageError("--alpha is for PNG; a clip has no alpha, give a folder/ of pictures")
+    if args.speech is not None and (args.turntable is not None or args.frame is not None):
+        raise UsageError(f"give --speech or --{'frame' if args.turntable is None else 'turntable'}, not both")
     if args.turntable is not None and args.motion is not None and args.frame is None:
         raise UsageError("--turntable with --motion needs --frame: the pose to turn around")
 
@@ -196,8 +208,9 @@ def _check_output(args: argparse.Namespace, sequence: bool) -> None:
     if sequence:
         why = "the scene's motions" if args.motion is None else f"--motion {args.motion}"
         why = why if args.turntable is None else f"--turntable {args.turntable}"
+        why = why if args.speech is None else f"--speech {args.speech}"
         what = f"a clip .mp4 or .webm for {why}"
-        if args.turntable is None and not _is_sequence(Path(args.output)):
+        if args.turntable is None and args.speech is None and not _is_sequence(Path(args.output)):
             what += " (for one picture of it add --frame N)"
         output_kind("-o", args.output, tuple(CLIPS), what, folder="PNG files")
         return
@@ -207,7 +220,7 @@ def _check_output(args: argparse.Namespace, sequence: bool) -> None:
     output_kind("-o", args.output, (".png", ".npy"), what)
 
 
-def _shots(args: argparse.Namespace, scene: SceneFile, plays: bool) -> tuple[int, Iterator[_Shot]]:
+def _shots(args: argparse.Namespace, scene: SceneFile, plays: bool, sound: Sound | None) -> tuple[int, Iterator[_Shot]]:
     """How many pictures, and each one's cameras and pose. ``plays``: the motions of the scene file."""
     face = _face(args, scene)
     if args.frame is not None and args.motion is None and not scene.motions:
@@ -225,7 +238,7 @@ def _shots(args: argparse.Namespace, scene: SceneFile, plays: bool) -> tuple[int
             raise UsageError(f"--frame needs 0 to {count - 1} for {args.motion or 'this scene'}, not {args.frame}")
         seconds = args.frame / (args.fps if motion is None else motion.fps)
         pose = pose if motion is None else motion.pose(args.frame)
-    pose = face(pose)
+    pose = face(pose, _NOTHING)
     if args.turntable is not None:
         if args.turntable < 1:
             raise UsageError(f"--turntable needs at least 1 view, not {args.turntable}")
@@ -234,32 +247,43 @@ def _shots(args: argparse.Namespace, scene: SceneFile, plays: bool) -> tuple[int
     cameras, several = read_cameras(args.cameras) if args.cameras else (_view(args, scene), args.stereo)
     if args.alpha:
         cameras = [replace(camera, background=(0.0, 0.0, 0.0)) for camera in cameras]
+    if sound is not None:
+        speaking, says = Speaking(sound), _face(args, scene, "--speech")
+        count = max(1, round(sound.seconds * args.fps))
+        moves = (pose if motion is None else motion.at(i / args.fps) for i in range(count))
+        poses = (says(held, speaking.at(i / args.fps)) for i, held in enumerate(moves))
+        return count, (_Shot(cameras, held, several, i / args.fps) for i, held in enumerate(poses))
     if plays or (motion is not None and args.frame is None):
         # on the motion's clock, so that a clip plays at the speed it was recorded
         count = max(1, round((scene.duration if motion is None else motion.duration) * args.fps))
         times = (i / args.fps for i in range(count))
-        return count, (_Shot(cameras, pose if motion is None else face(motion.at(t)), several, t) for t in times)
+        return count, (
+            _Shot(cameras, pose if motion is None else face(motion.at(t), _NOTHING), several, t) for t in times
+        )
     return 1, iter([_Shot(cameras, pose, several, seconds)])
 
 
-def _face(args: argparse.Namespace, scene: SceneFile) -> Callable[[Pose | None], Pose | None]:
-    """What sets the weights of --expression in a pose, the others as they are. Raises UsageError."""
-    if args.expression is None:
-        return lambda pose: pose
+def _face(
+    args: argparse.Namespace, scene: SceneFile, option: str = "--expression"
+) -> Callable[[Pose | None, Mapping[str, float]], Pose | None]:
+    """What sets the weights of --expression, over what else is said, in a pose. Raises UsageError."""
+    given = args.expression or {}
+    if args.expression is None and option == "--expression":
+        return lambda pose, said: pose
     if scene.motions:
-        raise UsageError("--expression is for an avatar, not for the motions of a scene file; write it into the poses")
-    avatar = driven(scene, "--expression")
+        raise UsageError(f"{option} is for an avatar, not for the motions of a scene file; write it into the poses")
+    avatar = driven(scene, option)
     shapes = avatar.shapes if isinstance(avatar, Avatar) else None
     if shapes is None:
-        raise UsageError("--expression needs an avatar with shapes, this one has none (docs/avatars.md)")
-    if unknown := [name for name in args.expression if name not in shapes.names]:
+        raise UsageError(f"{option} needs an avatar with shapes, this one has none (docs/avatars.md)")
+    if unknown := [name for name in given if name not in shapes.names]:
         some = ", ".join([*shapes.names[:6], "..."] if len(shapes) > 6 else shapes.names)
         raise UsageError(f"this avatar has no shape {unknown[0][:40]!r}; it has {some}")
     item = scene.avatar
 
-    def with_face(pose: Pose | None) -> Pose:
+    def with_face(pose: Pose | None, said: Mapping[str, float]) -> Pose:
         held = pose or (item.pose if item is not None else None) or Pose.zero(len(avatar.skeleton))
-        return replace(held, expression={**held.expression, **args.expression})
+        return replace(held, expression={**held.expression, **said, **given})
 
     return with_face
 
@@ -279,11 +303,11 @@ def _view(args: argparse.Namespace, scene: SceneFile, angle: float = 0.0) -> lis
     return view_of(target + turned, target, args.size, args.fov, args.ipd if args.stereo else None, behind)
 
 
-def _save_sequence(args: argparse.Namespace, pictures: Iterator[NDArray[Any]], count: int) -> None:
+def _save_sequence(args: argparse.Namespace, pictures: Iterator[NDArray[Any]], count: int, sound: Sound | None) -> None:
     frames = tqdm(pictures, total=count, unit="frame", disable=args.json or not sys.stderr.isatty())
     path = Path(args.output)
     if path.suffix.lower() in CLIPS:
-        with Clip(path, args.fps) as clip:
+        with Clip(path, args.fps, sound) as clip:
             for picture in frames:
                 clip.add(picture)
         if not args.json:

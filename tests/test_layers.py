@@ -26,7 +26,7 @@ FLOORS = [
     ["light"],
     ["splats", "camera", "config", "pictures", "models", "watermark"],
     ["skinning", "shaders"],
-    ["avatar", "meshes", "gl"],
+    ["avatar", "meshes", "gl", "speech"],
     ["scene", "reference", "detail"],
     ["formats", "views"],
     ["motion", "data", "consent"],

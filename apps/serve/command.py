@@ -7,12 +7,15 @@ import asyncio
 import json
 import logging
 import sys
+from contextlib import nullcontext
 from pathlib import Path
 
 from glsplat.camera import PAPER_FOV, PAPER_IPD
 from glsplat.config import RenderConfig
 from glsplat.net.backends.gl import MAX_TIME
 from glsplat.net.backends.server import make_server
+from glsplat.net.face.feed import FaceFeed
+from glsplat.net.face.listener import FaceListener
 from glsplat.net.guard.access import Access
 from glsplat.net.guard.limits import Limits
 from glsplat.net.messages import WireOptions
@@ -112,6 +115,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--no-idle", action="store_true", help="eyes of tracked users that no sensor sees neither look around nor blink"
     )
     parser.add_argument("--private", action="store_true", help="keep what clients see off the status page")
+    parser.add_argument(
+        "--face-osc",
+        type=int,
+        metavar="PORT",
+        help="take the face of who wears the headset from VRCFaceTracking on this machine, at this UDP port of "
+        "127.0.0.1 (it sends to 9000 unless told otherwise)",
+    )
     add_photos(parser)
     add_study(parser)
     add_consent(parser)
@@ -138,6 +148,8 @@ def check(args: argparse.Namespace) -> None:
     }
     limits |= {"--max-clients": (args.max_clients, 1, 256), "--window": (args.window, 1, 8)}
     limits |= {"--max-waiting": (args.max_waiting, 2, 4096)}
+    if args.face_osc is not None:
+        limits["--face-osc"] = (args.face_osc, 0, 65535)
     if args.max_per_address is not None:
         limits["--max-per-address"] = (args.max_per_address, 1, 256)
     for name, (value, low, high) in limits.items():
@@ -231,6 +243,7 @@ def run(args: argparse.Namespace) -> int:
     avatars = other_avatars(args)
     policy = policy_of(args, scene, scene_name(args))
     calibration = Calibration.load(args.calibration) if args.calibration else None
+    face = None if args.face_osc is None else FaceListener(FaceFeed(), args.face_osc)
     server = make_server(
         scene,
         config,
@@ -246,6 +259,7 @@ def run(args: argparse.Namespace) -> int:
         rooms=lit_rooms(open_rooms(args), scene),
         workers=workers,
         idle=not args.no_idle,
+        face=None if face is None else face.feed,
         lead=None if study is None else study.lead,
     )
 
@@ -268,5 +282,6 @@ def run(args: argparse.Namespace) -> int:
         if args.open:
             open_page(place)
 
-    asyncio.run(server.run(started))
+    with face or nullcontext():
+        asyncio.run(server.run(started))
     return 0

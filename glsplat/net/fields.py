@@ -6,6 +6,7 @@ becomes a Sample here.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from math import hypot
 from typing import Any, Literal
 
@@ -26,6 +27,7 @@ from glsplat.tracking.sample import (
 
 __all__ = [
     "FAR",
+    "MOST_FACES",
     "NEAR",
     "PICTURE",
     "SH_DEGREE",
@@ -34,9 +36,11 @@ __all__ = [
     "LegacyCamera",
     "LegacyMessage",
     "Message",
+    "Place",
     "PoseFields",
     "Tracking",
     "Want",
+    "faces_of",
     "given",
     "sample_of",
 ]
@@ -48,6 +52,11 @@ Numbers = list[float | list[float]]  # flat or nested once
 Expression = dict[str, float] | list[float]  # by name, or in ARKit's order
 
 Joints = tuple[tuple[float, ...], ...]
+
+Place = tuple[float, float, float]
+
+MOST_FACES = 16
+"""Faces that a request names at most."""
 
 Alpha = bool | Literal["straight"]
 """Whether alpha is sent too: with colours over black (premultiplied), or with straight ones (codec/straight.py)."""
@@ -135,6 +144,7 @@ class Message(msgspec.Struct):
     box: bool = False
     pose: PoseFields | None = None
     tracking: Tracking | None = None
+    faces: list[Place] | None = None
 
 
 class LegacyMessage(msgspec.Struct):
@@ -145,7 +155,7 @@ class LegacyMessage(msgspec.Struct):
     smplx: PoseFields | None = None
 
 
-PICTURE = ("want", "eyes", "size", "quality", "crop", "alpha", "mirror", "hide", "box", "pose", "tracking")
+PICTURE = ("want", "eyes", "size", "quality", "crop", "alpha", "mirror", "hide", "box", "pose", "tracking", "faces")
 """Fields that only a request has."""
 
 
@@ -199,6 +209,17 @@ def sample_of(m: Tracking, t: float, farthest: float) -> tuple[Sample, str]:
         right_eye=m.rightEye,
     )
     return sample, ""
+
+
+def faces_of(value: Sequence[Place] | None, farthest: float) -> tuple[Place, ...]:
+    """The places of faces that may be looked at. Raises ProtocolError for too many, and beyond ``farthest`` metres."""
+    if value is None:
+        return ()
+    if len(value) > MOST_FACES:
+        raise ProtocolError(f"faces needs at most {MOST_FACES} places, not {len(value)}")
+    if any(max(map(abs, place)) > farthest for place in value):
+        raise ProtocolError(f"faces needs metres below {farthest:g}")
+    return tuple(value)
 
 
 def _hand(value: Numbers | None, key: str) -> Joints | None:

@@ -26,6 +26,8 @@ from glsplat.net.fields import (
     LegacyCamera,
     LegacyMessage,
     Message,
+    Place,
+    faces_of,
     given,
     sample_of,
 )
@@ -109,6 +111,7 @@ class Request:
     form: Form = "native"
     eyes: tuple[int, ...] = (0, 1)  # eye numbers of the cameras: 0 left, 1 right
     poses: bool = False  # the client draws
+    faces: tuple[Place, ...] = ()  # between the eyes of those whom a tracked avatar may look at, in its user's space
 
 
 @dataclass(frozen=True, slots=True)
@@ -208,6 +211,7 @@ class Decoder:
             ack=m.ack,
             options=PictureOptions(quality=quality, crop=m.crop, alpha=alpha, hide=hide, box=m.box),
             eyes=tuple(range(len(cameras))),
+            faces=faces_of(m.faces, o.max_distance),
         )
 
     def _poses(self, m: Message) -> Request:
@@ -228,6 +232,7 @@ class Decoder:
             ack=m.ack,
             eyes=(),
             poses=True,
+            faces=faces_of(m.faces, self.options.max_distance),
         )
 
     def _legacy(self, m: Message, old: LegacyMessage) -> Request:

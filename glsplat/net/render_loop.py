@@ -155,7 +155,7 @@ class RenderLoop(ABC):
     def received(self, channel: ClientStream, request: Request | None) -> None:
         """A message of this client was taken: the tracking of a ``request`` is solved while others are drawn."""
         if request is not None and request.tracking is not None and channel.solving is not None:
-            channel.solving.add(request)
+            channel.solving.add(request if channel.member is None else channel.member.meeting(request))
         if request is not None and channel.member is not None:
             channel.member.received(request, self._clock())
         self.wake(channel)

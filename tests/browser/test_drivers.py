@@ -119,6 +119,8 @@ READ = [
     line(waist=HEAD, left_foot=HEAD, right_foot=None, body={"hips": HEAD, "left-foot-ball": HEAD[:3], "chest": 5}),
     line(waist=[float("nan"), *HEAD[1:]], body={"hips": None}),
     line(body=None),
+    line(expression={"jawOpen": 0.5, "cheekPuff": None, "odd": -2}, leftEye=[0, 0.1, -1], rightEye=None),
+    line(expression=[0.25] * 52, rightEye=[0.5, 0, -1]),
     json.dumps({"t": 3, "left_grip": HEAD}),
     "\n \r\n" + line() + "\r\n\n",
     "\ufeff" + line(),
@@ -133,6 +135,8 @@ REFUSED = [
     line(head=[*HEAD[:6], None]), line(left_joints=HAND[:24]), line(left_joints=[1.0] * 74), line(left_joints="x" * 25),
     line(left_joints=[[1, 2]] * 25), line(left_joints=[]), line(left_curl="fist"), line(left_curl=False),
     line() + " " * (1 << 20), line(waist=[1, 2]), line(body=[1, 2]), line(body="hips"), line(body={"hips": [1, 2]}),
+    line(expression="smile"), line(expression=[1.0] * 51), line(expression={"jawOpen": "wide"}), line(leftEye=[1, 2]),
+    line(expression={f"s{i}": 1 for i in range(257)}),
     line(body={"left-foot-ball": "abc"}), line(body={f"j{i}": 1 for i in range(257)}),
 ]  # fmt: skip
 
@@ -151,7 +155,8 @@ def test_what_the_program_reads_the_page_reads(page, tmp_path, text):
         mine = Sample.from_json(sample)
         assert mine.t == twin.t and (mine.left_curl, mine.right_curl) == (twin.left_curl, twin.right_curl)
         body = None if twin.body is None else {name: joint[:3] for name, joint in twin.body.items()}
-        assert mine.body == body
+        assert mine.body == body and mine.expression == twin.expression
+        assert (mine.left_eye, mine.right_eye) == (twin.left_eye, twin.right_eye)
         for key in ("head", "left", "right", "left_joints", "right_joints", *TRACKERS):
             value = getattr(twin, key)
             tracked = value is not None and np.isfinite(np.hstack(value)).all()
@@ -197,7 +202,7 @@ def test_a_recording_made_in_the_page_is_read_by_the_program(page, tmp_path):
             recorder.add({ head: [NaN, 0, 0, 0, 0, 0, 1], right: head }, 5011.1111),
             recorder.add({ head }, 5011.1111),
             recorder.add({ head }, NaN),
-            recorder.add({ right_grip: new Float32Array(head) }, 5500),
+            recorder.add({ right_grip: new Float32Array(head), expression: { jawOpen: 0.3 } }, 5500),
           ];
           const blob = recorder.stop();
           took.push(recorder.add({ head }, 6000));
@@ -214,7 +219,7 @@ def test_a_recording_made_in_the_page_is_read_by_the_program(page, tmp_path):
     assert np.abs(np.array(samples[0].left_joints) - hand).max() <= 5.1e-7
     assert samples[1].head is None and samples[1].right == tuple(HEAD) and samples[2].right is not None
     assert json.loads(text.splitlines()[0])["body"] == {"hips": HEAD}
-    assert len(parsed(page, text)) == 3
+    assert len(parsed(page, text)) == 3 and samples[2].expression == {"jawOpen": 0.3}
 
 
 def test_a_full_recorder_stops_with_a_word_and_keeps_what_it_has(page):

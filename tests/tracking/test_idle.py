@@ -9,6 +9,7 @@ from math import cos, degrees, radians, sin
 import numpy as np
 import pytest
 
+from glsplat.tracking.extra.gaze import eye_turn
 from glsplat.tracking.extra.idle import IdleFace
 from glsplat.tracking.sample import Sample
 
@@ -47,12 +48,34 @@ def leaps(samples: list[Sample]) -> int:
 
 def test_eyes_leap_two_or_three_times_a_second_and_stay_in_their_sockets():
     samples = played(120)
-    assert 1.5 <= leaps(samples) / 120 <= 3
+    assert 2 <= leaps(samples) / 120 <= 3
     looks = np.array([one.left_eye for one in samples])
     assert np.abs(np.linalg.norm(looks, axis=1) - 1).max() < 1e-9
     assert np.degrees(np.arccos(-looks[:, 2])).max() < 22.1
     assert np.degrees(np.arccos(-looks[:, 2])).mean() > 3  # it is no stare
     assert abs(looks[:, 0].mean()) < 0.05, "no side is preferred"
+
+
+@pytest.mark.parametrize("face", [(), ((0.5, 1.7, -1.4),)], ids=["nobody", "a face"])
+@pytest.mark.parametrize("swing", [5, 30, 60])
+def test_leaps_are_two_or_three_a_second_whatever_the_head_does(swing, face):
+    samples = played(60, yaw=lambda t: swing * np.sin(t), faces=face)
+    assert 2 <= leaps(samples) / 60 <= 3
+    for one in samples[::7]:
+        for gaze in (one.left_eye, one.right_eye):
+            turn = np.array(eye_turn(gaze, []))
+            assert np.linalg.norm(turn) < radians(22.1) and abs(turn[2]) < 1e-12, "no roll: Listing's law"
+
+
+def test_eyes_lead_a_head_that_spins():
+    samples = played(30, yaw=lambda t: 90 * t)
+    assert leaps(samples) / 30 < 3.6
+    assert np.degrees(np.arccos([-one.left_eye[2] for one in samples])).max() < 22.1
+
+
+@pytest.mark.parametrize("face", [(0.3, 1.6, -0.3), (0.3, 1.6, -80.0), (float("nan"), 0, 0), (0.0,), "x"])
+def test_what_is_no_face_to_meet_is_not_looked_at(face):
+    assert played(3, faces=[face]) == played(3)
 
 
 def test_lids_close_fifteen_times_a_minute_and_fall_faster_than_they_rise():

@@ -30,6 +30,7 @@ from glsplat.tracking.solvers import SOLVERS, SolverName
 
 if TYPE_CHECKING:  # a plain server runs without these rooms: tests/test_alone.py
     from glsplat.consent.policy import ConsentPolicy
+    from glsplat.net.face.feed import FaceFeed
     from glsplat.net.uploads.job import UploadConfig
     from glsplat.net.uploads.routes import Uploads
     from glsplat.net.workers.options import Workers
@@ -60,6 +61,7 @@ def make_server(
     consent: ConsentPolicy | None = None,  # of all that is shown, by the same names; None: nobody asks for it
     workers: Workers | None = None,  # that draw and encode instead (docs/scaling.md)
     idle: bool = False,  # eyes of tracked users that no sensor sees look around and blink
+    face: FaceFeed | None = None,  # a face that is tracked beside the headset, of one user at a time
     lead: Lead | None = None,  # leads the clients through more than pictures, such as a study
 ) -> Server:
     """A server that draws ``scene`` with OpenGL, and solves tracking if its one avatar has SMPL-X's rig.
@@ -82,12 +84,12 @@ def make_server(
     avatar = item.content if item is not None and is_rigged(item.content) else None
     others = _checked(avatars or {}, name, rendering)
     choices: Mapping[str, Rigged] = others
-    first = _nobody(name, file) if avatar is None else offered(name, avatar, calibration, solver, idle)
-    offers = [first, *(offered(one, what, calibration, solver, idle) for one, what in others.items())]
+    first = _nobody(name, file) if avatar is None else offered(name, avatar, calibration, solver, idle, face)
+    offers = [first, *(offered(one, what, calibration, solver, idle, face) for one, what in others.items())]
     takes = None
     if uploads is not None:
         choices = AvatarStore(others, uploads.folder, name)
-        takes, kept = _uploads(uploads, rendering, calibration, {name, *others}, solver, consent, idle)
+        takes, kept = _uploads(uploads, rendering, calibration, {name, *others}, solver, consent, idle, face)
         offers += kept
     for one in offers:
         _say(one)
@@ -132,13 +134,14 @@ def _uploads(
     solver: SolverName,
     consent: ConsentPolicy | None,
     idle: bool,
+    face: FaceFeed | None,
 ) -> tuple[Uploads, list[AvatarInfo]]:
     """What makes avatars, and what is offered of its folder; GlsplatError where a name there is ``taken``."""
     from glsplat.net.uploads.routes import Uploads
 
     def describe(one: str, avatar: Rigged) -> AvatarInfo:
         _checked({one: avatar}, "", rendering)
-        return replace(offered(one, avatar, calibration, solver, idle), made=uploads.store.made_here(one))
+        return replace(offered(one, avatar, calibration, solver, idle, face), made=uploads.store.made_here(one))
 
     uploads = Uploads(config, describe)
     uploads.store.open()
@@ -171,6 +174,7 @@ def offered(
     calibration: Calibration | None = None,
     solver: SolverName = SOLVERS[0],
     idle: bool = False,
+    face: FaceFeed | None = None,
 ) -> AvatarInfo:
     """What clients may ask of an avatar.
 
@@ -187,7 +191,8 @@ def offered(
 
     def solving(height: float | None, span: float | None) -> TrackingSolver:
         fitted = base if height is None else Calibration.of_height(skeleton, height, base.floor)
-        return TrackingSolver(skeleton, fitted if span is None else fitted.with_span(skeleton, span), solver, idle)
+        fitted = fitted if span is None else fitted.with_span(skeleton, span)
+        return TrackingSolver(skeleton, fitted, solver, idle, face)
 
     return AvatarInfo(name=name, skeleton=skeleton, solver=solving, height=height, parts=parts, file=file)
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,6 +16,9 @@ from glsplat.tracking.calibration import Calibration
 from glsplat.tracking.extra.idle import IdleFace
 from glsplat.tracking.solvers import SOLVERS, SolverName
 from glsplat.tracking.tracker import Tracker
+
+if TYPE_CHECKING:  # most servers hear of no face
+    from glsplat.net.face.feed import FaceFeed
 
 __all__ = ["OneClock", "TrackingSolver"]
 
@@ -43,14 +48,23 @@ class OneClock:
 
 
 class TrackingSolver:
-    """Tracking to pose for one user. ``idle``: eyes that no sensor sees look around and blink."""
+    """Tracking to pose for one user.
+
+    ``idle``: eyes that no sensor sees look around and blink. ``face``: what is tracked of a face beside the headset.
+    """
 
     def __init__(
-        self, skeleton: Skeleton, calibration: Calibration, solver: SolverName = SOLVERS[0], idle: bool = False
+        self,
+        skeleton: Skeleton,
+        calibration: Calibration,
+        solver: SolverName = SOLVERS[0],
+        idle: bool = False,
+        face: FaceFeed | None = None,
     ) -> None:
         self._tracker = Tracker(skeleton, calibration, solver=solver)
         self._clock = OneClock()
         self._idle = IdleFace() if idle else None
+        self._face = face
 
     def solve(self, request: Request, now: float) -> Solved:
         """Filter and solve the next sample, bring the cameras to the avatar's scale."""
@@ -58,7 +72,11 @@ class TrackingSolver:
         assert sample is not None
         t = self._clock.time(None if request.t is None else sample.t, now)
         sample = sample if t == sample.t else replace(sample, t=t)
-        pose = self._tracker.update(sample if self._idle is None else self._idle.fill(sample))
+        if self._face is not None:
+            sample = self._face.worn(self, sample, now)
+        if self._idle is not None:
+            sample = self._idle.fill(sample, (*request.faces, *_watcher(request.cameras)))
+        pose = self._tracker.update(sample)
         known = self._tracker.calibration
         moved = known.scale != 1 or known.floor != 0
         cameras = tuple(map(self._camera, request.cameras)) if moved else request.cameras
@@ -71,3 +89,10 @@ class TrackingSolver:
         viewmat[:3, 3] = -viewmat[:3, :3] @ self._tracker.to_avatar(place)[:3, 3]
         scale = self._tracker.calibration.scale
         return replace(camera, viewmat=viewmat, near=camera.near / scale, far=camera.far / scale)
+
+
+def _watcher(cameras: tuple[Camera, ...]) -> list[Sequence[float]]:
+    """Between the eyes that look at the avatar: in a mirror's picture, where its user's image is."""
+    if not cameras:
+        return []
+    return [np.mean([camera.position for camera in cameras], axis=0).tolist()]

@@ -20,6 +20,7 @@ from glsplat.net.pages.site import File, Site
 from glsplat.net.pages.status import STATUS_POLICY, page_html
 from glsplat.net.rights import user_of
 from glsplat.shaders.web import programs_json
+from glsplat.speech.table import table_json
 
 if TYPE_CHECKING:
     from glsplat.net.accounts.users import User
@@ -30,6 +31,10 @@ Numbers = Callable[[], Mapping[str, Any]]
 Offer: TypeAlias = "Callable[[User | None], Mapping[str, Any]]"
 
 _RECORDING = "recording.jsonl"
+_TABLES: dict[str, Callable[[], bytes]] = {
+    "draw/programs.json": programs_json,
+    "voice/visemes.json": table_json,
+}  # made, not read, for the page
 
 
 class Pages:
@@ -57,7 +62,7 @@ class Pages:
             web.get("/reach", self._reach),
             web.get("/motions/{name}", self._motion),
             web.get("/recording", self._recording),
-            *Site(resources.files("glsplat.net") / "web", {"draw/programs.json": programs_json()}).routes(),
+            *Site(resources.files("glsplat.net") / "web", {path: made() for path, made in _TABLES.items()}).routes(),
         ]
 
     async def _healthz(self, request: web.Request) -> web.Response:

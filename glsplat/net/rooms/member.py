@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from glsplat.camera import Camera
 from glsplat.net.backend import Solved
@@ -28,6 +28,12 @@ class Member:
     def solved(self, request: Request, solved: Solved, at: float) -> None:
         """Tracking that came ``at`` seconds was solved."""
         self.room.moved(self.person, self._moved(request, solved, at))
+
+    def meeting(self, request: Request) -> Request:
+        """A request with tracking, and in it where the others' faces are."""
+        assert request.tracking is not None
+        faces = self.room.faces(self.person, request.tracking.head)
+        return replace(request, faces=(*request.faces, *faces)) if faces else request
 
     def received(self, request: Request, at: float) -> None:
         """A request came ``at`` seconds; its tracking is solved elsewhere, perhaps much later."""

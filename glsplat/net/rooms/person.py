@@ -6,6 +6,7 @@ Tracking that is late or missing is extrapolated for a moment and then held; who
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -50,6 +51,7 @@ class Person:
     ) -> None:
         self.key, self.name, self.avatar, self.seat, self.owner, self.label = key, name, avatar, seat, owner, label
         self.connected = True
+        self.face: NDArray[np.float64] | None = None  # [3] between their eyes, in the room
         self._heard = now
         self._samples: deque[Moved] = deque(maxlen=32)
         self._packed: tuple[bytes, bytes] | None = None  # the newest sample on the wire, by the avatar's hash
@@ -64,6 +66,10 @@ class Person:
     def heard(self, now: float) -> None:
         """Something came from them."""
         self._heard = max(self._heard, now)
+
+    def looked(self, head: Sequence[float] | None) -> None:
+        """Where the head of their tracking is, in their own space; None: not told."""
+        self.face = None if head is None else self.seat[:3, :3] @ np.asarray(head[:3]) + self.seat[:3, 3]
 
     def moved(self, sample: Moved) -> None:
         """A sample came."""

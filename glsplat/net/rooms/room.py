@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from glsplat.camera import Camera
 from glsplat.errors import ProtocolError
+from glsplat.net.fields import Place
 from glsplat.net.poses.body import MOST, yours
 from glsplat.net.poses.history import PoseHistory, Poses
 from glsplat.net.rooms.person import SILENT, Moved, Person
@@ -132,6 +133,15 @@ class Room:
             # who only listens is at rest in each request, which is no news
             if last is None or last.pose is not sample.pose or last.scale != sample.scale:
                 self._changed(person)
+
+    def faces(self, person: Person, head: Sequence[float] | None) -> list[Place]:
+        """Between the eyes of all others whose tracking came, in the space of a ``person`` whose own head is there."""
+        with self._lock:
+            person.looked(head)
+            others = [one.person.face for one in self._guests.values() if one.person is not person]
+        from_room = person.from_room()
+        places = [face for face in others if face is not None]
+        return [] if not places else list(map(tuple, (places @ from_room[:3, :3].T + from_room[:3, 3]).tolist()))
 
     def look(
         self, person: Person, cameras: Sequence[Camera], own: Moved, now: float

@@ -16,6 +16,7 @@ import { Calibration } from './track/calibration.js';
 import { Motion, Recording, Rest, parseRecording, readRecording } from './track/drivers.js';
 import { Living } from './track/living.js';
 import { Recorder } from './track/recorder.js';
+import { addVoice } from './voice/panel.js';
 
 const TOKEN = 'glsplat.token'; // in this tab's storage only
 const MAKING = 'glsplat.making'; // the avatar that is being made, in this tab's storage too
@@ -55,7 +56,8 @@ if (asked.has('emulate')) {
 const inWorker = asked.get('decode') !== 'main';
 const stage = new Stage(gl, connection, settings, { inWorker });
 const orbit = new Orbit();
-const viewer = new Viewer(canvas, stage, orbit, settings);
+const voice = addVoice(document.getElementById('controls'));
+const viewer = new Viewer(canvas, stage, orbit, settings, (drive) => speaking(drive));
 const menu = new Menu(settings, stage, recorder, {
   calibrate: () => calibration.begin(performance.now(), { height: settings.get('height') }),
   record: () => toggleRecording(),
@@ -65,6 +67,7 @@ const immersive = new Immersive(gl, stage, settings, menu, {
   calibration,
   recorder,
   driven: () => chosenAvatar()?.tracking ?? true,
+  speaks: (sample) => voice.speaks(sample),
   measured: () => measured,
   onCalibrated: (result) => {
     measured = result;
@@ -129,6 +132,13 @@ function standAround() {
   const radius = found ? Math.max(CIRCLE, found.seats / (2 * Math.PI)) : 0; // as glsplat/net/rooms/seats.py
   if (found) orbit.standBack([0, 0.95, radius], radius);
   else orbit.reset();
+}
+
+/** What moves the avatar, and its mouth. Who cannot be moved has none. */
+function speaking(drive) {
+  if (drive.tracking) return { ...drive, tracking: voice.speaks(drive.tracking) };
+  const moves = drive.pose || (voice.state === 'on' && (chosenAvatar()?.tracking ?? true));
+  return moves ? { ...drive, pose: voice.speaks(drive.pose ?? {}) } : drive;
 }
 
 /** The stage knows whom it shows. */

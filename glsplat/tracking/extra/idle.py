@@ -34,11 +34,13 @@ __all__ = ["IdleFace"]
 
 AHEAD = 1.5  # metres to what nobody in particular is looked at
 EYES_APART = 0.063  # metres
-FIXED, VARIES = 0.42, 0.5  # seconds: median of a rest, and the spread of its logarithm; 2.2 leaps a second
+FIXED, VARIES = 0.34, 0.5  # seconds: median of a rest, and the spread of its logarithm; 2.3 leaps a second
 BRIEFEST, LONGEST = 0.15, 2.0  # seconds of a rest
 FARTHEST = radians(22)  # of the eyes from straight ahead; farther, the head has to turn
 NOTICED = radians(30)  # a face within this angle of straight ahead is looked at
 AT_FACE = 0.75  # of the leaps go to the face, from eye to eye to mouth, the others beside it
+LED = 0.3  # of the way that the head has turned from what it left behind, the eyes go on beyond straight ahead
+NEAREST, FARTHEST_FACE = 0.25, 10.0  # metres; nearer is one's own head, and beyond nobody meets an eye
 FEATURES: tuple[Vec, ...] = ((-0.03, 0.0, 0.0), (0.03, 0.0, 0.0), (0.0, -0.07, 0.0))  # metres from between the eyes
 LEVEL = 0.5  # of a leap up or down: most of what there is to see lies at the height of the eyes
 BLINKS = 15 / 60  # a second
@@ -47,8 +49,6 @@ SHIFT = radians(30)  # a leap of gaze beyond this is made with closed eyes
 CLOSING, CLOSED, OPENING = 0.08, 0.04, 0.16  # seconds (Trutoiu et al. 2011: lids fall faster than they rise)
 LIDS = radians(40)  # of the gaze at which ARKit's eyeLook shapes are full
 GAP = 1.0  # seconds without a sample; then everything begins anew
-
-_DOWN: Vec = (0.0, -1.0, 0.0)
 
 
 class IdleFace:
@@ -70,6 +70,8 @@ class IdleFace:
         self._time: float | None = None
         self._at: Vec = (0.0, 0.0, 0.0)  # the point of the world that is looked at
         self._before: Vec = self._at  # ... and that was, before the last leap
+        self._feature = 0  # of the face, that was looked at last
+        self._meets = False  # whether that is looked at, as far aside as the eyes turn
         self._leapt = self._leap = 0.0  # when, and the seconds it takes
         self._next = 0.0  # leap
         self._blinked, self._blink = -1e9, 0.0  # when the last began, and when the next will
@@ -79,8 +81,8 @@ class IdleFace:
         """The sample with gaze and lids where it has none of its own.
 
         ``faces``: places [3] between the eyes of those whom one may look at, a mirror's among them, in the sample's
-        space. The one nearest to straight ahead is looked at, up to 30 degrees aside. A sample without a head, or with
-        eyes and eyelids of its own, is returned as it came.
+        space. The one nearest to straight ahead is looked at, up to 30 degrees aside and .25 to 10 m away. A sample
+        without a head, or with eyes and eyelids of its own, is returned as it came.
         """
         head = read_pose(sample.head, 1.0, 0.0, [])
         own = {known for name in sample.expression or () if (known := arkit_name(name)) is not None}
@@ -110,8 +112,12 @@ class IdleFace:
         self._time = t
         if t < self._leapt + self._leap:
             return
-        if fresh or t >= self._next or dot(unit(sub(self._at, place)), ahead) < cos(FARTHEST):
-            self._before, self._at = self._at, self._chosen(place, turn, ahead, faces)
+        gaze = unit(sub(self._at, place), ahead)
+        left_behind = not fresh and dot(gaze, ahead) < cos(NOTICED if self._meets else FARTHEST)
+        if fresh or left_behind or t >= self._next:
+            # eyes lead a head that turns, else they would have to leap after it all the time
+            lead = unit(add(ahead, scale(sub(ahead, gaze), LED)), ahead) if left_behind else ahead
+            self._before, self._at = self._at, self._chosen(place, turn, ahead, lead, faces)
             looks = unit(sub(self._at, place), ahead)
             angle = 0.0 if fresh else acos(clamp(dot(looks, self._looks), -1.0, 1.0))
             if fresh:
@@ -120,7 +126,7 @@ class IdleFace:
             self._leap = 0.025 + 0.0024 * degrees(angle)  # Eyes Alive: 25 ms and 2.4 ms a degree
             rest = FIXED * exp(VARIES * self._chance.gauss(0.0, 1.0))
             self._next = t + self._leap + clamp(rest, BRIEFEST, LONGEST)
-            if angle > SHIFT and t - self._blinked > SPARED / 2:
+            if angle > SHIFT and t - self._blinked > SPARED:
                 self._blinked, self._blink = t, t + self._pause()
         if t >= self._blink:
             self._blinked, self._blink = t, t + self._pause()
@@ -128,13 +134,15 @@ class IdleFace:
     def _pause(self) -> float:
         return SPARED + self._chance.expovariate(1 / (1 / BLINKS - SPARED))
 
-    def _chosen(self, place: Vec, turn: Quat, ahead: Vec, faces: Sequence[Sequence[float]]) -> Vec:
-        """The next point to look at."""
+    def _chosen(self, place: Vec, turn: Quat, ahead: Vec, lead: Vec, faces: Sequence[Sequence[float]]) -> Vec:
+        """The next point to look at; where there is no face, about the direction ``lead``."""
         face = _noticed(place, ahead, faces)
         to_face = self._chance.random() < AT_FACE
+        self._meets = face is not None and to_face
         if face is not None and to_face:
-            return add(face, rotate(turn, self._chance.choice(FEATURES)))
-        base = ahead if face is None else unit(sub(face, place), ahead)
+            self._feature = (self._feature + self._chance.choice((1, 2))) % len(FEATURES)  # never the same again
+            return add(face, rotate(turn, FEATURES[self._feature]))
+        base = lead if face is None else unit(sub(face, place), ahead)
         far = AHEAD if face is None else max(0.3, dot(sub(face, place), base))
         # Eyes Alive: sizes of leaps, -6.9 ln(P / 15.7) degrees where P % of them are larger; about half of it from rest
         size = radians(min(22.7, -6.9 * log(self._chance.uniform(0.6, 15.0) / 15.7)))
@@ -167,7 +175,9 @@ def _noticed(place: Vec, ahead: Vec, faces: Sequence[Sequence[float]]) -> Vec | 
     best, least = None, cos(NOTICED)
     for one in faces:
         at = read_place(one, 1.0, 0.0, [])
-        if at is not None and (along := dot(unit(sub(at, place), _DOWN), ahead)) > least:
+        if at is None or not NEAREST**2 < dot(away := sub(at, place), away) < FARTHEST_FACE**2:
+            continue
+        if (along := dot(unit(away), ahead)) > least:
             best, least = at, along
     return best
 

@@ -3,6 +3,7 @@
 import { fromBox } from '../place/shadow.js';
 import { Framing } from '../space/framing.js';
 import { IDENTITY } from '../space/matrix.js';
+import { watcher } from '../space/placing.js';
 import { Figures } from '../stream/figures.js';
 import { Pictures } from '../stream/pictures.js';
 import { Here } from './here.js';
@@ -63,7 +64,7 @@ export class Stage {
   frame(views, where, drive, { framebuffer = null, alpha, transparent = false, room, labels = () => [], asks = true, now }) {
     const here = this.here.draws(views, where, this.figures.rate('shown', now), now);
     let sent = 0;
-    if (asks) sent = here ? this.#askPoses(drive, now) : this.ask(views, where, drive, { alpha, now });
+    if (asks) sent = here ? this.#askPoses(views, where, drive, now) : this.ask(views, where, drive, { alpha, now });
     this.advance(now);
     const hung = labels();
     this.painter.begin(framebuffer, transparent);
@@ -195,8 +196,9 @@ export class Stage {
     return this.connection.send({ eyes, size: [16, 16], ...request }, null);
   }
 
-  #askPoses(drive, now) {
-    return this.connection.send({ ...drive, t: drive.t ?? now, want: 'pose' }, { scene: this.#scene });
+  #askPoses(views, where, drive, now) {
+    const faces = drive.tracking ? { faces: [watcher(views, where)] } : {};
+    return this.connection.send({ ...drive, t: drive.t ?? now, want: 'pose', ...faces }, { scene: this.#scene });
   }
 
   #received({ reply, buffer, asked, sent, ms }) {

@@ -14,6 +14,7 @@ export class Viewer {
   #stage;
   #orbit;
   #settings;
+  #adds;
   #driver = null;
   #last = ''; // what was asked last
   #asked = 0; // ms
@@ -23,11 +24,13 @@ export class Viewer {
   rests = () => false; // whether others need the machine: then it draws and asks now and then
   onDrive = () => {}; // hears of what moves the avatar, every frame
 
-  constructor(canvas, stage, orbit, settings) {
+  /** `adds(drive)` is what is sent of what the driver says. */
+  constructor(canvas, stage, orbit, settings, adds = (drive) => drive) {
     this.#canvas = canvas;
     this.#stage = stage;
     this.#orbit = orbit;
     this.#settings = settings;
+    this.#adds = adds;
   }
 
   /** Who poses the avatar (track/drivers.js). All go by one clock, so that the server's filters see no leap back. */
@@ -59,7 +62,7 @@ export class Viewer {
     this.#orbit.inset = this.covered();
     this.#orbit.scale = width / this.#canvas.clientWidth;
     const views = this.#orbit.views(width, height, { stereo: this.#settings.get('stereo') });
-    const drive = this.#driver?.at(now / 1000) ?? {};
+    const drive = this.#adds(this.#driver?.at(now / 1000) ?? {});
     this.onDrive(drive);
     const key = drive.tracking || drive.pose ? '' : JSON.stringify(views.map(({ transform }) => transform)) + width + height;
     const room = this.#settings.get('room') !== '';

@@ -26,7 +26,7 @@ const both = (words) => ({ vr: words, ar: words });
 
 /**
  * One session at a time. `actions` is what the panel's rows do: {rows(immersive) -> rows, press(id)}; `tools`:
- * {calibration, recorder, driven(), measured(), onCalibrated(result), onEnd()}.
+ * {calibration, recorder, driven(), speaks(sample), measured(), onCalibrated(result), onEnd()}.
  */
 export class Immersive {
   mode = ''; // vr, ar, or empty while there is no session
@@ -132,7 +132,7 @@ export class Immersive {
     }));
     const head = viewer.transform.matrix;
     if (!this.#where || this.#again) this.#placeView(head);
-    const sample = sampleOf(frame, this.#space, viewer);
+    const sample = this.#tools.speaks(sampleOf(frame, this.#space, viewer));
     const lower = drivenBodyOf(frame, this.#space);
     if (lower) sample.body = lower;
     this.#use(sample, now, frame);

@@ -4,7 +4,7 @@
 // looks at the shown room is sent to the server as the eye that sees the same thing in the user's own.
 
 import { add, axis, FLIP_X, IDENTITY, invert, multiply, place, reflection, scale, subtract } from './matrix.js';
-import { translation, turnY, unit } from './matrix.js';
+import { movePoint, translation, turnY, unit } from './matrix.js';
 
 export const VIEWS = ['mirror', 'facing', 'own'];
 
@@ -85,3 +85,9 @@ export function standing(head) {
 }
 
 const NEAR_BODY = 0.5; // metres to the arms and the lap of one's own body
+
+/** Between the eyes that look at the shown room, in the user's own: what an avatar is to look at. */
+export function watcher(views, { shown }) {
+  const eye = scale(views.map(({ transform }) => place(transform)).reduce(add, [0, 0, 0]), 1 / views.length);
+  return movePoint(invert(shown), eye).map((v) => Math.round(v * 1000) / 1000);
+}

@@ -15,6 +15,8 @@ const HANDS = ['left_joints', 'right_joints'];
 const NUMBERS = ['left_curl', 'right_curl'];
 const FLAT_JOINTS = new Map([[75, 3], [175, 7], [78, 3], [182, 7]]);
 const MOST_JOINTS = 256; // entries of a body
+const MOST_SHAPES = 256; // names of an expression
+const GAZES = ['leftEye', 'rightEye'];
 const FARTHEST = 1e4; // metres; the server refuses what is farther
 const QUATERNION = [1e-9, 1e3]; // lengths that the server takes
 
@@ -155,7 +157,22 @@ function sampleOf(data) {
     if (key in data) sample[key] = data[key] === null ? null : finiteOr(numberOf(data[key], key));
   }
   if (data.body !== undefined && data.body !== null) sample.body = bodyOf(data.body);
+  for (const key of GAZES) {
+    const gaze = data[key] === undefined || data[key] === null ? [0] : numbersOf(data[key], key, [3]);
+    if (Math.hypot(...gaze) > 1e-6 && Math.hypot(...gaze) < 1e6) sample[key] = gaze; // NaN fails this
+  }
+  if (data.expression !== undefined && data.expression !== null) sample.expression = expressionOf(data.expression);
   return sample;
+}
+
+/** Weights by name, or 52 in ARKit's order, which are finite. */
+function expressionOf(value) {
+  if (Array.isArray(value)) return numbersOf(value, 'expression', [52]).map((weight) => finiteOr(weight) ?? 0);
+  if (typeof value !== 'object') throw new Error(`"expression" is an object of weights by name, not ${kind(value)}.`);
+  const count = Object.keys(value).length;
+  if (count > MOST_SHAPES) throw new Error(`"expression" needs at most ${MOST_SHAPES} names, not ${count}.`);
+  const weights = Object.entries(value).filter(([, weight]) => weight !== null);
+  return Object.fromEntries(weights.map(([name, weight]) => [name, finiteOr(numberOf(weight, `expression.${name}`)) ?? 0]));
 }
 
 /** The places of the joints that are used. */

@@ -97,6 +97,7 @@ function lineOf(sample, t, extra) {
     const value = known(sample[key]);
     if (value !== null) line[key] = value;
   }
+  if (sample.expression) line.expression = rounded(sample.expression);
   for (const [key, value] of Object.entries(extra)) {
     if (!(key in line)) line[key] = rounded(value);
   }

@@ -1,0 +1,88 @@
+// The user's voice moves the avatar's mouth: microphone, audio thread, and the weights that go with what is sent.
+
+const STALE = 300; // ms without word from the audio thread after which the mouth is at rest
+const WANTED = { echoCancellation: true, noiseSuppression: true, autoGainControl: true, channelCount: 1 };
+
+/** Event 'change'. `state`: off, asking, on, muted, refused; `why` says in words what went wrong. */
+export class Voice extends EventTarget {
+  state = 'off';
+  why = '';
+  #stream = null;
+  #context = null;
+  #weights = {};
+  #least = 0; // of a weight that is sent
+  #heard = 0;
+  #round = 0; // what was begun before the last start or stop no longer counts
+
+  /** Ask for the microphone, and listen. */
+  async start() {
+    if (this.#context || this.state === 'asking') return;
+    const round = ++this.#round;
+    this.#become('asking');
+    let stream = null;
+    let context = null;
+    const drop = () => {
+      stream?.getTracks().forEach((track) => track.stop());
+      context?.close();
+    };
+    try {
+      if (!navigator.mediaDevices) throw new Error('this page needs https, or http://localhost');
+      stream = await navigator.mediaDevices.getUserMedia({ audio: WANTED });
+      context = new AudioContext({ latencyHint: 'interactive' });
+      const response = await fetch(new URL('visemes.json', import.meta.url));
+      const table = await response.json();
+      this.#least = table.mouth.least;
+      await context.audioWorklet.addModule(new URL('worklet.js', import.meta.url));
+      if (round !== this.#round) return drop();
+      const listener = new AudioWorkletNode(context, 'listener', { numberOfOutputs: 0, processorOptions: { table } });
+      listener.port.onmessage = ({ data }) => {
+        this.#weights = data;
+        this.#heard = performance.now();
+      };
+      context.createMediaStreamSource(stream).connect(listener);
+      await context.resume();
+      if (round !== this.#round) return drop();
+      [this.#stream, this.#context] = [stream, context];
+      stream.getTracks().forEach((track) => (track.onended = () => this.stop('the microphone is gone')));
+      this.#become('on');
+    } catch (error) {
+      drop();
+      if (round === this.#round) this.#become('refused', error.name === 'NotAllowedError' ? 'the microphone is not allowed' : error.message);
+    }
+  }
+
+  /** Give the microphone back. */
+  stop(why = '') {
+    this.#round++;
+    this.#stream?.getTracks().forEach((track) => track.stop());
+    this.#context?.close();
+    [this.#stream, this.#context, this.#weights] = [null, null, {}];
+    this.#become(why ? 'refused' : 'off', why);
+  }
+
+  /** Silence, without giving the microphone back. */
+  mute(muted) {
+    if (!this.#context) return;
+    this.#stream.getTracks().forEach((track) => (track.enabled = !muted));
+    this.#become(muted ? 'muted' : 'on');
+  }
+
+  /** The weights of now, {name: 0 to 1}; null while nobody listens. */
+  weights() {
+    if (this.state !== 'on') return null;
+    if (performance.now() - this.#heard > STALE) return {};
+    const kept = Object.entries(this.#weights).filter(([, weight]) => weight >= this.#least);
+    return Object.fromEntries(kept.map(([name, weight]) => [name, Math.round(weight * 1000) / 1000]));
+  }
+
+  /** A sample of tracking, or a pose, with the mouth of now; what it says of the face itself wins. */
+  speaks(body) {
+    const said = this.weights();
+    return said && !Array.isArray(body.expression) ? { ...body, expression: { ...said, ...body.expression } } : body;
+  }
+
+  #become(state, why = '') {
+    Object.assign(this, { state, why });
+    this.dispatchEvent(new Event('change'));
+  }
+}

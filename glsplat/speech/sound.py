@@ -1,0 +1,108 @@
+"""Sound files: RIFF WAVE of whole numbers or floats, read with every size checked; written as 16 bits.
+
+The chunks are those of "Multimedia Programming Interface and Data Specifications 1.0" (IBM & Microsoft 1991), the
+extensible form that of Microsoft's mmreg.h.
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glsplat.errors import FormatError
+from glsplat.io.files import naming, open_regular
+
+__all__ = ["MAX_BYTES", "MAX_SECONDS", "Sound", "read_wav", "wav_bytes"]
+
+MAX_BYTES = 512 * 2**20
+MAX_SECONDS = 3600.0
+
+_INTEGER, _FLOAT, _EXTENSIBLE = 1, 3, 0xFFFE
+_KINDS = {(_INTEGER, 8): "u1", (_INTEGER, 16): "<i2", (_INTEGER, 24): "", (_INTEGER, 32): "<i4"}
+_KINDS |= {(_FLOAT, 32): "<f4", (_FLOAT, 64): "<f8"}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sound:
+    """One channel: ``samples`` [N], full scale is 1, ``rate`` of them a second."""
+
+    samples: NDArray[np.float32]
+    rate: int
+
+    @property
+    def seconds(self) -> float:
+        """How long it is."""
+        return len(self.samples) / self.rate
+
+
+def read_wav(path: str | Path) -> Sound:
+    """A .wav, its channels averaged. Raises FormatError for what is none, other codecs, and more than an hour."""
+    with naming(path), open_regular(path) as (file, size):
+        if size > MAX_BYTES:
+            raise FormatError(f"a sound file needs at most {MAX_BYTES >> 20} MiB, not {size >> 20}")
+        return _parsed(file.read(size))
+
+
+def wav_bytes(sound: Sound) -> bytes:
+    """The same as a .wav of 16 bits."""
+    body = np.rint(sound.samples.clip(-1, 1) * 32767).astype("<i2").tobytes()
+    form = struct.pack("<HHIIHH", _INTEGER, 1, sound.rate, 2 * sound.rate, 2, 16)
+    chunks = b"fmt " + struct.pack("<I", len(form)) + form + b"data" + struct.pack("<I", len(body)) + body
+    return b"RIFF" + struct.pack("<I", 4 + len(chunks)) + b"WAVE" + chunks
+
+
+def _parsed(data: bytes) -> Sound:
+    if data[:4] != b"RIFF" or data[8:12] != b"WAVE":
+        raise FormatError("expected a .wav (RIFF WAVE), found something else; ffmpeg -i IT it.wav makes one")
+    form: tuple[int, int, int, int] | None = None
+    place = 12
+    while place + 8 <= len(data):
+        name, size = data[place : place + 4], int.from_bytes(data[place + 4 : place + 8], "little")
+        body = data[place + 8 : place + 8 + size]
+        if name == b"fmt ":
+            form = _form(body)
+        if name == b"data":
+            if form is None:
+                raise FormatError("a .wav whose sound comes before its format")
+            return _sound(body, *form)  # a stream's length is a lie: what is there counts
+        place += 8 + size + size % 2
+    raise FormatError("a .wav without sound in it")
+
+
+def _form(body: bytes) -> tuple[int, int, int, int]:
+    if len(body) < 16:
+        raise FormatError("a .wav whose format is cut off")
+    kind, channels, rate, _, _, bits = struct.unpack_from("<HHIIHH", body)
+    if kind == _EXTENSIBLE and len(body) >= 26:
+        kind = int.from_bytes(body[24:26], "little")
+    if (kind, bits) not in _KINDS:
+        raise FormatError(
+            f"a .wav of format {kind} with {bits} bits; 8 to 32 bits or floats are read (ffmpeg converts)"
+        )
+    if not 1 <= channels <= 64 or not 1 <= rate <= 10**6:
+        raise FormatError(f"a .wav of {channels} channels, {rate} samples a second")
+    return kind, channels, rate, bits
+
+
+def _sound(body: bytes, kind: int, channels: int, rate: int, bits: int) -> Sound:
+    width = channels * bits // 8
+    count = len(body) // width
+    if not count:
+        raise FormatError("a .wav without a sample in it")
+    if count > MAX_SECONDS * rate:
+        raise FormatError(f"a .wav of {count / rate:.0f} s; {MAX_SECONDS:.0f} are read")
+    body = body[: count * width]
+    if bits == 24:
+        bytes3 = np.frombuffer(body, np.uint8).reshape(-1, 3).astype(np.int32)
+        whole = (bytes3[:, 0] << 8 | bytes3[:, 1] << 16 | bytes3[:, 2] << 24) / 2.0**31
+    elif kind == _FLOAT:
+        whole = np.frombuffer(body, _KINDS[kind, bits]).astype(np.float64)
+        whole = np.nan_to_num(whole, nan=0.0, posinf=0.0, neginf=0.0)
+    else:
+        numbers = np.frombuffer(body, _KINDS[kind, bits]).astype(np.float64)
+        whole = (numbers - 128) / 128 if bits == 8 else numbers / 2.0 ** (bits - 1)
+    return Sound(whole.reshape(count, channels).mean(axis=1).clip(-4, 4).astype(np.float32), rate)

@@ -1,0 +1,129 @@
+"""The page's voice: the same mouth as in Python, a microphone that is asked for, muted and given back."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+
+from glsplat.speech.analysis import Analysis
+from glsplat.speech.mouth import Mouth
+from glsplat.speech.sound import Sound, wav_bytes
+from glsplat.speech.table import table, table_json
+from tests import needs
+from tests.browser.conftest import _FLAGS, OpenPage
+from tests.browser.flat_page import flat_page
+from tests.browser.markers import Markers, offered, samples
+from tests.browser.opened import FAKE_XR, WATCH, Opened
+from tests.browser.vr import enter
+from tests.speech.sounds import vowels
+
+MAIN = """
+import { Analysis } from '/vr/voice/analysis.js';
+import { Mouth } from '/vr/voice/mouth.js';
+window.heard = (table, rate, samples, piece) => {
+  const [analysis, mouth, out] = [new Analysis(table, rate), new Mouth(table), []];
+  for (let i = 0; i < samples.length; i += piece) {
+    for (const frame of analysis.add(samples.slice(i, i + piece))) {
+      out.push([frame.time, frame.level, ...frame.visemes, ...Object.values(mouth.add(frame))]);
+    }
+  }
+  return out;
+};
+"""
+NAMES = {name for weights in table().visemes.values() for name in weights}
+
+
+@pytest.mark.parametrize(("rate", "piece"), [(16000, 128), (44100, 1000), (48000, 128)])
+def test_the_page_hears_what_python_hears(chromium: Any, rate: int, piece: int) -> None:
+    rng = np.random.default_rng(rate)
+    sound = np.concatenate(
+        [vowels(1.2, rate), np.zeros(rate // 5), rng.normal(0, 0.1, rate // 5), vowels(0.4, rate, 90)]
+    )
+    sound[100:110] = 3e4  # what clips
+    analysis, mouth = Analysis(rate), Mouth()
+    wanted = [[t, level, *v, *mouth.add(v, level).values()] for t, v, level in analysis.add(sound)]
+    with flat_page(chromium, MAIN) as page:
+        page.wait_for_function("window.heard !== undefined")
+        call = "([table, rate, samples, piece]) => heard(table, rate, samples, piece)"
+        found = page.evaluate(call, [json.loads(table_json()), rate, sound.tolist(), piece])
+    assert np.shape(found) == np.shape(wanted)
+    assert np.abs(np.array(found) - np.array(wanted)).max() < 1e-9
+
+
+@pytest.fixture(scope="module")
+def listening(play: Any, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
+    """A browser whose microphone plays two seconds of vowels, then two of silence, again and again."""
+    file = tmp_path_factory.mktemp("voice") / "voice.wav"
+    sound = np.concatenate([vowels(2, 48000), np.zeros(96000)])
+    file.write_bytes(wav_bytes(Sound(sound.astype(np.float32), 48000)))
+    flags = ["--use-fake-device-for-media-stream", f"--use-file-for-fake-audio-capture={file}"]
+    browser = play.chromium.launch(
+        executable_path=needs.program("chromium"),
+        headless=True,
+        args=[*_FLAGS, *flags, "--use-fake-ui-for-media-stream"],
+    )
+    yield browser
+    browser.close()
+
+
+def opened(browser: Any, address: str) -> Opened:
+    context = browser.new_context(viewport={"width": 900, "height": 700})
+    context.add_init_script(FAKE_XR)
+    context.add_init_script(WATCH)
+    page = Opened(context.new_page())
+    page.page.goto(address)
+    return page
+
+
+def words(page: Opened) -> str:
+    return page.js("document.querySelector('#voice').textContent")
+
+
+def test_who_speaks_moves_the_mouth_and_only_weights_leave(listening: Any, serve: Any) -> None:
+    backend = Markers(lambda job: {"red": (0, 1.5, 0)})
+    served = serve(backend, offered=offered)
+    page = opened(listening, served.page)
+    page.until("glsplat.stats().shown > 0")
+
+    def said() -> dict[str, float]:
+        newest = backend.requests[max(backend.requests)]
+        return {} if newest.pose is None else dict(newest.pose.expression)
+
+    assert not said() and "stays in this browser" in words(page)
+    page.page.click("#voice-talk")
+    page.meanwhile(lambda: said().get("jawOpen", 0) > 0.1)
+    assert set(said()) <= NAMES and all(0 < weight <= 1 for weight in said().values())
+    assert "Listening" in words(page)
+    page.meanwhile(lambda: said().get("jawOpen", 0) < 0.02)  # the pause in what the microphone plays
+    page.meanwhile(lambda: said().get("jawOpen", 0) > 0.1)
+    page.page.click("#voice-mute")
+    page.meanwhile(lambda: not said())
+    assert "Muted" in words(page) and page.js("document.querySelector('#voice-mute').textContent") == "Unmute"
+    page.page.click("#voice-mute")
+    page.meanwhile(lambda: said().get("jawOpen", 0) > 0.1)
+    enter(page)
+    count = len(samples)
+    page.meanwhile(lambda: any((s.expression or {}).get("jawOpen", 0) > 0.1 for s in list(samples.values())[count:]))
+    page.js("document.querySelector('#voice-talk').click()")
+    page.until("document.querySelector('#voice-talk').textContent.startsWith('Speak')")
+    assert all(address.split("/")[2] == f"localhost:{served.port}" for address in page.requests)
+    assert not page.faults
+
+
+def test_a_microphone_that_is_refused_is_said(open_page: OpenPage, serve: Any) -> None:
+    page = open_page(serve(Markers(lambda job: {}), offered=offered).page)
+    page.page.click("#voice-talk")
+    page.until("document.querySelector('#voice-state').textContent.startsWith('It does not listen')")
+    assert page.js("document.querySelector('#voice-mute').hidden") is True
+    assert page.js("document.querySelector('#voice-talk').textContent") == "Speak with my microphone"
+
+
+def test_the_table_is_served_as_python_has_it(open_page: OpenPage, serve: Any) -> None:
+    page = open_page(serve(Markers(lambda job: {}), offered=offered).page)
+    found = page.js("fetch('/vr/voice/visemes.json').then((response) => response.text())")
+    assert found == table_json().decode() and math.isfinite(json.loads(found)["sound"]["hop"])

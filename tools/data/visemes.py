@@ -1,0 +1,190 @@
+"""glsplat/speech/visemes.json: how visemes look, chosen by hand, and the network that hears them, learned here.
+
+    python -m tools.data.visemes            # ten minutes; needs espeak-ng and flite
+
+Voices with known phonemes say tools/data/spoken.py, through made-up microphones and noise.
+"""
+
+from __future__ import annotations
+
+import json
+from importlib import resources
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from tqdm import tqdm
+
+from glsplat.speech.cepstra import Cepstra
+from glsplat.speech.table import Framing
+from tools.data.spoken import DEVELOPED, LEARNED
+from tools.data.voices import Said, espeak, flite
+
+F32 = NDArray[np.float32]
+
+FRAMING = Framing(
+    hop=0.01, window=0.025, bands=24, low=80.0, high=7200.0, coefficients=13, tiny=1e-6,
+    start=1e-3, least=1e-4, half_life=2.0,
+)  # fmt: skip
+AHEAD = 1  # frames
+OFFSETS = tuple(offset - AHEAD for offset in (-8, -6, -4, -3, -2, -1, 0, 1))
+HIDDEN, EPOCHS, BATCH, STEP = 40, 7, 2048, 4e-3
+CLOSES = 1.6  # times as much as others, lips that should be closed and are not
+
+ESPEAK: tuple[str, ...] = (
+    "en",
+    "en-us",
+    "en-gb-scotland",
+    "en-029",
+    "en+m1",
+    "en-us+m3",
+    "en+m7",
+    "en+f1",
+    "en-us+f2",
+    "en+f4",
+)
+ESPEAK += ("en-us+klatt2", "en+Andy", "en-us+Annie", "en+linda")
+FLITE = ("slt", "rms", "kal16")  # awb is left for measuring
+
+# visemes of Meta's (Oculus) lip sync, nn among DD: https://developers.meta.com/horizon/documentation/unity/
+# audio-ovrlipsync-viseme-reference
+MOUTH = {"closes": "PP", "closed": [0.15, 0.45], "opens": 0.06, "smooth": 0.02, "least": 0.01, "jaw": [0.35, 30]}
+VISEMES: dict[str, dict[str, float]] = {
+    "sil": {},
+    "PP": {"mouthPress": 0.35, "mouthRollLower": 0.3, "mouthRollUpper": 0.15},
+    "FF": {"jawOpen": 0.05, "mouthRollLower": 0.55, "mouthUpperUp": 0.25, "mouthShrugLower": 0.2},
+    "TH": {"jawOpen": 0.16, "mouthLowerDown": 0.15, "mouthUpperUp": 0.1, "tongueOut": 0.2},
+    "DD": {"jawOpen": 0.12, "mouthLowerDown": 0.2, "mouthUpperUp": 0.1},
+    "kk": {"jawOpen": 0.18, "mouthLowerDown": 0.15},
+    "CH": {"jawOpen": 0.1, "mouthFunnel": 0.55, "mouthPucker": 0.15},
+    "SS": {"jawOpen": 0.04, "mouthStretch": 0.3, "mouthLowerDown": 0.3, "mouthUpperUp": 0.1},
+    "RR": {"jawOpen": 0.14, "mouthFunnel": 0.35, "mouthPucker": 0.2},
+    "aa": {"jawOpen": 0.5, "mouthLowerDown": 0.15, "mouthUpperUp": 0.1},
+    "E": {"jawOpen": 0.3, "mouthStretch": 0.2, "mouthLowerDown": 0.2, "mouthUpperUp": 0.1},
+    "I": {"jawOpen": 0.17, "mouthSmile": 0.15, "mouthStretch": 0.3, "mouthLowerDown": 0.2},
+    "O": {"jawOpen": 0.38, "mouthFunnel": 0.5, "mouthPucker": 0.15},
+    "U": {"jawOpen": 0.16, "mouthPucker": 0.6, "mouthFunnel": 0.2},
+}
+SIDED = ("mouthPress", "mouthUpperUp", "mouthLowerDown", "mouthStretch", "mouthSmile")
+
+# phonemes of espeak-ng (its English), then of flite (ARPAbet); of two visemes, one after the other
+_SOUNDS = {
+    "sil": "_ _: pau", "PP": "m b p", "FF": "f v", "TH": "T D th dh", "DD": "t d n l t2 @L l# n- t#",
+    "kk": "k g N h ng hh", "CH": "S Z tS dZ sh zh ch jh", "SS": "s z", "RR": "r er axr 3:",
+    "aa": "a aa A A: A@ V a# a2 ae ah ay aw", "I": "I i i: I2 j ; iy ih y",
+    "E": "E e @ @2 3 @- I# ax eh", "O": "0 O O: O@ o o: ao ow oy", "U": "U u u: w uw uh",
+}  # fmt: skip
+_TWO = {"aI": "aa I", "aI@": "aa I", "aI3": "aa I", "ay": "aa I", "eI": "E I", "ey": "E I", "OI": "O I", "oy": "O I"}
+_TWO |= {"aU": "aa U", "aU@": "aa U", "aw": "aa U", "oU": "O U", "@U": "E U", "ow": "O U", "i@": "I E", "e@": "E E"}
+_TWO |= {"U@": "U E", "i@3": "I E", "e@3": "E E", "ju:": "I U"}
+VISEME_OF = {name: (viseme,) for viseme, names in _SOUNDS.items() for name in names.split()} | {
+    name: tuple(two.split()) for name, two in _TWO.items()
+}
+
+
+def visemes_of(phoneme: str) -> tuple[str, ...]:
+    """Of a phoneme with or without what espeak-ng marks it with."""
+    bare = phoneme.strip("'-,%=!?")
+    found = VISEME_OF.get(bare) or VISEME_OF.get(bare.rstrip("#23:")) or VISEME_OF.get(bare.rstrip("#235:@"))
+    return found or ("sil" if phoneme.startswith("_") else "E",)
+
+
+def labels(said: Said, frames: int) -> NDArray[np.int64]:
+    """[frames] the viseme, by number, that each frame of ``Cepstra`` is to be heard as."""
+    names, out = list(VISEMES), np.zeros(frames, np.int64)
+    times = (np.arange(frames) - AHEAD) * FRAMING.hop - FRAMING.window / 2
+    for phoneme, begin, end in said.phonemes:
+        parts = visemes_of(phoneme)
+        for i, viseme in enumerate(parts):
+            first, last = (begin + (end - begin) * k / len(parts) for k in (i, i + 1))
+            out[(times >= first) & (times < last)] = names.index(viseme)
+    return out
+
+
+def heard(said: Said, rng: np.random.Generator) -> tuple[F32, NDArray[np.int64]]:
+    """[N, offsets * coefficients] and [N]: the sentence through a microphone of its own, in a room with some noise."""
+    sound, rate = said.sound.samples.astype(np.float64), said.sound.rate
+    if rng.random() < 0.7:
+        sound = np.convolve(sound, [1, -rng.uniform(-0.5, 0.75)])[: len(sound)]
+        noise = rng.standard_normal(len(sound))
+        if rng.random() < 0.5:
+            noise = np.convolve(noise, np.ones(12) / 12, "same")
+        noise *= np.sqrt(np.square(sound).mean() / np.square(noise).mean()) * 10 ** (-rng.uniform(15, 60) / 20)
+        sound = (sound + noise) * 10 ** rng.uniform(-1.3, -0.1) / np.abs(sound).max()
+    cepstra = np.array([cepstrum for cepstrum, _ in Cepstra(FRAMING, rate).add(sound)])
+    before = np.concatenate([np.repeat(cepstra[:1], -min(OFFSETS), 0), cepstra])
+    rows = [before[-min(OFFSETS) + offset : len(before) + offset] for offset in OFFSETS]
+    return np.concatenate(rows, 1).astype(np.float32), labels(said, len(cepstra))
+
+
+def examples(rng: np.random.Generator) -> tuple[F32, NDArray[np.int64]]:
+    """Everything that is learned from."""
+    found = []
+    for text in tqdm((*LEARNED, *DEVELOPED), unit="sentence"):
+        for voice in ESPEAK:
+            found.append(heard(espeak(text, voice, int(rng.integers(120, 210)), int(rng.integers(35, 70))), rng))
+        found += [heard(flite(text, voice), rng) for voice in FLITE for _ in range(3)]
+    return np.concatenate([x for x, _ in found]), np.concatenate([y for _, y in found])
+
+
+def learned(x: F32, y: NDArray[np.int64], rng: np.random.Generator) -> list[F32]:
+    """Weights and biases of both layers: cross entropy, Adam (Kingma & Ba 2015), a step that falls as a cosine."""
+    mean, spread = x.mean(0), x.std(0) + 1e-3
+    x = (x - mean) / spread
+    sizes = (x.shape[1], HIDDEN, len(VISEMES))
+    weights = [rng.standard_normal((a, b)).astype(np.float32) * a**-0.5 for a, b in pairwise(sizes)]
+    net = [weights[0], np.zeros(HIDDEN, np.float32), weights[1], np.zeros(len(VISEMES), np.float32)]
+    first, second = ([np.zeros_like(one) for one in net] for _ in range(2))
+    cost = np.where(np.arange(len(VISEMES)) == list(VISEMES).index("PP"), CLOSES, 1.0).astype(np.float32)
+    steps = EPOCHS * (len(x) // BATCH)
+    progress = tqdm(range(1, steps + 1), unit="step")
+    order, right = rng.permutation(len(x)), 0.0
+    for step in progress:
+        if len(order) < BATCH:
+            order = rng.permutation(len(x))
+        rows, order = order[:BATCH], order[BATCH:]
+        hidden = np.tanh(x[rows] @ net[0] + net[1])
+        logits = hidden @ net[2] + net[3]
+        likely = np.exp(logits - logits.max(1, keepdims=True))
+        likely /= likely.sum(1, keepdims=True)
+        right += 0.01 * (float((likely.argmax(1) == y[rows]).mean()) - right)
+        off = likely
+        off[np.arange(BATCH), y[rows]] -= 1
+        off *= cost[y[rows], None] / BATCH
+        inner = (off @ net[2].T) * (1 - hidden**2)
+        slopes = [x[rows].T @ inner, inner.sum(0), hidden.T @ off, off.sum(0)]
+        rate = STEP * 0.5 * (1 + np.cos(np.pi * step / steps))
+        for one, slope, m, v in zip(net, slopes, first, second, strict=True):
+            m += 0.1 * (slope - m)
+            v += 0.001 * (slope**2 - v)
+            one -= rate * (m / (1 - 0.9**step)) / (np.sqrt(v / (1 - 0.999**step)) + 1e-8)
+        if step % 50 == 0:
+            progress.set_postfix(right=f"{right:.3f}")
+    net[1] = net[1] - (mean / spread) @ net[0]
+    net[0] = net[0] / spread[:, None]
+    return net
+
+
+def table_of(net: list[F32]) -> dict[str, Any]:
+    """What visemes.json holds."""
+
+    def rounded(array: NDArray[Any]) -> list[Any]:
+        return [rounded(row) for row in array] if array.ndim > 1 else [float(f"{value:.4g}") for value in array]
+
+    names = ("hidden", "hidden_bias", "output", "output_bias")
+    sides = {name: [f"{name}Left", f"{name}Right"] if name in SIDED else [name] for v in VISEMES.values() for name in v}
+    return {
+        "sound": {name: getattr(FRAMING, name) for name in Framing.__dataclass_fields__},
+        "network": {"ahead": AHEAD, "offsets": OFFSETS} | dict(zip(names, map(rounded, net), strict=True)),
+        "visemes": {v: {side: w for name, w in one.items() for side in sides[name]} for v, one in VISEMES.items()},
+        "mouth": MOUTH,
+    }
+
+
+if __name__ == "__main__":
+    generator = np.random.default_rng(36)
+    made = table_of(learned(*examples(generator), generator))
+    with resources.as_file(resources.files("glsplat.speech") / "visemes.json") as path:
+        Path(path).write_text(json.dumps(made, separators=(",", ":")) + "\n", encoding="utf-8")
