@@ -97,7 +97,8 @@ def accessor(document: Document, blob: bytes, index: int) -> np.ndarray:
     if "sparse" in found:
         sparse = found["sparse"]
         at, values = (views[sparse[key]["bufferView"]].get("byteOffset", 0) for key in ("indices", "values"))
-        rows = np.frombuffer(blob, "<u4", sparse["count"], at)
+        code = {5123: "<u2", 5125: "<u4"}[sparse["indices"]["componentType"]]
+        rows = np.frombuffer(blob, code, sparse["count"], at)
         assert (np.diff(rows.astype(np.int64)) > 0).all()  # as the specification wants them
         out[rows] = np.frombuffer(blob, "<f4", sparse["count"] * 3, values).reshape(-1, 3)
     return out
