@@ -20,20 +20,28 @@ from glsplat.authoring.cones import with_cones
 from glsplat.authoring.detail.make import with_levels
 from glsplat.authoring.faces.eyeballs import eyeballs, with_eyeballs
 from glsplat.authoring.faces.open_face import matched, with_expressions, with_mouth
+from glsplat.authoring.faces.trimmings import with_lashes, with_strands
 from glsplat.authoring.optimize.mesh import fitted_to_mesh
 from glsplat.authoring.surface import make_avatar
+from glsplat.authoring.visibility import EYES
 from glsplat.avatar import Avatar
 from glsplat.formats.person import read_person
 from glsplat.formats.registry import save
 from glsplat.meshes import RiggedMesh
 from glsplat.skinning.pose import Pose
+from glsplat.skinning.shapes import BEND, Shapes
+from apps.avatar.writing import progress_bar
 from tools.data.touched import darker_palms, plain_sleeves
 
 Touch = Callable[[NDArray[np.uint8]], NDArray[np.uint8]]
-SAMPLER = SamplerConfig(head_share=0.32, face_boost=3.5, eye_boost=12.0, probe=400)
+SAMPLER = SamplerConfig(hand_share=0.097, head_share=0.32, face_boost=3.5, eye_boost=12.0, probe=400)
 """Faces are what one looks at: a third of the splats instead of a fifth."""
-CLOSED = {"mouthClose": 0.035}
+AT_REST = {"mouthClose": 0.035}
 """What closes lips that MakeHuman leaves a little open."""
+LASHES, STRANDS = 342, 2_000
+"""Splats of those, of the 40,000; strands take what lashes leave."""
+LEAST = 0.0005
+"""Metres; what a shape moves less is left out of the file."""
 LICENCE = "CC0-1.0; teeth of ICT-FaceKit: MIT, Copyright (c) 2020 USC Institute for Creative Technologies"
 
 
@@ -55,8 +63,18 @@ PEOPLE = {
         source="hm08 body, male_casualsuit02, shoes01, short01, eyebrow001, young_darkskinned_male",
         touches=(("body", darker_palms), ("male_casualsuit02", plain_sleeves)),
     ),
-    "anna": Recipe(archive="p15.npz", iris="grey", source=""),
-    "chloe": Recipe(archive="p19.npz", iris="green", source=""),
+    "anna": Recipe(
+        archive="p13.npz",
+        iris="blue",
+        source="hm08 body, female_casualsuit01, male_casualsuit04, shoes05, long01, eyebrow002, "
+        "young_lightskinned_female_diffuse",
+    ),
+    "chloe": Recipe(
+        archive="p15.npz",
+        iris="grey",
+        source="hm08 body, female_casualsuit01, male_casualsuit02, shoes01, short02, eyebrow006, "
+        "old_lightskinned_female_diffuse2",
+    ),
 }
 
 
@@ -67,18 +85,32 @@ def furnished(mesh: RiggedMesh, recipe: Recipe) -> RiggedMesh:
         parts = [replace(p, texture=touch(p.texture)) if p.name.endswith(end) else p for p in parts]
     mesh = replace(mesh, parts=tuple(parts))
     same, count = matched(mesh), len(mesh.vertices)
-    closed = with_expressions(mesh, same)
-    assert closed.morphs is not None
-    still = Pose(np.zeros((len(mesh.skeleton), 3)), expression=CLOSED)
-    mesh = replace(mesh, vertices=mesh.vertices + closed.morphs.moved(still, count))
+    moving = with_expressions(mesh, same)
+    assert moving.morphs is not None
+    still = Pose(np.zeros((len(mesh.skeleton), 3)), expression=AT_REST)
+    mesh = replace(mesh, vertices=mesh.vertices + moving.morphs.moved(still, count))
     eyes = next(part.name for part in mesh.parts if "eyes" in part.name.split("/"))
     mesh = with_eyeballs(mesh, eyes, recipe.iris)
     same = np.concatenate([same, np.full(len(mesh.vertices) - count, -1)])
     return with_mouth(with_expressions(mesh, same), same)
 
 
-def small(avatar: Avatar) -> Avatar:
-    """The avatar in numbers that a file holds in 16 bits: weights in 65535ths, rotations in 32767ths."""
+def about(recipe: Recipe) -> dict[str, str]:
+    """What the file says of itself."""
+    return {
+        "source": f"MakeHuman system assets: {recipe.source}",
+        "body_model": "SMPL-X joints (55)",
+        "consent": "synthetic person, no real likeness",
+        "licence": LICENCE,
+    }
+
+
+def small(avatar: Avatar, least: float = LEAST, bend: float = 0.06) -> Avatar:
+    """The avatar in numbers that a file holds in 16 bits: weights in 65535ths, rotations in 32767ths.
+
+    Of shapes what moves less than ``least`` metres goes, and axes that bend less than ``bend``; of levels what is less
+    than four tenths of a pixel where they begin.
+    """
     skin, splats = avatar.skin, avatar.splats
     parts = skin.weights.astype(np.float64) / skin.weights.sum(axis=1, keepdims=True, dtype=np.float64) * 65535
     whole = np.floor(parts)
@@ -86,8 +118,32 @@ def small(avatar: Avatar) -> Avatar:
     whole += rest < np.rint(65535 - whole.sum(axis=1, keepdims=True))
     weights = whole.astype(np.float32) / np.float32(65535)
     quats = np.rint(splats.quats * np.float32(32767)) / np.float32(32767)
-    made = replace(avatar, splats=replace(splats, quats=quats.astype(np.float32)), skin=replace(skin, weights=weights))
-    return replace(made, levels=tuple(replace(one, content=small(one.content)) for one in avatar.levels))
+    shapes = avatar.shapes
+    if shapes is not None:
+        bends = np.where((np.abs(shapes.bends).max(axis=(1, 2)) * BEND > bend)[:, None, None], shapes.bends, 0)
+        kept = (np.linalg.norm(shapes.metres, axis=1) > least) | bends.any(axis=(1, 2))
+        shapes = Shapes.create(
+            shapes.names,
+            len(splats),
+            splats=shapes.rows[kept],
+            targets=shapes.targets[kept],
+            moves=shapes.moves[kept] * shapes.sizes[shapes.targets[kept], None].astype(np.float64),
+            bends=bends[kept] * BEND,
+            sizes=shapes.sizes,
+            limits=shapes.limits,
+        )
+    one = replace(splats, quats=quats.astype(np.float32))
+    levels = tuple(replace(level, content=small(level.content, 0.4 / level.density, 0.2)) for level in avatar.levels)
+    return replace(avatar, splats=one, skin=replace(skin, weights=weights), shapes=shapes, levels=levels)
+
+
+def made(mesh: RiggedMesh, splats: int, steps: int, show: Callable[[str, float], None]) -> Avatar:
+    """``splats`` splats fitted to the furnished person, with lashes, and strands on its hair."""
+    balls = eyeballs(mesh, *EYES)
+    hair = next((part.name for part in mesh.parts if "hair" in part.name.split("/")), "")
+    avatar = make_avatar(mesh, splats - (STRANDS if hair else 0) - LASHES, config=SAMPLER, progress=show)
+    avatar = with_lashes(fitted_to_mesh(avatar, mesh, steps=steps, progress=show), mesh, balls)
+    return with_strands(avatar, mesh, hair, splats - len(avatar.splats))
 
 
 def main() -> None:
@@ -95,23 +151,20 @@ def main() -> None:
     parser.add_argument("name", choices=PEOPLE)
     parser.add_argument("person", type=Path)
     parser.add_argument("-o", "--out", type=Path, required=True)
-    parser.add_argument("--splats", type=int, default=36_000)
-    parser.add_argument("--steps", type=int, default=900)
-    parser.add_argument("--levels", type=int, nargs="*", default=[13_000, 7_500, 4_200])
+    parser.add_argument("--splats", type=int, default=40_000)
+    parser.add_argument("--steps", type=int, default=600)
+    parser.add_argument("--levels", type=int, nargs="*", default=[14_000, 8_000, 4_500])
+    parser.add_argument("--level-steps", type=int, default=250)
     options = parser.parse_args()
     recipe = PEOPLE[options.name]
     mesh = furnished(read_person(options.person), recipe)
-
-    def show(stage: str, done: float) -> None:
-        print(f"\r{stage[:60]:60} {done:4.0%}", end="", flush=True)
-
-    avatar = make_avatar(mesh, options.splats, config=SAMPLER, progress=show)
-    avatar = fitted_to_mesh(avatar, mesh, steps=options.steps, progress=show)
-    if options.levels:
-        avatar = with_levels(avatar, options.levels, progress=show)
-        avatar = with_cones(avatar, progress=show)
-    save(avatar, options.out)
-    print(f"\n{options.out}: {options.out.stat().st_size / 1e6:.2f} MB")
+    with progress_bar() as show:
+        avatar = made(mesh, options.splats, options.steps, show)
+        if options.levels:
+            avatar = with_levels(avatar, options.levels, steps=options.level_steps, progress=show)
+            avatar = with_cones(avatar, progress=show)
+    save(small(replace(avatar, meta=about(recipe))), options.out)
+    print(f"{options.out}: {options.out.stat().st_size / 1e6:.2f} MB")
 
 
 if __name__ == "__main__":

@@ -41,15 +41,15 @@ class Eyeball:
     radius: float
 
 
-def eyeballs(mesh: RiggedMesh, part: str) -> list[Eyeball]:
-    """The spheres nearest to the front of what each eye's joint moves in ``part``. Raises FormatError without both."""
+def eyeballs(mesh: RiggedMesh, *parts: str) -> list[Eyeball]:
+    """The spheres nearest to what each eye's joint moves in the ``parts``. Raises FormatError without both."""
     names, out = mesh.skeleton.names, []
-    used = np.unique(np.concatenate([one.faces.reshape(-1) for one in mesh.parts if one.name == part] or [[]]))
+    used = np.unique(np.concatenate([one.faces.reshape(-1) for one in mesh.parts if one.name in parts] or [[]]))
     strongest = np.take_along_axis(mesh.joints, mesh.weights.argmax(axis=1)[:, None], axis=1)[:, 0]
     for joint in EYES:
         mine = used[strongest[used.astype(int)] == names.index(joint)].astype(int) if joint in names else used[:0]
         if len(mine) < 16:
-            raise FormatError(f'the part "{part}" needs vertices bound to {joint}')
+            raise FormatError(f'{" and ".join(parts)} need vertices bound to {joint}')
         points = mesh.vertices[mine]
         held = np.concatenate([2 * points, np.ones((len(points), 1))], axis=1)
         found = np.linalg.lstsq(held, (points**2).sum(axis=1), rcond=None)[0]
