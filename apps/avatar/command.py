@@ -24,7 +24,7 @@ from glsplat.authoring.posed import posed_splats
 from glsplat.authoring.scans import read_obj_person
 from glsplat.authoring.surface import FEWEST, make_avatar
 from glsplat.avatar import Avatar
-from glsplat.data import default_avatar
+from glsplat.data import default_avatar, embedded_file
 from glsplat.errors import FormatError, GlsplatError
 from glsplat.formats import load_splats, save, suffixes
 from glsplat.formats.gltf.meshes.rig_map import read_rig_map
@@ -251,7 +251,7 @@ def _is_gltf(path: Path) -> bool:
 
 
 def _export(args: argparse.Namespace) -> int:
-    scene = default_avatar() if args.avatar is None else load_splats(args.avatar)
+    scene = default_avatar() if args.avatar is None else load_splats(embedded_file(args.avatar))
     if not isinstance(scene, Avatar):
         raise FormatError(f"{args.avatar}: has no skeleton to pose; give an avatar (.glb with a skin)")
     pose = Pose.zero(len(scene.skeleton))
@@ -280,7 +280,7 @@ def _is_single_pose(path: str) -> bool:
 
 
 def _score(args: argparse.Namespace) -> int:
-    scene = default_avatar() if args.avatar is None else load_splats(args.avatar)
+    scene = default_avatar() if args.avatar is None else load_splats(embedded_file(args.avatar))
     if not isinstance(scene, Avatar):
         raise FormatError(f"{args.avatar}: has no skeleton to pose; give an avatar (.glb with a skin)")
     if why := why_not_driven(scene.skeleton):

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from glsplat.authoring.cells import Cells, Cloud, SamplerConfig, avatar_of, tessellate
-from glsplat.authoring.faces.shapes import with_shapes, unfolded
+from glsplat.authoring.faces.shapes import unfolded, with_shapes
 from glsplat.authoring.visibility import EYES, HEAD, VisiblePart, seen_surface
 from glsplat.avatar import Avatar
 from glsplat.errors import FormatError

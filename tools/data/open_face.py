@@ -21,7 +21,10 @@ from glsplat.io.files import replace_file
 F64 = NDArray[np.float64]
 
 _SIZE = 0.82  # of ICT's teeth: the mouths' widths, 36 and 44 mm between the corners
-_LIPS = np.array([0.0, -0.0336, 0.1079]), np.array([0.0, 0.8118, 0.1470])  # ICT's lips and foremost tooth; where they go
+_LIPS = (
+    np.array([0.0, -0.0336, 0.1079]),
+    np.array([0.0, 0.8118, 0.1470]),
+)  # ICT's lips and foremost tooth; where they go
 _ALONG = 0.0045  # metres from a tooth, of gums
 _FRONT = 0.116  # metres of z; nobody sees what lies further back
 _JAW = ("jawOpen", "jawForward", "jawLeft", "jawRight")  # what moves the lower teeth

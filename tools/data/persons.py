@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from apps.avatar.writing import progress_bar
 from glsplat.authoring.cells import SamplerConfig
 from glsplat.authoring.cones import with_cones
 from glsplat.authoring.detail.make import with_levels
@@ -30,7 +31,6 @@ from glsplat.formats.registry import save
 from glsplat.meshes import RiggedMesh
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.shapes import BEND, Shapes
-from apps.avatar.writing import progress_bar
 from tools.data.touched import darker_palms, plain_sleeves
 
 Touch = Callable[[NDArray[np.uint8]], NDArray[np.uint8]]

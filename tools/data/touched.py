@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from typing import TypeVar
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 U8 = NDArray[np.uint8]
+Scalar = TypeVar("Scalar", np.uint8, np.float64)
 
 _HANDS = (0.80, 1.0, 0.34, 0.78)  # rows and columns of the skin's texture that hands lie in, shares
 _ARM = (0.145, 0.20, 0.02, 0.12)  # an upper arm, whose colour the skin has
@@ -38,6 +41,6 @@ def plain_sleeves(texture: U8) -> U8:
     return out
 
 
-def _part(image: NDArray[np.generic], box: tuple[float, float, float, float]) -> NDArray[np.generic]:
+def _part(image: NDArray[Scalar], box: tuple[float, float, float, float]) -> NDArray[Scalar]:
     height, width = image.shape[:2]
     return image[int(box[0] * height) : int(box[1] * height), int(box[2] * width) : int(box[3] * width)]

@@ -44,12 +44,13 @@ class Eyeball:
 def eyeballs(mesh: RiggedMesh, *parts: str) -> list[Eyeball]:
     """The spheres nearest to what each eye's joint moves in the ``parts``. Raises FormatError without both."""
     names, out = mesh.skeleton.names, []
-    used = np.unique(np.concatenate([one.faces.reshape(-1) for one in mesh.parts if one.name in parts] or [[]]))
+    every = [one.faces.reshape(-1) for one in mesh.parts if one.name in parts]
+    used = np.unique(np.concatenate([np.empty(0, np.int32), *every]))
     strongest = np.take_along_axis(mesh.joints, mesh.weights.argmax(axis=1)[:, None], axis=1)[:, 0]
     for joint in EYES:
-        mine = used[strongest[used.astype(int)] == names.index(joint)].astype(int) if joint in names else used[:0]
+        mine = used[strongest[used] == names.index(joint)] if joint in names else used[:0]
         if len(mine) < 16:
-            raise FormatError(f'{" and ".join(parts)} need vertices bound to {joint}')
+            raise FormatError(f"{' and '.join(parts)} need vertices bound to {joint}")
         points = mesh.vertices[mine]
         held = np.concatenate([2 * points, np.ones((len(points), 1))], axis=1)
         found = np.linalg.lstsq(held, (points**2).sum(axis=1), rcond=None)[0]
@@ -58,7 +59,7 @@ def eyeballs(mesh: RiggedMesh, *parts: str) -> list[Eyeball]:
 
 
 def with_eyeballs(mesh: RiggedMesh, part: str, iris: str, seed: int = 0) -> RiggedMesh:
-    """The mesh with round eyeballs of the colour ``iris`` in place of ``part``, and its eyes' joints in their middles."""
+    """The mesh with round eyeballs of the colour ``iris`` for ``part``, the eyes' joints in their middles."""
     if iris not in IRISES:
         raise FormatError(f"an iris is one of {', '.join(IRISES)}, not {iris!r}")
     balls = eyeballs(mesh, part)

@@ -94,6 +94,8 @@ def with_expressions(mesh: RiggedMesh, same: Indices) -> RiggedMesh:
     those of the lids. Their own space is MakeHuman's, so that they are not scaled with the head.
     """
     face = open_face()
+    balls = np.isin(open_body().part, [JOINT_NAMES.index(name) for name in EYES])
+    same = np.where((same >= 0) & balls[same], -1, same)
     own = np.flatnonzero(same >= 0)
     skin = np.concatenate([one.faces[(same[one.faces] >= 0).all(axis=1)] for one in mesh.parts])
     rest = np.setdiff1d(np.unique(mesh.faces), own)
@@ -139,14 +141,13 @@ def with_mouth(mesh: RiggedMesh, same: Indices) -> RiggedMesh:
     tongue = _tongue(body)
     if np.isin(tongue, same).any():
         return out
-    faces = body.faces[np.isin(body.faces[:, 0], tongue)]
+    faces = np.searchsorted(tongue, body.faces[np.isin(body.faces[:, 0], tongue)])
     at = body.vertices[tongue] @ there[:, :3].T + there[:, 3]
     moves = {}
     for name, (rows, values) in _offsets(face.expressions).items():
         mine = np.isin(rows, tongue)
         moves[name] = (np.searchsorted(tongue, rows[mine]), values[mine] @ there[:, :3].T)
     back = (body.vertices[tongue, 2] - body.vertices[tongue, 2].min()) / np.ptp(body.vertices[tongue, 2])
-    faces = np.searchsorted(tongue, faces)
     coordinates = np.stack(np.broadcast_arrays(0.75, back[faces]), axis=2)
     return _joined(out, at, np.full(len(tongue), jaw), "tongue", faces, coordinates, _enamel(), moves)
 

@@ -30,8 +30,8 @@ def with_shapes(avatar: Avatar, mesh: RiggedMesh, faces: NDArray[np.integer] | N
 
     A splat follows the triangle nearest to it, or that of ``faces`` [N] where it is known (lips and lids touch at
     rest, and the nearest may be the other one's); it lies before it as it did, and its axes take the triangle's
-    deformation. Splats farther than 3 cm from the mesh stay. Cones are left out: they were made of a still face. The avatar itself
-    where the mesh has no expressions.
+    deformation. Splats farther than 3 cm from the mesh stay. Cones are left out: they were made of a still face. The
+    avatar itself where the mesh has no expressions.
     """
     if mesh.morphs is None:
         return avatar

@@ -1,4 +1,4 @@
-"""What is finer than a mesh's texture: lashes, the shadow of the upper lid, a catch light, strands of hair; as splats."""
+"""What is finer than a mesh's texture, as splats: lashes, the upper lid's shadow, a catch light, strands of hair."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from glsplat.authoring.faces.shapes import with_shapes
 from glsplat.avatar import Avatar
 from glsplat.meshes import MeshPart, RiggedMesh
 from glsplat.rotations import matrix_quaternions
-from glsplat.skinning.shapes import Shapes
+from glsplat.skinning.shapes import BEND, Shapes
 from glsplat.skinning.skin import Skin
 from glsplat.splats import Splats
 
@@ -84,11 +84,19 @@ def lid_edges(mesh: RiggedMesh, ball: Eyeball) -> LidEdges:
     k = np.array(found, np.intp).reshape(-1, 3)
     ways = [_directions(_SIDES[k[:, 0]], _HEIGHTS[k[:, n]]) for n in (1, 2)]
     at = [ball.centre + way * distance[k[:, 0], k[:, n]][:, None] for n, way in zip((1, 2), ways, strict=True)]
-    which = [mine[hit[k[:, 0], k[:, n]]] for n in (1, 2)]
-    return LidEdges(_SIDES[k[:, 0]], _HEIGHTS[k[:, 1]], _HEIGHTS[k[:, 2]], *which, *at)
+    upper, lower = (mine[hit[k[:, 0], k[:, n]]] for n in (1, 2))
+    return LidEdges(_SIDES[k[:, 0]], _HEIGHTS[k[:, 1]], _HEIGHTS[k[:, 2]], upper, lower, at[0], at[1])
 
 
-def with_lashes(avatar: Avatar, mesh: RiggedMesh, balls: Sequence[Eyeball], seed: int = 0) -> Avatar:
+def with_lashes(
+    avatar: Avatar,
+    mesh: RiggedMesh,
+    balls: Sequence[Eyeball],
+    seed: int = 0,
+    *,
+    strength: float = 1.0,  # of lashes and shadows
+    light: bool = True,  # in the eyes; photographs have their own
+) -> Avatar:
     """The avatar, made of ``mesh``, with lashes on its lids, shadows under the upper ones and a light in its eyes.
 
     All follow the lids' expressions; the light stays where it is when the eye turns, as mirrors do, and goes out when
@@ -101,13 +109,16 @@ def with_lashes(avatar: Avatar, mesh: RiggedMesh, balls: Sequence[Eyeball], seed
         if len(edges.side) < 8:
             continue
         parts += [_fringe(ball, edges, True, rng), _fringe(ball, edges, False, rng), _shadow(ball, edges)]
-        glints.append(_glint(ball, edges))
+        glints += [_glint(ball, edges)] if light else []
     if not parts:
         return avatar
     many = [*parts, *glints]
     extra = _Extra(*(np.concatenate([getattr(one, key) for one in many]) for key in _Extra._fields))
+    extra = extra._replace(opacities=extra.opacities * strength)
     still = len(extra.means) - len(glints)
     made = _added(avatar, mesh, extra)
+    if not glints:
+        return made
     assert made.shapes is not None
     return replace(made, shapes=_going_out(made.shapes, len(avatar.splats) + still, [ball.joint for ball in balls]))
 
@@ -142,7 +153,12 @@ def with_strands(avatar: Avatar, mesh: RiggedMesh, part: str, count: int, seed: 
     size = np.array(_STRAND) * rng.uniform(0.6, 1.3, (len(which), 1))
     tone = rgb * rng.uniform(0.65, 1.45, (len(which), 1)) + rng.uniform(0, 0.03, (len(which), 1))
     extra = _Extra(
-        means + facing * 0.0008, axes, size, np.full(len(which), 0.8), np.clip(tone, 0, 1), (which + begin).astype(np.intp)
+        means + facing * 0.0008,
+        axes,
+        size,
+        np.full(len(which), 0.8),
+        np.clip(tone, 0, 1),
+        (which + begin).astype(np.intp),
     )
     return _added(avatar, mesh, extra)
 
@@ -208,7 +224,7 @@ def _going_out(shapes: Shapes, first: int, joints: Sequence[str]) -> Shapes:
     """The lights' own entries: none but the blink, which draws them into the eye."""
     kept = shapes.rows < first
     rows, targets, moves = [shapes.rows[kept]], [shapes.targets[kept].astype(np.int64)], [shapes.metres[kept]]
-    bends = [shapes.bends[kept] * (3.0 / 127)]
+    bends = [shapes.bends[kept] * BEND]
     for number, joint in enumerate(joints[: shapes.splats - first]):
         name = "eyeBlinkLeft" if joint.startswith("left") else "eyeBlinkRight"
         if name in shapes.names:
@@ -267,7 +283,7 @@ def joined(avatar: Avatar, other: Avatar) -> Avatar:
             splats=np.concatenate([shapes.rows, other.shapes.rows + len(avatar.splats)]),
             targets=np.concatenate([one.targets for one in pair]),
             moves=np.concatenate([one.metres for one in pair]),
-            bends=np.concatenate([one.bends for one in pair]) * (3.0 / 127),
+            bends=np.concatenate([one.bends for one in pair]) * BEND,
             limits=shapes.limits,
         )
     return replace(avatar, splats=splats, skin=skin, shapes=shapes, levels=())

@@ -3,8 +3,9 @@ fitted to."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -153,7 +154,7 @@ class _Subject(NamedTuple):
     points: F64  # [P, 3] of it in the zero pose
     strongest: NDArray[np.integer]  # [P] the joint that moves a point most
     posed: Callable[[Pose], NDArray[np.floating]]  # [P, 3]
-    regions: dict[str, NDArray[np.bool_]] = {}  # [P] of the face, where it has expressions
+    regions: Mapping[str, NDArray[np.bool_]] = MappingProxyType({})  # [P] of the face, where it has expressions
 
 
 def _taken(views: list[TargetView], drawn: Iterator[U8], progress: Report | None) -> list[TargetPicture]:
