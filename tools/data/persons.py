@@ -40,8 +40,7 @@ AT_REST = {"mouthClose": 0.035}
 """What closes lips that MakeHuman leaves a little open."""
 LASHES, STRANDS = 342, 2_000
 """Splats of those, of the 40,000; strands take what lashes leave."""
-LEAST = 0.0005
-"""Metres; what a shape moves less is left out of the file."""
+_BENT = 0.2  # of an axis; what a shape bends less stays straight in the file
 LICENCE = "CC0-1.0; teeth of ICT-FaceKit: MIT, Copyright (c) 2020 USC Institute for Creative Technologies"
 
 
@@ -105,35 +104,32 @@ def about(recipe: Recipe) -> dict[str, str]:
     }
 
 
-def small(avatar: Avatar, least: float = LEAST, bend: float = 0.06) -> Avatar:
-    """The avatar in numbers that a file holds in 16 bits: weights in 65535ths, rotations in 32767ths.
+def small(avatar: Avatar, density: float | None = None) -> Avatar:
+    """The avatar in numbers that a file holds in few bits: weights in 255ths, rotations in 32767ths (127ths).
 
-    Of shapes what moves less than ``least`` metres goes, and axes that bend less than ``bend``; of levels what is less
-    than four tenths of a pixel where they begin.
+    Of shapes goes what moves a splat by less than six tenths of its size, or one millimetre, whichever is less, and of
+    levels what moves less than half a pixel where they begin, at ``density`` pixels a metre.
     """
     skin, splats = avatar.skin, avatar.splats
-    parts = skin.weights.astype(np.float64) / skin.weights.sum(axis=1, keepdims=True, dtype=np.float64) * 65535
+    parts = skin.weights.astype(np.float64) / skin.weights.sum(axis=1, keepdims=True, dtype=np.float64) * 255
     whole = np.floor(parts)
     rest = np.argsort(np.argsort(whole - parts, axis=1, kind="stable"), axis=1)  # largest remainders first
-    whole += rest < np.rint(65535 - whole.sum(axis=1, keepdims=True))
-    weights = whole.astype(np.float32) / np.float32(65535)
-    quats = np.rint(splats.quats * np.float32(32767)) / np.float32(32767)
+    whole += rest < np.rint(255 - whole.sum(axis=1, keepdims=True))
+    weights = whole.astype(np.float32) / np.float32(255)
+    full = np.float32(32767 if density is None else 127)
+    quats = np.rint(splats.quats * full) / full
     shapes = avatar.shapes
     if shapes is not None:
-        bends = np.where((np.abs(shapes.bends).max(axis=(1, 2)) * BEND > bend)[:, None, None], shapes.bends, 0)
-        kept = (np.linalg.norm(shapes.metres, axis=1) > least) | bends.any(axis=(1, 2))
-        shapes = Shapes.create(
-            shapes.names,
-            len(splats),
-            splats=shapes.rows[kept],
-            targets=shapes.targets[kept],
-            moves=shapes.moves[kept] * shapes.sizes[shapes.targets[kept], None].astype(np.float64),
-            bends=bends[kept] * BEND,
-            sizes=shapes.sizes,
-            limits=shapes.limits,
-        )
+        size = np.sort(splats.scales, axis=1)[:, 1:].mean(axis=1)[shapes.rows]
+        least = 0.5 / density if density else np.clip(0.6 * size, 0.0002, 0.001)
+        bends = np.where((np.abs(shapes.bends).max(axis=(1, 2)) * BEND > _BENT)[:, None, None], shapes.bends, 0)
+        kept = np.linalg.norm(shapes.metres, axis=1) > least
+        rows, targets = shapes.rows[kept], shapes.targets[kept].astype(np.int64)
+        moves, sizes = shapes.metres[kept], shapes.sizes
+        own = bends[kept] * BEND
+        shapes = Shapes.create(shapes.names, len(splats), splats=rows, targets=targets, moves=moves, bends=own, sizes=sizes)
     one = replace(splats, quats=quats.astype(np.float32))
-    levels = tuple(replace(level, content=small(level.content, 0.4 / level.density, 0.2)) for level in avatar.levels)
+    levels = tuple(replace(level, content=small(level.content, level.density)) for level in avatar.levels)
     return replace(avatar, splats=one, skin=replace(skin, weights=weights), shapes=shapes, levels=levels)
 
 

@@ -25,6 +25,7 @@ Indices = NDArray[np.intp]
 
 _SIDES = np.radians(np.linspace(-62, 62, 63))  # directions from the middle of the eye, to the sides ...
 _HEIGHTS = np.radians(np.linspace(-50, 50, 101))  # ... and up
+_LID = 1.35  # radii of the ball, at most, from its middle to a lid's edge
 _ABOUT = 0.035  # metres from the middle of an eye; lids are no farther
 _LASHES, _LOWER = 34, 18  # of an upper and a lower lid
 _LONG, _SHORT, _THICK = 0.0085, 0.0045, 0.00011  # metres
@@ -80,6 +81,8 @@ def lid_edges(mesh: RiggedMesh, ball: Eyeball) -> LidEdges:
             high += 1
         if low == 0 or high == len(row) - 1 or high - low < 3:
             continue
+        if max(distance[index, high + 1], distance[index, low - 1]) > _LID * ball.radius:
+            continue  # the nose, or a brow
         found.append((index, high + 1, low - 1))
     k = np.array(found, np.intp).reshape(-1, 3)
     ways = [_directions(_SIDES[k[:, 0]], _HEIGHTS[k[:, n]]) for n in (1, 2)]

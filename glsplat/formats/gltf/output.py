@@ -58,14 +58,15 @@ class Output:
         return len(self.gltf.accessors) - 1
 
     def add_numbers(self, array: NDArray[np.float32], kind: str) -> int:
-        """As ``add`` of floats; in half the bytes where that loses nothing, as normalised integers of 16 bits.
+        """As ``add`` of [N, 4] floats; as normalised integers of 8 or 16 bits where that loses nothing.
 
         That is where each number is exactly a whole number of them, as in a file that was made to be small.
         """
-        for code, full in ((np.uint16, 65535), (np.int16, 32767)):
+        for code in (np.uint8, np.int8, np.uint16, np.int16):
+            full, least = np.iinfo(code).max, 0 if np.iinfo(code).min == 0 else -np.iinfo(code).max
             with np.errstate(invalid="ignore", over="ignore"):
                 whole = np.rint(array * np.float32(full))
-                narrow = np.clip(np.nan_to_num(whole), -full if code is np.int16 else 0, full).astype(code)
+                narrow = np.clip(np.nan_to_num(whole), least, full).astype(code)
             if np.array_equal(narrow.astype(np.float32) / np.float32(full), array):
                 return self.add(narrow, kind, normalized=True)
         return self.add(array, kind)
