@@ -53,12 +53,12 @@ __all__ = [
 ]
 
 
-_PEOPLE = f"{', '.join(tuple(PEOPLE)[:-1])} or {tuple(PEOPLE)[-1]}"
+_PEOPLE = f"{', '.join(PEOPLE[:-1])} or {PEOPLE[-1]}"
 
 
 def add_scene(parser: argparse.ArgumentParser) -> None:
     """The positional SCENE, --up and --strict."""
-    what = f"a {suffixes()}, or a scene file (JSON), or an embedded person: {_PEOPLE}; default: ben"
+    what = f"a {suffixes()}, or a scene file (JSON), or an embedded person: {_PEOPLE}; default: the embedded avatar"
     parser.add_argument("scene", nargs="?", metavar="SCENE", help=what)
     add_up(parser)
     parser.add_argument("--strict", action="store_true", help="refuse files with NaN or infinity instead of skipping")

@@ -1,12 +1,10 @@
-"""Embedded data: three people, motions, a recording, participants, and the licences beside them."""
+"""Embedded data: people, motions, a recording, participants, and the licences beside them."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from functools import lru_cache
 from importlib import resources
 from pathlib import Path
-from types import MappingProxyType
 
 from glsplat.avatar import Avatar
 from glsplat.errors import FormatError
@@ -14,42 +12,39 @@ from glsplat.formats.gltf.splats import load_gltf
 
 __all__ = ["PEOPLE", "default_avatar", "embedded_file", "participants_folder", "person"]
 
-PEOPLE: Mapping[str, str] = MappingProxyType(
-    {"anna": "people/anna.glb", "ben": "people/ben.glb", "chloe": "people/chloe.glb"}
-)
-"""The embedded people, and their files in this package."""
-
-_DEFAULT = "ben"
+PEOPLE: tuple[str, ...] = ("anna", "ben")
+"""The embedded people with faces that move, each a file of people/."""
 
 
-def person(name: str = _DEFAULT) -> Avatar:
-    """One of the embedded people (40,000 splats and levels of detail; 55 SMPL-X joints; 52 shapes of ARKit).
+@lru_cache(maxsize=len(PEOPLE))
+def person(name: str) -> Avatar:
+    """One of the embedded people (40,000 splats; 55 SMPL-X joints; 52 shapes of ARKit; licences beside the files).
 
-    Licences are beside the files. Raises FormatError for a name that is not in ``PEOPLE``.
+    Raises FormatError for a name that is not in ``PEOPLE``.
 
     >>> glsplat.person("anna").skeleton
     Skeleton(55 joints: pelvis, left_hip, right_hip, ...)
     """
     if name not in PEOPLE:
         raise FormatError(f"the embedded people are {', '.join(PEOPLE)}, not {name!r}")
-    return _loaded(name)
+    return _loaded(f"people/{name}.glb")
 
 
-@lru_cache(maxsize=len(PEOPLE))
-def _loaded(name: str) -> Avatar:
-    with resources.as_file(resources.files("glsplat.data") / PEOPLE[name]) as path:
-        scene = load_gltf(path)
-    assert isinstance(scene, Avatar)
-    return scene
-
-
+@lru_cache(maxsize=1)
 def default_avatar() -> Avatar:
-    """The embedded person that is shown where nobody says whom: ``person("ben")``.
+    """The embedded person that is shown where nobody says whom (40,000 splats and its levels of detail; 55 joints).
 
     >>> glsplat.default_avatar().skeleton
     Skeleton(55 joints: pelvis, left_hip, right_hip, ...)
     """
-    return person(_DEFAULT)
+    return _loaded("default_avatar.glb")
+
+
+def _loaded(name: str) -> Avatar:
+    with resources.as_file(resources.files("glsplat.data") / name) as path:
+        scene = load_gltf(path)
+    assert isinstance(scene, Avatar)
+    return scene
 
 
 def embedded_file(name: str | Path) -> Path:
@@ -60,7 +55,7 @@ def embedded_file(name: str | Path) -> Path:
     path = Path(name)
     if str(name) not in PEOPLE or path.exists():
         return path
-    file = resources.files("glsplat.data") / PEOPLE[str(name)]
+    file = resources.files("glsplat.data") / "people" / f"{name}.glb"
     return file if isinstance(file, Path) else path
 
 

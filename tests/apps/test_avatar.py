@@ -24,7 +24,7 @@ DATA = Path(cli.__file__).parents[1] / "glsplat" / "data"
 
 
 def test_default_avatar_file():
-    path = DATA / "people" / "ben.glb"
+    path = DATA / "default_avatar.glb"
     assert path.stat().st_size <= 8e6
     avatar = load(path)
     # loading it is 1.2 times a loop over its splats here
@@ -185,7 +185,7 @@ def test_motions(tmp_path, capsys):
 )
 def test_mistakes_are_one_line(person, tmp_path, monkeypatch, capsys, words, message):
     monkeypatch.chdir(tmp_path)
-    places = {"{person}": str(person), "{avatar}": str(DATA / "people" / "ben.glb")}
+    places = {"{person}": str(person), "{avatar}": str(DATA / "default_avatar.glb")}
     code = cli.main(["avatar", *(places.get(word, word) for word in words)])
     error = capsys.readouterr().err
     assert code == (2 if error.endswith("--help\n") else 1)

@@ -181,7 +181,7 @@ def test_scenery_and_what_comes_with_glsplat_need_none(ann, tmp_path):
     for words, name in (((), "default"), ((tmp_path / "cloud.ply",), "cloud")):
         asked = policy(*words)
         assert asked.refusal(name, "", now) is None and asked.label(name) == ""
-    embedded = Path(glsplat.__file__).parent / "data" / "people" / "ben.glb"
+    embedded = Path(glsplat.__file__).parent / "data" / "default_avatar.glb"
     assert policy(embedded).refusal("default_avatar", "", now) is None
 
 

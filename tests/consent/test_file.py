@@ -190,7 +190,7 @@ def test_it_is_left_out_with_a_word_where_the_file_is_another(signed, tmp_path, 
 
 
 def test_what_comes_with_glsplat_shows_nobody(tmp_path):
-    data = (resources.files("glsplat.data") / "people" / "ben.glb").read_bytes()
+    data = (resources.files("glsplat.data") / "default_avatar.glb").read_bytes()
     copy = tmp_path / "copy.glb"
     copy.write_bytes(data)
     assert on_file(copy).nobody
@@ -285,7 +285,7 @@ def test_handing_out_the_splats_is_said_in_the_record_alone_and_cannot_be_added_
     note(document)["consent"]["hand_out"] = True
     forged = on_file_data(put(document, rest))
     assert not forged.hands_out and "signature does not fit" in forged.fault
-    assert on_file(resources.files("glsplat.data") / "people" / "ben.glb").hands_out  # nobody is shown
+    assert on_file(resources.files("glsplat.data") / "default_avatar.glb").hands_out  # nobody is shown
 
 
 @pytest.mark.parametrize("value", [1, "yes", None, [True]])

@@ -127,7 +127,9 @@ def small(avatar: Avatar, density: float | None = None) -> Avatar:
         rows, targets = shapes.rows[kept], shapes.targets[kept].astype(np.int64)
         moves, sizes = shapes.metres[kept], shapes.sizes
         own = bends[kept] * BEND
-        shapes = Shapes.create(shapes.names, len(splats), splats=rows, targets=targets, moves=moves, bends=own, sizes=sizes)
+        shapes = Shapes.create(
+            shapes.names, len(splats), splats=rows, targets=targets, moves=moves, bends=own, sizes=sizes
+        )
     one = replace(splats, quats=quats.astype(np.float32))
     levels = tuple(replace(level, content=small(level.content, level.density)) for level in avatar.levels)
     return replace(avatar, splats=one, skin=replace(skin, weights=weights), shapes=shapes, levels=levels)

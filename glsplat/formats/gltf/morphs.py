@@ -96,6 +96,11 @@ def write_shapes(out: Output, shapes: Shapes, mesh: Mesh, primitive: Primitive) 
                 values = np.ascontiguousarray(bends[:, axis])
                 attributes[name] = add_sparse(out, shapes.splats, indices, values, "VEC4")
         primitive.targets.append(attributes)
+    if any(_AXES[0] in target for target in primitive.targets):  # a target's attribute needs one of the primitive's
+        for name in _AXES:
+            zeros = Accessor(component_type=5120, count=shapes.splats, type="VEC4", normalized=True)
+            out.gltf.accessors.append(zeros)
+            primitive.attributes[name] = len(out.gltf.accessors) - 1
     extras = mesh.extras if isinstance(mesh.extras, dict) else {}
     mesh.extras = extras | {"targetNames": list(shapes.names)}
     ours: dict[str, Any] = {_SIZES: [float(size) for size in shapes.sizes]}
