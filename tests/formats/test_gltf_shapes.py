@@ -263,7 +263,8 @@ def test_weights_and_rotations_take_few_bits_only_where_that_loses_nothing(tmp_p
     if weights.shape[1] > 1:
         weights[:, 1] = np.float32(1) - weights[:, 0]
         weights[:, 1] = np.rint(weights[:, 1] * 255).astype(np.float32) / np.float32(255)
-    quats = np.rint(raw.splats.quats * np.float32(32767)) / np.float32(32767)
+    unit = raw.splats.quats / np.linalg.norm(raw.splats.quats, axis=1, keepdims=True)
+    quats = np.rint(unit * np.float32(32767)).astype(np.float32) / np.float32(32767)
     even = replace(raw, splats=replace(raw.splats, quats=quats), skin=replace(raw.skin, weights=weights))
     for one, codes in ((even, (5121, 5122)), (raw, (5126, 5126))):
         save(one, tmp_path / "a.glb")

@@ -126,10 +126,9 @@ def small(avatar: Avatar, density: float | None = None) -> Avatar:
         kept = np.linalg.norm(shapes.metres, axis=1) > least
         rows, targets = shapes.rows[kept], shapes.targets[kept].astype(np.int64)
         moves, sizes = shapes.metres[kept], shapes.sizes
-        own = bends[kept] * BEND
-        shapes = Shapes.create(
-            shapes.names, len(splats), splats=rows, targets=targets, moves=moves, bends=own, sizes=sizes
-        )
+        axes = bends[kept] * BEND
+        names, count = shapes.names, len(splats)
+        shapes = Shapes.create(names, count, splats=rows, targets=targets, moves=moves, bends=axes, sizes=sizes)
     one = replace(splats, quats=quats.astype(np.float32))
     levels = tuple(replace(level, content=small(level.content, level.density)) for level in avatar.levels)
     return replace(avatar, splats=one, skin=replace(skin, weights=weights), shapes=shapes, levels=levels)

@@ -18,10 +18,8 @@ def test_an_iris_has_a_black_pupil_a_dark_rim_and_is_never_red(iris: str) -> Non
     angle = np.arange(rows) / (rows - 1) * np.radians(115)
     rim = np.arcsin(0.0059 / 0.015)
     assert texture[angle < 0.25 * rim].max() < 20
-    ring, middle, white = (
-        texture[(angle > low * rim) & (angle < high * rim)].mean()
-        for low, high in ((0.9, 0.97), (0.5, 0.75), (1.2, 1.4))
-    )
+    zones = (0.9, 0.97), (0.5, 0.75), (1.2, 1.4)
+    ring, middle, white = (texture[(angle > low * rim) & (angle < high * rim)].mean() for low, high in zones)
     assert ring < 0.6 * middle < 0.6 * white
     inside = texture[(angle > 0.4 * rim) & (angle < 0.95 * rim)].reshape(-1, 3)
     assert (inside[:, 0] <= 2.2 * inside[:, 1] + 8).all()  # red, of which brown has twice its green at most

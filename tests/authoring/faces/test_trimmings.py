@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -11,7 +12,9 @@ from glsplat.authoring.faces.carry import deformed
 from glsplat.authoring.faces.eyeballs import eyeballs
 from glsplat.authoring.faces.given import FACE_SPLATS, with_face
 from glsplat.authoring.faces.open_face import with_expressions
+from glsplat.authoring.faces.shapes import with_shapes
 from glsplat.authoring.faces.trimmings import lid_edges, with_lashes, with_strands
+from glsplat.avatar import Avatar
 from glsplat.meshes import MeshPart, RiggedMesh
 from glsplat.skinning.expression import ARKIT
 from glsplat.skinning.pose import Pose
@@ -20,6 +23,7 @@ from tests.authoring.faces.figures import avatar_on, person
 STILL = np.zeros((55, 3))
 
 
+@lru_cache(maxsize=1)
 def expressive() -> RiggedMesh:
     mesh = person()
     return with_expressions(mesh, np.arange(len(mesh.vertices)))
@@ -41,7 +45,7 @@ def test_lids_end_where_the_eye_begins_and_the_upper_one_comes_down() -> None:
 
 def test_lashes_follow_the_lid_and_the_light_goes_out() -> None:
     mesh = expressive()
-    avatar = with_face_free(mesh)
+    avatar = smiling()
     made = with_lashes(avatar, mesh, eyeballs(mesh, "eyes"))
     count = len(avatar.splats)
     assert len(made.splats) - count > 200 and made.shapes is not None and avatar.shapes is not None
@@ -58,14 +62,14 @@ def test_lashes_follow_the_lid_and_the_light_goes_out() -> None:
     assert np.allclose(quiet.splats.opacities[count:], 0.5 * made.splats.opacities[count:-2], atol=1e-6)
 
 
-def with_face_free(mesh: RiggedMesh):
-    from glsplat.authoring.faces.shapes import with_shapes
-
-    return with_shapes(avatar_on(mesh, 300), mesh)
+@lru_cache(maxsize=1)
+def smiling() -> Avatar:
+    """Few splats with shapes."""
+    return with_shapes(avatar_on(expressive(), 300), expressive())
 
 
 def test_an_expression_as_an_affine_map_is_what_skinning_does() -> None:
-    avatar = with_face_free(expressive())
+    avatar = smiling()
     assert avatar.shapes is not None
     weights = avatar.shapes.weights({"jawOpen": 0.6, "mouthSmileLeft": 1.0, "browInnerUp": 0.3})
     assert weights is not None
