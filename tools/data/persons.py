@@ -105,7 +105,7 @@ def about(recipe: Recipe) -> dict[str, str]:
 
 
 def small(avatar: Avatar, density: float | None = None) -> Avatar:
-    """The avatar in numbers that a file holds in few bits: weights in 255ths, rotations in 32767ths (127ths).
+    """The avatar in numbers that a file holds in few bits: weights in 255ths.
 
     Of shapes goes what moves a splat by less than six tenths of its size, or one millimetre, whichever is less, and of
     levels what moves less than half a pixel where they begin, at ``density`` pixels a metre.
@@ -116,8 +116,6 @@ def small(avatar: Avatar, density: float | None = None) -> Avatar:
     rest = np.argsort(np.argsort(whole - parts, axis=1, kind="stable"), axis=1)  # largest remainders first
     whole += rest < np.rint(255 - whole.sum(axis=1, keepdims=True))
     weights = whole.astype(np.float32) / np.float32(255)
-    full = np.float32(32767 if density is None else 127)
-    quats = np.rint(splats.quats * full) / full
     shapes = avatar.shapes
     if shapes is not None:
         size = np.sort(splats.scales, axis=1)[:, 1:].mean(axis=1)[shapes.rows]
@@ -129,9 +127,8 @@ def small(avatar: Avatar, density: float | None = None) -> Avatar:
         axes = bends[kept] * BEND
         names, count = shapes.names, len(splats)
         shapes = Shapes.create(names, count, splats=rows, targets=targets, moves=moves, bends=axes, sizes=sizes)
-    one = replace(splats, quats=quats.astype(np.float32))
     levels = tuple(replace(level, content=small(level.content, level.density)) for level in avatar.levels)
-    return replace(avatar, splats=one, skin=replace(skin, weights=weights), shapes=shapes, levels=levels)
+    return replace(avatar, skin=replace(skin, weights=weights), shapes=shapes, levels=levels)
 
 
 def made(mesh: RiggedMesh, splats: int, steps: int, show: Callable[[str, float], None]) -> Avatar:

@@ -42,12 +42,12 @@ class Output:
         normalized: bool = False,
         target: int | None = VERTICES,
     ) -> int:
-        """Index of a new accessor of type ``kind`` for [N, width] float32, (u)int8, (u)int16 or uint32.
+        """Index of a new accessor of type ``kind`` for [N, width] float32, int8, uint8, uint16 or uint32.
 
         ``normalized`` integers stand for -1 to 1 or 0 to 1. ``target`` is the bufferView's: ``VERTICES``, ``INDICES``,
         or None for what is neither.
         """
-        code = {"f": 5126, "b": 5120, "B": 5121, "h": 5122, "H": 5123, "I": 5125}[array.dtype.char]
+        code = {"f": 5126, "b": 5120, "B": 5121, "H": 5123, "I": 5125}[array.dtype.char]
         data = array.astype(array.dtype.newbyteorder("<")).tobytes()
         accessor = Accessor(buffer_view=self.add_bytes(data, target), component_type=code, count=len(array), type=kind)
         accessor.normalized = normalized
@@ -57,17 +57,16 @@ class Output:
         self.gltf.accessors.append(accessor)
         return len(self.gltf.accessors) - 1
 
-    def add_numbers(self, array: NDArray[np.float32], kind: str) -> int:
-        """As ``add`` of [N, 4] floats; as normalised integers of 8 or 16 bits where that loses nothing.
+    def add_shares(self, array: NDArray[np.float32], kind: str) -> int:
+        """As ``add`` of [N, 4] floats from 0 to 1; as normalised integers of 8 or 16 bits where that loses nothing.
 
         That is where each number is exactly a whole number of them, as in a file that was made to be small.
         """
-        for code in (np.uint8, np.int8, np.uint16, np.int16):
-            full, least = np.iinfo(code).max, 0 if np.iinfo(code).min == 0 else -np.iinfo(code).max
+        for code in (np.uint8, np.uint16):
+            full = np.float32(np.iinfo(code).max)
             with np.errstate(invalid="ignore", over="ignore"):
-                whole = np.rint(array * np.float32(full))
-                narrow = np.clip(np.nan_to_num(whole), least, full).astype(code)
-            if np.array_equal(narrow.astype(np.float32) / np.float32(full), array):
+                narrow = np.clip(np.nan_to_num(np.rint(array * full)), 0, full).astype(code)
+            if np.array_equal(narrow.astype(np.float32) / full, array):
                 return self.add(narrow, kind, normalized=True)
         return self.add(array, kind)
 

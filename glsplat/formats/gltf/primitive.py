@@ -48,7 +48,7 @@ _SH_NAMES = [(degree, n) for degree in range(4) for n in range(2 * degree + 1)]
 def write_splats(out: Output, splats: Splats) -> Primitive:
     """A new primitive with all that splats are; its material is number 0. Joints and weights are added elsewhere."""
     attributes = {"POSITION": out.add(splats.means, "VEC3", bounds=True)}
-    attributes[f"{EXTENSION}:ROTATION"] = out.add_numbers(np.roll(splats.quats, -1, axis=1), "VEC4")  # xyzw
+    attributes[f"{EXTENSION}:ROTATION"] = out.add(np.roll(splats.quats, -1, axis=1), "VEC4")  # xyzw
     attributes[f"{EXTENSION}:SCALE"] = out.add(splats.scales, "VEC3")
     attributes[f"{EXTENSION}:OPACITY"] = out.add(splats.opacities[:, None], "SCALAR")
     for k, (degree, n) in enumerate(_SH_NAMES[: splats.sh.shape[1]]):
