@@ -258,8 +258,10 @@ def test_notes_that_are_none_do_not_matter(tmp_path: Path, notes: Any) -> None:
 
 def test_weights_take_a_byte_each_only_where_that_loses_nothing(tmp_path: Path) -> None:
     raw = expressive(300)
-    weights = np.zeros(raw.skin.weights.shape, np.float32)
-    weights[:, 0] = np.rint(np.linspace(0, 255, 300)).astype(np.float32) / np.float32(255)
+    whole = np.zeros(raw.skin.weights.shape)
+    whole[:, 0] = np.rint(np.linspace(130, 255, 300))
+    whole[:, -1] += 255 - whole.sum(axis=1)
+    weights = whole.astype(np.float32) / np.float32(255)
     even = replace(raw, skin=replace(raw.skin, weights=weights))
     for one, code in ((even, 5121), (raw, 5126)):
         save(one, tmp_path / "a.glb")
