@@ -177,7 +177,6 @@ def _make(args: argparse.Namespace) -> int:
             avatar = fitted_to_mesh(avatar, mesh, args.seed, args.steps, show)
         if counts:
             avatar = with_levels(avatar, counts, args.seed, progress=show)
-        avatar = with_shapes(avatar, mesh)
         if not args.no_cones:
             avatar = with_cones(avatar, progress=show)
     _say(args.person, doubts(mesh, avatar, args.splats, args.extra_scale), told)
