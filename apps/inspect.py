@@ -63,7 +63,7 @@ def run(args: argparse.Namespace) -> int:
         report = describe(scene, name)
         print(json.dumps(report, indent=1) if args.json else _text(report))
         return 0
-    whole = describe_scene(file, name)
+    whole = describe_scene(file, name or "")  # the embedded avatar is no scene file
     text = _mesh_text if whole["kind"] == "mesh" else _scene_text
     print(json.dumps(whole, indent=1) if args.json else text(whole))
     return 0

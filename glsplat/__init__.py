@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from glsplat.avatar import Avatar
     from glsplat.camera import Camera, look_at, pinhole, stereo_cameras
     from glsplat.config import RenderConfig
-    from glsplat.data import default_avatar, person
+    from glsplat.data import default_avatar
     from glsplat.errors import GlsplatError
     from glsplat.formats.registry import save
     from glsplat.gl.context import create_context
@@ -54,7 +54,6 @@ __all__ = [
     "default_avatar",
     "load",
     "look_at",
-    "person",
     "pinhole",
     "save",
     "similarity",
@@ -80,7 +79,6 @@ _HOME = {
     "default_avatar": "data",
     "load": "scenes.loading",
     "look_at": "camera",
-    "person": "data",
     "pinhole": "camera",
     "save": "formats.registry",
     "similarity": "scene",

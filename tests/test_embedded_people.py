@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import glsplat
 from apps.args import load_avatar
 from apps.cli import main
 from glsplat.data import PEOPLE, default_avatar, embedded_file, person
@@ -55,7 +54,7 @@ def test_they_are_different_people() -> None:
 
 
 def test_each_is_read_once() -> None:
-    assert person("ben") is glsplat.person("ben") is not default_avatar()
+    assert person("ben") is person("ben") is not default_avatar()
 
 
 def test_another_name_is_refused_in_one_line() -> None:

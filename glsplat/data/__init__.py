@@ -22,7 +22,8 @@ def person(name: str) -> Avatar:
 
     Raises FormatError for a name that is not in ``PEOPLE``.
 
-    >>> glsplat.person("anna").skeleton
+    >>> from glsplat.data import person
+    >>> person("anna").skeleton
     Skeleton(55 joints: pelvis, left_hip, right_hip, ...)
     """
     if name not in PEOPLE:
