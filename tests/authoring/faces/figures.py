@@ -35,12 +35,13 @@ def person() -> RiggedMesh:
 
 
 def avatar_on(mesh: RiggedMesh, count: int = 1500) -> Avatar:
-    """Discs of a few millimetres at the middles of triangles of its head."""
-    corners = mesh.faces[np.linspace(0, len(mesh.parts[0].faces) - 1, 4 * count).astype(int)]
+    """Discs of a few millimetres at the middles of triangles of its head and mouth."""
+    neck = mesh.skeleton.joints[mesh.skeleton.names.index("neck"), 1]
+    above = np.flatnonzero((mesh.vertices[mesh.faces, 1] > neck).all(axis=1))
+    corners = mesh.faces[above[np.linspace(0, len(above) - 1, count).astype(int)]]
     means = mesh.vertices[corners].mean(axis=1)
-    high = np.argsort(-means[:, 1], kind="stable")[:count]
-    skin = Skin.create(mesh.joints[corners[high, 0]], mesh.weights[corners[high, 0]], len(mesh.skeleton))
+    skin = Skin.create(mesh.joints[corners[:, 0]], mesh.weights[corners[:, 0]], len(mesh.skeleton))
     scales = np.tile([0.004, 0.003, 0.0004], (count, 1))
     quats = np.tile([1.0, 0, 0, 0], (count, 1))
-    splats = Splats.create(means[high], quats, scales, np.full(count, 0.9), rgb=np.full((count, 3), 0.6))
+    splats = Splats.create(means, quats, scales, np.full(count, 0.9), rgb=np.full((count, 3), 0.6))
     return Avatar(splats, mesh.skeleton, skin)
