@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from glsplat.config import CULL_PSNR, LEAN, MAX_LEVELS
-from glsplat.data import default_avatar
+from glsplat.data import PEOPLE, default_avatar, embedded_file
 from glsplat.errors import FormatError, PoseError
 from glsplat.formats import suffixes
 from glsplat.formats.transform import transformed
@@ -61,10 +61,12 @@ __all__ = [
 _LIGHT_BYTES = 1 << 20
 """Of a file of --light."""
 
+_PEOPLE = f"{', '.join(PEOPLE[:-1])} or {PEOPLE[-1]}"
+
 
 def add_scene(parser: argparse.ArgumentParser) -> None:
     """The positional SCENE, --up and --strict."""
-    what = f"a {suffixes()}, or a scene file (JSON); default: the embedded avatar"
+    what = f"a {suffixes()}, or a scene file (JSON), or an embedded person: {_PEOPLE}; default: the embedded avatar"
     parser.add_argument("scene", nargs="?", metavar="SCENE", help=what)
     add_up(parser)
     parser.add_argument("--strict", action="store_true", help="refuse files with NaN or infinity instead of skipping")
@@ -118,9 +120,10 @@ def open_scene(args: argparse.Namespace) -> SceneFile:
     """All that the arguments name, turned so that --up is up: a scene file, or one thing as a scene."""
     if args.scene is None:
         return _lit(SceneFile.of(default_avatar()), args)
-    if not Path(args.scene).exists():
-        raise FormatError(f"{args.scene}: no such file; give a {suffixes()} or a scene file, or nothing")
-    file = load_scene(args.scene, strict=args.strict)
+    path = embedded_file(args.scene)
+    if not path.exists():
+        raise FormatError(f"{args.scene}: no such file; give a {suffixes()} or a scene file, {_PEOPLE}, or nothing")
+    file = load_scene(path, strict=args.strict)
     _say_doubts(file, args.scene)
     turn = upright(args.up)
     if args.up == "y":
@@ -155,9 +158,10 @@ def single(file: SceneFile) -> Content | None:
 
 def load_avatar(path: str | Path, option: str, *, strict: bool = False) -> Rigged:
     """What an option names as an avatar: splats with a skin, or a rigged mesh. Raises UsageError for anything else."""
-    if not Path(path).exists():
-        raise UsageError(f"{option} {path}: no such file")
-    content = load(path, strict=strict)
+    file = embedded_file(path)
+    if not file.exists():
+        raise UsageError(f"{option} {path}: no such file, nor an embedded person ({_PEOPLE})")
+    content = load(file, strict=strict)
     if isinstance(content, Scene):
         raise UsageError(f"{option} {path}: expected one avatar, found a scene file")
     if not is_rigged(content):

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from glsplat.avatar import Avatar, splats_of
 from glsplat.consent.file import OnFile, on_file
+from glsplat.data import embedded_file
 from glsplat.formats import recognise
 from glsplat.meshes import RiggedMesh
 from glsplat.scene import is_rigged
@@ -54,15 +55,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Print the description; a file that cannot be read raises FormatError."""
-    file = open_scene(args)
+    file, name = open_scene(args), None if args.scene is None else str(embedded_file(args.scene))
     scene = None if file.composed else single(file)
     if args.up != "y" and scene is None and len(file.scene) == 1 and not file.composed:
         scene = file.scene.items[0].content  # a rig does not tell which way is up
     if isinstance(scene, (Splats, Avatar)):
-        report = describe(scene, args.scene)
+        report = describe(scene, name)
         print(json.dumps(report, indent=1) if args.json else _text(report))
         return 0
-    whole = describe_scene(file, args.scene)
+    whole = describe_scene(file, name or "")  # the embedded avatar is no scene file
     text = _mesh_text if whole["kind"] == "mesh" else _scene_text
     print(json.dumps(whole, indent=1) if args.json else text(whole))
     return 0

@@ -25,7 +25,7 @@ from glsplat.authoring.posed import posed_splats
 from glsplat.authoring.scans import read_obj_person
 from glsplat.authoring.surface import FEWEST, make_avatar
 from glsplat.avatar import Avatar
-from glsplat.data import default_avatar
+from glsplat.data import default_avatar, embedded_file
 from glsplat.errors import FormatError, GlsplatError
 from glsplat.formats import load_splats, save, suffixes
 from glsplat.formats.gltf.meshes.rig_map import read_rig_map
@@ -179,7 +179,6 @@ def _make(args: argparse.Namespace) -> int:
             avatar = fitted_to_mesh(avatar, mesh, args.seed, args.steps, show)
         if counts:
             avatar = with_levels(avatar, counts, args.seed, progress=show)
-        avatar = with_shapes(avatar, mesh)
         if not args.no_surface:
             show("finding the surface", 0.0)
             avatar = with_surface(avatar, mesh)
@@ -256,7 +255,7 @@ def _is_gltf(path: Path) -> bool:
 
 
 def _export(args: argparse.Namespace) -> int:
-    scene = default_avatar() if args.avatar is None else load_splats(args.avatar)
+    scene = default_avatar() if args.avatar is None else load_splats(embedded_file(args.avatar))
     if not isinstance(scene, Avatar):
         raise FormatError(f"{args.avatar}: has no skeleton to pose; give an avatar (.glb with a skin)")
     pose = Pose.zero(len(scene.skeleton))
@@ -285,7 +284,7 @@ def _is_single_pose(path: str) -> bool:
 
 
 def _score(args: argparse.Namespace) -> int:
-    scene = default_avatar() if args.avatar is None else load_splats(args.avatar)
+    scene = default_avatar() if args.avatar is None else load_splats(embedded_file(args.avatar))
     if not isinstance(scene, Avatar):
         raise FormatError(f"{args.avatar}: has no skeleton to pose; give an avatar (.glb with a skin)")
     if why := why_not_driven(scene.skeleton):

@@ -11,6 +11,7 @@ from glsplat.authoring.detail.fitted import FittedConfig
 from glsplat.authoring.detail.make import with_levels
 from glsplat.authoring.detail.measure import MeasureConfig
 from glsplat.avatar import splats_of
+from glsplat.data import embedded_file
 from glsplat.errors import FormatError
 from glsplat.formats import load_splats, save, suffixes
 
@@ -62,7 +63,7 @@ def run(args: argparse.Namespace) -> int:
     if counts and (min(counts) < 1 or sorted(set(counts), reverse=True) != counts):
         raise UsageError(f"--counts needs falling numbers above 0, not {' '.join(map(str, counts))}")
     began = time.perf_counter()
-    scene = load_splats(args.scene)
+    scene = load_splats(embedded_file(args.scene))
     if scene.levels and not args.force:
         raise FormatError(f"{args.scene}: has {len(scene.levels)} coarser levels already; --force makes them anew")
     total = len(splats_of(scene))

@@ -11,6 +11,7 @@ from glsplat.authoring.detail.fitted import FittedConfig, reduced
 from glsplat.authoring.optimize.compiled import MISSING, available
 from glsplat.authoring.surface import FEWEST
 from glsplat.avatar import Avatar
+from glsplat.data import embedded_file
 from glsplat.errors import FormatError
 from glsplat.formats import load_splats
 
@@ -39,7 +40,7 @@ def run(args: argparse.Namespace) -> int:
     began = time.perf_counter()
     if args.steps and not available():
         raise FormatError(f"{MISSING}; --steps 0 merges without it")
-    avatar = load_splats(args.avatar)
+    avatar = load_splats(embedded_file(args.avatar))
     if not isinstance(avatar, Avatar):
         raise FormatError(f"{args.avatar}: has no skeleton; reduce is for avatars, glsplat avatar levels for scenes")
     if not FEWEST <= args.splats < len(avatar.splats):

@@ -11,6 +11,7 @@ from statistics import median
 
 import numpy as np
 
+from glsplat.data import embedded_file
 from glsplat.errors import FormatError, GlsplatError
 from glsplat.formats.format import opened
 from glsplat.motion.kinds import is_gltf, is_motion
@@ -79,7 +80,7 @@ def _solved(name: str, skeleton: Skeleton) -> Motion:
 
 def read_dropped(name: str, skeleton: Skeleton | None) -> Dropped:
     """Read a scene, a motion or a pose, whichever the file or folder is. GlsplatError, one line, names it."""
-    path = Path(name)
+    path = embedded_file(name)
     if not path.exists():
         raise FormatError(f"{path}: no such file")
     kind = _kind(path)

@@ -12,6 +12,7 @@ from pathlib import Path
 
 from glsplat.camera import PAPER_FOV, PAPER_IPD
 from glsplat.config import RenderConfig
+from glsplat.data import embedded_file
 from glsplat.net.backends.gl import MAX_TIME
 from glsplat.net.backends.server import make_server
 from glsplat.net.face.feed import FaceFeed
@@ -240,6 +241,7 @@ def run(args: argparse.Namespace) -> int:
     config = server_config(args, keys, watermark_of(args))
     logging.getLogger("glsplat.net.session").setLevel(logging.INFO)  # a clip is traced by these lines
     scene = open_scene(args)
+    args.avatar = [embedded_file(path) for path in args.avatar]
     avatars = other_avatars(args)
     policy = policy_of(args, scene, scene_name(args))
     calibration = Calibration.load(args.calibration) if args.calibration else None

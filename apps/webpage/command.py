@@ -19,7 +19,7 @@ import numpy as np
 from glsplat.avatar import Avatar
 from glsplat.consent.file import OnFile, on_file
 from glsplat.consent.policy import ConsentPolicy
-from glsplat.data import default_avatar
+from glsplat.data import default_avatar, embedded_file
 from glsplat.errors import FormatError, GlsplatError
 from glsplat.formats.web.write import web_file
 from glsplat.io.files import replace_file
@@ -89,7 +89,7 @@ def _agreed(path: str | None, name: str) -> Avatar:
         figure = load_avatar(path, "AVATAR")
         if not isinstance(figure, Avatar):
             raise FormatError(f"{path}: expected an avatar of splats, found a mesh; make one with glsplat avatar make")
-        found, kept = figure, on_file(path)
+        found, kept = figure, on_file(embedded_file(path))
     policy.add(name, [kept])
     if why := policy.withheld(name, time.time()):
         raise GlsplatError(f"{why}; a page gives them to everybody (glsplat avatar consent --hand-out)")

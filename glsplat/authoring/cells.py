@@ -63,6 +63,7 @@ class Cloud:
     layer: NDArray[np.float64]  # [M] part number
     weights: csr_array  # [M, J]
     area: float  # m^2 of the surface it covers
+    faces: NDArray[np.intp] | None = None  # [M] triangle of the mesh; None where nobody asks
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -74,6 +75,7 @@ class Cells:
     scales: NDArray[np.float64]
     rgb: NDArray[np.float64]
     weights: NDArray[np.float64]  # [N, J]
+    faces: NDArray[np.intp] | None = None  # [N] triangle at the middle
 
 
 def tessellate(cloud: Cloud, count: int, config: SamplerConfig, rng: np.random.Generator) -> Cells:
@@ -173,5 +175,12 @@ def _gaussians(
     weights = (rows @ cloud.weights).toarray()
     rgb = _cell_means(label, cloud.rgb, area, zero)
     quats = Rotation.from_matrix(frame).as_quat()[:, [3, 0, 1, 2]]
+    faces = None if cloud.faces is None else cloud.faces[_middles(label, np.linalg.norm(offset, axis=1), count)]
     means = means - config.inset * normal
-    return Cells(means, quats, scales, rgb, weights)
+    return Cells(means, quats, scales, rgb, weights, faces)
+
+
+def _middles(label: NDArray[np.intp], distance: NDArray[np.float64], count: int) -> NDArray[np.intp]:
+    """[count] the member of each cell that has the least ``distance`` [M]."""
+    order = np.lexsort((distance, label))
+    return np.asarray(order[np.searchsorted(label[order], np.arange(count))])

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from glsplat.authoring.cells import Cells, Cloud, SamplerConfig, avatar_of, tessellate
+from glsplat.authoring.faces.shapes import unfolded, with_shapes
 from glsplat.authoring.visibility import EYES, HEAD, VisiblePart, seen_surface
 from glsplat.avatar import Avatar
 from glsplat.errors import FormatError
@@ -33,7 +34,8 @@ def make_avatar(
 ) -> Avatar:
     """A Gaussian avatar of ``mesh`` in its zero pose: discs on the visible surface, SH degree 0, four influences.
 
-    On the SMPL-X rig, hands and head get a fixed share of the splats. Surface no camera can see in any of a few
+    With the mesh's expressions as its shapes. On the SMPL-X rig, hands and head get a fixed share of the splats.
+    Surface no camera can see in any of a few
     poses (skin under cloth, the inside of the mouth, cut-out texels) gets none. Deterministic in ``seed``.
     Raises FormatError for a mesh with nothing to see or fewer than 100 splats.
     """
@@ -54,7 +56,10 @@ def make_avatar(
     if not chosen:
         raise FormatError("the mesh shows nothing to put splats on: no area, or only texels of alpha below one half")
     report("placing splats", 1.0)
-    return avatar_of(chosen, mesh.skeleton, config.opacity, mesh.meta)
+    avatar = avatar_of(chosen, mesh.skeleton, config.opacity, mesh.meta)
+    if mesh.morphs is None:
+        return avatar
+    return with_shapes(avatar, mesh, np.concatenate([cells.faces for cells in chosen if cells.faces is not None]))
 
 
 def _sample_surface(
@@ -110,6 +115,7 @@ def _sample_surface(
         layer=part_of.astype(np.float64),
         weights=weights,
         area=float(surface.area * solid.mean()),
+        faces=original[solid],
     )
 
 
@@ -126,7 +132,10 @@ def _detail(part: MeshPart) -> MeshPart:
 
 
 def face_densities(mesh: RiggedMesh, config: SamplerConfig) -> NDArray[np.float64]:
-    """[F] relative density of splats: the front of the head counts more, and the front of an eyeball still more."""
+    """[F] relative density of splats: the front of the head counts more, and the front of an eyeball still more.
+
+    What expressions unfold (lids, lips) counts by its largest area.
+    """
     names = mesh.skeleton.names
     density = np.ones(len(mesh.vertices))
     if "head" in names:
@@ -135,7 +144,7 @@ def face_densities(mesh: RiggedMesh, config: SamplerConfig) -> NDArray[np.float6
         amount = (mesh.weights * owns[mesh.joints]).sum(axis=1) / np.maximum(mesh.weights.sum(axis=1), 1e-9)
         front = np.clip((mesh.vertices[:, 2] - head[2]) / 0.06, 0, 1)
         density *= 1 + (config.face_boost - 1) * amount * front
-    return np.asarray(density[mesh.faces].mean(axis=1)) * _eye_densities(mesh, config.eye_boost)
+    return np.asarray(density[mesh.faces].mean(axis=1)) * _eye_densities(mesh, config.eye_boost) * unfolded(mesh)
 
 
 def _eye_densities(mesh: RiggedMesh, boost: float) -> NDArray[np.float64]:

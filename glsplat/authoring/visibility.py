@@ -13,7 +13,7 @@ from glsplat.camera import Camera, look_at, pinhole
 from glsplat.meshes import RiggedMesh
 from glsplat.skinning.pose import Pose
 
-__all__ = ["EYES", "HEAD", "VisiblePart", "probe_poses", "seen_surface", "sphere"]
+__all__ = ["EYES", "GAZE_LIDS", "HEAD", "VisiblePart", "probe_poses", "seen_surface", "sphere"]
 
 EYES = ("left_eye_smplhf", "right_eye_smplhf")
 """Joints that turn the eyeballs."""
@@ -22,6 +22,15 @@ HEAD = ("head", "jaw", *EYES)
 
 _OPENED = (("jawOpen",), ("jawOpen", "tongueOut"), ("eyeBlinkLeft", "eyeBlinkRight"))
 """Expressions that show what a still face hides: teeth and tongue, and the lids."""
+
+GAZE_LIDS = {  # degrees about x (down) and y (to the person's left) -> the lids that go along
+    (-22, 0): ("eyeLookUpLeft", "eyeLookUpRight"),
+    (25, 0): ("eyeLookDownLeft", "eyeLookDownRight"),
+    (0, 32): ("eyeLookOutLeft", "eyeLookInRight"),
+    (0, -32): ("eyeLookInLeft", "eyeLookOutRight"),
+}
+"""Turns of the eyes that faces are looked at in."""
+_GAZES = tuple(GAZE_LIDS)
 
 _GRAIN = 0.002  # metres; seen points are counted in cubes of this size
 _GLIMPSES = 3  # pixels, over all views, in a cube that counts as well seen
@@ -70,13 +79,14 @@ def seen_surface(mesh: RiggedMesh, size: int = 512) -> VisiblePart:
     corners, part_of = mesh.vertices[mesh.faces], mesh.face_parts
     low = mesh.vertices.min(axis=0) - 1
     poses = probe_poses(mesh.skeleton.names)
+    faces = _gazes(mesh)
     if mesh.morphs is not None:
         still = np.zeros((len(mesh.skeleton), 3))
-        poses += [Pose(still, expression=dict.fromkeys(names, 1.0)) for names in _OPENED]
-    for pose in poses:
+        faces += [Pose(still, expression=dict.fromkeys(names, 1.0)) for names in _OPENED]
+    for number, pose in enumerate(poses + faces):
         vertices = mesh.posed(pose)
         shown = vertices[np.unique(mesh.faces)]
-        spheres = [(shown, 20)]
+        spheres = [(shown, 20)] if number < len(poses) else []
         head = np.isin(mesh.joints[:, 0], [i for i, name in enumerate(mesh.skeleton.names) if name in HEAD])
         if head.any():
             spheres.append((vertices[head], 12))
@@ -126,6 +136,18 @@ def probe_poses(names: tuple[str, ...]) -> list[Pose]:
                 rotations[index["jaw"]] = (0.3, 0, 0)
             poses.append(Pose(rotations))
     return poses
+
+
+def _gazes(mesh: RiggedMesh) -> list[Pose]:
+    """Eyes turned to the sides, up and down, with the lids that go along: whites that a look ahead hides."""
+    names = mesh.skeleton.names
+    eyes = [names.index(name) for name in EYES if name in names and (mesh.joints[:, 0] == names.index(name)).any()]
+    out = []
+    for turn in _GAZES if eyes else ():
+        rotations = np.zeros((len(names), 3))
+        rotations[eyes] = np.radians((*turn, 0))
+        out.append(Pose(rotations, expression=dict.fromkeys(GAZE_LIDS[turn], 1.0) if mesh.morphs else None))
+    return out
 
 
 def sphere(count: int) -> NDArray[np.float64]:

@@ -1,4 +1,4 @@
-"""Embedded data: the default avatar, motions, a recording, participants, and the licences beside them."""
+"""Embedded data: people, motions, a recording, participants, and the licences beside them."""
 
 from __future__ import annotations
 
@@ -10,20 +10,54 @@ from glsplat.avatar import Avatar
 from glsplat.errors import FormatError
 from glsplat.formats.gltf.splats import load_gltf
 
-__all__ = ["default_avatar", "participants_folder"]
+__all__ = ["PEOPLE", "default_avatar", "embedded_file", "participants_folder", "person"]
+
+PEOPLE: tuple[str, ...] = ("anna", "ben")
+"""The embedded people with faces that move, each a file of people/."""
+
+
+@lru_cache(maxsize=len(PEOPLE))
+def person(name: str) -> Avatar:
+    """One of the embedded people (40,000 splats; 55 SMPL-X joints; 52 shapes of ARKit; licences beside the files).
+
+    Raises FormatError for a name that is not in ``PEOPLE``.
+
+    >>> from glsplat.data import person
+    >>> person("anna").skeleton
+    Skeleton(55 joints: pelvis, left_hip, right_hip, ...)
+    """
+    if name not in PEOPLE:
+        raise FormatError(f"the embedded people are {', '.join(PEOPLE)}, not {name!r}")
+    return _loaded(f"people/{name}.glb")
 
 
 @lru_cache(maxsize=1)
 def default_avatar() -> Avatar:
-    """The embedded person (40,000 splats and its levels of detail; 55 SMPL-X joints; licence beside it).
+    """The embedded person that is shown where nobody says whom (40,000 splats and its levels of detail; 55 joints).
 
     >>> glsplat.default_avatar().skeleton
     Skeleton(55 joints: pelvis, left_hip, right_hip, ...)
     """
-    with resources.as_file(resources.files("glsplat.data") / "default_avatar.glb") as path:
+    return _loaded("default_avatar.glb")
+
+
+def _loaded(name: str) -> Avatar:
+    with resources.as_file(resources.files("glsplat.data") / name) as path:
         scene = load_gltf(path)
     assert isinstance(scene, Avatar)
     return scene
+
+
+def embedded_file(name: str | Path) -> Path:
+    """The file of the embedded person that ``name`` is, where no file of that name is there; else ``name`` itself.
+
+    Commands take what follows as an avatar: ``anna``, ``./anna`` for a file of that name, ``me.glb``.
+    """
+    path = Path(name)
+    if str(name) not in PEOPLE or path.exists():
+        return path
+    file = resources.files("glsplat.data") / "people" / f"{name}.glb"
+    return file if isinstance(file, Path) else path
 
 
 def participants_folder() -> Path:

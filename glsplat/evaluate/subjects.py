@@ -15,7 +15,7 @@ from glsplat.authoring.importers import nearest_weights
 from glsplat.authoring.surface import SamplerConfig, make_avatar
 from glsplat.avatar import Avatar, splats_of
 from glsplat.camera import Camera, load_cameras
-from glsplat.data import default_avatar
+from glsplat.data import default_avatar, embedded_file
 from glsplat.errors import FormatError, GlsplatError
 from glsplat.evaluate.frames import FOV
 from glsplat.formats import load_splats
@@ -106,6 +106,7 @@ def subjects_of(path: str | None, size: int, cameras: Sequence[str] = ()) -> lis
     """
     if path is not None and Path(path).suffix.lower() == ".npz":
         return [dense_person(Path(path), PERSON_SPLATS, size)]
+    path = None if path is None else str(embedded_file(path))
     if path is not None and not Path(path).exists():
         raise FormatError(f"{path}: no such file; give a PLY, .splat or glTF")
     scene = default_avatar() if path is None else load_splats(path)

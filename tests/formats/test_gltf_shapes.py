@@ -97,7 +97,8 @@ def accessor(document: Document, blob: bytes, index: int) -> np.ndarray:
     if "sparse" in found:
         sparse = found["sparse"]
         at, values = (views[sparse[key]["bufferView"]].get("byteOffset", 0) for key in ("indices", "values"))
-        rows = np.frombuffer(blob, "<u4", sparse["count"], at)
+        code = {5123: "<u2", 5125: "<u4"}[sparse["indices"]["componentType"]]
+        rows = np.frombuffer(blob, code, sparse["count"], at)
         assert (np.diff(rows.astype(np.int64)) > 0).all()  # as the specification wants them
         out[rows] = np.frombuffer(blob, "<f4", sparse["count"] * 3, values).reshape(-1, 3)
     return out
@@ -253,3 +254,19 @@ def test_notes_that_are_none_do_not_matter(tmp_path: Path, notes: Any) -> None:
     shapes = loaded(path).shapes
     assert shapes is not None and avatar.shapes is not None
     assert shapes.metres == pytest.approx(avatar.shapes.metres, abs=1e-7)
+
+
+def test_weights_take_a_byte_each_only_where_that_loses_nothing(tmp_path: Path) -> None:
+    raw = expressive(300)
+    whole = np.zeros(raw.skin.weights.shape)
+    whole[:, 0] = np.rint(np.linspace(130, 255, 300))
+    whole[:, 1] = 255 - whole[:, 0]
+    weights = whole.astype(np.float32) / np.float32(255)
+    even = replace(raw, skin=replace(raw.skin, weights=weights))
+    for one, code in ((even, 5121), (raw, 5126)):
+        save(one, tmp_path / "a.glb")
+        document, _ = glb_parts((tmp_path / "a.glb").read_bytes())
+        attributes = document["meshes"][0]["primitives"][0]["attributes"]
+        assert document["accessors"][attributes["WEIGHTS_0"]]["componentType"] == code
+        joints = len(one.skeleton)
+        assert np.array_equal(loaded(tmp_path / "a.glb").skin.dense(joints), one.skin.dense(joints))

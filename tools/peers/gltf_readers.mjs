@@ -10,7 +10,10 @@ const validator = require('gltf-validator');
 globalThis.self = globalThis;
 globalThis.ProgressEvent ??= class extends Event {};
 globalThis.createImageBitmap ??= async () => ({ width: 1, height: 1, close() {} });
-const { GLTFLoader } = await import(pathToFileURL(require.resolve('three/addons/loaders/GLTFLoader.js')).href);
+const loader = pathToFileURL(require.resolve('three/addons/loaders/GLTFLoader.js'));
+const { GLTFLoader } = await import(loader.href);
+
+const { Mesh } = await import(new URL('../../../build/three.module.js', loader).href);
 
 function shown(object) {
   const attributes = object.geometry.attributes;
@@ -24,6 +27,15 @@ function shown(object) {
       for (let k = 0; k < attribute.itemSize; k++) values.push(attribute.getComponent(i, k)); // normalised ones decoded
     }
     out.attributes[name] = { count: attribute.count, width: attribute.itemSize, values };
+  }
+  if (object.morphTargetInfluences) { // as three's own Mesh moves vertices; its Points have no such method
+    const mesh = new Mesh(object.geometry);
+    mesh.morphTargetInfluences = object.morphTargetInfluences.map((_, target) => ((target * 37) % 11) / 10);
+    out.targets = Object.keys(object.morphTargetDictionary);
+    out.morphed = [];
+    for (let i = 0; i < attributes.position.count; i++) {
+      out.morphed.push(mesh.getVertexPosition(i, new (object.position.constructor)()).toArray());
+    }
   }
   if (object.isSkinnedMesh) {
     object.updateMatrixWorld(true);

@@ -82,7 +82,20 @@ def check_splats(path: Path, objects: list[dict[str, Any]]) -> str:
         dense = np.zeros((len(splats), len(scene.skeleton)))
         np.add.at(dense, (np.arange(len(splats))[:, None], joints), weights)
         assert np.abs(dense - scene.skin.dense(len(scene.skeleton))).max() < 1e-6
-    return f"{len(splats)} splats, colours within {levels:.3f} levels"
+    moved = "" if getattr(scene, "shapes", None) is None else check_shapes(scene, shown)
+    return f"{len(splats)} splats, colours within {levels:.3f} levels{moved}"
+
+
+def check_shapes(avatar: Avatar, shown: dict[str, Any]) -> str:
+    """All targets at once, with the weights that the script gives them."""
+    shapes = avatar.shapes
+    assert shapes is not None and tuple(shown["targets"]) == shapes.names
+    weights = np.array([(target * 37) % 11 / 10 for target in range(len(shapes))])
+    expected = avatar.splats.means.astype(np.float64)
+    np.add.at(expected, shapes.rows, shapes.metres.astype(np.float64) * weights[shapes.targets, None])
+    away = np.abs(np.array(shown["morphed"]) - expected).max()
+    assert away < 1e-5, f"three.js moves splats {away} m away"
+    return f", {len(shapes)} targets within {away:.1e} m"
 
 
 def check_mesh(path: Path, objects: list[dict[str, Any]]) -> str:

@@ -9,7 +9,7 @@ from glsplat.rotations import quaternion_matrices
 from glsplat.skinning.shapes import BEND, Shapes, long_axes
 from glsplat.splats import Splats
 
-__all__ = ["carried", "merged_shapes"]
+__all__ = ["carried", "deformed", "merged_shapes"]
 
 F64 = NDArray[np.float64]
 
@@ -47,6 +47,19 @@ def carried(shapes: Shapes, before: Splats, after: Splats) -> Shapes:
         bends=_bends(gradients, after, rows),
         limits=shapes.limits,
     )
+
+
+def deformed(shapes: Shapes, splats: Splats, weights: F64) -> tuple[F64, F64]:
+    """The affine map x -> B x + t that an expression of ``weights`` [T] is at each splat: B [N, 3, 3] and t [N, 3]."""
+    rows, share = shapes.rows, weights[shapes.targets]
+    active = np.flatnonzero(share)
+    bend = np.tile(np.eye(3), (len(splats), 1, 1))
+    move = np.zeros((len(splats), 3))
+    some = rows[active]
+    np.add.at(bend, some, _gradients(shapes, splats)[active] * share[active, None, None])
+    np.add.at(move, some, shapes.metres[active].astype(np.float64) * share[active, None])
+    means = np.where(np.isfinite(splats.means), splats.means, 0).astype(np.float64)
+    return bend, move - np.einsum("nij,nj->ni", bend - np.eye(3), means)
 
 
 def _gradients(shapes: Shapes, splats: Splats) -> F64:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import trimesh
 from numpy.typing import NDArray
 
 from glsplat.authoring.importers import nearest_on
@@ -14,27 +15,29 @@ from glsplat.rotations import quaternion_matrices
 from glsplat.skinning.shapes import Shapes, long_axes
 from glsplat.splats import Splats
 
-__all__ = ["body_morphs", "with_shapes"]
+__all__ = ["body_morphs", "unfolded", "with_shapes"]
 
 F64 = NDArray[np.float64]
 
 _LEAST = 1e-4  # metres; what moves a splat less is left out
 _LEAST_BEND = 0.03  # of an axis of length one
+_STRETCH = 6.0  # times; what is folded away at rest may grow a hundredfold, and is small all the same
 _REACH = 0.03  # metres from the surface within which a splat rides it
 
 
-def with_shapes(avatar: Avatar, mesh: RiggedMesh) -> Avatar:
+def with_shapes(avatar: Avatar, mesh: RiggedMesh, faces: NDArray[np.integer] | None = None) -> Avatar:
     """The avatar, whose splats lie on ``mesh`` as it was bound, with the mesh's expressions; its levels too.
 
-    A splat follows the triangle nearest to it, and lies before it as it did; its axes take the triangle's deformation.
-    Splats farther than 3 cm from the mesh stay. Cones are left out: they were made of a still face. The avatar itself
-    where the mesh has no expressions.
+    A splat follows the triangle nearest to it, or that of ``faces`` [N] where it is known (lips and lids touch at
+    rest, and the nearest may be the other one's); it lies before it as it did, and its axes take the triangle's
+    deformation. Splats farther than 3 cm from the mesh stay. Cones are left out: they were made of a still face. The
+    avatar itself where the mesh has no expressions.
     """
     if mesh.morphs is None:
         return avatar
     levels = tuple(replace(level, content=with_shapes(level.content, mesh)) for level in avatar.levels)
     splats = replace(avatar.splats, cones=None, cones_psnr=None)
-    return replace(avatar, splats=splats, shapes=_shapes(avatar.splats, mesh, mesh.morphs), levels=levels)
+    return replace(avatar, splats=splats, shapes=_shapes(avatar.splats, mesh, mesh.morphs, faces), levels=levels)
 
 
 def body_morphs(body: RiggedMesh, points: F64) -> Morphs | None:
@@ -53,10 +56,28 @@ def body_morphs(body: RiggedMesh, points: F64) -> Morphs | None:
     return Morphs.of(found)
 
 
-def _shapes(splats: Splats, mesh: RiggedMesh, morphs: Morphs) -> Shapes:
+def unfolded(mesh: RiggedMesh) -> F64:
+    """[F] how many times larger each triangle becomes in the expression that stretches it most, from 1 to 6."""
+    out = np.ones(len(mesh.faces))
+    if mesh.morphs is None:
+        return out
+    first = _areas(mesh.vertices[mesh.faces])
+    for _, offsets in _dense(mesh.morphs, len(mesh.vertices)):
+        stirs: NDArray[np.bool_] = np.any(offsets != 0, axis=1)
+        mine = np.flatnonzero(np.any(stirs[mesh.faces], axis=1))
+        grown = _areas((mesh.vertices + offsets)[mesh.faces[mine]]) / np.maximum(first[mine], 1e-12)
+        out[mine] = np.maximum(out[mine], grown)
+    return np.clip(out, 1, _STRETCH)
+
+
+def _areas(corners: F64) -> F64:
+    return np.asarray(np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1))
+
+
+def _shapes(splats: Splats, mesh: RiggedMesh, morphs: Morphs, faces: NDArray[np.integer] | None) -> Shapes:
     usable = splats.finite()
     means = np.where(usable[:, None], splats.means, 0).astype(np.float64)
-    at, face, bary, distance = _ridden(mesh, means)
+    at, face, bary, distance = _ridden(mesh, means) if faces is None else _placed(mesh, means, faces)
     rides: NDArray[np.bool_] = np.logical_and(usable, distance < _REACH)
     corners = mesh.faces[face]
     axes = quaternion_matrices(np.where(usable[:, None], splats.quats, (1, 0, 0, 0)))
@@ -90,6 +111,14 @@ def _ridden(mesh: RiggedMesh, points: F64) -> tuple[F64, NDArray[np.intp], F64, 
     """The nearest place on the mesh [N, 3], its triangle [N] and barycentric coordinates [N, 3], and how far it is."""
     at, distance, face, bary = nearest_on(mesh.vertices, mesh.faces, points)
     return at, face, bary, distance
+
+
+def _placed(mesh: RiggedMesh, points: F64, faces: NDArray[np.integer]) -> tuple[F64, NDArray[np.intp], F64, F64]:
+    """As ``_ridden``, on triangles that are known [N]."""
+    corners = mesh.vertices[mesh.faces[faces]]
+    at = trimesh.triangles.closest_point(corners, points)
+    bary = np.nan_to_num(trimesh.triangles.points_to_barycentric(corners, at))
+    return at, faces.astype(np.intp), bary, np.linalg.norm(points - at, axis=1)
 
 
 def _dense(morphs: Morphs, count: int) -> list[tuple[str, F64]]:

@@ -14,7 +14,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from glsplat.authoring.light.surfaces import carried
+from glsplat.authoring.faces.carry import carried, deformed
+from glsplat.authoring.light.surfaces import carried as surface_carried
 from glsplat.authoring.optimize import descent
 from glsplat.authoring.optimize.loss import loss_of
 from glsplat.authoring.optimize.pictures import TargetPicture
@@ -68,6 +69,8 @@ def fitted(
     threads: int | None = None,
 ) -> Avatar:
     """The avatar with its splats fitted to the pictures; SH degree 0, as many splats, no levels. Needs numba.
+
+    Pictures of expressions are met by its shapes, which go with the splats.
 
     The same bytes for the same input, with any number of threads. Splats that are not drawn (not finite, or with a
     scale of zero or less) stay as they are. Ctrl-C ends the descent and keeps what it reached.
@@ -125,6 +128,7 @@ class _Fit:
         self._joints, self._weights = avatar.skin.joints.astype(np.intp), avatar.skin.weights.astype(np.float64)
         strongest = np.take_along_axis(self._joints, self._weights.argmax(axis=1)[:, None], axis=1)[:, 0]
         self._zones = joint_zones(avatar.skeleton.names)[strongest]
+        self._origin = np.arange(count)  # the splat that each was split from, whose shapes it has
         self._blended: dict[int, tuple[F32, F32]] = {}
         self._seen, self._wrong = np.zeros(count), np.zeros(count)
         rates = (config.mean_rate, config.scale_rate, config.turn_rate, config.opacity_rate, config.colour_rate)
@@ -177,6 +181,7 @@ class _Fit:
             self._values[which], self._moments[which], self._powers[which] = values, 0, 0
             self._counts[which] = 0
         self._joints[gone], self._weights[gone] = self._joints[split], self._weights[split]
+        self._origin[gone] = self._origin[split]
         for blended, turned in self._blended.values():
             blended[gone], turned[gone] = blended[split], turned[split]
         self._seen[:], self._wrong[:] = 0, 0
@@ -207,9 +212,12 @@ class _Fit:
             np.where(alive, (rgb - 0.5) / SH_C0, first.sh[:, 0])[:, None],
             antialias=self._antialias,
         )
-        made = replace(made, surface=carried(first.surface, first, made))
+        made = replace(made, surface=surface_carried(first.surface, first, made))
         skin = Skin(self._joints.astype(self._avatar.skin.joints.dtype), self._weights.astype(np.float32))
-        return replace(self._avatar, splats=made, skin=skin, levels=())
+        shapes = self._avatar.shapes
+        if shapes is not None:
+            shapes = carried(shapes.take(self._origin), first.take(self._origin), made)
+        return replace(self._avatar, splats=made, skin=skin, shapes=shapes, levels=())
 
     def _compose(self) -> None:
         descent.compose(0, len(self._values), self._values, self._start, self._placed[:5])
@@ -220,14 +228,18 @@ class _Fit:
         np.maximum(self._wrong, gradients.error * share, out=self._wrong)
 
     def _blend(self, pose: Pose) -> tuple[F32, F32]:
-        """Blended bones [N, 3, 4] of a pose, and how they turn shapes [N, 3, 3]."""
+        """Blended bones [N, 3, 4] of a pose after its expression, and how both turn and bend splats [N, 3, 3]."""
         if id(pose) not in self._blended:
             bones = pose.bones(self._avatar.skeleton)
             blended = np.einsum("nk,nkij->nij", self._weights, bones[self._joints])
-            self._blended[id(pose)] = (
-                blended.astype(np.float32),
-                nearest_rotations(blended[:, :, :3]).astype(np.float32),
-            )
+            turned = nearest_rotations(blended[:, :, :3])
+            weights = self._avatar.weights(pose)
+            if weights is not None and self._avatar.shapes is not None:
+                bend, move = deformed(self._avatar.shapes, self._avatar.splats, weights)
+                bend, move = bend[self._origin], move[self._origin]
+                blended[:, :, 3] += np.einsum("nij,nj->ni", blended[:, :, :3], move)
+                blended[:, :, :3], turned = blended[:, :, :3] @ bend, turned @ bend
+            self._blended[id(pose)] = blended.astype(np.float32), turned.astype(np.float32)
         return self._blended[id(pose)]
 
 

@@ -3,8 +3,9 @@ fitted to."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -14,7 +15,7 @@ from glsplat.authoring.optimize.rasterizer import Rasterizer
 from glsplat.authoring.posed import drawable, placed, posed_splats
 from glsplat.authoring.raster import mesh_picture
 from glsplat.authoring.refine import random_pose
-from glsplat.authoring.visibility import HEAD
+from glsplat.authoring.visibility import EYES, GAZE_LIDS, HEAD
 from glsplat.avatar import Avatar
 from glsplat.camera import Camera, look_at, pinhole
 from glsplat.errors import ContextError, GlsplatError
@@ -45,6 +46,20 @@ _CLOSE_UPS = (  # beginnings of the names of joints, and the sides
     *((tuple(f"{side}_{part}" for part in _HAND), _HAND_FROM) for side in ("left", "right")),
     *((tuple(f"{side}_{part}" for part in _FOOT), _FOOT_FROM) for side in ("left", "right")),
 )
+_EXPRESSIONS: tuple[dict[str, float], ...] = (  # what a face does, of which the others are near relations
+    {"eyeBlinkLeft": 1.0, "eyeBlinkRight": 1.0},
+    {"eyeBlinkLeft": 0.5, "eyeBlinkRight": 0.5, "browDownLeft": 0.7, "browDownRight": 0.7},
+    {"jawOpen": 0.7},
+    {"jawOpen": 0.35, "mouthFunnel": 0.6},
+    {"mouthSmileLeft": 1.0, "mouthSmileRight": 1.0, "cheekSquintLeft": 0.6, "cheekSquintRight": 0.6},
+    dict.fromkeys(("mouthUpperUpLeft", "mouthUpperUpRight", "mouthLowerDownLeft", "mouthLowerDownRight"), 0.7),
+    {"mouthPucker": 1.0, "browInnerUp": 0.8},
+    {"jawOpen": 0.5, "tongueOut": 1.0, "eyeWideLeft": 0.8, "eyeWideRight": 0.8},
+)
+_FACE_FROM = ((0, 0), (-35, 5), (35, -5))
+_LIDS, _LIPS = ("eyeBlinkLeft", "eyeBlinkRight"), ("mouthFunnel", "mouthPucker")
+_REGIONS = {"lids": _LIDS, "lips": _LIPS}
+_STIRRED = 0.001  # metres; what an expression moves less is not its region
 _LEVELS = (-12, 8, 30)  # degrees from which bodies are looked at, in turn
 
 
@@ -56,7 +71,7 @@ class ViewConfig:
     poses: int = 12  # further poses
     each: int = 2  # pictures of a pose
     size: int = 768  # pixels a side of a whole body
-    close: int = 384  # of a head, a hand or a foot
+    close: int = 384  # of a head, a hand or a foot, and of a face with an expression
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -88,7 +103,10 @@ def pictures_of(
     """Pictures of the mesh, unlit, drawn by OpenGL, or in numpy where no context can be made. Deterministic."""
     used = np.unique(mesh.faces)
     strongest = np.take_along_axis(mesh.joints, mesh.weights.argmax(axis=1)[:, None], axis=1)[:, 0]
-    subject = _Subject(mesh.skeleton.names, mesh.vertices[used], strongest[used], lambda pose: mesh.posed(pose)[used])
+    regions = {} if mesh.morphs is None else {name: _stirred(mesh, names)[used] for name, names in _REGIONS.items()}
+    subject = _Subject(
+        mesh.skeleton.names, mesh.vertices[used], strongest[used], lambda pose: mesh.posed(pose)[used], regions
+    )
     views = list(_views(subject, np.random.default_rng((seed, 17)), config or ViewConfig()))
     return _taken(views, _drawn_mesh(mesh, views, context), progress)
 
@@ -119,6 +137,16 @@ def pictures_of_splats(
     return _taken(views, drawn, progress)
 
 
+def _stirred(mesh: RiggedMesh, names: tuple[str, ...]) -> NDArray[np.bool_]:
+    """[V] the vertices that one of these expressions moves."""
+    assert mesh.morphs is not None
+    found = np.zeros(len(mesh.vertices), bool)
+    for name in names:
+        pose = Pose(np.zeros((len(mesh.skeleton), 3)), expression={name: 1.0})
+        found |= np.linalg.norm(mesh.morphs.moved(pose, len(found)), axis=1) > _STIRRED
+    return found
+
+
 class _Subject(NamedTuple):
     """What is looked at."""
 
@@ -126,6 +154,7 @@ class _Subject(NamedTuple):
     points: F64  # [P, 3] of it in the zero pose
     strongest: NDArray[np.integer]  # [P] the joint that moves a point most
     posed: Callable[[Pose], NDArray[np.floating]]  # [P, 3]
+    regions: Mapping[str, NDArray[np.bool_]] = MappingProxyType({})  # [P] of the face, where it has expressions
 
 
 def _taken(views: list[TargetView], drawn: Iterator[U8], progress: Report | None) -> list[TargetPicture]:
@@ -147,13 +176,14 @@ def _drawn_mesh(mesh: RiggedMesh, views: list[TargetView], context: Context | No
                 pose = view.pose or Pose.zero(len(mesh.skeleton))
                 yield _eight_bits(mesh_picture(mesh, mesh.posed(pose), view.camera, 2))
             return
-    renderers: dict[int, MeshRenderer] = {}
+    renderers: dict[tuple[int, int], MeshRenderer] = {}
     try:
         for view in views:
-            size = view.camera.width
-            if size not in renderers:
-                renderers[size] = MeshRenderer(mesh, size=(size, size), config=_SAMPLED, context=context)
-            yield renderers[size].render([view.camera], view.pose)[0]
+            size, face = view.camera.width, id(view.pose) if view.pose and view.pose.expression else 0
+            if (size, face) not in renderers:
+                shown = mesh if view.pose is None or not face else _expressed(mesh, view.pose)
+                renderers[size, face] = MeshRenderer(shown, size=(size, size), config=_SAMPLED, context=context)
+            yield renderers[size, face].render([view.camera], view.pose)[0]
     finally:
         for renderer in renderers.values():
             renderer.release()
@@ -161,24 +191,54 @@ def _drawn_mesh(mesh: RiggedMesh, views: list[TargetView], context: Context | No
             own.release()
 
 
+def _expressed(mesh: RiggedMesh, pose: Pose) -> RiggedMesh:
+    """The mesh with the pose's expression in its vertices: its renderer has none."""
+    if mesh.morphs is None:
+        return mesh
+    return replace(mesh, vertices=mesh.vertices + mesh.morphs.moved(pose, len(mesh.vertices)), morphs=None)
+
+
 def _eight_bits(picture: NDArray[np.floating]) -> U8:
     return np.asarray(np.clip(picture * 255 + 0.5, 0, 255), np.uint8)
 
 
 def _views(subject: _Subject, rng: np.random.Generator, config: ViewConfig) -> Iterator[TargetView]:
-    names, points, strongest, posed_points = subject
+    names, points, strongest, posed_points, regions = subject
     for k in range(config.body):
         yield TargetView(_camera(points, 360 * k / config.body, _LEVELS[k % 3], config.size, 3.0), points, None)
     for wanted, sides in _CLOSE_UPS:
         some = points[np.array([name.startswith(wanted) for name in names])[strongest]]
         for around, up in sides if len(some) else ():
             yield TargetView(_camera(some, around, up, config.close, 1.5), some, None)
+    if any(mine.any() for mine in regions.values()):
+        yield from _faces(subject, config)
     for k in range(config.poses):
         pose = random_pose(names, rng)
         posed = np.asarray(posed_points(pose), np.float64)
         for j in range(config.each):
             turned = 360 * (k / config.poses + j / config.each) + rng.uniform(-15, 15)
             yield TargetView(_camera(posed, turned, float(rng.normal(5, 15)), config.size, 3.0), posed, pose)
+
+
+def _faces(subject: _Subject, config: ViewConfig) -> Iterator[TargetView]:
+    """The face in each expression from three sides, and its lids and lips from nearer; the eyes turned likewise."""
+    joints = len(subject.names)
+    still = np.zeros((joints, 3))
+    poses = [Pose(still, expression=one) for one in _EXPRESSIONS]
+    eyes = [subject.names.index(name) for name in EYES if name in subject.names]
+    for turn, lids in GAZE_LIDS.items() if eyes else ():
+        rotations = still.copy()
+        rotations[eyes] = np.radians((*turn, 0))
+        poses.append(Pose(rotations, expression=dict.fromkeys(lids, 1.0)))
+    every = np.any(list(subject.regions.values()), axis=0)
+    for index, pose in enumerate([None, *poses]):
+        posed = subject.points if pose is None else np.asarray(subject.posed(pose), np.float64)
+        for around, up in _FACE_FROM:
+            yield TargetView(_camera(posed[every], around, up, config.close, 1.5), posed[every], pose)
+        for number, mine in enumerate(subject.regions.values()):
+            if mine.any():
+                side = 0 if pose is None else (-25, 0, 25)[(index + number) % 3]
+                yield TargetView(_camera(posed[mine], side, 0, config.close, 1.5), posed[mine], pose)
 
 
 def _camera(points: F64, around: float, up: float, size: int, distance: float, fill: float = 0.94) -> Camera:

@@ -9,6 +9,7 @@ from typing import NamedTuple, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
+from glsplat.authoring.faces.given import FACE_SPLATS, with_face
 from glsplat.authoring.fit.body import Body, open_body
 from glsplat.authoring.fit.details import fit_details
 from glsplat.authoring.fit.eyes import EyeLook, read_eyes
@@ -33,6 +34,7 @@ from glsplat.meshes import RiggedMesh
 __all__ = ["PHONE", "SIDES", "Builtin", "FittedBody", "MadeAvatar", "MeshReconstructor", "ReportingReconstructor"]
 
 SIDES = ("front", "back", "left", "right")
+_FACED = 8_000  # splats of an avatar that has some to spare for teeth and lashes
 _HARDLY = 0.1  # of a point that a picture shows too flatly to be believed
 _SURE = 0.4  # visibility of an arm that is where the network has it
 _HAND, _NEAR = 0.8, 0.4  # presence of a hand; how far its wrist is from the arm's, in forearms
@@ -88,7 +90,8 @@ class Builtin:
         """The avatar with all that led to it."""
         body, fit, mesh, shots, looks = _fitted(pictures, masks, options)
         rng = np.random.default_rng(options.seed)
-        strewn = scatter(mesh, options.splats, rng)
+        face = FACE_SPLATS if options.splats >= _FACED else 0
+        strewn = scatter(mesh, options.splats - face, rng)
         painter = painter_of(body, shots, strewn.points, looks)
         painted = painter.paint(strewn.points)
         options.progress("placing splats", 0.0)
@@ -96,6 +99,9 @@ class Builtin:
         unseen = float(np.average(painted.seen < _HARDLY, weights=1 / strewn.density))
         options.progress("placing splats", 1.0)
         avatar = sharp(avatar, mesh, painter.colours, shots, options)
+        if face:
+            options.progress("giving it a face", 0.0)
+            avatar = with_face(avatar, mesh, options.splats, options.seed)
         if not options.keep_light:
             options.progress("finding the light", 0.0)
             avatar = with_captured_light(avatar, mesh, captured_light(mesh, shots, painter.light))

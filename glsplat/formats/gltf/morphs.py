@@ -2,7 +2,8 @@
 
 Of splats POSITION holds metres as the renderer has them, so that a viewer of morph targets moves the same points as
 far; the attributes _AXIS_0 and _AXIS_1 (vectors of normalised signed bytes, the fourth 0) hold what else a splat does.
-All are sparse accessors over nothing, of one list of splats a target. Names are in the mesh's ``extras.targetNames``;
+All are sparse accessors over nothing; the list of splats of the axes is that of POSITION where all of them bend, else
+one of their own. Names are in the mesh's ``extras.targetNames``;
 what viewers do not need is in the primitive's ``extras.glsplat``: ``shape_sizes`` and, where they are not 0 and 1,
 ``shape_limits``.
 """
@@ -80,18 +81,26 @@ def _target(container: Container, index: int, where: str, count: int) -> tuple[N
 def write_shapes(out: Output, shapes: Shapes, mesh: Mesh, primitive: Primitive) -> None:
     """Add targets to ``primitive``, the one of ``mesh``, and what says more of them."""
     rows = shapes.rows
+    narrow = "<u2" if shapes.splats <= 65536 else "<u4"
     for target in range(len(shapes)):
         mine = np.flatnonzero(shapes.targets == target)
-        splats = np.ascontiguousarray(rows[mine], np.uint32)
-        indices = out.add_bytes(splats.astype("<u4").tobytes())
+        indices = out.add_bytes(rows[mine].astype(narrow).tobytes())
         metres = np.ascontiguousarray(shapes.metres[mine], np.float32)
-        bends = np.pad(shapes.bends[mine], ((0, 0), (0, 0), (0, 1)))
         attributes = {"POSITION": add_sparse(out, shapes.splats, indices, metres, "VEC3")}
-        if bends.any():
+        bent = mine[shapes.bends[mine].any(axis=(1, 2))]
+        if len(bent):
+            bends = np.pad(shapes.bends[bent], ((0, 0), (0, 0), (0, 1)))
+            if len(bent) < len(mine):
+                indices = out.add_bytes(rows[bent].astype(narrow).tobytes())
             for axis, name in enumerate(_AXES):
                 values = np.ascontiguousarray(bends[:, axis])
                 attributes[name] = add_sparse(out, shapes.splats, indices, values, "VEC4")
         primitive.targets.append(attributes)
+    if any(_AXES[0] in target for target in primitive.targets):  # a target's attribute needs one of the primitive's
+        for name in _AXES:
+            zeros = Accessor(component_type=5120, count=shapes.splats, type="VEC4", normalized=True)
+            out.gltf.accessors.append(zeros)
+            primitive.attributes[name] = len(out.gltf.accessors) - 1
     extras = mesh.extras if isinstance(mesh.extras, dict) else {}
     mesh.extras = extras | {"targetNames": list(shapes.names)}
     ours: dict[str, Any] = {_SIZES: [float(size) for size in shapes.sizes]}
@@ -109,7 +118,7 @@ def add_sparse(out: Output, count: int, indices: int, values: NDArray[Any], kind
         view = out.add_bytes(np.ascontiguousarray(values, values.dtype.newbyteorder("<")).tobytes())
         accessor.sparse = {
             "count": len(values),
-            "indices": {"bufferView": indices, "componentType": 5125},
+            "indices": {"bufferView": indices, "componentType": 5123 if count <= 65536 else 5125},
             "values": {"bufferView": view},
         }
     if kind == "VEC3":  # required of POSITION; what is not named is zero

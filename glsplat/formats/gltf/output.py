@@ -57,6 +57,19 @@ class Output:
         self.gltf.accessors.append(accessor)
         return len(self.gltf.accessors) - 1
 
+    def add_shares(self, array: NDArray[np.float32], kind: str) -> int:
+        """As ``add`` of [N, 4] floats from 0 to 1; as normalised integers of 8 or 16 bits where that loses nothing.
+
+        That is where each number is exactly a whole number of them, as in a file that was made to be small.
+        """
+        for code in (np.uint8, np.uint16):
+            full = np.float32(np.iinfo(code).max)
+            with np.errstate(invalid="ignore", over="ignore"):
+                narrow = np.clip(np.nan_to_num(np.rint(array * full)), 0, full).astype(code)
+            if np.array_equal(narrow.astype(np.float32) / full, array):
+                return self.add(narrow, kind, normalized=True)
+        return self.add(array, kind)
+
     def add_bytes(self, data: bytes, target: int | None = None) -> int:
         """Index of a new bufferView that holds ``data``: that of an accessor, or an image file."""
         view = BufferView(buffer=0, byte_offset=self._length, byte_length=len(data), target=target)

@@ -48,7 +48,7 @@ def write_influences(out: Output, skin: Skin, joint_count: int, attributes: dict
     for i in range(columns // 4):
         part = slice(4 * i, 4 * i + 4)
         attributes[f"JOINTS_{i}"] = out.add(np.ascontiguousarray(joints[:, part]), "VEC4")
-        attributes[f"WEIGHTS_{i}"] = out.add(np.ascontiguousarray(weights[:, part]), "VEC4")
+        attributes[f"WEIGHTS_{i}"] = out.add_shares(np.ascontiguousarray(weights[:, part]), "VEC4")
 
 
 def write_skeleton(out: Output, skeleton: Skeleton) -> None:

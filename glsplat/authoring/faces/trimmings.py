@@ -1,0 +1,335 @@
+"""What is finer than a mesh's texture, as splats: lashes, the upper lid's shadow, a catch light, strands of hair."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glsplat.authoring.faces.eyeballs import Eyeball
+from glsplat.authoring.faces.shapes import with_shapes
+from glsplat.avatar import Avatar
+from glsplat.meshes import MeshPart, RiggedMesh
+from glsplat.rotations import matrix_quaternions
+from glsplat.skinning.shapes import BEND, Shapes
+from glsplat.skinning.skin import Skin
+from glsplat.splats import Splats
+
+__all__ = ["lid_edges", "with_lashes", "with_strands"]
+
+F64 = NDArray[np.float64]
+Indices = NDArray[np.intp]
+
+_SIDES = np.radians(np.linspace(-62, 62, 63))  # directions from the middle of the eye, to the sides ...
+_HEIGHTS = np.radians(np.linspace(-50, 50, 101))  # ... and up
+_LID = 1.35  # radii of the ball, at most, from its middle to a lid's edge
+_ABOUT = 0.035  # metres from the middle of an eye; lids are no farther
+_LASHES, _LOWER = 34, 18  # of an upper and a lower lid
+_LONG, _SHORT, _THICK = 0.0085, 0.0045, 0.00011  # metres
+_DARK = np.array([22, 15, 12]) / 255
+_SHADE = np.array([46, 28, 22]) / 255
+_GLINT = np.radians((10.0, 13.0))  # to the person's left and up: where a window would be mirrored
+_STRAND = (0.0075, 0.00050, 0.00018)  # metres, standard deviations
+
+
+class LidEdges(NamedTuple):
+    """Where lids end before an eyeball, K directions from nose to temple or the other way."""
+
+    side: F64  # [K] radians to the person's left
+    upper: F64  # [K] radians up
+    lower: F64  # [K]
+    upper_face: Indices  # [K] the mesh's triangle there
+    lower_face: Indices  # [K]
+    upper_at: F64  # [K, 3] metres
+    lower_at: F64  # [K, 3]
+
+
+class _Extra(NamedTuple):
+    means: F64
+    axes: F64  # [N, 3, 3] columns, the longest first
+    scales: F64
+    opacities: F64
+    rgb: F64
+    faces: Indices
+
+
+def lid_edges(mesh: RiggedMesh, ball: Eyeball) -> LidEdges:
+    """The opening between the lids, seen from the middle of the ball, at rest; what is shut at a side is left out."""
+    faces = mesh.faces
+    skin = ~np.isin(mesh.joints[faces[:, 0], 0], [mesh.skeleton.names.index(ball.joint)])
+    corners = mesh.vertices[faces]
+    near = (np.linalg.norm(corners - ball.centre, axis=2) < _ABOUT).all(axis=1) & skin
+    mine = np.flatnonzero(near)
+    side, up = np.meshgrid(_SIDES, _HEIGHTS, indexing="ij")
+    hit, distance = _hits(corners[mine] - ball.centre, _directions(side.ravel(), up.ravel()), 0.9 * ball.radius)
+    hit, distance = hit.reshape(side.shape), distance.reshape(side.shape)
+    found = []
+    for index in range(len(_SIDES)):
+        row = hit[index]
+        middle = len(_HEIGHTS) // 2
+        open_ = np.flatnonzero(row < 0)
+        if not len(open_):
+            continue
+        start = int(open_[np.abs(open_ - middle).argmin()])
+        low = high = start
+        while low > 0 and row[low - 1] < 0:
+            low -= 1
+        while high < len(row) - 1 and row[high + 1] < 0:
+            high += 1
+        if low == 0 or high == len(row) - 1 or high - low < 3:
+            continue
+        if max(distance[index, high + 1], distance[index, low - 1]) > _LID * ball.radius:
+            continue  # the nose, or a brow
+        found.append((index, high + 1, low - 1))
+    k = np.array(found, np.intp).reshape(-1, 3)
+    ways = [_directions(_SIDES[k[:, 0]], _HEIGHTS[k[:, n]]) for n in (1, 2)]
+    at = [ball.centre + way * distance[k[:, 0], k[:, n]][:, None] for n, way in zip((1, 2), ways, strict=True)]
+    upper, lower = (mine[hit[k[:, 0], k[:, n]]] for n in (1, 2))
+    return LidEdges(_SIDES[k[:, 0]], _HEIGHTS[k[:, 1]], _HEIGHTS[k[:, 2]], upper, lower, at[0], at[1])
+
+
+def with_lashes(
+    avatar: Avatar,
+    mesh: RiggedMesh,
+    balls: Sequence[Eyeball],
+    seed: int = 0,
+    *,
+    strength: float = 1.0,  # of lashes and shadows
+    light: bool = True,  # in the eyes; photographs have their own
+) -> Avatar:
+    """The avatar, made of ``mesh``, with lashes on its lids, shadows under the upper ones and a light in its eyes.
+
+    All follow the lids' expressions; the light stays where it is when the eye turns, as mirrors do, and goes out when
+    the lids close. Levels are left out.
+    """
+    rng = np.random.default_rng((seed, 7))
+    parts, glints = [], []
+    for ball in balls:
+        edges = lid_edges(mesh, ball)
+        if len(edges.side) < 8:
+            continue
+        parts += [_fringe(ball, edges, True, rng), _fringe(ball, edges, False, rng), _shadow(ball, edges)]
+        glints += [_glint(ball, edges)] if light else []
+    if not parts:
+        return avatar
+    many = [*parts, *glints]
+    extra = _Extra(*(np.concatenate([getattr(one, key) for one in many]) for key in _Extra._fields))
+    extra = extra._replace(opacities=extra.opacities * strength)
+    still = len(extra.means) - len(glints)
+    made = _added(avatar, mesh, extra)
+    if not glints:
+        return made
+    assert made.shapes is not None
+    return replace(made, shapes=_going_out(made.shapes, len(avatar.splats) + still, [ball.joint for ball in balls]))
+
+
+def with_strands(avatar: Avatar, mesh: RiggedMesh, part: str, count: int, seed: int = 0) -> Avatar:
+    """The avatar with ``count`` long, thin splats that lie along the flow of the hair ``part``, lighter and darker.
+
+    Textures of hair run along it, so that the flow is the direction in which v changes. Levels are left out.
+    """
+    rng = np.random.default_rng((seed, 8))
+    first = 0
+    found: tuple[MeshPart, int] | None = None
+    for one in mesh.parts:
+        if one.name == part:
+            found = one, first
+        first += len(one.faces)
+    if found is None or not count:
+        return avatar
+    hair, begin = found
+    corners = mesh.vertices[hair.faces]
+    along, normal, area = _flow(corners, hair.uv)
+    which = rng.choice(len(area), 4 * count, p=area / area.sum())
+    edge, other = np.sqrt(rng.random(4 * count)), rng.random(4 * count)
+    bary = np.stack([1 - edge, edge * (1 - other), edge * other], axis=1)
+    rgba = hair.sample(np.einsum("nk,nkc->nc", bary, hair.uv[which]))
+    chosen = np.flatnonzero(rgba[:, 3] > 0.8)[:count]
+    which, bary, rgb = which[chosen], bary[chosen], rgba[chosen, :3]
+    means = np.einsum("nk,nkc->nc", bary, corners[which])
+    outward = np.einsum("ni,ni->n", normal[which], means - corners.mean(axis=(0, 1)))
+    facing = normal[which] * np.where(outward < 0, -1, 1)[:, None]
+    axes = _frames(along[which], facing)
+    size = np.array(_STRAND) * rng.uniform(0.6, 1.3, (len(which), 1))
+    tone = rgb * rng.uniform(0.65, 1.45, (len(which), 1)) + rng.uniform(0, 0.03, (len(which), 1))
+    extra = _Extra(
+        means + facing * 0.0008,
+        axes,
+        size,
+        np.full(len(which), 0.8),
+        np.clip(tone, 0, 1),
+        (which + begin).astype(np.intp),
+    )
+    return _added(avatar, mesh, extra)
+
+
+def _fringe(ball: Eyeball, edges: LidEdges, upper: bool, rng: np.random.Generator) -> _Extra:
+    """Two splats a lash: the first half stands off, the second curls up (or down)."""
+    count = _LASHES if upper else _LOWER
+    at, face = (edges.upper_at, edges.upper_face) if upper else (edges.lower_at, edges.lower_face)
+    inner, outer = 2, len(edges.side) - 3
+    where = np.sort(rng.uniform(inner, outer, count))
+    row = where.astype(np.intp)
+    part = (where - row)[:, None]
+    root = at[row] * (1 - part) + at[row + 1] * part
+    spread = (row - (inner + outer) / 2) / (outer - inner)
+    up = 1.0 if upper else -1.0
+    first = root - ball.centre
+    first /= np.linalg.norm(first, axis=1, keepdims=True)
+    fan = np.stack([0.7 * spread + rng.normal(0, 0.08, count), np.full(count, 0.15 * up), np.zeros(count)], axis=1)
+    first = first + fan
+    first /= np.linalg.norm(first, axis=1, keepdims=True)
+    second = first + np.array([0, 0.75 * up, 0])
+    second /= np.linalg.norm(second, axis=1, keepdims=True)
+    length = (_LONG if upper else _SHORT) * rng.uniform(0.75, 1.1, count)[:, None] * (1 - 0.7 * spread[:, None] ** 2)
+    joint = root + 0.5 * length * first
+    ways = np.concatenate([first, second])
+    means = np.concatenate([root + 0.25 * length * first, joint + 0.25 * length * second])
+    across = np.cross(ways, np.array([1.0, 0, 0]))
+    scales = np.concatenate([np.tile(length, (2, 1)) * 0.17, np.full((2 * count, 2), _THICK)], axis=1)
+    scales[count:, 1:] *= 0.7
+    opacity = np.repeat([0.95, 0.8] if upper else [0.6, 0.4], count)
+    return _Extra(means, _frames(ways, across), scales, opacity, np.tile(_DARK, (2 * count, 1)), np.tile(face[row], 2))
+
+
+def _shadow(ball: Eyeball, edges: LidEdges) -> _Extra:
+    """Dark veils on the eyeball below the upper lid's edge, denser at the edge."""
+    rows = np.arange(1, len(edges.side) - 1, 2)
+    means, opacity, face, ways = [], [], [], []
+    for below, strength in ((-1.0, 0.55), (3.0, 0.34), (7.0, 0.18)):
+        way = _directions(edges.side[rows], np.maximum(edges.upper[rows] - np.radians(below), edges.lower[rows]))
+        ways.append(way)
+        means.append(ball.centre + (ball.radius + 0.0002) * way)
+        opacity.append(np.full(len(rows), strength))
+        face.append(edges.upper_face[rows])
+    outward = np.concatenate(ways)
+    axes = _frames(np.cross(np.array([0.0, 1, 0]), outward), outward)
+    scales = np.tile([0.0011, 0.0007, 0.00008], (len(outward), 1))
+    rgb = np.tile(_SHADE, (len(outward), 1))
+    return _Extra(np.concatenate(means), axes, scales, np.concatenate(opacity), rgb, np.concatenate(face))
+
+
+def _glint(ball: Eyeball, edges: LidEdges) -> _Extra:
+    """One bright spot before the iris, below the lid's edge."""
+    left, up = _GLINT
+    up = min(float(up), float(edges.upper[len(edges.side) // 2]) - np.radians(5))
+    way = _directions(np.array([left]), np.array([up]))
+    axes = _frames(np.cross(np.array([[0.0, 1, 0]]), way), way)
+    face = edges.upper_face[len(edges.side) // 2][None]
+    scales = np.array([[0.00055, 0.00055, 0.00008]])
+    return _Extra(ball.centre + (ball.radius + 0.0004) * way, axes, scales, np.array([0.85]), np.ones((1, 3)), face)
+
+
+def _going_out(shapes: Shapes, first: int, joints: Sequence[str]) -> Shapes:
+    """The lights' own entries: none but the blink, which draws them into the eye."""
+    kept = shapes.rows < first
+    rows, targets, moves = [shapes.rows[kept]], [shapes.targets[kept].astype(np.int64)], [shapes.metres[kept]]
+    bends = [shapes.bends[kept] * BEND]
+    for number, joint in enumerate(joints[: shapes.splats - first]):
+        name = "eyeBlinkLeft" if joint.startswith("left") else "eyeBlinkRight"
+        if name in shapes.names:
+            rows.append(np.array([first + number]))
+            targets.append(np.array([shapes.names.index(name)]))
+            moves.append(np.array([[0, 0, -0.008]], np.float32))
+            bends.append(np.zeros((1, 2, 3)))
+    return Shapes.create(
+        shapes.names,
+        shapes.splats,
+        splats=np.concatenate(rows),
+        targets=np.concatenate(targets),
+        moves=np.concatenate(moves),
+        bends=np.concatenate(bends),
+        limits=shapes.limits,
+    )
+
+
+def _added(avatar: Avatar, mesh: RiggedMesh, extra: _Extra) -> Avatar:
+    """The avatar and more splats, bound to the middles of triangles of ``mesh``."""
+    own = avatar.splats
+    quats = matrix_quaternions(extra.axes)
+    more = Splats.create(extra.means, quats, extra.scales, extra.opacities, rgb=extra.rgb, antialias=own.antialias)
+    corners = mesh.faces[extra.faces]
+    count, wide = len(extra.faces), len(mesh.skeleton)
+    dense = np.zeros((count, wide))
+    for corner in range(3):
+        for one in range(mesh.joints.shape[1]):
+            np.add.at(
+                dense, (np.arange(count), mesh.joints[corners[:, corner], one]), mesh.weights[corners[:, corner], one]
+            )
+    skin = Skin.create(np.broadcast_to(np.arange(wide), dense.shape), dense, wide, avatar.skin.joints.shape[1])
+    riding = Avatar(more, avatar.skeleton, skin)
+    if mesh.morphs is not None:
+        riding = with_shapes(riding, mesh, extra.faces)
+    return joined(avatar, riding)
+
+
+def joined(avatar: Avatar, other: Avatar) -> Avatar:
+    """Both in one, on the first's skeleton; without levels and cones."""
+    both = [avatar.splats, other.splats]
+    keys = ("means", "quats", "scales", "opacities", "sh")
+    splats = Splats.create(*(np.concatenate([getattr(s, k) for s in both]) for k in keys), antialias=both[0].antialias)
+    skins = [avatar.skin, other.skin]
+    skin = Skin(
+        np.concatenate([one.joints for one in skins]).astype(skins[0].joints.dtype),
+        np.concatenate([one.weights for one in skins]),
+    )
+    shapes = avatar.shapes
+    if shapes is not None and other.shapes is not None:
+        assert shapes.names == other.shapes.names
+        pair = (shapes, other.shapes)
+        shapes = Shapes.create(
+            shapes.names,
+            len(splats),
+            splats=np.concatenate([shapes.rows, other.shapes.rows + len(avatar.splats)]),
+            targets=np.concatenate([one.targets for one in pair]),
+            moves=np.concatenate([one.metres for one in pair]),
+            bends=np.concatenate([one.bends for one in pair]) * BEND,
+            limits=shapes.limits,
+        )
+    return replace(avatar, splats=splats, skin=skin, shapes=shapes, levels=())
+
+
+def _directions(side: F64, up: F64) -> F64:
+    return np.stack([np.cos(up) * np.sin(side), np.sin(up), np.cos(up) * np.cos(side)], axis=1)
+
+
+def _frames(first: F64, third: F64) -> F64:
+    """[N, 3, 3] right-handed axes: along ``first``, the last nearest to ``third``."""
+    one = first / np.maximum(np.linalg.norm(first, axis=1, keepdims=True), 1e-30)
+    two = np.cross(third, one)
+    two /= np.maximum(np.linalg.norm(two, axis=1, keepdims=True), 1e-30)
+    return np.stack([one, two, np.cross(one, two)], axis=2)
+
+
+def _hits(corners: F64, ways: F64, least: float) -> tuple[Indices, F64]:
+    """[N] the first triangle [F, 3, 3] beyond ``least`` that rays from the origin meet, -1 for none, and how far.
+
+    Moeller and Trumbore 1997.
+    """
+    first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    best: Indices = np.full(len(ways), -1, np.intp)
+    far: F64 = np.full(len(ways), np.inf)
+    for number in range(len(corners)):
+        across = np.cross(ways, second[number])
+        size = across @ first[number]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            u = across @ -corners[number, 0] / size
+            lifted = np.cross(-corners[number, 0], first[number])
+            v = ways @ lifted / size
+            t = float(second[number] @ lifted) / size
+            met = (u >= 0) & (v >= 0) & (u + v <= 1) & (t > least) & (t < far)
+        best[met], far[met] = number, t[met]
+    return best, far
+
+
+def _flow(corners: F64, uv: F64) -> tuple[F64, F64, F64]:
+    """Of triangles [F, 3, 3] with coordinates [F, 3, 2]: the direction of v [F, 3], the normal, and the area."""
+    one, other = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    normal = np.cross(one, other)
+    area = np.linalg.norm(normal, axis=1) / 2
+    first, second = uv[:, 1] - uv[:, 0], uv[:, 2] - uv[:, 0]
+    along = other * first[:, :1] - one * second[:, :1]
+    return along, normal / np.maximum(2 * area, 1e-30)[:, None], area

@@ -1,0 +1,79 @@
+"""The embedded people: who they are, what they have, and that commands take their names."""
+
+from __future__ import annotations
+
+import os
+from importlib import resources
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from apps.args import load_avatar
+from apps.cli import main
+from glsplat.data import PEOPLE, default_avatar, embedded_file, person
+from glsplat.errors import FormatError, GlsplatError
+from glsplat.skinning.expression import ARKIT
+from glsplat.skinning.smplx import JOINT_NAMES
+
+
+@pytest.mark.parametrize("name", PEOPLE)
+def test_each_has_a_small_file_a_face_and_a_licence(name: str) -> None:
+    avatar = person(name)
+    assert embedded_file(name).stat().st_size <= 6_000_000
+    assert avatar.skeleton.names == JOINT_NAMES and len(avatar.splats) == 40_000
+    assert avatar.shapes is not None and sorted(avatar.shapes.names) == sorted(ARKIT)
+    assert set(np.unique(avatar.shapes.targets)) == set(range(52))
+    assert all(level.content.shapes is not None for level in avatar.levels)
+    assert "CC0" in avatar.meta["licence"] and "MIT" in avatar.meta["licence"]
+    assert "MIT License" in (resources.files("glsplat.data") / "LICENSE-ict-facekit.txt").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("name", PEOPLE)
+def test_lids_close_the_mouth_opens_and_eyes_turn_about_their_middles(name: str) -> None:
+    avatar = person(name)
+    shapes = avatar.shapes
+    assert shapes is not None
+    metres, targets = shapes.metres, shapes.targets
+    for shape, least in (("eyeBlinkLeft", 0.006), ("eyeBlinkRight", 0.006), ("jawOpen", 0.02)):
+        mine = metres[targets == shapes.names.index(shape)]
+        assert -mine[:, 1].min() > least
+    left, right = (avatar.skeleton.names.index(f"{side}_eye_smplhf") for side in ("left", "right"))
+    for joint in (left, right):
+        strongest = np.take_along_axis(avatar.skin.joints, avatar.skin.weights.argmax(axis=1)[:, None], axis=1)[:, 0]
+        ball = avatar.splats.means[strongest == joint] - avatar.skeleton.joints[joint]
+        distance = np.linalg.norm(ball, axis=1)
+        assert len(ball) > 300 and np.quantile(distance, 0.95) - np.quantile(distance, 0.05) < 0.0025
+
+
+def test_they_are_different_people() -> None:
+    spans = [float(np.ptp(person(name).splats.means[:, 0])) for name in PEOPLE]  # from hand to hand
+    assert max(spans) - min(spans) > 0.03
+    colours = [person(name).splats.sh[:, 0].mean(axis=0) for name in PEOPLE]
+    assert min(np.abs(a - b).max() for i, a in enumerate(colours) for b in colours[:i]) > 0.1
+
+
+def test_each_is_read_once() -> None:
+    assert person("ben") is person("ben") is not default_avatar()
+
+
+def test_another_name_is_refused_in_one_line() -> None:
+    with pytest.raises(FormatError, match="the embedded people are anna, ben, not 'dora'"):
+        person("dora")
+    with pytest.raises(GlsplatError, match=r"--avatar dora: no such file, nor an embedded person \(anna or ben\)"):
+        load_avatar("dora", "--avatar")
+
+
+def test_commands_take_names_and_files_go_first(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    before = os.getcwd()
+    os.chdir(tmp_path)
+    try:
+        assert len(load_avatar("anna", "--avatar").skeleton) == 55
+        assert main(["inspect", "ben"]) == 0 and "52" in capsys.readouterr().out
+        (tmp_path / "anna").write_bytes(b"not an avatar")
+        assert embedded_file("anna") == Path("anna")
+        with pytest.raises(GlsplatError):
+            load_avatar("anna", "--avatar")
+        assert embedded_file("anna.glb") == Path("anna.glb")
+    finally:
+        os.chdir(before)
