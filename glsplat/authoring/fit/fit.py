@@ -17,7 +17,7 @@ from glsplat.authoring.fit.prior import HINGES, POSED, PosePrior
 from glsplat.authoring.fit.solver import BodySolver
 from glsplat.authoring.fit.standing.doubt import doubts_of, unseen
 from glsplat.authoring.fit.standing.limbs import TRUNK, before_trunk, beside_arms, hidden_arms, layers
-from glsplat.authoring.fit.standing.stances import metres_of, misread, stances_of
+from glsplat.authoring.fit.standing.stances import ASIDE, metres_of, misread, stances_of
 from glsplat.authoring.fit.view import View, apart
 from glsplat.errors import FormatError
 from glsplat.meshes import vertex_normals
@@ -125,7 +125,8 @@ def _begun_with(stance: PosePrior, views: Sequence[View], height: float | None, 
     bare, joints = body.shaped(solver.betas)
     offsets = dressed(body, bare, poses, views)
     fit = assembled(body, bare, joints, offsets, poses, rotations, views, strays_of(solver))
-    against, told = 0.0 if stance is POSED else _UNUSUAL, []
+    usual = stance is POSED or abs(stance.turn) > ASIDE  # nobody poses who has turned aside
+    against, told = 0.0 if usual else _UNUSUAL, []
     for index, (seen, view) in enumerate(zip(fit.views, views, strict=True)):
         arms = np.linalg.norm(solver.strayed(index, pixels=True)[np.isin(solver.table.numbers, _ARM_MARKS)], axis=1)
         hidden = hidden_arms(body, seen.vertices, seen.pixels, view.focal, view.mask.shape)

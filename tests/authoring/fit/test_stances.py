@@ -70,7 +70,7 @@ def test_metres_turn_the_person() -> None:
 def test_without_metres_there_is_one_stance() -> None:
     view = posed_view()[0]
     assert [stance.name for stance in stances_of(blind(view), open_body())] == ["posed"]
-    assert [stance.name for stance in stances_of(view, open_body())] == ["posed", "at ease", "read"]
+    assert [stance.name for stance in stances_of(view, open_body())] == ["posed", "read", "like others"]
 
 
 def test_metres_that_take_the_front_for_another_side_are_not_believed() -> None:
