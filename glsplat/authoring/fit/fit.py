@@ -52,7 +52,7 @@ _SOLE = 0.020  # metres; a thicker one would be height that the body lacks
 _FEW = 4  # views whose outlines hardly cross each other
 _HEIGHTS = 0.5, 2.5  # metres
 _ARM_REACH, _ARM_REACH_DRESSED = 0.015, 0.03  # shares of the figure: so near an arm no outline is a trunk's
-_HELD_REACH, _HELD = 0.10, 0.02  # shares of the figure; so near a hand, what stands so far off the trunk is no cloth
+_HELD_REACH, _HELD = 0.08, 0.025  # shares of the figure; so near a hand, what stands so far off the trunk is no cloth
 _ARM_MARKS, _WRIST_MARKS = (13, 14, 15, 16), (15, 16)  # landmarks of elbows and wrists
 # Against a fit speak: a percent uncovered, a percent that landmarks and those of arms stray, an arm hidden that is seen
 # or seen that is hidden, arms that point elsewhere than the network's metres by their length; and that it is an unusual
@@ -192,8 +192,9 @@ def _rim(body: Body, posed: PosedBody, view: View, moved: F64 | None) -> Rim:
     around = (_ARM_REACH if moved is None else _ARM_REACH_DRESSED) * view.figure
     column, row = np.floor(rim.pixels).astype(int).T
     of_arms = beside_arms(body, pixels, view.mask.shape, around)[row, column]
-    held = beside_arms(body, pixels, view.mask.shape, _HELD_REACH * view.figure, hands(body))[row, column]
-    of_arms |= held & (gaps > _HELD * view.figure)  # the edge of a ball or a bag
+    if moved is not None:  # the edge of a ball or a bag
+        held = beside_arms(body, pixels, view.mask.shape, _HELD_REACH * view.figure, hands(body))[row, column]
+        of_arms |= held & (gaps > _HELD * view.figure)
     found = np.isfinite(gaps) & ~(of_arms & (layers(body)[rim.vertices] == TRUNK))
     return Rim(rim.vertices[found], rim.pixels[found], rim.normals[found], gaps[found])
 

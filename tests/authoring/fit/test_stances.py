@@ -127,21 +127,20 @@ def test_hidden_arms() -> None:
 
 def test_what_is_held_dresses_no_hip() -> None:
     """A ball between the hand and the hip."""
-    body, bent = open_body(), {("left_shoulder", 2): -1.1, ("left_elbow", 1): -0.2}
+    body, bent = open_body(), {("left_shoulder", 2): -1.35, ("left_elbow", 1): -0.2}
     view, posed, _ = posed_view(bent=bent)
     _, pixels = surface(posed)
-    hand, hip = (pixels[body.part == JOINT_NAMES.index(f"left_{name}")].mean(axis=0) for name in ("wrist", "hip"))
+    hand = pixels[body.part == JOINT_NAMES.index("left_wrist")].mean(axis=0)
     side = pixels[(layers(body) == TRUNK) & (np.abs(pixels[:, 1] - hand[1]) < 6)][:, 0].max()
-    assert hip[0] < side < hand[0]
     y, x = np.mgrid[: view.mask.shape[0], : view.mask.shape[1]] + 0.5
-    ball = (x - (side + hand[0]) / 2) ** 2 + (y - hand[1]) ** 2 < ((hand[0] - side) / 2 + 2) ** 2
+    ball = (x - side - 6) ** 2 + ((y - hand[1]) * 0.6) ** 2 < 8**2
     bare, _ = body.shaped(posed.betas)
     plain, held = (
         dressed(body, bare, [posed], [View(mask, view.landmarks, view.visibility, FOCAL)])
         for mask in (view.mask, view.mask | ball)
     )
     near = (layers(body) == TRUNK) & (np.linalg.norm(pixels - (side, hand[1]), axis=1) < 20)
-    assert near.sum() > 20 and np.abs(held - plain)[near].max() < 0.012
+    assert near.sum() > 20 and np.abs(held - plain)[near].max() < 0.012  # metres; 0.065 where a ball is cloth
 
 
 def test_layers_are_mirrored() -> None:
