@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from importlib import resources
@@ -54,6 +55,12 @@ class Body:
         """The named vertices [K] as points; ``moved`` [V, 3] metres is added to where the mesh rests."""
         rest = self.vertices[vertices] if moved is None else self.vertices[vertices] + moved[vertices]
         return Points(rest, self.shape[vertices], self.skin_joints[vertices], self.skin_weights[vertices])
+
+    def points_of_joints(self, names: Sequence[str]) -> Points:
+        """The named joints as points, which the shape moves along."""
+        joints = np.array([JOINT_NAMES.index(name) for name in names], np.intp)
+        own = joints[:, None], np.ones((len(joints), 1))
+        return Points(self.joints[joints], self.shape_joints[joints], *own)
 
     @cached_property
     def stature(self) -> tuple[float, F64]:

@@ -26,7 +26,7 @@ from glsplat.authoring.fit.view import View
 from glsplat.authoring.networks.face import Face
 from glsplat.skinning.smplx import JOINT_NAMES
 
-__all__ = ["FacePlaces", "face_places", "fit_face"]
+__all__ = ["FacePlaces", "face_places", "face_turn", "fit_face"]
 
 F64 = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -40,6 +40,7 @@ _MIRRORED = -1.0, 1.0  # what a mirror makes of the field's x and y
 _MOST = 0.02  # metres; nothing is moved farther
 _BACK, _FRONT = 0.0, 0.06  # metres of z in the zero pose: where the field has faded, and where it begins to
 _SURE = 0.5  # presence of a face that is there
+_TURN_SURE = 0.9  # of one that says where the person is turned
 _STRANGE = 0.02  # metres; landmarks that lie farther off by the median are not of this head
 _OUTLIER = 2.0  # strays; a landmark that the field misses by this much counts half
 _ROUNDS = 3  # landmarks weighed anew
@@ -79,6 +80,22 @@ def face_places() -> FacePlaces:
         weights=weights / weights.sum(axis=1, keepdims=True),
         strays=np.array([row["stray"] for row in rows], np.float64),
     )
+
+
+def face_turn(body: Body, face: Face, focal: float, middle: float) -> float | None:
+    """Degrees that a face has turned to the person's own left from facing the camera, None for one that is not sure.
+
+    ``focal`` and ``middle`` are the focal length and the column of the optical axis, both in pixels. The turn is that
+    of the affine picture of the places on the body's face that is nearest to the landmarks.
+    """
+    if face.presence < _TURN_SURE:
+        return None
+    table = face_places()
+    spots, marks = table.of(body, body.vertices), face.points[table.numbers, :2]
+    plane = np.linalg.lstsq(spots - spots.mean(axis=0), marks - marks.mean(axis=0), rcond=None)[0].T
+    right, down = plane / np.maximum(np.linalg.norm(plane, axis=1, keepdims=True), 1e-9)
+    aside = np.arctan2(marks[:, 0].mean() - middle, focal)  # who looks at the camera from there has turned back by it
+    return float(np.degrees(np.arctan2(right[2], -np.cross(right, down)[2]) - aside))
 
 
 def fit_face(body: Body, fit: BodyFit, seen: FittedView, view: View, face: Face) -> tuple[F64, F64] | None:

@@ -16,8 +16,8 @@ from glsplat.authoring.fit.outline import Rim, find_rim, half_gaps, overlap, pro
 from glsplat.authoring.fit.prior import HINGES, POSED, PosePrior
 from glsplat.authoring.fit.solver import BodySolver
 from glsplat.authoring.fit.standing.doubt import doubts_of, unseen
-from glsplat.authoring.fit.standing.limbs import TRUNK, before_trunk, beside_arms, hidden_arms, layers
-from glsplat.authoring.fit.standing.stances import metres_of, misread, stances_of
+from glsplat.authoring.fit.standing.limbs import TRUNK, before_trunk, beside_arms, hands, hidden_arms, layers
+from glsplat.authoring.fit.standing.stances import ASIDE, metres_of, misread, stances_of
 from glsplat.authoring.fit.view import View, apart
 from glsplat.errors import FormatError
 from glsplat.meshes import vertex_normals
@@ -52,6 +52,7 @@ _SOLE = 0.020  # metres; a thicker one would be height that the body lacks
 _FEW = 4  # views whose outlines hardly cross each other
 _HEIGHTS = 0.5, 2.5  # metres
 _ARM_REACH, _ARM_REACH_DRESSED = 0.015, 0.03  # shares of the figure: so near an arm no outline is a trunk's
+_HELD_REACH, _HELD = 0.08, 0.025  # shares of the figure; so near a hand, what stands so far off the trunk is no cloth
 _ARM_MARKS, _WRIST_MARKS = (13, 14, 15, 16), (15, 16)  # landmarks of elbows and wrists
 # Against a fit speak: a percent uncovered, a percent that landmarks and those of arms stray, an arm hidden that is seen
 # or seen that is hidden, arms that point elsewhere than the network's metres by their length; and that it is an unusual
@@ -125,7 +126,8 @@ def _begun_with(stance: PosePrior, views: Sequence[View], height: float | None, 
     bare, joints = body.shaped(solver.betas)
     offsets = dressed(body, bare, poses, views)
     fit = assembled(body, bare, joints, offsets, poses, rotations, views, strays_of(solver))
-    against, told = 0.0 if stance is POSED else _UNUSUAL, []
+    usual = stance is POSED or abs(stance.turn) > ASIDE  # nobody poses who has turned aside
+    against, told = 0.0 if usual else _UNUSUAL, []
     for index, (seen, view) in enumerate(zip(fit.views, views, strict=True)):
         arms = np.linalg.norm(solver.strayed(index, pixels=True)[np.isin(solver.table.numbers, _ARM_MARKS)], axis=1)
         hidden = hidden_arms(body, seen.vertices, seen.pixels, view.focal, view.mask.shape)
@@ -190,6 +192,9 @@ def _rim(body: Body, posed: PosedBody, view: View, moved: F64 | None) -> Rim:
     around = (_ARM_REACH if moved is None else _ARM_REACH_DRESSED) * view.figure
     column, row = np.floor(rim.pixels).astype(int).T
     of_arms = beside_arms(body, pixels, view.mask.shape, around)[row, column]
+    if moved is not None:  # the edge of a ball or a bag
+        held = beside_arms(body, pixels, view.mask.shape, _HELD_REACH * view.figure, hands(body))[row, column]
+        of_arms |= held & (gaps > _HELD * view.figure)
     found = np.isfinite(gaps) & ~(of_arms & (layers(body)[rim.vertices] == TRUNK))
     return Rim(rim.vertices[found], rim.pixels[found], rim.normals[found], gaps[found])
 

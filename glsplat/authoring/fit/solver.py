@@ -29,6 +29,7 @@ _PLAIN_SIDE = 0.8  # cosine of the turn; from there on left and right are where 
 _SAME_SHAPE = 1e-3  # standard deviations of a shape that is known
 _BEFORE, _BEFORE_WORTH = 0.01, 12.0  # metres that a limb may lie too deep; as many measurements as that is
 _ARMS = np.array([any(part in name for part in ("shoulder", "elbow")) for name, _ in prior.HINGES.names], float)
+_BONE_DOUBT = np.array([1.0, 1.0, 0.4])  # of unit vectors: landmarks know the rest better
 _SAME_CAMERA = 0.01  # shares of the stature that the height of a standing camera may seem to change
 
 
@@ -60,11 +61,13 @@ class BodySolver:
         self.body, self.table, self.views = body, table, tuple(views)
         self._height, self._known, self._stance = height, known, stance
         self._marks = table.points(body)
+        self._ends = body.points_of_joints([name for bone in prior.ARM_BONES for name in bone])
         self._block = PLACE + len(prior.MEAN)
         self._rims: list[tuple[Rim, Points, F64] | None] = [None] * len(views)
         self._before: list[tuple[Points, F64] | None] = [None] * len(views)
         self._trust = [np.ones(len(table.numbers)) for _ in views]
         self.x: F64 = self._start()
+        self._poses = [self._stance.about(self.angles(index)) for index in range(len(views))]
         self._seen = [self._sided(index) for index in range(len(views))]
 
     @property
@@ -91,8 +94,12 @@ class BodySolver:
         return float(above / (size + grows @ self.betas))
 
     def weigh_landmarks(self) -> None:
-        """Trust each landmark by how far it is off now, so that a wrong one does not pull for long."""
+        """Trust each landmark by how far it is off now, so that a wrong one does not pull for long.
+
+        And take arms to be of the kind that they are most like now.
+        """
         for index in range(len(self.views)):
+            self._poses[index] = self._stance.about(self.angles(index))
             far = np.linalg.norm(self.strayed(index), axis=1)
             self._trust[index] = 1 / (1 + (far / _OUTLIER) ** 2)
 
@@ -134,7 +141,7 @@ class BodySolver:
             block[:2] = (hips - view.centre) * depth / view.focal
             block[2] = depth
             block[4] = self._stance.turn
-            block[PLACE:] = self._stance.mean if self._known is None else self._known.angles
+            block[PLACE:] = self._stance.begun() if self._known is None else self._known.angles
         return x
 
     def _sided(self, index: int) -> F64:
@@ -160,6 +167,8 @@ class BodySolver:
             if index:
                 parts.append((*self._tie_rows(index, x), index, self._tie_slope()))
             parts.append((*self._camera_rows(index, posed, x), index, None))
+            if self._stance.bones is not None and not index:
+                parts.append((*self._bone_rows(posed, self._stance.bones, derive), index, None))
             if self._rims[index] is not None:
                 parts.append((*self._rim_rows(index, view, posed, derive), index, None))
             if self._before[index] is not None:
@@ -186,8 +195,9 @@ class BodySolver:
             return (x[:BETAS] - self._known.betas) / _SAME_SHAPE, np.eye(BETAS) / _SAME_SHAPE
         size, grows = self.body.stature
         wanted, doubt = prior.STATURE if self._height is None else (self._height, _HEIGHT_DOUBT)
-        residual = np.concatenate([x[1:BETAS] / prior.SHAPE_DOUBT, [(size + grows @ x[:BETAS] - wanted) / doubt]])
-        return residual, np.vstack([np.eye(BETAS)[1:] / prior.SHAPE_DOUBT, grows / doubt])
+        tied = self._stance.shape_doubt
+        residual = np.concatenate([x[1:BETAS] / tied, [(size + grows @ x[:BETAS] - wanted) / doubt]])
+        return residual, np.vstack([np.eye(BETAS)[1:] / tied, grows / doubt])
 
     def _landmark_rows(self, index: int, view: View, posed: PosedBody, derive: bool) -> tuple[F64, F64]:
         sure = view.visibility[self.table.numbers].clip(_LEAST_SURE) * self._trust[index]
@@ -228,11 +238,22 @@ class BodySolver:
         count = len(prior.MEAN)
         angles = x[BETAS + index * self._block + PLACE :][:count]
         moves = np.zeros((count, BETAS + self._block))
-        mean, spread = self._stance.mean, self._stance.spread
+        mean, factor = self._poses[index]
         if self._known is not None:
-            mean, spread = self._known.angles, np.minimum(spread, _SAME_POSE)
-        moves[:, BETAS + PLACE :] = np.diag(1 / spread)
-        return (angles - mean) / spread, moves
+            mean, factor = self._known.angles, np.diag(1 / np.minimum(self._stance.spread, _SAME_POSE))
+        moves[:, BETAS + PLACE :] = factor
+        return factor @ (angles - mean), moves
+
+    def _bone_rows(self, posed: PosedBody, said: F64, derive: bool) -> tuple[F64, F64]:
+        """Arms point as a network's metres say: roughly, and most roughly in depth."""
+        nothing = np.zeros((len(self._ends.rest), 3, 0))
+        where, moves = posed.derivatives(self._ends) if derive else (posed.points(self._ends), nothing)
+        bone, change = where[1::2] - where[::2], moves[1::2] - moves[::2]
+        length = np.linalg.norm(bone, axis=1)[:, None]
+        unit = bone / length
+        along = np.einsum("bc,bcp->bp", unit, change)
+        slope = (change - unit[..., None] * along[:, None]) / length[..., None] / _BONE_DOUBT[:, None]
+        return ((unit - said) / _BONE_DOUBT).ravel(), slope.reshape(3 * len(bone), -1)
 
     def _tie_rows(self, index: int, x: F64) -> tuple[F64, F64]:
         """A further view's pose is the first one's but for a little."""
@@ -255,7 +276,7 @@ class BodySolver:
         mean, doubt = prior.CAMERA_HEIGHT if self._known is None else (self._known.camera_height, _SAME_CAMERA)
         up = posed.frames[0][:, 1]  # the body's upright in camera axes
         hips, rises = self.body.hip_height
-        turn, roll = prior.TURN_DOUBT
+        turn, roll = self._stance.turn_doubt, prior.TURN_DOUBT[1]
         height = hips + rises @ x[:BETAS] - up @ block[:3]  # the camera is at the origin of its axes
         residual = np.array([(block[4] - self._stance.turn) / turn, block[5] / roll, (height / stature - mean) / doubt])
         moves = np.zeros((3, BETAS + self._block))

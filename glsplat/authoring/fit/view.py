@@ -42,7 +42,8 @@ class View:
     ``focal`` in pixels, ``centre`` [2] the pixel of the optical axis (default: the picture's middle; pixel centres at
     +0.5), ``side`` the side of the person that is seen: front, back, left or right; or ``turn``, about how many degrees
     they have turned to their own left from facing the camera. ``world`` [33, 3] are the landmarks as rough metres about
-    the hips, x right, y down, z away, where a network gave them. Raises FormatError.
+    the hips, x right, y down, z away, where a network gave them; ``face`` is how many degrees a face that is seen has
+    turned likewise. Raises FormatError.
     """
 
     mask: NDArray[np.bool_] = field(repr=False)
@@ -53,6 +54,7 @@ class View:
     side: str
     turn: float  # degrees
     world: F64 | None = field(repr=False)
+    face: float | None  # degrees
     figure: float  # pixels from the mask's top to its bottom
 
     def __init__(
@@ -65,6 +67,7 @@ class View:
         side: str = "front",
         turn: float | None = None,
         world: ArrayLike | None = None,
+        face: float | None = None,
     ) -> None:
         seen = np.asarray(mask)
         if seen.ndim != 2 or seen.dtype != np.bool_:
@@ -95,6 +98,8 @@ class View:
             if not np.isfinite(turn):
                 raise FormatError(f"a view's turn needs degrees, not {turn}")
             side = min(SIDES, key=lambda name: apart(turn, SIDES[name]))
+        if face is not None and not np.isfinite(face):
+            raise FormatError(f"a face's turn needs degrees, not {face}")
         keep = object.__setattr__
         keep(self, "mask", seen)
         keep(self, "landmarks", where)
@@ -104,6 +109,7 @@ class View:
         keep(self, "side", side)
         keep(self, "turn", SIDES[side] if turn is None else float(turn))
         keep(self, "world", metres)
+        keep(self, "face", None if face is None else float(face))
         keep(self, "figure", figure)
 
     @property
@@ -122,4 +128,4 @@ class View:
         mask = cv2.resize(self.mask.astype(np.uint8) * 255, size, interpolation=cv2.INTER_AREA) > 127
         focal = self.focal * float(factors.mean())
         marks, centre = self.landmarks * factors, self.centre * factors
-        return View(mask, marks, self.visibility, focal, centre, turn=self.turn, world=self.world)
+        return View(mask, marks, self.visibility, focal, centre, turn=self.turn, world=self.world, face=self.face)

@@ -29,6 +29,7 @@ _LEGS = ("hip", "knee", "ankle")
 _GAP, _FILLED = 0.012, 0.97  # of the person's height between bare legs; of it, what a skirt covers
 _HEM = 0.04  # of the height between the legs at a hem; the gap of trousers begins narrow
 _LENGTH = 0.06  # of the person's height: shorter ones are the cut of trousers
+_GOWN = 0.25  # of the height that a gown to the floor covers between the legs
 _ROW = 0.02  # metres of height
 _SOFT = 0.10  # metres below the crotch in which legs become a sheet
 _WALL = np.radians(25)  # about a leg's inmost line: where front and back of the sheet meet
@@ -38,7 +39,8 @@ _REACH = 1.8  # halves of the distance between the legs over which one leg's pul
 def hem_of(body: Body, fit: BodyFit, mesh: RiggedMesh, view: View) -> float | None:
     """Metres of height in the zero pose of the ``mesh`` where a skirt ends in the front ``view``; None without one.
 
-    A skirt covers the gap between bare legs from the crotch down to its hem, and not beyond.
+    A skirt covers the gap between bare legs from the crotch down to its hem, and not beyond; a gown all of it, where
+    the legs beneath are apart down to the ankles. Of legs that stand together nothing tells a gown from trousers.
     """
     seen = fit.views[0]
     posed = fully_posed(body, fit.betas, seen.root, seen.pelvis, seen.rotations)
@@ -62,14 +64,14 @@ def hem_of(body: Body, fit: BodyFit, mesh: RiggedMesh, view: View) -> float | No
         return None
     rows, wide, share = (np.array(column) for column in zip(*filled, strict=True))
     bared = share < 0.5
-    if not bared.any():
-        return None  # nothing tells a gown from legs that are not apart
-    last = int(bared.argmax())
+    gown = not bared.any()  # cloth down to the ankles, between legs that are apart all the way
+    last = len(rows) - 1 if gown else int(bared.argmax())
+    apart, length = (wide[-(len(wide) // 4 + 1) :].min(), _GOWN) if gown else (wide[last], _LENGTH)
     if (
         last == 0
         or share[:last].mean() < _FILLED
-        or wide[last] < _HEM * view.figure
-        or rows[last] - rows[0] < _LENGTH * view.figure
+        or apart < _HEM * view.figure
+        or rows[last] - rows[0] < length * view.figure
     ):
         return None
     near = (_leg(body, "left") | _leg(body, "right")) & (np.abs(pixels[:, 1] - rows[last]) < 0.01 * view.figure)

@@ -13,6 +13,7 @@ from glsplat.authoring.faces.given import FACE_SPLATS, with_face
 from glsplat.authoring.fit.body import Body, open_body
 from glsplat.authoring.fit.details import fit_details
 from glsplat.authoring.fit.eyes import EyeLook, read_eyes
+from glsplat.authoring.fit.face import face_turn
 from glsplat.authoring.fit.fit import BodyFit, fit_body
 from glsplat.authoring.fit.view import View
 from glsplat.authoring.light.capture import captured_light, with_captured_light
@@ -182,4 +183,5 @@ def _arms(person: DetectedPerson) -> NDArray[np.float64]:
 
 def _view(side: str, picture: Picture, mask: Mask, person: DetectedPerson) -> View:
     focal = picture.focal or PHONE * max(picture.rgb.shape[:2])
-    return View(mask, person.body.points, person.body.visible, focal, side=side, world=person.body.world)
+    face = face_turn(open_body(), person.face, focal, picture.rgb.shape[1] / 2) if side == "front" else None
+    return View(mask, person.body.points, person.body.visible, focal, side=side, world=person.body.world, face=face)

@@ -8,6 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from glsplat.authoring.fit.body import open_body
+from glsplat.authoring.fit.face import face_turn
 from glsplat.authoring.fit.fit import fit_body
 from glsplat.authoring.fit.view import View
 from glsplat.authoring.networks.people import find_person
@@ -44,7 +46,8 @@ def test_people_as_they_stand(shots: dict[str, tuple[CheckedPhoto, str]]) -> Non
         assert not shot.capture.refused, (name, findings)
         assert shot.capture.person is not None
         body, focal = shot.capture.person.body, PHONE * max(shot.photo.picture.shape[:2])
-        fit = fit_body([View(shot.capture.mask, body.points, body.visible, focal, world=body.world)])
+        face = face_turn(open_body(), shot.capture.person.face, focal, shot.photo.picture.shape[1] / 2)
+        fit = fit_body([View(shot.capture.mask, body.points, body.visible, focal, world=body.world, face=face)])
         overlaps[name] = fit.views[0].overlap
         assert fit.problem == "", name
     assert len(overlaps) == 12 and min(overlaps.values()) > LEAST, overlaps
@@ -52,7 +55,13 @@ def test_people_as_they_stand(shots: dict[str, tuple[CheckedPhoto, str]]) -> Non
 
 
 @pytest.mark.parametrize(
-    ("pose", "most"), [("crossed", 290), ("a hand on the belly", 75), ("turned by 45, a hand on the belly", 80)]
+    ("pose", "most"),
+    [
+        ("crossed", 110),
+        ("hands on hips", 80),
+        ("a hand on the belly", 75),
+        ("turned by 45, a hand on the belly", 80),
+    ],
 )
 def test_made_up_people_who_do_not_pose(pose: str, most: float) -> None:
     """Elbows and wrists in millimetres, the pelvis held; of people that no line was drawn on."""
@@ -66,7 +75,8 @@ def test_made_up_people_who_do_not_pose(pose: str, most: float) -> None:
         assert read is not None
         mask = person_mask(picture, read.body)
         focal = float(person.camera.K[0, 0])
-        fit = fit_body([View(mask, read.body.points, read.body.visible, focal, world=read.body.world)])
+        face = face_turn(open_body(), read.face, focal, picture.shape[1] / 2)
+        fit = fit_body([View(mask, read.body.points, read.body.visible, focal, world=read.body.world, face=face)])
         frames = person.mesh.skeleton.forward(taken.rotations, taken.trans)[:, :3, 3]
         true = frames @ person.camera.viewmat[:3, :3].T
         names = person.mesh.skeleton.names

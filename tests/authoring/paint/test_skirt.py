@@ -19,7 +19,7 @@ def view_with(mask: np.ndarray) -> View:
     return View(mask, view.landmarks * 2, view.visibility, scene.shots[0].focal, view.centre * 2)
 
 
-def skirted(share: float) -> tuple[np.ndarray, float]:
+def skirted(share: float, reach: float = 0.12) -> tuple[np.ndarray, float]:
     """The person's mask with cloth from leg to leg down to a share of the way from hip to ankle; the hem's row."""
     scene = photographed("front")
     front = scene.shots[0]
@@ -31,7 +31,7 @@ def skirted(share: float) -> tuple[np.ndarray, float]:
     mask = front.mask.copy()
     for row in range(int(hips), int(hem)):
         columns = np.flatnonzero(mask[row])
-        middle = columns[np.abs(columns - at[0, 0]) < 0.12 * (ankles - hips) * 2]
+        middle = columns[np.abs(columns - at[0, 0]) < reach * (ankles - hips) * 2]
         mask[row, middle.min() : middle.max() + 1] = True
     return mask, hem
 
@@ -49,6 +49,37 @@ def test_a_skirt_ends_at_its_hem_and_trousers_have_none() -> None:
     kernel = np.ones((3, 3), np.uint8)
     thin = cv2.erode(scene.shots[0].mask.astype(np.uint8), kernel) > 0
     assert hem_of(scene.body, scene.fit, scene.mesh, view_with(thin)) is None
+
+
+def test_a_gown_ends_at_the_ankles() -> None:
+    scene = photographed("front")
+    mask, _ = skirted(1.1, 0.2)
+    hem = hem_of(scene.body, scene.fit, scene.mesh, view_with(mask))
+    ankle = scene.mesh.skeleton.joints[[JOINT_NAMES.index(f"{side}_ankle") for side in ("left", "right")], 1].mean()
+    assert hem is not None and abs(hem - ankle) < 0.08
+    torn = mask.copy()
+    middle = int(scene.shots[0].project(scene.shots[0].view.joints)[0, 0])
+    torn[:, middle - 3 : middle + 3] = False  # two trouser legs that nearly meet
+    assert hem_of(scene.body, scene.fit, scene.mesh, view_with(torn)) is None
+
+
+def test_a_skirt_stays_over_legs_that_sit() -> None:
+    """Between the thighs its front hangs no deeper than their upper sides, but for a hand's breadth."""
+    scene = photographed("front")
+    mask, _ = skirted(0.55)
+    hem = hem_of(scene.body, scene.fit, scene.mesh, view_with(mask))
+    assert hem is not None
+    made, _ = with_skirt(scene.body, scene.mesh, [view_with(mask)], scene.fit.views, hem)
+    sitting = np.zeros((55, 3))
+    for side, sign in (("left", 1.0), ("right", -1.0)):
+        sitting[JOINT_NAMES.index(f"{side}_hip")] = (-1.45, 0.0, 0.15 * sign)
+        sitting[JOINT_NAMES.index(f"{side}_knee"), 0] = 1.45
+    now = made.posed(Pose(sitting))
+    level = (made.vertices[:, 1] > hem) & (made.vertices[:, 1] < hem + 0.12)
+    thighs = level & np.isin(scene.body.part, [JOINT_NAMES.index(f"{side}_hip") for side in ("left", "right")])
+    before = made.vertices[:, 2] > np.quantile(made.vertices[thighs, 2], 0.9)  # of both thighs and what hangs between
+    between = thighs & before & (np.abs(made.vertices[:, 0]) < 0.02)
+    assert between.any() and now[between, 1].min() > now[thighs & before, 1].max() - 0.06
 
 
 def test_a_skirt_is_closed_between_the_legs_and_follows_both() -> None:

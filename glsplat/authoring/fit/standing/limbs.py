@@ -16,7 +16,7 @@ from glsplat.meshes import MeshPart, RiggedMesh, vertex_normals
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.smplx import JOINT_NAMES, PARENTS
 
-__all__ = ["TRUNK", "before_trunk", "beside_arms", "forearms", "hidden_arms", "layers"]
+__all__ = ["TRUNK", "before_trunk", "beside_arms", "forearms", "hands", "hidden_arms", "layers"]
 
 F64 = NDArray[np.float64]
 
@@ -57,12 +57,20 @@ def _held(body: Body, side: str, parts: tuple[str, ...]) -> F64:
     return np.asarray((body.skin_weights * own[body.skin_joints]).sum(axis=1))
 
 
-def beside_arms(body: Body, pixels: F64, shape: tuple[int, int], reach: float) -> NDArray[np.bool_]:
-    """[H, W] the arms of a body that lies at ``pixels`` [V, 2], and ``reach`` pixels around them.
+@lru_cache(maxsize=1)
+def hands(body: Body) -> NDArray[np.bool_]:
+    """[V] what hangs on the wrists."""
+    return np.asarray(sum(_held(body, side, _FOREARM[1:]) for side in _SIDES) > 0.5)
+
+
+def beside_arms(
+    body: Body, pixels: F64, shape: tuple[int, int], reach: float, some: NDArray[np.bool_] | None = None
+) -> NDArray[np.bool_]:
+    """[H, W] the arms of a body that lies at ``pixels`` [V, 2], or ``some`` [V] of it, and ``reach`` pixels around.
 
     What a mask's edge says there is said of an arm, whether it lies before the trunk, behind it or along it.
     """
-    own = (layers(body)[body.faces] != TRUNK).all(axis=1)
+    own = ((layers(body) != TRUNK) if some is None else some)[body.faces].all(axis=1)
     arms = projected_mask(pixels, body.faces[own], shape).astype(np.uint8)
     return np.asarray(cv2.distanceTransform(1 - arms, cv2.DIST_L2, 3) <= reach)
 

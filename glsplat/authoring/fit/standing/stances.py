@@ -6,33 +6,36 @@ does not go from one to the other. The pose network's rough metres know which it
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 from numpy.typing import NDArray
 
-from glsplat.authoring.fit.body import BETAS, Body, Points
+from glsplat.authoring.fit.body import BETAS, Body
 from glsplat.authoring.fit.kinematics import PLACE, PosedBody
 from glsplat.authoring.fit.levenberg import least_squares
-from glsplat.authoring.fit.prior import HINGES, MEAN, POSED, SPREAD, PosePrior
+from glsplat.authoring.fit.prior import ARM_BONES, HINGES, MEAN, POSED, SPREAD, PosePrior
+from glsplat.authoring.fit.standing.arms import arm_mixture
 from glsplat.authoring.fit.view import View, apart
 from glsplat.skinning.smplx import JOINT_NAMES
 
-__all__ = ["metres_of", "misread", "stances_of"]
+__all__ = ["ASIDE", "metres_of", "misread", "stances_of"]
 
 F64 = NDArray[np.float64]
+
+ASIDE = 0.35
+"""Radians of the metres' turn from which on somebody has turned aside; from there on these fall short of the truth."""
 
 _SIDES = ("left", "right")
 _ARMS, _LEGS = ("shoulder", "elbow"), ("hip", "knee")
 _NUMBERS = {"shoulder": 11, "elbow": 13, "wrist": 15, "hip": 23, "knee": 25, "ankle": 27}  # left; the right is next
-_BONES = tuple(
-    (f"{side}_{upper}", f"{side}_{lower}")
-    for side in _SIDES
-    for upper, lower in (("shoulder", "elbow"), ("elbow", "wrist"), ("hip", "knee"), ("knee", "ankle"))
+_LEG_BONES = tuple(
+    (f"{side}_{upper}", f"{side}_{lower}") for side in _SIDES for upper, lower in (("hip", "knee"), ("knee", "ankle"))
 )
 _ACROSS = tuple((f"left_{name}", f"right_{name}") for name in ("shoulder", "hip"))
 _DIRECTION = 0.12  # how far off a bone's rough direction is, as a share of its length
 _TURNED = 60.0  # degrees between the shoulders' turn and the view's: a network that errs there errs in all depths
+_LOOKS = 0.5  # radians that a head may be turned for the trunk to be taken to be turned like it
+_TURN = 0.1  # radians about the turn that metres and face have said
+_SHAPE = 0.8  # of shape, one standard deviation: where limbs fore-shorten, a stout body looks like knees that bend
 _FREE = 1.2  # radians that an angle may leave the mean for it
 _READ = {"shoulder": 0.35, "elbow": 0.35, "hip": 0.15, "knee": 0.15}  # radians about what was read
 _LOOSE: dict[tuple[str, int], float] = {
@@ -45,7 +48,10 @@ _LOOSE: dict[tuple[str, int], float] = {
 
 
 def stances_of(view: View, body: Body) -> tuple[PosePrior, ...]:
-    """How the person of a view may stand: posed as asked; where the view has metres, at ease; and as these say."""
+    """How the person of a view may stand: posed as asked; where the view has metres, as these say, and like others.
+
+    Metres that are not believed leave somebody at ease.
+    """
     if view.world is None:
         return (POSED,)
     metres = metres_of(view)
@@ -56,13 +62,28 @@ def stances_of(view: View, body: Body) -> tuple[PosePrior, ...]:
     if metres is None:
         return POSED, at_ease
     angles, turn = _read(metres, view, body)
+    turn = _faced(view, turn)
+    legs = np.array([_plain(name) in _LEGS for name, _ in HINGES.names])
     about = np.array(
         [
             max(wide, _READ[_plain(name)]) if _plain(name) in _LEGS else _READ.get(_plain(name), wide)
             for (name, _), wide in zip(HINGES.names, loose, strict=True)
         ]
     )
-    return POSED, at_ease, PosePrior("read", angles, about, turn)
+    said = _unit(np.array([_at(metres, end) - _at(metres, start) for start, end in ARM_BONES]))
+    read = PosePrior("read", angles, about, turn, _TURN, _SHAPE, bones=said)
+    usual = np.where(legs, angles, MEAN)
+    return POSED, read, PosePrior("like others", usual, about, turn, _TURN, _SHAPE, angles, arm_mixture(), said)
+
+
+def _faced(view: View, turn: float) -> float:
+    """The metres' ``turn`` in radians, put right by the face's: who is turned looks at the camera, not past it."""
+    if view.face is None:
+        return turn
+    faced = -float(np.radians((view.face - view.turn + 180) % 360 - 180))  # about the camera's y, which looks down
+    if abs(faced - turn) > _LOOKS:
+        return turn
+    return faced if abs(faced) > abs(turn) > ASIDE and faced * turn > 0 else (turn + faced) / 2
 
 
 def metres_of(view: View) -> F64 | None:
@@ -79,14 +100,14 @@ def misread(world: F64, joints: F64) -> float:
 
     Mean distance between unit vectors along upper arms and forearms, 0 to 2; both in camera axes.
     """
-    apart = []
-    for start, end in _BONES:
-        if _plain(start) in _ARMS:
-            said = _at(world, end) - _at(world, start)
-            found = joints[JOINT_NAMES.index(end)] - joints[JOINT_NAMES.index(start)]
-            lengths = max(float(np.linalg.norm(said)), 1e-6), max(float(np.linalg.norm(found)), 1e-6)
-            apart.append(float(np.linalg.norm(said / lengths[0] - found / lengths[1])))
-    return float(np.mean(apart))
+    said = _unit(np.array([_at(world, end) - _at(world, start) for start, end in ARM_BONES]))
+    starts, ends = ([JOINT_NAMES.index(bone[k]) for bone in ARM_BONES] for k in (0, 1))
+    return float(np.linalg.norm(said - _unit(joints[ends] - joints[starts]), axis=1).mean())
+
+
+def _unit(bones: F64) -> F64:
+    """[N, 3] the same directions, one long."""
+    return np.asarray(bones / np.maximum(np.linalg.norm(bones, axis=1, keepdims=True), 1e-6))
 
 
 def _plain(name: str) -> str:
@@ -97,10 +118,9 @@ def _plain(name: str) -> str:
 def _read(metres: F64, view: View, body: Body) -> tuple[F64, float]:
     """[D] angles of arms and legs, and the turn, that point the bones as the network's ``metres`` [33, 3] do."""
     columns = np.array([k for k, (name, _) in enumerate(HINGES.names) if _plain(name) in _ARMS + _LEGS])
-    bones = _BONES + _ACROSS
-    said = np.array([_at(metres, end) - _at(metres, start) for start, end in bones])
-    said = said / np.maximum(np.linalg.norm(said, axis=1, keepdims=True), 1e-6)
-    ends = _joint_points(body, [name for bone in bones for name in bone])
+    bones = (*ARM_BONES, *_LEG_BONES, *_ACROSS)
+    said = _unit(np.array([_at(metres, end) - _at(metres, start) for start, end in bones]))
+    ends = body.points_of_joints([name for bone in bones for name in bone])
     place = np.array([0.0, 0.0, 3.0, 0.0, 0.0, 0.0])
 
     def equations(x: F64, derive: bool) -> tuple[F64, F64]:
@@ -128,9 +148,3 @@ def _read(metres: F64, view: View, body: Body) -> tuple[F64, float]:
 
 def _at(world: F64, joint: str) -> F64:
     return np.asarray(world[_NUMBERS[_plain(joint)] + joint.startswith("right_")])
-
-
-def _joint_points(body: Body, names: Sequence[str]) -> Points:
-    """Joints as points of the body in its zero shape."""
-    joints = np.array([JOINT_NAMES.index(name) for name in names], np.intp)
-    return Points(body.joints[joints], np.zeros((len(joints), 3, BETAS)), joints[:, None], np.ones((len(joints), 1)))
