@@ -1,1 +1,1 @@
-"""Face tracking that another program on this machine sends, as OSC over UDP (docs/face.md)."""
+"""Face tracking that another program on this machine sends, as OSC over UDP (docs/speech.md)."""
