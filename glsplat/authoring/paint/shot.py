@@ -158,6 +158,47 @@ class FittedPicture:
         """[M] how much detail the picture has around each pixel [M, 2], from 0, none, to 1."""
         return np.asarray(self._at([seen.detail for seen in self._layers], pixels, layer), np.float64)
 
+    def room(self, pixels: F64) -> F64:
+        """[M, 3] linear colours of the room nearest to pixels [M, 2]."""
+        return np.asarray(self._room[1][self._small(pixels, self._room[0])], np.float64)
+
+    def shallow(self, pixels: F64, layer: NDArray[np.intp]) -> F64:
+        """[M] how far pixels [M, 2] lie from the outline of what shows their layer, in heights of the person."""
+        out = np.zeros(len(pixels))
+        scale, deep = self._deep
+        for number, distance in enumerate(deep):
+            mine = np.flatnonzero(layer == number)
+            out[mine] = distance[self._small(pixels[mine], scale)]
+        return out
+
+    def _small(self, pixels: F64, scale: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        """Rows and columns of pixels in a picture of another scale."""
+        height, width = (max(1, int(side * scale)) for side in self.mask.shape)
+        at = np.floor(pixels * scale).astype(np.intp)
+        return at[:, 1].clip(0, height - 1), at[:, 0].clip(0, width - 1)
+
+    @cached_property
+    def _room(self) -> tuple[float, NDArray[np.float32]]:
+        """Of a smaller picture its scale, and the room's colours carried on into the person."""
+        scale = min(1.0, _LABELLED / self._height)
+        size = tuple(max(1, int(side * scale)) for side in self.mask.shape[::-1])
+        mask = cv2.dilate(cv2.resize(self.mask.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST), _disc(_RIM))
+        row, column = nearest_known(mask == 0)
+        small = cv2.resize(self.rgb, size, interpolation=cv2.INTER_AREA)
+        return scale, to_linear(small[row, column] / 255).astype(np.float32)
+
+    @cached_property
+    def _deep(self) -> tuple[float, list[NDArray[np.float32]]]:
+        """The same scale, and for each layer how deep in it its pixels lie, in heights of the person."""
+        scale = min(1.0, _LABELLED / self._height)
+        size = tuple(max(1, int(side * scale)) for side in self.mask.shape[::-1])
+        label = np.where(self.mask, 0 if self.segment is None else self._label, -1).astype(np.int16)
+        small = cv2.resize(label, size, interpolation=cv2.INTER_NEAREST)
+        shown = [(small == number).astype(np.uint8) for number in range(1 if self.segment is None else LAYERS)]
+        return scale, [
+            np.asarray(cv2.distanceTransform(some, cv2.DIST_L2, 3) / (scale * self._height), np.float32) for some in shown
+        ]
+
     def _known(self, pixels: F64, layer: NDArray[np.intp]) -> F64:
         """[M] 1 where a pixel shows the layer, else 0."""
         return np.asarray(self._at([seen.known for seen in self._layers], pixels, layer), np.float64)

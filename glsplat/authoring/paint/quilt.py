@@ -1,0 +1,60 @@
+"""More of a texture than a picture shows, by quilting pieces of it (Efros and Freeman 2001), feathered at their seams."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["quilted"]
+
+Texture = NDArray[np.float32]
+
+_PIECES = 20, 14, 10  # pixels a side, the first that is found often enough
+_SEAM = 0.35  # share of a piece that lies over its neighbours
+_FEWEST = 12  # places that pieces are taken from
+_TRIED, _BEST = 160, 4  # pieces that are compared for each place; one of the best is taken
+_SEED = 5
+
+
+def quilted(texture: Texture, known: NDArray[np.bool_], shape: tuple[int, int]) -> Texture | None:
+    """[H, W] of ``shape`` in pieces of ``texture`` [h, w] that are wholly ``known``; None where these are too few.
+
+    The same texture gives the same quilt.
+    """
+    for size in _PIECES:
+        if min(texture.shape) < size:
+            continue
+        whole = cv2.erode(known.astype(np.uint8), np.ones((size, size), np.uint8), anchor=(0, 0), borderValue=0)
+        rows, columns = np.nonzero(whole[: texture.shape[0] - size + 1, : texture.shape[1] - size + 1])
+        if len(rows) >= _FEWEST:
+            return _sewn(texture, np.stack([rows, columns], axis=1), size, shape)
+    return None
+
+
+def _sewn(texture: Texture, places: NDArray[np.intp], size: int, shape: tuple[int, int]) -> Texture:
+    rng = np.random.default_rng(_SEED)
+    seam = max(2, int(_SEAM * size))
+    step = size - seam
+    ramp = np.minimum(np.arange(1, size + 1) / (seam + 1), 1)
+    weight = np.outer(ramp, ramp)
+    weight = (weight * weight[::-1, ::-1]).astype(np.float32)  # falls towards all edges
+    height, width = (-(-side // step) * step + size for side in shape)
+    total, sure = np.zeros((height, width), np.float32), np.zeros((height, width), np.float32)
+    pieces = np.lib.stride_tricks.sliding_window_view(texture, (size, size))
+    for top in range(0, height - size + 1, step):
+        for left in range(0, width - size + 1, step):
+            some = places[rng.integers(len(places), size=min(_TRIED, 4 * len(places)))]
+            tried = pieces[some[:, 0], some[:, 1]]
+            there = np.s_[top : top + size, left : left + size]
+            laid = sure[there] > 0
+            if laid.any():
+                now = total[there][laid] / sure[there][laid]
+                off = ((tried[:, laid] - now) ** 2).mean(axis=1)
+                best = np.argsort(off, kind="stable")[:_BEST]
+                piece = tried[best[rng.integers(len(best))]]
+            else:
+                piece = tried[0]
+            total[there] += weight * piece
+            sure[there] += weight
+    return np.asarray((total / np.maximum(sure, 1e-6))[: shape[0], : shape[1]], np.float32)
