@@ -26,15 +26,17 @@ Ints = NDArray[np.intp]
 
 _REGIONS = (  # words of the joints' names; along x or y; the region of the other half of the body, if it has one
     (("pelvis", "spine", "collar"), 1, None),
-    (("left_hip", "left_knee", "left_ankle"), 1, 2),
-    (("right_hip", "right_knee", "right_ankle"), 1, 1),
+    (("left_hip", "left_knee"), 1, 2),
+    (("right_hip", "right_knee"), 1, 1),
     (("left_shoulder", "left_elbow"), 0, 4),
     (("right_shoulder", "right_elbow"), 0, 3),
     (("neck",), 1, None),
     (tuple(f"left_{word}" for word in HANDS), 0, 7),
     (tuple(f"right_{word}" for word in HANDS), 0, 6),
+    (("left_ankle", "left_foot"), 1, 9),
+    (("right_ankle", "right_foot"), 1, 8),
 )
-_TRUNK, _NECK, _BODY, _ARMS, _HANDS = 0, 5, (0, 1, 2), (3, 4, 6, 7), (6, 7)
+_TRUNK, _NECK, _BODY, _ARMS, _HANDS = 0, 5, (0, 1, 2, 8, 9), (3, 4, 6, 7), (6, 7)
 _STEP = 0.01  # metres of a row
 _REACH = 0.0125  # metres to both sides whose samples a row has
 _MOST = 60_000  # samples that are looked at
@@ -45,6 +47,7 @@ _KERNEL, _SHIFTS = 0.08, 6
 _FEWEST = 6.0  # summed trust of a row that is believed
 _TOLERANCE = 0.06, 2.0, 0.2  # least, in spreads of a row, most: how far a colour may lie from it
 _ALIKE = 0.15  # cloth nearer to skin than that is not told from it
+_MOTLEY, _APART = 0.12, 4  # tolerance of a row of several colours; rows to those above and below it
 _LIGHT = 0.5, 0.9  # quantiles of a face's brightness
 _COVERED = 0.1  # share of a row on the shoulders that is cloth where there is a strap
 _ARMPIT = 0.07  # metres below the shoulder joints
@@ -64,7 +67,7 @@ class Ground:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Rows:
-    """Of one region."""
+    """Of one region, R of them."""
 
     axis: int
     first: float  # metres of the first row
@@ -121,7 +124,9 @@ class Cloth:
             mine = np.flatnonzero(region == number)
             if rows is None or not len(mine):
                 continue
-            along = (np.abs(where[mine, rows.axis]) - rows.first if rows.axis == 0 else where[mine, 1] - rows.first) / _STEP
+            along = (
+                np.abs(where[mine, rows.axis]) - rows.first if rows.axis == 0 else where[mine, 1] - rows.first
+            ) / _STEP
             at = along.clip(0, len(rows.colour) - 1)
             low = np.floor(at).astype(np.intp)
             high = np.minimum(low + 1, len(rows.colour) - 1)
@@ -164,6 +169,9 @@ def cloth_of(body: Body, shot: FittedPicture, points: SurfacePoints, sight: Sigh
             if weight[taken][bare].sum() > max(_COVERED * weight[taken].sum(), _FEWEST):
                 at, taken = at[bare], taken[bare]  # and cuffs are not the hand
         rows.append(_rows(axis, (float(along.min()), float(along.max())), at, look[taken], weight[taken], reach))
+    rows = [None if these is None else _steady(these) for these in rows]
+    if rows[_NECK] is not None and skin is not None:
+        rows[_NECK] = _shaved(rows[_NECK], skin)
     trunk = np.flatnonzero(mine == _TRUNK)
     if rows[_TRUNK] is not None and skin is not None:
         shoulder = shot.mesh.skeleton.joints[[JOINT_NAMES.index(f"{side}_shoulder") for side in ("left", "right")], 1]
@@ -218,6 +226,25 @@ def _most(look: F64, weight: F64) -> tuple[F64, float]:
     return mode, float(away[order[np.searchsorted(total, total[-1] / 2)]])
 
 
+def _steady(rows: _Rows) -> _Rows:
+    """Without rows of several colours between two that agree, such as where a hem hangs aslant."""
+    count, colour = len(rows.colour), rows.colour.copy()
+    number = np.arange(count)
+    before, after = rows.colour[(number - _APART).clip(0)], rows.colour[(number + _APART).clip(None, count - 1)]
+    odd = (rows.tolerance > _MOTLEY) & (np.linalg.norm(before - after, axis=1) < _ALIKE)
+    odd &= np.linalg.norm(rows.colour - before, axis=1) > _ALIKE
+    colour[odd] = (before[odd] + after[odd]) / 2
+    return replace(rows, colour=colour, outer=colour)
+
+
+def _shaved(rows: _Rows, skin: F64) -> _Rows:
+    """A neck's, whose skin goes on up to the hair behind where a beard or the chin's shadow is before."""
+    colour, tolerance = rows.colour.copy(), rows.tolerance.copy()
+    first = int(np.linalg.norm(colour - skin, axis=1).argmin())
+    colour[first:], tolerance[first:] = colour[first], tolerance[first]
+    return replace(rows, colour=colour, outer=colour, tolerance=tolerance)
+
+
 def _bright(look: F64) -> F64:
     """[3] of a face's samples [K, 3] the colour of its brighter half, which is neither beard nor shade nor glint."""
     light = look.sum(axis=1)
@@ -234,8 +261,8 @@ def _covered(rows: _Rows, where: F64, look: F64, trust: F64, skin: F64, armpit: 
     upper = np.median(rows.colour[below], axis=0)
     if np.linalg.norm(upper - skin) < _ALIKE:
         return rows
-    apart = float(np.linalg.norm(upper - skin))
-    cloth = np.linalg.norm(look - upper, axis=1) < min(apart / 2, 2 * _ALIKE)
+    away = np.linalg.norm(look - upper, axis=1)
+    cloth = away < np.minimum(np.linalg.norm(look - skin, axis=1) / 2, 2 * _ALIKE)
     colour, outer, edge = rows.colour.copy(), rows.colour.copy(), np.full(len(middle), np.nan)
     tolerance = rows.tolerance.copy()
     for row in np.flatnonzero(middle >= armpit):

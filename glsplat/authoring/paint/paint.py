@@ -33,6 +33,7 @@ _LENT = 0.003  # what one half of the body says of the other, where nobody looks
 _FORGETS = 3e-4  # how soon cloth that nobody looks at is as it is elsewhere at that height
 _ASIDE = 0.35, 0.6  # of the trunk's half width: nearer to its middle than that nothing is mirrored, for signs are there
 _SAME = 1.0, 1.8  # tolerances of the cloth's own colour within which it is the same cloth, and beyond which it is not
+_PATTERNED = 0.12  # tolerance of cloth that has a pattern
 _SHADE = 0.3, 1.4  # brightness of an unseen point against the seen one its colour comes from
 
 
@@ -100,6 +101,8 @@ class Painter:
         round_parts = np.isin(body.part, [JOINT_NAMES.index(name) for name in _NO_TWINS])
         trust = behind.trust * (1 - points.at(round_parts.astype(float)[:, None])[:, 0])
         trust = trust * _alike(behind.linear / lit[:, None], ground)
+        # what was continued into a hole is worth less than the cloth, unless that has a pattern
+        trust = np.where((ground.there > 0) & (ground.tolerance < _PATTERNED), trust * behind.known, trust)
         covered, colour = self.head.at(points)
         # side by side, not one over the other: where neck and back meet, no third colour shows between them
         rest = 1 - trust - covered
@@ -112,7 +115,7 @@ class Painter:
         lit = self.light.shade(across.directions(front.normals))
         lent = other.trust * points.at(self.aside[:, None])[:, 0] * _alike(other.linear / lit[:, None], ground)
         guess += lent[:, None] * ((shade / lit).clip(*_SHADE)[:, None] * other.linear - guess)
-        return guess, np.maximum(behind.busy * trust, other.busy * lent)
+        return guess, np.maximum.reduce([behind.busy * trust, other.busy * lent, covered * self.head.lively])
 
 
 def _alike(plain: F64, ground: Ground) -> F64:
@@ -183,4 +186,5 @@ def _smooth_colours(body: Body, shots: Sequence[FittedPicture], light: Light, cl
     lent = _LENT * known[twin] * (known < _LENT)
     known, target = known + lent, target + _LENT * target[twin] * (known < _LENT)[:, None]
     added = smoothest(body, known * worn, (target - known[:, None] * ground.colour) * worn[:, None], shy=_FORGETS)
-    return np.where(worn[:, None], added, smoothest(body, known, target))
+    added[~worn] = smoothest(body, known, target, some=~worn)
+    return added

@@ -10,23 +10,25 @@ __all__ = ["quilted"]
 
 Texture = NDArray[np.float32]
 
-_PIECES = 20, 14, 10  # pixels a side, the first that is found often enough
+_PIECES = 24, 18, 13, 9  # pixels a side, the first that is found often enough
 _SEAM = 0.35  # share of a piece that lies over its neighbours
-_FEWEST = 12  # places that pieces are taken from
-_TRIED, _BEST = 160, 4  # pieces that are compared for each place; one of the best is taken
+_WHOLE = 0.85  # share of a piece that is known
+_FEWEST = 100  # places that pieces are taken from
+_TRIED, _BEST = 120, 3  # pieces that are compared for each place; one of the best is taken
+_TIRED = 0.3  # variances of the texture that a piece is thought worse by for each time it was taken
 _SEED = 5
 
 
 def quilted(texture: Texture, known: NDArray[np.bool_], shape: tuple[int, int]) -> Texture | None:
-    """[H, W] of ``shape`` in pieces of ``texture`` [h, w] that are wholly ``known``; None where these are too few.
+    """[H, W] of ``shape`` in pieces of ``texture`` [h, w] that are mostly ``known``; None where these are too few.
 
     The same texture gives the same quilt.
     """
     for size in _PIECES:
         if min(texture.shape) < size:
             continue
-        whole = cv2.erode(known.astype(np.uint8), np.ones((size, size), np.uint8), anchor=(0, 0), borderValue=0)
-        rows, columns = np.nonzero(whole[: texture.shape[0] - size + 1, : texture.shape[1] - size + 1])
+        share = cv2.boxFilter(known.astype(np.float32), -1, (size, size), anchor=(0, 0), borderType=cv2.BORDER_CONSTANT)
+        rows, columns = np.nonzero(share[: texture.shape[0] - size + 1, : texture.shape[1] - size + 1] > _WHOLE)
         if len(rows) >= _FEWEST:
             return _sewn(texture, np.stack([rows, columns], axis=1), size, shape)
     return None
@@ -42,19 +44,22 @@ def _sewn(texture: Texture, places: NDArray[np.intp], size: int, shape: tuple[in
     height, width = (-(-side // step) * step + size for side in shape)
     total, sure = np.zeros((height, width), np.float32), np.zeros((height, width), np.float32)
     pieces = np.lib.stride_tricks.sliding_window_view(texture, (size, size))
+    taken = np.zeros(len(places))
+    dull = _TIRED * float(pieces[places[:, 0], places[:, 1]].var())
     for top in range(0, height - size + 1, step):
         for left in range(0, width - size + 1, step):
-            some = places[rng.integers(len(places), size=min(_TRIED, 4 * len(places)))]
-            tried = pieces[some[:, 0], some[:, 1]]
+            some = rng.integers(len(places), size=_TRIED)
+            tried = pieces[places[some, 0], places[some, 1]]
+            flip = rng.random() < 0.5
+            tried = tried[:, :, ::-1] if flip else tried
             there = np.s_[top : top + size, left : left + size]
             laid = sure[there] > 0
+            off = dull * taken[some]
             if laid.any():
-                now = total[there][laid] / sure[there][laid]
-                off = ((tried[:, laid] - now) ** 2).mean(axis=1)
-                best = np.argsort(off, kind="stable")[:_BEST]
-                piece = tried[best[rng.integers(len(best))]]
-            else:
-                piece = tried[0]
-            total[there] += weight * piece
+                off = off + ((tried[:, laid] - total[there][laid] / sure[there][laid]) ** 2).mean(axis=1)
+            best = np.argsort(off, kind="stable")[:_BEST]
+            piece = int(best[rng.integers(len(best))])
+            taken[np.abs(places - places[some[piece]]).max(axis=1) < size // 2] += 1
+            total[there] += weight * tried[piece]
             sure[there] += weight
     return np.asarray((total / np.maximum(sure, 1e-6))[: shape[0], : shape[1]], np.float32)

@@ -90,6 +90,13 @@ class FittedPicture:
         """[M] the layers of points."""
         return self.layer[points.corners[:, 0]]
 
+    def without_view_of(self, mesh: RiggedMesh, view: FittedView) -> FittedPicture:
+        """The same picture of a ``mesh`` that differs only where this one does not show it, which is not looked at anew."""
+        other = replace(self, mesh=mesh, view=view)
+        kept = ("_layers", "_labelled", "_label", "_agreed", "_room", "_deep")
+        vars(other).update({name: vars(self)[name] for name in kept if name in vars(self)})
+        return other
+
     def camera(self, pelvis: F64, figure: float) -> Camera:
         """Of the picture, made so small that the person is at most ``figure`` pixels high; in the body's axes, of which
         the pelvis joint is at ``pelvis`` [3] in the zero pose."""
@@ -116,7 +123,7 @@ class FittedPicture:
     @cached_property
     def trust(self) -> F64:
         """[V] of the vertices themselves."""
-        return self._known(self.view.pixels, self.layer) * self._facing(
+        return self.known(self.view.pixels, self.layer) * self._facing(
             self.view.vertices, self.normals, self.view.pixels, self.layer, *_BELIEVED
         )
 
@@ -139,7 +146,7 @@ class FittedPicture:
         pixels = self.project(where)
         layer = self.layers_at(points)
         trust = self._facing(where, points.directions(self.normals), pixels, layer, *_BELIEVED)
-        return Sight(self.sample(pixels, layer), trust * self._known(pixels, layer), self.detail(pixels, layer))
+        return Sight(self.sample(pixels, layer), trust * self.known(pixels, layer), self.detail(pixels, layer))
 
     def sample(self, pixels: F64, layer: NDArray[np.intp] | None = None, behind: bool = False) -> F64:
         """[M, 3] linear light at pixels [M, 2], bilinear; beyond a layer's outline, that of its nearest pixel.
@@ -196,10 +203,11 @@ class FittedPicture:
         small = cv2.resize(label, size, interpolation=cv2.INTER_NEAREST)
         shown = [(small == number).astype(np.uint8) for number in range(1 if self.segment is None else LAYERS)]
         return scale, [
-            np.asarray(cv2.distanceTransform(some, cv2.DIST_L2, 3) / (scale * self._height), np.float32) for some in shown
+            np.asarray(cv2.distanceTransform(some, cv2.DIST_L2, 3) / (scale * self._height), np.float32)
+            for some in shown
         ]
 
-    def _known(self, pixels: F64, layer: NDArray[np.intp]) -> F64:
+    def known(self, pixels: F64, layer: NDArray[np.intp]) -> F64:
         """[M] 1 where a pixel shows the layer, else 0."""
         return np.asarray(self._at([seen.known for seen in self._layers], pixels, layer), np.float64)
 

@@ -60,14 +60,14 @@ def strands_of(shot: FittedPicture, some: NDArray[np.intp], hair: F64, skin: F64
     way = (skin - hair) / max(float((skin - hair) @ (skin - hair)), 1e-9)
     along = (look - hair) @ way
     beside = np.linalg.norm(look - hair - along[..., None] * (skin - hair), axis=2)
-    known = cv2.erode(mask, np.ones((3, 3), np.uint8)) > 0
-    known &= (along < _LIKE) & (beside < _ASIDE)
-    known = cv2.morphologyEx(known.astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8)) > 0
+    like = ((along < _LIKE) & (beside < _ASIDE) & (mask > 0)).astype(np.uint8)
+    whole = cv2.morphologyEx(like, cv2.MORPH_CLOSE, np.ones((5, 5), np.uint8))  # with its glints
+    known = cv2.erode(whole, np.ones((5, 5), np.uint8)) > 0  # and without its edges, where skin and room are mixed in
     light = (look**2).mean(axis=2).astype(np.float32)
     weight = known.astype(np.float32)
     sigma = _LOCKS / _TEXEL
     around = cv2.GaussianBlur(light * weight, (0, 0), sigma) / np.maximum(cv2.GaussianBlur(weight, (0, 0), sigma), 1e-4)
-    ratio = np.clip((light + 0.003) / (around + 0.003), *_RANGE).astype(np.float32)
+    ratio = np.where(known, (light + 0.003) / (around + 0.003), 1).clip(*_RANGE).astype(np.float32)
     shape = int((_RADIUS * np.pi / 2 + _LONG) / _TEXEL), int(2 * np.pi * _RADIUS / _TEXEL)
     texture = quilted(ratio, known, shape)
-    return None if texture is None else Strands(texture, middle)
+    return None if texture is None else Strands(texture / texture.mean(), middle)

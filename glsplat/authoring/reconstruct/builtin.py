@@ -17,6 +17,7 @@ from glsplat.authoring.fit.view import View
 from glsplat.authoring.networks.people import DetectedPerson, find_person
 from glsplat.authoring.networks.person import LANDMARKS
 from glsplat.authoring.paint.dress import dressed_mesh
+from glsplat.authoring.paint.hair import with_hair
 from glsplat.authoring.paint.layers.segments import segments_of
 from glsplat.authoring.paint.paint import painter_of
 from glsplat.authoring.paint.scatter import even_points, scatter
@@ -139,6 +140,8 @@ def _fitted(pictures: Mapping[str, Picture], masks: Mapping[str, Mask], options:
         FittedPicture(pictures[side].rgb, masks[side], view.focal, fitted, mesh, segments_of(), _arms(people[side]))
         for side, view, fitted in zip(sides, views, seen, strict=True)
     ]
+    shots = with_hair(body, shots)
+    mesh = shots[0].mesh
     looks = read_eyes(pictures["front"].rgb, people["front"].face)
     if not any(look.seen for look in looks.values()):
         looks = {}  # closed lids and dark glasses stay what they are
