@@ -36,7 +36,7 @@ _REGIONS = (  # words of the joints' names; along x or y; the region of the othe
     (("left_ankle", "left_foot"), 1, 9),
     (("right_ankle", "right_foot"), 1, 8),
 )
-_TRUNK, _NECK, _BODY, _ARMS, _HANDS = 0, 5, (0, 1, 2, 8, 9), (3, 4, 6, 7), (6, 7)
+_TRUNK, _NECK, _BODY, _ARMS, _HANDS, _FEET = 0, 5, (0, 1, 2), (3, 4, 6, 7), (6, 7), (8, 9)
 _STEP = 0.01  # metres of a row
 _REACH = 0.0125  # metres to both sides whose samples a row has
 _MOST = 60_000  # samples that are looked at
@@ -45,14 +45,16 @@ _LENT = 0.2  # what a sample of the other half of the body says
 _SIDES, _MIDDLE = (0.3, 0.95), 0.25  # halves of a trunk's width where it looks as it does behind; weight of the rest
 _KERNEL, _SHIFTS = 0.08, 6
 _FEWEST = 6.0  # summed trust of a row that is believed
-_TOLERANCE = 0.06, 2.0, 0.2  # least, in spreads of a row, most: how far a colour may lie from it
+_TOLERANCE = 0.06, 2.0, 0.14  # least, in spreads of a row, most: how far a colour may lie from it
+_LIKE_SKIN = 0.2  # from the face: a hand is as bare
 _ALIKE = 0.15  # cloth nearer to skin than that is not told from it
-_MOTLEY, _APART = 0.12, 4  # tolerance of a row of several colours; rows to those above and below it
+_MOTLEY, _APART = 0.139, 4  # tolerance of a row of several colours; rows to those above and below it
 _LIGHT = 0.5, 0.9  # quantiles of a face's brightness
 _COVERED = 0.1  # share of a row on the shoulders that is cloth where there is a strap
 _ARMPIT = 0.07  # metres below the shoulder joints
 _BELOW = 0.25  # metres below the armpits that the upper garment's colour is taken from
 _STRANGE = 1.5, 3.0  # tolerances: from the first on a colour is doubted, from the second on it is not believed
+_LIKE_OTHER = 0.15  # how near a colour lies to the thing it is of
 _SHALLOW = 0.016  # of the person's height: so near to its outline a part of the body may show something else
 
 
@@ -100,7 +102,7 @@ class Cloth:
         look, mine = np.sqrt(np.maximum(linear / shade[:, None], 0)), self.region[points.corners[:, 0]]
         away = np.linalg.norm(look - np.sqrt(ground.colour), axis=1) / ground.tolerance
         pixels = shot.project(points.at(shot.view.vertices))
-        some = np.flatnonzero((ground.there > 0) & (away > _STRANGE[0]))
+        some = np.flatnonzero((ground.there > 0) & (away > _STRANGE[0]) & ~np.isin(mine, _FEET))
         near = shot.shallow(pixels[some], shot.layers_at(points)[some]) < _SHALLOW
         some = some[near | np.isin(mine[some], _HANDS)]
         if not len(some):
@@ -112,7 +114,7 @@ class Cloth:
             if rows and which.any():
                 other[which] = np.minimum(other[which], cKDTree(np.concatenate(rows)).query(look[some][which])[0])
         sure = ((away[some] - _STRANGE[0]) / (_STRANGE[1] - _STRANGE[0])).clip(0, 1)
-        out[some] = sure * (other < 0.5 * away[some] * ground.tolerance[some])
+        out[some] = sure * (other < np.minimum(0.5 * away[some] * ground.tolerance[some], _LIKE_OTHER))
         return out
 
     def at(self, points: SurfacePoints) -> Ground:
@@ -165,7 +167,7 @@ def cloth_of(body: Body, shot: FittedPicture, points: SurfacePoints, sight: Sigh
         at = np.abs(where[taken, 0]) if axis == 0 else where[taken, 1]
         reach = np.inf if number in _HANDS else _REACH
         if number in _HANDS and skin is not None:
-            bare = np.linalg.norm(look[taken] - skin, axis=1) < _TOLERANCE[2]
+            bare = np.linalg.norm(look[taken] - skin, axis=1) < _LIKE_SKIN
             if weight[taken][bare].sum() > max(_COVERED * weight[taken].sum(), _FEWEST):
                 at, taken = at[bare], taken[bare]  # and cuffs are not the hand
         rows.append(_rows(axis, (float(along.min()), float(along.max())), at, look[taken], weight[taken], reach))

@@ -27,7 +27,6 @@ _STEP = 0.015  # metres of height in which hair and skin are told apart beside t
 _SOFT = 0.02  # metres over which one becomes the other
 _SEEN = 0.1
 _HALF = 0.5  # of that way: what is farther from skin is not skin
-_EYES = 0.4  # share of the head's height: below that there is hair where there is a hat above
 _OUTLINE = 0.7  # of the width at a height: farther aside is the outline
 _SURE = 0.7  # nearer to hair than to cloth by that factor
 _STOUT = 0.085  # metres: half the width of what is no neck
@@ -105,7 +104,7 @@ def back_of_head(
     worn &= rest[:, 1] > ends - _STEP
     for other in (cloth, _room(shot, head)):  # collars and walls are not hair
         worn &= ~(_away(look, other) < np.minimum(_away(look, hair), _LIKE * _away(hair, other)))
-    below_hat = worn & (rest[:, 1] < low + _EYES * (top - low))
+    below_hat = worn & (rest[:, 1] < low + _NAPE * (top - low))
     fell = np.median(plain[worn], axis=0) if worn.any() else hair**2
     if below_hat.sum() > _FEWEST:
         hair, fell = np.median(look[below_hat], axis=0), np.median(plain[below_hat], axis=0)
@@ -121,6 +120,9 @@ def back_of_head(
     below = np.median(plain[throat], axis=0) if nape_colour is None else nape_colour
     colour = above[:, None] * around + (1 - above[:, None]) * below
     fallen = _fallen(body, shot, look, hair, skin, ends, nape) if ends < rest[neck, 1].min() + 2 * _STEP else 0 * above
+    if below_hat.sum() > _FEWEST:  # what falls is not mixed with a hat above
+        share = _ramp(low + _NAPE * (top - low) - rest[:, 1])[:, None] * (head | neck)[:, None] * above[:, None]
+        colour += share * (fell - colour)
     colour = np.where((fallen > 0)[:, None], fell, colour)
     covered, hairy = np.maximum(covered, fallen), np.maximum(above * (head | neck), fallen)
     for ears in _ears(body):

@@ -32,7 +32,7 @@ _DIGITS = 6  # of a colour; see sharpen.py
 _LENT = 0.003  # what one half of the body says of the other, where nobody looks
 _FORGETS = 3e-4  # how soon cloth that nobody looks at is as it is elsewhere at that height
 _ASIDE = 0.35, 0.6  # of the trunk's half width: nearer to its middle than that nothing is mirrored, for signs are there
-_SAME = 1.0, 1.8  # tolerances of the cloth's own colour within which it is the same cloth, and beyond which it is not
+_SAME = 1.0, 1.5  # tolerances of the cloth's own colour within which it is the same cloth, and beyond which it is not
 _PATTERNED = 0.12  # tolerance of cloth that has a pattern
 _SHADE = 0.3, 1.4  # brightness of an unseen point against the seen one its colour comes from
 

@@ -1,4 +1,4 @@
-"""More of a texture than a picture shows, by quilting pieces of it (Efros and Freeman 2001), feathered at their seams."""
+"""More of a texture than a picture shows, from pieces of it sewn together with soft seams (Efros and Freeman 2001)."""
 
 from __future__ import annotations
 

@@ -91,9 +91,9 @@ class FittedPicture:
         return self.layer[points.corners[:, 0]]
 
     def without_view_of(self, mesh: RiggedMesh, view: FittedView) -> FittedPicture:
-        """The same picture of a ``mesh`` that differs only where this one does not show it, which is not looked at anew."""
+        """The same picture of a ``mesh`` that differs only where this one does not show it."""
         other = replace(self, mesh=mesh, view=view)
-        kept = ("_layers", "_labelled", "_label", "_agreed", "_room", "_deep")
+        kept = ("trust", "normals", "shown", "_layers", "_labelled", "_label", "_agreed", "_room", "_deep")
         vars(other).update({name: vars(self)[name] for name in kept if name in vars(self)})
         return other
 
