@@ -13,7 +13,7 @@ from glsplat.authoring.paint.layers.segments import trunk_of
 from glsplat.authoring.paint.light import Light
 from glsplat.authoring.paint.shot import FittedPicture, SurfacePoints
 from glsplat.authoring.paint.smooth import smoothest
-from glsplat.authoring.paint.strands import Strands, strands_of
+from glsplat.authoring.paint.unseen.strands import Strands, strands_of
 from glsplat.pictures import to_linear
 from glsplat.skinning.smplx import JOINT_NAMES
 

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from glsplat.authoring.fit.body import Body
 from glsplat.authoring.fit.eyes import EyeLook
 from glsplat.authoring.fit.offsets import face_of
-from glsplat.authoring.paint.cloth import Cloth, Ground, cloth_of
 from glsplat.authoring.paint.head import BackOfHead, back_of_head
 from glsplat.authoring.paint.inside import with_inside
 from glsplat.authoring.paint.layers.segments import half_width, trunk_of, twins_across
@@ -19,6 +18,7 @@ from glsplat.authoring.paint.light import Light, find_light
 from glsplat.authoring.paint.shot import FittedPicture, Sight, SurfacePoints
 from glsplat.authoring.paint.smooth import smoothest
 from glsplat.authoring.paint.twins import Twins, find_twins
+from glsplat.authoring.paint.unseen.cloth import Cloth, Ground, cloth_of
 from glsplat.pictures import to_srgb
 from glsplat.skinning.smplx import JOINT_NAMES
 

@@ -17,12 +17,12 @@ from glsplat.authoring.fit.view import View
 from glsplat.authoring.networks.people import DetectedPerson, find_person
 from glsplat.authoring.networks.person import LANDMARKS
 from glsplat.authoring.paint.dress import dressed_mesh
-from glsplat.authoring.paint.hair import with_hair
 from glsplat.authoring.paint.layers.segments import segments_of
 from glsplat.authoring.paint.paint import painter_of
 from glsplat.authoring.paint.scatter import even_points, scatter
 from glsplat.authoring.paint.shot import FittedPicture
 from glsplat.authoring.paint.skirt import hem_of, with_skirt
+from glsplat.authoring.paint.unseen.hair import with_hair
 from glsplat.authoring.reconstruct.reconstructor import Mask, Options, Picture
 from glsplat.authoring.reconstruct.sharp import sharp
 from glsplat.authoring.texture import baked

@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from glsplat.authoring.paint.quilt import Texture, quilted
 from glsplat.authoring.paint.shot import FittedPicture
+from glsplat.authoring.paint.unseen.quilt import Texture, quilted
 from glsplat.pictures import to_linear
 
 __all__ = ["Strands", "strands_of"]

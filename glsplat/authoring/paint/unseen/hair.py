@@ -25,7 +25,8 @@ _ROUND = 0.35  # of its width: how much nearer to the front its sides are than i
 _BESIDE = 0.06  # metres from the middle: a head is looked at there for how far it reaches back
 _HEAD = 0.75  # share of the way down from crown to chin where hair begins to hang
 _LEAST, _FLAT = 0.01, 0.0005  # metres: what moves less stays, as a whole and each vertex
-_EVENED = 8
+_EVENED = 8  # times
+_SHOWN = 4.0
 _HEAD_JOINT = JOINT_NAMES.index("head")
 
 
@@ -59,6 +60,7 @@ def with_hair(body: Body, shots: list[FittedPicture]) -> list[FittedPicture]:
     degree = np.maximum(np.asarray(near.sum(axis=1)).ravel(), 1)
     for _ in range(_EVENED):  # hair has no folds; faces and eyes stay
         back = np.where(rest[:, 2] < float(front.mesh.skeleton.joints[_HEAD_JOINT, 2]), (near @ back) / degree, back)
+    back *= (1 - _SHOWN * front.trust).clip(0, 1)  # what the picture shows stays where it is
     back[back > -_FLAT] = 0.0
     moved = rest.copy()
     moved[:, 2] += back

@@ -172,14 +172,13 @@ def cloth_of(body: Body, shot: FittedPicture, points: SurfacePoints, sight: Sigh
                 at, taken = at[bare], taken[bare]  # and cuffs are not the hand
         rows.append(_rows(axis, (float(along.min()), float(along.max())), at, look[taken], weight[taken], reach))
     rows = [None if these is None else _steady(these) for these in rows]
-    if rows[_NECK] is not None and skin is not None:
-        rows[_NECK] = _shaved(rows[_NECK], skin)
-    trunk = np.flatnonzero(mine == _TRUNK)
-    if rows[_TRUNK] is not None and skin is not None:
+    trunk, neck, here = rows[_TRUNK], rows[_NECK], np.flatnonzero(mine == _TRUNK)
+    if neck is not None and skin is not None:
+        rows[_NECK] = _shaved(neck, skin)
+    if trunk is not None and skin is not None:
         shoulder = shot.mesh.skeleton.joints[[JOINT_NAMES.index(f"{side}_shoulder") for side in ("left", "right")], 1]
-        rows[_TRUNK] = _covered(
-            rows[_TRUNK], where[trunk], look[trunk], trust[trunk], skin, float(shoulder.mean()) - _ARMPIT
-        )
+        armpit = float(shoulder.mean()) - _ARMPIT
+        rows[_TRUNK] = _covered(trunk, where[here], look[here], trust[here], skin, armpit)
     return Cloth(rest, region, tuple(rows))
 
 
