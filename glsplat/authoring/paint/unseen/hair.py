@@ -40,13 +40,13 @@ def with_hair(body: Body, shots: list[FittedPicture]) -> list[FittedPicture]:
     of_head = body.skin & np.isin(body.part, [JOINT_NAMES.index(name) for name in ("head", "jaw")])
     hanging = (hair > 0) & ~of_head & body.skin
     middle = of_head & (np.abs(rest[:, 0]) < _BESIDE)
-    if not hanging.any() or not middle.any():
-        return shots
+    lowest = float(rest[hanging, 1].min(initial=np.inf))
+    if not middle.any() or lowest > front.mesh.skeleton.joints[JOINT_NAMES.index("neck"), 1]:
+        return shots  # short hair
     top, chin = rest[of_head, 1].max(), rest[of_head, 1].min()
     begins = top - _HEAD * (top - chin)
     row = middle & (rest[:, 1] > begins)
     first = float(rest[row, 2].min()) if row.any() else float(rest[middle, 2].min())
-    lowest = float(rest[hanging, 1].min())
     foot = hanging & (rest[:, 1] < lowest + 0.05)
     last = min(float(rest[foot, 2].min()) - _THICK, first + 0.08)
     share = ((begins - rest[:, 1]) / max(begins - lowest, 1e-3)).clip(0, 1)

@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from glsplat.authoring.fit.eyes import EyeLook
+from glsplat.authoring.paint.eyes import eye_colours
 from glsplat.authoring.paint.paint import painter_of
 from glsplat.authoring.paint.scatter import even_points
 from glsplat.authoring.paint.unseen.hair import with_hair
@@ -25,7 +27,7 @@ def haired(monkeypatch: pytest.MonkeyPatch, lowest: float) -> Scene:
         colours = albedo(mesh)
         where = mesh.vertices / mesh.vertices[:, 1].max()
         x, y, z = where.T
-        head = y > 0.86
+        head = y > max(lowest, 0.86)
         face = (np.abs(x) < 0.03) & (y > 0.89) & (y < 0.96) & (z > 0.045)
         beside = (y > lowest) & (y <= 0.86) & (np.abs(x) > 0.02) & (np.abs(x) < 0.08)
         colours[head | beside] = HAIR
@@ -49,10 +51,10 @@ def test_long_hair_hangs_behind_the_neck_and_short_hair_does_not(monkeypatch: py
     points = even_points(shot.mesh, 30_000)
     where = points.at(shot.mesh.vertices) / shot.mesh.vertices[:, 1].max()
     behind = points.directions(vertex_normals(shot.mesh.vertices, shot.mesh.faces))[:, 2] < -0.6
-    behind &= (where[:, 1] > 0.84) & (where[:, 1] < 0.95) & (np.abs(where[:, 0]) < 0.03)
+    behind &= (where[:, 2] < 0) & (where[:, 1] > 0.86) & (where[:, 1] < 0.95) & (np.abs(where[:, 0]) < 0.03)
     colours = to_linear(painter_of(scene.body, [shot], points).colours(points))[behind]
     assert len(colours) > 30 and (colours[:, 1] > 1.5 * colours[:, 0]).mean() > 0.9
-    short = haired(monkeypatch, 0.86)
+    short = haired(monkeypatch, 0.9)
     assert with_hair(short.body, short.shots) == short.shots
 
 
@@ -76,3 +78,17 @@ def test_too_little_hair_makes_no_quilt() -> None:
     known[4:10, 4:10] = True
     assert quilted(texture, known, (40, 40)) is None
     assert quilted(texture[:6, :6], np.ones((6, 6), bool), (40, 40)) is None
+
+
+@pytest.mark.parametrize(("radius", "clear"), [(2.0, False), (12.0, True)])
+def test_lids_are_not_in_the_eyes_colours(radius: float, clear: bool) -> None:
+    scene = photographed("front")
+    iris, white = np.array([110.0, 64, 52]), np.array([182.0, 134, 126])
+    look = EyeLook(True, np.zeros(2), radius, iris, white)
+    points = even_points(scene.mesh, 60_000)
+    some, colours = eye_colours(scene.body, scene.shots[0], {"left": look, "right": look}, points)
+    found = np.unique(np.round(colours * 255), axis=0)
+    assert some.sum() > 10
+    is_white = found[found.sum(axis=1).argmax()]
+    assert (np.ptp(is_white) > 40) == clear  # as read from a large eye, and nearly grey in a small one
+    assert clear or is_white.mean() >= 148
