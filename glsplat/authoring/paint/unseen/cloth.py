@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import median_filter
 from scipy.spatial import cKDTree
 
 from glsplat.authoring.fit.body import Body
@@ -46,6 +47,7 @@ _SIDES, _MIDDLE = (0.3, 0.95), 0.25  # halves of a trunk's width where it looks 
 _KERNEL, _SHIFTS = 0.08, 6
 _FEWEST = 6.0  # summed trust of a row that is believed
 _TOLERANCE = 0.06, 2.0, 0.14  # least, in spreads of a row, most: how far a colour may lie from it
+_MOST_OF_IT, _PATTERN, _GARMENT = 0.8, 0.12, 18  # share of a row; how far it spreads in cloth with a pattern; rows
 _LIKE_SKIN = 0.2  # from the face: a hand is as bare
 _ALIKE = 0.15  # cloth nearer to skin than that is not told from it
 _MOTLEY, _APART = 0.139, 4  # tolerance of a row of several colours; rows to those above and below it
@@ -156,7 +158,9 @@ def cloth_of(body: Body, shot: FittedPicture, points: SurfacePoints, sight: Sigh
     share = np.abs(where[:, 0]) / np.maximum(part.at(half_width(rest, trunk_of(body))[:, None])[:, 0], 1e-3)
     beside = (share > _SIDES[0]) & (share < _SIDES[1])
     trust = trust * np.where((mine == _TRUNK) & ~beside, _MIDDLE, 1.0)
-    face = (face_of(body)[part.corners]).all(axis=1) & (trust > 0.7)
+    pixels = shot.project(part.at(shot.view.vertices))
+    trust = trust * np.where(shot.shallow(pixels, shot.layers_at(part)) < _SHALLOW, _MIDDLE, 1.0)
+    face = (face_of(body)[part.corners]).all(axis=1) & (sight.trust[some] > 0.7)
     skin = _bright(look[face]) if face.sum() > 2 * _FEWEST else None
     rows: list[_Rows | None] = []
     for number, (_, axis, other) in enumerate(_REGIONS):
@@ -195,13 +199,13 @@ def _rows(axis: int, ends: tuple[float, float], at: F64, look: F64, weight: F64,
     count = max(2, int(np.ceil((ends[1] - ends[0]) / _STEP)) + 1)
     order = np.argsort(at, kind="stable")
     at, look, weight = at[order], look[order], weight[order]
-    colour, tolerance, known = np.zeros((count, 3)), np.zeros(count), np.zeros(count, bool)
+    colour, tolerance, known, wide = np.zeros((count, 3)), np.zeros(count), np.zeros(count, bool), np.zeros(count)
     for row in range(count):
         middle = ends[0] + row * _STEP
         some = slice(*np.searchsorted(at, (middle - reach, middle + reach)))
         if weight[some].sum() < _FEWEST:
             continue
-        colour[row], spread = _most(look[some], weight[some])
+        colour[row], spread, wide[row] = _most(look[some], weight[some])
         tolerance[row] = np.clip(_TOLERANCE[1] * spread, _TOLERANCE[0], _TOLERANCE[2])
         known[row] = True
         if not np.isfinite(reach):
@@ -212,11 +216,14 @@ def _rows(axis: int, ends: tuple[float, float], at: F64, look: F64, weight: F64,
     rows = np.arange(count)
     colour = np.stack([np.interp(rows, rows[known], colour[known, k]) for k in range(3)], axis=1)
     tolerance = np.interp(rows, rows[known], tolerance[known])
+    # a pattern is in most rows of a garment, a sign in a few
+    pattern = median_filter(np.interp(rows, rows[known], wide[known]), 2 * _GARMENT + 1, mode="nearest")
+    tolerance = np.where(pattern > _PATTERN, np.maximum(tolerance, pattern), tolerance)
     return _Rows(axis, ends[0], colour, tolerance, colour, np.full(count, np.inf))
 
 
-def _most(look: F64, weight: F64) -> tuple[F64, float]:
-    """[3] the colour that most of the samples have, and how far half of them lie from it."""
+def _most(look: F64, weight: F64) -> tuple[F64, float, float]:
+    """[3] the colour that most of the samples have, and how far half of them, and four fifths, lie from it."""
     mode = np.median(look[weight >= np.median(weight)], axis=0)
     for _ in range(_SHIFTS):
         near = weight * np.exp(-0.5 * ((look - mode) ** 2).sum(axis=1) / _KERNEL**2)
@@ -224,7 +231,8 @@ def _most(look: F64, weight: F64) -> tuple[F64, float]:
     away = np.linalg.norm(look - mode, axis=1)
     order = np.argsort(away, kind="stable")
     total = np.cumsum(weight[order])
-    return mode, float(away[order[np.searchsorted(total, total[-1] / 2)]])
+    half, most = (float(away[order[np.searchsorted(total, share * total[-1])]]) for share in (0.5, _MOST_OF_IT))
+    return mode, half, most
 
 
 def _steady(rows: _Rows) -> _Rows:
@@ -263,7 +271,8 @@ def _covered(rows: _Rows, where: F64, look: F64, trust: F64, skin: F64, armpit: 
     if np.linalg.norm(upper - skin) < _ALIKE:
         return rows
     away = np.linalg.norm(look - upper, axis=1)
-    cloth = away < np.minimum(np.linalg.norm(look - skin, axis=1) / 2, 2 * _ALIKE)
+    from_skin = np.linalg.norm(look - skin, axis=1)
+    cloth, naked = away < np.minimum(from_skin / 2, 2 * _ALIKE), from_skin < np.minimum(away, 2 * _ALIKE)
     colour, outer, edge = rows.colour.copy(), rows.colour.copy(), np.full(len(middle), np.nan)
     tolerance = rows.tolerance.copy()
     for row in np.flatnonzero(middle >= armpit):
@@ -271,10 +280,10 @@ def _covered(rows: _Rows, where: F64, look: F64, trust: F64, skin: F64, armpit: 
         strap = mine & cloth
         if trust[strap].sum() < max(_COVERED * trust[mine].sum(), _FEWEST / 3):
             continue
-        colour[row], spread = _most(look[strap], trust[strap])
+        colour[row], spread, _ = _most(look[strap], trust[strap])
         tolerance[row] = np.clip(_TOLERANCE[1] * spread, _TOLERANCE[0], _TOLERANCE[2])
         edge[row] = np.quantile(np.abs(where[strap, 0]), 0.95)
-        bare = mine & ~cloth & (np.abs(where[:, 0]) > edge[row])
+        bare = mine & naked & (np.abs(where[:, 0]) > edge[row])
         if trust[bare].sum() > _FEWEST / 3:
             outer[row] = _most(look[bare], trust[bare])[0]
         elif np.isfinite(edge[:row]).any():
