@@ -16,6 +16,10 @@ __all__ = ["eye_colours"]
 F64 = NDArray[np.float64]
 
 _PUPIL = np.array([12.0, 10.0, 10.0])  # of 255
+_SMALL, _LARGE = 3.0, 9.0  # pixels of an iris's radius: all of its colours are mixed with the lids', and none is
+_DULL = 150.0  # of 255: whites are at least as bright
+_SCLERA = np.array([1.02, 0.99, 0.97])  # a white is nearly grey
+_DARKER = 0.7  # of an iris's mixed colour
 _RIM = 0.55  # brightness of the iris's own rim against its middle
 
 
@@ -35,7 +39,17 @@ def eye_colours(
         there = (where[mine] - now.mean(axis=0)) / size + first.mean(axis=0)
         rim = iris_angle(looks, ball, metre * size)
         zone, outer = ball.zones(there, rim), ball.angles(there) / rim
-        iris = look.iris_colour * np.where(outer > 0.85, _RIM, 1.0)[:, None]
-        colours[mine] = np.choose(zone[:, None], [look.white_colour, iris, _PUPIL]) / 255
+        iris_colour, white = _cleared(look)
+        iris = iris_colour * np.where(outer > 0.85, _RIM, 1.0)[:, None]
+        colours[mine] = np.choose(zone[:, None], [white, iris, _PUPIL]) / 255
         chosen |= mine
     return chosen, colours[chosen]
+
+
+def _cleared(look: EyeLook) -> tuple[F64, F64]:
+    """[3] each of 255: the colours of iris and white without the lids that a small eye's pixels have mixed in."""
+    clear = 0.0 if not np.isfinite(look.radius) else float(np.clip((look.radius - _SMALL) / (_LARGE - _SMALL), 0, 1))
+    grey = float(look.white_colour.mean())
+    white = max(grey, _DULL) * _SCLERA
+    dark = look.iris_colour * _DARKER
+    return clear * look.iris_colour + (1 - clear) * dark, clear * look.white_colour + (1 - clear) * white

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,7 @@ from glsplat.authoring.paint.light import Light, find_light
 from glsplat.authoring.paint.shot import FittedPicture, Sight, SurfacePoints
 from glsplat.authoring.paint.smooth import smoothest
 from glsplat.authoring.paint.twins import Twins, find_twins
+from glsplat.authoring.paint.unseen.cloth import Cloth, Ground, cloth_of
 from glsplat.pictures import to_srgb
 from glsplat.skinning.smplx import JOINT_NAMES
 
@@ -29,7 +30,10 @@ _NO_TWINS = ("neck", "head", "jaw", "left_eye_smplhf", "right_eye_smplhf")  # fa
 _GUESSED = 0.6  # of the splats that detail is worth, where it is a guess
 _DIGITS = 6  # of a colour; see sharpen.py
 _LENT = 0.003  # what one half of the body says of the other, where nobody looks
+_FORGETS = 3e-4  # how soon cloth that nobody looks at is as it is elsewhere at that height
 _ASIDE = 0.35, 0.6  # of the trunk's half width: nearer to its middle than that nothing is mirrored, for signs are there
+_SAME = 1.0, 1.5  # tolerances of the cloth's own colour within which it is the same cloth, and beyond which it is not
+_PATTERNED = 0.12  # tolerance of cloth that has a pattern
 _SHADE = 0.3, 1.4  # brightness of an unseen point against the seen one its colour comes from
 
 
@@ -50,16 +54,17 @@ class Painter:
     shots: Sequence[FittedPicture]  # the front first
     looks: Mapping[str, EyeLook]
     light: Light
-    plain: F64  # [V, 3] smooth linear colours without light
+    cloth: Cloth
+    plain: F64  # [V, 3] smooth linear colours without light; where there is cloth, what is added to it
     twins: Twins
     head: BackOfHead
     aside: F64  # [V] how much the other half of the body says of a vertex that is not seen
 
     def paint(self, points: SurfacePoints) -> Paint:
         """What is known and guessed of the points."""
-        sights = [shot.look(points) for shot in self.shots]
+        sights, ground, shade = self._looked(points)
         seen, colour = _mixed(sights)
-        guess, there = self._guess(points)
+        guess, there = self._guess(points, ground, shade)
         busy = np.max([sight.busy * sight.trust for sight in sights], axis=0)
         busy = np.maximum(busy, _GUESSED * there * (1 - seen))
         rgb = with_inside(
@@ -69,33 +74,54 @@ class Painter:
 
     def colours(self, points: SurfacePoints) -> F64:
         """``paint(points).rgb`` alone, which is quicker: what is seen squarely is not guessed."""
-        seen, colour = _mixed([shot.look(points) for shot in self.shots])
+        sights, ground, shade = self._looked(points)
+        seen, colour = _mixed(sights)
         doubt = np.flatnonzero(seen < 1)
-        guess, _ = self._guess(SurfacePoints(points.corners[doubt], points.weights[doubt]))
+        some = Ground(ground.colour[doubt], ground.tolerance[doubt], ground.there[doubt])
+        guess, _ = self._guess(SurfacePoints(points.corners[doubt], points.weights[doubt]), some, shade[doubt])
         colour[doubt] = guess + seen[doubt, None] * (colour[doubt] - guess)
         return np.round(with_inside(self.body, self.shots[0], self.looks, points, to_srgb(colour)), _DIGITS)
 
-    def _guess(self, points: SurfacePoints) -> tuple[F64, F64]:
+    def _looked(self, points: SurfacePoints) -> tuple[list[Sight], Ground, F64]:
+        """What each picture shows, the front without what is not the body's; the cloth there, and the light [M]."""
+        sights = [shot.look(points) for shot in self.shots]
+        shade = self.light.shade(points.directions(self.shots[0].normals))
+        ground, first = self.cloth.at(points), sights[0]
+        strange = self.cloth.strange(self.shots[0], points, first.linear, shade, ground)
+        sights[0] = replace(first, trust=first.trust * (1 - strange))
+        return sights, ground, shade
+
+    def _guess(self, points: SurfacePoints, ground: Ground, shade: F64) -> tuple[F64, F64]:
         """[M, 3] linear colours where nobody looks, and [M] how much detail they have."""
         body, front = self.body, self.shots[0]
-        shade = self.light.shade(points.directions(front.normals))[:, None]
-        # the front at the same place, for all but the head
+        # the front at the same place, for all but the head, where it is the same cloth
         behind = self.twins.colours(front, points)
-        ratio = (shade[:, 0] / self.light.shade(behind.normals)).clip(*_SHADE)
+        lit = self.light.shade(behind.normals)
+        ratio = (shade / lit).clip(*_SHADE)
         round_parts = np.isin(body.part, [JOINT_NAMES.index(name) for name in _NO_TWINS])
         trust = behind.trust * (1 - points.at(round_parts.astype(float)[:, None])[:, 0])
+        trust = trust * _alike(behind.linear / lit[:, None], ground)
+        # what was continued into a hole is worth less than the cloth, unless that has a pattern
+        trust = np.where((ground.there > 0) & (ground.tolerance < _PATTERNED), trust * behind.known, trust)
         covered, colour = self.head.at(points)
         # side by side, not one over the other: where neck and back meet, no third colour shows between them
         rest = 1 - trust - covered
-        guess = (rest[:, None] * points.at(self.plain) + covered[:, None] * colour) * shade
+        plain = np.maximum(points.at(self.plain) + ground.there[:, None] * ground.colour, 0)
+        guess = (rest[:, None] * plain + covered[:, None] * colour) * shade[:, None]
         guess += (trust * ratio)[:, None] * behind.linear
         # what one half of the body hides, the other one shows
         across = SurfacePoints(twins_across()[points.corners], points.weights)
         other = front.look(across)
-        lent = other.trust * points.at(self.aside[:, None])[:, 0]
-        ratio = (shade[:, 0] / self.light.shade(across.directions(front.normals))).clip(*_SHADE)
-        guess += lent[:, None] * (ratio[:, None] * other.linear - guess)
-        return guess, np.maximum(behind.busy * trust, other.busy * lent)
+        lit = self.light.shade(across.directions(front.normals))
+        lent = other.trust * points.at(self.aside[:, None])[:, 0] * _alike(other.linear / lit[:, None], ground)
+        guess += lent[:, None] * ((shade / lit).clip(*_SHADE)[:, None] * other.linear - guess)
+        return guess, np.maximum.reduce([behind.busy * trust, other.busy * lent, covered * self.head.lively])
+
+
+def _alike(plain: F64, ground: Ground) -> F64:
+    """[M] from 0 to 1: how surely colours [M, 3] without light are the cloth that is there."""
+    away = np.linalg.norm(np.sqrt(np.maximum(plain, 0)) - np.sqrt(ground.colour), axis=1) / ground.tolerance
+    return np.where(ground.there > 0, (_SAME[1] - away).clip(0, _SAME[1] - _SAME[0]) / (_SAME[1] - _SAME[0]), 1.0)
 
 
 def painter_of(
@@ -103,14 +129,16 @@ def painter_of(
 ) -> Painter:
     """A painter of the body in ``shots``, the front first; ``looks`` are the eyes in it.
 
-    The light is found on ``points``, which should lie evenly over the surface.
+    Light and cloth are found on ``points``, which should lie evenly over the surface.
     """
     front = shots[0]
     sight = front.look(points)
     normals, up = points.directions(front.normals), front.view.root[:, 1]
     light = find_light(normals, sight.linear, sight.trust, up, np.array([0.0, 0, -1]))
-    plain, twins = _smooth_colours(body, shots, light), find_twins(front.mesh, trunk_of(body))
-    return Painter(body, shots, looks or {}, light, plain, twins, back_of_head(body, front, light), _aside(body, front))
+    cloth = cloth_of(body, front, points, sight, light.shade(normals))
+    plain, twins = _smooth_colours(body, shots, light, cloth), find_twins(front.mesh, trunk_of(body))
+    head = back_of_head(body, front, light, cloth.nape)
+    return Painter(body, shots, looks or {}, light, cloth, plain, twins, head, _aside(body, front))
 
 
 def _aside(body: Body, shot: FittedPicture) -> F64:
@@ -136,17 +164,27 @@ def _mixed(sights: Sequence[Sight]) -> tuple[F64, F64]:
     return np.max([sight.trust for sight in sights], axis=0), mixed / np.maximum(total, 1e-9)[:, None]
 
 
-def _smooth_colours(body: Body, shots: Sequence[FittedPicture], light: Light) -> F64:
-    """[V, 3] linear colours without light: as seen at the vertices, the smoothest between."""
+def _smooth_colours(body: Body, shots: Sequence[FittedPicture], light: Light, cloth: Cloth) -> F64:
+    """[V, 3] what is added to the cloth's linear colours without light: as seen at the vertices, the smoothest between.
+
+    Where no cloth is known it is the colours themselves.
+    """
     count = len(body.vertices)
     known, target = np.zeros(count), np.zeros((count, 3))
     first = shots[0]
+    ground = cloth.at(SurfacePoints(np.repeat(np.arange(count)[:, None], 3, axis=1), np.full((count, 3), 1 / 3)))
+    worn = ground.there > 0
     for shot in shots:
         trust = shot.trust * body.skin
         # every picture is of the same room: normals are turned back into the first camera's axes
         shade = light.shade(shot.normals @ (shot.view.root @ first.view.root.T))
+        plain = shot.sample(shot.view.pixels, shot.layer) / shade[:, None]
+        trust = trust * _alike(plain, ground)  # a print does not flow into the cloth beside it
         known += trust
-        target += trust[:, None] * shot.sample(shot.view.pixels, shot.layer) / shade[:, None]
+        target += trust[:, None] * plain
     twin = twins_across()
     lent = _LENT * known[twin] * (known < _LENT)
-    return smoothest(body, known + lent, target + _LENT * target[twin] * (known < _LENT)[:, None])
+    known, target = known + lent, target + _LENT * target[twin] * (known < _LENT)[:, None]
+    added = smoothest(body, known * worn, (target - known[:, None] * ground.colour) * worn[:, None], shy=_FORGETS)
+    added[~worn] = smoothest(body, known, target, some=~worn)
+    return added

@@ -90,6 +90,13 @@ class FittedPicture:
         """[M] the layers of points."""
         return self.layer[points.corners[:, 0]]
 
+    def without_view_of(self, mesh: RiggedMesh, view: FittedView) -> FittedPicture:
+        """The same picture of a ``mesh`` that differs only where this one does not show it."""
+        other = replace(self, mesh=mesh, view=view)
+        kept = ("trust", "normals", "shown", "_layers", "_labelled", "_label", "_agreed", "_room", "_deep")
+        vars(other).update({name: vars(self)[name] for name in kept if name in vars(self)})
+        return other
+
     def camera(self, pelvis: F64, figure: float) -> Camera:
         """Of the picture, made so small that the person is at most ``figure`` pixels high; in the body's axes, of which
         the pelvis joint is at ``pelvis`` [3] in the zero pose."""
@@ -116,7 +123,7 @@ class FittedPicture:
     @cached_property
     def trust(self) -> F64:
         """[V] of the vertices themselves."""
-        return self._known(self.view.pixels, self.layer) * self._facing(
+        return self.known(self.view.pixels, self.layer) * self._facing(
             self.view.vertices, self.normals, self.view.pixels, self.layer, *_BELIEVED
         )
 
@@ -139,7 +146,7 @@ class FittedPicture:
         pixels = self.project(where)
         layer = self.layers_at(points)
         trust = self._facing(where, points.directions(self.normals), pixels, layer, *_BELIEVED)
-        return Sight(self.sample(pixels, layer), trust * self._known(pixels, layer), self.detail(pixels, layer))
+        return Sight(self.sample(pixels, layer), trust * self.known(pixels, layer), self.detail(pixels, layer))
 
     def sample(self, pixels: F64, layer: NDArray[np.intp] | None = None, behind: bool = False) -> F64:
         """[M, 3] linear light at pixels [M, 2], bilinear; beyond a layer's outline, that of its nearest pixel.
@@ -158,7 +165,49 @@ class FittedPicture:
         """[M] how much detail the picture has around each pixel [M, 2], from 0, none, to 1."""
         return np.asarray(self._at([seen.detail for seen in self._layers], pixels, layer), np.float64)
 
-    def _known(self, pixels: F64, layer: NDArray[np.intp]) -> F64:
+    def room(self, pixels: F64) -> F64:
+        """[M, 3] linear colours of the room nearest to pixels [M, 2]."""
+        return np.asarray(self._room[1][self._small(pixels, self._room[0])], np.float64)
+
+    def shallow(self, pixels: F64, layer: NDArray[np.intp]) -> F64:
+        """[M] how far pixels [M, 2] lie from the outline of what shows their layer, in heights of the person."""
+        out = np.zeros(len(pixels))
+        scale, deep = self._deep
+        for number, distance in enumerate(deep):
+            mine = np.flatnonzero(layer == number)
+            out[mine] = distance[self._small(pixels[mine], scale)]
+        return out
+
+    def _small(self, pixels: F64, scale: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        """Rows and columns of pixels in a picture of another scale."""
+        height, width = (max(1, int(side * scale)) for side in self.mask.shape)
+        at = np.floor(pixels * scale).astype(np.intp)
+        return at[:, 1].clip(0, height - 1), at[:, 0].clip(0, width - 1)
+
+    @cached_property
+    def _room(self) -> tuple[float, NDArray[np.float32]]:
+        """Of a smaller picture its scale, and the room's colours carried on into the person."""
+        scale = min(1.0, _LABELLED / self._height)
+        size = tuple(max(1, int(side * scale)) for side in self.mask.shape[::-1])
+        mask = cv2.dilate(cv2.resize(self.mask.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST), _disc(_RIM))
+        row, column = nearest_known(mask == 0)
+        small = cv2.resize(self.rgb, size, interpolation=cv2.INTER_AREA)
+        return scale, to_linear(small[row, column] / 255).astype(np.float32)
+
+    @cached_property
+    def _deep(self) -> tuple[float, list[NDArray[np.float32]]]:
+        """The same scale, and for each layer how deep in it its pixels lie, in heights of the person."""
+        scale = min(1.0, _LABELLED / self._height)
+        size = tuple(max(1, int(side * scale)) for side in self.mask.shape[::-1])
+        label = np.where(self.mask, 0 if self.segment is None else self._label, -1).astype(np.int16)
+        small = cv2.resize(label, size, interpolation=cv2.INTER_NEAREST)
+        shown = [(small == number).astype(np.uint8) for number in range(1 if self.segment is None else LAYERS)]
+        return scale, [
+            np.asarray(cv2.distanceTransform(some, cv2.DIST_L2, 3) / (scale * self._height), np.float32)
+            for some in shown
+        ]
+
+    def known(self, pixels: F64, layer: NDArray[np.intp]) -> F64:
         """[M] 1 where a pixel shows the layer, else 0."""
         return np.asarray(self._at([seen.known for seen in self._layers], pixels, layer), np.float64)
 

@@ -38,20 +38,31 @@ def _around(body: Body, hair: bool) -> csr_matrix:
     return (one_way + one_way.T) / 2
 
 
-def smoothest(body: Body, known: F64, target: F64, hair: bool = False) -> F64:
-    """[V, 3] linear colours near ``target / known`` where ``known`` [V] is large, the smoothest between.
+def smoothest(
+    body: Body,
+    known: F64,
+    target: F64,
+    hair: bool = False,
+    shy: float | None = None,
+    some: NDArray[np.bool_] | None = None,
+) -> F64:
+    """[V, 3], or [N, 3], linear colours near ``target / known`` where ``known`` [V] is large, the smoothest between.
 
     ``target`` [V, 3] is the sum of the colours seen at each vertex, ``known`` the sum of their weights. With ``hair``
-    a head is a limb, too.
+    a head is a limb, too. With ``shy`` they are differences, and nothing by so much where nothing is known.
+    ``some`` [V] are the vertices that are asked for, N of them; the others' colours are not looked at.
     """
-    mean = target.sum(axis=0) / max(known.sum(), 1e-9)
+    mean = target.sum(axis=0) / max(float(known.sum()), 1e-9) if shy is None else np.zeros(3)
+    keep = _SHY if shy is None else shy
     neighbours = _around(body, hair)
+    if some is not None:
+        neighbours, known, target = neighbours[some][:, some], known[some], target[some]
     degree = np.asarray(neighbours.sum(axis=1)).ravel()
-    scale = known + _STIFF * degree + _SHY
+    scale = known + _STIFF * degree + keep
     matrix = diags(scale) - _STIFF * neighbours
     start = np.where(known[:, None] > 0.2, target / np.maximum(known, 0.2)[:, None], mean)
     columns = [
-        cg(matrix, target[:, c] + _SHY * mean[c], x0=start[:, c], rtol=1e-4, maxiter=300, M=diags(1 / scale))[0]
+        cg(matrix, target[:, c] + keep * mean[c], x0=start[:, c], rtol=1e-4, maxiter=300, M=diags(1 / scale))[0]
         for c in range(3)
     ]
-    return np.stack(columns, axis=1).clip(0, 2)
+    return np.stack(columns, axis=1).clip(0 if shy is None else -2, 2)

@@ -41,7 +41,7 @@ class Twins:
         left, right = (_half(shot, points, twin) for twin in self.points)
         mixed = share * left + (1 - share) * right
         length = np.maximum(np.linalg.norm(mixed[:, 3:6], axis=1, keepdims=True), 1e-9)
-        return Sighted(mixed[:, :3], mixed[:, 3:6] / length, mixed[:, 6], mixed[:, 7])
+        return Sighted(mixed[:, :3], mixed[:, 3:6] / length, mixed[:, 6], mixed[:, 7], mixed[:, 8])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,10 +52,11 @@ class Sighted:
     normals: F64  # [M, 3] in the camera's axes
     trust: F64  # [M] from 0, hidden, to 1
     busy: F64  # [M] from 0, plain, to 1, full of detail
+    known: F64  # [M] 1 where that picture shows them, 0 where it was continued
 
 
 def _half(shot: FittedPicture, points: SurfacePoints, twin: SurfacePoints) -> F64:
-    """[M, 8] colours, normals, trust and detail."""
+    """[M, 9] colours, normals, trust, detail, and whether they are known."""
     layer = shot.layers_at(points)
     own = (shot.layer[twin.corners[:, 0]] == shot.layer)[:, None]  # no back has its colours from an arm before it
     vertices = np.hstack([twin.at(shot.view.pixels), twin.directions(shot.normals), twin.at(shot.shown[:, None]) * own])
@@ -64,7 +65,7 @@ def _half(shot: FittedPicture, points: SurfacePoints, twin: SurfacePoints) -> F6
     colours = shot.sample(pixels, layer)
     away = points.directions(shot.normals)[:, 2] > 0
     colours[away] = shot.sample(pixels[away], layer[away], behind=True)
-    return np.hstack([colours, there[:, 2:], shot.detail(pixels, layer)[:, None]])
+    return np.column_stack([colours, there[:, 2:], shot.detail(pixels, layer), shot.known(pixels, layer)])
 
 
 def find_twins(mesh: RiggedMesh, trunk: NDArray[np.bool_]) -> Twins:

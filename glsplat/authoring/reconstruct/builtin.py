@@ -25,6 +25,7 @@ from glsplat.authoring.paint.paint import painter_of
 from glsplat.authoring.paint.scatter import even_points, scatter
 from glsplat.authoring.paint.shot import FittedPicture
 from glsplat.authoring.paint.skirt import hem_of, with_skirt
+from glsplat.authoring.paint.unseen.hair import with_hair
 from glsplat.authoring.reconstruct.reconstructor import Mask, Options, Picture
 from glsplat.authoring.reconstruct.sharp import sharp
 from glsplat.authoring.texture import baked
@@ -151,6 +152,8 @@ def _fitted(pictures: Mapping[str, Picture], masks: Mapping[str, Mask], options:
         FittedPicture(pictures[side].rgb, masks[side], view.focal, fitted, mesh, segments_of(), _arms(people[side]))
         for side, view, fitted in zip(sides, views, seen, strict=True)
     ]
+    shots = with_hair(body, shots)
+    mesh = shots[0].mesh
     looks = read_eyes(pictures["front"].rgb, people["front"].face)
     if not any(look.seen for look in looks.values()):
         looks = {}  # closed lids and dark glasses stay what they are

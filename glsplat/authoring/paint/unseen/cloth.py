@@ -1,0 +1,300 @@
+"""Which colour a garment or bare skin has all around a limb, so that what no picture shows is the same piece of cloth.
+
+Along trunk, legs, arms and neck the seen surface is cut into rows, and each row has one colour that most of it shows
+(mean shift, Comaniciu and Meer 2002, in square roots of linear light): prints, openings, hands and specks of the room
+are too few to be it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import median_filter
+from scipy.spatial import cKDTree
+
+from glsplat.authoring.fit.body import Body
+from glsplat.authoring.fit.offsets import face_of
+from glsplat.authoring.paint.layers.segments import HANDS, half_width, trunk_of
+from glsplat.authoring.paint.shot import FittedPicture, Sight, SurfacePoints
+from glsplat.skinning.smplx import JOINT_NAMES
+
+__all__ = ["Cloth", "Ground", "cloth_of"]
+
+F64 = NDArray[np.float64]
+Ints = NDArray[np.intp]
+
+_REGIONS = (  # words of the joints' names; along x or y; the region of the other half of the body, if it has one
+    (("pelvis", "spine", "collar"), 1, None),
+    (("left_hip", "left_knee"), 1, 2),
+    (("right_hip", "right_knee"), 1, 1),
+    (("left_shoulder", "left_elbow"), 0, 4),
+    (("right_shoulder", "right_elbow"), 0, 3),
+    (("neck",), 1, None),
+    (tuple(f"left_{word}" for word in HANDS), 0, 7),
+    (tuple(f"right_{word}" for word in HANDS), 0, 6),
+    (("left_ankle", "left_foot"), 1, 9),
+    (("right_ankle", "right_foot"), 1, 8),
+)
+_TRUNK, _NECK, _BODY, _ARMS, _HANDS, _FEET = 0, 5, (0, 1, 2), (3, 4, 6, 7), (6, 7), (8, 9)
+_STEP = 0.01  # metres of a row
+_REACH = 0.0125  # metres to both sides whose samples a row has
+_MOST = 60_000  # samples that are looked at
+_SURE = 0.3  # trust of a sample
+_LENT = 0.2  # what a sample of the other half of the body says
+_SIDES, _MIDDLE = (0.3, 0.95), 0.25  # halves of a trunk's width where it looks as it does behind; weight of the rest
+_KERNEL, _SHIFTS = 0.08, 6
+_FEWEST = 6.0  # summed trust of a row that is believed
+_TOLERANCE = 0.06, 2.0, 0.14  # least, in spreads of a row, most: how far a colour may lie from it
+_MOST_OF_IT, _PATTERN, _GARMENT = 0.8, 0.12, 18  # share of a row; how far it spreads in cloth with a pattern; rows
+_LIKE_SKIN = 0.2  # from the face: a hand is as bare
+_ALIKE = 0.15  # cloth nearer to skin than that is not told from it
+_MOTLEY, _APART = 0.139, 4  # tolerance of a row of several colours; rows to those above and below it
+_LIGHT = 0.5, 0.9  # quantiles of a face's brightness
+_COVERED = 0.1  # share of a row on the shoulders that is cloth where there is a strap
+_ARMPIT = 0.07  # metres below the shoulder joints
+_BELOW = 0.25  # metres below the armpits that the upper garment's colour is taken from
+_STRANGE = 1.5, 3.0  # tolerances: from the first on a colour is doubted, from the second on it is not believed
+_LIKE_OTHER = 0.15  # how near a colour lies to the thing it is of
+_SHALLOW = 0.016  # of the person's height: so near to its outline a part of the body may show something else
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Ground:
+    """What M points are most likely to be."""
+
+    colour: F64  # [M, 3] linear, without light
+    tolerance: F64  # [M] how far another colour may be away, in square roots, to be the same cloth
+    there: F64  # [M] 1 where anything is known, else 0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Rows:
+    """Of one region, R of them."""
+
+    axis: int
+    first: float  # metres of the first row
+    colour: F64  # [R, 3] square roots
+    tolerance: F64  # [R]
+    outer: F64  # [R, 3] square roots, of what lies farther from the middle than ``edge``
+    edge: F64  # [R] metres
+
+
+@dataclass(frozen=True, eq=False)
+class Cloth:
+    """The colours of garments and bare skin; ``cloth_of`` makes one."""
+
+    rest: F64  # [V, 3] the dressed surface in the zero pose
+    region: Ints  # [V], below zero none
+    rows: tuple[_Rows | None, ...]
+
+    @property
+    def nape(self) -> F64 | None:
+        """[3] linear colour without light of the neck below the head."""
+        rows = self.rows[_NECK]
+        return None if rows is None else rows.colour[-1] ** 2
+
+    def strange(self, shot: FittedPicture, points: SurfacePoints, linear: F64, shade: F64, ground: Ground) -> F64:
+        """[M] from 0 to 1: how surely colours [M, 3] that ``shot`` has near an outline are another thing's.
+
+        They are unlike the cloth that is there, and more like the room beside the person or what an arm is before.
+        """
+        out = np.zeros(len(linear))
+        look, mine = np.sqrt(np.maximum(linear / shade[:, None], 0)), self.region[points.corners[:, 0]]
+        away = np.linalg.norm(look - np.sqrt(ground.colour), axis=1) / ground.tolerance
+        pixels = shot.project(points.at(shot.view.vertices))
+        some = np.flatnonzero((ground.there > 0) & (away > _STRANGE[0]) & ~np.isin(mine, _FEET))
+        near = shot.shallow(pixels[some], shot.layers_at(points)[some]) < _SHALLOW
+        some = some[near | np.isin(mine[some], _HANDS)]
+        if not len(some):
+            return out
+        other = np.linalg.norm(look[some] - np.sqrt(shot.room(pixels[some]) / shade[some, None]), axis=1)
+        for numbers, others in ((_ARMS, _BODY), (_BODY, _ARMS)):
+            rows = [rows.colour for k in others if (rows := self.rows[k]) is not None]
+            which = np.isin(mine[some], numbers)
+            if rows and which.any():
+                other[which] = np.minimum(other[which], cKDTree(np.concatenate(rows)).query(look[some][which])[0])
+        sure = ((away[some] - _STRANGE[0]) / (_STRANGE[1] - _STRANGE[0])).clip(0, 1)
+        out[some] = sure * (other < np.minimum(0.5 * away[some] * ground.tolerance[some], _LIKE_OTHER))
+        return out
+
+    def at(self, points: SurfacePoints) -> Ground:
+        """What the points are most likely to be."""
+        count = len(points.corners)
+        where, region = points.at(self.rest), self.region[points.corners[:, 0]]
+        colour, tolerance, there = np.zeros((count, 3)), np.full(count, _TOLERANCE[0]), np.zeros(count)
+        for number, rows in enumerate(self.rows):
+            mine = np.flatnonzero(region == number)
+            if rows is None or not len(mine):
+                continue
+            along = (
+                np.abs(where[mine, rows.axis]) - rows.first if rows.axis == 0 else where[mine, 1] - rows.first
+            ) / _STEP
+            at = along.clip(0, len(rows.colour) - 1)
+            low = np.floor(at).astype(np.intp)
+            high = np.minimum(low + 1, len(rows.colour) - 1)
+            part = at - low
+            outside = np.abs(where[mine, 0]) > rows.edge[low]
+            mixed = [
+                rows_of[low] + part[:, None] * (rows_of[high] - rows_of[low]) for rows_of in (rows.colour, rows.outer)
+            ]
+            colour[mine] = np.where(outside[:, None], mixed[1], mixed[0]) ** 2
+            tolerance[mine] = rows.tolerance[low]
+            there[mine] = 1
+        return Ground(colour, tolerance, there)
+
+
+def cloth_of(body: Body, shot: FittedPicture, points: SurfacePoints, sight: Sight, shade: F64) -> Cloth:
+    """The rows of the body in ``shot``, from what it shows of ``points`` [M] in a light of ``shade`` [M]."""
+    rest = shot.mesh.vertices
+    region = _regions(body)
+    some = np.flatnonzero(sight.trust > _SURE)
+    some = some[:: max(1, len(some) // _MOST)]
+    part = SurfacePoints(points.corners[some], points.weights[some])
+    where, trust = part.at(rest), sight.trust[some]
+    look = np.sqrt(np.maximum(sight.linear[some] / shade[some, None], 0))
+    mine = region[part.corners[:, 0]]
+    share = np.abs(where[:, 0]) / np.maximum(part.at(half_width(rest, trunk_of(body))[:, None])[:, 0], 1e-3)
+    beside = (share > _SIDES[0]) & (share < _SIDES[1])
+    trust = trust * np.where((mine == _TRUNK) & ~beside, _MIDDLE, 1.0)
+    pixels = shot.project(part.at(shot.view.vertices))
+    trust = trust * np.where(shot.shallow(pixels, shot.layers_at(part)) < _SHALLOW, _MIDDLE, 1.0)
+    face = (face_of(body)[part.corners]).all(axis=1) & (sight.trust[some] > 0.7)
+    skin = _bright(look[face]) if face.sum() > 2 * _FEWEST else None
+    rows: list[_Rows | None] = []
+    for number, (_, axis, other) in enumerate(_REGIONS):
+        own = region == number
+        along = np.abs(rest[own, 0]) if axis == 0 else rest[own, 1]
+        weight = trust * ((mine == number) + _LENT * (mine == (-1 if other is None else other)))
+        taken = np.flatnonzero(weight > 0)
+        at = np.abs(where[taken, 0]) if axis == 0 else where[taken, 1]
+        reach = np.inf if number in _HANDS else _REACH
+        if number in _HANDS and skin is not None:
+            bare = np.linalg.norm(look[taken] - skin, axis=1) < _LIKE_SKIN
+            if weight[taken][bare].sum() > max(_COVERED * weight[taken].sum(), _FEWEST):
+                at, taken = at[bare], taken[bare]  # and cuffs are not the hand
+        rows.append(_rows(axis, (float(along.min()), float(along.max())), at, look[taken], weight[taken], reach))
+    rows = [None if these is None else _steady(these) for these in rows]
+    trunk, neck, here = rows[_TRUNK], rows[_NECK], np.flatnonzero(mine == _TRUNK)
+    if neck is not None and skin is not None:
+        rows[_NECK] = _shaved(neck, skin)
+    if trunk is not None and skin is not None:
+        shoulder = shot.mesh.skeleton.joints[[JOINT_NAMES.index(f"{side}_shoulder") for side in ("left", "right")], 1]
+        armpit = float(shoulder.mean()) - _ARMPIT
+        rows[_TRUNK] = _covered(trunk, where[here], look[here], trust[here], skin, armpit)
+    return Cloth(rest, region, tuple(rows))
+
+
+def _regions(body: Body) -> Ints:
+    """[V] the number of each vertex's region, below zero none."""
+    of_joint = np.full(len(JOINT_NAMES), -1, np.intp)
+    for number, (words, _, _) in enumerate(_REGIONS):
+        of_joint[[index for index, name in enumerate(JOINT_NAMES) if any(word in name for word in words)]] = number
+    return np.where(body.skin, of_joint[body.part], -1)
+
+
+def _rows(axis: int, ends: tuple[float, float], at: F64, look: F64, weight: F64, reach: float) -> _Rows | None:
+    """The rows between two ``ends`` in metres of samples ``at`` [K]; None where none has enough of them."""
+    count = max(2, int(np.ceil((ends[1] - ends[0]) / _STEP)) + 1)
+    order = np.argsort(at, kind="stable")
+    at, look, weight = at[order], look[order], weight[order]
+    colour, tolerance, known, wide = np.zeros((count, 3)), np.zeros(count), np.zeros(count, bool), np.zeros(count)
+    for row in range(count):
+        middle = ends[0] + row * _STEP
+        some = slice(*np.searchsorted(at, (middle - reach, middle + reach)))
+        if weight[some].sum() < _FEWEST:
+            continue
+        colour[row], spread, wide[row] = _most(look[some], weight[some])
+        tolerance[row] = np.clip(_TOLERANCE[1] * spread, _TOLERANCE[0], _TOLERANCE[2])
+        known[row] = True
+        if not np.isfinite(reach):
+            colour[:], tolerance[:], known[:] = colour[row], tolerance[row], True
+            break
+    if not known.any():
+        return None
+    rows = np.arange(count)
+    colour = np.stack([np.interp(rows, rows[known], colour[known, k]) for k in range(3)], axis=1)
+    tolerance = np.interp(rows, rows[known], tolerance[known])
+    # a pattern is in most rows of a garment, a sign in a few
+    pattern = median_filter(np.interp(rows, rows[known], wide[known]), 2 * _GARMENT + 1, mode="nearest")
+    tolerance = np.where(pattern > _PATTERN, np.maximum(tolerance, pattern), tolerance)
+    return _Rows(axis, ends[0], colour, tolerance, colour, np.full(count, np.inf))
+
+
+def _most(look: F64, weight: F64) -> tuple[F64, float, float]:
+    """[3] the colour that most of the samples have, and how far half of them, and four fifths, lie from it."""
+    mode = np.median(look[weight >= np.median(weight)], axis=0)
+    for _ in range(_SHIFTS):
+        near = weight * np.exp(-0.5 * ((look - mode) ** 2).sum(axis=1) / _KERNEL**2)
+        mode = (near[:, None] * look).sum(axis=0) / max(float(near.sum()), 1e-12)
+    away = np.linalg.norm(look - mode, axis=1)
+    order = np.argsort(away, kind="stable")
+    total = np.cumsum(weight[order])
+    half, most = (float(away[order[np.searchsorted(total, share * total[-1])]]) for share in (0.5, _MOST_OF_IT))
+    return mode, half, most
+
+
+def _steady(rows: _Rows) -> _Rows:
+    """Without rows of several colours between two that agree, such as where a hem hangs aslant."""
+    count, colour = len(rows.colour), rows.colour.copy()
+    number = np.arange(count)
+    before, after = rows.colour[(number - _APART).clip(0)], rows.colour[(number + _APART).clip(None, count - 1)]
+    odd = (rows.tolerance > _MOTLEY) & (np.linalg.norm(before - after, axis=1) < _ALIKE)
+    odd &= np.linalg.norm(rows.colour - before, axis=1) > _ALIKE
+    colour[odd] = (before[odd] + after[odd]) / 2
+    return replace(rows, colour=colour, outer=colour)
+
+
+def _shaved(rows: _Rows, skin: F64) -> _Rows:
+    """A neck's, whose skin goes on up to the hair behind where a beard or the chin's shadow is before."""
+    colour, tolerance = rows.colour.copy(), rows.tolerance.copy()
+    first = int(np.linalg.norm(colour - skin, axis=1).argmin())
+    colour[first:], tolerance[first:] = colour[first], tolerance[first]
+    return replace(rows, colour=colour, outer=colour, tolerance=tolerance)
+
+
+def _bright(look: F64) -> F64:
+    """[3] of a face's samples [K, 3] the colour of its brighter half, which is neither beard nor shade nor glint."""
+    light = look.sum(axis=1)
+    low, high = np.quantile(light, _LIGHT)
+    return np.asarray(np.median(look[(light >= low) & (light <= high)], axis=0))
+
+
+def _covered(rows: _Rows, where: F64, look: F64, trust: F64, skin: F64, armpit: float) -> _Rows:
+    """With cloth between straps: a back is covered as far up and aside as the straps of the front go."""
+    middle = rows.first + np.arange(len(rows.colour)) * _STEP
+    below = (middle > armpit - _BELOW) & (middle < armpit)
+    if not below.any():
+        return rows
+    upper = np.median(rows.colour[below], axis=0)
+    if np.linalg.norm(upper - skin) < _ALIKE:
+        return rows
+    away = np.linalg.norm(look - upper, axis=1)
+    from_skin = np.linalg.norm(look - skin, axis=1)
+    cloth, naked = away < np.minimum(from_skin / 2, 2 * _ALIKE), from_skin < np.minimum(away, 2 * _ALIKE)
+    colour, outer, edge = rows.colour.copy(), rows.colour.copy(), np.full(len(middle), np.nan)
+    tolerance = rows.tolerance.copy()
+    for row in np.flatnonzero(middle >= armpit):
+        mine = np.abs(where[:, 1] - middle[row]) < _REACH
+        strap = mine & cloth
+        if trust[strap].sum() < max(_COVERED * trust[mine].sum(), _FEWEST / 3):
+            continue
+        colour[row], spread, _ = _most(look[strap], trust[strap])
+        tolerance[row] = np.clip(_TOLERANCE[1] * spread, _TOLERANCE[0], _TOLERANCE[2])
+        edge[row] = np.quantile(np.abs(where[strap, 0]), 0.95)
+        bare = mine & naked & (np.abs(where[:, 0]) > edge[row])
+        if trust[bare].sum() > _FEWEST / 3:
+            outer[row] = _most(look[bare], trust[bare])[0]
+        elif np.isfinite(edge[:row]).any():
+            outer[row] = outer[row - 1]
+        else:
+            edge[row] = np.inf
+    known = np.flatnonzero(np.isfinite(edge))
+    if not len(known):
+        return replace(rows, edge=np.where(np.isnan(edge), np.inf, edge))
+    between = np.isnan(edge) & (middle >= armpit) & (np.arange(len(middle)) < known[-1])
+    edge[between] = np.interp(np.flatnonzero(between), known, edge[known])
+    for k in range(3):
+        colour[between, k] = np.interp(np.flatnonzero(between), known, colour[known, k])
+    return replace(rows, colour=colour, outer=outer, tolerance=tolerance, edge=np.where(np.isnan(edge), np.inf, edge))

@@ -1,0 +1,101 @@
+"""Cloth goes on where nobody looks: without prints, without the room, and as far up as straps go."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from glsplat.authoring.paint.paint import Painter, painter_of
+from glsplat.authoring.paint.scatter import even_points
+from glsplat.authoring.paint.shot import FittedPicture, SurfacePoints
+from glsplat.meshes import vertex_normals
+from glsplat.pictures import to_linear
+from tests.authoring.paint import scene as made_up
+from tests.authoring.paint.scene import Scene, albedo, photographed
+
+SHIRT, SKIN = np.array([0.5, 0.1, 0.08]), np.array([0.45, 0.3, 0.22])
+
+
+def places(scene: Scene) -> tuple[SurfacePoints, np.ndarray, np.ndarray]:
+    """Points, where they are in the zero pose in heights of the person, and how far they turn to the front."""
+    points = even_points(scene.mesh, 30_000)
+    height = scene.mesh.vertices[:, 1].max()
+    facing = points.directions(vertex_normals(scene.mesh.vertices, scene.mesh.faces))[:, 2]
+    return points, points.at(scene.mesh.vertices) / height, facing
+
+
+def unlit(painter: Painter, points: SurfacePoints) -> np.ndarray:
+    """[M, 3] linear colours without the light."""
+    return (
+        to_linear(painter.colours(points)) / painter.light.shade(points.directions(painter.shots[0].normals))[:, None]
+    )
+
+
+def of(points: SurfacePoints, some: np.ndarray) -> SurfacePoints:
+    return SurfacePoints(points.corners[some], points.weights[some])
+
+
+def hue(colours: np.ndarray) -> np.ndarray:
+    """[M, 3] without brightness."""
+    return colours / colours.sum(axis=1, keepdims=True)
+
+
+def with_picture(scene: Scene, rgb: np.ndarray) -> FittedPicture:
+    return replace(scene.shots[0], rgb=np.ascontiguousarray(rgb))
+
+
+def test_a_shirts_sign_is_not_on_its_back() -> None:
+    scene = photographed("front")
+    points, where, facing = places(scene)
+    chest = (np.abs(where[:, 0]) < 0.05) & (where[:, 1] > 0.66) & (where[:, 1] < 0.76)
+    pixels = scene.shots[0].project(points.at(scene.shots[0].view.vertices))[chest & (facing > 0.5)]
+    (x, y), (right, low) = pixels.min(axis=0).astype(int), pixels.max(axis=0).astype(int)
+    rgb = scene.shots[0].rgb.copy()
+    for left in range(x, right, 16):
+        rgb[y:low, left : left + 8] = 250  # white bars, as letters are
+    painter = painter_of(scene.body, [with_picture(scene, rgb)], points)
+    front = unlit(painter, of(points, chest & (facing > 0.8)))
+    assert (np.abs(hue(front) - 1 / 3).max(axis=1) < 0.05).mean() > 0.2  # it is where it was
+    back = unlit(painter, of(points, chest & (facing < -0.5)))
+    assert len(back) > 50 and np.abs(hue(back) - hue(SHIRT[None])).max() < 0.12
+
+
+def test_the_rooms_colour_at_an_outline_is_not_cloth() -> None:
+    scene = photographed("front")
+    points, where, facing = places(scene)
+    shot = scene.shots[0]
+    rim = shot.mask & (cv2.erode(shot.mask.astype(np.uint8), np.ones((13, 13), np.uint8)) == 0)
+    rim[: shot.mask.shape[0] // 2] = False
+    rgb = np.where(rim[..., None], np.uint8(shot.rgb[0, 0]), shot.rgb)
+    painter = painter_of(scene.body, [with_picture(scene, rgb)], points)
+    leg = (where[:, 1] > 0.2) & (where[:, 1] < 0.42) & (np.abs(where[:, 0]) < 0.2)
+    flank = unlit(painter, of(points, leg & (np.abs(facing) < 0.5)))
+    trousers = hue(np.array([[0.05, 0.08, 0.25]]))
+    assert len(flank) > 200
+    assert (np.abs(hue(flank) - trousers).max(axis=1) < 0.1).mean() > 0.9
+
+
+@pytest.mark.parametrize("wide", [0.05, 0.065])
+def test_a_back_is_covered_between_straps(monkeypatch: pytest.MonkeyPatch, wide: float) -> None:
+    """``wide``: from the middle to the straps' outer edges, in heights of the person."""
+
+    def vest(mesh: object) -> np.ndarray:
+        colours = albedo(mesh)
+        where = mesh.vertices / mesh.vertices[:, 1].max()
+        bare = (where[:, 1] > 0.79) & (np.abs(where[:, 0]) > wide)
+        neckline = (where[:, 1] > 0.80) & (np.abs(where[:, 0]) < 0.03) & (where[:, 2] > 0)
+        colours[bare | neckline | (where[:, 1] > 0.84) | (np.abs(where[:, 0]) > 0.1)] = SKIN
+        return colours
+
+    monkeypatch.setattr(made_up, "albedo", vest)
+    scene = photographed.__wrapped__("front")
+    points, where, facing = places(scene)
+    painter = painter_of(scene.body, scene.shots, points)
+    back = (facing < -0.5) & (where[:, 1] > 0.80) & (where[:, 1] < 0.82)
+    middle = unlit(painter, of(points, back & (np.abs(where[:, 0]) < 0.03)))
+    assert len(middle) > 5 and np.abs(hue(middle) - hue(SHIRT[None])).max() < 0.15
+    beside = unlit(painter, of(points, back & (np.abs(where[:, 0]) > wide + 0.02) & (np.abs(where[:, 0]) < 0.14)))
+    assert len(beside) > 5 and np.abs(np.median(hue(beside), axis=0) - hue(SKIN[None])[0]).max() < 0.08
