@@ -23,8 +23,6 @@ if TYPE_CHECKING:
     from glsplat.errors import GlsplatError
     from glsplat.formats.registry import save
     from glsplat.gl.context import create_context
-    from glsplat.light.light import Light
-    from glsplat.light.surface import Surface
     from glsplat.meshes import RiggedMesh
     from glsplat.pictures import straight
     from glsplat.renderer import Renderer
@@ -43,7 +41,6 @@ __all__ = [
     "Camera",
     "GlsplatError",
     "Item",
-    "Light",
     "Pose",
     "RenderConfig",
     "Renderer",
@@ -53,7 +50,6 @@ __all__ = [
     "Skeleton",
     "Skin",
     "Splats",
-    "Surface",
     "create_context",
     "default_avatar",
     "load",
@@ -70,7 +66,6 @@ _HOME = {
     "Camera": "camera",
     "GlsplatError": "errors",
     "Item": "scene",
-    "Light": "light.light",
     "Pose": "skinning.pose",
     "RenderConfig": "config",
     "Renderer": "renderer",
@@ -80,7 +75,6 @@ _HOME = {
     "Skeleton": "skinning.skeleton",
     "Skin": "skinning.skin",
     "Splats": "splats",
-    "Surface": "light.surface",
     "create_context": "gl.context",
     "default_avatar": "data",
     "load": "scenes.loading",

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from types import NoneType
-from typing import TypeGuard
+from typing import TYPE_CHECKING, TypeGuard
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -12,12 +11,14 @@ from numpy.typing import ArrayLike, NDArray
 from glsplat.arrays import bits, flag, instance, listed, number, plain
 from glsplat.avatar import Avatar
 from glsplat.errors import GlsplatError, PoseError
-from glsplat.light.light import Light
 from glsplat.meshes import RiggedMesh
 from glsplat.rotations import quaternion_matrices
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.splats import Splats
+
+if TYPE_CHECKING:
+    from glsplat.light.light import Light
 
 __all__ = ["Content", "Item", "Rigged", "Scene", "SceneLike", "is_rigged", "similarity", "skeleton_of"]
 
@@ -188,7 +189,11 @@ class Scene:
 
     @light.setter
     def light(self, light: Light | None) -> None:
-        self._light: Light | None = instance(light, (Light, NoneType), "a scene's light", GlsplatError)
+        if light is not None:
+            from glsplat.light.light import Light  # here: clients and most scenes have none
+
+            instance(light, Light, "a scene's light", GlsplatError)
+        self._light: Light | None = light
 
     @property
     def items(self) -> tuple[Item, ...]:

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, fields
-from typing import Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from glsplat.arrays import flag, frozen, instance, listed, number, own, own_whole, plain, restored, rows, shares
 from glsplat.errors import FormatError
-from glsplat.light.surface import Surface
+
+if TYPE_CHECKING:
+    from glsplat.light.surface import Surface
 
 __all__ = ["SH_C0", "Level", "Levels", "Splats", "checked_levels"]
 
@@ -137,8 +139,11 @@ class Splats:
         held = None if cones is None else own_whole(cones, np.int8, "cones")
         if held is not None and held.shape != (n, 4):
             raise FormatError(f"cones needs int8 of shape ({n}, 4), not {held.shape}")
-        if surface is not None and len(instance(surface, Surface, "surface")) != n:
-            raise FormatError(f"a surface needs one row a splat, not {len(surface)} for {n}")
+        if surface is not None:
+            from glsplat.light.surface import Surface  # here: few splats know of one
+
+            if len(instance(surface, Surface, "surface")) != n:
+                raise FormatError(f"a surface needs one row a splat, not {len(surface)} for {n}")
         others = {"antialias": flag(antialias, "antialias"), "cones": held, "surface": surface}
         for name, array in {**own_ones, **others}.items():
             object.__setattr__(self, name, array)

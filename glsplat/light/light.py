@@ -31,9 +31,10 @@ class Light:
     shines from ``sun_direction`` (from the scene to the light, unit) with irradiance ``sun_colour`` on what faces it;
     pi lights as much as radiance 1 from everywhere. Raises FormatError for what is none.
 
-    >>> glsplat.Light.preset("left")
+    >>> from glsplat.light import Light
+    >>> Light.preset("left")
     Light(mean radiance (0.30, 0.30, 0.32), sun from (-0.79, 0.43, 0.43))
-    >>> glsplat.Light.uniform(1.0).irradiance([[0, 1, 0]]).round(6).tolist()  # over pi
+    >>> Light.uniform(1.0).irradiance([[0, 1, 0]]).round(6).tolist()  # over pi
     [[1.0, 1.0, 1.0]]
     """
 

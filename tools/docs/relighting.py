@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from apps.output import save_png
-from glsplat import Camera, Item, Light, Pose, Renderer, Scene
+from glsplat import Camera, Item, Pose, Renderer, Scene
 from glsplat.authoring.photo.photo_file import read_photo
 from glsplat.authoring.reconstruct.builtin import PHONE
 from glsplat.authoring.reconstruct.photos import check_photos, reconstruct
@@ -29,6 +29,7 @@ from glsplat.evaluate.comparison.participant import Participant, participants_in
 from glsplat.evaluate.light import CaptureLight, shade_of
 from glsplat.evaluate.metrics.lpips import Lpips
 from glsplat.evaluate.turntable import turntable
+from glsplat.light import Light
 from glsplat.mesh.renderer import MeshConfig, MeshRenderer
 
 F64 = NDArray[np.float64]
