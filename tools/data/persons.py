@@ -108,7 +108,7 @@ def small(avatar: Avatar, density: float | None = None) -> Avatar:
     """The avatar in numbers that a file holds in few bits: weights in 255ths.
 
     Of shapes goes what moves a splat by less than six tenths of its size, or one millimetre, whichever is less, and of
-    levels what moves less than half a pixel where they begin, at ``density`` pixels a metre.
+    levels what moves less than seven tenths of a pixel where they begin, at ``density`` pixels a metre.
     """
     skin, splats = avatar.skin, avatar.splats
     parts = skin.weights.astype(np.float64) / skin.weights.sum(axis=1, keepdims=True, dtype=np.float64) * 255
@@ -119,7 +119,7 @@ def small(avatar: Avatar, density: float | None = None) -> Avatar:
     shapes = avatar.shapes
     if shapes is not None:
         size = np.sort(splats.scales, axis=1)[:, 1:].mean(axis=1)[shapes.rows]
-        least = 0.5 / density if density else np.clip(0.6 * size, 0.0002, 0.001)
+        least = 0.7 / density if density else np.clip(0.6 * size, 0.0002, 0.001)
         bends = np.where((np.abs(shapes.bends).max(axis=(1, 2)) * BEND > _BENT)[:, None, None], shapes.bends, 0)
         kept = np.linalg.norm(shapes.metres, axis=1) > least
         rows, targets = shapes.rows[kept], shapes.targets[kept].astype(np.int64)
@@ -147,7 +147,7 @@ def main() -> None:
     parser.add_argument("-o", "--out", type=Path, required=True)
     parser.add_argument("--splats", type=int, default=40_000)
     parser.add_argument("--steps", type=int, default=600)
-    parser.add_argument("--levels", type=int, nargs="*", default=[14_000, 8_000, 4_500])
+    parser.add_argument("--levels", type=int, nargs="*", default=[14_000, 4_500])
     parser.add_argument("--level-steps", type=int, default=250)
     options = parser.parse_args()
     recipe = PEOPLE[options.name]

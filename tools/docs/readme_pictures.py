@@ -21,7 +21,7 @@ import numpy as np
 from PIL import Image
 
 import glsplat
-from glsplat.data import participants_folder
+from glsplat.data import participants_folder, person
 from glsplat.io.files import replace_file
 from glsplat.net.backends.server import make_server
 from glsplat.net.server import ServerConfig
@@ -52,7 +52,7 @@ def clip() -> None:
     """readme-clip.webp: forth and back, so that its end meets its beginning."""
     samples = embedded_recording()[:: round(72 / RATE)][: round(RATE * SECONDS / 2)]
     frames = []
-    with Served(make=lambda config: make_server(glsplat.default_avatar(), config)) as served, chromium() as browser:
+    with Served(make=lambda config: make_server(person("ben"), config)) as served, chromium() as browser:
         with page_of(browser, served.page, settings(view="mirror", size=SIDE, quality=92, driver="rest")) as page:
             for i, sample in enumerate(samples):
                 place = {name: [float(v) for v in getattr(sample, name)] for name in ("head", "left", "right")}
