@@ -2,8 +2,7 @@
 
     python -m tools.docs.readme_pictures [clip] [photo] [room]        # into docs/images
 
-The clip is what both eyes of a headset see before the mirror while the embedded recording moves head and hands (the
-fake headset, a Quest 3's frusta). The photograph is of a participant that comes with glsplat. Look at every picture.
+The photograph is of a participant that comes with glsplat. Look at every picture.
 """
 
 from __future__ import annotations
@@ -12,9 +11,9 @@ import io
 import subprocess
 import sys
 import tempfile
+from dataclasses import replace
 from itertools import count
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
@@ -23,24 +22,20 @@ from PIL import Image
 import glsplat
 from glsplat.data import participants_folder, person
 from glsplat.io.files import replace_file
+from glsplat.motion.motion import load_motion
 from glsplat.net.backends.server import make_server
 from glsplat.net.server import ServerConfig
-from glsplat.tracking.recording import embedded_recording
+from glsplat.rotations import FLIP_YZ
 from tests.browser.served import Served
-from tests.browser.vr import enter, fresh, hands, see, settings, steer
+from tests.browser.vr import settings
 from tools.docs.chromium import chromium, page_of
 
 IMAGES = Path(__file__).resolve().parents[2] / "docs" / "images"
 SIDE, ACROSS = 768, 800  # pixels an eye as drawn; of the clip, both eyes
 RATE, SECONDS = 12, 6.0  # of the clip
 LIMIT = 2_000_000  # bytes of the clip
+WALL = (0.82, 0.84, 0.87)
 WHO = "p05"  # of the participants
-
-
-def both_eyes(page: Any) -> np.ndarray:
-    """What the headset shows, left beside right, [H, 2 W, 3]."""
-    seen = see(page)
-    return np.hstack([seen["left"], seen["right"]])[..., :3]
 
 
 def smaller(image: np.ndarray, across: int) -> np.ndarray:
@@ -49,25 +44,23 @@ def smaller(image: np.ndarray, across: int) -> np.ndarray:
 
 
 def clip() -> None:
-    """readme-clip.webp: forth and back, so that its end meets its beginning."""
-    samples = embedded_recording()[:: round(72 / RATE)][: round(RATE * SECONDS / 2)]
+    """readme-clip.webp: both eyes of somebody who stands before ben, forth and back: its end meets its beginning."""
+    avatar = person("ben")
+    motion = load_motion("wave-and-turn", avatar.skeleton)
+    head = np.linalg.inv(FLIP_YZ @ glsplat.look_at((0.15, 1.5, 2.3), (0.0, 1.02, 0.0)))
+    eyes = glsplat.stereo_cameras(head, ipd=0.063, fov=50, size=(SIDE, SIDE), background=WALL)
     frames = []
-    with Served(make=lambda config: make_server(person("ben"), config)) as served, chromium() as browser:
-        with page_of(browser, served.page, settings(view="mirror", size=SIDE, quality=92, driver="rest")) as page:
-            for i, sample in enumerate(samples):
-                place = {name: [float(v) for v in getattr(sample, name)] for name in ("head", "left", "right")}
-                steer(page, head=place["head"], input="hands", hands=hands(place["left"], place["right"]))
-                if not i:
-                    enter(page, run=False)
-                fresh(page, 60)
-                frames.append(Image.fromarray(smaller(both_eyes(page), ACROSS)))
-                print(f"\r{i + 1} of {len(samples)}", end="", flush=True, file=sys.stderr)
+    with glsplat.Renderer(avatar, size=(SIDE, SIDE), views=2) as renderer:
+        for i in range(round(RATE * SECONDS / 2)):
+            smile = {name: 0.6 * np.sin(np.pi * i / 36) for name in ("mouthSmileLeft", "mouthSmileRight")}
+            blink = {name: float(i % 24 in (11, 12)) for name in ("eyeBlinkLeft", "eyeBlinkRight")}
+            pair = renderer.render(eyes, replace(motion.at(i / RATE), expression=smile | blink))
+            frames.append(Image.fromarray(smaller(np.hstack([pair[0], pair[1]])[..., :3], ACROSS)))
     frames += frames[-2:0:-1]
     for quality in range(80, 20, -10):
         out = io.BytesIO()
-        frames[0].save(
-            out, "WEBP", save_all=True, append_images=frames[1:], duration=1000 // RATE, loop=0, quality=quality
-        )
+        pace = {"duration": 1000 // RATE, "loop": 0}
+        frames[0].save(out, "WEBP", save_all=True, append_images=frames[1:], quality=quality, **pace)
         if out.tell() <= LIMIT:
             break
     write("readme-clip.webp", out.getvalue())
@@ -75,8 +68,8 @@ def clip() -> None:
 
 def photo() -> None:
     """readme-photo.jpg: the photograph, and the avatar from three sides."""
-    with participants_folder() as folder, tempfile.TemporaryDirectory() as made:
-        picture, avatar = folder / "capture" / f"{WHO}.jpg", Path(made) / "me.glb"
+    with tempfile.TemporaryDirectory() as made:
+        picture, avatar = participants_folder() / "capture" / f"{WHO}.jpg", Path(made) / "me.glb"
         run("avatar", "photo", str(picture), "-o", str(avatar))
         row = [cv2.imread(str(picture))]
         for i, eye in zip(count(), ((0.0, 1.0, 2.9), (2.1, 1.0, 2.1), (-2.4, 1.0, -1.7))):
