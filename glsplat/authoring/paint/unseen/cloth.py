@@ -38,7 +38,8 @@ _REGIONS = (  # words of the joints' names; along x or y; the region of the othe
     (("right_ankle", "right_foot"), 1, 8),
 )
 _TRUNK, _NECK, _BODY, _ARMS, _HANDS, _FEET = 0, 5, (0, 1, 2), (3, 4, 6, 7), (6, 7), (8, 9)
-_CLOTHED, _PAIRS = (0, 1, 2, 3, 4), ((1, 2), (3, 4))  # regions that patterns are looked for in
+_SLEEVES = 3, 4
+_CLOTHED, _PAIRS = (0, 1, 2, 3, 4), ((1, 2), _SLEEVES)  # regions that patterns are looked for in
 _STEP = 0.01  # metres of a row
 _REACH = 0.0125  # metres to both sides whose samples a row has
 _MOST = 60_000  # samples that are looked at
@@ -212,20 +213,26 @@ def cloth_of(body: Body, shot: FittedPicture, points: SurfacePoints, sight: Sigh
                 where[taken, 1] if axis == 0 else where[taken, 0] * (1 if other is None else np.sign(where[taken, 0]))
             )
             pattern = goes_around(these.colour, row, across[below], look[taken][below], weight[taken][below])
+            if number != _TRUNK and skin is not None:  # knees are no pattern
+                pattern &= np.linalg.norm(these.colour - skin, axis=1) > _LIKE_SKIN
             these = replace(these, pattern=pattern)
         rows.append(these)
     for left, right in _PAIRS:  # both sleeves, or both legs of trousers, are of the same cloth
-        pair = rows[left], rows[right]
-        if pair[0] is not None and pair[1] is not None:
-            count = min(len(pair[0].pattern), len(pair[1].pattern))
-            both = pair[0].pattern[:count] & pair[1].pattern[:count]
-            for index, these in zip((left, right), pair, strict=True):
-                rows[index] = replace(these, pattern=np.pad(both, (0, len(these.pattern) - count)))
+        one, other_one = rows[left], rows[right]
+        if one is not None and other_one is not None:
+            count = min(len(one.pattern), len(other_one.pattern))
+            both = one.pattern[:count] & other_one.pattern[:count]
+            rows[left] = replace(one, pattern=np.pad(both, (0, len(one.pattern) - count)))
+            rows[right] = replace(other_one, pattern=np.pad(both, (0, len(other_one.pattern) - count)))
     trunk, neck, here = rows[_TRUNK], rows[_NECK], np.flatnonzero(mine == _TRUNK)
     if neck is not None and skin is not None:
         rows[_NECK] = _shaved(neck, skin)
     if trunk is not None and skin is not None:
         rows[_TRUNK] = _covered(trunk, where[here], look[here], trust[here], skin, armpit)
+    for number in _SLEEVES:
+        sleeve, trunk = rows[number], rows[_TRUNK]
+        if sleeve is not None and trunk is not None and skin is not None:
+            rows[number] = _sleeved(sleeve, trunk, skin, armpit)
     return Cloth(rest, region, tuple(rows), skin, armpit)
 
 
@@ -285,6 +292,16 @@ def _steady(rows: _Rows) -> _Rows:
     return replace(rows, colour=colour, outer=colour)
 
 
+def _sleeved(rows: _Rows, trunk: _Rows, skin: F64, armpit: float) -> _Rows:
+    """An arm's, with the pattern of the shirt as far down as it is not bare."""
+    middle = trunk.first + np.arange(len(trunk.colour)) * _STEP
+    chest = trunk.pattern[(middle > armpit - _BELOW) & (middle < armpit)]
+    if not len(chest) or chest.mean() < 0.5:
+        return rows
+    bare = np.linalg.norm(rows.colour - skin, axis=1) < _ALIKE
+    return replace(rows, pattern=rows.pattern | ~np.logical_or.accumulate(bare))
+
+
 def _shaved(rows: _Rows, skin: F64) -> _Rows:
     """A neck's, whose skin goes on up to the hair behind where a beard or the chin's shadow is before."""
     colour, tolerance = rows.colour.copy(), rows.tolerance.copy()
@@ -323,7 +340,9 @@ def _covered(rows: _Rows, where: F64, look: F64, trust: F64, skin: F64, armpit: 
         tolerance[row] = np.clip(_TOLERANCE[1] * spread, _TOLERANCE[0], _TOLERANCE[2])
         edge[row] = np.quantile(np.abs(where[strap, 0]), 0.95)
         beyond = mine & (np.abs(where[:, 0]) > edge[row])
-        bare = beyond & naked  # most of what is there, which a pattern as dark as skin is not
+        bare = beyond & naked
+        if rows.pattern[row]:
+            bare &= from_skin < _BARE  # a pattern may be nearly as dark as skin
         if trust[bare].sum() > max(_FEWEST / 3, trust[beyond].sum() / 2):
             outer[row] = _most(look[bare], trust[bare])[0]
         elif np.isfinite(edge[:row]).any():
