@@ -32,8 +32,6 @@ _DIGITS = 6  # of a colour; see sharpen.py
 _LENT = 0.003  # what one half of the body says of the other, where nobody looks
 _FORGETS = 3e-4  # how soon cloth that nobody looks at is as it is elsewhere at that height
 _ASIDE = 0.35, 0.6  # of the trunk's half width: nearer to its middle than that nothing is mirrored, for signs are there
-_SAME = 1.0, 1.5  # tolerances of the cloth's own colour within which it is the same cloth, and beyond which it is not
-_PATTERNED = 0.12  # tolerance of cloth that has a pattern
 _SHADE = 0.3, 1.4  # brightness of an unseen point against the seen one its colour comes from
 
 
@@ -77,8 +75,8 @@ class Painter:
         sights, ground, shade = self._looked(points)
         seen, colour = _mixed(sights)
         doubt = np.flatnonzero(seen < 1)
-        some = Ground(ground.colour[doubt], ground.tolerance[doubt], ground.there[doubt])
-        guess, _ = self._guess(SurfacePoints(points.corners[doubt], points.weights[doubt]), some, shade[doubt])
+        part = SurfacePoints(points.corners[doubt], points.weights[doubt])
+        guess, _ = self._guess(part, ground.at(doubt), shade[doubt])
         colour[doubt] = guess + seen[doubt, None] * (colour[doubt] - guess)
         return np.round(with_inside(self.body, self.shots[0], self.looks, points, to_srgb(colour)), _DIGITS)
 
@@ -95,14 +93,14 @@ class Painter:
         """[M, 3] linear colours where nobody looks, and [M] how much detail they have."""
         body, front = self.body, self.shots[0]
         # the front at the same place, for all but the head, where it is the same cloth
-        behind = self.twins.colours(front, points)
+        behind = self.twins.colours(front, points, ground.pattern)
         lit = self.light.shade(behind.normals)
         ratio = (shade / lit).clip(*_SHADE)
         round_parts = np.isin(body.part, [JOINT_NAMES.index(name) for name in _NO_TWINS])
         trust = behind.trust * (1 - points.at(round_parts.astype(float)[:, None])[:, 0])
-        trust = trust * _alike(behind.linear / lit[:, None], ground)
+        trust = trust * ground.alike(behind.linear / lit[:, None])
         # what was continued into a hole is worth less than the cloth, unless that has a pattern
-        trust = np.where((ground.there > 0) & (ground.tolerance < _PATTERNED), trust * behind.known, trust)
+        trust = np.where((ground.there > 0) & ~ground.pattern, trust * behind.known, trust)
         covered, colour = self.head.at(points)
         # side by side, not one over the other: where neck and back meet, no third colour shows between them
         rest = 1 - trust - covered
@@ -113,15 +111,9 @@ class Painter:
         across = SurfacePoints(twins_across()[points.corners], points.weights)
         other = front.look(across)
         lit = self.light.shade(across.directions(front.normals))
-        lent = other.trust * points.at(self.aside[:, None])[:, 0] * _alike(other.linear / lit[:, None], ground)
+        lent = other.trust * points.at(self.aside[:, None])[:, 0] * ground.alike(other.linear / lit[:, None])
         guess += lent[:, None] * ((shade / lit).clip(*_SHADE)[:, None] * other.linear - guess)
         return guess, np.maximum.reduce([behind.busy * trust, other.busy * lent, covered * self.head.lively])
-
-
-def _alike(plain: F64, ground: Ground) -> F64:
-    """[M] from 0 to 1: how surely colours [M, 3] without light are the cloth that is there."""
-    away = np.linalg.norm(np.sqrt(np.maximum(plain, 0)) - np.sqrt(ground.colour), axis=1) / ground.tolerance
-    return np.where(ground.there > 0, (_SAME[1] - away).clip(0, _SAME[1] - _SAME[0]) / (_SAME[1] - _SAME[0]), 1.0)
 
 
 def painter_of(
@@ -179,7 +171,7 @@ def _smooth_colours(body: Body, shots: Sequence[FittedPicture], light: Light, cl
         # every picture is of the same room: normals are turned back into the first camera's axes
         shade = light.shade(shot.normals @ (shot.view.root @ first.view.root.T))
         plain = shot.sample(shot.view.pixels, shot.layer) / shade[:, None]
-        trust = trust * _alike(plain, ground)  # a print does not flow into the cloth beside it
+        trust = trust * ground.alike(plain, patterned=False)  # a print does not flow into the cloth beside it
         known += trust
         target += trust[:, None] * plain
     twin = twins_across()

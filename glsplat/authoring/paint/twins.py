@@ -34,11 +34,11 @@ class Twins:
     points: tuple[SurfacePoints, SurfacePoints]  # [V] each: as seen from the person's left half and the right one
     across: F64  # [V] metres to the person's left in the zero pose
 
-    def colours(self, shot: FittedPicture, points: SurfacePoints) -> Sighted:
-        """What the twins of the points show."""
+    def colours(self, shot: FittedPicture, points: SurfacePoints, pattern: NDArray[np.bool_] | None = None) -> Sighted:
+        """What the twins of the points show; a ``pattern`` [M] is on a back, too, which signs and ties are not."""
         side = points.at(self.across[:, None])[:, 0]
         share = (0.5 + side / (2 * _SEAM)).clip(0, 1)[:, None]
-        left, right = (_half(shot, points, twin) for twin in self.points)
+        left, right = (_half(shot, points, twin, pattern) for twin in self.points)
         mixed = share * left + (1 - share) * right
         length = np.maximum(np.linalg.norm(mixed[:, 3:6], axis=1, keepdims=True), 1e-9)
         return Sighted(mixed[:, :3], mixed[:, 3:6] / length, mixed[:, 6], mixed[:, 7], mixed[:, 8])
@@ -55,7 +55,7 @@ class Sighted:
     known: F64  # [M] 1 where that picture shows them, 0 where it was continued
 
 
-def _half(shot: FittedPicture, points: SurfacePoints, twin: SurfacePoints) -> F64:
+def _half(shot: FittedPicture, points: SurfacePoints, twin: SurfacePoints, pattern: NDArray[np.bool_] | None) -> F64:
     """[M, 9] colours, normals, trust, detail, and whether they are known."""
     layer = shot.layers_at(points)
     own = (shot.layer[twin.corners[:, 0]] == shot.layer)[:, None]  # no back has its colours from an arm before it
@@ -64,6 +64,8 @@ def _half(shot: FittedPicture, points: SurfacePoints, twin: SurfacePoints) -> F6
     pixels = there[:, :2]
     colours = shot.sample(pixels, layer)
     away = points.directions(shot.normals)[:, 2] > 0
+    if pattern is not None:
+        away &= ~pattern
     colours[away] = shot.sample(pixels[away], layer[away], behind=True)
     return np.column_stack([colours, there[:, 2:], shot.detail(pixels, layer), shot.known(pixels, layer)])
 

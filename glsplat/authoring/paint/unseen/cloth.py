@@ -11,13 +11,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import median_filter
 from scipy.spatial import cKDTree
 
 from glsplat.authoring.fit.body import Body
 from glsplat.authoring.fit.offsets import face_of
 from glsplat.authoring.paint.layers.segments import HANDS, half_width, trunk_of
 from glsplat.authoring.paint.shot import FittedPicture, Sight, SurfacePoints
+from glsplat.authoring.paint.unseen.pattern import goes_around
 from glsplat.skinning.smplx import JOINT_NAMES
 
 __all__ = ["Cloth", "Ground", "cloth_of"]
@@ -38,6 +38,8 @@ _REGIONS = (  # words of the joints' names; along x or y; the region of the othe
     (("right_ankle", "right_foot"), 1, 8),
 )
 _TRUNK, _NECK, _BODY, _ARMS, _HANDS, _FEET = 0, 5, (0, 1, 2), (3, 4, 6, 7), (6, 7), (8, 9)
+_SLEEVES = 3, 4
+_CLOTHED, _PAIRS = (0, 1, 2, 3, 4), ((1, 2), _SLEEVES)  # regions that patterns are looked for in
 _STEP = 0.01  # metres of a row
 _REACH = 0.0125  # metres to both sides whose samples a row has
 _MOST = 60_000  # samples that are looked at
@@ -47,7 +49,8 @@ _SIDES, _MIDDLE = (0.3, 0.95), 0.25  # halves of a trunk's width where it looks 
 _KERNEL, _SHIFTS = 0.08, 6
 _FEWEST = 6.0  # summed trust of a row that is believed
 _TOLERANCE = 0.06, 2.0, 0.14  # least, in spreads of a row, most: how far a colour may lie from it
-_MOST_OF_IT, _PATTERN, _GARMENT = 0.8, 0.12, 18  # share of a row; how far it spreads in cloth with a pattern; rows
+_SAME = 1.0, 1.5  # tolerances of the cloth's own colour within which it is the same cloth, and beyond which it is not
+_BARE = 0.1  # from the face: so near to it, a pattern above the armpits is a neckline
 _LIKE_SKIN = 0.2  # from the face: a hand is as bare
 _ALIKE = 0.15  # cloth nearer to skin than that is not told from it
 _MOTLEY, _APART = 0.139, 4  # tolerance of a row of several colours; rows to those above and below it
@@ -67,6 +70,24 @@ class Ground:
     colour: F64  # [M, 3] linear, without light
     tolerance: F64  # [M] how far another colour may be away, in square roots, to be the same cloth
     there: F64  # [M] 1 where anything is known, else 0
+    pattern: NDArray[np.bool_]  # [M] whether it has other colours besides, all around
+    skin: F64  # [M, 3] square roots of what is no part of a pattern there; not a number where nothing is
+
+    def at(self, some: Ints) -> Ground:
+        """Of N of the points."""
+        return Ground(*(getattr(self, field)[some] for field in ("colour", "tolerance", "there", "pattern", "skin")))
+
+    def alike(self, plain: F64, patterned: bool = True) -> F64:
+        """[M] from 0 to 1: how surely linear colours [M, 3] without light are the cloth that is there.
+
+        With ``patterned`` those of its pattern are, too.
+        """
+        look = np.sqrt(np.maximum(plain, 0))
+        away = np.linalg.norm(look - np.sqrt(self.colour), axis=1) / self.tolerance
+        sure = (_SAME[1] - away).clip(0, _SAME[1] - _SAME[0]) / (_SAME[1] - _SAME[0])
+        if patterned:
+            sure[self.pattern & ~(np.linalg.norm(look - self.skin, axis=1) < _BARE)] = 1.0
+        return np.where(self.there > 0, sure, 1.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -79,6 +100,7 @@ class _Rows:
     tolerance: F64  # [R]
     outer: F64  # [R, 3] square roots, of what lies farther from the middle than ``edge``
     edge: F64  # [R] metres
+    pattern: NDArray[np.bool_]  # [R]
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,6 +110,8 @@ class Cloth:
     rest: F64  # [V, 3] the dressed surface in the zero pose
     region: Ints  # [V], below zero none
     rows: tuple[_Rows | None, ...]
+    skin: F64 | None  # [3] square roots of the face's colour
+    armpit: float  # metres of height
 
     @property
     def nape(self) -> F64 | None:
@@ -104,7 +128,7 @@ class Cloth:
         look, mine = np.sqrt(np.maximum(linear / shade[:, None], 0)), self.region[points.corners[:, 0]]
         away = np.linalg.norm(look - np.sqrt(ground.colour), axis=1) / ground.tolerance
         pixels = shot.project(points.at(shot.view.vertices))
-        some = np.flatnonzero((ground.there > 0) & (away > _STRANGE[0]) & ~np.isin(mine, _FEET))
+        some = np.flatnonzero((ground.there > 0) & ~ground.pattern & (away > _STRANGE[0]) & ~np.isin(mine, _FEET))
         near = shot.shallow(pixels[some], shot.layers_at(points)[some]) < _SHALLOW
         some = some[near | np.isin(mine[some], _HANDS)]
         if not len(some):
@@ -124,6 +148,9 @@ class Cloth:
         count = len(points.corners)
         where, region = points.at(self.rest), self.region[points.corners[:, 0]]
         colour, tolerance, there = np.zeros((count, 3)), np.full(count, _TOLERANCE[0]), np.zeros(count)
+        pattern, skin = np.zeros(count, bool), np.full((count, 3), np.nan)
+        if self.skin is not None:
+            skin[(region == _TRUNK) & (where[:, 1] > self.armpit)] = self.skin
         for number, rows in enumerate(self.rows):
             mine = np.flatnonzero(region == number)
             if rows is None or not len(mine):
@@ -141,8 +168,9 @@ class Cloth:
             ]
             colour[mine] = np.where(outside[:, None], mixed[1], mixed[0]) ** 2
             tolerance[mine] = rows.tolerance[low]
+            pattern[mine] = rows.pattern[low] & ~outside
             there[mine] = 1
-        return Ground(colour, tolerance, there)
+        return Ground(colour, tolerance, there, pattern, skin)
 
 
 def cloth_of(body: Body, shot: FittedPicture, points: SurfacePoints, sight: Sight, shade: F64) -> Cloth:
@@ -162,6 +190,8 @@ def cloth_of(body: Body, shot: FittedPicture, points: SurfacePoints, sight: Sigh
     trust = trust * np.where(shot.shallow(pixels, shot.layers_at(part)) < _SHALLOW, _MIDDLE, 1.0)
     face = (face_of(body)[part.corners]).all(axis=1) & (sight.trust[some] > 0.7)
     skin = _bright(look[face]) if face.sum() > 2 * _FEWEST else None
+    shoulder = shot.mesh.skeleton.joints[[JOINT_NAMES.index(f"{side}_shoulder") for side in ("left", "right")], 1]
+    armpit = float(shoulder.mean()) - _ARMPIT
     rows: list[_Rows | None] = []
     for number, (_, axis, other) in enumerate(_REGIONS):
         own = region == number
@@ -174,16 +204,36 @@ def cloth_of(body: Body, shot: FittedPicture, points: SurfacePoints, sight: Sigh
             bare = np.linalg.norm(look[taken] - skin, axis=1) < _LIKE_SKIN
             if weight[taken][bare].sum() > max(_COVERED * weight[taken].sum(), _FEWEST):
                 at, taken = at[bare], taken[bare]  # and cuffs are not the hand
-        rows.append(_rows(axis, (float(along.min()), float(along.max())), at, look[taken], weight[taken], reach))
-    rows = [None if these is None else _steady(these) for these in rows]
+        these = _rows(axis, (float(along.min()), float(along.max())), at, look[taken], weight[taken], reach)
+        these = None if these is None else _steady(these)
+        if these is not None and number in _CLOTHED:
+            below = (number != _TRUNK) | (at < armpit)  # what is above is cloth and skin
+            row = ((at - these.first) / _STEP).round().astype(np.intp).clip(0, len(these.colour) - 1)[below]
+            across = (
+                where[taken, 1] if axis == 0 else where[taken, 0] * (1 if other is None else np.sign(where[taken, 0]))
+            )
+            pattern = goes_around(these.colour, row, across[below], look[taken][below], weight[taken][below])
+            if number in _BODY[1:] and skin is not None:  # knees are no pattern
+                pattern &= np.linalg.norm(these.colour - skin, axis=1) > _LIKE_SKIN
+            these = replace(these, pattern=pattern)
+        rows.append(these)
+    for left, right in _PAIRS:  # both sleeves, or both legs of trousers, are of the same cloth
+        one, other_one = rows[left], rows[right]
+        if one is not None and other_one is not None:
+            count = min(len(one.pattern), len(other_one.pattern))
+            both = one.pattern[:count] & other_one.pattern[:count]
+            rows[left] = replace(one, pattern=np.pad(both, (0, len(one.pattern) - count)))
+            rows[right] = replace(other_one, pattern=np.pad(both, (0, len(other_one.pattern) - count)))
     trunk, neck, here = rows[_TRUNK], rows[_NECK], np.flatnonzero(mine == _TRUNK)
     if neck is not None and skin is not None:
         rows[_NECK] = _shaved(neck, skin)
     if trunk is not None and skin is not None:
-        shoulder = shot.mesh.skeleton.joints[[JOINT_NAMES.index(f"{side}_shoulder") for side in ("left", "right")], 1]
-        armpit = float(shoulder.mean()) - _ARMPIT
         rows[_TRUNK] = _covered(trunk, where[here], look[here], trust[here], skin, armpit)
-    return Cloth(rest, region, tuple(rows))
+    for number in _SLEEVES:
+        sleeve, trunk = rows[number], rows[_TRUNK]
+        if sleeve is not None and trunk is not None and skin is not None:
+            rows[number] = _sleeved(sleeve, trunk, skin, armpit)
+    return Cloth(rest, region, tuple(rows), skin, armpit)
 
 
 def _regions(body: Body) -> Ints:
@@ -199,13 +249,13 @@ def _rows(axis: int, ends: tuple[float, float], at: F64, look: F64, weight: F64,
     count = max(2, int(np.ceil((ends[1] - ends[0]) / _STEP)) + 1)
     order = np.argsort(at, kind="stable")
     at, look, weight = at[order], look[order], weight[order]
-    colour, tolerance, known, wide = np.zeros((count, 3)), np.zeros(count), np.zeros(count, bool), np.zeros(count)
+    colour, tolerance, known = np.zeros((count, 3)), np.zeros(count), np.zeros(count, bool)
     for row in range(count):
         middle = ends[0] + row * _STEP
         some = slice(*np.searchsorted(at, (middle - reach, middle + reach)))
         if weight[some].sum() < _FEWEST:
             continue
-        colour[row], spread, wide[row] = _most(look[some], weight[some])
+        colour[row], spread = _most(look[some], weight[some])
         tolerance[row] = np.clip(_TOLERANCE[1] * spread, _TOLERANCE[0], _TOLERANCE[2])
         known[row] = True
         if not np.isfinite(reach):
@@ -216,14 +266,11 @@ def _rows(axis: int, ends: tuple[float, float], at: F64, look: F64, weight: F64,
     rows = np.arange(count)
     colour = np.stack([np.interp(rows, rows[known], colour[known, k]) for k in range(3)], axis=1)
     tolerance = np.interp(rows, rows[known], tolerance[known])
-    # a pattern is in most rows of a garment, a sign in a few
-    pattern = median_filter(np.interp(rows, rows[known], wide[known]), 2 * _GARMENT + 1, mode="nearest")
-    tolerance = np.where(pattern > _PATTERN, np.maximum(tolerance, pattern), tolerance)
-    return _Rows(axis, ends[0], colour, tolerance, colour, np.full(count, np.inf))
+    return _Rows(axis, ends[0], colour, tolerance, colour, np.full(count, np.inf), np.zeros(count, bool))
 
 
-def _most(look: F64, weight: F64) -> tuple[F64, float, float]:
-    """[3] the colour that most of the samples have, and how far half of them, and four fifths, lie from it."""
+def _most(look: F64, weight: F64) -> tuple[F64, float]:
+    """[3] the colour that most of the samples have, and how far half of them lie from it."""
     mode = np.median(look[weight >= np.median(weight)], axis=0)
     for _ in range(_SHIFTS):
         near = weight * np.exp(-0.5 * ((look - mode) ** 2).sum(axis=1) / _KERNEL**2)
@@ -231,8 +278,7 @@ def _most(look: F64, weight: F64) -> tuple[F64, float, float]:
     away = np.linalg.norm(look - mode, axis=1)
     order = np.argsort(away, kind="stable")
     total = np.cumsum(weight[order])
-    half, most = (float(away[order[np.searchsorted(total, share * total[-1])]]) for share in (0.5, _MOST_OF_IT))
-    return mode, half, most
+    return mode, float(away[order[np.searchsorted(total, 0.5 * total[-1])]])
 
 
 def _steady(rows: _Rows) -> _Rows:
@@ -244,6 +290,16 @@ def _steady(rows: _Rows) -> _Rows:
     odd &= np.linalg.norm(rows.colour - before, axis=1) > _ALIKE
     colour[odd] = (before[odd] + after[odd]) / 2
     return replace(rows, colour=colour, outer=colour)
+
+
+def _sleeved(rows: _Rows, trunk: _Rows, skin: F64, armpit: float) -> _Rows:
+    """An arm's, with the pattern of the shirt as far down as it is not bare."""
+    middle = trunk.first + np.arange(len(trunk.colour)) * _STEP
+    chest = trunk.pattern[(middle > armpit - _BELOW) & (middle < armpit)]
+    if not len(chest) or chest.mean() < 0.5:
+        return rows
+    bare = np.linalg.norm(rows.colour - skin, axis=1) < _ALIKE
+    return replace(rows, pattern=rows.pattern | ~np.logical_or.accumulate(bare))
 
 
 def _shaved(rows: _Rows, skin: F64) -> _Rows:
@@ -280,11 +336,14 @@ def _covered(rows: _Rows, where: F64, look: F64, trust: F64, skin: F64, armpit: 
         strap = mine & cloth
         if trust[strap].sum() < max(_COVERED * trust[mine].sum(), _FEWEST / 3):
             continue
-        colour[row], spread, _ = _most(look[strap], trust[strap])
+        colour[row], spread = _most(look[strap], trust[strap])
         tolerance[row] = np.clip(_TOLERANCE[1] * spread, _TOLERANCE[0], _TOLERANCE[2])
         edge[row] = np.quantile(np.abs(where[strap, 0]), 0.95)
-        bare = mine & naked & (np.abs(where[:, 0]) > edge[row])
-        if trust[bare].sum() > _FEWEST / 3:
+        beyond = mine & (np.abs(where[:, 0]) > edge[row])
+        bare = beyond & naked
+        if rows.pattern[row]:
+            bare &= from_skin < _BARE  # a pattern may be nearly as dark as skin
+        if trust[bare].sum() > max(_FEWEST / 3, trust[beyond].sum() / 2):
             outer[row] = _most(look[bare], trust[bare])[0]
         elif np.isfinite(edge[:row]).any():
             outer[row] = outer[row - 1]

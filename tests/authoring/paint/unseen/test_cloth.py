@@ -99,3 +99,26 @@ def test_a_back_is_covered_between_straps(monkeypatch: pytest.MonkeyPatch, wide:
     assert len(middle) > 5 and np.abs(hue(middle) - hue(SHIRT[None])).max() < 0.15
     beside = unlit(painter, of(points, back & (np.abs(where[:, 0]) > wide + 0.02) & (np.abs(where[:, 0]) < 0.14)))
     assert len(beside) > 5 and np.abs(np.median(hue(beside), axis=0) - hue(SKIN[None])[0]).max() < 0.08
+
+
+def stripes(mesh: object) -> np.ndarray:
+    """Bands across chest and belly, three centimetres of every eight."""
+    colours = albedo(mesh)
+    where = mesh.vertices
+    share = where[:, 1] / where[:, 1].max()
+    chest = (share > 0.56) & (share < 0.76) & (np.abs(where[:, 0]) < 0.2)
+    colours[chest & (where[:, 1] % 0.08 < 0.03)] = 0.7
+    return colours
+
+
+def test_a_striped_shirt_is_striped_behind(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(made_up, "albedo", stripes)
+    scene = photographed.__wrapped__("front")
+    points, where, facing = places(scene)
+    painter = painter_of(scene.body, scene.shots, points)
+    chest = (np.abs(where[:, 0]) < 0.06) & (where[:, 1] > 0.58) & (where[:, 1] < 0.74)
+    shares = [
+        (np.abs(hue(unlit(painter, of(points, chest & side))) - 1 / 3).max(axis=1) < 0.08).mean()
+        for side in (facing > 0.6, facing < -0.6)
+    ]
+    assert shares[0] > 0.15 and shares[1] > 0.6 * shares[0], shares

@@ -1,0 +1,65 @@
+"""Whether a garment's pattern goes around the body: stripes, checks and borders do, a sign on its front does not."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["goes_around"]
+
+F64 = NDArray[np.float64]
+
+_PARTS = 7  # of the width that is seen
+_ENDS = 0.02  # quantile of the samples at either end of it
+_UNLIKE = 0.1  # square roots of linear light: what is farther from a part's usual colour is of another one
+_GARMENT, _ALIKE = 18, 0.15  # rows up and down, of colours so near, are the same piece of cloth
+_LEAST = 0.05  # of a part that is of other colours in cloth with a pattern
+_OUTERMOST = 0.6  # against the mean of the parts: so much of that the first and the last part have
+_FEWEST = 2.0  # summed trust of a part
+
+
+def goes_around(colour: F64, row: NDArray[np.intp], across: F64, look: F64, trust: F64) -> NDArray[np.bool_]:
+    """[R] whether rows of ``colour`` [R, 3] belong to cloth that has other colours, at its sides as in its middle.
+
+    Of the samples [K] ``row`` is which row they are in, ``across`` how far to the side, ``look`` [K, 3] their
+    colours, square roots of linear light as ``colour`` is, and ``trust`` what they say.
+    """
+    order = np.argsort(row, kind="stable")
+    row, across, look, trust = row[order], across[order], look[order], trust[order]
+    count = len(colour)
+    starts = np.searchsorted(row, np.arange(count + 1))
+    part, away = _parts(starts, across), look - colour[row]
+    number = np.arange(count)
+    same = np.abs(number[:, None] - number) <= _GARMENT
+    same &= np.linalg.norm(colour[:, None] - colour, axis=2) < _ALIKE
+    around = np.zeros(count, bool)
+    for at in range(count):
+        near = slice(starts[max(at - _GARMENT, 0)], starts[min(at + _GARMENT + 1, count)])
+        of_it = near.start + np.flatnonzero(same[at][row[near]])
+        other = np.zeros(_PARTS)
+        for place in range(_PARTS):
+            mine = of_it[part[of_it] == place]
+            if trust[mine].sum() < _FEWEST:
+                break
+            usual = np.median(away[mine], axis=0)  # the light's, which falls off to a side
+            if np.linalg.norm(usual) > _ALIKE:
+                break  # another thing
+            other[place] = np.average(np.linalg.norm(away[mine] - usual, axis=1) > _UNLIKE, weights=trust[mine])
+            if other[place] <= _LEAST:
+                break
+        around[at] = other.min() > _LEAST and min(other[0], other[-1]) > _OUTERMOST * other.mean()
+    cloth = same.astype(float)
+    return np.asarray(cloth @ around > 0.5 * cloth.sum(axis=1))  # most rows of a garment speak for all
+
+
+def _parts(starts: NDArray[np.intp], across: F64) -> NDArray[np.intp]:
+    """[K] which part of its row's width each sample lies in; rows begin at ``starts`` [R + 1]."""
+    part = np.zeros(len(across), np.intp)
+    for first, end in pairwise(starts):
+        if end > first:
+            low, high = np.quantile(across[first:end], (_ENDS, 1 - _ENDS))
+            share = (across[first:end] - low) / max(float(high - low), 1e-6)
+            part[first:end] = (share * _PARTS).clip(0, _PARTS - 1)
+    return part
