@@ -120,6 +120,7 @@ NEEDS = {
     # of the driver that the Python package playwright brings
     "atomic": Need("libatomic", ("libatomic1",), "browser", libraries=("libatomic.so.1",)),
     "npm": Need("npm", ("npm",), "browser", programs=("npm",)),
+    "node": Need("node", ("nodejs",), "browser", programs=("node",)),
     "setpriv": Need("setpriv", ("util-linux",), "extra", programs=("setpriv",)),
     "docker": Need("docker", ("docker.io",), "extra", programs=("docker",)),
     "pyright": Need("pyright", ("pyright",), "extra", programs=("pyright",)),

@@ -17,7 +17,7 @@ from tests.needs import NEEDS, Need
 ROOT = Path(__file__).resolve().parents[1]
 TIERS = ("run", "test", "browser", "extra")
 # of every Debian, of the README's first sentence, or names of files that the tests made themselves
-EVERYWHERE = {"/bin/bash", "/bin/sh", "sh", "bash", "chown", "git", "make", "mount", "umount"}
+EVERYWHERE = {"/bin/bash", "/bin/sh", "sh", "bash", "chown", "chroot", "git", "make", "mount", "umount"}
 
 
 def packages(tier: str) -> list[str]:

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from glsplat.camera import PAPER_FOV, PAPER_IPD
 from glsplat.config import RenderConfig
-from glsplat.data import PEOPLE, embedded_file
+from glsplat.data import embedded_file
 from glsplat.net.backends.gl import MAX_TIME
 from glsplat.net.backends.server import make_server
 from glsplat.net.face.feed import FaceFeed
@@ -214,12 +214,6 @@ def scene_name(args: argparse.Namespace) -> str:
     return Path(args.scene).stem if args.scene else "default"
 
 
-def embedded_people(args: argparse.Namespace) -> list[Path]:
-    """Who may be chosen beside the embedded person where no file and nothing else says who is there."""
-    said = args.scene is not None or args.study is not None or args.users is not None
-    return [] if said else [Path(name) for name in PEOPLE]
-
-
 def other_avatars(args: argparse.Namespace) -> dict[str, Rigged]:
     """The avatars of --avatar by the names of their files. Raises UsageError for two of one name and for none."""
     found: dict[str, Rigged] = {}
@@ -247,7 +241,7 @@ def run(args: argparse.Namespace) -> int:
     config = server_config(args, keys, watermark_of(args))
     logging.getLogger("glsplat.net.session").setLevel(logging.INFO)  # a clip is traced by these lines
     scene = open_scene(args)
-    args.avatar = [embedded_file(path) for path in args.avatar or embedded_people(args)]
+    args.avatar = [embedded_file(path) for path in args.avatar]
     avatars = other_avatars(args)
     policy = policy_of(args, scene, scene_name(args))
     calibration = Calibration.load(args.calibration) if args.calibration else None

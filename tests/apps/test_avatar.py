@@ -103,6 +103,7 @@ def test_make_import_export(person, tmp_path, monkeypatch, capsys):
     (tmp_path / "long.json").write_text('{"translations": {"high": [0, 0.3, 0]}}')  # single poses may stretch
     assert cli.main(["avatar", "export", str(out), "--pose", str(tmp_path / "long.json"), "-o", str(ply)]) == 0
     assert load(ply).means[:, 1].max() == pytest.approx(avatar.splats.means[:, 1].max() + 0.3, abs=0.02)
+    assert "surface" in capsys.readouterr().err  # which .ply cannot hold
     (tmp_path / "degrees.json").write_text('{"joints": {"high": [0, 0, 90]}}')
     assert cli.main(["avatar", "export", str(out), "--pose", str(tmp_path / "degrees.json"), "-o", str(ply)]) == 1
     error = capsys.readouterr().err.strip()

@@ -135,7 +135,7 @@ def test_nothing_around_is_nothing() -> None:
 
 def test_the_page_places_views_likewise(rng: np.random.Generator) -> None:
     """placing.js itself, by node: the same views for the same heads, straight up and straight down included."""
-    needs.require("npm")
+    needs.require("node")
     heads = [matrix_of(random_pose(rng)) for _ in range(12)]  # type: ignore[arg-type]
     heads += [matrix_of((0.1, 1.6, 0, sign * sin(pi / 4), 0, 0, cos(pi / 4))) for sign in (1, -1)]
     script = f"""

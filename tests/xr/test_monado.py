@@ -1,4 +1,4 @@
-"""Against Monado itself (opt-in: GLSPLAT_MONADO=1, and GLSPLAT_MONADO_ROOT from tests/xr/monado/chroot.sh).
+"""Against Monado itself (opt-in: GLSPLAT_MONADO=1, and GLSPLAT_MONADO_ROOT from tests/xr/scripts/chroot.sh).
 
 Its null compositor shows nothing and takes 20 frames a second; its "remote" driver is told where head, hands and
 fingers are, and what the eyes see. The validation layer of Khronos' SDK looks at every call but those that are timed.
@@ -31,9 +31,9 @@ CONFIG = {"active": "remote", "remote": {"version": 0, "port": 4242}}
 
 @cache
 def ran(scenario: str, module: str = "session") -> dict[str, Any]:
-    """What a module of tests/xr/monado found within the chroot."""
+    """What a module of tests/xr/scripts found within the chroot."""
     if not (ROOT / "usr/bin/monado-service").exists():
-        pytest.fail(f"no Monado in {ROOT}: sudo sh tests/xr/monado/chroot.sh {ROOT}")
+        pytest.fail(f"no Monado in {ROOT}: sudo sh tests/xr/scripts/chroot.sh {ROOT}")
     home = ROOT / "root/.config/monado"
     home.mkdir(parents=True, exist_ok=True)
     (home / "config_v0.json").write_text(json.dumps(CONFIG))
@@ -43,7 +43,7 @@ def ran(scenario: str, module: str = "session") -> dict[str, Any]:
         **{"LIBGL_ALWAYS_SOFTWARE": "1", "PYTHONDONTWRITEBYTECODE": "1"},
     }
     words = [f"{key}={value}" for key, value in settings.items()]
-    inside = ["sh", "-c", f"cd /src && exec /venv/bin/python -m tests.xr.monado.{module} {scenario}"]
+    inside = ["sh", "-c", f"cd /src && exec /venv/bin/python -m tests.xr.scripts.{module} {scenario}"]
     command = ["chroot", str(ROOT), "env", "-i", *words, *inside]
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
     with subprocess.Popen(command, **pipes, text=True, start_new_session=True) as done:  # type: ignore[call-overload]

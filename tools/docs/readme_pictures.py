@@ -1,6 +1,6 @@
-"""Draws the README's pictures anew: the clip, a photograph beside its avatar, people in a room.
+"""Draws the README's pictures anew: the clip, and a photograph beside its avatar.
 
-    python -m tools.docs.readme_pictures [clip] [photo] [room]        # into docs/images
+    python -m tools.docs.readme_pictures [clip] [photo]        # into docs/images
 
 The photograph is of a participant that comes with glsplat. Look at every picture.
 """
@@ -23,12 +23,7 @@ import glsplat
 from glsplat.data import participants_folder, person
 from glsplat.io.files import replace_file
 from glsplat.motion.motion import load_motion
-from glsplat.net.backends.server import make_server
-from glsplat.net.server import ServerConfig
 from glsplat.rotations import FLIP_YZ
-from tests.browser.served import Served
-from tests.browser.vr import settings
-from tools.docs.chromium import chromium, page_of
 
 IMAGES = Path(__file__).resolve().parents[2] / "docs" / "images"
 SIDE, ACROSS = 768, 800  # pixels an eye as drawn; of the clip, both eyes
@@ -76,30 +71,13 @@ def photo() -> None:
             shot = Path(made) / f"{i}.png"
             place = ",".join(map(str, eye))
             run("render", str(avatar), "--eye", place, "--target", "0,0.92,0", "--background", "0.86,0.86,0.88",
-                "--size", "600x900", "-o", str(shot))  # fmt: skip
+                "--size", "600x900", "--fov", "40", "--motion", "idle", "-o", str(shot))  # fmt: skip
             row.append(cv2.imread(str(shot)))
     height = 520
     tiles = [
         cv2.resize(t, (round(t.shape[1] * height / t.shape[0]), height), interpolation=cv2.INTER_AREA) for t in row
     ]
     write_jpeg("readme-photo", np.hstack(tiles)[..., ::-1])
-
-
-def room() -> None:
-    """readme-room.jpg: three people of one room, as one of them sees the others on the flat page."""
-    config = ServerConfig(port=0, rooms={"lab": 3})
-    with Served(make=lambda config: make_server(glsplat.default_avatar(), config), config=config) as served:
-        with chromium() as browser:
-            pages = []
-            for name in ("Ann", "Ben", "Zoë"):
-                init = settings(size=768, room="lab", name=name, driver="motion:wave-and-turn")
-                pages.append(page_of(browser, served.page, init, (1280, 720), xr=False))
-            opened = [page.__enter__() for page in pages]
-            opened[-1].until("window.glsplat.stats().shown > 12", 120)
-            shot = np.frombuffer(opened[-1].page.screenshot(), np.uint8)
-            write_jpeg("readme-room", cv2.imdecode(shot, cv2.IMREAD_COLOR)[..., ::-1])
-            for page in pages:
-                page.__exit__(None, None, None)
 
 
 def run(*words: str) -> None:
@@ -118,5 +96,5 @@ def write_jpeg(name: str, image: np.ndarray) -> None:
 
 
 if __name__ == "__main__":
-    for kind in sys.argv[1:] or ("clip", "photo", "room"):
-        {"clip": clip, "photo": photo, "room": room}[kind]()
+    for kind in sys.argv[1:] or ("clip", "photo"):
+        {"clip": clip, "photo": photo}[kind]()

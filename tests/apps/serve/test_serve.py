@@ -82,12 +82,6 @@ def test_further_avatars_are_called_like_their_files(tmp_path):
             serve.other_avatars(arguments(*words))
 
 
-def test_the_embedded_people_are_offered_where_nothing_says_who_is_there(tmp_path):
-    assert serve.embedded_people(arguments()) == [Path("anna"), Path("ben")]
-    for words in (["anna"], ["--users", tmp_path / "users.json"]):
-        assert serve.embedded_people(arguments(*words)) == []
-
-
 @pytest.mark.parametrize(
     ("words", "message"),
     [
