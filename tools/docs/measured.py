@@ -136,7 +136,7 @@ def written(page: str) -> bytes:
     """A page of docs/measured, measured now."""
     title, measure = PAGES[page]
     facts, load = machine(), os.getloadavg()[0]
-    driver = json.loads(command("bench", "--static", "--sizes", "64x64", "--frames", "2", "--json"))["driver"]
+    driver = json.loads(command("bench", "--static", "--sizes", "64x64", "--frames", "3", "--json"))["driver"]
     text = [
         f"# {title}, measured",
         "",
