@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 
 from glsplat.errors import FormatError
-from glsplat.formats.gltf.container import Container
+from glsplat.formats.gltf.container import Container, item
 from glsplat.formats.gltf.levels import LOD, finest_of
 from glsplat.formats.gltf.nodes import Instance, graph_of, instances
 from glsplat.formats.gltf.primitive import EXTENSION, packed_view
@@ -20,7 +20,8 @@ def level_digest(container: Container) -> tuple[str, bool]:
 
     Of each primitive with splats, in the order in which the default scene shows them, the bytes of each attribute in
     the order in which the file lists them, each element at its place in the array and without padding; of splats in
-    SPZ the packed bytes. Without splats the same of the triangles. Raises FormatError for arrays that are not there.
+    SPZ the packed bytes; of an accessor without data, which is zeros (glTF 2.0, 5.1.1), "zeros TYPE CODE COUNT".
+    Without splats the same of the triangles. Raises FormatError for arrays that are not there.
     """
     gltf = container.gltf
     graph = graph_of(gltf)
@@ -43,5 +44,11 @@ def _arrays(container: Container, one: Instance) -> list[bytes]:
     view = packed_view(one.primitive.extensions[EXTENSION], one.name) if EXTENSION in one.primitive.extensions else None
     if view is not None:
         return [container.view(view, one.name)]
-    read = container.read
-    return [read(index, f"{one.name} {key}", _TYPES).tobytes() for key, index in one.primitive.attributes.items()]
+    return [_array(container, index, f"{one.name} {key}") for key, index in one.primitive.attributes.items()]
+
+
+def _array(container: Container, index: int, what: str) -> bytes:
+    accessor = item(container.gltf.accessors, index, f"accessor of {what}")
+    if accessor.buffer_view is None and accessor.sparse is None:
+        return f"zeros {accessor.type} {accessor.component_type} {accessor.count}".encode()
+    return container.read(index, what, _TYPES).tobytes()

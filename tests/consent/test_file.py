@@ -20,6 +20,7 @@ from glsplat.errors import FormatError
 from glsplat.formats.gltf.meshes.write import save_gltf_mesh
 from glsplat.formats.gltf.record import canonical
 from glsplat.meshes import MeshPart, RiggedMesh
+from glsplat.skinning.shapes import Shapes
 from glsplat.splats import Level
 from tests.consent.conftest import FIELDS, person
 
@@ -123,6 +124,21 @@ def test_a_record_of_the_splats_alone_holds_for_one_level(signed, key):
     damaged = bytearray(put(document, rest))
     damaged[-len(rest) + 40] ^= 1
     assert "changed after it was signed" in on_file_data(bytes(damaged)).fault
+
+
+def test_an_avatar_with_expressions_carries_one_too(key, tmp_path):
+    """Its splats have attributes that are zeros but for what a shape does: accessors without data."""
+    avatar, path = person(), tmp_path / "face.glb"
+    bends = np.full((2, 2, 3), 0.3)
+    shapes = Shapes.create(["jawOpen"], 30, splats=[1, 2], targets=[0, 0], moves=np.full((2, 3), 0.01), bends=bends)
+    glsplat.save(replace(avatar, shapes=shapes), path)
+    data = sign_data(path.read_bytes(), key, **FIELDS)
+    assert on_file_data(data).consent is not None and b'"_AXIS_0"' in data
+    document, rest = parts(data)
+    zeros = [k for k, one in enumerate(document["accessors"]) if "bufferView" not in one and "sparse" not in one]
+    assert zeros
+    document["accessors"][zeros[0]]["componentType"] = 5121
+    assert on_file_data(put(document, rest)).fault
 
 
 def test_a_rigged_mesh_carries_one_too(key, tmp_path):
