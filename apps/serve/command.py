@@ -20,7 +20,7 @@ from glsplat.net.face.listener import FaceListener
 from glsplat.net.guard.access import Access
 from glsplat.net.guard.limits import Limits
 from glsplat.net.messages import WireOptions
-from glsplat.net.server import ServerConfig
+from glsplat.net.server import Server, ServerConfig
 from glsplat.net.session import SessionConfig
 from glsplat.scene import Rigged
 from glsplat.tracking.calibration import Calibration
@@ -265,6 +265,8 @@ def run(args: argparse.Namespace) -> int:
         lead=None if study is None else study.lead,
     )
 
+    tasks: list[asyncio.Future[None]] = []  # kept, or they would be dropped while they wait
+
     def started() -> None:
         place = Place(args.host, server.port, keys)
         if args.insecure and not place.local:
@@ -275,15 +277,22 @@ def run(args: argparse.Namespace) -> int:
             print(json.dumps(fields | {"page": place.page(place.names[0])} | more), flush=True)
         else:
             print(f"{config.scene}, drawn by {server.render_loop.driver}")
-            if (fitted := server.fitted) is not None:
-                slow = "" if fitted.enough else ": less than moves smoothly; a GPU, or --size 256, helps"
-                print(f"  {'pictures':<12}{fitted.side}x{fitted.side} an eye, about {fitted.rate:.0f} a second{slow}")
             announce(place, sys.stdout, args.qr)
             if study is not None:
                 study.announce(place, sys.stdout)
+            if config.fit:
+                tasks.append(asyncio.ensure_future(_announce_size(server)))
         if args.open:
             open_page(place)
 
     with face or nullcontext():
         asyncio.run(server.run(started))
     return 0
+
+
+async def _announce_size(server: Server) -> None:
+    if server.fitting is not None:
+        await asyncio.wait([server.fitting])
+    if (found := server.fitted) is not None:
+        slow = "" if found.enough else ": less than moves smoothly; a GPU, or --size 256, helps"
+        print(f"  {'pictures':<12}{found.side}x{found.side} an eye, about {found.rate:.0f} a second{slow}", flush=True)

@@ -32,7 +32,7 @@ from glsplat.net.local_loop import LocalLoop
 from glsplat.net.messages import MAX_BYTES, Decoder, WireOptions
 from glsplat.net.options import NOT_ALLOWED, client_options
 from glsplat.net.pace.client_stream import ClientStream
-from glsplat.net.pace.fitting import SIDES, Fitted, fit
+from glsplat.net.pace.fitting import Fitted, fit
 from glsplat.net.pages.catalogue import Catalogue
 from glsplat.net.pages.lead import Lead
 from glsplat.net.pages.previews import Drawer, Previews, pair
@@ -110,7 +110,8 @@ class Server:
         self._channels: dict[int, ClientStream] = {}
         self._drawer = Drawer(self.render_loop, self.config.wire, self.config.session, clock)
         self._previews = Previews(self._drawer, self._offers, self.gate.rights, self._channels, self.config.private)
-        self.fitted: Fitted | None = None  # once it has started, where that was asked for
+        self.fitted: Fitted | None = None  # soon after it has started, where that was asked for
+        self.fitting: asyncio.Task[None] | None = None  # finds it
         self._talks: dict[int, Conversation] = {}
         self._closing: set[asyncio.Task[None]] = set()
         self._totals = Counts()
@@ -141,8 +142,6 @@ class Server:
         try:
             await self.render_loop.start()
             await packing
-            if self.config.fit:
-                self.fitted = await self._fit()
         except BaseException:
             packing.cancel()
             listening.close()
@@ -163,10 +162,14 @@ class Server:
         cert = None if self.config.tls is None else self.config.tls[0]
         self.gate.open(self._runner.server, listening, tls, cert, self.config.session.handshake)
         self._started = clock()
+        if self.config.fit:  # whoever connects meanwhile is offered the configured size
+            self.fitting = asyncio.create_task(self._fit())
 
     async def stop(self) -> None:
         """Take no more requests, send the pictures under way, close the clients (1001), end the threads."""
         self._draining = True
+        if self.fitting is not None:
+            self.fitting.cancel()
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(self.config.drain_timeout):
                 channels = self._channels.values()
@@ -259,8 +262,7 @@ class Server:
             "rooms": self._rooms.offer(clock(), self._enterable(user)) if self.config.rooms else [],
             "upload": None if self._uploads is None else self._uploads.offer(),
             "max_side": wire.max_side,
-            "size": wire.size if self.fitted is None else (self.fitted.side,) * 2,
-            "rate": None if self.fitted is None else round(self.fitted.rate, 1),
+            **({"size": wire.size, "rate": None} if self.fitted is None else self.fitted.fields()),
             "quality": wire.quality,
             "window": self.config.session.window,
             "clients": len(self._channels),
@@ -272,19 +274,15 @@ class Server:
     def _healthy(self) -> bool:
         return self.render_loop.healthy and not self._draining
 
-    async def _fit(self) -> Fitted | None:
-        """How large pictures may be for ENOUGH of them a second, by a few of the first avatar; None: nobody knows."""
+    async def _fit(self) -> None:
         first = self._offers[self._offers.names[0]]
 
         async def draw(side: int) -> float:
             _, times = await self._drawer.draw(first, pair(first, side))
             return times["render"] / 1e3
 
-        sides = [side for side in SIDES if side <= self.config.wire.max_side] or [self.config.wire.max_side]
-        try:
-            return await fit(draw, sides)
-        except GlsplatError:
-            return None
+        with contextlib.suppress(GlsplatError):
+            self.fitted = await fit(draw, self.config.wire.max_side)
 
     async def _websocket(self, request: web.Request) -> web.StreamResponse:
         if self._draining or len(self._channels) >= self.config.max_clients:

@@ -32,9 +32,13 @@ def test_the_largest_that_is_fast_enough_counts(seconds, expected):
 def test_a_server_says_what_it_found(serve):
     async def main(fitting):
         async with serve(FakeBackend(delay=0.0), config=ServerConfig(port=0, fit=fitting)) as server:
-            return server.offer(), server.fitted, server.stats()["totals"]["sent"]
+            before = server.offer()
+            if server.fitting is not None:
+                await server.fitting
+            return before, server.fitted, server.offer(), server.stats()["totals"]["sent"]
 
-    offer, fitted, sent = asyncio.run(main(True))
+    before, fitted, offer, sent = asyncio.run(main(True))
+    assert before["size"] == (1024, 1024)  # whoever comes at once is not kept waiting
     assert isinstance(fitted, Fitted) and offer["size"] == (fitted.side,) * 2
     assert offer["rate"] == round(fitted.rate, 1) and sent == 0  # nobody was sent anything
     assert asyncio.run(main(False))[0]["size"] == (1024, 1024)

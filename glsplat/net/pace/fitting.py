@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable, Sequence
+from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
+from typing import Any
 
 __all__ = ["ENOUGH", "SIDES", "Fitted", "fit"]
 
@@ -28,17 +29,22 @@ class Fitted:
         """Whether that is a picture that moves."""
         return self.rate >= ENOUGH
 
+    def fields(self) -> dict[str, Any]:
+        """As /session has it."""
+        return {"size": (self.side, self.side), "rate": round(self.rate, 1)}
 
-async def fit(draw: Callable[[int], Awaitable[float]], sides: Sequence[int] = SIDES) -> Fitted:
-    """The largest of ``sides`` that is drawn ENOUGH times a second, else the smallest.
+
+async def fit(draw: Callable[[int], Awaitable[float]], most: int = SIDES[0]) -> Fitted:
+    """The largest of SIDES up to ``most`` that is drawn ENOUGH times a second, else the smallest.
 
     ``draw`` has a pair of that side drawn and returns the seconds that it took; of several the fastest counts, because
     a machine that has just started is busy with more than that. The smallest comes first, and only those are tried that
     could be fast enough by their pixels: a slow machine is not kept from starting.
     """
+    sides = [side for side in SIDES if side <= most] or [most]
     least = min(sides)
     found = Fitted(least, await _rate(draw, least))
-    for side in sorted(sides, reverse=True):
+    for side in sides:
         if side == least or found.rate * (least / side) ** 2 < _HOPE * ENOUGH:
             continue
         rate = await _rate(draw, side)
