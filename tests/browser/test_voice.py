@@ -19,7 +19,7 @@ from tests.browser.conftest import _FLAGS, OpenPage
 from tests.browser.flat_page import flat_page
 from tests.browser.markers import Markers, offered, samples
 from tests.browser.opened import FAKE_XR, WATCH, Opened
-from tests.browser.vr import enter
+from tests.browser.vr import enter, settings, visit
 from tests.speech.sounds import vowels
 
 MAIN = """
@@ -75,6 +75,7 @@ def opened(browser: Any, address: str) -> Opened:
     context = browser.new_context(viewport={"width": 900, "height": 700})
     context.add_init_script(FAKE_XR)
     context.add_init_script(WATCH)
+    context.add_init_script(settings(drawer=True))
     page = Opened(context.new_page())
     page.page.goto(address)
     return page
@@ -116,7 +117,7 @@ def test_who_speaks_moves_the_mouth_and_only_weights_leave(listening: Any, serve
 
 
 def test_a_microphone_that_is_refused_is_said(open_page: OpenPage, serve: Any) -> None:
-    page = open_page(serve(Markers(lambda job: {}), offered=offered).page)
+    page = visit(open_page, serve(Markers(lambda job: {}), offered=offered))
     page.page.click("#voice-talk")
     page.until("document.querySelector('#voice-state').textContent.startsWith('It does not listen')")
     assert page.js("document.querySelector('#voice-mute').hidden") is True

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import subprocess
 from math import cos, inf, nan, pi, sin, tan
 from pathlib import Path
@@ -133,13 +134,15 @@ def test_nothing_around_is_nothing() -> None:
     assert surroundings(views, (8, 8), placing("mirror", np.eye(4)), floor=False) is not None
 
 
-def test_the_page_places_views_likewise(rng: np.random.Generator) -> None:
+def test_the_page_places_views_likewise(rng: np.random.Generator, tmp_path: Path) -> None:
     """placing.js itself, by node: the same views for the same heads, straight up and straight down included."""
     needs.require("node")
+    shutil.copytree(WEB, tmp_path / "space")
+    (tmp_path / "package.json").write_text('{"type": "module"}')  # older ones take .js for no module without it
     heads = [matrix_of(random_pose(rng)) for _ in range(12)]  # type: ignore[arg-type]
     heads += [matrix_of((0.1, 1.6, 0, sign * sin(pi / 4), 0, 0, cos(pi / 4))) for sign in (1, -1)]
     script = f"""
-        import {{ placing, standing, serverEye, VIEWS }} from '{(WEB / "placing.js").as_uri()}';
+        import {{ placing, standing, serverEye, VIEWS }} from '{(tmp_path / "space" / "placing.js").as_uri()}';
         const eye = {json.dumps(heads[0].T.ravel().tolist())};
         console.log(JSON.stringify([VIEWS, {json.dumps([h.T.ravel().tolist() for h in heads])}.map((head) => [
             standing(head), ...VIEWS.map((view) => [placing(view, head), serverEye(placing(view, head), eye)])])]));

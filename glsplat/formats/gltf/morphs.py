@@ -81,7 +81,7 @@ def _target(container: Container, index: int, where: str, count: int) -> tuple[N
 def write_shapes(out: Output, shapes: Shapes, mesh: Mesh, primitive: Primitive) -> None:
     """Add targets to ``primitive``, the one of ``mesh``, and what says more of them."""
     rows = shapes.rows
-    narrow = "<u2" if shapes.splats <= 65536 else "<u4"
+    narrow = index_code(shapes.splats)
     for target in range(len(shapes)):
         mine = np.flatnonzero(shapes.targets == target)
         indices = out.add_bytes(rows[mine].astype(narrow).tobytes())
@@ -108,6 +108,11 @@ def write_shapes(out: Output, shapes: Shapes, mesh: Mesh, primitive: Primitive) 
         ours[_LIMITS] = shapes.limits.tolist()
     known = primitive.extras["glsplat"] if isinstance(primitive.extras, dict) else {}
     primitive.extras = {"glsplat": known | ours}
+
+
+def index_code(count: int) -> str:
+    """The type of ``add_sparse``'s indices into ``count`` elements, little endian."""
+    return "<u2" if count <= 65536 else "<u4"
 
 
 def add_sparse(out: Output, count: int, indices: int, values: NDArray[Any], kind: str) -> int:

@@ -54,14 +54,15 @@ def test_the_renderer_does_not_wait_for_the_page(open_page: OpenPage, serve: Any
         return {"red": [0, 1, 0]}
 
     served = serve(Markers(place, radius=0.1, delay=0.1), offered=OFFERED)
-    page = moving(visit(open_page, served, {"view": "facing", "size": 512}, size=WINDOW))
+    page = moving(visit(open_page, served, {"view": "facing", "size": 512, "drawer": False}, size=WINDOW))
     page.meanwhile(lambda: len(begun) >= 20)
 
 
 def test_the_figures_are_the_servers(open_page: OpenPage, serve: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     backend = Markers(lambda request: {"red": [0, 1, 0]}, radius=0.1, delay=0.05)
     served = serve(backend, offered=OFFERED)
-    page = moving(visit(open_page, served, {"view": "facing", "size": 512, "figures": True}, size=WINDOW))
+    values = {"view": "facing", "size": 512, "figures": True, "drawer": False}
+    page = moving(visit(open_page, served, values, size=WINDOW))
     page.meanwhile(lambda: served.stats()["clients"][0]["sent"] >= 60)
     settle(page)  # both sides know the same pictures now, fewer than they keep
     here, there = page.stats(), served.stats()
@@ -87,7 +88,13 @@ def test_the_figures_are_the_servers(open_page: OpenPage, serve: Any, monkeypatc
 @pytest.mark.timeout(1800)
 def test_nothing_piles_up_over_2000_pictures(open_page: OpenPage, serve: Any) -> None:
     page = moving(
-        visit(open_page, serve(StoredPairs(), offered=OFFERED), {"view": "mirror", "size": 512}, size=WINDOW), 64
+        visit(
+            open_page,
+            serve(StoredPairs(), offered=OFFERED),
+            {"view": "mirror", "size": 512, "drawer": False},
+            size=WINDOW,
+        ),
+        64,
     )
 
     def state(pictures: float) -> dict[str, float]:

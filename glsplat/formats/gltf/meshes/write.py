@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from glsplat.errors import FormatError
 from glsplat.formats.gltf.container import Mesh, Node, Primitive, Scene
 from glsplat.formats.gltf.fallback import UNLIT, unlit_material
-from glsplat.formats.gltf.morphs import add_sparse
+from glsplat.formats.gltf.morphs import add_sparse, index_code
 from glsplat.formats.gltf.output import INDICES, Output
 from glsplat.formats.gltf.rig import write_influences, write_skeleton
 from glsplat.io.files import Source
@@ -92,7 +92,7 @@ def _targets(out: Output, morphs: Morphs, count: int, vertex: NDArray[np.int32])
         np.add.at(offsets, morphs.vertices[part], morphs.offsets[part])
         moved = offsets[vertex]
         rows = np.flatnonzero(moved.any(axis=1))
-        indices = out.add_bytes(rows.astype("<u4").tobytes())
+        indices = out.add_bytes(rows.astype(index_code(len(vertex))).tobytes())
         targets.append({"POSITION": add_sparse(out, len(vertex), indices, moved[rows], "VEC3")})
     return targets
 
