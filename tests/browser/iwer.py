@@ -1,4 +1,4 @@
-"""Meta's WebXR emulator: fetched once by npm into pytest's cache, never a part of the project."""
+"""Meta's WebXR emulator as a plain script, with a headset put on: fetched once by npm into pytest's cache."""
 
 from __future__ import annotations
 
