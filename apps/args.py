@@ -87,7 +87,14 @@ def _lit(file: SceneFile, args: argparse.Namespace) -> SceneFile:
     asked = getattr(args, "light", None)
     if asked is not None:
         file.scene.light = None if asked == "none" else light_of(asked)
+        if file.scene.light is not None and not any(_has_surface(item.content) for item in file.scene.items):
+            print("--light: nothing here knows its surface, so nothing is lit (docs/light.md)", file=sys.stderr)
     return file
+
+
+def _has_surface(content: Content) -> bool:
+    splats = getattr(content, "splats", content)
+    return getattr(splats, "surface", None) is not None
 
 
 def light_of(text: str) -> Light:

@@ -22,6 +22,7 @@ from glsplat.scenes.scene_file import SceneFile
 from glsplat.tracking.calibration import Calibration
 from glsplat.tracking.recording import record
 from glsplat.tracking.sample import Sample
+from glsplat.tracking.solvers import SOLVERS
 from glsplat.xr.local import LocalShow
 from glsplat.xr.openxr.graphics import EGL_ENABLE
 from glsplat.xr.openxr.runtime import OpenXrRuntime, offered
@@ -80,6 +81,14 @@ def check(args: argparse.Namespace) -> None:
         raise UsageError(f"--record {args.record}: the name needs to end in .jsonl")
     if args.url is None and (args.token_file is not None or args.tls_ca is not None or args.quality is not None):
         raise UsageError("--token-file, --tls-ca and --quality go with --url")
+    if args.url is not None:
+        unasked = argparse.Namespace(level=None, lod_bias=None, cull_hidden=False, exact=False)
+        asked = detail_of(args) != detail_of(unasked) or args.solver != SOLVERS[0]
+        if asked or args.light is not None or args.calibration is not None:
+            raise UsageError(
+                "--light, --level, --lod-bias, --cull-hidden, --exact, --calibration and --solver do not go with --url:"
+                " a server decides"
+            )
     if args.background is not None and (args.url is not None or args.passthrough):
         raise UsageError("--background does not go with --url and --passthrough: there it is black, or the room")
 
@@ -194,7 +203,6 @@ def _choose_blend(args: argparse.Namespace, session: Session) -> None:
     if runtime is None:
         return
     if not args.passthrough:
-        session.blend = "opaque" if "opaque" in runtime.blends else runtime.blends[0]
         return
     found = next((blend for blend in ("alpha", "additive") if blend in runtime.blends), None)
     if found is None:

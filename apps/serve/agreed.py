@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import logging
 import time
+from contextlib import suppress
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -13,6 +14,7 @@ from glsplat.consent.document import ANYBODY
 from glsplat.consent.file import OnFile, on_file, on_file_data, sign_data
 from glsplat.consent.keys import PrivateKey, public_key
 from glsplat.consent.policy import ConsentPolicy
+from glsplat.errors import GlsplatError
 from glsplat.net.guard.access import is_loopback
 from glsplat.net.guard.kept import kept_key, known_key, state_folder
 from glsplat.net.uploads.job import UploadConfig
@@ -47,8 +49,10 @@ def policy_of(args: argparse.Namespace, scene: SceneFile, name: str) -> ConsentP
     """What the files say of the ``scene``, called ``name``, and of --avatar. Raises GlsplatError where one says no."""
     trusted = None if args.trust is None else [public_key(path) for path in args.trust]
     policy = ConsentPolicy(trusted=trusted, without=args.without_consent)
+    own = None
     if trusted is None and args.users is None and is_loopback(args.host):
-        own = known_key(state_folder())  # what was made with --mine, or on the page: nobody else reaches this server
+        with suppress(GlsplatError):  # nothing can be kept here: then nothing was made with it either
+            own = known_key(state_folder())  # what was made with --mine, or on the page
         if own is not None:
             policy.trust_own(own.public)
     if args.scene is None:

@@ -14,7 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from glsplat.authoring.faces.carry import carried
 from glsplat.authoring.footprints import footprints
+from glsplat.authoring.light.surfaces import surface_carried
 from glsplat.authoring.raster import mesh_picture_and_depth
 from glsplat.avatar import Avatar
 from glsplat.camera import Camera, look_at, pinhole
@@ -132,7 +134,11 @@ class Fit:
             rgb=self._color.value,
             antialias=self._avatar.splats.antialias,
         )
-        return replace(self._avatar, splats=fitted)
+        old, shapes = self._avatar.splats, self._avatar.shapes
+        fitted = replace(fitted, surface=surface_carried(old.surface, old, fitted))
+        if shapes is not None:
+            shapes = carried(shapes, old, fitted)
+        return replace(self._avatar, splats=fitted, shapes=shapes)
 
 
 def refine(

@@ -85,7 +85,7 @@ class Light:
         ambient[0] = (up + down) / 2 / _CONSTANTS[0]
         ambient[1] = (up - down) / 2 / (_CONSTANTS[1] * _SPREAD[1])
         if sun_direction is None:
-            return cls(ambient)
+            return cls(ambient, None, sun_colour)
         way = _numbers(sun_direction, "the sun's direction", (3,))
         length = float(np.linalg.norm(way))
         if not length > 1e-9:

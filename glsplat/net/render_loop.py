@@ -261,7 +261,7 @@ class RenderLoop(ABC):
         request, waited, solution = channel.take(self._clock())
         arrived, times = self._clock() - waited, {"wait": waited * 1e3}
         frame = Frame(channel, request, arrived, times, request.cameras, channel.notice(), solution=solution)
-        if request.form == "native":  # older clients know one size
+        if request.form == "native" and channel.number:  # older clients know one size; 0 is the server itself
             frame.detail = self._adaptive_quality.detail(channel.number, self._clock())
             frame.cameras = frame.detail.resized(request.cameras)
         return frame

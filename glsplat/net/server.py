@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 
 from aiohttp import web
 
-from glsplat.errors import GlsplatError, ProtocolError
+from glsplat.errors import ProtocolError
 from glsplat.net.backend import AvatarInfo, Backend
 from glsplat.net.backends.labels import driven_by
 from glsplat.net.conversation import Conversation, cut_off
@@ -32,10 +32,10 @@ from glsplat.net.local_loop import LocalLoop
 from glsplat.net.messages import MAX_BYTES, Decoder, WireOptions
 from glsplat.net.options import NOT_ALLOWED, client_options
 from glsplat.net.pace.client_stream import ClientStream
-from glsplat.net.pace.fitting import Fitted, fit
+from glsplat.net.pace.fitting import Fitted
 from glsplat.net.pages.catalogue import Catalogue
 from glsplat.net.pages.lead import Lead
-from glsplat.net.pages.previews import Drawer, Previews, pair
+from glsplat.net.pages.previews import Drawer, Previews
 from glsplat.net.pages.routes import Pages
 from glsplat.net.poses.answers import Answers
 from glsplat.net.poses.splat_files import SplatFiles
@@ -226,11 +226,9 @@ class Server:
         for number, channel in self._channels.items():
             status = channel.session.status()
             form, size = channel.session.last_form, channel.session.last_size
-            shown: dict[str, Any] = {
-                "avatar": channel.shown.name,
-                "room": None if channel.member is None else channel.member.room.name,
-            }
-            shown["picture"] = self._previews.shows(number)
+            room = None if channel.member is None else channel.member.room.name
+            told = (None, None) if self._previews.private else (channel.shown.name, room)
+            shown = dict(zip(("avatar", "room"), told, strict=True)) | {"picture": self._previews.shows(number)}
             clients.append({"id": number, "form": form, "size": f"{size[0]}x{size[1]}", **shown, **status})
             for name in totals:
                 totals[name] += status[name]
@@ -254,7 +252,7 @@ class Server:
 
     def offer(self, user: User | None = None) -> dict[str, Any]:
         """What /session says to an account of the scene and of the server: all to choose from before connecting."""
-        most, wire = self.config.max_clients, self.config.wire
+        most, wire = self.config.max_clients, self._wire
         return {
             "avatars": self._offers.fields(
                 self.gate.rights.drivable(user, self._offers.names), self._splat_files.fields
@@ -262,7 +260,8 @@ class Server:
             "rooms": self._rooms.offer(clock(), self._enterable(user)) if self.config.rooms else [],
             "upload": None if self._uploads is None else self._uploads.offer(),
             "max_side": wire.max_side,
-            **({"size": wire.size, "rate": None} if self.fitted is None else self.fitted.fields()),
+            "size": wire.size,
+            "rate": None if self.fitted is None else round(self.fitted.rate, 1),
             "quality": wire.quality,
             "window": self.config.session.window,
             "clients": len(self._channels),
@@ -271,18 +270,17 @@ class Server:
             "driver": self.render_loop.driver,
         }
 
+    @property
+    def _wire(self) -> WireOptions:
+        """What counts where requests are silent, in the size that was found to be drawn often enough."""
+        wire = self.config.wire
+        return wire if self.fitted is None else replace(wire, size=(self.fitted.side, self.fitted.side))
+
     def _healthy(self) -> bool:
         return self.render_loop.healthy and not self._draining
 
     async def _fit(self) -> None:
-        first = self._offers[self._offers.names[0]]
-
-        async def draw(side: int) -> float:
-            _, times = await self._drawer.draw(first, pair(first, side))
-            return times["render"] / 1e3
-
-        with contextlib.suppress(GlsplatError):
-            self.fitted = await fit(draw, self.config.wire.max_side)
+        self.fitted = await self._drawer.fitted(self._offers[self._offers.names[0]], self.config.wire.max_side)
 
     async def _websocket(self, request: web.Request) -> web.StreamResponse:
         if self._draining or len(self._channels) >= self.config.max_clients:
@@ -331,7 +329,7 @@ class Server:
     def _open_channel(self, request: web.Request, quota: ClientQuota) -> ClientStream:
         """A new client with the options of its address: /ws?avatar=ann&mirror=1&window=3&height=1.75&room=lab."""
         user, rights = user_of(request), self.gate.rights
-        asked = client_options(request.query, self.config.wire, self.config.session, self._offers.names, rights, user)
+        asked = client_options(request.query, self._wire, self.config.session, self._offers.names, rights, user)
         asked = asked if self._lead is None else self._lead.choose(asked, request.query)
         one = self._offers[asked.avatar]
         solver = None if one.solver is None else one.solver(asked.height, asked.span)

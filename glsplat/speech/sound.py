@@ -20,6 +20,9 @@ __all__ = ["MAX_BYTES", "MAX_SECONDS", "Sound", "read_wav", "wav_bytes"]
 
 MAX_BYTES = 512 * 2**20
 MAX_SECONDS = 3600.0
+_MOST = 1 << 28  # numbers, of all channels: an hour of stereo at 37 kHz, or of one channel at 74
+_BLOCK = 1 << 20  # samples converted at once
+_CHUNKS = 1000
 
 _INTEGER, _FLOAT, _EXTENSIBLE = 1, 3, 0xFFFE
 _KINDS = {(_INTEGER, 8): "u1", (_INTEGER, 16): "<i2", (_INTEGER, 24): "", (_INTEGER, 32): "<i4"}
@@ -60,7 +63,9 @@ def _parsed(data: bytes) -> Sound:
         raise FormatError("expected a .wav (RIFF WAVE), found something else; ffmpeg -i IT it.wav makes one")
     form: tuple[int, int, int, int] | None = None
     place = 12
-    while place + 8 <= len(data):
+    for _ in range(_CHUNKS):
+        if place + 8 > len(data):
+            break
         name, size = data[place : place + 4], int.from_bytes(data[place + 4 : place + 8], "little")
         body = data[place + 8 : place + 8 + size]
         if name == b"fmt ":
@@ -95,14 +100,22 @@ def _sound(body: bytes, kind: int, channels: int, rate: int, bits: int) -> Sound
         raise FormatError("a .wav without a sample in it")
     if count > MAX_SECONDS * rate:
         raise FormatError(f"a .wav of {count / rate:.0f} s; {MAX_SECONDS:.0f} are read")
-    body = body[: count * width]
+    if count * channels > _MOST:
+        raise FormatError(f"a .wav of {count * channels} numbers; {_MOST} are read (ffmpeg -ar 48000 -ac 1)")
+    samples = np.empty(count, np.float32)
+    for first in range(0, count, _BLOCK):  # as float64 all of it would take many times the file
+        part = body[first * width : min(first + _BLOCK, count) * width]
+        whole = _numbers(part, kind, bits).reshape(-1, channels)
+        samples[first : first + len(whole)] = whole.mean(axis=1).clip(-4, 4)
+    return Sound(samples, rate)
+
+
+def _numbers(body: bytes, kind: int, bits: int) -> NDArray[np.float64]:
+    """Full scale 1; what is no number 0."""
     if bits == 24:
         bytes3 = np.frombuffer(body, np.uint8).reshape(-1, 3).astype(np.int32)
-        whole = (bytes3[:, 0] << 8 | bytes3[:, 1] << 16 | bytes3[:, 2] << 24) / 2.0**31
-    elif kind == _FLOAT:
-        whole = np.frombuffer(body, _KINDS[kind, bits]).astype(np.float64)
-        whole = np.nan_to_num(whole, nan=0.0, posinf=0.0, neginf=0.0)
-    else:
-        numbers = np.frombuffer(body, _KINDS[kind, bits]).astype(np.float64)
-        whole = (numbers - 128) / 128 if bits == 8 else numbers / 2.0 ** (bits - 1)
-    return Sound(whole.reshape(count, channels).mean(axis=1).clip(-4, 4).astype(np.float32), rate)
+        return (bytes3[:, 0] << 8 | bytes3[:, 1] << 16 | bytes3[:, 2] << 24) / 2.0**31
+    numbers = np.frombuffer(body, _KINDS[kind, bits]).astype(np.float64)
+    if kind == _FLOAT:
+        return np.nan_to_num(numbers, nan=0.0, posinf=0.0, neginf=0.0)
+    return (numbers - 128) / 128 if bits == 8 else numbers / 2.0 ** (bits - 1)

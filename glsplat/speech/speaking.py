@@ -32,11 +32,12 @@ class Speaking:
         for first in range(0, len(heard), _PIECE):
             for time, visemes, level in analysis.add(heard[first : first + _PIECE]):
                 times.append(time)
-                rows.append(mouth.add(visemes, level))
-        self.names: tuple[str, ...] = tuple(rows[0])
+                weights = mouth.add(visemes, level)
+                self.names: tuple[str, ...] = tuple(weights)
+                rows.append(np.array(list(weights.values())))
         self._times = np.array(times)
         self._least = table().least
-        self._weights = np.array([list(row.values()) for row in rows])
+        self._weights = np.array(rows)
 
     def at(self, seconds: float) -> Mapping[str, float]:
         """The weights then; those of the first frame before the sound and of its last after it."""

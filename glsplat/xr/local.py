@@ -203,5 +203,7 @@ class LocalShow:
             content = source.content.without("head")
         except GlsplatError:  # a rig without such a joint: it keeps its head
             return
-        self._own_item = Item(content, pose=source.pose, transform=source.transform, layers=source.layers)
-        self._own = Scene([self._own_item if item is source else item for item in self._scene.items])
+        kept = {name: getattr(source, name) for name in ("pose", "transform", "layers", "opacity", "visible", "name")}
+        self._own_item = Item(content, **kept)
+        items = [self._own_item if item is source else item for item in self._scene.items]
+        self._own = Scene(items, light=self._scene.light)

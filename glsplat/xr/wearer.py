@@ -14,6 +14,7 @@ from glsplat.xr.samples import pinched, sample_of
 __all__ = ["Moment", "Wearer"]
 
 _DOUBLE = 0.5  # seconds between two pinches of the left hand that go to the next view
+_IDENTITY = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
 _STALE = 2.0  # seconds without a frame after which the view is placed anew: the headset was off
 
 
@@ -37,6 +38,7 @@ class Wearer:
         self._heard = heard  # is told every sample
         self._place: Place | None = None
         self._stood = not room
+        self._moved = False  # the space, to where they stood
         self._pressed = self._pinching = False
         self._pinched = self._last = float("-inf")
 
@@ -45,14 +47,20 @@ class Wearer:
         now = timing.display_time * 1e-9
         devices = runtime.devices(timing.display_time, focused)
         if devices.head is not None and not self._stood:
+            if self._moved:  # where they stand is told in the runtime's own space
+                runtime.move(_IDENTITY)
+                devices = runtime.devices(timing.display_time, focused)
+        if devices.head is not None and not self._stood:
             x, z, sine, cosine = standing(matrix_of(devices.head))
             runtime.move((x, 0.0, z, 0.0, sine, 0.0, cosine))
-            self._stood, self._place = True, None
+            self._stood = self._moved = True
+            self._place = None
             devices = runtime.devices(timing.display_time, focused)
         if now - self._last > _STALE:
             self._place = None
         self._last = now
-        self._gestures(devices, now)
+        if focused:  # pinches before the runtime's own menu are not meant for us
+            self._gestures(devices, now)
         if devices.head is not None and self._place is None:
             self._place = placing(self.view, matrix_of(devices.head), self.room)
         sample = sample_of(devices, now)

@@ -68,12 +68,6 @@ PEOPLE = {
         source="hm08 body, female_casualsuit01, male_casualsuit04, shoes05, long01, eyebrow002, "
         "young_lightskinned_female_diffuse",
     ),
-    "chloe": Recipe(
-        archive="p15.npz",
-        iris="grey",
-        source="hm08 body, female_casualsuit01, male_casualsuit02, shoes01, short02, eyebrow006, "
-        "old_lightskinned_female_diffuse2",
-    ),
 }
 
 
@@ -156,7 +150,7 @@ def main() -> None:
         avatar = made(mesh, options.splats, options.steps, show)
         if options.levels:
             avatar = with_levels(avatar, options.levels, steps=options.level_steps, progress=show)
-            avatar = with_cones(avatar, progress=show)
+        avatar = with_cones(avatar, progress=show)
     save(small(replace(avatar, meta=about(recipe))), options.out)
     print(f"{options.out}: {options.out.stat().st_size / 1e6:.2f} MB")
 

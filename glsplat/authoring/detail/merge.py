@@ -19,7 +19,7 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from glsplat.authoring.faces.carry import merged_shapes
-from glsplat.authoring.light.surfaces import carried
+from glsplat.authoring.light.surfaces import surface_carried
 from glsplat.avatar import Avatar
 from glsplat.errors import GlsplatError
 from glsplat.rotations import quaternion_matrices
@@ -253,7 +253,7 @@ def _made(scene: Any, usable: NDArray[np.intp], work: _Clusters) -> Any:
     sh = (rows @ few.sh.reshape(len(few), -1)) / total
     quats = Rotation.from_matrix(vectors).as_quat()[:, [3, 0, 1, 2]]
     made = Splats.create(centre, quats, deviations, opacity, sh.reshape(count, -1, 3), antialias=splats.antialias)
-    made = replace(made, surface=carried(few.surface, few, made))
+    made = replace(made, surface=surface_carried(few.surface, few, made))
     if not isinstance(scene, Avatar):
         return made
     joints = len(scene.skeleton)

@@ -106,13 +106,15 @@ def with_lashes(
     the lids close. Levels are left out.
     """
     rng = np.random.default_rng((seed, 7))
-    parts, glints = [], []
+    parts, glints, lit = [], [], []
     for ball in balls:
         edges = lid_edges(mesh, ball)
         if len(edges.side) < 8:
             continue
         parts += [_fringe(ball, edges, True, rng), _fringe(ball, edges, False, rng), _shadow(ball, edges)]
-        glints += [_glint(ball, edges)] if light else []
+        if light:
+            glints.append(_glint(ball, edges))
+            lit.append(ball.joint)
     if not parts:
         return avatar
     many = [*parts, *glints]
@@ -120,10 +122,9 @@ def with_lashes(
     extra = extra._replace(opacities=extra.opacities * strength)
     still = len(extra.means) - len(glints)
     made = _added(avatar, mesh, extra)
-    if not glints:
+    if not glints or made.shapes is None:
         return made
-    assert made.shapes is not None
-    return replace(made, shapes=_going_out(made.shapes, len(avatar.splats) + still, [ball.joint for ball in balls]))
+    return replace(made, shapes=_going_out(made.shapes, len(avatar.splats) + still, lit))
 
 
 def with_strands(avatar: Avatar, mesh: RiggedMesh, part: str, count: int, seed: int = 0) -> Avatar:

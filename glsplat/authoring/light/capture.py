@@ -71,11 +71,18 @@ def captured_light(mesh: RiggedMesh, shots: Sequence[FittedPicture], painted: La
     return CapturedLight(light, np.asarray(shade), occlusion)
 
 
-def with_captured_light(avatar: Avatar, mesh: RiggedMesh, captured: CapturedLight) -> Avatar:
-    """The avatar with the surface of ``mesh``, whose colours hold that light; it is told in the avatar's notes."""
+def with_captured_light(
+    avatar: Avatar, mesh: RiggedMesh, captured: CapturedLight, photographed: int | None = None
+) -> Avatar:
+    """The avatar with the surface of ``mesh``, whose colours hold that light; it is told in the avatar's notes.
+
+    Splats from ``photographed`` on (teeth, lashes) have colours that no photograph gave: these hold no light.
+    """
     where = nearest_on(mesh, avatar.splats, captured.occlusion)
     normals = where.directions(vertex_normals(mesh.vertices, mesh.faces))
     shade = np.repeat(where.at(captured.shade[:, None]), 3, axis=1)
+    if photographed is not None:
+        shade[photographed:] = 1.0
     surface = Surface.of(normals, opened(where.at(captured.occlusion)), shade)
     meta: dict[str, Any] = dict(avatar.meta) | {"light": captured.light.to_json()}
     return replace(avatar, splats=replace(avatar.splats, surface=surface), meta=meta)

@@ -17,7 +17,7 @@ from glsplat.rotations import signed_axes
 from glsplat.skinning.pose import Pose
 from glsplat.splats import Splats
 
-__all__ = ["Nearest", "carried", "nearest_on", "open_pose", "opened", "with_surface"]
+__all__ = ["Nearest", "nearest_on", "open_pose", "opened", "surface_carried", "with_surface"]
 
 F64 = NDArray[np.float64]
 
@@ -123,7 +123,7 @@ def with_surface(avatar: Avatar, mesh: RiggedMesh) -> Avatar:
     return replace(surfaced(replace(avatar, levels=())), levels=levels)
 
 
-def carried(surface: Surface | None, before: Splats, after: Splats) -> Surface | None:
+def surface_carried(surface: Surface | None, before: Splats, after: Splats) -> Surface | None:
     """The surface of splats that were made of others: the mean of as many of the nearest as each stands for.
 
     Where there are as many they are the same ones moved a little, and each takes the nearest's.

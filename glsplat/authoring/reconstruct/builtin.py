@@ -101,12 +101,13 @@ class Builtin:
         unseen = float(np.average(painted.seen < _HARDLY, weights=1 / strewn.density))
         options.progress("placing splats", 1.0)
         avatar = sharp(avatar, mesh, painter.colours, shots, options)
+        photographed = len(avatar.splats)
         if face:
             options.progress("giving it a face", 0.0)
             avatar = with_face(avatar, mesh, options.splats, options.seed)
         if not options.keep_light:
             options.progress("finding the light", 0.0)
-            avatar = with_captured_light(avatar, mesh, captured_light(mesh, shots, painter.light))
+            avatar = with_captured_light(avatar, mesh, captured_light(mesh, shots, painter.light), photographed)
             options.progress("finding the light", 1.0)
         return MadeAvatar(avatar=avatar, fit=fit, mesh=mesh, unseen=unseen, seen=_seen(shots), problem=fit.problem)
 

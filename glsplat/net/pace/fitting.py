@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
-from typing import Any
 
 __all__ = ["ENOUGH", "SIDES", "Fitted", "fit"]
 
@@ -28,10 +27,6 @@ class Fitted:
     def enough(self) -> bool:
         """Whether that is a picture that moves."""
         return self.rate >= ENOUGH
-
-    def fields(self) -> dict[str, Any]:
-        """As /session has it."""
-        return {"size": (self.side, self.side), "rate": round(self.rate, 1)}
 
 
 async def fit(draw: Callable[[int], Awaitable[float]], most: int = SIDES[0]) -> Fitted:

@@ -19,6 +19,7 @@ from glsplat.net.backend import AvatarInfo
 from glsplat.net.codec.encode import Encoded
 from glsplat.net.messages import Decoder, Request, WireOptions
 from glsplat.net.pace.client_stream import ClientStream
+from glsplat.net.pace.fitting import Fitted, fit
 from glsplat.net.pages.catalogue import Catalogue
 from glsplat.net.rights import Rights, user_of
 from glsplat.net.session import Session, SessionConfig
@@ -31,6 +32,7 @@ _SMALL = 240  # pixels that the larger side of a client's last picture has at mo
 _GROUND = np.array([205, 210, 216], np.float32)  # behind whom alpha cuts out, sRGB
 _PATIENCE = 20.0  # seconds for a picture
 _QUALITY = 85
+_UNKEPT = {"Cache-Control": "no-store"}  # people's faces
 
 
 class Drawer:
@@ -67,6 +69,18 @@ class Drawer:
             finally:
                 loop.remove(channel)
 
+    async def fitted(self, one: AvatarInfo, most: int) -> Fitted | None:
+        """How large pictures of it may be, up to ``most``, for ENOUGH of them a second; None: nobody knows."""
+
+        async def draw(side: int) -> float:
+            _, times = await self.draw(one, pair(one, side))
+            return times["render"] / 1e3
+
+        try:
+            return await fit(draw, most)
+        except GlsplatError:
+            return None
+
 
 class Previews:
     """GET /thumbnails/NAME and /pictures/NUMBER. ``private``: what clients see is nobody else's."""
@@ -82,10 +96,16 @@ class Previews:
         self._drawer, self._offers, self._rights, self._channels = drawer, offers, rights, channels
         self._private = private or rights.accounts is not None  # an account's pictures are its own
         self._kept: dict[tuple[str, str], bytes] = {}
+        self._drawing = asyncio.Lock()
 
     def routes(self) -> list[web.RouteDef]:
         """Behind the gate, like /session."""
-        return [web.get("/thumbnails/{name}", self._thumbnail), web.get("/pictures/{number:[0-9]+}", self._picture)]
+        return [web.get("/thumbnails/{name}", self._thumbnail), web.get("/pictures/{number:[0-9]{1,9}}", self._picture)]
+
+    @property
+    def private(self) -> bool:
+        """Whether what clients see, and as whom, is nobody else's."""
+        return self._private
 
     def shows(self, number: int) -> bool:
         """Whether /pictures has something of that client."""
@@ -101,14 +121,20 @@ class Previews:
         if name not in self._rights.drivable(user, self._offers.names):
             return web.Response(status=404, text="there is no such avatar here\n")
         key = name, self._rights.label(user, name)
-        if key not in self._kept:
-            one = self._offers[name]
-            try:
-                encoded, _ = await self._drawer.draw(one, _portrait(one), lambda: key[1])
-                self._kept[key] = await asyncio.to_thread(_thumbnail_of, encoded)
-            except GlsplatError as error:
-                return web.Response(status=503, text=f"{error}\n", headers={"Retry-After": "5"})
-        return web.Response(body=self._kept[key], content_type="image/jpeg")
+        async with self._drawing:  # who waits for a picture finds it drawn
+            data = self._kept.get(key)
+            if data is None and name in self._offers.names:
+                one = self._offers[name]
+                try:
+                    encoded, _ = await self._drawer.draw(one, _portrait(one), lambda: key[1])
+                except GlsplatError as error:
+                    return web.Response(status=503, text=f"{error}\n", headers={"Retry-After": "5"})
+                data = await asyncio.to_thread(_thumbnail_of, encoded)
+                if name in self._offers.names and self._offers[name] is one:  # another may have the name meanwhile
+                    self._kept[key] = data
+        if data is None:
+            return web.Response(status=404, text="there is no such avatar here\n")
+        return web.Response(body=data, content_type="image/jpeg", headers=_UNKEPT)
 
     async def _picture(self, request: web.Request) -> web.Response:
         number = int(request.match_info["number"])
@@ -116,7 +142,8 @@ class Previews:
             return web.Response(status=404, text="there is no such picture for you\n")
         encoded = self._channels[number].newest
         assert encoded is not None
-        return web.Response(body=await asyncio.to_thread(_small, encoded), content_type="image/jpeg")
+        data = await asyncio.to_thread(_small, encoded)
+        return web.Response(body=data, content_type="image/jpeg", headers=_UNKEPT)
 
 
 def flattened(encoded: Encoded) -> NDArray[np.uint8]:

@@ -12,6 +12,9 @@ _BLOCKS = {(True, True): " ", (False, True): "▀", (True, False): "▄", (False
 _COLOURS, _END = "\x1b[38;5;231;48;5;16m", "\x1b[0m"
 
 
+_LONGEST = 1000  # characters of an address; a code holds 2,900 at most
+
+
 class QrCodes:
     """SVG codes of the few addresses that a page is asked by; "" for more of them.
 
@@ -21,6 +24,7 @@ class QrCodes:
     def __init__(self, most: int = 16) -> None:
         self._most = most
         self._drawn: dict[str, str] = {}
+        self._once = asyncio.Semaphore(1)
 
     async def svg(self, text: str) -> str:
         """The code, drawn at the first call in another thread; "" meanwhile, for whoever else asks."""
@@ -28,6 +32,13 @@ class QrCodes:
             self._drawn[text] = ""
             self._drawn[text] = await asyncio.to_thread(svg, text)
         return self._drawn.get(text, "")
+
+    async def secret(self, text: str) -> str:
+        """The code of an address that holds a token that was checked: drawn each time, one at a time, never kept."""
+        if len(text) > _LONGEST:
+            return ""
+        async with self._once:
+            return await asyncio.to_thread(svg, text)
 
 
 def svg(text: str) -> str:

@@ -95,9 +95,16 @@ class Pages:
         name = f"[{name}]" if ":" in name else name
         page = f"http{'s' if self._tls else ''}://{name}:{request.url.port}/vr"
         kind, _, token = request.headers.get("Authorization", "").partition(" ")
-        token = token.strip() if kind == "Bearer" else ""
-        code = "" if local else await self._codes.svg(f"{page}#token={quote(token)}" if token else page)
-        return web.json_response({"page": page, "local": local, "svg": code})
+        # the gate has checked it, where the server has tokens at all
+        token = token.strip() if kind.lower() == "bearer" and self._stats()["token"] else ""
+        if local:
+            code = ""
+        elif token:
+            code = await self._codes.secret(f"{page}#token={quote(token)}")
+        else:
+            code = await self._codes.svg(page)
+        headers = {"Cache-Control": "no-store"}
+        return web.json_response({"page": page, "local": local, "svg": code}, headers=headers)
 
     async def _session(self, request: web.Request) -> web.Response:
         embedded = {"motions": embedded_motions(), "recording": True}

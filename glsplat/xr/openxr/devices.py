@@ -161,12 +161,16 @@ class DeviceReader:
         return None
 
     def _number(self, action: Any, path: Any) -> float:
-        state = self._xr.get_action_state_float(self._session, self._xr.ActionStateGetInfo(action, path))
-        return float(state.current_state) if state.is_active else 0.0
+        with called("xrGetActionStateFloat"):
+            state = self._xr.get_action_state_float(self._session, self._xr.ActionStateGetInfo(action, path))
+            return float(state.current_state) if state.is_active else 0.0
+        return 0.0
 
     def _pressed(self, path: Any) -> bool:
-        state = self._xr.get_action_state_boolean(self._session, self._xr.ActionStateGetInfo(self._next, path))
-        return bool(state.is_active and state.current_state)
+        with called("xrGetActionStateBoolean"):
+            state = self._xr.get_action_state_boolean(self._session, self._xr.ActionStateGetInfo(self._next, path))
+            return bool(state.is_active and state.current_state)
+        return False
 
     # --------------------------------------------------------------------------------------------------- extensions
 

@@ -159,7 +159,8 @@ class OpenXrRuntime:
     def move(self, place: Transform) -> None:
         """Another space in the place of the one before."""
         old, self._space = self._space, self._reference(self._kind, place, self._base)
-        self._xr.destroy_space(old)
+        with called("xrDestroySpace"):
+            self._xr.destroy_space(old)
 
     def swapchain(self, internal_format: int, size: tuple[int, int], layers: int, depth: bool) -> _Swapchain:
         """xrCreateSwapchain."""
@@ -202,7 +203,9 @@ class OpenXrRuntime:
         except xr.exception.XrException as error:
             raise ContextError(f"the OpenXR runtime does not answer ({type(error).__name__}): {START}") from None
         self._stack.callback(_quietly, xr.destroy_instance, instance)
-        self.name: str = xr.get_instance_properties(instance).runtime_name.decode(errors="replace")
+        self.name = ""
+        with called("xrGetInstanceProperties"):
+            self.name = xr.get_instance_properties(instance).runtime_name.decode(errors="replace")
         return instance
 
     def _found_system(self) -> Any:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from glsplat.authoring.light.occlusion import ambient_occlusion
-from glsplat.authoring.light.surfaces import carried, nearest_on, with_surface
+from glsplat.authoring.light.surfaces import nearest_on, surface_carried, with_surface
 from glsplat.avatar import Avatar
 from glsplat.light.surface import Surface
 from glsplat.meshes import RiggedMesh
@@ -63,14 +63,14 @@ def test_moved_splats_keep_theirs_and_infinite_ones_do_no_harm() -> None:
     splats = cloud(50)
     moved = replace(splats, means=splats.means + 1e-4)
     surface = random_surface(50)
-    found = carried(surface, splats, moved)
+    found = surface_carried(surface, splats, moved)
     assert found is not None and np.abs(found.units - surface.units).max() < 0.02
     assert np.array_equal(found.occlusion, surface.occlusion)
     means = np.array(splats.means)
     means[3] = np.nan
-    hurt = carried(surface, replace(splats, means=means), moved)
+    hurt = surface_carried(surface, replace(splats, means=means), moved)
     assert hurt is not None and len(hurt) == 50 and np.isfinite(hurt.units).all()
-    assert carried(None, splats, moved) is None
+    assert surface_carried(None, splats, moved) is None
 
 
 @pytest.mark.parametrize("normals", [np.zeros((5, 3)), np.full((5, 3), np.nan)])

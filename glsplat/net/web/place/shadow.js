@@ -3,6 +3,7 @@
 import { movePoint } from '../space/matrix.js';
 
 const PARTS = ['left_foot', 'right_foot', 'left_ankle', 'right_ankle', 'left_knee', 'right_knee', 'pelvis', 'spine3'];
+const BACK = 0.1; // metres from the eyes back to above the ankles of who stands
 const NEAR = 0.32; // metres above the floor at which a part has half its shadow
 
 /** Of joints [[x, y, z], ...] in the room as it is shown. */
@@ -14,6 +15,13 @@ export function fromJoints(points) {
 export function partsOf(skeleton, pose) {
   const found = PARTS.map((name) => skeleton.names.indexOf(name)).filter((joint) => joint >= 0);
   return found.map((joint) => skeleton.placeOf(pose, joint));
+}
+
+/** [x, z] of who stands below the eyes of `head` [x, y, z, qx, qy, qz, qw]. */
+export function below([x, , z, qx, qy, qz, qw]) {
+  const [across, along] = [2 * (qx * qz + qw * qy), 1 - 2 * (qx * qx + qy * qy)]; // where +z of the head points
+  const length = Math.hypot(across, along) || 1;
+  return [x + (BACK * across) / length, z + (BACK * along) / length];
 }
 
 /** Of a box [x0, y0, z0, x1, y1, z1] alone, moved by `shown`; `root`: [x, z] where the body's middle is known. */

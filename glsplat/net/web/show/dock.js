@@ -1,5 +1,7 @@
 // The dock of the flat page: who is seen, what moves them, and the way into a headset. Knows settings, not the server.
 
+const AGAIN = 5000; // ms until a picture that did not come is asked for again
+
 /** Shows `settings` avatar and driver as pictures and chips; `picture(name)` promises the address of a thumbnail, or null. */
 export class Dock {
   #document;
@@ -24,7 +26,10 @@ export class Dock {
   async load() {
     for (const { value: name } of this.#settings.options('avatar')) {
       if (this.#pictures.has(name)) continue;
-      this.#pictures.set(name, await this.#picture(name).catch(() => null));
+      this.#pictures.set(name, null); // on its way: asked for once
+      const picture = await this.#picture(name).catch(() => null);
+      if (picture) this.#pictures.set(name, picture);
+      else setTimeout(() => this.#pictures.delete(name), AGAIN);
       this.#showPeople();
     }
   }

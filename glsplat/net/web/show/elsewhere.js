@@ -12,7 +12,7 @@ export class Elsewhere {
   }
 
   async open() {
-    const found = await this.#ask().catch(() => null);
+    const found = reached(await this.#ask().catch(() => null));
     const { words, svg, address } = said(found);
     this.#get('code-words').textContent = words;
     this.#get('code-address').textContent = address;
@@ -22,6 +22,12 @@ export class Elsewhere {
     this.#get('code-picture').replaceChildren(...(svg ? [image] : []));
     this.#get('code').showModal();
   }
+}
+
+/** Behind a proxy the server takes itself for this computer's alone; who got here knows better. */
+function reached(found) {
+  const here = ['localhost', '127.0.0.1', '[::1]'].includes(location.hostname);
+  return found?.local && !here ? { page: location.origin + location.pathname, local: false, svg: '' } : found;
 }
 
 function said(found) {

@@ -1,6 +1,6 @@
 // What both ways of looking share: ask for a pair, take the newest that came, put it on the screen, keep the figures.
 
-import { fromBox } from '../place/shadow.js';
+import { below, fromBox } from '../place/shadow.js';
 import { Framing } from '../space/framing.js';
 import { IDENTITY } from '../space/matrix.js';
 import { watcher } from '../space/placing.js';
@@ -91,7 +91,7 @@ export class Stage {
     if (here && this.here.people.size) return this.here.shadows(shown, now);
     const box = this.painter.hasPair ? this.info.box : null;
     const trans = pose?.trans;
-    const root = trans ? [trans[0], trans[2]] : tracking?.head ? [tracking.head[0], tracking.head[2]] : null;
+    const root = trans ? [trans[0], trans[2]] : tracking?.head ? below(tracking.head) : null;
     return box ? fromBox(box, shown, root) : [];
   }
 
