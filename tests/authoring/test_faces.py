@@ -14,7 +14,9 @@ from glsplat.authoring.cones import ConeConfig, with_cones
 from glsplat.authoring.detail.merge import merged
 from glsplat.authoring.faces.carry import carried
 from glsplat.authoring.faces.shapes import body_morphs, with_shapes
+from glsplat.authoring.light.surfaces import with_surface
 from glsplat.authoring.posed import posed_splats
+from glsplat.authoring.refine import RefineConfig, refine
 from glsplat.authoring.scans import read_obj_person
 from glsplat.authoring.surface import make_avatar
 from glsplat.avatar import Avatar
@@ -27,6 +29,7 @@ from glsplat.skinning.pose import Pose
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.skin import Skin
 from glsplat.splats import Level, Splats
+from tests.authoring.test_surface import ball, rigged
 from tests.formats.scenes import SHARED_DATA
 
 SIDE = 21
@@ -245,3 +248,22 @@ def test_cones_hide_nothing_that_a_face_moves_or_uncovers() -> None:
     assert (cones[near, 3] == -127).all() and (still[near, 3] > -127).mean() > 0.3
     assert np.array_equal(cones[means[:, 0] < 0.0], still[means[:, 0] < 0.0])
     assert (cones[np.diff(face.shapes.starts) > 0, 3] == -127).all()
+
+
+def test_the_fit_without_compiled_loops_carries_shapes_and_surface() -> None:
+    mesh = rigged(ball(0.3))
+    moves = np.zeros_like(mesh.vertices)
+    moves[:, 2] = 0.4 * (mesh.vertices[:, 1] - mesh.vertices[:, 1].mean())
+    face = replace(mesh, morphs=Morphs.of({"jawOpen": [(np.arange(len(moves)), moves)]}))
+    start = with_surface(make_avatar(face, 300, seed=1), face)
+    assert start.shapes is not None
+    made = refine(start, face, 5, RefineConfig(steps=8, size=64))
+    assert made.shapes is not None and made.splats.surface is not None
+    assert np.abs(made.splats.means - start.splats.means).max() > 1e-4
+    found = reference.expressed(made.splats, made.shapes, np.ones(1))
+    linear = np.eye(3)
+    linear[2, 1] = 0.4
+    rest = reference.expressed(made.splats, made.shapes, np.zeros(1))
+    wanted = rest.shapes @ np.swapaxes(rest.shapes, 1, 2)
+    error = np.abs(found.shapes @ np.swapaxes(found.shapes, 1, 2) - linear @ wanted @ linear.T).max(axis=(1, 2))
+    assert np.median(error / np.abs(wanted).max(axis=(1, 2))) < 0.2

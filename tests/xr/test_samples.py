@@ -185,3 +185,23 @@ def test_with_others_the_user_begins_at_the_origin_looking_along_z() -> None:
     x, y, z, w = head[3:]
     ahead = -np.array([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)])
     assert ahead == pytest.approx([0, 0, 1], abs=1e-6)
+
+
+def test_with_others_a_reset_lets_them_look_along_z_again() -> None:
+    """Wherever they turned meanwhile, and as often as they like."""
+    worn = Worn(Wearer("own", room=True))
+    for angle in (0.0, 0.7, -2.0):
+        worn.wearer.recentred()
+        moment = worn.look(head=(1.0, 1.6, angle, 0.0, sin(angle / 2), 0.0, cos(angle / 2)))
+        x, y, z, w = moment.sample.head[3:]
+        assert (2 * (x * z + w * y), 1 - 2 * (x * x + y * y)) == pytest.approx((0, -1), abs=1e-6), angle
+        assert moment.sample.head[0] == pytest.approx(0, abs=1e-6) == moment.sample.head[2]
+
+
+def test_pinches_before_the_runtimes_own_menu_are_not_for_us() -> None:
+    worn = Worn(Wearer("mirror"))
+    for hand in (pinch(0.05), pinch(0.005)) * 2:
+        worn.time += 10**8
+        worn.runtime.tracked = replace(worn.runtime.tracked, hands=(hand, None))
+        moment = worn.wearer.look(worn.runtime, FrameTiming(worn.time, PERIOD, True), False)
+    assert moment is not None and moment.place.view == "mirror"

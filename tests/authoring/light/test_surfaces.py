@@ -7,9 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from glsplat.authoring.light.capture import CapturedLight, with_captured_light
 from glsplat.authoring.light.occlusion import ambient_occlusion
 from glsplat.authoring.light.surfaces import nearest_on, surface_carried, with_surface
 from glsplat.avatar import Avatar
+from glsplat.light.light import Light
 from glsplat.light.surface import Surface
 from glsplat.meshes import RiggedMesh
 from glsplat.skinning.skin import Skin
@@ -76,3 +78,12 @@ def test_moved_splats_keep_theirs_and_infinite_ones_do_no_harm() -> None:
 @pytest.mark.parametrize("normals", [np.zeros((5, 3)), np.full((5, 3), np.nan)])
 def test_no_normal_stays_none(normals: np.ndarray) -> None:
     assert not Surface.of(normals, np.ones(5)).normals.any()
+
+
+def test_colours_that_no_photograph_gave_hold_no_light() -> None:
+    mesh = rigged(ball(0.3))
+    count = len(mesh.vertices)
+    captured = CapturedLight(Light.uniform(), np.full(count, 0.5), np.ones(count))
+    surface = with_captured_light(on_the_vertices(mesh, 100), mesh, captured, 90).splats.surface
+    assert surface is not None
+    assert surface.shades[:90] == pytest.approx(0.5, rel=0.02) and surface.shades[90:] == pytest.approx(1.0)

@@ -113,3 +113,36 @@ def test_another_device_is_told_where_to_go(serve):
     told = json.loads(body)
     assert told["local"] is False and told["svg"].startswith("<svg") and f"#token={TOKEN}" in told["svg"]
     assert "127.0.0.1" not in told["page"] and TOKEN not in told["page"]
+
+
+def test_who_asks_at_once_waits_for_one_drawing(serve):
+    """The page asks again while it waits, and many pages at once."""
+    backend = FakeBackend(delay=0.05)
+
+    async def main():
+        async with serve(backend, config=PLAIN) as server, aiohttp.ClientSession() as http:
+            url = f"http://127.0.0.1:{server.port}/thumbnails/{server.offer()['avatars'][0]['name']}"
+            answers = await asyncio.gather(*(http.get(url) for _ in range(6)))
+            return [(one.status, one.headers["Cache-Control"]) for one in answers]
+
+    assert asyncio.run(main()) == [(200, "no-store")] * 6 and len(backend.drawn) == 1
+
+
+def test_numbers_that_are_none_and_private_servers(serve):
+    (long,) = asked(serve, f"/pictures/{'9' * 5000}")
+    assert long[0] == 404
+    for private in (False, True):
+        _, body = asked(serve, "/stats", config=replace(PLAIN, private=private), client=True)[0]
+        (client,) = json.loads(body)["clients"]
+        assert (client["avatar"] is None) == private and client["picture"] != private
+
+
+def test_addresses_of_strangers_fill_nothing(serve):
+    """An open server puts no token into a code, and one with a token draws as many as are asked for."""
+    config = replace(PLAIN, access=Access(host="0.0.0.0", insecure=True))
+    plain = asked(serve, "/reach", config=config, headers={"Authorization": "Bearer invented" + "x" * 4000})[0]
+    assert plain[0] == 200 and "invented" not in json.loads(plain[1])["svg"]
+    guarded = replace(PLAIN, access=Access(host="0.0.0.0", token=TOKEN, insecure=True))
+    headers = {"Authorization": f"bearer {TOKEN}", "Host": "localhost"}
+    codes = [json.loads(body)["svg"] for _, body in asked(serve, *["/reach"] * 20, config=guarded, headers=headers)]
+    assert all(TOKEN in code for code in codes) and len(codes) == 20
