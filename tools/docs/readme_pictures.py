@@ -1,6 +1,6 @@
-"""Draws the README's pictures anew: the clip, and a photograph beside its avatar.
+"""Draws the README's pictures anew: the clip, a photograph beside its avatar, people in a room.
 
-    python -m tools.docs.readme_pictures [clip] [photo]        # into docs/images
+    python -m tools.docs.readme_pictures [clip] [photo] [room]        # into docs/images
 
 The photograph is of a participant that comes with glsplat. Look at every picture.
 """
@@ -11,6 +11,7 @@ import io
 import subprocess
 import sys
 import tempfile
+from contextlib import ExitStack
 from dataclasses import replace
 from itertools import count
 from pathlib import Path
@@ -23,7 +24,12 @@ import glsplat
 from glsplat.data import participants_folder, person
 from glsplat.io.files import replace_file
 from glsplat.motion.motion import load_motion
+from glsplat.net.backends.server import make_server
+from glsplat.net.server import Server, ServerConfig
 from glsplat.rotations import FLIP_YZ
+from tests.browser.served import Served
+from tests.browser.vr import settings
+from tools.docs.chromium import chromium, page_of
 
 IMAGES = Path(__file__).resolve().parents[2] / "docs" / "images"
 SIDE, ACROSS = 768, 800  # pixels an eye as drawn; of the clip, both eyes
@@ -42,7 +48,7 @@ def clip() -> None:
     """readme-clip.webp: both eyes of somebody who stands before ben, forth and back: its end meets its beginning."""
     avatar = person("ben")
     motion = load_motion("wave-and-turn", avatar.skeleton)
-    head = np.linalg.inv(FLIP_YZ @ glsplat.look_at((0.15, 1.5, 2.3), (0.0, 1.02, 0.0)))
+    head = np.linalg.inv(FLIP_YZ @ glsplat.look_at((-0.12, 1.6, 1.5), (-0.12, 1.46, 0.0)))
     eyes = glsplat.stereo_cameras(head, ipd=0.063, fov=50, size=(SIDE, SIDE), background=WALL)
     frames = []
     with glsplat.Renderer(avatar, size=(SIDE, SIDE), views=2) as renderer:
@@ -80,6 +86,24 @@ def photo() -> None:
     write_jpeg("readme-photo", np.hstack(tiles)[..., ::-1])
 
 
+def room() -> None:
+    """readme-room.jpg: three people of one room, as one of them sees them on the flat page."""
+    config = ServerConfig(port=0, rooms={"lab": 3})
+    who = {"Ann": "anna", "Ben": "ben", "Zoë": "default"}
+    others = {name: person(name) for name in ("anna", "ben")}
+
+    def made(config: ServerConfig) -> Server:
+        return make_server(glsplat.default_avatar(), config, avatars=others)
+
+    with Served(make=made, config=config) as served, chromium() as browser, ExitStack() as stack:
+        for name, avatar in who.items():
+            init = settings(size=768, room="lab", name=name, avatar=avatar, driver="motion:idle")
+            page = stack.enter_context(page_of(browser, served.page, init, (1280, 720), xr=False))
+        page.until("window.glsplat.stats().shown > 12", 240)
+        shot = np.frombuffer(page.page.screenshot(), np.uint8)
+    write_jpeg("readme-room", cv2.imdecode(shot, cv2.IMREAD_COLOR)[..., ::-1])
+
+
 def run(*words: str) -> None:
     """A command of glsplat."""
     subprocess.run([sys.executable, "-m", "apps.cli", *words], check=True)
@@ -96,5 +120,5 @@ def write_jpeg(name: str, image: np.ndarray) -> None:
 
 
 if __name__ == "__main__":
-    for kind in sys.argv[1:] or ("clip", "photo"):
-        {"clip": clip, "photo": photo}[kind]()
+    for kind in sys.argv[1:] or ("clip", "photo", "room"):
+        {"clip": clip, "photo": photo, "room": room}[kind]()

@@ -92,7 +92,7 @@ def measured(here: bool, seconds: float, size: int) -> dict[str, Any]:
         page = context.new_page()
         page.goto(served.page)
         page.wait_for_function("window.glsplat && glsplat.stats().shownId > 3", timeout=120_000)
-        page.click("#voice-talk")
+        page.evaluate("document.querySelector('#voice-talk').click()")  # it is behind the drawer
         page.wait_for_timeout(1000 * seconds)
         found = page.evaluate("delays")
         stats = page.evaluate("glsplat.stats()")
