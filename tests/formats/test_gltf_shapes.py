@@ -17,8 +17,8 @@ from glsplat.errors import FormatError
 from glsplat.formats import load, losses, save
 from glsplat.formats.gltf.morphs import shape_names
 from glsplat.skinning.shapes import Shapes
-from glsplat.splats import Level
-from tests.formats.scenes import assert_equal, edit_glb, glb_parts, write_glb
+from glsplat.splats import Level, Splats, normalised
+from tests.formats.scenes import assert_equal, edit_glb, glb_parts, random_splats, write_glb
 from tests.skinning.faces import NAMES, expressive, random_shapes
 
 FIELDS = ("starts", "targets", "moves", "bends", "sizes", "limits")
@@ -270,3 +270,49 @@ def test_weights_take_a_byte_each_only_where_that_loses_nothing(tmp_path: Path) 
         assert document["accessors"][attributes["WEIGHTS_0"]]["componentType"] == code
         joints = len(one.skeleton)
         assert np.array_equal(loaded(tmp_path / "a.glb").skin.dense(joints), one.skin.dense(joints))
+
+
+def test_rotations_take_two_bytes_each_only_where_reading_makes_the_same_of_them(tmp_path: Path) -> None:
+    raw = random_splats(500, 3)
+    quats = raw.quats
+    for _ in range(4):
+        quats = normalised(np.rint(quats * np.float32(32767)) / np.float32(32767))
+    one_off = quats.copy()
+    one_off[77] = raw.quats[77]
+    unknown = quats.copy()
+    unknown[5], unknown[6] = np.nan, 0
+    zero = quats.copy()
+    zero[6] = 0
+    for given, code in ((quats, 5122), (zero, 5122), (raw.quats, 5126), (one_off, 5126), (unknown, 5126)):
+        splats = replace(raw, quats=given)
+        save(splats, tmp_path / "a.glb")
+        document, _ = glb_parts((tmp_path / "a.glb").read_bytes())
+        place = document["meshes"][0]["primitives"][0]["attributes"]["KHR_gaussian_splatting:ROTATION"]
+        accessor = document["accessors"][place]
+        assert accessor["componentType"] == code and accessor.get("normalized", False) == (code == 5122)
+        found = load(tmp_path / "a.glb")
+        assert isinstance(found, Splats)
+        np.testing.assert_array_equal(found.quats, splats.quats)
+
+
+def test_targets_of_others_may_be_in_any_order(tmp_path: Path) -> None:
+    avatar = expressive(120)
+    save(avatar, tmp_path / "a.glb")
+    document, packed = glb_parts((tmp_path / "a.glb").read_bytes())
+    blob = bytearray(packed)
+    for target in document["meshes"][0]["primitives"][0]["targets"]:
+        sparse = document["accessors"][target["POSITION"]]["sparse"]
+        count = sparse["count"]
+        for key, size in (("indices", 2), ("values", 12)):  # the axes keep their own order, or turn with those indices
+            start = document["bufferViews"][sparse[key]["bufferView"]].get("byteOffset", 0)
+            each = np.frombuffer(bytes(blob[start : start + count * size]), np.uint8).reshape(count, size)
+            blob[start : start + count * size] = each[::-1].tobytes()
+        own = {document["accessors"][target[name]]["sparse"]["indices"]["bufferView"] for name in target}
+        if len(own) == 1:
+            for name in set(target) - {"POSITION"}:
+                view = document["accessors"][target[name]]["sparse"]["values"]["bufferView"]
+                start = document["bufferViews"][view]["byteOffset"]
+                each = np.frombuffer(bytes(blob[start : start + count * 4]), np.uint8).reshape(count, 4)
+                blob[start : start + count * 4] = each[::-1].tobytes()
+    write_glb(tmp_path / "b.glb", document, bytes(blob))
+    assert_same_shapes(loaded(tmp_path / "b.glb"), avatar)

@@ -151,9 +151,11 @@ def shapes_of(container: Container, instance: Instance, count: int) -> Shapes | 
     more: list[tuple[NDArray[np.int64], int, NDArray[Any]]] = []
     for number in bent:
         rows, values = _axes(container, primitive.targets[number], f"morph target {number}", count)
-        at = slice(*morphs.starts[number : number + 2])
-        if np.array_equal(rows, splats[at]):
-            bends[at] = values
+        first, last = morphs.starts[number : number + 2]
+        place = first + np.searchsorted(splats[first:last], rows)
+        # where targets are in order, as glTF has them (3.6.2.3), and all that bends moves, as it is written here
+        if len(rows) and first < last and np.array_equal(splats[np.minimum(place, last - 1)], rows):
+            bends[place] = values
         else:
             more.append((rows, number, values))
     moves = morphs.offsets.astype(np.float64)
@@ -162,8 +164,8 @@ def shapes_of(container: Container, instance: Instance, count: int) -> Shapes | 
     sizes, limits = _numbers(ours.get(_SIZES), (len(names),)), _numbers(ours.get(_LIMITS), (len(names), 2))
     if sizes is not None and not _fits(moves, sizes[targets]):
         sizes = None
-    pairs = splats * len(names) + targets
-    if len(np.unique(pairs)) != len(pairs):
+    pairs = targets * count + splats
+    if (np.diff(pairs) <= 0).any() and len(np.unique(pairs)) != len(pairs):  # in order they differ
         raise FormatError("a morph target names a splat twice")
     return Shapes.create(
         names, count, splats=splats, targets=targets, moves=moves, bends=bends, sizes=sizes, limits=limits

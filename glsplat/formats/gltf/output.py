@@ -42,12 +42,12 @@ class Output:
         normalized: bool = False,
         target: int | None = VERTICES,
     ) -> int:
-        """Index of a new accessor of type ``kind`` for [N, width] float32, int8, uint8, uint16 or uint32.
+        """Index of a new accessor of type ``kind`` for [N, width] float32, int8, int16, uint8, uint16 or uint32.
 
         ``normalized`` integers stand for -1 to 1 or 0 to 1. ``target`` is the bufferView's: ``VERTICES``, ``INDICES``,
         or None for what is neither.
         """
-        code = {"f": 5126, "b": 5120, "B": 5121, "H": 5123, "I": 5125}[array.dtype.char]
+        code = {"f": 5126, "b": 5120, "B": 5121, "h": 5122, "H": 5123, "I": 5125}[array.dtype.char]
         data = array.astype(array.dtype.newbyteorder("<")).tobytes()
         accessor = Accessor(buffer_view=self.add_bytes(data, target), component_type=code, count=len(array), type=kind)
         accessor.normalized = normalized

@@ -1,8 +1,9 @@
 """Splats as one POINTS primitive of glTF with KHR_gaussian_splatting, and back.
 
 Read: the ratified attribute names (KHR_gaussian_splatting:ROTATION, :SCALE, :OPACITY, :SH_DEGREE_l_COEF_n) and the
-older drafts' (_ROTATION, _SCALE, colour and opacity in COLOR_0). Written: the ratified ones as float32, so that a
-round trip is exact, and a COLOR_0 for viewers that know no splats (fallback.py).
+older drafts' (_ROTATION, _SCALE, colour and opacity in COLOR_0). Written: the ratified ones as float32, or rotations as
+16 bits where reading makes the same of them (narrow_quats), so that a round trip is exact, and a COLOR_0 for viewers that know no
+splats (fallback.py).
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from glsplat.formats.gltf.fallback import write_fallback
 from glsplat.formats.gltf.output import Output
 from glsplat.formats.spz import spz_splats
 from glsplat.light.surface import SHADE_ONE, Surface
-from glsplat.splats import SH_C0, Splats
+from glsplat.splats import SH_C0, Splats, normalised
 
 __all__ = [
     "ANTIALIAS",
@@ -27,6 +28,7 @@ __all__ = [
     "EXTENSION",
     "SPZ_EXTENSION",
     "colour_note",
+    "narrow_quats",
     "number_of",
     "our_extras",
     "packed_view",
@@ -51,13 +53,15 @@ _CONE = (
     "_VISIBILITY_CONE"  # Splats.cones; an attribute of an application's own starts with an underscore (glTF 2.0, 3.7.2)
 )
 _CONES_PSNR = "cones_psnr"  # in the primitive's extras.glsplat: Splats.cones_psnr
+_ROTATION_ONE = np.float32(32767)
 _SH_NAMES = [(degree, n) for degree in range(4) for n in range(2 * degree + 1)]
 
 
 def write_splats(out: Output, splats: Splats) -> Primitive:
     """A new primitive with all that splats are; its material is number 0. Joints and weights are added elsewhere."""
     attributes = {"POSITION": out.add(splats.means, "VEC3", bounds=True)}
-    attributes[f"{EXTENSION}:ROTATION"] = out.add(np.roll(splats.quats, -1, axis=1), "VEC4")  # xyzw
+    rotations = np.roll(narrow_quats(splats.quats), -1, axis=1)  # xyzw
+    attributes[f"{EXTENSION}:ROTATION"] = out.add(rotations, "VEC4", normalized=rotations.dtype == np.int16)
     attributes[f"{EXTENSION}:SCALE"] = out.add(splats.scales, "VEC3")
     attributes[f"{EXTENSION}:OPACITY"] = out.add(splats.opacities[:, None], "SCALAR")
     for k, (degree, n) in enumerate(_SH_NAMES[: splats.sh.shape[1]]):
@@ -77,6 +81,13 @@ def write_splats(out: Output, splats: Splats) -> Primitive:
         extensions={EXTENSION: {"kernel": "ellipse", "colorSpace": "srgb_rec709_display"}},
         extras=None if splats.cones_psnr is None else {"glsplat": {_CONES_PSNR: splats.cones_psnr}},
     )
+
+
+def narrow_quats(quats: NDArray[np.float32]) -> NDArray[np.float32] | NDArray[np.int16]:
+    """Quaternions [N, 4] in 32767ths, where reading those makes the same of them; else as they are."""
+    with np.errstate(invalid="ignore", over="ignore"):
+        narrow = np.nan_to_num(np.rint(quats * _ROTATION_ONE)).clip(-_ROTATION_ONE, _ROTATION_ONE).astype(np.int16)
+    return narrow if np.array_equal(normalised(narrow / _ROTATION_ONE), quats) else quats
 
 
 def read_splats(container: Container, primitive: Primitive, name: str) -> Splats:

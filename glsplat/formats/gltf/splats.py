@@ -97,8 +97,8 @@ def _has_splats(gltf: Gltf) -> bool:
 def save_gltf(scene: Splats | Avatar, target: Source, *, embedded: bool | None = None) -> None:
     """Write a .glb, or where ``target`` ends in .gltf one JSON file with its buffer ``embedded``.
 
-    Attributes are stored as float32 exactly as they are, joints as the smallest unsigned integer that fits: 56 bytes a
-    splat, 12 for each further coefficient, and 8 for the points that other viewers show.
+    Attributes are stored exactly as they are, as float32 or what integers hold as well, joints as the smallest unsigned
+    integer that fits: 56 bytes a splat, 12 for each further coefficient, and 8 for the points that other viewers show.
     Raises FormatError when ``target`` cannot be written or an avatar's metadata is not JSON.
     """
     out = Output()
