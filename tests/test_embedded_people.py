@@ -54,7 +54,7 @@ def test_they_are_different_people() -> None:
 
 
 def test_each_is_read_once() -> None:
-    assert person("ben") is person("ben") is not default_avatar()
+    assert person("ben") is person("ben") is default_avatar()
 
 
 def test_another_name_is_refused_in_one_line() -> None:

@@ -20,7 +20,7 @@ def test_the_wheel_renders_from_elsewhere(tmp_path: Path) -> None:
     (wheel,) = tmp_path.glob("*.whl")
     names = zipfile.ZipFile(wheel).namelist()
     assert not [n for n in names if n.startswith(("apps/", "tests/"))]
-    assert "glsplat/py.typed" in names and "glsplat/data/default_avatar.glb" in names
+    assert "glsplat/py.typed" in names and "glsplat/data/people/ben.glb" in names
     tables = {f"glsplat/authoring/fit/{name}.json" for name in ("landmark_offsets", "hand_offsets", "face_places")}
     assert "glsplat/data/open_body.npz" in names and tables <= set(names)
     shaders = {p.name for p in (ROOT / "glsplat").rglob("*.glsl")}

@@ -10,10 +10,13 @@ from glsplat.avatar import Avatar
 from glsplat.errors import FormatError
 from glsplat.formats.gltf.splats import load_gltf
 
-__all__ = ["PEOPLE", "default_avatar", "embedded_file", "participants_folder", "person"]
+__all__ = ["DEFAULT", "PEOPLE", "default_avatar", "embedded_file", "participants_folder", "person"]
 
 PEOPLE: tuple[str, ...] = ("anna", "ben")
 """The embedded people with faces that move, each a file of people/."""
+
+DEFAULT: str = "ben"
+"""Who is shown where nobody says whom."""
 
 
 @lru_cache(maxsize=len(PEOPLE))
@@ -28,24 +31,19 @@ def person(name: str) -> Avatar:
     """
     if name not in PEOPLE:
         raise FormatError(f"the embedded people are {', '.join(PEOPLE)}, not {name!r}")
-    return _loaded(f"people/{name}.glb")
+    with resources.as_file(resources.files("glsplat.data") / "people" / f"{name}.glb") as path:
+        scene = load_gltf(path)
+    assert isinstance(scene, Avatar)
+    return scene
 
 
-@lru_cache(maxsize=1)
 def default_avatar() -> Avatar:
-    """The embedded person that is shown where nobody says whom (40,000 splats and its levels of detail; 55 joints).
+    """The embedded person that is shown where nobody says whom: ``person(DEFAULT)``.
 
     >>> glsplat.default_avatar().skeleton
     Skeleton(55 joints: pelvis, left_hip, right_hip, ...)
     """
-    return _loaded("default_avatar.glb")
-
-
-def _loaded(name: str) -> Avatar:
-    with resources.as_file(resources.files("glsplat.data") / name) as path:
-        scene = load_gltf(path)
-    assert isinstance(scene, Avatar)
-    return scene
+    return person(DEFAULT)
 
 
 def embedded_file(name: str | Path) -> Path:

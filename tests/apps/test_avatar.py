@@ -16,7 +16,7 @@ from glsplat.authoring.detail.measure import MeasureConfig
 from glsplat.authoring.optimize.pictures import ViewConfig
 from glsplat.authoring.surface import SamplerConfig
 from glsplat.avatar import Avatar
-from glsplat.data import default_avatar
+from glsplat.data import DEFAULT, default_avatar, embedded_file
 from glsplat.formats import FORMATS, load, save
 from tests.formats.scenes import random_avatar
 
@@ -24,7 +24,7 @@ DATA = Path(cli.__file__).parents[1] / "glsplat" / "data"
 
 
 def test_default_avatar_file():
-    path = DATA / "default_avatar.glb"
+    path = embedded_file(DEFAULT)
     assert path.stat().st_size <= 8e6
     avatar = load(path)
     # loading it is 1.2 times a loop over its splats here
@@ -186,7 +186,7 @@ def test_motions(tmp_path, capsys):
 )
 def test_mistakes_are_one_line(person, tmp_path, monkeypatch, capsys, words, message):
     monkeypatch.chdir(tmp_path)
-    places = {"{person}": str(person), "{avatar}": str(DATA / "default_avatar.glb")}
+    places = {"{person}": str(person), "{avatar}": str(embedded_file(DEFAULT))}
     code = cli.main(["avatar", *(places.get(word, word) for word in words)])
     error = capsys.readouterr().err
     assert code == (2 if error.endswith("--help\n") else 1)

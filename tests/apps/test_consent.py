@@ -13,13 +13,13 @@ from pathlib import Path
 
 import pytest
 
-import glsplat
 from apps import cli
 from apps.args import open_scene
 from apps.serve import command as serve
 from apps.serve.agreed import policy_of
 from glsplat.consent.file import on_file
 from glsplat.consent.keys import public_key
+from glsplat.data import embedded_file
 from glsplat.errors import GlsplatError
 from glsplat.formats import save
 from tests.scenes import limb
@@ -181,8 +181,8 @@ def test_scenery_and_what_comes_with_glsplat_need_none(ann, tmp_path):
     for words, name in (((), "default"), ((tmp_path / "cloud.ply",), "cloud")):
         asked = policy(*words)
         assert asked.refusal(name, "", now) is None and asked.label(name) == ""
-    embedded = Path(glsplat.__file__).parent / "data" / "default_avatar.glb"
-    assert policy(embedded).refusal("default_avatar", "", now) is None
+    embedded = embedded_file("ben")
+    assert policy(embedded).refusal("ben", "", now) is None
 
 
 def test_every_avatar_of_a_scene_needs_one(ann):

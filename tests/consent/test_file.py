@@ -7,7 +7,6 @@ import json
 import struct
 from dataclasses import replace
 from datetime import date
-from importlib import resources
 
 import numpy as np
 import pytest
@@ -16,6 +15,7 @@ import glsplat
 from glsplat.consent.document import read_record, signed_record
 from glsplat.consent.file import on_file, on_file_data, sign_data, sign_file
 from glsplat.consent.keys import new_key, private_key, public_key, signature_of
+from glsplat.data import embedded_file
 from glsplat.errors import FormatError
 from glsplat.formats.gltf.meshes.write import save_gltf_mesh
 from glsplat.formats.gltf.record import canonical
@@ -206,7 +206,7 @@ def test_it_is_left_out_with_a_word_where_the_file_is_another(signed, tmp_path, 
 
 
 def test_what_comes_with_glsplat_shows_nobody(tmp_path):
-    data = (resources.files("glsplat.data") / "default_avatar.glb").read_bytes()
+    data = embedded_file("ben").read_bytes()
     copy = tmp_path / "copy.glb"
     copy.write_bytes(data)
     assert on_file(copy).nobody
@@ -301,7 +301,7 @@ def test_handing_out_the_splats_is_said_in_the_record_alone_and_cannot_be_added_
     note(document)["consent"]["hand_out"] = True
     forged = on_file_data(put(document, rest))
     assert not forged.hands_out and "signature does not fit" in forged.fault
-    assert on_file(resources.files("glsplat.data") / "default_avatar.glb").hands_out  # nobody is shown
+    assert on_file(embedded_file("ben")).hands_out  # nobody is shown
 
 
 @pytest.mark.parametrize("value", [1, "yes", None, [True]])

@@ -15,7 +15,7 @@ from glsplat import reference
 from glsplat.avatar import Avatar
 from glsplat.errors import FormatError
 from glsplat.formats import load, losses, save
-from glsplat.formats.gltf.morphs import shape_names
+from glsplat.formats.gltf.morphs import SHORT, shape_names
 from glsplat.skinning.shapes import Shapes
 from glsplat.splats import Level, Splats, normalised
 from tests.formats.scenes import assert_equal, edit_glb, glb_parts, random_splats, write_glb
@@ -316,3 +316,41 @@ def test_targets_of_others_may_be_in_any_order(tmp_path: Path) -> None:
                 blob[start : start + count * 4] = each[::-1].tobytes()
     write_glb(tmp_path / "b.glb", document, bytes(blob))
     assert_same_shapes(loaded(tmp_path / "b.glb"), avatar)
+
+
+def test_moves_take_two_bytes_each_where_all_are_in_the_steps_of_a_short(tmp_path: Path) -> None:
+    avatar = expressive(300)
+    assert avatar.shapes is not None
+    coarse = replace(avatar.shapes, sizes=np.full(len(avatar.shapes), SHORT))
+    level = Level(replace(avatar, splats=avatar.splats.take(np.arange(90)), skin=avatar.skin.take(np.arange(90)),
+                          shapes=coarse.take(np.arange(90))), 100.0)  # fmt: skip
+    avatar = replace(avatar, shapes=coarse, levels=(level,))
+    save(avatar, tmp_path / "a.glb")
+    document, blob = glb_parts((tmp_path / "a.glb").read_bytes())
+    assert document["extensionsRequired"] == ["KHR_mesh_quantization"]
+    assert document["extensionsUsed"].count("KHR_mesh_quantization") == 1
+    for target in targets_of(document):
+        accessor = document["accessors"][target["POSITION"]]
+        assert (accessor["componentType"], accessor["type"], accessor["normalized"]) == (5122, "VEC3", True)
+        view = document["bufferViews"][accessor["sparse"]["values"]["bufferView"]]
+        assert view["byteLength"] == 6 * accessor["sparse"]["count"]
+        values = np.frombuffer(blob, "<i2", view["byteLength"] // 2, view["byteOffset"]).reshape(-1, 3)
+        assert accessor["min"] == np.minimum(values.min(axis=0), 0).tolist()  # as stored, and of zeros, too
+    found = loaded(tmp_path / "a.glb")
+    assert_same_shapes(found, avatar)
+    assert_same_shapes(found.levels[0].content, avatar.levels[0].content)
+    save(found, tmp_path / "b.glb")
+    assert (tmp_path / "a.glb").read_bytes() == (tmp_path / "b.glb").read_bytes()
+
+
+def test_offsets_that_are_no_signed_numbers_are_refused(tmp_path: Path) -> None:
+    avatar = expressive(60)
+    assert avatar.shapes is not None
+    save(replace(avatar, shapes=replace(avatar.shapes, sizes=np.full(len(avatar.shapes), SHORT))), tmp_path / "a.glb")
+
+    def unsigned(document: Document) -> None:
+        document["accessors"][targets_of(document)[0]["POSITION"]]["componentType"] = 5123
+
+    edit_glb(tmp_path / "a.glb", unsigned)
+    with pytest.raises(FormatError, match="needs offsets of three floats or signed integers"):
+        load(tmp_path / "a.glb")

@@ -77,9 +77,10 @@ class ReleasedClient:
 
 def thinned(avatar, step=8):
     """Every ``step``-th splat, larger: the same person at a fraction of the time."""
-    splats, skin = avatar.splats.take(np.arange(0, len(avatar.splats), step)), avatar.skin
+    keep = np.arange(0, len(avatar.splats), step)
+    splats, shapes = avatar.splats.take(keep), None if avatar.shapes is None else avatar.shapes.take(keep)
     splats = replace(splats, scales=splats.scales * step**0.5)
-    return replace(avatar, splats=splats, skin=replace(skin, joints=skin.joints[::step], weights=skin.weights[::step]))
+    return replace(avatar, splats=splats, skin=avatar.skin.take(keep), shapes=shapes)
 
 
 async def session(frames, exchange, own_process=True, **wire):

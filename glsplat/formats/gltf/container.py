@@ -220,7 +220,10 @@ class Container:
 
     def numbers(self, index: int, what: str, types: tuple[str, ...]) -> NDArray[np.float32]:
         """The elements of an accessor [count, width] as float32, normalised integers decoded (glTF 2.0, 3.11)."""
-        raw = self.read(index, what, types)
+        return self.decoded(index, self.read(index, what, types))
+
+    def decoded(self, index: int, raw: NDArray[Any]) -> NDArray[np.float32]:
+        """As ``numbers`` what ``read`` or ``sparse`` gave of an accessor."""
         with np.errstate(invalid="ignore"):
             values = np.ascontiguousarray(raw, np.float32)
         code = _COMPONENTS[self.gltf.accessors[index].component_type]

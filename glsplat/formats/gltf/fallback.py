@@ -18,11 +18,11 @@ __all__ = ["UNLIT", "unlit_material", "write_fallback"]
 UNLIT = "KHR_materials_unlit"
 
 
-def write_fallback(out: Output, splats: Splats) -> int:
-    """Index of the accessor for COLOR_0: linear RGB and opacity as 16 bits, 8 bytes a splat.
+def write_fallback(out: Output, splats: Splats, kind: type[np.uint8 | np.uint16]) -> int:
+    """Index of the accessor for COLOR_0: linear RGB and opacity as 8 or 16 bits each.
 
-    glTF wants vertex colours linear; with 8 bits the darkest sRGB colours would be up to 6 levels off, with 16 bits
-    0.05. Values outside 0 to 1 are clamped, NaN becomes 0.
+    glTF wants vertex colours linear; with 8 bits the darkest sRGB colours are up to 6 levels off, with 16 bits 0.05.
+    Values outside 0 to 1 are clamped, NaN becomes 0.
     """
     colours = np.empty((len(splats), 4), np.float32)
     colours[:, :3] = splats.sh[:, 0] * np.float32(SH_C0) + np.float32(0.5)
@@ -30,7 +30,7 @@ def write_fallback(out: Output, splats: Splats) -> int:
     np.clip(np.nan_to_num(colours, copy=False), 0, 1, out=colours)
     srgb = colours[:, :3]
     srgb[...] = np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
-    return out.add(np.rint(colours * 65535).astype(np.uint16), "VEC4", normalized=True)
+    return out.add(np.rint(colours * np.iinfo(kind).max).astype(kind), "VEC4", normalized=True)
 
 
 def unlit_material(name: str) -> dict[str, Any]:

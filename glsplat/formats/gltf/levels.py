@@ -49,7 +49,7 @@ def write_levels(out: Output, scene: Splats | Avatar) -> None:
     for number, level in enumerate(levels, 1):
         content = level.content
         splats = splats_of(content)
-        primitive = write_splats(out, splats)
+        primitive = write_splats(out, splats, coarse=True)
         ours: dict[str, Any] = {"density": level.density}
         if level.psnr is not None:
             ours["psnr"] = level.psnr

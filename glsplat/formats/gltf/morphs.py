@@ -1,9 +1,10 @@
 """Morph targets of a glTF primitive (2.0, 3.7.2.2): of a mesh's vertices, and of splats, which are an avatar's shapes.
 
 Of splats POSITION holds metres as the renderer has them, so that a viewer of morph targets moves the same points as
-far; the attributes _AXIS_0 and _AXIS_1 (vectors of normalised signed bytes, the fourth 0) hold what else a splat does.
-All are sparse accessors over nothing; the list of splats of the axes is that of POSITION where all of them bend, else
-one of their own. Names are in the mesh's ``extras.targetNames``;
+far: floats, or where all shapes are in 32767ths of a metre normalised signed shorts (KHR_mesh_quantization). The
+attributes _AXIS_0 and _AXIS_1 (vectors of normalised signed bytes, the fourth 0) hold what else a splat does. All are
+sparse accessors over nothing; the list of splats of the axes is that of POSITION where all of them bend, else one of
+their own. Names are in the mesh's ``extras.targetNames``;
 what viewers do not need is in the primitive's ``extras.glsplat``: ``shape_sizes`` and, where they are not 0 and 1,
 ``shape_limits``.
 """
@@ -24,7 +25,13 @@ from glsplat.meshes import Morphs
 from glsplat.skinning.expression import MOST_NAMES, arkit_name
 from glsplat.skinning.shapes import BEND, LIMITS, Shapes
 
-__all__ = ["Morphs", "read_morphs", "shape_names", "shapes_of", "write_shapes"]
+__all__ = ["QUANTIZATION", "SHORT", "Morphs", "read_morphs", "shape_names", "shapes_of", "write_shapes"]
+
+QUANTIZATION = "KHR_mesh_quantization"
+"""By which offsets may be normalised integers."""
+
+SHORT: np.float32 = np.float32(1) / np.float32(32767)
+"""Metres a unit of ``Shapes.moves``, by which a file has them as they are: normalised signed 16 bits."""
 
 _TARGETS = 1024
 _ROWS = 1 << 23  # of all targets together, 134 MB: targets may share data, and a small file must not become a huge one
@@ -73,19 +80,19 @@ def _target(container: Container, index: int, where: str, count: int) -> tuple[N
         rows = np.flatnonzero(values.any(axis=1))
         return rows.astype(np.uint32), values[rows]
     which, offsets = container.sparse(index, where, ("VEC3",))
-    if offsets.dtype.kind != "f":
-        raise FormatError(f"{where} needs offsets of three floats")
-    return which.astype(np.uint32), np.ascontiguousarray(offsets, np.float32)
+    if offsets.dtype.kind not in "fi":
+        raise FormatError(f"{where} needs offsets of three floats or signed integers")
+    return which.astype(np.uint32), container.decoded(index, offsets)
 
 
 def write_shapes(out: Output, shapes: Shapes, mesh: Mesh, primitive: Primitive) -> None:
     """Add targets to ``primitive``, the one of ``mesh``, and what says more of them."""
     rows = shapes.rows
-    narrow = index_code(shapes.splats)
+    narrow, whole = index_code(shapes.splats), bool((shapes.sizes == SHORT).all())
     for target in range(len(shapes)):
         mine = np.flatnonzero(shapes.targets == target)
         indices = out.add_bytes(rows[mine].astype(narrow).tobytes())
-        metres = np.ascontiguousarray(shapes.metres[mine], np.float32)
+        metres = shapes.moves[mine] if whole else np.ascontiguousarray(shapes.metres[mine], np.float32)
         attributes = {"POSITION": add_sparse(out, shapes.splats, indices, metres, "VEC3")}
         bent = mine[shapes.bends[mine].any(axis=(1, 2))]
         if len(bent):
@@ -101,6 +108,8 @@ def write_shapes(out: Output, shapes: Shapes, mesh: Mesh, primitive: Primitive) 
             zeros = Accessor(component_type=5120, count=shapes.splats, type="VEC4", normalized=True)
             out.gltf.accessors.append(zeros)
             primitive.attributes[name] = len(out.gltf.accessors) - 1
+    if whole:
+        out.needs(QUANTIZATION)
     extras = mesh.extras if isinstance(mesh.extras, dict) else {}
     mesh.extras = extras | {"targetNames": list(shapes.names)}
     ours: dict[str, Any] = {_SIZES: [float(size) for size in shapes.sizes]}
@@ -117,8 +126,8 @@ def index_code(count: int) -> str:
 
 def add_sparse(out: Output, count: int, indices: int, values: NDArray[Any], kind: str) -> int:
     """Index of a new accessor that is ``values`` where the bufferView ``indices`` says, and zero elsewhere."""
-    code = 5126 if values.dtype == np.float32 else 5120
-    accessor = Accessor(component_type=code, count=count, type=kind, normalized=code == 5120)
+    code = {"f": 5126, "b": 5120, "h": 5122}[values.dtype.char]
+    accessor = Accessor(component_type=code, count=count, type=kind, normalized=code != 5126)
     if len(values):
         view = out.add_bytes(np.ascontiguousarray(values, values.dtype.newbyteorder("<")).tobytes())
         accessor.sparse = {

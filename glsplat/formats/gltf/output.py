@@ -79,6 +79,12 @@ class Output:
         self._length += len(padded)
         return len(self.gltf.buffer_views) - 1
 
+    def needs(self, extension: str) -> None:
+        """Readers have to know ``extension``."""
+        for named in (self.gltf.extensions_used, self.gltf.extensions_required):
+            if extension not in named:
+                named.append(extension)
+
     def note(self, values: dict[str, Any]) -> None:
         """What ``Container.note`` is to find."""
         self.gltf.asset = Asset(version="2.0", generator="glsplat", extras={"glsplat": values})

@@ -1,9 +1,9 @@
 """Splats as one POINTS primitive of glTF with KHR_gaussian_splatting, and back.
 
 Read: the ratified attribute names (KHR_gaussian_splatting:ROTATION, :SCALE, :OPACITY, :SH_DEGREE_l_COEF_n) and the
-older drafts' (_ROTATION, _SCALE, colour and opacity in COLOR_0). Written: the ratified ones as float32, or rotations as
-16 bits where reading makes the same of them (narrow_quats), so that a round trip is exact, and a COLOR_0 for viewers that know no
-splats (fallback.py).
+older drafts' (_ROTATION, _SCALE, colour and opacity in COLOR_0). Written: the ratified ones as float32, rotations as 16
+bits where reading makes the same of them (narrow_quats), so that a round trip is exact, and a COLOR_0 for viewers that
+know no splats (fallback.py).
 """
 
 from __future__ import annotations
@@ -57,8 +57,11 @@ _ROTATION_ONE = np.float32(32767)
 _SH_NAMES = [(degree, n) for degree in range(4) for n in range(2 * degree + 1)]
 
 
-def write_splats(out: Output, splats: Splats) -> Primitive:
-    """A new primitive with all that splats are; its material is number 0. Joints and weights are added elsewhere."""
+def write_splats(out: Output, splats: Splats, *, coarse: bool = False) -> Primitive:
+    """A new primitive with all that splats are; its material is number 0. Joints and weights are added elsewhere.
+
+    ``coarse`` levels show other viewers colours of 8 bits.
+    """
     attributes = {"POSITION": out.add(splats.means, "VEC3", bounds=True)}
     rotations = np.roll(narrow_quats(splats.quats), -1, axis=1)  # xyzw
     attributes[f"{EXTENSION}:ROTATION"] = out.add(rotations, "VEC4", normalized=rotations.dtype == np.int16)
@@ -73,7 +76,7 @@ def write_splats(out: Output, splats: Splats) -> Primitive:
         attributes[_NORMAL] = out.add(np.pad(surface.normals, ((0, 0), (0, 1))), "VEC4", normalized=True)
         packed = np.concatenate([surface.occlusion.reshape(count, 1), surface.shades_or_one()], axis=1)
         attributes[_OCCLUSION] = out.add(packed, "VEC4", normalized=True)
-    attributes["COLOR_0"] = write_fallback(out, splats)
+    attributes["COLOR_0"] = write_fallback(out, splats, np.uint8 if coarse else np.uint16)
     return Primitive(
         attributes=attributes,
         mode=0,

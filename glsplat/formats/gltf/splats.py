@@ -19,7 +19,7 @@ from glsplat.formats.format import Format, Opened, checked, opened
 from glsplat.formats.gltf.container import Container, Gltf, Mesh, Node, Scene, read_container
 from glsplat.formats.gltf.fallback import UNLIT, unlit_material
 from glsplat.formats.gltf.levels import finest_of, read_levels, write_levels
-from glsplat.formats.gltf.morphs import shapes_of, write_shapes
+from glsplat.formats.gltf.morphs import QUANTIZATION, shapes_of, write_shapes
 from glsplat.formats.gltf.nodes import Graph, Instance, graph_of, instances
 from glsplat.formats.gltf.output import Output
 from glsplat.formats.gltf.primitive import (
@@ -52,7 +52,7 @@ __all__ = ["EXTENSION", "GLB", "GLTF", "load_gltf", "read_gltf", "save_gltf"]
 _VERSION = 1  # of asset.extras.glsplat
 # POSITION may be stored as integers by KHR_mesh_quantization, a material means nothing to splats, levels of detail are
 # more of the same; other extensions that change the data are refused
-_KNOWN = {EXTENSION, SPZ_EXTENSION, "KHR_mesh_quantization", "KHR_materials_unlit", "MSFT_lod"}
+_KNOWN = {EXTENSION, SPZ_EXTENSION, QUANTIZATION, "KHR_materials_unlit", "MSFT_lod"}
 _INSTANCES = 64  # times the splats stored, that nodes may show them: a small file must not become a huge scene
 
 
@@ -122,7 +122,7 @@ def save_gltf(scene: Splats | Avatar, target: Source, *, embedded: bool | None =
     if splats.antialias:
         note[ANTIALIAS] = True
     note |= colour_note(splats)
-    gltf.extensions_used = [EXTENSION, UNLIT]
+    gltf.extensions_used[:0] = [EXTENSION, UNLIT]
     write_levels(out, scene)
     out.note(note)
     out.write(target, embedded=embedded)

@@ -67,4 +67,5 @@ def thinned(avatar: Avatar, every: int, pictures: dict[str, bytes], height: floa
     splats = avatar.splats.take(keep)
     splats = replace(splats, scales=splats.scales * every**0.5)
     meta = {"source": "a stub", "pictures": ",".join(sorted(pictures)), "height": str(height)}
-    return replace(avatar, splats=splats, skin=avatar.skin.take(keep), meta=meta)
+    shapes = None if avatar.shapes is None else avatar.shapes.take(keep)
+    return replace(avatar, splats=splats, skin=avatar.skin.take(keep), shapes=shapes, meta=meta)
