@@ -79,6 +79,7 @@ class WireOptions:
     fov: float = PAPER_FOV  # vertical degrees; likewise
     mirror: bool = False  # show the world reflected in x, as a mirror in front of the user does
     max_distance: float = 1e4  # metres from the origin for eyes and tracked points
+    light: Light | None = None  # that the renderer lets fall on its scene where a request has none; clients are told
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

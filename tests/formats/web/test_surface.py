@@ -12,7 +12,7 @@ from glsplat.formats.web.read import decode_avatar, read_header
 from glsplat.formats.web.write import encode_avatar
 from glsplat.splats import Level
 from tests.formats.test_contract import peak_of
-from tests.formats.web.test_web import LIES, changed, of_part, someone, with_face
+from tests.formats.web.test_web import LIES, Change, changed, of_part, someone, with_face
 from tests.light.lit import surfaced
 
 
@@ -20,7 +20,15 @@ from tests.light.lit import surfaced
 def test_it_comes_back_to_the_byte_with_its_levels(shaded: bool) -> None:
     first = surfaced(with_face(someone(500, seed=12)), seed=3, shaded=shaded)
     coarse = surfaced(replace(someone(90, seed=8), skeleton=first.skeleton), seed=4, shaded=not shaded)
-    data = encode_avatar(replace(first, levels=(Level(coarse, 120.0, 31.5), Level(someone(40, seed=2), 60.0, 28.0))))
+    data = encode_avatar(
+        replace(
+            first,
+            levels=(
+                Level(coarse, 120.0, 31.5),
+                Level(replace(someone(40, seed=2), skeleton=first.skeleton), 60.0, 28.0),
+            ),
+        )
+    )
     back = decode_avatar(data)
     kinds = [(part.kind, part.level) for part in read_header(data)[0].parts]
     assert kinds[-2:] == [("surface", 0), ("surface", 1)]  # behind all that a picture needs
@@ -56,8 +64,8 @@ def test_without_one_the_file_is_as_it_was() -> None:
         lambda header: header["parts"].append(header["parts"][2]),
     ],
 )
-def test_lies_about_it_are_refused(lie: object) -> None:
-    data = changed(encode_avatar(surfaced(with_face(someone(300)))), lie)  # type: ignore[arg-type]
+def test_lies_about_it_are_refused(lie: Change) -> None:
+    data = changed(encode_avatar(surfaced(with_face(someone(300)))), lie)
 
     def read() -> None:
         with pytest.raises(FormatError) as caught:

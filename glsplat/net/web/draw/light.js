@@ -3,7 +3,8 @@
 const [C0, C1, XY, ZZ, XX] = [0.28209479177387814, 0.4886025119029199, 1.0925484305920792, 0.31539156525252005, 0.5462742152960396];
 /** Constants of the nine real spherical harmonics, without the Condon-Shortley sign: of 1, y, z, x, xy, yz, 3zz-1, xz, xx-yy. */
 export const FACTORS = [C0, C1, C1, C1, XY, XY, ZZ, XY, XX];
-const SPREAD = [1, 2 / 3, 2 / 3, 2 / 3, 0.25, 0.25, 0.25, 0.25, 0.25]; // of radiance in irradiance over pi
+/** Of radiance in irradiance over pi. */
+export const SPREAD = [1, 2 / 3, 2 / 3, 2 / 3, 0.25, 0.25, 0.25, 0.25, 0.25];
 const [ONE, STEPS] = [192, 32]; // of a shade's byte
 
 /** The nine polynomials at a unit direction. */
