@@ -155,8 +155,8 @@ class Client:
         ``crop`` has only the covered part of each picture sent, ``alpha`` its accumulated alpha too
         (``Reply.rgba``; "straight" keeps the silhouette cleaner at the same quality).
         ``mirror`` overrules what the connection asked for. ``hide`` leaves parts of the avatar out: ("head",). ``box``
-        has the server say where the avatar is (``Reply.box``). ``light``, in the cameras' space or a preset's name, falls
-        on it instead of the server's, if it knows its surface.
+        has the server say where the avatar is (``Reply.box``). ``light`` (in the cameras' space, or a preset's
+        name) falls on it instead of the server's, if it knows its surface.
 
         Raises ProtocolError with ``code`` "dropped" when a ``send`` of another task went out meanwhile and its picture
         came first: the newest request wins, and the server never answers the one it replaced.

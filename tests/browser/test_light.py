@@ -44,7 +44,7 @@ def of_place(page: Opened, name: str) -> Light:
 
 
 def sent(page: Opened, backend: Markers) -> Light | None:
-    """The light of the newest request once all that was under way is done; the flat page's frames come by themselves."""
+    """The light of a request that was sent from now on; the flat page's frames come by themselves."""
     before = page.stats()["sentId"]
     page.until(f"window.glsplat.stats().shownId > {before}")
     return backend.requests[page.stats()["shownId"]].options.light

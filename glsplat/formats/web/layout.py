@@ -40,9 +40,7 @@ class Targets(msgspec.Struct):
 
 
 class Part(msgspec.Struct, omit_defaults=True):
-    """A run of bytes that unpacks alone: the splats of a level, their shapes or surface. ``offset`` is from the header's
-    end.
-    """
+    """Bytes that unpack alone: a level's splats, their shapes or their surface. ``offset`` is from the header's end."""
 
     kind: Literal["splats", "shapes", "surface"]
     level: int

@@ -1,4 +1,4 @@
-"""What splats know of their surface, in the file that browsers fetch: byte for byte, and nothing where there is none."""
+"""What splats know of their surface in the file that browsers fetch: byte for byte, nothing where there is none."""
 
 from __future__ import annotations
 

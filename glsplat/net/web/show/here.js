@@ -75,10 +75,10 @@ export class Here {
   }
 
   /**
-   * Draw those who are here. `own`: the view is from inside the user's own avatar; `light` is in the user's space, else
+   * Draw those who are here. `inside`: the view is from inside the user's own avatar; `light` is in the user's space, else
    * the `servers` falls. Returns how old their poses are, ms, or null.
    */
-  draw(views, framebuffer, where, { own, light, servers, now }) {
+  draw(views, framebuffer, where, { inside, light, servers, now }) {
     const bodies = this.people.at(now);
     const stands = this.people.room?.place ? fromPose(this.people.room.place) : IDENTITY;
     const shown = multiply(where.shown, invert(stands));
@@ -88,7 +88,7 @@ export class Here {
     if (!this.#own.people.length) return null;
     const me = bodies.find(({ you }) => you);
     const falling = light ? turned(light, stands) : servers;
-    this.#own.draw(views, framebuffer, shown, { glass: where.glass, headless: own && me ? me.key : null, light: falling });
+    this.#own.draw(views, framebuffer, shown, { glass: where.glass, headless: inside && me ? me.key : null, light: falling });
     return Math.max(...bodies.map(({ age }) => age));
   }
 

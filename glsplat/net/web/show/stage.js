@@ -24,6 +24,7 @@ export class Stage {
   #asked = 0; // when the pair on the screen was asked for
   #seen = true; // whether that pair has been drawn
   #scene = 0; // counts what `clear` ended: pictures asked for before are of another place
+  #painted = []; // what the canvas shows
 
   /** `inWorker` false decodes on the page's thread, to compare. */
   constructor(gl, connection, settings, { inWorker = true } = {}) {
@@ -71,14 +72,17 @@ export class Stage {
     let sent = 0;
     if (asks) sent = here ? this.#askPoses(views, where, drive, now) : this.ask(views, where, drive, { alpha, light, now });
     this.advance(now);
+    const own = here && this.here.people.size > 0;
+    if (framebuffer || own) this.#painted = [];
+    else if (this.#shows(views, room)) return sent;
     const hung = labels();
     this.painter.begin(framebuffer, transparent);
     const how = { room, mirror: where.glass ? where : null, look: this.settings.get('place'), blobs: this.#shadows(here, where, drive, now) };
-    if (here && this.here.people.size) {
+    if (own) {
       this.painter.forget();
       views.forEach((view, i) => this.painter.view(view, i, how));
-      const own = where.view === 'own' && this.canHide;
-      const age = this.here.draw(views, framebuffer, where, { own, light, servers: this.light, now });
+      const inside = where.view === 'own' && this.canHide;
+      const age = this.here.draw(views, framebuffer, where, { inside, light, servers: this.light, now });
       if (age !== null) this.figures.show(now - age, performance.now());
       const names = this.names.labels(this.here.names(where), views[0].transform, this.painter);
       views.forEach((view) => this.painter.labels(view, [...names, ...hung]));
@@ -87,6 +91,18 @@ export class Stage {
       this.drawn();
     }
     return sent;
+  }
+
+  /**
+   * Whether the canvas shows this already; from now on it does. The same picture is not drawn again: the machine may be
+   * the one that draws the avatar.
+   */
+  #shows(views, room) {
+    const eyes = views.flatMap(({ transform, projection, viewport }) => [...transform, ...projection, ...Object.values(viewport)]);
+    const wanted = [this.painter, this.painter.shownAs, this.settings.get('place'), room, ...eyes];
+    const same = wanted.length === this.#painted.length && wanted.every((value, i) => value === this.#painted[i]);
+    this.#painted = wanted;
+    return same;
   }
 
   /** What falls on the avatar, in its own space: the light of its place, or that which is `around`; null: the server's. */
