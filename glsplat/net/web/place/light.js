@@ -1,4 +1,4 @@
-// The light of a place as it falls on who stands in its middle: the same that its floor and walls were worked out in.
+// The light of a place as it falls on who stands in its middle: that in which its floor and walls were worked out, exposed.
 
 import { FACTORS, SPREAD, polynomials } from '../draw/light.js';
 import { subtract, unit } from '../space/matrix.js';
@@ -39,7 +39,14 @@ function worked(look) {
       for (let c = 0; c < 3; c++) ambient[k][c] += (light[c] * value * FACTORS[k] * 4 * Math.PI) / (NORMALS * SPREAD[k]);
     });
   }
-  return { ambient, sun: sun && { direction: sun.direction, color: sun.color } };
+  return exposed({ ambient, sun: sun && { direction: sun.direction, color: sun.color } });
+}
+
+/** Halfway to where grey is as bright as it was made: eyes get used to a dark place, and not wholly. */
+function exposed({ ambient, sun }) {
+  const mean = (sum(ambient[0]) * FACTORS[0] + (sun ? sum(sun.color) / (4 * Math.PI) : 0)) / 3;
+  const by = (rgb) => rgb.map((v) => v / Math.sqrt(mean));
+  return { ambient: ambient.map(by), sun: sun && { ...sun, color: by(sun.color) } };
 }
 
 const sum = ([r, g, b]) => r + g + b;
