@@ -12,6 +12,7 @@ __all__ = [
     "FLIP_X",
     "FLIP_YZ",
     "FLIP_Z",
+    "SH_FACTORS",
     "is_rigid",
     "matrix_quaternions",
     "nearest_rotations",
@@ -40,6 +41,17 @@ FLIP_YZ = np.diag([1.0, -1.0, -1.0, 1.0])
 
 FLIP_Z = np.diag([1.0, 1.0, -1.0, 1.0])
 """z the other way."""
+
+SH_FACTORS = np.array(
+    [
+        0.28209479177387814,
+        *(-0.4886025119029199, 0.4886025119029199, -0.4886025119029199),
+        *(1.0925484305920792, -1.0925484305920792, 0.31539156525252005, -1.0925484305920792, 0.5462742152960396),
+        *(-0.5900435899266435, 2.890611442640554, -0.4570457994644658, 0.3731763325901154),
+        *(-0.4570457994644658, 1.445305721320277, -0.5900435899266435),
+    ]
+)
+"""[16] of the polynomials of x, y, z that spherical harmonics are (``sh_basis``), with the signs of 3DGS (sh.glsl)."""
 
 _DIRECTIONS = 64
 
@@ -203,28 +215,22 @@ def is_rigid(bones: F64) -> bool:
 def sh_basis(directions: F64, degree: int) -> F64:
     """[N, K] real spherical harmonics of unit directions [N, 3], constants and signs of 3DGS (sh.glsl)."""
     x, y, z = directions.T
-    basis = [np.full_like(x, 0.28209479177387814)]
+    basis = [np.ones_like(x)]
     if degree > 0:
-        basis += [-0.4886025119029199 * y, 0.4886025119029199 * z, -0.4886025119029199 * x]
+        basis += [y, z, x]
     if degree > 1:
-        basis += [
-            1.0925484305920792 * x * y,
-            -1.0925484305920792 * y * z,
-            0.31539156525252005 * (2 * z * z - x * x - y * y),
-            -1.0925484305920792 * x * z,
-            0.5462742152960396 * (x * x - y * y),
-        ]
+        basis += [x * y, y * z, 2 * z * z - x * x - y * y, x * z, x * x - y * y]
     if degree > 2:
         basis += [
-            -0.5900435899266435 * y * (3 * x * x - y * y),
-            2.890611442640554 * x * y * z,
-            -0.4570457994644658 * y * (4 * z * z - x * x - y * y),
-            0.3731763325901154 * z * (2 * z * z - 3 * x * x - 3 * y * y),
-            -0.4570457994644658 * x * (4 * z * z - x * x - y * y),
-            1.445305721320277 * z * (x * x - y * y),
-            -0.5900435899266435 * x * (x * x - 3 * y * y),
+            y * (3 * x * x - y * y),
+            x * y * z,
+            y * (4 * z * z - x * x - y * y),
+            z * (2 * z * z - 3 * x * x - 3 * y * y),
+            x * (4 * z * z - x * x - y * y),
+            z * (x * x - y * y),
+            x * (x * x - 3 * y * y),
         ]
-    return np.stack(basis, axis=-1)
+    return np.asarray(np.stack(basis, axis=-1) * SH_FACTORS[: len(basis)])
 
 
 def sh_rotations(turns: F64, degree: int) -> F64:

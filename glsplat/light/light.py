@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from glsplat.arrays import frozen, plain, restored
 from glsplat.errors import FormatError
+from glsplat.rotations import SH_FACTORS, sh_basis, sh_rotations
 
 __all__ = ["PRESETS", "Light", "sh_irradiance"]
 
@@ -18,8 +19,9 @@ F64 = NDArray[np.float64]
 
 _LARGEST = 1e4  # of a coefficient or a colour; beyond it is a mistake of units
 _UNIT = 1e-3  # that a direction's length may be off: written with three digits
-_CONSTANTS = (0.28209479177387814, 0.4886025119029199, 1.0925484305920792, 0.31539156525252005, 0.5462742152960396)
-_SPREAD = (1.0, 2 / 3, 0.25)  # of radiance of degree l in irradiance over pi, on a diffuse surface
+_SIGNS = np.sign(SH_FACTORS[:9])  # without that of Condon and Shortley, which the colours of splats have
+_SPREAD = np.repeat([1.0, 2 / 3, 0.25], [1, 3, 5])  # of radiance of degree l in irradiance over pi, on what is diffuse
+_MEAN, _RISE = SH_FACTORS[0], SH_FACTORS[2]  # of light from everywhere, and of light that grows upwards
 
 
 @dataclass(frozen=True, slots=True, eq=False, init=False, repr=False)
@@ -68,7 +70,7 @@ class Light:
     def uniform(cls, radiance: ArrayLike = 1.0) -> Light:
         """The same radiance, one number or rgb, from everywhere."""
         ambient = np.zeros((9, 3))
-        ambient[0] = np.asarray(radiance, np.float64) / _CONSTANTS[0]
+        ambient[0] = np.asarray(radiance, np.float64) / _MEAN
         return cls(ambient)
 
     @classmethod
@@ -82,8 +84,8 @@ class Light:
         """Light that grows evenly from the ground to the sky, and perhaps a sun."""
         up, down = np.asarray(sky, np.float64), np.asarray(ground, np.float64)
         ambient = np.zeros((9, 3))
-        ambient[0] = (up + down) / 2 / _CONSTANTS[0]
-        ambient[1] = (up - down) / 2 / (_CONSTANTS[1] * _SPREAD[1])
+        ambient[0] = (up + down) / 2 / _MEAN
+        ambient[1] = (up - down) / 2 / (_RISE * _SPREAD[1])
         if sun_direction is None:
             return cls(ambient, None, sun_colour)
         way = _numbers(sun_direction, "the sun's direction", (3,))
@@ -142,10 +144,16 @@ class Light:
     def uniforms(self) -> NDArray[np.float32]:
         """[11, 4] as light.glsl has them: nine coefficients by their monomials, the sun's direction, its colour."""
         out = np.zeros((11, 4), np.float32)
-        out[:9, :3] = self.ambient * _FACTORS[:, None]
+        out[:9, :3] = self.ambient * (np.abs(SH_FACTORS[:9]) * _SPREAD)[:, None]
         if self.sun_direction is not None:
             out[9, :3], out[10, :3] = self.sun_direction, self.sun_colour / np.pi
         return out
+
+    def turned(self, turn: F64) -> Light:
+        """The same light after everything that shines was turned by a rotation [3, 3]."""
+        matrix = sh_rotations(np.asarray(turn, np.float64), 2) * _SIGNS * _SIGNS[:, None]
+        way = None if self.sun_direction is None else np.asarray(turn, np.float64) @ self.sun_direction
+        return Light(matrix @ self.ambient, way, self.sun_colour)
 
     def same(self, other: Light | None) -> bool:
         """Whether the other one lights everything alike."""
@@ -155,7 +163,7 @@ class Light:
         return restored, (type(self), {f.name: getattr(self, f.name) for f in fields(self)})
 
     def __repr__(self) -> str:
-        mean = ", ".join(f"{v:.2f}" for v in self.ambient[0] * _CONSTANTS[0])
+        mean = ", ".join(f"{v:.2f}" for v in self.ambient[0] * _MEAN)
         way = self.sun_direction
         sun = "" if way is None else f", sun from ({', '.join(f'{v:.2f}' for v in way)})"
         return f"Light(mean radiance ({mean}){sun})"
@@ -173,24 +181,10 @@ PRESETS: dict[str, Preset] = {
 }
 """Lights by name: sky, ground, where the sun is, its colour in shares of pi. Left and right are a viewer's in front."""
 
-_FACTORS = np.array(
-    [
-        _CONSTANTS[0] * _SPREAD[0],
-        *[_CONSTANTS[1] * _SPREAD[1]] * 3,
-        *[_CONSTANTS[2] * _SPREAD[2]] * 2,
-        _CONSTANTS[3] * _SPREAD[2],
-        _CONSTANTS[2] * _SPREAD[2],
-        _CONSTANTS[4] * _SPREAD[2],
-    ]
-)
-
 
 def sh_irradiance(normals: F64) -> F64:
     """[N, 9] of irradiance over pi on unit normals [N, 3] by each coefficient of radiance (light.glsl)."""
-    x, y, z = normals.T
-    one = np.ones_like(x)
-    monomials = [one, y, z, x, x * y, y * z, 3 * z * z - 1, x * z, x * x - y * y]
-    return np.stack(monomials, axis=1) * _FACTORS
+    return np.asarray(sh_basis(normals, 2) * (_SIGNS * _SPREAD))
 
 
 def _numbers(value: ArrayLike, what: str, shape: tuple[int, ...]) -> F64:

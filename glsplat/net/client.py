@@ -18,6 +18,7 @@ import numpy as np
 from glsplat.arrays import count, flag, number
 from glsplat.camera import Camera
 from glsplat.errors import GlsplatError, ProtocolError
+from glsplat.light.light import Light
 from glsplat.net.client_connection import ClientConnection
 from glsplat.net.fields import Alpha, Want
 from glsplat.net.flow import FlowControl, ReceivedReply
@@ -147,13 +148,15 @@ class Client:
         mirror: bool | None = None,
         hide: Sequence[str] = (),
         box: bool = False,
+        light: Light | str | None = None,
     ) -> Reply:
         """Ask for one picture and wait for it. Calls at the same time are served one after the other.
 
         ``crop`` has only the covered part of each picture sent, ``alpha`` its accumulated alpha too
         (``Reply.rgba``; "straight" keeps the silhouette cleaner at the same quality).
         ``mirror`` overrules what the connection asked for. ``hide`` leaves parts of the avatar out: ("head",). ``box``
-        has the server say where the avatar is (``Reply.box``).
+        has the server say where the avatar is (``Reply.box``). ``light`` (in the cameras' space, or a preset's
+        name) falls on it instead of the server's, if it knows its surface.
 
         Raises ProtocolError with ``code`` "dropped" when a ``send`` of another task went out meanwhile and its picture
         came first: the newest request wins, and the server never answers the one it replaced.
@@ -161,7 +164,7 @@ class Client:
         connection = self._open()
         async with connection.turn:
             connection.take_all()
-            flags = {"crop": crop, "alpha": alpha, "mirror": mirror, "hide": hide, "box": box}
+            flags = {"crop": crop, "alpha": alpha, "mirror": mirror, "hide": hide, "box": box, "light": light}
             request = self._request(connection, cameras, pose=pose, tracking=tracking, quality=quality, **flags)
             return (await connection.ask_and_wait(*request, self._timeout)).reply
 
@@ -191,6 +194,7 @@ class Client:
         mirror: bool | None = None,
         hide: Sequence[str] = (),
         box: bool = False,
+        light: Light | str | None = None,
         want: Want | None = None,
         subject: object = None,
     ) -> int:
@@ -200,7 +204,7 @@ class Client:
         it back when the answer is there. ``want`` "pose": as ``poses``.
         """
         connection = self._open()
-        flags = {"crop": crop, "alpha": alpha, "mirror": mirror, "hide": hide, "box": box, "want": want}
+        flags = {"crop": crop, "alpha": alpha, "mirror": mirror, "hide": hide, "box": box, "light": light, "want": want}
         request = self._request(connection, cameras, pose=pose, tracking=tracking, quality=quality, **flags)
         await connection.ask(*request, subject)
         return request[0]
@@ -261,6 +265,7 @@ def request_message(
     mirror: bool | None = None,
     hide: Sequence[str] = (),
     box: bool = False,
+    light: Light | str | None = None,
     want: Want | None = None,
     t: float | None = None,
 ) -> dict[str, Any]:
@@ -277,6 +282,7 @@ def request_message(
     parts = [hide] if isinstance(hide, str) else list(hide)
     asked: dict[str, Any] = {"pose": pose, "tracking": tracking, "quality": quality, "mirror": mirror, "want": want}
     asked |= {"crop": crop or None, "alpha": alpha or None, "hide": parts or None, "box": box or None}
+    asked["light"] = light.to_json() if isinstance(light, Light) else light
     return message | {key: value for key, value in asked.items() if value is not None}
 
 

@@ -12,7 +12,8 @@ from typing import Any, Literal
 
 import msgspec
 
-from glsplat.errors import PoseError, ProtocolError
+from glsplat.errors import FormatError, PoseError, ProtocolError
+from glsplat.light.light import Light
 from glsplat.skinning.expression import checked_expression
 from glsplat.tracking.sample import (
     BODY_JOINTS,
@@ -35,6 +36,7 @@ __all__ = [
     "Eye",
     "LegacyCamera",
     "LegacyMessage",
+    "LightFields",
     "Message",
     "Place",
     "PoseFields",
@@ -42,6 +44,7 @@ __all__ = [
     "Want",
     "faces_of",
     "given",
+    "light_of",
     "sample_of",
 ]
 
@@ -113,6 +116,20 @@ class PoseFields(msgspec.Struct):
     translations: dict[str, list[float]] | None = None
 
 
+class SunFields(msgspec.Struct):
+    """A sun or far lamp, as glsplat.light.Light has it."""
+
+    direction: tuple[float, ...]
+    color: tuple[float, ...]
+
+
+class LightFields(msgspec.Struct):
+    """What glsplat.light.Light.to_json gives; other keys are ignored."""
+
+    ambient: list[tuple[float, ...]]
+    sun: SunFields | None = None
+
+
 class LegacyCamera(msgspec.Struct):
     """A head pose in Unity's frame."""
 
@@ -145,6 +162,7 @@ class Message(msgspec.Struct):
     pose: PoseFields | None = None
     tracking: Tracking | None = None
     faces: list[Place] | None = None
+    light: LightFields | str | None = None
 
 
 class LegacyMessage(msgspec.Struct):
@@ -155,7 +173,23 @@ class LegacyMessage(msgspec.Struct):
     smplx: PoseFields | None = None
 
 
-PICTURE = ("want", "eyes", "size", "quality", "crop", "alpha", "mirror", "hide", "box", "pose", "tracking", "faces")
+PICTURE = (
+    *(
+        "want",
+        "eyes",
+        "size",
+        "quality",
+        "crop",
+        "alpha",
+        "mirror",
+        "hide",
+        "box",
+        "pose",
+        "tracking",
+        "faces",
+        "light",
+    ),
+)
 """Fields that only a request has."""
 
 
@@ -220,6 +254,19 @@ def faces_of(value: Sequence[Place] | None, farthest: float) -> tuple[Place, ...
     if any(max(map(abs, place)) > farthest for place in value):
         raise ProtocolError(f"faces needs metres below {farthest:g}")
     return tuple(value)
+
+
+def light_of(value: LightFields | str | None) -> Light | None:
+    """The light that falls on what is shown, in the space of the eyes. Raises ProtocolError for what is none."""
+    if value is None:
+        return None
+    try:
+        if isinstance(value, str):
+            return Light.preset(value)
+        sun = value.sun
+        return Light(value.ambient) if sun is None else Light(value.ambient, sun.direction, sun.color)
+    except FormatError as error:
+        raise ProtocolError(f"light: {error}") from None
 
 
 def _hand(value: Numbers | None, key: str) -> Joints | None:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from glsplat.camera import ORTHONORMAL, PAPER_FOV, PAPER_IPD, Camera, head_matrix, stereo_cameras
 from glsplat.errors import FormatError, PoseError, ProtocolError
+from glsplat.light.light import Light
 from glsplat.net.fields import (
     FAR,
     NEAR,
@@ -29,6 +30,7 @@ from glsplat.net.fields import (
     Place,
     faces_of,
     given,
+    light_of,
     sample_of,
 )
 from glsplat.net.guard.duplicates import has_duplicates
@@ -77,6 +79,7 @@ class WireOptions:
     fov: float = PAPER_FOV  # vertical degrees; likewise
     mirror: bool = False  # show the world reflected in x, as a mirror in front of the user does
     max_distance: float = 1e4  # metres from the origin for eyes and tracked points
+    light: Light | None = None  # that the renderer lets fall on its scene where a request has none; clients are told
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -88,6 +91,7 @@ class PictureOptions:
     alpha: Alpha = False  # the accumulated alpha too
     hide: tuple[str, ...] = ()  # parts of the avatar to leave out, each once, sorted
     box: bool = False  # where the avatar is, too
+    light: Light | None = None  # that falls on it, in the space of the cameras; None: the server's
 
 
 DEFAULT = PictureOptions()
@@ -209,7 +213,9 @@ class Decoder:
             fault=fault,
             t=m.t,
             ack=m.ack,
-            options=PictureOptions(quality=quality, crop=m.crop, alpha=alpha, hide=hide, box=m.box),
+            options=PictureOptions(
+                quality=quality, crop=m.crop, alpha=alpha, hide=hide, box=m.box, light=light_of(m.light)
+            ),
             eyes=tuple(range(len(cameras))),
             faces=faces_of(m.faces, o.max_distance),
         )

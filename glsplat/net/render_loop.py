@@ -330,7 +330,7 @@ class RenderLoop(ABC):
             cameras=cameras,
             pose=pose,
             frame_id=request.frame_id,
-            options=request.options,
+            options=request.options if channel.member is None else channel.member.options(request),
             avatar=channel.shown.name,
             room=room,
             viewer=channel.number,

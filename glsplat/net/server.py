@@ -263,6 +263,7 @@ class Server:
             "size": wire.size,
             "rate": None if self.fitted is None else round(self.fitted.rate, 1),
             "quality": wire.quality,
+            "light": None if wire.light is None else wire.light.to_json(),
             "window": self.config.session.window,
             "clients": len(self._channels),
             "max_clients": most,

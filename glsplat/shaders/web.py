@@ -35,7 +35,7 @@ Row = tuple[str, tuple[str, ...], tuple[str, ...], Variant | SkinVariant | Resol
 def page_variants() -> Iterator[Row]:
     """(name, its stages, what it captures, variant) of each program of the page.
 
-    Names are what the page asks by: "skin INFLUENCES TURNED SHAPED", "place", "project DEGREE ANTIALIAS VIEWS",
+    Names are what the page asks by: "skin INFLUENCES TURNED SHAPED", "place", "project DEGREE ANTIALIAS VIEWS LIT",
     "splat SHARED_RGB ANTIALIAS VIEWS TRIANGLE" and "resolve".
     """
     for influences in (1, 2, 4, 8):
@@ -47,10 +47,11 @@ def page_variants() -> Iterator[Row]:
     for views in range(1, MAX_VIEWS + 1):
         for antialias in (0, 1, 2):
             for degree in range(len(COLOUR_TEXELS)):
-                more = {"posed": 1, "turned": int(degree > 0), "antialias": antialias, "views": views}
-                frame = Variant(sh_degree=degree, stored_degree=degree, target=_ES, **more)
-                captured = tuple(name for name, _ in record_layout(frame))
-                yield f"project {degree} {antialias} {views}", ("project.vert",), captured, frame
+                for lit in (0, 1):
+                    more = {"posed": 1, "turned": int(degree > 0), "antialias": antialias, "views": views, "lit": lit}
+                    frame = Variant(sh_degree=degree, stored_degree=degree, target=_ES, **more)
+                    captured = tuple(name for name, _ in record_layout(frame))
+                    yield f"project {degree} {antialias} {views} {lit}", ("project.vert",), captured, frame
         for shared in (0, 1):
             for compensated in (0, 1):
                 for triangle in (0, 1):

@@ -68,7 +68,7 @@ def test_controls_and_settings_follow_each_other(page):
     assert got == {
         "view": "own", "place": "day", "avatar": "", "room": "", "name": "Zoë",
         "size": 512, "quality": 81, "drawn": "auto", "driver": "rest", "stereo": True, "height": 1.62,
-        "figures": False, "drawer": True,
+        "figures": False, "drawer": True, "light": True,
     }  # fmt: skip
     assert page.text_content("#quality-value") == "81"
     page.evaluate("settings.set('view', 'facing'); settings.set('figures', true); settings.set('height', null)")

@@ -38,13 +38,24 @@ def test_a_round_trip_keeps_every_byte(tmp_path: Path, suffix: str, shaded: bool
     assert not isinstance(found, Avatar) or "colour" not in found.meta
 
 
-def test_levels_have_their_own(tmp_path: Path) -> None:
-    fine = surfaced(random_avatar(40), 1)
-    coarse = surfaced(replace(fine, splats=fine.splats.take(range(20)), skin=fine.skin.take(range(20))), 2)
+@pytest.mark.parametrize("shaded", [(True, True), (False, True), (True, False)])
+def test_levels_have_their_own(tmp_path: Path, shaded: tuple[bool, bool]) -> None:
+    fine = surfaced(random_avatar(40), 1, shaded[0])
+    half = replace(fine, splats=fine.splats.take(range(20)), skin=fine.skin.take(range(20)))
+    coarse = surfaced(half, 2, shaded[1])
     save(replace(fine, levels=(Level(coarse, 100.0),)), tmp_path / "a.glb")
     found: Any = load(tmp_path / "a.glb")
     same(found.splats.surface, fine.splats.surface)
     same(found.levels[0].content.splats.surface, coarse.splats.surface)
+
+
+def test_a_level_may_be_all_that_has_one(tmp_path: Path) -> None:
+    fine = random_avatar(40)
+    coarse = surfaced(replace(fine, splats=fine.splats.take(range(20)), skin=fine.skin.take(range(20))), 2)
+    save(replace(fine, levels=(Level(coarse, 100.0),)), tmp_path / "a.glb")
+    found: Any = load(tmp_path / "a.glb")
+    same(found.levels[0].content.splats.surface, coarse.splats.surface)
+    assert found.splats.surface is None
 
 
 def test_without_a_surface_the_file_says_nothing(tmp_path: Path) -> None:

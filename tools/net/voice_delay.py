@@ -5,7 +5,10 @@
 
 The microphone says "aa" for half a second, then nothing for a second, again and again. A listener of its own in the
 page, which hears nothing but how loud a piece of 128 samples is, notes when each begins; what is sent is looked at for
-a jaw that opens, and the page's own numbers for the picture of that request.
+a jaw that opens, and the page's own numbers for the picture of that request, or of a newer one that was drawn instead.
+
+Told are also the parts of the way, and the whole in times of a picture (from one to the next): what is many pictures
+long waits in a queue, what is one or two and long in milliseconds waits for a slow renderer.
 """
 
 from __future__ import annotations
@@ -51,9 +54,27 @@ WATCH = """
   };
   const send = WebSocket.prototype.send;
   let open = false;
+  const at = new Map(); // when a request was sent, by its number
+  seen.came = []; // [number, ms after it was sent, its server's times]
+  const reading = import('/vr/stream/reply.js');
+  window.WebSocket = class extends WebSocket {
+    constructor(...what) {
+      super(...what);
+      this.addEventListener('message', ({ data }) => {
+        const now = performance.now();
+        if (typeof data === 'string' || new DataView(data).getUint8(8) === 0) return;
+        const copy = data.slice(0); // the page gives it away
+        reading.then(({ parseReply }) => {
+          const { id, info } = parseReply(copy);
+          seen.came.push([id, now, at.get(id), info.times]);
+        });
+      });
+    }
+  };
   WebSocket.prototype.send = function (data) {
     const found = typeof data === 'string' && JSON.parse(data);
     if (found?.frame_id) {
+      at.set(found.frame_id, performance.now());
       const jaw = (found.pose ?? found.tracking)?.expression?.jawOpen ?? 0;
       if (jaw > 0.06 && !open) seen.sent.push([performance.now(), found.frame_id]);
       open = jaw > 0.03 && (open || jaw > 0.06);
@@ -97,16 +118,37 @@ def measured(here: bool, seconds: float, size: int) -> dict[str, Any]:
         found = page.evaluate("delays")
         stats = page.evaluate("glsplat.stats()")
         browser.close()
-    sent, shown = [], []
+    sent, shown, parts = [], [], []
+    came = {number: (arrived, asked, times) for number, arrived, asked, times in found["came"]}
     for begin in found["sounds"][1:]:
         after = next(((t, frame) for t, frame in found["sent"] if t >= begin), None)
         if after is None or after[0] - begin > 700:
             continue
-        picture = next((t for t, frame in found["shown"] if frame >= after[1]), None)
+        picture, number = next(((t, frame) for t, frame in found["shown"] if frame >= after[1]), (None, 0))
         sent.append(after[0] - begin)
-        shown.append(None if picture is None else picture - begin)
+        if picture is None:
+            continue
+        shown.append(picture - begin)
+        if number in came:
+            arrived, asked, times = came[number]
+            server = sum(times[name] for name in ("wait", "render", "encode"))
+            parts.append([
+                *(after[0] - begin, asked - after[0], times["wait"], times["render"], times["encode"]),
+                *(arrived - asked - server, picture - arrived),
+            ])  # fmt: skip
     drawn_by = stats["drawn"]["by"]
-    return {"sent": sent, "shown": [one for one in shown if one is not None], "fps": stats["fps"], "by": drawn_by}
+    return {"sent": sent, "shown": shown, "parts": parts, "stats": stats, "by": drawn_by}
+
+
+PARTS = (
+    "heard, and sent with the next frame of the page",
+    "another picture is drawn: a newer request took its place",
+    "waits at the server",
+    "drawn",
+    "encoded",
+    "on the way, both",
+    "decoded, and shown with the next frame of the page",
+)
 
 
 if __name__ == "__main__":
@@ -121,5 +163,10 @@ if __name__ == "__main__":
         values = result[what]
         spread = np.percentile(values, [10, 50, 90]).round().tolist() if values else []
         print(f"{what}: {len(values)} times, ms at 10, 50, 90 %: {spread}")
-    print(f"drawn by {result['by']}, {result['fps']} pictures a second, {time.monotonic() - began:.0f} s")
-    print("median:", statistics.median(result["shown"]) if result["shown"] else None)
+    stats = result["stats"]
+    print(f"drawn by {result['by']}, {stats['fps']} pictures and {stats['frameRate']} frames of the page a second")
+    for what, values in zip(PARTS, zip(*result["parts"], strict=True), strict=False):
+        print(f"{statistics.median(values):7.0f} ms  {what}")
+    if result["shown"]:
+        median = statistics.median(result["shown"])
+        print(f"median: {median:.0f} ms, {median * stats['fps'] / 1000:.2f} pictures; {time.monotonic() - began:.0f} s")

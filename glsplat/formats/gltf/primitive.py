@@ -8,6 +8,7 @@ know no splats (fallback.py).
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -144,11 +145,12 @@ def read_splats(container: Container, primitive: Primitive, name: str) -> Splats
     )
 
 
-def colour_note(splats: Splats) -> dict[str, str]:
-    """What the extras say of the colours; nothing of baked ones."""
-    if splats.surface is None:
+def colour_note(parts: Iterable[Splats]) -> dict[str, str]:
+    """What the extras say of the colours of all ``parts`` of a file; nothing where all are baked."""
+    surfaces = [splats.surface for splats in parts if splats.surface is not None]
+    if not surfaces:
         return {}
-    return {COLOUR: _ALBEDO if splats.surface.shade is None else _SHADED}
+    return {COLOUR: _SHADED if any(surface.shade is not None for surface in surfaces) else _ALBEDO}
 
 
 def our_extras(extras: Any) -> dict[str, Any]:

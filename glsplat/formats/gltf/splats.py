@@ -121,7 +121,7 @@ def save_gltf(scene: Splats | Avatar, target: Source, *, embedded: bool | None =
     note.pop(COLOUR, None)
     if splats.antialias:
         note[ANTIALIAS] = True
-    note |= colour_note(splats)
+    note |= colour_note([splats, *(splats_of(level.content) for level in scene.levels)])
     gltf.extensions_used[:0] = [EXTENSION, UNLIT]
     write_levels(out, scene)
     out.note(note)

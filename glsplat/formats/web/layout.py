@@ -40,9 +40,9 @@ class Targets(msgspec.Struct):
 
 
 class Part(msgspec.Struct, omit_defaults=True):
-    """A run of bytes that unpacks alone: the splats of a level, or its shapes. ``offset`` is from the header's end."""
+    """Bytes that unpack alone: a level's splats, their shapes or their surface. ``offset`` is from the header's end."""
 
-    kind: Literal["splats", "shapes"]
+    kind: Literal["splats", "shapes", "surface"]
     level: int
     offset: int
     bytes: int
@@ -55,6 +55,7 @@ class Part(msgspec.Struct, omit_defaults=True):
     scales: list[float] = []
     colours: list[float] = []
     sh: list[float] = []
+    shaded: bool = False
 
 
 class Header(msgspec.Struct):
@@ -88,4 +89,6 @@ def unpacked_size(header: Header, part: Part, splats: int) -> int:
     """Bytes of a part of a level of so many splats."""
     if part.kind == "splats":
         return splats * sum(planes_of(header).values())
+    if part.kind == "surface":
+        return splats * (7 if part.shaded else 4)
     return 2 * splats + 13 * part.entries

@@ -6,7 +6,7 @@ Nothing is unpacked beyond what the counts of the header allow, and these are he
 from __future__ import annotations
 
 import zlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import msgspec
 import numpy as np
@@ -27,7 +27,8 @@ from glsplat.formats.web.layout import (
     planes_of,
     unpacked_size,
 )
-from glsplat.formats.web.planes import WEIGHT, colours_of, from_planes, means_of, quats_of, scales_of
+from glsplat.formats.web.planes import WEIGHT, colours_of, from_planes, means_of, quats_of, running, scales_of
+from glsplat.light.surface import Surface
 from glsplat.skinning.shapes import Shapes
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.skin import INFLUENCES, Skin
@@ -55,10 +56,8 @@ def decode_avatar(data: bytes) -> Avatar:
             _matrices(header.joints.inverse_bind),
         )
         bodies = {part.level: part for part in header.parts if part.kind == "splats"}
-        faces = {part.level: part for part in header.parts if part.kind == "shapes"}
-        made = {
-            number: _avatar(body, header, part, faces.get(number), skeleton) for number, part in sorted(bodies.items())
-        }
+        more: dict[tuple[str, int], Part] = {(part.kind, part.level): part for part in header.parts}
+        made = {number: _avatar(body, header, part, more, skeleton) for number, part in sorted(bodies.items())}
         levels = [
             Level(avatar, bodies[number].density or 0.0, bodies[number].psnr)
             for number, avatar in made.items()
@@ -111,7 +110,7 @@ def _check(header: Header, size: int) -> None:
             raise FormatError(f"the {part.kind} of level {part.level} are not within the file's {size} bytes")
         if part.kind == "splats":
             _check_splats(header, part)
-        elif header.shapes is None or not 0 < part.entries <= MOST_ENTRIES:
+        elif part.kind == "shapes" and (header.shapes is None or not 0 < part.entries <= MOST_ENTRIES):
             raise FormatError(f"expected 1 to {MOST_ENTRIES} entries of named shapes, found {part.entries}")
 
 
@@ -127,8 +126,11 @@ def _check_splats(header: Header, part: Part) -> None:
         raise FormatError(f"level {part.level}: its box, scales or colours are out of bounds")
 
 
-def _avatar(data: memoryview, header: Header, part: Part, face: Part | None, skeleton: Skeleton) -> Avatar:
+def _avatar(
+    data: memoryview, header: Header, part: Part, more: Mapping[tuple[str, int], Part], skeleton: Skeleton
+) -> Avatar:
     n, what = part.splats, f"level {part.level}"
+    face, laid = more.get(("shapes", part.level)), more.get(("surface", part.level))
     raw = _unpacked(data, part.offset, part.bytes, unpacked_size(header, part, n), what)
     planes, at = {}, 0
     for name, width in planes_of(header).items():
@@ -150,6 +152,7 @@ def _avatar(data: memoryview, header: Header, part: Part, face: Part | None, ske
         (from_planes(planes["opacities"], n, "u1")[:, 0] / 255).astype(np.float32),
         sh,
         header.antialias,
+        surface=None if laid is None else _surface(data, header, laid, n),
     )
     weights = np.zeros((n, header.influences), np.int64)
     weights[:, 1:] = from_planes(planes["weights"], n, "<u2").reshape(n, -1)
@@ -175,6 +178,13 @@ def _shapes(data: memoryview, header: Header, part: Part, splats: int) -> Shapes
     known = header.shapes
     limits = np.array(known.limits, np.float32).reshape(-1, 2) if len(known.limits) % 2 == 0 else np.zeros((0, 2))
     return Shapes(known.names, starts, targets, moves, bends, known.sizes, limits)
+
+
+def _surface(data: memoryview, header: Header, part: Part, splats: int) -> Surface:
+    size = unpacked_size(header, part, splats)
+    raw = _unpacked(data, part.offset, part.bytes, size, f"the surface of level {part.level}")
+    steps = running(from_planes(raw, splats, "u1")).astype(np.uint8)
+    return Surface(steps[:, :3].view(np.int8), steps[:, 3], steps[:, 4:] if part.shaded else None)
 
 
 def _matrices(numbers: Sequence[float]) -> NDArray[np.float64]:

@@ -37,6 +37,7 @@ from glsplat.formats.web.planes import (
     weight_steps,
 )
 from glsplat.formats.web.read import read_header
+from glsplat.light.surface import Surface
 from glsplat.skinning.shapes import Shapes
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.skin import Skin
@@ -86,6 +87,11 @@ def encode_avatar(avatar: Avatar) -> bytes:
         if shapes is not None and len(shapes.targets):
             part = Part("shapes", number, 0, 0, entries=len(shapes.targets))
             parts.append((part, _packed(_shapes(shapes))))
+    for number in order:
+        surface = made[number].splats.surface
+        if surface is not None:
+            part = Part("surface", number, 0, 0, shaded=surface.shade is not None)
+            parts.append((part, _packed(_surface(surface))))
     header = Header(
         splats=len(made[0].splats),
         sh_degree=degree,
@@ -125,7 +131,9 @@ def _prepared(level: Avatar, degree: int, influences: int) -> Avatar:
     joints, shares = np.pad(level.skin.joints[order], pad, mode="edge"), np.pad(weights[order], pad)
     skin = Skin(joints, shares / WEIGHT)
     shapes = None if level.shapes is None else level.shapes.take(order)
-    whole = Splats(chosen.means, chosen.quats, chosen.scales, chosen.opacities, sh, splats.antialias)
+    whole = Splats(
+        *(chosen.means, chosen.quats, chosen.scales, chosen.opacities, sh, splats.antialias), surface=chosen.surface
+    )
     return replace(level, splats=whole, skin=skin, shapes=shapes, levels=())
 
 
@@ -165,6 +173,11 @@ def _shapes(shapes: Shapes) -> list[bytes]:
     moves = (np.rint(shapes.moves / _FINE) * _FINE).clip(-32767, 32767).astype(np.int16)
     each = np.diff(shapes.starts).astype(np.uint16)
     return [to_planes(rows) for rows in (each, shapes.targets, moves, shapes.bends)]
+
+
+def _surface(surface: Surface) -> list[bytes]:
+    planes = [surface.normals, surface.occlusion, *([] if surface.shade is None else [surface.shade])]
+    return [to_planes(np.diff(plane, axis=0, prepend=plane[:1] * 0)) for plane in planes]
 
 
 def _packed(parts: list[bytes] | bytes) -> bytes:

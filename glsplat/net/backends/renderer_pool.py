@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from glsplat.avatar import Avatar
 from glsplat.camera import Camera
 from glsplat.errors import GlsplatError
+from glsplat.light.light import Light
 from glsplat.net.backend import RenderJob
 from glsplat.net.backends.labels import Label, notice
 from glsplat.net.backends.room import RoomRenderer, label_place, selectors
@@ -37,16 +38,19 @@ Key = tuple[str, tuple[str, ...] | None]
 
 
 class SceneRenderer:
-    """One thing that is shown, and what draws it. ``make`` makes the renderer."""
+    """One thing that is shown, and what draws it. ``make`` makes the renderer, ``light`` falls unless a job has one."""
 
-    def __init__(self, scene: Scene, hide: tuple[str, ...], make: Callable[[Scene], Renderer]) -> None:
+    def __init__(
+        self, scene: Scene, hide: tuple[str, ...], make: Callable[[Scene], Renderer], light: Light | None
+    ) -> None:
         self._source = self._item = SceneFile.of(scene).avatar
         self._extent: Extent | None = None
         self.scene: Scene = scene
         if hide:
             self._item = _without(self._source, hide)
             items = (self._item if item is self._source else item for item in scene)
-            self.scene = Scene(items, light=scene.light)
+            self.scene = Scene(items)
+        self.scene.light = self._light = light
         self.renderer: Renderer = make(self.scene)
         self.selector = selectors()
 
@@ -56,7 +60,8 @@ class SceneRenderer:
         return sum(self.renderer.nbytes().values())
 
     def follow(self, request: RenderJob, seconds: float) -> None:
-        """Put what stands in for the scene's avatar where that is now."""
+        """Put what stands in for the scene's avatar where that is now, in the light that was asked for."""
+        self.scene.light = request.options.light or self._light
         if self._item is not self._source:
             assert self._item is not None and self._source is not None
             self._item.pose, self._item.transform = self._source.pose, self._source.transform
@@ -113,6 +118,7 @@ class RendererPool:
         rooms: Mapping[str, SceneFile] | None = None,
     ) -> None:
         self._scene, self._avatars, self._make, self._rooms = Scene.of(scene), avatars, make, rooms or {}
+        self._light = self._scene.light  # of the server; that of the scene is what was last asked for
         self._kept: LruCache[Key, SceneRenderer | RoomRenderer] = LruCache(KEPT + len(self._rooms), _KEPT_BYTES)
 
     def __len__(self) -> int:
@@ -158,8 +164,8 @@ class RendererPool:
         return item.content
 
     def _renderer_of(self, name: str, hide: tuple[str, ...]) -> SceneRenderer:
-        scene = Scene([Item(self._avatars[name])], light=self._scene.light) if name else self._scene
-        return SceneRenderer(scene, hide, self._make)
+        scene = Scene([Item(self._avatars[name])]) if name else self._scene
+        return SceneRenderer(scene, hide, self._make, self._light)
 
 
 def _without(item: Item | None, parts: tuple[str, ...]) -> Item:

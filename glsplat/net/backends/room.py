@@ -69,9 +69,12 @@ class RoomRenderer:
     def follow(self, job: RenderJob, seconds: float) -> None:
         """Bring everybody to where they are; ``seconds`` is the time of the background's motions.
 
+        The light is the viewer's own, if they sent one.
+
         Raises GlsplatError where an avatar cannot be had: nobody else is touched.
         """
         view = _view(job)
+        self.scene.light = job.options.light or self._background.scene.light
         new = {one.key: _shown(one, self._figure_of(one.avatar)) for one in view.people if one.key not in self._people}
         here = {one.key for one in view.people}
         for gone in [key for key in self._people if key not in here]:

@@ -80,6 +80,7 @@ def make_server(
     """
     config = replace(config or ServerConfig(), consent=consent)
     file = scene if isinstance(scene, SceneFile) else SceneFile.of(scene)
+    config = replace(config, wire=replace(config.wire, light=file.scene.light))
     item = file.avatar
     avatar = item.content if item is not None and is_rigged(item.content) else None
     others = _checked(avatars or {}, name, rendering)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 from glsplat.camera import Camera
 from glsplat.net.backend import Solved
-from glsplat.net.messages import Request
+from glsplat.net.messages import PictureOptions, Request
 from glsplat.net.poses.history import PoseHistory, Poses
 from glsplat.net.rooms.person import Moved, Person
 from glsplat.net.rooms.room import Room
@@ -40,6 +40,13 @@ class Member:
         self.room.heard(self.person, at)
         if request.tracking is None:
             self.room.moved(self.person, self._moved(request, None, at))
+
+    def options(self, request: Request) -> PictureOptions:
+        """How a request wants its picture, in the room's space."""
+        light = request.options.light
+        if light is None:
+            return request.options
+        return replace(request.options, light=light.turned(self.person.seat[:3, :3]))
 
     def look(
         self, request: Request, cameras: Sequence[Camera], solved: Solved | None, at: float, now: float

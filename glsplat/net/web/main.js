@@ -185,6 +185,8 @@ function offered(session) {
   if (session.rate && sizes.includes(session.size[0])) settings.setDefault('size', session.size[0]);
   const slow = session.rate && session.rate < ENOUGH;
   page.sizeNote(slow ? `This server draws about ${session.rate.toFixed(0)} pictures a second at ${session.size[0]}; smaller ones are faster.` : '');
+  stage.light = session.light ?? null;
+  settings.setDefault('light', !session.light); // who started it with a light means that one
   wear();
   stage.here.handedOut(session.avatars.map(({ hand_out: given }) => given?.sha256).filter(Boolean));
   photo.offered(session.upload, chosenAvatar());

@@ -2,7 +2,7 @@
 // the server or the headset.
 
 const CHOICES = ['view', 'place', 'avatar', 'room', 'size', 'driver', 'drawn'];
-const FLAGS = ['stereo', 'figures'];
+const FLAGS = ['light', 'stereo', 'figures'];
 const BUTTONS = ['enter-vr', 'enter-ar', 'elsewhere', 'again', 'face', 'record', 'calibrate', 'fullscreen'];
 
 /**

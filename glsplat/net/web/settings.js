@@ -21,6 +21,7 @@ function table() {
       { value: 'own', label: 'Own body' },
     ]),
     place: choice('day', PLACES), // what stands around the avatar
+    light: flag(true), // and whether its light falls on who knows their surface
     avatar: choice(''),
     room: choice('', [{ value: '', label: 'None: alone' }]),
     name: text('', /^(?:[\p{L}\p{N}](?:[\p{L}\p{N}_ .'-]{0,30}[\p{L}\p{N}_.])?)?$/u), // what others see in a room

@@ -30,6 +30,9 @@ def exported(content: Splats | Avatar) -> tuple[dict[str, Any], bytes]:
         "antialias": splats.antialias,
         "skeleton": None,
     }
+    if splats.surface is not None:
+        arrays["normals"], arrays["occlusion"] = splats.surface.normals, splats.surface.occlusion
+        arrays["shade"] = splats.surface.shades_or_one()
     if isinstance(content, Avatar):
         arrays["joints"], arrays["weights"] = content.skin.joints.astype(np.uint16), content.skin.weights
         rig = content.skeleton
@@ -46,7 +49,9 @@ def exported(content: Splats | Avatar) -> tuple[dict[str, Any], bytes]:
             header["shapes"] = {"sizes": shapes.sizes.tolist(), "names": list(shapes.names)}
     body, header["arrays"] = b"", {}
     for name, array in arrays.items():
-        data = np.ascontiguousarray(array if array.dtype in (np.uint16, np.uint32) else array.astype(np.float32))
+        data = np.ascontiguousarray(
+            array if array.dtype in (np.uint16, np.uint32, np.int8, np.uint8) else array.astype(np.float32)
+        )
         header["arrays"][name] = [str(data.dtype), len(body), data.size]
         body += data.tobytes() + bytes(-data.nbytes % 4)
     return header, body

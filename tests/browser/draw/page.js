@@ -4,7 +4,7 @@ import { Skeleton, quaternionOf } from '/vr/draw/bones.js';
 import { Drawing } from '/vr/draw/drawing.js';
 import { cameraOfFile } from '/vr/draw/frame.js';
 
-const TYPES = { float32: Float32Array, uint16: Uint16Array, uint32: Uint32Array };
+const TYPES = { float32: Float32Array, uint16: Uint16Array, uint32: Uint32Array, int8: Int8Array, uint8: Uint8Array };
 
 export async function load(name) {
   const header = await (await fetch(`/vr/data/${name}.json`)).json();
@@ -12,6 +12,7 @@ export async function load(name) {
   const arrays = Object.entries(header.arrays).map(([key, [type, at, size]]) => [key, new TYPES[type](body, at, size)]);
   const { skeleton, shapes, ...splats } = { ...header, ...Object.fromEntries(arrays) };
   if (shapes) splats.shapes = { ...shapes, starts: splats.starts, texels: splats.texels };
+  splats.surface = splats.normals ? { normals: splats.normals, occlusion: splats.occlusion, shade: splats.shade } : null;
   return { splats, skeleton: skeleton && new Skeleton(skeleton) };
 }
 
@@ -38,11 +39,12 @@ const base64 = (bytes) => {
 };
 
 /** Layers of the kinds, as floats, rows as they lie; `upward` draws with rows from below and turns them here; `order`: by other keys than the page's. */
-export async function pictures({ things, poses, cameras, kinds, triangle = false, upward = false, order = null }) {
+export async function pictures({ things, poses, cameras, kinds, triangle = false, upward = false, order = null, light = null }) {
   const table = await (await fetch('/vr/draw/programs.json')).json();
   const gl = context();
   const drawing = new Drawing(gl, table, { triangle });
   const loaded = await Promise.all(things.map(load));
+  drawing.light = light;
   drawing.show(loaded);
   poses.forEach(({ pose, place, amounts }, i) =>
     drawing.pose(i, { bones: pose && loaded[i].skeleton.bones(poseOf(pose)), ...(place ? { place } : {}), amounts: amounts ? new Float32Array(amounts) : null }));
@@ -88,12 +90,13 @@ export async function decoded(name, piece) {
       if (ArrayBuffer.isView(value)) levels[level][key] = base64(new Uint8Array(value.buffer, value.byteOffset, value.byteLength));
     }
     if (splats.shapes) levels[level].texels = base64(new Uint8Array(splats.shapes.texels.buffer));
+    for (const [key, value] of Object.entries(splats.surface ?? {})) if (value) levels[level][key] = base64(new Uint8Array(value.buffer, value.byteOffset, value.byteLength));
   }
   return { order, levels, names: avatar.names, joints: avatar.skeleton.names };
 }
 
 /** A picture by crowd.js of an avatar's file, as floats: the level is chosen by the camera. */
-export async function crowdPicture({ name, pose, camera, expression = null, headless = false }) {
+export async function crowdPicture({ name, pose, camera, expression = null, headless = false, light = null }) {
   const { readAvatar } = await import('/vr/avatar/avatar.js');
   const { Crowd } = await import('/vr/draw/crowd.js');
   const table = await (await fetch('/vr/draw/programs.json')).json();
@@ -105,7 +108,7 @@ export async function crowdPicture({ name, pose, camera, expression = null, head
   crowd.people = [{ key: 1, avatar, pose: poseOf(pose), expression }];
   const eye = { ...camera, viewport: { x: 0, y: 0, width, height } };
   const shown = [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1];
-  crowd.draw([eye], null, shown, { headless: headless ? 1 : null });
+  crowd.draw([eye], null, shown, { headless: headless ? 1 : null, light });
   const floats = new Float32Array(width * height * 4);
   gl.bindFramebuffer(gl.FRAMEBUFFER, crowd.drawing.layers.framebuffers[0]);
   gl.readPixels(0, 0, width, height, gl.RGBA, gl.FLOAT, floats);

@@ -21,7 +21,7 @@ LINK = """async () => {
   const linked = Object.keys(table.programs).filter((name) => programs.get(name).program);
   const stages = (name) => table.programs[name].stages.map((_, i) => textOf(table, name, i));
   const texts = Object.fromEntries(linked.map((name) => [name, stages(name)]));
-  const attributes = programs.get('project 3 1 2').attributes;
+  const attributes = programs.get('project 3 1 2 1').attributes;
   programs.release();
   return { linked, texts, attributes: Object.keys(attributes), error: gl.getError() };
 }"""

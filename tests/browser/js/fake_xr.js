@@ -6,7 +6,7 @@
 const RAD = Math.PI / 180;
 const SIDES = ['left', 'right'];
 const ROOM = rigid([0, 0, 0], [0, 0, 0, 1]);
-const KNOWN = ['viewer', 'local', 'local-floor', 'hand-tracking', 'body-tracking', 'unbounded'];
+const KNOWN = ['viewer', 'local', 'local-floor', 'hand-tracking', 'body-tracking', 'unbounded', 'light-estimation'];
 
 /** What the test sets. Poses are [x, y, z, qx, qy, qz, qw] in metres in the room, whose floor is y = 0. */
 const device = {
@@ -22,6 +22,7 @@ const device = {
   controllers: { left: null, right: null }, // {grip: pose, ray: pose}, or null: lost
   buttons: { left: {}, right: {} }, // {trigger, squeeze, a}: 0 to 1
   body: null, // {joint name: pose}
+  light: null, // {sh: 27 numbers, direction: [x, y, z], intensity: [r, g, b], probe: pose}; null: nothing is known of it yet
   grants: true, // false: the person refuses the session
 };
 let current = null; // the immersive session
@@ -103,6 +104,16 @@ class XRFrame {
     return new XRViewerPose(transformOf(product(back, matrixOf(device.head))), views);
   }
 
+  getLightEstimate(probe) {
+    this.#check(probe.probeSpace);
+    if (!device.light) return null;
+    const point = ([x, y, z]) => new DOMPointReadOnly(x, y, z, 0);
+    return readonly(new XRLightEstimate(), {
+      sphericalHarmonicsCoefficients: new Float32Array(device.light.sh),
+      primaryLightDirection: point(device.light.direction), primaryLightIntensity: point(device.light.intensity),
+    });
+  }
+
   getPose(space, base) {
     this.#check(space, base);
     const found = this.#relate(space, base);
@@ -134,6 +145,17 @@ class XRFrame {
     if (radii.length < list.length) throw new TypeError('the array is too small for the radii');
     list.forEach((joint, index) => { radii[index] = joint[INNER].origin() ? joint[INNER].radius() : NaN; });
     return list.every((joint) => joint[INNER].origin());
+  }
+}
+
+class XRLightEstimate {}
+
+class XRLightProbe extends EventTarget {
+  onreflectionchange = null;
+
+  constructor(session) {
+    super();
+    readonly(this, { probeSpace: new XRSpace(session, () => matrixOf(device.light?.probe)) });
   }
 }
 

@@ -58,6 +58,12 @@ class XRSession extends EventTarget {
     return new XRReferenceSpace(this, origins[type]);
   }
 
+  async requestLightProbe() {
+    if (this[INNER].ended) fail('InvalidStateError', 'the session has ended');
+    if (!this.enabledFeatures.includes('light-estimation')) fail('NotSupportedError', 'light-estimation was not granted');
+    return new XRLightProbe(this);
+  }
+
   requestAnimationFrame(callback) {
     if (this[INNER].ended) return 0;
     this[INNER].handle += 1;

@@ -22,6 +22,7 @@ import psutil
 
 from glsplat.data import default_avatar
 from glsplat.errors import GlsplatError
+from glsplat.light.light import Light
 from glsplat.net.messages import MAX_ID, Decoder, Request, WireOptions
 from glsplat.net.session import Close, Session, SessionConfig, Warn
 from glsplat.tracking.calibration import Calibration
@@ -44,6 +45,9 @@ CODES = set(
         ),
     )
 )
+
+
+LIGHT = Light.preset("left").to_json()
 
 
 @dataclass
@@ -77,6 +81,8 @@ def valid(i: int) -> list[dict[str, Any]]:
         json.loads(request(i, pose=pose, quality=80, crop=True, t=1.5)),
         json.loads(request(i, pose=collapsed(), mirror=False, hide=["head"], box=True)),
         json.loads(request(i, eyes=pair(64, 64)[:1], size=[64, 64], ack=None)),
+        json.loads(request(i, light=LIGHT, alpha="straight")),
+        json.loads(request(i, light="evening")),
         json.loads(request(i, **full)),
         json.loads(request(i, **full, eyes=None)),
         {"v": 1, "frame_id": i, "ack": 0, "want": "pose", **full},
@@ -142,6 +148,7 @@ class _Peer:
         self.newest = r.frame_id
         assert (1 <= len(r.cameras) <= 2) != r.poses and len(r.eyes) == len(r.cameras) and set(r.eyes) <= {0, 1}
         assert r.options.hide in ((), ("head",))
+        assert r.options.light is None or np.isfinite(r.options.light.uniforms()).all()
         assert 1 <= r.options.quality <= 100 and np.isfinite(r.t or 0.0)
         for camera in r.cameras:
             assert 1 <= camera.width <= self.limit and 1 <= camera.height <= self.limit

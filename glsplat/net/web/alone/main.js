@@ -1,13 +1,15 @@
 // The page that `glsplat page` writes: one avatar, its motions, a headset where there is one, and no server.
 
 import { quaternionOf } from '../draw/bones.js';
+import { turned } from '../draw/light.js';
 import { Own } from '../draw/own.js';
 import { chunksOf, readAvatar } from '../avatar/avatar.js';
 import { Orbit } from '../show/orbit.js';
 import { Painter } from '../show/painter.js';
+import { lightOf } from '../place/light.js';
 import { PLACES } from '../place/looks.js';
 import { fromJoints, partsOf } from '../place/shadow.js';
-import { IDENTITY, movePoint } from '../space/matrix.js';
+import { IDENTITY, invert, movePoint } from '../space/matrix.js';
 import { Motion } from '../track/drivers.js';
 import { Headset } from './headset.js';
 
@@ -123,7 +125,8 @@ function drawEyes(eyes, framebuffer, shown, now) {
     painter.begin(framebuffer, false);
     around(eyes, shown, now);
   }
-  if (own.draw(eyes, framebuffer, shown)) frames.shown++;
+  const light = lightOf($('place').value);
+  if (own.draw(eyes, framebuffer, shown, { light: light && turned(light, invert(shown)) })) frames.shown++;
   else if (own.why) say(capital(own.why), 'error');
 }
 

@@ -1,6 +1,6 @@
 // An avatar in this browser: its levels of detail as they come, which of them a view needs, and it without its head.
 
-import { BlobError, headOf, openBlob, shapesOf, splatsOf } from './blob.js';
+import { BlobError, headOf, openBlob, shapesOf, splatsOf, surfaceOf } from './blob.js';
 import { chosen, densityOf, proxyOf } from './detail.js';
 
 /** Of one file. Levels come while it is read; `levels` has the splats by level, 0 the finest. */
@@ -17,7 +17,7 @@ export class Avatar {
     for (const { level, density } of levels) if (level > 0) this.#densities[level - 1] = density;
   }
 
-  /** The splats of a level came, or came again with their shapes. */
+  /** The splats of a level came, or came again with their shapes or their surface. */
   add(level, splats) {
     this.levels.set(level, splats);
     if (!this.#proxy || level === 0) this.#proxy = proxyOf(splats);
@@ -58,7 +58,8 @@ export async function readAvatar(chunks, onLevel = () => {}) {
       avatar.add(part.level, await splatsOf(header, part, bytes));
     } else {
       const splats = avatar.levels.get(part.level);
-      avatar.add(part.level, { ...splats, shapes: await shapesOf(header, part, splats.count, bytes) });
+      const [kind, more] = [part.kind, part.kind === 'shapes' ? shapesOf(header, part, splats.count, bytes) : surfaceOf(part, splats.count, bytes)];
+      avatar.add(part.level, { ...splats, [kind]: await more });
     }
     onLevel(avatar, part.level);
   }
@@ -118,7 +119,7 @@ function under(parents, joint) {
 }
 
 function partOf(splats, left) {
-  const { count, joints, weights, influences: n, shapes } = splats;
+  const { count, joints, weights, influences: n, shapes, surface } = splats;
   const kept = [];
   for (let i = 0; i < count; i++) {
     let share = 0;
@@ -132,7 +133,8 @@ function partOf(splats, left) {
   };
   const sizes = { means: 3, quats: 4, scales: 3, opacities: 1, sh: splats.sh.length / count, joints: n, weights: n };
   const arrays = Object.entries(sizes).map(([name, size]) => [name, take(splats[name], size)]);
-  return { ...splats, ...Object.fromEntries(arrays), count: kept.length, shapes: shapes && entriesOf(shapes, kept) };
+  const known = surface && { normals: take(surface.normals, 3), occlusion: take(surface.occlusion, 1), shade: surface.shade && take(surface.shade, 3) };
+  return { ...splats, ...Object.fromEntries(arrays), count: kept.length, shapes: shapes && entriesOf(shapes, kept), surface: known };
 }
 
 function entriesOf(shapes, kept) {

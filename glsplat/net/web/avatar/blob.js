@@ -94,7 +94,7 @@ export async function splatsOf(header, part, bytes) {
     if (left[i] < 0) fail("the weights of this avatar's splats sum to more than 1");
     weights[influences * i] = left[i] / STEPS;
   }
-  return { count, means, quats, scales, opacities, sh, degree, antialias, joints: which, weights, influences, shapes: null };
+  return { count, means, quats, scales, opacities, sh, degree, antialias, joints: which, weights, influences, shapes: null, surface: null };
 }
 
 /** The shapes of `count` splats from a part of the kind "shapes": {names, sizes, limits, starts, texels}. */
@@ -115,6 +115,20 @@ export async function shapesOf(header, part, count, bytes) {
     bytesOf[16 * e + 12] = target;
   }
   return { names, sizes, limits, starts, texels };
+}
+
+/** What `count` splats know of the surface they lie on (glsplat/light/surface.py): {normals [3 N], occlusion [N], shade [3 N] or null}. */
+export async function surfaceOf(part, count, bytes) {
+  const data = await inflated(bytes, (part.shaded ? 7 : 4) * count, 'surface');
+  const rows = (from, width) => {
+    const out = new Uint8Array(width * count);
+    for (let k = 0; k < width; k++) {
+      const plane = data.subarray((from + k) * count, (from + k + 1) * count);
+      for (let i = 0, q = 0; i < count; i++) out[width * i + k] = q = (q + plane[i]) & 255;
+    }
+    return out;
+  };
+  return { normals: new Int8Array(rows(0, 3).buffer), occlusion: rows(3, 1), shade: part.shaded ? rows(4, 3) : null };
 }
 
 /** Exactly `size` bytes unpacked; anything else is refused, and nothing beyond them is unpacked. */

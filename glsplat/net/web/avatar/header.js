@@ -4,7 +4,7 @@
 export const MOST = { joints: 4096, splats: 1 << 21, entries: 1 << 24, parts: 64, shapes: 256, name: 64, bytes: 256 << 20 };
 
 const FAR = 1e6; // metres, and what stands for a size or a colour; more is a mistake
-const ABSENT = { splats: 0, entries: 0, density: null, sh: [] };
+const ABSENT = { splats: 0, entries: 0, density: null, sh: [], shaded: false };
 const LOGS = 60; // natural logarithms of sizes
 
 /** Something is wrong with an avatar's file; its message is one sentence. */
@@ -59,8 +59,11 @@ export function checkHeader(header) {
       check(numbers(part.sh, header.sh_degree), 'splats without a size of each band');
       check(part.level === 0 || (typeof part.density === 'number' && part.density >= 0), 'a level without its density');
       levels.set(part.level, part.splats);
+    } else if (part.kind === 'surface') {
+      check(levels.has(part.level), 'a surface without splats');
+      check(typeof part.shaded === 'boolean', 'a shaded that is not true or false');
     } else {
-      check(part.kind === 'shapes' && shapes !== null && levels.has(part.level), 'a part that is neither splats nor their shapes');
+      check(part.kind === 'shapes' && shapes !== null && levels.has(part.level), 'a part that is neither splats nor their shapes nor their surface');
       check(whole(part.entries, 0, MOST.entries), 'more entries of shapes than there may be');
     }
   }

@@ -50,9 +50,9 @@ export class Crowd {
 
   /**
    * Draw for eyes [{transform, projection, viewport}] into a framebuffer; `shown` and `glass` as of Drawing.draw.
-   * `headless`: whose head is not drawn, by key.
+   * `headless`: whose head is not drawn, by key; `light` of light.js, in the space of the people.
    */
-  draw(eyes, framebuffer, shown, { glass = null, headless = null } = {}) {
+  draw(eyes, framebuffer, shown, { glass = null, headless = null, light = null } = {}) {
     const { width, height } = eyes[0].viewport;
     const cameras = eyes.map((eye) => cameraOf(eye, width, height, shown));
     const posed = this.#people.map((person) => ({ place: HERE, opacity: 1, ...person, bones: person.avatar.skeleton.bones(person.pose) }));
@@ -71,6 +71,7 @@ export class Crowd {
       const amounts = shapes && expression ? amountsOf(shapes, weightsOf(avatar.names, expression)) : null;
       this.#drawing.pose(i, { bones, place, amounts, opacity });
     });
+    this.#drawing.light = light;
     this.#drawing.draw(eyes, framebuffer, shown, glass);
   }
 

@@ -6,6 +6,7 @@ import { cameraOf, frameBlock, sortRow } from './frame.js';
 import { bind, buffer, copyRows, feedback, texture, vertexArray } from './gpu.js';
 import { Item } from './item.js';
 import { Layers } from './layers.js';
+import { fillSurfaces, uniformsOf } from './light.js';
 import { Order } from './order.js';
 import { Programs } from './programs.js';
 import { movedMeans } from './shapes.js';
@@ -20,12 +21,13 @@ const STILL = Float64Array.of(1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0);
  */
 export class Drawing {
   drawn = 0; // splats of the last frame
+  light = null; // {ambient, sun} of light.js that falls on all that knows its surface
   #gl;
   #programs;
   #order = new Order();
   #shown = []; // [{splats, item, first, means, bones, place, size, opacity, amounts, moved}]
-  #arena = null; // {degree, antialias, signs, posed, colours, rows}
-  #frame = null; // {count, views, order, records, texture, array, block}
+  #arena = null; // {degree, antialias, posed, colours, rows, surfaced, surfaces: made when light first falls}
+  #frame = null; // {count, views, lit, order, records, texture, array, block}
   #layers;
   #empty;
 
@@ -116,6 +118,11 @@ export class Drawing {
     gl.bufferData(gl.ARRAY_BUFFER, sorted, gl.STREAM_DRAW); // new memory instead of a wait
     gl.bindBuffer(gl.ARRAY_BUFFER, null);
     const { units } = this.#programs.table;
+    if (frame.lit) {
+      bind(gl, units.surfaces, this.#surfaces());
+      frame.project.use();
+      gl.uniform4fv(frame.project.at['light[0]'], uniformsOf(this.light));
+    }
     bind(gl, units.colours, this.#arena.colours);
     bind(gl, units.splats, this.#arena.posed);
     feedback(gl, frame.project, frame.array, frame.records, sorted.length);
@@ -184,7 +191,7 @@ export class Drawing {
   /** The arena of what is shown: rows of each, textures that hold them, their colours. */
   #stage() {
     const [gl, { table }] = [this.#gl, this.#programs];
-    if (this.#arena) [this.#arena.posed, this.#arena.colours].forEach((one) => gl.deleteTexture(one));
+    if (this.#arena) [this.#arena.posed, this.#arena.colours, this.#arena.surfaces].forEach((one) => gl.deleteTexture(one));
     this.#arena = null;
     this.#dropWork();
     if (!this.#shown.length) return;
@@ -204,20 +211,38 @@ export class Drawing {
       degree,
       antialias,
       rows,
+      surfaced: this.#shown.some(({ splats }) => splats.surface),
+      surfaces: null,
       posed: texture(gl, 'RGBA32F', 4 * size, rows),
       colours: texture(gl, degree ? 'RGBA32F' : 'RGB32F', size * texels, rows, colours),
     };
-    if (gl.getError() === gl.OUT_OF_MEMORY) throw new Error('it has not enough memory for these splats');
+    this.#checkMemory();
+  }
+
+  /** What light falls on (light.glsl): without light nobody pays for it. */
+  #surfaces() {
+    const [arena, size] = [this.#arena, 1 << this.#programs.table.row_bits];
+    if (!arena.surfaces) {
+      const rows = new Float32Array(arena.rows * size * 8);
+      for (const { splats, first } of this.#shown) fillSurfaces(rows, splats, first * size * 8);
+      arena.surfaces = texture(this.#gl, 'RGBA32F', 2 * size, arena.rows, rows);
+      this.#checkMemory();
+    }
+    return arena.surfaces;
+  }
+
+  #checkMemory() {
+    if (this.#gl.getError() === this.#gl.OUT_OF_MEMORY) throw new Error('it has not enough memory for these splats');
   }
 
   /** Programs and work buffers for so many views and splats. */
   #work(views, count) {
-    if (this.#frame?.views === views && this.#frame.count >= count && this.#frame.triangle === this.triangle) return this.#frame;
-    const [gl, { degree = 0, antialias = 0 }] = [this.#gl, this.#arena ?? {}];
+    const [gl, { degree = 0, antialias = 0, surfaced = false }] = [this.#gl, this.#arena ?? {}];
+    const [was, lit] = [this.#frame, Boolean(this.light && surfaced)];
+    if (was?.views === views && was.count >= count && was.triangle === this.triangle && was.lit === lit) return was;
     this.#dropWork();
     const shared = +(degree === 0);
-    const name = `project ${degree} ${antialias} ${views}`;
-    const project = this.#programs.get(name);
+    const project = this.#programs.get(`project ${degree} ${antialias} ${views} ${+lit}`);
     const draw = this.#programs.get(`splat ${shared} ${+(antialias > 0)} ${views} ${+this.triangle}`);
     const own = 5 + (shared ? 0 : 3) + (antialias ? 1 : 0);
     const floats = own * views + (shared ? 3 : 0) + (antialias ? 0 : 1);
@@ -226,7 +251,7 @@ export class Drawing {
     const order = buffer(gl, 4 * most, gl.STREAM_DRAW);
     gl.activeTexture(gl.TEXTURE0);
     this.#frame = {
-      views, project, draw, floats, order, count: most, triangle: this.triangle,
+      views, lit, project, draw, floats, order, count: most, triangle: this.triangle,
       records: buffer(gl, 4 * rows * RECORD_ROW, gl.DYNAMIC_COPY),
       texture: texture(gl, 'R32F', RECORD_ROW, rows),
       array: vertexArray(gl, [{ location: project.attributes.order, buffer: order, size: 1, type: gl.UNSIGNED_INT }]),

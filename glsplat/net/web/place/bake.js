@@ -25,16 +25,15 @@ const BOUNCE = 0.16; // of what falls in, as light from everywhere
 /** RGBA bytes of the atlas for one of LOOKS. */
 export function bake(look) {
   const bytes = new Uint8Array(4 * ATLAS.width * ATLAS.height).fill(255);
-  const windows = look.windows.map((one) => panes(one, look));
   const horizon = shown(look.sky.horizon);
-  const suns = look.sun ? SUNS.map(([a, b]) => unit([look.sun.towards[0], look.sun.towards[1] + a, look.sun.towards[2] + b])) : [];
+  const falls = lightIn(look);
   for (const [rect, at] of faces(look)) {
     const [left, top, width, height] = rect;
     for (let y = 0; y < height; y++) {
       for (let x = 0; x < width; x++) {
         // the outer texels lie on the edges: linear filtering never reads a neighbour face
         const { point, normal } = at((x + 0.5) / width, (y + 0.5) / height);
-        const light = lightAt(point, normal, look, windows, suns);
+        const light = falls(point, normal);
         const to = 4 * ((top + y) * ATLAS.width + left + x);
         const colour = surface(point, normal, look).map((value, k) => value * light[k]);
         const far = look.fade ? smoothstep(look.fade[0], look.fade[1], Math.hypot(point[0], point[2])) : 0;
@@ -46,6 +45,13 @@ export function bake(look) {
     }
   }
   return bytes;
+}
+
+/** What says how much light [r, g, b] falls at a point of a place on a surface with a unit normal: 1 shows it in its colour. */
+export function lightIn(look) {
+  const windows = look.windows.map((one) => panes(one, look));
+  const suns = look.sun ? SUNS.map(([a, b]) => unit([look.sun.towards[0], look.sun.towards[1] + a, look.sun.towards[2] + b])) : [];
+  return (point, normal) => lightAt(point, normal, look, windows, suns);
 }
 
 /** Bytes of the floor's grain, 128 where it changes nothing, and the metres it covers [x, z]; null: there is none. */

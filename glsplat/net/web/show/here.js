@@ -3,10 +3,11 @@
 
 import { HERE } from '../draw/bones.js';
 import { Choice } from '../draw/choice.js';
+import { turned } from '../draw/light.js';
 import { Own } from '../draw/own.js';
 import { AvatarCache } from '../avatar/cache.js';
 import { fromJoints, partsOf } from '../place/shadow.js';
-import { fromPose, invert, movePoint, multiply } from '../space/matrix.js';
+import { IDENTITY, fromPose, invert, movePoint, multiply } from '../space/matrix.js';
 import { People } from '../stream/pose.js';
 
 export class Here {
@@ -73,16 +74,21 @@ export class Here {
     return this.choice.here;
   }
 
-  /** Draw those who are here. `own`: the view is from inside the user's own avatar. Returns how old their poses are, ms, or null. */
-  draw(views, framebuffer, where, own, now) {
+  /**
+   * Draw those who are here. `inside`: the view is from inside the user's own avatar; `light` is in the user's space, else
+   * the `servers` falls. Returns how old their poses are, ms, or null.
+   */
+  draw(views, framebuffer, where, { inside, light, servers, now }) {
     const bodies = this.people.at(now);
-    const shown = this.people.room?.place ? multiply(where.shown, invert(fromPose(this.people.room.place))) : where.shown;
+    const stands = this.people.room?.place ? fromPose(this.people.room.place) : IDENTITY;
+    const shown = multiply(where.shown, invert(stands));
     const people = bodies.map((body) => ({ ...body, avatar: this.cache.get(body.sha256, now), pose: body }));
     this.cache.keep(new Set([...bodies.map(({ sha256 }) => sha256), this.#offer?.sha256]));
     this.#own.people = people.filter(({ avatar, joints }) => avatar && joints.length === 4 * avatar.skeleton.count);
     if (!this.#own.people.length) return null;
     const me = bodies.find(({ you }) => you);
-    this.#own.draw(views, framebuffer, shown, { glass: where.glass, headless: own && me ? me.key : null });
+    const falling = light ? turned(light, stands) : servers;
+    this.#own.draw(views, framebuffer, shown, { glass: where.glass, headless: inside && me ? me.key : null, light: falling });
     return Math.max(...bodies.map(({ age }) => age));
   }
 

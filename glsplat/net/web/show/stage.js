@@ -1,8 +1,10 @@
 // What both ways of looking share: ask for a pair, take the newest that came, put it on the screen, keep the figures.
 
+import { onWire, turned } from '../draw/light.js';
+import { lightOf } from '../place/light.js';
 import { below, fromBox } from '../place/shadow.js';
 import { Framing } from '../space/framing.js';
-import { IDENTITY } from '../space/matrix.js';
+import { IDENTITY, invert } from '../space/matrix.js';
 import { watcher } from '../space/placing.js';
 import { Figures } from '../stream/figures.js';
 import { Pictures } from '../stream/pictures.js';
@@ -17,10 +19,12 @@ export class Stage {
   shownId = 0;
   info = {}; // the JSON of the newest reply
   canHide = false; // whether the avatar has a head that can be left out
+  light = null; // the server's, which falls where the page asks for none
   #complaint = { text: '', until: 0 };
   #asked = 0; // when the pair on the screen was asked for
   #seen = true; // whether that pair has been drawn
   #scene = 0; // counts what `clear` ended: pictures asked for before are of another place
+  #painted = []; // what the canvas shows
 
   /** `inWorker` false decodes on the page's thread, to compare. */
   constructor(gl, connection, settings, { inWorker = true } = {}) {
@@ -59,21 +63,26 @@ export class Stage {
   /**
    * One frame for `views` [{transform, projection, viewport}] of `where` (a placing): ask for the next, show the newest.
    * `drive` and `how` {alpha, transparent, room, labels} as of `ask` and the painter; `framebuffer` null is the canvas;
-   * `asks` false where nothing new is to be asked for. Returns the frame_id that was asked for, or 0.
+   * `around`: the light of a room that is not ours, or null; `asks` false where nothing new is to be asked for. Returns
+   * the frame_id that was asked for, or 0.
    */
-  frame(views, where, drive, { framebuffer = null, alpha, transparent = false, room, labels = () => [], asks = true, now }) {
+  frame(views, where, drive, { framebuffer = null, alpha, transparent = false, room, around, labels = () => [], asks = true, now }) {
+    const light = this.#falling(where, around);
     const here = this.here.draws(views, where, this.figures.rate('shown', now), now);
     let sent = 0;
-    if (asks) sent = here ? this.#askPoses(views, where, drive, now) : this.ask(views, where, drive, { alpha, now });
+    if (asks) sent = here ? this.#askPoses(views, where, drive, now) : this.ask(views, where, drive, { alpha, light, now });
     this.advance(now);
+    const own = here && this.here.people.size > 0;
+    if (framebuffer || own) this.#painted = [];
+    else if (this.#shows(views, room)) return sent;
     const hung = labels();
     this.painter.begin(framebuffer, transparent);
     const how = { room, mirror: where.glass ? where : null, look: this.settings.get('place'), blobs: this.#shadows(here, where, drive, now) };
-    if (here && this.here.people.size) {
+    if (own) {
       this.painter.forget();
       views.forEach((view, i) => this.painter.view(view, i, how));
-      const own = where.view === 'own' && this.canHide;
-      const age = this.here.draw(views, framebuffer, where, own, now);
+      const inside = where.view === 'own' && this.canHide;
+      const age = this.here.draw(views, framebuffer, where, { inside, light, servers: this.light, now });
       if (age !== null) this.figures.show(now - age, performance.now());
       const names = this.names.labels(this.here.names(where), views[0].transform, this.painter);
       views.forEach((view) => this.painter.labels(view, [...names, ...hung]));
@@ -82,6 +91,24 @@ export class Stage {
       this.drawn();
     }
     return sent;
+  }
+
+  /**
+   * Whether the canvas shows this already; from now on it does. The same picture is not drawn again: the machine may be
+   * the one that draws the avatar.
+   */
+  #shows(views, room) {
+    const eyes = views.flatMap(({ transform, projection, viewport }) => [...transform, ...projection, ...Object.values(viewport)]);
+    const wanted = [this.painter, this.painter.shownAs, this.settings.get('place'), room, ...eyes];
+    const same = wanted.length === this.#painted.length && wanted.every((value, i) => value === this.#painted[i]);
+    this.#painted = wanted;
+    return same;
+  }
+
+  /** What falls on the avatar, in its own space: the light of its place, or that which is `around`; null: the server's. */
+  #falling(where, around = lightOf(this.settings.get('place'))) {
+    if (!around || !this.settings.get('light')) return null;
+    return where.glass ? around : turned(around, invert(where.shown)); // a mirror's user stands in the room itself
   }
 
   /** Where those who are shown touch the floor. */
@@ -115,9 +142,9 @@ export class Stage {
 
   /**
    * Send a request for what `views` [{transform, projection}] are to see of the avatar, `drive` {tracking, t} or
-   * {pose} says how it stands. Returns its frame_id; 0 where nothing was sent.
+   * {pose} says how it stands, `light` falls on it. Returns its frame_id; 0 where nothing was sent.
    */
-  ask(views, where, drive, { alpha, now }) {
+  ask(views, where, drive, { alpha, light = null, now }) {
     const age = (this.figures.median('age') ?? 100) / 1000;
     const sample = drive.tracking ?? null;
     const framed = this.framing.frame(views, where, sample, this.settings.get('size'), age, now);
@@ -128,6 +155,7 @@ export class Stage {
       crop: true,
       box: true,
       ...(alpha ? { alpha: 'straight' } : {}),
+      ...(light ? { light: onWire(light) } : {}),
       ...(where.mirror ? { mirror: true } : {}),
       ...(where.view === 'own' && this.canHide ? { hide: ['head'] } : {}),
     };

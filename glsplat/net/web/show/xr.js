@@ -3,6 +3,7 @@
 import { multiply, translation } from '../space/matrix.js';
 import { VIEWS, placing, standing } from '../space/placing.js';
 import { bodyOf, drivenBodyOf, sampleOf } from '../track/xr-sample.js';
+import { Estimate, FEATURE } from './estimate.js';
 import { Notice, Panel } from './panel.js';
 import { panelPlace, pointers } from './reach.js';
 
@@ -38,6 +39,7 @@ export class Immersive {
   #actions;
   #tools;
   #notice = new Notice();
+  #estimate = new Estimate();
   #session = null;
   #space = null;
   #base = null; // the space before the floor was moved
@@ -61,7 +63,8 @@ export class Immersive {
 
   /** Enter 'vr' or 'ar'. Rejects with words if the device does not let us. */
   async enter(mode) {
-    const session = await navigator.xr.requestSession(`immersive-${mode}`, { optionalFeatures: OPTIONAL });
+    const optionalFeatures = mode === 'ar' ? [...OPTIONAL, FEATURE] : OPTIONAL;
+    const session = await navigator.xr.requestSession(`immersive-${mode}`, { optionalFeatures });
     try {
       await this.#gl.makeXRCompatible?.();
       session.updateRenderState({ baseLayer: new XRWebGLLayer(session, this.#gl), depthNear: 0.05, depthFar: 50 });
@@ -72,6 +75,7 @@ export class Immersive {
     }
     this.#session = session;
     this.mode = mode;
+    if (mode === 'ar') this.#estimate.start(session);
     this.#where = null;
     session.addEventListener('end', () => this.#ended(session));
     session.addEventListener('select', (event) => this.#selected(event));
@@ -113,6 +117,7 @@ export class Immersive {
   #ended(session) {
     if (session !== this.#session) return;
     this.#session = null;
+    this.#estimate.stop();
     this.mode = '';
     this.#stage.clear();
     this.#tools.onEnd();
@@ -144,7 +149,8 @@ export class Immersive {
     const [room, transparent] = [this.mode === 'vr', this.mode === 'ar'];
     const labels = () => this.#labels(frame, head, sample, now);
     this.#stage.here.choice.display = session.frameRate;
-    this.#stage.frame(views, this.#where, drive, { framebuffer, alpha, transparent, room, labels, now });
+    const around = transparent ? this.#estimate.light(frame, this.#space) : undefined;
+    this.#stage.frame(views, this.#where, drive, { framebuffer, alpha, transparent, room, around, labels, now });
   }
 
   #placeView(head) {

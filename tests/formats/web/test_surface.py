@@ -1,0 +1,75 @@
+"""What splats know of their surface in the file that browsers fetch: byte for byte, nothing where there is none."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from glsplat.errors import FormatError
+from glsplat.formats.web.read import decode_avatar, read_header
+from glsplat.formats.web.write import encode_avatar
+from glsplat.splats import Level
+from tests.formats.test_contract import peak_of
+from tests.formats.web.test_web import LIES, Change, changed, of_part, someone, with_face
+from tests.light.lit import surfaced
+
+
+@pytest.mark.parametrize("shaded", [True, False])
+def test_it_comes_back_to_the_byte_with_its_levels(shaded: bool) -> None:
+    first = surfaced(with_face(someone(500, seed=12)), seed=3, shaded=shaded)
+    coarse = surfaced(replace(someone(90, seed=8), skeleton=first.skeleton), seed=4, shaded=not shaded)
+    data = encode_avatar(
+        replace(
+            first,
+            levels=(
+                Level(coarse, 120.0, 31.5),
+                Level(replace(someone(40, seed=2), skeleton=first.skeleton), 60.0, 28.0),
+            ),
+        )
+    )
+    back = decode_avatar(data)
+    kinds = [(part.kind, part.level) for part in read_header(data)[0].parts]
+    assert kinds[-2:] == [("surface", 0), ("surface", 1)]  # behind all that a picture needs
+    for one, was in ((back, first), (back.levels[0].content, coarse)):
+        at = [int(np.abs(was.splats.means - mean).sum(axis=1).argmin()) for mean in one.splats.means]
+        found, expected = one.splats.surface, was.splats.surface
+        assert found is not None and expected is not None
+        wanted = expected.take(at)
+        assert np.array_equal(found.normals, wanted.normals) and np.array_equal(found.occlusion, wanted.occlusion)
+        assert (found.shade is None) == (wanted.shade is None)
+        assert np.array_equal(found.shades_or_one(), wanted.shades_or_one())
+    assert back.levels[1].content.splats.surface is None
+
+
+def test_without_one_the_file_is_as_it_was() -> None:
+    plain = with_face(someone(200))
+    data = encode_avatar(surfaced(plain))
+    bare = encode_avatar(plain)
+    header, _ = read_header(bare)
+    assert all(part.kind != "surface" for part in header.parts) and b"shaded" not in bare
+    assert len(data) - len(bare) < 7 * 200 + 200
+
+
+@pytest.mark.parametrize(
+    "lie",
+    [
+        of_part(2, shaded=False),
+        of_part(2, shaded=1),
+        of_part(2, level=1),
+        of_part(2, kind="light"),
+        of_part(2, bytes=5),
+        LIES["more splats"],
+        lambda header: header["parts"].append(header["parts"][2]),
+    ],
+)
+def test_lies_about_it_are_refused(lie: Change) -> None:
+    data = changed(encode_avatar(surfaced(with_face(someone(300)))), lie)
+
+    def read() -> None:
+        with pytest.raises(FormatError) as caught:
+            decode_avatar(data)
+        assert "\n" not in str(caught.value) and len(str(caught.value)) < 300
+
+    assert peak_of(read) < 4_000_000
