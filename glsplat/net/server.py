@@ -151,8 +151,10 @@ class Server:
         pages.history.start()
         app.add_routes([web.get("/ws", self._websocket), *self._splat_files.routes(), *pages.routes()])
         app.add_routes(self._previews.routes())
-        if self._uploads is not None:
+        if (uploads := self._uploads) is not None:
             app.add_routes(self._uploads.open(self.gate, self._offers.add, self._withdraw))
+            if isinstance(self.render_loop, LocalLoop):  # workers may be on other machines
+                self.render_loop.stands_back = lambda: uploads.works
         if self._lead is not None:
             app.add_routes(self._lead.open(self._end))
         app.on_response_prepare.append(set_headers)

@@ -214,3 +214,23 @@ def test_a_phone_has_room_for_it(open_page: OpenPage, stored: Any) -> None:
     assert page.js("document.documentElement.scrollWidth") <= 360
     box = page.page.locator("#canvas").bounding_box()
     assert box["width"] > 300 and box["height"] > 300
+
+
+def test_nothing_but_the_page_itself_comes_before_the_first_picture(open_page: OpenPage, serve: Any) -> None:
+    from glsplat.data import default_avatar
+    from glsplat.net.backends.server import make_server
+    from tests.browser.served import Served
+
+    with Served(make=lambda config: make_server(default_avatar(), config)) as served:
+        page = open_page(None, xr=None)
+        page.page.add_init_script("""
+          const look = () => window.glsplat?.stats().shown > 0 ? (window.seen = performance.getEntriesByType('resource')
+            .map(({ name }) => name)) : requestAnimationFrame(look);
+          requestAnimationFrame(look);""")
+        page.page.goto(served.page)
+        seen = {name.split("?")[0].removeprefix(served.origin) for name in page.until("window.seen")}
+        html = page.page.request.get(f"{served.page}/").text()
+    preloaded = {f"/vr/{part.split(chr(34))[0]}" for part in html.split('modulepreload" href="')[1:]}
+    # the decoder's worker starts by itself; all other modules are known from the page's first bytes
+    assert {name for name in seen if name.endswith(".js")} == preloaded and len(preloaded) > 30
+    assert not [name for name in seen if "avatars/" in name or "thumbnails" in name or name.endswith("programs.json")]

@@ -345,6 +345,7 @@ connection.token = sessionStorage.getItem(TOKEN);
 
 orbit.attach(canvas);
 viewer.covered = () => page.covered();
+viewer.ready = () => viewer.driver !== null; // who moves is not shown standing first
 viewer.rests = () => upload.busy; // who makes an avatar needs the machine, which may be this one
 viewer.onDrive = ({ tracking, t }) => {
   if (recorder.recording && tracking) recorder.add(tracking, t);

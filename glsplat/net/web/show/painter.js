@@ -1,6 +1,7 @@
 // Everything the page draws with WebGL2: a place, the newest pair, a mirror's frame, labels. Knows no sessions.
 
 import { Place } from '../place/place.js';
+import { shown } from '../place/bake.js';
 import { buildPrograms } from './shaders.js';
 import { add, axis, invert, multiply, place, scale } from '../space/matrix.js';
 import { pictureQuad } from '../space/picture.js';
@@ -78,11 +79,11 @@ export class Painter {
     gl.pixelStorei(gl.UNPACK_PREMULTIPLY_ALPHA_WEBGL, false);
   }
 
-  /** Bind a framebuffer (null: the canvas) and clear it; see-through where the room is to show. */
-  begin(framebuffer, transparent) {
+  /** Bind a framebuffer (null: the canvas) and clear it to a look's horizon; see-through where the room is to show. */
+  begin(framebuffer, transparent, look = null) {
     const gl = this.#gl;
     gl.bindFramebuffer(gl.FRAMEBUFFER, framebuffer);
-    gl.clearColor(0, 0, 0, transparent ? 0 : 1);
+    gl.clearColor(...(look && !transparent ? shown(look.sky.horizon) : [0, 0, 0]), transparent ? 0 : 1);
     gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
     gl.enable(gl.BLEND);
     gl.blendFunc(gl.ONE, gl.ONE_MINUS_SRC_ALPHA);

@@ -1,5 +1,6 @@
 // What both ways of looking share: ask for a pair, take the newest that came, put it on the screen, keep the figures.
 
+import { LOOKS } from '../place/looks.js';
 import { below, fromBox } from '../place/shadow.js';
 import { Framing } from '../space/framing.js';
 import { IDENTITY } from '../space/matrix.js';
@@ -10,6 +11,7 @@ import { Here } from './here.js';
 import { Names } from './names.js';
 import { Painter } from './painter.js';
 
+const FIRST = 3000; // ms that all else waits for the first picture: the place, and drawing on this device
 const COMPLAINT = 4000; // ms for which a server's complaint is repeated to the user
 
 export class Stage {
@@ -20,6 +22,8 @@ export class Stage {
   #complaint = { text: '', until: 0 };
   #asked = 0; // when the pair on the screen was asked for
   #seen = true; // whether that pair has been drawn
+  #frame = ''; // what is on the canvas, where that may stay
+  #opened = performance.now();
   #scene = 0; // counts what `clear` ended: pictures asked for before are of another place
 
   /** `inWorker` false decodes on the page's thread, to compare. */
@@ -48,6 +52,7 @@ export class Stage {
   /** A new context after a lost one: everything on the GPU is made anew. */
   restore(gl) {
     this.painter = new Painter(gl);
+    this.#frame = '';
     this.here.restore(gl);
   }
 
@@ -59,16 +64,28 @@ export class Stage {
   /**
    * One frame for `views` [{transform, projection, viewport}] of `where` (a placing): ask for the next, show the newest.
    * `drive` and `how` {alpha, transparent, room, labels} as of `ask` and the painter; `framebuffer` null is the canvas;
-   * `asks` false where nothing new is to be asked for. Returns the frame_id that was asked for, or 0.
+   * `asks` false where nothing new is to be asked for; `same`: what the views are in words, so that a frame like the last
+   * one is left on the screen. Returns the frame_id that was asked for, or 0.
    */
-  frame(views, where, drive, { framebuffer = null, alpha, transparent = false, room, labels = () => [], asks = true, now }) {
-    const here = this.here.draws(views, where, this.figures.rate('shown', now), now);
+  frame(views, where, drive, { framebuffer = null, alpha, transparent = false, room, labels = () => [], asks = true, same = '', now }) {
+    const first = !this.shownId && performance.now() - this.#opened < FIRST;
+    const here = !first && this.here.draws(views, where, this.figures.rate('shown', now), now);
     let sent = 0;
     if (asks) sent = here ? this.#askPoses(views, where, drive, now) : this.ask(views, where, drive, { alpha, now });
-    this.advance(now);
+    const came = this.advance(now);
     const hung = labels();
-    this.painter.begin(framebuffer, transparent);
-    const how = { room, mirror: where.glass ? where : null, look: this.settings.get('place'), blobs: this.#shadows(here, where, drive, now) };
+    const look = this.settings.get('place');
+    const bare = first || !this.painter.place.prepare(look);
+    const frame = same && !here ? `${same} ${look} ${bare} ${this.painter.hasPair}` : '';
+    if (frame && !came && frame === this.#frame) return sent;
+    this.#frame = frame;
+    this.painter.begin(framebuffer, transparent, bare ? LOOKS[look] : null);
+    if (bare && !here) {
+      views.forEach((view, i) => this.painter.view(view, i, { room: false, labels: hung }));
+      this.drawn();
+      return sent;
+    }
+    const how = { room, mirror: where.glass ? where : null, look, blobs: this.#shadows(here, where, drive, now) };
     if (here && this.here.people.size) {
       this.painter.forget();
       views.forEach((view, i) => this.painter.view(view, i, how));
