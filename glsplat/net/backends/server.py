@@ -19,6 +19,7 @@ from glsplat.net.backends.gl import MAX_TIME, RendererBackend
 from glsplat.net.backends.process import ProcessBackend
 from glsplat.net.backends.tracking import TrackingSolver
 from glsplat.net.messages import PARTS
+from glsplat.net.options import NAME
 from glsplat.net.pages.lead import Lead
 from glsplat.net.server import Server, ServerConfig
 from glsplat.scene import Rigged, SceneLike, is_rigged
@@ -184,8 +185,10 @@ def offered(
     skeleton = avatar.skeleton
     parts = frozenset(part for part in PARTS if part in skeleton.names)
     file = partial(web_file, avatar) if isinstance(avatar, Avatar) else None
+    said = avatar.meta.get("title") if isinstance(avatar, Avatar) else None
+    title = said if isinstance(said, str) and NAME.fullmatch(said) else ""  # a file may say anything
     if why := why_not_tracked(skeleton):
-        return AvatarInfo(name=name, skeleton=skeleton, parts=parts, untracked=why, file=file)
+        return AvatarInfo(name=name, title=title, skeleton=skeleton, parts=parts, untracked=why, file=file)
     height = Body.of(skeleton).eye_height / EYES_OF_STATURE
     base = calibration or Calibration(automatic=True)
 
@@ -194,7 +197,7 @@ def offered(
         fitted = fitted if span is None else fitted.with_span(skeleton, span)
         return TrackingSolver(skeleton, fitted, solver, idle, face)
 
-    return AvatarInfo(name=name, skeleton=skeleton, solver=solving, height=height, parts=parts, file=file)
+    return AvatarInfo(name=name, title=title, skeleton=skeleton, solver=solving, height=height, parts=parts, file=file)
 
 
 def _checked(avatars: Mapping[str, Rigged], scene: str, rendering: RenderConfig | None) -> dict[str, Rigged]:

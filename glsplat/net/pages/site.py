@@ -31,7 +31,7 @@ _TYPES = {
 _SCRIPT = re.compile(rb'<script type="module" src="([^"]+)">')
 _IMPORT = re.compile(
     rb"""^(?:import|export|\}) (?:[^'"\n]*? from )?['"](\.[^'"]+)['"]""", re.MULTILINE
-)  # none is dynamic
+)  # of a module: what it imports itself, not what it may fetch later by import()
 _TEXT = ("html", "css", "js", "json", "jsonl", "svg", "txt")
 
 _HEADERS = {

@@ -173,7 +173,7 @@ async function askOffer() {
 function offered(session) {
   offer = session;
   const named = (value) => ({ value, label: `${value}` });
-  settings.setOptions('avatar', session.avatars.map(({ name }) => named(name)));
+  settings.setOptions('avatar', session.avatars.map(({ name, title }) => ({ value: name, label: title || name })));
   const rooms = (session.rooms ?? []).map(({ name, people, seats }) => ({ value: name, label: `${name} (${people} of ${seats})` }));
   settings.setOptions('room', [{ value: '', label: 'None: alone' }, ...rooms]);
   const drivers = [{ value: 'rest', label: 'Standing still' }];
@@ -263,7 +263,7 @@ function tell() {
   const where = immersive.mode ? ` In ${immersive.mode.toUpperCase()}.` : '';
   page.status((stage.notice ? capital(stage.notice) : words[connection.state]) + where, stage.notice ? 'error' : 'info');
   const waits = connection.state === 'waiting' && connection.problem !== 'token';
-  const name = chosenAvatar()?.name ?? 'glsplat';
+  const name = chosenAvatar()?.title || (chosenAvatar()?.name ?? 'glsplat');
   page.title(name === 'default' ? 'Demo avatar' : name, waits ? 'Try again now' : '');
 }
 

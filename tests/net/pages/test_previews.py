@@ -146,3 +146,26 @@ def test_addresses_of_strangers_fill_nothing(serve):
     headers = {"Authorization": f"bearer {TOKEN}", "Host": "localhost"}
     codes = [json.loads(body)["svg"] for _, body in asked(serve, *["/reach"] * 20, config=guarded, headers=headers)]
     assert all(TOKEN in code for code in codes) and len(codes) == 20
+
+
+def test_the_curves_go_on_after_numbers_that_could_not_be_taken(monkeypatch, caplog):
+    monkeypatch.setattr("glsplat.net.pages.history.STEP", 0.005)
+    count = 0
+
+    def stats():
+        nonlocal count
+        count += 1
+        if count in (2, 3):
+            raise RuntimeError("a fault")
+        return {"fps": float(count), "stages": {}}
+
+    async def main():
+        history = History(stats)
+        history.start()
+        while count < 6:
+            await asyncio.sleep(0.005)
+        await history.stop()
+        return history.fields()["fps"]
+
+    fps = asyncio.run(main())
+    assert fps[:3] == [1.0, 4.0, 5.0] and caplog.text.count("cannot be taken just now") == 1

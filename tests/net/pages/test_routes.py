@@ -225,7 +225,8 @@ def test_a_page_names_each_module_that_its_scripts_import(tmp_path):
         "index.html": '<head>\n  <script type="module" src="main.js"></script>\n</head>',
         "deep/other.html": '<script type="module" src="../main.js"></script>',
         "plain.html": "<p>import { a } from './a.js'</p>",
-        "main.js": "// import './no.js'\nimport { a } from './b/a.js';\nimport {\n  c,\n} from './c.js';\nimport './gone.js';\n"
+        "main.js": "// import './no.js'\nimport { a } from './b/a.js';\nimport {\n  c,\n} from './c.js';\n"
+        "import './gone.js';\n"
         "const late = () => import('./late.js');\n",
         "b/a.js": "import { c } from '../c.js';\nexport { d } from './d.js';\n",
         "b/d.js": "import '../main.js';\nnew Worker('./worker.js');\n",

@@ -103,7 +103,7 @@ async function now(list) {
 async function people(avatars) {
   $('avatars').hidden = !avatars.length;
   const made = [];
-  for (const { name } of avatars) made.push(tile(await picture(`thumbnails/${encodeURIComponent(name)}`, false), name, name));
+  for (const { name, title } of avatars) made.push(tile(await picture(`thumbnails/${encodeURIComponent(name)}`, false), title || name, title || name));
   $('people').replaceChildren(...made);
 }
 
