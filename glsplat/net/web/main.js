@@ -20,6 +20,7 @@ import { addVoice } from './voice/panel.js';
 
 const TOKEN = 'glsplat.token'; // in this tab's storage only
 const MAKING = 'glsplat.making'; // the avatar that is being made, in this tab's storage too
+const SOON = 2000; // ms until a server that still loads avatars is asked again
 const NUMBERS = 500; // ms between two looks at the figures
 const CIRCLE = 1.2; // metres from the middle of a room to who stands in it, at least
 const ENOUGH = 15; // pictures a second that look like a movement
@@ -189,6 +190,7 @@ function offered(session) {
   stage.here.handedOut(session.avatars.map(({ hand_out: given }) => given?.sha256).filter(Boolean));
   photo.offered(session.upload, chosenAvatar());
   document.getElementById('no-photo').hidden = Boolean(session.upload);
+  if (session.loading) setTimeout(askOffer, SOON); // there will be more to choose from
   const making = sessionStorage.getItem(MAKING);
   if (making && upload.now.state === 'idle') upload.resume(making);
 }
