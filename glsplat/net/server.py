@@ -110,7 +110,8 @@ class Server:
         self._answers = Answers(self._splat_files.sha256, self._splat_files.why, clock)
         self._channels: dict[int, ClientStream] = {}
         self._drawer = Drawer(self.render_loop, self.config.wire, self.config.session, clock)
-        self._previews = Previews(self._drawer, self._offers, self.gate.rights, self._channels, self.config.private)
+        shown = self._drawer, self._offers, self.gate.rights, self._channels
+        self._previews = Previews(*shown, self.config.private, self.stats, self.offer)
         self.fitted: Fitted | None = None  # soon after it has started, where that was asked for
         self.fitting: asyncio.Task[None] | None = None  # finds it
         self._later, self.all_offered = later, asyncio.Event()
@@ -149,7 +150,7 @@ class Server:
             raise
         app = web.Application(middlewares=[self.gate.guard], client_max_size=MAX_BYTES)
         pages = self._pages = Pages(self.stats, self.offer, self._healthy, tls is not None, self.config.access.host)
-        pages.history.start()
+        self._previews.curves = pages.history.fields
         own = (*self._splat_files.routes(), *pages.routes(), *self._previews.routes())
         app.add_routes([web.get("/ws", self._websocket), *own])
         if (uploads := self._uploads) is not None:
@@ -326,9 +327,8 @@ class Server:
             return ws
         except (ConnectionError, TimeoutError):  # it neither reads nor listens
             cut_off(request)
-            if not ws.prepared:  # gone before its handshake was answered: aiohttp would close what never opened
-                return web.Response(status=400)
-            return ws
+            # gone before its handshake was answered: aiohttp would close what never opened
+            return ws if ws.prepared else web.Response(status=400)
         finally:
             self._close_channel(channel, talk.goodbye)
             self.gate.leave(request, entered)

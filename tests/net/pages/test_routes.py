@@ -174,16 +174,18 @@ def test_what_the_server_offers(serve):
 
     async def main():
         async with serve(config=config, offered=offered) as server:
+            await server.all_offered.wait()
             before = await asyncio.to_thread(session, server.port)
             async with Client(server.url):
                 return before, await asyncio.to_thread(session, server.port)
 
     before, during = asyncio.run(main())
+    plain = {"title": "", "made": False, "hand_out": None}
     assert before == {
         "v": 1,
         "avatars": [
-            {"name": "ann", "height": 1.7123, "tracking": True, "head": True, "made": False, "hand_out": None},
-            {"name": "a room", "height": None, "tracking": False, "head": False, "made": False, "hand_out": None},
+            {"name": "ann", "height": 1.7123, "tracking": True, "head": True, **plain},
+            {"name": "a room", "height": None, "tracking": False, "head": False, **plain},
         ],
         "rooms": [],
         "upload": None,
@@ -192,6 +194,7 @@ def test_what_the_server_offers(serve):
         "max_side": 2048,
         "size": [640, 480],
         "rate": None,
+        "loading": False,
         "quality": 70,
         "window": 2,
         "clients": 0,
