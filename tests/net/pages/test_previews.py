@@ -184,7 +184,7 @@ def test_the_status_page_asks_once_for_everything(serve, monkeypatch):
 
             async def get(path, **headers):
                 async with http.get(f"http://127.0.0.1:{server.port}{path}", headers=headers) as answer:
-                    return answer.status, dict(answer.headers), await answer.read()
+                    return answer.status, answer.headers.copy(), await answer.read()
 
             told = json.loads((await get("/status.json"))[2])
             assert set(told) == {"stats", "history", "avatars", "pictures"} and told["pictures"] == {}

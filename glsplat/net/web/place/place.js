@@ -108,7 +108,8 @@ export class Place {
     gl.uniformMatrix4fv(at.clip_from_room, false, clip);
     this.#fill(this.#passing, flatMesh(glass, normal));
     this.#draw(this.#passing);
-    this.#fill(this.#passing, mirrorMesh(glass, normal));
+    const lit = this.#look.ambient.map((value, k) => Math.min(1, value / LOOKS.day.ambient[k]));
+    this.#fill(this.#passing, mirrorMesh(glass, normal, lit));
     gl.enable(gl.DEPTH_TEST);
     gl.clear(gl.DEPTH_BUFFER_BIT); // before all that the room has
     this.#solid(clip, this.#passing);

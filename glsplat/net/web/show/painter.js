@@ -94,9 +94,9 @@ export class Painter {
   /**
    * One view {transform, projection, viewport}: index 0 or 1 of the pair. `room`: draw the place as well, else (in
    * passthrough) its mirror and shadows alone. `mirror`: {glass, normal}; `blobs`: shadows of place/shadow.js, which
-   * the mirror shows where there is one.
+   * the mirror shows where there is one; `picture` false leaves the pair out.
    */
-  view(eye, index, { room, mirror = null, labels = [], look = 'plain', blobs = [] }) {
+  view(eye, index, { room, mirror = null, labels = [], look = 'plain', blobs = [], picture = true }) {
     const gl = this.#gl;
     const { transform, projection, viewport: { x, y, width, height } } = eye;
     gl.viewport(x, y, width, height);
@@ -111,7 +111,7 @@ export class Painter {
       if (room) this.#drawFloor(clip, transform);
       if (mirror) this.#drawMirror(clip, mirror.glass);
     }
-    if (this.#asked) this.#drawPicture(clip, transform, index);
+    if (this.#asked && picture) this.#drawPicture(clip, transform, index);
     else if (mirror && !placed) this.#drawFlat(clip, [3, 2, 0, 1].map((i) => mirror.glass[i]), COLOURS.glass);
     for (const label of labels) this.#drawLabel(clip, label);
   }

@@ -87,8 +87,8 @@ export class Stage {
     }
     const how = { room, mirror: where.glass ? where : null, look, blobs: this.#shadows(here, where, drive, now) };
     if (here && this.here.people.size) {
-      this.painter.forget();
-      views.forEach((view, i) => this.painter.view(view, i, how));
+      // the pair stays: it is what there is to see should it be back to pictures
+      views.forEach((view, i) => this.painter.view(view, i, { ...how, picture: false }));
       const own = where.view === 'own' && this.canHide;
       const age = this.here.draw(views, framebuffer, where, own, now);
       if (age !== null) this.figures.show(now - age, performance.now());
