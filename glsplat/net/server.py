@@ -23,7 +23,7 @@ from glsplat.errors import ProtocolError
 from glsplat.net.backend import AvatarInfo, Backend
 from glsplat.net.backends.labels import driven_by
 from glsplat.net.conversation import Conversation, cut_off, make_socket
-from glsplat.net.guard.access import Access, server_tls
+from glsplat.net.guard.access import Access, is_loopback, server_tls
 from glsplat.net.guard.gate import Gate, connection_of
 from glsplat.net.guard.headers import set_headers
 from glsplat.net.guard.limits import ClientQuota, CpuBudget, Limits
@@ -155,7 +155,7 @@ class Server:
         app.add_routes([web.get("/ws", self._websocket), *own])
         if (uploads := self._uploads) is not None:
             app.add_routes(self._uploads.open(self.gate, self._offers.add, self._withdraw))
-            if isinstance(self.render_loop, LocalLoop):  # workers may be on other machines
+            if isinstance(self.render_loop, LocalLoop) and is_loopback(self.config.access.host):  # its user's own machine
                 self.render_loop.stands_back = lambda: uploads.works
         if self._lead is not None:
             app.add_routes(self._lead.open(self._end))

@@ -54,7 +54,12 @@ def test_a_terminals_code_is_read_on_any_ground(text, ground):
 def test_the_pages_code_is_read(text):
     """Drawn by hand: a path of moves and horizontal strokes."""
     drawn = qr.svg(text)
-    assert drawn.startswith('<svg role="img" ') and f"<title>{text}</title>" in drawn and "style" not in drawn
+    assert (
+        drawn.startswith("<svg ")
+        and ' role="img" ' in drawn
+        and f"<title>{text}</title>" in drawn
+        and "style" not in drawn
+    )
     size = int(re.search(r'width="(\d+)" height="\1"', drawn)[1]) // 4
     picture, x, y = np.full((size, size), 255, np.uint8), 0, 0.0
     path = re.search(r'stroke="#000" d="([^"]+)"', drawn)[1]

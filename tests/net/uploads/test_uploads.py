@@ -9,8 +9,13 @@ import aiohttp
 import pytest
 
 from glsplat.formats import load
-from tests.net.uploads.conftest import GUARD
-from tests.net.uploads.makers import PICTURE
+from glsplat.net.guard.access import Access
+from glsplat.net.server import Server, ServerConfig
+from glsplat.net.uploads.job import UploadConfig
+from glsplat.net.uploads.routes import Uploads
+from tests.net.conftest import FakeBackend
+from tests.net.uploads.conftest import GUARD, described, until
+from tests.net.uploads.makers import PICTURE, make
 
 
 def form(**fields) -> aiohttp.FormData:
@@ -331,5 +336,43 @@ def test_names_that_are_none_are_refused(takes, title):
             status, text = await client.post(form(front=PICTURE, name=title), query="")
             assert status == (400 if title.strip() else 202), text
             assert title == " " or "name needs 1 to 32 letters" in text
+
+    asyncio.run(main())
+
+
+def test_the_stream_of_ones_own_machine_steps_back_while_one_is_made(takes, tmp_path):
+    async def main():
+        async with takes() as client:
+            loop = client.server.render_loop
+            assert not loop.stands_back()
+            _, told = await client.post(f"hold {tmp_path / 'go on'}".encode())
+            await client.until(told["name"], "making")
+            assert loop.stands_back()
+            (tmp_path / "go on").touch()
+            await client.until(told["name"], "done")
+            assert not loop.stands_back()
+            refused = (await client.post(b"doubt known"))[1]["name"]
+            await client.until(refused, "failed")
+            assert not loop.stands_back()  # what waits for a word needs no machine
+
+    asyncio.run(main())
+
+
+def test_where_others_look_on_drawing_goes_first(tmp_path):
+    async def main():
+        uploads = Uploads(UploadConfig(folder=tmp_path, make=make), described)
+        config = ServerConfig(port=0, access=Access(host="0.0.0.0", insecure=True))
+        server = Server(FakeBackend(), config, uploads=uploads)
+        await server.start()
+        try:
+            url = f"http://127.0.0.1:{server.port}/avatars?consent=yes"
+            async with aiohttp.ClientSession() as http:
+                headers = {"Content-Type": "image/jpeg"}
+                async with http.post(url, data=b"wait", headers=headers) as answer:
+                    assert answer.status == 202
+            await until(lambda: uploads.works)
+            assert not server.render_loop.stands_back()
+        finally:
+            await server.stop()
 
     asyncio.run(main())
